@@ -13,7 +13,7 @@ BENCH_PACKAGES := gcc make gcc-avr avr-libc binutils-avr simavr libsimavr-dev li
 SHARED := -n 2 --dist loadfile --no-loadscope-reorder
 QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1
 
-.PHONY: demo test test-all experiments lint format libraries firmware bench bench-deps browser-deps programs clean
+.PHONY: demo test test-all docs experiments lint format libraries firmware bench bench-deps browser-deps programs clean
 
 demo: $(INSTALLED)
 	$(BIN)/jaxscan demo -o demo
@@ -33,6 +33,10 @@ test-all: $(INSTALLED)
 experiments: $(INSTALLED) libraries
 	$(BIN)/python -m experiments.paper $(QUICK) --out paper-figures
 	$(BIN)/python -m experiments.paper.page $(QUICK) paper-figures
+
+# Into site/, without a network; a link that leads nowhere is an error.
+docs: $(INSTALLED)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q --strict
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .
@@ -90,9 +94,9 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c "import ensurepip" 2>/dev/null || \
 	  { echo "Python's venv module is missing. Type: sudo apt-get install python3-venv"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[test,console,export,plan,simulate,rig]"
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[test,docs,console,export,plan,simulate,rig]"
 	@touch $@
 
 clean:
-	rm -rf $(VENV) demo paper-figures build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) demo site paper-figures build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	rm -rf hardware/bench/build hardware/firmware/build

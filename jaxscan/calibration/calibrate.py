@@ -75,7 +75,7 @@ def calibrate_observations(
         CalibrationError: If the observations do not determine a camera, contradict each other, or are not of the
             known parts.
 
-    Source: PAPER.md equations (1)-(12), solved together.
+    Source: the paper, equations (1)-(12), solved together.
     """
     settings = settings or CalibrationSettings()
     started = time.perf_counter()
@@ -135,7 +135,7 @@ def calibrate_camera(observations: Observations, *, settings: CalibrationSetting
     Raises:
         CalibrationError: If the views do not determine a camera.
 
-    Source: PAPER.md equations (1), (2), (4), after Zhang.
+    Source: the paper, equations (1)-(3), after Zhang.
     """
     return calibrate_observations(observations, settings=replace(settings or CalibrationSettings(), only="camera"))
 

@@ -112,7 +112,7 @@ def fit_axis(motion: Array) -> AxisFit:
     Raises:
         ValueError: If there are fewer than 3 positions, no motion, or nothing turns.
 
-    Source: PAPER.md equations (9), (10), for a motion with 4 degrees of freedom.
+    Source: the paper, equations (9), (10), for a motion with 4 degrees of freedom.
     """
     motion = np.asarray(motion, np.float64)
     return _axis_of_arc(motion) if motion.ndim == 2 else _axis_of_motions(motion)

@@ -51,11 +51,11 @@ class LaserSheet(eqx.Module):
 
     @staticmethod
     def from_abc(a: float, b: float, c: float) -> "LaserSheet":
-        """The paper's plane `a X + b Y + Z = c` [c in m]. Source: PAPER.md equation (3)."""
+        """The paper's plane `a X + b Y + Z = c` [c in m]. Source: the paper, equation (4)."""
         return LaserSheet.from_plane(np.array([a, b, 1.0]), c)
 
     def abc(self) -> Float[Array, "3"]:
-        """The paper's a, b [1] and c [m] of the flat part. Source: PAPER.md equation (3)."""
+        """The paper's a, b [1] and c [m] of the flat part. Source: the paper, equation (4)."""
         return jnp.stack([self.normal[0], self.normal[1], jnp.asarray(self.distance)]) / self.normal[2]
 
     def intersect(self, ray: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, ""]]:

@@ -63,7 +63,7 @@ def reconstruct(
         CaptureError: If the sweep has no records or no stripe.
         CalibrationError: If the scanner is not that of the sweep, or no point is in range.
 
-    Source: PAPER.md equations (1)-(4) and (9)-(12).
+    Source: the paper, equations (1)-(4) and (9)-(12).
     """
     return cloud_of_plan(make_plan(sweep, scanner, settings), stripes=stripes, noise=noise, progress=progress)
 

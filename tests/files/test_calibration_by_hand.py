@@ -14,7 +14,7 @@ from jaxscan.errors import CalibrationError
 from jaxscan.files import load_calibration, load_scanner, save_calibration
 
 
-README = Path(__file__).resolve().parents[2] / "README.md"
+GUIDE = Path(__file__).resolve().parents[2] / "docs" / "captures.md"
 
 
 def edit(data, path, value):
@@ -29,10 +29,10 @@ def edit(data, path, value):
 
 @pytest.fixture
 def by_hand(tmp_path):
-    """Writes a calibration as people do: the file of the README, changed where a test wants."""
+    """Writes a calibration as people do: the file of the guide, changed where a test wants."""
 
     def write(*changes):
-        (text,) = re.findall(r"```json\n(.*?)```", README.read_text(), re.DOTALL)
+        (text,) = re.findall(r"```json\n(.*?)```", GUIDE.read_text(), re.DOTALL)
         assert len(text.splitlines()) <= 12
         data = json.loads(text)
         for path, value in changes:
@@ -50,7 +50,7 @@ def points_of(scanner):
     return np.array([point for point, _ in found])
 
 
-def test_the_file_of_the_readme(by_hand, tmp_path):
+def test_the_file_of_the_guide(by_hand, tmp_path):
     scanner = load_scanner(by_hand())
     # The paper's plane: -7.606 X - 1.685 Y + Z = 1.296203 in the camera frame.
     n, d = np.array([7.606, 1.685, -1.0]), -1.296203

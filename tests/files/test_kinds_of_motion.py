@@ -11,7 +11,7 @@ import jaxscan
 from jaxscan.errors import CalibrationError, CaptureError
 
 
-README = Path(__file__).resolve().parents[2] / "README.md"
+GUIDE = Path(__file__).resolve().parents[2] / "docs" / "captures.md"
 LASER = '[[laser]]\nname = "red"\n'
 
 
@@ -86,10 +86,10 @@ def test_a_written_linear_sweep(tmp_path):
 
 @pytest.fixture
 def by_hand(tmp_path):
-    """The calibration of the README with another motion."""
+    """The calibration of the guide with another motion."""
 
     def write(turntable, **changes):
-        (text,) = re.findall(r"```json\n(.*?)```", README.read_text(), re.DOTALL)
+        (text,) = re.findall(r"```json\n(.*?)```", GUIDE.read_text(), re.DOTALL)
         data = json.loads(text) | {"turntable": turntable} | changes
         data = {key: value for key, value in data.items() if value is not None}
         (tmp_path / "hand.json").write_text(json.dumps(data))

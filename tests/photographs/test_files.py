@@ -20,7 +20,7 @@ from jaxscan.simulation import make_rig
 from jaxscan.vision import decode_image
 
 
-README = Path(__file__).resolve().parents[2] / "README.md"
+GUIDE = Path(__file__).resolve().parents[2] / "docs" / "captures.md"
 
 
 def write_capture(folder, world, *, off=True, size=(320, 240), count=6):
@@ -168,7 +168,7 @@ def test_colours_of_a_bayer_frame(tile):
 
 
 def by_hand(folder, width, height):
-    (text,) = re.findall(r"```json\n(.*?)```", README.read_text(), re.DOTALL)
+    (text,) = re.findall(r"```json\n(.*?)```", GUIDE.read_text(), re.DOTALL)
     data = json.loads(text)
     data["camera"] |= {"width": width, "height": height}
     (folder / "hand.json").write_text(json.dumps(data))

@@ -93,7 +93,7 @@ def seed_plane(points: np.ndarray, name: str) -> LaserSheet:
     Raises:
         CalibrationError: If there are no points, or they all lie on one line.
 
-    Source: PAPER.md equation (8), as total least squares.
+    Source: the paper, equation (8), as total least squares.
     """
     if len(points) < 10:
         raise CalibrationError(

@@ -49,7 +49,7 @@ def lift_stripes(data: Prepared, camera: AbstractCamera, poses: np.ndarray) -> L
         camera: The camera.
         poses: T_cam_board of every view [views, 4, 4].
 
-    Source: PAPER.md equations (5)-(7).
+    Source: the paper, equations (5)-(7).
     """
     pose, lit = poses[data.stripe_view], np.any(data.stripe_valid, axis=1)
     points, ahead = np.zeros((*data.stripe_valid.shape, 3)), np.zeros(data.stripe_valid.shape, bool)

@@ -39,7 +39,7 @@ def seed_motion(poses: np.ndarray, data: Prepared, carries: Carries, up: Up) -> 
 def _seed_axis(poses: np.ndarray, data: Prepared, carries: Carries, up: Up) -> AbstractMotion:
     """Axis and sense of the table.
 
-    Source: PAPER.md equation (10), for all pairs of angles.
+    Source: the paper, equation (10), for all pairs of angles.
     """
     pairs = _pairs(data, MIN_TURN_RAD)
     if not pairs:

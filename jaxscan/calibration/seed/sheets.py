@@ -97,7 +97,7 @@ def seed_sheets(
     Raises:
         CalibrationError: If the lines of a laser agree on no plane, or determine none.
 
-    Source: PAPER.md equations (5)-(8); M. A. Fischler, R. C. Bolles, Random sample consensus, Communications of
+    Source: the paper, equations (5)-(8); M. A. Fischler, R. C. Bolles, Random sample consensus, Communications of
     the ACM 24, 1981.
     """
     every, owner = _every_line(observations)

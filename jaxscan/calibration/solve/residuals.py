@@ -28,7 +28,7 @@ def residuals(step: Step, problem: Problem) -> Residuals:
     the ray of $q$ meets the board; it stays a pixel error at all ranges. Its gradient is part of
     the weight, and so constant during a solve.
 
-    Source: PAPER.md equations (5)-(8) and (10), made one problem.
+    Source: the paper, equations (5)-(8) and (10), made one problem.
     """
     moved = move(step, problem)
     # The derivatives are formed once per point, not once per unknown: the part that depends on the step is

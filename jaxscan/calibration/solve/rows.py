@@ -60,7 +60,7 @@ def _sheet_numbers(sheets: LaserSheet) -> Float[Array, "lasers 6"]:
 def corner_rows(problem: Problem) -> Rows:
     r"""Projected minus observed corners [px], $\pi(T X) - q$; rows are u and v of each corner.
 
-    Source: PAPER.md equations (1), (2), (4).
+    Source: the paper, equations (1)-(3).
     """
     camera, surface = problem.camera, BowedBoard(problem.frame, problem.shape[:3])
     points = board_points(problem)
@@ -96,7 +96,7 @@ def stripe_rows(problem: Problem) -> tuple[Rows, Float[Array, "stripes points 2"
     the board changes $\lambda$ by $(m \cdot v + (X \times m) \cdot \omega) / (R m \cdot r)$, and a
     turn of the ray by $-\lambda\, (R m \cdot \delta r) / (R m \cdot r)$.
 
-    Source: PAPER.md equations (5)-(8).
+    Source: the paper, equations (5)-(8).
     """
     count = len(problem.camera.parameter_names())
     if len(problem.lasers.distance) == 0:

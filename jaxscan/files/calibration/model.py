@@ -112,7 +112,7 @@ class LaserTable(FileModel):
     normal: Triple | None = None
     distance_m: Limited | None = None
     abc: Triple | None = None
-    """a, b [1] and c [m] of the plane a X + b Y + Z = c. Source: PAPER.md equation (3)."""
+    """a, b [1] and c [m] of the plane a X + b Y + Z = c. Source: the paper, equation (4)."""
     bow: Pair = (0.0, 0.0)
     basis: Basis | None = None
 

@@ -24,7 +24,7 @@ class Pinhole(AbstractCamera):
     $x' = x R + 2 p_1 x y + p_2 (r^2 + 2 x^2)$ and
     $y' = y R + p_1 (r^2 + 2 y^2) + 2 p_2 x y$.
 
-    Source: PAPER.md equations (1)-(3), which are the special case $k = k_1$; the order of the
+    Source: the paper, equations (1)-(3), which are the special case $k = k_1$; the order of the
     coefficients is OpenCV's.
     """
 
@@ -66,7 +66,7 @@ class Pinhole(AbstractCamera):
         return np.array([[radius @ slope / (slope @ slope), *np.zeros(8)]])
 
     def matrix(self) -> Float[Array, "3 3"]:
-        """The paper's camera matrix A [px]. Source: PAPER.md equation (1)."""
+        """The paper's camera matrix A [px]. Source: the paper, equation (1)."""
         zero, one = jnp.zeros_like(self.fx), jnp.ones_like(self.fx)
         return jnp.stack([self.fx, self.skew, self.cx, zero, self.fy, self.cy, zero, zero, one]).reshape(3, 3)
 

@@ -86,7 +86,7 @@ class Turntable(AbstractMotion):
         """The axis of the paper's Tr, the motion of the camera in one step [m].
 
         Tr is a fitted rigid motion; its shift along the axis is dropped. Its rotation is first
-        made orthonormal. Source: PAPER.md equations (10)-(12).
+        made orthonormal. Source: the paper, equations (10)-(12).
 
         Raises:
             ValueError: If Tr does not turn.
@@ -126,13 +126,13 @@ class Turntable(AbstractMotion):
         return _turned(theta if self.carries == "scanner" else -theta, *map(jnp.asarray, (self.direction, self.point)))
 
     def tr(self, step: float) -> Float[Array, "4 4"]:
-        """The paper's Tr for steps of `step` [rad]. Source: PAPER.md equation (10)."""
+        """The paper's Tr for steps of `step` [rad]. Source: the paper, equation (10)."""
         return self.motion(jnp.asarray(step, jnp.asarray(self.gain).dtype))
 
     def table(self, step: float, count: int) -> Float[Array, "count 4 4"]:
         """The paper's look-up table: the motion at angles 0, step, 2 step, ... [rad].
 
-        Equal to the powers of `tr(step)` where the harmonics are zero. Source: PAPER.md
+        Equal to the powers of `tr(step)` where the harmonics are zero. Source: the paper,
         equations (11), (12).
         """
         angles = step * jnp.arange(count, dtype=jnp.asarray(self.gain).dtype)

@@ -61,7 +61,7 @@ def triangulate(
         stripe_axis: Whether a line is an image row or an image column.
         limits: Range limits and the smallest incidence.
 
-    Source: PAPER.md equations (1)-(4).
+    Source: the paper, equations (1)-(4).
     """
 
     def range_at(u):

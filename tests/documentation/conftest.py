@@ -1,0 +1,3 @@
+"""The browser in which pages of the site are opened."""
+
+from ..browser.driver import browser as browser
