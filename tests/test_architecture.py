@@ -31,7 +31,7 @@ CORE = {
     "surface",
     "drawing",
 }
-ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api", "web"}
+ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api", "web", "viewer"}
 MAY_IMPORT = {
     "geometry": set(),
     "stripes": {"geometry"},
@@ -48,7 +48,8 @@ MAY_IMPORT = {
     "files": CORE | {"vision", "simulation"},
     "report": CORE | {"vision"},
     "web": set(),
-    "api": ANY - {"api", "cli", "web"},
+    "viewer": {"geometry", "measurement", "reconstruction", "web"},
+    "api": ANY - {"api", "cli", "web", "viewer"},
     "cli": ANY,
     "__init__": set(),
     "errors": set(),
@@ -73,7 +74,7 @@ HOME_OF = {
     "laspy": {"files"},
     "pyproj": {"files"},
     "serial": set(),
-    "aiohttp": {"web", "cli/console"},
+    "aiohttp": {"web", "viewer", "cli/console"},
     "yarl": {"web"},
     "numba": {
         "photographs/native_loops.py",

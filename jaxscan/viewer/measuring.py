@@ -92,7 +92,8 @@ def measure_between(shown: ShownCloud, a: np.ndarray, b: np.ndarray, scanner: Sc
     at = np.stack([rounded(a), rounded(b)])
     near = shown.around(at, DISTANCE_RADIUS_M, _LEAST)
     found = measure_distance(near, at[0], at[1], radius_m=DISTANCE_RADIUS_M, scanner=scanner)
-    return Measured("distance", shown.name, at, found.value_m, found.sigma_m, _finite(found.words()), None, shown.turned)
+    words = _finite(found.words())
+    return Measured("distance", shown.name, at, found.value_m, found.sigma_m, words, None, shown.turned)
 
 
 def measure_flatness(shown: ShownCloud, place: np.ndarray) -> Measured:

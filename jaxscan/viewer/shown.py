@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxscan.measurement import PlaneMeasurement
 from jaxscan.reconstruction import PointCloud
@@ -51,21 +52,21 @@ class ShownCloud:
         field = {"intensity": self.cloud.intensity, "normals": self.cloud.normals, "sigma": self.cloud.sigma_random}[by]
         return bool(np.any(np.asarray(field)))
 
-    def take(self, field: np.ndarray) -> np.ndarray:
+    def take(self, field: ArrayLike) -> np.ndarray:
         """A field of the cloud at its points, in the order in which they are shown."""
-        field = np.asarray(field)
-        return np.asarray(field.reshape(-1, *field.shape[2:])[self.cells])
+        values = np.asarray(field)
+        return np.asarray(values.reshape(-1, *values.shape[2:])[self.cells])
 
-    def coloured(
-        self, by: Colouring, *, plane: PlaneMeasurement | None
-    ) -> tuple[np.ndarray, Scale | None]:
+    def coloured(self, by: Colouring, *, plane: PlaneMeasurement | None) -> tuple[np.ndarray, Scale | None]:
         """The colours of its points, and their scale where they have one.
 
         Args:
             by: What they show; as photographed where the cloud does not know it.
             plane: The plane for deviations, in the cloud's frame.
         """
-        if by == "photograph" or not self.has(by) or (by == "deviation" and plane is None):
+        if by == "deviation" and plane is not None:
+            return self._deviations(plane)
+        if by in ("photograph", "deviation") or not self.has(by):
             return brightened(self.take(self.cloud.rgb)), None
         if by == "normals":
             return coloured_normals(self.take(self.cloud.normals)), None
@@ -73,17 +74,17 @@ class ShownCloud:
             values, unit = self.xyz[:, 2] + np.float32(self.origin[2]), "m"
         elif by == "intensity":
             values, unit = self.take(self.cloud.intensity), "DN"
-        elif by == "sigma":
+        else:
             parts = (self.take(self.cloud.sigma_random), self.take(self.cloud.sigma_systematic))
             values, unit = _MM * np.hypot(*parts), "mm"
-        else:
-            assert plane is not None
-            offset = float((plane.centre_m - self.origin) @ plane.normal)
-            values, unit = _MM * (self.xyz @ plane.normal.astype(np.float32) - np.float32(offset)), "mm"
-            # Of the plane itself, not of all that stands before it.
-            scale = Scale(-_MM * 3 * plane.range95_m, _MM * 3 * plane.range95_m, unit, diverging=True)
-            return scale.coloured(values), scale
         scale = scale_of(values, unit)
+        return scale.coloured(values), scale
+
+    def _deviations(self, plane: PlaneMeasurement) -> tuple[np.ndarray, Scale]:
+        offset = float((plane.centre_m - self.origin) @ plane.normal)
+        values = _MM * (self.xyz @ plane.normal.astype(np.float32) - np.float32(offset))
+        # Of the plane itself, not of all that stands before it.
+        scale = Scale(-_MM * 3 * plane.range95_m, _MM * 3 * plane.range95_m, "mm", diverging=True)
         return scale.coloured(values), scale
 
     def around(self, places: np.ndarray, radius_m: float, least: int) -> PointCloud:

@@ -122,4 +122,9 @@ def test_strays_and_single_points():
     facts = facts_of(dataclasses.replace(far, xyz=xyz))
     assert facts.far_off == 1 and not facts.shown.valid[3, 4]
     one = directions_of(np.array([[1.0, 0.0, 0.0]]), np.array([0.0]))
-    assert one.count.sum() == 1 and np.isnan(one.sigma_m).all() and 0 < one.share(of_band=False) < 0.01
+    assert (
+        one.count.sum() == 1
+        and np.isnan(one.sigma_m).all()
+        and one.share(of_band=True) > 0
+        and one.share(of_band=False) == 0
+    )

@@ -70,7 +70,8 @@ def test_a_point_is_one_of_the_file(shown):
     found = measure_point(shown, 5)
     place = np.asarray(shown.cloud.xyz).reshape(-1, 3)[shown.cells[5]]
     np.testing.assert_allclose(found.at[0], place, atol=5.1e-5)
-    sigma = np.hypot(*(np.asarray(f).reshape(-1)[shown.cells[5]] for f in (shown.cloud.sigma_random, shown.cloud.sigma_systematic)))
+    parts = shown.cloud.sigma_random, shown.cloud.sigma_systematic
+    sigma = np.hypot(*(np.asarray(part).reshape(-1)[shown.cells[5]] for part in parts))
     assert f"sigma {1e3 * sigma:.2f} mm" in found.words[0]
 
 

@@ -49,7 +49,7 @@ def tap(looks, x, y):
         const [x, y] = [at.left + arguments[0] * at.width, at.top + arguments[1] * at.height];
         for (const kind of ["pointerdown", "pointerup"])
           document.getElementById("cloud").dispatchEvent(new PointerEvent(kind,
-            { bubbles: true, pointerId: 1, clientX: x, clientY: y, button: 0, buttons: kind === "pointerdown" ? 1 : 0 }));
+            { bubbles: true, pointerId: 1, clientX: x, clientY: y, buttons: kind === "pointerdown" ? 1 : 0 }));
         """,
         x,
         y,
@@ -106,7 +106,10 @@ def test_colours_a_section_and_what_stands_where(opened):
     # A box without anything in it.
     opened.driver.execute_script(
         """for (const id of ["x-from", "x-to"]) {
-             const slider = document.getElementById(id); slider.value = slider.min; slider.dispatchEvent(new Event("input")); }
+             const slider = document.getElementById(id);
+             slider.value = slider.min;
+             slider.dispatchEvent(new Event("input"));
+           }
            document.getElementById("section").click();"""
     )
     opened.until(lambda: opened.colours("cloud") == 1)
@@ -145,7 +148,11 @@ def test_a_telephone(looks, url):
 
 
 def test_without_webgl_the_page_says_what_to_do(looks, url):
-    script = "HTMLCanvasElement.prototype.getContext = new Proxy(HTMLCanvasElement.prototype.getContext, {apply: (f, t, a) => a[0] === 'webgl' ? null : f.apply(t, a)})"
+    script = """
+        HTMLCanvasElement.prototype.getContext = new Proxy(HTMLCanvasElement.prototype.getContext, {
+          apply: (get, canvas, asked) => asked[0] === "webgl" ? null : get.apply(canvas, asked),
+        })
+    """
     added = looks.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": script})
     try:
         looks.open(url)

@@ -9,7 +9,7 @@ import pytest
 from aiohttp import web
 
 from jaxscan.errors import OptionError
-from jaxscan.web import PAGE_POLICY, Gate, Resource, Server, open_address, proxy_routes, resource_routes
+from jaxscan.web import PAGE_POLICY, Gate, Resource, Server, open_address, resource_routes
 
 
 PAGES = {"/": Resource("jaxscan.data", "demo.toml", "text/plain; charset=utf-8")}
@@ -267,65 +267,3 @@ def test_a_host_that_is_not_here_is_said_in_one_line(host):
 def test_a_port_that_is_none(port):
     with pytest.raises(OptionError, match=r"expected 0 \.\.\. 65535"):
         open_address("127.0.0.1", port, option="--web-port")
-
-
-@pytest.fixture
-def behind():
-    """A server on the loopback that tells what it was asked, and a gate before it."""
-    asked = []
-
-    async def tell(request):
-        asked.append((request.raw_path, dict(request.headers)))
-        if request.headers.get("Upgrade"):
-            answering = web.WebSocketResponse(protocols=["viser-v1"])
-            await answering.prepare(request)
-            async for message in answering:
-                await (answering.send_bytes if isinstance(message.data, bytes) else answering.send_str)(message.data)
-            return answering
-        return web.Response(text="<p>viewer</p>", content_type="text/html", headers={"Set-Cookie": "a=b"})
-
-    inner = web.Application()
-    inner.add_routes([web.get("/{rest:.*}", tell)])
-    inner_address = open_address("127.0.0.1", 0, option="--port")
-    outer_address = open_address("0.0.0.0", 0, option="--port")
-    outer = Gate(outer_address).application()
-    outer.add_routes(proxy_routes("/view", inner_address.port))
-    with Server(inner, inner_address), Server(outer, outer_address):
-        yield outer_address, asked
-
-
-def test_a_server_behind_the_gate_gets_no_token_and_sets_no_cookie(behind):
-    address, asked = behind
-    assert ask(address, "/view/")[0] == 403 and refused(address) == 403 and asked == []
-    _, headers, _ = ask(address, f"/?token={address.token}")
-    cookie = headers["Set-Cookie"].split(";")[0]
-    status, headers, body = ask(address, "/view/a%2fb?c=1", Cookie=cookie)
-    assert (status, body) == (200, b"<p>viewer</p>")
-    assert "Set-Cookie" not in headers and "frame-ancestors 'self'" in headers["Content-Security-Policy"]
-    ((path, seen),) = asked
-    assert path == "/a%2fb?c=1" and "Cookie" not in seen and seen["Host"].startswith("127.0.0.1:")
-
-    async def go():
-        given = {"Origin": f"http://127.0.0.1:{address.port}", "Cookie": cookie}
-        url = f"http://127.0.0.1:{address.port}/view"
-        async with (
-            aiohttp.ClientSession() as session,
-            session.ws_connect(url, headers=given, protocols=["viser-v1"]) as opened,
-        ):
-            await opened.send_bytes(b"\x00\xff")
-            await opened.send_str("word")
-            return opened.protocol, (await opened.receive(10)).data, (await opened.receive(10)).data
-
-    assert asyncio.run(go()) == ("viser-v1", b"\x00\xff", "word")
-    assert "Cookie" not in asked[-1][1]
-
-
-def test_a_server_behind_that_is_gone_is_said():
-    address = open_address("127.0.0.1", 0, option="--port")
-    gone = open_address("127.0.0.1", 0, option="--port")
-    gone.socket.close()
-    application = Gate(address).application()
-    application.add_routes(proxy_routes("", gone.port))
-    with Server(application, address):
-        status, _, body = ask(address, "/")
-    assert status == 502 and body == b"The viewer does not answer; begin it again.\n"

@@ -44,6 +44,12 @@ class Likeness:
         )
         return f"{shift}, the laser-off frames {frames}"
 
+    def fields(self) -> dict[str, float]:
+        """What is known of it, as the journal keeps it."""
+        shift = {} if self.shift_px is None else {"shift_px": round(self.shift_px, 3)}
+        seen = {} if self.correlation is None else {"correlation": round(self.correlation, 4)}
+        return shift | seen
+
     def within(self, shift_px: float, correlation: float) -> bool:
         """Whether it is the same view: the shift must be known; an unknown correlation is ignored."""
         seen = self.correlation is None or self.correlation >= correlation

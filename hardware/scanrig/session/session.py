@@ -253,10 +253,7 @@ class Session:
     def _find_home(self, why: str, *, in_place: bool) -> None:
         self.rig.doing(lambda: self.rig.home(why), "homing")
         if self._unjudged:
-            if in_place:
-                self._compare_last()
-            else:
-                self._believe()
+            (self._compare_last if in_place else self._believe)()
 
     def _judge_home(self, missed: int | None) -> None:
         """Judge a homing: if home was missed, the records since it was last found well are suspect."""
@@ -295,9 +292,7 @@ class Session:
         pair = self.rig.take(self._positions[record], record)
         self._flights.wait()
         likeness = compare_with_record(self.job.folder, record, pair, self.config)
-        shift = {} if likeness.shift_px is None else {"shift_px": round(likeness.shift_px, 3)}
-        seen = {} if likeness.correlation is None else {"correlation": round(likeness.correlation, 4)}
-        self._note(event, record=record, **shift, **seen, good=self._is_like(likeness))
+        self._note(event, record=record, **likeness.fields(), good=self._is_like(likeness))
         return likeness
 
     def _is_like(self, likeness: Likeness) -> bool:

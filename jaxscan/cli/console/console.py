@@ -8,7 +8,7 @@ from jaxscan.cli.options import ConfigPath, OptionalCalibrationPath
 from jaxscan.cli.output import JsonTarget, check_json, emit_json
 from jaxscan.cli.output import console as console_of
 from jaxscan.cli.paths import calibration_at, check_paths, file_at
-from jaxscan.errors import DependencyError
+from jaxscan.cli.process.needs import need_pages
 
 
 PORT = 8642
@@ -43,10 +43,7 @@ def console(
         web_port: TCP port of the page; 0 for any that is free.
         json: Write the address, without its token, as JSON too.
     """
-    try:
-        import aiohttp as aiohttp
-    except ImportError as problem:
-        raise DependencyError("The console needs aiohttp; type: pip install 'jaxscan[console]'") from problem
+    need_pages("The console", "console")
     # Imported here, so that other verbs and `--help` load neither hardware drivers nor JAX.
     from scanrig.config import load_rig
 

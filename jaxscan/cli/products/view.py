@@ -14,7 +14,8 @@ from jaxscan.cli.measure import calibrated, notes_first, upright
 from jaxscan.cli.options import CloudUnit, CloudUp, OptionalCalibrationPath
 from jaxscan.cli.output import JsonTarget, check_json, emit_json
 from jaxscan.cli.paths import calibration_at, check_paths, file_at
-from jaxscan.errors import CloudError, DependencyError
+from jaxscan.cli.process.needs import need_pages
+from jaxscan.errors import CloudError
 
 
 PORT = 8643
@@ -44,16 +45,16 @@ def view(
         open: Open the browser of this machine, where it has a screen.
         json: Write the address, without its token, as JSON too.
     """
-    try:
-        import aiohttp as aiohttp
-    except ImportError as problem:
-        raise DependencyError("The viewer needs aiohttp; type: pip install 'jaxscan[view]'") from problem
+    need_pages("The viewer", "view")
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.viewer import Named, serve_clouds
     from jaxscan.web import open_address
 
     check_paths(
-        [*(place for path in clouds for place in file_at("CLOUD", path)), *calibration_at("--calibration", calibration)],
+        [
+            *(place for path in clouds for place in file_at("CLOUD", path)),
+            *calibration_at("--calibration", calibration),
+        ],
         file_at("--json", json),
     )
     check_json(json)
@@ -75,7 +76,7 @@ def view(
         out.print("Ctrl-C ends it.")
         emit_json(json, "view", {"url": address.url(), "notes": notes})
         if open and _has_screen():
-            webbrowser.open(url)
+            webbrowser.open_new_tab(url)
         signal.pause() if hasattr(signal, "pause") else input()
 
 

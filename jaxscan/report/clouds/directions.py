@@ -36,6 +36,10 @@ class Directions:
     """Median [rows, columns], m; NaN where there are no points."""
     sigma_m: np.ndarray
     """Median standard deviation of a point [rows, columns], m; NaN where none is known."""
+    lowest_deg: float
+    """Elevation above which all points lie but one in two hundred."""
+    highest_deg: float
+    """Elevation below which all points lie but one in two hundred."""
 
     @property
     def elevation_deg(self) -> np.ndarray:
@@ -50,14 +54,19 @@ class Directions:
     @property
     def band(self) -> slice:
         """The rows between the highest and the lowest point, but for one point in two hundred at either end."""
-        rows = np.cumsum(self.count.sum(1)) / max(int(self.count.sum()), 1)
-        return slice(int(np.searchsorted(rows, 0.005, side="right")), int(np.searchsorted(rows, 0.995)) + 1)
+        return slice(self._row(self.highest_deg), self._row(self.lowest_deg) + 1)
+
+    def _row(self, elevation_deg: float) -> int:
+        return min(max(int((90.0 - elevation_deg) / self.side_deg), 0), len(self.count) - 1)
 
     def share(self, *, of_band: bool) -> float:
         """Part of all directions, or of those of the band, that have points [1]."""
-        rows = self.band if of_band else slice(None)
+        rows = self.band
         weight = np.cos(np.radians(self.elevation_deg[rows]))
-        return float(weight @ (self.count[rows] > 0).mean(1) / weight.sum())
+        share = float(weight @ (self.count[rows] > 0).mean(1) / weight.sum())
+        # The band ends at its points, within its outermost cells.
+        band = np.sin(np.radians(self.highest_deg)) - np.sin(np.radians(self.lowest_deg))
+        return share if of_band else share * float(band) / 2
 
     def holes(self) -> list[Hole]:
         """The holes of the band, the largest first."""
@@ -98,12 +107,15 @@ def directions_of(xyz: np.ndarray, sigma_m: np.ndarray, spacing_deg: float = 0.0
     row = np.clip((90.0 - np.degrees(elevation)) / side, 0, shape[0] - 1).astype(int)
     column = np.clip((180.0 - np.degrees(azimuth)) / side, 0, shape[1] - 1).astype(int)
     cell = row * shape[1] + column
+    # Points themselves, not places between two of them.
+    ends = [np.percentile(elevation, share, method="nearest") if len(elevation) else 0.0 for share in (0.5, 99.5)]
     known = sigma_m > 0
     return Directions(
         side,
         np.bincount(cell, minlength=shape[0] * shape[1]).reshape(shape),
         _medians(cell, far, shape),
         _medians(cell[known], sigma_m[known], shape),
+        *(float(np.degrees(end)) for end in ends),
     )
 
 
