@@ -23,6 +23,9 @@ from jaxscan.viewer.picking import pick
 from jaxscan.viewer.shown import ShownCloud
 
 
+_WIDER = 4.0
+
+
 class Session:
     """The measurements of a page; any thread may call."""
 
@@ -97,16 +100,8 @@ class Session:
         self.measured += [(number, side) for side in measure_sides(self._clouds[number], self._scanner)]
 
     def _pick(self, order: Order, ray: Ray) -> None:
-        hits = []
-        for number, shift in order.shifts:
-            xyz, origin = self._clouds[number].xyz, ray.origin - shift
-            shown = None
-            if order.section is not None:
-                low, high = (order.section - shift).astype(np.float32)
-                shown = ((xyz >= low) & (xyz <= high)).all(1)
-            index = pick(xyz, origin, ray.direction, cone_rad=ray.cone_rad, shown=shown)
-            if index is not None:
-                hits.append((float(np.linalg.norm(xyz[index] - origin)), number, index))
+        # Between two profiles there may be no point within a finger's breadth.
+        hits = self._hits(order, ray) or self._hits(order, ray._replace(cone_rad=_WIDER * ray.cone_rad))
         if not hits:
             self.message = "There is no point: click on the cloud."
             return
@@ -124,6 +119,20 @@ class Session:
         else:
             first, self._first = self._first[1], None
             self.measured.append((number, measure_between(cloud, first, place, self._scanner)))
+
+    def _hits(self, order: Order, ray: Ray) -> list[tuple[float, int, int]]:
+        """The point of each cloud that a ray meets: distance, number of the cloud, point."""
+        hits = []
+        for number, shift in order.shifts:
+            xyz, origin = self._clouds[number].xyz, ray.origin - shift
+            shown = None
+            if order.section is not None:
+                low, high = (order.section - shift).astype(np.float32)
+                shown = ((xyz >= low) & (xyz <= high)).all(1)
+            index = pick(xyz, origin, ray.direction, cone_rad=ray.cone_rad, shown=shown)
+            if index is not None:
+                hits.append((float(np.linalg.norm(xyz[index] - origin)), number, index))
+        return hits
 
     def _saved(self, what: str) -> dict[str, Any]:
         listed = [one for _, one in self.measured]

@@ -107,3 +107,8 @@ class ShownCloud:
         if self.cloud.stations is None:
             return np.asarray(-self.origin[None])
         return np.asarray(np.asarray(self.cloud.stations.pose)[:, :3, 3] - self.origin)
+
+    def axes(self) -> list[list[float]]:
+        """The axes of the scanner at the first station, in the scene's frame [axis, 3]."""
+        turn = np.eye(3) if self.cloud.stations is None else np.asarray(self.cloud.stations.pose)[0, :3, :3]
+        return np.asarray(turn, np.float64).T.tolist()

@@ -23,12 +23,32 @@ from jaxscan.web import Address, Gate, Resource, Server, resource_routes
 
 _PACKAGE = "jaxscan.viewer"
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
-_FILES = ("index.html", "style.css", "main.js", "camera.js", "draw.js", "panel.js", "marks.js", "icon.svg")
+_FILES = (
+    "index.html",
+    "style.css",
+    "main.js",
+    "camera.js",
+    "draw.js",
+    "panorama.js",
+    "panel.js",
+    "marks.js",
+    "icon.svg",
+)
 _HEARTBEAT_S = 10.0
 _MOST_SESSIONS = 12
 _MOST_STATIONS = 50
 _KEPT = 2
 """Colourings of all clouds that are kept."""
+
+
+class Panorama(NamedTuple):
+    """An equirectangular picture of a whole turn from the first station, the scanner's x axis in its middle."""
+
+    jpeg: bytes
+    top: float
+    """Elevation of its upper edge [rad]."""
+    bottom: float
+    """Elevation of its lower edge [rad]."""
 
 
 class Named(NamedTuple):
@@ -39,6 +59,7 @@ class Named(NamedTuple):
     """In metres, z up, with one valid point at least."""
     turned: bool = False
     """Whether its axes are not those of its file."""
+    panorama: Panorama | None = None
 
 
 def serve_clouds(
@@ -55,14 +76,16 @@ def serve_clouds(
     # A place on a map has more digits than a browser's numbers.
     origin = np.round(np.median(first[:: max(1, len(first) // 10_000)].astype(np.float64), 0))
     shown = [ShownCloud(one.name, one.cloud, origin, turned=one.turned) for one in clouds]
-    return Server(_Site(shown, scanner).application(address), address)
+    return Server(_Site(shown, [one.panorama for one in clouds], scanner).application(address), address)
 
 
 class _Site:
     """The clouds, and what pages measure in them."""
 
-    def __init__(self, clouds: Sequence[ShownCloud], scanner: Scanner | None) -> None:
-        self._clouds, self._scanner = clouds, scanner
+    def __init__(
+        self, clouds: Sequence[ShownCloud], panoramas: Sequence[Panorama | None], scanner: Scanner | None
+    ) -> None:
+        self._clouds, self._panoramas, self._scanner = clouds, panoramas, scanner
         self._sessions: OrderedDict[str, Session] = OrderedDict()
         self._colours: OrderedDict[tuple[Any, ...], tuple[list[np.ndarray], Scale | None]] = OrderedDict()
         self._colouring = asyncio.Lock()
@@ -78,6 +101,7 @@ class _Site:
                 web.get("/scene", self._scene),
                 web.get(f"/points/{chunk}", _answer(self._points)),
                 web.get(f"/colours/{chunk}", self._coloured),
+                web.get(r"/panorama/{cloud:\d{1,3}}", self._panorama),
                 web.get("/scale", self._scale),
                 web.get("/socket", self._socket),
             ]
@@ -97,8 +121,9 @@ class _Site:
                 "stations": cloud.stations()[:_MOST_STATIONS].tolist(),
                 "low": cloud.low.tolist(),
                 "high": cloud.high.tolist(),
+                "panorama": None if seen is None else {"top": seen.top, "bottom": seen.bottom, "axes": cloud.axes()},
             }
-            for cloud in self._clouds
+            for cloud, seen in zip(self._clouds, self._panoramas, strict=True)
         ]
         known = [by for by in COLOURINGS if by == "deviation" or any(cloud.has(by) for cloud in self._clouds)]
         return _json({"clouds": clouds, "colourings": known, "systematic": self._scanner is not None})
@@ -116,6 +141,13 @@ class _Site:
             return _not_found(problem)
         number = int(request.match_info["cloud"])
         return web.Response(body=colours[number][chunk.start : chunk.stop].tobytes(), content_type=_BINARY)
+
+    async def _panorama(self, request: web.Request) -> web.Response:
+        number = int(request.match_info["cloud"])
+        seen = self._panoramas[number] if number < len(self._panoramas) else None
+        if seen is None:
+            return _not_found(OptionError("there is no such panorama."))
+        return web.Response(body=seen.jpeg, content_type="image/jpeg")
 
     async def _scale(self, request: web.Request) -> web.Response:
         try:

@@ -4,8 +4,9 @@ import os
 import signal
 import sys
 import webbrowser
+from itertools import zip_longest
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import tyro
@@ -15,10 +16,16 @@ from jaxscan.cli.options import CloudUnit, CloudUp, OptionalCalibrationPath
 from jaxscan.cli.output import JsonTarget, check_json, emit_json
 from jaxscan.cli.paths import calibration_at, check_paths, file_at
 from jaxscan.cli.process.needs import need_pages
-from jaxscan.errors import CloudError
+from jaxscan.errors import CaptureError, CloudError, OptionError
+
+
+if TYPE_CHECKING:
+    from jaxscan.viewer import Panorama
 
 
 PORT = 8643
+LARGEST_PICTURE = 200_000_000
+"""Bytes of a panorama's file."""
 
 
 def view(
@@ -26,6 +33,7 @@ def view(
     /,
     *,
     calibration: OptionalCalibrationPath = None,
+    panorama: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PATH")] = (),
     unit: CloudUnit = None,
     up: CloudUp = None,
     host: str = "127.0.0.1",
@@ -40,6 +48,8 @@ def view(
     Args:
         clouds: One or more clouds, to be shown in one place or side by side.
         calibration: Calibration that the clouds were made with; sigma then includes the calibration's part.
+        panorama: Panorama of the first cloud, then that of the second, and so on, to stand in: as `jaxscan panorama`
+            makes them, or any equirectangular PNG or JPEG from the scanner's place.
         host: Name or number of this machine at which the page is served. Other machines need the token that is printed.
         web_port: TCP port of the page; 0 for any that is free.
         open: Open the browser of this machine, where it has a screen.
@@ -53,6 +63,7 @@ def view(
     check_paths(
         [
             *(place for path in clouds for place in file_at("CLOUD", path)),
+            *(place for path in panorama for place in file_at("--panorama", path)),
             *calibration_at("--calibration", calibration),
         ],
         file_at("--json", json),
@@ -60,14 +71,18 @@ def view(
     check_json(json)
     if not clouds:
         raise CloudError("name one cloud or more: jaxscan view room.ply")
+    if len(panorama) > len(clouds):
+        raise OptionError(f"--panorama: found {len(panorama)} pictures for {len(clouds)} clouds; name one for each.")
     scanner, notes = calibrated(calibration)
+    seen = [_read_panorama(path) for path in panorama]
     named = []
-    for path in clouds:
+    for path, picture in zip_longest(clouds, seen):
         cloud, said = upright(path, unit, up)
         if not np.any(np.asarray(cloud.valid)):
             raise CloudError(f"{path}: has no points; nothing can be shown.")
         notes += said
-        named.append(Named(str(path), cloud, turned=up not in (None, "z") or any("is taken for it" in s for s in said)))
+        turned = up not in (None, "z") or any("is taken for it" in s for s in said)
+        named.append(Named(str(path), cloud, turned=turned, panorama=picture))
     out = notes_first(notes, json)
     address = open_address(host, web_port, option="--web-port")
     with serve_clouds(address, named, scanner):
@@ -78,6 +93,14 @@ def view(
         if open and _has_screen():
             webbrowser.open_new_tab(url)
         signal.pause() if hasattr(signal, "pause") else input()
+
+
+def _read_panorama(path: Path) -> "Panorama":
+    from jaxscan.files.disk import read_bounded
+    from jaxscan.viewer import Panorama
+    from jaxscan.vision import read_panorama
+
+    return Panorama(*read_panorama(read_bounded(path, LARGEST_PICTURE, error=CaptureError), name=str(path)))
 
 
 def _has_screen() -> bool:

@@ -1,3 +1,5 @@
+import { Panorama } from "/panorama.js";
+
 // Points in WebGL: of each tile as many as the view needs, fewer while it moves.
 const VERTEX = `attribute vec3 place; attribute vec3 colour; uniform mat4 view; uniform vec3 middle, low, high; uniform float size; varying vec3 shown;
 void main() {
@@ -8,7 +10,7 @@ void main() {
   shown = colour;
 }`;
 const FRAGMENT = "precision mediump float; varying vec3 shown; void main() { gl_FragColor = vec4(shown, 1.0); }";
-const AT_ONCE = 6, REST_MS = 150, MOVING_S = 1 / 24, RESTING_S = 0.4, LEAST = 5e3, LEAST_AT_REST = 1e5, GAP_PX = 1, KEPT = 3;
+const AT_ONCE = 6, REST_MS = 150, MOVING_S = 1 / 24, RESTING_S = 0.4, LEAST = 5e3, LEAST_AT_REST = 1e5, GAP_PX = 1, KEPT = 3, ON_PLACE_M = 0.06;
 // A chunk as the server lists it.
 const TILE = 0, COUNT = 1, X = 2, RADIUS = 5, GAP = 6, SPACING = 7;
 
@@ -21,16 +23,31 @@ export class Drawing {
     // Points a second; slow until it is known.
     this.rate = 1e6; this.movedAt = -1e9; this.waiting = 0; this.points = 0; this.wanted = []; this.pausing = null;
     if (!this.gl) return;
+    const gl = this.gl, program = this.program = this.compiled(VERTEX, FRAGMENT);
+    gl.enable(gl.DEPTH_TEST); gl.clearColor(0.05, 0.067, 0.082, 1);
+    // Where one stands in a panorama: {cloud, place}.
+    this.standing = null; this.photographs = true;
+    this.panorama = new Panorama(gl, (...texts) => this.compiled(...texts));
+    this.at = Object.fromEntries(["place", "colour"].map((name) => [name, gl.getAttribLocation(program, name)]));
+    this.uniform = Object.fromEntries(["view", "middle", "low", "high", "size"].map((name) => [name, gl.getUniformLocation(program, name)]));
+    new ResizeObserver(() => this.later()).observe(canvas);
+  }
+
+  compiled(vertex, fragment) {
     const gl = this.gl, program = gl.createProgram();
-    for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
+    for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
       const shader = gl.createShader(kind);
       gl.shaderSource(shader, text); gl.compileShader(shader); gl.attachShader(program, shader);
     }
-    gl.linkProgram(program); gl.useProgram(program); gl.enable(gl.DEPTH_TEST); gl.clearColor(0.05, 0.067, 0.082, 1);
-    this.at = Object.fromEntries(["place", "colour"].map((name) => [name, gl.getAttribLocation(program, name)]));
-    this.uniform = Object.fromEntries(["view", "middle", "low", "high", "size"].map((name) => [name, gl.getUniformLocation(program, name)]));
-    gl.enableVertexAttribArray(this.at.place); gl.enableVertexAttribArray(this.at.colour);
-    new ResizeObserver(() => this.later()).observe(canvas);
+    gl.linkProgram(program);
+    return program;
+  }
+
+  // The cloud in whose panorama one stands; none away from its place.
+  around() {
+    const { cloud, place } = this.standing ?? {}, eye = this.camera.eye();
+    const there = cloud?.panorama && this.photographs && Math.hypot(...place.map((one, k) => one - eye[k])) < ON_PLACE_M;
+    return there ? cloud : null;
   }
 
   // The view has moved: draw at once, with few points, and again when it rests.
@@ -53,6 +70,11 @@ export class Drawing {
     const gl = this.gl, canvas = this.canvas, dense = Math.min(devicePixelRatio, 2);
     const width = Math.max(1, Math.round(canvas.clientWidth * dense)), height = Math.max(1, Math.round(canvas.clientHeight * dense));
     if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
+    const around = this.around();
+    if (around) {
+      gl.viewport(0, 0, width, height);
+      if (this.panorama.draw(around, this.camera, width, height, () => this.later())) return this.drawn(around);
+    }
     const begun = performance.now(), moves = this.moves(), focal = this.camera.focal(height);
     const time = moves ? MOVING_S : RESTING_S, most = Math.max(this.rate * time, moves ? LEAST : LEAST_AT_REST);
     const wanted = this.chosen(focal, this.camera.halfView(width, height), Math.min(most, this.budget));
@@ -62,6 +84,7 @@ export class Drawing {
       finest.set(tile, Math.min(chunk[SPACING], finest.get(tile) ?? Infinity));
     }
     gl.viewport(0, 0, width, height); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    gl.useProgram(this.program); gl.enableVertexAttribArray(this.at.place); gl.enableVertexAttribArray(this.at.colour);
     gl.uniformMatrix4fv(this.uniform.view, false, this.camera.matrix(width, height));
     gl.uniform3fv(this.uniform.low, this.section ? this.section[0] : [-1e9, -1e9, -1e9]);
     gl.uniform3fv(this.uniform.high, this.section ? this.section[1] : [1e9, 1e9, 1e9]);
@@ -80,7 +103,7 @@ export class Drawing {
     this.took = (performance.now() - begun) / 1000;
     if (this.points > 2000) this.rate += 0.3 * (this.points / this.took - this.rate);
     if (!moves) this.load(wanted);
-    this.drawn();
+    this.drawn(null);
   }
 
   // The chunks to show, the most needed first: those whose gaps would look largest.

@@ -7,10 +7,10 @@ import { at, make, makeBox, showScale, showState } from "/panel.js";
 const canvas = at("cloud"), camera = new Camera(), CLICK_PX = 8, STILL_PX = 5;
 let state = { kind: "point", message: "", measured: [], first: null }, socket = null, again = 0, corners = null;
 const placed = (one) => one.xyz.map((x, k) => x + (drawing.clouds[one.cloud]?.shift[k] ?? 0));
-const drawing = new Drawing(canvas, camera, () => {
+const drawing = new Drawing(canvas, camera, (panorama) => {
   drawMarks(at("marks"), camera, state, placed);
-  at("loading").hidden = drawing.points > 0;
-  at("shown").textContent = `${drawing.points.toLocaleString("en")} points shown`;
+  at("loading").hidden = drawing.points > 0 || panorama !== null;
+  at("shown").textContent = panorama ? "a panorama is shown" : `${drawing.points.toLocaleString("en")} points shown`;
 });
 
 // Kept over a reload, so that its measurements are the same ones afterwards.
@@ -87,7 +87,10 @@ function apart() {
 
 function look(where) {
   if (typeof where === "string") camera.stand(...bounds(), where === "above");
-  else camera.enter(where.xyz.map((x, k) => x + where.cloud.shift[k]));
+  else {
+    drawing.standing = { cloud: where.cloud, place: where.xyz.map((x, k) => x + where.cloud.shift[k]) };
+    camera.enter(drawing.standing.place);
+  }
   drawing.moved();
 }
 
@@ -144,6 +147,7 @@ at("room").onclick = () => { at("message").textContent = "measuring …"; order(
 for (const what of ["csv", "json"]) at(what).onclick = () => order({ do: "save", what });
 for (const where of ["outside", "above"]) at(where).onclick = () => look(where);
 at("by").onchange = colour;
+at("photographs").onchange = () => { drawing.photographs = at("photographs").checked; drawing.moved(); };
 at("apart").onchange = apart;
 at("section").onchange = () => { drawing.section = at("section").checked ? corners() : null; drawing.moved(); };
 at("budget").oninput = () => { drawing.budget = 1e6 * at("budget").value; drawing.later(); };
@@ -165,6 +169,7 @@ async function begin() {
       at("places").append(button);
     }
   }
+  at("photographs-part").hidden = !drawing.clouds.some((cloud) => cloud.panorama);
   at("clouds-part").hidden = drawing.clouds.length < 2;
   for (const cloud of drawing.clouds) {
     const label = make("label"), box = make("input");

@@ -1,0 +1,63 @@
+// A panorama all around: each pixel of the picture looks along its own ray.
+const VERTEX = "attribute vec2 corner; varying vec2 at; void main() { at = corner; gl_Position = vec4(corner, 0.0, 1.0); }";
+const FRAGMENT = `precision highp float; varying vec2 at; uniform mat3 turn; uniform vec2 wide, edges; uniform sampler2D picture;
+void main() {
+  vec3 ray = normalize(turn * vec3(at * wide, 1.0));
+  float down = (edges.x - asin(clamp(ray.z, -1.0, 1.0))) / (edges.x - edges.y);
+  vec2 place = vec2(0.5 - atan(ray.y, ray.x) / 6.28318530718, down);
+  gl_FragColor = down < 0.0 || down > 1.0 ? vec4(0.05, 0.067, 0.082, 1.0) : texture2D(picture, place);
+}`;
+
+export class Panorama {
+  constructor(gl, program) {
+    this.gl = gl; this.program = program(VERTEX, FRAGMENT); this.pictures = new Map();
+    this.uniform = Object.fromEntries(["turn", "wide", "edges"].map((name) => [name, gl.getUniformLocation(this.program, name)]));
+    this.corner = gl.getAttribLocation(this.program, "corner");
+    this.corners = gl.createBuffer();
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.corners);
+    gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([-1, -1, 1, -1, -1, 1, 1, 1]), gl.STATIC_DRAW);
+  }
+
+  // The picture of a cloud, once it is there; `loaded` is called then.
+  picture(cloud, loaded) {
+    if (!this.pictures.has(cloud.number)) {
+      this.pictures.set(cloud.number, null);
+      const image = new Image();
+      image.onload = () => { this.pictures.set(cloud.number, this.texture(image)); loaded(); };
+      // Asked for again when one stands there again.
+      image.onerror = () => this.pictures.delete(cloud.number);
+      image.src = `/panorama/${cloud.number}`;
+    }
+    return this.pictures.get(cloud.number);
+  }
+
+  texture(image) {
+    const gl = this.gl, made = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, made);
+    for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, side, gl.CLAMP_TO_EDGE);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB, gl.RGB, gl.UNSIGNED_BYTE, image);
+    return made;
+  }
+
+  // Whether it was drawn.
+  draw(cloud, camera, width, height, loaded) {
+    const gl = this.gl, picture = this.picture(cloud, loaded);
+    if (!picture) return false;
+    // Of the view's axes, in those of the scanner: its rows are the axes of the scanner.
+    const axes = [camera.right(), camera.up(), camera.forward()];
+    const turned = axes.map((axis) => cloud.panorama.axes.map((own) => own.reduce((sum, one, k) => sum + one * axis[k], 0)));
+    const tall = height / (2 * camera.focal(height));
+    gl.useProgram(this.program); gl.disable(gl.DEPTH_TEST);
+    gl.uniformMatrix3fv(this.uniform.turn, false, turned.flat());
+    gl.uniform2f(this.uniform.wide, (tall * width) / height, tall);
+    gl.uniform2f(this.uniform.edges, cloud.panorama.top, cloud.panorama.bottom);
+    gl.bindTexture(gl.TEXTURE_2D, picture);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.corners);
+    gl.enableVertexAttribArray(this.corner);
+    gl.vertexAttribPointer(this.corner, 2, gl.FLOAT, false, 0, 0);
+    gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+    gl.enable(gl.DEPTH_TEST);
+    return true;
+  }
+}
