@@ -15,8 +15,8 @@ TRUE_RIG = Scanner.from_parts(
     LaserSheet.from_plane([0.99025, 0.0, 0.13927], 0.44563),
     Turntable.from_axis([0.0, -1.0, 0.0], [0.0, 0.0, -0.05]),
 )
-SIGMAS = {"f": 0.1, "c": 0.1, "k": 3e-4, "p": 5e-5, "laser.laser.n": 1e-4, "laser.laser.d": 5e-5, "axis": 5e-5}
-"""Standard deviations by the beginnings of parameters' names [px, rad, m], about ten times the demo's; others 0."""
+SIGMAS = {"f": 0.03, "c": 0.03, "k": 1e-4, "p": 2e-5, "laser.laser.n": 3e-5, "laser.laser.d": 2e-5, "axis": 3e-5}
+"""Standard deviations by the beginnings of parameters' names [px, rad, m], a few times the demo's; others 0."""
 ANGLES = ("gain", "c1", "s1", "c2", "s2")
 ANGLE_SIGMA = 3e-4
 """Of the turntable's scale [1] and harmonics [rad], as the demo's."""
@@ -32,6 +32,8 @@ def covariance():
 
 def scanned_room(corners, *, seed, profiles=180, rows=100, niches=(), boxes=()):
     """A cloud of a room as a rig sees it that is not quite as its calibration says, and that calibration.
+
+    Place and direction of the rig are drawn, too.
 
     What the laser lights and the camera does not see has no point.
     """
@@ -52,7 +54,8 @@ def scanned_room(corners, *, seed, profiles=180, rows=100, niches=(), boxes=()):
         laser = np.asarray(sheet.distance) * normal
         yaw = rng.uniform(-np.pi, np.pi)
         turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-        rotations, eyes = turn @ poses[:, :3, :3], AT + poses[:, :3, 3] @ turn.T
+        at = AT + rng.uniform(-0.2, 0.2, 3)
+        rotations, eyes = turn @ poses[:, :3, :3], at + poses[:, :3, 3] @ turn.T
         out = np.einsum("nij,rj->nri", rotations, way)
         sources = (eyes + rotations @ laser)[:, None]
         lit = sources + reach_of(corners, sources, out, niches=niches, boxes=boxes)[..., None] * out
