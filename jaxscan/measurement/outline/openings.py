@@ -240,6 +240,10 @@ def _opening(side: str, face: _Face, mask: np.ndarray, box: tuple[slice, slice],
     left, right = (_end(face, mask, box, 0, sign) for sign in (-1, 1))
     bottom, top = (_end(face, mask, box, 1, sign) for sign in (-1, 1))
     cells = face.cell[mask & (face.cell >= 0)]
+    # Where no wall was seen below, an opening begins on the floor: the root mean square of its interval about 0.
+    if bottom.value - np.sqrt(3.0) * bottom.sigma < PIXEL_M and bottom.value < ON_FLOOR_M:
+        sigma = float(np.hypot(bottom.value, bottom.sigma))
+        bottom = Estimate(0.0, sigma, sigma, 0.0)
     depth = float(np.median(face.depth[cells])) if len(cells) > 0.5 * mask.sum() else None
     width, height = right.value - left.value, top.value - bottom.value
     on_floor = bottom.value < ON_FLOOR_M
