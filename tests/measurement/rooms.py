@@ -27,8 +27,23 @@ def seen_room(
     rays = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1)
     turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
     way = rays @ turn.T
+    far = reach_of(corners, at, way, niches=niches, boxes=boxes)
+    sigma = np.full(far.shape, max(noise, 1e-6))
+    far = far + noise * np.random.default_rng(seed).normal(size=far.shape)
+    return SimpleNamespace(
+        xyz=(rays * far[..., None]).astype(np.float32),
+        sigma_random=sigma.astype(np.float32),
+        rgb=np.full((*far.shape, 3), 128, np.uint8),
+        valid=np.ones(far.shape, bool),
+        laser=np.zeros(grid[0], np.int32),
+        angle=angle,
+    )
+
+
+def reach_of(corners, at, way, *, niches=(), boxes=()):
+    """How far rays [..., 3] from places [3] or [..., 3] within a room go, in units of their length [...]."""
     way = np.where(np.abs(way) < 1e-12, 1e-12, way)
-    far = np.where(way[..., 2] > 0, (HEIGHT - at[2]) / way[..., 2], -at[2] / way[..., 2])
+    far = np.where(way[..., 2] > 0, (HEIGHT - at[..., 2]) / way[..., 2], -at[..., 2] / way[..., 2])
     points = np.array(corners)
     for wall, (start, end) in enumerate(zip(points, np.roll(points, -1, 0), strict=True)):
         length = np.linalg.norm(end - start)
@@ -36,7 +51,7 @@ def seen_room(
         out = np.array([along[1], -along[0]])
         slope = way[..., :2] @ out
         # A niche is where the ray meets the wall within it; its own sides are not seen.
-        reach = (out @ (start - at[:2])) / np.where(slope > 0, slope, np.nan)
+        reach = ((start - at[..., :2]) @ out) / np.where(slope > 0, slope, np.nan)
         met = at + reach[..., None] * way
         s, z = (met[..., :2] - start) @ along, met[..., 2]
         here = (reach > 0) & (s >= 0) & (s <= length)
@@ -48,13 +63,4 @@ def seen_room(
         ends = [(np.array(corner) - at) / way for corner in box]
         enter, leave = np.minimum(*ends).max(-1), np.maximum(*ends).min(-1)
         far = np.where((enter < leave) & (enter > 0) & (enter < far), enter, far)
-    sigma = np.full(far.shape, max(noise, 1e-6))
-    far = far + noise * np.random.default_rng(seed).normal(size=far.shape)
-    return SimpleNamespace(
-        xyz=(rays * far[..., None]).astype(np.float32),
-        sigma_random=sigma.astype(np.float32),
-        rgb=np.full((*far.shape, 3), 128, np.uint8),
-        valid=np.ones(far.shape, bool),
-        laser=np.zeros(grid[0], np.int32),
-        angle=angle,
-    )
+    return far

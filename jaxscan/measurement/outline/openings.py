@@ -5,7 +5,7 @@ found: the wall, something behind it, something just before it, or nothing; wher
 knows.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import jax
@@ -76,8 +76,9 @@ class Opening:
 def find_openings(cloud: Cloud, room: RoomOutline, *, scanner: Scanner | None = None) -> list[list[list[Opening]]]:
     """What is in each wall.
 
-    Ends lie between the last ray that found the wall and the first that did not; their sigma is that of an even
-    distribution there, and is random.
+    Ends lie between the last ray that found the wall and the first that did not; the random part of their sigma is that
+    of an even distribution there. The systematic part is that of the wall's length, in proportion: a wall that is found
+    too long is too long everywhere.
 
     Args:
         cloud: The cloud of the outline.
@@ -91,14 +92,31 @@ def find_openings(cloud: Cloud, room: RoomOutline, *, scanner: Scanner | None = 
         MeasurementError: If the cloud has no grid.
     """
     rays = _rays(cloud, room, scanner)
-    corners = room.corners()
-    return [
+    corners, top = room.corners(), _top(room)
+    found = [
         [
-            _in_wall(rays, side, at[i].at, at[(i + 1) % len(at)].at, _top(room)) if side.seen else []
+            _in_wall(rays, side, at[i].at, at[(i + 1) % len(at)].at, top.value) if side.seen else []
             for i, side in enumerate(loop)
         ]
         for loop, at in zip(room.loops, corners, strict=True)
     ]
+    return [
+        [[_with_errors_of(one, length, top) for one in side] for side, length in zip(loop, lengths, strict=True)]
+        for loop, lengths in zip(found, room.lengths(), strict=True)
+    ]
+
+
+def _with_errors_of(opening: Opening, length: Estimate | None, top: Estimate) -> Opening:
+    """The opening with the systematic part of the wall's length and height, in proportion."""
+    ends = {"left": length, "right": length, "bottom": top, "top": top}
+    return replace(opening, **{name: _scaled(getattr(opening, name), of) for name, of in ends.items()})
+
+
+def _scaled(end: Estimate, of: Estimate | None) -> Estimate:
+    if of is None:
+        return end
+    systematic = abs(end.value / of.value) * of.sigma_systematic
+    return Estimate(end.value, float(np.hypot(end.sigma_random, systematic)), end.sigma_random, systematic)
 
 
 class _Rays(NamedTuple):
@@ -128,10 +146,9 @@ def _eyes(scanner: Scanner, angle: Array) -> Array:
     return jnp.asarray(jax.vmap(scanner.pose)(angle))[:, :3, 3]
 
 
-def _top(room: RoomOutline) -> float:
+def _top(room: RoomOutline) -> Estimate:
     """The height of the walls, or of the highest point where there is no ceiling [m]."""
-    height = room.height()
-    return float(room.samples.p[:, 2].max()) if height is None else height.value
+    return room.height() or Estimate(float(room.samples.p[:, 2].max()), 0.0, 0.0, 0.0)
 
 
 class _Face(NamedTuple):
@@ -191,7 +208,10 @@ def _face(rays: _Rays, surface: Surface, start: np.ndarray, end: np.ndarray, top
     state = np.where(cell >= 0, states[np.maximum(cell, 0)], UNSEEN)
     above = np.maximum.accumulate((cell >= 0)[::-1], 0)[::-1]
     below = np.maximum.accumulate(cell >= 0, 0)
-    state = np.where((cell < 0) & above & below, EMPTY, state)
+    # Between rays that are too far apart there may be anything, though both came back.
+    wide = Quads(rays.quads.corners[towards[rays.quads.corners].all(1) & ~whole])
+    between = rasterise(wide, place / PIXEL_M - 0.5 + [0, beyond], shape).nearest(wide) >= 0
+    state = np.where((cell < 0) & ~between & above & below, EMPTY, state)
     inner = slice(beyond, shape[0] - beyond)
     # What stands out is where its points are, and not where its rays would have met the wall.
     foot = np.stack([(rays.p - start) @ along, rays.p[:, 2]], 1)
@@ -220,6 +240,10 @@ def _opening(side: str, face: _Face, mask: np.ndarray, box: tuple[slice, slice],
     left, right = (_end(face, mask, box, 0, sign) for sign in (-1, 1))
     bottom, top = (_end(face, mask, box, 1, sign) for sign in (-1, 1))
     cells = face.cell[mask & (face.cell >= 0)]
+    # Where no wall was seen below, an opening begins on the floor: the root mean square of its interval about 0.
+    if bottom.value - np.sqrt(3.0) * bottom.sigma < PIXEL_M and bottom.value < ON_FLOOR_M:
+        sigma = float(np.hypot(bottom.value, bottom.sigma))
+        bottom = Estimate(0.0, sigma, sigma, 0.0)
     depth = float(np.median(face.depth[cells])) if len(cells) > 0.5 * mask.sum() else None
     width, height = right.value - left.value, top.value - bottom.value
     on_floor = bottom.value < ON_FLOOR_M
@@ -257,5 +281,6 @@ def _end(face: _Face, mask: np.ndarray, box: tuple[slice, slice], axis: int, sig
 
 
 def _difference(second: Estimate, first: Estimate) -> Estimate:
-    sigma = float(np.hypot(first.sigma, second.sigma))
-    return Estimate(second.value - first.value, sigma, sigma, 0.0)
+    random = float(np.hypot(first.sigma_random, second.sigma_random))
+    systematic = abs(second.sigma_systematic - first.sigma_systematic)
+    return Estimate(second.value - first.value, float(np.hypot(random, systematic)), random, systematic)
