@@ -17,6 +17,7 @@ from jaxscan.api.products import (
     panorama_paths,
     poisson_mesh,
     save_board,
+    save_designed_rig,
     save_drawing,
     save_panorama,
     save_scan,
