@@ -44,8 +44,9 @@ def design_rig(wish: RigWish) -> RigChoice:
         for design, sigma in found:
             if sigma <= wish.sigma_m and wide_enough(design, wish):
                 return RigChoice(wish, design, sigma, tuple(found))
-    seen = [one for _, found in tried for one in found if wide_enough(one[0], wish)]
-    raise OptionError(_impossible(wish, seen))
+    every = [one for _, found in tried for one in found]
+    seen = [one for one in every if wide_enough(one[0], wish)]
+    raise OptionError(_impossible(wish, seen) if seen else _unseen(wish, every))
 
 
 def wide_enough(design: RigDesign, wish: RigWish) -> bool:
@@ -65,8 +66,6 @@ def _with_sensor(sensor: Sensor, wish: RigWish) -> list[tuple[RigDesign, float]]
 def _impossible(wish: RigWish, seen: list[tuple[RigDesign, float]]) -> str:
     asked = f"{1e3 * wish.sigma_m:.3g} mm at {wish.range_m:g} m"
     bounds = f"baselines up to {wish.longest_baseline_m:g} m and a field of {wish.field_deg:g}° along the stripe"
-    if not seen:
-        return f"{asked}: no lens and baseline have {bounds}; lower --field, or raise --longest-baseline."
     design, best = min(seen, key=lambda one: one[1])
     # Sigma grows with the square of the distance.
     nearer = wish.range_m * math.sqrt(wish.sigma_m / best)
@@ -75,6 +74,18 @@ def _impossible(wish: RigWish, seen: list[tuple[RigDesign, float]]) -> str:
     return (
         f"{asked}: no rig with {bounds} reaches it; possible are {_up(1e3 * best)} mm at {wish.range_m:g} m ({camera})"
         f"{instead}; or raise --longest-baseline, or lower --field."
+    )
+
+
+def _unseen(wish: RigWish, every: list[tuple[RigDesign, float]]) -> str:
+    if not every:
+        shortest = min(wish.baselines_m)
+        return f"no baseline is short enough: found {shortest:g} m, expected at most the range, {wish.range_m:g} m."
+    fields = [design.fields_deg[1] for design, _ in every if design.fan_deg is not None]
+    possible = f"at most {math.floor(max(fields))}°" if fields else "none that the fan of a usual laser fills"
+    return (
+        f"a field of {wish.field_deg:g}° along the stripe: the lenses have {possible}; lower --field, or take another "
+        "lens, or a camera with more pixels along the stripe."
     )
 
 

@@ -10,10 +10,11 @@ from jaxscan.geometry import LaserSheet, Pinhole, Scanner
 
 FANS_DEG = (30.0, 45.0, 60.0, 75.0, 90.0, 110.0)
 """Fan angles in which line lasers are usually made."""
-STRIPE_WIDTH_PX = (1.0, 3.0)
-"""Widths (standard deviation) of a stripe that are found best: experiments/results/stripe_accuracy.md."""
+WIDEST_STRIPE_PX = 3.0
+"""Width (standard deviation) to which experiments/results/stripe_accuracy.md has stripes found as well as can be; the
+narrower ones, down to 0.7 px, to fewer hundredths of a pixel."""
 BLUR_PX = 0.8
-"""Blur of lens and pixel (standard deviation) that is part of the stripe's width."""
+"""Blur of lens and pixel (standard deviation) that is part of the stripe's width: it keeps the thinnest line at that."""
 
 
 @dataclass(frozen=True)
@@ -74,11 +75,9 @@ class RigDesign:
         """Points along the stripe in a degree, in the image's middle."""
         return self.focal_px * math.radians(1.0)
 
-    def line_width_m(self, depth_m: float) -> tuple[float, float]:
-        """Narrowest and widest line (1/e² of its brightness, full width) whose stripe is found well at a depth [m]."""
-        pixel = depth_m / self.focal_px
-        narrow, wide = (4 * math.sqrt(width**2 - BLUR_PX**2) * pixel for width in STRIPE_WIDTH_PX)
-        return narrow, wide
+    def widest_line_m(self, depth_m: float) -> float:
+        """Widest line (1/e² of its brightness, full width) whose stripe is found well at a depth [m]."""
+        return 4 * math.sqrt(WIDEST_STRIPE_PX**2 - BLUR_PX**2) * depth_m / self.focal_px
 
     def scanner(self) -> Scanner:
         """The rig as a perfect scanner that stands still: its frame is the camera's."""

@@ -29,7 +29,6 @@ def numbers(choice: "RigChoice", step_deg: float, seconds: float) -> dict[str, A
         | {f"{name}_mm": 1e3 * float(getattr(both, name)[k]) for name in ("depth", "across", "along")}
         for k in range(len(depths))
     ]
-    narrow, wide = chosen.line_width_m(wish.range_m)
     return {
         "wish": {"range_m": wish.range_m, "sigma_mm": 1e3 * wish.sigma_m, "field_deg": wish.field_deg}
         | {"stripe_px": wish.stripe_px, "calibration_px": wish.calibration_px},
@@ -41,7 +40,7 @@ def numbers(choice: "RigChoice", step_deg: float, seconds: float) -> dict[str, A
             "laser_angle_deg": chosen.laser_angle_deg,
             "crossing_m": chosen.crossing_m,
             "fan_deg": chosen.fan_deg,
-            "line_width_mm": [1e3 * narrow, 1e3 * wide],
+            "widest_line_mm": 1e3 * chosen.widest_line_m(wish.range_m),
             "near_m": near,
             "far_m": far if math.isfinite(far) else None,
             "points_per_degree": chosen.points_per_degree(),
@@ -62,7 +61,7 @@ def show(out: Terminal, choice: "RigChoice", result: dict[str, Any]) -> None:
     out.print(
         f"laser: {1e3 * rig['baseline_m']:.0f} mm beside the camera, turned towards its axis by "
         f"{rig['laser_angle_deg']:.2f}° (crosses it at {rig['crossing_m']:g} m); fan {rig['fan_deg']:g}°, line "
-        f"{rig['line_width_mm'][0]:.1f} to {rig['line_width_mm'][1]:.1f} mm wide there"
+        f"thin, at most {rig['widest_line_mm']:.0f} mm wide there"
     )
     far = "without limit" if rig["far_m"] is None else f"to {rig['far_m']:.2f} m"
     out.print(f"the stripe is in the image from {rig['near_m']:.2f} m {far}")
