@@ -14,7 +14,7 @@ WIDEST_STRIPE_PX = 3.0
 """Width (standard deviation) to which experiments/results/stripe_accuracy.md has stripes found as well as can be; the
 narrower ones, down to 0.7 px, to fewer hundredths of a pixel."""
 BLUR_PX = 0.8
-"""Blur of lens and pixel (standard deviation) that is part of the stripe's width: it keeps the thinnest line at that."""
+"""Blur of lens and pixel (standard deviation) that is part of the stripe's width, and all of a thin line's."""
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ def test_the_time_of_a_scan_is_that_of_the_firmware():
         (("--pixel", "3.45"), "units um"),
         (("--baseline", "2m"), "--longest-baseline"),
         (("--field", "120"), "--field"),
-        (("--field", "100deg", "--lens", "50mm"), "at most 12°"),
+        (("--field", "100deg", "--lens", "50mm"), "at most 11°"),
         (("--range", "0.2", "--baseline", "0.3m"), "no baseline is short enough"),
         (("--stripe-noise", "0"), "--stripe-noise"),
         (("--step", "0"), "--step"),

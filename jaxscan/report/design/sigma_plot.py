@@ -63,7 +63,7 @@ def _map(axes: Any, choice: RigChoice) -> None:
     for design, sigma in choice.alternatives:
         row, column = lenses.index(design.lens_mm), baselines.index(design.baseline_m)
         ratio[row, column] = np.log2(sigma / choice.wish.sigma_m)
-        text = f"{1e3 * sigma:.2g}" if sigma < 0.1 else f"{1e3 * sigma:.0f}"
+        text = f"{1e3 * sigma:.3g}" if sigma < 0.1 else f"{1e3 * sigma:.0f}"
         reaches = choice.reaches(design, sigma)
         weight = "bold" if reaches else "normal"
         axes.text(
