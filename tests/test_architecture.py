@@ -78,6 +78,7 @@ HOME_OF = {
     "aiohttp": {"web", "cli/console"},
     "yarl": {"web"},
     "numba": {
+        "photographs/native_loops.py",
         "simulation/native_loops.py",
         "stripes/choosing/native_loops.py",
         "stripes/fitting/loops/rows.py",

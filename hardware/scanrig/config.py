@@ -177,7 +177,9 @@ class CalibrationTable(FileModel):
         10.0,
         15.0,
     )
-    """Angles of the table for each placement."""
+    """Angles of the table for each placement, from its bearing."""
+    bearings_deg: Annotated[tuple[_Angle, ...], pydantic.Field(min_length=1, max_length=100)] = (0.0,)
+    """Where the table points for the placements, in turn. Boards all around show the errors of its angles."""
 
 
 class ChecksTable(FileModel):

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable
 from jaxscan.measurement import compare_clouds, measure_distance
+from jaxscan.photographs import Photograph, Photographs, as_rgb, colour_points, make_occluder
 from jaxscan.reconstruction import DEFAULTS, Sweep, make_plan, reconstruct
 from jaxscan.stripes import LaserLine, PixelFormat, frame_rank
 
@@ -46,6 +47,10 @@ def rehearse_reconstruction(expected: ExpectedSweep) -> None:
     points = np.asarray(cloud.xyz)[np.asarray(cloud.valid)]
     ends = points[points[:, 2].argmin()], points[points[:, 2].argmax()]
     measure_distance(cloud, *ends, radius_m=_PATCH_M, scanner=scanner)
+    frames = sweep.on if sweep.off is None else sweep.off
+    few = zip(sweep.angles[:_DIFFERENT].tolist(), frames, strict=False)
+    shots = [Photograph(angle, as_rgb(frame, sweep.pixel_format)) for angle, frame in few]
+    colour_points(Photographs(scanner, shots), points, np.zeros_like(points), occluder=make_occluder(cloud, scanner))
     compare_clouds(cloud, cloud, scanner=scanner)
 
 

@@ -68,10 +68,15 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
             progress.doing("finding stripes")
             cloud = api.reconstruct(sweep, scanner, progress=progress)
         seconds["reconstruct"] = time.perf_counter() - lap
+    lap = time.perf_counter()
+    with progress_bar("Colouring from photographs") as progress:
+        cloud = api.colour_cloud(cloud, sweep, scanner, progress=progress)
+    seconds["colour"] = time.perf_counter() - lap
     points = int(np.asarray(cloud.valid).sum())
     out.print(
         f"reconstructed {points} points from {len(sweep)} pairs in {seconds['reconstruct']:.1f} s "
-        f"({points / seconds['reconstruct']:.0f} points a second, compiling included)"
+        f"({points / seconds['reconstruct']:.0f} points a second, compiling included), "
+        f"and coloured them from laser-off images in {seconds['colour']:.1f} s"
     )
     api.save_cloud(cloud, output / "room.ply", calibration_digest=calibration_digest(output / "calibration.json"))
     picture = draw_cloud(*(np.asarray(field) for field in (cloud.xyz, cloud.rgb)), normals=np.asarray(cloud.normals))

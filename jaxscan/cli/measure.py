@@ -98,13 +98,8 @@ def distance(
     found = jaxscan.measure_distance(points, np.array(a), np.array(b), radius_m=radius_mm / 1e3, scanner=scanner)
     result = finite(dataclasses.asdict(found))
     out = notes_first(notes, json)
-    out.print(
-        f"{found.value_m:.4f} m, sigma {1e3 * found.sigma_m:.2f} mm, "
-        f"from {found.points[0]} and {found.points[1]} points"
-    )
-    if found.plane_to_plane_m is not None and found.plane_to_plane_sigma_m is not None:
-        sigma_mm = 1e3 * found.plane_to_plane_sigma_m
-        out.print(f"between their planes: {found.plane_to_plane_m:.4f} m, sigma {sigma_mm:.2f} mm")
+    for line in found.words():
+        out.print(line)
     emit_json(json, "measure-distance", result | {"notes": notes})
 
 
@@ -126,10 +121,7 @@ def plane(
     points, notes = in_metres(cloud, unit)
     found = jaxscan.measure_plane(points, np.array(at), radius_m=radius_mm / 1e3)
     result = finite(dataclasses.asdict(found))
-    notes_first(notes, json).print(
-        f"RMS {1e3 * found.rms_m:.2f} mm, 95 % of {found.points} points within {1e3 * found.range95_m:.2f} mm, "
-        f"normal {np.array2string(found.normal, precision=4)}"
-    )
+    notes_first(notes, json).print(found.words())
     emit_json(json, "measure-plane", result | {"notes": notes})
 
 

@@ -81,7 +81,9 @@ def reconstruct(
     sweep = api.open_capture(capture, compare=compare).every(every)
     scanner = api.load_scanner(calibration)
     out = console(json)
-    before = [*calibration_notes(calibration), *sweep.notes]
+    coloured = colour == "photographs" and api.has_photographs(sweep)
+    chosen = api.photograph_notes(sweep, scanner) if coloured else []
+    before = [*calibration_notes(calibration), *sweep.notes, *chosen]
     for note in before:
         out.print(f"note: {note}")
     start = time.perf_counter()
@@ -90,7 +92,6 @@ def reconstruct(
         progress.doing("finding stripes, compiling first where needed")
         done = api.reconstruct_capture(sweep, scanner, settings=settings, progress=progress, cache=cache)
     cloud = done.cloud
-    coloured = colour == "photographs" and api.has_photographs(sweep)
     if coloured:
         with progress_bar("Colouring from photographs") as progress:
             cloud = api.colour_cloud(cloud, sweep, scanner, progress=progress)

@@ -2,7 +2,7 @@
 
 from jaxscan.measurement.compare import CloudComparison, ErrorStatistics, compare_clouds
 from jaxscan.measurement.deviations import DeviationMap, measure_deviations
-from jaxscan.measurement.distances import DistanceMeasurement, measure_distance
+from jaxscan.measurement.distances import DistanceMeasurement, length_words, measure_distance
 from jaxscan.measurement.frames import RoomFrame, TargetFrame, align_room, align_targets
 from jaxscan.measurement.outline import (
     Estimate,

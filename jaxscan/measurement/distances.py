@@ -37,6 +37,19 @@ class DistanceMeasurement:
     points: tuple[int, int]
     """Points in either patch."""
 
+    def words(self) -> tuple[str, ...]:
+        """As people read it: between the places, and between their planes where these are parallel."""
+        ends = f"from {self.points[0]} and {self.points[1]} points"
+        lines = [f"{length_words(self.value_m, self.sigma_m)}, {ends}"]
+        if self.plane_to_plane_m is not None and self.plane_to_plane_sigma_m is not None:
+            lines.append(f"between their planes: {length_words(self.plane_to_plane_m, self.plane_to_plane_sigma_m)}")
+        return tuple(lines)
+
+
+def length_words(value_m: float, sigma_m: float) -> str:
+    """A length and its standard deviation, as people read them."""
+    return f"{value_m:.4f} m, sigma {1e3 * sigma_m:.2f} mm"
+
 
 def measure_distance(
     cloud: Cloud, a: Point, b: Point, *, radius_m: float = 0.02, scanner: Scanner | None = None

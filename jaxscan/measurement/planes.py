@@ -94,6 +94,13 @@ class PlaneMeasurement:
     """Width of the band with the middle 95 % of those distances [m]."""
     points: int
 
+    def words(self) -> str:
+        """As people read it."""
+        return (
+            f"RMS {1e3 * self.rms_m:.2f} mm, 95 % of {self.points} points within {1e3 * self.range95_m:.2f} mm, "
+            f"normal {np.array2string(self.normal, precision=4)}"
+        )
+
 
 def measure_plane(cloud: Cloud, point: Point, *, radius_m: float = 0.2) -> PlaneMeasurement:
     """Flatness of the cloud around a picked point.

@@ -2,14 +2,13 @@
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
-
-from jaxscan.geometry import Array
+from jaxtyping import Bool, Float, Int, UInt32
 
 
-LARGEST_BLOCK = 1 << 12
+LARGEST_BLOCK = 1 << 11
+AT_ONCE = 16
+"""Blocks that are projected by one call."""
 
 
 @dataclass(frozen=True)
@@ -28,44 +27,50 @@ class Blocks:
 
     @staticmethod
     def of(points: Float[np.ndarray, "n 3"], largest: int = LARGEST_BLOCK) -> "Blocks":
-        """Divide points [m] across their longest side until blocks are small."""
-        size = min(largest, 1 << max(len(points) - 1, 1).bit_length())
-        runs, waiting = [], [np.arange(len(points))]
-        while waiting:
-            part = waiting.pop()
-            if len(part) <= size:
-                runs.append(part)
-                continue
-            half = size * (-(-len(part) // size) // 2)
-            axis = int(np.argmax(np.ptp(points[part], axis=0)))
-            halves = part[np.argpartition(points[part, axis], half)]
-            # The full blocks first: only the last one may be short.
-            waiting += [halves[half:], halves[:half]]
-        order = np.concatenate(runs)
-        count = len(order)
+        """Points [m] along a curve that fills space, cut into runs."""
+        size, count = min(largest, 1 << max(len(points) - 1, 1).bit_length()), len(points)
+        order = np.argsort(_along_curve(points), kind="stable")
         order = np.concatenate([order, np.repeat(order[-1:], -count % size)])
         grouped = points[order].reshape(-1, size, 3)
         centre = (grouped.min(1) + grouped.max(1)) / 2
         radius = np.linalg.norm(grouped - centre[:, None], axis=-1).max(1)
         return Blocks(order, size, count, centre, radius)
 
-    def gather(self, field: np.ndarray) -> list[Array]:
-        """A field [n, ...] of the points, block by block."""
-        return [jnp.asarray(field[part]) for part in self.order.reshape(-1, self.size)]
+    def gather(self, field: np.ndarray) -> np.ndarray:
+        """A field [n, ...] of the points, block by block: [blocks, size, ...]."""
+        return field[self.order].reshape(-1, self.size, *field.shape[1:])
 
     def scatter(self, field: np.ndarray) -> np.ndarray:
-        """The way back of `gather`: a field [padded, ...] of all blocks, in the order of the points."""
-        flat = field[: self.count]
+        """The way back of `gather`: a field [blocks, size, ...], in the order of the points."""
+        flat = field.reshape(-1, *field.shape[2:])[: self.count]
         back = np.empty_like(flat)
         back[self.order[: self.count]] = flat
         return back
 
-    def seen_from(self, pose: Float[np.ndarray, "4 4"], least_cosine: float) -> Int[np.ndarray, " seen"]:
-        """Blocks that may reach into the cone of a view about the z axis of its pose."""
+    @staticmethod
+    def taken(field: np.ndarray, few: Int[np.ndarray, " few"]) -> np.ndarray:
+        """`AT_ONCE` blocks of a field [blocks, size, 3], some again and again where there are fewer: [n, 3].
+
+        Always as many, or each number of them would be compiled.
+        """
+        return field[np.resize(few, AT_ONCE)].reshape(-1, 3)
+
+    def seen_from(self, pose: Float[np.ndarray, "4 4"], least_cosine: float) -> list[Int[np.ndarray, " few"]]:
+        """Blocks that may reach into the cone of a view about the z axis of its pose, `AT_ONCE` at a time."""
         way = self.centre - pose[:3, 3]
         distance = np.linalg.norm(way, axis=-1)
         within: Bool[np.ndarray, " blocks"] = distance <= self.radius
         ratio = self.radius / np.maximum(distance, 1e-9)
         away = np.arccos(np.clip(way @ pose[:3, 2] / np.maximum(distance, 1e-9), -1, 1))
         reach = np.arccos(np.clip(least_cosine, -1, 1)) + np.arcsin(np.clip(ratio, 0, 1))
-        return np.flatnonzero(within | (away <= reach))
+        seen = np.flatnonzero(within | (away <= reach))
+        return [seen[start : start + AT_ONCE] for start in range(0, len(seen), AT_ONCE)]
+
+
+def _along_curve(points: Float[np.ndarray, "n 3"]) -> UInt32[np.ndarray, " n"]:
+    """Numbers of the cells in which points lie, by the curve of Morton: the bits of the three places take turns."""
+    extent = max(float(np.ptp(points, axis=0).max()), 1e-9)
+    cells = ((points - points.min(0)) * np.float32(1023 / extent)).astype(np.uint32)
+    for shift, mask in ((16, 0xFF0000FF), (8, 0x0F00F00F), (4, 0xC30C30C3), (2, 0x49249249)):
+        cells = (cells | (cells << np.uint32(shift))) & np.uint32(mask)
+    return cells[:, 0] | (cells[:, 1] << np.uint32(1)) | (cells[:, 2] << np.uint32(2))

@@ -1,21 +1,18 @@
 """Colours of points from all photographs that see them sharply."""
 
-import functools
 import itertools
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, UInt8, UInt32
+from jaxtyping import Bool, Float, UInt8
 
-from jaxscan.geometry import Array, Scanner
-from jaxscan.photographs.blend import Tally, conclude, tally_all
+from jaxscan.photographs.blend import Tally, conclude
 from jaxscan.photographs.blocks import Blocks
-from jaxscan.photographs.occluder import STEEPEST_SEEN, Distances, Occluder, facing, hidden
+from jaxscan.photographs.occluder import Distances, Occluder
 from jaxscan.photographs.photograph import Photograph, Photographs
-from jaxscan.photographs.view import Lens, View, packed, poses, sample, sight
+from jaxscan.photographs.view import Lens, View, pose_finder, sights
 from jaxscan.reconstruction.ahead import map_ahead, workers
 
 
@@ -35,19 +32,20 @@ DEFAULT_BLEND = BlendSettings()
 
 
 class _Places(NamedTuple):
-    """A block of points."""
+    """Points, and their unit normals; zero where there is none."""
 
-    points: Float[Array, "block 3"]
-    normals: Float[Array, "block 3"]
+    points: Float[np.ndarray, "*n 3"]
+    normals: Float[np.ndarray, "*n 3"]
 
 
 class _Shot(NamedTuple):
     """A photograph, and all that is known about it."""
 
-    image: UInt32[Array, "rows columns"]
+    angle: float
+    image: UInt8[np.ndarray, "rows columns 3"]
     view: View
     distances: Distances
-    gain: Float[Array, "3"]
+    gain: Float[np.ndarray, "3"]
 
 
 def colour_points(
@@ -61,7 +59,7 @@ def colour_points(
 ) -> tuple[UInt8[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
     """The colour of each point, blended of all photographs that show it.
 
-    Each photograph is held once, and all points that it may show are looked up in it. It counts for a point by how
+    Each photograph that may show a point is held once, and all points are looked up in it. It counts for a point by how
     steeply, how near and how far from its border it shows it; not at all where something stands before the point or
     beside it, where the surface is seen from behind or along itself, and where a pixel is saturated. Colours that
     disagree are not mixed. Memory: about 100 bytes for each point.
@@ -90,41 +88,44 @@ def colour_points(
     # Single precision throughout, so that the result does not depend on the caller's setting.
     with jax.enable_x64(False), ThreadPoolExecutor(workers()) as pool:
         lens, blocks = Lens.of(photographs.scanner.camera), Blocks.of(points)
-        places = [_Places(*both) for both in zip(blocks.gather(points), blocks.gather(unit), strict=True)]
-        first = Tally.start(start, len(points))
-        tallies = [Tally(*both) for both in zip(*(blocks.gather(np.asarray(part)) for part in first), strict=True)]
-        seen = [jnp.zeros(blocks.size, jnp.bool_) for _ in places]
-        del first
-        numbers = np.array([settings.tolerance_dn, settings.bearing], np.float32)
+        pose_at = pose_finder(photographs.scanner)
+        places = _Places(blocks.gather(points), blocks.gather(unit))
+        tally = Tally.start(blocks.gather(np.zeros((len(points), 3), np.uint8) if start is None else start))
+        seen = np.zeros(tally.weight.shape[:2], np.bool_)
 
         def prepare(photograph: Photograph) -> _Shot:
-            shot = _prepared(photograph, lens, photographs.scanner, occluder)
-            if occluder is None or not settings.exposure:
-                return shot
-            with jax.enable_x64(False):
-                return shot._replace(gain=_gain(shot, *occluder.references))
+            shot = _prepared(photograph, lens, pose_at(photograph.angle), occluder)
+            return shot if occluder is None or not settings.exposure else shot._replace(gain=_gain(shot, occluder))
 
-        def look(block: int, shot: _Shot) -> None:
-            # JAX keeps this setting per thread.
-            with jax.enable_x64(False):
-                tallies[block], seen[block] = _look(tallies[block], seen[block], places[block], shot, numbers)
+        def look(few: np.ndarray, shot: _Shot) -> None:
+            padded = _Places(*(blocks.taken(field, few) for field in places))
+            colours, weights = _observed(shot, padded, settings.bearing)
+            for number, block in enumerate(few):
+                mine = slice(number * blocks.size, (number + 1) * blocks.size)
+                found = colours[mine], weights[mine]
+                _add(found, shot.gain, settings.tolerance_dn, (tally.total[block], tally.weight[block]))
+                seen[block] |= weights[mine] > 0
+
+        def visible(angle: float) -> list[np.ndarray]:
+            return blocks.seen_from(pose_at(angle), float(lens.least_cosine))
 
         # While points are looked up in one photograph, the next one is prepared.
-        for shot in map_ahead(prepare, photographs, 1):
-            visible = blocks.seen_from(np.asarray(shot.view.T_scanner_cam), float(lens.least_cosine))
-            for _ in pool.map(look, visible.tolist(), itertools.repeat(shot)):
+        shots = photographs.where(lambda angle: len(visible(angle)) > 0)
+        for shot in map_ahead(prepare, shots, 1):
+            for _ in pool.map(look, visible(shot.angle), itertools.repeat(shot)):
                 pass
-        every = Tally(*(np.concatenate(part) for part in zip(*tallies, strict=True)))
-        rgb = conclude(every, settings.tolerance_dn)
-        return blocks.scatter(rgb), blocks.scatter(np.concatenate([np.asarray(part) for part in seen]))
+        each = pool.map(lambda part: conclude(Tally(*part), settings.tolerance_dn), zip(*tally, strict=True))
+        return blocks.scatter(np.stack(list(each))), blocks.scatter(seen)
 
 
-def _prepared(photograph: Photograph, lens: Lens, scanner: Scanner, occluder: Occluder | None) -> _Shot:
+def _prepared(photograph: Photograph, lens: Lens, pose: np.ndarray, occluder: Occluder | None) -> _Shot:
     """A photograph with the surfaces in it, not yet equalised."""
+    # JAX keeps this setting per thread.
     with jax.enable_x64(False):
-        view = View(lens, poses(scanner, np.array([photograph.angle]))[0])
+        # On the device: it is handed to many calls.
+        view = jax.device_put(View(lens, pose))
         distances = Distances.of_nothing() if occluder is None else occluder.distances(view)
-        return _Shot(packed(photograph.image), view, distances, jnp.ones(3, jnp.float32))
+    return _Shot(photograph.angle, np.ascontiguousarray(photograph.image), view, distances, np.ones(3, np.float32))
 
 
 LEAST_COMMON = 50
@@ -134,58 +135,37 @@ LEAST_DN = 12.0
 MOST_GAIN = 4.0
 
 
-@jax.jit
-def _gain(shot: _Shot, points: Float[Array, "n 3"], rgb: Float[Array, "n 3"]) -> Float[Array, "3"]:
+def _gain(shot: _Shot, occluder: Occluder) -> Float[np.ndarray, "3"]:
     """Factor for each colour that takes a photograph to the exposure of the stripes around it.
 
     The stripes in a photograph are from photographs on both sides of it, so that errors do not add up along a turn.
     """
-    colour, weight = jax.vmap(_observe, (None, 0, 0, None))(shot, points, jnp.zeros_like(points), jnp.float32(jnp.inf))
+    points, rgb = occluder.references
+    colour, weight = _observed(shot, _Places(points, np.zeros_like(points)), np.inf)
     use = (weight > 0)[:, None] & (colour > LEAST_DN) & (rgb > LEAST_DN) & (rgb < 250.0)
-    ratio = jnp.sort(jnp.where(use, rgb / jnp.maximum(colour, 1e-3), jnp.inf), 0)
-    count = jnp.sum(use, 0)
-    median = jnp.take_along_axis(ratio, (count // 2)[None, :], 0)[0]
-    return jnp.where(count >= LEAST_COMMON, jnp.clip(median, 1 / MOST_GAIN, MOST_GAIN), 1.0)
+    gain = np.ones(3, np.float32)
+    for k in range(3):
+        ratio = rgb[use[:, k], k] / colour[use[:, k], k]
+        if len(ratio) >= LEAST_COMMON:
+            middle = len(ratio) // 2
+            gain[k] = np.clip(np.partition(ratio, middle)[middle], 1 / MOST_GAIN, MOST_GAIN)
+    return gain
 
 
-@functools.partial(jax.jit, donate_argnums=(0, 1))
-def _look(tally: Tally, seen: Array, places: _Places, shot: _Shot, numbers: Float[Array, "2"]) -> tuple[Tally, Array]:
-    """One photograph for a block of points."""
-    tolerance, bearing = numbers[0], numbers[1]
-    colour, weight = jax.vmap(_observe, (None, 0, 0, None))(shot, places.points, places.normals, bearing)
-    return tally_all(tally, colour * shot.gain[None, :], weight, tolerance), seen | (weight > 0)
+def _observed(shot: _Shot, places: _Places, bearing: float) -> tuple[np.ndarray, np.ndarray]:
+    """Colours of points in a photograph [DN], and their weights: 0 where it shows something else."""
+    # Here, because it loads numba: whoever reads no colours does not wait for that.
+    from jaxscan.photographs.native_loops import observe
+
+    with jax.enable_x64(False):
+        seen = tuple(np.asarray(part) for part in sights(shot.view, places.points))
+    found = np.empty(places.points.shape, np.float32), np.empty(len(places.points), np.float32)
+    rules = shot.distances.nearest, shot.distances.cell, float(shot.view.lens.per_pixel), float(bearing)
+    observe(shot.image, tuple(places), seen, np.asarray(shot.view.T_scanner_cam), rules, found)
+    return found
 
 
-FEATHER = 0.15
-"""Share of the image, on each side, over which the weight rises from its border."""
+def _add(found: tuple[np.ndarray, np.ndarray], gain: np.ndarray, tolerance: float, tally: tuple) -> None:
+    from jaxscan.photographs.native_loops import add
 
-
-def _observe(
-    shot: _Shot, point: Float[Array, "3"], normal: Float[Array, "3"], bearing: Float[Array, ""]
-) -> tuple[Float[Array, "3"], Float[Array, ""]]:
-    """Colour of a point in a photograph [DN], and its weight: at most 1, and 0 where it shows something else."""
-    view = shot.view
-    seen = sight(view, point)
-    colour, sound = sample(shot.image, seen.q)
-    cosine = facing(point, normal, view)
-    rows, columns = shot.image.shape
-    edge = jnp.minimum(_rise(seen.q[0], columns), _rise(seen.q[1], rows))
-    # Resolution on the surface, in both directions of the image; next to that, the distance from the middle of the rig
-    # changes little.
-    away = jnp.sqrt(jnp.sum(point * point)) / jnp.maximum(seen.range_m, 1e-3)
-    weight = jnp.clip(cosine, 0.0, 1.0) * jnp.minimum(away, 2.0) ** 2 * edge * _ahead(point, view, bearing)
-    shown = seen.inside & sound & (cosine > 1 / STEEPEST_SEEN) & ~hidden(seen, point, normal, view, shot.distances)
-    return colour, jnp.where(shown, jnp.minimum(weight, 1.0), 0.0)
-
-
-def _rise(place: Array, size: int) -> Array:
-    """From 0 at both ends of an axis of the image to 1, smoothly."""
-    t = jnp.clip(jnp.minimum(place, size - 1 - place) / (FEATHER * size), 0.0, 1.0)
-    return t * t * (3.0 - 2.0 * t)
-
-
-def _ahead(point: Array, view: View, bearing: Array) -> Array:
-    """Weight by the angle about the axis between a point and the middle of the photograph."""
-    ahead, way = view.T_scanner_cam[:2, 2], point[:2]
-    cross, dot = ahead[0] * way[1] - ahead[1] * way[0], jnp.sum(ahead * way)
-    return jnp.exp(-0.5 * (jnp.arctan2(cross, dot) / bearing) ** 2)
+    add(found, gain, float(tolerance), tally)

@@ -1,47 +1,42 @@
 """Hidden places: the surface of a cloud, drawn as distances into each photograph."""
 
-import functools
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 
-from jaxscan.geometry import Array, Scanner
+from jaxscan.geometry import Scanner
 from jaxscan.photographs.blocks import Blocks
 from jaxscan.photographs.surface import surface_samples
-from jaxscan.photographs.view import Lens, Sight, View, sight
+from jaxscan.photographs.view import Lens, View, sights
 from jaxscan.reconstruction import PointCloud
 
 
 CELLS = 256
 """Cells of distance along the shorter side of an image."""
 REFERENCES = 1 << 13
-SKIN = 0.012
-"""Depth, relative to the distance, by which a point may lie behind the surface without being hidden."""
 
 
 class Distances(NamedTuple):
     """Distances of the nearest surface in one view, cell by cell."""
 
-    nearest: Float[Array, "rows columns"]
-    """[m]; inf where there is none."""
-    cell: Float[Array, ""]
+    nearest: Float[np.ndarray, "rows columns"]
+    """[m]; inf where there is none. With a border of one cell."""
+    cell: int
     """Side of a cell [px]."""
 
     @staticmethod
     def of_nothing() -> "Distances":
         """No surface anywhere."""
-        return Distances(np.full((3, 3), np.inf, np.float32), np.asarray(1 << 16, np.float32))
+        return Distances(np.full((3, 3), np.inf, np.float32), 1 << 16)
 
 
 @dataclass(frozen=True)
 class Occluder:
     """The surface of a room as photographs of it need it; made once for a cloud by `make_occluder`."""
 
-    surface: tuple[Blocks, list[Array]] | None
+    surface: tuple[Blocks, Float[np.ndarray, "blocks size 3"]] | None
     """Samples of the surface, block by block [m]; None where nothing is known to stand anywhere."""
     references: tuple[Float[np.ndarray, "references 3"], Float[np.ndarray, "references 3"]]
     """Points all over the room, and their usual colours: by these, exposures are equalised."""
@@ -56,12 +51,15 @@ class Occluder:
 
     def distances(self, view: View) -> Distances:
         """The surface in one view."""
-        nearest, cell = jnp.full(self.shape, jnp.inf, jnp.float32), np.asarray(self.cell, np.float32)
+        # Here, because it loads numba: whoever reads no colours does not wait for that.
+        from jaxscan.photographs.native_loops import draw
+
+        nearest = np.full(self.shape, np.inf, np.float32)
         if self.surface is not None:
-            blocks, parts = self.surface
-            for block in blocks.seen_from(np.asarray(view.T_scanner_cam), float(view.lens.least_cosine)):
-                nearest = _draw(nearest, view, parts[block], cell)
-        return Distances(_spread(nearest), cell)
+            blocks, points = self.surface
+            for few in blocks.seen_from(np.asarray(view.T_scanner_cam), float(view.lens.least_cosine)):
+                draw(tuple(np.asarray(part) for part in sights(view, blocks.taken(points, few))), self.cell, nearest)
+        return Distances(_spread(nearest), self.cell)
 
 
 def make_occluder(cloud: PointCloud, scanner: Scanner) -> Occluder:
@@ -89,55 +87,8 @@ def make_occluder(cloud: PointCloud, scanner: Scanner) -> Occluder:
     return Occluder((blocks, blocks.gather(xyz)), (xyz[chosen], rgb[chosen]), cell, shape)
 
 
-def hidden(
-    seen: Sight, point: Float[Array, "3"], normal: Float[Array, "3"], view: View, distances: Distances
-) -> Bool[Array, ""]:
-    """Whether something stands before a point, or so near its line of sight that their light could mix.
-
-    Args:
-        seen: The point in the view.
-        point: The point [m].
-        normal: Normal of its surface; zero where unknown.
-        view: The view.
-        distances: The nearest surface in it.
-    """
-    column, row = _cell(seen.q, distances)
-    # A slanted surface is nearer beside the point: within two cells by so much.
-    cosine = jnp.clip(facing(point, normal, view), 1 / STEEPEST_SEEN, 1.0)
-    slope = jnp.sqrt(1.0 - cosine * cosine) / cosine
-    skin = SKIN + 2.0 * distances.cell * view.lens.per_pixel * slope
-    return seen.range_m * (1.0 - skin) > jnp.asarray(distances.nearest).at[row, column].get(mode="clip")
-
-
-STEEPEST_SEEN = 6.0
-"""Ways along a surface for one across it, seen from the camera: beyond, no colour is taken."""
-UNKNOWN_FACING = 0.5
-"""Cosine to the line of sight that a surface without normal is taken to have."""
-
-
-def facing(point: Float[Array, "3"], normal: Float[Array, "3"], view: View) -> Float[Array, ""]:
-    """Cosine between the normal of a surface and the way to the camera."""
-    way = view.T_scanner_cam[:3, 3] - point
-    cosine = jnp.sum(way * normal) / jnp.maximum(jnp.sqrt(jnp.sum(way * way)), 1e-9)
-    return jnp.where(jnp.any(normal != 0), cosine, UNKNOWN_FACING)
-
-
-def _cell(q: Float[Array, "2"], distances: Distances) -> Array:
-    """Cell (column, row) of a pixel, with a border of one."""
-    return jnp.floor((q + 0.5) / distances.cell).astype(jnp.int32) + 1
-
-
-@functools.partial(jax.jit, donate_argnums=0)
-def _draw(nearest: Array, view: View, points: Float[Array, "block 3"], cell: Array) -> Array:
-    seen = jax.vmap(sight, (None, 0))(view, points)
-    # Each sample covers the two cells beside it on each axis: see `_spread`.
-    column, row = jnp.floor((seen.q + 0.5) / cell - 0.5).astype(jnp.int32).T + 1
-    outside = jnp.asarray(nearest.shape[0], jnp.int32)
-    return jnp.asarray(nearest).at[jnp.where(seen.inside, row, outside), column].min(seen.range_m, mode="drop")
-
-
-@jax.jit
-def _spread(nearest: Array) -> Array:
+def _spread(nearest: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
     """Every sample in its own cell and in the next ones to the right and below."""
-    down = jnp.minimum(nearest, jnp.pad(nearest[:-1], ((1, 0), (0, 0)), constant_values=jnp.inf))
-    return jnp.minimum(down, jnp.pad(down[:, :-1], ((0, 0), (1, 0)), constant_values=jnp.inf))
+    for target, source in ((nearest[1:], nearest[:-1]), (nearest[:, 1:], nearest[:, :-1])):
+        np.minimum(target, source.copy(), out=target)
+    return nearest

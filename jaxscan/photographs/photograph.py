@@ -1,9 +1,9 @@
 """Photographs of the room: the laser-off frames of a sweep, as RGB images."""
 
 import functools
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -23,21 +23,42 @@ class Photograph(NamedTuple):
     """RGB, uint8 [rows, columns, 3]; in the camera's own response."""
 
 
+@runtime_checkable
+class Album(Protocol):
+    """Photographs that need not all be read."""
+
+    def __iter__(self) -> Iterator[Photograph]: ...
+
+    def where(self, wanted: Callable[[float], bool]) -> Iterator[Photograph]:
+        """Those whose angle [rad or m] is wanted; the others are not read."""
+        ...
+
+
 @dataclass(frozen=True)
 class Photographs:
     """Photographs of a calibrated rig, one after the other; each is held only while it is looked at.
 
     Args:
         scanner: The calibrated rig.
-        shots: The photographs; iterated once by every function that looks at them.
+        shots: The photographs; iterated once by every function that looks at them. Of an `Album`, those are left out
+            that show nothing of what is asked for.
     """
 
     scanner: Scanner
     shots: Iterable[Photograph]
 
     def __iter__(self) -> Iterator[Photograph]:
+        return self._checked(self.shots)
+
+    def where(self, wanted: Callable[[float], bool]) -> Iterator[Photograph]:
+        """Photographs whose angle [rad or m] is wanted."""
+        if isinstance(self.shots, Album):
+            return self._checked(self.shots.where(wanted))
+        return (shot for shot in self if wanted(shot.angle))
+
+    def _checked(self, shots: Iterable[Photograph]) -> Iterator[Photograph]:
         camera = self.scanner.camera
-        for shot in self.shots:
+        for shot in shots:
             if shot.image.shape != (camera.height, camera.width, 3) or shot.image.dtype != np.uint8:
                 raise ValueError(
                     f"A photograph must be uint8 [{camera.height}, {camera.width}, 3], got {shot.image.dtype} with "

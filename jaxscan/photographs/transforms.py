@@ -9,11 +9,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import UInt8, UInt32
+from jaxtyping import Float, UInt8
 
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, Array, Fisheye, Pinhole, Scanner
-from jaxscan.photographs.view import packed, poses, sample
+from jaxscan.photographs.view import poses
 
 
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -81,21 +81,22 @@ def ideal_camera(camera: AbstractCamera) -> Pinhole:
 
 def undistort(
     image: UInt8[np.ndarray, "rows columns 3"], camera: AbstractCamera, ideal: Pinhole
-) -> UInt8[Array, "..."]:
+) -> UInt8[np.ndarray, "height width 3"]:
     """A photograph as another camera at the same place would have taken it; black where it shows nothing."""
+    # Here, because it loads numba: whoever reads no colours does not wait for that.
+    from jaxscan.photographs.native_loops import read
+
     with jax.enable_x64(False):
         single, other = (jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), one) for one in (camera, ideal))
-        return np.asarray(_undistorted(packed(image), single, other))
+        places = np.asarray(_places(single, other))
+    colours = np.empty((len(places), 3), np.float32)
+    read(image, places, colours)
+    inside = np.all((places >= -0.5) & (places <= np.array(image.shape[1::-1], np.float32) - 0.5), -1)
+    return np.where(inside[:, None], np.rint(colours), 0).astype(np.uint8).reshape(ideal.height, ideal.width, 3)
 
 
 @jax.jit
-def _undistorted(image: UInt32[Array, "rows columns"], camera: AbstractCamera, ideal: Pinhole) -> Array:
-    def look(v: Array, u: Array) -> Array:
-        q = camera.project(ideal.unproject(jnp.stack([u, v])))
-        colour, _ = sample(image, q)
-        inside = jnp.all((q >= -0.5) & (q <= jnp.asarray(image.shape[::-1], q.dtype) - 0.5))
-        return jnp.where(inside, jnp.round(colour), 0.0).astype(jnp.uint8)
-
-    columns = jnp.arange(ideal.width, dtype=jnp.float32)
-    row = jax.vmap(look, (None, 0))
-    return jax.lax.map(lambda v: row(v, columns), jnp.arange(ideal.height, dtype=jnp.float32))
+def _places(camera: AbstractCamera, ideal: Pinhole) -> Float[Array, "n 2"]:
+    """Where a camera has each pixel of another one."""
+    v, u = jnp.mgrid[: ideal.height, : ideal.width].astype(jnp.float32)
+    return jax.vmap(lambda q: camera.project(ideal.unproject(q)))(jnp.stack([u.ravel(), v.ravel()], -1))

@@ -1,11 +1,13 @@
-"""One photograph as points are seen in it: where, how far away, and with which colour."""
+"""One photograph as points are seen in it: where, and how far away."""
 
+import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, UInt8, UInt32
+from jaxtyping import Bool, Float
 
 from jaxscan.geometry import AbstractCamera, Array, Scanner
 
@@ -58,6 +60,20 @@ def poses(scanner: Scanner, angles: Float[np.ndarray, " n"]) -> Float[np.ndarray
         return np.asarray(_poses(single, np.asarray(angles, np.float32)))
 
 
+def pose_finder(scanner: Scanner) -> Callable[[float], Float[np.ndarray, "4 4"]]:
+    """`poses` of one angle at a time, each computed once."""
+    with jax.enable_x64(False):
+        single = scanner.without_covariance().as_dtype(np.float32)
+
+    @functools.cache
+    def pose_at(angle: float) -> np.ndarray:
+        # JAX keeps this setting per thread.
+        with jax.enable_x64(False):
+            return np.asarray(_poses(single, np.array([angle], np.float32)))[0]
+
+    return pose_at
+
+
 @jax.jit
 def _poses(scanner: Scanner, angles: Float[Array, " n"]) -> Float[Array, "n 4 4"]:
     return jax.vmap(scanner.pose)(angles)
@@ -88,40 +104,6 @@ def sight(view: View, point: Float[Array, "3"]) -> Sight:
 
 
 @jax.jit
-def packed(image: UInt8[Array, "rows columns 3"]) -> UInt32[Array, "rows columns"]:
-    """An image of which a pixel is one number: it is looked up at once."""
-    red, green, blue = jnp.moveaxis(image.astype(jnp.uint32), -1, 0)
-    return red | (green << 8) | (blue << 16)
-
-
-def sample(image: UInt32[Array, "rows columns"], q: Float[Array, "2"]) -> tuple[Float[Array, "3"], Bool[Array, ""]]:
-    """Colour at a place of a packed image that is nowhere near its border, by cubic convolution.
-
-    Returns:
-        The colour [DN], and whether it is one: no pixel that it is made of is saturated.
-
-    Source: Keys, Cubic convolution interpolation for digital image processing, 1981, with a = -1/2.
-    """
-    rows, columns = image.shape
-    first = jnp.floor(q).astype(jnp.int32)
-    part = q - first.astype(q.dtype)
-    steps = jnp.arange(-1, 3, dtype=jnp.int32)
-    row, column = jnp.clip(first[1] + steps, 0, rows - 1), jnp.clip(first[0] + steps, 0, columns - 1)
-    taps = jnp.asarray(image).reshape(-1).at[(row[:, None] * columns + column[None, :]).reshape(16)].get(mode="clip")
-    weights = (_cubic(part[1])[:, None] * _cubic(part[0])[None, :]).reshape(16)
-    levels = [((taps >> shift) & 255).astype(jnp.float32) for shift in (0, 8, 16)]
-    # No darker and no brighter than what it is made of: beside an edge the cubic would be.
-    colour = [jnp.clip(jnp.sum(weights * level), jnp.min(level), jnp.max(level)) for level in levels]
-    brightest = jnp.max(jnp.stack([jnp.max(level) for level in levels]))
-    return jnp.stack(colour), brightest < SATURATED
-
-
-SATURATED = 254
-"""From this code on a pixel says nothing about the colour."""
-
-
-def _cubic(t: Float[Array, ""]) -> Float[Array, "4"]:
-    t2, t3 = t * t, t * t * t
-    first, second = -0.5 * t + t2 - 0.5 * t3, 1.0 - 2.5 * t2 + 1.5 * t3
-    third, fourth = 0.5 * t + 2.0 * t2 - 1.5 * t3, -0.5 * t2 + 0.5 * t3
-    return jnp.stack([first, second, third, fourth])
+def sights(view: View, points: Float[Array, "n 3"]) -> Sight:
+    """`sight` of many points."""
+    return jax.vmap(sight, (None, 0))(view, points)

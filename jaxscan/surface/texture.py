@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from jaxscan.errors import CloudError
+from jaxscan.reconstruction.ahead import map_ahead, workers
 from jaxscan.surface.grid_mesh import GridMesh, used_places, vertex_fields
 from jaxscan.surface.mesh import Mesh
 
@@ -26,10 +27,12 @@ BAND_WIDTH = 8192
 """Longer charts are folded: every browser holds this many texels on a side."""
 AT_A_TIME = 4_000_000
 """Texels that are coloured at a time."""
+PART = 50_000
+"""Texels that are placed at a time."""
 
 
-class _Texels(NamedTuple):
-    """The texels of some columns that lie on a face."""
+class Texels(NamedTuple):
+    """Texels that lie on a face."""
 
     at: tuple[np.ndarray, np.ndarray]
     """Row and column in the picture of each."""
@@ -37,6 +40,14 @@ class _Texels(NamedTuple):
     normals: Float[np.ndarray, "n 3"]
     rgb: UInt8[np.ndarray, "n 3"]
     """Between the colours of the vertices."""
+
+    @staticmethod
+    def joined(parts: "list[Texels]") -> "Texels":
+        """All of some parts."""
+        at, points, normals, rgb = zip(*parts, strict=True)
+        rows, columns = zip(*at, strict=True)
+        joined = [np.concatenate(field) for field in (rows, columns, points, normals, rgb)]
+        return Texels((joined[0], joined[1]), joined[2], joined[3], joined[4])
 
 
 class _Chart(NamedTuple):
@@ -139,7 +150,7 @@ def _picture(grid: GridMesh, colour: Colour, chart: _Chart) -> UInt8[np.ndarray,
     drawn = np.zeros(chart.shape, np.bool_)
     stride = max(1, AT_A_TIME // (cells * chart.across * chart.along))
     for start in range(0, gaps, stride):
-        found = _texels(grid, start, min(start + stride, gaps), chart)
+        found = _texels_between(grid, start, min(start + stride, gaps), chart)
         if len(found.points):
             rgb, seen = colour(found.points, found.normals)
             picture[found.at] = np.where(seen[:, None], rgb, found.rgb)
@@ -147,7 +158,15 @@ def _picture(grid: GridMesh, colour: Colour, chart: _Chart) -> UInt8[np.ndarray,
     return _spread(picture, drawn)
 
 
-def _texels(grid: GridMesh, start: int, stop: int, chart: _Chart) -> _Texels:
+def _texels_between(grid: GridMesh, start: int, stop: int, chart: _Chart) -> Texels:
+    """Texels on the faces of the cells between some columns, in parts that fit into the cache."""
+    few = max(1, PART // (grid.codes.shape[1] * chart.across * chart.along))
+    starts = range(start, stop, few)
+    parts = map_ahead(lambda k: _texels(grid, k, min(k + few, stop), chart), starts, workers(), compiled=True)
+    return Texels.joined(list(parts))
+
+
+def _texels(grid: GridMesh, start: int, stop: int, chart: _Chart) -> Texels:
     """Texels on the faces of the cells between some columns."""
     # All texels of a cell one after the other.
     steps = [part.ravel() for part in np.meshgrid(np.arange(chart.across), np.arange(chart.along), indexing="ij")]
@@ -170,7 +189,7 @@ def _texels(grid: GridMesh, start: int, stop: int, chart: _Chart) -> _Texels:
     normals = normals.reshape(-1, 3)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)
     points = (xyz.reshape(-1, 3) + centre).astype(np.float32)
-    return _Texels((y.ravel(), x.ravel()), points, normals, np.clip(rgb.reshape(-1, 3) + 0.5, 0, 255).astype(np.uint8))
+    return Texels((y.ravel(), x.ravel()), points, normals, np.clip(rgb.reshape(-1, 3) + 0.5, 0, 255).astype(np.uint8))
 
 
 def _weights(bits: np.ndarray, u: np.ndarray, v: np.ndarray) -> Float[np.ndarray, "cells texels 4"]:

@@ -38,7 +38,7 @@ def seen(console, paper, tiny, monkeypatch):
     text = CONFIG.replace("width = 128", "width = 320").replace("height = 96", "height = 256")
     console.config.write_text(text + BOARD)
     # Calibrations of three views have nothing to say, and take a process.
-    monkeypatch.setattr("jaxscan.cli.console.sessions.Sessions.calibrate", lambda self, name: None)
+    monkeypatch.setattr("jaxscan.cli.console.sessions.Sessions.calibrate", lambda self, name, of="": None)
     return desk
 
 
@@ -47,7 +47,12 @@ def test_a_person_is_guided_and_says_when(console, seen):
         page = await console.open()
         await page.order("boards", name="boards", resume=False)
         state = await page.until(lambda page: (page.state.get("guide") or {}).get("problem"))
-        assert state["doing"] == "placing" and state["placing"] == {"kind": "free", "number": 0, "total": 3}
+        assert state["doing"] == "placing" and state["placing"] == {
+            "kind": "free",
+            "number": 0,
+            "total": 3,
+            "at_deg": 0.0,
+        }
         assert state["guide"]["problem"].startswith("no board found") and state["guide"]["pose"] is None
         assert "hold the board still" in state["guide"]["advice"][0]
         # Nothing is taken while no board is seen.

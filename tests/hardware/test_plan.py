@@ -82,9 +82,18 @@ def test_limits_hold_for_every_position_and_for_home():
 
 
 def test_placements_are_distinct():
-    assert placement_positions(rig(turntable={"gear": [9, 1]})) == (-1200, -800, -400, 0, 400, 800, 1200)
+    assert placement_positions(rig(turntable={"gear": [9, 1]})) == 4 * ((-1200, -800, -400, 0, 400, 800, 1200),)
     with pytest.raises(ConfigError, match="found two at the same microstep"):
         placement_positions(rig(calibration={"angles_deg": [0.0, 0.05]}))
+
+
+def test_placements_all_around():
+    plan = {"placements": 3, "angles_deg": [-5.0, 5.0], "bearings_deg": [0.0, 180.0]}
+    found = placement_positions(rig(turntable={"gear": [9, 1]}, calibration=plan))
+    assert found == ((-400, 400), (14000, 14800), (-400, 400))
+    limits = {"gear": [9, 1], "limits_deg": [-10.0, 100.0]}
+    with pytest.raises(ConfigError, match="calibration: goes from -5 to 185 deg"):
+        placement_positions(rig(turntable=limits, calibration=plan))
 
 
 def test_a_capture_of_a_room_needs_what_it_needs():

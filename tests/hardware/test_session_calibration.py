@@ -79,6 +79,21 @@ def test_free_views_from_home_then_placements_at_all_angles(tmp_path):
     assert homes == ["start", "end of a placement", "end of a placement"]
 
 
+def test_the_table_points_to_where_the_board_is_to_stand(tmp_path):
+    desk = Desk(board=BOARD, calibration=PLAN | {"bearings_deg": [0.0, 90.0]})
+    somebody, stood = Somebody(desk), []
+    place = somebody.place
+    somebody.place = lambda request: (stood.append((request.at_deg, desk.table.position)), place(request))[1]
+    result = calibration(desk, tmp_path / "boards", somebody)
+    quarter = desk.config.microsteps_per_turn // 4
+    assert stood == 4 * [(0.0, 0)] + [(90.0, quarter)]
+    # Not while somebody is near it.
+    assert somebody.lit == [False] * 5
+    assert (result.status, result.records) == ("complete", 9)
+    angles = [angle for _, angle, _ in records(tmp_path / "boards")]
+    assert angles == [0.0] * 3 + [-10.0, 0.0, 10.0] + [80.0, 90.0, 100.0]
+
+
 def test_the_operator_may_have_enough(tmp_path):
     desk = make()
     result = calibration(desk, tmp_path / "boards", Somebody(desk, free=1, placements=1))

@@ -199,6 +199,7 @@ def test_bad_input_is_one_line(tmp_path, world, capsys):
     assert "has no grid" in refused(["panorama", tmp_path / "good", *to, "--cloud", tmp_path / "flat.ply"], capsys)
     assert '".gif"' in refused(["panorama", tmp_path / "good", "-c", calibration, "-o", tmp_path / "a.gif"], capsys)
     assert "at least one" in refused(["panorama", tmp_path / "good", "-c", calibration], capsys)
+    assert "go into an .e57 only" in refused(["panorama", tmp_path / "good", *to, "--photographs"], capsys)
     assert not (tmp_path / "room.jpg").exists()
 
 
@@ -211,6 +212,16 @@ def test_the_command_writes_all(tmp_path, world, capsys):
     result = json.loads((tmp_path / "out.json").read_text())
     assert result["format"] == "jaxscan-panorama/1" and result["photographs"] == 6 and result["width_px"] == 300
     assert len(list((tmp_path / "posed" / "images").iterdir())) == 6
+
+
+def test_fewer_faces_have_a_texture_too(tmp_path, world, capsys):
+    write_capture(tmp_path / "good", world)
+    api.save_cloud(world.cloud, tmp_path / "room.ply")
+    words = ["mesh", tmp_path / "room.ply", "-c", by_hand(tmp_path, 320, 240), "--texture", tmp_path / "good"]
+    words += ["--faces", "500", "-o", tmp_path / "room.glb", "--json", tmp_path / "out.json"]
+    assert main([str(word) for word in words]) == 0, capsys.readouterr()
+    result = json.loads((tmp_path / "out.json").read_text())
+    assert 4 < result["faces"] <= 500 and min(result["texture_px"]) > 100
 
 
 def test_a_capture_without_laser_off_images_keeps_the_colours_of_stripes(tmp_path, world):

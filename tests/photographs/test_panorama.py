@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 import jaxscan
+from jaxscan.api import began
 from jaxscan.errors import CalibrationError, CloudError
+from jaxscan.files import CaptureHeader, create_capture
 from jaxscan.files.clouds import About, StoredCloud
 from jaxscan.geometry import LaserSheet, LinearStage, Pinhole, Scanner, Turntable
 from jaxscan.photographs import Panorama, Photograph, Photographs, make_panorama, panorama_frame
@@ -167,6 +169,68 @@ def test_an_e57_has_the_panorama_with_the_pose_of_its_scan(world, tmp_path):
     assert np.abs(picture[row, column] - (127 + 120 * rays)).max() < 6
     # The points are as in a file without a picture.
     np.testing.assert_array_equal(jaxscan.load_cloud(path).xyz, world.cloud.xyz)
+
+
+def test_an_e57_has_photographs_with_their_poses_and_the_time(world, tmp_path):
+    """By the format's own formula of which pixel a point is: the camera looks along its negative z axis."""
+    pye57 = pytest.importorskip("pye57")
+    frame = panorama_frame(world.scanner, width=200)
+    drawn = Panorama(frame, np.zeros((frame.height, 200, 3), np.uint8))
+    numbers = [8, 32]
+    shots = [Photograph(float(world.angles[k]), world.images[k]) for k in numbers]
+    given = Photographs(world.scanner, shots)
+    path = tmp_path / "scan.e57"
+    jaxscan.save_scan(StoredCloud(world.cloud, About()), drawn, path, photographs=given, started_s=1.7e9)
+    file = pye57.E57(str(path))
+    scan, pictures = file.root["data3D"][0], file.root["images2D"]
+    # 315964800 s from 1970 to the epoch of GPS, and 18 leap seconds since.
+    assert scan["acquisitionStart"]["dateTimeValue"].value() == 1.7e9 - 315964800 + 18
+    assert pictures.childCount() == 3
+    rng = np.random.default_rng(6)
+    points = np.stack([np.full(4000, WALL_X), rng.uniform(-1, 1.4, 4000), rng.uniform(-0.6, 0.7, 4000)], -1)
+    for number, node in zip(numbers, (pictures[1], pictures[2]), strict=True):
+        pinhole, pose = node["pinholeRepresentation"], node["pose"]
+        w, x, y, z = (pose["rotation"][axis].value() for axis in "wxyz")
+        rotation = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        eye = np.array([pose["translation"][axis].value() for axis in "xyz"])
+        np.testing.assert_allclose(eye, world.eyes()[number], atol=1e-6)
+        local = (points - eye) @ rotation
+        value = {key: pinhole[key].value() for key in ("focalLength", "pixelWidth", "pixelHeight")}
+        middle = [pinhole[f"principalPoint{axis}"].value() for axis in "XY"]
+        size = pinhole["imageWidth"].value(), pinhole["imageHeight"].value()
+        u = middle[0] - value["focalLength"] / value["pixelWidth"] * local[:, 0] / local[:, 2]
+        v = middle[1] + value["focalLength"] / value["pixelHeight"] * local[:, 1] / local[:, 2]
+        buffer = np.zeros(pinhole["jpegImage"].byteCount(), np.uint8)
+        pinhole["jpegImage"].read(buffer, 0, len(buffer))
+        picture = decode_image(buffer.tobytes(), name="jpegImage", rank=3, size=size)
+        true, visible = world.truth(points, eye)
+        inside = visible & (local[:, 2] < 0) & (u > 4) & (u < size[0] - 5) & (v > 4) & (v < size[1] - 5)
+        assert inside.sum() > 500
+        found = picture[np.rint(v[inside]).astype(int), np.rint(u[inside]).astype(int)].astype(float)
+        # Wall and print differ by 100 levels; at their edges the lens, the JPEG and half a pixel mix them.
+        off = np.abs(found.mean(-1) - true[inside].mean(-1))
+        assert np.median(off) < 4 and np.mean(off > 40) < 0.06
+    file.close()
+
+
+@pytest.mark.parametrize("said, expected", [("2026-11-23T10:00:00Z", 1795428000.0), ("today", None), (5, None)])
+def test_the_time_is_that_of_the_header(world, tmp_path, said, expected):
+    header = {
+        "kind": "sweep",
+        "camera": {"width": 320, "height": 240, "pixel_format": "rgb8"},
+        "turntable": {"carries": "scanner"},
+        "laser": [{"name": "red", "colour": "red"}],
+        "acquisition": {"started": said},
+    }
+    with create_capture(tmp_path / "sweep", CaptureHeader.model_validate(header), durable=False) as writer:
+        writer.append(angle_deg=0.0, on=world.images[0], off=None)
+    assert began(jaxscan.open_capture(tmp_path / "sweep")) == expected
 
 
 def test_a_cylinder_and_another_format_hold_no_scan(world, tmp_path):

@@ -135,6 +135,8 @@ def test_the_verb_makes_a_mesh(small, tmp_path, capsys):
         (["-o", "{here}/a.glb", "--sigmas", "nan"], "--sigmas: found nan"),
         (["-o", "{here}/a.glb", "--grazing-deg", "95"], "--grazing-deg: found 95"),
         (["-o", "{here}/a.glb", "--texture", "{here}"], "name it with -c"),
+        (["-o", "{here}/a.glb", "--texels", "2", "--faces", "9"], "--texels: found with --faces"),
+        (["-o", "{here}/a.glb", "--texels", "2", "--poisson"], "--texels: found with --poisson"),
     ],
 )
 def test_bad_options_are_answered_in_one_line(small, tmp_path, capsys, words, said):

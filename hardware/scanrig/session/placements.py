@@ -6,7 +6,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from scanrig.session.plan import Target, placed_targets
+from scanrig.session.plan import Target, angle_deg, placed_targets, placement_bearing
 from scanrig.session.session import Session
 
 
@@ -22,6 +22,8 @@ class PlacementRequest:
     number: int
     """Counted from 0 within its kind."""
     total: int
+    at_deg: float
+    """Where the table points meanwhile."""
     advice: list[str]
     """The most helpful poses, a sentence each."""
     look: Callable[[], np.ndarray]
@@ -36,15 +38,15 @@ class Operator(Protocol):
         """Return when the board is placed; False: no more of this kind."""
 
 
-def take_placements(session: Session, positions: Sequence[int], operator: Operator) -> bool:
-    """Take the free views at home, then each placement at all positions.
+def take_placements(session: Session, positions: Sequence[tuple[int, ...]], operator: Operator) -> bool:
+    """Take the free views at home, then each placement at its positions.
 
     Every placement gets a new number. A placement that was half done when a session ended is begun again under another
     number; its old records keep the old one.
 
     Args:
         session: A session that has begun.
-        positions: Positions of the table for each placement [microsteps].
+        positions: From `placement_positions`.
         operator: The person who places the board.
 
     Returns:
@@ -59,9 +61,12 @@ def take_placements(session: Session, positions: Sequence[int], operator: Operat
                 continue
             if session.should_stop():
                 return False
+            bearing = 0 if kind == "free" else placement_bearing(session.config, number)
+            session.face(bearing)
             session.dark()
+            at_deg = angle_deg(bearing, session.config.microsteps_per_turn)
             advice = [] if session.job.hooks.advise is None else list(session.job.hooks.advise())
-            placed = operator.place(PlacementRequest(kind, number, len(asked), advice, session.rig.look))
+            placed = operator.place(PlacementRequest(kind, number, len(asked), at_deg, advice, session.rig.look))
             if session.should_stop():
                 return False
             if not placed:

@@ -87,22 +87,29 @@ def plan_sweep(config: RigConfig) -> tuple[tuple[Target, ...], tuple[str, ...]]:
     return tuple(Target(record, to, turn) for record, (turn, to) in enumerate(each)), tuple(notes)
 
 
-def placement_positions(config: RigConfig) -> tuple[int, ...]:
-    """Positions of the table for each placement of the board [microsteps].
+def placement_positions(config: RigConfig) -> tuple[tuple[int, ...], ...]:
+    """Positions of the table for each placement of the board [microsteps]: its angles around its bearing.
 
     Raises:
         ConfigError: If two angles have the same position, or the table would leave its limits.
     """
-    n = config.microsteps_per_turn
-    positions = tuple(nearest(angle, n) for angle in config.calibration.angles_deg)
-    if len(set(positions)) < len(positions):
+    n, plan = config.microsteps_per_turn, config.calibration
+    bearings = [exactly(plan.bearings_deg[k % len(plan.bearings_deg)]) for k in range(plan.placements)]
+    positions = tuple(tuple(nearest(at + exactly(angle), n) for angle in plan.angles_deg) for at in bearings)
+    if any(len(set(stops)) < len(stops) for stops in positions):
         raise ConfigError("calibration.angles_deg: found two at the same microstep, expected different ones.")
-    _within_limits(config, positions, "calibration")
+    _within_limits(config, [0, *(stop for stops in positions for stop in stops)], "calibration")
     return positions
 
 
+def placement_bearing(config: RigConfig, number: int) -> int:
+    """Where the table points while the board is placed for a placement, counted from 0 [microsteps]."""
+    bearings = config.calibration.bearings_deg
+    return nearest(bearings[number % len(bearings)], config.microsteps_per_turn)
+
+
 def placed_targets(
-    config: RigConfig, positions: Sequence[int]
+    config: RigConfig, positions: Sequence[tuple[int, ...]]
 ) -> tuple[tuple[tuple[Target, ...], ...], tuple[tuple[Target, ...], ...]]:
     """The records of a calibration, grouped by free view and by placement; at each position one for each laser.
 
@@ -115,7 +122,7 @@ def placed_targets(
         stands: The records of each placement.
     """
     plan, record = config.calibration, count()
-    places = [(0,)] * plan.free_views + [tuple(positions)] * plan.placements
+    places = [(0,)] * plan.free_views + list(positions)
     targets = tuple(
         tuple(Target(next(record), to, number) for to in stops for _ in config.laser)
         for number, stops in enumerate(places)

@@ -148,6 +148,11 @@ class Session:
         """Search for home after a placement of the board; `in_place`: the board has not moved since the last record."""
         self._find_home("end of a placement", in_place=in_place)
 
+    def face(self, position: int) -> None:
+        """Turn the table so that somebody can place the board where the camera looks [microsteps]."""
+        if self.rig.at != position:
+            self.rig.approach(position)
+
     def dark(self) -> None:
         """Open the contactor while somebody moves the board."""
         self.rig.dark()

@@ -4,7 +4,7 @@ from jaxscan.api.products.boards import BoardSheets, draw_board, save_board, wri
 from jaxscan.api.products.designs import save_designed_rig
 from jaxscan.api.products.drawings import check_drawing_path, save_drawing
 from jaxscan.api.products.frames import align_cloud
-from jaxscan.api.products.meshes import Texture, mesh_cloud, poisson_mesh, textured_mesh
+from jaxscan.api.products.meshes import Texture, draw_texture, mesh_cloud, poisson_mesh, textured_mesh
 from jaxscan.api.products.photographs import (
     check_panorama_path,
     colour_cloud,
@@ -13,6 +13,7 @@ from jaxscan.api.products.photographs import (
     has_photographs,
     open_photographs,
     panorama_paths,
+    photograph_notes,
     save_panorama,
 )
-from jaxscan.api.products.scans import save_scan
+from jaxscan.api.products.scans import began, save_scan

@@ -10,7 +10,16 @@ from jaxscan.files.capture import Capture
 from jaxscan.geometry import Scanner
 from jaxscan.photographs import colour_points, make_occluder
 from jaxscan.reconstruction import PointCloud, Progress
-from jaxscan.surface import DEFAULT_MESH, Mesh, MeshSettings, coloured_mesh, mesh_grid, texels_of_pixels
+from jaxscan.surface import (
+    DEFAULT_MESH,
+    Colour,
+    Mesh,
+    MeshSettings,
+    coloured_mesh,
+    mesh_grid,
+    texels_of_pixels,
+    texture_any_mesh,
+)
 from jaxscan.surface import poisson_mesh as close_points
 from jaxscan.surface import textured_mesh as draw_on_mesh
 
@@ -63,15 +72,39 @@ def textured_mesh(
     """
     host = jax.tree.map(np.asarray, cloud)
     grid = mesh_grid(host, camera_places(host, scanner), settings)
-    photographs = open_photographs(texture.capture, scanner, progress=texture.progress)
-    occluder = make_occluder(host, scanner)
     if texture.texels is None:
-        texels = texels_of_pixels(grid, float(max(scanner.camera.fx, scanner.camera.fy)))
+        texels = texels_of_pixels(grid, _pixels_per_radian(scanner))
     else:
         texels = (texture.texels, texture.texels)
-    return draw_on_mesh(
-        grid, lambda points, normals: colour_points(photographs, points, normals, occluder=occluder), texels
-    )
+    return draw_on_mesh(grid, _colours(host, scanner, texture), texels)
+
+
+def draw_texture(mesh: Mesh, cloud: PointCloud, scanner: Scanner, texture: Texture) -> Mesh:
+    """A picture on any mesh of a cloud, also one with fewer faces, or one through all points.
+
+    Args:
+        mesh: Made of the cloud.
+        cloud: Points on the grid [m], of one station: what stands before what.
+        scanner: The rig that took it.
+        texture: The images; `texels` means nothing here.
+
+    Raises:
+        CloudError: If the cloud has no grid.
+        CaptureError: If the sweep has no laser-off images, or one cannot be read.
+        CalibrationError: If the calibration is for images of another size.
+    """
+    host = jax.tree.map(np.asarray, cloud)
+    return texture_any_mesh(mesh, _colours(host, scanner, texture), _pixels_per_radian(scanner))
+
+
+def _colours(cloud: PointCloud, scanner: Scanner, texture: Texture) -> Colour:
+    photographs = open_photographs(texture.capture, scanner, progress=texture.progress)
+    occluder = make_occluder(cloud, scanner)
+    return lambda points, normals: colour_points(photographs, points, normals, occluder=occluder)
+
+
+def _pixels_per_radian(scanner: Scanner) -> float:
+    return float(max(scanner.camera.fx, scanner.camera.fy))
 
 
 def poisson_mesh(cloud: PointCloud) -> Mesh:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,8 +18,10 @@ from jaxscan.photographs import (
     Photographs,
     Projection,
     as_rgb,
+    choose_evenly,
     colour_points,
     describe_cameras,
+    enough_photographs,
     ideal_camera,
     is_describable,
     make_occluder,
@@ -32,8 +34,6 @@ from jaxscan.reconstruction import PointCloud, Progress
 
 ENOUGH = 4
 """Photographs by which a sweep is coloured, at the least."""
-MOST = 180
-"""Photographs that are looked at. More, evenly spread over a turn, change a colour by less than its rounding."""
 SUFFIXES = (".jpg", ".jpeg", ".png")
 DEPTH_UNIT = "Distance from the scanner's origin in millimetres, 16 bit; 0 where it is unknown."
 NORMAL_UNIT = "Normals in the scanner's frame: red, green and blue are 127.5 (1 + x, y, z); 128 128 128 where unknown."
@@ -49,18 +49,22 @@ class CapturedPhotographs:
     progress: Progress = None
 
     def __iter__(self) -> Iterator[Photograph]:
+        return self.where(lambda angle: True)
+
+    def where(self, wanted: Callable[[float], bool]) -> Iterator[Photograph]:
+        """Those whose angle is wanted; the others are not read."""
         angles = self.capture.angles
         for done, record in enumerate(self.records):
-            frame = self.capture.off_frame(record)
-            if frame is None:
-                raise CaptureError(
-                    f"{self.capture.path}: record {self.capture.records[record].i} has no laser-off image."
-                )
-            if len(self.capture.exposures) > 1:
-                frame = frame[-1]
-            yield Photograph(float(angles[record]), as_rgb(frame, self.capture.pixel_format))
+            if wanted(float(angles[record])):
+                yield Photograph(float(angles[record]), self._image(record))
             if self.progress is not None:
                 self.progress(done + 1, len(self.records))
+
+    def _image(self, record: int) -> np.ndarray:
+        frame = self.capture.off_frame(record)
+        if frame is None:
+            raise CaptureError(f"{self.capture.path}: record {self.capture.records[record].i} has no laser-off image.")
+        return as_rgb(frame if len(self.capture.exposures) == 1 else frame[-1], self.capture.pixel_format)
 
 
 def has_photographs(capture: Capture) -> bool:
@@ -68,13 +72,26 @@ def has_photographs(capture: Capture) -> bool:
     return len(capture) >= ENOUGH and all(record.off for record in capture.records)
 
 
-def open_photographs(capture: Capture, scanner: Scanner, *, most: int = MOST, progress: Progress = None) -> Photographs:
-    """The laser-off images of a sweep, evenly spread over it.
+def chosen_photographs(capture: Capture, scanner: Scanner) -> tuple[int, ...]:
+    """Records whose laser-off images are looked at: all, or so many evenly spread over the sweep as suffice."""
+    period = 2 * np.pi if scanner.turntable.carries in ("scanner", "object") else None
+    return tuple(choose_evenly(capture.angles, enough_photographs(scanner), period=period).tolist())
+
+
+def photograph_notes(capture: Capture, scanner: Scanner) -> list[str]:
+    """What a user should know about the choice of photographs; nothing where all are looked at."""
+    chosen = len(chosen_photographs(capture, scanner))
+    if chosen == len(capture):
+        return []
+    return [f"{chosen} of {len(capture)} laser-off images are looked at, evenly spread over the sweep; they overlap."]
+
+
+def open_photographs(capture: Capture, scanner: Scanner, *, progress: Progress = None) -> Photographs:
+    """The laser-off images of a sweep: all, or so many evenly spread over its way as suffice.
 
     Args:
         capture: The sweep.
         scanner: The calibrated rig.
-        most: So many at the most.
         progress: Called with (images read, images in all).
 
     Raises:
@@ -89,9 +106,7 @@ def open_photographs(capture: Capture, scanner: Scanner, *, most: int = MOST, pr
             f"{capture.path}: has images of {capture.image_size[0]} x {capture.image_size[1]} px, but the calibration "
             f"is for {size[0]} x {size[1]} px."
         )
-    count = min(most, len(capture))
-    records = tuple(int(k) for k in np.arange(count) * len(capture) // count)
-    return Photographs(scanner, CapturedPhotographs(capture, records, progress))
+    return Photographs(scanner, CapturedPhotographs(capture, chosen_photographs(capture, scanner), progress))
 
 
 def colour_cloud(cloud: PointCloud, capture: Capture, scanner: Scanner, *, progress: Progress = None) -> PointCloud:

@@ -47,7 +47,7 @@ class PageOperator:
             return False
         self.placing = request
         self.before(request)
-        asked = {"kind": request.kind, "number": request.number, "total": request.total}
+        asked = {"kind": request.kind, "number": request.number, "total": request.total, "at_deg": request.at_deg}
         if self.command is not None:
             self._slate.write(doing="boards", placing=asked)
             return self.command.place(request)

@@ -2,6 +2,7 @@
 
 import json
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,8 @@ from jaxscan import api
 from jaxscan.cli.console.orders import NAME
 from jaxscan.cli.console.slate import MOST_POINTS, pack_points
 from jaxscan.errors import CaptureError, JaxscanError, OutputError
-from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, Capture
+from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, Capture, journal_objects, read_texts
+from jaxscan.report import words
 from jaxscan.vision import encode_jpeg, to_grey
 
 
@@ -49,6 +51,17 @@ class Captures:
         """The calibration that is made of a capture."""
         return self.path(name).with_name(name + ".json")
 
+    def newest_calibration(self) -> Path | None:
+        """The calibration of the newest capture of the board that has one which may be used."""
+        for one in self.listed():
+            file = self.calibration(one["name"])
+            if one["kind"] != "calibration" or not os.path.isfile(file):
+                continue
+            with suppress(JaxscanError):
+                if words.headline(api.load_calibration(file)).kind == "good":
+                    return file
+        return None
+
     def listed(self) -> list[dict[str, Any]]:
         """What is known of each capture, the newest first."""
         found = []
@@ -66,8 +79,12 @@ class Captures:
         try:
             capture = api.open_capture(self.path(name))
         except JaxscanError as problem:
-            return {"name": name, "kind": "", "records": 0, "problem": " ".join(str(problem).split())}
-        return {"name": name, "kind": capture.header.kind, "records": len(capture), "problem": ""}
+            problem_line = " ".join(str(problem).split())
+            return {"name": name, "kind": "", "records": 0, "complete": False, "problem": problem_line}
+        *_, (_, last) = journal_objects(read_texts(self.path(name)).journal_bytes)
+        complete = last.get("event") == "end" and last.get("status") == "complete"
+        about = {"kind": capture.header.kind, "records": len(capture), "complete": complete, "problem": ""}
+        return {"name": name} | about
 
     def photograph(self, name: str, index: int, *, lit: bool, small: bool) -> bytes:
         """A picture of a record as JPEG.

@@ -35,7 +35,8 @@ def console(
     Args:
         config: Configuration of the rig and of the scan (`jaxscan init scan.toml` writes one).
         captures: Folder in which captures, calibrations and clouds are kept.
-        calibration: Calibration of the rig; with it the cloud grows during the scan.
+        calibration: Calibration of the rig; with it the cloud grows during the scan. Without it that of the newest
+            capture of the board in the folder, if it is good.
         port: Serial port instead of the port in the configuration; "auto" takes the only controller there is.
         place_command: Command that places the board; the number of the pose is appended to it.
         host: Name or number of this machine at which the page is served. Other machines need the token that is printed.
@@ -65,6 +66,8 @@ def console(
 
         jaxscan.load_scanner(calibration)
     out = console_of(json)
+    folder = Captures(captures)
+    calibration = calibration or folder.newest_calibration()
     address = open_address(host, web_port, option="--web-port")
     slate = Slate(
         config=str(config),
@@ -83,7 +86,7 @@ def console(
     )
     with ExitStack() as stack:
         works = stack.enter_context(Works(slate))
-        desk = Desk(Chosen(config, port, place_command), slate, Captures(captures), out)
+        desk = Desk(Chosen(config, port, place_command), slate, folder, out)
         sessions = Sessions(desk, works, calibration)
         sessions.list()
         stack.enter_context(Server(make_site(address, desk, sessions), address))

@@ -106,7 +106,7 @@ class Sessions:
 
         def try_calibration(request: "PlacementRequest") -> None:
             if request.kind == "placement" and request.number >= _ENOUGH_PLACEMENTS and not self._works.busy:
-                self.calibrate(order.name)
+                self.calibrate(order.name, "the poses so far")
 
         operator.before = try_calibration
         desk.operator = operator
@@ -122,8 +122,13 @@ class Sessions:
             self.calibrate(order.name)
         return str(result.message)
 
-    def calibrate(self, name: str) -> None:
-        """Calibrate from a capture of the board; a good calibration is used from then on."""
+    def calibrate(self, name: str, of: str = "") -> None:
+        """Calibrate from a capture of the board; a good calibration is used from then on.
+
+        Args:
+            name: The capture.
+            of: Of which part of it, as pages name it.
+        """
         file = self._captures.calibration(name)
 
         def then(well: bool, result: dict[str, Any]) -> None:
@@ -135,7 +140,7 @@ class Sessions:
             self.list()
 
         words = ["calibrate", str(self._captures.path(name)), "-o", str(file)]
-        self._works.begin(Work(f"calibrate {name}", words, then))
+        self._works.begin(Work(f"calibrate {name}" + (f", {of}" if of else ""), words, then))
 
     def reconstruct(self, name: str) -> None:
         """Make the cloud of a sweep.

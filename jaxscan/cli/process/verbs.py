@@ -24,6 +24,7 @@ VERBS = {
     "reconstruct": "Reconstruct a sweep: `jaxscan reconstruct captures/room -c calibration.json -o room.ply`.",
     "scan": "Scan with a rig: `jaxscan scan scan.toml -o captures/room`.",
     "console": "Scan from a web page: `jaxscan console scan.toml`.",
+    "view": "Look around in clouds: `jaxscan view room.ply -c calibration.json`.",
     "panorama": "Draw the room all around: `jaxscan panorama captures/room -c calibration.json -o room.jpg`.",
     "mesh": "Make a mesh of a cloud: `jaxscan mesh room.ply -o room.glb`.",
     "measure": "Measure a cloud: room, distance, plane, sphere and others (`jaxscan measure --help`).",
@@ -64,6 +65,7 @@ _ROOMS = {
     "recalibrate": "recalibration.recalibrate",
     "panorama": "products.panorama",
     "mesh": "products.mesh",
+    "view": "products.view",
 }
 """Modules of the verbs that are in rooms of their own."""
 

@@ -12,7 +12,9 @@ from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import OptionError
-from jaxscan.surface import DEFAULT_MESH, MeshSettings
+from jaxscan.geometry import Scanner
+from jaxscan.reconstruction import PointCloud
+from jaxscan.surface import DEFAULT_MESH, Mesh, MeshSettings
 
 
 _TARGET = "Mesh to write; the suffix chooses the format (.glb .obj .ply .stl)."
@@ -61,10 +63,9 @@ def mesh(
     textured = texture is not None
     if textured and calibration is None:
         raise OptionError("--texture: needs the calibration of its camera; name it with -c.")
-    if textured and (faces is not None or poisson):
-        raise OptionError(
-            f"--texture: found with {'--poisson' if poisson else '--faces'}, expected without: the grid is its chart."
-        )
+    if texels is not None and (faces is not None or poisson):
+        other = "--poisson" if poisson else "--faces"
+        raise OptionError(f"--texels: found with {other}, expected without: there are no cells of the grid.")
     written = api.mesh_paths(output, textured=textured)
     check_paths(
         reads=[
@@ -81,16 +82,19 @@ def mesh(
     scanner = None if calibration is None else api.load_scanner(calibration)
     out = console(json)
     start = time.perf_counter()
-    if poisson:
-        made = api.poisson_mesh(points)
-    elif texture is not None and scanner is not None:
-        with progress_bar("Drawing the texture") as progress:
-            drawn = api.Texture(api.open_capture(texture), texels, progress)
-            made = api.textured_mesh(points, scanner, drawn, settings=settings)
+    if texture is None or scanner is None:
+        made = _mesh_of(points, scanner, settings, faces=faces, poisson=poisson)
     else:
-        made = api.mesh_cloud(points, scanner=scanner, settings=settings)
-    if faces is not None:
-        made = api.simplify_mesh(made, faces)
+        sweep = api.open_capture(texture)
+        for note in api.photograph_notes(sweep, scanner):
+            out.print(f"note: {note}")
+        with progress_bar("Drawing the texture") as progress:
+            drawn = api.Texture(sweep, texels, progress)
+            if faces is None and not poisson:
+                made = api.textured_mesh(points, scanner, drawn, settings=settings)
+            else:
+                plain = _mesh_of(points, scanner, settings, faces=faces, poisson=poisson)
+                made = api.draw_texture(plain, points, scanner, drawn)
     seconds = time.perf_counter() - start
     api.save_mesh(made, output)
     out.print(f"{len(made.faces)} faces on {len(made.vertices)} vertices in {seconds:.1f} s")
@@ -105,3 +109,11 @@ def mesh(
         "texture_px": None if made.texture is None else [made.texture.shape[1], made.texture.shape[0]],
     }
     emit_json(json, "mesh", result)
+
+
+def _mesh_of(
+    points: PointCloud, scanner: Scanner | None, settings: MeshSettings, *, faces: int | None, poisson: bool
+) -> Mesh:
+    """A mesh without a texture."""
+    made = api.poisson_mesh(points) if poisson else api.mesh_cloud(points, scanner=scanner, settings=settings)
+    return made if faces is None else api.simplify_mesh(made, faces)

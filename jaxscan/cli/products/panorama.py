@@ -35,6 +35,7 @@ def panorama(
     width: int | None = None,
     transforms: Path | None = None,
     undistort: bool = False,
+    photographs: bool = False,
     json: JsonTarget = None,
 ) -> None:
     """Draw the room all around: `jaxscan panorama captures/room -c calibration.json -o room.jpg`.
@@ -48,6 +49,7 @@ def panorama(
         width: Width of the whole turn [px]; the camera's own resolution if not given.
         transforms: Folder for the photographs with their poses in `transforms.json`, for programs such as nerfstudio.
         undistort: Write those photographs without the distortion of the lens.
+        photographs: Put the single photographs into the .e57 too, without distortion and with their poses.
         json: Write the result as JSON too.
     """
     if output is None and transforms is None:
@@ -58,6 +60,8 @@ def panorama(
     scan = output is not None and output.suffix.lower() == ".e57"
     if scan and (cloud is None or projection != "equirectangular"):
         raise OptionError("--output: an .e57 holds a cloud with its equirectangular panorama; name the cloud: --cloud.")
+    if photographs and not scan:
+        raise OptionError("--photographs: go into an .e57 only; name one with -o, or take --transforms.")
     with_cloud = cloud is not None and not scan
     pictures = [] if output is None else api.panorama_paths(output, with_cloud=with_cloud)
     check_paths(
@@ -79,7 +83,7 @@ def panorama(
     check_json(json)
     sweep, scanner = api.open_capture(capture), api.load_scanner(calibration)
     out = console(json)
-    notes = [*calibration_notes(calibration), *sweep.notes]
+    notes = [*calibration_notes(calibration), *sweep.notes, *api.photograph_notes(sweep, scanner)]
     for note in notes:
         out.print(f"note: {note}")
     result: dict[str, Any] = {"notes": notes}
@@ -94,7 +98,11 @@ def panorama(
                 width=width,
                 progress=progress,
             )
-        files = [api.save_scan(stored, drawn, output)] if scan and stored else api.save_panorama(drawn, output)
+        if scan and stored is not None:
+            single = api.open_photographs(sweep, scanner) if photographs else None
+            files = [api.save_scan(stored, drawn, output, photographs=single, started_s=api.began(sweep))]
+        else:
+            files = api.save_panorama(drawn, output)
         written = [str(path) for path in files]
         out.print(f"written: {', '.join(written)} ({drawn.frame.width} x {drawn.frame.height} px)")
         result |= {"pictures": written, "width_px": drawn.frame.width, "height_px": drawn.frame.height}

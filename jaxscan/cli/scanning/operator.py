@@ -87,8 +87,9 @@ class TerminalOperator:
             return False
         self.placing = request
         place = "Pose" if request.kind == "free" else "Standing place"
+        at = f", the table at {request.at_deg:g}°" if request.at_deg else ""
         self._console.print("")
-        self._console.print(f"{place} {request.number + 1} of {request.total}")
+        self._console.print(f"{place} {request.number + 1} of {request.total}{at}")
         for sentence in self._guide.advice(request.kind):
             self._console.print(f"  → {sentence}")
         while True:

@@ -45,13 +45,13 @@ class ScanPlan(NamedTuple):
             step = abs(rig.sweep.turn_deg) / rig.sweep.steps
             steps = f"{rig.sweep.steps * rig.sweep.turns} steps of {step:.4g}°{_each(rig)}"
             return cls(len(targets), steps, needed.seconds, needed.bytes, notes)
-        positions, views = placement_positions(rig), rig.calibration
-        free, stands = placed_targets(rig, positions)
+        views = rig.calibration
+        free, stands = placed_targets(rig, placement_positions(rig))
         records = [target.position for one in (*free, *stands) for target in one]
         needed = estimate(rig, records)
         places = (
             f"{views.free_views} poses of the board, then {views.placements} places where it stands while the table "
-            f"turns to {len(positions)} angles{_each(rig)}"
+            f"turns to {len(views.angles_deg)} angles{_each(rig)}"
         )
         return cls(len(records), places, needed.seconds, needed.bytes)
 

@@ -195,17 +195,20 @@ def _finish_cloud(
     with progress_bar("Finishing the cloud") as progress:
         done = live.finish(progress)
     sweep, points = api.open_capture(capture), done.cloud
+    notes = list(done.notes)
     if api.has_photographs(sweep):
+        scanner = api.load_scanner(calibration)
+        notes += api.photograph_notes(sweep, scanner)
         with progress_bar("Colouring from photographs") as progress:
-            points = api.colour_cloud(points, sweep, api.load_scanner(calibration), progress=progress)
-    for note in done.notes:
+            points = api.colour_cloud(points, sweep, scanner, progress=progress)
+    for note in notes:
         out.print(f"note: {note}")
     if done.noise:
         out.print(f"noise: {done.noise}")
     jaxscan.save_cloud(points, cloud, calibration_digest=calibration_digest(calibration))
     count = int(np.count_nonzero(points.valid))
     out.print(f"{count} points, written: {cloud}")
-    return {"cloud": str(cloud), "points": count, "live": done.live, "notes": done.notes, "noise": done.noise}
+    return {"cloud": str(cloud), "points": count, "live": done.live, "notes": notes, "noise": done.noise}
 
 
 def _as_json(result: "SessionResult") -> dict[str, Any]:

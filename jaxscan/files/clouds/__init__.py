@@ -8,8 +8,8 @@ from jaxscan.files.clouds.clouds import (
     load_cloud,
     read_cloud,
     save_cloud,
-    save_cloud_with_picture,
+    save_cloud_with_pictures,
     save_clouds,
 )
-from jaxscan.files.clouds.e57 import RoundPicture
+from jaxscan.files.clouds.e57 import FlatPicture, RoundPicture, Surroundings
 from jaxscan.files.clouds.placing import Unit, Up, in_metres, shifted, with_z_up

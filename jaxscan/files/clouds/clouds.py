@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds.about import About, StoredCloud
-from jaxscan.files.clouds.e57 import RoundPicture, read_e57, write_e57
+from jaxscan.files.clouds.e57 import Surroundings, read_e57, write_e57
 from jaxscan.files.clouds.las import read_las, write_las
 from jaxscan.files.clouds.npz import read_npz, write_npz
 from jaxscan.files.clouds.pcd import read_pcd, write_pcd
@@ -81,12 +81,12 @@ def save_cloud(cloud: PointCloud, path: str | Path, *, calibration_digest: str =
     write_atomically(path, lambda part: writer(host, part, about), error=CloudError)
 
 
-def save_cloud_with_picture(stored: StoredCloud, picture: RoundPicture, path: Path) -> None:
+def save_cloud_with_pictures(stored: StoredCloud, around: Surroundings, path: Path) -> None:
     """Write the cloud of one station, and what is seen around it, as one E57.
 
     Args:
         stored: The cloud [m], with what its file says of it.
-        picture: As seen from the scanner's origin.
+        around: What is seen from there, and when it was.
         path: Its suffix is .e57. An existing file is replaced when the new one is complete.
 
     Raises:
@@ -96,7 +96,7 @@ def save_cloud_with_picture(stored: StoredCloud, picture: RoundPicture, path: Pa
     check_cloud_path(path)
     host = jax.tree.map(np.asarray, stored.cloud)
     check_cloud(host, str(path))
-    write_atomically(path, lambda part: write_e57(host, part, stored.about, picture), error=CloudError)
+    write_atomically(path, lambda part: write_e57(host, part, stored.about, around), error=CloudError)
 
 
 def save_clouds(

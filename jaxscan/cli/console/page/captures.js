@@ -21,7 +21,7 @@ function card(capture, state, operates, cloud) {
     image.loading = "lazy";
     item.append(image);
   }
-  item.append(make("strong", capture.name), make("div", capture.problem || `${capture.kind}, ${capture.records} records`, capture.problem ? "wrong" : "quiet"));
+  item.append(make("strong", capture.name), make("div", capture.problem || `${capture.kind}, ${capture.records} records${capture.complete ? "" : ", not complete"}`, capture.problem ? "wrong" : "quiet"));
   const button = (text, work, enabled = true) => {
     const made = make("button", text);
     made.disabled = !enabled;
@@ -33,7 +33,7 @@ function card(capture, state, operates, cloud) {
   if (capture.kind === "sweep") button("Reconstruct", () => order("reconstruct", { name: capture.name }), operates && Boolean(state.calibration));
   if (capture.cloud) button("Show cloud", () => showCloud(capture.name, cloud));
   if (capture.cloud && chosen !== capture.name) button(chosen ? `Compare with ${chosen}` : "Compare …", () => compare(capture.name, state, operates, cloud), operates);
-  if (capture.kind && operates && state.doing === "nothing") {
+  if (capture.kind && !capture.complete && operates && state.doing === "nothing") {
     button("Go on", () => order(capture.kind === "sweep" ? "sweep" : "boards", { name: capture.name, resume: true }));
   }
   return item;

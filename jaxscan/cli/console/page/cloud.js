@@ -4,13 +4,14 @@ void main() { gl_Position = view * vec4(place, 1.0); gl_PointSize = clamp(size /
 const FRAGMENT = "precision mediump float; varying vec3 shown; void main() { gl_FragColor = vec4(shown, 1.0); }";
 
 export class Cloud {
-  constructor(canvas, missing, count) {
-    this.canvas = canvas; this.count = count;
+  constructor(canvas, missing, count, empty) {
+    this.canvas = canvas; this.count = count; this.empty = empty;
     this.gl = canvas.getContext("webgl", { antialias: false, preserveDrawingBuffer: true });
     missing.hidden = Boolean(this.gl);
     canvas.hidden = !this.gl;
     this.turn = 0.6; this.tilt = 0.5; this.away = 9; this.number = 0; this.chunks = []; this.points = 0;
     if (this.gl) { this.prepare(); this.listen(); this.draw(); }
+    this.tell();
   }
 
   prepare() {
@@ -45,7 +46,7 @@ export class Cloud {
     this.later();
   }
 
-  tell() { this.count.textContent = this.points ? `${this.points.toLocaleString("en")} points shown` : ""; }
+  tell() { this.empty.hidden = !this.gl || this.points > 0; this.count.textContent = this.points ? `${this.points.toLocaleString("en")} points shown` : ""; }
 
   listen() {
     const canvas = this.canvas;

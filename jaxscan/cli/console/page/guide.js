@@ -7,8 +7,8 @@ export function showGuide(state) {
   const guide = state.guide, shown = Boolean(guide) && Boolean(state.placing);
   at("guide").hidden = !shown;
   if (!shown) return;
-  const { kind, number, total } = state.placing;
-  at("pose-number").textContent = `${kind === "free" ? "pose" : "standing place"} ${number + 1} of ${total}`;
+  const { kind, number, total, at_deg: turned } = state.placing;
+  at("pose-number").textContent = `${kind === "free" ? "pose" : "standing place"} ${number + 1} of ${total}${turned ? `, the table at ${turned.toFixed(0)}°` : ""}`;
   at("placing").hidden = state.doing !== "placing";
   fill(at("advice"), guide.advice.map((text) => make("li", text)));
   const pose = guide.pose;

@@ -6,6 +6,7 @@ export async function showPicture(blob, state) {
   const next = await createImageBitmap(blob);
   bitmap?.close();
   bitmap = next;
+  document.getElementById("no-picture").hidden = true;
   draw(state);
 }
 

@@ -7,7 +7,7 @@ import { showCaptures } from "/captures.js";
 
 const PICTURE = 1, CLOUD = 2;
 const WORDS = { nothing: "ready", opening: "opening the rig …", aim: "looking", sweep: "scanning", boards: "capturing the board", placing: "place the board" };
-const cloud = new Cloud(at("cloud"), at("no-webgl"), at("points"));
+const cloud = new Cloud(at("cloud"), at("no-webgl"), at("points"), at("no-points"));
 let socket = null, state = {}, you = { operates: false, pages: 0 }, again = 0;
 
 // Kept over a reload, so that this page is the same one afterwards.
@@ -56,6 +56,14 @@ function duration(seconds) {
 
 const size = (bytes) => (bytes >= 1e9 ? `${(bytes / 1e9).toFixed(1)} GB` : `${(bytes / 1e6).toFixed(1)} MB`);
 
+// What to do next, where nothing is done.
+function next() {
+  if (state.doing !== "nothing" || !you.operates) return "";
+  if (state.captures.some((capture) => capture.cloud)) return "";
+  if (!state.calibration) return state.has_board ? "First Look, until the line is bright and sharp; then Calibrate with the board." : "First Look, until the line is bright and sharp; then Scan.";
+  return "Take the board out of the room; then Scan.";
+}
+
 function show() {
   const busy = state.doing !== "nothing", running = busy && state.doing !== "aim", operates = you.operates;
   at("config").textContent = state.config;
@@ -66,6 +74,7 @@ function show() {
   at("take-over").hidden = operates;
   say("problem", state.problem);
   say("ended", state.ended);
+  at("next").textContent = next();
   at("estop").hidden = !state.estop;
   for (const id of ["aim", "boards", "sweep"]) at(id).disabled = !operates || running || (id === "aim" && busy);
   at("boards").disabled ||= !state.has_board;

@@ -12,7 +12,7 @@ import numpy as np
 from jaxscan.files.clouds.about import About, header_lines
 from jaxscan.files.clouds.crs import wkt_of
 from jaxscan.files.clouds.e57.library import COLUMNS, NORMALS_URI, OWN, OWN_URI, load_libe57
-from jaxscan.files.clouds.e57.pictures import RoundPicture, append_picture
+from jaxscan.files.clouds.e57.pictures import Surroundings, append_panorama, append_photograph
 from jaxscan.files.clouds.points import columns, smoothed_names
 from jaxscan.files.clouds.stations import covariance_text, quaternion
 from jaxscan.reconstruction import PointCloud, of_station
@@ -26,13 +26,13 @@ _GPS_EPOCH_S, _LEAP_S = 315964800, 18
 """GPS time counts from 1980-01-06 without leap seconds."""
 
 
-def write_e57(cloud: PointCloud, path: Path, about: About, picture: RoundPicture | None = None) -> None:
+def write_e57(cloud: PointCloud, path: Path, about: About, around: Surroundings | None = None) -> None:
     """Write one scan for each station: metres, pose, row and column index, colour, intensity [DN], normals.
 
     The column is the profile of the station, the row the line. Points are in the station's own frame; the pose of the
     scan carries them into that of the room, and its description holds digest and covariance. Coordinates are float32,
-    or float64 where the cloud holds it; intensity is float32. Sigmas, laser, angle and record are an extension. A
-    picture belongs to the first scan.
+    or float64 where the cloud holds it; intensity is float32. Sigmas, laser, angle and record are an extension.
+    What is around belongs to the first scan.
 
     Raises:
         CloudError: If the EPSG code is none in metres.
@@ -46,10 +46,27 @@ def write_e57(cloud: PointCloud, path: Path, about: About, picture: RoundPicture
             scans = _begin(e57, image, frame)
             for scan in _scans(cloud, about):
                 _write_scan(e57, image, scans, scan)
-            if picture is not None:
-                append_picture(e57, image, picture, scans[0])
+            if around is not None:
+                _add_surroundings(e57, image, around, cloud)
     except e57.E57Exception as problem:
         raise OSError(str(problem).splitlines()[0]) from problem
+
+
+def _add_surroundings(e57: Any, image: Any, around: Surroundings, cloud: PointCloud) -> None:
+    scan = image.root()["data3D"][0]
+    pose = np.eye(4) if cloud.stations is None else np.asarray(cloud.stations.pose, np.float64)[0]
+    if around.started_s is not None:
+        scan.set("acquisitionStart", _moment(e57, image, around.started_s))
+    append_panorama(e57, image, around.panorama, scan)
+    for number, photograph in enumerate(around.photographs):
+        append_photograph(e57, image, photograph, scan, number=number, T_file_scan=pose)
+
+
+def _moment(e57: Any, image: Any, unix_s: float) -> Any:
+    node = e57.StructureNode(image)
+    node.set("dateTimeValue", e57.FloatNode(image, unix_s - _GPS_EPOCH_S + _LEAP_S))
+    node.set("isAtomicClockReferenced", e57.IntegerNode(image, 0))
+    return node
 
 
 class _Scan(NamedTuple):
@@ -67,10 +84,7 @@ def _begin(e57: Any, image: Any, frame: str) -> Any:
     """The head of the file; returns the list of scans."""
     for prefix, uri in (("", e57.E57_V1_0_URI), ("nor", NORMALS_URI), (OWN.rstrip(":"), OWN_URI)):
         image.extensionsAdd(prefix, uri)
-    root, created = image.root(), e57.StructureNode(image)
-    created.set("dateTimeValue", e57.FloatNode(image, time.time() - _GPS_EPOCH_S + _LEAP_S))
-    created.set("isAtomicClockReferenced", e57.IntegerNode(image, 0))
-    scans = e57.VectorNode(image, True)
+    root, scans = image.root(), e57.VectorNode(image, True)
     for key, node in {
         "formatName": e57.StringNode(image, "ASTM E57 3D Imaging Data File"),
         "guid": e57.StringNode(image, f"{{{uuid.uuid4()}}}"),
@@ -78,7 +92,7 @@ def _begin(e57: Any, image: Any, frame: str) -> Any:
         "versionMinor": e57.IntegerNode(image, e57.E57_FORMAT_MINOR),
         "e57LibraryVersion": e57.StringNode(image, e57.E57_LIBRARY_ID),
         "coordinateMetadata": e57.StringNode(image, frame),
-        "creationDateTime": created,
+        "creationDateTime": _moment(e57, image, time.time()),
         "data3D": scans,
         "images2D": e57.VectorNode(image, True),
     }.items():

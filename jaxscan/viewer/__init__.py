@@ -1,0 +1,3 @@
+"""Clouds in a browser: levels of detail, colours, sections, and measurements by a click."""
+
+from jaxscan.viewer.site import Named, serve_clouds

@@ -1,0 +1,158 @@
+"""What was picked and measured, with the uncertainties that `jaxscan measure` gives."""
+
+import csv
+import io
+import json
+import shlex
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from jaxscan.errors import MeasurementError
+from jaxscan.geometry import Scanner
+from jaxscan.measurement import (
+    PlaneMeasurement,
+    length_words,
+    measure_distance,
+    measure_plane,
+    measure_room,
+)
+from jaxscan.viewer.shown import ShownCloud
+
+
+Kind = Literal["point", "distance", "flatness", "room"]
+DISTANCE_RADIUS_M = 0.02
+PLANE_RADIUS_M = 0.2
+"""As of `jaxscan measure`."""
+_DECIMALS = 4
+"""Of picked coordinates [m], so that what is listed is what was measured."""
+_LEAST = 4
+_FORMULA = ("=", "+", "-", "@")
+_COLUMNS = ("kind", "cloud", "x1_m", "y1_m", "z1_m", "x2_m", "y2_m", "z2_m", "value_m", "sigma_m", "words")
+
+
+class Measured(NamedTuple):
+    """One measurement."""
+
+    kind: Kind
+    cloud: str
+    at: np.ndarray
+    """The picked places [k, 3], m, in the cloud's frame."""
+    value_m: float
+    sigma_m: float
+    words: tuple[str, ...]
+    """As `jaxscan measure` prints it."""
+    plane: PlaneMeasurement | None = None
+    turned: bool = False
+    """Whether the axes are not those of the cloud's file."""
+
+    def command(self) -> str:
+        """The command that measures the same; "" if there is none."""
+        if self.turned and len(self.at):
+            return ""
+        file = shlex.quote(self.cloud)
+        places = [" ".join(f"{x:.{_DECIMALS}f}" for x in place) for place in self.at]
+        match self.kind:
+            case "distance":
+                return f"jaxscan measure distance {file} --a {places[0]} --b {places[1]}"
+            case "flatness":
+                return f"jaxscan measure plane {file} --at {places[0]}"
+            case "room":
+                return f"jaxscan measure room {file}"
+            case _:
+                return ""
+
+
+def rounded(place: np.ndarray) -> np.ndarray:
+    """A picked place as it is listed."""
+    return np.round(np.asarray(place, np.float64), _DECIMALS)
+
+
+def measure_point(shown: ShownCloud, index: int) -> Measured:
+    """A point, and its uncertainty along the ray.
+
+    Args:
+        shown: The cloud.
+        index: Of its points, in the order in which they are shown.
+    """
+    cell = np.unravel_index(int(shown.cells[index]), shown.cloud.valid.shape)
+    place = np.asarray(shown.cloud.xyz[cell], np.float64)
+    sigma = float(np.hypot(shown.cloud.sigma_random[cell], shown.cloud.sigma_systematic[cell]))
+    said = " ".join(f"{x:.{_DECIMALS}f}" for x in place) + " m"
+    words = f"{said}, sigma {1e3 * sigma:.2f} mm along the ray" if sigma else f"{said}, sigma unknown"
+    return Measured("point", shown.name, rounded(place)[None], 0.0, sigma, (words,))
+
+
+def measure_between(shown: ShownCloud, a: np.ndarray, b: np.ndarray, scanner: Scanner | None) -> Measured:
+    """Distance of two places, and of their planes; as `jaxscan measure distance`.
+
+    Raises:
+        MeasurementError: If it cannot be measured there.
+    """
+    at = np.stack([rounded(a), rounded(b)])
+    near = shown.around(at, DISTANCE_RADIUS_M, _LEAST)
+    found = measure_distance(near, at[0], at[1], radius_m=DISTANCE_RADIUS_M, scanner=scanner)
+    return Measured("distance", shown.name, at, found.value_m, found.sigma_m, _finite(found.words()), None, shown.turned)
+
+
+def measure_flatness(shown: ShownCloud, place: np.ndarray) -> Measured:
+    """How flat a place is; as `jaxscan measure plane`.
+
+    Raises:
+        MeasurementError: If there is no plane.
+    """
+    at = rounded(place)[None]
+    found = measure_plane(shown.around(at, PLANE_RADIUS_M, _LEAST), at[0], radius_m=PLANE_RADIUS_M)
+    return Measured("flatness", shown.name, at, found.rms_m, 0.0, _finite((found.words(),)), found, shown.turned)
+
+
+def measure_sides(shown: ShownCloud, scanner: Scanner | None) -> tuple[Measured, ...]:
+    """Length, width and height of the room; as `jaxscan measure room`.
+
+    Raises:
+        MeasurementError: If it has no walls.
+    """
+    box = measure_room(shown.cloud, scanner=scanner)
+    sides = {name: getattr(box, name) for name in ("length", "width", "height")}
+    none = np.zeros((0, 3))
+    return tuple(
+        Measured("room", shown.name, none, s.value_m, s.sigma_m, (f"{name} {length_words(s.value_m, s.sigma_m)}",))
+        for name, s in sides.items()
+        if s is not None
+    )
+
+
+def as_csv(measured: list[Measured]) -> bytes:
+    """The list as a table, UTF-8."""
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(_COLUMNS)
+    for one in measured:
+        places = [f"{x:.{_DECIMALS}f}" for x in one.at.reshape(-1)] + [""] * (6 - one.at.size)
+        # A table program would take such a name for a formula.
+        name = f"'{one.cloud}" if one.cloud.startswith(_FORMULA) else one.cloud
+        writer.writerow([one.kind, name, *places, f"{one.value_m:.6f}", f"{one.sigma_m:.6f}", "; ".join(one.words)])
+    return text.getvalue().encode()
+
+
+def as_json(measured: list[Measured]) -> bytes:
+    """The list as JSON, UTF-8."""
+    rows: list[dict[str, Any]] = [
+        {
+            "kind": one.kind,
+            "cloud": one.cloud,
+            "at_m": one.at.tolist(),
+            "value_m": one.value_m,
+            "sigma_m": one.sigma_m,
+            "words": list(one.words),
+            "command": one.command(),
+        }
+        for one in measured
+    ]
+    return json.dumps({"format": "jaxscan-measurements/1", "measured": rows}, indent=2, allow_nan=False).encode()
+
+
+def _finite(words: tuple[str, ...]) -> tuple[str, ...]:
+    if any("nan" in line or "inf" in line for line in words):
+        raise MeasurementError("the points do not determine it; pick other places.")
+    return words

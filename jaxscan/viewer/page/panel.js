@@ -1,0 +1,56 @@
+// The panel: choices, and the list of what was measured. All text is text, never markup.
+export const at = (id) => document.getElementById(id);
+
+export function make(tag, text = "", kind = "") {
+  const made = document.createElement(tag);
+  made.textContent = text;
+  if (kind) made.className = kind;
+  return made;
+}
+
+const ASKS = {
+  point: "Click a point.",
+  distance: "Click two places: each is averaged over 20 mm, as jaxscan measure distance does.",
+  flatness: "Click a flat place: its plane within 200 mm, as jaxscan measure plane does.",
+};
+
+export function showState(state) {
+  for (const kind of Object.keys(ASKS)) at(kind).classList.toggle("chosen", state.kind === kind);
+  at("message").textContent = state.message || ASKS[state.kind];
+  at("measured").replaceChildren(...state.measured.map((one) => {
+    const item = make("li", one.words.join("; "));
+    if (one.command) item.title = one.command;
+    return item;
+  }));
+  at("measured").scrollTop = 1e6;
+}
+
+export async function showScale(query) {
+  const answer = await fetch(`/scale?${query}`);
+  if (!answer.ok) return (await answer.text()).trim();
+  const scale = await answer.json();
+  at("scale").hidden = !scale;
+  if (!scale) return "";
+  const pen = at("bar").getContext("2d"), picture = pen.createImageData(32, 1);
+  scale.bar.forEach((rgb, k) => picture.data.set([...rgb, 255], 4 * k));
+  pen.putImageData(picture, 0, 0);
+  at("scale-words").textContent = scale.words + (scale.diverging ? "; white is the plane, red is on its side towards the scanner" : "");
+  return "";
+}
+
+// Six sliders for the sides of a box; calls `changed` with its corners.
+export function makeBox(low, high, changed) {
+  const sides = [0, 1, 2].flatMap((axis) => ["from", "to"].map((end) => {
+    const label = make("label", `${"xyz"[axis]} ${end} `), slider = make("input");
+    const least = low[axis] - 0.2, most = high[axis] + 0.2;
+    Object.assign(slider, { type: "range", min: least, max: most, step: 0.01, value: end === "from" ? least : most });
+    slider.id = `${"xyz"[axis]}-${end}`;
+    const told = make("output", Number(slider.value).toFixed(2) + " m");
+    slider.oninput = () => { told.textContent = Number(slider.value).toFixed(2) + " m"; changed(corners()); };
+    label.append(told, slider);
+    at("box").append(label);
+    return slider;
+  }));
+  const corners = () => [[0, 2, 4], [1, 3, 5]].map((which) => which.map((k) => Number(sides[k].value)));
+  return corners;
+}

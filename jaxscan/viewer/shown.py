@@ -1,0 +1,108 @@
+"""A cloud as it is shown: in the order of its levels, with its colours and the place where it stands."""
+
+import dataclasses
+
+import numpy as np
+
+from jaxscan.measurement import PlaneMeasurement
+from jaxscan.reconstruction import PointCloud
+from jaxscan.viewer.colours import Colouring, Scale, brightened, coloured_normals, scale_of
+from jaxscan.viewer.levels import Levels, make_levels
+
+
+_MM = 1e3
+
+
+class ShownCloud:
+    """A cloud of the scene. Its frame there is its own, less `origin`, which keeps numbers small on a map."""
+
+    def __init__(self, name: str, cloud: PointCloud, origin: np.ndarray, *, turned: bool = False) -> None:
+        """Sort the points.
+
+        Args:
+            name: As people know it.
+            cloud: In metres, z up, with one valid point at least.
+            origin: Place in the cloud's frame that is the origin of the scene, float64 [3], m.
+            turned: Whether the axes are not those of its file.
+        """
+        self.name, self.cloud, self.origin, self.turned = name, cloud, origin, turned
+        cells = np.flatnonzero(np.asarray(cloud.valid))
+        flat = np.asarray(cloud.xyz).reshape(-1, 3)
+        xyz = (flat[cells] - origin.astype(flat.dtype)).astype(np.float32)
+        self.levels: Levels = make_levels(xyz)
+        self.xyz = xyz[self.levels.order]
+        """Points in the scene's frame, in the order in which they are shown, float32 [n, 3]."""
+        self.cells = cells[self.levels.order].astype(np.int32 if flat.size < 2**31 else np.int64)
+        """Their places on the cloud's grid, counted line after line."""
+
+        some = self.xyz[:: max(1, len(self.xyz) // 50_000)]
+        self.low, self.high = np.percentile(some, [1, 99], axis=0)
+        """Corners of the points without their outermost hundredth, in the scene's frame [3], m."""
+
+    @property
+    def points(self) -> int:
+        """How many there are."""
+        return len(self.xyz)
+
+    def has(self, by: Colouring) -> bool:
+        """Whether the cloud knows what the colours would show."""
+        if by in ("photograph", "height", "deviation"):
+            return True
+        field = {"intensity": self.cloud.intensity, "normals": self.cloud.normals, "sigma": self.cloud.sigma_random}[by]
+        return bool(np.any(np.asarray(field)))
+
+    def take(self, field: np.ndarray) -> np.ndarray:
+        """A field of the cloud at its points, in the order in which they are shown."""
+        field = np.asarray(field)
+        return np.asarray(field.reshape(-1, *field.shape[2:])[self.cells])
+
+    def coloured(
+        self, by: Colouring, *, plane: PlaneMeasurement | None
+    ) -> tuple[np.ndarray, Scale | None]:
+        """The colours of its points, and their scale where they have one.
+
+        Args:
+            by: What they show; as photographed where the cloud does not know it.
+            plane: The plane for deviations, in the cloud's frame.
+        """
+        if by == "photograph" or not self.has(by) or (by == "deviation" and plane is None):
+            return brightened(self.take(self.cloud.rgb)), None
+        if by == "normals":
+            return coloured_normals(self.take(self.cloud.normals)), None
+        if by == "height":
+            values, unit = self.xyz[:, 2] + np.float32(self.origin[2]), "m"
+        elif by == "intensity":
+            values, unit = self.take(self.cloud.intensity), "DN"
+        elif by == "sigma":
+            parts = (self.take(self.cloud.sigma_random), self.take(self.cloud.sigma_systematic))
+            values, unit = _MM * np.hypot(*parts), "mm"
+        else:
+            assert plane is not None
+            offset = float((plane.centre_m - self.origin) @ plane.normal)
+            values, unit = _MM * (self.xyz @ plane.normal.astype(np.float32) - np.float32(offset)), "mm"
+            # Of the plane itself, not of all that stands before it.
+            scale = Scale(-_MM * 3 * plane.range95_m, _MM * 3 * plane.range95_m, unit, diverging=True)
+            return scale.coloured(values), scale
+        scale = scale_of(values, unit)
+        return scale.coloured(values), scale
+
+    def around(self, places: np.ndarray, radius_m: float, least: int) -> PointCloud:
+        """The cloud with only the points around places [k, 3], so that a measurement reads few.
+
+        The whole cloud where a place has fewer than `least` points around it: a measurement then says so.
+        """
+        valid = np.zeros(self.cloud.valid.shape, bool)
+        # Rounding moves points by less than this.
+        reach = radius_m + 1e-3
+        for place in np.asarray(places, np.float64) - self.origin:
+            near = np.flatnonzero((np.abs(self.xyz - place.astype(np.float32)) <= reach).all(1))
+            if len(near) < least:
+                return self.cloud
+            valid.reshape(-1)[self.cells[near]] = True
+        return dataclasses.replace(self.cloud, valid=valid)
+
+    def stations(self) -> np.ndarray:
+        """Where the scanner stood, [k, 3], m, in the scene's frame."""
+        if self.cloud.stations is None:
+            return np.asarray(-self.origin[None])
+        return np.asarray(np.asarray(self.cloud.stations.pose)[:, :3, 3] - self.origin)

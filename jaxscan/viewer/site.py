@@ -1,0 +1,206 @@
+"""The viewer's addresses: its page, the points and their colours in chunks, and a socket for measurements."""
+
+import asyncio
+import json
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from typing import Any, NamedTuple
+
+import numpy as np
+from aiohttp import WSMsgType, web
+from aiohttp.typedefs import Handler
+
+from jaxscan.errors import JaxscanError, OptionError
+from jaxscan.geometry import Scanner
+from jaxscan.reconstruction import PointCloud
+from jaxscan.viewer.colours import COLOURINGS, Scale
+from jaxscan.viewer.orders import MOST_BYTES, parse_order
+from jaxscan.viewer.session import Session
+from jaxscan.viewer.shown import ShownCloud
+from jaxscan.web import Address, Gate, Resource, Server, resource_routes
+
+
+_PACKAGE = "jaxscan.viewer"
+_TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
+_FILES = ("index.html", "style.css", "main.js", "camera.js", "draw.js", "panel.js", "marks.js", "icon.svg")
+_HEARTBEAT_S = 10.0
+_MOST_SESSIONS = 12
+_MOST_STATIONS = 50
+_KEPT = 2
+"""Colourings of all clouds that are kept."""
+
+
+class Named(NamedTuple):
+    """A cloud to show."""
+
+    name: str
+    cloud: PointCloud
+    """In metres, z up, with one valid point at least."""
+    turned: bool = False
+    """Whether its axes are not those of its file."""
+
+
+def serve_clouds(
+    address: Address, clouds: Sequence[Named], scanner: Scanner | None = None
+) -> AbstractContextManager[Server]:
+    """Show clouds at an address, within `with`.
+
+    Args:
+        address: Where to listen.
+        clouds: One or more.
+        scanner: With which they were made; sigma then includes the calibration's part.
+    """
+    first = np.asarray(clouds[0].cloud.xyz)[np.asarray(clouds[0].cloud.valid)]
+    # A place on a map has more digits than a browser's numbers.
+    origin = np.round(np.median(first[:: max(1, len(first) // 10_000)].astype(np.float64), 0))
+    shown = [ShownCloud(one.name, one.cloud, origin, turned=one.turned) for one in clouds]
+    return Server(_Site(shown, scanner).application(address), address)
+
+
+class _Site:
+    """The clouds, and what pages measure in them."""
+
+    def __init__(self, clouds: Sequence[ShownCloud], scanner: Scanner | None) -> None:
+        self._clouds, self._scanner = clouds, scanner
+        self._sessions: OrderedDict[str, Session] = OrderedDict()
+        self._colours: OrderedDict[tuple[Any, ...], tuple[list[np.ndarray], Scale | None]] = OrderedDict()
+        self._colouring = asyncio.Lock()
+
+    def application(self, address: Address) -> web.Application:
+        site = Gate(address).application()
+        listed = {f"/{name}": Resource(_PACKAGE, f"page/{name}", _type(name)) for name in _FILES}
+        listed["/"] = listed.pop("/index.html")
+        site.add_routes(resource_routes(listed))
+        chunk = r"{cloud:\d{1,3}}/{chunk:\d{1,6}}"
+        site.add_routes(
+            [
+                web.get("/scene", self._scene),
+                web.get(f"/points/{chunk}", _answer(self._points)),
+                web.get(f"/colours/{chunk}", self._coloured),
+                web.get("/scale", self._scale),
+                web.get("/socket", self._socket),
+            ]
+        )
+        return site
+
+    async def _scene(self, request: web.Request) -> web.Response:
+        clouds = [
+            {
+                "name": cloud.name,
+                "points": cloud.points,
+                # Infinity is no JSON.
+                "chunks": [
+                    [c.tile, c.stop - c.start, *c.centre.tolist(), c.radius, min(c.gap, 1e9), c.spacing]
+                    for c in cloud.levels.chunks
+                ],
+                "stations": cloud.stations()[:_MOST_STATIONS].tolist(),
+                "low": cloud.low.tolist(),
+                "high": cloud.high.tolist(),
+            }
+            for cloud in self._clouds
+        ]
+        known = [by for by in COLOURINGS if by == "deviation" or any(cloud.has(by) for cloud in self._clouds)]
+        return _json({"clouds": clouds, "colourings": known, "systematic": self._scanner is not None})
+
+    def _points(self, request: web.Request) -> bytes:
+        cloud, chunk = self._asked(request)
+        middle = chunk.centre.astype(np.float32)
+        return np.ascontiguousarray(cloud.xyz[chunk.start : chunk.stop] - middle).tobytes()
+
+    async def _coloured(self, request: web.Request) -> web.Response:
+        try:
+            _, chunk = self._asked(request)
+            colours, _ = await self._by(request)
+        except JaxscanError as problem:
+            return _not_found(problem)
+        number = int(request.match_info["cloud"])
+        return web.Response(body=colours[number][chunk.start : chunk.stop].tobytes(), content_type=_BINARY)
+
+    async def _scale(self, request: web.Request) -> web.Response:
+        try:
+            _, scale = await self._by(request)
+        except JaxscanError as problem:
+            return _not_found(problem)
+        if scale is None:
+            return _json(None)
+        bar = scale.coloured(np.linspace(scale.low, scale.high, 32))
+        return _json({"words": scale.words(), "bar": bar.tolist(), "diverging": scale.diverging})
+
+    async def _by(self, request: web.Request) -> tuple[list[np.ndarray], Scale | None]:
+        """The colours that a request asks for, of all clouds; they are made once."""
+        by = next((one for one in COLOURINGS if one == request.query.get("by")), None)
+        if by is None:
+            raise OptionError("no such colours.")
+        measured = None
+        if by == "deviation":
+            session, number = self._sessions.get(request.query.get("page", "")), request.query.get("plane", "")
+            measured = session.plane(int(number)) if session is not None and number.isdecimal() else None
+            if measured is None:
+                raise OptionError("Measure the flatness of a place first: deviations are those from its plane.")
+        plane = None if measured is None else measured.plane
+        key = (by, None if plane is None else (*plane.normal, *plane.centre_m))
+        async with self._colouring:
+            if key not in self._colours:
+                found = [await asyncio.to_thread(cloud.coloured, by, plane=plane) for cloud in self._clouds]
+                scale = next((scale for _, scale in found if scale is not None), None)
+                self._colours[key] = ([colours for colours, _ in found], scale)
+                while len(self._colours) > _KEPT:
+                    self._colours.popitem(last=False)
+        return self._colours[key]
+
+    def _asked(self, request: web.Request) -> tuple[ShownCloud, Any]:
+        number, index = int(request.match_info["cloud"]), int(request.match_info["chunk"])
+        if number >= len(self._clouds) or index >= len(self._clouds[number].levels.chunks):
+            raise OptionError("there are no such points.")
+        return self._clouds[number], self._clouds[number].levels.chunks[index]
+
+    async def _socket(self, request: web.Request) -> web.WebSocketResponse:
+        """Carry out the orders of a page until it goes."""
+        socket = web.WebSocketResponse(heartbeat=_HEARTBEAT_S, max_msg_size=MOST_BYTES, compress=False)
+        await socket.prepare(request)
+        session = self._session(request.query.get("page", "")[:64])
+        await socket.send_str(json.dumps(session.state(), allow_nan=False))
+        async for message in socket:
+            if message.type is not WSMsgType.TEXT:
+                break
+            try:
+                order = parse_order(message.data, len(self._clouds))
+                answer = await asyncio.to_thread(session.carry_out, order)
+            except JaxscanError as problem:
+                answer = {"message": " ".join(str(problem).split())}
+            await socket.send_str(json.dumps(answer, allow_nan=False))
+        return socket
+
+    def _session(self, page: str) -> Session:
+        if page not in self._sessions:
+            self._sessions[page] = Session(self._clouds, self._scanner)
+            while len(self._sessions) > _MOST_SESSIONS:
+                self._sessions.popitem(last=False)
+        self._sessions.move_to_end(page)
+        return self._sessions[page]
+
+
+_BINARY = "application/octet-stream"
+
+
+def _answer(make: Callable[[web.Request], bytes]) -> Handler:
+    async def answer(request: web.Request) -> web.StreamResponse:
+        try:
+            return web.Response(body=make(request), content_type=_BINARY)
+        except JaxscanError as problem:
+            return _not_found(problem)
+
+    return answer
+
+
+def _json(value: Any) -> web.Response:
+    return web.Response(text=json.dumps(value, allow_nan=False), content_type="application/json")
+
+
+def _not_found(problem: JaxscanError) -> web.Response:
+    return web.Response(status=404, text=" ".join(str(problem).split()) + "\n")
+
+
+def _type(name: str) -> str:
+    return f"{_TYPES[name.rpartition('.')[2]]}; charset=utf-8"

@@ -1,0 +1,127 @@
+"""What is measured by a click is what `jaxscan measure` says, to the last digit."""
+
+import csv
+import io
+import json
+
+import numpy as np
+import pytest
+
+import jaxscan
+from jaxscan.viewer.measuring import (
+    as_csv,
+    as_json,
+    measure_between,
+    measure_flatness,
+    measure_point,
+    measure_sides,
+)
+from jaxscan.viewer.orders import Order, Ray
+from jaxscan.viewer.session import Session
+from jaxscan.viewer.shown import ShownCloud
+
+from ..cli.conftest import run as run
+
+
+@pytest.fixture(scope="module")
+def shown(tiny):
+    return ShownCloud(str(tiny.cloud), jaxscan.load_cloud(tiny.cloud), np.array([1.0, -2.0, 0.0]))
+
+
+@pytest.fixture(scope="module")
+def flat(shown):
+    """Places around which there are points enough, of two walls."""
+    counts = [(np.abs(shown.xyz - place) < 0.05).all(1).sum() for place in shown.xyz[::97]]
+    return shown.xyz[::97][np.argsort(counts)[::-1]] + shown.origin
+
+
+def distant(flat):
+    """Two of them that are far apart."""
+    return flat[0], flat[np.argmax(np.linalg.norm(flat[:40] - flat[0], axis=1))]
+
+
+@pytest.mark.parametrize("calibrated", [False, True])
+def test_a_distance(tiny, shown, flat, run, calibrated):
+    scanner = jaxscan.load_scanner(tiny.calibration) if calibrated else None
+    found = measure_between(shown, *distant(flat), scanner)
+    _, *words = found.command().split()
+    ran = run(*words, *(["-c", tiny.calibration] if calibrated else []))
+    assert ran.code == 0 and ran.out.splitlines() == list(found.words)
+    assert found.sigma_m > 0
+
+
+def test_flatness(shown, flat, run):
+    found = measure_flatness(shown, flat[0])
+    ran = run(*found.command().split()[1:])
+    assert ran.code == 0 and ran.out.split() == " ".join(found.words).split()
+
+
+def test_the_room(tiny, shown, run, tmp_path):
+    scanner = jaxscan.load_scanner(tiny.calibration)
+    sides = measure_sides(shown, scanner)
+    ran = run(*sides[0].command().split()[1:], "-c", tiny.calibration, "--json", tmp_path / "room.json")
+    assert ran.code == 0
+    printed = json.loads((tmp_path / "room.json").read_text())
+    assert [side.value_m for side in sides] == [printed[name]["value_m"] for name in ("length", "width", "height")]
+    assert [side.sigma_m for side in sides] == [printed[name]["sigma_m"] for name in ("length", "width", "height")]
+
+
+def test_a_point_is_one_of_the_file(shown):
+    found = measure_point(shown, 5)
+    place = np.asarray(shown.cloud.xyz).reshape(-1, 3)[shown.cells[5]]
+    np.testing.assert_allclose(found.at[0], place, atol=5.1e-5)
+    sigma = np.hypot(*(np.asarray(f).reshape(-1)[shown.cells[5]] for f in (shown.cloud.sigma_random, shown.cloud.sigma_systematic)))
+    assert f"sigma {1e3 * sigma:.2f} mm" in found.words[0]
+
+
+def test_lists_can_be_read_back_and_hold_no_formula(shown, flat):
+    bad = ShownCloud("=cmd()", shown.cloud, np.zeros(3))
+    measured = [measure_between(shown, *distant(flat), None), measure_point(bad, 0)]
+    rows = list(csv.DictReader(io.StringIO(as_csv(measured).decode())))
+    assert float(rows[0]["value_m"]) == pytest.approx(measured[0].value_m, abs=1e-6)
+    assert rows[1]["cloud"] == "'=cmd()" and rows[1]["x2_m"] == ""
+    read = json.loads(as_json(measured))
+    assert read["measured"][0]["value_m"] == measured[0].value_m
+    assert read["measured"][1]["at_m"] == measured[1].at.tolist()
+
+
+def ray_to(shown, place):
+    """From the middle of the cloud to a place of it, in the frame of the scene."""
+    origin = -shown.origin
+    return Ray(origin, place - shown.origin - origin, 0.01)
+
+
+def test_a_page_measures_undoes_and_saves(tiny, shown, flat):
+    session = Session([shown], None)
+    shifts = ((0, np.zeros(3)),)
+    a, b = distant(flat)
+    session.carry_out(Order("choose", "distance"))
+    state = session.carry_out(Order("pick", ray=ray_to(shown, a), shifts=shifts))
+    assert state["first"] is not None and not state["measured"] and "other place" in state["message"]
+    state = session.carry_out(Order("pick", ray=ray_to(shown, b), shifts=shifts))
+    assert state["first"] is None and len(state["measured"]) == 1
+    # In the frame of the scene, for the page to draw.
+    drawn = [np.array(end["xyz"]) + shown.origin for end in state["measured"][0]["at"]]
+    assert np.linalg.norm(drawn[1] - drawn[0]) == pytest.approx(session.measured[0][1].value_m, abs=0.03)
+    assert json.loads(session.carry_out(Order("save", "json"))["text"])["measured"][0]["kind"] == "distance"
+    assert session.carry_out(Order("undo"))["measured"] == []
+
+
+def test_a_page_that_clicks_beside_is_told(shown):
+    session = Session([shown], None)
+    away = Ray(np.array([0.0, 0.0, 500.0]), np.array([0.0, 0.0, 1.0]), 0.01)
+    state = session.carry_out(Order("pick", ray=away, shifts=((0, np.zeros(3)),)))
+    assert state["message"] == "There is no point: click on the cloud."
+    assert "No cloud" in session.carry_out(Order("room"))["message"]
+
+
+def test_a_cloud_that_was_moved_is_picked_where_it_stands(shown, flat):
+    shift = np.array([0.0, 9.0, 0.0])
+    ray = ray_to(shown, flat[0])
+    moved = Ray(ray.origin + shift, ray.direction, ray.cone_rad)
+    picked = []
+    for one, where in ((ray, np.zeros(3)), (moved, shift)):
+        session = Session([shown], None)
+        session.carry_out(Order("pick", ray=one, shifts=((0, where),)))
+        picked.append(session.measured[0][1].at)
+    np.testing.assert_array_equal(*picked)
