@@ -9,11 +9,14 @@ LIBRARIES := libusb-1.0-0 libegl1 libgl1 libx11-6 libgomp1 libudev1 libidn2-0
 # What firmware and bench are built and run with: hardware/bench/README.md.
 # The browser in which pages are tested.
 BROWSER_PACKAGES := chromium chromium-driver
+# What a person gives the mount: `make mount MOUNT="-D baseline=200 -D laser_angle=4.3"`.
+MOUNT ?=
 BENCH_PACKAGES := gcc make gcc-avr avr-libc binutils-avr simavr libsimavr-dev libaravis-0.8-0 aravis-tools
 SHARED := -n 2 --dist loadfile --no-loadscope-reorder
 QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1
 
-.PHONY: demo test test-all docs experiments lint format libraries firmware bench bench-deps browser-deps programs clean
+.PHONY: demo test test-all docs experiments lint format libraries firmware bench bench-deps browser-deps programs wiring mount \
+  mount-deps clean
 
 demo: $(INSTALLED)
 	$(BIN)/jaxscan demo -o demo
@@ -64,6 +67,27 @@ firmware:
 bench: $(INSTALLED)
 	@$(BIN)/python -m bench
 
+# The wiring drawing, from its list of pins.
+wiring:
+	$(PYTHON) hardware/wiring/draw.py docs/hardware/wiring.svg
+
+# The printable parts of the mount, to hardware/mount/build/.
+mount:
+	@command -v openscad >/dev/null || { echo "The mount is built by OpenSCAD. Type: sudo apt-get install openscad"; exit 1; }
+	@mkdir -p hardware/mount/build
+	@for part in whole camera laser; do \
+	  openscad -q -o hardware/mount/build/$$part.stl -D "part=\"$$part\"" $(MOUNT) hardware/mount/mount.scad || exit 1; \
+	  echo "hardware/mount/build/$$part.stl"; \
+	done
+
+# Installs what the mount is built with where it may, and says what to type where it may not.
+mount-deps:
+	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	  apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -qy --no-install-recommends openscad; \
+	else \
+	  echo "Type: sudo apt-get install openscad"; exit 1; \
+	fi
+
 # Installs what the bench needs where it may, and says what to type where it may not. No other target does.
 bench-deps:
 	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
@@ -99,4 +123,4 @@ $(INSTALLED): pyproject.toml constraints.txt
 
 clean:
 	rm -rf $(VENV) demo site paper-figures build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
-	rm -rf hardware/bench/build hardware/firmware/build
+	rm -rf hardware/bench/build hardware/firmware/build hardware/mount/build

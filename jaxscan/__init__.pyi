@@ -12,6 +12,7 @@ from jaxscan.api import observe_boards as observe_boards
 from jaxscan.api import recalibrate as recalibrate
 from jaxscan.api import reconstruct_capture as reconstruct_capture
 from jaxscan.api import save_board as save_board
+from jaxscan.api import save_designed_rig as save_designed_rig
 from jaxscan.api import save_drawing as save_drawing
 from jaxscan.api import save_mesh as save_mesh
 from jaxscan.api import save_panorama as save_panorama
@@ -23,6 +24,11 @@ from jaxscan.calibration import KnownParts as KnownParts
 from jaxscan.calibration import Quality as Quality
 from jaxscan.calibration import Verdict as Verdict
 from jaxscan.calibration import calibrate_observations as calibrate_observations
+from jaxscan.design import RigChoice as RigChoice
+from jaxscan.design import RigDesign as RigDesign
+from jaxscan.design import RigWish as RigWish
+from jaxscan.design import Sensor as Sensor
+from jaxscan.design import design_rig as design_rig
 from jaxscan.drawing import Drawing as Drawing
 from jaxscan.drawing import Survey as Survey
 from jaxscan.drawing import draw_orthophotos as draw_orthophotos

@@ -30,6 +30,7 @@ CORE = {
     "photographs",
     "surface",
     "drawing",
+    "design",
 }
 ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api", "web", "viewer"}
 MAY_IMPORT = {
@@ -40,6 +41,7 @@ MAY_IMPORT = {
     "calibration": {"geometry", "observation"},
     "measurement": {"geometry"},
     "drawing": {"geometry", "measurement"},
+    "design": {"geometry", "reconstruction"},
     "recalibration": {"geometry", "stripes", "reconstruction", "observation", "calibration", "measurement"},
     "photographs": {"geometry", "stripes", "reconstruction"},
     "surface": {"geometry", "reconstruction"},

@@ -20,6 +20,7 @@ from jaxscan.api.products import (
     photograph_notes,
     poisson_mesh,
     save_board,
+    save_designed_rig,
     save_drawing,
     save_panorama,
     save_scan,

@@ -1,6 +1,7 @@
 """The public verbs for boards, and for the products of a scan."""
 
 from jaxscan.api.products.boards import BoardSheets, draw_board, save_board, write_sheets
+from jaxscan.api.products.designs import save_designed_rig
 from jaxscan.api.products.drawings import check_drawing_path, save_drawing
 from jaxscan.api.products.frames import align_cloud
 from jaxscan.api.products.meshes import Texture, draw_texture, mesh_cloud, poisson_mesh, textured_mesh

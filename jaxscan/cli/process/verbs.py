@@ -16,6 +16,7 @@ DESCRIPTION = "A camera, a line laser and a turntable as a precise 3D scanner fo
 VERBS = {
     "demo": "Calibrate, scan, reconstruct and measure a simulated room: `jaxscan demo`.",
     "init": "Write a configuration to start from: `jaxscan init scan.toml`. All there are: `jaxscan init --list`.",
+    "design": "Choose camera, lens, baseline and laser for an accuracy: `jaxscan design --range 4 --sigma 1mm`.",
     "board": "Print a calibration board: `jaxscan board board.toml -o board.pdf --paper A3`.",
     "simulate": "Render a simulated rig: `jaxscan simulate paper.toml -o captures/paper --every 10`.",
     "calibrate": "Calibrate the rig: `jaxscan calibrate captures/boards -o calibration.json`.",
@@ -50,6 +51,7 @@ MEASURES = {
 _ROOMS = {
     "align": "products.align",
     "board": "products.board",
+    "design": "products.design",
     "init": "products.init",
     "console": "console.console",
     "scan": "scanning.scan",

@@ -108,8 +108,9 @@ def find_openings(cloud: Cloud, room: RoomOutline, *, scanner: Scanner | None = 
 
 def _with_errors_of(opening: Opening, length: Estimate | None, top: Estimate) -> Opening:
     """The opening with the systematic part of the wall's length and height, in proportion."""
-    ends = {"left": length, "right": length, "bottom": top, "top": top}
-    return replace(opening, **{name: _scaled(getattr(opening, name), of) for name, of in ends.items()})
+    left, right = (_scaled(end, length) for end in (opening.left, opening.right))
+    bottom, upper = (_scaled(end, top) for end in (opening.bottom, opening.top))
+    return replace(opening, left=left, right=right, bottom=bottom, top=upper)
 
 
 def _scaled(end: Estimate, of: Estimate | None) -> Estimate:

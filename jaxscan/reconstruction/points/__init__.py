@@ -5,4 +5,4 @@ from jaxscan.reconstruction.points.coloured import coloured
 from jaxscan.reconstruction.points.gate import line_gate
 from jaxscan.reconstruction.points.locate import Aim, Centres, Points, Rig, line_step, points_alone
 from jaxscan.reconstruction.points.normals import grid_normals
-from jaxscan.reconstruction.points.triangulate import Limits
+from jaxscan.reconstruction.points.triangulate import Limits, triangulate
