@@ -6,8 +6,7 @@ from jaxscan.vision.grey import to_grey
 from jaxscan.vision.images import MAX_PIXELS, decode_image, encode_png, is_jpeg, through_jpeg
 from jaxscan.vision.ink import Ink, board_ink
 from jaxscan.vision.other_boards import name_other_board
-from jaxscan.vision.panoramas import read_panorama
-from jaxscan.vision.pictures import encode_jpeg, encode_picture_png
+from jaxscan.vision.pictures import encode_jpeg, encode_picture_png, read_panorama
 from jaxscan.vision.prints import draw_print
 from jaxscan.vision.video import Video
 from jaxscan.vision.zstd import encode_zstd

@@ -51,7 +51,7 @@ MEASURES = {
 _ROOMS = {
     "align": "products.align",
     "board": "products.board",
-    "design": "products.design",
+    "design": "design.design",
     "init": "products.init",
     "console": "console.console",
     "scan": "scanning.scan",

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from jaxscan.cli.design.quantities import DEGREES, METRES, MICROMETRES, PIXELS, image_size, quantity
+from jaxscan.cli.design.words import numbers, show
+
 # Loads a name when it is first used, so that `--help` does not load JAX.
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import check_paths, file_at
-from jaxscan.cli.products.design_words import numbers, show
-from jaxscan.cli.products.quantities import DEGREES, METRES, MICROMETRES, PIXELS, image_size, quantity
 from jaxscan.errors import OptionError, OutputError
 
 
