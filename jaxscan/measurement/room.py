@@ -10,7 +10,7 @@ from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
 from jaxscan.measurement.planes import Plane
 from jaxscan.measurement.ransac import find_planes
-from jaxscan.measurement.samples import Cloud, Samples, places_of, samples_of
+from jaxscan.measurement.samples import Cloud, Samples, about_the_scanner, places_of, samples_of
 from jaxscan.measurement.systematic import systematic_sigma
 from jaxscan.measurement.walls import Wall, outermost, refine_wall, wall_weights
 
@@ -78,7 +78,7 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
     Raises:
         MeasurementError: If no two opposite walls are found.
     """
-    samples, place = _about_the_room(samples_of(cloud))
+    samples, place = about_the_scanner(samples_of(cloud))
     rng = np.random.default_rng(seed)
     pairs, planes = bounding_walls(samples, rng, seed=seed)
     found = [pair for pair in pairs if len(pair) == 2]
@@ -99,19 +99,6 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
         centre_m=centre + place,
         walls=tuple(_moved(wall, place) for pair in pairs for wall in pair),
     )
-
-
-def _about_the_room(samples: Samples) -> tuple[Samples, np.ndarray]:
-    """The samples about a place in the room, and that place [3], m: on a map the origin is far from it."""
-    low, high = samples.p.min(0), samples.p.max(0)
-    if np.linalg.norm(np.clip(0.0, low, high)) <= np.linalg.norm(high - low):
-        return samples, np.zeros(3)
-    place = samples.origin.mean(0)
-    if not ((low <= place) & (place <= high)).all():
-        # Nobody knows where the scanner stood.
-        place = np.median(samples.p, axis=0)
-        samples = samples._replace(origin=np.broadcast_to(place, samples.p.shape))
-    return samples._replace(p=samples.p - place, origin=samples.origin - place), place
 
 
 def _moved(wall: Wall, place: np.ndarray) -> Wall:

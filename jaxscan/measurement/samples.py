@@ -151,6 +151,20 @@ def samples_of(cloud: Cloud) -> Samples:
     )
 
 
+def about_the_scanner(samples: Samples) -> tuple[Samples, np.ndarray]:
+    """The samples about the place from which they were seen, and that place [3], m.
+
+    The origin of a map is far from a room, and that of an aligned cloud is in a corner of it. Where the cloud does not
+    say where the scanner stood, it is taken to be amid the points.
+    """
+    low, high = samples.p.min(0), samples.p.max(0)
+    place = samples.origin.mean(0)
+    if np.linalg.norm(np.clip(place, low, high) - place) > np.linalg.norm(high - low):
+        place = np.median(samples.p, axis=0)
+        samples = samples._replace(origin=np.broadcast_to(place, samples.p.shape))
+    return samples.moved(-place), place
+
+
 def places_of(cloud: Cloud) -> Places:
     """Poses of the stations of a cloud and their covariances."""
     stations = getattr(cloud, "stations", None)

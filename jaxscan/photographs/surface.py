@@ -45,10 +45,10 @@ def check_grid(cloud: PointCloud) -> None:
     """Refuse a cloud whose points have no neighbours.
 
     Raises:
-        CloudError: If it has no grid [profile, line], or is joined of several stations.
+        CloudError: If it has no grid [profile, line], or is not in the frame of its scanner.
     """
     if cloud.stations is not None:
-        raise CloudError("the cloud is joined of several stations; photographs belong to the cloud of one.")
+        raise CloudError("the cloud was moved or is joined; photographs belong to the cloud in its scanner frame.")
     if min(np.shape(cloud.valid)) < 2 or len(np.unique(np.asarray(cloud.angle))) < 2:
         raise CloudError(
             f"the cloud has no grid of profiles and lines (found {np.shape(cloud.valid)[0]} profile); "

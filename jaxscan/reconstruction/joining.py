@@ -57,6 +57,19 @@ def of_station(cloud: PointCloud, number: int) -> PointCloud:
     return PointCloud(**(fields | _turned(fields["xyz"], fields["normals"], fields["valid"], pose)))
 
 
+def in_scanner_frame(cloud: PointCloud) -> tuple[PointCloud, np.ndarray]:
+    """The cloud of one station in its scanner frame, and T_room_scanner [4, 4]; of a cloud that was not moved, itself.
+
+    Raises:
+        CloudError: If it is joined of several stations.
+    """
+    if cloud.stations is None:
+        return cloud, np.eye(4)
+    if len(cloud.stations.pose) > 1:
+        raise CloudError("the cloud is joined of several stations; take the cloud of one.")
+    return of_station(cloud, 0), np.asarray(cloud.stations.pose, np.float64)[0]
+
+
 def _fields(cloud: PointCloud) -> dict[str, Any]:
     """All but the stations, on the host."""
     names = ("xyz", "rgb", "intensity", "normals", "sigma_random", "sigma_systematic", "valid", "record", "laser")

@@ -1,7 +1,9 @@
 """Every verb for clouds, with clouds that are little use: one line that says so, or a result that is a number."""
 
+import json
 import os
 import re
+import struct
 
 import numpy as np
 import pytest
@@ -78,7 +80,36 @@ VERBS = {
 }
 
 
-@pytest.mark.parametrize("verb", VERBS)
+def assert_numbers(path, name):
+    """No NaN or infinity in a file that a command wrote."""
+    if path.suffix in (".dxf", ".ptx", ".html"):
+        words = re.sub(r"data:image/[^\"']*", "", path.read_text())
+        assert not re.search(r"\b(nan|inf|infinity)\b", words.lower()), (path.name, name)
+    elif path.suffix == ".ply":
+        cloud = jaxscan.load_cloud(path)
+        assert all(np.isfinite(field).all() for field in (cloud.xyz, cloud.sigma_random, cloud.normals)), name
+    elif path.suffix == ".glb":
+        data = path.read_bytes()
+        (length,) = struct.unpack("<I", data[12:16])
+        described = json.loads(data[20 : 20 + length])
+        for accessor in described["accessors"]:
+            if accessor["componentType"] == FLOAT:
+                view = described["bufferViews"][accessor["bufferView"]]
+                begin = 28 + length + view.get("byteOffset", 0)
+                assert np.isfinite(np.frombuffer(data[begin : begin + view["byteLength"]], "<f4")).all(), name
+    else:
+        assert path.suffix == ".png", path
+
+
+FLOAT = 5126
+"""The component type of glTF."""
+
+
+@pytest.mark.parametrize(
+    # A report draws several pictures of each cloud.
+    "verb",
+    [pytest.param(verb, marks=[pytest.mark.slow] if verb == "report" else []) for verb in VERBS],
+)
 def test_one_line_or_a_number(verb, clouds, run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     ended = set()
@@ -92,6 +123,7 @@ def test_one_line_or_a_number(verb, clouds, run, tmp_path, monkeypatch):
             assert ran.code == 0 and not re.search(r"\b(nan|inf)\b", ran.out.lower()), (name, ran)
             assert bool(os.listdir(tmp_path)) == ("made" in " ".join(map(str, VERBS[verb]))), name
             for made in tmp_path.iterdir():
+                assert_numbers(made, name)
                 made.unlink()
     assert 1 in ended
 

@@ -9,7 +9,7 @@ from jaxscan.api.products.photographs import open_photographs
 from jaxscan.files.capture import Capture
 from jaxscan.geometry import Scanner
 from jaxscan.photographs import colour_points, make_occluder
-from jaxscan.reconstruction import PointCloud, Progress
+from jaxscan.reconstruction import PointCloud, Progress, in_scanner_frame
 from jaxscan.surface import (
     DEFAULT_MESH,
     Colour,
@@ -70,13 +70,13 @@ def textured_mesh(
         CaptureError: If the sweep has no laser-off images, or one cannot be read.
         CalibrationError: If the calibration is for images of another size.
     """
-    host = jax.tree.map(np.asarray, cloud)
-    grid = mesh_grid(host, camera_places(host, scanner), settings)
+    own, pose = in_scanner_frame(jax.tree.map(np.asarray, cloud))
+    grid = mesh_grid(own, camera_places(own, scanner), settings)
     if texture.texels is None:
         texels = texels_of_pixels(grid, _pixels_per_radian(scanner))
     else:
         texels = (texture.texels, texture.texels)
-    return draw_on_mesh(grid, _colours(host, scanner, texture), texels)
+    return _placed(draw_on_mesh(grid, _colours(own, scanner, texture), texels), pose)
 
 
 def draw_texture(mesh: Mesh, cloud: PointCloud, scanner: Scanner, texture: Texture) -> Mesh:
@@ -93,14 +93,22 @@ def draw_texture(mesh: Mesh, cloud: PointCloud, scanner: Scanner, texture: Textu
         CaptureError: If the sweep has no laser-off images, or one cannot be read.
         CalibrationError: If the calibration is for images of another size.
     """
-    host = jax.tree.map(np.asarray, cloud)
-    return texture_any_mesh(mesh, _colours(host, scanner, texture), _pixels_per_radian(scanner))
+    own, pose = in_scanner_frame(jax.tree.map(np.asarray, cloud))
+    seen = _placed(mesh, np.linalg.inv(pose))
+    return _placed(texture_any_mesh(seen, _colours(own, scanner, texture), _pixels_per_radian(scanner)), pose)
 
 
 def _colours(cloud: PointCloud, scanner: Scanner, texture: Texture) -> Colour:
     photographs = open_photographs(texture.capture, scanner, progress=texture.progress)
     occluder = make_occluder(cloud, scanner)
     return lambda points, normals: colour_points(photographs, points, normals, occluder=occluder)
+
+
+def _placed(mesh: Mesh, pose: np.ndarray) -> Mesh:
+    """A mesh after a motion [4, 4], in its own precision."""
+    rotation, kinds = pose[:3, :3].T, (mesh.vertices.dtype, mesh.normals.dtype)
+    vertices, normals = mesh.vertices.astype(np.float64) @ rotation + pose[:3, 3], mesh.normals @ rotation
+    return mesh._replace(vertices=vertices.astype(kinds[0]), normals=normals.astype(kinds[1]))
 
 
 def _pixels_per_radian(scanner: Scanner) -> float:

@@ -29,7 +29,7 @@ from jaxscan.photographs import (
     panorama_frame,
     undistort,
 )
-from jaxscan.reconstruction import PointCloud, Progress
+from jaxscan.reconstruction import PointCloud, Progress, in_scanner_frame
 
 
 ENOUGH = 4
@@ -127,8 +127,9 @@ def colour_cloud(cloud: PointCloud, capture: Capture, scanner: Scanner, *, progr
         CloudError: If the cloud has no grid.
     """
     photographs = open_photographs(capture, scanner, progress=progress)
-    occluder = make_occluder(cloud, scanner)
-    points = cloud.points()
+    own, _ = in_scanner_frame(cloud)
+    occluder = make_occluder(own, scanner)
+    points = own.points()
     found, _ = colour_points(photographs, points.xyz, points.normals, occluder=occluder, start=points.rgb)
     rgb = np.zeros_like(np.asarray(cloud.rgb))
     rgb[points.step, points.row] = found
@@ -163,6 +164,7 @@ def draw_panorama(
         CloudError: If the cloud has no grid.
     """
     frame = panorama_frame(scanner, projection, width)
+    cloud = None if cloud is None else in_scanner_frame(cloud)[0]
     return make_panorama(open_photographs(capture, scanner, progress=progress), frame, cloud)
 
 

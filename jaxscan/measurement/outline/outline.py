@@ -15,7 +15,7 @@ from jaxscan.measurement.outline.loops import closed_loops
 from jaxscan.measurement.planes import Plane, facing
 from jaxscan.measurement.ransac import find_planes
 from jaxscan.measurement.room import is_upright
-from jaxscan.measurement.samples import Cloud, Samples, places_of
+from jaxscan.measurement.samples import Cloud, Samples, about_the_scanner, places_of
 from jaxscan.measurement.walls import SHARE, refine_wall
 
 
@@ -158,7 +158,7 @@ def measure_outline(cloud: Cloud, *, scanner: Scanner | None = None, seed: int =
     Raises:
         MeasurementError: If there is no floor, or fewer than three walls around the scanner.
     """
-    samples = checked_samples(cloud)
+    samples, place = about_the_scanner(checked_samples(cloud))
     rng = np.random.default_rng(seed)
     planes = find_planes(samples, seed=seed)
     frame, floor, ceiling = find_level(samples, planes, rng)
@@ -190,12 +190,13 @@ def measure_outline(cloud: Cloud, *, scanner: Scanner | None = None, seed: int =
     shift = Frame(np.eye(3), -np.append(starts.min(0), 0.0))
     frame = frame.shifted(shift.translation)
     ground, roof = frame.wall(floor), None if ceiling is None else frame.wall(ceiling)
+    of_cloud = frame.shifted(-frame.rotation @ place)
     return RoomOutline(
-        frame,
+        of_cloud,
         tuple(tuple(side.moved(shift) for side in loop) for loop in sides),
         Surface(ground.plane, ground),
         None if roof is None else Surface(roof.plane, roof),
-        Errors(scanner, places_of(cloud), frame),
+        Errors(scanner, places_of(cloud), of_cloud),
         frame.samples(samples),
     )
 
