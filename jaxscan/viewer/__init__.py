@@ -1,3 +1,3 @@
 """Clouds in a browser: levels of detail, colours, sections, and measurements by a click."""
 
-from jaxscan.viewer.site import Named, Panorama, serve_clouds
+from jaxscan.viewer.site import Named, Panorama, View, serve_clouds, view_routes

@@ -3,7 +3,7 @@
 import asyncio
 import json
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 
@@ -72,43 +72,60 @@ def serve_clouds(
         clouds: One or more.
         scanner: With which they were made; sigma then includes the calibration's part.
     """
-    first = np.asarray(clouds[0].cloud.xyz)[np.asarray(clouds[0].cloud.valid)]
-    # A place on a map has more digits than a browser's numbers.
-    origin = np.round(np.median(first[:: max(1, len(first) // 10_000)].astype(np.float64), 0))
-    shown = [ShownCloud(one.name, one.cloud, origin, turned=one.turned) for one in clouds]
-    return Server(_Site(shown, [one.panorama for one in clouds], scanner).application(address), address)
+    view = View(clouds, scanner)
+
+    async def only(_: web.Request) -> View:
+        return view
+
+    application = Gate(address).application()
+    application.add_routes(view_routes("", only))
+    return Server(application, address)
 
 
-class _Site:
-    """The clouds, and what pages measure in them."""
+def view_routes(prefix: str, find: Callable[[web.Request], Awaitable["View"]]) -> Iterable[web.RouteDef]:
+    """The addresses of the viewer below a prefix, for an application behind a gate.
 
-    def __init__(
-        self, clouds: Sequence[ShownCloud], panoramas: Sequence[Panorama | None], scanner: Scanner | None
-    ) -> None:
-        self._clouds, self._panoramas, self._scanner = clouds, panoramas, scanner
+    Args:
+        prefix: Before each path; it may have names in braces.
+        find: The clouds that a request asks for; raises JaxscanError where there are none.
+    """
+    listed = {f"{prefix}/{name}": Resource(_PACKAGE, f"page/{name}", _type(name)) for name in _FILES}
+    listed[f"{prefix}/"] = listed.pop(f"{prefix}/index.html")
+    yield from resource_routes(listed)
+    chunk = r"{part:\d{1,3}}/{chunk:\d{1,6}}"
+    answers: dict[str, Callable[[View, web.Request], Awaitable[web.StreamResponse]]] = {
+        "/scene": View.scene,
+        f"/points/{chunk}": View.points,
+        f"/colours/{chunk}": View.coloured,
+        r"/panorama/{part:\d{1,3}}": View.panorama,
+        "/scale": View.scale,
+        "/socket": View.socket,
+    }
+    for path, answer in answers.items():
+        yield web.get(prefix + path, _answer(find, answer))
+
+
+class View:
+    """Clouds as pages show them, and what pages measure in them."""
+
+    def __init__(self, clouds: Sequence[Named], scanner: Scanner | None = None) -> None:
+        """Sort the points.
+
+        Args:
+            clouds: One or more.
+            scanner: With which they were made; sigma then includes the calibration's part.
+        """
+        first = np.asarray(clouds[0].cloud.xyz)[np.asarray(clouds[0].cloud.valid)]
+        # A place on a map has more digits than a browser's numbers.
+        origin = np.round(np.median(first[:: max(1, len(first) // 10_000)].astype(np.float64), 0))
+        self._clouds = [ShownCloud(one.name, one.cloud, origin, turned=one.turned) for one in clouds]
+        self._panoramas, self._scanner = [one.panorama for one in clouds], scanner
         self._sessions: OrderedDict[str, Session] = OrderedDict()
         self._colours: OrderedDict[tuple[Any, ...], tuple[list[np.ndarray], Scale | None]] = OrderedDict()
         self._colouring = asyncio.Lock()
 
-    def application(self, address: Address) -> web.Application:
-        site = Gate(address).application()
-        listed = {f"/{name}": Resource(_PACKAGE, f"page/{name}", _type(name)) for name in _FILES}
-        listed["/"] = listed.pop("/index.html")
-        site.add_routes(resource_routes(listed))
-        chunk = r"{cloud:\d{1,3}}/{chunk:\d{1,6}}"
-        site.add_routes(
-            [
-                web.get("/scene", self._scene),
-                web.get(f"/points/{chunk}", _answer(self._points)),
-                web.get(f"/colours/{chunk}", self._coloured),
-                web.get(r"/panorama/{cloud:\d{1,3}}", self._panorama),
-                web.get("/scale", self._scale),
-                web.get("/socket", self._socket),
-            ]
-        )
-        return site
-
-    async def _scene(self, request: web.Request) -> web.Response:
+    async def scene(self, _: web.Request) -> web.Response:
+        """What there is: clouds with the lists of their chunks, places to stand in, colourings."""
         clouds = [
             {
                 "name": cloud.name,
@@ -128,32 +145,31 @@ class _Site:
         known = [by for by in COLOURINGS if by == "deviation" or any(cloud.has(by) for cloud in self._clouds)]
         return _json({"clouds": clouds, "colourings": known, "systematic": self._scanner is not None})
 
-    def _points(self, request: web.Request) -> bytes:
+    async def points(self, request: web.Request) -> web.StreamResponse:
+        """Places of a chunk about its middle, float32."""
         cloud, chunk = self._asked(request)
         middle = chunk.centre.astype(np.float32)
-        return np.ascontiguousarray(cloud.xyz[chunk.start : chunk.stop] - middle).tobytes()
+        body = np.ascontiguousarray(cloud.xyz[chunk.start : chunk.stop] - middle).tobytes()
+        return web.Response(body=body, content_type=_BINARY)
 
-    async def _coloured(self, request: web.Request) -> web.Response:
-        try:
-            _, chunk = self._asked(request)
-            colours, _ = await self._by(request)
-        except JaxscanError as problem:
-            return _not_found(problem)
-        number = int(request.match_info["cloud"])
+    async def coloured(self, request: web.Request) -> web.Response:
+        """Colours of a chunk, uint8."""
+        _, chunk = self._asked(request)
+        colours, _ = await self._by(request)
+        number = int(request.match_info["part"])
         return web.Response(body=colours[number][chunk.start : chunk.stop].tobytes(), content_type=_BINARY)
 
-    async def _panorama(self, request: web.Request) -> web.Response:
-        number = int(request.match_info["cloud"])
+    async def panorama(self, request: web.Request) -> web.Response:
+        """The panorama of a cloud, JPEG."""
+        number = int(request.match_info["part"])
         seen = self._panoramas[number] if number < len(self._panoramas) else None
         if seen is None:
-            return _not_found(OptionError("there is no such panorama."))
+            raise OptionError("there is no such panorama.")
         return web.Response(body=seen.jpeg, content_type="image/jpeg")
 
-    async def _scale(self, request: web.Request) -> web.Response:
-        try:
-            _, scale = await self._by(request)
-        except JaxscanError as problem:
-            return _not_found(problem)
+    async def scale(self, request: web.Request) -> web.Response:
+        """What colours mean; null where they are those of things."""
+        _, scale = await self._by(request)
         if scale is None:
             return _json(None)
         bar = scale.coloured(np.linspace(scale.low, scale.high, 32))
@@ -179,15 +195,15 @@ class _Site:
                 self._colours[key] = ([colours for colours, _ in found], scale)
                 while len(self._colours) > _KEPT:
                     self._colours.popitem(last=False)
-        return self._colours[key]
+            return self._colours[key]
 
     def _asked(self, request: web.Request) -> tuple[ShownCloud, Any]:
-        number, index = int(request.match_info["cloud"]), int(request.match_info["chunk"])
+        number, index = int(request.match_info["part"]), int(request.match_info["chunk"])
         if number >= len(self._clouds) or index >= len(self._clouds[number].levels.chunks):
             raise OptionError("there are no such points.")
         return self._clouds[number], self._clouds[number].levels.chunks[index]
 
-    async def _socket(self, request: web.Request) -> web.WebSocketResponse:
+    async def socket(self, request: web.Request) -> web.WebSocketResponse:
         """Carry out the orders of a page until it goes."""
         socket = web.WebSocketResponse(heartbeat=_HEARTBEAT_S, max_msg_size=MOST_BYTES, compress=False)
         await socket.prepare(request)
@@ -216,22 +232,23 @@ class _Site:
 _BINARY = "application/octet-stream"
 
 
-def _answer(make: Callable[[web.Request], bytes]) -> Handler:
-    async def answer(request: web.Request) -> web.StreamResponse:
-        try:
-            return web.Response(body=make(request), content_type=_BINARY)
-        except JaxscanError as problem:
-            return _not_found(problem)
+def _answer(
+    find: Callable[[web.Request], Awaitable[View]],
+    answer: Callable[[View, web.Request], Awaitable[web.StreamResponse]],
+) -> Handler:
+    """An answer of the view that is asked for, or the line why there is none."""
 
-    return answer
+    async def found(request: web.Request) -> web.StreamResponse:
+        try:
+            return await answer(await find(request), request)
+        except JaxscanError as problem:
+            return web.Response(status=404, text=" ".join(str(problem).split()) + "\n")
+
+    return found
 
 
 def _json(value: Any) -> web.Response:
     return web.Response(text=json.dumps(value, allow_nan=False), content_type="application/json")
-
-
-def _not_found(problem: JaxscanError) -> web.Response:
-    return web.Response(status=404, text=" ".join(str(problem).split()) + "\n")
 
 
 def _type(name: str) -> str:

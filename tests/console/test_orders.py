@@ -7,7 +7,7 @@ import aiohttp
 import pytest
 
 from jaxscan.cli.console.orders import BadOrder, Order, parse_order
-from jaxscan.cli.console.roles import GRACE_S, Roles
+from jaxscan.cli.console.serving.roles import GRACE_S, Roles
 
 
 def test_orders_that_are_understood():

@@ -158,7 +158,7 @@ def test_a_page_that_comes_back_is_what_it_was(console, held, key):
 
 @pytest.mark.parametrize("stops", [False, True])
 def test_a_connection_that_is_cut(console, paper, held, monkeypatch, stops):
-    monkeypatch.setattr("jaxscan.cli.console.hub.GRACE_S", 0.2)
+    monkeypatch.setattr("jaxscan.cli.console.serving.hub.GRACE_S", 0.2)
     waits, go = held(4)
 
     async def pages(console):

@@ -10,7 +10,7 @@ import numpy as np
 import jaxscan
 from experiments.paper.stage import Stage
 from jaxscan.measurement.room import Dimension, RoomBox
-from jaxscan.report.picture import View, draw_cloud
+from jaxscan.report.clouds import View, draw_cloud
 
 
 def draw_room(stage: Stage, cloud: jaxscan.PointCloud, box: RoomBox, shares: tuple[float, float]) -> None:

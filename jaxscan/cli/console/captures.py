@@ -12,6 +12,7 @@ from jaxscan import api
 from jaxscan.cli.console.orders import NAME
 from jaxscan.cli.console.slate import MOST_POINTS, pack_points
 from jaxscan.errors import CaptureError, JaxscanError, OutputError
+from jaxscan.files.calibration import calibration_digest
 from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, Capture, journal_objects, read_texts
 from jaxscan.report import words
 from jaxscan.vision import encode_jpeg, to_grey
@@ -60,6 +61,14 @@ class Captures:
             with suppress(JaxscanError):
                 if words.headline(api.load_calibration(file)).kind == "good":
                     return file
+        return None
+
+    def calibration_of(self, digest: str) -> Path | None:
+        """The file in the folder that is the calibration of this digest."""
+        for one in self.listed():
+            file = self.calibration(one["name"])
+            if digest and os.path.isfile(file) and calibration_digest(file) == digest:
+                return file
         return None
 
     def listed(self) -> list[dict[str, Any]]:

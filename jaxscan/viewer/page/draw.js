@@ -1,4 +1,4 @@
-import { Panorama } from "/panorama.js";
+import { Panorama } from "./panorama.js";
 
 // Points in WebGL: of each tile as many as the view needs, fewer while it moves.
 const VERTEX = `attribute vec3 place; attribute vec3 colour; uniform mat4 view; uniform vec3 middle, low, high; uniform float size; varying vec3 shown;
@@ -141,7 +141,7 @@ export class Drawing {
   async fetch(key, version, kept) {
     const body = async (path) => { const answer = await fetch(path); if (!answer.ok) throw new Error(path); return answer.arrayBuffer(); };
     try {
-      const [place, colour] = await Promise.all([kept ? null : body(`/points/${key}`), body(`/colours/${key}?${this.query}`)]);
+      const [place, colour] = await Promise.all([kept ? null : body(`points/${key}`), body(`colours/${key}?${this.query}`)]);
       if (version !== this.version) return;
       if (kept) this.gl.deleteBuffer(kept.colour);
       this.kept.set(key, { place: kept?.place ?? this.buffer(place), colour: this.buffer(colour), version, bytes: colour.byteLength });

@@ -1,8 +1,8 @@
 // The page: the server knows the points and measures; what is shown is chosen here.
-import { Camera } from "/camera.js";
-import { Drawing } from "/draw.js";
-import { drawMarks } from "/marks.js";
-import { at, make, makeBox, showScale, showState } from "/panel.js";
+import { Camera } from "./camera.js";
+import { Drawing } from "./draw.js";
+import { drawMarks } from "./marks.js";
+import { at, make, makeBox, showScale, showState } from "./panel.js";
 
 const canvas = at("cloud"), camera = new Camera(), CLICK_PX = 8, STILL_PX = 5;
 let state = { kind: "point", message: "", measured: [], first: null }, socket = null, again = 0, corners = null;
@@ -22,7 +22,9 @@ function ownName() {
 }
 
 function connect() {
-  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/socket?page=${ownName()}`);
+  const address = new URL(`socket?page=${ownName()}`, location.href);
+  address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
+  socket = new WebSocket(address);
   socket.onopen = () => { again = 0; };
   socket.onmessage = ({ data }) => hear(JSON.parse(data));
   socket.onclose = () => {
@@ -156,7 +158,9 @@ at("size").oninput = () => { drawing.size = Number(at("size").value); drawing.mo
 async function begin() {
   at("no-webgl").hidden = Boolean(drawing.gl);
   if (!drawing.gl) at("loading").hidden = true;
-  const scene = await (await fetch("/scene")).json();
+  const answer = await fetch("scene");
+  if (!answer.ok) { at("loading").textContent = await answer.text(); at("panel").hidden = true; return; }
+  const scene = await answer.json();
   drawing.clouds = scene.clouds.map((cloud, number) => ({ ...cloud, number, visible: true, shift: [0, 0, 0] }));
   at("systematic").hidden = scene.systematic;
   at("by").replaceChildren(...scene.colourings.map((by) => { const option = make("option", by); option.value = by; return option; }));

@@ -26,7 +26,7 @@ export function showState(state) {
 }
 
 export async function showScale(query) {
-  const answer = await fetch(`/scale?${query}`);
+  const answer = await fetch(`scale?${query}`);
   if (!answer.ok) return (await answer.text()).trim();
   const scale = await answer.json();
   at("scale").hidden = !scale;

@@ -26,7 +26,7 @@ export class Panorama {
       image.onload = () => { this.pictures.set(cloud.number, this.texture(image)); loaded(); };
       // Asked for again when one stands there again.
       image.onerror = () => this.pictures.delete(cloud.number);
-      image.src = `/panorama/${cloud.number}`;
+      image.src = `panorama/${cloud.number}`;
     }
     return this.pictures.get(cloud.number);
   }

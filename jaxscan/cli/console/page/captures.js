@@ -32,6 +32,7 @@ function card(capture, state, operates, cloud) {
   if (capture.kind === "calibration") button("Calibrate", () => order("calibrate", { name: capture.name }), operates);
   if (capture.kind === "sweep") button("Reconstruct", () => order("reconstruct", { name: capture.name }), operates && Boolean(state.calibration));
   if (capture.cloud) button("Show cloud", () => showCloud(capture.name, cloud));
+  if (capture.cloud) button("Look around", () => window.open(`/look/${encodeURIComponent(capture.name)}/`, "_blank", "noopener"));
   if (capture.cloud && chosen !== capture.name) button(chosen ? `Compare with ${chosen}` : "Compare …", () => compare(capture.name, state, operates, cloud), operates);
   if (capture.kind && !capture.complete && operates && state.doing === "nothing") {
     button("Go on", () => order(capture.kind === "sweep" ? "sweep" : "boards", { name: capture.name, resume: true }));

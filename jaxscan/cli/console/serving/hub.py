@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from aiohttp import WSMsgType, web
 
 from jaxscan.cli.console.orders import FOR_ALL, MOST_BYTES, BadOrder, Order, parse_order
-from jaxscan.cli.console.roles import GRACE_S, KEY, Roles
+from jaxscan.cli.console.serving.roles import GRACE_S, KEY, Roles
 from jaxscan.cli.console.slate import Slate, as_json
 from jaxscan.errors import JaxscanError
 

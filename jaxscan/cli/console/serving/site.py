@@ -1,4 +1,4 @@
-"""The console's addresses: its page, its socket, pictures of captures and their clouds."""
+"""The console's addresses: its page, its socket, pictures of captures, their clouds, and the viewer."""
 
 import asyncio
 from collections.abc import Callable
@@ -7,10 +7,12 @@ from aiohttp import web
 from aiohttp.typedefs import Handler
 
 from jaxscan.cli.console.desk import Desk
-from jaxscan.cli.console.hub import Hub
 from jaxscan.cli.console.orders import Order
+from jaxscan.cli.console.serving.hub import Hub
+from jaxscan.cli.console.serving.looks import Looks
 from jaxscan.cli.console.sessions import Sessions
 from jaxscan.errors import JaxscanError
+from jaxscan.viewer import view_routes
 from jaxscan.web import Address, Gate, Resource, resource_routes
 
 
@@ -54,6 +56,7 @@ def make_site(address: Address, desk: Desk, sessions: Sessions) -> web.Applicati
             web.get("/clouds/{name}", _answer(lambda request: captures.points(request.match_info["name"]), _BINARY)),
         ]
     )
+    site.add_routes(view_routes("/look/{name}", Looks(captures).view))
     site.on_shutdown.append(hub.close)
     site.cleanup_ctx.append(hub.watch)
     return site
