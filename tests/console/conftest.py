@@ -11,7 +11,7 @@ import pytest
 
 from jaxscan.cli.console.captures import Captures
 from jaxscan.cli.console.desk import Chosen, Desk
-from jaxscan.cli.console.serving.site import make_site
+from jaxscan.cli.console.serving import make_site
 from jaxscan.cli.console.sessions import Sessions
 from jaxscan.cli.console.slate import Slate
 from jaxscan.cli.console.works import Works
