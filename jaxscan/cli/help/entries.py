@@ -26,7 +26,7 @@ class Entry(NamedTuple):
     required: bool = False
     kind: type = str
     """Of one value."""
-    count: int | None = 1
+    many: int | None = 1
     """How many values there are; None for any number of them."""
     unshown: tuple[str, ...] = ()
     """Names that are understood too: those that switch off what is off."""
@@ -55,7 +55,7 @@ def _told(function: Callable[..., Any]) -> dict[str, str]:
 
 def _entry(parameter: inspect.Parameter, hint: Any, told: Mapping[str, str]) -> Entry:
     kind, marks = _without_marks(hint)
-    settings = next((mark for mark in marks if hasattr(mark, "metavar")), tyro.conf.arg())
+    settings: Any = next((mark for mark in marks if hasattr(mark, "metavar")), tyro.conf.arg())
     name: str = settings.name or parameter.name
     positional = parameter.kind is parameter.POSITIONAL_ONLY or tyro.conf.Positional in marks
     kind = _without_none(kind)
@@ -68,8 +68,8 @@ def _entry(parameter: inspect.Parameter, hint: Any, told: Mapping[str, str]) -> 
         option = "--" + name.replace("_", "-")
         against = () if tyro.conf.FlagCreatePairsOff in marks else ("--no-" + option.removeprefix("--"),)
         if default is True:
-            return Entry((option, *against), "", f"{text} Default: on.", count=0)
-        return Entry((option,), "", text, count=0, unshown=against)
+            return Entry((option, *against), "", f"{text} Default: on.", many=0)
+        return Entry((option,), "", text, many=0, unshown=against)
     value = settings.metavar or " ".join([_value(name, one, choices, upper=positional)] * (count or 1))
     if count is None:
         value += " ..."

@@ -32,22 +32,22 @@ def mistake(words: Sequence[str], prog: str, entries: Sequence[Entry]) -> str | 
             continue
         used.add(name)
         entry = options[name]
-        count = len(waiting) if entry.count is None else entry.count
+        count = len(waiting) if entry.many is None else entry.many
         values = given + [waiting.pop(0) for _ in range(count - len(given)) if waiting and _is_value(waiting, options)]
-        if len(values) < count and not (entry.count is None and values):
+        if len(values) < count and not (entry.many is None and values):
             return f"{name} needs {entry.value}. {more}"
         for value in values:
             if not _fits(value, entry):
                 return f'{name}: found "{value}", expected {_expected(entry)}. {more}'
         # What follows any number of values may be meant as arguments.
-        perhaps += len(values) if entry.count is None else 0
+        perhaps += len(values) if entry.many is None else 0
     expected = [entry for entry in entries if not entry.names]
     missing = [entry for entry in expected if entry.required][len(arguments) + perhaps :]
     missing += [entry for entry in entries if entry.names and entry.required and not used & set(entry.names)]
     if missing:
         asked = " ".join([*missing[0].names[-1:], missing[0].value])
         return f"{prog} needs {asked}: {missing[0].text} {more}"
-    if len(arguments) > len(expected) and all(entry.count == 1 for entry in expected):
+    if len(arguments) > len(expected) and all(entry.many == 1 for entry in expected):
         return f'"{arguments[len(expected)]}" is one word too many for {prog}. {more}'
     return None
 
