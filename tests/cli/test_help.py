@@ -64,7 +64,7 @@ def test_the_first_page_has_each_verb_in_one_group(run):
         (["measure", "room", "a.ply", "--calib", "b"], 'Did you mean "--calibration"?'),
         (["measure", "room", "a.ply", "-z"], '"-z" is no option of jaxscan measure room.'),
         (["calibrate", "x"], "jaxscan calibrate needs --output PATH: "),
-        (["calibrate", "-o", "y"], "jaxscan calibrate needs CAPTURE ...: "),
+        (["reconstruct", "-c", "x", "-o", "y"], "jaxscan reconstruct needs CAPTURE: "),
         (["calibrate", "x", "-o"], "-o needs PATH."),
         (["calibrate", "x", "-o", "y", "--at-m", "far"], '--at-m: found "far", expected a number.'),
         (["simulate", "x", "-o", "y", "--every", "1.5"], '--every: found "1.5", expected a whole number.'),

@@ -42,7 +42,8 @@ def mistake(words: Sequence[str], prog: str, entries: Sequence[Entry]) -> str | 
         # What follows any number of values may be meant as arguments.
         perhaps += len(values) if entry.many is None else 0
     expected = [entry for entry in entries if not entry.names]
-    missing = [entry for entry in expected if entry.required][len(arguments) + perhaps :]
+    # Where any number is taken, the verb itself says that none is too few.
+    missing = [entry for entry in expected if entry.required and entry.many == 1][len(arguments) + perhaps :]
     missing += [entry for entry in entries if entry.names and entry.required and not used & set(entry.names)]
     if missing:
         asked = " ".join([*missing[0].names[-1:], missing[0].value])
