@@ -47,7 +47,7 @@ def view(
     try:
         import aiohttp as aiohttp
     except ImportError as problem:
-        raise DependencyError("The viewer needs aiohttp; type: pip install 'jaxscan[view]'") from problem
+        raise DependencyError("The viewer needs aiohttp; type: pip install 'jaxscan[console]'") from problem
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.viewer import Named, serve_clouds
     from jaxscan.web import open_address
