@@ -96,7 +96,7 @@ def calibrate(
     out.print(f"solving for {plan.words()}{_held(known)}")
     for sentence in plan.missing:
         out.print(sentence)
-    with progress_bar("Looking for boards") as progress:
+    with progress_bar("Calibrating") as progress:
         result = api.calibrate(opened, settings=settings, known=known, redetect=redetect, progress=progress)
     told = {_part(sentence) for sentence in plan.missing}
     for sentence in result.missing:
