@@ -15,7 +15,7 @@ from jaxscan.cli.options import OutputPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.summary import print_summary, summary, write_page
+from jaxscan.cli.summary import next_command, print_summary, summary, write_page
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration import check_calibration_path, quality_table
 from jaxscan.files.disk import check_writable
@@ -41,12 +41,13 @@ def calibrate(
     limit_mm: float | None = None,
     at_m: float | None = None,
     limit_px: float | None = None,
+    verbose: bool = False,
     json: JsonTarget = None,
 ) -> None:
     """Calibrate the rig: `jaxscan calibrate captures/boards -o calibration.json`.
 
-    The first line says which parts of the rig the captures determine; the first line of the result says to how many
-    millimetres or pixels it is good. The exit code is 1 if it cannot be used at all, because its
+    The first line says which parts of the rig the captures determine; the last lines say to how many millimetres or
+    pixels the result is good, and what to type next. The exit code is 1 if it cannot be used at all, because its
     solve did not converge or its points are off by more than 5 % of their distance, or if it breaks a limit. The file
     is written in any case.
 
@@ -70,6 +71,7 @@ def calibrate(
         limit_mm: Refuse a rig whose points are not good to this.
         at_m: Depth at which points are judged; 2.5 m if not given, or as far as the rig reaches.
         limit_px: Refuse a camera whose rays are not good to this, over the image.
+        verbose: Print the tests and all parameters too.
         json: Write the result as JSON too.
     """
     parts = [("--camera", camera)] if camera else []
@@ -94,7 +96,7 @@ def calibrate(
     out.print(f"solving for {plan.words()}{_held(known)}")
     for sentence in plan.missing:
         out.print(sentence)
-    with progress_bar("Looking for boards") as progress:
+    with progress_bar("Calibrating") as progress:
         result = api.calibrate(opened, settings=settings, known=known, redetect=redetect, progress=progress)
     told = {_part(sentence) for sentence in plan.missing}
     for sentence in result.missing:
@@ -105,13 +107,14 @@ def calibrate(
     if report is not None:
         write_page(result, report)
         files["report"] = str(report)
-    print_summary(out, result)
     out.print(f"written: {', '.join(files.values())}")
+    print_summary(out, result, verbose=verbose)
     found = {"missing": result.missing, "quality": quality_table(result.quality)}
     emit_json(json, "calibrate", files | summary(result) | found)
     first = words.headline(result)
     if first.kind == "bad":
         raise CalibrationError(f"{output}: written, but {first.headline.lower()}. {first.explanation}")
+    out.print(f"next: {next_command(result, output)}")
 
 
 def _part(sentence: str) -> str:

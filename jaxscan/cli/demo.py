@@ -1,6 +1,7 @@
 """`jaxscan demo`: simulates a rig, calibrates, scans and measures, and compares the results with the truth."""
 
 import importlib.resources
+import shlex
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -101,6 +102,8 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
         f"{comparison.false_points} points where the truth has none"
     )
     out.print(f"{seconds['all']:.0f} s in all; written: {', '.join(str(output / n) for n in FILES)}")
+    look = ["jaxscan", "view", str(output / "room.ply"), "-c", str(output / "calibration.json")]
+    out.print(f"next: {shlex.join(look)}")
     emit_json(json, "demo", {"room": room, "distances": lengths, "points": points, "seconds_s": seconds})
 
 

@@ -30,6 +30,33 @@ class Check(NamedTuple):
     needed: bool
     works: bool
     detail: str
+    without: str = ""
+    """What cannot be done without it."""
+    extra: str = ""
+    """The extra that brings it; none for what every installation has."""
+
+
+class Optional(NamedTuple):
+    """A package that only some work needs."""
+
+    package: str
+    module: str
+    extra: str
+    without: str
+
+
+OPTIONAL = (
+    Optional("embreex", "embreex.rtcore_scene", "simulate", "demo, simulate"),
+    Optional("pyserial", "serial", "rig", "scan, console"),
+    Optional("aiohttp", "aiohttp", "console", "console, view"),
+    Optional("pye57", "pye57", "export", "clouds as E57"),
+    Optional("laspy", "laspy", "export", "clouds as LAS"),
+    Optional("lazrs", "lazrs", "export", "clouds as LAZ"),
+    Optional("pyproj", "pyproj", "export", "convert --epsg"),
+    Optional("ezdxf", "ezdxf", "plan", "drawings as DXF"),
+    Optional("fast-simplification", "fast_simplification", "mesh", "mesh --faces"),
+    Optional("open3d", "open3d", "poisson", "mesh --poisson"),
+)
 
 
 class RigUnwell(JaxscanError):
@@ -76,19 +103,24 @@ def _look_at_machine(out: Terminal, json: str | None) -> None:
         _try("OpenCV", True, lambda: _version("cv2", "opencv-python-headless")),
         _try("Numba", True, lambda: _version("numba", "numba")),
         _try("optimistix", True, lambda: _version("optimistix", "optimistix")),
-        _try("Embree (simulator)", False, lambda: _version("embreex.rtcore_scene", "embreex")),
         _try("matplotlib (reports)", False, lambda: _version("matplotlib.figure", "matplotlib")),
-        _try("pyserial (rig)", False, lambda: _version("serial", "pyserial")),
-        _try("E57 export", False, lambda: _version("pye57", "pye57")),
-        _try("LAS/LAZ export", False, lambda: _version("laspy", "laspy")),
     ]
+    extras = [_optional(one) for one in OPTIONAL]
     out.print(f"Python {platform.python_version()} on {platform.system()} {platform.machine()}, {os.cpu_count()} cores")
     rows = [(check.name, "works" if check.works else "missing", check.detail) for check in checks]
     out.print(table("Installation", ("part", "", "detail"), rows))
+    packages = [(one.name, one.detail if one.works else "missing", one.without, one.extra) for one in extras]
+    out.print(table("Optional packages", ("package", "", "without it there is no", "extra"), packages))
+    for one in extras:
+        if not one.works:
+            out.print(f"{one.name}: {one.detail}")
+    absent = list(dict.fromkeys(one.extra for one in extras if not one.works))
+    if absent:
+        out.print(f'to have them all: pip install "jaxscan[{",".join(absent)}]"')
     ports, cameras = _found(_ports), _found(_cameras)
     out.print(f"serial ports: {'; '.join(ports) or 'none'}")
     out.print(f"cameras: {'; '.join(cameras) or 'none'}")
-    result = {"checks": [check._asdict() for check in checks], "ports": ports, "cameras": cameras}
+    result = {"checks": [check._asdict() for check in (*checks, *extras)], "ports": ports, "cameras": cameras}
     emit_json(json, "doctor", {"python": platform.python_version(), **result})
     broken = [check.name for check in checks if check.needed and not check.works]
     if broken:
@@ -168,6 +200,21 @@ def _try(name: str, needed: bool, look: Callable[[], str]) -> Check:
         return Check(name, needed, True, look())
     except (ImportError, OSError, JaxscanError, metadata.PackageNotFoundError) as problem:
         return Check(name, needed, False, _first_line(problem))
+
+
+def _optional(one: Optional) -> Check:
+    look: Callable[[], str] = lambda: _version(one.module, one.package)
+    if one.package == "open3d":
+        look = _open3d
+    return _try(one.package, False, look)._replace(without=one.without, extra=one.extra)
+
+
+def _open3d() -> str:
+    # It needs a library that its wheel does not name.
+    from jaxscan.surface import load_open3d
+
+    load_open3d()
+    return metadata.version("open3d")
 
 
 def _first_line(problem: Exception) -> str:

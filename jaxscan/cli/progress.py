@@ -25,6 +25,8 @@ from jaxscan.printable import printable
 
 _WITHOUT_BAR = b"\r\x1b[2K\x1b[?25h"
 """Clears the line of the bar, and shows the cursor that rich hides."""
+_BESIDE_BAR = 72
+"""Narrower terminals have room for what is being done, but not for a bar and a clock too."""
 LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
 COMPILED = "/jax/core/compile/backend_compile_duration"
 """JAX reports these at the start and at the end of compiling a function, in the thread that compiles it."""
@@ -34,8 +36,9 @@ COMPILED = "/jax/core/compile/backend_compile_duration"
 class Shown:
     """The callback of a progress bar."""
 
-    def __init__(self, task: str, bars: Progress | None) -> None:
-        """Show a task on some bars; None shows nothing."""
+    def __init__(self, task: str, bars: Progress | None, *, brief: bool = False) -> None:
+        """Show a task on some bars; None shows nothing. If brief, what is done now stands in the task's place."""
+        self._brief = brief
         self._bars, self._task, self._doing = bars, task, ""
         self._compiling: set[int] = set()
         self._lock = threading.Lock()
@@ -66,7 +69,8 @@ class Shown:
         if self._bars is None:
             return
         said = [words for words in (self._doing, "compiling" if self._compiling else "") if words]
-        told = f"{self._task}: {', '.join(said)}" if said else self._task
+        task = [] if self._brief and said else [self._task]
+        told = ": ".join([*task, *([", ".join(said)] if said else [])])
         self._bars.update(self._number, description=printable(told))
 
 
@@ -90,11 +94,13 @@ def progress_bar(task: str) -> Iterator[Shown]:
         yield Shown(task, None)
         return
     text = TextColumn("{task.description}", markup=False)
-    columns = (SpinnerColumn("line"), text, BarColumn(), _Count(), TimeElapsedColumn())
+    brief = terminal.console.width < _BESIDE_BAR
+    wide = (SpinnerColumn("line"), text, BarColumn(), _Count(), TimeElapsedColumn())
+    columns = (SpinnerColumn("line"), text, _Count()) if brief else wide
     leave_behind(_WITHOUT_BAR)
     try:
         with Progress(*columns, console=terminal.console, transient=True) as bars:
-            shown = Shown(task, bars)
+            shown = Shown(task, bars, brief=brief)
             jax.monitoring.register_event_duration_secs_listener(shown.heard)
             try:
                 yield shown

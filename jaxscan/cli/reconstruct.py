@@ -1,5 +1,6 @@
 """`jaxscan reconstruct`: makes a coloured cloud from a captured sweep."""
 
+import shlex
 import time
 from typing import Literal
 
@@ -114,6 +115,7 @@ def reconstruct(
     )
     out.print(f"median sigma along the ray: {1e3 * random:.2f} mm random, {1e3 * systematic:.2f} mm systematic")
     out.print(f"written: {output}")
+    out.print(f"next: {shlex.join(['jaxscan', 'view', str(output), '-c', str(calibration)])}")
     emit_json(
         json,
         "reconstruct",

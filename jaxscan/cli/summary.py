@@ -1,5 +1,6 @@
 """Output of a calibration: as text for people, as JSON for machines, and as a page."""
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,10 @@ from jaxscan.report import calibration_date, calibration_page, outcome_rows, par
 _STYLE = {"good": "bold green", "bad": "bold red", "open": "bold yellow"}
 
 
-def print_summary(out: Terminal, calibration: Calibration) -> None:
-    """Print the verdict first, then lengths, noise, faults, advice and parameters."""
-    first = words.headline(calibration)
-    out.print(f"{first.headline}. {first.explanation}", style=_STYLE[first.kind])
+def print_summary(out: Terminal, calibration: Calibration, *, verbose: bool = False) -> None:
+    """Print lengths, noise, faults and advice, and the verdict last; with `verbose` tests and parameters before all."""
+    if verbose:
+        _print_tables(out, calibration)
     lengths = words.lengths(calibration)
     if lengths:
         out.print("Uncertainty that the calibration alone causes (one standard deviation):")
@@ -30,7 +31,12 @@ def print_summary(out: Terminal, calibration: Calibration) -> None:
     for text in words.warnings(calibration):
         out.print(f"warning: {text}", style="yellow")
     for text in words.advice(calibration):
-        out.print(f"next: {text}")
+        out.print(f"to improve it: {text}")
+    first = words.headline(calibration)
+    out.print(f"{first.headline}. {first.explanation}", style=_STYLE[first.kind])
+
+
+def _print_tables(out: Terminal, calibration: Calibration) -> None:
     outcomes = outcome_rows(calibration)
     if outcomes:
         rows = [row[:7] for row in outcomes]
@@ -39,6 +45,14 @@ def print_summary(out: Terminal, calibration: Calibration) -> None:
         return
     rows = [parameter.row() for parameter in parameters(calibration)]
     out.print(table("Parameters", ("parameter", "value", "standard deviation"), rows))
+
+
+def next_command(calibration: Calibration, path: Path) -> str:
+    """What to type after a calibration that can be used."""
+    scanner = calibration.scanner
+    if scanner is None or not scanner.laser_names:
+        return shlex.join(["jaxscan", "report", str(path), "-o", str(path.with_suffix(".html"))])
+    return shlex.join(["jaxscan", "reconstruct", "captures/room", "-c", str(path), "-o", "room.ply"])
 
 
 def summary(calibration: Calibration) -> dict[str, Any]:

@@ -2,6 +2,10 @@
 
 import json
 import sys
+import tomllib
+from pathlib import Path
+
+from jaxscan.cli.doctor import OPTIONAL
 
 from ..hardware.desk import Desk
 
@@ -31,6 +35,33 @@ def test_what_is_missing_is_said(run, monkeypatch):
     assert ran.code == 1
     assert ran.err.endswith("\njaxscan: OpenCV must work and does not: see the table.\n")
     assert not checks(ran)["OpenCV"]["works"]
+
+
+def test_what_optional_packages_are_for(run, monkeypatch):
+    for module in ("ezdxf", "pye57", "aiohttp"):
+        monkeypatch.setitem(sys.modules, module, None)
+    ran = run("doctor", "--json", "-")
+    assert ran.code == 0, ran.err
+    found = checks(ran)
+    for name, without, extra in (
+        ("ezdxf", "drawings as DXF", "plan"),
+        ("pye57", "clouds as E57", "export"),
+        ("aiohttp", "console, view", "console"),
+    ):
+        assert found[name] | {"detail": ""} == {
+            **{"name": name, "needed": False, "works": False, "detail": "", "without": without, "extra": extra}
+        }
+        assert f"{name}: import of {name} halted" in ran.err and without in ran.err
+    assert found["open3d"]["works"] and found["open3d"]["detail"][0].isdigit()
+    assert 'to have them all: pip install "jaxscan[console,export,plan]"' in ran.err
+
+
+def test_every_optional_package_is_brought_by_its_extra():
+    tables = tomllib.loads((Path(__file__).resolve().parents[2] / "pyproject.toml").read_text())
+    extras = tables["project"]["optional-dependencies"]
+    for one in OPTIONAL:
+        brought = " ".join(extras[one.extra])
+        assert one.package in brought
 
 
 def test_ports_and_cameras_are_listed(run):

@@ -39,7 +39,7 @@ def test_help_lists_all_verbs_and_loads_none():
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.splitlines()[-1] == "0 []"
-    assert all(f"• {verb} " in run.stdout for verb in VERBS)
+    assert all(f"\n  {verb} " in run.stdout for verb in VERBS)
 
 
 def test_help_of_a_verb_loads_no_jax():

@@ -98,3 +98,22 @@ def test_without_a_terminal_nothing_is_printed(capsys):
         shown.doing("fitting")
         shown(1, 2)
     assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("width", [1, 40])
+def test_a_narrow_terminal_sees_the_stage(monkeypatch, width):
+    screen = Screen()
+
+    class Narrow:
+        is_terminal = True
+        console = Console(file=screen, force_terminal=True, width=width, color_system=None)
+
+        def __init__(self, **_):
+            pass
+
+    monkeypatch.setattr(progress, "Terminal", Narrow)
+    with progress.progress_bar("Calibrating") as shown:
+        shown(1, 4)
+        shown.doing("solving again, with a verdict")
+        if width == 40:
+            assert screen.wait_for("solving again", "1/4")

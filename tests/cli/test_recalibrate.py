@@ -239,13 +239,14 @@ def recalibrated(here, monkeypatch):
 
 
 class TestOutput:
-    def test_the_drift_verdict_comes_first(self, recalibrated, run):
+    def test_the_drift_verdict_comes_last(self, recalibrated, run):
         old = Path("old.json").read_bytes()
         ran = run("recalibrate", "room", "-c", "old.json", "-o", "new.json", "--report", "new.html")
         assert ran.code == 0, ran.err
         lines = ran.out.splitlines()
-        assert lines[0] == "The rig has drifted: the plane of laser red moved by 0.050 degrees (p < 1e-6)."
-        assert lines[-1] == "written: new.json, new.html"
+        assert lines[-3] == "The rig has drifted: the plane of laser red moved by 0.050 degrees (p < 1e-6)."
+        assert lines[-1] == "next: jaxscan reconstruct room -c new.json -o room.ply"
+        assert "written: new.json, new.html" in lines
         said = " ".join(lines)
         assert "table: The table turns half as far as the journal says." in lines
         assert "6.15 m between points half a turn apart: 63 mm before, 1.1 mm now, 57 times better" in said
@@ -259,7 +260,9 @@ class TestOutput:
     def test_no_drift(self, recalibrated, run):
         recalibrated["drifted"] = False
         ran = run("recalibrate", "room", "-c", "old.json", "-o", "new.json")
-        assert ran.out.splitlines()[0] == "The rig is as it was calibrated (p = 0.43)."
+        *_, verdict, _, following = ran.out.splitlines()
+        assert verdict == "The rig is as it was calibrated (p = 0.43)."
+        assert following == "next: jaxscan reconstruct room -c new.json -o room.ply"
 
     def test_the_json_carries_the_summary(self, recalibrated, run):
         ran = run("recalibrate", "room", "-c", "old.json", "-o", "new.json", "--json", "-")

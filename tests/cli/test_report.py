@@ -67,7 +67,7 @@ class TestCalibrate:
         assert "<h2>Views, worst first</h2>" in page.read_text()
         assert jaxscan.load_scanner(tmp_path / "a.json").laser_names == stored.scanner.laser_names
 
-    def test_prints_the_verdict_first(self, tiny, capsys):
+    def test_prints_the_verdict_last(self, tiny, capsys):
         stored = jaxscan.load_calibration(tiny.calibration)
         quality = dataclasses.replace(
             stored.quality,
@@ -75,16 +75,23 @@ class TestCalibrate:
             verdict=REFUSED,
             warnings=("[bold]not markup[/bold]",),
         )
-        print_summary(console(), dataclasses.replace(stored, quality=quality))
+        shown = dataclasses.replace(stored, quality=quality)
+        print_summary(console(), shown)
         lines = capsys.readouterr().out.splitlines()
-        assert lines[0].startswith("Good to only 2.0 mm at 2.5 m. Refused: 1 mm were asked; 1.9 mm of that because the")
-        assert lines[2].split() == "0.053 mm 300 mm along the stripe at 2.5 m".split()
-        assert lines[3] == "Board found in 21 of 21 records."
-        assert lines[4].startswith("Corners: ") and lines[5].startswith("Stripes: ")
+        assert lines[1].split() == "0.053 mm 300 mm along the stripe at 2.5 m".split()
+        assert lines[2] == "Board found in 21 of 21 records."
+        assert lines[3].startswith("Corners: ") and lines[4].startswith("Stripes: ")
         assert "warning: [bold]not markup[/bold]" in lines
-        assert "next: Look at the sheet." in lines
-        assert any(line.startswith("│ sheet") and "structure" in line for line in lines)
-        assert any(line.startswith("│ fx, px") for line in lines)
+        assert lines[-2] == "to improve it: Look at the sheet."
+        assert lines[-1].startswith(
+            "Good to only 2.0 mm at 2.5 m. Refused: 1 mm were asked; 1.9 mm of that because the"
+        )
+        # Tables come only on demand, and before all that matters more.
+        print_summary(console(), shown, verbose=True)
+        more = capsys.readouterr().out.splitlines()
+        assert more[-len(lines) :] == lines and not any("│" in line for line in lines)
+        assert any(line.startswith("│ sheet") and "structure" in line for line in more)
+        assert any(line.startswith("│ fx, px") for line in more)
 
     @pytest.mark.parametrize("words", [(), ("--json", "-")])
     def test_what_is_refused_is_written_and_exits_with_1(self, tiny, run, tmp_path, monkeypatch, words):
@@ -114,10 +121,10 @@ class TestCalibrate:
         assert ran.code == 1
         (line,) = ran.err.splitlines()
         assert line.startswith(f"jaxscan: {target}: written, but not converged. The solve did not converge in 1 step")
-        plan, first = ran.out.splitlines()[:2]
+        plan, *_, last = ran.out.splitlines()
         assert plan == "solving for camera alone"
-        assert first.startswith("Not converged. The solve did not converge in 1 step")
-        for diagnosis in ("next:", "warning:", "Tests", "Parameters", "promise"):
+        assert last.startswith("Not converged. The solve did not converge in 1 step")
+        for diagnosis in ("next:", "to improve it:", "warning:", "Tests", "Parameters", "promise"):
             assert diagnosis not in ran.out
         result = json.loads((tmp_path / "result.json").read_text())
         assert result["quality"]["converged"] is False and result["verdict"]["kind"] == "bad"
@@ -138,9 +145,10 @@ class TestCalibrate:
         limits = "--limit-mm 3 --at-m 2.5 --limit-px 0.4".split()
         ran = run("calibrate", tiny.boards, "-o", tmp_path / "a.json", *limits, "--json", tmp_path / "result.json")
         assert ran.code == 0, ran.err
-        plan, first = ran.out.splitlines()[:2]
+        plan, *_, verdict, following = ran.out.splitlines()
         assert plan == "solving for camera, sheet and axis"
-        assert first.startswith("Good to 2.0 mm at 2.5 m; 1.9 mm of that because the light sheet does not have")
+        assert verdict.startswith("Good to 2.0 mm at 2.5 m; 1.9 mm of that because the light sheet does not have")
+        assert following == f"next: jaxscan reconstruct captures/room -c {tmp_path / 'a.json'} -o room.ply"
         settings = given["settings"]
         assert (settings.limit_mm, settings.at_m, settings.limit_px) == (3.0, 2.5, 0.4)
         verdict = json.loads((tmp_path / "result.json").read_text())["quality"]["verdict"]

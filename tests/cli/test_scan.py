@@ -161,10 +161,11 @@ def test_ctrl_c_ends_after_the_step_and_resume_goes_on(run, paper, config, tmp_p
     paper.desk.controller.before_shot[4] = lambda controller: os.kill(os.getpid(), signal.SIGINT)
     ran = run("scan", config, "-o", tmp_path / "room")
     assert ran.code == 130
-    assert "interrupted with 4 of 10 records; go on with --resume" in ran.out
+    assert "interrupted with 4 of 10 records; it can be resumed" in ran.out
+    assert ran.out.endswith(f"go on with: jaxscan scan {config} -o {tmp_path / 'room'} --resume\n")
     assert ran.err.endswith("jaxscan: interrupted\n")
     assert not paper.desk.table.laser and not paper.desk.table.contactor
-    assert "--resume" in run("scan", config, "-o", tmp_path / "room").err
+    assert "holds a capture already; add --resume" in run("scan", config, "-o", tmp_path / "room").err
     ran = run("scan", config, "-o", tmp_path / "room", "--resume")
     assert ran.code == 0, ran.err
     assert len(open_capture(tmp_path / "room")) == 10

@@ -45,7 +45,7 @@ def test_20_too_little_space_is_said_before_anything_moves(tmp_path, monkeypatch
     desk = Desk()
     result = sweep(desk, tmp_path / "room")
     # 20 frames of 128 x 96 px and a tenth more.
-    assert result.status == "disk full" and "needs 0.3 MB" in result.message and "--resume" in result.message
+    assert result.status == "disk full" and "needs 0.3 MB" in result.message and "then resume" in result.message
     assert desk.controller.shots == [] and not (tmp_path / "room").exists()
 
 
@@ -55,7 +55,7 @@ def test_20_space_that_goes_while_the_sweep_runs(tmp_path, monkeypatch):
     desk.controller.before_shot[4] = lambda controller: free.__setitem__(0, 40_000)
     result = sweep(desk, tmp_path / "room")
     assert (result.status, result.records) == ("disk full", 4)
-    assert "make room, then go on with --resume" in result.message
+    assert "make room, then resume the capture" in result.message
     require_safe_and_whole(tmp_path / "room", desk, 4)
     assert journal(tmp_path / "room")[-1]["status"] == "disk full"
     free[0] = 10**9

@@ -161,7 +161,7 @@ def test_an_existing_capture_is_not_touched_without_resume(tmp_path):
     sweep(Desk(), tmp_path / "room")
     before = (tmp_path / "room" / "frames.jsonl").read_bytes()
     desk = Desk()
-    with pytest.raises(SessionError, match=r"holds a capture already; go on with --resume"):
+    with pytest.raises(SessionError, match=r"holds a capture already; resume it, or choose another folder"):
         sweep(desk, tmp_path / "room")
     assert (tmp_path / "room" / "frames.jsonl").read_bytes() == before and desk.controller.log == []
 

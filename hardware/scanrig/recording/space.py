@@ -31,7 +31,7 @@ def require_space(folder: Path, needed: int, *, purpose: str) -> None:
     if free < needed:
         raise DiskFull(
             f"{folder}: {readable(free)} are free, {purpose} needs {readable(needed)}; "
-            "make room, then go on with --resume."
+            "make room, then resume the capture."
         )
 
 

@@ -83,7 +83,7 @@ def _run(session: Session, work: Callable[[Session], bool]) -> SessionResult:
             ending.error.args = (f"{str(ending.error).rstrip('.')}. {unsafe}", *ending.error.args[1:])
         if session.ledger.events and session.done:
             job.hooks.notify(
-                f"{job.folder}: {len(session.done)} of {job.planned} records are on the disk; go on with --resume."
+                f"{job.folder}: {len(session.done)} of {job.planned} records are on the disk; the capture can be resumed."
             )
         raise ending.error
     return _result(session, ending, unsafe)
@@ -126,7 +126,7 @@ def _look(job: Job) -> Found | None:
     if not is_capture(job.folder):
         return None
     if not job.resume:
-        raise SessionError(f"{job.folder}: holds a capture already; go on with --resume, or choose another folder.")
+        raise SessionError(f"{job.folder}: holds a capture already; resume it, or choose another folder.")
     job.hooks.notify(f"{job.folder}: verifying the capture.")
 
     def end_if_asked(done: int, total: int) -> None:

@@ -17,13 +17,12 @@ def say_end(ending: Ending, folder: Path, *, count: int, planned: int, suspect: 
         planned: Records of the complete capture.
         suspect: Ranges of suspect records.
     """
-    again = "go on with --resume"
     there = f"{count} of {planned} records"
     says = {
         "complete": f"complete, {count} records",
-        "suspect": f"steps were lost: the records {_spoken(suspect)} are suspect; take them again with --resume",
-        "interrupted": f"interrupted with {there}; {again}",
-        "e-stop": f"{ending.message}. {there} are there; release the e-stop, then {again}",
+        "suspect": f"steps were lost: the records {_spoken(suspect)} are suspect; resume the capture to take them again",
+        "interrupted": f"interrupted with {there}; it can be resumed",
+        "e-stop": f"{ending.message}. {there} are there; release the e-stop, then resume the capture",
         "disk full": f"{ending.message} {there} are there",
     }[ending.status]
     # The message of an error may already begin with the folder.

@@ -1,14 +1,31 @@
 """The door to the terminal: people read here, and nothing that is printed steers the terminal."""
 
+import os
 import sys
 from collections.abc import Sequence
-from typing import final
+from typing import NamedTuple, final
 
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table
 
 from jaxscan.errors import OutputError
 from jaxscan.printable import printable
+
+
+_WIDTH = 160
+"""Columns where the output is no terminal, and the environment names none."""
+
+_UNLIMITED = 1_000_000
+"""Columns for any table."""
+
+
+class Sheet(NamedTuple):
+    """A table to be printed: its first column is text, the others are numbers."""
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
 
 
 @final
@@ -16,42 +33,70 @@ class Terminal:
     """Prints lines and tables, in colour where somebody sees it."""
 
     def __init__(self, *, stderr: bool = False) -> None:
-        """Print to standard output, or to standard error."""
-        # Without wrapping, markup and emoji codes, so that printed paths and commands can be copied.
+        """Print to standard output, or to standard error.
+
+        The variables NO_COLOR and FORCE_COLOR of the environment forbid and demand colours; rich answers to the latter.
+        """
+        file = sys.stderr if stderr else sys.stdout
+        # Without wrapping, markup and emoji codes, so that printed paths and commands can be copied. Without a
+        # system of colours there is no bold either: nothing is printed for the terminal to obey.
         self.console = Console(
-            file=sys.stderr if stderr else sys.stdout, highlight=False, markup=False, emoji=False, soft_wrap=True
+            file=file,
+            highlight=False,
+            markup=False,
+            emoji=False,
+            soft_wrap=True,
+            color_system=None if os.environ.get("NO_COLOR") else "auto",
         )
         """For moving displays, which have to print their own fields through `printable`."""
         self.console.on_broken_pipe = _raise_again  # type: ignore[method-assign]
-        if not self.console.is_terminal:
-            self.console.width = 160
+        if not self.is_terminal and not os.environ.get("COLUMNS", "").isdecimal():
+            self.console.width = _WIDTH
 
     @property
     def is_terminal(self) -> bool:
-        """Whether a person may see it."""
-        return self.console.is_terminal
+        """Whether a person may see it; colours that FORCE_COLOR demands make no terminal of a file."""
+        file = self.console.file
+        return self.console.is_terminal and not file.closed and file.isatty()
 
-    def print(self, text: str | Table, style: str = "") -> None:
-        """Print one line, or a table that `table` made.
+    def print(self, text: str | Sheet, style: str = "") -> None:
+        """Print one line, or a table that `table` made; where it is too wide, one line for each of its numbers.
 
         Raises:
             OutputError: If it cannot be written.
             BrokenPipeError: If nobody reads.
         """
         try:
-            self.console.print(printable(text) if isinstance(text, str) else text, style=style)
+            for part in [printable(text)] if isinstance(text, str) else self._fitted(text):
+                self.console.print(part, style=style)
         except BrokenPipeError:
             raise
         except OSError as problem:
             raise OutputError(f"standard output: cannot be written: {problem.strerror}.") from problem
 
+    def _fitted(self, sheet: Sheet) -> Sequence[Table | str]:
+        whole = _drawn(sheet)
+        unlimited = self.console.options.update(width=_UNLIMITED)
+        if Measurement.get(self.console, unlimited, whole).maximum <= self.console.width:
+            return [whole]
+        lines = [sheet.title]
+        for name, *values in sheet.rows:
+            lines.append(name)
+            named = zip(sheet.columns[1:], values, strict=False)
+            lines += [f"  {column}: {value}" if column else f"  {value}" for column, value in named if value]
+        return [printable(line) for line in lines]
 
-def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Sheet:
     """A table whose first column is text and whose others are numbers."""
-    made = Table(title=printable(title), title_justify="left", title_style="bold")
-    for i, column in enumerate(columns):
+    return Sheet(title, columns, rows)
+
+
+def _drawn(sheet: Sheet) -> Table:
+    made = Table(title=printable(sheet.title), title_justify="left", title_style="bold")
+    for i, column in enumerate(sheet.columns):
         made.add_column(printable(column), justify="left" if i == 0 else "right", no_wrap=True)
-    for row in rows:
+    for row in sheet.rows:
         made.add_row(*map(printable, row))
     return made
 

@@ -2,12 +2,17 @@
 
 import functools
 import importlib
+import sys
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import tyro
 
 import jaxscan
+from jaxscan.cli.help.completion import SHELLS, Verb, completion
+from jaxscan.cli.help.entries import entries_of
+from jaxscan.cli.help.mistakes import mistake, unknown_verb
+from jaxscan.cli.help.page import overview, short, verb_page
 from jaxscan.cli.process.terminal import Terminal
 from jaxscan.printable import printable
 
@@ -47,6 +52,10 @@ MEASURES = {
     "compare": "Against a true or better cloud: `jaxscan measure compare room.ply truth.npz`.",
 }
 """The same for the verbs below `jaxscan measure`."""
+
+HELP = ("-h", "--help")
+USAGE = 2
+"""The exit code of a mistake in the words."""
 
 _ROOMS = {
     "align": "products.align",
@@ -99,18 +108,26 @@ def _parse(words: Sequence[str], *, answer: bool = True) -> Callable[[], None]:
     words = list(words)
     if words == ["--version"]:
         return lambda: Terminal().print(f"jaxscan {jaxscan.__version__}")
-    prog, verbs = "jaxscan", VERBS
+    if words[:1] == ["--completion"]:
+        return _completion(words[1:], answer=answer)
+    prog, says, verbs = "jaxscan", DESCRIPTION, VERBS
     if words[:1] == ["measure"]:
-        prog, verbs, words = "jaxscan measure", MEASURES, words[1:]
-    if not words or words[0] not in verbs:
-        # A request for help, or a mistake that is answered with the closest verb: either ends here.
-        listed = {name: _listed(line) for name, line in verbs.items()}
-        tyro.extras.subcommand_cli_from_dict(
-            listed, prog=prog, description=DESCRIPTION, args=words, console_outputs=answer
-        )
-        return lambda: None
+        prog, says, verbs, words = "jaxscan measure", short(VERBS["measure"]), MEASURES, words[1:]
+    if not words or words[0] in HELP:
+        if answer:
+            print(overview(prog, says, verbs), end="", file=sys.stdout if words else sys.stderr)
+        raise SystemExit(0 if words else USAGE)
     verb, *rest = words
+    if verb not in verbs:
+        _leave(unknown_verb(verb, prog, list(verbs)), answer)
     function = load_verb(verb)
+    if set(HELP) & set(rest):
+        if answer:
+            print(verb_page(f"{prog} {verb}", function), end="")
+        raise SystemExit(0)
+    wrong = mistake(rest, f"{prog} {verb}", entries_of(function))
+    if wrong:
+        _leave(wrong, answer)
 
     @functools.wraps(function)
     def bind(*positional: Any, **options: Any) -> Any:
@@ -120,8 +137,16 @@ def _parse(words: Sequence[str], *, answer: bool = True) -> Callable[[], None]:
     return bound
 
 
-def _listed(line: str) -> Callable[[], None]:
-    """A verb as the list of verbs shows it."""
-    verb: Callable[[], None] = lambda: None
-    verb.__doc__ = line
-    return verb
+def _completion(words: Sequence[str], *, answer: bool) -> Callable[[], None]:
+    if len(words) != 1 or words[0] not in SHELLS:
+        _leave(f"--completion needs the name of a shell: {', '.join(SHELLS)}.", answer)
+    known = [Verb((name,), short(line), entries_of(load_verb(name))) for name, line in VERBS.items()]
+    known += [Verb(("measure", name), short(line), entries_of(load_verb(name))) for name, line in MEASURES.items()]
+    return lambda: print(completion(words[0], known), end="")
+
+
+def _leave(line: str, answer: bool) -> NoReturn:
+    """Answer a mistake with one line, and end."""
+    if answer:
+        Terminal(stderr=True).print(f"jaxscan: {line}")
+    raise SystemExit(USAGE)

@@ -1,5 +1,6 @@
 """`jaxscan recalibrate`: refines a stored calibration with ordinary sweeps of a room."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -119,8 +120,10 @@ def recalibrate(
         out = console(json)
         for note in notes:
             out.print(f"note: {note}")
-        print_recalibration(out, result)
         out.print(f"written: {', '.join(files.values())}")
+        print_recalibration(out, result)
+        next_words = ["jaxscan", "reconstruct", str(sweeps[0]), "-c", str(output), "-o", f"{sweeps[0].name}.ply"]
+        out.print(f"next: {shlex.join(next_words)}")
     emit_json(json, "recalibrate", files | recalibration_json(result))
     if result.calibration is None:
         raise CalibrationError(

@@ -17,10 +17,7 @@ _UNUSUAL = 3.0
 
 
 def print_recalibration(out: Terminal, result: Recalibration) -> None:
-    """Print the drift verdict first, then gains, moves, walls, closure and open directions."""
-    first = words.headline(result)
-    out.print(f"{first.headline}.", style=_STYLE[first.kind])
-    out.print(first.explanation)
+    """Print gains, moves, walls, closure and open directions, and the drift verdict last."""
     for text in words.table_lines(result):
         out.print(f"table: {text}", style="yellow")
     blocks = {
@@ -40,6 +37,9 @@ def print_recalibration(out: Terminal, result: Recalibration) -> None:
         out.print(f"not told by these captures: {text}")
     for text in result.notes:
         out.print(f"note: {text}")
+    first = words.headline(result)
+    out.print(f"{first.headline}.", style=_STYLE[first.kind])
+    out.print(first.explanation)
 
 
 def moved_lines(result: Recalibration) -> list[str]:

@@ -88,6 +88,8 @@ def scan(
     rig = load_rig(config)
     if boards and rig.board is None:
         raise OptionError(f"{config}: has no [board] table, which --boards needs.")
+    if not resume and (output / HEADER_NAME).exists():
+        raise OptionError(f"--output: {output} holds a capture already; add --resume, or choose another folder.")
     out = console(json)
     plan = ScanPlan.of(rig, boards=boards)
     plan.show(out, rig, output)
@@ -125,13 +127,15 @@ def scan(
     if result.status == "complete":
         out.print(f"next: {_next_command(boards, output, calibration, cloud)}")
     emit_json(json, "scan", {**_as_json(result), "capture": str(output), **done, "notes": notes})
-    if result.status == "interrupted" and interrupts():
-        raise KeyboardInterrupt(interrupts.received[0])
     if result.status != "complete":
         given = {"--port": port, "-c": calibration, "--cloud": cloud, "--place-command": place_command}
         words = ["jaxscan", "scan", str(config), "-o", str(output), *(["--boards"] if boards else [])]
         words += [str(word) for option in given.items() if option[1] is not None for word in option]
-        raise ScanError(f"{output}: {result.status}; go on with: {shlex.join([*words, '--resume'])}")
+        again = f"go on with: {shlex.join([*words, '--resume'])}"
+        if result.status == "interrupted" and interrupts():
+            out.print(again)
+            raise KeyboardInterrupt(interrupts.received[0])
+        raise ScanError(f"{output}: {result.status}; {again}")
 
 
 def _check_options(*, boards: bool, calibration: Path | None, cloud: Path | None, place_command: str | None) -> None:

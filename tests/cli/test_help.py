@@ -1,0 +1,149 @@
+"""Help in plain words, answers to mistyped words, and completion of shells."""
+
+import re
+import shutil
+import subprocess
+
+import pytest
+
+from jaxscan.cli.help.completion import SHELLS
+from jaxscan.cli.help.entries import entries_of, paragraphs
+from jaxscan.cli.help.page import GROUPS
+from jaxscan.cli.process.verbs import DESCRIPTION, MEASURES, VERBS, load_verb
+
+
+EVERY = [(verb,) for verb in VERBS if verb != "measure"] + [("measure", verb) for verb in MEASURES]
+PAGES = [(), ("measure",), *EVERY]
+UNPLAIN = ("{None}", "{", "None", "(default", "INT", "FLOAT", "STR", "TUPLE", "positional arguments", "╭", "│", "\x1b")
+
+
+@pytest.mark.parametrize("words", PAGES, ids=" ".join)
+@pytest.mark.parametrize("columns", [40, 60, 80, 200])
+def test_pages_are_plain_and_fit(words, columns, run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    ran = run(*words, "--help")
+    assert ran.code == 0 and ran.err == ""
+    assert not [sign for sign in UNPLAIN if sign in ran.out]
+    assert max(map(len, ran.out.splitlines())) <= min(columns, 100)
+    assert ran.out.startswith(f"usage: {' '.join(['jaxscan', *words])} [-h]")
+
+
+@pytest.mark.parametrize("words", EVERY, ids=" ".join)
+def test_every_name_has_words_of_its_own(words, run):
+    function = load_verb(words[-1])
+    said = " ".join(run(*words, "--help").out.split())
+    for entry in entries_of(function):
+        assert len(entry.text.split()) >= 2, entry
+        assert re.fullmatch(r"[A-Z0-9 .]*|[A-Z]+-DEG|[\w+-]+(\|[\w+-]+)+( \.\.\.)?", entry.value), entry
+        assert " ".join([", ".join(entry.names), entry.value]).strip() in said
+        assert " ".join(entry.text.split()) in said
+    assert paragraphs(function)[0] in said
+
+
+def test_all_pages_describe_different_things(run):
+    said = [run(*words, "--help").out for words in PAGES]
+    assert len({text.split("\n\n")[1] for text in said}) == len(PAGES)
+    assert [text for text in said if " ".join(DESCRIPTION.split()) in " ".join(text.split())] == said[:1]
+
+
+def test_the_first_page_has_each_verb_in_one_group(run):
+    grouped = [verb for verbs in GROUPS.values() for verb in verbs]
+    assert sorted(grouped) == sorted(set(grouped)) and set(grouped) <= set(VERBS)
+    assert all(run("--help").out.count(f"\n  {verb} ") == 1 for verb in VERBS)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["calbrate"], '"calbrate" is no verb of jaxscan. Did you mean "calibrate"?'),
+        (["measure", "rom"], '"rom" is no verb of jaxscan measure. Did you mean "room"?'),
+        (["xyzzy"], '"xyzzy" is no verb of jaxscan. All there are'),
+        (["--versoin"], 'Did you mean "--version"?'),
+        (["calibrate", "x", "--outptu", "y"], 'no option of jaxscan calibrate. Did you mean "--output"?'),
+        (["calibrate", "x", "--outptu=y"], '"--outptu" is no option of jaxscan calibrate. Did you mean "--output"?'),
+        (["measure", "room", "a.ply", "--calib", "b"], 'Did you mean "--calibration"?'),
+        (["measure", "room", "a.ply", "-z"], '"-z" is no option of jaxscan measure room.'),
+        (["calibrate", "x"], "jaxscan calibrate needs --output PATH: "),
+        (["reconstruct", "-c", "x", "-o", "y"], "jaxscan reconstruct needs CAPTURE: "),
+        (["calibrate", "x", "-o"], "-o needs PATH."),
+        (["calibrate", "x", "-o", "y", "--at-m", "far"], '--at-m: found "far", expected a number.'),
+        (["simulate", "x", "-o", "y", "--every", "1.5"], '--every: found "1.5", expected a whole number.'),
+        (["calibrate", "x", "-o", "y", "--lens", "wide"], '--lens: found "wide", expected one of pinhole, '),
+        (["calibrate", "x", "-o", "y", "--free", "focal", "lase"], '--free: found "lase", expected one of focal, '),
+        (["measure", "distance", "a", "--a", "1", "-2", "--b", "1", "2", "3"], "--a needs NUMBER NUMBER NUMBER."),
+        (["measure", "compare", "a"], "jaxscan measure compare needs CLOUD: "),
+        (["measure", "compare", "a", "b", "c"], '"c" is one word too many for jaxscan measure compare.'),
+        (["--completion"], "--completion needs the name of a shell: bash, zsh, fish."),
+        (["--completion", "csh"], "--completion needs the name of a shell"),
+    ],
+)
+def test_a_mistake_is_one_line(words, says, run):
+    ran = run(*words)
+    assert ran.code == 2 and ran.out == ""
+    assert ran.err.startswith("jaxscan: ") and ran.err.count("\n") == 1
+    assert says in ran.err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["measure", "distance", "none.ply", "--a", "-1", "-2e0", "1", "--b=1", "2", "3", "--radius_mm", "4"],
+        ["measure", "room", "none.ply", "--up", "-x"],
+        ["import", "none", "-o", "made", "--up", "-v", "--step-deg", "-0.9"],
+        ["reconstruct", "none", "-c", "none.json", "-o", "made.ply", "--no-cache"],
+        ["calibrate", "-o", "made.json", "--no-redetect", "none", "--free", "focal", "bow"],
+    ],
+    ids=" ".join,
+)
+def test_words_that_are_none_are_not_taken_for_mistakes(words, run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    ran = run(*words)
+    assert (ran.code, ran.err.count("\n")) == (1, 1) and "none" in ran.err, ran.err
+
+
+@pytest.fixture(scope="module")
+def bash(tmp_path_factory):
+    """Completes typed words by the script for bash."""
+    from jaxscan.cli.main import main
+
+    script = tmp_path_factory.mktemp("completion") / "jaxscan.bash"
+    with script.open("w") as file, pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.stdout", file)
+        assert main(["--completion", "bash"]) == 0
+    subprocess.run(["bash", "-n", script], check=True)
+
+    def complete(*words):
+        typed = f'source "$0"; COMP_WORDS=("$@"); COMP_CWORD={len(words)}; _jaxscan; echo "${{COMPREPLY[@]}}"'
+        ran = subprocess.run(
+            ["bash", "-c", typed, script, "jaxscan", *words], capture_output=True, text=True, check=True
+        )
+        assert ran.stderr == ""
+        return ran.stdout.split()
+
+    return complete
+
+
+def test_bash_completes_verbs_options_and_choices(bash):
+    assert bash("calib") == ["calibrate"]
+    assert bash("--v") == ["--version"]
+    assert bash("")[: len(VERBS)] == list(VERBS)
+    assert bash("measure", "ro") == ["room"]
+    assert bash("measure", "room", "--u") == ["--unit", "--up"]
+    assert bash("calibrate", "captures", "--ou") == ["--output"]
+    assert bash("calibrate", "captures", "--lens", "") == ["pinhole", "fisheye", "double_sphere"]
+    # Names of files are the shell's own.
+    assert bash("calibrate", "captures/bo") == []
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_scripts_name_every_verb_and_option(shell, run):
+    ran = run("--completion", shell)
+    assert ran.code == 0 and ran.err == ""
+    for words in EVERY:
+        assert words[-1] in ran.out
+        for entry in entries_of(load_verb(words[-1])):
+            long = [name for name in entry.names if name.startswith("--")]
+            assert all((f"-l {name[2:]}" if shell == "fish" else name) in ran.out for name in long)
+    program = shutil.which(shell)
+    if program is not None:
+        subprocess.run([program, "-n"], input=ran.out, text=True, check=True)
