@@ -83,7 +83,8 @@ def _run(session: Session, work: Callable[[Session], bool]) -> SessionResult:
             ending.error.args = (f"{str(ending.error).rstrip('.')}. {unsafe}", *ending.error.args[1:])
         if session.ledger.events and session.done:
             job.hooks.notify(
-                f"{job.folder}: {len(session.done)} of {job.planned} records are on the disk; the capture can be resumed."
+                f"{job.folder}: {len(session.done)} of {job.planned} records are on the disk; "
+                "the capture can be resumed."
             )
         raise ending.error
     return _result(session, ending, unsafe)

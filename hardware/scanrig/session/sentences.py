@@ -20,7 +20,7 @@ def say_end(ending: Ending, folder: Path, *, count: int, planned: int, suspect: 
     there = f"{count} of {planned} records"
     says = {
         "complete": f"complete, {count} records",
-        "suspect": f"steps were lost: the records {_spoken(suspect)} are suspect; resume the capture to take them again",
+        "suspect": f"steps were lost: records {_spoken(suspect)} are suspect; resume the capture to take them again",
         "interrupted": f"interrupted with {there}; it can be resumed",
         "e-stop": f"{ending.message}. {there} are there; release the e-stop, then resume the capture",
         "disk full": f"{ending.message} {there} are there",

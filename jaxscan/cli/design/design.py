@@ -23,7 +23,7 @@ def design(
     *,
     range: Annotated[str, tyro.conf.arg(metavar="LENGTH")],
     sigma: Annotated[str, tyro.conf.arg(metavar="LENGTH")],
-    camera: Annotated[str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = None,
+    camera: Annotated[str | None, tyro.conf.arg(metavar="SIZE")] = None,
     pixel: Annotated[str, tyro.conf.arg(metavar="LENGTH")] = "3.45um",
     lens: Annotated[str | None, tyro.conf.arg(metavar="LENGTH")] = None,
     baseline: Annotated[str | None, tyro.conf.arg(metavar="LENGTH")] = None,

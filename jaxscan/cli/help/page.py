@@ -9,7 +9,7 @@ from jaxscan.cli.help.entries import Entry, entries_of, paragraphs
 
 
 GROUPS = {
-    "Begin": ("demo", "init", "doctor"),
+    "Begin": ("demo", "init", "design", "doctor"),
     "Calibrate": ("board", "simulate", "calibrate", "recalibrate", "report"),
     "Scan": ("scan", "console", "import", "reconstruct"),
     "Look and measure": ("view", "measure", "panorama", "plan", "orthophoto"),
