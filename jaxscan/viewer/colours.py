@@ -12,6 +12,8 @@ _SEQUENTIAL = np.array([[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98
 """Dark to bright, even to the eye: anchors of viridis (van der Walt and Smith, 2015)."""
 _DIVERGING = np.array([[33, 102, 172], [146, 197, 222], [247, 247, 247], [244, 165, 130], [178, 24, 43]], float)
 """Two ways from white: anchors of RdBu (Brewer, 2003)."""
+UNKNOWN = np.array([127, 127, 127], np.uint8)
+"""The colour of a point of which the number is not known."""
 _OUTSIDE = 1.0
 """Percent of the points on either side that the scale leaves out."""
 _WHITE, _MOST_GAIN = 235.0, 6.0

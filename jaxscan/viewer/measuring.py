@@ -4,6 +4,8 @@ import csv
 import io
 import json
 import shlex
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -28,6 +30,7 @@ _DECIMALS = 4
 """Of picked coordinates [m], so that what is listed is what was measured."""
 _LEAST = 4
 _FORMULA = ("=", "+", "-", "@")
+_OPTIONS = ("calibration", "unit", "up")
 _COLUMNS = ("kind", "cloud", "x1_m", "y1_m", "z1_m", "x2_m", "y2_m", "z2_m", "value_m", "sigma_m", "words")
 
 
@@ -45,20 +48,23 @@ class Measured(NamedTuple):
     plane: PlaneMeasurement | None = None
     turned: bool = False
     """Whether the axes are not those of the cloud's file."""
+    options: Mapping[str, str] = MappingProxyType({})
+    """Of `jaxscan measure`, by which it measures the same."""
 
     def command(self) -> str:
         """The command that measures the same; "" if there is none."""
         if self.turned and len(self.at):
             return ""
         file = shlex.quote(self.cloud)
+        calibration, unit, up = (f" {self.options[name]}" if name in self.options else "" for name in _OPTIONS)
         places = [" ".join(f"{x:.{_DECIMALS}f}" for x in place) for place in self.at]
         match self.kind:
             case "distance":
-                return f"jaxscan measure distance {file} --a {places[0]} --b {places[1]}"
+                return f"jaxscan measure distance {file} --a {places[0]} --b {places[1]}{calibration}{unit}"
             case "flatness":
-                return f"jaxscan measure plane {file} --at {places[0]}"
+                return f"jaxscan measure plane {file} --at {places[0]}{unit}"
             case "room":
-                return f"jaxscan measure room {file}"
+                return f"jaxscan measure room {file}{calibration}{unit}{up}"
             case _:
                 return ""
 
@@ -93,7 +99,7 @@ def measure_between(shown: ShownCloud, a: np.ndarray, b: np.ndarray, scanner: Sc
     near = shown.around(at, DISTANCE_RADIUS_M, _LEAST)
     found = measure_distance(near, at[0], at[1], radius_m=DISTANCE_RADIUS_M, scanner=scanner)
     words = _finite(found.words())
-    return Measured("distance", shown.name, at, found.value_m, found.sigma_m, words, None, shown.turned)
+    return Measured("distance", shown.name, at, found.value_m, found.sigma_m, words, None, shown.turned, shown.words)
 
 
 def measure_flatness(shown: ShownCloud, place: np.ndarray) -> Measured:
@@ -104,7 +110,8 @@ def measure_flatness(shown: ShownCloud, place: np.ndarray) -> Measured:
     """
     at = rounded(place)[None]
     found = measure_plane(shown.around(at, PLANE_RADIUS_M, _LEAST), at[0], radius_m=PLANE_RADIUS_M)
-    return Measured("flatness", shown.name, at, found.rms_m, 0.0, _finite((found.words(),)), found, shown.turned)
+    words = _finite((found.words(),))
+    return Measured("flatness", shown.name, at, found.rms_m, 0.0, words, found, shown.turned, shown.words)
 
 
 def measure_sides(shown: ShownCloud, scanner: Scanner | None) -> tuple[Measured, ...]:
@@ -117,7 +124,15 @@ def measure_sides(shown: ShownCloud, scanner: Scanner | None) -> tuple[Measured,
     sides = {name: getattr(box, name) for name in ("length", "width", "height")}
     none = np.zeros((0, 3))
     return tuple(
-        Measured("room", shown.name, none, s.value_m, s.sigma_m, (f"{name} {length_words(s.value_m, s.sigma_m)}",))
+        Measured(
+            "room",
+            shown.name,
+            none,
+            s.value_m,
+            s.sigma_m,
+            (f"{name} {length_words(s.value_m, s.sigma_m)}",),
+            options=shown.words,
+        )
         for name, s in sides.items()
         if s is not None
     )

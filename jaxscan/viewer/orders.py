@@ -1,7 +1,6 @@
 """What a page may ask for, checked: it comes from outside."""
 
 import json
-import math
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -106,6 +105,7 @@ def _numbers(found: Any) -> np.ndarray:
     if not isinstance(found, list) or len(found) != 3:
         raise OptionError("expected three numbers.")
     for one in found:
-        if isinstance(one, bool) or not isinstance(one, int | float) or not math.isfinite(one) or abs(one) > _MOST_M:
+        # NaN is not within either; Python compares integers of any length.
+        if isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) <= _MOST_M:
             raise OptionError("expected three numbers.")
     return np.array(found, np.float64)

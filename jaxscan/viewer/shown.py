@@ -1,13 +1,15 @@
 """A cloud as it is shown: in the order of its levels, with its colours and the place where it stands."""
 
 import dataclasses
+from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxscan.measurement import PlaneMeasurement
 from jaxscan.reconstruction import PointCloud
-from jaxscan.viewer.colours import Colouring, Scale, brightened, coloured_normals, scale_of
+from jaxscan.viewer.colours import UNKNOWN, Colouring, Scale, brightened, coloured_normals, scale_of
 from jaxscan.viewer.levels import Levels, make_levels
 
 
@@ -17,7 +19,15 @@ _MM = 1e3
 class ShownCloud:
     """A cloud of the scene. Its frame there is its own, less `origin`, which keeps numbers small on a map."""
 
-    def __init__(self, name: str, cloud: PointCloud, origin: np.ndarray, *, turned: bool = False) -> None:
+    def __init__(
+        self,
+        name: str,
+        cloud: PointCloud,
+        origin: np.ndarray,
+        *,
+        turned: bool = False,
+        words: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
         """Sort the points.
 
         Args:
@@ -25,8 +35,10 @@ class ShownCloud:
             cloud: In metres, z up, with one valid point at least.
             origin: Place in the cloud's frame that is the origin of the scene, float64 [3], m.
             turned: Whether the axes are not those of its file.
+            words: Options by which `jaxscan measure` measures the same: "calibration", "unit" and "up".
         """
         self.name, self.cloud, self.origin, self.turned = name, cloud, origin, turned
+        self.words = words
         cells = np.flatnonzero(np.asarray(cloud.valid))
         flat = np.asarray(cloud.xyz).reshape(-1, 3)
         xyz = (flat[cells] - origin.astype(flat.dtype)).astype(np.float32)
@@ -77,6 +89,9 @@ class ShownCloud:
         else:
             parts = (self.take(self.cloud.sigma_random), self.take(self.cloud.sigma_systematic))
             values, unit = _MM * np.hypot(*parts), "mm"
+            known = values > 0
+            scale = scale_of(values[known], unit)
+            return np.where(known[:, None], scale.coloured(values), UNKNOWN), scale
         scale = scale_of(values, unit)
         return scale.coloured(values), scale
 
@@ -103,9 +118,11 @@ class ShownCloud:
         return dataclasses.replace(self.cloud, valid=valid)
 
     def stations(self) -> np.ndarray:
-        """Where the scanner stood, [k, 3], m, in the scene's frame."""
+        """Where the scanner stood, [k, 3], m, in the scene's frame; none where nobody knows."""
         if self.cloud.stations is None:
-            return np.asarray(-self.origin[None])
+            here = -self.origin
+            is_known = np.ptp(np.asarray(self.cloud.angle)) > 0 or bool(((self.low < here) & (here < self.high)).all())
+            return np.asarray(here[None][: int(is_known)])
         return np.asarray(np.asarray(self.cloud.stations.pose)[:, :3, 3] - self.origin)
 
     def axes(self) -> list[list[float]]:

@@ -2,9 +2,11 @@
 
 import asyncio
 import json
+import re
 from collections import OrderedDict
-from collections.abc import Awaitable, Callable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,6 +39,7 @@ _FILES = (
 _HEARTBEAT_S = 10.0
 _MOST_SESSIONS = 12
 _MOST_STATIONS = 50
+_NUMBER = re.compile(r"[0-9]{1,6}")
 _KEPT = 2
 """Colourings of all clouds that are kept."""
 
@@ -59,6 +62,8 @@ class Named(NamedTuple):
     """In metres, z up, with one valid point at least."""
     turned: bool = False
     """Whether its axes are not those of its file."""
+    words: Mapping[str, str] = MappingProxyType({})
+    """Options of `jaxscan measure` by which it measures the same: "calibration", "unit" and "up"."""
     panorama: Panorama | None = None
 
 
@@ -118,7 +123,7 @@ class View:
         first = np.asarray(clouds[0].cloud.xyz)[np.asarray(clouds[0].cloud.valid)]
         # A place on a map has more digits than a browser's numbers.
         origin = np.round(np.median(first[:: max(1, len(first) // 10_000)].astype(np.float64), 0))
-        self._clouds = [ShownCloud(one.name, one.cloud, origin, turned=one.turned) for one in clouds]
+        self._clouds = [ShownCloud(one.name, one.cloud, origin, turned=one.turned, words=one.words) for one in clouds]
         self._panoramas, self._scanner = [one.panorama for one in clouds], scanner
         self._sessions: OrderedDict[str, Session] = OrderedDict()
         self._colours: OrderedDict[tuple[Any, ...], tuple[list[np.ndarray], Scale | None]] = OrderedDict()
@@ -183,7 +188,7 @@ class View:
         measured = None
         if by == "deviation":
             session, number = self._sessions.get(request.query.get("page", "")), request.query.get("plane", "")
-            measured = session.plane(int(number)) if session is not None and number.isdecimal() else None
+            measured = session.plane(int(number)) if session is not None and _NUMBER.fullmatch(number) else None
             if measured is None:
                 raise OptionError("Measure the flatness of a place first: deviations are those from its plane.")
         plane = None if measured is None else measured.plane

@@ -37,9 +37,9 @@ def test_design(run, tmp_path):  # noqa: F811
 def test_the_time_of_a_scan_is_that_of_the_firmware():
     """1800 steps of 16 microsteps at 400 to 4000 a second, 120 ms of a shot (PROTOCOL.md, section 4), 30 ms beside."""
     from jaxscan.cli.design.design import _scan_seconds
-    from jaxscan.design import RigWish
+    from jaxscan.design import Sensor
 
-    seconds = _scan_seconds(0.2, RigWish(range_m=3.0, sigma_m=1e-3))
+    seconds = _scan_seconds(0.2, Sensor(1280, 1024, 4.8e-6))
     move = 2 * ((400**2 + 8000 * 16) ** 0.5 - 400) / 8000
     assert seconds == pytest.approx(1800 * (0.120 + 0.030 + move), rel=0.01)
 

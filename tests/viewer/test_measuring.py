@@ -1,6 +1,7 @@
 """What is measured by a click is what `jaxscan measure` says, to the last digit."""
 
 import csv
+import dataclasses
 import io
 import json
 
@@ -25,7 +26,8 @@ from ..cli.conftest import run as run
 
 @pytest.fixture(scope="module")
 def shown(tiny):
-    return ShownCloud(str(tiny.cloud), jaxscan.load_cloud(tiny.cloud), np.array([1.0, -2.0, 0.0]))
+    words = {"calibration": f"-c {tiny.calibration}"}
+    return ShownCloud(str(tiny.cloud), jaxscan.load_cloud(tiny.cloud), np.array([1.0, -2.0, 0.0]), words=words)
 
 
 @pytest.fixture(scope="module")
@@ -44,8 +46,7 @@ def distant(flat):
 def test_a_distance(tiny, shown, flat, run, calibrated):
     scanner = jaxscan.load_scanner(tiny.calibration) if calibrated else None
     found = measure_between(shown, *distant(flat), scanner)
-    _, *words = found.command().split()
-    ran = run(*words, *(["-c", tiny.calibration] if calibrated else []))
+    ran = run(*(found if calibrated else found._replace(options={})).command().split()[1:])
     assert ran.code == 0 and ran.out.splitlines() == list(found.words)
     assert found.sigma_m > 0
 
@@ -59,7 +60,7 @@ def test_flatness(shown, flat, run):
 def test_the_room(tiny, shown, run, tmp_path):
     scanner = jaxscan.load_scanner(tiny.calibration)
     sides = measure_sides(shown, scanner)
-    ran = run(*sides[0].command().split()[1:], "-c", tiny.calibration, "--json", tmp_path / "room.json")
+    ran = run(*sides[0].command().split()[1:], "--json", tmp_path / "room.json")
     assert ran.code == 0
     printed = json.loads((tmp_path / "room.json").read_text())
     assert [side.value_m for side in sides] == [printed[name]["value_m"] for name in ("length", "width", "height")]
@@ -126,3 +127,25 @@ def test_a_cloud_that_was_moved_is_picked_where_it_stands(shown, flat):
         session.carry_out(Order("pick", ray=one, shifts=((0, where),)))
         picked.append(session.measured[0][1].at)
     np.testing.assert_array_equal(*picked)
+
+
+def test_nobody_knows_where_the_scanner_of_a_foreign_cloud_stood(shown):
+    """Its origin is a place in it, or one of a map."""
+    host = shown.cloud
+    foreign = dataclasses.replace(host, angle=np.zeros_like(host.angle))
+    assert len(ShownCloud("a", foreign, np.zeros(3)).stations()) == 1
+    away = dataclasses.replace(foreign, xyz=np.asarray(host.xyz, np.float64) + [4e5, 5.4e6, 300.0])
+    assert len(ShownCloud("a", away, np.array([4e5, 5.4e6, 300.0])).stations()) == 0
+    np.testing.assert_array_equal(shown.stations(), [-shown.origin])
+
+
+def test_points_without_a_sigma_are_grey(shown):
+    host = shown.cloud
+    half = np.asarray(host.sigma_random).copy()
+    half[::2] = 0
+    partly = dataclasses.replace(host, sigma_random=half, sigma_systematic=np.zeros_like(half))
+    shown = ShownCloud("a", partly, np.zeros(3))
+    colours, scale = shown.coloured("sigma", plane=None)
+    unknown = shown.take(half) == 0
+    assert unknown.any() and (colours[unknown] == 127).all() and (colours[~unknown] != 127).any(1).all()
+    assert scale.low > 0

@@ -36,6 +36,7 @@ def test_a_good_one():
         {"origin": [0, 0]},
         {"origin": [0, 0, "1"]},
         {"origin": [0, 0, 1e300]},
+        {"origin": [0, 0, 10**400]},
         {"origin": [0, 0, True]},
         {"origin": None},
         {"direction": [0, 0, 0]},

@@ -16,7 +16,7 @@ from jaxscan.errors import OptionError, OutputError
 
 
 if TYPE_CHECKING:
-    from jaxscan.design import RigWish
+    from jaxscan.design import RigWish, Sensor
 
 
 def design(
@@ -86,7 +86,7 @@ def design(
 
     choice = design_rig(wish)
     out = console(json)
-    result = numbers(choice, step_deg, _scan_seconds(step_deg, wish))
+    result = numbers(choice, step_deg, _scan_seconds(step_deg, choice.design.sensor))
     show(out, choice, result)
     if output is not None:
         from jaxscan.report.design import design_picture
@@ -130,13 +130,12 @@ def _given(wish: "RigWish", lens: str | None, baseline: str | None) -> "RigWish"
     return wish
 
 
-def _scan_seconds(step_deg: float, wish: "RigWish") -> float:
+def _scan_seconds(step_deg: float, sensor: "Sensor") -> float:
     """Duration of a sweep as `jaxscan scan` plans it, with its usual times and a gear of 9 to 1."""
     from scanrig.config import RigConfig
     from scanrig.session.plan import estimate, plan_sweep
 
     steps = max(1, round(360.0 / step_deg))
-    sensor = wish.sensors[0]
     rig = RigConfig.model_validate(
         {
             "turntable": {"gear": (9, 1)},

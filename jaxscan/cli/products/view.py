@@ -1,6 +1,7 @@
 """`jaxscan view`: clouds in a browser."""
 
 import os
+import shlex
 import signal
 import sys
 import webbrowser
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import tyro
 
-from jaxscan.cli.measure import calibrated, notes_first, upright
+from jaxscan.cli.measure import calibrated, notes_first
 from jaxscan.cli.options import CloudUnit, CloudUp, OptionalCalibrationPath
 from jaxscan.cli.output import JsonTarget, check_json, emit_json
 from jaxscan.cli.paths import calibration_at, check_paths, file_at
@@ -57,6 +58,7 @@ def view(
     """
     need_pages("The viewer", "view")
     # Imported here, so that `--help` does not load JAX.
+    from jaxscan.files import clouds as files
     from jaxscan.viewer import Named, serve_clouds
     from jaxscan.web import open_address
 
@@ -75,14 +77,17 @@ def view(
         raise OptionError(f"--panorama: found {len(panorama)} pictures for {len(clouds)} clouds; name one for each.")
     scanner, notes = calibrated(calibration)
     seen = [_read_panorama(path) for path in panorama]
+    given = {"calibration": ("-c", calibration), "unit": ("--unit", unit), "up": ("--up", up)}
+    words = {name: f"{key} {shlex.quote(str(value))}" for name, (key, value) in given.items() if value is not None}
     named = []
     for path, picture in zip_longest(clouds, seen):
-        cloud, said = upright(path, unit, up)
+        stored = files.read_cloud(path)
+        metres, said = files.in_metres(stored, unit)
+        cloud, more = files.with_z_up(stored, metres, up)
         if not np.any(np.asarray(cloud.valid)):
             raise CloudError(f"{path}: has no points; nothing can be shown.")
-        notes += said
-        turned = up not in (None, "z") or any("is taken for it" in s for s in said)
-        named.append(Named(str(path), cloud, turned=turned, panorama=picture))
+        notes += [f"{path}: {note}" for note in (*said, *more)]
+        named.append(Named(str(path), cloud, turned=cloud is not metres, panorama=picture, words=words))
     out = notes_first(notes, json)
     address = open_address(host, web_port, option="--web-port")
     with serve_clouds(address, named, scanner):
