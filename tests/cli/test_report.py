@@ -67,7 +67,9 @@ class TestCalibrate:
         assert "<h2>Views, worst first</h2>" in page.read_text()
         assert jaxscan.load_scanner(tmp_path / "a.json").laser_names == stored.scanner.laser_names
 
-    def test_prints_the_verdict_last(self, tiny, capsys):
+    def test_prints_the_verdict_last(self, tiny, capsys, monkeypatch):
+        # Tables that do not fit are lists.
+        monkeypatch.setenv("COLUMNS", "200")
         stored = jaxscan.load_calibration(tiny.calibration)
         quality = dataclasses.replace(
             stored.quality,

@@ -105,7 +105,7 @@ def test_enough_of_nothing_is_no_calibration(tmp_path):
     desk = make()
     result = calibration(desk, tmp_path / "boards", Somebody(desk, free=0, placements=0))
     assert (result.status, result.records) == ("interrupted", 0)
-    assert "0 of 9 records" in result.message and "--resume" in result.message
+    assert "0 of 9 records" in result.message and "can be resumed" in result.message
     again = make()
     assert calibration(again, tmp_path / "boards", Somebody(again), resume=True).records == 9
 

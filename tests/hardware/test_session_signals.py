@@ -64,7 +64,7 @@ def test_10_one_signal_in_mid_step_finishes_the_step(tmp_path):
         desk.controller.before_shot[4] = lambda controller: os.kill(os.getpid(), signal.SIGINT)
         result = sweep(desk, tmp_path / "room", should_stop=interrupts)
     assert (result.status, result.records, result.laser_off) == ("interrupted", 4, True)
-    assert "4 of 10 records" in result.message and "--resume" in result.message
+    assert "4 of 10 records" in result.message and "can be resumed" in result.message
     assert "abort" not in desk.controller.log and not desk.table.contactor
     assert journal(tmp_path / "room")[-1]["status"] == "interrupted"
 

@@ -69,7 +69,7 @@ def test_without_aiohttp(run, tiny, monkeypatch):
     assert ran.code == 1 and ran.err == "jaxscan: The viewer needs aiohttp; type: pip install 'jaxscan[view]'\n"
 
 
-def test_the_address_is_said_and_ctrl_c_ends_it(tiny, tmp_path):
+def test_the_address_is_said_and_a_signal_ends_it(tiny, tmp_path):
     command = [sys.executable, "-m", "jaxscan.cli.main", "view", str(tiny.cloud), "--web-port", "0"]
     command += ["--no-open", "--json", "served.json"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
@@ -80,8 +80,9 @@ def test_the_address_is_said_and_ctrl_c_ends_it(tiny, tmp_path):
         end = time.monotonic() + 30
         while not (tmp_path / "served.json").exists():
             assert time.monotonic() < end
-        process.send_signal(signal.SIGINT)
+        # Not Ctrl-C's, which a shell lets processes in the background ignore.
+        process.send_signal(signal.SIGTERM)
         out, err = process.communicate(timeout=30)
     assert "http://127.0.0.1:" in said and "token" not in said
-    assert (process.returncode, out, err) == (130, "", "jaxscan: interrupted\n")
+    assert (process.returncode, out, err) == (143, "", "jaxscan: interrupted\n")
     assert json.loads((tmp_path / "served.json").read_text())["format"] == "jaxscan-view/1"
