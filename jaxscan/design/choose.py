@@ -73,8 +73,17 @@ def _impossible(wish: RigWish, seen: list[tuple[RigDesign, float]]) -> str:
     instead = f", or {1e3 * wish.sigma_m:.3g} mm at {_down(nearer)} m" if nearer > design.baseline_m else ""
     return (
         f"{asked}: no rig with {bounds} reaches it; possible are {_up(1e3 * best)} mm at {wish.range_m:g} m ({camera})"
-        f"{instead}; or raise --longest-baseline, or lower --field."
+        f"{instead}; {_advice(wish)}."
     )
+
+
+def _advice(wish: RigWish) -> str:
+    """What might still be changed."""
+    given = [len(each) == 1 for each in (wish.sensors, wish.lenses_mm, wish.baselines_m)]
+    named = [name for name, is_given in zip(("--camera", "--lens", "--baseline"), given, strict=True) if is_given]
+    free = [] if given[2] else ["raise --longest-baseline"]
+    free += [] if given[1] else ["lower --field"]
+    return "or " + ", or ".join([*free, *(f"leave {name} to the command" for name in named)])
 
 
 def _unseen(wish: RigWish, every: list[tuple[RigDesign, float]]) -> str:

@@ -97,17 +97,7 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
         width=horizontal[1] if len(horizontal) > 1 else None,
         height=height,
         centre_m=centre + place,
-        walls=tuple(_moved(wall, place) for pair in pairs for wall in pair),
-    )
-
-
-def _moved(wall: Wall, place: np.ndarray) -> Wall:
-    """The same wall, in the frame of the cloud."""
-    plane, samples = wall.plane, wall.samples
-    distance = plane.distance + float(plane.normal @ place)
-    return wall._replace(
-        plane=plane._replace(distance=distance, centre=plane.centre + place),
-        samples=samples._replace(p=samples.p + place, origin=samples.origin + place),
+        walls=tuple(wall.moved(place) for pair in pairs for wall in pair),
     )
 
 

@@ -16,6 +16,14 @@ from jaxscan.viewer.levels import Levels, make_levels
 _MM = 1e3
 
 
+def knows_its_place(cloud: PointCloud) -> bool:
+    """Whether a cloud says where its scanner stood: by a pose, angles of a table, or an origin amid the points."""
+    if cloud.stations is not None or np.ptp(np.asarray(cloud.angle)) > 0:
+        return True
+    low, high = np.percentile(np.asarray(cloud.xyz)[np.asarray(cloud.valid)], [1, 99], axis=0)
+    return bool(((low < 0) & (high > 0)).all())
+
+
 class ShownCloud:
     """A cloud of the scene. Its frame there is its own, less `origin`, which keeps numbers small on a map."""
 
@@ -120,9 +128,7 @@ class ShownCloud:
     def stations(self) -> np.ndarray:
         """Where the scanner stood, [k, 3], m, in the scene's frame; none where nobody knows."""
         if self.cloud.stations is None:
-            here = -self.origin
-            is_known = np.ptp(np.asarray(self.cloud.angle)) > 0 or bool(((self.low < here) & (here < self.high)).all())
-            return np.asarray(here[None][: int(is_known)])
+            return np.asarray(-self.origin[None][: int(knows_its_place(self.cloud))])
         return np.asarray(np.asarray(self.cloud.stations.pose)[:, :3, 3] - self.origin)
 
     def axes(self) -> list[list[float]]:

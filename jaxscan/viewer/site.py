@@ -120,10 +120,9 @@ class View:
             clouds: One or more.
             scanner: With which they were made; sigma then includes the calibration's part.
         """
-        first = np.asarray(clouds[0].cloud.xyz)[np.asarray(clouds[0].cloud.valid)]
-        # A place on a map has more digits than a browser's numbers.
-        origin = np.round(np.median(first[:: max(1, len(first) // 10_000)].astype(np.float64), 0))
-        self._clouds = [ShownCloud(one.name, one.cloud, origin, turned=one.turned, words=one.words) for one in clouds]
+        self.clouds = [
+            ShownCloud(one.name, one.cloud, _middle(one.cloud), turned=one.turned, words=one.words) for one in clouds
+        ]
         self._panoramas, self._scanner = [one.panorama for one in clouds], scanner
         self._sessions: OrderedDict[str, Session] = OrderedDict()
         self._colours: OrderedDict[tuple[Any, ...], tuple[list[np.ndarray], Scale | None]] = OrderedDict()
@@ -140,14 +139,16 @@ class View:
                     [c.tile, c.stop - c.start, *c.centre.tolist(), c.radius, min(c.gap, 1e9), c.spacing]
                     for c in cloud.levels.chunks
                 ],
+                # Where it is in the scene, whose origin is that of the first.
+                "shift": (cloud.origin - self.clouds[0].origin).tolist(),
                 "stations": cloud.stations()[:_MOST_STATIONS].tolist(),
                 "low": cloud.low.tolist(),
                 "high": cloud.high.tolist(),
                 "panorama": None if seen is None else {"top": seen.top, "bottom": seen.bottom, "axes": cloud.axes()},
             }
-            for cloud, seen in zip(self._clouds, self._panoramas, strict=True)
+            for cloud, seen in zip(self.clouds, self._panoramas, strict=True)
         ]
-        known = [by for by in COLOURINGS if by == "deviation" or any(cloud.has(by) for cloud in self._clouds)]
+        known = [by for by in COLOURINGS if by == "deviation" or any(cloud.has(by) for cloud in self.clouds)]
         return _json({"clouds": clouds, "colourings": known, "systematic": self._scanner is not None})
 
     async def points(self, request: web.Request) -> web.StreamResponse:
@@ -195,7 +196,7 @@ class View:
         key = (by, None if plane is None else (*plane.normal, *plane.centre_m))
         async with self._colouring:
             if key not in self._colours:
-                found = [await asyncio.to_thread(cloud.coloured, by, plane=plane) for cloud in self._clouds]
+                found = [await asyncio.to_thread(cloud.coloured, by, plane=plane) for cloud in self.clouds]
                 scale = next((scale for _, scale in found if scale is not None), None)
                 self._colours[key] = ([colours for colours, _ in found], scale)
                 while len(self._colours) > _KEPT:
@@ -204,9 +205,9 @@ class View:
 
     def _asked(self, request: web.Request) -> tuple[ShownCloud, Any]:
         number, index = int(request.match_info["part"]), int(request.match_info["chunk"])
-        if number >= len(self._clouds) or index >= len(self._clouds[number].levels.chunks):
+        if number >= len(self.clouds) or index >= len(self.clouds[number].levels.chunks):
             raise OptionError("there are no such points.")
-        return self._clouds[number], self._clouds[number].levels.chunks[index]
+        return self.clouds[number], self.clouds[number].levels.chunks[index]
 
     async def socket(self, request: web.Request) -> web.WebSocketResponse:
         """Carry out the orders of a page until it goes."""
@@ -218,7 +219,7 @@ class View:
             if message.type is not WSMsgType.TEXT:
                 break
             try:
-                order = parse_order(message.data, len(self._clouds))
+                order = parse_order(message.data, len(self.clouds))
                 answer = await asyncio.to_thread(session.carry_out, order)
             except JaxscanError as problem:
                 answer = {"message": " ".join(str(problem).split())}
@@ -227,11 +228,17 @@ class View:
 
     def _session(self, page: str) -> Session:
         if page not in self._sessions:
-            self._sessions[page] = Session(self._clouds, self._scanner)
+            self._sessions[page] = Session(self.clouds, self._scanner)
             while len(self._sessions) > _MOST_SESSIONS:
                 self._sessions.popitem(last=False)
         self._sessions.move_to_end(page)
         return self._sessions[page]
+
+
+def _middle(cloud: PointCloud) -> np.ndarray:
+    """A place amid a cloud, in whole metres: one on a map has more digits than a browser's numbers."""
+    points = np.asarray(cloud.xyz)[np.asarray(cloud.valid)]
+    return np.round(np.median(points[:: max(1, len(points) // 10_000)].astype(np.float64), 0))
 
 
 _BINARY = "application/octet-stream"

@@ -103,7 +103,12 @@ def read_panorama(data: bytes, *, name: str) -> PagePanorama:
     pixel = 2 * np.pi / columns
     top = np.pi / 2 - above / max(scale, 1e-9) * pixel
     bottom = top - rows * pixel
-    if rows > columns // 2 + 1 or not -np.pi / 2 - pixel <= bottom < top <= np.pi / 2 + pixel:
+    whole = fields.get("FullPanoWidthPixels", 0)
+    if (
+        fields.get("CroppedAreaImageWidthPixels", whole) < whole
+        or rows > columns // 2 + 1
+        or not -np.pi / 2 - pixel <= bottom < top <= np.pi / 2 + pixel
+    ):
         raise CaptureError(
             f"{name}: {columns} x {rows} px is no equirectangular panorama of a whole turn; "
             "`jaxscan panorama CAPTURE -c calibration.json -o room.jpg` makes one."

@@ -37,9 +37,8 @@ def test_design(run, tmp_path):  # noqa: F811
 def test_the_time_of_a_scan_is_that_of_the_firmware():
     """1800 steps of 16 microsteps at 400 to 4000 a second, 120 ms of a shot (PROTOCOL.md, section 4), 30 ms beside."""
     from jaxscan.cli.design.design import _scan_seconds
-    from jaxscan.design import Sensor
 
-    seconds = _scan_seconds(0.2, Sensor(1280, 1024, 4.8e-6))
+    seconds = _scan_seconds(0.2)
     move = 2 * ((400**2 + 8000 * 16) ** 0.5 - 400) / 8000
     assert seconds == pytest.approx(1800 * (0.120 + 0.030 + move), rel=0.01)
 
@@ -56,6 +55,7 @@ def test_the_time_of_a_scan_is_that_of_the_firmware():
         (("--sigma", "1px"), "units m, cm, mm, um"),
         (("--sigma", "0.001mm"), "possible are"),
         (("--camera", "1440"), "WIDTHxHEIGHT"),
+        (("--camera", "65535x65535"), "at most 100 megapixels"),
         (("--pixel", "3.45"), "units um"),
         (("--baseline", "2m"), "--longest-baseline"),
         (("--field", "120"), "--field"),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxscan
+from jaxscan.viewer import Named, View
 from jaxscan.viewer.measuring import (
     as_csv,
     as_json,
@@ -149,3 +150,15 @@ def test_points_without_a_sigma_are_grey(shown):
     unknown = shown.take(half) == 0
     assert unknown.any() and (colours[unknown] == 127).all() and (colours[~unknown] != 127).any(1).all()
     assert scale.low > 0
+
+
+def test_a_cloud_on_a_map_beside_a_local_one(tiny, shown):
+    """Each is shown about its own middle, so that nothing of either is rounded away."""
+    host = shown.cloud
+    far = np.array([4e5, 5.4e6, 300.0])
+    xyz = np.where(np.asarray(host.valid)[..., None], np.asarray(host.xyz, np.float64) + far, 0.0)
+    view = View([Named("here", host), Named("there", dataclasses.replace(host, xyz=xyz))])
+    here, there = view.clouds
+    np.testing.assert_allclose(there.origin - here.origin, far, atol=1)
+    apart = np.sort((there.xyz + (there.origin - here.origin - far)).ravel()) - np.sort(here.xyz.ravel())
+    assert np.abs(apart).max() < 1e-5

@@ -57,6 +57,9 @@ def test_wide_ones_are_made_smaller():
     assert read.top - read.bottom == pytest.approx(20 * 2 * np.pi / 9000)
 
 
+HALF = "GPano:CroppedAreaImageWidthPixels"
+
+
 @pytest.mark.parametrize(
     "data",
     [
@@ -66,6 +69,8 @@ def test_wide_ones_are_made_smaller():
         encode_picture_png(np.zeros((100, 400), np.uint8)),
         encode_jpeg(np.zeros((100, 400, 3), np.uint8), xmp=described(400, above=150)),
         encode_jpeg(np.zeros((100, 400, 3), np.uint8))[:200],
+        # A telephone's half turn.
+        encode_jpeg(np.zeros((100, 400, 3), np.uint8), xmp=described(800).replace("/>", f' {HALF}="400"/>')),
     ],
 )
 def test_what_is_no_panorama_is_refused(data):

@@ -16,7 +16,7 @@ from jaxscan.errors import OptionError, OutputError
 
 
 if TYPE_CHECKING:
-    from jaxscan.design import RigWish, Sensor
+    from jaxscan.design import RigWish
 
 
 def design(
@@ -86,7 +86,7 @@ def design(
 
     choice = design_rig(wish)
     out = console(json)
-    result = numbers(choice, step_deg, _scan_seconds(step_deg, choice.design.sensor))
+    result = numbers(choice, step_deg, _scan_seconds(step_deg))
     show(out, choice, result)
     if output is not None:
         from jaxscan.report.design import design_picture
@@ -130,18 +130,13 @@ def _given(wish: "RigWish", lens: str | None, baseline: str | None) -> "RigWish"
     return wish
 
 
-def _scan_seconds(step_deg: float, sensor: "Sensor") -> float:
-    """Duration of a sweep as `jaxscan scan` plans it, with its usual times and a gear of 9 to 1."""
+def _scan_seconds(step_deg: float) -> float:
+    """Duration of a sweep as `jaxscan scan` plans it, with its usual times, a gear of 9 to 1, and any camera."""
     from scanrig.config import RigConfig
     from scanrig.session.plan import estimate, plan_sweep
 
     steps = max(1, round(360.0 / step_deg))
-    rig = RigConfig.model_validate(
-        {
-            "turntable": {"gear": (9, 1)},
-            "sweep": {"steps": steps},
-            "camera": {"kind": "aravis", "width": max(sensor.width, 64), "height": max(sensor.height, 64)},
-        }
-    )
+    camera = {"kind": "aravis", "width": 1280, "height": 1024}
+    rig = RigConfig.model_validate({"turntable": {"gear": (9, 1)}, "sweep": {"steps": steps}, "camera": camera})
     targets, _ = plan_sweep(rig)
     return estimate(rig, [target.position for target in targets]).seconds

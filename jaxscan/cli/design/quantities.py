@@ -10,6 +10,7 @@ METRES = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "�
 MICROMETRES = {"um": 1.0, "µm": 1.0, "μm": 1.0}
 PIXELS = {"": 1.0, "px": 1.0}
 DEGREES = {"": 1.0, "deg": 1.0, "°": 1.0}
+MOST_PIXELS = 100_000_000
 _NUMBER = re.compile(r"([0-9]{1,9}(?:\.[0-9]{0,9})?|\.[0-9]{1,9})\s?([a-zA-Zµμ°]*)")
 _SIZE = re.compile(r"([0-9]{1,5})\s?[x×]\s?([0-9]{1,5})")
 
@@ -49,4 +50,6 @@ def image_size(option: str, text: str, limits: tuple[int, int]) -> tuple[int, in
     size = (int(found[1]), int(found[2])) if found else (0, 0)
     if not all(low <= side <= high for side in size):
         raise OptionError(f"{option}: found {text[:40]!r}, expected WIDTHxHEIGHT of {low} to {high} px, as 2448x2048.")
+    if size[0] * size[1] > MOST_PIXELS:
+        raise OptionError(f"{option}: found {text[:40]!r}, expected at most {MOST_PIXELS // 10**6} megapixels.")
     return size

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 # Loads a name when it is first used, so that `--help` does not load JAX.
 import jaxscan
 from jaxscan.cli.progress import progress_bar
@@ -11,6 +13,11 @@ from jaxscan.errors import OptionError
 
 if TYPE_CHECKING:
     from jaxscan.files.clouds import Unit, Up
+    from jaxscan.reconstruction import PointCloud
+
+
+SAME_RAD = 0.02
+"""A table's angle is corrected by less."""
 
 
 def write_room_report(
@@ -45,8 +52,11 @@ def write_room_report(
         rows = [("digest", stored.about.calibration)]
     doubts, left_out = None, ""
     if capture is not None and scanner is not None:
+        sweep = jaxscan.open_capture(capture)
+        if not _is_made_of(stored.cloud, sweep.angles):
+            raise OptionError(f"--capture: {cloud} was not made of {capture}: its profiles have other angles.")
         with progress_bar("Looking at the capture") as progress:
-            doubts, left_out = look_again(jaxscan.open_capture(capture), scanner, progress)
+            doubts, left_out = look_again(sweep, scanner, progress)
     beside = Beside(cloud.name, tuple(notes), tuple(rows), doubts, left_out)
     facts, box = save_report(points, output, scanner=scanner, beside=beside)
     sides = {} if box is None else {"length": box.length, "width": box.width, "height": box.height}
@@ -64,6 +74,14 @@ def write_room_report(
         "doubts": list(facts.doubts if doubts is None else doubts),
         "notes": notes,
     }
+
+
+def _is_made_of(cloud: "PointCloud", angles: np.ndarray) -> bool:
+    """Whether the profiles of a cloud have the angles of a sweep's records [rad]; clouds do not name their capture."""
+    record = np.asarray(cloud.record)
+    if not (np.ptp(cloud.angle) > 0 and record.min() >= 0 and record.max() < len(angles)):
+        return False
+    return bool(np.abs(angles[record] - np.asarray(cloud.angle)).max() < SAME_RAD)
 
 
 def _calibration_rows(path: Path, named: str) -> list[tuple[str, str]]:

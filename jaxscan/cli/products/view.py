@@ -59,7 +59,7 @@ def view(
     need_pages("The viewer", "view")
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.files import clouds as files
-    from jaxscan.viewer import Named, serve_clouds
+    from jaxscan.viewer import Named, knows_its_place, serve_clouds
     from jaxscan.web import open_address
 
     check_paths(
@@ -86,6 +86,8 @@ def view(
         cloud, more = files.with_z_up(stored, metres, up)
         if not np.any(np.asarray(cloud.valid)):
             raise CloudError(f"{path}: has no points; nothing can be shown.")
+        if picture is not None and not knows_its_place(cloud):
+            raise OptionError(f"--panorama: {path} does not say where its scanner stood, so nobody can stand there.")
         notes += [f"{path}: {note}" for note in (*said, *more)]
         named.append(Named(str(path), cloud, turned=cloud is not metres, panorama=picture, words=words))
     out = notes_first(notes, json)

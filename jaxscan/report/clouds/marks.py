@@ -1,5 +1,6 @@
 """The picture of a room, with its dimensions, a scale, the table's angle 0 and a legend."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -14,6 +15,8 @@ from jaxscan.report.drawing import BLUE, INK, RED
 
 
 WIDTH = 1600
+FAR_M = 1000.0
+"""Single precision still holds a tenth of a millimetre at this distance from 0."""
 LETTER_PX = 25
 """Height of letters: readable where a page shows the picture half as wide."""
 _ROW_PX = 44
@@ -66,6 +69,7 @@ def room_picture(cloud: PointCloud, box: RoomBox | None = None) -> RoomPicture:
         cloud: The room, z up. A cloud without points gives an empty picture.
         box: Its dimensions, as `measure_room` finds them, where it does.
     """
+    cloud, box = _near_zero(cloud, box)
     xyz, rgb, normals = (np.asarray(field) for field in (cloud.xyz, cloud.rgb, cloud.normals))
     if not np.asarray(cloud.valid).any():
         return RoomPicture(draw_cloud(xyz, rgb, size=(WIDTH, WIDTH // 2)), ())
@@ -74,6 +78,22 @@ def room_picture(cloud: PointCloud, box: RoomBox | None = None) -> RoomPicture:
     outer = [line.ends + 2.0 * _BESIDE * room.extent * line.outwards for line in lines]
     picture, frame = draw_room(xyz, rgb, normals=normals, beside=np.concatenate(outer) if outer else None, width=WIDTH)
     return _marked(picture, frame, room, lines)
+
+
+def _near_zero(cloud: PointCloud, box: RoomBox | None) -> tuple[PointCloud, RoomBox | None]:
+    """The same room about 0 if it is far from there: pictures are drawn in single precision."""
+    valid, xyz = np.asarray(cloud.valid), np.asarray(cloud.xyz, np.float64)
+    place = np.round(np.median(xyz[valid], axis=0)) if valid.any() else np.zeros(3)
+    if np.linalg.norm(place) < FAR_M:
+        return cloud, box
+    stations = cloud.stations
+    if stations is not None:
+        pose = np.array(stations.pose, np.float64)
+        pose[:, :3, 3] -= place
+        stations = stations._replace(pose=pose)
+    near = np.where(valid[..., None], xyz - place, 0.0).astype(np.float32)
+    moved = dataclasses.replace(cloud, xyz=near, stations=stations)
+    return moved, None if box is None else dataclasses.replace(box, centre_m=box.centre_m - place)
 
 
 def dimension_lines(room: Room, eye: np.ndarray) -> list[Line]:

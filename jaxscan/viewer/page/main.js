@@ -4,7 +4,7 @@ import { Drawing } from "./draw.js";
 import { drawMarks } from "./marks.js";
 import { at, make, makeBox, showScale, showState } from "./panel.js";
 
-const canvas = at("cloud"), camera = new Camera(), CLICK_PX = 8, STILL_PX = 5;
+const canvas = at("cloud"), camera = new Camera(), CLICK_PX = 8, STILL_PX = 5, FAR_M = 1000;
 let state = { kind: "point", message: "", measured: [], first: null }, socket = null, again = 0, corners = null;
 const placed = (one) => one.xyz.map((x, k) => x + (drawing.clouds[one.cloud]?.shift[k] ?? 0));
 const drawing = new Drawing(canvas, camera, (panorama) => {
@@ -81,7 +81,7 @@ function bounds() {
 function apart() {
   let place = 0;
   for (const cloud of drawing.clouds) {
-    cloud.shift = [at("apart").checked ? place - cloud.low[0] + drawing.clouds[0].low[0] : 0, 0, 0];
+    cloud.shift = at("apart").checked ? [place - cloud.low[0] + drawing.clouds[0].low[0], 0, 0] : [...cloud.home];
     if (cloud.visible) place += 1.2 * (cloud.high[0] - cloud.low[0]);
   }
   look("outside");
@@ -161,7 +161,9 @@ async function begin() {
   const answer = await fetch("scene");
   if (!answer.ok) { at("loading").textContent = await answer.text(); at("panel").hidden = true; return; }
   const scene = await answer.json();
-  drawing.clouds = scene.clouds.map((cloud, number) => ({ ...cloud, number, visible: true, shift: [0, 0, 0] }));
+  drawing.clouds = scene.clouds.map((cloud, number) => ({ ...cloud, number, visible: true, home: cloud.shift }));
+  // Too far apart for one scene: they stand side by side, always.
+  if (drawing.clouds.some((cloud) => Math.hypot(...cloud.home) > FAR_M)) { at("apart").checked = true; at("apart").disabled = true; }
   at("systematic").hidden = scene.systematic;
   at("by").replaceChildren(...scene.colourings.map((by) => { const option = make("option", by); option.value = by; return option; }));
   let stations = 0;
@@ -181,6 +183,7 @@ async function begin() {
     label.append(box, ` ${cloud.name}`);
     at("clouds").append(label);
   }
+  if (at("apart").checked) apart();
   corners = makeBox(...bounds(), (box) => { if (at("section").checked) { drawing.section = box; drawing.moved(); } });
   drawing.query = "by=photograph";
   look("outside");

@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+from collections import OrderedDict
 
 from aiohttp import web
 
@@ -11,14 +12,17 @@ from jaxscan.errors import CloudError
 from jaxscan.viewer import Named, View
 
 
+MOST = 3
+"""Clouds that are held."""
+
+
 class Looks:
-    """The cloud that somebody looks at; one is held at a time."""
+    """The clouds that people look at; the last few are held, with what was measured in them."""
 
     def __init__(self, captures: Captures) -> None:
         """No cloud is read yet."""
         self._captures = captures
-        self._held: tuple[str, int] | None = None
-        self._view: View | None = None
+        self._views: OrderedDict[tuple[str, int], View] = OrderedDict()
         self._reading = asyncio.Lock()
 
     async def view(self, request: web.Request) -> View:
@@ -35,11 +39,12 @@ class Looks:
                 state = name, os.stat(path).st_mtime_ns
             except OSError as problem:
                 raise CloudError(f"{name}: has no cloud yet; reconstruct it first.") from problem
-            if self._view is None or state != self._held:
-                self._view = None
-                self._view = await asyncio.to_thread(self._read, name)
-                self._held = state
-            return self._view
+            if state not in self._views:
+                while len(self._views) >= MOST:
+                    self._views.popitem(last=False)
+                self._views[state] = await asyncio.to_thread(self._read, name)
+            self._views.move_to_end(state)
+            return self._views[state]
 
     def _read(self, name: str) -> View:
         path = self._captures.cloud(name)
