@@ -32,7 +32,7 @@ CORE = {
     "drawing",
     "design",
 }
-ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api", "web", "viewer"}
+ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api", "web", "viewer", "project"}
 MAY_IMPORT = {
     "geometry": set(),
     "stripes": {"geometry"},
@@ -50,8 +50,9 @@ MAY_IMPORT = {
     "files": CORE | {"vision", "simulation"},
     "report": CORE | {"vision"},
     "web": set(),
+    "project": CORE | {"files", "api"},
     "viewer": {"geometry", "measurement", "reconstruction", "web"},
-    "api": ANY - {"api", "cli", "web", "viewer"},
+    "api": ANY - {"api", "cli", "web", "viewer", "project"},
     "cli": ANY,
     "__init__": set(),
     "errors": set(),
@@ -93,7 +94,7 @@ HOME_OF = {
     "matplotlib": {"report"},
     "rich": {"cli"},
     "tyro": {"cli"},
-    "pydantic": {"files", "simulation"},
+    "pydantic": {"files", "simulation", "project/config.py"},
 }
 """Third-party libraries that belong to one place."""
 

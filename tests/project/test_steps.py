@@ -1,0 +1,128 @@
+"""Projects: what their files may say, what their patterns find, and the graph of what is to be made."""
+
+import json
+import shutil
+
+import pytest
+
+from jaxscan.errors import ConfigError
+from jaxscan.project import digest_of, load_project, steps_of
+
+
+TEXT = """
+[project]
+name = "museum"
+products = ["cloud", "mesh", "plan"]
+formats = ["ply", "e57"]
+
+[[rig]]
+name = "one"
+boards = ["boards"]
+
+[[captures]]
+pattern = "room-*"
+rig = "one"
+settings = { every = 2 }
+"""
+
+
+@pytest.fixture
+def folder(tiny, tmp_path):
+    """A project of two sweeps, and a folder that is none."""
+    shutil.copytree(tiny.boards, tmp_path / "boards")
+    for name in ("room-2", "room-1"):
+        shutil.copytree(tiny.sweep, tmp_path / name)
+    (tmp_path / "room-notes").mkdir()
+    (tmp_path / "project.toml").write_text(TEXT)
+    return tmp_path
+
+
+def changed(folder, *pairs):
+    text = TEXT
+    for old, new in pairs:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "project.toml").write_text(text)
+    return folder / "project.toml"
+
+
+def test_captures_are_found(folder):
+    project = load_project(folder / "project.toml")
+    assert [one.name for one in project.captures] == ["room-1", "room-2"]
+    assert project.captures[0].settings.every == 2 and project.output == folder / "products"
+
+
+def test_steps_come_after_what_they_need(folder):
+    steps = steps_of(load_project(folder / "project.toml"))
+    assert [step.key for step in steps] == [
+        "calibration/one",
+        *(f"{kind}/room-{number}" for number in (1, 2) for kind in ("cloud", "mesh", "plan")),
+    ]
+    seen = set()
+    for step in steps:
+        assert seen.issuperset(step.inputs)
+        seen.add(step.key)
+    outputs = [output for step in steps for output in step.outputs]
+    assert len(set(outputs)) == len(outputs) and "clouds/room-1.e57" in outputs
+
+
+def test_a_digest_changes_with_whatever_changes_the_product(folder):
+    steps = {step.key: step for step in steps_of(load_project(folder / "project.toml"))}
+    step = steps["cloud/room-1"]
+    digests = dict.fromkeys((*step.inputs, *step.sources), "sha256:1")
+    first = digest_of(step, digests, "code")
+    assert first == digest_of(step, dict(reversed(digests.items())), "code")
+    others = [
+        digest_of(step, digests | {step.sources[0]: "sha256:2"}, "code"),
+        digest_of(step, digests | {step.inputs[0]: "sha256:2"}, "code"),
+        digest_of(step, digests, "better code"),
+        digest_of(step._replace(settings={"every": 1}), digests, "code"),
+        digest_of(step._replace(outputs=step.outputs[:1]), digests, "code"),
+    ]
+    assert len({first, *others}) == 6
+
+
+@pytest.mark.parametrize(
+    "pair, says",
+    [
+        (('pattern = "room-*"', 'pattern = "hall-*"'), 'the pattern "hall-*" finds no capture.'),
+        (('pattern = "room-*"', 'pattern = "room-notes"'), 'the pattern "room-notes" finds no capture.'),
+        (('rig = "one"', 'rig = "two"'), "captures name the rig 'two', known are one"),
+        (('boards = ["boards"]', ""), "needs a calibration or captures of boards"),
+        (('"mesh"', '"meshes"'), "meshes"),
+        (("every = 2", "evry = 2"), "every"),
+        (('name = "museum"', 'name = "../museum"'), "name"),
+        (('boards = ["boards"]', 'boards = ["boards"]\nfirst = 2026-02-01\nlast = 2026-01-01'), "before it begins"),
+    ],
+)
+def test_what_cannot_be_meant_is_one_line(folder, pair, says):
+    with pytest.raises(ConfigError) as refused:
+        load_project(changed(folder, pair))
+    assert says in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_a_capture_that_two_patterns_find(folder):
+    path = changed(folder)
+    path.write_text(TEXT + '[[captures]]\npattern = "*-1"\nrig = "one"\n')
+    with pytest.raises(ConfigError, match='"room-1" is found twice'):
+        load_project(path)
+
+
+def dated(folder, day):
+    """The day on which a capture was begun, written into its header."""
+    path = folder / "capture.json"
+    header = json.loads(path.read_text())
+    header.setdefault("acquisition", {})["started"] = f"{day}T10:00:00+00:00"
+    path.write_text(json.dumps(header))
+
+
+def test_the_calibration_of_the_day(folder):
+    for name, day in (("room-1", "2026-01-10"), ("room-2", "2026-03-01")):
+        dated(folder / name, day)
+    times = 'boards = ["boards"]\nlast = 2026-02-01\n\n[[rig]]\nname = "one"\ncalibration = "later.json"\nfirst = 2026-02-02'
+    project = load_project(changed(folder, ('boards = ["boards"]', times)))
+    assert [one.rig.calibration for one in project.captures] == [None, "later.json"]
+    assert {step.key for step in steps_of(project)} >= {"calibration/one", "calibration/one-2026-02-02"}
+    path = changed(folder, ('boards = ["boards"]', times.replace("first = 2026-02-02", "first = 2026-01-02")))
+    with pytest.raises(ConfigError, match="2 calibrations fit room-1 of 2026-01-10"):
+        load_project(path)
