@@ -2,16 +2,16 @@
 
 from datetime import date
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 import pydantic
 
 from jaxscan.files.disk import FileModel, Integer, load_toml
 
 
-Product = Literal["cloud", "mesh", "plan", "panorama", "report"]
+Product = Literal["cloud", "measures", "mesh", "plan", "panorama", "report"]
 Format = Literal["ply", "npz", "e57", "las", "laz", "pcd", "xyz", "ptx"]
-PRODUCTS: tuple[Product, ...] = get_args(Product)
+Merged = Literal["e57", "tiles", "plan"]
 MOST_PARTS = 10_000
 """Rigs, patterns and groups of a project."""
 Name = Annotated[str, pydantic.Strict(), pydantic.Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
@@ -24,7 +24,7 @@ class SettingsTable(FileModel):
     every: Annotated[Integer, pydantic.Field(ge=1, le=100_000)] = 1
     """Only every n-th record."""
     colour: Literal["photographs", "stripe"] = "photographs"
-    smooth: bool = True
+    smooth: Literal["edge", "off"] = "edge"
 
 
 class ProjectTable(FileModel):
@@ -35,9 +35,11 @@ class ProjectTable(FileModel):
     """Folder of the products, from the project's own."""
     catalogue: Annotated[str, pydantic.Strict(), pydantic.Field(max_length=1000)] = ""
     """Address of a database as SQLAlchemy knows them; "" for a file in the folder of the products."""
-    products: Annotated[tuple[Product, ...], pydantic.Field(min_length=1, max_length=5)] = ("cloud",)
+    products: Annotated[tuple[Product, ...], pydantic.Field(min_length=1, max_length=6)] = ("cloud", "measures")
     formats: Annotated[tuple[Format, ...], pydantic.Field(min_length=1, max_length=8)] = ("ply",)
     """Of clouds."""
+    split_records: Annotated[Integer, pydantic.Field(ge=32, le=1_000_000)] = 1000
+    """The stripes of larger captures are found in pieces of so many records."""
 
 
 class RigTable(FileModel):
@@ -55,9 +57,9 @@ class RigTable(FileModel):
     @pydantic.model_validator(mode="after")
     def _one_source(self) -> "RigTable":
         if (self.calibration is None) == (not self.boards):
-            raise ValueError(f"the rig {self.name!r} needs a calibration or captures of boards, one of the two")
+            raise ValueError(f'the rig "{self.name}" needs a calibration or captures of boards, one of the two')
         if self.first is not None and self.last is not None and self.last < self.first:
-            raise ValueError(f"the rig {self.name!r} ends on {self.last}, before it begins on {self.first}")
+            raise ValueError(f'the rig "{self.name}" ends on {self.last}, before it begins on {self.first}')
         return self
 
 
@@ -65,17 +67,26 @@ class CapturesTable(FileModel):
     """Captures of one rig."""
 
     pattern: _Place
-    """A folder, or a pattern of folders, from the project's own."""
+    """A folder, or a pattern of folders, from the project's own; or on object storage ("s3://bucket/rooms/*")."""
     rig: Name
     settings: SettingsTable = SettingsTable()
 
 
 class GroupTable(FileModel):
-    """Stations that belong together."""
+    """Stations that belong together: sweeps of one room from several places, by one rig."""
 
     name: Name
     captures: Annotated[tuple[Name, ...], pydantic.Field(min_length=2, max_length=200)]
-    merged: Annotated[tuple[Literal["e57", "ply", "plan"], ...], pydantic.Field(min_length=1)] = ("e57",)
+    merged: Annotated[tuple[Merged, ...], pydantic.Field(min_length=1, max_length=3)] = ("e57",)
+    tile_m: Annotated[float, pydantic.Field(ge=0.5, le=1000)] = 5.0
+    """Side of a tile [m]."""
+
+    @pydantic.model_validator(mode="after")
+    def _each_once(self) -> "GroupTable":
+        twice = next((name for name in self.captures if self.captures.count(name) > 1), None)
+        if twice is not None:
+            raise ValueError(f'the group "{self.name}" names the capture "{twice}" twice')
+        return self
 
 
 class ProjectFile(FileModel):
@@ -84,18 +95,18 @@ class ProjectFile(FileModel):
     project: ProjectTable
     rig: Annotated[tuple[RigTable, ...], pydantic.Field(min_length=1, max_length=MOST_PARTS)]
     captures: Annotated[tuple[CapturesTable, ...], pydantic.Field(min_length=1, max_length=MOST_PARTS)]
-    station_group: Annotated[tuple[GroupTable, ...], pydantic.Field(max_length=MOST_PARTS)] = ()
+    group: Annotated[tuple[GroupTable, ...], pydantic.Field(max_length=MOST_PARTS)] = ()
 
     @pydantic.model_validator(mode="after")
     def _names_are_known(self) -> "ProjectFile":
         rigs = {rig.name for rig in self.rig}
         unknown = next((one.rig for one in self.captures if one.rig not in rigs), None)
         if unknown is not None:
-            raise ValueError(f"captures name the rig {unknown!r}, known are {', '.join(sorted(rigs))}")
-        names = [group.name for group in self.station_group]
+            raise ValueError(f'captures name the rig "{unknown}", known are {", ".join(sorted(rigs))}')
+        names = [group.name for group in self.group]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
-            raise ValueError(f"two groups have the name {twice!r}, expected different names")
+            raise ValueError(f'two groups have the name "{twice}", expected different names')
         return self
 
 

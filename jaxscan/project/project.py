@@ -2,13 +2,17 @@
 
 import glob
 import os
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date, datetime
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from jaxscan.errors import ConfigError
-from jaxscan.files.capture import HEADER_NAME, open_capture
-from jaxscan.project.config import Name, ProjectFile, RigTable, SettingsTable, load_project_file
+from jaxscan.files.capture import HEADER_NAME, parse_header
+from jaxscan.files.disk import MEGABYTE, read_bounded
+from jaxscan.files.remote import find_captures, is_remote, read_remote
+from jaxscan.project.config import GroupTable, Name, ProjectFile, RigTable, SettingsTable, load_project_file
 
 
 MOST_CAPTURES = 100_000
@@ -20,7 +24,8 @@ class ProjectCapture:
 
     name: Name
     """That of its folder: the key of its products."""
-    path: Path
+    address: str
+    """Its folder, or where it is on object storage."""
     rig: RigTable
     settings: SettingsTable
 
@@ -44,62 +49,95 @@ def load_project(path: str | Path) -> Project:
     """A project, its patterns followed. Captures are looked at only where two calibrations of a rig need their day.
 
     Raises:
-        ConfigError: If the file is none, a pattern finds nothing, two captures have one name, or not exactly one
-            calibration fits a capture.
+        ConfigError: If the file is none, a pattern finds nothing, two captures have one name, not exactly one
+            calibration fits a capture, or a group is not of one rig.
     """
     file = Path(path).absolute()
     wanted = load_project_file(file)
+    if is_remote(wanted.project.output):
+        raise ConfigError(f"{path}: output: found {wanted.project.output}, expected a folder that all workers reach.")
+    rigs = defaultdict(list)
+    for rig in wanted.rig:
+        rigs[rig.name].append(rig)
     found: dict[str, ProjectCapture] = {}
     for table in wanted.captures:
-        folders = _folders(file.parent, table.pattern)
-        if not folders:
+        addresses = _captures(file.parent, table.pattern)
+        if not addresses:
             raise ConfigError(f'{path}: captures: the pattern "{table.pattern}" finds no capture.')
-        for folder in folders:
-            before = found.get(folder.name)
-            if before is not None:
+        for address in addresses:
+            name = _name_of(path, address)
+            if name in found:
                 raise ConfigError(
-                    f'{path}: captures: "{folder.name}" is found twice, as {before.path} and as {folder}; names are the '
-                    "keys of products, so each must be another."
+                    f'{path}: captures: "{name}" is found twice, as {found[name].address} and as {address}; names are '
+                    "the keys of products, so each must be another."
                 )
-            rig = _rig_of(path, folder, [rig for rig in wanted.rig if rig.name == table.rig])
-            found[folder.name] = ProjectCapture(folder.name, folder, rig, table.settings)
-    for group in wanted.station_group:
-        missing = next((name for name in group.captures if name not in found), None)
-        if missing is not None:
-            raise ConfigError(f'{path}: station_group "{group.name}": there is no capture "{missing}".')
+            found[name] = ProjectCapture(name, address, _rig_of(path, address, rigs[table.rig]), table.settings)
+    for group in wanted.group:
+        _check_group(path, group, found)
     return Project(file, wanted, tuple(found[name] for name in sorted(found)))
 
 
-def _folders(home: Path, pattern: str) -> list[Path]:
-    """The captures that a pattern finds."""
+def _captures(home: Path, pattern: str) -> Sequence[str]:
+    """The addresses of the captures that a pattern finds."""
+    if is_remote(pattern):
+        return find_captures(pattern)
     places = sorted(glob.glob(pattern, root_dir=home))
     if len(places) > MOST_CAPTURES:
         raise ConfigError(f'the pattern "{pattern}" finds {len(places)} places, expected at most {MOST_CAPTURES}.')
-    return [home / place for place in places if os.path.isfile(home / place / HEADER_NAME)]
+    return [str(home / place) for place in places if os.path.isfile(home / place / HEADER_NAME)]
 
 
-def _rig_of(path: str | Path, folder: Path, rigs: list[RigTable]) -> RigTable:
+def _name_of(path: str | Path, address: str) -> Name:
+    name = PurePosixPath(address).name
+    # As names in the file: they become names of files.
+    if not name.isascii() or not name[:1].isalnum() or len(name) > 64 or not name.translate(_OTHERS).isalnum():
+        raise ConfigError(
+            f"{path}: captures: the name of {address} becomes that of its products, so it may hold only letters, "
+            "digits, points, lines, and at most 64; rename the folder."
+        )
+    return name
+
+
+_OTHERS = str.maketrans("", "", "._-")
+
+
+def _rig_of(path: str | Path, address: str, rigs: Sequence[RigTable]) -> RigTable:
     """The rig's table that is valid for a capture."""
     if len(rigs) == 1 and rigs[0].first is None and rigs[0].last is None:
         return rigs[0]
-    day = _day_of(folder)
+    day = _day_of(address)
     fits = [rig for rig in rigs if (rig.first or date.min) <= day <= (rig.last or date.max)]
     if len(fits) != 1:
         count = "no calibration fits" if not fits else f"{len(fits)} calibrations fit"
+        name = PurePosixPath(address).name
         raise ConfigError(
-            f'{path}: rig "{rigs[0].name}": {count} {folder.name} of {day}; set `first` and `last` so that one does.'
+            f'{path}: rig "{rigs[0].name}": {count} {name} of {day}; set `first` and `last` so that one does.'
         )
     return fits[0]
 
 
-def _day_of(folder: Path) -> date:
+def _day_of(address: str) -> date:
     """The day on which a capture was begun."""
-    started = open_capture(folder, compare=False).header.acquisition.get("started")
+    name = f"{address}/{HEADER_NAME}"
+    text = read_remote(name, MEGABYTE) if is_remote(address) else read_bounded(name, MEGABYTE, error=ConfigError)
+    started = parse_header(text, name=name).acquisition.get("started")
     try:
-        return datetime.fromisoformat(started).date() if isinstance(started, str) else _unknown(folder)
+        return datetime.fromisoformat(started).date() if isinstance(started, str) else _unknown(address)
     except ValueError:
-        return _unknown(folder)
+        return _unknown(address)
 
 
-def _unknown(folder: Path) -> date:
-    raise ConfigError(f"{folder}: does not say when it was taken, and its rig has calibrations for parts of time.")
+def _unknown(address: str) -> date:
+    raise ConfigError(f"{address}: does not say when it was taken, and its rig has calibrations for parts of time.")
+
+
+def _check_group(path: str | Path, group: GroupTable, found: dict[str, ProjectCapture]) -> None:
+    missing = next((name for name in group.captures if name not in found), None)
+    if missing is not None:
+        raise ConfigError(f'{path}: group "{group.name}": there is no capture "{missing}".')
+    rigs = {found[name].rig for name in group.captures}
+    if len(rigs) > 1:
+        names = " and ".join(sorted(rig.name for rig in rigs))
+        raise ConfigError(
+            f'{path}: group "{group.name}": its captures are of several calibrations ({names}), expected one.'
+        )

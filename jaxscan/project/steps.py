@@ -3,64 +3,116 @@
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxscan.project.config import RigTable
+from jaxscan.errors import ConfigError
+from jaxscan.project.config import GroupTable, RigTable
 from jaxscan.project.project import Project, ProjectCapture
 
 
 FORMAT = "jaxscan-step/1"
-_FILES = {"mesh": ("glb",), "plan": ("dxf", "svg"), "panorama": ("jpg",), "report": ("html",)}
+_FILES = {
+    "measures": ("measures/{}.json",),
+    "mesh": ("meshes/{}.glb",),
+    "plan": ("plans/{}.dxf", "plans/{}.svg"),
+    "panorama": ("panoramas/{}.jpg", "panoramas/{}.depth.png", "panoramas/{}.normals.png"),
+    "report": ("reports/{}.html",),
+}
+"""Of each product that is made of a cloud."""
+_OF_CAPTURE = ("panorama",)
+"""Products that read the capture too."""
+_MERGED = {"e57": "groups/{}.e57", "tiles": "groups/{}.tiles.json", "plan": "groups/{}.dxf"}
 
 
 class Step(NamedTuple):
-    """One thing to make."""
+    """One thing to make. It holds names and numbers alone, so that any machine can be told of it as JSON."""
 
     key: str
     """Its name in the catalogue: "cloud/room-01"."""
     kind: str
     inputs: tuple[str, ...]
     """Keys of the steps whose products it reads."""
-    sources: tuple[str, ...]
-    """Captures and files that it reads."""
+    sources: Mapping[str, str]
+    """Address of each capture and file that it reads and no step makes, by its role: "capture", "calibration"."""
+    products: Mapping[str, str]
+    """Path of each product that it reads, in the folder of the products, by its role."""
     outputs: tuple[str, ...]
     """What it writes, in the folder of the products."""
     settings: Mapping[str, Any]
 
 
 def steps_of(project: Project) -> tuple[Step, ...]:
-    """All steps of a project, each after those that it needs."""
-    steps = {}
+    """All steps of a project, each after those that it needs.
+
+    Raises:
+        ConfigError: If two steps would write the same file.
+    """
+    steps: dict[str, Step] = {}
     for capture in project.captures:
-        for step in (_calibration(project, capture.rig), *_products(project, capture)):
+        for step in (*_calibration(project, capture.rig), *_of_capture(project, capture)):
             steps.setdefault(step.key, step)
+    for group in project.wanted.group:
+        steps |= {step.key: step for step in _of_group(project, group)}
+    writers: dict[str, str] = {}
+    for step in steps.values():
+        for output in step.outputs:
+            # Some disks take two names that differ in their letters' case for one.
+            other = writers.setdefault(output.lower(), step.key)
+            if other != step.key:
+                raise ConfigError(f"{project.file}: {step.key} and {other} would write the same file, {output}.")
     return tuple(steps.values())
 
 
-def digest_of(step: Step, digests: Mapping[str, str], code: str) -> str:
-    """By which a step is the same as one that was done: equal inputs, settings and code give equal products.
+def parts_of(step: Step, digests: Mapping[str, str], code: str) -> dict[str, str]:
+    """What a product depends on, each by a digest: two products with the same parts are the same.
 
     Args:
         step: The step.
         digests: Of its inputs, by key, and of its sources, by address.
-        code: Digest of the package.
+        code: Digest of the code that does it.
 
     Returns:
-        "sha256:<hex>".
+        By what a user calls them: "capture", "calibration", keys of other steps, "settings", "code".
     """
-    read = [(name, digests[name]) for name in sorted({*step.inputs, *step.sources})]
-    about = [FORMAT, step.key, step.kind, read, sorted(step.outputs), dict(step.settings), code]
-    text = json.dumps(about, sort_keys=True, allow_nan=False)
+    found = {role: digests[address] for role, address in step.sources.items()}
+    found |= {key: digests[key] for key in step.inputs}
+    wanted = json.dumps([step.kind, sorted(step.outputs), dict(step.settings)], sort_keys=True, allow_nan=False)
+    return found | {"settings": _sha256(wanted), "code": code}
+
+
+def digest_of(step: Step, parts: Mapping[str, str]) -> str:
+    """One digest of a step and of all its parts, "sha256:<hex>"."""
+    return _sha256(json.dumps([FORMAT, step.key, dict(parts)], sort_keys=True))
+
+
+def _sha256(text: str) -> str:
     return "sha256:" + hashlib.sha256(text.encode()).hexdigest()
 
 
-def _calibration(project: Project, rig: RigTable) -> Step:
-    if rig.calibration is not None:
-        # Nothing is made: products depend on the file as it is.
-        return Step(_key_of(rig), "calibration", (), (str(project.file.parent / rig.calibration),), (), {})
-    boards = tuple(str(project.file.parent / place) for place in rig.boards)
-    file = f"calibrations/{_name_of(rig)}"
-    return Step(_key_of(rig), "calibration", (), boards, (f"{file}.json", f"{file}.npz"), {})
+def _calibration(project: Project, rig: RigTable) -> Iterator[Step]:
+    if rig.calibration is None:
+        boards = {f"boards {number}": _address(project, place) for number, place in enumerate(rig.boards, 1)}
+        yield Step(_key_of(rig), "calibration", (), boards, {}, (_calibration_file(rig), _beside(rig)), {})
+
+
+class _Reads(NamedTuple):
+    """The calibration that a step reads: of a step, or a file."""
+
+    inputs: tuple[str, ...]
+    sources: dict[str, str]
+    products: dict[str, str]
+
+
+def _reads(project: Project, rig: RigTable) -> _Reads:
+    if rig.calibration is None:
+        return _Reads((_key_of(rig),), {}, {"calibration": _calibration_file(rig)})
+    return _Reads((), {"calibration": _address(project, rig.calibration)}, {})
+
+
+def _address(project: Project, place: str) -> str:
+    """A place as the file names it; remote ones, and those from the root of the disk, are whole already."""
+    return place if "://" in place else str(Path(project.file.parent, place))
 
 
 def _name_of(rig: RigTable) -> str:
@@ -72,15 +124,54 @@ def _key_of(rig: RigTable) -> str:
     return f"calibration/{_name_of(rig)}"
 
 
-def _products(project: Project, capture: ProjectCapture) -> Iterator[Step]:
-    wanted, name = project.wanted.project, capture.name
-    source, cloud = str(capture.path), f"cloud/{name}"
+def _calibration_file(rig: RigTable) -> str:
+    return f"calibrations/{_name_of(rig)}.json"
+
+
+def _beside(rig: RigTable) -> str:
+    return f"calibrations/{_name_of(rig)}.npz"
+
+
+def _of_capture(project: Project, capture: ProjectCapture) -> Iterator[Step]:
+    wanted, name, reads = project.wanted.project, capture.name, _reads(project, capture.rig)
+    key, source = f"cloud/{name}", {"capture": capture.address}
     # What is made of a cloud reads it as PLY, which loses nothing.
     formats = dict.fromkeys(("ply", *wanted.formats))
-    outputs = tuple(f"clouds/{name}.{suffix}" for suffix in formats)
-    yield Step(cloud, "cloud", (_key_of(capture.rig),), (source,), outputs, capture.settings.model_dump())
-    for kind, suffixes in _FILES.items():
+    clouds = tuple(f"clouds/{name}.{suffix}" for suffix in formats)
+    settings = capture.settings.model_dump()
+    yield Step(key, "cloud", reads.inputs, source | reads.sources, reads.products, clouds, settings)
+    for kind, files in _FILES.items():
         if kind in wanted.products:
-            files = tuple(f"{kind}s/{name}.{suffix}" for suffix in suffixes)
-            sources = (source,) if kind == "panorama" else ()
-            yield Step(f"{kind}/{name}", kind, (cloud, _key_of(capture.rig)), sources, files, {})
+            yield Step(
+                f"{kind}/{name}",
+                kind,
+                (key, *reads.inputs),
+                reads.sources | (source if kind in _OF_CAPTURE else {}),
+                {"cloud": clouds[0], **reads.products},
+                tuple(file.format(name) for file in files),
+                {"every": capture.settings.every} if kind in _OF_CAPTURE else {},
+            )
+
+
+def _of_group(project: Project, group: GroupTable) -> Iterator[Step]:
+    """Stations are registered, each gives a cloud with the calibration of all, and those are merged one by one."""
+    captures = {one.name: one for one in project.captures if one.name in group.captures}
+    reads = _reads(project, captures[group.captures[0]].rig)
+    register, folder = f"register/{group.name}", f"groups/{group.name}"
+    sources = {f"capture {name}": captures[name].address for name in group.captures}
+    files = (f"{folder}.calibration.json", f"{folder}.stations.json")
+    settings = {"captures": list(group.captures), "every": [captures[name].settings.every for name in group.captures]}
+    yield Step(register, "register", reads.inputs, sources | reads.sources, reads.products, files, settings)
+    clouds, keys = {}, []
+    for number, name in enumerate(group.captures):
+        key, clouds[f"cloud {name}"] = f"station/{group.name}/{name}", f"{folder}/{name}.ply"
+        of_register = {"calibration": files[0], "stations": files[1]}
+        own = {"number": number, **captures[name].settings.model_dump()}
+        source = {"capture": captures[name].address}
+        yield Step(key, "station", (register,), source, of_register, (clouds[f"cloud {name}"],), own)
+        keys.append(key)
+    for kind in group.merged:
+        output = _MERGED[kind].format(group.name)
+        products = {**clouds, "calibration": files[0]}
+        more = {"tile_m": group.tile_m} if kind == "tiles" else {}
+        yield Step(f"{kind}/{group.name}", f"merged {kind}", (*keys, register), {}, products, (output,), more)

@@ -3,7 +3,7 @@
 from jaxscan.reconstruction.cloud import SMOOTHED, CloudPoints, PointCloud, Stations
 from jaxscan.reconstruction.doubts import FrameWatch, Seen, journal_doubts, profile_doubts, sweep_doubts
 from jaxscan.reconstruction.incoming import IncomingStripes, PlannedSweep, RecordedPair, Show
-from jaxscan.reconstruction.joining import in_scanner_frame, join_clouds, of_station
+from jaxscan.reconstruction.joining import in_scanner_frame, join_clouds, of_station, stack_placed
 from jaxscan.reconstruction.kept import extraction_key, kept_arrays, usable_stripes
 from jaxscan.reconstruction.pair_notes import pair_notes
 from jaxscan.reconstruction.plan import Plan, make_plan

@@ -47,6 +47,35 @@ def join_clouds(
     )
 
 
+def stack_placed(clouds: Sequence[PointCloud], *, every: int = 1) -> PointCloud:
+    """One cloud of clouds that are in the frame of the room already, as `join_clouds` placed each.
+
+    Args:
+        clouds: Each with its stations; all of one camera.
+        every: Only every n-th profile of each.
+
+    Raises:
+        CloudError: If there is none, one was not placed, or the clouds differ in the number of lines.
+    """
+    if not clouds or len({len(cloud.valid[0]) for cloud in clouds}) > 1:
+        raise CloudError("join: expected clouds of one camera, with the same number of lines.")
+    placed = [cloud.stations for cloud in clouds if cloud.stations is not None]
+    if len(placed) < len(clouds):
+        raise CloudError("join: found a cloud without the place of its station, expected clouds of one frame.")
+    thinned = [{name: None if value is None else value[::every] for name, value in _fields(c).items()} for c in clouds]
+    names = [name for name in thinned[0] if all(fields[name] is not None for fields in thinned)]
+    before = np.cumsum([0, *(len(stations.pose) for stations in placed)])
+    numbers = [np.asarray(one.number)[::every] + first for one, first in zip(placed, before, strict=False)]
+    return PointCloud(
+        **{name: np.concatenate([fields[name] for fields in thinned]) for name in names},
+        stations=Stations(
+            np.concatenate(numbers).astype(np.int32),
+            np.concatenate([np.asarray(one.pose, np.float64) for one in placed]),
+            np.concatenate([np.asarray(one.covariance, np.float64) for one in placed]),
+        ),
+    )
+
+
 def of_station(cloud: PointCloud, number: int) -> PointCloud:
     """The cloud of one station of a joined cloud, in its own scanner frame; its sigmas keep the part of the pose."""
     if cloud.stations is None:

@@ -39,6 +39,8 @@ class Capture:
     _digest: str
     _reader: ImageReader = dataclasses.field(repr=False)
     _look: Look | None = dataclasses.field(default=None, repr=False)
+    stripes_at: Path | None = None
+    """Where its stripes are kept; None for beside the journal."""
 
     def __len__(self) -> int:
         return len(self.records)
@@ -162,6 +164,10 @@ class Capture:
     def watched(self, look: Look) -> "Capture":
         """The same capture; `look` sees each record and its frames whenever `chunks` reads them."""
         return dataclasses.replace(self, _look=look)
+
+    def keeping(self, stripes_at: Path) -> "Capture":
+        """The same capture, whose stripes are kept in a file elsewhere: nothing is written into its folder."""
+        return dataclasses.replace(self, stripes_at=stripes_at)
 
     def frames(self, index: int) -> tuple[np.ndarray | None, np.ndarray | None]:
         """The laser-on and the laser-off image of one record, each where there is one.

@@ -26,8 +26,8 @@ _KINDS = "biuf"
 
 
 def cache_path(capture: Capture) -> Path:
-    """Where the stripes of a capture are kept: beside its journal."""
-    return capture.path / CACHE_NAME
+    """Where the stripes of a capture are kept: beside its journal, or where the capture says."""
+    return capture.stripes_at or capture.path / CACHE_NAME
 
 
 def frames_key(capture: Capture) -> str:

@@ -10,6 +10,7 @@ from jaxscan.files.clouds.clouds import (
     save_cloud,
     save_cloud_with_pictures,
     save_clouds,
+    save_stations,
 )
 from jaxscan.files.clouds.e57 import FlatPicture, RoundPicture, Surroundings
 from jaxscan.files.clouds.placing import Unit, Up, in_metres, shifted, with_z_up

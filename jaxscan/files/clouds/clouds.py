@@ -1,6 +1,6 @@
 """Point clouds on disk: the suffix chooses the format."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import jax
@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds.about import About, StoredCloud
-from jaxscan.files.clouds.e57 import Surroundings, read_e57, write_e57
+from jaxscan.files.clouds.e57 import Surroundings, read_e57, write_e57, write_e57_stations
 from jaxscan.files.clouds.las import read_las, write_las
 from jaxscan.files.clouds.npz import read_npz, write_npz
 from jaxscan.files.clouds.pcd import read_pcd, write_pcd
@@ -116,6 +116,24 @@ def save_clouds(
     """
     clouds, poses, covariances = zip(*stations, strict=True) if stations else ((), (), ())
     save_cloud(join_clouds(clouds, poses, covariances), path, calibration_digest=calibration_digest)
+
+
+def save_stations(stations: Iterable[PointCloud], path: str | Path, *, calibration_digest: str = "") -> None:
+    """Write the clouds of any number of stations as one E57, a scan each with its pose; one is in memory at a time.
+
+    Args:
+        stations: Clouds of one station each, in the frame of the room, with their poses.
+        path: Its suffix is .e57. An existing file is replaced when the new one is complete.
+        calibration_digest: As in `save_cloud`.
+
+    Raises:
+        CloudError: As in `save_cloud`.
+        DependencyError: If pye57 is not installed.
+    """
+    path = Path(path)
+    check_cloud_path(path)
+    about = About(calibration=calibration_digest)
+    write_atomically(path, lambda part: write_e57_stations(stations, part, about), error=CloudError)
 
 
 def load_cloud(path: str | Path) -> PointCloud:

@@ -3,7 +3,7 @@
 import contextlib
 import time
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -48,6 +48,29 @@ def write_e57(cloud: PointCloud, path: Path, about: About, around: Surroundings 
                 _write_scan(e57, image, scans, scan)
             if around is not None:
                 _add_surroundings(e57, image, around, cloud)
+    except e57.E57Exception as problem:
+        raise OSError(str(problem).splitlines()[0]) from problem
+
+
+def write_e57_stations(stations: Iterable[PointCloud], path: Path, about: About) -> None:
+    """Write the clouds of several stations as `write_e57` does, each as soon as it comes: only one is in memory.
+
+    Args:
+        stations: Clouds of one station each, in the frame of the room, with their poses.
+        path: The file.
+        about: What is said of them all.
+
+    Raises:
+        As `write_e57`.
+    """
+    e57 = load_libe57()
+    frame = "" if about.epsg is None else wkt_of(about.epsg)
+    try:
+        with contextlib.closing(e57.ImageFile(str(path), "w")) as image:
+            scans = _begin(e57, image, frame)
+            for number, cloud in enumerate(stations):
+                for scan in _scans(cloud, about, first=number):
+                    _write_scan(e57, image, scans, scan)
     except e57.E57Exception as problem:
         raise OSError(str(problem).splitlines()[0]) from problem
 
@@ -100,15 +123,15 @@ def _begin(e57: Any, image: Any, frame: str) -> Any:
     return scans
 
 
-def _scans(cloud: PointCloud, about: About) -> Iterator[_Scan]:
-    """The stations that saw something, one at a time."""
+def _scans(cloud: PointCloud, about: About, *, first: int = 0) -> Iterator[_Scan]:
+    """The stations that saw something, one at a time, numbered from `first`."""
     poses = np.eye(4)[None] if cloud.stations is None else np.asarray(cloud.stations.pose, np.float64)
     made = f"calibration {about.calibration}" if about.calibration else ""
     header = "\n".join(header_lines(cloud, about))
     for number, pose in enumerate(poses):
         name, described = ", ".join(filter(None, ("jaxscan", made))), "; ".join(filter(None, ("jaxscan", made)))
         if cloud.stations is not None:
-            name = f"{name}, station {number}"
+            name = f"{name}, station {first + number}"
             described = (
                 f"{described}; covariance of the pose, of a step (translation x y z [m], rotation x y z [rad]) in the "
                 f"scan's own frame, upper triangle by rows: {covariance_text(cloud.stations.covariance[number])}"
@@ -121,7 +144,7 @@ def _scans(cloud: PointCloud, about: About) -> Iterator[_Scan]:
         if cloud.stations is not None:
             # The column counts the profiles of the scan.
             profile = np.flatnonzero(np.asarray(cloud.stations.number) == number)
-            values |= {"profile": profile[points.step], "station": np.full(len(points.step), number)}
+            values |= {"profile": profile[points.step], "station": np.full(len(points.step), first + number)}
         rotation, translation = quaternion(pose[:3, :3]), tuple(pose[:3, 3].tolist())
         double = points.xyz.dtype == np.float64
         yield _Scan(name, described, header, rotation, translation, _fields(values, smoothed_names(mine)), double)

@@ -1,0 +1,138 @@
+"""The catalogue of a project's products, in a database: what was made, of what, when, where, and what failed."""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxscan.errors import ConfigError, DependencyError
+
+
+class Output(NamedTuple):
+    """A file that a step wrote."""
+
+    path: str
+    """In the folder of the products."""
+    size: int
+    sha256: str
+
+
+class Row(NamedTuple):
+    """A step that was done or failed. Of each digest of a key there is one, the last."""
+
+    key: str
+    digest: str
+    state: str
+    """"done" or "failed"."""
+    message: str
+    """The line that says why it failed; notes of one that is done."""
+    parts: Mapping[str, str]
+    """As `parts_of` gives them."""
+    outputs: tuple[Output, ...]
+    started_s: float
+    """Seconds since 1970."""
+    seconds: float
+    host: str
+    """Machine and process that did it."""
+    version: str
+    """Of jaxscan."""
+    details: str = ""
+    """Where in the program an unexpected error arose."""
+
+
+class Catalogue:
+    """An open catalogue; the batch's own process alone writes to it."""
+
+    def __init__(self, address: str, project: str) -> None:
+        """Open it, and make its table where there is none.
+
+        Args:
+            address: As SQLAlchemy has it: "sqlite:////folder/catalogue.sqlite", "postgresql+psycopg://...".
+            project: Name of the project; several may share a database.
+
+        Raises:
+            ConfigError: If it cannot be opened; the message names no password.
+            DependencyError: If SQLAlchemy, or the database's own library, is not installed.
+        """
+        try:
+            import sqlalchemy
+        except ImportError as problem:
+            raise DependencyError('the catalogue: needs SQLAlchemy: pip install "jaxscan[fleet]".') from problem
+        self._sql, self._project = sqlalchemy, project
+        text, metadata = sqlalchemy.Text, sqlalchemy.MetaData()
+        names = ("project", "key", "digest", "state", "message", "parts", "outputs", "host", "version", "details")
+        self._table = sqlalchemy.Table(
+            "jaxscan_products",
+            metadata,
+            *(sqlalchemy.Column(name, text, nullable=False, primary_key=name in names[:3]) for name in names),
+            sqlalchemy.Column("started_s", sqlalchemy.Double, nullable=False),
+            sqlalchemy.Column("seconds", sqlalchemy.Double, nullable=False),
+        )
+        try:
+            url = sqlalchemy.make_url(address)
+            self._engine = sqlalchemy.create_engine(url)
+            metadata.create_all(self._engine)
+        except ImportError as problem:
+            raise DependencyError(
+                f"the catalogue: its database needs {problem.name}, which is not installed."
+            ) from None
+        except sqlalchemy.exc.SQLAlchemyError as problem:
+            raise ConfigError(f"the catalogue: cannot be opened: {_first_line(problem)}.") from None
+
+    def rows(self) -> list[Row]:
+        """All rows of the project, the oldest first."""
+        table = self._table
+        query = self._sql.select(table).where(table.c.project == self._project).order_by(table.c.started_s)
+        with self._engine.connect() as connection:
+            return [_row(found._mapping) for found in connection.execute(query)]
+
+    def write(self, rows: Sequence[Row]) -> None:
+        """Write rows, all or none; one of the same key and digest takes the place of the one before."""
+        if not rows:
+            return
+        table = self._table
+        values = [{"project": self._project, **_values(row)} for row in rows]
+        with self._engine.begin() as connection:
+            for row in rows:
+                same = (table.c.project == self._project, table.c.key == row.key, table.c.digest == row.digest)
+                connection.execute(table.delete().where(*same))
+            connection.execute(table.insert(), values)
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._engine.dispose()
+
+
+def catalogue_address(address: str, output: Path) -> str:
+    """The address of a project's database: a file in the folder of its products where none is named."""
+    return address or f"sqlite:///{output / 'catalogue.sqlite'}"
+
+
+def row_to_json(row: Row) -> str:
+    """A row as text, for its way from a worker."""
+    return json.dumps(row._asdict() | {"outputs": [tuple(one) for one in row.outputs], "parts": dict(row.parts)})
+
+
+def row_from_json(text: str) -> Row:
+    """The row of a text."""
+    return _made(json.loads(text))
+
+
+def _values(row: Row) -> dict[str, Any]:
+    return row._asdict() | {"parts": json.dumps(dict(row.parts)), "outputs": json.dumps(row.outputs)}
+
+
+def _row(found: Mapping[str, Any]) -> Row:
+    fields = {name: found[name] for name in Row._fields}
+    return _made(fields | {name: json.loads(fields[name]) for name in ("parts", "outputs")})
+
+
+def _made(fields: Mapping[str, Any]) -> Row:
+    outputs: Iterable[Any] = fields["outputs"]
+    return Row(**{**fields, "outputs": tuple(Output(*one) for one in outputs)})
+
+
+def _first_line(problem: Exception) -> str:
+    """An error of the database without the statement and the link that SQLAlchemy adds."""
+    cause = getattr(problem, "orig", None) or problem
+    return str(cause).strip().splitlines()[0].rstrip(".") if str(cause).strip() else type(cause).__name__

@@ -1,0 +1,85 @@
+"""Digests of what a project reads: captures, calibration files, and the code."""
+
+import functools
+import hashlib
+from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from importlib import resources
+from pathlib import Path
+
+from jaxscan.errors import CaptureError, ConfigError
+from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME
+from jaxscan.files.disk import MEGABYTE, file_digest, read_bounded
+from jaxscan.files.remote import is_remote, remote_digest
+from jaxscan.project.steps import Step, digest_of, parts_of
+
+
+_CLOUD = ("geometry", "stripes", "reconstruction", "photographs", "files/clouds", "files/capture", "api")
+_CALIBRATION = ("geometry", "stripes", "observation", "calibration", "vision", "files/calibration", "api")
+_MEASURES = ("geometry", "measurement", "files/clouds")
+_REGISTER = (*_CALIBRATION, "reconstruction", "recalibration", "measurement")
+CODE_OF: Mapping[str, tuple[str, ...]] = {
+    "calibration": _CALIBRATION,
+    "cloud": _CLOUD,
+    "measures": _MEASURES,
+    "mesh": (*_MEASURES, "surface", "files/meshes"),
+    "plan": (*_MEASURES, "drawing", "files/drawings"),
+    "panorama": (*_CLOUD, "vision"),
+    "report": (*_MEASURES, "report"),
+    "register": _REGISTER,
+    "station": _CLOUD,
+    "merged e57": ("files/clouds", "project/work"),
+    "merged tiles": ("files/clouds", "project/work"),
+    "merged plan": (*_MEASURES, "drawing", "files/drawings", "project/work"),
+}
+"""Rooms whose code decides a product: a change elsewhere, of the viewer say, leaves it as good as it was."""
+_AT_A_TIME = 16
+"""Sources that are asked for at a time: mostly they wait for disks and networks."""
+MOST_JOURNAL = 1 << 30
+
+
+def digests_of(steps: Iterable[Step]) -> tuple[dict[str, str], dict[str, dict[str, str]]]:
+    """The digest of every step, and its parts.
+
+    Args:
+        steps: Each after those that it needs.
+
+    Returns:
+        digests: By key.
+        parts: By key, as `parts_of` gives them.
+
+    Raises:
+        JaxscanError: If a source is not there.
+    """
+    steps = tuple(steps)
+    roles = {address: role for step in steps for role, address in step.sources.items()}
+    with ThreadPoolExecutor(_AT_A_TIME) as pool:
+        found = dict(zip(roles, pool.map(_source, roles, roles.values()), strict=True))
+    digests, parts = {}, {}
+    for step in steps:
+        parts[step.key] = parts_of(step, found | {key: digests[key] for key in step.inputs}, code_digest(step.kind))
+        digests[step.key] = digest_of(step, parts[step.key])
+    return digests, parts
+
+
+@functools.cache
+def code_digest(kind: str) -> str:
+    """Digest of the code that makes products of a kind."""
+    root = Path(str(resources.files("jaxscan")))
+    digest = hashlib.sha256()
+    for file in sorted(file for room in CODE_OF[kind] for file in (root / room).rglob("*.py")):
+        digest.update(str(file.relative_to(root)).encode() + b"\0" + read_bounded(file, MEGABYTE, error=ConfigError))
+    return "sha256:" + digest.hexdigest()
+
+
+def _source(address: str, role: str) -> str:
+    """A capture by its header and journal, which names the sha256 of every image; a file by its content."""
+    if is_remote(address):
+        return remote_digest(address)
+    if role.startswith(("capture", "boards")):
+        digest = hashlib.sha256()
+        for name in (HEADER_NAME, JOURNAL_NAME):
+            part = file_digest(Path(address, name), limit=MOST_JOURNAL, error=CaptureError)
+            digest.update(part.encode())
+        return "sha256:" + digest.hexdigest()
+    return file_digest(address, error=ConfigError)

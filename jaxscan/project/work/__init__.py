@@ -1,0 +1,3 @@
+"""One step done, in this process."""
+
+from jaxscan.project.work.orders import Order, do_step, order_of

@@ -1,0 +1,109 @@
+"""What a step works with: its sources, fetched where they are remote, and a folder for what it writes."""
+
+import contextlib
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture import Capture, open_capture
+from jaxscan.files.disk import partial_folder
+from jaxscan.files.remote import fetch_file, fetch_folder, is_remote
+from jaxscan.project.steps import Step
+from jaxscan.reconstruction import Progress
+
+
+MOST_BYTES = 1 << 40
+"""Of one capture that is fetched."""
+_SHARE = 0.9
+"""Of the free disk that fetched captures may take."""
+
+
+@dataclass(frozen=True)
+class Desk:
+    """Where a step reads and writes."""
+
+    step: Step
+    output: Path
+    """The folder of the products."""
+    folder: Path
+    """Where it writes: its files get their places when all are complete."""
+    progress: Progress
+    """Called with (done, in all)."""
+    notes: list[str] = field(default_factory=list)
+    """What a user should know of it, a sentence each."""
+
+    def capture(self, role: str = "capture") -> Capture:
+        """A capture. Its stripes are kept among the products: nothing is written into its own folder.
+
+        Raises:
+            CaptureError: If it is none, or cannot be fetched.
+        """
+        address = self.step.sources[role]
+        path, name = Path(address), Path(address).name
+        if is_remote(address):
+            path = self.folder / "fetched" / name
+            path.mkdir(parents=True)
+            free = shutil.disk_usage(path).free
+            fetch_folder(address, path, most_bytes=min(MOST_BYTES, int(_SHARE * free)))
+        kept = self.output / "stripes"
+        kept.mkdir(exist_ok=True)
+        capture = open_capture(path).keeping(kept / f"{name}.npz")
+        self.notes.extend(capture.notes)
+        return capture
+
+    def file(self, role: str) -> Path:
+        """A file that a step before made, or that was given."""
+        if role in self.step.products:
+            return self.output / self.step.products[role]
+        address = self.step.sources[role]
+        if not is_remote(address):
+            return Path(address)
+        path = self.folder / "fetched" / Path(address).name
+        path.parent.mkdir(exist_ok=True)
+        if not path.exists():
+            fetch_file(address, path, most_bytes=MOST_BYTES)
+        return path
+
+    def target(self, number: int = 0) -> Path:
+        """Where an output of the step is to be written."""
+        return self.beside(self.step.outputs[number])
+
+    def beside(self, output: str) -> Path:
+        """Where a file is to be written that gets the place `output` among the products."""
+        path = self.folder / "made" / output
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def made(self) -> list[str]:
+        """All that was written so far, by its place among the products."""
+        made = self.folder / "made"
+        return sorted(str(path.relative_to(made)) for path in made.rglob("*") if path.is_file())
+
+    def setting(self, name: str) -> Any:
+        """A setting of the step."""
+        return self.step.settings[name]
+
+
+@contextlib.contextmanager
+def desk_of(step: Step, output: Path, progress: Progress) -> Iterator[Desk]:
+    """A desk whose folder is removed at the end, and with a process that was killed by the next one.
+
+    Raises:
+        CaptureError: If the folder of the products cannot be written.
+    """
+    try:
+        with partial_folder(output / "step") as folder:
+            yield Desk(step, output, folder, progress)
+    except OSError as problem:
+        raise CaptureError(f"{output}: {problem.strerror or problem}.") from problem
+
+
+def publish(desk: Desk) -> None:
+    """Give all that was written its place among the products; each file is there whole or not at all."""
+    for path in desk.made():
+        target = desk.output / path
+        target.parent.mkdir(parents=True, exist_ok=True)
+        desk.beside(path).replace(target)

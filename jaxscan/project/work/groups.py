@@ -1,0 +1,119 @@
+"""Stations that belong together: registered, reconstructed with the calibration of them all, and merged one by one."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxscan import api
+from jaxscan.drawing import draw_plan, survey_room
+from jaxscan.errors import CalibrationError, CloudError
+from jaxscan.files.calibration import calibration_digest
+from jaxscan.files.clouds import save_stations
+from jaxscan.files.disk import MEGABYTE, parse_json, read_bounded, write_atomically
+from jaxscan.project.work.desk import Desk
+from jaxscan.project.work.sweeps import coloured
+from jaxscan.project.work.tiles import Tiles
+from jaxscan.reconstruction import PointCloud, join_clouds, stack_placed
+
+
+STATIONS_FORMAT = "jaxscan-stations/1"
+TILES_FORMAT = "jaxscan-tiles/1"
+PLAN_POINTS = 20_000_000
+"""Points that the plan of a group is drawn from; of more, only every n-th profile."""
+_MOST_STATIONS_BYTES = 64 * MEGABYTE
+
+
+def register_stations(desk: Desk) -> None:
+    """The places of all stations and a calibration that fits them all, in one least squares.
+
+    Where the sweeps gain nothing over the calibration they were given, that one is kept; the places are good anyhow.
+
+    Raises:
+        CalibrationError: If it did not converge.
+    """
+    names, calibration = desk.setting("captures"), desk.file("calibration")
+    pairs = zip(names, desk.setting("every"), strict=True)
+    captures = [desk.capture(f"capture {name}").every(every) for name, every in pairs]
+    settings = api.RecalibrationSettings(stations=True)
+    result = api.recalibrate(captures, calibration, settings=settings, progress=desk.progress)
+    adjusted = result.adjusted
+    if not adjusted.converged:
+        raise CalibrationError(f"{desk.step.key}: the places of the stations were not found: {result.refused}")
+    desk.notes.extend(result.notes)
+    if result.calibration is None:
+        desk.notes.append(f"The calibration is as it was: {result.refused}")
+        write_atomically(desk.target(0), calibration.read_bytes())
+    else:
+        api.save_calibration(result.calibration, desk.target(0))
+    stations = [
+        {
+            "capture": name,
+            "pose": adjusted.stations[number].tolist(),
+            "covariance": adjusted.station_covariance[number].tolist(),
+            "corrections_rad": np.asarray(adjusted.corrections[number]).tolist(),
+        }
+        for number, name in enumerate(names)
+    ]
+    write_atomically(desk.target(1), json.dumps({"format": STATIONS_FORMAT, "stations": stations}).encode())
+
+
+def place_station(desk: Desk) -> None:
+    """The cloud of one station, in the frame of the group."""
+    calibration, stations = desk.file("calibration"), desk.file("stations")
+    text = read_bounded(stations, _MOST_STATIONS_BYTES, error=CloudError)
+    station = parse_json(text, name=str(stations), error=CloudError)["stations"][desk.setting("number")]
+    sweep, scanner = desk.capture().every(desk.setting("every")), api.load_scanner(calibration)
+    angles = (sweep.angles + np.array(station["corrections_rad"])).tolist()
+    records = tuple(replace(record, angle=angle) for record, angle in zip(sweep.records, angles, strict=True))
+    settings = api.ReconstructSettings(smooth=desk.setting("smooth"))
+    turned = replace(sweep, records=records) if np.any(station["corrections_rad"]) else sweep
+    done = api.reconstruct_capture(turned, scanner, settings=settings, progress=desk.progress)
+    desk.notes.extend(done.notes)
+    cloud = coloured(desk, done.cloud, sweep, scanner)
+    placed = join_clouds([cloud], [np.array(station["pose"])], [np.array(station["covariance"])])
+    api.save_cloud(placed, desk.target(), calibration_digest=calibration_digest(calibration))
+
+
+def merge_e57(desk: Desk) -> None:
+    """One E57 with a scan and its pose for each station."""
+    digest = calibration_digest(desk.file("calibration"))
+    save_stations(_clouds(desk), desk.target(), calibration_digest=digest)
+
+
+def merge_tiles(desk: Desk) -> None:
+    """Square tiles with the points of all stations, and a list of them."""
+    index = desk.step.outputs[0]
+    folder = str(Path(index).with_suffix(""))
+    with Tiles(desk.folder / "spooled", desk.setting("tile_m")) as tiles:
+        for cloud in _clouds(desk):
+            tiles.add(cloud)
+        listed: list[dict[str, Any]] = []
+        for place, cloud in tiles.clouds():
+            name = f"{folder}/{place[0]}_{place[1]}.ply"
+            api.save_cloud(cloud, desk.beside(name), calibration_digest=calibration_digest(desk.file("calibration")))
+            corner = [float(axis * desk.setting("tile_m")) for axis in place]
+            points = int(np.asarray(cloud.valid).sum())
+            listed.append({"file": f"{Path(folder).name}/{Path(name).name}", "corner_m": corner, "points": points})
+    about = {"format": TILES_FORMAT, "tile_m": desk.setting("tile_m"), "tiles": listed}
+    write_atomically(desk.target(), (json.dumps(about, indent=2) + "\n").encode())
+
+
+def merge_plan(desk: Desk) -> None:
+    """One plan from the points of all stations."""
+    points = sum(int(np.asarray(cloud.valid).sum()) for cloud in _clouds(desk))
+    every = max(1, -(-points // PLAN_POINTS))
+    # Thinned one by one, so that the whole is never in memory.
+    placed = stack_placed([stack_placed([cloud], every=every) for cloud in _clouds(desk)])
+    drawing = draw_plan(survey_room(placed, scanner=api.load_scanner(desk.file("calibration"))))
+    api.save_drawing(drawing, desk.target())
+
+
+def _clouds(desk: Desk) -> Iterator[PointCloud]:
+    """The clouds of the stations, one after the other."""
+    for role in desk.step.products:
+        if role.startswith("cloud "):
+            yield api.load_cloud(desk.file(role))

@@ -1,0 +1,45 @@
+"""Calibrations and clouds: what is made of captures."""
+
+from jaxscan import api
+from jaxscan.errors import CalibrationError
+from jaxscan.files.calibration import calibration_digest, calibration_notes
+from jaxscan.files.capture import Capture
+from jaxscan.geometry import Scanner
+from jaxscan.project.work.desk import Desk
+from jaxscan.reconstruction import PointCloud
+
+
+def calibrate_rig(desk: Desk) -> None:
+    """Calibrate from captures of a board, as `jaxscan calibrate` does.
+
+    Raises:
+        CalibrationError: If the result cannot be used.
+    """
+    captures = [desk.capture(role) for role in desk.step.sources]
+    result = api.calibrate(captures, progress=desk.progress)
+    verdict = result.quality.verdict
+    if verdict is not None and verdict.refused is not None:
+        raise CalibrationError(f"{desk.step.key}: cannot be used: {verdict.refused}")
+    desk.notes.extend(result.missing)
+    api.save_calibration(result, desk.target())
+
+
+def reconstruct_sweep(desk: Desk) -> None:
+    """Reconstruct a sweep, as `jaxscan reconstruct` does, in all formats that are wanted."""
+    calibration = desk.file("calibration")
+    desk.notes.extend(calibration_notes(calibration))
+    sweep, scanner = desk.capture().every(desk.setting("every")), api.load_scanner(calibration)
+    settings = api.ReconstructSettings(smooth=desk.setting("smooth"))
+    done = api.reconstruct_capture(sweep, scanner, settings=settings, progress=desk.progress)
+    desk.notes.extend(done.notes)
+    cloud = coloured(desk, done.cloud, sweep, scanner)
+    digest = calibration_digest(calibration)
+    for number in range(len(desk.step.outputs)):
+        api.save_cloud(cloud, desk.target(number), calibration_digest=digest)
+
+
+def coloured(desk: Desk, cloud: PointCloud, sweep: Capture, scanner: Scanner) -> PointCloud:
+    """The cloud in the colours that are wanted, as far as there are photographs."""
+    if desk.setting("colour") != "photographs" or not api.has_photographs(sweep):
+        return cloud
+    return api.colour_cloud(cloud, sweep, scanner)
