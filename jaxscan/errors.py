@@ -35,3 +35,7 @@ class OutputError(JaxscanError):
 
 class DependencyError(JaxscanError):
     """A library or system package that is needed for this call and is not installed."""
+
+
+class FleetError(JaxscanError):
+    """A cluster that cannot be reached, or cannot do this work."""

@@ -1,9 +1,10 @@
 """Many captures as one project: what is to be made of each, and what of it is there already."""
 
 from jaxscan.project.catalogue import Catalogue, Row, catalogue_address, row_from_json, row_to_json
+from jaxscan.project.claim import claimed
 from jaxscan.project.config import Product, ProjectFile, load_project_file
 from jaxscan.project.digests import digests_of
 from jaxscan.project.project import Project, ProjectCapture, load_project
 from jaxscan.project.states import State, Status, states_of
 from jaxscan.project.steps import Step, digest_of, parts_of, steps_of
-from jaxscan.project.work import Order, do_step, order_of
+from jaxscan.project.work import Order, do_step, failed_row, order_of

@@ -74,31 +74,36 @@ def do_step(order: Order, progress: Progress = None) -> Row:
         order: The step.
         progress: Called with (done, in all).
     """
-    started, state, details, outputs = time.time(), "done", "", ()
-    notes: list[str] = []
+    started = time.time()
     try:
         outputs, notes = _done(order, progress)
-        message = " ".join(notes)
     except JaxscanError as problem:
-        state, message = "failed", str(problem)
+        return failed_row(order, str(problem), started_s=started)
     except Exception as problem:
-        # A defect of jaxscan is the failure of a step too; where it arose is kept in the catalogue.
-        state, message = "failed", f"unexpected {type(problem).__name__}: {problem}".splitlines()[0]
-        details = traceback.format_exc()
-    host = f"{platform.node()} {os.getpid()}"
-    seconds = time.time() - started
+        # A defect of jaxscan is the failure of one step too; where it arose is kept in the catalogue.
+        message = f"unexpected {type(problem).__name__}: {problem}".splitlines()[0]
+        return failed_row(order, message, started_s=started, details=traceback.format_exc())
+    return _row(order, "done", " ".join(notes), started)._replace(outputs=outputs)
+
+
+def failed_row(order: Order, message: str, *, started_s: float | None = None, details: str = "") -> Row:
+    """The row of a step that failed, with the line that says why."""
+    return _row(order, "failed", message, time.time() if started_s is None else started_s)._replace(details=details)
+
+
+def _row(order: Order, state: str, message: str, started_s: float) -> Row:
+    host, seconds = f"{platform.node()} {os.getpid()}", time.time() - started_s
     return Row(
-        key=order.step.key,
-        digest=order.digest,
-        state=state,
-        message=message[:_LONGEST],
-        parts=order.parts,
-        outputs=outputs,
-        started_s=started,
+        order.step.key,
+        order.digest,
+        state,
+        message[:_LONGEST],
+        order.parts,
+        (),
+        started_s=started_s,
         seconds=seconds,
         host=host,
         version=jaxscan.__version__,
-        details=details,
     )
 
 

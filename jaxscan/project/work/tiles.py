@@ -58,7 +58,8 @@ class Tiles:
         for place, path in sorted(self._files.items()):
             rows = np.fromfile(path, _ROW)
             path.unlink()
-            one = np.zeros(1, np.int32)
+            zero = np.zeros(1, np.int32)
+            numbers = {"record": zero, "laser": zero, "angle": np.zeros(1)}
             fields = {name: np.ascontiguousarray(rows[name])[None] for name in _ROW.fields or () if name != "xyz"}
             xyz = rows["xyz"].astype(np.float32)[None]
             valid = np.ones((1, len(rows)), np.bool_)

@@ -1,0 +1,162 @@
+"""The steps of a project on a Dask cluster: what is ready is handed out, what comes back goes into the catalogue.
+
+This process keeps the graph and writes the catalogue; the scheduler hands out tasks, and gives those of a worker that
+died to another.
+"""
+
+import contextlib
+import secrets
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import distributed
+
+from jaxscan.errors import FleetError
+from jaxscan.fleet.work import TOPIC, do_order, sees
+from jaxscan.project import Catalogue, Order, Row, Status, failed_row, order_of, row_from_json
+
+
+MOST_AT_ONCE = 512
+"""Tasks that are handed out at a time; more would only take memory of the scheduler."""
+
+
+class Show(Protocol):
+    """What a batch tells while it goes on."""
+
+    def working(self, key: str, done: int, total: int) -> None:
+        """How far a step is."""
+
+    def finished(self, row: Row) -> None:
+        """A step was done, or failed."""
+
+
+class Report(NamedTuple):
+    """What became of a batch."""
+
+    rows: tuple[Row, ...]
+    """Of the steps that were done or failed."""
+    left: Mapping[str, str]
+    """Steps that were not begun, with the step that failed before them."""
+
+    @property
+    def failed(self) -> tuple[Row, ...]:
+        """The steps that failed."""
+        return tuple(row for row in self.rows if row.state == "failed")
+
+
+def run_batch(
+    todo: Sequence[Status],
+    output: Path,
+    catalogue: Catalogue,
+    client: distributed.Client,
+    show: Show,
+    *,
+    work: Callable[[str], str] = do_order,
+) -> Report:
+    """Do steps, each after those that it needs.
+
+    Args:
+        todo: The steps that are not done, in an order in which inputs come first.
+        output: The folder of the products.
+        catalogue: Gets a row for each step as it comes back.
+        client: Of the cluster.
+        show: Is told what goes on.
+        work: What a worker does with an order; a function of a module.
+
+    Raises:
+        FleetError: If the scheduler is lost. What was done is in the catalogue.
+    """
+    orders = {status.step.key: order_of(status, output) for status in todo}
+    before = {key: {need for need in order.step.inputs if need in orders} for key, order in orders.items()}
+    after: dict[str, list[str]] = defaultdict(list)
+    for key, needs in before.items():
+        for need in needs:
+            after[need].append(key)
+    ready = deque(key for key, needs in before.items() if not needs)
+    rows: list[Row] = []
+    left: dict[str, str] = {}
+    running: dict[distributed.Future, str] = {}
+    coming = distributed.as_completed()
+    with _progress(client, show):
+        while ready or running:
+            while ready and len(running) < MOST_AT_ONCE:
+                key = ready.popleft()
+                name = f"{key}-{orders[key].digest[7:23]}"
+                future = client.submit(work, orders[key].to_json(), key=name, pure=False)
+                running[future] = key
+                coming.add(future)
+            found = [_row_of(future, orders[running.pop(future)]) for future in coming.next_batch()]
+            catalogue.write(found)
+            for row in found:
+                rows.append(row)
+                show.finished(row)
+                for key in after[row.key] if row.state == "done" else ():
+                    before[key].discard(row.key)
+                    if not before[key]:
+                        ready.append(key)
+                if row.state == "failed":
+                    left |= dict.fromkeys(_behind(row.key, after), row.key)
+    return Report(tuple(rows), left)
+
+
+def check_sight(client: distributed.Client, output: Path) -> None:
+    """Check that every worker sees the folder of the products, before any work.
+
+    Raises:
+        FleetError: With the worker that does not.
+    """
+    name = f".seen-{secrets.token_hex(8)}"
+    (output / name).touch()
+    try:
+        seen = client.run(sees, str(output), name)
+    finally:
+        (output / name).unlink()
+    blind = next((worker for worker, sight in seen.items() if not sight), None)
+    if blind is not None:
+        raise FleetError(f"{output}: the worker {blind} cannot write there; all workers need this folder at this path.")
+
+
+def _row_of(future: distributed.Future, order: Order) -> Row:
+    """What became of an order.
+
+    Raises:
+        FleetError: If the scheduler is lost.
+    """
+    if future.cancelled():
+        raise FleetError(
+            "the cluster's scheduler is lost; start it again and call the same command, which goes on where it was."
+        )
+    problem = future.exception()
+    if problem is None:
+        return row_from_json(future.result())
+    if isinstance(problem, distributed.KilledWorker):
+        message = "its workers died, most often because it needs more memory than they have (--memory-gib)."
+    else:
+        message = f"the cluster could not do it: {type(problem).__name__}: {problem}".splitlines()[0]
+    return failed_row(order, message)
+
+
+def _behind(key: str, after: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """All steps that need a step, also by way of others."""
+    waiting, seen = deque(after.get(key, ())), set()
+    while waiting:
+        one = waiting.popleft()
+        if one not in seen:
+            seen.add(one)
+            yield one
+            waiting.extend(after.get(one, ()))
+
+
+@contextlib.contextmanager
+def _progress(client: distributed.Client, show: Show) -> Iterator[None]:
+    def heard(event: tuple[float, tuple[str, int, int]]) -> None:
+        show.working(*event[1])
+
+    client.subscribe_topic(TOPIC, heard)
+    try:
+        yield
+    finally:
+        if client.status == "running":
+            client.unsubscribe_topic(TOPIC)

@@ -1,0 +1,71 @@
+"""The folder of a project's products: one project writes there, and one batch at a time."""
+
+import contextlib
+import json
+import os
+import platform
+from collections.abc import Iterator
+from pathlib import Path
+
+from jaxscan.errors import ConfigError
+from jaxscan.files.disk import MEGABYTE, parse_json, read_bounded, write_atomically
+from jaxscan.project.project import Project
+
+
+try:
+    import fcntl
+except ImportError:  # Not on Windows; there nothing is locked.
+    fcntl = None  # type: ignore[assignment]
+
+
+FORMAT = "jaxscan-products/1"
+ABOUT, LOCK = "project.json", ".batch.lock"
+
+
+@contextlib.contextmanager
+def claimed(project: Project) -> Iterator[None]:
+    """Make the folder of the products this project's, and keep other batches out until the end of `with`.
+
+    Raises:
+        ConfigError: If it belongs to another project, another batch is at work, or it cannot be written.
+    """
+    output = project.output
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+        with open(output / LOCK, "a+", encoding="utf-8") as lock:
+            _take(lock.fileno(), output)
+            _check_owner(project)
+            lock.truncate(0)
+            lock.write(f"{platform.node()} {os.getpid()}\n")
+            lock.flush()
+            yield
+    except OSError as problem:
+        raise ConfigError(f"{output}: cannot be written: {problem.strerror or problem}.") from problem
+
+
+def _take(handle: int, output: Path) -> None:
+    if fcntl is None:
+        return
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        who = read_bounded(output / LOCK, MEGABYTE, error=ConfigError).decode(errors="replace").strip()
+        raise ConfigError(
+            f"{output}: another batch is writing here (process {who or 'unknown'}); wait for it, or end it."
+        ) from None
+
+
+def _check_owner(project: Project) -> None:
+    path, own = project.output / ABOUT, str(project.file)
+    if path.exists():
+        about = parse_json(read_bounded(path, MEGABYTE, error=ConfigError), name=str(path), error=ConfigError)
+        other = about.get("file") if isinstance(about, dict) else None
+        # A project whose folder was moved is still the same; two files that are there are two projects.
+        if isinstance(other, str) and other != own and os.path.exists(other):
+            raise ConfigError(
+                f"{project.output}: holds the products of another project, {other}; choose another `output`."
+            )
+        if other == own:
+            return
+    about = {"format": FORMAT, "project": project.wanted.project.name, "file": own}
+    write_atomically(path, (json.dumps(about, indent=2) + "\n").encode(), error=ConfigError)
