@@ -1,7 +1,9 @@
 """Many captures as one project: what is to be made of each, and what of it is there already."""
 
+from jaxscan.project.begin import project_text
 from jaxscan.project.catalogue import Catalogue, Row, catalogue_address, row_from_json, row_to_json
 from jaxscan.project.claim import claimed
+from jaxscan.project.compare import Comparison, LengthChange, compare_projects
 from jaxscan.project.config import Product, ProjectFile, load_project_file
 from jaxscan.project.digests import digests_of
 from jaxscan.project.project import Project, ProjectCapture, load_project

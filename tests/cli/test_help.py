@@ -9,11 +9,11 @@ import pytest
 from jaxscan.cli.help.completion import SHELLS
 from jaxscan.cli.help.entries import entries_of, paragraphs
 from jaxscan.cli.help.page import GROUPS
-from jaxscan.cli.process.verbs import DESCRIPTION, MEASURES, VERBS, load_verb
+from jaxscan.cli.process.verbs import BELOW, DESCRIPTION, VERBS, load_verb
 
 
-EVERY = [(verb,) for verb in VERBS if verb != "measure"] + [("measure", verb) for verb in MEASURES]
-PAGES = [(), ("measure",), *EVERY]
+EVERY = [(verb,) for verb in VERBS if verb not in BELOW] + [(first, verb) for first in BELOW for verb in BELOW[first]]
+PAGES = [(), *((first,) for first in BELOW), *EVERY]
 UNPLAIN = ("{None}", "{", "None", "(default", "INT", "FLOAT", "STR", "TUPLE", "positional arguments", "╭", "│", "\x1b")
 
 
@@ -30,7 +30,7 @@ def test_pages_are_plain_and_fit(words, columns, run, monkeypatch):
 
 @pytest.mark.parametrize("words", EVERY, ids=" ".join)
 def test_every_name_has_words_of_its_own(words, run):
-    function = load_verb(words[-1])
+    function = load_verb(*words)
     said = " ".join(run(*words, "--help").out.split())
     for entry in entries_of(function):
         assert len(entry.text.split()) >= 2, entry
@@ -141,7 +141,7 @@ def test_scripts_name_every_verb_and_option(shell, run):
     assert ran.code == 0 and ran.err == ""
     for words in EVERY:
         assert words[-1] in ran.out
-        for entry in entries_of(load_verb(words[-1])):
+        for entry in entries_of(load_verb(*words)):
             long = [name for name in entry.names if name.startswith("--")]
             assert all((f"-l {name[2:]}" if shell == "fish" else name) in ran.out for name in long)
     program = shutil.which(shell)

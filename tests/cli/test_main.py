@@ -10,13 +10,13 @@ import pytest
 
 import jaxscan
 from jaxscan.cli.main import main
-from jaxscan.cli.process.verbs import MEASURES, VERBS, load_verb
+from jaxscan.cli.process.verbs import BELOW, VERBS, load_verb
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import WRITERS
 
 
 EVERY = [((name,), line) for name, line in VERBS.items()] + [
-    (("measure", name), line) for name, line in MEASURES.items()
+    ((first, name), line) for first, verbs in BELOW.items() for name, line in verbs.items()
 ]
 
 
@@ -28,7 +28,7 @@ def answer(capsys, *words):
 
 @pytest.mark.parametrize(("words", "line"), EVERY, ids=lambda one: " ".join(one) if isinstance(one, tuple) else "")
 def test_the_table_says_the_same_as_the_docstring(words, line):
-    assert " ".join(inspect.getdoc(load_verb(words[-1])).split()).startswith(line)
+    assert " ".join(inspect.getdoc(load_verb(*words)).split()).startswith(line)
 
 
 def test_help_lists_all_verbs_and_loads_none():
@@ -58,7 +58,7 @@ def test_help_of_a_verb(words, capsys):
     code, said = answer(capsys, *words, "--help")
     assert code == 0
     assert said.out.startswith(f"usage: jaxscan {' '.join(words)} [-h]")
-    options = ["-h, --help"] if words == ("measure",) else ["-h, --help", "--json FILE"]
+    options = ["-h, --help"] if words[0] in BELOW and len(words) == 1 else ["-h, --help", "--json FILE"]
     assert all(option in said.out for option in options)
 
 

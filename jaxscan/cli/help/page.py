@@ -14,6 +14,7 @@ GROUPS = {
     "Scan": ("scan", "console", "import", "reconstruct"),
     "Look and measure": ("view", "measure", "panorama", "plan", "orthophoto"),
     "Give to other programs": ("convert", "align", "mesh"),
+    "Many captures": ("project", "batch"),
 }
 """The verbs as the first page lists them."""
 ALWAYS = (

@@ -32,6 +32,8 @@ VERBS = {
     "view": "Look around in clouds: `jaxscan view room.ply -c calibration.json`.",
     "panorama": "Draw the room all around: `jaxscan panorama captures/room -c calibration.json -o room.jpg`.",
     "mesh": "Make a mesh of a cloud: `jaxscan mesh room.ply -o room.glb`.",
+    "project": "Many captures as one project: `jaxscan project init FOLDER` (`jaxscan project --help`).",
+    "batch": "Make what a project lacks: `jaxscan batch project.toml`.",
     "measure": "Measure a cloud: room, distance, plane, sphere and others (`jaxscan measure --help`).",
     "plan": "Draw a room: `jaxscan plan room.ply -c calibration.json -o plan.dxf`.",
     "orthophoto": "Draw the walls of a room straight on: `jaxscan orthophoto room.ply -o walls`.",
@@ -52,6 +54,14 @@ MEASURES = {
     "compare": "Against a true or better cloud: `jaxscan measure compare room.ply truth.npz`.",
 }
 """The same for the verbs below `jaxscan measure`."""
+PROJECTS = {
+    "init": "Write the project of what lies in a folder: `jaxscan project init FOLDER`.",
+    "status": "Say what is done, stale, failed and missing: `jaxscan project status project.toml`.",
+    "compare": "Lengths of two epochs or two versions: `jaxscan project compare old/project.toml new/project.toml`.",
+}
+"""The same for the verbs below `jaxscan project`."""
+BELOW = {"measure": MEASURES, "project": PROJECTS}
+"""Verbs that are followed by another."""
 
 HELP = ("-h", "--help")
 USAGE = 2
@@ -73,14 +83,20 @@ _ROOMS = {
     "import": "exchange.import_",
     "recalibrate": "recalibration.recalibrate",
     "panorama": "products.panorama",
+    "batch": "project.batch",
     "mesh": "products.mesh",
     "view": "products.view",
 }
 """Modules of the verbs that are in rooms of their own."""
 
 
-def load_verb(verb: str) -> Callable[..., None]:
-    """The function of a verb; its module is imported now."""
+def load_verb(*words: str) -> Callable[..., None]:
+    """The function of a verb, or of two words such as "measure room"; its module is imported now."""
+    if words[0] == "project":
+        name = words[-1]
+        made: Callable[..., None] = getattr(importlib.import_module(f"jaxscan.cli.project.{name}"), name)
+        return made
+    verb = words[-1]
     # No function of Python can be called "import".
     name = "import_" if verb == "import" else verb
     module = _ROOMS.get(verb, "measure" if verb in MEASURES else verb)
@@ -111,8 +127,10 @@ def _parse(words: Sequence[str], *, answer: bool = True) -> Callable[[], None]:
     if words[:1] == ["--completion"]:
         return _completion(words[1:], answer=answer)
     prog, says, verbs = "jaxscan", DESCRIPTION, VERBS
-    if words[:1] == ["measure"]:
-        prog, says, verbs, words = "jaxscan measure", short(VERBS["measure"]), MEASURES, words[1:]
+    above = words[:1] if words and words[0] in BELOW else []
+    if above:
+        (first,) = above
+        prog, says, verbs, words = f"jaxscan {first}", short(VERBS[first]), BELOW[first], words[1:]
     if not words or words[0] in HELP:
         if answer:
             print(overview(prog, says, verbs), end="", file=sys.stdout if words else sys.stderr)
@@ -120,7 +138,7 @@ def _parse(words: Sequence[str], *, answer: bool = True) -> Callable[[], None]:
     verb, *rest = words
     if verb not in verbs:
         _leave(unknown_verb(verb, prog, list(verbs)), answer)
-    function = load_verb(verb)
+    function = load_verb(*above, verb)
     if set(HELP) & set(rest):
         if answer:
             print(verb_page(f"{prog} {verb}", function), end="")
@@ -141,7 +159,11 @@ def _completion(words: Sequence[str], *, answer: bool) -> Callable[[], None]:
     if len(words) != 1 or words[0] not in SHELLS:
         _leave(f"--completion needs the name of a shell: {', '.join(SHELLS)}.", answer)
     known = [Verb((name,), short(line), entries_of(load_verb(name))) for name, line in VERBS.items()]
-    known += [Verb(("measure", name), short(line), entries_of(load_verb(name))) for name, line in MEASURES.items()]
+    known += [
+        Verb((first, name), short(line), entries_of(load_verb(first, name)))
+        for first, verbs in BELOW.items()
+        for name, line in verbs.items()
+    ]
     return lambda: print(completion(words[0], known), end="")
 
 

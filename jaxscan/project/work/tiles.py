@@ -43,9 +43,8 @@ class Tiles:
         rows = np.empty(len(points.xyz), _ROW)
         for name in _ROW.fields or ():
             rows[name] = getattr(points, name)
-        places, of_place = np.unique(
-            np.floor(rows["xyz"][:, :2] / self._side_m).astype(int), axis=0, return_inverse=True
-        )
+        squares = np.floor(rows["xyz"][:, :2] / self._side_m).astype(int)
+        places, of_place = np.unique(squares, axis=0, return_inverse=True)
         order = np.argsort(of_place.ravel(), kind="stable")
         ends = np.cumsum(np.bincount(of_place.ravel(), minlength=len(places)))
         for place, some in zip(places.tolist(), np.split(rows[order], ends[:-1]), strict=True):
@@ -63,7 +62,4 @@ class Tiles:
             fields = {name: np.ascontiguousarray(rows[name])[None] for name in _ROW.fields or () if name != "xyz"}
             xyz = rows["xyz"].astype(np.float32)[None]
             valid = np.ones((1, len(rows)), np.bool_)
-            yield (
-                place,
-                PointCloud(xyz=xyz, **fields, valid=valid, record=one, laser=one, angle=np.zeros(1), stations=None),
-            )
+            yield place, PointCloud(xyz=xyz, valid=valid, **fields, **numbers, stations=None)

@@ -1,0 +1,1 @@
+"""The verbs of projects: many captures by one file and one command."""

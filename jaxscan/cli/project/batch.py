@@ -1,0 +1,102 @@
+"""`jaxscan batch`: makes what a project lacks, on this machine or on a cluster."""
+
+import os
+import shlex
+import time
+from pathlib import Path
+from typing import Any
+
+from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.paths import check_paths, file_at
+from jaxscan.cli.process.terminal import Terminal
+from jaxscan.cli.project.plan import Opened, ProjectPath, counted, in_words, opened
+from jaxscan.errors import FleetError
+
+
+def batch(
+    project: ProjectPath = Path("project.toml"),
+    /,
+    *,
+    cluster: str | None = None,
+    slurm: bool = False,
+    kubernetes: bool = False,
+    ssh: Path | None = None,
+    workers: int | None = None,
+    memory_gib: float | None = None,
+    tls: Path | None = None,
+    json: JsonTarget = None,
+) -> None:
+    """Make what a project lacks: `jaxscan batch project.toml`.
+
+    What is missing or stale is made, and nothing else, on the cores of this machine or on a Dask cluster. A capture that
+    fails is said in a line and stops no other; then the exit code is 1. Ended in the middle and called again, it goes on
+    where it was.
+
+    Args:
+        project: The project's file.
+        cluster: Address of a Dask scheduler that runs already: tcp://host:port or tls://host:port.
+        slurm: Take workers from SLURM, as Dask's configuration says.
+        kubernetes: Take workers from Kubernetes, as Dask's configuration says.
+        ssh: File with a host on each line, on which workers are started by SSH.
+        workers: How many workers; without, one for each core of this machine, as far as memory reaches.
+        memory_gib: Memory of each worker [GiB].
+        tls: Folder with ca.pem, cert.pem and key.pem, for --cluster tls://host:port.
+        json: Write the result as JSON too.
+    """
+    check_paths([*file_at("PROJECT", project), *file_at("--ssh", ssh)], file_at("--json", json))
+    check_json(json)
+    _need_dask()
+    # Imported here, so that `--help` does not load JAX.
+    from jaxscan.fleet import ClusterChoice, check_choice
+    from jaxscan.project import claimed, load_project
+
+    choice = ClusterChoice(cluster, workers, memory_gib, slurm=slurm, kubernetes=kubernetes, ssh=ssh, tls=tls)
+    check_choice(choice)
+    out, start = console(json), time.perf_counter()
+    with claimed(load_project(project)), opened(project) as found:
+        counts = counted(found.states)
+        out.print(f"{len(found.project.captures)} captures, {len(found.states)} steps: {in_words(counts)}")
+        result: dict[str, Any] = {"done": [], "failed": {}, "not_begun": {}}
+        if counts["done"] < len(found.states):
+            result = _work(found, choice, out)
+    seconds = time.perf_counter() - start
+    if result["done"]:
+        out.print(f"{len(result['done'])} steps done in {seconds:.0f} s, in {found.project.output}")
+    emit_json(json, "batch", result | {"output": str(found.project.output), "seconds_s": seconds})
+    if result["failed"]:
+        raise FleetError(
+            f"{len(result['failed'])} steps failed and {len(result['not_begun'])} that need them were not begun; "
+            f"mend them and call again: {shlex.join(['jaxscan', 'batch', str(project)])}"
+        )
+
+
+def _work(found: Opened, choice: Any, out: Terminal) -> dict[str, Any]:
+    from jaxscan.api.kept_code import cache_on_disk
+    from jaxscan.cli.project.display import batch_display
+    from jaxscan.fleet import check_sight, open_cluster, run_batch
+
+    cache = cache_on_disk()
+    if cache is not None:
+        # Workers inherit it: code that one has compiled is read by all.
+        os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", cache)
+        os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+        os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "0")
+    todo = [status for status in found.states if status.state != "done"]
+    output = found.project.output
+    with open_cluster(choice) as client, batch_display(out, len(todo)) as display:
+        check_sight(client, output)
+        report = run_batch(todo, output, found.catalogue, client, display)
+    return {
+        "done": [row.key for row in report.rows if row.state == "done"],
+        "failed": {row.key: row.message for row in report.failed},
+        "not_begun": dict(report.left),
+    }
+
+
+def _need_dask() -> None:
+    from jaxscan.errors import DependencyError
+
+    try:
+        import distributed  # noqa: F401
+    except ImportError as problem:
+        raise DependencyError('a batch needs Dask: pip install "jaxscan[fleet]".') from problem

@@ -1,0 +1,66 @@
+"""What a batch shows while it goes on: all its steps, and each that is at work."""
+
+import contextlib
+import threading
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, final
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+
+from jaxscan.cli.process.terminal import Terminal
+from jaxscan.printable import printable
+
+
+if TYPE_CHECKING:
+    from jaxscan.project import Row
+
+
+_MOST_LINES = 8
+"""Steps that have a line of their own."""
+
+
+@final
+class BatchDisplay:
+    """Lines for steps that fail, and on a terminal bars for those at work."""
+
+    def __init__(self, out: Terminal, bars: Progress | None, steps: int) -> None:
+        """Args: where lines go, bars that are shown or None, and the number of steps."""
+        self._out, self._bars, self._steps = out, bars, steps
+        self._lock = threading.Lock()
+        self._tasks: dict[str, TaskID] = {}
+        self._all = None if bars is None else bars.add_task("all steps", total=steps)
+
+    def working(self, key: str, done: int, total: int) -> None:
+        """How far a step is; called from another thread."""
+        if self._bars is None:
+            return
+        with self._lock:
+            if key not in self._tasks:
+                if len(self._tasks) >= _MOST_LINES:
+                    return
+                self._tasks[key] = self._bars.add_task(printable(key), total=total)
+            self._bars.update(self._tasks[key], completed=done, total=total)
+
+    def finished(self, row: "Row") -> None:
+        """A step was done, or failed; a failure is a line."""
+        if self._bars is not None and self._all is not None:
+            with self._lock:
+                task = self._tasks.pop(row.key, None)
+                if task is not None:
+                    self._bars.remove_task(task)
+                self._bars.advance(self._all)
+        if row.state == "failed":
+            self._out.print(f"failed: {row.key}: {row.message}", style="red")
+
+
+@contextlib.contextmanager
+def batch_display(out: Terminal, steps: int) -> Iterator[BatchDisplay]:
+    """A display for so many steps; its bars are on standard error, and only on a terminal."""
+    terminal = Terminal(stderr=True)
+    if not terminal.is_terminal:
+        yield BatchDisplay(out, None, steps)
+        return
+    text = TextColumn("{task.description}", markup=False)
+    columns = (SpinnerColumn("line"), text, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=terminal.console, transient=True) as bars:
+        yield BatchDisplay(out, bars, steps)

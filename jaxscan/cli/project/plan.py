@@ -1,0 +1,60 @@
+"""A project, opened for a verb: its steps, their states, and its catalogue."""
+
+import contextlib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import tyro
+
+
+if TYPE_CHECKING:
+    from jaxscan.project import Catalogue, Project, Status
+
+
+ProjectPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PROJECT")]
+STATES = ("done", "stale", "failed", "missing")
+
+
+class Opened(NamedTuple):
+    """A project, and where it stands."""
+
+    project: "Project"
+    states: "Sequence[Status]"
+    catalogue: "Catalogue"
+
+
+@contextlib.contextmanager
+def opened(path: Path) -> Iterator[Opened]:
+    """Find a project's captures, and what of its products is there.
+
+    Raises:
+        JaxscanError: If the file, a capture or the catalogue is not what it should be.
+    """
+    # Imported here, so that `--help` does not load JAX.
+    from jaxscan.project import Catalogue, catalogue_address, digests_of, load_project, states_of, steps_of
+
+    project = load_project(path)
+    steps = steps_of(project)
+    digests, parts = digests_of(steps)
+    wanted = project.wanted.project
+    # Nobody should find a folder of products where nothing was made.
+    address = catalogue_address(wanted.catalogue, project.output)
+    there = wanted.catalogue or project.output.is_dir()
+    catalogue = Catalogue(address if there else "sqlite://", wanted.name)
+    try:
+        yield Opened(project, states_of(steps, digests, parts, catalogue.rows(), project.output), catalogue)
+    finally:
+        catalogue.close()
+
+
+def counted(states: "Sequence[Status]") -> dict[str, int]:
+    """How many steps are in each state."""
+    found = Counter(status.state for status in states)
+    return {state: found[state] for state in STATES}
+
+
+def in_words(counts: dict[str, int]) -> str:
+    """The counts of states that there are, in a line."""
+    return ", ".join(f"{count} {state}" for state, count in counts.items() if count) or "nothing to do"

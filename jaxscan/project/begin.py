@@ -1,0 +1,139 @@
+"""A first `project.toml` for the captures and calibrations that lie in a folder."""
+
+import itertools
+import json
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from jaxscan.errors import CalibrationError, ConfigError
+from jaxscan.files.calibration import load_scanner
+from jaxscan.files.capture import HEADER_NAME, CaptureHeader, parse_header
+from jaxscan.files.disk import MEGABYTE, read_bounded
+
+
+DEEPEST = 4
+MOST_FOLDERS = 100_000
+_BEGINNING = """\
+# What there is, and what is wanted of it. `jaxscan batch project.toml` makes what is missing or stale.
+
+[project]
+name = {name}
+products = ["cloud", "measures"]  # also "mesh", "plan", "panorama", "report"
+formats = ["ply"]  # of clouds; also "e57", "las", "laz", "npz", "pcd", "ptx", "xyz"
+"""
+
+
+class Found(NamedTuple):
+    """A capture that lies in the folder."""
+
+    path: Path
+    """From the folder."""
+    header: CaptureHeader
+
+
+def project_text(folder: Path) -> str:
+    """The text of a project file for what lies in a folder, four folders deep.
+
+    Captures of the same camera, laser and table are of one rig. Its calibration is the file that fits the size of its
+    images, or is made from its captures of a board.
+
+    Raises:
+        ConfigError: If there is no sweep, or not one calibration for a rig.
+        CaptureError: If a capture's header cannot be read.
+    """
+    captures = [Found(path, _header(folder / path)) for path in _folders(folder)]
+    sweeps = [one for one in captures if one.header.kind == "sweep"]
+    if not sweeps:
+        raise ConfigError(f"{folder}: found no sweep in it, expected folders of captures with {HEADER_NAME}.")
+    calibrations = [path.relative_to(folder) for path in sorted(folder.glob("**/*.json")) if _is_calibration(path)]
+    text = _BEGINNING.format(name=json.dumps(_name(folder)))
+    rigs = _rigs(captures)
+    for number, members in enumerate(rigs, 1):
+        own = [one for one in members if one.header.kind == "sweep"]
+        if own:
+            name = "rig" if len(rigs) == 1 else f"rig-{number}"
+            text += f'\n[[rig]]\nname = "{name}"\n{_calibration(folder, members, calibrations)}'
+            for pattern in _patterns(own, captures):
+                text += f'\n[[captures]]\npattern = {json.dumps(pattern)}\nrig = "{name}"\n'
+    return text
+
+
+def _folders(folder: Path) -> Iterator[Path]:
+    """Folders that hold a capture, from `folder`, sorted; none inside of another capture."""
+    looked = 0
+    for here, below, files in os.walk(folder):
+        looked += 1
+        if looked > MOST_FOLDERS:
+            raise ConfigError(f"{folder}: holds more than {MOST_FOLDERS} folders; name one further down.")
+        path = Path(here).relative_to(folder)
+        if HEADER_NAME in files:
+            yield path
+        below[:] = [] if HEADER_NAME in files or len(path.parts) >= DEEPEST else sorted(below)
+
+
+def _header(path: Path) -> CaptureHeader:
+    name = path / HEADER_NAME
+    return parse_header(read_bounded(name, MEGABYTE, error=ConfigError), name=str(name))
+
+
+def _is_calibration(path: Path) -> bool:
+    try:
+        load_scanner(path)
+    except CalibrationError:
+        return False
+    return True
+
+
+def _rigs(captures: Sequence[Found]) -> list[list[Found]]:
+    """Captures by the camera, laser and table of their headers."""
+    rigs: list[list[Found]] = []
+    for one in captures:
+        same = next((rig for rig in rigs if _parts(rig[0].header) == _parts(one.header)), None)
+        if same is None:
+            rigs.append([one])
+        else:
+            same.append(one)
+    return rigs
+
+
+def _parts(header: CaptureHeader) -> tuple[object, ...]:
+    return header.camera, header.laser, header.turntable
+
+
+def _calibration(folder: Path, members: Sequence[Found], calibrations: Sequence[Path]) -> str:
+    camera = members[0].header.camera
+    fits = [path for path in calibrations if _size(folder / path) == (camera.width, camera.height)]
+    boards = [one.path.as_posix() for one in members if one.header.kind == "calibration"]
+    if len(fits) == 1:
+        return f"calibration = {json.dumps(fits[0].as_posix())}\n"
+    if len(fits) > 1:
+        names = " and ".join(path.as_posix() for path in fits[:3])
+        raise ConfigError(f"{folder}: {len(fits)} calibrations fit the rig of {members[0].path} ({names}); keep one.")
+    if not boards:
+        raise ConfigError(
+            f"{folder}: found neither a calibration nor captures of a board for the rig of {members[0].path}."
+        )
+    return f"boards = {json.dumps(boards)}\n"
+
+
+def _size(path: Path) -> tuple[int, int]:
+    camera = load_scanner(path).camera
+    return camera.width, camera.height
+
+
+def _patterns(sweeps: Sequence[Found], captures: Sequence[Found]) -> list[str]:
+    """A pattern for each folder that holds nothing but such sweeps, else each by its name."""
+    found = []
+    for parent, group in itertools.groupby(sorted(sweeps, key=lambda one: one.path), lambda one: one.path.parent):
+        own = list(group)
+        beside = [one for one in captures if one.path.parent == parent]
+        alone = len(own) == len(beside) > 1
+        found += [(parent / "*").as_posix()] if alone else [one.path.as_posix() for one in own]
+    return found
+
+
+def _name(folder: Path) -> str:
+    name = "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in folder.absolute().name)
+    return name.strip("-")[:64] or "project"
