@@ -1,5 +1,6 @@
 """`jaxscan batch`: makes what a project lacks, on this machine or on a cluster."""
 
+import importlib.util
 import os
 import shlex
 import time
@@ -10,7 +11,7 @@ from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import check_paths, file_at
 from jaxscan.cli.process.terminal import Terminal
 from jaxscan.cli.project.plan import Opened, ProjectPath, counted, in_words, opened
-from jaxscan.errors import FleetError
+from jaxscan.errors import DependencyError, FleetError
 
 
 def batch(
@@ -28,9 +29,9 @@ def batch(
 ) -> None:
     """Make what a project lacks: `jaxscan batch project.toml`.
 
-    What is missing or stale is made, and nothing else, on the cores of this machine or on a Dask cluster. A capture that
-    fails is said in a line and stops no other; then the exit code is 1. Ended in the middle and called again, it goes on
-    where it was.
+    What is missing or stale is made, and nothing else, on the cores of this machine or on a Dask cluster. A capture
+    that fails is said in a line and stops no other; then the exit code is 1. Ended in the middle and called again, it
+    goes on where it was.
 
     Args:
         project: The project's file.
@@ -94,9 +95,5 @@ def _work(found: Opened, choice: Any, out: Terminal) -> dict[str, Any]:
 
 
 def _need_dask() -> None:
-    from jaxscan.errors import DependencyError
-
-    try:
-        import distributed  # noqa: F401
-    except ImportError as problem:
-        raise DependencyError('a batch needs Dask: pip install "jaxscan[fleet]".') from problem
+    if importlib.util.find_spec("distributed") is None:
+        raise DependencyError('a batch needs Dask: pip install "jaxscan[fleet]".')

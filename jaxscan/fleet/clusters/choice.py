@@ -1,0 +1,100 @@
+"""Which cluster is meant: what the command line says, checked before any work."""
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from jaxscan.errors import OptionError
+from jaxscan.fleet.clusters.hosts import read_hosts
+
+
+Kind = Literal["local", "running", "slurm", "kubernetes", "ssh"]
+
+MAX_WORKERS = 10_000
+MIN_MEMORY_GIB, MAX_MEMORY_GIB = 0.25, 65536.0
+_ADDRESS = re.compile(r"(tcp|tls)://(\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9._-]{1,253}):([0-9]{1,5})")
+
+
+@dataclass(frozen=True)
+class ClusterChoice:
+    """The cluster that the command line asks for; without anything, this machine."""
+
+    address: str | None = None
+    """`--cluster`: a scheduler that runs already, as tcp://host:port or tls://host:port."""
+    workers: int | None = None
+    """How many; None: one for each core of this machine, fewer if memory is short, or one job, or one pod."""
+    memory_gib: float | None = None
+    """Memory of each worker [GiB]; None: what is free, shared out, or what Dask's configuration says."""
+    slurm: bool = False
+    kubernetes: bool = False
+    ssh: Path | None = None
+    """A file with one host in each line, and comments after #."""
+    tls: Path | None = None
+    """A folder with ca.pem, cert.pem and key.pem, for an address that begins with tls://."""
+
+
+def kind_of(choice: ClusterChoice) -> Kind:
+    """The kind of cluster, of a choice that was checked."""
+    if choice.address is not None:
+        return "running"
+    if choice.slurm:
+        return "slurm"
+    if choice.kubernetes:
+        return "kubernetes"
+    return "local" if choice.ssh is None else "ssh"
+
+
+def check_choice(choice: ClusterChoice) -> None:
+    """Check that a choice means one cluster; nothing is started or asked.
+
+    Raises:
+        OptionError: If options contradict each other, a number cannot be meant, or the file of hosts is unfit.
+    """
+    said = {
+        "--cluster": choice.address is not None,
+        "--slurm": choice.slurm,
+        "--kubernetes": choice.kubernetes,
+        "--ssh": choice.ssh is not None,
+    }
+    kinds = [name for name, given in said.items() if given]
+    if len(kinds) > 1:
+        raise OptionError(
+            f"{' and '.join(kinds)}: found {len(kinds)} kinds of clusters, expected one; leave out others."
+        )
+    _check_sizes(choice, kinds)
+    if choice.address is not None:
+        _check_address(choice)
+    elif choice.tls is not None:
+        raise OptionError(
+            "--tls: goes with --cluster tls://host:port only; the other clusters make their certificates."
+        )
+    if choice.ssh is not None:
+        read_hosts(choice.ssh)
+
+
+def _check_sizes(choice: ClusterChoice, kinds: list[str]) -> None:
+    workers, memory = choice.workers, choice.memory_gib
+    if workers is not None and not 1 <= workers <= MAX_WORKERS:
+        raise OptionError(f"--workers: found {workers}, expected 1 ... {MAX_WORKERS}.")
+    if memory is not None and not (math.isfinite(memory) and MIN_MEMORY_GIB <= memory <= MAX_MEMORY_GIB):
+        raise OptionError(f"--memory-gib: found {memory:g}, expected {MIN_MEMORY_GIB:g} ... {MAX_MEMORY_GIB:g}.")
+    if workers is not None and kinds == ["--ssh"]:
+        raise OptionError(
+            "--workers: goes not with --ssh; each line of the file is one worker, so repeat a host there."
+        )
+    if kinds == ["--cluster"]:
+        for name, value in (("--workers", workers), ("--memory-gib", memory)):
+            if value is not None:
+                raise OptionError(f"{name}: goes not with --cluster; the workers of a running cluster are as they are.")
+
+
+def _check_address(choice: ClusterChoice) -> None:
+    found = _ADDRESS.fullmatch(choice.address or "")
+    if found is None or not 1 <= int(found[3]) <= 65535:
+        raise OptionError(f"--cluster: found {choice.address!r:.100}, expected tcp://host:port or tls://host:port.")
+    if choice.tls is not None and found[1] != "tls":
+        raise OptionError(f"--tls: goes with an address tls://, found {choice.address}.")
+    if choice.tls is None and found[1] == "tls":
+        raise OptionError("--cluster tls://: needs --tls FOLDER with ca.pem, cert.pem and key.pem.")

@@ -1,0 +1,85 @@
+"""A cluster that runs already, by the address of its scheduler."""
+
+import contextlib
+import logging
+import ssl
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import distributed
+
+from jaxscan.errors import OptionError
+from jaxscan.files.disk import MEGABYTE, read_bounded
+from jaxscan.fleet.clusters.certificates import paths_in, security_of
+from jaxscan.fleet.clusters.choice import ClusterChoice
+from jaxscan.fleet.clusters.settings import wait_for_worker
+
+
+ANSWER_S = 10.0
+"""How long a scheduler may take to answer, and after it the first worker to be there."""
+
+
+@contextlib.contextmanager
+def open_running(choice: ClusterChoice) -> Iterator[Any]:
+    """A client of a running cluster; the cluster stays when `with` ends.
+
+    Raises:
+        OptionError: If the files of certificates are unfit, nobody answers, or there is no worker.
+    """
+    security = security_from(choice.tls) if choice.tls is not None else None
+    with connected(str(choice.address), security) as client:
+        wait_for_worker(client, ANSWER_S, f"start workers for {choice.address}: dask worker {choice.address}")
+        yield client
+
+
+def security_from(folder: Path) -> Any:
+    """Dask's `Security` from a folder with ca.pem, cert.pem and key.pem.
+
+    Raises:
+        OptionError: If one of them is missing or no PEM file of its kind.
+    """
+    paths = paths_in(folder)
+    for path in paths:
+        read_bounded(path, MEGABYTE, error=OptionError)
+    security = distributed.Security(**security_of(paths))
+    try:
+        security.get_connection_args("client")
+    except (ssl.SSLError, OSError) as problem:
+        raise OptionError(f"--tls {folder}: holds no certificates that belong together: {problem}.") from problem
+    return security
+
+
+@contextlib.contextmanager
+def connected(address: str, security: Any = None) -> Iterator[Any]:
+    """A client of a scheduler.
+
+    Raises:
+        OptionError: If it does not answer in `ANSWER_S`, or refuses.
+    """
+    try:
+        with warnings.catch_warnings(), _quiet():
+            # Versions are compared by `check_versions`, with a line of its own.
+            warnings.simplefilter("ignore", distributed.versions.VersionMismatchWarning)
+            client = distributed.Client(address, security=security, timeout=ANSWER_S, set_as_default=False)
+    # What is not a scheduler may answer anything.
+    except (OSError, RuntimeError, TypeError, ValueError, KeyError) as problem:
+        raise OptionError(
+            f"--cluster: no scheduler of Dask answers at {address} within {ANSWER_S:g} s, or it does not know this "
+            "certificate; look at its address and --tls."
+        ) from problem
+    with client:
+        yield client
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Without Dask's own lines about attempts that failed; ours says it."""
+    logger = logging.getLogger("distributed")
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)

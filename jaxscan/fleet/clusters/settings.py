@@ -1,0 +1,50 @@
+"""Settings of Dask for work like ours, and what a client is."""
+
+import contextlib
+import os
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from jaxscan.errors import OptionError
+
+
+# Dask can write results to the disk when memory is short, or let a worker wait. Neither helps here: results are
+# names and numbers, what takes the memory is arrays of a running task, and a worker that waits with them keeps them.
+# So its nanny ends a worker that comes near its limit, starts another, and the task is tried again.
+MEMORY: Mapping[str, Any] = {
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.memory.terminate": 0.95,
+}
+LOOPBACK_PAGE = "127.0.0.1:0"
+"""Where the pages of schedulers and workers are: they know no password, so only their own machine may see them."""
+
+
+def as_environment(settings: Mapping[str, Any]) -> dict[str, str]:
+    """Settings of Dask as the environment variables that say the same."""
+    return {f"DASK_{name.replace('.', '__').replace('-', '_').upper()}": str(value) for name, value in settings.items()}
+
+
+@contextlib.contextmanager
+def kept_environment() -> Iterator[None]:
+    """Nannies change variables of the process that they run in, for the workers' sake; afterwards they are as before."""
+    before = dict(os.environ)
+    try:
+        yield
+    finally:
+        for name in os.environ.keys() - before.keys():
+            del os.environ[name]
+        os.environ.update(before)
+
+
+def wait_for_worker(client: Any, seconds: float, remedy: str) -> None:
+    """Wait until the first worker is there.
+
+    Raises:
+        OptionError: If none comes in that time; its line ends with the remedy.
+    """
+    try:
+        client.wait_for_workers(1, timeout=seconds)
+    except TimeoutError as problem:
+        raise OptionError(f"no worker came within {seconds:g} s; {remedy}") from problem
