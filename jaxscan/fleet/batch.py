@@ -6,6 +6,7 @@ died to another.
 
 import contextlib
 import secrets
+import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -20,6 +21,10 @@ from jaxscan.project import Catalogue, Order, Row, Status, failed_row, order_of,
 
 MOST_AT_ONCE = 512
 """Tasks that are handed out at a time; more would only take memory of the scheduler."""
+
+
+_WRITTEN_S = 0.5
+"""Between two transactions of the catalogue."""
 
 
 class Show(Protocol):
@@ -78,18 +83,19 @@ def run_batch(
     rows: list[Row] = []
     left: dict[str, str] = {}
     running: dict[distributed.Future, str] = {}
-    coming = distributed.as_completed()
-    with _progress(client, show):
+    coming = distributed.as_completed(loop=client.loop)
+    with _progress(client, show), _Written(catalogue) as written:
         while ready or running:
-            while ready and len(running) < MOST_AT_ONCE:
-                key = ready.popleft()
-                name = f"{key}-{orders[key].digest[7:23]}"
-                future = client.submit(work, orders[key].to_json(), key=name, pure=False)
-                running[future] = key
-                coming.add(future)
-            found = [_row_of(future, orders[running.pop(future)]) for future in coming.next_batch()]
-            catalogue.write(found)
-            for row in found:
+            if ready and len(running) <= MOST_AT_ONCE // 2:
+                # Many at a time: the scheduler takes a hundred in the time of ten single ones.
+                keys = [ready.popleft() for _ in range(min(len(ready), MOST_AT_ONCE - len(running)))]
+                texts = [orders[key].to_json() for key in keys]
+                names = [f"{key}-{orders[key].digest[7:23]}" for key in keys]
+                futures = client.map(work, texts, key=names, pure=False, batch_size=None)
+                running |= dict(zip(futures, keys, strict=True))
+                coming.update(futures)
+            for row in _rows_of(client, {future: orders[running.pop(future)] for future in coming.next_batch()}):
+                written.add(row)
                 rows.append(row)
                 show.finished(row)
                 for key in after[row.key] if row.state == "done" else ():
@@ -98,7 +104,33 @@ def run_batch(
                         ready.append(key)
                 if row.state == "failed":
                     left |= dict.fromkeys(_behind(row.key, after), row.key)
+            if not coming.has_ready():
+                written.flush()
     return Report(tuple(rows), left)
+
+
+class _Written:
+    """Rows on their way to the catalogue, many in one transaction; those of the last moment are done again if lost."""
+
+    def __init__(self, catalogue: Catalogue) -> None:
+        self._catalogue, self._rows, self._last = catalogue, list[Row](), time.monotonic()
+
+    def __enter__(self) -> "_Written":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.flush()
+
+    def add(self, row: Row) -> None:
+        """Take a row, and write all after some time in which there is no pause."""
+        self._rows.append(row)
+        if time.monotonic() - self._last > _WRITTEN_S:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write all rows now."""
+        self._catalogue.write(self._rows)
+        self._rows, self._last = [], time.monotonic()
 
 
 def check_sight(client: distributed.Client, output: Path) -> None:
@@ -118,19 +150,25 @@ def check_sight(client: distributed.Client, output: Path) -> None:
         raise FleetError(f"{output}: the worker {blind} cannot write there; all workers need this folder at this path.")
 
 
-def _row_of(future: distributed.Future, order: Order) -> Row:
-    """What became of an order.
+def _rows_of(client: distributed.Client, ended: Mapping[distributed.Future, Order]) -> list[Row]:
+    """What became of orders.
 
     Raises:
         FleetError: If the scheduler is lost.
     """
+    done = [future for future in ended if future.status == "finished"]
+    # One question for all of them.
+    rows = [row_from_json(text) for text in client.gather(done)]
+    return rows + [_not_done(future, order) for future, order in ended.items() if future not in done]
+
+
+def _not_done(future: distributed.Future, order: Order) -> Row:
+    """The row of an order that no worker brought to an end."""
     if future.cancelled():
         raise FleetError(
             "the cluster's scheduler is lost; start it again and call the same command, which goes on where it was."
         )
     problem = future.exception()
-    if problem is None:
-        return row_from_json(future.result())
     if isinstance(problem, distributed.KilledWorker):
         message = "its workers died, most often because it needs more memory than they have (--memory-gib)."
     else:

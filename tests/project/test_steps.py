@@ -1,12 +1,12 @@
 """Projects: what their files may say, what their patterns find, and the graph of what is to be made."""
 
-import json
 import shutil
 
 import pytest
 
 from jaxscan.errors import ConfigError
-from jaxscan.project import digest_of, load_project, steps_of
+from jaxscan.files.capture import HEADER_NAME
+from jaxscan.project import digest_of, load_project, parts_of, steps_of
 
 
 TEXT = """
@@ -69,15 +69,22 @@ def test_steps_come_after_what_they_need(folder):
 def test_a_digest_changes_with_whatever_changes_the_product(folder):
     steps = {step.key: step for step in steps_of(load_project(folder / "project.toml"))}
     step = steps["cloud/room-1"]
-    digests = dict.fromkeys((*step.inputs, *step.sources), "sha256:1")
-    first = digest_of(step, digests, "code")
-    assert first == digest_of(step, dict(reversed(digests.items())), "code")
+    digests = dict.fromkeys((*step.inputs, *step.sources.values()), "sha256:1")
+
+    def digest(step=step, digests=digests, code="code"):
+        return digest_of(step, parts_of(step, digests, code))
+
+    first = digest()
+    assert first == digest(digests=dict(reversed(digests.items())))
+    # A project that was moved is the same.
+    moved = {"capture": "/elsewhere/room-1"}
+    assert first == digest(step._replace(sources=moved), digests | {"/elsewhere/room-1": "sha256:1"})
     others = [
-        digest_of(step, digests | {step.sources[0]: "sha256:2"}, "code"),
-        digest_of(step, digests | {step.inputs[0]: "sha256:2"}, "code"),
-        digest_of(step, digests, "better code"),
-        digest_of(step._replace(settings={"every": 1}), digests, "code"),
-        digest_of(step._replace(outputs=step.outputs[:1]), digests, "code"),
+        digest(digests=digests | {step.sources["capture"]: "sha256:2"}),
+        digest(digests=digests | {step.inputs[0]: "sha256:2"}),
+        digest(code="better code"),
+        digest(step._replace(settings={"every": 1})),
+        digest(step._replace(outputs=step.outputs[:1])),
     ]
     assert len({first, *others}) == 6
 
@@ -87,7 +94,7 @@ def test_a_digest_changes_with_whatever_changes_the_product(folder):
     [
         (('pattern = "room-*"', 'pattern = "hall-*"'), 'the pattern "hall-*" finds no capture.'),
         (('pattern = "room-*"', 'pattern = "room-notes"'), 'the pattern "room-notes" finds no capture.'),
-        (('rig = "one"', 'rig = "two"'), "captures name the rig 'two', known are one"),
+        (('rig = "one"', 'rig = "two"'), 'captures name the rig "two", known are one'),
         (('boards = ["boards"]', ""), "needs a calibration or captures of boards"),
         (('"mesh"', '"meshes"'), "meshes"),
         (("every = 2", "evry = 2"), "every"),
@@ -110,19 +117,23 @@ def test_a_capture_that_two_patterns_find(folder):
 
 def dated(folder, day):
     """The day on which a capture was begun, written into its header."""
-    path = folder / "capture.json"
-    header = json.loads(path.read_text())
-    header.setdefault("acquisition", {})["started"] = f"{day}T10:00:00+00:00"
-    path.write_text(json.dumps(header))
+    path = folder / HEADER_NAME
+    text = "\n".join(line for line in path.read_text().splitlines() if not line.startswith("started"))
+    table = "[acquisition]" if "[acquisition]" in text else ""
+    began = f'[acquisition]\nstarted = "{day}T10:00:00+00:00"\n'
+    path.write_text(text.replace(table, began) if table else f"{text}\n{began}")
 
 
 def test_the_calibration_of_the_day(folder):
     for name, day in (("room-1", "2026-01-10"), ("room-2", "2026-03-01")):
         dated(folder / name, day)
-    times = 'boards = ["boards"]\nlast = 2026-02-01\n\n[[rig]]\nname = "one"\ncalibration = "later.json"\nfirst = 2026-02-02'
+    later = '[[rig]]\nname = "one"\ncalibration = "later.json"\nfirst = 2026-02-02'
+    times = f'boards = ["boards"]\nlast = 2026-02-01\n\n{later}'
     project = load_project(changed(folder, ('boards = ["boards"]', times)))
     assert [one.rig.calibration for one in project.captures] == [None, "later.json"]
-    assert {step.key for step in steps_of(project)} >= {"calibration/one", "calibration/one-2026-02-02"}
+    steps = {step.key: step for step in steps_of(project)}
+    assert steps["cloud/room-1"].inputs == ("calibration/one",)
+    assert steps["cloud/room-2"].sources["calibration"] == str(folder / "later.json")
     path = changed(folder, ('boards = ["boards"]', times.replace("first = 2026-02-02", "first = 2026-01-02")))
     with pytest.raises(ConfigError, match="2 calibrations fit room-1 of 2026-01-10"):
         load_project(path)

@@ -3,7 +3,6 @@
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 
@@ -30,7 +29,7 @@ class Tiles:
         self._folder, self._side_m = folder, side_m
         self._files: dict[tuple[int, int], Path] = {}
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "Tiles":
         self._folder.mkdir()
         return self
 
