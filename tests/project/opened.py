@@ -1,0 +1,46 @@
+"""A project opened as the verbs open it, and done in this process."""
+
+from jaxscan.project import (
+    Catalogue,
+    catalogue_address,
+    digests_of,
+    do_step,
+    load_project,
+    order_of,
+    states_of,
+    steps_of,
+)
+
+
+def catalogue_of(file):
+    project = load_project(file)
+    project.output.mkdir(exist_ok=True)
+    return Catalogue(catalogue_address(project.wanted.project.catalogue, project.output), project.wanted.project.name)
+
+
+def states(file):
+    """The state of every step, by key."""
+    project, catalogue = load_project(file), catalogue_of(file)
+    steps = steps_of(project)
+    digests, parts = digests_of(steps)
+    found = states_of(steps, digests, parts, catalogue.rows(), project.output)
+    catalogue.close()
+    return {status.step.key: status for status in found}
+
+
+def work(file):
+    """Do all that is not done, one after the other; returns the rows."""
+    catalogue, rows = catalogue_of(file), []
+    for status in states(file).values():
+        if status.state != "done":
+            rows.append(do_step(order_of(status, load_project(file).output)))
+            catalogue.write(rows[-1:])
+    catalogue.close()
+    return rows
+
+
+def edit(file, old, new):
+    """Replace words of the project's file."""
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new))

@@ -1,0 +1,100 @@
+"""Steps done in this process, and what becomes stale by what."""
+
+import json
+import shutil
+
+import numpy as np
+
+import jaxscan
+from jaxscan.files.capture import CACHE_NAME, JOURNAL_NAME
+from jaxscan.project import digests
+from tests.project.opened import catalogue_of, edit, states, work
+
+
+def in_state(file, state):
+    return {key for key, one in states(file).items() if one.state == state}
+
+
+def test_a_project_from_nothing_to_done_and_stale_by_every_cause(museum, tiny, monkeypatch):
+    assert in_state(museum, "missing") == set(states(museum))
+    rows = work(museum)
+    assert [row.message for row in rows if row.state == "failed"] == []
+    assert in_state(museum, "done") == set(states(museum))
+    assert work(museum) == []
+    products = museum.parent / "products"
+    # As the verb makes it, to the last bit; and nothing is written into captures.
+    scanner = jaxscan.load_scanner(tiny.calibration)
+    sweep = jaxscan.open_capture(tiny.sweep).every(2)
+    cloud = jaxscan.colour_cloud(jaxscan.reconstruct_capture(sweep, scanner, cache=False).cloud, sweep, scanner)
+    made = jaxscan.load_cloud(products / "clouds" / "room-1.npz")
+    for name, field in vars(cloud).items():
+        if field is not None:
+            np.testing.assert_array_equal(field, getattr(made, name), err_msg=name)
+    assert not (museum.parent / "room-1" / CACHE_NAME).exists()
+    assert not list(products.glob(".part-*"))
+    measures = json.loads((products / "measures" / "room-1.json").read_text())
+    assert measures["points"] == int(np.asarray(cloud.valid).sum())
+
+    # A file of a product that is gone: only its step is done again.
+    (products / "meshes" / "room-1.glb").unlink()
+    assert {key: one.why for key, one in states(museum).items() if one.state == "stale"} == {
+        "mesh/room-1": "room-1.glb is gone"
+    }
+    assert [row.key for row in work(museum)] == ["mesh/room-1"]
+
+    # A capture that changed: all that is made of it.
+    with open(museum.parent / "room-2" / JOURNAL_NAME, "a") as journal:
+        journal.write("\n")
+    stale = {key: one.why for key, one in states(museum).items() if one.state == "stale"}
+    assert set(stale) == {"cloud/room-2", "measures/room-2", "mesh/room-2"}
+    assert stale["cloud/room-2"] == "changed: capture" and stale["mesh/room-2"] == "changed: cloud/room-2"
+
+    # Settings, and back again: as it was.
+    edit(museum, "every = 2", "every = 3")
+    assert states(museum)["cloud/room-1"].why == "changed: settings"
+    edit(museum, "every = 3", "every = 2")
+    assert states(museum)["cloud/room-1"].state == "done"
+
+    # The code that makes meshes: clouds stay.
+    code = digests.code_digest
+    monkeypatch.setattr(digests, "code_digest", lambda kind: "other" if kind == "mesh" else code(kind))
+    assert in_state(museum, "stale") >= {"mesh/room-1"} and states(museum)["cloud/room-1"].state == "done"
+    assert states(museum)["mesh/room-1"].why == f"changed: the code, which was version {jaxscan.__version__}"
+
+
+def test_a_failed_capture_says_its_line_and_stops_no_other(museum):
+    shutil.rmtree(museum.parent / "room-1" / "on", ignore_errors=True)
+    for image in (museum.parent / "room-1").glob("*.zst"):
+        image.unlink()
+    edit(museum, '["cloud", "measures", "mesh"]', '["cloud"]')
+    rows = {row.key: row for row in work(museum)}
+    assert rows["cloud/room-1"].state == "failed" and "room-1" in rows["cloud/room-1"].message
+    assert "\n" not in rows["cloud/room-1"].message and rows["cloud/room-1"].details == ""
+    assert rows["cloud/room-2"].state == "done"
+    found = states(museum)
+    assert found["cloud/room-1"].state == "failed" and found["cloud/room-1"].why == rows["cloud/room-1"].message
+    assert not (museum.parent / "products" / "clouds" / "room-1.ply").exists()
+
+
+def test_a_defect_is_kept_with_its_place(museum, monkeypatch):
+    from jaxscan.project.work import orders
+
+    def broken(desk):
+        raise ZeroDivisionError("of the test")
+
+    monkeypatch.setattr(orders, "WORK", {**orders.WORK, "cloud": broken})
+    edit(museum, '["cloud", "measures", "mesh"]', '["cloud"]')
+    row = work(museum)[0]
+    assert row.message == "unexpected ZeroDivisionError: of the test" and "broken" in row.details
+    kept = {one.key: one for one in catalogue_of(museum).rows()}
+    assert kept[row.key] == row
+
+
+def test_one_row_of_each_step_however_often_it_is_written(museum):
+    catalogue = catalogue_of(museum)
+    edit(museum, '["cloud", "measures", "mesh"]', '["cloud"]')
+    rows = work(museum)
+    catalogue.write(rows)
+    catalogue.write([rows[0]._replace(message="again")])
+    assert sorted(row.message for row in catalogue.rows() if row.key == rows[0].key) == ["again"]
+    assert len(catalogue.rows()) == len(rows)
