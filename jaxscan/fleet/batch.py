@@ -10,7 +10,7 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import distributed
 
@@ -27,6 +27,7 @@ _WRITTEN_S = 0.5
 """Between two transactions of the catalogue."""
 
 
+@runtime_checkable
 class Show(Protocol):
     """What a batch tells while it goes on."""
 

@@ -32,5 +32,4 @@ def client():
     assert not [child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline())]
 
 
-def test_each_worker_has_its_share_of_the_cores_also_after_a_restart(client):
-    ...
+def test_each_worker_has_its_share_of_the_cores_also_after_a_restart(client): ...

@@ -8,7 +8,7 @@ import numpy as np
 import jaxscan
 from jaxscan.files.capture import CACHE_NAME, JOURNAL_NAME
 from jaxscan.project import digests
-from tests.project.opened import catalogue_of, edit, states, work
+from tests.opened import catalogue_of, edit, states, work
 
 
 def in_state(file, state):

@@ -44,3 +44,11 @@ def edit(file, old, new):
     text = file.read_text()
     assert old in text
     file.write_text(text.replace(old, new))
+
+
+def products(file):
+    """The bytes of every product, by its path."""
+    folder = load_project(file).output
+    kinds = ("calibrations", "clouds", "measures", "meshes", "plans", "panoramas", "reports", "groups")
+    paths = [path for kind in kinds for path in (folder / kind).rglob("*") if path.is_file()]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}

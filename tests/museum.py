@@ -1,0 +1,34 @@
+"""A project of two sweeps with a calibration."""
+
+import shutil
+
+import pytest
+
+
+PROJECT = """
+[project]
+name = "museum"
+products = ["cloud", "measures", "mesh"]
+formats = ["ply", "npz"]
+
+[[rig]]
+name = "one"
+calibration = "calibration.json"
+
+[[captures]]
+pattern = "room-*"
+rig = "one"
+settings = { every = 2 }
+"""
+
+
+@pytest.fixture
+def museum(tiny, tmp_path):
+    """The file of a project whose two captures are copies of the tiny sweep."""
+    for path in tiny.calibration.parent.glob(f"{tiny.calibration.stem}.*"):
+        shutil.copy(path, tmp_path / path.name)
+    for name in ("room-1", "room-2"):
+        shutil.copytree(tiny.sweep, tmp_path / name, ignore=shutil.ignore_patterns("stripes.npz"))
+    file = tmp_path / "project.toml"
+    file.write_text(PROJECT)
+    return file
