@@ -1,0 +1,143 @@
+"""Copies from storage and to it: whole, or not there."""
+
+import os
+import secrets
+from pathlib import Path
+
+from jaxscan.errors import CaptureError, OutputError
+from jaxscan.files.disk import MEGABYTE, open_regular, reported, shown, write_atomically
+from jaxscan.files.remote.listing import FileEntry, file_entry, listing
+from jaxscan.files.remote.place import Place, asked, in_threads, info_of, open_place, tried
+
+
+BLOCK_BYTES = 8 * MEGABYTE
+"""What is read at once of a file."""
+
+_WHOLE_OBJECTS = ("s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "oss")
+"""Storage whose objects appear when their upload is complete."""
+
+
+def fetch_folder(address: str, folder: Path, *, most_bytes: int) -> None:
+    """Copy a capture from storage into an empty folder.
+
+    Many files are read at a time, in blocks: at most `WORKERS` · `BLOCK_BYTES` are held in memory, twice that with
+    what a driver keeps. Every request is tried five times. The file of found stripes, which fits no copy, is left out.
+
+    Args:
+        address: Of the capture's folder.
+        folder: An empty folder, or the name of a new one. After an error it may hold some of the files, each whole.
+        most_bytes: Largest accepted size of all files together [bytes].
+
+    Raises:
+        CaptureError: If there is nothing, the listing is hostile or too large, storage cannot be read or was written
+            to meanwhile, or the folder is not empty or cannot be written.
+        DependencyError: If fsspec, or the driver for the scheme, is not installed.
+    """
+    place = open_place(address)
+    files = listing(place)
+    _check_size(sum(file.size for file in files), most_bytes, place)
+    with reported(f"{shown(folder)}: cannot be written", error=CaptureError):
+        os.makedirs(folder, exist_ok=True)
+        if os.listdir(folder):
+            raise CaptureError(f"{shown(folder)}: found files in it, expected an empty folder.")
+        for inner in sorted({os.path.dirname(file.name) for file in files}):
+            os.makedirs(folder / inner, exist_ok=True)
+
+    def fetch(file: FileEntry) -> None:
+        _fetch(place.child(file.name), file.size, folder / file.name)
+
+    in_threads(fetch, files)
+    if listing(place) != files:
+        raise _changed(place)
+
+
+def fetch_file(address: str, path: Path, *, most_bytes: int) -> None:
+    """Copy a file from storage; `path` then holds all of it, or after an error what it held before.
+
+    Args:
+        address: Of the file.
+        path: Where to; its folder exists.
+        most_bytes: Largest accepted size [bytes].
+
+    Raises:
+        CaptureError: If there is no such file, it is too large, storage cannot be read or was written to meanwhile,
+            or `path` cannot be written.
+        DependencyError: If fsspec, or the driver for the scheme, is not installed.
+    """
+    place = open_place(address)
+    file = file_entry("", info_of(place), place)
+    _check_size(file.size, most_bytes, place)
+    _fetch(place, file.size, path)
+    if file_entry("", info_of(place), place) != file:
+        raise _changed(place)
+
+
+def put_file(path: Path, address: str) -> None:
+    """Copy a file to storage; the address then holds all of it, or after an error what it held before.
+
+    Args:
+        path: The file. At most 100 MiB of it are held in memory.
+        address: Of the file to be; an older one is replaced.
+
+    Raises:
+        OutputError: If it cannot be written, or is a folder.
+        DependencyError: If fsspec, or the driver for the scheme, is not installed.
+    """
+    place = open_place(address, error=OutputError)
+    with open_regular(path, error=OutputError) as file:
+        size = os.fstat(file.fileno()).st_size
+    tried(lambda: _put(path, size, place), f"{shown(address)}: cannot be written", error=OutputError)
+
+
+def _put(path: Path, size: int, place: Place) -> None:
+    storage, target = place.storage, place.path
+    if place.address.split("://")[0] in _WHOLE_OBJECTS:
+        storage.put_file(str(path), target)
+    else:
+        if storage.isdir(target):
+            raise IsADirectoryError("found a folder, expected a file or nothing")
+        folder, _, _ = target.rpartition("/")
+        storage.makedirs(folder or "/", exist_ok=True)
+        part = f"{folder}/.part-{secrets.token_hex(6)}"
+        try:
+            storage.put_file(str(path), part)
+            if (found := storage.info(part)["size"]) != size:
+                raise OSError(f"found {found} bytes after writing {size}")
+            storage.mv(part, target)
+        except BaseException:
+            if storage.exists(part):
+                storage.rm_file(part)
+            raise
+    storage.invalidate_cache(target)
+    if (found := storage.info(target)["size"]) != size:
+        raise OSError(f"found {found} bytes after writing {size}")
+
+
+def _fetch(place: Place, size: int, path: Path) -> None:
+    """Copy a file of a known size; it gets its name when it is complete."""
+
+    def write(part: Path) -> None:
+        with open(part, "wb") as file:
+            for start in range(0, size, BLOCK_BYTES):
+                file.write(_block(place, start, min(start + BLOCK_BYTES, size)))
+
+    write_atomically(path, write, durable=False, error=CaptureError, links="replace")
+
+
+def _block(place: Place, start: int, end: int) -> bytes:
+    def read() -> bytes:
+        block = place.storage.cat_file(place.path, start=start, end=end)
+        if len(block) != end - start:
+            raise OSError(f"found {len(block)} bytes, expected {end - start}")
+        return block
+
+    return asked(read, place)
+
+
+def _check_size(size: int, most_bytes: int, place: Place) -> None:
+    if size > most_bytes:
+        raise CaptureError(f"{shown(place.address)}: takes {size} bytes, expected at most {most_bytes}.")
+
+
+def _changed(place: Place) -> CaptureError:
+    return CaptureError(f"{shown(place.address)}: changed while it was copied; try again when nobody writes there.")
