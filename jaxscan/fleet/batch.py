@@ -4,6 +4,8 @@ This process keeps the graph and writes the catalogue; the scheduler hands out t
 died to another.
 """
 
+import asyncio
+import concurrent.futures
 import contextlib
 import secrets
 import time
@@ -23,6 +25,7 @@ MOST_AT_ONCE = 512
 """Tasks that are handed out at a time; more would only take memory of the scheduler."""
 
 
+_LOST = "the cluster's scheduler is lost; start it again and call the same command, which goes on where it was."
 _WRITTEN_S = 0.5
 """Between two transactions of the catalogue."""
 
@@ -85,7 +88,7 @@ def run_batch(
     left: dict[str, str] = {}
     running: dict[distributed.Future, str] = {}
     coming = distributed.as_completed(loop=client.loop)
-    with _progress(client, show), _Written(catalogue) as written:
+    with _Written(catalogue) as written, _said_if_lost(), _progress(client, show):
         while ready or running:
             if ready and len(running) <= MOST_AT_ONCE // 2:
                 # Many at a time: the scheduler takes a hundred in the time of ten single ones.
@@ -151,6 +154,15 @@ def check_sight(client: distributed.Client, output: Path) -> None:
         raise FleetError(f"{output}: the worker {blind} cannot write there; all workers need this folder at this path.")
 
 
+@contextlib.contextmanager
+def _said_if_lost() -> Iterator[None]:
+    """Dask's many ways to end without its scheduler, in one line."""
+    try:
+        yield
+    except (OSError, asyncio.CancelledError, concurrent.futures.CancelledError) as problem:
+        raise FleetError(_LOST) from problem
+
+
 def _rows_of(client: distributed.Client, ended: Mapping[distributed.Future, Order]) -> list[Row]:
     """What became of orders.
 
@@ -166,9 +178,7 @@ def _rows_of(client: distributed.Client, ended: Mapping[distributed.Future, Orde
 def _not_done(future: distributed.Future, order: Order) -> Row:
     """The row of an order that no worker brought to an end."""
     if future.cancelled():
-        raise FleetError(
-            "the cluster's scheduler is lost; start it again and call the same command, which goes on where it was."
-        )
+        raise FleetError(_LOST)
     problem = future.exception()
     if isinstance(problem, distributed.KilledWorker):
         message = "its workers died, most often because it needs more memory than they have (--memory-gib)."

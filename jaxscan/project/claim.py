@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from jaxscan.errors import ConfigError
-from jaxscan.files.disk import MEGABYTE, parse_json, read_bounded, write_atomically
+from jaxscan.files.disk import MEGABYTE, parse_json, read_bounded, reported, write_atomically
 from jaxscan.project.project import Project
 
 
@@ -30,17 +30,16 @@ def claimed(project: Project) -> Iterator[None]:
         ConfigError: If it belongs to another project, another batch is at work, or it cannot be written.
     """
     output = project.output
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-        with open(output / LOCK, "a+", encoding="utf-8") as lock:
+    with contextlib.ExitStack() as stack:
+        with reported(f"{output}: cannot be written", error=ConfigError):
+            output.mkdir(parents=True, exist_ok=True)
+            lock = stack.enter_context(open(output / LOCK, "a+", encoding="utf-8"))
             _take(lock.fileno(), output)
             _check_owner(project)
             lock.truncate(0)
-            lock.write(f"{platform.node()} {os.getpid()}\n")
+            lock.write(f"{os.getpid()} on {platform.node()}\n")
             lock.flush()
-            yield
-    except OSError as problem:
-        raise ConfigError(f"{output}: cannot be written: {problem.strerror or problem}.") from problem
+        yield
 
 
 def _take(handle: int, output: Path) -> None:

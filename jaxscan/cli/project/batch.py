@@ -1,6 +1,7 @@
 """`jaxscan batch`: makes what a project lacks, on this machine or on a cluster."""
 
 import importlib.util
+import logging
 import os
 import shlex
 import time
@@ -82,6 +83,9 @@ def _work(found: Opened, choice: Any, out: Terminal) -> dict[str, Any]:
         os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", cache)
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "0")
+    # What a user should know of the cluster is said in one line; Dask would say it in many.
+    for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     todo = [status for status in found.states if status.state != "done"]
     output = found.project.output
     with open_cluster(choice) as client, batch_display(out, len(todo)) as display:

@@ -3,7 +3,7 @@
 Storage belongs to others: its listings are checked like any file of a stranger, and it may fail now and then.
 """
 
-from jaxscan.files.remote.copying import fetch_file, fetch_folder, put_file
+from jaxscan.files.remote.copying import fetch_file, fetch_folder, put_file, read_remote
 from jaxscan.files.remote.listing import remote_digest
 from jaxscan.files.remote.place import is_remote
 from jaxscan.files.remote.search import find_captures

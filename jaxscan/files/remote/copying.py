@@ -72,6 +72,23 @@ def fetch_file(address: str, path: Path, *, most_bytes: int) -> None:
         raise _changed(place)
 
 
+def read_remote(address: str, limit: int) -> bytes:
+    """The content of a small file on storage.
+
+    Args:
+        address: Of the file.
+        limit: Largest accepted size [bytes].
+
+    Raises:
+        CaptureError: If there is no such file, it is too large, or storage cannot be read.
+        DependencyError: If fsspec, or the driver for the scheme, is not installed.
+    """
+    place = open_place(address)
+    size = file_entry("", info_of(place), place).size
+    _check_size(size, limit, place)
+    return _block(place, 0, size)
+
+
 def put_file(path: Path, address: str) -> None:
     """Copy a file to storage; the address then holds all of it, or after an error what it held before.
 

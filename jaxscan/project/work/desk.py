@@ -9,7 +9,7 @@ from typing import Any
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import Capture, open_capture
-from jaxscan.files.disk import partial_folder
+from jaxscan.files.disk import partial_folder, reported
 from jaxscan.files.remote import fetch_file, fetch_folder, is_remote
 from jaxscan.project.steps import Step
 from jaxscan.reconstruction import Progress
@@ -94,11 +94,10 @@ def desk_of(step: Step, output: Path, progress: Progress) -> Iterator[Desk]:
     Raises:
         CaptureError: If the folder of the products cannot be written.
     """
-    try:
-        with partial_folder(output / "step") as folder:
-            yield Desk(step, output, folder, progress)
-    except OSError as problem:
-        raise CaptureError(f"{output}: {problem.strerror or problem}.") from problem
+    with contextlib.ExitStack() as stack:
+        with reported(f"{output}: cannot be written", error=CaptureError):
+            folder = stack.enter_context(partial_folder(output / "step"))
+        yield Desk(step, output, folder, progress)
 
 
 def publish(desk: Desk) -> None:
