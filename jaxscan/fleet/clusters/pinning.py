@@ -1,7 +1,7 @@
 """Gives each worker cores of its own. Dask loads it in every worker's process, also in one that takes a dead one's place.
 
-JAX, Numba and NumPy start as many threads as there are cores that a process may use. They are loaded later, with the
-first task, so each worker has the threads of its own share, and no two wait for each other.
+JAX starts as many threads as there are cores that a process may use, at its first work, which comes later. So each worker
+has the threads of its own share, and no two wait for each other.
 """
 
 import os

@@ -63,6 +63,8 @@ def check_versions(client: Any) -> None:
         _compare(here, _from_dask(found), place)
     # The scheduler needs no jaxscan: it hands names and numbers on.
     for place, answer in sorted(client.run(versions_here, on_error="return").items()):
+        if isinstance(answer, OSError):
+            continue  # It ended while it was asked; its successor is started from the same files.
         if isinstance(answer, BaseException):
             raise OptionError(
                 f"--cluster: the worker {place} has no jaxscan that knows batches ({type(answer).__name__}); "
