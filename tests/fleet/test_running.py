@@ -89,7 +89,7 @@ def test_certificates_are_private_and_there_can_be_no_others(certificates):
     assert stat.S_IMODE(os.stat(folder).st_mode) == 0o700
     assert sorted(os.listdir(folder)) == ["ca.pem", "cert.pem", "key.pem"]
     assert {stat.S_IMODE(os.stat(path).st_mode) for path in certificates} == {0o600}
-    ca, cert, key = (open(path).read() for path in certificates)
+    ca, cert, key = (Path(path).read_text() for path in certificates)
     assert "PRIVATE KEY" in key and "PRIVATE KEY" not in ca + cert
     authority, signed = (x509.load_pem_x509_certificate(text.encode()) for text in (ca, cert))
     signed.verify_directly_issued_by(authority)
@@ -152,6 +152,13 @@ def test_what_is_no_scheduler_is_one_line(answer, soon):
             thread.join()
             for connection in kept:
                 connection.close()
+
+
+def test_the_address_of_a_worker_is_one_line(certificates, soon):
+    with cluster() as found:
+        worker = next(iter(found.workers.values())).address
+        with pytest.raises(OptionError, match="found a 'Worker' of Dask"), open_cluster(ClusterChoice(address=worker)):
+            pytest.fail("opened")
 
 
 def test_a_cluster_without_workers_is_one_line(soon):
