@@ -32,7 +32,7 @@ CORE = {
     "drawing",
     "design",
 }
-ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api", "web", "viewer"}
+ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api", "web", "viewer", "fleet"}
 MAY_IMPORT = {
     "geometry": set(),
     "stripes": {"geometry"},
@@ -51,7 +51,8 @@ MAY_IMPORT = {
     "report": CORE | {"vision"},
     "web": set(),
     "viewer": {"geometry", "measurement", "reconstruction", "web"},
-    "api": ANY - {"api", "cli", "web", "viewer"},
+    "api": ANY - {"api", "cli", "web", "viewer", "fleet"},
+    "fleet": {"project", "files"},
     "cli": ANY,
     "__init__": set(),
     "errors": set(),
@@ -94,6 +95,13 @@ HOME_OF = {
     "rich": {"cli"},
     "tyro": {"cli"},
     "pydantic": {"files", "simulation"},
+    "dask": {"fleet"},
+    "distributed": {"fleet"},
+    "dask_jobqueue": {"fleet"},
+    "dask_kubernetes": {"fleet"},
+    "asyncssh": {"fleet"},
+    "cryptography": {"fleet"},
+    "psutil": {"fleet"},
 }
 """Third-party libraries that belong to one place."""
 
@@ -374,6 +382,8 @@ def imported():
         "scanrig",
         "open3d",
         "fast_simplification",
+        "dask",
+        "distributed",
     )
     code = (
         "import sys, jaxscan; print([m for m in ('jax', 'numpy', 'pydantic') if m in sys.modules])\n"

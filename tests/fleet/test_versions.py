@@ -1,16 +1,19 @@
 """Software of a cluster beside that of the caller: what differs is said with both versions, before any work."""
 
+import shutil
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import distributed
 import pytest
 
+import jaxscan
 from jaxscan import __version__
 from jaxscan.errors import OptionError
 from jaxscan.fleet import ClusterChoice, check_versions, open_cluster, package_digest
-from jaxscan.fleet.clusters.versions import versions_here
+from jaxscan.fleet.clusters.versions import digest_below, versions_here
 
 
 WORKER = """
@@ -83,11 +86,17 @@ HERE = versions_here()
     ("told", "says"),
     [
         (Told(dask={"dask": "2020.1.0"}), f"the worker tcp://w:1 runs dask 2020.1.0, and here is {HERE['dask']}"),
-        (Told(scheduler={"distributed": "1.0"}), f"the scheduler runs distributed 1.0, and here is {HERE['distributed']}"),
+        (
+            Told(scheduler={"distributed": "1.0"}),
+            f"the scheduler runs distributed 1.0, and here is {HERE['distributed']}",
+        ),
         (Told(scheduler={"python": "3.8.1.final.0"}), f"the scheduler runs Python 3.8, and here is {HERE['Python']}"),
         (Told(answer={"Python": "3.99"}), f"the worker tcp://w:1 runs Python 3.99, and here is {HERE['Python']}"),
         (Told(answer={"jaxscan": "9"}), f"runs jaxscan 9, and here is {HERE['jaxscan']}"),
-        (Told(answer=ModuleNotFoundError("jaxscan")), f"tcp://w:1 has no jaxscan that knows batches (ModuleNotFoundError)"),
+        (
+            Told(answer=ModuleNotFoundError("jaxscan")),
+            f"tcp://w:1 has no jaxscan that knows batches (ModuleNotFoundError)",
+        ),
     ],
 )
 def test_a_difference_that_matters_is_one_line_with_both_versions(told, says):
@@ -104,21 +113,16 @@ def test_other_rounding_is_a_warning(package):
 
 
 def test_every_file_of_the_package_is_in_its_digest(tmp_path):
-    """In a copy of the package, whose digest is that of the original until one letter changes."""
-    import shutil
-    from pathlib import Path
-
-    import jaxscan
-
-    source = Path(jaxscan.__file__).parent
-    shutil.copytree(source, tmp_path / "jaxscan", ignore=shutil.ignore_patterns("__pycache__"))
-    code = "import sys; sys.path.insert(0, sys.argv[1]); from jaxscan.fleet import package_digest; print(package_digest())"
-
-    def digest():
-        run = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True)
-        return run.stdout.strip()
-
-    assert digest() == package_digest()
-    with open(tmp_path / "jaxscan" / "stripes" / "__init__.py", "a") as file:
-        file.write("#")
-    assert digest() != package_digest()
+    source, copy = Path(jaxscan.__file__).parent, tmp_path / "copy"
+    shutil.copytree(source, copy, ignore=shutil.ignore_patterns("__pycache__", "data"))
+    original = digest_below(copy)
+    assert original.startswith("sha256:") and digest_below(copy) == original
+    for file in (copy / "__init__.py", copy / "fleet" / "clusters" / "ssh.py", copy / "stripes" / "engine.py"):
+        text = file.read_text()
+        file.write_text(text + "#")
+        assert digest_below(copy) != original
+        file.write_text(text)
+    # What was moved is another package too.
+    (copy / "errors.py").rename(copy / "mistakes.py")
+    assert digest_below(copy) != original
+    assert package_digest() == digest_below(source)

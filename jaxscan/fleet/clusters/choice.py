@@ -60,12 +60,16 @@ def check_choice(choice: ClusterChoice) -> None:
     }
     kinds = [name for name, given in said.items() if given]
     if len(kinds) > 1:
-        raise OptionError(f"{' and '.join(kinds)}: found {len(kinds)} kinds of clusters, expected one; leave out others.")
+        raise OptionError(
+            f"{' and '.join(kinds)}: found {len(kinds)} kinds of clusters, expected one; leave out others."
+        )
     _check_sizes(choice, kinds)
     if choice.address is not None:
         _check_address(choice)
     elif choice.tls is not None:
-        raise OptionError("--tls: goes with --cluster tls://host:port only; the other clusters make their certificates.")
+        raise OptionError(
+            "--tls: goes with --cluster tls://host:port only; the other clusters make their certificates."
+        )
     if choice.ssh is not None:
         read_hosts(choice.ssh)
 
@@ -77,7 +81,9 @@ def _check_sizes(choice: ClusterChoice, kinds: list[str]) -> None:
     if memory is not None and not (math.isfinite(memory) and MIN_MEMORY_GIB <= memory <= MAX_MEMORY_GIB):
         raise OptionError(f"--memory-gib: found {memory:g}, expected {MIN_MEMORY_GIB:g} ... {MAX_MEMORY_GIB:g}.")
     if workers is not None and kinds == ["--ssh"]:
-        raise OptionError("--workers: goes not with --ssh; each line of the file is one worker, so repeat a host there.")
+        raise OptionError(
+            "--workers: goes not with --ssh; each line of the file is one worker, so repeat a host there."
+        )
     if kinds == ["--cluster"]:
         for name, value in (("--workers", workers), ("--memory-gib", memory)):
             if value is not None:

@@ -1,7 +1,6 @@
 """A cluster that runs already, by the address of its scheduler."""
 
 import asyncio
-import concurrent.futures
 import contextlib
 import logging
 import ssl
@@ -17,7 +16,7 @@ from jaxscan.errors import OptionError
 from jaxscan.files.disk import MEGABYTE, read_bounded
 from jaxscan.fleet.clusters.certificates import paths_in, security_of
 from jaxscan.fleet.clusters.choice import ClusterChoice
-from jaxscan.fleet.clusters.settings import wait_for_worker
+from jaxscan.fleet.clusters.settings import run_apart, wait_for_worker
 
 
 ANSWER_S = 10.0
@@ -81,9 +80,8 @@ def _ask(address: str, security: Any) -> None:
         return await asyncio.wait_for(identity(), ANSWER_S)
 
     try:
-        # In a thread of its own: a notebook has a loop of events in this one.
-        with _quiet(), concurrent.futures.ThreadPoolExecutor(1) as thread:
-            found = thread.submit(asyncio.run, within_time()).result()["type"]
+        with _quiet():
+            found = run_apart(within_time())["type"]
     # What is no scheduler may answer anything, and Dask has no one error for that.
     except Exception as problem:
         raise OptionError(
@@ -91,7 +89,9 @@ def _ask(address: str, security: Any) -> None:
             "certificate; look at its address and --tls."
         ) from problem
     if found != "Scheduler":
-        raise OptionError(f"--cluster: found a {found!r:.40} of Dask at {address}, expected the address of its scheduler.")
+        raise OptionError(
+            f"--cluster: found a {found!r:.40} of Dask at {address}, expected the address of its scheduler."
+        )
 
 
 @contextlib.contextmanager

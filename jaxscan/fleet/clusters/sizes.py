@@ -43,7 +43,9 @@ def sizes_for(workers: int | None, memory_gib: float | None, *, cores: int, free
         remedy = f"take --workers {most}, or set --memory-gib" if most else "set --memory-gib to less"
         raise OptionError(f"--workers {workers}: {_free(room)}, and {least:g} GiB are needed for each; {remedy}.")
     if memory_gib is None and room < _RESERVE_GIB:
-        raise OptionError(f"this machine: {_free(room)}, too little for a worker; end other programs, or set --memory-gib.")
+        raise OptionError(
+            f"this machine: {_free(room)}, too little for a worker; end other programs, or set --memory-gib."
+        )
     each_gib = room / workers if memory_gib is None else memory_gib
     return Sizes(workers, int(each_gib * GIB))
 

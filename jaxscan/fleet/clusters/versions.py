@@ -25,11 +25,15 @@ _PACKAGES = ("dask", "distributed", "jax", "jaxlib", "numpy")
 @functools.lru_cache(maxsize=1)
 def package_digest() -> str:
     """Digest of all Python files of the package, so that two states of one version are told apart."""
-    root = Path(str(resources.files("jaxscan")))
+    return digest_below(Path(str(resources.files("jaxscan"))))
+
+
+def digest_below(folder: Path) -> str:
+    """Digest of the Python files below a folder and of their names, as "sha256:<hex>"."""
     digest = hashlib.sha256()
-    for file in sorted(root.rglob("*.py")):
+    for file in sorted(folder.rglob("*.py")):
         content = read_bounded(file, MEGABYTE, error=JaxscanError)
-        digest.update(f"{file.relative_to(root).as_posix()}\0{len(content)}\0".encode() + content)
+        digest.update(f"{file.relative_to(folder).as_posix()}\0{len(content)}\0".encode() + content)
     return "sha256:" + digest.hexdigest()
 
 
@@ -94,5 +98,7 @@ def _compare(here: Versions, there: Versions, place: str) -> None:
         return
     for name in _SAID:
         if name in differing:
-            said = f"{who} computes with {name} {there[name]}, and here is {here[name]}: results may differ by rounding."
+            said = (
+                f"{who} computes with {name} {there[name]}, and here is {here[name]}: results may differ by rounding."
+            )
             warnings.warn(said, RuntimeWarning, stacklevel=3)
