@@ -1,7 +1,7 @@
 """An SSH server on the loopback for one test: `python ssh_server.py FOLDER` prints its port.
 
-FOLDER has the key `host` of the server, and in `authorized` the key of who is let in. Commands are run as sshd does, and
-are noted in FOLDER/commands, one in each line.
+FOLDER has the key `host` of the server, and in `authorized` the key of who is let in. Commands are run as sshd does,
+and are noted in FOLDER/commands, one in each line.
 """
 
 import asyncio

@@ -1,4 +1,4 @@
-"""The cluster of this machine: each worker on cores of its own, also after a restart, and only for who holds the key."""
+"""The cluster of this machine: each worker on cores of its own, also after a restart, and strangers are not heard."""
 
 import os
 import signal

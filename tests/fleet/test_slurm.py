@@ -15,7 +15,7 @@ from jaxscan.fleet import ClusterChoice, open_cluster
 
 pytest.importorskip("dask_jobqueue", reason="the extra `fleet` is not installed")
 
-from jaxscan.fleet.clusters.slurm import certificates_for_nodes, slurm_cluster  # noqa: E402
+from jaxscan.fleet.clusters.slurm import certificates_for_nodes, slurm_cluster
 
 
 @pytest.fixture(autouse=True)
@@ -84,7 +84,8 @@ def test_without_slurm_it_is_one_line(monkeypatch, tmp_path):
 
 
 SBATCH = """#!/bin/sh
-setsid sh "$1" > {folder}/job.log 2>&1 &
+cp "$1" {folder}/job.sh
+setsid sh {folder}/job.sh > {folder}/job.log 2>&1 &
 echo "Submitted batch job $!"
 """
 SCANCEL = """#!/bin/sh

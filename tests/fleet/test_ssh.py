@@ -92,7 +92,7 @@ def test_a_host_that_does_not_know_us_is_one_line(port, tmp_path):
     (tmp_path / "authorized").write_text(asyncssh.generate_private_key("ssh-ed25519").export_public_key().decode())
     (tmp_path / "hosts.txt").write_text("127.0.0.1\n")
     # Keys are read anew for each connection.
-    with pytest.raises(OptionError, match=r"--ssh: 127\.0\.0\.1 lets us not in") as caught:
+    with pytest.raises(OptionError, match=r"--ssh: 127\.0\.0\.1 does not let us in") as caught:
         with open_cluster(ClusterChoice(ssh=tmp_path / "hosts.txt")):
             pytest.fail("opened")
     assert "\n" not in str(caught.value)
@@ -103,7 +103,7 @@ def test_a_host_that_is_another_than_before_is_one_line(port, tmp_path):
     other = asyncssh.generate_private_key("ssh-ed25519").export_public_key().decode()
     (tmp_path / "home" / ".ssh" / "known").write_text(f"[127.0.0.1]:{port} {other}")
     (tmp_path / "hosts.txt").write_text("127.0.0.1\n")
-    with pytest.raises(OptionError, match=r"lets us not in, .*Host key is not trusted"):
+    with pytest.raises(OptionError, match=r"does not let us in, .*Host key is not trusted"):
         with open_cluster(ClusterChoice(ssh=tmp_path / "hosts.txt")):
             pytest.fail("opened")
 

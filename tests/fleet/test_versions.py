@@ -21,7 +21,7 @@ import asyncio, sys
 from jaxscan.fleet.clusters import versions
 import distributed
 
-versions.__version__ = "0.0.7"
+versions.jaxscan.__version__ = "0.0.7"
 versions.package_digest = lambda: "sha256:" + 64 * "e"
 
 async def work():
@@ -95,7 +95,7 @@ HERE = versions_here()
         (Told(answer={"jaxscan": "9"}), f"runs jaxscan 9, and here is {HERE['jaxscan']}"),
         (
             Told(answer=ModuleNotFoundError("jaxscan")),
-            f"tcp://w:1 has no jaxscan that knows batches (ModuleNotFoundError)",
+            "tcp://w:1 has no jaxscan that knows batches (ModuleNotFoundError)",
         ),
     ],
 )

@@ -38,8 +38,8 @@ def open_kubernetes(choice: ClusterChoice) -> Iterator[Any]:
     except Exception as problem:
         said = " ".join(f"{type(problem).__name__}: {problem}".split())
         raise OptionError(
-            f"--kubernetes: no cluster was made ({said:.300}); look at kubectl get daskclusters, and whether the operator "
-            "of dask-kubernetes is installed."
+            f"--kubernetes: no cluster was made ({said:.300}); look at kubectl get daskclusters, "
+            "and whether the operator of dask-kubernetes is installed."
         ) from problem
     with cluster, distributed.Client(cluster, set_as_default=False) as client:
         wait_for_worker(client, WAIT_S, "look at kubectl get pods.")

@@ -30,7 +30,7 @@ def as_environment(settings: Mapping[str, Any]) -> dict[str, str]:
 
 @contextlib.contextmanager
 def kept_environment() -> Iterator[None]:
-    """Nannies change variables of the process that they run in, for the workers' sake; afterwards they are as before."""
+    """Nannies change variables of the process that they run in, for their workers; afterwards they are as before."""
     before = dict(os.environ)
     try:
         yield

@@ -6,6 +6,7 @@ import contextlib
 import json
 import logging
 import secrets
+import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -39,7 +40,7 @@ def open_ssh(choice: ClusterChoice) -> Iterator[Any]:
     afterwards; command lines hold its path.
 
     Raises:
-        OptionError: If a host lets us not in, cannot keep the certificates, or has no Python that starts Dask.
+        OptionError: If a host does not let us in, cannot keep the certificates, or has no Python that starts Dask.
     """
     hosts = read_hosts(choice.ssh) if choice.ssh is not None else ()
     _refuse_secrets()
@@ -55,8 +56,8 @@ def open_ssh(choice: ClusterChoice) -> Iterator[Any]:
         except Exception as problem:
             said = " ".join(str(problem).split())
             raise OptionError(
-                f"--ssh: Dask did not start on these hosts ({said:.200}); each needs jaxscan[fleet] for {_python()}, or "
-                "set DASK_JAXSCAN__PYTHON to the path of Python there."
+                f"--ssh: Dask did not start on these hosts ({said:.200}); each needs jaxscan[fleet] for {_python()}, "
+                "or set DASK_JAXSCAN__PYTHON to the path of Python there."
             ) from problem
         with cluster, distributed.Client(cluster, set_as_default=False) as client:
             yield client
@@ -111,9 +112,9 @@ def worker_specs(
     return specs
 
 
-def _python() -> str | None:
-    """Python on the hosts; None is that of this process, by its path."""
-    return dask.config.get("jaxscan.python", None)
+def _python() -> str:
+    """Python on the hosts: by the same path as here, if nobody says another."""
+    return dask.config.get("jaxscan.python", None) or sys.executable
 
 
 def _login(host: Host) -> dict[str, Any]:
@@ -148,7 +149,7 @@ def _certificates_on(hosts: Sequence[Host], certificates: Certificates) -> Itera
             if isinstance(problem, asyncssh.Error | OSError | TimeoutError):
                 said = " ".join(str(problem).split()) or type(problem).__name__
                 raise OptionError(
-                    f"--ssh: {host.name} lets us not in, or keeps no file in /tmp ({said:.200}); try: ssh {host.name}"
+                    f"--ssh: {host.name} does not let us in, or takes no file in /tmp ({said:.200}); try ssh {host.name}"
                 ) from problem
             if problem is not None:
                 raise problem

@@ -9,7 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from jaxscan import __version__
+import jaxscan
 from jaxscan.errors import JaxscanError, OptionError
 from jaxscan.files.disk import MEGABYTE, read_bounded
 
@@ -40,7 +40,10 @@ def digest_below(folder: Path) -> str:
 def versions_here() -> Versions:
     """What this process runs on; workers are asked for it too. JAX is not loaded."""
     digest = package_digest().removeprefix("sha256:")[:12]
-    found = {"jaxscan": f"{__version__} (code {digest})", "Python": ".".join(platform.python_version_tuple()[:2])}
+    found = {
+        "jaxscan": f"{jaxscan.__version__} (code {digest})",
+        "Python": ".".join(platform.python_version_tuple()[:2]),
+    }
     for package in _PACKAGES:
         try:
             found[package] = importlib.metadata.version(package)
