@@ -32,7 +32,7 @@ CORE = {
     "drawing",
     "design",
 }
-ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api", "web", "viewer", "project"}
+ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api", "web", "viewer", "fleet"}
 MAY_IMPORT = {
     "geometry": set(),
     "stripes": {"geometry"},
@@ -52,7 +52,8 @@ MAY_IMPORT = {
     "web": set(),
     "project": CORE | {"files", "api"},
     "viewer": {"geometry", "measurement", "reconstruction", "web"},
-    "api": ANY - {"api", "cli", "web", "viewer", "project"},
+    "api": ANY - {"api", "cli", "web", "viewer", "fleet"},
+    "fleet": {"project", "files"},
     "cli": ANY,
     "__init__": set(),
     "errors": set(),
@@ -96,7 +97,14 @@ HOME_OF = {
     "matplotlib": {"report"},
     "rich": {"cli"},
     "tyro": {"cli"},
-    "pydantic": {"files", "simulation", "project/config.py"},
+    "pydantic": {"files", "simulation"},
+    "dask": {"fleet"},
+    "distributed": {"fleet"},
+    "dask_jobqueue": {"fleet"},
+    "dask_kubernetes": {"fleet"},
+    "asyncssh": {"fleet"},
+    "cryptography": {"fleet"},
+    "psutil": {"fleet"},
 }
 """Third-party libraries that belong to one place."""
 
@@ -280,12 +288,13 @@ MAY_OPEN = {
     "files/capture/shards.py": {"mmap"},
     "vision/video.py": {"VideoCapture"},
     "cli/process/quiet.py": {"os.open"},
+    "fleet/clusters/ssh.py": {".open"},
     "cli/process/running.py": {"os.open"},
     "web/pages.py": {".read_bytes"},
     "__init__.py": {".read_text"},
 }
 """Files that open others by themselves: the door, what it writes with, archives behind it, videos whose
-beginning was read through the door, the null device, our own."""
+beginning was read through the door, the null device, new files on other machines, our own."""
 OPENERS = {"ZipFile", "memmap", "mmap", "imread", "genfromtxt", "VideoCapture"}
 
 
@@ -378,6 +387,8 @@ def imported():
         "scanrig",
         "open3d",
         "fast_simplification",
+        "dask",
+        "distributed",
     )
     code = (
         "import sys, jaxscan; print([m for m in ('jax', 'numpy', 'pydantic') if m in sys.modules])\n"

@@ -1,8 +1,7 @@
-"""The cluster of this machine: each worker on cores of its own, also after a restart, and nothing left running."""
+"""The cluster of this machine: each worker on cores of its own, also after a restart, and strangers are not heard."""
 
 import os
 import signal
-import socket
 import time
 
 import psutil
@@ -10,26 +9,122 @@ import pytest
 
 from jaxscan.errors import OptionError
 from jaxscan.fleet import ClusterChoice, open_cluster
+from jaxscan.fleet.clusters.local import cores
 from jaxscan.fleet.clusters.pinning import share_of
+from jaxscan.fleet.clusters.running import connected
 from jaxscan.fleet.clusters.sizes import GIB, Sizes, sizes_for
 
 
-def where_am_i(_=None):
-    """Of a worker: its process, what each thread may use, what was loaded, and its environment."""
-    import sys
+def told_by_worker(dask_worker):
+    """Of a worker that has computed something: its process, the cores of each of its threads, and a word."""
+    import jax
 
-    threads = [sorted(os.sched_getaffinity(int(thread))) for thread in os.listdir("/proc/self/task")]
-    return os.getpid(), threads, "jax" in sys.modules, os.environ.get("JAXSCAN_TEST_WORD")
+    jax.numpy.ones(8).sum().block_until_ready()
+    threads = {frozenset(os.sched_getaffinity(int(thread))) for thread in os.listdir("/proc/self/task")}
+    limit = dask_worker.memory_manager.memory_limit
+    return os.getpid(), threads, os.environ.get("JAXSCAN_TEST_WORD"), limit, os.environ["NUMBA_NUM_THREADS"]
+
+
+def addresses(client):
+    return {worker["name"]: place for place, worker in client.scheduler_info(-1)["workers"].items()}
+
+
+def told_by_name(client):
+    told = client.run(told_by_worker)
+    return {name: told[place] for name, place in addresses(client).items()}
 
 
 @pytest.fixture(scope="module")
 def client():
-    patch = pytest.MonkeyPatch()
-    patch.setenv("JAXSCAN_TEST_WORD", "from the caller")
-    with open_cluster(ClusterChoice(workers=2, memory_gib=0.5)) as client:
-        yield client
-    patch.undo()
-    assert not [child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline())]
+    before = dict(os.environ)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("JAXSCAN_TEST_WORD", "from the caller")
+        with open_cluster(ClusterChoice(workers=2, memory_gib=0.5)) as client:
+            yield client
+            workers = [told[0] for told in told_by_name(client).values()]
+    assert not any(psutil.pid_exists(worker) for worker in workers)
+    assert dict(os.environ) == before
 
 
-def test_each_worker_has_its_share_of_the_cores_also_after_a_restart(client): ...
+def test_a_worker_has_its_share_of_cores_memory_and_environment(client):
+    told = told_by_name(client)
+    mine = os.sched_getaffinity(0)
+    assert set(told) == {0, 1}
+    for name, (_, threads, word, limit, numba) in told.items():
+        assert threads == {frozenset(share_of(name, 2, mine))}
+        assert word == "from the caller"
+        assert limit == GIB // 2
+        assert int(numba) == -(-cores() // 2)
+
+
+def test_the_successor_of_a_killed_worker_has_its_cores_too(client):
+    before, place = told_by_name(client), addresses(client)[0]
+    os.kill(before[0][0], signal.SIGKILL)
+    while addresses(client).get(0, place) == place:  # Ended by the time limit of tests.
+        time.sleep(0.1)
+    after = told_by_name(client)
+    assert after[0][0] != before[0][0]
+    assert after[0][1] == before[0][1]
+    assert after[1] == before[1]
+
+
+def test_all_listens_on_the_loopback(client):
+    processes = [psutil.Process(), *(psutil.Process(told[0]) for told in told_by_name(client).values())]
+    places = [c.laddr.ip for p in processes for c in p.net_connections() if c.status == psutil.CONN_LISTEN]
+    assert len(places) >= 4, "scheduler, its page and two workers"
+    assert set(places) == {"127.0.0.1"}
+    assert client.dashboard_link.startswith("http://127.0.0.1:")
+
+
+def test_another_user_of_the_machine_is_not_heard(client, monkeypatch):
+    monkeypatch.setattr("jaxscan.fleet.clusters.running.ANSWER_S", 1.0)
+    address = client.scheduler.address.replace("tls://", "tcp://")
+    with pytest.raises(OptionError, match="no scheduler of Dask answers"), connected(address):
+        raise AssertionError("connected")
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3, 5])
+def test_shares_are_disjoint_and_whole(workers):
+    mine = {0, 2, 3, 7, 9, 10}
+    shares = [share_of(k, workers, mine) for k in range(workers)]
+    assert set.union(*shares) == mine
+    assert sum(len(share) for share in shares) == len(mine)
+    assert shares[0] == set(sorted(mine)[::workers])
+
+
+def test_more_workers_than_cores_share_one():
+    assert [share_of(k, 5, {4, 6}) for k in range(5)] == [{4}, {6}, {4}, {6}, {4}]
+
+
+@pytest.mark.parametrize(
+    ("asked", "free", "expected"),
+    [
+        ((None, None), 20.0, (4, 4.5)),  # 18 GiB for workers: one on each core.
+        ((None, None), 11.0, (3, 9.9 / 3)),  # Short: three have at least 3 GiB.
+        ((None, None), 3.0, (1, 2.0)),  # Never none.
+        ((2, None), 20.0, (2, 9.0)),
+        ((None, 1.0), 5.0, (4, 1.0)),
+        ((None, 3.5), 20.0, (4, 3.5)),
+        ((6, 2.0), 20.0, (6, 2.0)),  # More than cores, if that is asked for.
+        ((1, None), 3.0, (1, 2.0)),
+    ],
+)
+def test_memory_is_shared_out(asked, free, expected):
+    assert sizes_for(*asked, cores=4, free_gib=free) == Sizes(expected[0], int(expected[1] * GIB))
+
+
+@pytest.mark.parametrize(
+    ("asked", "free", "says"),
+    [
+        ((4, None), 11.0, r"--workers 4: 9\.9 GiB .* 3 GiB are needed for each; take --workers 3, or"),
+        ((2, None), 3.0, r"--workers 2: 2\.0 GiB .* take --workers 1, or"),
+        ((4, 3.0), 11.0, r"take --workers 3, or set"),
+        ((2, 30.0), 11.0, r"--workers 2: .* set --memory-gib to less"),
+        ((None, 30.0), 11.0, r"--memory-gib 30: 9\.9 GiB .* expected less"),
+        ((None, None), 1.5, r"this machine: 0\.5 GiB"),
+    ],
+)
+def test_what_does_not_fit_is_one_line(asked, free, says):
+    with pytest.raises(OptionError, match=says) as caught:
+        sizes_for(*asked, cores=4, free_gib=free)
+    assert "\n" not in str(caught.value)

@@ -82,12 +82,12 @@ def _check_sizes(choice: ClusterChoice, kinds: list[str]) -> None:
         raise OptionError(f"--memory-gib: found {memory:g}, expected {MIN_MEMORY_GIB:g} ... {MAX_MEMORY_GIB:g}.")
     if workers is not None and kinds == ["--ssh"]:
         raise OptionError(
-            "--workers: goes not with --ssh; each line of the file is one worker, so repeat a host there."
+            "--workers: does not go with --ssh; each line of the file is one worker, so repeat a host there."
         )
     if kinds == ["--cluster"]:
         for name, value in (("--workers", workers), ("--memory-gib", memory)):
             if value is not None:
-                raise OptionError(f"{name}: goes not with --cluster; the workers of a running cluster are as they are.")
+                raise OptionError(f"{name}: does not go with --cluster; a running cluster has its workers.")
 
 
 def _check_address(choice: ClusterChoice) -> None:

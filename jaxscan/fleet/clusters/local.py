@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+import math
 import os
 import sys
 from collections.abc import Iterator
@@ -68,9 +69,10 @@ def free_memory() -> int:
 
 
 def _settings(workers: int) -> dict[str, Any]:
-    # Read by libraries when they are loaded, so before a worker's process starts. Products of small matrices are
-    # done in the calling thread, as on the command line.
-    threads = {"OMP_NUM_THREADS": max(1, cores() // workers), "OPENBLAS_NUM_THREADS": 1, "MKL_NUM_THREADS": 1}
+    # Libraries read these when they are loaded, which may be before the worker has its cores. Products of small
+    # matrices are done in the calling thread, as on the command line.
+    share = math.ceil(cores() / workers)
+    threads = {"OMP_NUM_THREADS": share, "NUMBA_NUM_THREADS": share, "OPENBLAS_NUM_THREADS": 1, "MKL_NUM_THREADS": 1}
     return {**MEMORY, "distributed.nanny.pre-spawn-environ": threads}
 
 

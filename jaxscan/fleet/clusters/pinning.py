@@ -1,7 +1,7 @@
-"""Gives each worker cores of its own. Dask loads it in every worker's process, also in one that takes a dead one's place.
+"""Gives each worker cores of its own. Dask loads it in every worker's process, also in one that follows a dead one.
 
-JAX, Numba and NumPy start as many threads as there are cores that a process may use. They are loaded later, with the
-first task, so each worker has the threads of its own share, and no two wait for each other.
+JAX starts as many threads as there are cores that a process may use, at its first work, which comes later. So each
+worker has the threads of its own share, and no two wait for each other.
 """
 
 import os
@@ -13,7 +13,7 @@ WORKERS = "JAXSCAN_WORKERS"
 
 
 def share_of(number: int, workers: int, cores: set[int]) -> set[int]:
-    """The cores of worker `number` of `workers`: every workers-th; with more workers than cores, one that others have too."""
+    """The cores of worker `number` of `workers`: every workers-th; with more workers than cores, one shared by some."""
     numbered = sorted(cores)
     return set(numbered[number % len(numbered) :: workers])
 

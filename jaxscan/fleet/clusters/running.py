@@ -1,5 +1,6 @@
 """A cluster that runs already, by the address of its scheduler."""
 
+import asyncio
 import contextlib
 import logging
 import ssl
@@ -9,12 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import distributed
+from distributed.versions import VersionMismatchWarning
 
 from jaxscan.errors import OptionError
 from jaxscan.files.disk import MEGABYTE, read_bounded
 from jaxscan.fleet.clusters.certificates import paths_in, security_of
 from jaxscan.fleet.clusters.choice import ClusterChoice
-from jaxscan.fleet.clusters.settings import wait_for_worker
+from jaxscan.fleet.clusters.settings import run_apart, wait_for_worker
 
 
 ANSWER_S = 10.0
@@ -58,19 +60,38 @@ def connected(address: str, security: Any = None) -> Iterator[Any]:
     Raises:
         OptionError: If it does not answer in `ANSWER_S`, or refuses.
     """
+    _ask(address, security or distributed.Security())
+    with warnings.catch_warnings():
+        # Versions are compared by `check_versions`, with a line of its own.
+        warnings.simplefilter("ignore", VersionMismatchWarning)
+        client = distributed.Client(address, security=security, timeout=ANSWER_S, set_as_default=False)
+    with client:
+        yield client
+
+
+def _ask(address: str, security: Any) -> None:
+    """Ask who is there, because a client would wait for ever for the words of one who says none."""
+
+    async def identity() -> Any:
+        async with distributed.rpc(address, connection_args=security.get_connection_args("client")) as there:
+            return await there.identity()
+
+    async def within_time() -> Any:
+        return await asyncio.wait_for(identity(), ANSWER_S)
+
     try:
-        with warnings.catch_warnings(), _quiet():
-            # Versions are compared by `check_versions`, with a line of its own.
-            warnings.simplefilter("ignore", distributed.versions.VersionMismatchWarning)
-            client = distributed.Client(address, security=security, timeout=ANSWER_S, set_as_default=False)
-    # What is not a scheduler may answer anything.
-    except (OSError, RuntimeError, TypeError, ValueError, KeyError) as problem:
+        with _quiet():
+            found = run_apart(within_time())["type"]
+    # What is no scheduler may answer anything, and Dask has no one error for that.
+    except Exception as problem:
         raise OptionError(
             f"--cluster: no scheduler of Dask answers at {address} within {ANSWER_S:g} s, or it does not know this "
             "certificate; look at its address and --tls."
         ) from problem
-    with client:
-        yield client
+    if found != "Scheduler":
+        raise OptionError(
+            f"--cluster: found a {found!r:.40} of Dask at {address}, expected the address of its scheduler."
+        )
 
 
 @contextlib.contextmanager

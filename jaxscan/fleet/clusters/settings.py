@@ -1,8 +1,10 @@
-"""Settings of Dask for work like ours, and what a client is."""
+"""What all kinds of clusters need: settings of Dask for work like ours, a clean environment, and waiting."""
 
+import asyncio
+import concurrent.futures
 import contextlib
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Coroutine, Iterator, Mapping
 from typing import Any
 
 from jaxscan.errors import OptionError
@@ -28,7 +30,7 @@ def as_environment(settings: Mapping[str, Any]) -> dict[str, str]:
 
 @contextlib.contextmanager
 def kept_environment() -> Iterator[None]:
-    """Nannies change variables of the process that they run in, for the workers' sake; afterwards they are as before."""
+    """Nannies change variables of the process that they run in, for their workers; afterwards they are as before."""
     before = dict(os.environ)
     try:
         yield
@@ -36,6 +38,12 @@ def kept_environment() -> Iterator[None]:
         for name in os.environ.keys() - before.keys():
             del os.environ[name]
         os.environ.update(before)
+
+
+def run_apart(work: Coroutine[Any, Any, Any]) -> Any:
+    """The result of a coroutine, run in a thread of its own: in a notebook this one has a loop of events already."""
+    with concurrent.futures.ThreadPoolExecutor(1) as thread:
+        return thread.submit(asyncio.run, work).result()
 
 
 def wait_for_worker(client: Any, seconds: float, remedy: str) -> None:

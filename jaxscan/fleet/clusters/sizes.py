@@ -39,11 +39,9 @@ def sizes_for(workers: int | None, memory_gib: float | None, *, cores: int, free
             raise OptionError(f"--memory-gib {memory_gib:g}: {_free(room)}; expected less.")
         workers = max(1, min(cores, fitting))
     elif workers > fitting and (workers > 1 or memory_gib is not None):
-        each = f"with {least:g} GiB each" if memory_gib is not None else f"that need {least:g} GiB each"
-        remedy = f"take --workers {fitting}" if fitting else "take fewer"
-        raise OptionError(
-            f"--workers {workers}: {_free(room)}, too little for {workers} {each}; {remedy} or set --memory-gib."
-        )
+        most = max(1, fitting) if memory_gib is None else fitting
+        remedy = f"take --workers {most}, or set --memory-gib" if most else "set --memory-gib to less"
+        raise OptionError(f"--workers {workers}: {_free(room)}, and {least:g} GiB are needed for each; {remedy}.")
     if memory_gib is None and room < _RESERVE_GIB:
         raise OptionError(
             f"this machine: {_free(room)}, too little for a worker; end other programs, or set --memory-gib."

@@ -9,7 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from jaxscan import __version__
+import jaxscan
 from jaxscan.errors import JaxscanError, OptionError
 from jaxscan.files.disk import MEGABYTE, read_bounded
 
@@ -25,18 +25,25 @@ _PACKAGES = ("dask", "distributed", "jax", "jaxlib", "numpy")
 @functools.lru_cache(maxsize=1)
 def package_digest() -> str:
     """Digest of all Python files of the package, so that two states of one version are told apart."""
-    root = Path(str(resources.files("jaxscan")))
+    return digest_below(Path(str(resources.files("jaxscan"))))
+
+
+def digest_below(folder: Path) -> str:
+    """Digest of the Python files below a folder and of their names, as "sha256:<hex>"."""
     digest = hashlib.sha256()
-    for file in sorted(root.rglob("*.py")):
+    for file in sorted(folder.rglob("*.py")):
         content = read_bounded(file, MEGABYTE, error=JaxscanError)
-        digest.update(f"{file.relative_to(root).as_posix()}\0{len(content)}\0".encode() + content)
+        digest.update(f"{file.relative_to(folder).as_posix()}\0{len(content)}\0".encode() + content)
     return "sha256:" + digest.hexdigest()
 
 
 def versions_here() -> Versions:
     """What this process runs on; workers are asked for it too. JAX is not loaded."""
     digest = package_digest().removeprefix("sha256:")[:12]
-    found = {"jaxscan": f"{__version__} (code {digest})", "Python": ".".join(platform.python_version_tuple()[:2])}
+    found = {
+        "jaxscan": f"{jaxscan.__version__} (code {digest})",
+        "Python": ".".join(platform.python_version_tuple()[:2]),
+    }
     for package in _PACKAGES:
         try:
             found[package] = importlib.metadata.version(package)
@@ -63,6 +70,8 @@ def check_versions(client: Any) -> None:
         _compare(here, _from_dask(found), place)
     # The scheduler needs no jaxscan: it hands names and numbers on.
     for place, answer in sorted(client.run(versions_here, on_error="return").items()):
+        if isinstance(answer, OSError):
+            continue  # It ended while it was asked; its successor is started from the same files.
         if isinstance(answer, BaseException):
             raise OptionError(
                 f"--cluster: the worker {place} has no jaxscan that knows batches ({type(answer).__name__}); "

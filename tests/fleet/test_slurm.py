@@ -1,0 +1,114 @@
+"""Jobs of SLURM: what their script says, and a whole cluster whose sbatch starts the script on this machine."""
+
+import os
+import stat
+import sys
+import time
+
+import dask
+import psutil
+import pytest
+
+from jaxscan.errors import DependencyError, OptionError
+from jaxscan.fleet import ClusterChoice, open_cluster
+
+
+pytest.importorskip("dask_jobqueue", reason="the extra `fleet` is not installed")
+
+from jaxscan.fleet.clusters.slurm import certificates_for_nodes, slurm_cluster
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path, monkeypatch):
+    """A home of the test: where certificates lie, and from where no configuration comes."""
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    (tmp_path / "home").mkdir()
+    with dask.config.set({"jobqueue.slurm.scheduler-options": {"host": "127.0.0.1"}}):
+        yield tmp_path / "home"
+
+
+def script(choice):
+    with certificates_for_nodes() as security, slurm_cluster(choice, security) as cluster:
+        return cluster.job_script()
+
+
+def test_a_job_asks_for_what_was_said(home):
+    with dask.config.set(
+        {"jobqueue.slurm.cores": 6, "jobqueue.slurm.queue": "short", "jobqueue.slurm.walltime": "9:00"}
+    ):
+        text = script(ClusterChoice(slurm=True, workers=3, memory_gib=7.5))
+    lines = text.splitlines()
+    assert "#SBATCH --cpus-per-task=6" in lines
+    assert "#SBATCH --mem=8G" in lines, "SLURM counts whole ones, rounded up"
+    assert "#SBATCH -p short" in lines and "#SBATCH -t 9:00" in lines
+    assert "export DASK_DISTRIBUTED__WORKER__MEMORY__SPILL=False" in lines
+    command = lines[-1]
+    assert command.startswith(f"{sys.executable} -m distributed.cli.dask_worker tls://127.0.0.1:")
+    assert "--nthreads 1 --memory-limit 7.50GiB" in command
+    assert "--dashboard-address 127.0.0.1:0" in command
+
+
+def test_a_script_holds_paths_and_no_secrets(home):
+    with certificates_for_nodes() as security, slurm_cluster(ClusterChoice(slurm=True), security) as cluster:
+        text = cluster.job_script()
+        key = security.tls_worker_key
+        assert f"--tls-key {key}" in text and f"--tls-ca-file {security.tls_ca_file}" in text
+        assert "BEGIN" not in text
+        with open(key) as file:
+            secret = file.read()
+        assert not any(line in text for line in secret.splitlines())
+        assert stat.S_IMODE(os.stat(key).st_mode) == 0o600
+        assert stat.S_IMODE(os.stat(os.path.dirname(key)).st_mode) == 0o700
+        assert key.startswith(str(home))
+    assert not os.listdir(home), "certificates stay behind"
+
+
+def test_without_configuration_a_job_is_small():
+    text = script(ClusterChoice(slurm=True))
+    assert "#SBATCH --cpus-per-task=1" in text and "#SBATCH --mem=4G" in text
+
+
+@pytest.mark.parametrize("unfit", [{"memory": "plenty"}, {"cores": "many"}, {"cores": -2}, {"job-cpu": [3]}])
+def test_a_configuration_that_cannot_be_meant_is_one_line(unfit):
+    settings = {f"jobqueue.slurm.{name}": value for name, value in unfit.items()}
+    with dask.config.set(settings), pytest.raises(OptionError) as caught:
+        script(ClusterChoice(slurm=True))
+    said = str(caught.value)
+    assert repr(next(iter(unfit.values()))) in said and "expected as 8 and 16GiB" in said and "\n" not in said
+
+
+def test_without_slurm_it_is_one_line(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(DependencyError, match="there is no sbatch here"), open_cluster(ClusterChoice(slurm=True)):
+        pytest.fail("opened")
+
+
+SBATCH = """#!/bin/sh
+cp "$1" {folder}/job.sh
+setsid sh {folder}/job.sh > {folder}/job.log 2>&1 &
+echo "Submitted batch job $!"
+"""
+SCANCEL = """#!/bin/sh
+kill -- -"$1"
+"""
+
+
+def test_a_whole_cluster_of_jobs(home, tmp_path, monkeypatch):
+    """SLURM's two commands are small scripts here, all else is as on a cluster: script, certificates, connections."""
+    programs = tmp_path / "bin"
+    programs.mkdir()
+    for name, text in (("sbatch", SBATCH), ("scancel", SCANCEL)):
+        (programs / name).write_text(text.format(folder=tmp_path))
+        (programs / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{programs}:{os.environ['PATH']}")
+    # On a cluster it is installed for all nodes.
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))
+    with open_cluster(ClusterChoice(slurm=True, workers=1, memory_gib=0.5)) as client:
+        assert client.scheduler.address.startswith("tls://")
+        assert client.submit(sum, (2, 3)).result(timeout=30) == 5
+        (worker,) = client.run(os.getpid).values()
+        said = " ".join(psutil.Process(worker).parent().cmdline())
+        assert "BEGIN" not in said
+    while psutil.pid_exists(worker):  # Ended by the time limit of tests.
+        time.sleep(0.05)
+    assert not os.listdir(home), "certificates stay behind"
