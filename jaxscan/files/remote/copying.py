@@ -1,5 +1,6 @@
 """Copies from storage and to it: whole, or not there."""
 
+import contextlib
 import os
 import secrets
 from pathlib import Path
@@ -122,7 +123,7 @@ def _put(path: Path, size: int, place: Place) -> None:
                 raise OSError(f"found {found} bytes after writing {size}")
             storage.mv(part, target)
         except BaseException:
-            if storage.exists(part):
+            with contextlib.suppress(FileNotFoundError):
                 storage.rm_file(part)
             raise
     storage.invalidate_cache(target)

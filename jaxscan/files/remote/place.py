@@ -24,7 +24,8 @@ _OPTIONS = {scheme: {"max_concurrency": 2} for scheme in _S3}
 # Another try would have the same answer.
 _FINAL = (PermissionError, IsADirectoryError, NotADirectoryError, ValueError, TypeError, NotImplementedError)
 
-Item, Result = TypeVar("Item"), TypeVar("Result")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 class Missing(CaptureError):
