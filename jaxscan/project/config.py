@@ -78,6 +78,9 @@ class GroupTable(FileModel):
     name: Name
     captures: Annotated[tuple[Name, ...], pydantic.Field(min_length=2, max_length=200)]
     merged: Annotated[tuple[Merged, ...], pydantic.Field(min_length=1, max_length=3)] = ("e57",)
+    known: _Place | None = None
+    """Known lengths of the room, and places of the stations where sweeps do not tell them, as of
+    `jaxscan recalibrate --known`."""
     tile_m: Annotated[float, pydantic.Field(ge=0.5, le=1000)] = 5.0
     """Side of a tile [m]."""
 

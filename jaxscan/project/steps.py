@@ -159,6 +159,8 @@ def _of_group(project: Project, group: GroupTable) -> Iterator[Step]:
     reads = _reads(project, captures[group.captures[0]].rig)
     register, folder = f"register/{group.name}", f"groups/{group.name}"
     sources = {f"capture {name}": captures[name].address for name in group.captures}
+    if group.known is not None:
+        sources["known"] = _address(project, group.known)
     files = (f"{folder}.calibration.json", f"{folder}.stations.json")
     settings = {"captures": list(group.captures), "every": [captures[name].settings.every for name in group.captures]}
     yield Step(register, "register", reads.inputs, sources | reads.sources, reads.products, files, settings)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds.stations import station_lines
-from jaxscan.reconstruction import PointCloud
+from jaxscan.reconstruction import PointCloud, Stations
 
 
 CLOUD_FORMAT, JOINED_FORMAT = "jaxscan-cloud/1", "jaxscan-cloud/2"
@@ -39,10 +39,16 @@ class StoredCloud(NamedTuple):
 def header_lines(cloud: PointCloud, about: About) -> list[str]:
     """The lines with which our files begin: format, unit, frame, grid, and where known calibration, CRS, stations."""
     profiles, lines = cloud.valid.shape
-    found = [format_of(cloud), "unit metre", f"frame {frame_of(cloud)}", f"grid {profiles} {lines}"]
+    return lines_of_grid((profiles, lines), cloud.stations, about)
+
+
+def lines_of_grid(grid: tuple[int, int], stations: Stations | None, about: About) -> list[str]:
+    """The same of a cloud that is not in memory: of its profiles and lines, and its stations."""
+    version, frame = (CLOUD_FORMAT, "scanner") if stations is None else (JOINED_FORMAT, "room")
+    found = [version, "unit metre", f"frame {frame}", f"grid {grid[0]} {grid[1]}"]
     found += [f"calibration {about.calibration}"] if about.calibration else []
     found += [f"crs EPSG:{about.epsg}"] if about.epsg is not None else []
-    return found + ([] if cloud.stations is None else station_lines(cloud.stations))
+    return found + ([] if stations is None else station_lines(stations))
 
 
 def format_of(cloud: PointCloud) -> str:

@@ -1,6 +1,6 @@
 """Point clouds on disk: the suffix chooses the format."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import jax
@@ -118,11 +118,13 @@ def save_clouds(
     save_cloud(join_clouds(clouds, poses, covariances), path, calibration_digest=calibration_digest)
 
 
-def save_stations(stations: Iterable[PointCloud], path: str | Path, *, calibration_digest: str = "") -> None:
-    """Write the clouds of any number of stations as one E57, a scan each with its pose; one is in memory at a time.
+def save_stations(
+    stations: Sequence[Callable[[], PointCloud]], path: str | Path, *, calibration_digest: str = ""
+) -> None:
+    """Write the clouds of several stations as one E57, a scan each with its pose; one is in memory at a time.
 
     Args:
-        stations: Clouds of one station each, in the frame of the room, with their poses.
+        stations: Each gives the cloud of one station, in the frame of the room, with its pose. It is called twice.
         path: Its suffix is .e57. An existing file is replaced when the new one is complete.
         calibration_digest: As in `save_cloud`.
 

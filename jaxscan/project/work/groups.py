@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from jaxscan.errors import CalibrationError, CloudError
 from jaxscan.files.calibration import calibration_digest
 from jaxscan.files.clouds import save_stations
 from jaxscan.files.disk import MEGABYTE, parse_json, read_bounded, write_atomically
+from jaxscan.files.known_room import load_known_room
 from jaxscan.project.work.desk import Desk
 from jaxscan.project.work.sweeps import coloured
 from jaxscan.project.work.tiles import Tiles
@@ -24,6 +26,8 @@ STATIONS_FORMAT = "jaxscan-stations/1"
 TILES_FORMAT = "jaxscan-tiles/1"
 PLAN_POINTS = 20_000_000
 """Points that the plan of a group is drawn from; of more, only every n-th profile."""
+VAGUE_M = 0.02
+"""A station's place that is known no better is told [m]."""
 _MOST_STATIONS_BYTES = 64 * MEGABYTE
 
 
@@ -38,8 +42,9 @@ def register_stations(desk: Desk) -> None:
     names, calibration = desk.setting("captures"), desk.file("calibration")
     pairs = zip(names, desk.setting("every"), strict=True)
     captures = [desk.capture(f"capture {name}").every(every) for name, every in pairs]
+    given = load_known_room(desk.file("known")) if "known" in desk.step.sources else None
     settings = api.RecalibrationSettings(stations=True)
-    result = api.recalibrate(captures, calibration, settings=settings, progress=desk.progress)
+    result = api.recalibrate(captures, calibration, given=given, settings=settings, progress=desk.progress)
     adjusted = result.adjusted
     if not adjusted.converged:
         raise CalibrationError(f"{desk.step.key}: the places of the stations were not found: {result.refused}")
@@ -49,6 +54,10 @@ def register_stations(desk: Desk) -> None:
         write_atomically(desk.target(0), calibration.read_bytes())
     else:
         api.save_calibration(result.calibration, desk.target(0))
+    for number, name in enumerate(names):
+        worst = float(np.sqrt(np.linalg.eigvalsh(adjusted.station_covariance[number][:3, :3])[-1]))
+        if worst > VAGUE_M:
+            desk.notes.append(f"The sweeps tell the place of {name} to {1e3 * worst:.0f} mm only, in some direction.")
     stations = [
         {
             "capture": name,
@@ -81,7 +90,9 @@ def place_station(desk: Desk) -> None:
 def merge_e57(desk: Desk) -> None:
     """One E57 with a scan and its pose for each station."""
     digest = calibration_digest(desk.file("calibration"))
-    save_stations(_clouds(desk), desk.target(), calibration_digest=digest)
+    roles = [role for role in desk.step.products if role.startswith("cloud ")]
+    loads = [partial(api.load_cloud, desk.file(role)) for role in roles]
+    save_stations(loads, desk.target(), calibration_digest=digest)
 
 
 def merge_tiles(desk: Desk) -> None:

@@ -3,19 +3,20 @@
 import contextlib
 import time
 import uuid
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxscan.files.clouds.about import About, header_lines
+from jaxscan.errors import CloudError
+from jaxscan.files.clouds.about import About, header_lines, lines_of_grid
 from jaxscan.files.clouds.crs import wkt_of
 from jaxscan.files.clouds.e57.library import COLUMNS, NORMALS_URI, OWN, OWN_URI, load_libe57
 from jaxscan.files.clouds.e57.pictures import Surroundings, append_panorama, append_photograph
 from jaxscan.files.clouds.points import columns, smoothed_names
 from jaxscan.files.clouds.stations import covariance_text, quaternion
-from jaxscan.reconstruction import PointCloud, of_station
+from jaxscan.reconstruction import PointCloud, Stations, of_station
 
 
 _OURS = ("sigma", "sigma_random", "sigma_systematic", "laser", "angle", "record")
@@ -52,27 +53,63 @@ def write_e57(cloud: PointCloud, path: Path, about: About, around: Surroundings 
         raise OSError(str(problem).splitlines()[0]) from problem
 
 
-def write_e57_stations(stations: Iterable[PointCloud], path: Path, about: About) -> None:
-    """Write the clouds of several stations as `write_e57` does, each as soon as it comes: only one is in memory.
+def write_e57_stations(stations: Sequence[Callable[[], PointCloud]], path: Path, about: About) -> None:
+    """Write the clouds of several stations as `write_e57` writes the joined one; only one is in memory.
 
     Args:
-        stations: Clouds of one station each, in the frame of the room, with their poses.
+        stations: Each gives the cloud of one station in the frame of the room, with its pose, whenever it is called:
+            twice, for the first scan already says where all stations are.
         path: The file.
         about: What is said of them all.
 
     Raises:
-        As `write_e57`.
+        CloudError: As `write_e57`, or if the clouds are not of one camera, or one has no pose.
+        DependencyError: If pye57, or pyproj for a code, is not installed.
+        OSError: If the file cannot be written.
     """
     e57 = load_libe57()
     frame = "" if about.epsg is None else wkt_of(about.epsg)
+    known = [_known(load()) for load in stations]
+    if len({one.lines for one in known}) != 1:
+        raise CloudError(f"{path}: expected clouds of one camera, with the same number of lines.")
+    numbers = np.repeat(np.arange(len(known), dtype=np.int32), [one.profiles for one in known])
+    placed = Stations(numbers, np.stack([one.pose for one in known]), np.stack([one.covariance for one in known]))
+    header = "\n".join(lines_of_grid((len(numbers), known[0].lines), placed, about))
     try:
         with contextlib.closing(e57.ImageFile(str(path), "w")) as image:
-            scans = _begin(e57, image, frame)
-            for number, cloud in enumerate(stations):
-                for scan in _scans(cloud, about, first=number):
+            scans, profiles = _begin(e57, image, frame), 0
+            for number, load in enumerate(stations):
+                for scan in _scans(load(), about, _Whole(header, number, profiles)):
                     _write_scan(e57, image, scans, scan)
+                profiles += known[number].profiles
     except e57.E57Exception as problem:
         raise OSError(str(problem).splitlines()[0]) from problem
+
+
+class _Whole(NamedTuple):
+    """The joined cloud of which a cloud is one station."""
+
+    header: str
+    station: int
+    """Number of the station."""
+    profiles: int
+    """Of the stations before it."""
+
+
+class _Known(NamedTuple):
+    """What is kept of a cloud that was looked at."""
+
+    profiles: int
+    lines: int
+    pose: np.ndarray
+    covariance: np.ndarray
+
+
+def _known(cloud: PointCloud) -> _Known:
+    if cloud.stations is None or len(cloud.stations.pose) != 1:
+        raise CloudError("a scan of several: expected the cloud of one station with its pose.")
+    pose, covariance = (np.asarray(field, np.float64)[0] for field in (cloud.stations.pose, cloud.stations.covariance))
+    return _Known(*cloud.valid.shape, pose, covariance)
 
 
 def _add_surroundings(e57: Any, image: Any, around: Surroundings, cloud: PointCloud) -> None:
@@ -123,11 +160,12 @@ def _begin(e57: Any, image: Any, frame: str) -> Any:
     return scans
 
 
-def _scans(cloud: PointCloud, about: About, *, first: int = 0) -> Iterator[_Scan]:
-    """The stations that saw something, one at a time, numbered from `first`."""
+def _scans(cloud: PointCloud, about: About, whole: _Whole | None = None) -> Iterator[_Scan]:
+    """The stations that saw something, one at a time."""
     poses = np.eye(4)[None] if cloud.stations is None else np.asarray(cloud.stations.pose, np.float64)
     made = f"calibration {about.calibration}" if about.calibration else ""
-    header = "\n".join(header_lines(cloud, about))
+    header = "\n".join(header_lines(cloud, about)) if whole is None else whole.header
+    first, profiles = (0, 0) if whole is None else (whole.station, whole.profiles)
     for number, pose in enumerate(poses):
         name, described = ", ".join(filter(None, ("jaxscan", made))), "; ".join(filter(None, ("jaxscan", made)))
         if cloud.stations is not None:
@@ -144,7 +182,7 @@ def _scans(cloud: PointCloud, about: About, *, first: int = 0) -> Iterator[_Scan
         if cloud.stations is not None:
             # The column counts the profiles of the scan.
             profile = np.flatnonzero(np.asarray(cloud.stations.number) == number)
-            values |= {"profile": profile[points.step], "station": np.full(len(points.step), first + number)}
+            values |= {"profile": profile[points.step] + profiles, "station": np.full(len(points.step), first + number)}
         rotation, translation = quaternion(pose[:3, :3]), tuple(pose[:3, 3].tolist())
         double = points.xyz.dtype == np.float64
         yield _Scan(name, described, header, rotation, translation, _fields(values, smoothed_names(mine)), double)
