@@ -1,0 +1,75 @@
+"""Two projects compared: what counts as a change, of one capture and of two."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from jaxscan.errors import ConfigError
+from jaxscan.project import compare_projects, load_project
+from tests.opened import edit, work
+
+
+def moved_by(file, metres):
+    """Change a stored length, as another version of the code would have."""
+    path = file.parent / "products" / "measures" / "room-1.json"
+    about = json.loads(path.read_text())
+    about["lengths"]["length"]["value_m"] += metres
+    path.write_text(json.dumps(about))
+
+
+@pytest.fixture
+def two(museum, tmp_path):
+    """The project, done, and a copy of it."""
+    edit(museum, '["cloud", "measures", "mesh"]', '["cloud", "measures"]')
+    # Fewer profiles show no walls.
+    edit(museum, "every = 2", "every = 1")
+    assert all(row.state == "done" for row in work(museum))
+    other = tmp_path / "later"
+    shutil.copytree(museum.parent, other, ignore=shutil.ignore_patterns("later"))
+    return museum, other / museum.name
+
+
+def test_one_capture_and_two_versions(two, run):
+    first, second = two
+    same = compare_projects(load_project(first), load_project(second))
+    assert len(same.lengths) == 6 and not same.moved
+    assert all(one.same_capture and one.difference_m == 0 for one in same.lengths)
+    assert run("project", "compare", first, second).code == 0
+    # A tenth of a millimetre is far below the noise of the length, and noticed all the same.
+    noise = same.lengths[0].noise_m
+    assert 1e-4 < noise
+    moved_by(second, 1e-4)
+    ran = run("project", "compare", first, second, "--json", "-")
+    assert ran.code == 1 and "1 of 6 lengths have changed, room-1 length most: by +0.100 mm" in ran.err
+    lengths = json.loads(ran.out)["lengths"]
+    assert [one["moved"] for one in lengths].count(True) == 1
+
+
+def test_two_epochs(two):
+    first, second = two
+    for name in ("room-1", "room-2"):
+        with open(second.parent / name / "frames.jsonl", "a") as journal:
+            journal.write("\n")
+    assert all(row.state == "done" for row in work(second))
+    sigma = next(one for one in compare_projects(load_project(first), load_project(second)).lengths).sigma_m
+    for factor, moved in ((2.9, False), (3.1, True)):
+        moved_by(second, factor * sigma)
+        found = compare_projects(load_project(first), load_project(second))
+        assert not any(one.same_capture for one in found.lengths)
+        assert bool(found.moved) == moved
+        moved_by(second, -factor * sigma)
+    one = found.lengths[0]
+    assert one.sigma_m == pytest.approx(np.hypot(sigma, 0), rel=1e-9)
+
+
+def test_projects_that_cannot_be_compared(museum, two, tmp_path):
+    first, second = two
+    (second.parent / "products" / "measures" / "room-1.json").write_text("{}")
+    with pytest.raises(ConfigError, match="holds no measures"):
+        compare_projects(load_project(first), load_project(second))
+    edit(second, 'name = "museum"', 'name = "museum"\noutput = "elsewhere"')
+    with pytest.raises(ConfigError, match="has no measures yet"):
+        compare_projects(load_project(first), load_project(second))
+    assert not (second.parent / "elsewhere").exists()
