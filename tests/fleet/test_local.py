@@ -57,6 +57,39 @@ def test_a_worker_has_its_share_of_cores_memory_and_environment(client):
         assert int(numba) == -(-cores() // 2)
 
 
+def test_ctrl_c_at_the_terminal_is_for_the_caller_alone(client):
+    before = told_by_name(client)
+    for told in before.values():
+        os.kill(told[0], signal.SIGINT)
+    assert told_by_name(client) == before
+
+
+def hold(memory):
+    """A task that takes more memory than its worker may have."""
+    held = bytearray(b"1") * memory
+    time.sleep(60)
+    return len(held)
+
+
+@pytest.mark.slow
+def test_a_worker_over_its_limit_is_replaced_and_nothing_goes_to_the_disk(client):
+    before, place = told_by_name(client), addresses(client)[1]
+    # At that address only: the successor, which has another, does not try it again.
+    task = client.submit(hold, GIB, workers=[place], allow_other_workers=False)
+    while addresses(client).get(1, place) == place:  # Ended by the time limit of tests.
+        time.sleep(0.1)
+    task.release()
+    after = told_by_name(client)
+    assert after[1][0] != before[1][0] and after[1][1:] == before[1][1:]
+    assert after[0] == before[0]
+    assert not any(client.run(spills).values())
+
+
+def spills(dask_worker):
+    manager = dask_worker.memory_manager
+    return manager.memory_target_fraction or manager.memory_spill_fraction or manager.memory_pause_fraction
+
+
 def test_the_successor_of_a_killed_worker_has_its_cores_too(client):
     before, place = told_by_name(client), addresses(client)[0]
     os.kill(before[0][0], signal.SIGKILL)
