@@ -102,6 +102,7 @@ HOME_OF = {
     "distributed": {"fleet"},
     "dask_jobqueue": {"fleet"},
     "dask_kubernetes": {"fleet"},
+    "kr8s": {"fleet"},
     "asyncssh": {"fleet"},
     "cryptography": {"fleet"},
     "psutil": {"fleet"},

@@ -4,6 +4,7 @@ import os
 import signal
 import time
 
+import jax
 import psutil
 import pytest
 
@@ -16,13 +17,12 @@ from jaxscan.fleet.clusters.sizes import GIB, Sizes, sizes_for
 
 
 def told_by_worker(dask_worker):
-    """Of a worker that has computed something: its process, the cores of each of its threads, and a word."""
-    import jax
-
+    """Of a worker that has computed something: its process, the cores of all threads, and words of its caller."""
     jax.numpy.ones(8).sum().block_until_ready()
     threads = {frozenset(os.sched_getaffinity(int(thread))) for thread in os.listdir("/proc/self/task")}
     limit = dask_worker.memory_manager.memory_limit
-    return os.getpid(), threads, os.environ.get("JAXSCAN_TEST_WORD"), limit, os.environ["NUMBA_NUM_THREADS"]
+    told = os.environ["JAXSCAN_TEST_WORD"], jax.config.jax_compilation_cache_dir
+    return os.getpid(), threads, told, limit, os.environ["NUMBA_NUM_THREADS"]
 
 
 def addresses(client):
@@ -50,11 +50,46 @@ def test_a_worker_has_its_share_of_cores_memory_and_environment(client):
     told = told_by_name(client)
     mine = os.sched_getaffinity(0)
     assert set(told) == {0, 1}
-    for name, (_, threads, word, limit, numba) in told.items():
+    cache = os.environ.get("JAX_COMPILATION_CACHE_DIR") or jax.config.jax_compilation_cache_dir
+    assert cache
+    for name, (_, threads, words, limit, numba) in told.items():
         assert threads == {frozenset(share_of(name, 2, mine))}
-        assert word == "from the caller"
+        assert words == ("from the caller", cache)
         assert limit == GIB // 2
         assert int(numba) == -(-cores() // 2)
+
+
+def test_ctrl_c_at_the_terminal_is_for_the_caller_alone(client):
+    before = told_by_name(client)
+    for told in before.values():
+        os.kill(told[0], signal.SIGINT)
+    assert told_by_name(client) == before
+
+
+def hold(memory):
+    """A task that takes more memory than its worker may have."""
+    held = bytearray(b"1") * memory
+    time.sleep(60)
+    return len(held)
+
+
+@pytest.mark.slow
+def test_a_worker_over_its_limit_is_replaced_and_nothing_goes_to_the_disk(client):
+    before, place = told_by_name(client), addresses(client)[1]
+    # At that address only: the successor, which has another, does not try it again.
+    task = client.submit(hold, GIB, workers=[place], allow_other_workers=False)
+    while addresses(client).get(1, place) == place:  # Ended by the time limit of tests.
+        time.sleep(0.1)
+    task.release()
+    after = told_by_name(client)
+    assert after[1][0] != before[1][0] and after[1][1:] == before[1][1:]
+    assert after[0] == before[0]
+    assert not any(client.run(spills).values())
+
+
+def spills(dask_worker):
+    manager = dask_worker.memory_manager
+    return manager.memory_target_fraction or manager.memory_spill_fraction or manager.memory_pause_fraction
 
 
 def test_the_successor_of_a_killed_worker_has_its_cores_too(client):

@@ -93,6 +93,7 @@ kill -- -"$1"
 """
 
 
+@pytest.mark.slow
 def test_a_whole_cluster_of_jobs(home, tmp_path, monkeypatch):
     """SLURM's two commands are small scripts here, all else is as on a cluster: script, certificates, connections."""
     programs = tmp_path / "bin"

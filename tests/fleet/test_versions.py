@@ -47,7 +47,7 @@ def test_a_worker_with_another_jaxscan_is_refused_with_both_versions():
                 process.kill()
     said = str(caught.value)
     here = package_digest().removeprefix("sha256:")[:12]
-    assert "the worker tcp://127.0.0.1:" in said
+    assert "the cluster's worker tcp://127.0.0.1:" in said
     assert f"runs jaxscan 0.0.7 (code eeeeeeeeeeee), and here is {__version__} (code {here})" in said
     assert "\n" not in said
 
@@ -85,13 +85,22 @@ HERE = versions_here()
 @pytest.mark.parametrize(
     ("told", "says"),
     [
-        (Told(dask={"dask": "2020.1.0"}), f"the worker tcp://w:1 runs dask 2020.1.0, and here is {HERE['dask']}"),
+        (
+            Told(dask={"dask": "2020.1.0"}),
+            f"the cluster's worker tcp://w:1 runs dask 2020.1.0, and here is {HERE['dask']}",
+        ),
         (
             Told(scheduler={"distributed": "1.0"}),
-            f"the scheduler runs distributed 1.0, and here is {HERE['distributed']}",
+            f"the cluster's scheduler runs distributed 1.0, and here is {HERE['distributed']}",
         ),
-        (Told(scheduler={"python": "3.8.1.final.0"}), f"the scheduler runs Python 3.8, and here is {HERE['Python']}"),
-        (Told(answer={"Python": "3.99"}), f"the worker tcp://w:1 runs Python 3.99, and here is {HERE['Python']}"),
+        (
+            Told(scheduler={"python": "3.8.1.final.0"}),
+            f"the cluster's scheduler runs Python 3.8, and here is {HERE['Python']}",
+        ),
+        (
+            Told(answer={"Python": "3.99"}),
+            f"the cluster's worker tcp://w:1 runs Python 3.99, and here is {HERE['Python']}",
+        ),
         (Told(answer={"jaxscan": "9"}), f"runs jaxscan 9, and here is {HERE['jaxscan']}"),
         (
             Told(answer=ModuleNotFoundError("jaxscan")),

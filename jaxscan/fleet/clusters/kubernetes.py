@@ -1,5 +1,6 @@
 """Workers as pods of Kubernetes, by the operator of dask-kubernetes."""
 
+import asyncio
 import contextlib
 import secrets
 from collections.abc import Iterator
@@ -10,9 +11,11 @@ import distributed
 
 from jaxscan.errors import OptionError
 from jaxscan.fleet.clusters.choice import ClusterChoice
-from jaxscan.fleet.clusters.settings import MEMORY, as_environment, wait_for_worker
+from jaxscan.fleet.clusters.settings import MEMORY, as_environment, run_apart, wait_for_worker
 
 
+ANSWER_S = 20.0
+"""How long Kubernetes may take to answer."""
 WAIT_S = 3600.0
 """How long the first pod may take: machines may have to start, and to load the image."""
 _MEMORY_GIB = 4.0
@@ -33,17 +36,25 @@ def open_kubernetes(choice: ClusterChoice) -> Iterator[Any]:
 
     spec = cluster_spec(f"jaxscan-{secrets.token_hex(4)}", configured_image(), choice)
     try:
+        run_apart(asyncio.wait_for(_greet(), ANSWER_S))
         cluster = KubeCluster(custom_cluster_spec=spec, namespace=dask.config.get("kubernetes.namespace"), quiet=True)
     # The libraries below it have no one error: no configuration, no network, no right, no operator.
     except Exception as problem:
         said = " ".join(f"{type(problem).__name__}: {problem}".split())
         raise OptionError(
-            f"--kubernetes: no cluster was made ({said:.300}); look at kubectl get daskclusters, "
+            f"--kubernetes: no cluster was made ({said:.300}); look at kubectl cluster-info, "
             "and whether the operator of dask-kubernetes is installed."
         ) from problem
     with cluster, distributed.Client(cluster, set_as_default=False) as client:
         wait_for_worker(client, WAIT_S, "look at kubectl get pods.")
         yield client
+
+
+async def _greet() -> None:
+    """Ask Kubernetes for its version: a cluster that cannot be made would be looked for again at the end."""
+    import kr8s.asyncio
+
+    await (await kr8s.asyncio.api()).version()
 
 
 def configured_image() -> str:

@@ -49,7 +49,6 @@ def open_local(choice: ClusterChoice) -> Iterator[Any]:
                 dashboard_address=LOOPBACK_PAGE,
                 memory_limit=sizes.memory,
                 preload=[PINNING],
-                env={WORKERS: str(sizes.workers), **_compiled_code()},
                 silence_logs=logging.ERROR,
             ) as cluster,
             distributed.Client(cluster, set_as_default=False) as client,
@@ -69,11 +68,12 @@ def free_memory() -> int:
 
 
 def _settings(workers: int) -> dict[str, Any]:
-    # Libraries read these when they are loaded, which may be before the worker has its cores. Products of small
-    # matrices are done in the calling thread, as on the command line.
+    # Libraries read these when they are loaded, which may be before the worker has its cores, so they are there before
+    # its process. Products of small matrices are done in the calling thread, as on the command line.
     share = math.ceil(cores() / workers)
     threads = {"OMP_NUM_THREADS": share, "NUMBA_NUM_THREADS": share, "OPENBLAS_NUM_THREADS": 1, "MKL_NUM_THREADS": 1}
-    return {**MEMORY, "distributed.nanny.pre-spawn-environ": threads}
+    variables = {**threads, WORKERS: workers, **_compiled_code()}
+    return {**MEMORY, "distributed.nanny.pre-spawn-environ": variables}
 
 
 def _compiled_code() -> dict[str, str]:

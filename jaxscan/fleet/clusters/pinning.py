@@ -5,6 +5,7 @@ worker has the threads of its own share, and no two wait for each other.
 """
 
 import os
+import signal
 from typing import Any
 
 
@@ -20,6 +21,8 @@ def share_of(number: int, workers: int, cores: set[int]) -> set[int]:
 
 def dask_setup(worker: Any) -> None:
     """Called by Dask in the worker's process before its first task."""
+    # Ctrl-C at a terminal reaches all processes that were started there. The caller answers it, and ends its workers.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     workers = int(os.environ.get(WORKERS, "1"))
     # Only Linux and a few others can; elsewhere the system shares out the cores.
     if workers < 2 or not hasattr(os, "sched_setaffinity"):

@@ -149,7 +149,7 @@ def _certificates_on(hosts: Sequence[Host], certificates: Certificates) -> Itera
             if isinstance(problem, asyncssh.Error | OSError | TimeoutError):
                 said = " ".join(str(problem).split()) or type(problem).__name__
                 raise OptionError(
-                    f"--ssh: {host.name} does not let us in, or takes no file in /tmp ({said:.200}); try ssh {host.name}"
+                    f"--ssh: {host.name} does not let us in, or no file into /tmp ({said:.150}); try: ssh {host.name}"
                 ) from problem
             if problem is not None:
                 raise problem

@@ -74,7 +74,7 @@ def check_versions(client: Any) -> None:
             continue  # It ended while it was asked; its successor is started from the same files.
         if isinstance(answer, BaseException):
             raise OptionError(
-                f"--cluster: the worker {place} has no jaxscan that knows batches ({type(answer).__name__}); "
+                f"the cluster's worker {place} has no jaxscan that knows batches ({type(answer).__name__}); "
                 f"install {here['jaxscan']} there."
             )
         _compare(here, answer, place)
@@ -91,12 +91,10 @@ def _from_dask(found: dict[str, Any] | None) -> Versions:
 def _compare(here: Versions, there: Versions, place: str) -> None:
     """One side may not know of a package: a scheduler needs no JAX."""
     differing = [name for name in here if name in there and there[name] != here[name]]
-    who = place if place == "the scheduler" else f"the worker {place}"
+    who = "the cluster's scheduler" if place == "the scheduler" else f"the cluster's worker {place}"
     for name in _REFUSED:
         if name in differing:
-            raise OptionError(
-                f"--cluster: {who} runs {name} {there[name]}, and here is {here[name]}; install the same on both."
-            )
+            raise OptionError(f"{who} runs {name} {there[name]}, and here is {here[name]}; install the same on both.")
     if place == "the scheduler":
         return
     for name in _SAID:
