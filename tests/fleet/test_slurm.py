@@ -60,7 +60,7 @@ def test_a_script_holds_paths_and_no_secrets(home):
         assert stat.S_IMODE(os.stat(key).st_mode) == 0o600
         assert stat.S_IMODE(os.stat(os.path.dirname(key)).st_mode) == 0o700
         assert key.startswith(str(home))
-    assert not os.listdir(home), "certificates stay behind"
+    assert not list(home.glob(".jaxscan*")), "certificates stay behind"
 
 
 def test_without_configuration_a_job_is_small():
@@ -81,6 +81,10 @@ def test_without_slurm_it_is_one_line(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(DependencyError, match="there is no sbatch here"), open_cluster(ClusterChoice(slurm=True)):
         pytest.fail("opened")
+
+
+def may_spill(dask_worker):
+    return dask_worker.memory_manager.memory_spill_fraction
 
 
 SBATCH = """#!/bin/sh
@@ -107,9 +111,10 @@ def test_a_whole_cluster_of_jobs(home, tmp_path, monkeypatch):
     with open_cluster(ClusterChoice(slurm=True, workers=1, memory_gib=0.5)) as client:
         assert client.scheduler.address.startswith("tls://")
         assert client.submit(sum, (2, 3)).result(timeout=30) == 5
+        assert list(client.run(may_spill).values()) == [False], "settings did not reach the job"
         (worker,) = client.run(os.getpid).values()
         said = " ".join(psutil.Process(worker).parent().cmdline())
         assert "BEGIN" not in said
     while psutil.pid_exists(worker):  # Ended by the time limit of tests.
         time.sleep(0.05)
-    assert not os.listdir(home), "certificates stay behind"
+    assert not list(home.glob(".jaxscan*")), "certificates stay behind"

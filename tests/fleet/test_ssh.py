@@ -60,7 +60,8 @@ def told_by_worker(dask_worker):
     lines = [" ".join(process.cmdline()) for process in psutil.process_iter() if process.pid != os.getpid()]
     secret = Path(security.tls_worker_key).read_text().splitlines()[1]
     seen = [line for line in lines if secret in line or "PRIVATE KEY" in line]
-    return os.getpid(), str(folder), modes, seen, sorted(os.sched_getaffinity(0))
+    spills = dask_worker.memory_manager.memory_spill_fraction
+    return os.getpid(), str(folder), modes, seen, spills, sorted(os.sched_getaffinity(0))
 
 
 @pytest.mark.slow
@@ -73,9 +74,10 @@ def test_a_whole_cluster_by_ssh(port, tmp_path):
         client.wait_for_workers(2)
         told = list(client.run(told_by_worker).values())
         assert len(told) == 2
-        for _, folder, modes, seen, _ in told:
+        for _, folder, modes, seen, spills, _ in told:
             assert Path(folder).name in left() - before
             assert modes == {0o700, 0o600}
+            assert spills is False, "settings did not reach the host"
             assert not seen, "a private key is visible in a command line"
         mine = sorted(os.sched_getaffinity(0))
         assert sorted(cores for *_, cores in told) == sorted([mine[0::2], mine[1::2] or mine[:1]])
