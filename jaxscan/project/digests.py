@@ -20,6 +20,7 @@ _MEASURES = ("geometry", "measurement", "files/clouds")
 _REGISTER = (*_CALIBRATION, "reconstruction", "recalibration", "measurement")
 CODE_OF: Mapping[str, tuple[str, ...]] = {
     "calibration": _CALIBRATION,
+    "stripes": ("geometry", "stripes", "reconstruction", "files/capture", "api"),
     "cloud": _CLOUD,
     "measures": _MEASURES,
     "mesh": (*_MEASURES, "surface", "files/meshes"),

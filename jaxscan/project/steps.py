@@ -1,12 +1,17 @@
 """The graph of what a project makes: names, what needs what, and by which digests a step is the same as before."""
 
 import hashlib
+import itertools
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxscan.errors import ConfigError
+from jaxscan.api.ranges import ranges_of
+from jaxscan.errors import CaptureError, ConfigError
+from jaxscan.files.capture import JOURNAL_NAME, open_capture
+from jaxscan.files.disk import open_regular
+from jaxscan.files.remote import is_remote
 from jaxscan.project.config import GroupTable, RigTable
 from jaxscan.project.project import Project, ProjectCapture
 
@@ -112,7 +117,7 @@ def _reads(project: Project, rig: RigTable) -> _Reads:
 
 def _address(project: Project, place: str) -> str:
     """A place as the file names it; remote ones, and those from the root of the disk, are whole already."""
-    return place if "://" in place else str(Path(project.file.parent, place))
+    return place if is_remote(place) else str(Path(project.file.parent, place))
 
 
 def _name_of(rig: RigTable) -> str:
@@ -139,7 +144,11 @@ def _of_capture(project: Project, capture: ProjectCapture) -> Iterator[Step]:
     formats = dict.fromkeys(("ply", *wanted.formats))
     clouds = tuple(f"clouds/{name}.{suffix}" for suffix in formats)
     settings = capture.settings.model_dump()
-    yield Step(key, "cloud", reads.inputs, source | reads.sources, reads.products, clouds, settings)
+    parts = tuple(_parts(capture, wanted.split_records, reads))
+    yield from parts
+    found = {f"stripes {number}": part.outputs[0] for number, part in enumerate(parts)}
+    inputs = (*reads.inputs, *(part.key for part in parts))
+    yield Step(key, "cloud", inputs, source | reads.sources, reads.products | found, clouds, settings)
     for kind, files in _FILES.items():
         if kind in wanted.products:
             yield Step(
@@ -151,6 +160,30 @@ def _of_capture(project: Project, capture: ProjectCapture) -> Iterator[Step]:
                 tuple(file.format(name) for file in files),
                 {"every": capture.settings.every} if kind in _OF_CAPTURE else {},
             )
+
+
+def _parts(capture: ProjectCapture, records: int, reads: _Reads) -> Iterator[Step]:
+    """Pieces of a large capture, whose stripes are found apart; none of a small one, or one on object storage.
+
+    Workers would each fetch all of that.
+    """
+    if is_remote(capture.address) or not _may_be_large(Path(capture.address), records):
+        return
+    name, settings = capture.name, capture.settings.model_dump(exclude={"colour"})
+    sweep = open_capture(capture.address, compare=False).every(capture.settings.every)
+    ranges = ranges_of(sweep, records)
+    if len(ranges) < 2 or not all(record.off for record in sweep.records):
+        return
+    for first, stop in ranges:
+        file, own = f"stripes/{name}.{first}-{stop}.npz", settings | {"first": first, "stop": stop}
+        source = {"capture": capture.address, **reads.sources}
+        yield Step(f"stripes/{name}/{first}-{stop}", "stripes", reads.inputs, source, reads.products, (file,), own)
+
+
+def _may_be_large(folder: Path, records: int) -> bool:
+    """Whether a journal has more lines; counting them takes less time than reading them."""
+    with open_regular(folder / JOURNAL_NAME, error=CaptureError) as file:
+        return sum(1 for _ in itertools.islice(file, records + 1)) > records
 
 
 def _of_group(project: Project, group: GroupTable) -> Iterator[Step]:

@@ -54,17 +54,18 @@ def clearness(stripes: FrameStripes) -> Float[np.ndarray, "profiles lines"]:
 class DecoyWatch:
     """Keeps some pairs of a sweep while they pass by, and searches them for decoys at the end."""
 
-    def __init__(self, profiles: int, *, predicted: bool) -> None:
+    def __init__(self, profiles: int, *, predicted: bool, first: int = 0) -> None:
         """
         Args:
             profiles: Of the sweep.
             predicted: Whether the laser-off frames are predicted.
+            first: Where a part of the sweep is watched, the number of profiles before it.
         """
         looks = _LOOKS_WITHOUT_OFF if predicted else _LOOKS
-        self._chosen = set(np.unique(np.linspace(0, profiles - 1, min(looks, profiles)).astype(int)).tolist())
+        self._chosen = set((np.unique(np.linspace(0, profiles - 1, min(looks, profiles)).astype(int)) - first).tolist())
         self._kept: list[tuple[Batch, np.ndarray]] = []
         self._compared: list[tuple[np.ndarray, np.ndarray]] = []
-        self._profiles, self._found = profiles, 0
+        self._profiles, self.found = profiles, 0
         self._bytes, self._lock = 0, threading.Lock()
 
     def look(
@@ -79,7 +80,7 @@ class DecoyWatch:
         """
         stripes = clearness(chosen_of(found.stripes, found.chosen))
         with self._lock:
-            self._found += int(np.count_nonzero(stripes[: len(batch.profiles)]))
+            self.found += int(np.count_nonzero(stripes[: len(batch.profiles)]))
         rows = [k for k, profile in enumerate(batch.profiles.tolist()) if profile in self._chosen]
         if batch.off is None or not rows or len(stripes) != len(batch.on):
             return
@@ -107,6 +108,13 @@ class DecoyWatch:
         Raises:
             CaptureError: If the stripes are not more, or not clearer, than those of chance.
         """
+        stripes, decoys = self.compared(search, size)
+        return judge(stripes, decoys, per_profile=self.found / self._profiles) if stripes.size else Chance()
+
+    def compared(
+        self, search: Callable[[Batch], ChunkStripes], size: int
+    ) -> tuple[Float[np.ndarray, "searched lines"], Float[np.ndarray, "searched lines"]]:
+        """Search what is kept for decoys: the clearness [1] of the stripes, and of their decoys."""
         for laser in sorted({batch.laser for batch, _ in self._kept}):
             own = [item for item in self._kept if item[0].laser == laser]
             profiles, on, off, found = (
@@ -119,10 +127,12 @@ class DecoyWatch:
                 result = search(turned)
                 decoys = clearness(chosen_of(result.stripes, result.chosen))[: len(profiles[part])]
                 self._compared.append((found[part], decoys))
+        self._kept = []
         if not self._compared:
-            return Chance()
+            none = np.zeros((0, 0), np.float32)
+            return none, none
         stripes, decoys = (np.concatenate(parts) for parts in zip(*self._compared, strict=True))
-        return judge(stripes, decoys, per_profile=self._found / self._profiles)
+        return stripes, decoys
 
 
 def _tolerated(stripes: np.ndarray | int) -> np.ndarray:

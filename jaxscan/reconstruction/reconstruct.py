@@ -1,6 +1,6 @@
 """A whole sweep to one coloured cloud, streamed through one compiled function."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import jax
 import numpy as np
@@ -10,25 +10,20 @@ from jaxscan.geometry import Array, Scanner
 from jaxscan.reconstruction.ahead import map_ahead, workers
 from jaxscan.reconstruction.along import SmoothedSweep, SweepSmoother, smooth_sweep
 from jaxscan.reconstruction.cloud import PointCloud
-from jaxscan.reconstruction.decoys import Chance, DecoyWatch, clearness
+from jaxscan.reconstruction.decoys import clearness
+from jaxscan.reconstruction.extraction import Progress, extracted, rows_of, stripes_of_plan
 from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan
-from jaxscan.reconstruction.points import Centres, Points, coloured, colours_alone, line_step, points_alone
+from jaxscan.reconstruction.points import Centres, Points, colours_alone, line_step, points_alone
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
-from jaxscan.reconstruction.streaming import Batch, GrowingCloud, GrowingStripes, ReadOnce, batches
+from jaxscan.reconstruction.streaming import GrowingCloud, batches
 from jaxscan.reconstruction.sweep import SweepSource
 from jaxscan.stripes import (
-    ChunkStripes,
-    Continuation,
     NoiseModel,
     Sites,
     Stripes,
     laser_sites,
     padded,
-    pick_by_steps,
 )
-
-
-Progress = Callable[[int, int], None] | None
 
 
 def reconstruct(
@@ -113,19 +108,20 @@ def cloud_of_plan(
     # Single precision throughout, so that the result does not depend on the caller's setting.
     with jax.enable_x64(False):
         if stripes is None:
-            each, chunks, watch = _extracted(plan, noise, progress, with_points=True)
+            extraction = extracted(plan, noise, progress, with_points=True)
+            each = extraction.each
             parts: Iterator[tuple] = (
                 (rows, found.more.points, found.stripes.amplitude, found.more.rgb, clearness(found.stripes), {})
-                for rows, found in chunks
+                for rows, found in extraction.chunks
             )
         else:
-            parts, watch = _from_stripes(plan, stripes, each, progress), None
+            parts, extraction = _from_stripes(plan, stripes, each, progress), None
         carries = plan.scanner.turntable.carries
         cloud = GrowingCloud(each * len(sweep.record), plan.lines, travels=carries == "linear")
         for part in parts:
             cloud.store(*part)
-        if watch is not None:
-            cloud.keep_clear(watch().least)
+        if extraction is not None:
+            cloud.keep_clear(extraction.chance(plan).least)
         _check_result(cloud, settings)
         # Profiles of a scanner that stands still are no neighbours.
         normals = settings.normals and carries != "nothing"
@@ -133,26 +129,6 @@ def cloud_of_plan(
         profile, rank = np.divmod(np.arange(each * len(sweep.record)), each)
         record = sweep.record[profile]
         return cloud.finish(record, plan.sheet[profile], sweep.angles[record], rank, between_lines)
-
-
-def stripes_of_plan(plan: Plan, *, noise: NoiseModel | None = None, progress: Progress = None) -> Stripes:
-    """`extract_sweep` by a plan that is made."""
-    sweep = plan.sweep
-    profiles = len(sweep.record)
-    each, chunks, watch = _extracted(plan, noise, progress, with_points=False)
-    stripes = GrowingStripes(each * profiles, plan.lines)
-    chosen = np.full((profiles, plan.lines), -1, np.int8)
-    for rows, result in chunks:
-        stripes.store(rows, result.stripes, result.more.rgb)
-        if result.chosen is not None:
-            own = rows[::each] // each
-            chosen[own] = result.chosen[: len(own)]
-    if plan.settings.check_steps:
-        stripes.fields = pick_by_steps(stripes.fields, chosen, sweep.laser, sweep.angles[sweep.record])
-        each = 1
-    stripes.keep_clear(watch().least)
-    profile = np.arange(each * profiles) // each
-    return stripes.finish(sweep.record[profile], sweep.laser[profile])
 
 
 def smooth_stripes(plan: Plan, stripes: Stripes) -> SmoothedSweep:
@@ -163,69 +139,6 @@ def smooth_stripes(plan: Plan, stripes: Stripes) -> SmoothedSweep:
 def _sites(plan: Plan) -> dict[int, Sites]:
     """Where the colour of each laser is seen."""
     return {int(k): laser_sites(plan.sweep.pixel_format, plan.lasers[k]) for k in np.unique(plan.sweep.laser)}
-
-
-def _rows(profiles: np.ndarray, each: int) -> np.ndarray:
-    return (each * profiles[:, None] + np.arange(each)[None, :]).reshape(-1)
-
-
-def _extracted(
-    plan: Plan, noise: NoiseModel | None, progress: Progress, *, with_points: bool
-) -> tuple[int, Iterator[tuple[np.ndarray, ChunkStripes]], Callable[[], Chance]]:
-    """Stripes, colours and perhaps points of all chunks, with the profiles that they are.
-
-    Returns:
-        Profiles of a record; the chunks; and the decoys' verdict, to be asked for after the last one.
-    """
-    sweep, size = plan.sweep, plan.size
-    frames, angles = ReadOnce(sweep, size), sweep.angles.astype(np.float32)
-    engines = plan.engines(noise, frames.first(plan.learned_from))
-    each = next(iter(engines.values())).profiles_per_record
-
-    def then(batch: Batch) -> Continuation:
-        if not with_points:
-            return coloured(plan.frames, records=size)
-        phi = padded(angles[sweep.record[batch.profiles]], size)
-        return coloured(plan.frames, plan.aim(int(batch.profiles[0])), phi, records=size)
-
-    def search(batch: Batch) -> ChunkStripes:
-        return engines[batch.laser].extract(batch.on, batch.off, then(batch))
-
-    def search_alone(batch: Batch) -> ChunkStripes | None:
-        engine = engines[batch.laser]
-        return engine.extract(batch.on, batch.off) if engine.takes_any_number(batch.off) else None
-
-    decoys = DecoyWatch(len(sweep.record), predicted=plan.predicts)
-
-    def compute(batch: Batch) -> tuple[np.ndarray, ChunkStripes]:
-        found = search(batch)
-        decoys.look(batch, found, search_alone)
-        return batch.profiles, found
-
-    def chance() -> Chance:
-        found = decoys.judge(search, size)
-        plan.notes.extend([found.note] if found.note else [])
-        return found
-
-    def ready(waiting: Iterator[Batch]) -> Iterator[Batch]:
-        """Each laser's first batch is computed twice: at first it says how wide the stripes are."""
-        learned: set[int] = set()
-        for batch in waiting:
-            if batch.laser not in learned:
-                learned.add(batch.laser)
-                engines[batch.laser] = engines[batch.laser].learn(batch.on, batch.off, then(batch))
-                plan.tell_noise(batch.laser, engines[batch.laser])
-            yield batch
-
-    def chunks() -> Iterator[tuple[np.ndarray, ChunkStripes]]:
-        compiled = next(iter(engines.values())).learns
-        waiting = ready(batches(sweep, size, frames.chunks()))
-        for profiles, result in map_ahead(compute, waiting, workers(), compiled=compiled):
-            yield _rows(profiles, each), result
-            if progress is not None:
-                progress(int(sweep.record[profiles[-1]]) + 1, len(sweep))
-
-    return each, chunks(), chance
 
 
 def _from_stripes(
@@ -239,7 +152,7 @@ def _from_stripes(
 
     def compute(item: tuple[np.ndarray, Array | None]) -> tuple[np.ndarray, Points, np.ndarray, dict[str, np.ndarray]]:
         profiles, off = item
-        rows = _rows(profiles, each)
+        rows = rows_of(profiles, each)
         u, sigma, valid = (np.asarray(field)[rows] for field in (stripes.u, stripes.sigma, stripes.valid))
         along = None if smoother is None else smoother.smooth(int(stripes.laser[rows[0]]), rows)
         if along is not None:

@@ -8,7 +8,7 @@ import numpy as np
 import jaxscan
 from jaxscan.files.capture import CACHE_NAME, JOURNAL_NAME
 from jaxscan.project import digests
-from tests.opened import catalogue_of, edit, states, work
+from tests.opened import catalogue_of, edit, products, states, work
 
 
 def in_state(file, state):
@@ -98,3 +98,15 @@ def test_one_row_of_each_step_however_often_it_is_written(museum):
     catalogue.write([rows[0]._replace(message="again")])
     assert sorted(row.message for row in catalogue.rows() if row.key == rows[0].key) == ["again"]
     assert len(catalogue.rows()) == len(rows)
+
+
+def test_a_large_capture_in_pieces_gives_the_same_cloud(museum):
+    edit(museum, '["cloud", "measures", "mesh"]', '["cloud"]')
+    edit(museum, "every = 2", "every = 1")
+    work(museum)
+    whole = products(museum)
+    edit(museum, 'name = "museum"', 'name = "museum"\nsplit_records = 32')
+    pieces = {f"stripes/room-{number}/{part}" for number in (1, 2) for part in ("0-30", "30-60")}
+    assert set(states(museum)) == {"cloud/room-1", "cloud/room-2"} | pieces
+    assert {row.key for row in work(museum)} == set(states(museum))
+    assert {name: made for name, made in products(museum).items() if name.startswith("clouds")} == whole

@@ -1,9 +1,11 @@
 """Calibrations and clouds: what is made of captures."""
 
 from jaxscan import api
-from jaxscan.errors import CalibrationError
+from jaxscan.api.ranges import cloud_of_ranges, stripes_of_range
+from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.files.calibration import calibration_digest, calibration_notes
 from jaxscan.files.capture import Capture
+from jaxscan.files.disk import read_arrays, write_arrays
 from jaxscan.geometry import Scanner
 from jaxscan.project.work.desk import Desk
 from jaxscan.reconstruction import PointCloud
@@ -24,18 +26,34 @@ def calibrate_rig(desk: Desk) -> None:
     api.save_calibration(result, desk.target())
 
 
+def find_part(desk: Desk) -> None:
+    """The stripes of some records of a large sweep."""
+    sweep, scanner = desk.capture().every(desk.setting("every")), api.load_scanner(desk.file("calibration"))
+    settings, records = _settings(desk), (desk.setting("first"), desk.setting("stop"))
+    arrays = stripes_of_range(sweep, scanner, records, settings=settings, progress=desk.progress)
+    write_arrays(desk.target(), arrays)
+
+
 def reconstruct_sweep(desk: Desk) -> None:
     """Reconstruct a sweep, as `jaxscan reconstruct` does, in all formats that are wanted."""
     calibration = desk.file("calibration")
     desk.notes.extend(calibration_notes(calibration))
     sweep, scanner = desk.capture().every(desk.setting("every")), api.load_scanner(calibration)
-    settings = api.ReconstructSettings(smooth=desk.setting("smooth"))
-    done = api.reconstruct_capture(sweep, scanner, settings=settings, progress=desk.progress)
+    parts = [desk.file(role) for role in desk.step.products if role.startswith("stripes ")]
+    if parts:
+        arrays = [read_arrays(path, error=CaptureError) for path in parts]
+        done = cloud_of_ranges(sweep, scanner, arrays, settings=_settings(desk))
+    else:
+        done = api.reconstruct_capture(sweep, scanner, settings=_settings(desk), progress=desk.progress)
     desk.notes.extend(done.notes)
     cloud = coloured(desk, done.cloud, sweep, scanner)
     digest = calibration_digest(calibration)
     for number in range(len(desk.step.outputs)):
         api.save_cloud(cloud, desk.target(number), calibration_digest=digest)
+
+
+def _settings(desk: Desk) -> api.ReconstructSettings:
+    return api.ReconstructSettings(smooth=desk.setting("smooth"))
 
 
 def coloured(desk: Desk, cloud: PointCloud, sweep: Capture, scanner: Scanner) -> PointCloud:

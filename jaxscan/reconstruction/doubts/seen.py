@@ -40,6 +40,11 @@ class Seen(NamedTuple):
         return {_PREFIX + name: array for name, array in self._asdict().items()}
 
     @staticmethod
+    def names() -> tuple[str, ...]:
+        """The names under which `arrays` keeps them."""
+        return tuple(_PREFIX + name for name in Seen._fields)
+
+    @staticmethod
     def taken_from(arrays: dict[str, np.ndarray], records: int) -> "Seen | None":
         """Take kept statistics out of other arrays; None if they are not those of so many records."""
         found = {name: arrays.pop(_PREFIX + name) for name in Seen._fields if _PREFIX + name in arrays}
