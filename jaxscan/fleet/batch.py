@@ -25,6 +25,9 @@ MOST_AT_ONCE = 512
 """Tasks that are handed out at a time; more would only take memory of the scheduler."""
 
 
+ACCELERATOR = "GPU"
+"""Resource that a worker with an accelerator of its own names: `dask worker --resources GPU=1`."""
+_FINDS_STRIPES = ("stripes", "cloud", "station")
 _LOST = "the cluster's scheduler is lost; start it again and call the same command, which goes on where it was."
 _WRITTEN_S = 0.5
 """Between two transactions of the catalogue."""
@@ -88,16 +91,16 @@ def run_batch(
     left: dict[str, str] = {}
     running: dict[distributed.Future, str] = {}
     coming = distributed.as_completed(loop=client.loop)
+    workers = client.scheduler_info(n_workers=-1)["workers"].values()
+    accelerated = any(ACCELERATOR in worker["resources"] for worker in workers)
     with _Written(catalogue) as written, _said_if_lost(), _progress(client, show):
         while ready or running:
             if ready and len(running) <= MOST_AT_ONCE // 2:
                 # Many at a time: the scheduler takes a hundred in the time of ten single ones.
                 keys = [ready.popleft() for _ in range(min(len(ready), MOST_AT_ONCE - len(running)))]
-                texts = [orders[key].to_json() for key in keys]
-                names = [f"{key}-{orders[key].digest[7:23]}" for key in keys]
-                futures = client.map(work, texts, key=names, pure=False, batch_size=None)
-                running |= dict(zip(futures, keys, strict=True))
-                coming.update(futures)
+                given = dict(_handed_out(client, work, [orders[key] for key in keys], accelerated=accelerated))
+                running |= given
+                coming.update(given)
             for row in _rows_of(client, {future: orders[running.pop(future)] for future in coming.next_batch()}):
                 written.add(row)
                 rows.append(row)
@@ -111,6 +114,20 @@ def run_batch(
             if not coming.has_ready():
                 written.flush()
     return Report(tuple(rows), left)
+
+
+def _handed_out(
+    client: distributed.Client, work: Callable[[str], str], orders: Sequence[Order], *, accelerated: bool
+) -> Iterator[tuple[distributed.Future, str]]:
+    """Tasks for some orders, each with its key; those that find stripes go to accelerators, where there are any."""
+    special = {accelerated and order.step.kind in _FINDS_STRIPES for order in orders}
+    for wanted in special:
+        some = [order for order in orders if (accelerated and order.step.kind in _FINDS_STRIPES) == wanted]
+        names = [f"{order.step.key}-{order.digest[7:23]}" for order in some]
+        texts = [order.to_json() for order in some]
+        resources = {ACCELERATOR: 1} if wanted else None
+        futures = client.map(work, texts, key=names, pure=False, batch_size=None, resources=resources)
+        yield from zip(futures, (order.step.key for order in some), strict=True)
 
 
 class _Written:

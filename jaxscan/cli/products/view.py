@@ -5,6 +5,7 @@ import shlex
 import signal
 import sys
 import webbrowser
+from collections.abc import Sequence
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 
 PORT = 8643
+MOST_CLOUDS = 24
+"""Of a project, at a time."""
 LARGEST_PICTURE = 200_000_000
 """Bytes of a panorama's file."""
 
@@ -47,7 +50,8 @@ def view(
     Opens a page in the browser: drag to turn, click to measure. Ctrl-C ends it.
 
     Args:
-        clouds: One or more clouds, to be shown in one place or side by side.
+        clouds: One or more clouds, to be shown in one place or side by side; or a project.toml, for the clouds that it
+            has and a note on each that it has not.
         calibration: Calibration that the clouds were made with; sigma then includes the calibration's part.
         panorama: Panorama of the first cloud, then that of the second, and so on, to stand in: as `jaxscan panorama`
             makes them, or any equirectangular PNG or JPEG from the scanner's place.
@@ -71,11 +75,13 @@ def view(
         file_at("--json", json),
     )
     check_json(json)
+    clouds, missing = _with_projects(clouds)
     if not clouds:
         raise CloudError("name one cloud or more: jaxscan view room.ply")
     if len(panorama) > len(clouds):
         raise OptionError(f"--panorama: found {len(panorama)} pictures for {len(clouds)} clouds; name one for each.")
     scanner, notes = calibrated(calibration)
+    notes = [*notes, *missing]
     seen = [_read_panorama(path) for path in panorama]
     given = {"calibration": ("-c", calibration), "unit": ("--unit", unit), "up": ("--up", up)}
     words = {name: f"{key} {shlex.quote(str(value))}" for name, (key, value) in given.items() if value is not None}
@@ -100,6 +106,35 @@ def view(
         if open and _has_screen():
             webbrowser.open_new_tab(url)
         signal.pause() if hasattr(signal, "pause") else input()
+
+
+def _with_projects(paths: Sequence[Path]) -> tuple[tuple[Path, ...], list[str]]:
+    """The clouds of projects in their places, and a note on each that is stale, failed or missing.
+
+    Raises:
+        CloudError: If a project has no cloud, or more than can be looked at.
+    """
+    clouds: list[Path] = []
+    notes: list[str] = []
+    for path in paths:
+        if path.suffix.lower() != ".toml":
+            clouds.append(path)
+            continue
+        from jaxscan.cli.project.plan import opened
+        from jaxscan.project import load_project
+
+        with opened(load_project(path)) as found:
+            steps = [one for one in found.states if one.step.kind == "cloud"]
+            there = [found.project.output / one.step.outputs[0] for one in steps if one.state in ("done", "stale")]
+        there = [file for file in there if file.is_file()]
+        if not there:
+            raise CloudError(f"{path}: has no cloud yet: {shlex.join(['jaxscan', 'batch', str(path)])}")
+        if len(there) > MOST_CLOUDS:
+            raise CloudError(f"{path}: has {len(there)} clouds, expected at most {MOST_CLOUDS}; name some of them.")
+        clouds += there
+        left = [one for one in steps if one.state != "done"]
+        notes += [": ".join(filter(None, (one.step.key, one.state, one.why))) for one in left]
+    return tuple(clouds), notes
 
 
 def _read_panorama(path: Path) -> "Panorama":

@@ -55,7 +55,8 @@ def batch(
     choice = ClusterChoice(cluster, workers, memory_gib, slurm=slurm, kubernetes=kubernetes, ssh=ssh, tls=tls)
     check_choice(choice)
     out, start = console(json), time.perf_counter()
-    with claimed(load_project(project)), opened(project) as found:
+    wanted = load_project(project)
+    with claimed(wanted), opened(wanted) as found:
         counts = counted(found.states)
         out.print(f"{len(found.project.captures)} captures, {len(found.states)} steps: {in_words(counts)}")
         result: dict[str, Any] = {"done": [], "failed": {}, "not_begun": {}}

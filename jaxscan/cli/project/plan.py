@@ -26,16 +26,15 @@ class Opened(NamedTuple):
 
 
 @contextlib.contextmanager
-def opened(path: Path) -> Iterator[Opened]:
-    """Find a project's captures, and what of its products is there.
+def opened(project: "Project") -> Iterator[Opened]:
+    """Find what of a project's products is there.
 
     Raises:
-        JaxscanError: If the file, a capture or the catalogue is not what it should be.
+        JaxscanError: If a capture or the catalogue is not what it should be.
     """
     # Imported here, so that `--help` does not load JAX.
-    from jaxscan.project import Catalogue, catalogue_address, digests_of, load_project, states_of, steps_of
+    from jaxscan.project import Catalogue, catalogue_address, digests_of, states_of, steps_of
 
-    project = load_project(path)
     steps = steps_of(project)
     digests, parts = digests_of(steps)
     wanted = project.wanted.project

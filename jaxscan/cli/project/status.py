@@ -31,7 +31,10 @@ def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False,
     """
     check_paths(file_at("PROJECT", project), file_at("--json", json))
     check_json(json)
-    with opened(project) as found:
+    # Imported here, so that `--help` does not load JAX.
+    from jaxscan.project import load_project
+
+    with opened(load_project(project)) as found:
         states = found.states
     out, counts = console(json), counted(states)
     shown = [one for one in states if all or len(states) <= _MOST_ROWS or one.state != "done"]

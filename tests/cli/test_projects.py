@@ -1,0 +1,87 @@
+"""Projects on the command line: begun from what lies in a folder, and refused in one line before any work."""
+
+import json
+import shutil
+
+import pytest
+
+from jaxscan.project import load_project
+from tests.museum import museum  # noqa: F401
+
+
+@pytest.fixture
+def folder(tiny, tmp_path):
+    """Two sweeps and a capture of boards, in folders of their own."""
+    for name in ("room-1", "room-2"):
+        shutil.copytree(tiny.sweep, tmp_path / "sweeps" / name)
+    shutil.copytree(tiny.boards, tmp_path / "boards")
+    return tmp_path
+
+
+def test_a_project_of_what_lies_there(folder, run):
+    ran = run("project", "init", folder, "--json", "-")
+    assert ran.code == 0 and json.loads(ran.out)["captures"] == ["room-1", "room-2"]
+    project = load_project(folder / "project.toml")
+    assert project.wanted.rig[0].boards == ("boards",) and project.wanted.captures[0].pattern == "sweeps/*"
+    assert "jaxscan batch" in ran.err
+    ran = run("project", "init", folder)
+    assert ran.code == 1 and "exists, and may be yours" in ran.err
+
+
+def test_the_calibration_that_lies_there_is_taken(folder, tiny, run):
+    shutil.copy(tiny.calibration, folder / "calibration.json")
+    assert run("project", "init", folder).code == 0
+    assert load_project(folder / "project.toml").wanted.rig[0].calibration == "calibration.json"
+    (folder / "project.toml").unlink()
+    shutil.copy(tiny.calibration, folder / "another.json")
+    ran = run("project", "init", folder)
+    assert ran.code == 1 and "2 calibrations fit the rig" in ran.err and ran.err.count("\n") == 1
+
+
+def test_a_folder_without_what_is_needed(folder, tmp_path_factory, run):
+    empty = tmp_path_factory.mktemp("empty")
+    ran = run("project", "init", empty)
+    assert ran.code == 1 and "found no sweep" in ran.err
+    shutil.rmtree(folder / "boards")
+    ran = run("project", "init", folder)
+    assert ran.code == 1 and "neither a calibration nor captures of a board" in ran.err
+
+
+def test_status_computes_and_writes_nothing(museum, run):  # noqa: F811
+    ran = run("project", "status", museum, "--json", "-")
+    assert ran.code == 0
+    result = json.loads(ran.out)
+    assert result["counts"] == {"done": 0, "stale": 0, "failed": 0, "missing": 6}
+    assert not (museum.parent / "products").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('pattern = "room-*"', 'pattern = "hall-*"', 'the pattern "hall-*" finds no capture'),
+        ('name = "museum"', "", "name: missing"),
+        ('name = "museum"', 'name = "museum"\noutput = "s3://bucket/x"', "expected a folder that all workers reach"),
+        ('name = "museum"', 'name = "museum"\ncatalogue = "nonsense"', "the catalogue: cannot be opened"),
+        ('calibration = "calibration.json"', 'calibration = "none.json"', "none.json"),
+        ("settings = { every = 2 }", "settings = { every = 0 }", "every"),
+        ("[[captures]]", '[[group]]\nname = "g"\ncaptures = ["room-1", "room-9"]\n[[captures]]', 'no capture "room-9"'),
+    ],
+)
+@pytest.mark.parametrize("verb", [("batch",), ("project", "status")], ids=" ".join)
+def test_what_cannot_be_meant_is_one_line_before_any_work(museum, run, verb, old, new, says):  # noqa: F811
+    text = museum.read_text()
+    assert old in text
+    museum.write_text(text.replace(old, new))
+    ran = run(*verb, museum)
+    assert ran.code == 1 and says in ran.err and ran.err.count("\n") == 1, ran.err
+
+
+def test_two_rigs_of_one_name_and_no_days(museum, run):  # noqa: F811
+    museum.write_text(museum.read_text() + '\n[[rig]]\nname = "one"\ncalibration = "calibration.json"\n')
+    ran = run("batch", museum)
+    assert ran.code == 1 and ran.err.count("\n") == 1 and "calibration" in ran.err
+
+
+def test_a_project_is_viewed_by_its_clouds(museum, run):  # noqa: F811
+    ran = run("view", museum)
+    assert ran.code == 1 and "has no cloud yet: jaxscan batch" in ran.err
