@@ -32,7 +32,7 @@ CORE = {
     "drawing",
     "design",
 }
-ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api", "web", "viewer", "fleet"}
+ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api", "web", "viewer", "project", "fleet"}
 MAY_IMPORT = {
     "geometry": set(),
     "stripes": {"geometry"},
@@ -52,7 +52,7 @@ MAY_IMPORT = {
     "web": set(),
     "project": CORE | {"files", "api"},
     "viewer": {"geometry", "measurement", "reconstruction", "web"},
-    "api": ANY - {"api", "cli", "web", "viewer", "fleet"},
+    "api": ANY - {"api", "cli", "web", "viewer", "project", "fleet"},
     "fleet": {"project", "files"},
     "cli": ANY,
     "__init__": set(),
@@ -97,7 +97,7 @@ HOME_OF = {
     "matplotlib": {"report"},
     "rich": {"cli"},
     "tyro": {"cli"},
-    "pydantic": {"files", "simulation"},
+    "pydantic": {"files", "simulation", "project/config.py"},
     "dask": {"fleet"},
     "distributed": {"fleet"},
     "dask_jobqueue": {"fleet"},
@@ -106,6 +106,7 @@ HOME_OF = {
     "asyncssh": {"fleet"},
     "cryptography": {"fleet"},
     "psutil": {"fleet"},
+    "sqlalchemy": {"project/catalogue.py"},
 }
 """Third-party libraries that belong to one place."""
 

@@ -84,7 +84,7 @@ class Catalogue:
         table = self._table
         query = self._sql.select(table).where(table.c.project == self._project).order_by(table.c.started_s)
         with self._engine.connect() as connection:
-            return [_row(found) for found in connection.execute(query).mappings()]
+            return [_row(dict(found)) for found in connection.execute(query).mappings()]
 
     def write(self, rows: Sequence[Row]) -> None:
         """Write rows, all or none; one of the same key and digest takes the place of the one before."""

@@ -56,7 +56,8 @@ def digests_of(steps: Iterable[Step]) -> tuple[dict[str, str], dict[str, dict[st
     roles = {address: role for step in steps for role, address in step.sources.items()}
     with ThreadPoolExecutor(_AT_A_TIME) as pool:
         found = dict(zip(roles, pool.map(_source, roles, roles.values()), strict=True))
-    digests, parts = {}, {}
+    digests: dict[str, str] = {}
+    parts: dict[str, dict[str, str]] = {}
     for step in steps:
         parts[step.key] = parts_of(step, found | {key: digests[key] for key in step.inputs}, code_digest(step.kind))
         digests[step.key] = digest_of(step, parts[step.key])

@@ -84,6 +84,7 @@ _ROOMS = {
     "recalibrate": "recalibration.recalibrate",
     "panorama": "products.panorama",
     "batch": "project.batch",
+    "project": "project.plan",
     "mesh": "products.mesh",
     "view": "products.view",
 }
@@ -92,14 +93,12 @@ _ROOMS = {
 
 def load_verb(*words: str) -> Callable[..., None]:
     """The function of a verb, or of two words such as "measure room"; its module is imported now."""
-    if words[0] == "project":
-        name = words[-1]
-        made: Callable[..., None] = getattr(importlib.import_module(f"jaxscan.cli.project.{name}"), name)
-        return made
     verb = words[-1]
     # No function of Python can be called "import".
     name = "import_" if verb == "import" else verb
     module = _ROOMS.get(verb, "measure" if verb in MEASURES else verb)
+    if len(words) > 1 and words[0] == "project":
+        module = f"project.{verb}"
     function: Callable[..., None] = getattr(importlib.import_module(f"jaxscan.cli.{module}"), name)
     return function
 

@@ -17,6 +17,10 @@ ProjectPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PROJE
 STATES = ("done", "stale", "failed", "missing")
 
 
+def project() -> None:
+    """Many captures as one project: `jaxscan project init FOLDER` (`jaxscan project --help`)."""
+
+
 class Opened(NamedTuple):
     """A project, and where it stands."""
 
@@ -50,7 +54,7 @@ def opened(project: "Project") -> Iterator[Opened]:
 
 def counted(states: "Sequence[Status]") -> dict[str, int]:
     """How many steps are in each state."""
-    found = Counter(status.state for status in states)
+    found = Counter[str](status.state for status in states)
     return {state: found[state] for state in STATES}
 
 

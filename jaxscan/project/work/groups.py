@@ -28,7 +28,7 @@ PLAN_POINTS = 20_000_000
 """Points that the plan of a group is drawn from; of more, only every n-th profile."""
 VAGUE_M = 0.02
 """A station's place that is known no better is told [m]."""
-_MOST_STATIONS_BYTES = 64 * MEGABYTE
+_MOST_BYTES = 64 * MEGABYTE
 
 
 def register_stations(desk: Desk) -> None:
@@ -51,7 +51,7 @@ def register_stations(desk: Desk) -> None:
     desk.notes.extend(result.notes)
     if result.calibration is None:
         desk.notes.append(f"The calibration is as it was: {result.refused}")
-        write_atomically(desk.target(0), calibration.read_bytes())
+        write_atomically(desk.target(0), read_bounded(calibration, _MOST_BYTES, error=CalibrationError))
     else:
         api.save_calibration(result.calibration, desk.target(0))
     for number, name in enumerate(names):
@@ -73,7 +73,7 @@ def register_stations(desk: Desk) -> None:
 def place_station(desk: Desk) -> None:
     """The cloud of one station, in the frame of the group."""
     calibration, stations = desk.file("calibration"), desk.file("stations")
-    text = read_bounded(stations, _MOST_STATIONS_BYTES, error=CloudError)
+    text = read_bounded(stations, _MOST_BYTES, error=CloudError)
     station = parse_json(text, name=str(stations), error=CloudError)["stations"][desk.setting("number")]
     sweep, scanner = desk.capture().every(desk.setting("every")), api.load_scanner(calibration)
     angles = (sweep.angles + np.array(station["corrections_rad"])).tolist()

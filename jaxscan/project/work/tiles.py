@@ -57,8 +57,7 @@ class Tiles:
             rows = np.fromfile(path, _ROW)
             path.unlink()
             zero = np.zeros(1, np.int32)
-            numbers = {"record": zero, "laser": zero, "angle": np.zeros(1)}
             fields = {name: np.ascontiguousarray(rows[name])[None] for name in _ROW.fields or () if name != "xyz"}
             xyz = rows["xyz"].astype(np.float32)[None]
             valid = np.ones((1, len(rows)), np.bool_)
-            yield place, PointCloud(xyz=xyz, valid=valid, **fields, **numbers, stations=None)
+            yield place, PointCloud(xyz=xyz, valid=valid, **fields, record=zero, laser=zero, angle=np.zeros(1))

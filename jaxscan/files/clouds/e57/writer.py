@@ -109,7 +109,8 @@ def _known(cloud: PointCloud) -> _Known:
     if cloud.stations is None or len(cloud.stations.pose) != 1:
         raise CloudError("a scan of several: expected the cloud of one station with its pose.")
     pose, covariance = (np.asarray(field, np.float64)[0] for field in (cloud.stations.pose, cloud.stations.covariance))
-    return _Known(*cloud.valid.shape, pose, covariance)
+    profiles, lines = cloud.valid.shape
+    return _Known(profiles, lines, pose, covariance)
 
 
 def _add_surroundings(e57: Any, image: Any, around: Surroundings, cloud: PointCloud) -> None:
