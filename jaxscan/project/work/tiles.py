@@ -60,4 +60,7 @@ class Tiles:
             fields = {name: np.ascontiguousarray(rows[name])[None] for name in _ROW.fields or () if name != "xyz"}
             xyz = rows["xyz"].astype(np.float32)[None]
             valid = np.ones((1, len(rows)), np.bool_)
-            yield place, PointCloud(xyz=xyz, valid=valid, **fields, record=zero, laser=zero, angle=np.zeros(1))
+            yield (
+                place,
+                PointCloud(xyz=xyz, valid=valid, **fields, record=zero, laser=zero, angle=np.zeros(1), stations=None),
+            )
