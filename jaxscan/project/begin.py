@@ -3,7 +3,7 @@
 import itertools
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,11 +43,12 @@ def project_text(folder: Path) -> str:
         ConfigError: If there is no sweep, or not one calibration for a rig.
         CaptureError: If a capture's header cannot be read.
     """
-    captures = [Found(path, _header(folder / path)) for path in _folders(folder)]
+    folders, files = _walked(folder)
+    captures = [Found(path, _header(folder / path)) for path in folders]
     sweeps = [one for one in captures if one.header.kind == "sweep"]
     if not sweeps:
         raise ConfigError(f"{folder}: found no sweep in it, expected folders of captures with {HEADER_NAME}.")
-    calibrations = [path.relative_to(folder) for path in sorted(folder.glob("**/*.json")) if _is_calibration(path)]
+    calibrations = [path for path in files if _is_calibration(folder / path)]
     text = _BEGINNING.format(name=json.dumps(_name(folder)))
     rigs = _rigs(captures)
     for number, members in enumerate(rigs, 1):
@@ -60,17 +61,19 @@ def project_text(folder: Path) -> str:
     return text
 
 
-def _folders(folder: Path) -> Iterator[Path]:
-    """Folders that hold a capture, from `folder`, sorted; none inside of another capture."""
-    looked = 0
-    for here, below, files in os.walk(folder):
-        looked += 1
-        if looked > MOST_FOLDERS:
+def _walked(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Folders that hold a capture, none inside of another one; and files that may be calibrations. From `folder`."""
+    captures: list[Path] = []
+    files: list[Path] = []
+    for looked, (here, below, names) in enumerate(os.walk(folder)):
+        if looked >= MOST_FOLDERS:
             raise ConfigError(f"{folder}: holds more than {MOST_FOLDERS} folders; name one further down.")
         path = Path(here).relative_to(folder)
-        if HEADER_NAME in files:
-            yield path
-        below[:] = [] if HEADER_NAME in files or len(path.parts) >= DEEPEST else sorted(below)
+        is_capture = HEADER_NAME in names
+        captures += [path] if is_capture else []
+        files += [] if is_capture else [path / name for name in sorted(names) if name.endswith(".json")]
+        below[:] = [] if is_capture or len(path.parts) >= DEEPEST else sorted(below)
+    return sorted(captures), sorted(files)
 
 
 def _header(path: Path) -> CaptureHeader:

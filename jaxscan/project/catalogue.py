@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 from jaxscan.errors import ConfigError, DependencyError
@@ -43,11 +43,11 @@ class Row(NamedTuple):
 class Catalogue:
     """An open catalogue; the batch's own process alone writes to it."""
 
-    def __init__(self, address: str, project: str) -> None:
+    def __init__(self, address: str | Path, project: str) -> None:
         """Open it, and make its table where there is none.
 
         Args:
-            address: As SQLAlchemy has it: "sqlite:////folder/catalogue.sqlite", "postgresql+psycopg://...".
+            address: As SQLAlchemy has it, such as "postgresql+psycopg://..."; or a file of SQLite.
             project: Name of the project; several may share a database.
 
         Raises:
@@ -69,7 +69,9 @@ class Catalogue:
             sqlalchemy.Column("seconds", sqlalchemy.Double, nullable=False),
         )
         try:
-            url = sqlalchemy.make_url(address)
+            # Made of its parts, for a path may hold what an address has a meaning for.
+            file = sqlalchemy.URL.create("sqlite", database=str(address)) if isinstance(address, Path) else None
+            url = file or sqlalchemy.make_url(str(address))
             self._engine = sqlalchemy.create_engine(url)
             metadata.create_all(self._engine)
         except ImportError as problem:
@@ -80,11 +82,22 @@ class Catalogue:
             raise ConfigError(f"the catalogue: cannot be opened: {_first_line(problem)}.") from None
 
     def rows(self) -> list[Row]:
-        """All rows of the project, the oldest first."""
+        """All rows of the project, the oldest first.
+
+        Raises:
+            ConfigError: If they cannot be read, or are none of ours.
+        """
         table = self._table
         query = self._sql.select(table).where(table.c.project == self._project).order_by(table.c.started_s)
-        with self._engine.connect() as connection:
-            return [_row(dict(found)) for found in connection.execute(query).mappings()]
+        try:
+            with self._engine.connect() as connection:
+                return [_row(dict(found)) for found in connection.execute(query).mappings()]
+        except self._sql.exc.SQLAlchemyError as problem:
+            raise ConfigError(f"the catalogue: cannot be read: {_first_line(problem)}.") from None
+        except (KeyError, TypeError, ValueError) as problem:
+            raise ConfigError(
+                "the catalogue: a row is damaged; remove it, and all is made anew."
+            ) from problem
 
     def write(self, rows: Sequence[Row]) -> None:
         """Write rows, all or none; one of the same key and digest takes the place of the one before."""
@@ -103,9 +116,9 @@ class Catalogue:
         self._engine.dispose()
 
 
-def catalogue_address(address: str, output: Path) -> str:
-    """The address of a project's database: a file in the folder of its products where none is named."""
-    return address or f"sqlite:///{output / 'catalogue.sqlite'}"
+def catalogue_address(address: str, output: Path) -> str | Path:
+    """Where a project's database is: a file in the folder of its products where no address is named."""
+    return address or output / "catalogue.sqlite"
 
 
 def row_to_json(row: Row) -> str:
@@ -128,8 +141,15 @@ def _row(found: Mapping[str, Any]) -> Row:
 
 
 def _made(fields: Mapping[str, Any]) -> Row:
-    outputs: Iterable[Any] = fields["outputs"]
-    return Row(**{**fields, "outputs": tuple(Output(*one) for one in outputs)})
+    listed: Iterable[Any] = fields["outputs"]
+    outputs = tuple(Output(*one) for one in listed)
+    if not all(_is_inside(one.path) for one in outputs):
+        raise ValueError("a product outside of the folder of the products")
+    return Row(**{**fields, "outputs": outputs})
+
+
+def _is_inside(path: str) -> bool:
+    return not PurePosixPath(path).is_absolute() and ".." not in PurePosixPath(path).parts
 
 
 def _first_line(problem: Exception) -> str:

@@ -29,11 +29,12 @@ CODE_OF: Mapping[str, tuple[str, ...]] = {
     "report": (*_MEASURES, "report"),
     "register": _REGISTER,
     "station": _CLOUD,
-    "merged e57": ("files/clouds", "project/work"),
-    "merged tiles": ("files/clouds", "project/work"),
-    "merged plan": (*_MEASURES, "drawing", "files/drawings", "project/work"),
+    "merged e57": ("files/clouds",),
+    "merged tiles": ("files/clouds",),
+    "merged plan": (*_MEASURES, "drawing", "files/drawings"),
 }
-"""Rooms whose code decides a product: a change elsewhere, of the viewer say, leaves it as good as it was."""
+"""Rooms whose code decides a product, beside the one that makes them all: a change elsewhere, of the viewer say,
+leaves it as good as it was."""
 _AT_A_TIME = 16
 """Sources that are asked for at a time: mostly they wait for disks and networks."""
 MOST_JOURNAL = 1 << 30
@@ -69,7 +70,7 @@ def code_digest(kind: str) -> str:
     """Digest of the code that makes products of a kind."""
     root = Path(str(resources.files("jaxscan")))
     digest = hashlib.sha256()
-    for file in sorted(file for room in CODE_OF[kind] for file in (root / room).rglob("*.py")):
+    for file in sorted(file for room in (*CODE_OF[kind], "project/work") for file in (root / room).rglob("*.py")):
         digest.update(str(file.relative_to(root)).encode() + b"\0" + read_bounded(file, MEGABYTE, error=ConfigError))
     return "sha256:" + digest.hexdigest()
 

@@ -1,13 +1,16 @@
 """Steps done in this process, and what becomes stale by what."""
 
+import contextlib
 import json
 import shutil
+import sqlite3
 
 import numpy as np
+import pytest
 
 import jaxscan
 from jaxscan.files.capture import CACHE_NAME, JOURNAL_NAME
-from jaxscan.project import digests
+from jaxscan.project import digests, failed_row, order_of
 from tests.opened import catalogue_of, edit, products, states, work
 
 
@@ -110,3 +113,31 @@ def test_a_large_capture_in_pieces_gives_the_same_cloud(museum):
     assert set(states(museum)) == {"cloud/room-1", "cloud/room-2"} | pieces
     assert {row.key for row in work(museum)} == set(states(museum))
     assert {name: made for name, made in products(museum).items() if name.startswith("clouds")} == whole
+
+
+@pytest.mark.parametrize(
+    ("statement", "says"),
+    [
+        ('UPDATE jaxscan_products SET outputs = \'[["../../x", 1, ""]]\'', "a row is damaged"),
+        ("UPDATE jaxscan_products SET parts = 'none'", "a row is damaged"),
+        ("ALTER TABLE jaxscan_products DROP COLUMN host", "cannot be read"),
+    ],
+)
+def test_a_catalogue_of_a_stranger_is_one_line(museum, run, statement, says):
+    catalogue = catalogue_of(museum)
+    row = failed_row(order_of(states(museum)["cloud/room-1"], museum.parent), "a line")
+    catalogue.write([row])
+    catalogue.close()
+    with contextlib.closing(sqlite3.connect(museum.parent / "products" / "catalogue.sqlite")) as database:
+        database.execute(statement)
+        database.commit()
+    ran = run("project", "status", museum)
+    assert ran.code == 1 and says in ran.err and ran.err.count("\n") == 1
+
+
+def test_names_of_folders_that_an_address_would_take_for_more(museum):
+    strange = museum.parent / "a?b#c%20d"
+    strange.mkdir()
+    edit(museum, 'name = "museum"', 'name = "museum"\noutput = "a?b#c%20d"')
+    catalogue = catalogue_of(museum)
+    assert catalogue.rows() == [] and (strange / "catalogue.sqlite").exists()

@@ -43,12 +43,14 @@ class Desk:
         """
         address = self.step.sources[role]
         path, name = Path(address), Path(address).name
+        kept = self.output / "stripes"
         if is_remote(address):
+            # Stripes of a copy serve no other one.
+            kept = self.folder / "stripes"
             path = self.folder / "fetched" / name
             path.mkdir(parents=True)
             free = shutil.disk_usage(path).free
             fetch_folder(address, path, most_bytes=min(MOST_BYTES, int(_SHARE * free)))
-        kept = self.output / "stripes"
         kept.mkdir(exist_ok=True)
         capture = open_capture(path).keeping(kept / f"{name}.npz")
         self.notes.extend(capture.notes)
