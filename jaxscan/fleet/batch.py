@@ -119,15 +119,20 @@ def run_batch(
 def _handed_out(
     client: distributed.Client, work: Callable[[str], str], orders: Sequence[Order], *, accelerated: bool
 ) -> Iterator[tuple[distributed.Future, str]]:
-    """Tasks for some orders, each with its key; those that find stripes go to accelerators, where there are any."""
-    special = {accelerated and order.step.kind in _FINDS_STRIPES for order in orders}
-    for wanted in special:
-        some = [order for order in orders if (accelerated and order.step.kind in _FINDS_STRIPES) == wanted]
+    """Tasks for some orders, each with its key."""
+    for resources, some in by_resource(orders, accelerated=accelerated):
         names = [f"{order.step.key}-{order.digest[7:23]}" for order in some]
         texts = [order.to_json() for order in some]
-        resources = {ACCELERATOR: 1} if wanted else None
         futures = client.map(work, texts, key=names, pure=False, batch_size=None, resources=resources)
         yield from zip(futures, (order.step.key for order in some), strict=True)
+
+
+def by_resource(orders: Sequence[Order], *, accelerated: bool) -> list[tuple[dict[str, int] | None, list[Order]]]:
+    """Orders by what their worker needs: those that find stripes go to accelerators, where there are any."""
+    special = [order for order in orders if accelerated and order.step.kind in _FINDS_STRIPES]
+    others = [order for order in orders if not (accelerated and order.step.kind in _FINDS_STRIPES)]
+    parts: tuple[tuple[dict[str, int] | None, list[Order]], ...] = (({ACCELERATOR: 1}, special), (None, others))
+    return [(resources, some) for resources, some in parts if some]
 
 
 class _Written:
