@@ -56,6 +56,9 @@ OPTIONAL = (
     Optional("ezdxf", "ezdxf", "plan", "drawings as DXF"),
     Optional("fast-simplification", "fast_simplification", "mesh", "mesh --faces"),
     Optional("open3d", "open3d", "poisson", "mesh --poisson"),
+    Optional("distributed", "distributed", "fleet", "batch"),
+    Optional("sqlalchemy", "sqlalchemy", "fleet", "project, batch"),
+    Optional("s3fs", "s3fs", "s3", "captures on object storage"),
 )
 
 

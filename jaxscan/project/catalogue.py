@@ -95,9 +95,7 @@ class Catalogue:
         except self._sql.exc.SQLAlchemyError as problem:
             raise ConfigError(f"the catalogue: cannot be read: {_first_line(problem)}.") from None
         except (KeyError, TypeError, ValueError) as problem:
-            raise ConfigError(
-                "the catalogue: a row is damaged; remove it, and all is made anew."
-            ) from problem
+            raise ConfigError("the catalogue: a row is damaged; remove it, and all is made anew.") from problem
 
     def write(self, rows: Sequence[Row]) -> None:
         """Write rows, all or none; one of the same key and digest takes the place of the one before."""

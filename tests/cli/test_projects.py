@@ -5,8 +5,10 @@ import shutil
 
 import pytest
 
+from jaxscan.cli.products.view import with_projects
 from jaxscan.project import load_project
 from tests.museum import museum  # noqa: F401
+from tests.opened import edit, work
 
 
 @pytest.fixture
@@ -85,3 +87,10 @@ def test_two_rigs_of_one_name_and_no_days(museum, run):  # noqa: F811
 def test_a_project_is_viewed_by_its_clouds(museum, run):  # noqa: F811
     ran = run("view", museum)
     assert ran.code == 1 and "has no cloud yet: jaxscan batch" in ran.err
+    edit(museum, '["cloud", "measures", "mesh"]', '["cloud"]')
+    work(museum)
+    (museum.parent / "products" / "clouds" / "room-2.npz").unlink()
+    clouds = museum.parent / "products" / "clouds"
+    expected = (clouds / "room-1.ply", clouds / "room-2.ply", museum.parent / "other.ply")
+    found, notes = with_projects((museum, museum.parent / "other.ply"))
+    assert found == expected and notes == ["cloud/room-2: stale: room-2.npz is gone"]

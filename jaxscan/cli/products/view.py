@@ -75,7 +75,7 @@ def view(
         file_at("--json", json),
     )
     check_json(json)
-    clouds, missing = _with_projects(clouds)
+    clouds, missing = with_projects(clouds)
     if not clouds:
         raise CloudError("name one cloud or more: jaxscan view room.ply")
     if len(panorama) > len(clouds):
@@ -108,7 +108,7 @@ def view(
         signal.pause() if hasattr(signal, "pause") else input()
 
 
-def _with_projects(paths: Sequence[Path]) -> tuple[tuple[Path, ...], list[str]]:
+def with_projects(paths: Sequence[Path]) -> tuple[tuple[Path, ...], list[str]]:
     """The clouds of projects in their places, and a note on each that is stale, failed or missing.
 
     Raises:
