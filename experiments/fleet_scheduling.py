@@ -24,7 +24,8 @@ matplotlib.use("agg")
 
 from matplotlib import pyplot as plt
 
-from jaxscan.fleet import ClusterChoice, open_cluster, run_batch
+from jaxscan.fleet import ClusterChoice, open_cluster
+from jaxscan.fleet.batch import run_batch
 from jaxscan.project import (
     Catalogue,
     Order,

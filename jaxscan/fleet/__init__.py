@@ -1,6 +1,8 @@
-"""Who does the work of a batch: clusters of Dask, the only room that knows it."""
+"""Who does the work of a batch: clusters of Dask, the only room that knows it.
 
-from jaxscan.fleet.batch import Report, Show, check_sight, run_batch
+`jaxscan.fleet.batch`, which loads Dask, is imported by its own name.
+"""
+
 from jaxscan.fleet.clusters import (
     Certificates,
     ClusterChoice,

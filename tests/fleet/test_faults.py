@@ -13,7 +13,8 @@ import time
 
 import pytest
 
-from jaxscan.fleet import ClusterChoice, open_cluster, run_batch
+from jaxscan.fleet import ClusterChoice, open_cluster
+from jaxscan.fleet.batch import run_batch
 from jaxscan.fleet.work import do_order
 from jaxscan.project import load_project
 from tests.fleet.clusters import scheduler, worker

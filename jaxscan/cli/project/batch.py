@@ -76,7 +76,8 @@ def batch(
 def _work(found: Opened, choice: Any, out: Terminal) -> dict[str, Any]:
     from jaxscan.api.kept_code import cache_on_disk
     from jaxscan.cli.project.display import batch_display
-    from jaxscan.fleet import check_sight, open_cluster, run_batch
+    from jaxscan.fleet import open_cluster
+    from jaxscan.fleet.batch import check_sight, run_batch
 
     cache = cache_on_disk()
     if cache is not None:
