@@ -11,7 +11,7 @@ import pytest
 from fsspec.implementations.memory import MemoryFileSystem
 
 from jaxscan import open_capture
-from jaxscan.errors import CaptureError, DependencyError, OutputError
+from jaxscan.errors import CaptureError, DependencyError
 from jaxscan.files.remote import (
     copying,
     fetch_file,
@@ -20,7 +20,6 @@ from jaxscan.files.remote import (
     is_remote,
     listing,
     place,
-    put_file,
     remote_digest,
     search,
 )
@@ -391,45 +390,6 @@ def test_a_place_that_cannot_be_written_is_no_failure_of_storage(tmp_path):
     assert kind.calls == 1
 
 
-def test_a_file_is_put_whole(tmp_path):
-    kind = register("own")
-    (tmp_path / "cloud.ply").write_bytes(bytes(range(256)) * 100)
-    for _ in range(2):
-        put_file(tmp_path / "cloud.ply", "own://products/room/cloud.ply")
-        assert {path: file.getvalue() for path, file in kind.store.items()} == {
-            "/products/room/cloud.ply": bytes(range(256)) * 100
-        }
-    put_file(tmp_path / "cloud.ply", f"file://{tmp_path}/new/cloud.ply")
-    assert contents(tmp_path / "new") == {"cloud.ply": bytes(range(256)) * 100}
-
-
-def test_a_file_that_cannot_be_put_leaves_the_old_one(tmp_path):
-    tries = []
-
-    def put_file_of(self, local, path, **options):
-        tries.append(path)
-        fill("own://", {path.strip("/"): b"half"})
-        raise OSError("the network is away")
-
-    kind = register("own", put_file=put_file_of)
-    fill("own://products", {"cloud.ply": b"old"})
-    (tmp_path / "cloud.ply").write_bytes(b"new one")
-    with pytest.raises(OutputError, match=r"own://products/cloud.ply: cannot be written: the network is away\."):
-        put_file(tmp_path / "cloud.ply", "own://products/cloud.ply")
-    assert len(tries) == 5 and "/products/cloud.ply" not in tries
-    assert {path: file.getvalue() for path, file in kind.store.items()} == {"/products/cloud.ply": b"old"}
-
-
-def test_a_folder_is_neither_put_nor_replaced(tmp_path):
-    register("own")
-    fill("own://products/cloud.ply", {"inside": b""})
-    (tmp_path / "cloud.ply").touch()
-    with pytest.raises(OutputError, match="found a folder, expected a file or nothing"):
-        put_file(tmp_path / "cloud.ply", "own://products/cloud.ply")
-    with pytest.raises(OutputError, match="found a folder, expected a file"):
-        put_file(tmp_path, "own://products/other.ply")
-
-
 @pytest.mark.parametrize(
     ("address", "message"),
     [
@@ -478,7 +438,7 @@ def bucket():
 def test_a_capture_from_s3_is_the_same_to_the_last_bit(tiny, bucket, tmp_path):
     names = contents(tiny.sweep)
     for name in names:
-        put_file(tiny.sweep / name, f"{bucket}/houses/one/sweep/{name}")
+        fsspec.filesystem("s3").put_file(str(tiny.sweep / name), f"{bucket}/houses/one/sweep/{name}")
     # The mark of a folder, as some programs make.
     boto3.client("s3").put_object(Bucket="rooms", Key="houses/one/sweep/on/", Body=b"")
     assert find_captures(f"{bucket}/houses/*/sw*") == [f"{bucket}/houses/one/sweep"]
@@ -492,7 +452,7 @@ def test_a_capture_from_s3_is_the_same_to_the_last_bit(tiny, bucket, tmp_path):
         np.testing.assert_array_equal(chunk.on, copy.on)
         np.testing.assert_array_equal(chunk.off, copy.off)
     assert remote_digest(f"{bucket}/houses/one/sweep") == digest
-    put_file(tiny.config, f"{bucket}/houses/one/sweep/capture.toml")
+    fsspec.filesystem("s3").put_file(str(tiny.config), f"{bucket}/houses/one/sweep/capture.toml")
     assert remote_digest(f"{bucket}/houses/one/sweep") != digest
 
 
@@ -500,7 +460,7 @@ def test_large_objects_go_to_s3_and_back(bucket, tmp_path, monkeypatch):
     monkeypatch.setattr(copying, "BLOCK_BYTES", 1 << 20)
     content = np.random.default_rng(4).bytes((5 << 20) + 3)
     (tmp_path / "cloud.ply").write_bytes(content)
-    put_file(tmp_path / "cloud.ply", f"{bucket}/products/cloud.ply")
+    fsspec.filesystem("s3").put_file(str(tmp_path / "cloud.ply"), f"{bucket}/products/cloud.ply")
     fetch_file(f"{bucket}/products/cloud.ply", tmp_path / "copy.ply", most_bytes=len(content))
     assert (tmp_path / "copy.ply").read_bytes() == content
     with pytest.raises(CaptureError, match="takes 5242883 bytes, expected at most 5242882"):
@@ -520,6 +480,3 @@ def test_what_s3_has_not_is_said(bucket, tmp_path):
     for address in (f"{bucket}/none", "s3://no-such-bucket/none"):
         with pytest.raises(CaptureError, match="cannot be read: no such file or folder"):
             fetch_folder(address, tmp_path / "none", most_bytes=GIGABYTE)
-    (tmp_path / "cloud.ply").touch()
-    with pytest.raises(OutputError, match=r"s3://no-such-bucket/cloud\.ply: cannot be written: no such file or folder"):
-        put_file(tmp_path / "cloud.ply", "s3://no-such-bucket/cloud.ply")

@@ -1,21 +1,16 @@
-"""Copies from storage and to it: whole, or not there."""
+"""Copies from storage: whole, or not there."""
 
-import contextlib
 import os
-import secrets
 from pathlib import Path
 
-from jaxscan.errors import CaptureError, OutputError
-from jaxscan.files.disk import MEGABYTE, open_regular, reported, shown, write_atomically
+from jaxscan.errors import CaptureError
+from jaxscan.files.disk import MEGABYTE, reported, shown, write_atomically
 from jaxscan.files.remote.listing import FileEntry, file_entry, listing
-from jaxscan.files.remote.place import Place, asked, in_threads, info_of, open_place, tried
+from jaxscan.files.remote.place import Place, asked, in_threads, info_of, open_place
 
 
 BLOCK_BYTES = 8 * MEGABYTE
 """What is read at once of a file."""
-
-_WHOLE_OBJECTS = ("s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "oss")
-"""Storage whose objects appear when their upload is complete."""
 
 
 def fetch_folder(address: str, folder: Path, *, most_bytes: int) -> None:
@@ -88,47 +83,6 @@ def read_remote(address: str, limit: int) -> bytes:
     size = file_entry("", info_of(place), place).size
     _check_size(size, limit, place)
     return _block(place, 0, size)
-
-
-def put_file(path: Path, address: str) -> None:
-    """Copy a file to storage; the address then holds all of it, or after an error what it held before.
-
-    Args:
-        path: The file. At most 100 MiB of it are held in memory.
-        address: Of the file to be; an older one is replaced.
-
-    Raises:
-        OutputError: If it cannot be written, or is a folder.
-        DependencyError: If fsspec, or the driver for the scheme, is not installed.
-    """
-    place = open_place(address, error=OutputError)
-    with open_regular(path, error=OutputError) as file:
-        size = os.fstat(file.fileno()).st_size
-    tried(lambda: _put(path, size, place), f"{shown(address)}: cannot be written", error=OutputError)
-
-
-def _put(path: Path, size: int, place: Place) -> None:
-    storage, target = place.storage, place.path
-    if place.address.split("://")[0] in _WHOLE_OBJECTS:
-        storage.put_file(str(path), target)
-    else:
-        if storage.isdir(target):
-            raise IsADirectoryError("found a folder, expected a file or nothing")
-        folder, _, _ = target.rpartition("/")
-        storage.makedirs(folder or "/", exist_ok=True)
-        part = f"{folder}/.part-{secrets.token_hex(6)}"
-        try:
-            storage.put_file(str(path), part)
-            if (found := storage.info(part)["size"]) != size:
-                raise OSError(f"found {found} bytes after writing {size}")
-            storage.mv(part, target)
-        except BaseException:
-            with contextlib.suppress(FileNotFoundError):
-                storage.rm_file(part)
-            raise
-    storage.invalidate_cache(target)
-    if (found := storage.info(target)["size"]) != size:
-        raise OSError(f"found {found} bytes after writing {size}")
 
 
 def _fetch(place: Place, size: int, path: Path) -> None:

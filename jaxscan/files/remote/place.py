@@ -19,8 +19,6 @@ WAITS_S = (0.1, 0.3, 0.9, 2.7)
 _ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://")
 _PASSWORD = re.compile(r"[^:/]+://[^/]*:[^/]*@")
 _S3 = ("s3", "s3a")
-# An upload of many parts holds so many of 50 MiB in memory.
-_OPTIONS = {scheme: {"max_concurrency": 2} for scheme in _S3}
 # Another try would have the same answer.
 _FINAL = (PermissionError, IsADirectoryError, NotADirectoryError, ValueError, TypeError, NotImplementedError)
 
@@ -53,14 +51,14 @@ def is_remote(address: str) -> bool:
     return _ADDRESS.match(address) is not None
 
 
-def open_place(address: str, *, error: type[JaxscanError] = CaptureError) -> Place:
+def open_place(address: str) -> Place:
     """The place at an address; nothing is asked of it.
 
     Raises:
-        JaxscanError: Of type `error`, if the address is none, or has no known scheme.
+        CaptureError: If the address is none, or has no known scheme.
         DependencyError: If fsspec, or the driver for the scheme, is not installed.
     """
-    check_address(address, error)
+    check_address(address)
     scheme = address.split("://")[0]
     extra = "s3" if scheme in _S3 else "fleet"
     try:
@@ -68,27 +66,25 @@ def open_place(address: str, *, error: type[JaxscanError] = CaptureError) -> Pla
     except ImportError as problem:
         raise DependencyError(f'{scheme}:// needs fsspec: pip install "jaxscan[{extra}]"') from problem
     try:
-        storage, path = tried(
-            lambda: url_to_fs(address, **_OPTIONS.get(scheme, {})), f"{shown(address)}: cannot be opened", error=error
-        )
+        storage, path = _tried(lambda: url_to_fs(address), f"{shown(address)}: cannot be opened")
     except ImportError as problem:
         remedy = f'it needs s3fs: pip install "jaxscan[{extra}]"' if extra == "s3" else _cause(problem)
         raise DependencyError(f"{scheme}:// cannot be opened: {remedy}") from problem
     return Place(storage, path.rstrip("/") or path, address)
 
 
-def check_address(address: str, error: type[JaxscanError] = CaptureError) -> None:
+def check_address(address: str) -> None:
     """Check that an address has a scheme, leads to one storage, and holds no password.
 
     Raises:
-        JaxscanError: Of type `error`.
+        CaptureError: If it has not, or does.
     """
     # A chain of file systems may lead anywhere; a password would be in every message and in the catalogue.
     if not is_remote(address) or "::" in address:
-        raise error(f"{shown(address)}: found no address of storage, expected one such as s3://bucket/folder.")
+        raise CaptureError(f"{shown(address)}: found no address of storage, expected one such as s3://bucket/folder.")
     if _PASSWORD.match(address):
         scheme = address.split("://")[0]
-        raise error(f"{scheme}://…: found a password in an address; give it to the driver by its environment.")
+        raise CaptureError(f"{scheme}://…: found a password in an address; give it to the driver by its environment.")
 
 
 def info_of(place: Place) -> dict[str, Any]:
@@ -113,14 +109,15 @@ def asked(ask: Callable[[], Result], place: Place) -> Result:
         place.storage.invalidate_cache(place.path)
         return ask()
 
-    return tried(fresh, f"{shown(place.address)}: cannot be read", error=CaptureError)
+    return _tried(fresh, f"{shown(place.address)}: cannot be read")
 
 
-def tried(do: Callable[[], Result], failure: str, *, error: type[JaxscanError]) -> Result:
+def _tried(do: Callable[[], Result], failure: str) -> Result:
     """The result of a request, tried again after failures that may pass.
 
     Raises:
-        JaxscanError: Of type `error`: `failure` and its cause; `Missing` where that is a `CaptureError`.
+        Missing: If there is nothing.
+        CaptureError: `failure` and its cause.
         ImportError: If a driver is missing.
     """
     waits_s = iter(WAITS_S)
@@ -130,13 +127,12 @@ def tried(do: Callable[[], Result], failure: str, *, error: type[JaxscanError]) 
         except (ImportError, JaxscanError):
             raise
         except FileNotFoundError as problem:
-            missing = Missing if error is CaptureError else error
-            raise missing(f"{failure}: no such file or folder.") from problem
+            raise Missing(f"{failure}: no such file or folder.") from problem
         # Every driver has errors of its own for a network that fails.
         except Exception as problem:
             wait_s = None if isinstance(problem, _FINAL) else next(waits_s, None)
             if wait_s is None:
-                raise error(f"{failure}: {_cause(problem)}.") from problem
+                raise CaptureError(f"{failure}: {_cause(problem)}.") from problem
             time.sleep(wait_s)
 
 

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import jaxscan
-from jaxscan.errors import CaptureError, JaxscanError
+from jaxscan.errors import CaptureError, FleetError, JaxscanError
 from jaxscan.files.disk import file_digest
 from jaxscan.project.catalogue import Output, Row
+from jaxscan.project.digests import code_digest
 from jaxscan.project.states import Status
 from jaxscan.project.steps import Step
 from jaxscan.project.work.desk import Desk, desk_of, publish
@@ -109,6 +110,9 @@ def _row(order: Order, state: str, message: str, started_s: float) -> Row:
 
 
 def _done(order: Order, progress: Progress) -> tuple[tuple[Output, ...], list[str]]:
+    # A worker that joined later may be of another version than those that were compared at the start.
+    if code_digest(order.step.kind) != order.parts["code"]:
+        raise FleetError(f"{platform.node()} runs other code of jaxscan than the batch; install the same there.")
     output = Path(order.output)
     with desk_of(order.step, output, progress) as desk:
         WORK[order.step.kind](desk)
