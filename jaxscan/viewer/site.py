@@ -3,7 +3,7 @@
 import asyncio
 import json
 import re
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from types import MappingProxyType
@@ -39,9 +39,14 @@ _FILES = (
 _HEARTBEAT_S = 10.0
 _MOST_SESSIONS = 12
 _MOST_STATIONS = 50
+_MOST_PRODUCTS = 500
+_URGENT = ("failed", "stale", "missing", "done")
 _NUMBER = re.compile(r"[0-9]{1,6}")
 _KEPT = 2
 """Colourings of all clouds that are kept."""
+
+Products = Callable[[], Sequence[tuple[str, str, str]]]
+"""The products of a project as they are now: name, state, and why."""
 
 
 class Panorama(NamedTuple):
@@ -68,7 +73,7 @@ class Named(NamedTuple):
 
 
 def serve_clouds(
-    address: Address, clouds: Sequence[Named], scanner: Scanner | None = None
+    address: Address, clouds: Sequence[Named], scanner: Scanner | None = None, products: Products | None = None
 ) -> AbstractContextManager[Server]:
     """Show clouds at an address, within `with`.
 
@@ -76,8 +81,9 @@ def serve_clouds(
         address: Where to listen.
         clouds: One or more.
         scanner: With which they were made; sigma then includes the calibration's part.
+        products: Of the project that they belong to, to be listed beside them.
     """
-    view = View(clouds, scanner)
+    view = View(clouds, scanner, products)
 
     async def only(_: web.Request) -> View:
         return view
@@ -104,6 +110,7 @@ def view_routes(prefix: str, find: Callable[[web.Request], Awaitable["View"]]) -
         f"/colours/{chunk}": View.coloured,
         r"/panorama/{part:\d{1,3}}": View.panorama,
         "/scale": View.scale,
+        "/products": View.products,
         "/socket": View.socket,
     }
     for path, answer in answers.items():
@@ -113,17 +120,21 @@ def view_routes(prefix: str, find: Callable[[web.Request], Awaitable["View"]]) -
 class View:
     """Clouds as pages show them, and what pages measure in them."""
 
-    def __init__(self, clouds: Sequence[Named], scanner: Scanner | None = None) -> None:
+    def __init__(
+        self, clouds: Sequence[Named], scanner: Scanner | None = None, products: Products | None = None
+    ) -> None:
         """Sort the points.
 
         Args:
             clouds: One or more.
             scanner: With which they were made; sigma then includes the calibration's part.
+            products: Of the project that they belong to.
         """
         self.clouds = [
             ShownCloud(one.name, one.cloud, _middle(one.cloud), turned=one.turned, words=one.words) for one in clouds
         ]
         self._panoramas, self._scanner = [one.panorama for one in clouds], scanner
+        self._products, self._looking = products, asyncio.Lock()
         self._sessions: OrderedDict[str, Session] = OrderedDict()
         self._colours: OrderedDict[tuple[Any, ...], tuple[list[np.ndarray], Scale | None]] = OrderedDict()
         self._colouring = asyncio.Lock()
@@ -149,7 +160,8 @@ class View:
             for cloud, seen in zip(self.clouds, self._panoramas, strict=True)
         ]
         known = [by for by in COLOURINGS if by == "deviation" or any(cloud.has(by) for cloud in self.clouds)]
-        return _json({"clouds": clouds, "colourings": known, "systematic": self._scanner is not None})
+        said = {"systematic": self._scanner is not None, "products": self._products is not None}
+        return _json({"clouds": clouds, "colourings": known, **said})
 
     async def points(self, request: web.Request) -> web.StreamResponse:
         """Places of a chunk about its middle, float32."""
@@ -180,6 +192,16 @@ class View:
             return _json(None)
         bar = scale.coloured(np.linspace(scale.low, scale.high, 32))
         return _json({"words": scale.words(), "bar": bar.tolist(), "diverging": scale.diverging})
+
+    async def products(self, _: web.Request) -> web.Response:
+        """The products of the project as they are now, what needs somebody first."""
+        if self._products is None:
+            raise OptionError("there is no project.")
+        async with self._looking:
+            rows = await asyncio.to_thread(self._products)
+        counts = Counter(state for _, state, _ in rows)
+        rows = sorted(rows, key=lambda row: _URGENT.index(row[1]))[:_MOST_PRODUCTS]
+        return _json({"counts": counts, "rows": rows})
 
     async def _by(self, request: web.Request) -> tuple[list[np.ndarray], Scale | None]:
         """The colours that a request asks for, of all clouds; they are made once."""

@@ -190,3 +190,19 @@ def test_a_wide_address_needs_its_token(room):
                     urllib.request.urlopen(here + path + token)
                 with refused.value:
                     assert refused.value.code == 403
+
+
+def test_the_products_of_a_project_are_listed_as_they_are_now(looks, room):
+    rows = [("cloud/one", "done", ""), ("mesh/one", "stale", "settings changed")]
+    rows += [("cloud/two", "failed", "no <b>laser</b>")]
+    address = open_address("127.0.0.1", 0, option="--web-port")
+    with serve_clouds(address, [room], products=lambda: rows):
+        looks.open(address.url())
+        looks.until(lambda: looks.at("products-part").is_displayed())
+        looks.driver.execute_script("document.getElementById('products-part').open = true")
+        looks.until(lambda: looks.text("products-words") == "1 done, 1 stale, 1 failed")
+        listed = "failed cloud/two\nno <b>laser</b>\nstale mesh/one\nsettings changed\ndone cloud/one"
+        assert looks.text("products") == listed
+        rows[:] = [("cloud/one", "done", "")]
+        looks.click("look-again")
+        looks.until(lambda: looks.text("products-words") == "1 done")

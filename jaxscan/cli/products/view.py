@@ -6,6 +6,7 @@ import signal
 import sys
 import webbrowser
 from collections.abc import Sequence
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -75,6 +76,7 @@ def view(
         file_at("--json", json),
     )
     check_json(json)
+    projects = [path for path in clouds if path.suffix.lower() == ".toml"]
     clouds, missing = with_projects(clouds)
     if not clouds:
         raise CloudError("name one cloud or more: jaxscan view room.ply")
@@ -98,7 +100,7 @@ def view(
         named.append(Named(str(path), cloud, turned=cloud is not metres, panorama=picture, words=words))
     out = notes_first(notes, json)
     address = open_address(host, web_port, option="--web-port")
-    with serve_clouds(address, named, scanner):
+    with serve_clouds(address, named, scanner, partial(products_of, projects) if projects else None):
         url = address.url(with_token=True)
         out.print(f"Open this address in a browser: {url}")
         out.print("Ctrl-C ends it.")
@@ -135,6 +137,18 @@ def with_projects(paths: Sequence[Path]) -> tuple[tuple[Path, ...], list[str]]:
         left = [one for one in steps if one.state != "done"]
         notes += [": ".join(filter(None, (one.step.key, one.state, one.why))) for one in left]
     return tuple(clouds), notes
+
+
+def products_of(projects: Sequence[Path]) -> list[tuple[str, str, str]]:
+    """The products of projects as they are now: name, state, and why."""
+    from jaxscan.cli.project.plan import opened
+    from jaxscan.project import load_project
+
+    rows = []
+    for path in projects:
+        with opened(load_project(path)) as found:
+            rows += [(one.step.key, str(one.state), one.why) for one in found.states]
+    return rows
 
 
 def _read_panorama(path: Path) -> "Panorama":

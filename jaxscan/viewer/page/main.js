@@ -2,7 +2,7 @@
 import { Camera } from "./camera.js";
 import { Drawing } from "./draw.js";
 import { drawMarks } from "./marks.js";
-import { at, make, makeBox, showScale, showState } from "./panel.js";
+import { at, make, makeBox, showProducts, showScale, showState } from "./panel.js";
 
 const canvas = at("cloud"), camera = new Camera(), CLICK_PX = 8, STILL_PX = 5, FAR_M = 1000;
 let state = { kind: "point", message: "", measured: [], first: null }, socket = null, again = 0, corners = null;
@@ -176,6 +176,9 @@ async function begin() {
     }
   }
   at("photographs-part").hidden = !drawing.clouds.some((cloud) => cloud.panorama);
+  at("products-part").hidden = !scene.products;
+  at("products-part").ontoggle = () => { if (at("products-part").open) showProducts(); };
+  at("look-again").onclick = showProducts;
   at("clouds-part").hidden = drawing.clouds.length < 2;
   for (const cloud of drawing.clouds) {
     const label = make("label"), box = make("input");

@@ -38,6 +38,24 @@ export async function showScale(query) {
   return "";
 }
 
+export async function showProducts() {
+  at("products-words").textContent = "looking …";
+  const answer = await fetch("products").catch(() => null);
+  if (!answer?.ok) {
+    at("products-words").textContent = answer ? (await answer.text()).trim() : "No connection to jaxscan view.";
+    return;
+  }
+  const { counts, rows } = await answer.json();
+  const more = Object.values(counts).reduce((a, b) => a + b, 0) - rows.length;
+  at("products-words").textContent = Object.entries(counts).map(([state, count]) => `${count} ${state}`).join(", ");
+  at("products").replaceChildren(...rows.map(([name, state, why]) => {
+    const item = make("li");
+    item.append(make("span", state, state), ` ${name}`);
+    if (why) item.append(make("p", why, "quiet"));
+    return item;
+  }), ...(more > 0 ? [make("li", `and ${more} more`)] : []));
+}
+
 // Six sliders for the sides of a box; calls `changed` with its corners.
 export function makeBox(low, high, changed) {
   const sides = [0, 1, 2].flatMap((axis) => ["from", "to"].map((end) => {
