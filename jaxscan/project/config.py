@@ -53,6 +53,8 @@ class RigTable(FileModel):
     first: date | None = None
     """The first day on which it is valid."""
     last: date | None = None
+    recalibrate: Annotated[bool, pydantic.Strict()] = False
+    """Whether all its sweeps refine the calibration before clouds are made of them."""
 
     @pydantic.model_validator(mode="after")
     def _one_source(self) -> "RigTable":

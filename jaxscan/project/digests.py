@@ -27,6 +27,7 @@ CODE_OF: Mapping[str, tuple[str, ...]] = {
     "plan": (*_MEASURES, "drawing", "files/drawings"),
     "panorama": (*_CLOUD, "vision"),
     "report": (*_MEASURES, "report"),
+    "recalibration": _REGISTER,
     "register": _REGISTER,
     "station": _CLOUD,
     "merged e57": ("files/clouds",),

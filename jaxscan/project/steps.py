@@ -54,11 +54,15 @@ def steps_of(project: Project) -> tuple[Step, ...]:
         ConfigError: If two steps would write the same file.
     """
     steps: dict[str, Step] = {}
+    rigs = dict.fromkeys(capture.rig for capture in project.captures)
+    refined = {rig: _refined(project, rig) for rig in rigs}
+    for rig in rigs:
+        steps |= {step.key: step for step in (*_calibration(project, rig), *refined[rig].steps)}
     for capture in project.captures:
-        for step in (*_calibration(project, capture.rig), *_of_capture(project, capture)):
-            steps.setdefault(step.key, step)
+        steps |= {step.key: step for step in _of_capture(project, capture, refined[capture.rig].by_all)}
     for group in project.wanted.group:
-        steps |= {step.key: step for step in _of_group(project, group)}
+        rig = next(one.rig for one in project.captures if one.name in group.captures)
+        steps |= {step.key: step for step in _of_group(project, group, refined[rig].by_single)}
     writers: dict[str, str] = {}
     for step in steps.values():
         for output in step.outputs:
@@ -115,6 +119,49 @@ def _reads(project: Project, rig: RigTable) -> _Reads:
     return _Reads((), {"calibration": _address(project, rig.calibration)}, {})
 
 
+class _Refined(NamedTuple):
+    """The steps by which the sweeps of a rig refine its calibration, one room after the other."""
+
+    steps: tuple[Step, ...]
+    by_single: _Reads
+    """Refined by the captures of no group. The register of a group adds those of its own, each once."""
+    by_all: _Reads
+
+
+def _refined(project: Project, rig: RigTable) -> _Refined:
+    reads = _reads(project, rig)
+    if not rig.recalibrate:
+        return _Refined((), reads, reads)
+    mine = {one.name: one for one in project.captures if one.rig == rig}
+    groups = [group for group in project.wanted.group if group.captures[0] in mine]
+    left = set(mine)
+    steps = []
+    singles = [name for name in mine if not any(name in group.captures for group in groups)]
+    for name in singles:
+        steps.append(_refining(project, f"{_name_of(rig)}/{name}", [mine[name]], None, reads))
+        reads = _Reads((steps[-1].key,), {}, {"calibration": steps[-1].outputs[0]})
+    by_single = reads
+    left -= set(singles)
+    for group in groups:
+        # A sweep of two groups tells what it knows only once.
+        new = [mine[name] for name in group.captures if name in left]
+        left -= set(group.captures)
+        if new:
+            steps.append(_refining(project, f"{_name_of(rig)}/group/{group.name}", new, group.known, reads))
+            reads = _Reads((steps[-1].key,), {}, {"calibration": steps[-1].outputs[0]})
+    return _Refined(tuple(steps), by_single, reads)
+
+
+def _refining(project: Project, name: str, captures: list[ProjectCapture], known: str | None, reads: _Reads) -> Step:
+    """The calibration with what the sweeps of one room tell."""
+    sources = {f"capture {one.name}": one.address for one in captures} | reads.sources
+    if known is not None:
+        sources["known"] = _address(project, known)
+    settings = {"captures": [one.name for one in captures], "every": [one.settings.every for one in captures]}
+    output = f"calibrations/{name}.json"
+    return Step(f"recalibration/{name}", "recalibration", reads.inputs, sources, reads.products, (output,), settings)
+
+
 def _address(project: Project, place: str) -> str:
     """A place as the file names it; remote ones, and those from the root of the disk, are whole already."""
     return place if is_remote(place) else str(Path(project.file.parent, place))
@@ -137,8 +184,8 @@ def _beside(rig: RigTable) -> str:
     return f"calibrations/{_name_of(rig)}.npz"
 
 
-def _of_capture(project: Project, capture: ProjectCapture) -> Iterator[Step]:
-    wanted, name, reads = project.wanted.project, capture.name, _reads(project, capture.rig)
+def _of_capture(project: Project, capture: ProjectCapture, reads: _Reads) -> Iterator[Step]:
+    wanted, name = project.wanted.project, capture.name
     key, source = f"cloud/{name}", {"capture": capture.address}
     # What is made of a cloud reads it as PLY, which loses nothing.
     formats = dict.fromkeys(("ply", *wanted.formats))
@@ -186,10 +233,9 @@ def _may_be_large(folder: Path, records: int) -> bool:
         return sum(1 for _ in itertools.islice(file, records + 1)) > records
 
 
-def _of_group(project: Project, group: GroupTable) -> Iterator[Step]:
+def _of_group(project: Project, group: GroupTable, reads: _Reads) -> Iterator[Step]:
     """Stations are registered, each gives a cloud with the calibration of all, and those are merged one by one."""
     captures = {one.name: one for one in project.captures if one.name in group.captures}
-    reads = _reads(project, captures[group.captures[0]].rig)
     register, folder = f"register/{group.name}", f"groups/{group.name}"
     sources = {f"capture {name}": captures[name].address for name in group.captures}
     if group.known is not None:

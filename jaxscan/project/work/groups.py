@@ -10,15 +10,18 @@ from typing import Any
 import numpy as np
 
 from jaxscan import api
+from jaxscan.calibration import Calibration
 from jaxscan.drawing import draw_plan, survey_room
-from jaxscan.errors import CalibrationError, CloudError
+from jaxscan.errors import CalibrationError, CaptureError, CloudError
 from jaxscan.files.calibration import calibration_digest
 from jaxscan.files.clouds import save_stations
 from jaxscan.files.disk import MEGABYTE, parse_json, read_bounded, write_atomically
 from jaxscan.files.known_room import load_known_room
+from jaxscan.files.remote import is_remote
 from jaxscan.project.work.desk import Desk
 from jaxscan.project.work.sweeps import coloured
 from jaxscan.project.work.tiles import Tiles
+from jaxscan.recalibration import Recalibration
 from jaxscan.reconstruction import PointCloud, join_clouds, stack_placed
 
 
@@ -39,21 +42,12 @@ def register_stations(desk: Desk) -> None:
     Raises:
         CalibrationError: If it did not converge.
     """
-    names, calibration = desk.setting("captures"), desk.file("calibration")
-    pairs = zip(names, desk.setting("every"), strict=True)
-    captures = [desk.capture(f"capture {name}").every(every) for name, every in pairs]
-    given = load_known_room(desk.file("known")) if "known" in desk.step.sources else None
-    settings = api.RecalibrationSettings(stations=True)
-    result = api.recalibrate(captures, calibration, given=given, settings=settings, progress=desk.progress)
+    names, result = desk.setting("captures"), _recalibrated(desk)
     adjusted = result.adjusted
     if not adjusted.converged:
         raise CalibrationError(f"{desk.step.key}: the places of the stations were not found: {result.refused}")
     desk.notes.extend(result.notes)
-    if result.calibration is None:
-        desk.notes.append(f"The calibration is as it was: {result.refused}")
-        write_atomically(desk.target(0), read_bounded(calibration, _MOST_BYTES, error=CalibrationError))
-    else:
-        api.save_calibration(result.calibration, desk.target(0))
+    _save(desk, result.calibration, result.refused)
     for number, name in enumerate(names):
         worst = float(np.sqrt(np.linalg.eigvalsh(adjusted.station_covariance[number][:3, :3])[-1]))
         if worst > VAGUE_M:
@@ -68,6 +62,44 @@ def register_stations(desk: Desk) -> None:
         for number, name in enumerate(names)
     ]
     write_atomically(desk.target(1), json.dumps({"format": STATIONS_FORMAT, "stations": stations}).encode())
+
+
+def refine_rig(desk: Desk) -> None:
+    """The calibration of a rig with what the sweeps of one room tell of it.
+
+    It is as it was where they tell nothing, or cannot be used: then the other rooms still refine it.
+
+    Raises:
+        CaptureError: If storage cannot be read, which may be otherwise tomorrow.
+    """
+    calibration, refused = None, None
+    try:
+        result = _recalibrated(desk)
+        calibration, refused = result.calibration, result.refused
+        desk.notes.extend(result.notes)
+    except (CalibrationError, CaptureError) as problem:
+        if isinstance(problem, CaptureError) and any(map(is_remote, desk.step.sources.values())):
+            raise
+        refused = str(problem)
+    _save(desk, calibration, refused)
+
+
+def _recalibrated(desk: Desk) -> Recalibration:
+    pairs = list(zip(desk.setting("captures"), desk.setting("every"), strict=True))
+    captures = [desk.capture(f"capture {name}").every(every) for name, every in pairs]
+    given = load_known_room(desk.file("known")) if "known" in desk.step.sources else None
+    settings = api.RecalibrationSettings(stations=len(captures) > 1)
+    return api.recalibrate(captures, desk.file("calibration"), given=given, settings=settings, progress=desk.progress)
+
+
+def _save(desk: Desk, calibration: Calibration | None, refused: str | None) -> None:
+    """Write a new calibration; where there is none, that which was given, and a note why."""
+    if calibration is None:
+        desk.notes.append(f"The calibration is as it was: {refused}")
+        stored = read_bounded(desk.file("calibration"), _MOST_BYTES, error=CalibrationError)
+        write_atomically(desk.target(0), stored)
+    else:
+        api.save_calibration(calibration, desk.target(0))
 
 
 def place_station(desk: Desk) -> None:

@@ -17,7 +17,7 @@ from jaxscan.project.digests import code_digest
 from jaxscan.project.states import Status
 from jaxscan.project.steps import Step
 from jaxscan.project.work.desk import Desk, desk_of, publish
-from jaxscan.project.work.groups import merge_e57, merge_plan, merge_tiles, place_station, register_stations
+from jaxscan.project.work.groups import merge_e57, merge_plan, merge_tiles, place_station, refine_rig, register_stations
 from jaxscan.project.work.products import draw_panorama, draw_room, make_mesh, measure, write_report
 from jaxscan.project.work.sweeps import calibrate_rig, find_part, reconstruct_sweep
 from jaxscan.reconstruction import Progress
@@ -25,6 +25,7 @@ from jaxscan.reconstruction import Progress
 
 WORK: Mapping[str, Callable[[Desk], None]] = {
     "calibration": calibrate_rig,
+    "recalibration": refine_rig,
     "stripes": find_part,
     "cloud": reconstruct_sweep,
     "measures": measure,
