@@ -74,7 +74,21 @@ def load_project(path: str | Path) -> Project:
             found[name] = ProjectCapture(name, address, _rig_of(path, address, rigs[table.rig]), table.settings)
     for group in wanted.group:
         _check_group(path, group, found)
-    return Project(file, wanted, tuple(found[name] for name in sorted(found)))
+    project = Project(file, wanted, tuple(found[name] for name in sorted(found)))
+    _check_output(path, project)
+    return project
+
+
+def _check_output(path: str | Path, project: Project) -> None:
+    """Captures stay as they are: nothing is written into their folders."""
+    output = Path(os.path.realpath(project.output))
+    inside = {output, *output.parents}
+    for capture in project.captures:
+        if not is_remote(capture.address) and Path(os.path.realpath(capture.address)) in inside:
+            raise ConfigError(
+                f"{path}: output: {project.wanted.project.output} is in the capture {capture.name}, expected a folder "
+                "of its own."
+            )
 
 
 def _captures(home: Path, pattern: str) -> Sequence[str]:

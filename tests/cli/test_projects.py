@@ -63,6 +63,7 @@ def test_status_computes_and_writes_nothing(museum, run):  # noqa: F811
         ('pattern = "room-*"', 'pattern = "hall-*"', 'the pattern "hall-*" finds no capture'),
         ('name = "museum"', "", "name: missing"),
         ('name = "museum"', 'name = "museum"\noutput = "s3://bucket/x"', "expected a folder that all workers reach"),
+        ('name = "museum"', 'name = "museum"\noutput = "room-2/out"', "is in the capture room-2"),
         ('name = "museum"', 'name = "museum"\ncatalogue = "nonsense"', "the catalogue: cannot be opened"),
         ('calibration = "calibration.json"', 'calibration = "none.json"', "none.json"),
         ("settings = { every = 2 }", "settings = { every = 0 }", "every"),

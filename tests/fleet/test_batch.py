@@ -42,7 +42,7 @@ def test_what_failed_is_a_line_and_what_needs_it_is_not_begun(museum, address, r
     assert ran.code == 1
     failed = [line for line in ran.out.splitlines() if line.startswith("failed: ")]
     assert len(failed) == 1 and failed[0].startswith("failed: cloud/room-1: ")
-    assert "1 steps failed and 2 that need them were not begun" in ran.err and ran.err.count("\n") == 1
+    assert "1 step failed, 2 steps behind not begun" in ran.err and ran.err.count("\n") == 1
     found = {key: one.state for key, one in states(museum).items()}
     assert found == {
         "cloud/room-1": "failed",

@@ -110,7 +110,7 @@ def test_the_scheduler_killed_in_the_middle(museum, undisturbed, tmp_path):
     with scheduler() as (_, address), worker(address):
         second = subprocess.run([*words, address], capture_output=True, text=True, env=environment, timeout=300)
     assert second.returncode == 0, second.stderr
-    assert f"{len(left)} steps done" in second.stdout
+    assert f"{len(left)} step" in second.stdout
     assert complete(museum, undisturbed)
 
 

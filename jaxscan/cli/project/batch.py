@@ -5,6 +5,7 @@ import logging
 import os
 import shlex
 import time
+from collections.abc import Sized
 from pathlib import Path
 from typing import Any
 
@@ -58,19 +59,22 @@ def batch(
     wanted = load_project(project)
     with claimed(wanted), opened(wanted) as found:
         counts = counted(found.states)
-        out.print(f"{len(found.project.captures)} captures, {len(found.states)} steps: {in_words(counts)}")
+        out.print(f"{_many(found.project.captures, 'capture')}, {_many(found.states, 'step')}: {in_words(counts)}")
         result: dict[str, Any] = {"done": [], "failed": {}, "not_begun": {}}
         if counts["done"] < len(found.states):
             result = _work(found, choice, out)
     seconds = time.perf_counter() - start
     if result["done"]:
-        out.print(f"{len(result['done'])} steps done in {seconds:.0f} s, in {found.project.output}")
+        out.print(f"{_many(result['done'], 'step')} done in {seconds:.0f} s, in {found.project.output}")
     emit_json(json, "batch", result | {"output": str(found.project.output), "seconds_s": seconds})
     if result["failed"]:
-        raise FleetError(
-            f"{len(result['failed'])} steps failed and {len(result['not_begun'])} that need them were not begun; "
-            f"mend them and call again: {shlex.join(['jaxscan', 'batch', str(project)])}"
-        )
+        failed, behind = _many(result["failed"], "step"), _many(result["not_begun"], "step")
+        again = shlex.join(["jaxscan", "batch", str(project)])
+        raise FleetError(f"{failed} failed, {behind} behind not begun; mend what failed and call again: {again}")
+
+
+def _many(listed: Sized, name: str) -> str:
+    return f"{len(listed)} {name}{'' if len(listed) == 1 else 's'}"
 
 
 def _work(found: Opened, choice: Any, out: Terminal) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from jaxscan.fleet.clusters.sizes import GIB, sizes_for
 
 PINNING = "jaxscan.fleet.clusters.pinning"
 _HOST = "127.0.0.1"
+_QUIET = "ignore:resource_tracker"
 
 
 @contextlib.contextmanager
@@ -38,6 +39,9 @@ def open_local(choice: ClusterChoice) -> Iterator[Any]:
     sizes = sizes_for(choice.workers, choice.memory_gib, cores=cores(), free_gib=free_memory() / GIB)
     security = distributed.Security(**security_of(new_certificates()))
     with kept_environment(), dask.config.set(_settings(sizes.workers)):
+        # A process that only counts semaphores would warn of them in two lines when this one ends by a signal. It
+        # removes them then all the same.
+        os.environ["PYTHONWARNINGS"] = ",".join(filter(None, (os.environ.get("PYTHONWARNINGS"), _QUIET)))
         with (
             distributed.LocalCluster(
                 n_workers=sizes.workers,
