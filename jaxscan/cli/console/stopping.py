@@ -2,12 +2,15 @@
 
 import signal
 import threading
+import time
 from types import FrameType, TracebackType
 
 
 PAGE = "Stop on the page"
 _SIGNAL = getattr(signal, "SIGUSR1", None)
 """Wakes the main thread from whatever it waits for; Windows has none."""
+_AGAIN_S = 0.05
+"""Until the signal is sent once more."""
 
 
 class Stopping:
@@ -19,6 +22,7 @@ class Stopping:
     def __init__(self) -> None:
         """Nothing is stopped yet."""
         self._allowed = False
+        self._session = self._asked = 0
         self._main = threading.main_thread().ident
         self._before: object = None
 
@@ -35,6 +39,7 @@ class Stopping:
 
     def begin(self) -> None:
         """From now on an order to stop interrupts the main thread."""
+        self._session += 1
         self._allowed = True
 
     def end(self) -> None:
@@ -43,12 +48,20 @@ class Stopping:
 
     def stop(self) -> None:
         """Interrupt the main thread, from another one."""
-        if _SIGNAL is not None and self._main is not None:
+        self._asked = self._session
+        threading.Thread(target=self._insist, args=(self._session,), daemon=True).start()
+
+    def _insist(self, session: int) -> None:
+        """Send the signal until it was heard: one that comes in the moment before the main thread begins to wait does
+        not end that wait.
+        """
+        while _SIGNAL is not None and self._main is not None and self._allowed and self._session == session:
             # Also where it waits for a port or a camera, which a flag would not end.
             signal.pthread_kill(self._main, _SIGNAL)
+            time.sleep(_AGAIN_S)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if self._allowed:
+        if self._allowed and self._asked == self._session:
             # Once: switching the laser off is not interrupted.
             self._allowed = False
             raise KeyboardInterrupt(PAGE)

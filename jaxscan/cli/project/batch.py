@@ -2,7 +2,6 @@
 
 import importlib.util
 import logging
-import os
 import shlex
 import time
 from collections.abc import Sized
@@ -78,17 +77,10 @@ def _many(listed: Sized, name: str) -> str:
 
 
 def _work(found: Opened, choice: Any, out: Terminal) -> dict[str, Any]:
-    from jaxscan.api.kept_code import cache_on_disk
     from jaxscan.cli.project.display import batch_display
     from jaxscan.fleet import open_cluster
     from jaxscan.fleet.batch import check_sight, run_batch
 
-    cache = cache_on_disk()
-    if cache is not None:
-        # Workers inherit it: code that one has compiled is read by all.
-        os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", cache)
-        os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-        os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "0")
     # What a user should know of the cluster is said in one line; Dask would say it in many.
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)

@@ -86,4 +86,8 @@ def _compiled_code() -> dict[str, str]:
     folder = jax.config.values["jax_compilation_cache_dir"] if jax is not None else None
     if not folder or "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return {}
-    return {"JAX_COMPILATION_CACHE_DIR": str(folder), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    return {
+        "JAX_COMPILATION_CACHE_DIR": str(folder),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "0",
+    }
