@@ -1,4 +1,4 @@
-"""The steps of a project on a Dask cluster: what is ready is handed out, what comes back goes into the catalogue.
+"""The steps of a project on a Dask cluster: ready ones are handed out, and their rows go into the catalogue.
 
 This process keeps the graph and writes the catalogue; the scheduler hands out tasks, and gives those of a worker that
 died to another.
@@ -35,7 +35,7 @@ _WRITTEN_S = 0.5
 
 @runtime_checkable
 class Show(Protocol):
-    """What a batch tells while it goes on."""
+    """Hears of a batch while it goes on."""
 
     def working(self, key: str, done: int, total: int) -> None:
         """How far a step is."""
@@ -45,7 +45,7 @@ class Show(Protocol):
 
 
 class Report(NamedTuple):
-    """What became of a batch."""
+    """The outcome of a batch."""
 
     rows: tuple[Row, ...]
     """Of the steps that were done or failed."""
@@ -186,7 +186,7 @@ def _said_if_lost() -> Iterator[None]:
 
 
 def _rows_of(client: distributed.Client, ended: Mapping[distributed.Future, Order]) -> list[Row]:
-    """What became of orders.
+    """The rows of orders that ended.
 
     Raises:
         FleetError: If the scheduler is lost.

@@ -1,4 +1,4 @@
-"""What runs on a worker: functions of modules, told names and numbers as text."""
+"""The functions that run on a worker; they are told names and numbers as text."""
 
 import time
 from collections.abc import Callable

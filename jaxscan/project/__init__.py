@@ -1,4 +1,4 @@
-"""Many captures as one project: what is to be made of each, and what of it is there already."""
+"""Many captures as one project: the products of each, and which of them are there already."""
 
 from jaxscan.project.begin import project_text
 from jaxscan.project.catalogue import Catalogue, Row, catalogue_address, row_from_json, row_to_json

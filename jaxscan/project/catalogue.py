@@ -1,4 +1,4 @@
-"""The catalogue of a project's products, in a database: what was made, of what, when, where, and what failed."""
+"""The catalogue of a project's products, in a database: inputs, time, place and outcome of each step."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence

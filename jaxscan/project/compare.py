@@ -43,7 +43,7 @@ class LengthChange(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """What is other in a second project."""
+    """The differences of a second project."""
 
     lengths: tuple[LengthChange, ...]
     only_first: tuple[str, ...]

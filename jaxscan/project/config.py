@@ -28,7 +28,7 @@ class SettingsTable(FileModel):
 
 
 class ProjectTable(FileModel):
-    """What is wanted."""
+    """The products that are wanted."""
 
     name: Name
     output: _Place = "products"

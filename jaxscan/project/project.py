@@ -32,7 +32,7 @@ class ProjectCapture:
 
 @dataclass(frozen=True)
 class Project:
-    """What there is, and what is wanted of it."""
+    """The captures that were found, and the products that are wanted of them."""
 
     file: Path
     wanted: ProjectFile

@@ -1,4 +1,4 @@
-"""What of a project is done, stale, failed or missing, and why."""
+"""The state of each step of a project, and the reason for it."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -72,7 +72,7 @@ def _wrong(path: Path, size: int) -> str:
 
 
 def _changed(parts: Mapping[str, str], last: Row) -> str:
-    """What is other than when it was done last."""
+    """The parts that differ from those when it was done last, in words."""
     names = [name for name in parts if parts[name] != last.parts.get(name)]
     names += [name for name in last.parts if name not in parts]
     words = [f"the code, which was version {last.version}" if name == "code" else name for name in names]

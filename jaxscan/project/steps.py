@@ -43,7 +43,7 @@ class Step(NamedTuple):
     products: Mapping[str, str]
     """Path of each product that it reads, in the folder of the products, by its role."""
     outputs: tuple[str, ...]
-    """What it writes, in the folder of the products."""
+    """The files it writes, in the folder of the products."""
     settings: Mapping[str, Any]
 
 
@@ -74,7 +74,7 @@ def steps_of(project: Project) -> tuple[Step, ...]:
 
 
 def parts_of(step: Step, digests: Mapping[str, str], code: str) -> dict[str, str]:
-    """What a product depends on, each by a digest: two products with the same parts are the same.
+    """The inputs of a product, each by a digest: two products with the same parts are the same.
 
     Args:
         step: The step.
@@ -187,7 +187,7 @@ def _beside(rig: RigTable) -> str:
 def _of_capture(project: Project, capture: ProjectCapture, reads: _Reads) -> Iterator[Step]:
     wanted, name = project.wanted.project, capture.name
     key, source = f"cloud/{name}", {"capture": capture.address}
-    # What is made of a cloud reads it as PLY, which loses nothing.
+    # Later steps read the cloud as PLY, which loses nothing.
     formats = dict.fromkeys(("ply", *wanted.formats))
     clouds = tuple(f"clouds/{name}.{suffix}" for suffix in formats)
     settings = capture.settings.model_dump()

@@ -81,7 +81,7 @@ def _work(found: Opened, choice: Any, out: Terminal) -> dict[str, Any]:
     from jaxscan.fleet import open_cluster
     from jaxscan.fleet.batch import check_sight, run_batch
 
-    # What a user should know of the cluster is said in one line; Dask would say it in many.
+    # Errors of the cluster are said in one line; Dask would say them in many.
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     todo = [status for status in found.states if status.state != "done"]

@@ -1,4 +1,4 @@
-"""What a batch shows while it goes on: all its steps, and each that is at work."""
+"""The display of a batch while it goes on: all its steps, and each that is at work."""
 
 import contextlib
 import threading

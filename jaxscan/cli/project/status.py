@@ -1,4 +1,4 @@
-"""`jaxscan project status`: what of a project is done, stale, failed and missing, and why."""
+"""`jaxscan project status`: the steps of a project that are done, stale, failed and missing, and why."""
 
 import shlex
 from pathlib import Path

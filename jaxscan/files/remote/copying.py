@@ -10,7 +10,7 @@ from jaxscan.files.remote.place import Place, asked, in_threads, info_of, open_p
 
 
 BLOCK_BYTES = 8 * MEGABYTE
-"""What is read at once of a file."""
+"""Bytes of a file that are read at once."""
 
 
 def fetch_folder(address: str, folder: Path, *, most_bytes: int) -> None:

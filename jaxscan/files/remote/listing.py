@@ -18,7 +18,7 @@ MAX_FILES = 200_000
 """Most files and folders of one capture."""
 
 _MARKS = ("ETag", "etag", "mtime", "LastModified", "last_modified", "modified", "updated", "created")
-"""What listings call that by which a change is seen; the best first."""
+"""Names in listings of a field by which a change is seen; the best first."""
 
 
 class FileEntry(NamedTuple):
@@ -85,7 +85,7 @@ def listing(place: Place) -> list[FileEntry]:
 
 
 def entries_of(folder: Place) -> list[tuple[str, dict[str, Any]]]:
-    """What a folder holds: names, none of which leads anywhere else, with what the listing says.
+    """The entries of a folder: names, none of which leads anywhere else, with the fields of the listing.
 
     Raises:
         CaptureError: If it cannot be listed, or the listing is hostile.

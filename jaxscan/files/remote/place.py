@@ -88,7 +88,7 @@ def check_address(address: str) -> None:
 
 
 def info_of(place: Place) -> dict[str, Any]:
-    """What storage says about a file or a folder, under the names of its driver.
+    """The entry of a file or a folder on storage, with the field names of its driver.
 
     Raises:
         Missing: If there is none.

@@ -1,4 +1,4 @@
-"""What a step works with: its sources, fetched where they are remote, and a folder for what it writes."""
+"""The desk of a step: its sources, fetched where they are remote, and a folder for the files it writes."""
 
 import contextlib
 import shutil
@@ -33,7 +33,7 @@ class Desk:
     progress: Progress
     """Called with (done, in all)."""
     notes: list[str] = field(default_factory=list)
-    """What a user should know of it, a sentence each."""
+    """Remarks for the user, a sentence each."""
 
     def capture(self, role: str = "capture") -> Capture:
         """A capture. Its stripes are kept among the products: nothing is written into its own folder.

@@ -39,7 +39,7 @@ WORK: Mapping[str, Callable[[Desk], None]] = {
     "merged tiles": merge_tiles,
     "merged plan": merge_plan,
 }
-"""What is done for each kind of step."""
+"""The function for each kind of step."""
 _LONGEST = 2000
 
 

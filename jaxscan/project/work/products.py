@@ -1,4 +1,4 @@
-"""What is made of a cloud."""
+"""Products made of a cloud."""
 
 import json
 from typing import Any
@@ -18,7 +18,7 @@ SIDES = ("length", "width", "height")
 
 
 def measure(desk: Desk) -> None:
-    """The lengths of the room, and how good its points are, as JSON: what two versions or epochs are compared by."""
+    """The lengths of the room, and how good its points are, as JSON; two versions or epochs are compared by them."""
     cloud, scanner = api.load_cloud(desk.file("cloud")), api.load_scanner(desk.file("calibration"))
     valid = np.asarray(cloud.valid)
     found: dict[str, Any] = {"format": MEASURES_FORMAT, "points": int(valid.sum())}

@@ -1,4 +1,4 @@
-"""Calibrations and clouds: what is made of captures."""
+"""Calibrations and clouds, made of captures."""
 
 from jaxscan import api
 from jaxscan.api.ranges import cloud_of_ranges, stripes_of_range
