@@ -19,6 +19,7 @@ class Interrupts:
     Works only in the main thread, as all signal handlers of Python.
 
     After the terminal has hung up, output is discarded, so that printing raises no error and the session ends in order.
+    Only a line that is being printed in that very moment fails with OSError.
     """
 
     def __init__(self) -> None:
