@@ -90,12 +90,12 @@ def test_letters_are_read_on_a_mesh(printed, page):
     rng = np.random.default_rng(4)
     corners = mesh.vertices[mesh.faces]
     faces = mesh.faces[(np.abs(corners[..., 0] - WALL) < 5e-3).all(1) & (np.abs(corners[..., 1]) < 0.2).all(1)]
-    weights = rng.dirichlet(np.ones(3), (len(faces), 1500)).astype(np.float32)
+    weights = rng.dirichlet(np.ones(3), (len(faces), 6000)).astype(np.float32)
     place = np.einsum("fnk,fkc->fnc", weights, mesh.vertices[faces]).reshape(-1, 3)
     uv = np.einsum("fnk,fkc->fnc", weights, mesh.uv[faces]).reshape(-1, 2)
     rows, columns, _ = mesh.texture.shape
     shown = mesh.texture[(uv[:, 1] * rows).astype(int), (uv[:, 0] * columns).astype(int)].mean(-1)
-    # By half millimetres.
+    # By half millimetres, each with so many places that none has none by chance.
     row, column = np.floor((0.025 - place[:, 2]) * 2000).astype(int), np.floor((0.1 - place[:, 1]) * 2000).astype(int)
     within = (row >= 0) & (row < HIGH // 2) & (column >= 0) & (column < WIDE // 2)
     total, count = np.zeros((2, HIGH // 2, WIDE // 2))
