@@ -33,6 +33,7 @@ from jaxscan.project import (
     catalogue_address,
     digests_of,
     load_project,
+    order_of,
     row_to_json,
     states_of,
     steps_of,
@@ -88,11 +89,12 @@ def measure(count: int) -> dict[str, float]:
         start = time.perf_counter()
         project = load_project(home / "project.toml")
         steps = steps_of(project)
-        todo = states_of(steps, *digests_of(steps), catalogue.rows(), project.output)
+        states = states_of(steps, *digests_of(steps), catalogue.rows(), project.output)
+        todo = [order_of(status, project.output) for status in states]
         planned = time.perf_counter() - start
         with open_cluster(ClusterChoice(workers=2)) as client:
             start = time.perf_counter()
-            run_batch(todo, project.output, catalogue, client, Silent(), work=do_nothing)
+            run_batch(todo, catalogue, client, Silent(), work=do_nothing)
             handed_out = time.perf_counter() - start
         assert len(catalogue.rows()) == count
     peak = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

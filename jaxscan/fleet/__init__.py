@@ -11,4 +11,5 @@ from jaxscan.fleet.clusters import (
     make_certificates,
     open_cluster,
     package_digest,
+    patience_of,
 )

@@ -17,8 +17,9 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import distributed
 
 from jaxscan.errors import FleetError
+from jaxscan.fleet.absence import Absence
 from jaxscan.fleet.work import TOPIC, do_order, sees
-from jaxscan.project import Catalogue, Order, Row, Status, failed_row, order_of, row_from_json
+from jaxscan.project import Catalogue, Order, Row, failed_row, row_from_json
 
 
 MOST_AT_ONCE = 512
@@ -29,6 +30,7 @@ ACCELERATOR = "GPU"
 """Resource that a worker with an accelerator of its own names: `dask worker --resources GPU=1`."""
 _FINDS_STRIPES = ("stripes", "cloud", "station")
 _LOST = "the cluster's scheduler is lost; start it again and call the same command, which goes on where it was."
+_POLL_S = 0.01
 _WRITTEN_S = 0.5
 """Between two transactions of the catalogue."""
 
@@ -59,28 +61,28 @@ class Report(NamedTuple):
 
 
 def run_batch(
-    todo: Sequence[Status],
-    output: Path,
+    todo: Sequence[Order],
     catalogue: Catalogue,
     client: distributed.Client,
     show: Show,
     *,
+    patience_s: float = 300.0,
     work: Callable[[str], str] = do_order,
 ) -> Report:
     """Do steps, each after those that it needs.
 
     Args:
-        todo: The steps that are not done, in an order in which inputs come first.
-        output: The folder of the products.
+        todo: For the steps that are not done; inputs come first.
         catalogue: Gets a row for each step as it comes back.
         client: Of the cluster.
         show: Is told what goes on.
+        patience_s: How long it waits where no worker is there.
         work: What a worker does with an order; a function of a module.
 
     Raises:
-        FleetError: If the scheduler is lost. What was done is in the catalogue.
+        FleetError: If the scheduler is lost, or no worker is there for too long. What was done is in the catalogue.
     """
-    orders = {status.step.key: order_of(status, output) for status in todo}
+    orders = {order.step.key: order for order in todo}
     before = {key: {need for need in order.step.inputs if need in orders} for key, order in orders.items()}
     after: dict[str, list[str]] = defaultdict(list)
     for key, needs in before.items():
@@ -93,6 +95,7 @@ def run_batch(
     coming = distributed.as_completed(loop=client.loop)
     workers = client.scheduler_info(n_workers=-1)["workers"].values()
     accelerated = any(ACCELERATOR in worker["resources"] for worker in workers)
+    absence = Absence(client, patience_s)
     with _Written(catalogue) as written, _said_if_lost(), _progress(client, show):
         while ready or running:
             if ready and len(running) <= MOST_AT_ONCE // 2:
@@ -101,7 +104,8 @@ def run_batch(
                 given = dict(_handed_out(client, work, [orders[key] for key in keys], accelerated=accelerated))
                 running |= given
                 coming.update(given)
-            for row in _rows_of(client, {future: orders[running.pop(future)] for future in coming.next_batch()}):
+            ended = _next_batch(coming, absence)
+            for row in _rows_of(client, {future: orders[running.pop(future)] for future in ended}):
                 written.add(row)
                 rows.append(row)
                 show.finished(row)
@@ -185,6 +189,14 @@ def _said_if_lost() -> Iterator[None]:
         raise FleetError(_LOST) from problem
 
 
+def _next_batch(coming: distributed.as_completed, absence: Absence) -> list[distributed.Future]:
+    """The tasks that ended since, at least one."""
+    while not coming.has_ready():
+        absence.look()
+        time.sleep(_POLL_S)
+    return list(coming.next_batch(block=False))
+
+
 def _rows_of(client: distributed.Client, ended: Mapping[distributed.Future, Order]) -> list[Row]:
     """The rows of orders that ended.
 
@@ -193,8 +205,13 @@ def _rows_of(client: distributed.Client, ended: Mapping[distributed.Future, Orde
     """
     done = [future for future in ended if future.status == "finished"]
     # One question for all of them.
-    rows = [row_from_json(text) for text in client.gather(done)]
+    rows = [_by_own_clock(row_from_json(text)) for text in client.gather(done)]
     return rows + [_not_done(future, order) for future, order in ended.items() if future not in done]
+
+
+def _by_own_clock(row: Row) -> Row:
+    """A row with its time by the clock of this machine: the catalogue has the oldest first, whoever did them."""
+    return row._replace(started_s=time.time() - row.seconds)
 
 
 def _not_done(future: distributed.Future, order: Order) -> Row:

@@ -1,5 +1,6 @@
 """A first `project.toml` for the captures and calibrations that lie in a folder."""
 
+import glob
 import itertools
 import json
 import os
@@ -49,7 +50,7 @@ def project_text(folder: Path) -> str:
     if not sweeps:
         raise ConfigError(f"{folder}: found no sweep in it, expected folders of captures with {HEADER_NAME}.")
     calibrations = [path for path in files if _is_calibration(folder / path)]
-    text = _BEGINNING.format(name=json.dumps(_name(folder)))
+    text = _BEGINNING.format(name=_quoted(_name(folder)))
     rigs = _rigs(captures)
     for number, members in enumerate(rigs, 1):
         own = [one for one in members if one.header.kind == "sweep"]
@@ -57,7 +58,7 @@ def project_text(folder: Path) -> str:
             name = "rig" if len(rigs) == 1 else f"rig-{number}"
             text += f'\n[[rig]]\nname = "{name}"\n{_calibration(folder, members, calibrations)}'
             for pattern in _patterns(own, captures):
-                text += f'\n[[captures]]\npattern = {json.dumps(pattern)}\nrig = "{name}"\n'
+                text += f'\n[[captures]]\npattern = {_quoted(pattern)}\nrig = "{name}"\n'
     return text
 
 
@@ -110,7 +111,7 @@ def _calibration(folder: Path, members: Sequence[Found], calibrations: Sequence[
     fits = [path for path in calibrations if _size(folder / path) == (camera.width, camera.height)]
     boards = [one.path.as_posix() for one in members if one.header.kind == "calibration"]
     if len(fits) == 1:
-        return f"calibration = {json.dumps(fits[0].as_posix())}\n"
+        return f"calibration = {_quoted(fits[0].as_posix())}\n"
     if len(fits) > 1:
         names = " and ".join(path.as_posix() for path in fits[:3])
         raise ConfigError(f"{folder}: {len(fits)} calibrations fit the rig of {members[0].path} ({names}); keep one.")
@@ -118,7 +119,7 @@ def _calibration(folder: Path, members: Sequence[Found], calibrations: Sequence[
         raise ConfigError(
             f"{folder}: found neither a calibration nor captures of a board for the rig of {members[0].path}."
         )
-    return f"boards = {json.dumps(boards)}\n"
+    return f"boards = [{', '.join(map(_quoted, boards))}]\n"
 
 
 def _size(path: Path) -> tuple[int, int]:
@@ -133,10 +134,24 @@ def _patterns(sweeps: Sequence[Found], captures: Sequence[Found]) -> list[str]:
         own = list(group)
         beside = [one for one in captures if one.path.parent == parent]
         alone = len(own) == len(beside) > 1
-        found += [(parent / "*").as_posix()] if alone else [one.path.as_posix() for one in own]
+        names = ["*"] if alone else [glob.escape(one.path.name) for one in own]
+        found += [(Path(glob.escape(str(parent))) / name).as_posix() for name in names]
     return found
 
 
 def _name(folder: Path) -> str:
     name = "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in folder.absolute().name)
     return name.strip("-")[:64] or "project"
+
+
+def _quoted(text: str) -> str:
+    """A string as TOML has it: JSON's are the same, but for letters beyond 16 bits and the one that deletes.
+
+    Raises:
+        ConfigError: If it is the name of a file that is no text.
+    """
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise ConfigError(f"{text!r}: the name of this folder or file is no text in UTF-8; rename it.") from None
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

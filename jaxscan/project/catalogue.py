@@ -98,16 +98,23 @@ class Catalogue:
             raise ConfigError("the catalogue: a row is damaged; remove it, and all is made anew.") from problem
 
     def write(self, rows: Sequence[Row]) -> None:
-        """Write rows, all or none; one of the same key and digest takes the place of the one before."""
+        """Write rows, all or none; one of the same key and digest takes the place of the one before.
+
+        Raises:
+            ConfigError: If they cannot be written.
+        """
         if not rows:
             return
         table = self._table
         values = [{"project": self._project, **_values(row)} for row in rows]
-        with self._engine.begin() as connection:
-            for row in rows:
-                same = (table.c.project == self._project, table.c.key == row.key, table.c.digest == row.digest)
-                connection.execute(table.delete().where(*same))
-            connection.execute(table.insert(), values)
+        try:
+            with self._engine.begin() as connection:
+                for row in rows:
+                    same = (table.c.project == self._project, table.c.key == row.key, table.c.digest == row.digest)
+                    connection.execute(table.delete().where(*same))
+                connection.execute(table.insert(), values)
+        except self._sql.exc.SQLAlchemyError as problem:
+            raise ConfigError(f"the catalogue: cannot be written: {_first_line(problem)}.") from None
 
     def close(self) -> None:
         """Close the connections."""

@@ -47,8 +47,12 @@ class Comparison(NamedTuple):
 
     lengths: tuple[LengthChange, ...]
     only_first: tuple[str, ...]
-    """Captures, and lengths, that only the first has measures of."""
+    """Captures that only the first has measures of."""
     only_second: tuple[str, ...]
+    lost: tuple[str, ...]
+    """Lengths that the first has and the second has not, of captures that both have: "room-1 height"."""
+    gained: tuple[str, ...]
+    """Lengths that the second has and the first has not, of captures that both have."""
 
     @property
     def moved(self) -> tuple[LengthChange, ...]:
@@ -70,14 +74,15 @@ def compare_projects(first: Project, second: Project) -> Comparison:
     common = sorted(measures.keys() & others.keys())
     if not common:
         raise ConfigError(f"{first.file} and {second.file} have measures of no capture in common; name captures alike.")
-    lengths, gone, new = [], sorted(measures.keys() - others.keys()), sorted(others.keys() - measures.keys())
+    lengths, lost, gained = list[LengthChange](), list[str](), list[str]()
     for name in common:
         ours, theirs = measures[name]["lengths"], others[name]["lengths"]
         same = sources.get(name) is not None and sources.get(name) == other_sources.get(name)
         lengths += [_change(name, side, ours[side], theirs[side], same=same) for side in ours if side in theirs]
-        gone += [f"{name} {side}" for side in ours if side not in theirs]
-        new += [f"{name} {side}" for side in theirs if side not in ours]
-    return Comparison(tuple(lengths), tuple(gone), tuple(new))
+        lost += [f"{name} {side}" for side in ours if side not in theirs]
+        gained += [f"{name} {side}" for side in theirs if side not in ours]
+    only_first, only_second = sorted(measures.keys() - others.keys()), sorted(others.keys() - measures.keys())
+    return Comparison(tuple(lengths), tuple(only_first), tuple(only_second), tuple(lost), tuple(gained))
 
 
 def _change(

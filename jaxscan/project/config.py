@@ -15,7 +15,7 @@ Merged = Literal["e57", "tiles", "plan"]
 MOST_PARTS = 10_000
 """Rigs, patterns and groups of a project."""
 Name = Annotated[str, pydantic.Strict(), pydantic.Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
-_Place = Annotated[str, pydantic.Strict(), pydantic.Field(min_length=1, max_length=1000)]
+_Place = Annotated[str, pydantic.Strict(), pydantic.Field(max_length=1000, pattern=r"^[^\x00-\x1f\x7f]+$")]
 
 
 class SettingsTable(FileModel):

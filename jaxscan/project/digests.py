@@ -14,25 +14,29 @@ from jaxscan.files.remote import is_remote, remote_digest
 from jaxscan.project.steps import Step, digest_of, parts_of
 
 
-_CLOUD = ("geometry", "stripes", "reconstruction", "photographs", "files/clouds", "files/capture", "api")
-_CALIBRATION = ("geometry", "stripes", "observation", "calibration", "vision", "files/calibration", "api")
-_MEASURES = ("geometry", "measurement", "files/clouds")
+_CAPTURE = ("geometry", "stripes", "vision", "files/capture", "files/calibration", "api")
+_SWEEP = (*_CAPTURE, "reconstruction")
+_CLOUD = (*_SWEEP, "photographs", "files/clouds")
+_CALIBRATION = (*_CAPTURE, "observation", "calibration")
+_MEASURES = ("geometry", "measurement", "files/calibration", "files/clouds")
+_MERGED = ("geometry", "reconstruction", "files/clouds")
+_PLAN = (*_MEASURES, "reconstruction", "drawing", "files/drawings")
 _REGISTER = (*_CALIBRATION, "reconstruction", "recalibration", "measurement")
 CODE_OF: Mapping[str, tuple[str, ...]] = {
     "calibration": _CALIBRATION,
-    "stripes": ("geometry", "stripes", "reconstruction", "files/capture", "api"),
+    "stripes": _SWEEP,
     "cloud": _CLOUD,
     "measures": _MEASURES,
-    "mesh": (*_MEASURES, "surface", "files/meshes"),
-    "plan": (*_MEASURES, "drawing", "files/drawings"),
-    "panorama": (*_CLOUD, "vision"),
-    "report": (*_MEASURES, "report"),
+    "mesh": (*_MEASURES, "reconstruction", "surface", "files/meshes"),
+    "plan": _PLAN,
+    "panorama": _CLOUD,
+    "report": (*_MEASURES, "reconstruction", "drawing", "vision", "report"),
     "recalibration": _REGISTER,
     "register": _REGISTER,
     "station": _CLOUD,
-    "merged e57": ("files/clouds",),
-    "merged tiles": ("files/clouds",),
-    "merged plan": (*_MEASURES, "drawing", "files/drawings"),
+    "merged e57": _MERGED,
+    "merged tiles": _MERGED,
+    "merged plan": _PLAN,
 }
 """Rooms whose code decides a product, beside the one that makes them all: a change elsewhere, of the viewer say,
 leaves it as good as it was."""

@@ -21,7 +21,7 @@ class Status(NamedTuple):
     parts: Mapping[str, str]
     state: State
     why: str
-    """A few words; "" where it is done."""
+    """The reason in a few words; the notes of a step that is done."""
 
 
 def states_of(
@@ -58,7 +58,7 @@ def _state(step: Step, parts: Mapping[str, str], row: Row | None, last: Row | No
         if last is not None and last.digest != row.digest:
             return "stale", _changed(parts, last)
         wrong = next((words for one in row.outputs if (words := _wrong(output / one.path, one.size))), "")
-        return ("stale", wrong) if wrong else ("done", "")
+        return ("stale", wrong) if wrong else ("done", row.message)
     if last is None:
         return "missing", ""
     return "stale", _changed(parts, last)

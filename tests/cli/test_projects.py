@@ -1,7 +1,9 @@
 """Projects on the command line: begun from what lies in a folder, and refused in one line before any work."""
 
 import json
+import os
 import shutil
+import sys
 
 import pytest
 
@@ -28,6 +30,36 @@ def test_a_project_of_what_lies_there(folder, run):
     assert "jaxscan batch" in ran.err
     ran = run("project", "init", folder)
     assert ran.code == 1 and "exists, and may be yours" in ran.err
+
+
+@pytest.mark.parametrize("name", ["a [1]*?", 'quote " and \\', "\U0001f3db hall", "line\nbreak", "gone\x7f"])
+def test_whatever_folders_are_called(folder, run, name):
+    shutil.move(folder / "sweeps", folder / name)
+    shutil.move(folder / "boards", folder / name / "boards")
+    ran = run("project", "init", folder)
+    if any(ord(letter) < 32 or ord(letter) == 127 for letter in name):
+        assert ran.code == 1 and ran.err.count("\n") == 1 and not (folder / "project.toml").exists()
+        return
+    assert ran.code == 0, ran.err
+    project = load_project(folder / "project.toml")
+    assert [capture.name for capture in project.captures] == ["room-1", "room-2"]
+    assert project.wanted.rig[0].boards == (f"{name}/boards",)
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="names of files are text there")
+def test_a_name_that_is_no_text(folder, run):
+    os.rename(os.fsencode(folder / "boards"), os.fsencode(folder) + b"/boards-\xff")
+    ran = run("project", "init", folder)
+    assert ran.code == 1 and "is no text in UTF-8" in ran.err and ran.err.count("\n") == 1
+
+
+def test_what_cannot_be_a_project_leaves_no_file(folder, run):
+    shutil.copytree(folder / "sweeps" / "room-1", folder / "autumn" / "room-1")
+    ran = run("project", "init", folder)
+    assert ran.code == 1 and '"room-1" is found twice' in ran.err and ran.err.count("\n") == 1
+    assert not (folder / "project.toml").exists()
+    (folder / "autumn" / "room-1").rename(folder / "autumn" / "room-3")
+    assert run("project", "init", folder).code == 0
 
 
 def test_the_calibration_that_lies_there_is_taken(folder, tiny, run):
@@ -66,6 +98,8 @@ def test_status_computes_and_writes_nothing(museum, run):  # noqa: F811
         ('name = "museum"', 'name = "museum"\noutput = "room-2/out"', "is in the capture room-2"),
         ('name = "museum"', 'name = "museum"\ncatalogue = "nonsense"', "the catalogue: cannot be opened"),
         ('calibration = "calibration.json"', 'calibration = "none.json"', "none.json"),
+        ('calibration = "calibration.json"', 'calibration = "c\\u0000.json"', "calibration"),
+        ('pattern = "room-*"', 'pattern = "room\\u0000"', "pattern"),
         ("settings = { every = 2 }", "settings = { every = 0 }", "every"),
         ("[[captures]]", '[[group]]\nname = "g"\ncaptures = ["room-1", "room-9"]\n[[captures]]', 'no capture "room-9"'),
     ],

@@ -16,7 +16,7 @@ import pytest
 from jaxscan.fleet import ClusterChoice, open_cluster
 from jaxscan.fleet.batch import run_batch
 from jaxscan.fleet.work import do_order
-from jaxscan.project import load_project
+from jaxscan.project import load_project, order_of
 from tests.fleet.clusters import scheduler, worker
 from tests.fleet.flaky import do_flaky_order
 from tests.opened import catalogue_of, edit, products, states, work
@@ -57,9 +57,10 @@ class Killer(Silent):
 
 def batch(file, client, show, task=do_order):
     catalogue = catalogue_of(file)
-    todo = [status for status in states(file).values() if status.state != "done"]
+    output = load_project(file).output
+    todo = [order_of(status, output) for status in states(file).values() if status.state != "done"]
     try:
-        return run_batch(todo, load_project(file).output, catalogue, client, show, work=task)
+        return run_batch(todo, catalogue, client, show, work=task)
     finally:
         catalogue.close()
 

@@ -1,6 +1,7 @@
 """Jobs of SLURM: what their script says, and a whole cluster whose sbatch starts the script on this machine."""
 
 import os
+import signal
 import stat
 import sys
 import time
@@ -15,6 +16,7 @@ from jaxscan.fleet import ClusterChoice, open_cluster
 
 pytest.importorskip("dask_jobqueue", reason="the extra `fleet` is not installed")
 
+from jaxscan.fleet.clusters import jobs
 from jaxscan.fleet.clusters.slurm import certificates_for_nodes, slurm_cluster
 
 
@@ -88,26 +90,41 @@ def may_spill(dask_worker):
 
 
 SBATCH = """#!/bin/sh
-cp "$1" {folder}/job.sh
-setsid sh {folder}/job.sh > {folder}/job.log 2>&1 &
+if [ "$1" = --test-only ]; then {test} fi
+cp "$1" {folder}/job-$$.sh
+setsid {shell} {folder}/job-$$.sh > {folder}/job-$$.log 2>&1 &
+echo $! >> {folder}/jobs
 echo "Submitted batch job $!"
 """
 SCANCEL = """#!/bin/sh
 kill -- -"$1"
 """
+SQUEUE = """#!/bin/sh
+for job in $(cat {folder}/jobs); do if kill -0 $job 2> /dev/null; then echo $job; fi; done
+"""
+
+
+@pytest.fixture
+def programs(tmp_path, monkeypatch):
+    """SLURM's commands are small scripts here, all else is as on a cluster: script, certificates, connections."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
+    # On a cluster it is installed for all nodes.
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))
+    monkeypatch.setattr(jobs, "LOOK_S", 0.2)
+
+    def written(test="exit 0;", shell="sh"):
+        for name, text in (("sbatch", SBATCH), ("scancel", SCANCEL), ("squeue", SQUEUE)):
+            (folder / name).write_text(text.format(folder=tmp_path, test=test, shell=shell))
+            (folder / name).chmod(0o755)
+
+    return written
 
 
 @pytest.mark.slow
-def test_a_whole_cluster_of_jobs(home, tmp_path, monkeypatch):
-    """SLURM's two commands are small scripts here, all else is as on a cluster: script, certificates, connections."""
-    programs = tmp_path / "bin"
-    programs.mkdir()
-    for name, text in (("sbatch", SBATCH), ("scancel", SCANCEL)):
-        (programs / name).write_text(text.format(folder=tmp_path))
-        (programs / name).chmod(0o755)
-    monkeypatch.setenv("PATH", f"{programs}:{os.environ['PATH']}")
-    # On a cluster it is installed for all nodes.
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))
+def test_a_whole_cluster_of_jobs(home, programs):
+    programs()
     with open_cluster(ClusterChoice(slurm=True, workers=1, memory_gib=0.5)) as client:
         assert client.scheduler.address.startswith("tls://")
         assert client.submit(sum, (2, 3)).result(timeout=30) == 5
@@ -117,4 +134,33 @@ def test_a_whole_cluster_of_jobs(home, tmp_path, monkeypatch):
         assert "BEGIN" not in said
     while psutil.pid_exists(worker):  # Ended by the time limit of tests.
         time.sleep(0.05)
+    assert not list(home.glob(".jaxscan*")), "certificates stay behind"
+
+
+@pytest.mark.slow
+def test_a_job_that_ended_gets_a_successor(programs, tmp_path):
+    programs()
+    with open_cluster(ClusterChoice(slurm=True, workers=1, memory_gib=0.5)) as client:
+        (first,) = client.run(os.getpid).values()
+        (job,) = (tmp_path / "jobs").read_text().split()
+        os.killpg(int(job), signal.SIGKILL)
+        # A task that is given now waits for the next job.
+        assert client.submit(os.getpid, pure=False).result() != first
+        assert len((tmp_path / "jobs").read_text().split()) == 2
+
+
+def test_a_job_that_slurm_refuses_is_one_line(programs):
+    programs(test="echo 'sbatch: error: invalid partition specified: long' >&2; exit 1;")
+    with pytest.raises(OptionError, match="invalid partition specified: long") as caught:
+        with open_cluster(ClusterChoice(slurm=True)):
+            pytest.fail("opened")
+    assert "\n" not in str(caught.value)
+
+
+def test_jobs_that_end_at_once_are_one_line_and_not_many(programs, tmp_path, home):
+    programs(shell="false")
+    with pytest.raises(OptionError, match="3 jobs ended before their worker was there"):
+        with open_cluster(ClusterChoice(slurm=True)):
+            pytest.fail("opened")
+    assert len((tmp_path / "jobs").read_text().split()) <= 4
     assert not list(home.glob(".jaxscan*")), "certificates stay behind"

@@ -47,6 +47,20 @@ def test_one_capture_and_two_versions(two, run):
     assert [one["moved"] for one in lengths].count(True) == 1
 
 
+def test_a_length_that_is_lost_is_a_change(two, run):
+    first, second = two
+    path = second.parent / "products" / "measures" / "room-2.json"
+    about = json.loads(path.read_text())
+    del about["lengths"]["height"]
+    path.write_text(json.dumps(about))
+    ran = run("project", "compare", first, second)
+    assert ran.code == 1 and "1 length is lost: room-2 height." in ran.err and ran.err.count("\n") == 1
+    # One more than before is told, and nothing is wrong.
+    ran = run("project", "compare", second, first, "--json", "-")
+    found = json.loads(ran.out)
+    assert ran.code == 0 and found["gained"] == ["room-2 height"] and found["lost"] == []
+
+
 def test_two_epochs(two):
     first, second = two
     for name in ("room-1", "room-2"):

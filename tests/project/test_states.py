@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxscan
+from jaxscan.errors import ConfigError
 from jaxscan.files.capture import CACHE_NAME, JOURNAL_NAME
 from jaxscan.project import digests, failed_row, order_of
 from tests.opened import catalogue_of, edit, products, states, work
@@ -101,6 +102,27 @@ def test_one_row_of_each_step_however_often_it_is_written(museum):
     catalogue.write([rows[0]._replace(message="again")])
     assert sorted(row.message for row in catalogue.rows() if row.key == rows[0].key) == ["again"]
     assert len(catalogue.rows()) == len(rows)
+
+
+def test_what_is_done_shows_its_notes(museum, run):
+    catalogue = catalogue_of(museum)
+    edit(museum, '["cloud", "measures", "mesh"]', '["cloud"]')
+    rows = work(museum)
+    catalogue.write([rows[0]._replace(message="A note of the test.")])
+    catalogue.close()
+    assert "A note of the test." in run("project", "status", museum).out
+    assert states(museum)[rows[0].key].state == "done"
+
+
+def test_a_catalogue_that_cannot_be_written_is_one_line(museum):
+    catalogue = catalogue_of(museum)
+    row = failed_row(order_of(states(museum)["cloud/room-1"], museum.parent), "a line")
+    with contextlib.closing(sqlite3.connect(museum.parent / "products" / "catalogue.sqlite")) as database:
+        database.execute("ALTER TABLE jaxscan_products DROP COLUMN host")
+        database.commit()
+    with pytest.raises(ConfigError, match="cannot be written") as caught:
+        catalogue.write([row])
+    assert "\n" not in str(caught.value)
 
 
 def test_a_large_capture_in_pieces_gives_the_same_cloud(museum):

@@ -140,7 +140,7 @@ def with_projects(paths: Sequence[Path]) -> tuple[tuple[Path, ...], list[str]]:
 
 
 def products_of(projects: Sequence[Path]) -> list[tuple[str, str, str]]:
-    """The products of projects as they are now: name, state, and why."""
+    """The products of projects as they are now: name, state, and why, or the notes of one that is done."""
     from jaxscan.cli.project.plan import opened
     from jaxscan.project import load_project
 

@@ -78,17 +78,18 @@ def _many(listed: Sized, name: str) -> str:
 
 def _work(found: Opened, choice: Any, out: Terminal) -> dict[str, Any]:
     from jaxscan.cli.project.display import batch_display
-    from jaxscan.fleet import open_cluster
+    from jaxscan.fleet import open_cluster, patience_of
     from jaxscan.fleet.batch import check_sight, run_batch
+    from jaxscan.project import order_of
 
     # Errors of the cluster are said in one line; Dask would say them in many.
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-    todo = [status for status in found.states if status.state != "done"]
     output = found.project.output
+    todo = [order_of(status, output) for status in found.states if status.state != "done"]
     with open_cluster(choice) as client, batch_display(out, len(todo)) as display:
         check_sight(client, output)
-        report = run_batch(todo, output, found.catalogue, client, display)
+        report = run_batch(todo, found.catalogue, client, display, patience_s=patience_of(choice))
     return {
         "done": [row.key for row in report.rows if row.state == "done"],
         "failed": {row.key: row.message for row in report.failed},

@@ -12,7 +12,7 @@ from jaxscan.errors import MeasurementError
 
 
 if TYPE_CHECKING:
-    from jaxscan.project import LengthChange
+    from jaxscan.project import Comparison, LengthChange
 
 
 def compare(
@@ -26,7 +26,8 @@ def compare(
 
     Captures with the same name are compared by their measures. Different captures: a length has changed if it differs
     by three standard deviations. The same capture gives the same points, so there a tenth of the length's noise is a
-    change already, made by the code, the settings or the calibration. The exit code is 1 if a length has changed.
+    change already, made by the code, the settings or the calibration. The exit code is 1 if a length has changed, or
+    if the second has it no more.
 
     Args:
         first: The project's file of the first epoch or version.
@@ -42,23 +43,33 @@ def compare(
     out = console(json)
     columns = ("", "first m", "second m", "difference mm", "sigma mm", "")
     out.print(table(f"{first} and {second}", columns, [_row(one) for one in found.lengths]))
-    for names, path in ((found.only_first, first), (found.only_second, second)):
+    only_first, only_second = (*found.only_first, *found.lost), (*found.only_second, *found.gained)
+    for names, path in ((only_first, first), (only_second, second)):
         if names:
             out.print(f"only in {path}: {', '.join(names)}")
-    moved = found.moved
-    result = {
-        "lengths": [one._asdict() | {"difference_m": one.difference_m} for one in found.lengths],
-        "only_first": list(found.only_first),
-        "only_second": list(found.only_second),
+    result = found._asdict() | {
+        "lengths": [one._asdict() | {"difference_m": one.difference_m} for one in found.lengths]
     }
     emit_json(json, "project-compare", result)
-    if moved:
-        worst = max(moved, key=lambda one: abs(one.difference_m))
-        raise MeasurementError(
-            f"{len(moved)} of {len(found.lengths)} lengths have changed, {worst.capture} {worst.name} most: by "
-            f"{1e3 * worst.difference_m:+.3f} mm."
-        )
+    changes = _changes(found)
+    if changes:
+        raise MeasurementError(f"{' and '.join(changes)}.")
     out.print(f"{len(found.lengths)} lengths, none has changed")
+
+
+def _changes(found: "Comparison") -> list[str]:
+    """In words: lengths that have changed, and those that are lost."""
+    changes = []
+    if found.moved:
+        worst = max(found.moved, key=lambda one: abs(one.difference_m))
+        changes.append(
+            f"{len(found.moved)} of {len(found.lengths)} lengths have changed, {worst.capture} {worst.name} most: by "
+            f"{1e3 * worst.difference_m:+.3f} mm"
+        )
+    if found.lost:
+        number = len(found.lost)
+        changes.append(f"{number} length{' is' if number == 1 else 's are'} lost: {', '.join(found.lost)}")
+    return changes
 
 
 def _row(one: "LengthChange") -> tuple[str, ...]:

@@ -9,7 +9,7 @@ import tyro
 
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import check_paths, file_at
-from jaxscan.errors import OptionError
+from jaxscan.errors import JaxscanError, OptionError
 
 
 NAME = "project.toml"
@@ -41,9 +41,15 @@ def init(
     if not folder.is_dir():
         raise OptionError(f"{folder}: is no folder.")
     write_atomically(target, project_text(folder).encode())
-    project = load_project(target)
+    try:
+        project = load_project(target)
+        steps = len(steps_of(project))
+    except JaxscanError:
+        # What is in the way, a name that two captures have say, is mended in the folder; then it is called again.
+        target.unlink()
+        raise
     out = console(json)
-    out.print(f"written: {target} ({len(project.captures)} captures, {len(steps_of(project))} steps)")
+    out.print(f"written: {target} ({len(project.captures)} captures, {steps} steps)")
     out.print(f"next: {shlex.join(['jaxscan', 'batch', str(target)])}")
     names = [capture.name for capture in project.captures]
     emit_json(json, "project-init", {"project": str(target), "captures": names})

@@ -1,4 +1,4 @@
-"""`jaxscan project status`: the steps of a project that are done, stale, failed and missing, and why."""
+"""`jaxscan project status`: the steps of a project that are done, with their notes, and the others, with the reason."""
 
 import shlex
 from pathlib import Path
@@ -21,8 +21,9 @@ _MOST_ROWS = 60
 def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False, json: JsonTarget = None) -> None:
     """Say what is done, stale, failed and missing: `jaxscan project status project.toml`.
 
-    A product is stale if its capture, its calibration, the settings or the code that makes it have changed since, or if
-    a file of it is gone. Nothing is computed.
+    A step that is not done has its reason beside it, and one that is done its notes. A product is stale if its capture,
+    its calibration, the settings or the code that makes it have changed since, or if a file of it is gone. Nothing is
+    computed.
 
     Args:
         project: The project's file.
@@ -41,7 +42,7 @@ def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False,
     listed = shown if all else shown[:_MOST_ROWS]
     if listed:
         rows = [(one.step.key, one.state, one.why) for one in listed]
-        out.print(table(f"{project}", ("", "state", "why"), rows))
+        out.print(table(f"{project}", ("", "state", "why, or notes"), rows))
     if len(listed) < len(shown):
         out.print(f"... and {len(shown) - len(listed)} more (--all)")
     out.print(in_words(counts))

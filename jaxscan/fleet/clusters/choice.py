@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -12,6 +13,14 @@ from jaxscan.fleet.clusters.hosts import read_hosts
 
 Kind = Literal["local", "running", "slurm", "kubernetes", "ssh"]
 
+PATIENCE_S: Mapping[Kind, float] = {
+    "local": 300.0,
+    "running": 300.0,
+    "ssh": 300.0,
+    "slurm": 24 * 3600.0,
+    "kubernetes": 3600.0,
+}
+"""How long a worker may be awaited: jobs wait in their queue, and machines for pods have to start and load images."""
 MAX_WORKERS = 10_000
 MIN_MEMORY_GIB, MAX_MEMORY_GIB = 0.25, 65536.0
 _ADDRESS = re.compile(r"(tcp|tls)://(\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9._-]{1,253}):([0-9]{1,5})")
@@ -44,6 +53,11 @@ def kind_of(choice: ClusterChoice) -> Kind:
     if choice.kubernetes:
         return "kubernetes"
     return "local" if choice.ssh is None else "ssh"
+
+
+def patience_of(choice: ClusterChoice) -> float:
+    """How long a batch waits where no worker is there [s]."""
+    return PATIENCE_S[kind_of(choice)]
 
 
 def check_choice(choice: ClusterChoice) -> None:

@@ -10,14 +10,12 @@ import dask
 import distributed
 
 from jaxscan.errors import OptionError
-from jaxscan.fleet.clusters.choice import ClusterChoice
+from jaxscan.fleet.clusters.choice import ClusterChoice, patience_of
 from jaxscan.fleet.clusters.settings import MEMORY, as_environment, run_apart, wait_for_worker
 
 
 ANSWER_S = 20.0
 """How long Kubernetes may take to answer."""
-WAIT_S = 3600.0
-"""How long the first pod may take: machines may have to start, and to load the image."""
 _MEMORY_GIB = 4.0
 _SCHEDULER_MEMORY = "2Gi"
 _NOT_OURS = "ghcr.io/dask/dask"
@@ -46,7 +44,7 @@ def open_kubernetes(choice: ClusterChoice) -> Iterator[Any]:
             "and whether the operator of dask-kubernetes is installed."
         ) from problem
     with cluster, distributed.Client(cluster, set_as_default=False) as client:
-        wait_for_worker(client, WAIT_S, "look at kubectl get pods.")
+        wait_for_worker(client, patience_of(choice), "look at kubectl get pods.")
         yield client
 
 

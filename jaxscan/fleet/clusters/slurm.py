@@ -4,6 +4,7 @@ import contextlib
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,11 @@ from dask.utils import parse_bytes
 from jaxscan.errors import DependencyError, OptionError, OutputError
 from jaxscan.files.disk import reported
 from jaxscan.fleet.clusters.certificates import make_certificates, security_of
-from jaxscan.fleet.clusters.choice import ClusterChoice
-from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, MEMORY, as_environment, wait_for_worker
+from jaxscan.fleet.clusters.choice import ClusterChoice, patience_of
+from jaxscan.fleet.clusters.jobs import MOST_IN_VAIN, Jobs, jobs_of
+from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, MEMORY, as_environment
 
 
-WAIT_S = 24 * 3600.0
-"""How long the first job may wait in the queue."""
 _CORES, _MEMORY = 1, "4GiB"
 """What a job asks for where the configuration says nothing."""
 _MAX_CORES = 4096
@@ -28,23 +28,38 @@ _MAX_CORES = 4096
 
 @contextlib.contextmanager
 def open_slurm(choice: ClusterChoice) -> Iterator[Any]:
-    """The scheduler in this process, and one job of SLURM for each worker; they are cancelled when `with` ends.
+    """The scheduler in this process, and one job of SLURM for each worker.
+
+    A job that ends gets a successor. All are cancelled when `with` ends.
 
     A network of such a cluster has other users, so all connections are encrypted and ask for a certificate. It lies in
     a private folder that the nodes can read too; the scripts of the jobs hold its path.
 
     Raises:
         DependencyError: If there is no SLURM here.
-        OptionError: If no job starts in a day.
+        OptionError: If SLURM takes no such job, none starts in a day, or jobs end before their worker is there.
         OutputError: If the folder for certificates cannot be made.
     """
     if shutil.which("sbatch") is None:
         raise DependencyError("--slurm: there is no sbatch here; call it on a machine from which SLURM takes jobs.")
     with certificates_for_nodes() as security, slurm_cluster(choice, security) as cluster:
-        cluster.scale(jobs=choice.workers or 1)
-        with distributed.Client(cluster, set_as_default=False) as client:
-            wait_for_worker(client, WAIT_S, "look at squeue, and at the log of a job.")
+        with jobs_of(cluster, choice.workers or 1) as jobs, distributed.Client(cluster, set_as_default=False) as client:
+            _wait(client, jobs, patience_of(choice))
             yield client
+
+
+def _wait(client: Any, jobs: Jobs, seconds: float) -> None:
+    """Wait for the first worker, as long as jobs wait or run."""
+    until = time.monotonic() + seconds
+    while jobs.in_vain < MOST_IN_VAIN and time.monotonic() < until:
+        with contextlib.suppress(TimeoutError):
+            client.wait_for_workers(1, timeout=1)
+            return
+    if jobs.in_vain < MOST_IN_VAIN:
+        raise OptionError(f"--slurm: no job began within {seconds / 3600:.0f} h; look at squeue.")
+    raise OptionError(
+        f"--slurm: {jobs.in_vain} jobs ended before their worker was there; look at their logs, slurm-NUMBER.out."
+    )
 
 
 @contextlib.contextmanager

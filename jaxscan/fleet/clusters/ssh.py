@@ -155,7 +155,7 @@ def _certificates_on(hosts: Sequence[Host], certificates: Certificates) -> Itera
                 raise problem
 
     async def remove() -> None:
-        left = sorted(made)
+        left = list(made)
         tried = await asyncio.gather(*(_remove(host, folders[host]) for host in left), return_exceptions=True)
         for host, problem in zip(left, tried, strict=True):
             if problem is not None:

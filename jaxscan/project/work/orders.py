@@ -77,25 +77,25 @@ def do_step(order: Order, progress: Progress = None) -> Row:
         order: The step.
         progress: Called with (done, in all).
     """
-    started = time.time()
+    started = time.perf_counter()
     try:
         outputs, notes = _done(order, progress)
     except JaxscanError as problem:
-        return failed_row(order, str(problem), started_s=started)
+        return failed_row(order, str(problem), seconds=time.perf_counter() - started)
     except Exception as problem:
         # A defect of jaxscan is the failure of one step too; where it arose is kept in the catalogue.
         message = f"unexpected {type(problem).__name__}: {problem}".splitlines()[0]
-        return failed_row(order, message, started_s=started, details=traceback.format_exc())
-    return _row(order, "done", " ".join(notes), started)._replace(outputs=outputs)
+        return failed_row(order, message, seconds=time.perf_counter() - started, details=traceback.format_exc())
+    return _row(order, "done", " ".join(notes), time.perf_counter() - started)._replace(outputs=outputs)
 
 
-def failed_row(order: Order, message: str, *, started_s: float | None = None, details: str = "") -> Row:
-    """The row of a step that failed, with the line that says why."""
-    return _row(order, "failed", message, time.time() if started_s is None else started_s)._replace(details=details)
+def failed_row(order: Order, message: str, *, seconds: float = 0.0, details: str = "") -> Row:
+    """The row of a step that failed now, after some time, with the line that says why."""
+    return _row(order, "failed", message, seconds)._replace(details=details)
 
 
-def _row(order: Order, state: str, message: str, started_s: float) -> Row:
-    host, seconds = f"{platform.node()} {os.getpid()}", time.time() - started_s
+def _row(order: Order, state: str, message: str, seconds: float) -> Row:
+    host = f"{platform.node()} {os.getpid()}"
     return Row(
         order.step.key,
         order.digest,
@@ -103,7 +103,7 @@ def _row(order: Order, state: str, message: str, started_s: float) -> Row:
         message[:_LONGEST],
         order.parts,
         (),
-        started_s=started_s,
+        started_s=time.time() - seconds,
         seconds=seconds,
         host=host,
         version=jaxscan.__version__,
