@@ -28,6 +28,7 @@ class Jobs:
         """Args: the cluster, and how many jobs it is to have."""
         self._cluster, self._number = cluster, number
         self._looked = 0.0
+        self._came = set[str]()
         self.in_vain = 0
         """Jobs that ended before their worker was there, since the last one that came."""
 
@@ -41,21 +42,18 @@ class Jobs:
         self._cluster.sync(self._replace, queued)
 
     async def _replace(self, queued: Set[str]) -> None:
-        workers = self._cluster.scheduler_info["workers"].values()
-        there = {worker["name"] for worker in workers}
-        ended = [name for name, job in self._cluster.workers.items() if name not in there and _id_of(job) not in queued]
+        there = {worker["name"] for worker in self._cluster.scheduler_info["workers"].values()}
+        jobs = {name: str(job.job_id) for name, job in self._cluster.workers.items()}
+        self._came |= {jobs[name] for name in there & jobs.keys()}
+        ended = [name for name in jobs if name not in there and jobs[name] not in queued]
         for name in ended:
             # What the cluster has no job for, it starts.
             del self._cluster.workers[name]
-        self.in_vain = 0 if there else self.in_vain + len(ended)
+        self.in_vain = 0 if there else self.in_vain + sum(jobs[name] not in self._came for name in ended)
         if len(self._cluster.workers) < self._number:
             # A job that SLURM refuses now is tried again at the next look.
             with contextlib.suppress(RuntimeError):
                 await self._cluster
-
-
-def _id_of(job: Any) -> str:
-    return str(job.job_id)
 
 
 @contextlib.contextmanager
