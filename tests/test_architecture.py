@@ -76,6 +76,7 @@ HOME_OF = {
     "pye57": {"files"},
     "ezdxf": {"files/drawings"},
     "fsspec": {"files/remote"},
+    "obstore": {"files/remote"},
     "s3fs": set(),
     "laspy": {"files"},
     "pyproj": {"files"},

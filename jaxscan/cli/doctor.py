@@ -59,6 +59,7 @@ OPTIONAL = (
     Optional("distributed", "distributed", "fleet", "batch"),
     Optional("sqlalchemy", "sqlalchemy", "fleet", "project, batch"),
     Optional("s3fs", "s3fs", "s3", "captures on object storage"),
+    Optional("obstore", "obstore", "s3", "captures on object storage"),
 )
 
 

@@ -7,6 +7,7 @@ from jaxscan.errors import CaptureError
 from jaxscan.files.disk import MEGABYTE, reported, shown, write_atomically
 from jaxscan.files.remote.listing import FileEntry, file_entry, listing
 from jaxscan.files.remote.place import Place, asked, in_threads, info_of, open_place
+from jaxscan.files.remote.reading import Reader, reader_of
 
 
 BLOCK_BYTES = 8 * MEGABYTE
@@ -39,8 +40,10 @@ def fetch_folder(address: str, folder: Path, *, most_bytes: int) -> None:
         for inner in sorted({os.path.dirname(file.name) for file in files}):
             os.makedirs(folder / inner, exist_ok=True)
 
+    read = reader_of(place)
+
     def fetch(file: FileEntry) -> None:
-        _fetch(place.child(file.name), file.size, folder / file.name)
+        _fetch(read, place.child(file.name), file.size, folder / file.name)
 
     in_threads(fetch, files)
     if listing(place) != files:
@@ -63,7 +66,7 @@ def fetch_file(address: str, path: Path, *, most_bytes: int) -> None:
     place = open_place(address)
     file = file_entry("", info_of(place), place)
     _check_size(file.size, most_bytes, place)
-    _fetch(place, file.size, path)
+    _fetch(reader_of(place), place, file.size, path)
     if file_entry("", info_of(place), place) != file:
         raise _changed(place)
 
@@ -82,28 +85,28 @@ def read_remote(address: str, limit: int) -> bytes:
     place = open_place(address)
     size = file_entry("", info_of(place), place).size
     _check_size(size, limit, place)
-    return _block(place, 0, size)
+    return _block(reader_of(place), place, 0, size)
 
 
-def _fetch(place: Place, size: int, path: Path) -> None:
+def _fetch(read: Reader, place: Place, size: int, path: Path) -> None:
     """Copy a file of a known size; it gets its name when it is complete."""
 
     def write(part: Path) -> None:
         with open(part, "wb") as file:
             for start in range(0, size, BLOCK_BYTES):
-                file.write(_block(place, start, min(start + BLOCK_BYTES, size)))
+                file.write(_block(read, place, start, min(start + BLOCK_BYTES, size)))
 
     write_atomically(path, write, durable=False, error=CaptureError, links="replace")
 
 
-def _block(place: Place, start: int, end: int) -> bytes:
-    def read() -> bytes:
-        block = place.storage.cat_file(place.path, start=start, end=end)
+def _block(read: Reader, place: Place, start: int, end: int) -> bytes:
+    def block_of() -> bytes:
+        block = read(place, start, end)
         if len(block) != end - start:
             raise OSError(f"found {len(block)} bytes, expected {end - start}")
         return block
 
-    return asked(read, place)
+    return asked(block_of, place)
 
 
 def _check_size(size: int, most_bytes: int, place: Place) -> None:

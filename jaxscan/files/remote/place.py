@@ -51,6 +51,11 @@ def is_remote(address: str) -> bool:
     return _ADDRESS.match(address) is not None
 
 
+def is_s3(address: str) -> bool:
+    """Whether an address is one of S3, or of a server that speaks its language."""
+    return address.split("://")[0] in _S3
+
+
 def open_place(address: str) -> Place:
     """The place at an address; nothing is asked of it.
 
@@ -60,7 +65,7 @@ def open_place(address: str) -> Place:
     """
     check_address(address)
     scheme = address.split("://")[0]
-    extra = "s3" if scheme in _S3 else "fleet"
+    extra = "s3" if is_s3(address) else "fleet"
     try:
         from fsspec.core import url_to_fs
     except ImportError as problem:
