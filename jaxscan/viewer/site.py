@@ -33,6 +33,7 @@ _FILES = (
     "draw.js",
     "panorama.js",
     "panel.js",
+    "box.js",
     "marks.js",
     "icon.svg",
 )

@@ -1,16 +1,20 @@
 """The viewer in a real browser."""
 
+import base64
 import json
 import time
 import urllib.error
 import urllib.request
 
+import cv2
+import numpy as np
 import pytest
+from scipy import ndimage
 
 from jaxscan.viewer import serve_clouds
 from jaxscan.web import open_address
 
-from ..browser.driver import NARROW, Looks
+from ..browser.driver import NARROW, WIDE, Looks
 from ..cli.conftest import run as run
 
 
@@ -117,6 +121,41 @@ def test_colours_a_section_and_what_stands_where(opened):
     opened.until(lambda: opened.colours("cloud") > 20)
     # Names of files are text.
     assert "<b>grey</b>" in opened.driver.execute_script("return document.getElementById('clouds').textContent")
+
+
+def handles(looks):
+    """Where the handles of the section are [px]: blue spots that are drawn over the cloud."""
+    png = looks.driver.execute_script("return document.getElementById('marks').toDataURL()").partition(",")[2]
+    picture = cv2.imdecode(np.frombuffer(base64.b64decode(png), np.uint8), cv2.IMREAD_UNCHANGED)
+    blue = np.all(picture == (255, 179, 111, 255), axis=-1)
+    # Letters are written on the spots, and lines lead through them.
+    spots, count = ndimage.label(ndimage.binary_opening(ndimage.binary_closing(blue, np.ones((5, 5))), np.ones((7, 7))))
+    return [(x, y) for y, x in ndimage.center_of_mass(spots > 0, spots, range(1, count + 1))]
+
+
+def test_a_side_of_the_section_is_dragged(opened):
+    from selenium.webdriver.common.actions.action_builder import ActionBuilder
+
+    opened.driver.execute_script("document.getElementById('section').click()")
+    opened.until(lambda: len(handles(opened)) >= 3)
+    sides = "return Array.from(document.querySelectorAll('#box input'), (one) => Number(one.value))"
+    before = opened.driver.execute_script(sides)
+    panel = opened.driver.execute_script("return document.getElementById('panel').getBoundingClientRect().left")
+    x, y = min(place for place in handles(opened) if place[0] < panel - 60)
+    way = np.array([WIDE[0] / 2 - x, WIDE[1] / 2 - y])
+    dx, dy = (round(one) for one in 60 * way / np.linalg.norm(way))
+    pointer = ActionBuilder(opened.driver)
+    pointer.pointer_action.move_to_location(round(x), round(y)).pointer_down()
+    pointer.pointer_action.move_by(dx // 2, dy // 2).move_by(dx - dx // 2, dy - dy // 2).pointer_up()
+    pointer.perform()
+    after = opened.driver.execute_script(sides)
+    moved = [k for k in range(6) if abs(after[k] - before[k]) > 0.02]
+    # Inwards: "from" grew, or "to" shrank; and nothing was measured.
+    assert len(moved) == 1 and (after[moved[0]] > before[moved[0]]) == (moved[0] % 2 == 0)
+    # The side moves along its own axis, to which the pointer's way is a little oblique.
+    assert min(np.hypot(a - x - dx, b - y - dy) for a, b in handles(opened)) < 30
+    assert opened.text("measured") == ""
+    assert opened.complaints() == []
 
 
 def test_deviations_need_a_plane(opened):

@@ -1,14 +1,16 @@
 // The page: the server knows the points and measures; what is shown is chosen here.
+import { Box } from "./box.js";
 import { Camera } from "./camera.js";
 import { Drawing } from "./draw.js";
 import { drawMarks } from "./marks.js";
-import { at, make, makeBox, showProducts, showScale, showState } from "./panel.js";
+import { at, make, showProducts, showScale, showState } from "./panel.js";
 
 const canvas = at("cloud"), camera = new Camera(), CLICK_PX = 8, STILL_PX = 5, FAR_M = 1000;
-let state = { kind: "point", message: "", measured: [], first: null }, socket = null, again = 0, corners = null;
+let state = { kind: "point", message: "", measured: [], first: null }, socket = null, again = 0, box = null, held = -1;
 const placed = (one) => one.xyz.map((x, k) => x + (drawing.clouds[one.cloud]?.shift[k] ?? 0));
 const drawing = new Drawing(canvas, camera, (panorama) => {
-  drawMarks(at("marks"), camera, state, placed);
+  const shows = box && at("section").checked && !panorama;
+  drawMarks(at("marks"), camera, state, placed, shows ? (pen, width, height) => box.draw(pen, camera, width, height, held) : null);
   at("loading").hidden = drawing.points > 0 || panorama !== null;
   at("shown").textContent = panorama ? "a panorama is shown" : `${drawing.points.toLocaleString("en")} points shown`;
 });
@@ -55,7 +57,7 @@ function save({ file, text }) {
 
 const shown = () => ({
   clouds: drawing.clouds.filter((cloud) => cloud.visible).map(({ number, shift }) => ({ number, shift })),
-  section: at("section").checked ? corners() : null,
+  section: at("section").checked ? box.corners() : null,
 });
 
 function pick(x, y) {
@@ -84,7 +86,19 @@ function apart() {
     cloud.shift = at("apart").checked ? [place - cloud.low[0] + drawing.clouds[0].low[0], 0, 0] : [...cloud.home];
     if (cloud.visible) place += 1.2 * (cloud.high[0] - cloud.low[0]);
   }
+  enclose();
   look("outside");
+}
+
+// A section around all that is shown.
+function enclose() {
+  box = new Box(...bounds(), cut);
+  cut();
+}
+
+function cut() {
+  drawing.section = at("section").checked ? box.corners() : null;
+  drawing.moved();
 }
 
 function look(where) {
@@ -96,23 +110,30 @@ function look(where) {
   drawing.moved();
 }
 
-// Hands: one finger or the left button turns, two fingers or another button move, a tap measures.
+// The side of the section whose handle a pointer is on; -1 if on none.
+function grasped(event) {
+  if (!box || !at("section").checked || drawing.around()) return -1;
+  return box.handleAt(event.offsetX, event.offsetY, camera, canvas.clientWidth, canvas.clientHeight, event.pointerType === "touch");
+}
+
+// Hands: one finger or the left button turns, two fingers or another button move, a tap measures; handles are dragged.
 const fingers = new Map();
 let travelled = 0, spread = 0;
 canvas.oncontextmenu = (event) => event.preventDefault();
 canvas.onpointerdown = (event) => {
   canvas.setPointerCapture(event.pointerId);
-  if (!fingers.size) travelled = 0;
+  if (!fingers.size) { travelled = 0; held = grasped(event); }
   fingers.set(event.pointerId, [event.clientX, event.clientY]);
-  if (fingers.size > 1) travelled = STILL_PX + 1;
+  if (fingers.size > 1) { travelled = STILL_PX + 1; held = -1; }
   spread = 0;
 };
 canvas.onpointermove = (event) => {
   const before = fingers.get(event.pointerId);
-  if (!before) return;
+  if (!before) { canvas.style.cursor = grasped(event) < 0 ? "" : "grab"; return; }
   const dx = event.clientX - before[0], dy = event.clientY - before[1];
   fingers.set(event.pointerId, [event.clientX, event.clientY]);
   travelled += Math.hypot(dx, dy);
+  if (held >= 0) return box.drag(held, dx, dy, camera, canvas.clientWidth, canvas.clientHeight);
   if (travelled <= STILL_PX) return;
   if (fingers.size > 1) {
     const [a, b] = [...fingers.values()], now = Math.hypot(a[0] - b[0], a[1] - b[1]);
@@ -125,9 +146,9 @@ canvas.onpointermove = (event) => {
 };
 canvas.onpointerup = (event) => {
   fingers.delete(event.pointerId);
-  if (travelled <= STILL_PX && event.button === 0) pick(event.offsetX, event.offsetY);
+  if (held >= 0) { held = -1; drawing.later(); } else if (travelled <= STILL_PX && event.button === 0) pick(event.offsetX, event.offsetY);
 };
-canvas.onpointercancel = (event) => fingers.delete(event.pointerId);
+canvas.onpointercancel = (event) => { fingers.delete(event.pointerId); held = -1; };
 canvas.addEventListener("wheel", (event) => { event.preventDefault(); camera.zoom(Math.exp(event.deltaY / 600)); drawing.moved(); }, { passive: false });
 canvas.ondblclick = () => { const last = state.measured.at(-1); if (last?.at.length) { camera.target = placed(last.at.at(-1)); drawing.moved(); } };
 
@@ -151,7 +172,7 @@ for (const where of ["outside", "above"]) at(where).onclick = () => look(where);
 at("by").onchange = colour;
 at("photographs").onchange = () => { drawing.photographs = at("photographs").checked; drawing.moved(); };
 at("apart").onchange = apart;
-at("section").onchange = () => { drawing.section = at("section").checked ? corners() : null; drawing.moved(); };
+at("section").onchange = cut;
 at("budget").oninput = () => { drawing.budget = 1e6 * at("budget").value; drawing.later(); };
 at("size").oninput = () => { drawing.size = Number(at("size").value); drawing.moved(); };
 
@@ -181,14 +202,14 @@ async function begin() {
   at("look-again").onclick = showProducts;
   at("clouds-part").hidden = drawing.clouds.length < 2;
   for (const cloud of drawing.clouds) {
-    const label = make("label"), box = make("input");
-    Object.assign(box, { type: "checkbox", checked: true, onchange: () => { cloud.visible = box.checked; if (at("apart").checked) apart(); drawing.moved(); } });
-    label.append(box, ` ${cloud.name}`);
+    const label = make("label"), tick = make("input");
+    Object.assign(tick, { type: "checkbox", checked: true, onchange: () => { cloud.visible = tick.checked; if (at("apart").checked) apart(); drawing.moved(); } });
+    label.append(tick, ` ${cloud.name}`);
     at("clouds").append(label);
   }
   if (at("apart").checked) apart();
-  corners = makeBox(...bounds(), (box) => { if (at("section").checked) { drawing.section = box; drawing.moved(); } });
   drawing.query = "by=photograph";
+  enclose();
   look("outside");
   connect();
 }

@@ -1,11 +1,15 @@
 // What was measured, drawn over the cloud.
 const MARK = "#ffa02e";
 
-export function drawMarks(canvas, camera, state, place) {
+// `box` draws itself, or is null.
+export function drawMarks(canvas, camera, state, place, box) {
   const dense = Math.min(devicePixelRatio, 2), width = canvas.clientWidth, height = canvas.clientHeight;
   canvas.width = Math.round(width * dense); canvas.height = Math.round(height * dense);
-  const pen = canvas.getContext("2d");
-  pen.scale(dense, dense); pen.strokeStyle = pen.fillStyle = MARK; pen.lineWidth = 2; pen.font = "600 13px system-ui";
+  // Drawn in memory: Chromium without a graphics processor goes on showing what it should have cleared.
+  const pen = canvas.getContext("2d", { willReadFrequently: true });
+  pen.scale(dense, dense);
+  box?.(pen, width, height);
+  pen.strokeStyle = pen.fillStyle = MARK; pen.lineWidth = 2; pen.font = "600 13px system-ui";
   const spot = (at) => { pen.beginPath(); pen.arc(at[0], at[1], 4, 0, 7); pen.fill(); };
   const seen = (one) => camera.project(place(one), width, height);
   if (state.first) { const at = seen(state.first); if (at) spot(at); }

@@ -55,20 +55,3 @@ export async function showProducts() {
     return item;
   }), ...(more > 0 ? [make("li", `and ${more} more`)] : []));
 }
-
-// Six sliders for the sides of a box; calls `changed` with its corners.
-export function makeBox(low, high, changed) {
-  const sides = [0, 1, 2].flatMap((axis) => ["from", "to"].map((end) => {
-    const label = make("label", `${"xyz"[axis]} ${end} `), slider = make("input");
-    const least = low[axis] - 0.2, most = high[axis] + 0.2;
-    Object.assign(slider, { type: "range", min: least, max: most, step: 0.01, value: end === "from" ? least : most });
-    slider.id = `${"xyz"[axis]}-${end}`;
-    const told = make("output", Number(slider.value).toFixed(2) + " m");
-    slider.oninput = () => { told.textContent = Number(slider.value).toFixed(2) + " m"; changed(corners()); };
-    label.append(told, slider);
-    at("box").append(label);
-    return slider;
-  }));
-  const corners = () => [[0, 2, 4], [1, 3, 5]].map((which) => which.map((k) => Number(sides[k].value)));
-  return corners;
-}
