@@ -5,7 +5,7 @@ are found, their digests taken and compared with an empty catalogue, each is han
 its row is written. Limits, stated before: 10,000 captures in 60 s and 1 GB, and time that grows linearly: from 1,000
 to 10,000 not more than tenfold with a tenth to spare.
 
-    python experiments/fleet_scheduling.py [--quick] [--plot FILE]
+    python experiments/fleet/scheduling.py [--quick] [--plot FILE]
 """
 
 import argparse
