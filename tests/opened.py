@@ -1,11 +1,10 @@
 """A project opened as the verbs open it, and done in this process."""
 
 from jaxscan.project import (
-    Catalogue,
-    catalogue_address,
     digests_of,
     do_step,
     load_project,
+    open_catalogue,
     order_of,
     states_of,
     steps_of,
@@ -15,7 +14,7 @@ from jaxscan.project import (
 def catalogue_of(file):
     project = load_project(file)
     project.output.mkdir(exist_ok=True)
-    return Catalogue(catalogue_address(project.wanted.project.catalogue, project.output), project.wanted.project.name)
+    return open_catalogue(project)
 
 
 def states(file):

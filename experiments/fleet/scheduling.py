@@ -27,12 +27,11 @@ from matplotlib import pyplot as plt
 from jaxscan.fleet import ClusterChoice, open_cluster
 from jaxscan.fleet.batch import run_batch
 from jaxscan.project import (
-    Catalogue,
     Order,
     Row,
-    catalogue_address,
     digests_of,
     load_project,
+    open_catalogue,
     order_of,
     row_to_json,
     states_of,
@@ -85,9 +84,9 @@ def measure(count: int) -> dict[str, float]:
         (home / "calibration.json").write_text("{}")
         (home / "project.toml").write_text(PROJECT)
         (home / "products").mkdir()
-        catalogue = Catalogue(catalogue_address("", home / "products"), "empty")
         start = time.perf_counter()
         project = load_project(home / "project.toml")
+        catalogue = open_catalogue(project)
         steps = steps_of(project)
         states = states_of(steps, *digests_of(steps), catalogue.rows(), project.output)
         todo = [order_of(status, project.output) for status in states]

@@ -22,7 +22,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from jaxscan.project import Catalogue, catalogue_address
+from jaxscan.project import Catalogue
 
 
 WORKERS_LIMIT, STORAGE_LIMIT = 1.7, 0.70
@@ -50,7 +50,7 @@ def batch(home: Path, pattern: str, *, workers: int, cores: set[int]) -> tuple[f
     start = time.perf_counter()
     subprocess.run(words, check=True, stdout=subprocess.DEVNULL, preexec_fn=lambda: os.sched_setaffinity(0, cores))
     seconds = time.perf_counter() - start
-    catalogue = Catalogue(catalogue_address("", Path(output)), "copies")
+    catalogue = Catalogue(Path(output, "catalogue.sqlite"), "copies")
     at_work = sum(row.seconds for row in catalogue.rows())
     catalogue.close()
     shutil.rmtree(output)

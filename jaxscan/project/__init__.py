@@ -1,7 +1,7 @@
 """Many captures as one project: the products of each, and which of them are there already."""
 
 from jaxscan.project.begin import project_text
-from jaxscan.project.catalogue import Catalogue, Row, catalogue_address, row_from_json, row_to_json
+from jaxscan.project.catalogue import Catalogue, Row, open_catalogue, row_from_json, row_to_json
 from jaxscan.project.claim import claimed
 from jaxscan.project.compare import Comparison, LengthChange, compare_projects
 from jaxscan.project.config import Product, ProjectFile, load_project_file

@@ -12,6 +12,7 @@ from jaxscan.errors import CalibrationError, ConfigError
 from jaxscan.files.calibration import load_scanner
 from jaxscan.files.capture import HEADER_NAME, CaptureHeader, parse_header
 from jaxscan.files.disk import MEGABYTE, read_bounded
+from jaxscan.project.claim import ABOUT
 
 
 DEEPEST = 4
@@ -72,6 +73,10 @@ def _walked(folder: Path) -> tuple[list[Path], list[Path]]:
         path = Path(here).relative_to(folder)
         is_capture = HEADER_NAME in names
         captures += [path] if is_capture else []
+        if ABOUT in names:
+            # The products of a batch: what it calibrated is not given.
+            below[:] = []
+            continue
         files += [] if is_capture else [path / name for name in sorted(names) if name.endswith(".json")]
         below[:] = [] if is_capture or len(path.parts) >= DEEPEST else sorted(below)
     return sorted(captures), sorted(files)

@@ -1,11 +1,16 @@
 """The catalogue of a project's products, in a database: inputs, time, place and outcome of each step."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 from jaxscan.errors import ConfigError, DependencyError
+from jaxscan.project.project import Project
+
+
+STATES = ("begun", "done", "failed")
+_TEXTS = ("key", "digest", "state", "message", "host", "version", "details")
 
 
 class Output(NamedTuple):
@@ -23,7 +28,7 @@ class Row(NamedTuple):
     key: str
     digest: str
     state: str
-    """"done" or "failed"."""
+    """"done" or "failed"; "begun" of one that was handed out and has not come back."""
     message: str
     """The line that says why it failed; notes of one that is done."""
     parts: Mapping[str, str]
@@ -60,7 +65,7 @@ class Catalogue:
             raise DependencyError('the catalogue: needs SQLAlchemy: pip install "jaxscan[fleet]".') from problem
         self._sql, self._project = sqlalchemy, project
         text, metadata = sqlalchemy.Text, sqlalchemy.MetaData()
-        names = ("project", "key", "digest", "state", "message", "parts", "outputs", "host", "version", "details")
+        names = ("project", *_TEXTS, "parts", "outputs")
         self._table = sqlalchemy.Table(
             "jaxscan_products",
             metadata,
@@ -71,14 +76,13 @@ class Catalogue:
         try:
             # Made of its parts, for a path may hold what an address has a meaning for.
             file = sqlalchemy.URL.create("sqlite", database=str(address)) if isinstance(address, Path) else None
-            url = file or sqlalchemy.make_url(str(address))
-            self._engine = sqlalchemy.create_engine(url)
+            self._engine = sqlalchemy.create_engine(file or str(address))
             metadata.create_all(self._engine)
         except ImportError as problem:
             raise DependencyError(
                 f"the catalogue: its database needs {problem.name}, which is not installed."
             ) from None
-        except sqlalchemy.exc.SQLAlchemyError as problem:
+        except (sqlalchemy.exc.SQLAlchemyError, ValueError) as problem:
             raise ConfigError(f"the catalogue: cannot be opened: {_first_line(problem)}.") from None
 
     def rows(self) -> list[Row]:
@@ -94,7 +98,7 @@ class Catalogue:
                 return [_row(dict(found)) for found in connection.execute(query).mappings()]
         except self._sql.exc.SQLAlchemyError as problem:
             raise ConfigError(f"the catalogue: cannot be read: {_first_line(problem)}.") from None
-        except (KeyError, TypeError, ValueError) as problem:
+        except (KeyError, TypeError, ValueError, RecursionError) as problem:
             raise ConfigError("the catalogue: a row is damaged; remove it, and all is made anew.") from problem
 
     def write(self, rows: Sequence[Row]) -> None:
@@ -121,9 +125,23 @@ class Catalogue:
         self._engine.dispose()
 
 
-def catalogue_address(address: str, output: Path) -> str | Path:
-    """Where a project's database is: a file in the folder of its products where no address is named."""
-    return address or output / "catalogue.sqlite"
+def open_catalogue(project: Project) -> Catalogue:
+    """The catalogue of a project: its own database, or a file of SQLite in the folder of its products.
+
+    Where there is no such folder yet it is an empty one in memory: nobody should find a folder where nothing was made.
+    A file of SQLite that is named without its whole path lies beside the project's file.
+
+    Raises:
+        ConfigError: If it cannot be opened.
+        DependencyError: If what it needs is not installed.
+    """
+    wanted = project.wanted.project
+    beside = wanted.catalogue.removeprefix("sqlite:///")
+    address: str | Path = wanted.catalogue or project.output / "catalogue.sqlite"
+    if wanted.catalogue != beside and beside and not beside.startswith((":", "file:")):
+        address = project.file.parent / beside
+    there = wanted.catalogue or project.output.is_dir()
+    return Catalogue(address if there else "sqlite://", wanted.name)
 
 
 def row_to_json(row: Row) -> str:
@@ -137,7 +155,13 @@ def row_from_json(text: str) -> Row:
 
 
 def _values(row: Row) -> dict[str, Any]:
-    return row._asdict() | {"parts": json.dumps(dict(row.parts)), "outputs": json.dumps(row.outputs)}
+    """The columns of a row. Names of files may hold bytes that are no letters, which no database takes."""
+    fields = row._asdict() | {"parts": json.dumps(dict(row.parts)), "outputs": json.dumps(row.outputs)}
+    return {key: _as_text(value) if isinstance(value, str) else value for key, value in fields.items()}
+
+
+def _as_text(value: str) -> str:
+    return value.encode(errors="backslashreplace").decode()
 
 
 def _row(found: Mapping[str, Any]) -> Row:
@@ -146,15 +170,27 @@ def _row(found: Mapping[str, Any]) -> Row:
 
 
 def _made(fields: Mapping[str, Any]) -> Row:
-    listed: Iterable[Any] = fields["outputs"]
-    outputs = tuple(Output(*one) for one in listed)
+    """The row of its fields, each of which may be anything: a database may come from a stranger.
+
+    Raises:
+        ValueError: If it is none.
+    """
+    outputs = tuple(Output(*one) for one in fields["outputs"])
+    row = Row(**{**fields, "outputs": outputs})
+    texts = [getattr(row, name) for name in _TEXTS] + [one.path for one in outputs] + [one.sha256 for one in outputs]
+    texts += [*row.parts.keys(), *row.parts.values()] if isinstance(row.parts, dict) else [None]
+    numbers = [row.started_s, row.seconds, *(one.size for one in outputs)]
+    if not all(isinstance(one, str) for one in texts) or not all(isinstance(one, int | float) for one in numbers):
+        raise ValueError("a field of another type")
+    if row.state not in STATES:
+        raise ValueError("a state that there is not")
     if not all(_is_inside(one.path) for one in outputs):
         raise ValueError("a product outside of the folder of the products")
-    return Row(**{**fields, "outputs": outputs})
+    return row
 
 
 def _is_inside(path: str) -> bool:
-    return not PurePosixPath(path).is_absolute() and ".." not in PurePosixPath(path).parts
+    return "\0" not in path and not PurePosixPath(path).is_absolute() and ".." not in PurePosixPath(path).parts
 
 
 def _first_line(problem: Exception) -> str:

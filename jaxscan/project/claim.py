@@ -1,6 +1,7 @@
 """The folder of a project's products: one project writes there, and one batch at a time."""
 
 import contextlib
+import errno
 import json
 import os
 import platform
@@ -52,6 +53,18 @@ def _take(handle: int, output: Path) -> None:
         raise ConfigError(
             f"{output}: another batch is writing here (process {who or 'unknown'}); wait for it, or end it."
         ) from None
+    except OSError as problem:
+        # Some disks of clusters have no locks; there nobody is kept out.
+        if problem.errno not in (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK):
+            raise
+
+
+def _is_another(other: str, own: str) -> bool:
+    """Whether a file is there and is not this one, by another path."""
+    try:
+        return not os.path.samefile(other, own)
+    except (OSError, ValueError):
+        return False
 
 
 def _check_owner(project: Project) -> None:
@@ -60,7 +73,7 @@ def _check_owner(project: Project) -> None:
         about = parse_json(read_bounded(path, MEGABYTE, error=ConfigError), name=str(path), error=ConfigError)
         other = about.get("file") if isinstance(about, dict) else None
         # A project whose folder was moved is still the same; two files that are there are two projects.
-        if isinstance(other, str) and other != own and os.path.exists(other):
+        if isinstance(other, str) and other != own and _is_another(other, own):
             raise ConfigError(
                 f"{project.output}: holds the products of another project, {other}; choose another `output`."
             )

@@ -1,7 +1,9 @@
 """Two projects compared: lengths of the same rooms at two times, or by two versions of the code."""
 
+import contextlib
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,8 +11,11 @@ import numpy as np
 
 from jaxscan.errors import ConfigError
 from jaxscan.files.disk import MEGABYTE, parse_json, read_bounded
-from jaxscan.project.catalogue import Catalogue, Row, catalogue_address
+from jaxscan.project.catalogue import Row, open_catalogue
+from jaxscan.project.digests import digests_of
 from jaxscan.project.project import Project
+from jaxscan.project.states import states_of
+from jaxscan.project.steps import steps_of
 from jaxscan.project.work.products import MEASURES_FORMAT
 
 
@@ -47,12 +52,14 @@ class Comparison(NamedTuple):
 
     lengths: tuple[LengthChange, ...]
     only_first: tuple[str, ...]
-    """Captures that only the first has measures of."""
+    """Captures that only the first names and has measures of."""
     only_second: tuple[str, ...]
     lost: tuple[str, ...]
-    """Lengths that the first has and the second has not, of captures that both have: "room-1 height"."""
+    """Lengths that the first has and the second has not, of captures that both name: "room-1 height"."""
     gained: tuple[str, ...]
-    """Lengths that the second has and the first has not, of captures that both have."""
+    """Lengths that the second has and the first has not, of captures that both name."""
+    stale: tuple[str, ...]
+    """Captures whose measures the second project would make anew."""
 
     @property
     def moved(self) -> tuple[LengthChange, ...]:
@@ -71,18 +78,24 @@ def compare_projects(first: Project, second: Project) -> Comparison:
         ConfigError: If one has no measures, or they have no capture in common.
     """
     (measures, sources), (others, other_sources) = _measures(first), _measures(second)
-    common = sorted(measures.keys() & others.keys())
-    if not common:
-        raise ConfigError(f"{first.file} and {second.file} have measures of no capture in common; name captures alike.")
     lengths, lost, gained = list[LengthChange](), list[str](), list[str]()
-    for name in common:
-        ours, theirs = measures[name]["lengths"], others[name]["lengths"]
+    both = _names(first) & _names(second)
+    for name in sorted(both & (measures.keys() | others.keys())):
+        ours, theirs = measures.get(name, {}), others.get(name, {})
         same = sources.get(name) is not None and sources.get(name) == other_sources.get(name)
         lengths += [_change(name, side, ours[side], theirs[side], same=same) for side in ours if side in theirs]
         lost += [f"{name} {side}" for side in ours if side not in theirs]
         gained += [f"{name} {side}" for side in theirs if side not in ours]
-    only_first, only_second = sorted(measures.keys() - others.keys()), sorted(others.keys() - measures.keys())
-    return Comparison(tuple(lengths), tuple(only_first), tuple(only_second), tuple(lost), tuple(gained))
+    if not lengths and not lost:
+        raise ConfigError(f"{first.file} and {second.file} have measures of no capture in common; name captures alike.")
+    only_first, only_second = sorted(measures.keys() - both), sorted(others.keys() - both)
+    return Comparison(
+        tuple(lengths), tuple(only_first), tuple(only_second), tuple(lost), tuple(gained), _stale(second, others)
+    )
+
+
+def _names(project: Project) -> set[str]:
+    return {capture.name for capture in project.captures}
 
 
 def _change(
@@ -96,13 +109,21 @@ def _change(
 
 
 def _measures(project: Project) -> tuple[dict[str, dict[str, Any]], dict[str, str]]:
-    """The measures of each capture, and the digest of the capture that they were made of."""
-    found, sources = {}, {}
-    for name, row in _last(project, "measures").items():
-        path = project.output / row.outputs[0].path
-        found[name] = _checked(path)
-    for name, row in _last(project, "cloud").items():
-        sources[name] = row.parts.get("capture", "")
+    """The lengths of each capture by their names, and the digest of the capture that they were made of.
+
+    What was made before, and failed when it was to be made anew, is no measure of this project.
+
+    Raises:
+        ConfigError: If there are none.
+    """
+    last = {row.key: row for row in _rows(project)}
+    found, sources = dict[str, dict[str, Any]](), dict[str, str]()
+    for name in _names(project):
+        row = last.get(f"measures/{name}")
+        if row is not None and row.outputs and _is_current(row, last):
+            found[name] = _lengths(project.output / row.outputs[0].path)
+            cloud = last.get(f"cloud/{name}")
+            sources |= {name: cloud.parts["capture"]} if cloud is not None and "capture" in cloud.parts else {}
     if not found:
         raise ConfigError(
             f'{project.file}: has no measures yet; name "measures" among its products, and call: jaxscan batch '
@@ -111,28 +132,35 @@ def _measures(project: Project) -> tuple[dict[str, dict[str, Any]], dict[str, st
     return found, sources
 
 
-def _last(project: Project, kind: str) -> dict[str, Row]:
-    """The last row of each capture that was done."""
-    wanted = project.wanted.project
-    if not wanted.catalogue and not project.output.is_dir():
-        return {}
-    catalogue = Catalogue(catalogue_address(wanted.catalogue, project.output), wanted.name)
-    try:
-        rows = catalogue.rows()
-    finally:
-        catalogue.close()
-    own = {f"{kind}/{capture.name}": capture.name for capture in project.captures}
-    return {own[row.key]: row for row in rows if row.key in own and row.state == "done"}
+def _is_current(row: Row, last: Mapping[str, Row]) -> bool:
+    """Whether a row is of a step that was done, and so are all before it, as they were last tried."""
+    before = [last[part] for part in row.parts if part in last]
+    same = all(one.digest == row.parts[one.key] for one in before)
+    return row.state == "done" and same and all(_is_current(one, last) for one in before)
 
 
-def _checked(path: Path) -> dict[str, Any]:
+def _stale(project: Project, measured: Iterable[str]) -> tuple[str, ...]:
+    """Captures whose measures would be made anew."""
+    steps = steps_of(project)
+    states = states_of(steps, *digests_of(steps), _rows(project), project.output)
+    done = {status.step.key for status in states if status.state == "done"}
+    return tuple(sorted(name for name in measured if f"measures/{name}" not in done))
+
+
+def _rows(project: Project) -> list[Row]:
+    with contextlib.closing(open_catalogue(project)) as catalogue:
+        return catalogue.rows()
+
+
+def _lengths(path: Path) -> dict[str, Any]:
     about = parse_json(read_bounded(path, MEGABYTE, error=ConfigError), name=str(path), error=ConfigError)
     lengths = about.get("lengths") if isinstance(about, dict) and about.get("format") == MEASURES_FORMAT else None
     keys = ("value_m", "sigma_m", "sigma_random_m")
     good = isinstance(lengths, dict) and all(
-        isinstance(side, dict) and all(isinstance(side.get(key), int | float) for key in keys)
+        isinstance(side, dict)
+        and all(isinstance(side.get(key), int | float) and math.isfinite(side[key]) for key in keys)
         for side in lengths.values()
     )
     if not good:
         raise ConfigError(f"{path}: holds no measures ({json.dumps(MEASURES_FORMAT)}); remove it and call the batch.")
-    return dict(about)
+    return dict(lengths)

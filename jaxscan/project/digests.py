@@ -55,8 +55,10 @@ def digests_of(steps: Iterable[Step]) -> tuple[dict[str, str], dict[str, dict[st
         digests: By key.
         parts: By key, as `parts_of` gives them.
 
+    A capture that cannot be read has the digest of the reason: its steps fail when they are done, and no others.
+
     Raises:
-        JaxscanError: If a source is not there.
+        JaxscanError: If a file that many steps read is not there.
     """
     steps = tuple(steps)
     roles = {address: role for step in steps for role, address in step.sources.items()}
@@ -81,13 +83,20 @@ def code_digest(kind: str) -> str:
 
 
 def _source(address: str, role: str) -> str:
-    """A capture by its header and journal, which names the sha256 of every image; a file by its content."""
-    if is_remote(address):
-        return remote_digest(address)
-    if role.startswith(("capture", "boards")):
-        digest = hashlib.sha256()
-        for name in (HEADER_NAME, JOURNAL_NAME):
-            part = file_digest(Path(address, name), limit=MOST_JOURNAL, error=CaptureError)
-            digest.update(part.encode())
-        return "sha256:" + digest.hexdigest()
-    return file_digest(address, error=ConfigError)
+    capture = role.startswith(("capture", "boards"))
+    try:
+        if is_remote(address):
+            return remote_digest(address)
+        return _capture_digest(address) if capture else file_digest(address, error=ConfigError)
+    except CaptureError as problem:
+        if not capture:
+            raise
+        return "sha256:" + hashlib.sha256(f"cannot be read: {problem}".encode(errors="backslashreplace")).hexdigest()
+
+
+def _capture_digest(folder: str) -> str:
+    """A capture by its header and journal, which names the sha256 of every image."""
+    digest = hashlib.sha256()
+    for name in (HEADER_NAME, JOURNAL_NAME):
+        digest.update(file_digest(Path(folder, name), limit=MOST_JOURNAL, error=CaptureError).encode())
+    return "sha256:" + digest.hexdigest()

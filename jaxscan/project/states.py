@@ -41,7 +41,7 @@ def states_of(
         output: The folder of the products; each is asked whether it is there, and for its size.
     """
     now = {(row.key, row.digest): row for row in rows}
-    last = {row.key: row for row in rows if row.state == "done"}
+    last = {row.key: row for row in rows if row.state != "failed"}
     found = []
     for step in steps:
         row = now.get((step.key, digests[step.key]))
@@ -51,17 +51,18 @@ def states_of(
 
 
 def _state(step: Step, parts: Mapping[str, str], row: Row | None, last: Row | None, output: Path) -> tuple[State, str]:
+    """Args: the row of this digest, and the last one of any digest that wrote files or may have."""
     if row is not None and row.state == "failed":
         return "failed", row.message
-    if row is not None:
-        # Another digest, made later, wrote the same files.
-        if last is not None and last.digest != row.digest:
-            return "stale", _changed(parts, last)
-        wrong = next((words for one in row.outputs if (words := _wrong(output / one.path, one.size))), "")
-        return ("stale", wrong) if wrong else ("done", row.message)
     if last is None:
         return "missing", ""
-    return "stale", _changed(parts, last)
+    if last.state == "begun":
+        return "stale", "was begun, and did not come to its end"
+    # Another digest, made later, wrote the same files.
+    if row is None or last.digest != row.digest:
+        return "stale", _changed(parts, last)
+    wrong = next((words for one in row.outputs if (words := _wrong(output / one.path, one.size))), "")
+    return ("stale", wrong) if wrong else ("done", row.message)
 
 
 def _wrong(path: Path, size: int) -> str:

@@ -1,7 +1,6 @@
 """The graph of what a project makes: names, what needs what, and by which digests a step is the same as before."""
 
 import hashlib
-import itertools
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any, NamedTuple
 from jaxscan.api.ranges import ranges_of
 from jaxscan.errors import CaptureError, ConfigError
 from jaxscan.files.capture import JOURNAL_NAME, open_capture
-from jaxscan.files.disk import open_regular
+from jaxscan.files.disk import MEGABYTE, open_regular
 from jaxscan.files.remote import is_remote
 from jaxscan.project.config import GroupTable, RigTable
 from jaxscan.project.project import Project, ProjectCapture
@@ -51,26 +50,32 @@ def steps_of(project: Project) -> tuple[Step, ...]:
     """All steps of a project, each after those that it needs.
 
     Raises:
-        ConfigError: If two steps would write the same file.
+        ConfigError: If two steps would have one name, or write the same file.
     """
-    steps: dict[str, Step] = {}
-    rigs = dict.fromkeys(capture.rig for capture in project.captures)
-    refined = {rig: _refined(project, rig) for rig in rigs}
-    for rig in rigs:
-        steps |= {step.key: step for step in (*_calibration(project, rig), *refined[rig].steps)}
-    for capture in project.captures:
-        steps |= {step.key: step for step in _of_capture(project, capture, refined[capture.rig].by_all)}
-    for group in project.wanted.group:
-        rig = next(one.rig for one in project.captures if one.name in group.captures)
-        steps |= {step.key: step for step in _of_group(project, group, refined[rig].by_single)}
-    writers: dict[str, str] = {}
-    for step in steps.values():
+    steps = tuple(_all_steps(project))
+    keys, writers = set[str](), dict[str, str]()
+    for step in steps:
+        if step.key in keys:
+            raise ConfigError(f"{project.file}: two steps would be {step.key}; give one of their rigs another name.")
+        keys.add(step.key)
         for output in step.outputs:
             # Some disks take two names that differ in their letters' case for one.
             other = writers.setdefault(output.lower(), step.key)
             if other != step.key:
                 raise ConfigError(f"{project.file}: {step.key} and {other} would write the same file, {output}.")
-    return tuple(steps.values())
+    return steps
+
+
+def _all_steps(project: Project) -> Iterator[Step]:
+    rigs = dict.fromkeys(capture.rig for capture in project.captures)
+    refined = {rig: _refined(project, rig) for rig in rigs}
+    for rig in rigs:
+        yield from (*_calibration(project, rig), *refined[rig].steps)
+    for capture in project.captures:
+        yield from _of_capture(project, capture, refined[capture.rig].by_all)
+    for group in project.wanted.group:
+        rig = next(one.rig for one in project.captures if one.name in group.captures)
+        yield from _of_group(project, group, refined[rig].by_single)
 
 
 def parts_of(step: Step, digests: Mapping[str, str], code: str) -> dict[str, str]:
@@ -214,11 +219,17 @@ def _parts(capture: ProjectCapture, records: int, reads: _Reads) -> Iterator[Ste
 
     Workers would each fetch all of that.
     """
-    if is_remote(capture.address) or not _may_be_large(Path(capture.address), records):
+    if is_remote(capture.address):
         return
     name, settings = capture.name, capture.settings.model_dump(exclude={"colour"})
-    sweep = open_capture(capture.address, compare=False).every(capture.settings.every)
-    ranges = ranges_of(sweep, records)
+    try:
+        if not _may_be_large(Path(capture.address), records):
+            return
+        sweep = open_capture(capture.address, compare=False).every(capture.settings.every)
+        ranges = ranges_of(sweep, records)
+    except CaptureError:
+        # Said by the step that makes its cloud; other captures go on.
+        return
     if len(ranges) < 2 or not all(record.off for record in sweep.records):
         return
     for first, stop in ranges:
@@ -229,8 +240,11 @@ def _parts(capture: ProjectCapture, records: int, reads: _Reads) -> Iterator[Ste
 
 def _may_be_large(folder: Path, records: int) -> bool:
     """Whether a journal has more lines; counting them takes less time than reading them."""
+    lines = 0
     with open_regular(folder / JOURNAL_NAME, error=CaptureError) as file:
-        return sum(1 for _ in itertools.islice(file, records + 1)) > records
+        while lines <= records and (block := file.read(MEGABYTE)):
+            lines += block.count(b"\n")
+    return lines > records
 
 
 def _of_group(project: Project, group: GroupTable, reads: _Reads) -> Iterator[Step]:
@@ -255,4 +269,4 @@ def _of_group(project: Project, group: GroupTable, reads: _Reads) -> Iterator[St
         output = _MERGED[kind].format(group.name)
         products = {**clouds, "calibration": files[0]}
         more = {"tile_m": group.tile_m} if kind == "tiles" else {}
-        yield Step(f"{kind}/{group.name}", f"merged {kind}", (*keys, register), {}, products, (output,), more)
+        yield Step(f"merged/{kind}/{group.name}", f"merged {kind}", (*keys, register), {}, products, (output,), more)

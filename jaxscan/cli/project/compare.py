@@ -43,6 +43,8 @@ def compare(
     out = console(json)
     columns = ("", "first m", "second m", "difference mm", "sigma mm", "")
     out.print(table(f"{first} and {second}", columns, [_row(one) for one in found.lengths]))
+    if found.stale:
+        out.print(f"stale in {second}, so compared as they were made: {', '.join(found.stale)}")
     only_first, only_second = (*found.only_first, *found.lost), (*found.only_second, *found.gained)
     for names, path in ((only_first, first), (only_second, second)):
         if names:

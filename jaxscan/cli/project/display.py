@@ -28,6 +28,7 @@ class BatchDisplay:
         self._out, self._bars, self._steps = out, bars, steps
         self._lock = threading.Lock()
         self._tasks: dict[str, TaskID] = {}
+        self._finished = set[str]()
         self._all = None if bars is None else bars.add_task("all steps", total=steps)
 
     def working(self, key: str, done: int, total: int) -> None:
@@ -36,7 +37,8 @@ class BatchDisplay:
             return
         with self._lock:
             if key not in self._tasks:
-                if len(self._tasks) >= _MOST_LINES:
+                # News of a step may come after its end.
+                if key in self._finished or len(self._tasks) >= _MOST_LINES:
                     return
                 self._tasks[key] = self._bars.add_task(printable(key), total=total)
             self._bars.update(self._tasks[key], completed=done, total=total)
@@ -45,6 +47,7 @@ class BatchDisplay:
         """A step was done, or failed; a failure is a line."""
         if self._bars is not None and self._all is not None:
             with self._lock:
+                self._finished.add(row.key)
                 task = self._tasks.pop(row.key, None)
                 if task is not None:
                     self._bars.remove_task(task)

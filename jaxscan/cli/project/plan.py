@@ -37,15 +37,11 @@ def opened(project: "Project") -> Iterator[Opened]:
         JaxscanError: If a capture or the catalogue is not what it should be.
     """
     # Imported here, so that `--help` does not load JAX.
-    from jaxscan.project import Catalogue, catalogue_address, digests_of, states_of, steps_of
+    from jaxscan.project import digests_of, open_catalogue, states_of, steps_of
 
     steps = steps_of(project)
     digests, parts = digests_of(steps)
-    wanted = project.wanted.project
-    # Nobody should find a folder of products where nothing was made.
-    address = catalogue_address(wanted.catalogue, project.output)
-    there = wanted.catalogue or project.output.is_dir()
-    catalogue = Catalogue(address if there else "sqlite://", wanted.name)
+    catalogue = open_catalogue(project)
     try:
         yield Opened(project, states_of(steps, digests, parts, catalogue.rows(), project.output), catalogue)
     finally:

@@ -11,7 +11,9 @@ from jaxscan.files.disk.opening import MEGABYTE, open_regular
 MOUNTS = Path("/proc/self/mountinfo")
 """The mounted file systems, a line each. Only Linux has it; elsewhere every disk is taken for one of this computer."""
 _LONGEST = 16 * MEGABYTE
-_KINDS = re.compile(r"nfs\d?|cifs|smb\w*|9p|ceph|afs|lustre|glusterfs|fuse\..+")
+_KINDS = re.compile(
+    r"nfs\d?|cifs|smb\w*|9p|ceph|afs|lustre|glusterfs|beegfs|gpfs|panfs|wekafs|orangefs|pvfs2|gfs2|ocfs2|fuse\..+"
+)
 _MOUNT_POINT, _AFTER = 4, " - "
 """Number of a line's field, and the mark before the kind of its file system."""
 

@@ -34,6 +34,8 @@ class Desk:
     """Called with (done, in all)."""
     notes: list[str] = field(default_factory=list)
     """Remarks for the user, a sentence each."""
+    owned: list[str] = field(default_factory=list)
+    """Folders among the products that hold only files of this step: older ones are removed from them."""
 
     def capture(self, role: str = "capture") -> Capture:
         """A capture. Its stripes are kept among the products: nothing is written into its own folder.
@@ -104,7 +106,12 @@ def desk_of(step: Step, output: Path, progress: Progress) -> Iterator[Desk]:
 
 def publish(desk: Desk) -> None:
     """Give all that was written its place among the products; each file is there whole or not at all."""
-    for path in desk.made():
+    made = desk.made()
+    for path in made:
         target = desk.output / path
         target.parent.mkdir(parents=True, exist_ok=True)
         desk.beside(path).replace(target)
+    for folder in desk.owned:
+        for path in (desk.output / folder).iterdir():
+            if str(path.relative_to(desk.output)) not in made and not path.is_dir():
+                path.unlink()

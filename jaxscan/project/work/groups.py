@@ -1,6 +1,7 @@
 """Stations that belong together: registered, reconstructed with the calibration of them all, and merged one by one."""
 
 import json
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -129,18 +130,22 @@ def merge_e57(desk: Desk) -> None:
 
 def merge_tiles(desk: Desk) -> None:
     """Square tiles with the points of all stations, and a list of them."""
-    index = desk.step.outputs[0]
-    folder = str(Path(index).with_suffix(""))
+    folder = str(Path(desk.step.outputs[0]).with_suffix(""))
+    digest = calibration_digest(desk.file("calibration"))
+    listed: list[dict[str, Any]] = []
     with Tiles(desk.folder / "spooled", desk.setting("tile_m")) as tiles:
         for cloud in _clouds(desk):
             tiles.add(cloud)
-        listed: list[dict[str, Any]] = []
+        places = Counter[tuple[int, int]]()
         for place, cloud in tiles.clouds():
-            name = f"{folder}/{place[0]}_{place[1]}.ply"
-            api.save_cloud(cloud, desk.beside(name), calibration_digest=calibration_digest(desk.file("calibration")))
+            places[place] += 1
+            more = "" if places[place] == 1 else f"_{places[place]}"
+            name = f"{folder}/{place[0]}_{place[1]}{more}.ply"
+            api.save_cloud(cloud, desk.beside(name), calibration_digest=digest)
             corner = [float(axis * desk.setting("tile_m")) for axis in place]
             points = int(np.asarray(cloud.valid).sum())
             listed.append({"file": f"{Path(folder).name}/{Path(name).name}", "corner_m": corner, "points": points})
+    desk.owned.append(folder)
     about = {"format": TILES_FORMAT, "tile_m": desk.setting("tile_m"), "tiles": listed}
     write_atomically(desk.target(), (json.dumps(about, indent=2) + "\n").encode())
 

@@ -5,10 +5,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Shaped
 
 from jaxscan.reconstruction import PointCloud
 
 
+MOST_POINTS = 10_000_000
+"""Points that are in memory at a time, and in one file."""
 _ROW = np.dtype(
     [
         ("xyz", np.float64, 3),
@@ -52,15 +55,20 @@ class Tiles:
                 some.tofile(file)
 
     def clouds(self) -> Iterator[tuple[tuple[int, int], PointCloud]]:
-        """Each tile, by its place in steps of its side, as a cloud without a grid: one profile of all its points."""
+        """Each tile, by its place in steps of its side, as a cloud without a grid: one profile of all its points.
+
+        One of more than `MOST_POINTS` comes in several clouds.
+        """
         for place, path in sorted(self._files.items()):
-            rows = np.fromfile(path, _ROW)
+            with open(path, "rb") as file:
+                while len(rows := np.fromfile(file, _ROW, MOST_POINTS)):
+                    yield place, _cloud(rows)
             path.unlink()
-            zero = np.zeros(1, np.int32)
-            fields = {name: np.ascontiguousarray(rows[name])[None] for name in _ROW.fields or () if name != "xyz"}
-            xyz = rows["xyz"].astype(np.float32)[None]
-            valid = np.ones((1, len(rows)), np.bool_)
-            yield (
-                place,
-                PointCloud(xyz=xyz, valid=valid, **fields, record=zero, laser=zero, angle=np.zeros(1), stations=None),
-            )
+
+
+def _cloud(rows: Shaped[np.ndarray, " n"]) -> PointCloud:
+    zero = np.zeros(1, np.int32)
+    fields = {name: np.ascontiguousarray(rows[name])[None] for name in _ROW.fields or () if name != "xyz"}
+    xyz = rows["xyz"].astype(np.float32)[None]
+    valid = np.ones((1, len(rows)), np.bool_)
+    return PointCloud(xyz=xyz, valid=valid, **fields, record=zero, laser=zero, angle=np.zeros(1), stations=None)
