@@ -1,17 +1,30 @@
 """The functions that run on a worker; they are told names and numbers as text."""
 
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import distributed
 
-from jaxscan.project import Order, do_step, row_to_json
+from jaxscan.project import Order, code_digest, do_step, row_to_json
 
 
 TOPIC = "jaxscan-progress"
 _QUIET_S = 0.5
 """Between two messages of one step."""
+
+
+class UnfitWorker(Exception):
+    """A worker that can do nothing for a batch: one that joined later than those that were compared at its start."""
+
+    def __init__(self, address: str, reason: str) -> None:
+        """Args: where the worker is, and what it lacks."""
+        super().__init__(address, reason)
+        self.address, self.reason = address, reason
+
+    def __str__(self) -> str:
+        return f"the worker {self.address} {self.reason}."
 
 
 def do_order(text: str) -> str:
@@ -22,8 +35,15 @@ def do_order(text: str) -> str:
 
     Returns:
         The row for the catalogue, as `row_to_json` has it.
+
+    Raises:
+        UnfitWorker: If this worker has other code than the batch, or cannot write into the folder of the products.
     """
     order = Order.from_json(text)
+    if code_digest(order.step.kind) != order.parts["code"]:
+        raise UnfitWorker(distributed.get_worker().address, "runs other code of jaxscan than the batch")
+    if not os.access(order.output, os.W_OK | os.X_OK):
+        raise UnfitWorker(distributed.get_worker().address, f"cannot write in {order.output}")
     return row_to_json(do_step(order, _teller(order.step.key)))
 
 

@@ -5,8 +5,8 @@ from jaxscan.project.catalogue import Catalogue, Row, open_catalogue, row_from_j
 from jaxscan.project.claim import claimed
 from jaxscan.project.compare import Comparison, LengthChange, compare_projects
 from jaxscan.project.config import Product, ProjectFile, load_project_file
-from jaxscan.project.digests import digests_of
+from jaxscan.project.digests import code_digest, digests_of
 from jaxscan.project.project import Project, ProjectCapture, load_project
 from jaxscan.project.states import State, Status, states_of
 from jaxscan.project.steps import Step, digest_of, parts_of, steps_of
-from jaxscan.project.work import Order, do_step, failed_row, order_of
+from jaxscan.project.work import Order, begun_row, do_step, failed_row, order_of

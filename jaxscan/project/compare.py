@@ -161,6 +161,6 @@ def _lengths(path: Path) -> dict[str, Any]:
         and all(isinstance(side.get(key), int | float) and math.isfinite(side[key]) for key in keys)
         for side in lengths.values()
     )
-    if not good:
+    if not good or lengths is None:
         raise ConfigError(f"{path}: holds no measures ({json.dumps(MEASURES_FORMAT)}); remove it and call the batch.")
     return dict(lengths)

@@ -42,15 +42,18 @@ def states_of(
     """
     now = {(row.key, row.digest): row for row in rows}
     last = {row.key: row for row in rows if row.state != "failed"}
+    made = {row.key for row in rows if row.state == "done"}
     found = []
     for step in steps:
         row = now.get((step.key, digests[step.key]))
-        state, why = _state(step, parts[step.key], row, last.get(step.key), output)
+        state, why = _state(parts[step.key], row, last.get(step.key), output)
+        if state == "stale" and step.key not in made:
+            state = "missing"
         found.append(Status(step, digests[step.key], parts[step.key], state, why))
     return found
 
 
-def _state(step: Step, parts: Mapping[str, str], row: Row | None, last: Row | None, output: Path) -> tuple[State, str]:
+def _state(parts: Mapping[str, str], row: Row | None, last: Row | None, output: Path) -> tuple[State, str]:
     """Args: the row of this digest, and the last one of any digest that wrote files or may have."""
     if row is not None and row.state == "failed":
         return "failed", row.message

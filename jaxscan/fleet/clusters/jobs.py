@@ -5,7 +5,7 @@ import getpass
 import subprocess
 import threading
 import time
-from collections.abc import Iterator, Set
+from collections.abc import Iterator, Mapping, Set
 from typing import Any, final
 
 from jaxscan.errors import OptionError
@@ -35,15 +35,17 @@ class Jobs:
     def look(self) -> None:
         """Start a successor of each job that is not in the queue any more."""
         now = time.monotonic()
+        # Before the queue is asked: a job that is submitted in between would seem to have ended.
+        jobs = {name: str(job.job_id) for name, job in dict(self._cluster.workers).items()}
         queued = queued_jobs()
         if queued is None or (self.in_vain >= MOST_IN_VAIN and now - self._looked < SELDOM_S):
             return
         self._looked = now
-        self._cluster.sync(self._replace, queued)
+        self._cluster.sync(self._replace, queued, jobs)
 
-    async def _replace(self, queued: Set[str]) -> None:
+    async def _replace(self, queued: Set[str], known: Mapping[str, str]) -> None:
         there = {worker["name"] for worker in self._cluster.scheduler_info["workers"].values()}
-        jobs = {name: str(job.job_id) for name, job in self._cluster.workers.items()}
+        jobs = {name: number for name, number in known.items() if name in self._cluster.workers}
         self._came |= {jobs[name] for name in there & jobs.keys()}
         ended = [name for name in jobs if name not in there and jobs[name] not in queued]
         for name in ended:

@@ -17,7 +17,7 @@ from distributed.system import MEMORY_LIMIT
 from jaxscan.fleet.clusters.certificates import new_certificates, security_of
 from jaxscan.fleet.clusters.choice import ClusterChoice
 from jaxscan.fleet.clusters.pinning import WORKERS
-from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, MEMORY, kept_environment
+from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, OURS, kept_environment
 from jaxscan.fleet.clusters.sizes import GIB, sizes_for
 
 
@@ -77,7 +77,7 @@ def _settings(workers: int) -> dict[str, Any]:
     share = math.ceil(cores() / workers)
     threads = {"OMP_NUM_THREADS": share, "NUMBA_NUM_THREADS": share, "OPENBLAS_NUM_THREADS": 1, "MKL_NUM_THREADS": 1}
     variables = {**threads, WORKERS: workers, **_compiled_code()}
-    return {**MEMORY, "distributed.nanny.pre-spawn-environ": variables}
+    return {**OURS, "distributed.nanny.pre-spawn-environ": variables}
 
 
 def _compiled_code() -> dict[str, str]:

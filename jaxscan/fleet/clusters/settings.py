@@ -19,6 +19,14 @@ MEMORY: Mapping[str, Any] = {
     "distributed.worker.memory.pause": False,
     "distributed.worker.memory.terminate": 0.95,
 }
+# A worker gets one task at a time, so that none waits behind one that is long or that ends its worker. And a worker
+# that dies gets a successor however long that takes to start: Dask would give it up after some seconds.
+OURS: Mapping[str, Any] = {
+    **MEMORY,
+    "distributed.scheduler.worker-saturation": 1.0,
+    "distributed.deploy.lost-worker-timeout": "1 day",
+}
+"""For clusters that are started for a batch."""
 LOOPBACK_PAGE = "127.0.0.1:0"
 """Where the pages of schedulers and workers are: they know no password, so only their own machine may see them."""
 

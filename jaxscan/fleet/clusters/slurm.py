@@ -18,7 +18,7 @@ from jaxscan.files.disk import reported
 from jaxscan.fleet.clusters.certificates import make_certificates, security_of
 from jaxscan.fleet.clusters.choice import ClusterChoice, patience_of
 from jaxscan.fleet.clusters.jobs import MOST_IN_VAIN, Jobs, jobs_of
-from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, MEMORY, as_environment
+from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, MEMORY, OURS, as_environment
 
 
 _CORES, _MEMORY = 1, "4GiB"
@@ -42,7 +42,11 @@ def open_slurm(choice: ClusterChoice) -> Iterator[Any]:
     """
     if shutil.which("sbatch") is None:
         raise DependencyError("--slurm: there is no sbatch here; call it on a machine from which SLURM takes jobs.")
-    with certificates_for_nodes() as security, slurm_cluster(choice, security) as cluster:
+    with (
+        dask.config.set(OURS),
+        certificates_for_nodes() as security,
+        slurm_cluster(choice, security) as cluster,
+    ):
         with jobs_of(cluster, choice.workers or 1) as jobs, distributed.Client(cluster, set_as_default=False) as client:
             _wait(client, jobs, patience_of(choice))
             yield client

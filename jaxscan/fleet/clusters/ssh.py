@@ -21,7 +21,7 @@ from jaxscan.fleet.clusters.certificates import NAMES, Certificates, new_certifi
 from jaxscan.fleet.clusters.choice import ClusterChoice
 from jaxscan.fleet.clusters.hosts import Host, read_hosts
 from jaxscan.fleet.clusters.pinning import WORKERS
-from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, MEMORY, run_apart
+from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, OURS, run_apart
 
 
 ANSWER_S = 20.0
@@ -46,7 +46,7 @@ def open_ssh(choice: ClusterChoice) -> Iterator[Any]:
     _refuse_secrets()
     certificates = new_certificates()
     security = distributed.Security(**security_of(certificates))
-    with dask.config.set(MEMORY), _certificates_on(tuple(dict.fromkeys(hosts)), certificates) as folders:
+    with dask.config.set(OURS), _certificates_on(tuple(dict.fromkeys(hosts)), certificates) as folders:
         scheduler, workers = scheduler_spec(hosts[0], folders), worker_specs(hosts, folders, choice.memory_gib)
         try:
             cluster = distributed.SpecCluster(

@@ -1,3 +1,3 @@
 """One step done, in this process."""
 
-from jaxscan.project.work.orders import Order, do_step, failed_row, order_of
+from jaxscan.project.work.orders import Order, begun_row, do_step, failed_row, order_of

@@ -112,6 +112,6 @@ def publish(desk: Desk) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         desk.beside(path).replace(target)
     for folder in desk.owned:
-        for path in (desk.output / folder).iterdir():
-            if str(path.relative_to(desk.output)) not in made and not path.is_dir():
-                path.unlink()
+        for old in (desk.output / folder).iterdir():
+            if str(old.relative_to(desk.output)) not in made and not old.is_dir():
+                old.unlink()

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import jaxscan
-from jaxscan.errors import CaptureError, FleetError, JaxscanError
+from jaxscan.errors import CaptureError, JaxscanError
 from jaxscan.files.disk import file_digest
 from jaxscan.project.catalogue import Output, Row
-from jaxscan.project.digests import code_digest
 from jaxscan.project.states import Status
 from jaxscan.project.steps import Step
 from jaxscan.project.work.desk import Desk, desk_of, publish
@@ -89,6 +88,11 @@ def do_step(order: Order, progress: Progress = None) -> Row:
     return _row(order, "done", " ".join(notes), time.perf_counter() - started)._replace(outputs=outputs)
 
 
+def begun_row(order: Order) -> Row:
+    """The row of a step that is handed out now."""
+    return _row(order, "begun", "", 0.0)
+
+
 def failed_row(order: Order, message: str, *, seconds: float = 0.0, details: str = "") -> Row:
     """The row of a step that failed now, after some time, with the line that says why."""
     return _row(order, "failed", message, seconds)._replace(details=details)
@@ -111,9 +115,6 @@ def _row(order: Order, state: str, message: str, seconds: float) -> Row:
 
 
 def _done(order: Order, progress: Progress) -> tuple[tuple[Output, ...], list[str]]:
-    # A worker that joined later may be of another version than those that were compared at the start.
-    if code_digest(order.step.kind) != order.parts["code"]:
-        raise FleetError(f"{platform.node()} runs other code of jaxscan than the batch; install the same there.")
     output = Path(order.output)
     with desk_of(order.step, output, progress) as desk:
         WORK[order.step.kind](desk)
