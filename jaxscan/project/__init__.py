@@ -2,7 +2,7 @@
 
 from jaxscan.project.begin import project_text
 from jaxscan.project.catalogue import Catalogue, Row, open_catalogue, row_from_json, row_to_json
-from jaxscan.project.claim import claimed
+from jaxscan.project.claim import check_owner, claimed
 from jaxscan.project.compare import Comparison, LengthChange, compare_projects
 from jaxscan.project.config import Product, ProjectFile, load_project_file
 from jaxscan.project.digests import code_digest, digests_of

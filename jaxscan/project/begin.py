@@ -1,9 +1,10 @@
 """A first `project.toml` for the captures and calibrations that lie in a folder."""
 
 import glob
-import itertools
 import json
 import os
+import re
+from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -133,15 +134,43 @@ def _size(path: Path) -> tuple[int, int]:
 
 
 def _patterns(sweeps: Sequence[Found], captures: Sequence[Found]) -> list[str]:
-    """A pattern for each folder that holds nothing but such sweeps, else each by its name."""
-    found = []
-    for parent, group in itertools.groupby(sorted(sweeps, key=lambda one: one.path), lambda one: one.path.parent):
-        own = list(group)
-        beside = [one for one in captures if one.path.parent == parent]
-        alone = len(own) == len(beside) > 1
-        names = ["*"] if alone else [glob.escape(one.path.name) for one in own]
-        found += [(Path(glob.escape(str(parent))) / name).as_posix() for name in names]
-    return found
+    """Patterns that find these sweeps and no other capture. One that finds several also finds what is added later."""
+    own, patterns = {one.path for one in sweeps}, list[str]()
+    beside, alike = defaultdict[Path, list[Path]](list), defaultdict[tuple[Path, str], list[Path]](list)
+    for one in captures:
+        beside[one.path.parent].append(one.path)
+        alike[one.path.parent.parent, one.path.name].append(one.path)
+
+    known: dict[str, frozenset[Path]] = {}
+
+    def found(pattern: str, near: Path) -> frozenset[Path]:
+        """The sweeps that a pattern finds; none if it finds others too, or places that it would not look into."""
+        if pattern not in known:
+            places = [*beside[near.parent], *alike[near.parent.parent, near.name]]
+            depth = len(Path(pattern).parts)
+            some = frozenset(path for path in places if len(path.parts) == depth and path.match(pattern))
+            hidden = any(part.startswith(".") for path in some for part in path.parts)
+            known[pattern] = some if some <= own and not hidden else frozenset()
+        return known[pattern]
+
+    left = set(own)
+    for path in sorted(own):
+        if path in left:
+            *wide, itself = _candidates(path)
+            best = max(wide, key=lambda one: len(found(one, path) & left))
+            several = found(best, path) & left
+            patterns.append(best if len(several) > 1 else itself)
+            left -= several if len(several) > 1 else {path}
+    return patterns
+
+
+def _candidates(path: Path) -> list[str]:
+    """Patterns that find a sweep: with all beside it, those that begin alike, those of other rooms; and alone."""
+    parent, name = Path(glob.escape(str(path.parent))), glob.escape(path.name)
+    begins = re.match(r"[A-Za-z]*[^A-Za-z0-9]*", path.name)
+    same = [parent / f"{glob.escape(begins[0])}*"] if begins and begins[0] else []
+    rooms = [Path(glob.escape(str(path.parent.parent))) / "*" / name] if path.parent.name else []
+    return [one.as_posix() for one in (parent / "*", *same, *rooms, parent / name)]
 
 
 def _name(folder: Path) -> str:

@@ -36,7 +36,7 @@ def claimed(project: Project) -> Iterator[None]:
             output.mkdir(parents=True, exist_ok=True)
             lock = stack.enter_context(open(output / LOCK, "a+", encoding="utf-8"))
             _take(lock.fileno(), output)
-            _check_owner(project)
+            _take_over(project)
             lock.truncate(0)
             lock.write(f"{os.getpid()} on {platform.node()}\n")
             lock.flush()
@@ -67,17 +67,32 @@ def _is_another(other: str, own: str) -> bool:
         return False
 
 
-def _check_owner(project: Project) -> None:
-    path, own = project.output / ABOUT, str(project.file)
-    if path.exists():
-        about = parse_json(read_bounded(path, MEGABYTE, error=ConfigError), name=str(path), error=ConfigError)
-        other = about.get("file") if isinstance(about, dict) else None
-        # A project whose folder was moved is still the same; two files that are there are two projects.
-        if isinstance(other, str) and other != own and _is_another(other, own):
-            raise ConfigError(
-                f"{project.output}: holds the products of another project, {other}; choose another `output`."
-            )
-        if other == own:
-            return
-    about = {"format": FORMAT, "project": project.wanted.project.name, "file": own}
-    write_atomically(path, (json.dumps(about, indent=2) + "\n").encode(), error=ConfigError)
+def check_owner(project: Project) -> None:
+    """Check that the folder of the products is not another project's.
+
+    A project whose folder was moved is still the same; two files that are there are two projects.
+
+    Raises:
+        ConfigError: If it belongs to another one.
+    """
+    other = _owner(project)
+    if other is not None and other != str(project.file) and _is_another(other, str(project.file)):
+        raise ConfigError(f"{project.output}: holds the products of another project, {other}; choose another `output`.")
+
+
+def _take_over(project: Project) -> None:
+    check_owner(project)
+    own = str(project.file)
+    if _owner(project) != own:
+        about = {"format": FORMAT, "project": project.wanted.project.name, "file": own}
+        text = json.dumps(about, indent=2) + "\n"
+        write_atomically(project.output / ABOUT, text.encode(), error=ConfigError)
+
+
+def _owner(project: Project) -> str | None:
+    path = project.output / ABOUT
+    if not path.exists():
+        return None
+    about = parse_json(read_bounded(path, MEGABYTE, error=ConfigError), name=str(path), error=ConfigError)
+    other = about.get("file") if isinstance(about, dict) else None
+    return other if isinstance(other, str) else None

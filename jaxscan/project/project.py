@@ -2,6 +2,8 @@
 
 import glob
 import os
+import re
+import unicodedata
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +25,7 @@ class ProjectCapture:
     """A sweep of the project."""
 
     name: Name
-    """That of its folder: the key of its products."""
+    """Made of that of its folder: the key of its products."""
     address: str
     """Its folder, or where it is on object storage."""
     rig: RigTable
@@ -60,16 +62,18 @@ def load_project(path: str | Path) -> Project:
     for rig in wanted.rig:
         rigs[rig.name].append(rig)
     found: dict[str, ProjectCapture] = {}
+    boards = {_place(file.parent, one) for rig in wanted.rig for one in rig.boards}
     for table in wanted.captures:
-        addresses = _captures(file.parent, table.pattern)
+        addresses = [one for one in _captures(file.parent, table.pattern) if _place(file.parent, one) not in boards]
         if not addresses:
             raise ConfigError(f'{path}: captures: the pattern "{table.pattern}" finds no capture.')
         for address in addresses:
-            name = _name_of(path, address)
+            name = _name_of(path, address, table.pattern)
             if name in found:
                 raise ConfigError(
                     f'{path}: captures: "{name}" is found twice, as {found[name].address} and as {address}; names are '
-                    "the keys of products, so each must be another."
+                    "the keys of products: rename a folder, or let the pattern have its * where the folders differ, as "
+                    "in */sweep."
                 )
             found[name] = ProjectCapture(name, address, _rig_of(path, address, rigs[table.rig]), table.settings)
     for group in wanted.group:
@@ -101,18 +105,27 @@ def _captures(home: Path, pattern: str) -> Sequence[str]:
     return [str(home / place) for place in places if os.path.isfile(home / place / HEADER_NAME)]
 
 
-def _name_of(path: str | Path, address: str) -> Name:
-    name = PurePosixPath(address).name
-    # As names in the file: they become names of files.
-    if not name.isascii() or not name[:1].isalnum() or len(name) > 64 or not name.translate(_OTHERS).isalnum():
+def _place(home: Path, address: str) -> str:
+    """The same text for the same place."""
+    return address if is_remote(address) else os.path.realpath(home / address)
+
+
+def _name_of(path: str | Path, address: str, pattern: str) -> Name:
+    """The name of a capture: the part of its path that the pattern leaves open, else the last one.
+
+    It becomes the name of files, so accents are dropped, and all but plain letters, digits and ._- becomes -.
+    """
+    wild = [bool(set(part) & set("*?[")) for part in pattern.rstrip("/").split("/")]
+    parts = address.rstrip("/").split("/")[-len(wild) :]
+    opened = range(wild.index(True), len(wild) - wild[::-1].index(True)) if any(wild) else [-1]
+    folded = unicodedata.normalize("NFKD", "-".join(parts[k] for k in opened)).encode("ascii", "ignore").decode()
+    name = re.sub(r"[^A-Za-z0-9._-]+", "-", folded).lstrip("._-")[:64].rstrip("-")
+    if not name:
         raise ConfigError(
-            f"{path}: captures: the name of {address} becomes that of its products, so it may hold only letters, "
-            "digits, points, lines, and at most 64; rename the folder."
+            f"{path}: captures: the name of {address} becomes that of its products, and has no letter from a to z and "
+            "no digit; rename the folder."
         )
     return name
-
-
-_OTHERS = str.maketrans("", "", "._-")
 
 
 def _rig_of(path: str | Path, address: str, rigs: Sequence[RigTable]) -> RigTable:

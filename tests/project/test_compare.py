@@ -75,7 +75,26 @@ def test_two_epochs(two):
         assert bool(found.moved) == moved
         moved_by(second, -factor * sigma)
     one = found.lengths[0]
-    assert one.sigma_m == pytest.approx(np.hypot(sigma, 0), rel=1e-9)
+    both = [json.loads((file.parent / "products" / "measures" / f"{one.capture}.json").read_text()) for file in two]
+    sigmas = [about["lengths"][one.name]["sigma_m"] for about in both]
+    assert one.sigma_m == pytest.approx(np.hypot(*sigmas), rel=1e-9)
+
+
+def test_what_failed_when_it_was_made_anew_is_lost(two, run):
+    first, second = two
+    for image in (second.parent / "room-1").glob("on/*"):
+        image.unlink()
+    edit(second, "every = 1", "every = 2")
+    assert [row.state for row in work(second)].count("failed") >= 1
+    ran = run("project", "compare", first, second)
+    assert ran.code == 1 and "room-1 length" in ran.err and "lost" in ran.err and ran.err.count("\n") == 1
+
+
+def test_measures_that_are_stale_are_named(two, run):
+    first, second = two
+    edit(second, "every = 1", "every = 2")
+    ran = run("project", "compare", first, second)
+    assert ran.code == 0 and f"stale in {second}, so compared as they were made: room-1, room-2" in ran.out
 
 
 def test_projects_that_cannot_be_compared(museum, two, tmp_path):

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import jaxscan
-from jaxscan.errors import ConfigError
+from jaxscan.errors import ConfigError, DependencyError
 from jaxscan.files.capture import CACHE_NAME, JOURNAL_NAME
-from jaxscan.project import digests, failed_row, order_of
+from jaxscan.project import begun_row, digests, failed_row, load_project, order_of
 from tests.opened import catalogue_of, edit, products, states, work
 
 
@@ -142,6 +142,10 @@ def test_a_large_capture_in_pieces_gives_the_same_cloud(museum):
     [
         ('UPDATE jaxscan_products SET outputs = \'[["../../x", 1, ""]]\'', "a row is damaged"),
         ("UPDATE jaxscan_products SET parts = 'none'", "a row is damaged"),
+        ("UPDATE jaxscan_products SET parts = '[]'", "a row is damaged"),
+        ('UPDATE jaxscan_products SET outputs = \'[["a\\u0000b", 1, ""]]\'', "a row is damaged"),
+        ("UPDATE jaxscan_products SET message = x'00ff'", "a row is damaged"),
+        ("UPDATE jaxscan_products SET state = 'strange'", "a row is damaged"),
         ("ALTER TABLE jaxscan_products DROP COLUMN host", "cannot be read"),
     ],
 )
@@ -163,3 +167,34 @@ def test_names_of_folders_that_an_address_would_take_for_more(museum):
     edit(museum, 'name = "museum"', 'name = "museum"\noutput = "a?b#c%20d"')
     catalogue = catalogue_of(museum)
     assert catalogue.rows() == [] and (strange / "catalogue.sqlite").exists()
+
+
+def test_a_step_that_was_begun_is_not_done(museum):
+    edit(museum, '["cloud", "measures", "mesh"]', '["cloud"]')
+    work(museum)
+    catalogue, output = catalogue_of(museum), load_project(museum).output
+    # Other settings are begun, may have written files, and are taken back.
+    edit(museum, "every = 2", "every = 3")
+    catalogue.write([begun_row(order_of(states(museum)["cloud/room-1"], output))])
+    edit(museum, "every = 3", "every = 2")
+    found = states(museum)
+    assert found["cloud/room-1"].state == "stale" and "did not come to its end" in found["cloud/room-1"].why
+    assert found["cloud/room-2"].state == "done"
+    catalogue.close()
+
+
+def test_names_that_are_no_text_reach_the_catalogue(museum):
+    catalogue = catalogue_of(museum)
+    row = failed_row(order_of(states(museum)["cloud/room-1"], museum.parent), "caf\udce9: is not there")
+    catalogue.write([row])
+    assert catalogue.rows()[0].message == "caf\\udce9: is not there"
+    catalogue.close()
+
+
+def test_addresses_of_catalogues(museum):
+    edit(museum, 'name = "museum"', 'name = "museum"\ncatalogue = "sqlite:///own.sqlite"')
+    catalogue_of(museum).close()
+    assert (museum.parent / "own.sqlite").exists()
+    edit(museum, "sqlite:///own.sqlite", "postgresql://host:port/scans")
+    with pytest.raises((ConfigError, DependencyError), match="the catalogue: "):
+        catalogue_of(museum)

@@ -6,7 +6,7 @@ import pytest
 
 from jaxscan.errors import ConfigError
 from jaxscan.files.capture import HEADER_NAME
-from jaxscan.project import digest_of, load_project, parts_of, steps_of
+from jaxscan.project import digest_of, digests_of, load_project, parts_of, project_text, steps_of
 
 
 TEXT = """
@@ -113,6 +113,64 @@ def test_a_capture_that_two_patterns_find(folder):
     path.write_text(TEXT + '[[captures]]\npattern = "*-1"\nrig = "one"\n')
     with pytest.raises(ConfigError, match='"room-1" is found twice'):
         load_project(path)
+
+
+def test_names_are_of_what_the_pattern_leaves_open(folder):
+    for room in ("saal 1", "Küche"):
+        shutil.copytree(folder / "room-1", folder / "rooms" / room / "sweep")
+    path = changed(folder, ('pattern = "room-*"', 'pattern = "rooms/*/sweep"'))
+    assert [one.name for one in load_project(path).captures] == ["Kuche", "saal-1"]
+    path = changed(folder, ('pattern = "room-*"', 'pattern = "*/*/sw*"'))
+    assert [one.name for one in load_project(path).captures] == ["rooms-Kuche-sweep", "rooms-saal-1-sweep"]
+    path = changed(folder, ('pattern = "room-*"', 'pattern = "rooms/Küche/sweep"'))
+    assert [one.name for one in load_project(path).captures] == ["sweep"]
+
+
+def test_boards_of_a_rig_are_no_sweeps(folder):
+    path = changed(folder, ('pattern = "room-*"', 'pattern = "*"'))
+    assert [one.name for one in load_project(path).captures] == ["room-1", "room-2"]
+
+
+def test_a_capture_that_cannot_be_read_stops_no_other(folder):
+    whole = digests_of(steps_of(load_project(folder / "project.toml")))[0]
+    (folder / "room-1" / "frames.jsonl").unlink()
+    digests, _ = digests_of(steps_of(load_project(folder / "project.toml")))
+    assert {key for key in digests if digests[key] != whole[key]} == {"cloud/room-1", "mesh/room-1", "plan/room-1"}
+
+
+def test_a_group_that_is_called_as_a_capture(folder):
+    group = '[[group]]\nname = "room-1"\ncaptures = ["room-1", "room-2"]\nmerged = ["plan"]\n'
+    (folder / "project.toml").write_text(TEXT + group)
+    keys = [step.key for step in steps_of(load_project(folder / "project.toml"))]
+    assert {"plan/room-1", "merged/plan/room-1"} <= set(keys) and len(keys) == len(set(keys))
+    # Two calibrations of one name.
+    rigs = '[[rig]]\nname = "one-2026-01-01"\nboards = ["boards"]\n'
+    times = ('boards = ["boards"]', f'boards = ["boards"]\nfirst = 2026-01-01\n\n{rigs}')
+    path = changed(folder, times)
+    path.write_text(path.read_text() + '[[captures]]\npattern = "room-2"\nrig = "one-2026-01-01"\n')
+    edit = path.read_text().replace('pattern = "room-*"', 'pattern = "room-1"')
+    path.write_text(edit)
+    dated(folder / "room-1", "2026-03-01")
+    with pytest.raises(ConfigError, match="two steps would be calibration/one-2026-01-01"):
+        steps_of(load_project(path))
+
+
+def test_patterns_of_a_new_project_find_what_is_added_later(folder):
+    (folder / "project.toml").unlink()
+    for room in ("saal-1", "saal-2"):
+        shutil.copytree(folder / "room-1", folder / "rooms" / room / "sweep")
+    text = project_text(folder)
+    assert [line for line in text.splitlines() if line.startswith("pattern")] == [
+        'pattern = "room-*"',
+        'pattern = "rooms/*/sweep"',
+    ]
+    (folder / "project.toml").write_text(text)
+    assert [one.name for one in load_project(folder / "project.toml").captures] == [
+        "room-1",
+        "room-2",
+        "saal-1",
+        "saal-2",
+    ]
 
 
 def dated(folder, day):

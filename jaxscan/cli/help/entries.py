@@ -77,7 +77,7 @@ def _entry(parameter: inspect.Parameter, hint: Any, told: Mapping[str, str]) -> 
         text = f"{text} One of {', '.join(choices)}."
     if default not in (None, parameter.empty, ()):
         shown = " ".join(map(str, default)) if isinstance(default, tuple) else str(default)
-        text = f"{text} Default: {shown}."
+        text = f"{text} Default: {'this folder' if default == Path() else shown}."
     names = () if positional else (*(settings.aliases or ()), "--" + name.replace("_", "-"))
     kind = one if isinstance(one, type) else str
     return Entry(names, value, text, choices, required, kind, count)

@@ -59,12 +59,15 @@ def batch(
     with claimed(wanted), opened(wanted) as found:
         counts = counted(found.states)
         out.print(f"{_many(found.project.captures, 'capture')}, {_many(found.states, 'step')}: {in_words(counts)}")
-        result: dict[str, Any] = {"done": [], "failed": {}, "not_begun": {}}
+        result: dict[str, Any] = {"done": [], "failed": {}, "not_begun": {}, "notes": {}}
         if counts["done"] < len(found.states):
             result = _work(found, choice, out)
     seconds = time.perf_counter() - start
     if result["done"]:
         out.print(f"{_many(result['done'], 'step')} done in {seconds:.0f} s, in {found.project.output}")
+    if result["notes"]:
+        told = shlex.join(["jaxscan", "project", "status", "--all", str(project)])
+        out.print(f"notes on {_many(result['notes'], 'step')}: {told}")
     emit_json(json, "batch", result | {"output": str(found.project.output), "seconds_s": seconds})
     if result["failed"]:
         failed, behind = _many(result["failed"], "step"), _many(result["not_begun"], "step")
@@ -94,6 +97,7 @@ def _work(found: Opened, choice: Any, out: Terminal) -> dict[str, Any]:
         "done": [row.key for row in report.rows if row.state == "done"],
         "failed": {row.key: row.message for row in report.failed},
         "not_begun": dict(report.left),
+        "notes": {row.key: row.message for row in report.rows if row.state == "done" and row.message},
     }
 
 

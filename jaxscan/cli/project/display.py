@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, final
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
+from jaxscan.cli.process.signals import leave_behind
 from jaxscan.cli.process.terminal import Terminal
 from jaxscan.printable import printable
 
@@ -15,13 +16,15 @@ if TYPE_CHECKING:
     from jaxscan.project import Row
 
 
+_BELOW_BARS = b"\n\x1b[?25h"
+"""Begins a line, and shows the cursor that rich hides."""
 _MOST_LINES = 8
 """Steps that have a line of their own."""
 
 
 @final
 class BatchDisplay:
-    """Lines for steps that fail, and on a terminal bars for those at work."""
+    """Lines for steps that fail, and bars for those at work; without a terminal a line for each that is done."""
 
     def __init__(self, out: Terminal, bars: Progress | None, steps: int) -> None:
         """Args: where lines go, bars that are shown or None, and the number of steps."""
@@ -52,8 +55,13 @@ class BatchDisplay:
                 if task is not None:
                     self._bars.remove_task(task)
                 self._bars.advance(self._all)
-        if row.state == "failed":
+        if row.state == "failed" and self._bars is not None:
+            # Above the bars, which a line on another stream would run into.
+            self._bars.console.print(printable(f"failed: {row.key}: {row.message}"), style="red")
+        elif row.state == "failed":
             self._out.print(f"failed: {row.key}: {row.message}", style="red")
+        elif self._bars is None:
+            self._out.print(f"done: {row.key} ({row.seconds:.1f} s)")
 
 
 @contextlib.contextmanager
@@ -66,4 +74,8 @@ def batch_display(out: Terminal, steps: int) -> Iterator[BatchDisplay]:
     text = TextColumn("{task.description}", markup=False)
     columns = (SpinnerColumn("line"), text, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=terminal.console, transient=True) as bars:
-        yield BatchDisplay(out, bars, steps)
+        leave_behind(_BELOW_BARS)
+        try:
+            yield BatchDisplay(out, bars, steps)
+        finally:
+            leave_behind(b"")

@@ -37,8 +37,9 @@ def opened(project: "Project") -> Iterator[Opened]:
         JaxscanError: If a capture or the catalogue is not what it should be.
     """
     # Imported here, so that `--help` does not load JAX.
-    from jaxscan.project import digests_of, open_catalogue, states_of, steps_of
+    from jaxscan.project import check_owner, digests_of, open_catalogue, states_of, steps_of
 
+    check_owner(project)
     steps = steps_of(project)
     digests, parts = digests_of(steps)
     catalogue = open_catalogue(project)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from jaxscan.project import Status
 
 
+_ORDER = ("failed", "stale", "missing", "done")
 _MOST_ROWS = 60
 """Of the table; of more steps, only those that are not done, and so many of them."""
 
@@ -21,9 +22,9 @@ _MOST_ROWS = 60
 def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False, json: JsonTarget = None) -> None:
     """Say what is done, stale, failed and missing: `jaxscan project status project.toml`.
 
-    A step that is not done has its reason beside it, and one that is done its notes. A product is stale if its capture,
-    its calibration, the settings or the code that makes it have changed since, or if a file of it is gone. Nothing is
-    computed.
+    Below the table, each step that is not done has its reason, and each that is done its notes. A product is stale if
+    its capture, its calibration, the settings or the code that makes it have changed since, or if a file of it is gone.
+    Nothing is computed.
 
     Args:
         project: The project's file.
@@ -39,10 +40,14 @@ def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False,
         states = found.states
     out, counts = console(json), counted(states)
     shown = [one for one in states if all or len(states) <= _MOST_ROWS or one.state != "done"]
+    # What asks for something comes first.
+    shown.sort(key=lambda one: _ORDER.index(one.state))
     listed = shown if all else shown[:_MOST_ROWS]
     if listed:
-        rows = [(one.step.key, one.state, one.why) for one in listed]
-        out.print(table(f"{project}", ("", "state", "why, or notes"), rows))
+        out.print(table(f"{project}", ("", "state"), [(one.step.key, one.state) for one in listed]))
+    for one in listed:
+        if one.why:
+            out.print(f"{one.step.key} ({one.state}): {one.why}")
     if len(listed) < len(shown):
         out.print(f"... and {len(shown) - len(listed)} more (--all)")
     out.print(in_words(counts))

@@ -17,11 +17,10 @@ from distributed.system import MEMORY_LIMIT
 from jaxscan.fleet.clusters.certificates import new_certificates, security_of
 from jaxscan.fleet.clusters.choice import ClusterChoice
 from jaxscan.fleet.clusters.pinning import WORKERS
-from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, OURS, kept_environment
+from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, OURS, PINNING, kept_environment
 from jaxscan.fleet.clusters.sizes import GIB, sizes_for
 
 
-PINNING = "jaxscan.fleet.clusters.pinning"
 _HOST = "127.0.0.1"
 _QUIET = "ignore:resource_tracker"
 
@@ -53,7 +52,7 @@ def open_local(choice: ClusterChoice) -> Iterator[Any]:
                 dashboard_address=LOOPBACK_PAGE,
                 memory_limit=sizes.memory,
                 preload=[PINNING],
-                silence_logs=logging.ERROR,
+                silence_logs=logging.CRITICAL,
             ) as cluster,
             distributed.Client(cluster, set_as_default=False) as client,
         ):

@@ -16,7 +16,7 @@ from jaxscan.errors import OptionError
 from jaxscan.files.disk import MEGABYTE, read_bounded
 from jaxscan.fleet.clusters.certificates import paths_in, security_of
 from jaxscan.fleet.clusters.choice import ClusterChoice
-from jaxscan.fleet.clusters.settings import run_apart, wait_for_worker
+from jaxscan.fleet.clusters.settings import PINNING, run_apart, wait_for_worker
 
 
 ANSWER_S = 10.0
@@ -32,7 +32,8 @@ def open_running(choice: ClusterChoice) -> Iterator[Any]:
     """
     security = security_from(choice.tls) if choice.tls is not None else None
     with connected(str(choice.address), security) as client:
-        wait_for_worker(client, ANSWER_S, f"start workers for {choice.address}: dask worker {choice.address}")
+        start = f"dask worker {choice.address} --nthreads 1 --preload {PINNING}"
+        wait_for_worker(client, ANSWER_S, f"start workers for {choice.address}, such as: {start}")
         yield client
 
 

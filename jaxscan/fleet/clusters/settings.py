@@ -27,6 +27,8 @@ OURS: Mapping[str, Any] = {
     "distributed.deploy.lost-worker-timeout": "1 day",
 }
 """For clusters that are started for a batch."""
+PINNING = "jaxscan.fleet.clusters.pinning"
+"""What a worker loads before its work: it takes its share of the cores."""
 LOOPBACK_PAGE = "127.0.0.1:0"
 """Where the pages of schedulers and workers are: they know no password, so only their own machine may see them."""
 

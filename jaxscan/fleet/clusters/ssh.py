@@ -21,13 +21,12 @@ from jaxscan.fleet.clusters.certificates import NAMES, Certificates, new_certifi
 from jaxscan.fleet.clusters.choice import ClusterChoice
 from jaxscan.fleet.clusters.hosts import Host, read_hosts
 from jaxscan.fleet.clusters.pinning import WORKERS
-from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, OURS, run_apart
+from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, OURS, PINNING, run_apart
 
 
 ANSWER_S = 20.0
 """How long a host may take to let us in."""
 _START_S = 60
-_PINNING = "jaxscan.fleet.clusters.pinning"
 _SHARE = 0.8
 """Part of a machine's memory that its workers have together, where nobody says more."""
 
@@ -50,7 +49,7 @@ def open_ssh(choice: ClusterChoice) -> Iterator[Any]:
         scheduler, workers = scheduler_spec(hosts[0], folders), worker_specs(hosts, folders, choice.memory_gib)
         try:
             cluster = distributed.SpecCluster(
-                workers, scheduler, security=security, name="jaxscan by SSH", silence_logs=logging.ERROR
+                workers, scheduler, security=security, name="jaxscan by SSH", silence_logs=logging.CRITICAL
             )
         # Whatever ends a process on another machine before it says where it is.
         except Exception as problem:
@@ -94,7 +93,7 @@ def worker_specs(
             "memory_limit": memory,
             "dashboard_address": LOOPBACK_PAGE,
             "dashboard": False,
-            "preload": [_PINNING],
+            "preload": [PINNING],
             "env": {WORKERS: str(count)},
             "death_timeout": _START_S,
             "security": _paths(folders[host]),

@@ -54,9 +54,15 @@ class Desk:
             free = shutil.disk_usage(path).free
             fetch_folder(address, path, most_bytes=min(MOST_BYTES, int(_SHARE * free)))
         kept.mkdir(exist_ok=True)
-        capture = open_capture(path).keeping(kept / f"{name}.npz")
+        capture = open_capture(path).keeping(kept / f"{self._name(role)}.npz")
         self.notes.extend(capture.notes)
         return capture
+
+    def _name(self, role: str) -> str:
+        """The name of a capture in the project: folders of two may be called alike."""
+        if role.startswith("capture "):
+            return role.removeprefix("capture ")
+        return self.step.key.split("/")[-1 if self.step.kind == "station" else 1]
 
     def file(self, role: str) -> Path:
         """A file that a step before made, or that was given."""

@@ -1,5 +1,7 @@
 """Calibrations and clouds, made of captures."""
 
+from pathlib import Path
+
 from jaxscan import api
 from jaxscan.api.ranges import cloud_of_ranges, stripes_of_range
 from jaxscan.errors import CalibrationError, CaptureError
@@ -9,6 +11,7 @@ from jaxscan.files.disk import read_arrays, write_arrays
 from jaxscan.geometry import Scanner
 from jaxscan.project.work.desk import Desk
 from jaxscan.reconstruction import PointCloud
+from jaxscan.report import headline
 
 
 def calibrate_rig(desk: Desk) -> None:
@@ -18,11 +21,16 @@ def calibrate_rig(desk: Desk) -> None:
         CalibrationError: If the result cannot be used.
     """
     captures = [desk.capture(role) for role in desk.step.sources]
-    result = api.calibrate(captures, progress=desk.progress)
+    boards = " and ".join(Path(address).name for address in desk.step.sources.values())
+    try:
+        result = api.calibrate(captures, progress=desk.progress)
+    except CalibrationError as problem:
+        raise CalibrationError(f"{boards}: {problem}") from problem
     verdict = result.quality.verdict
     if verdict is not None and verdict.refused is not None:
-        raise CalibrationError(f"{desk.step.key}: cannot be used: {verdict.refused}")
-    desk.notes.extend(result.missing)
+        raise CalibrationError(f"{boards}: cannot be used: {verdict.refused}")
+    about = headline(result)
+    desk.notes.extend([f"{about.headline}.", *result.missing])
     api.save_calibration(result, desk.target())
 
 
