@@ -18,10 +18,10 @@ _CAPTURE = ("geometry", "stripes", "vision", "files/capture", "files/calibration
 _SWEEP = (*_CAPTURE, "reconstruction")
 _CLOUD = (*_SWEEP, "photographs", "files/clouds")
 _CALIBRATION = (*_CAPTURE, "observation", "calibration")
-_MEASURES = ("geometry", "measurement", "files/calibration", "files/clouds")
-_MERGED = ("geometry", "reconstruction", "files/clouds")
+_MEASURES = ("geometry", "measurement", "files/calibration", "files/clouds", "api")
+_MERGED = ("geometry", "reconstruction", "files/clouds", "api")
 _PLAN = (*_MEASURES, "reconstruction", "drawing", "files/drawings")
-_REGISTER = (*_CALIBRATION, "reconstruction", "recalibration", "measurement")
+_REGISTER = (*_CALIBRATION, "reconstruction", "recalibration", "measurement", "files/known_room")
 CODE_OF: Mapping[str, tuple[str, ...]] = {
     "calibration": _CALIBRATION,
     "stripes": _SWEEP,
@@ -30,7 +30,7 @@ CODE_OF: Mapping[str, tuple[str, ...]] = {
     "mesh": (*_MEASURES, "reconstruction", "surface", "files/meshes"),
     "plan": _PLAN,
     "panorama": _CLOUD,
-    "report": (*_MEASURES, "reconstruction", "drawing", "vision", "report"),
+    "report": (*_MEASURES, "reconstruction", "calibration", "drawing", "vision", "report"),
     "recalibration": _REGISTER,
     "register": _REGISTER,
     "station": _CLOUD,
@@ -38,8 +38,8 @@ CODE_OF: Mapping[str, tuple[str, ...]] = {
     "merged tiles": _MERGED,
     "merged plan": _PLAN,
 }
-"""Rooms whose code decides a product, beside the one that makes them all: a change elsewhere, of the viewer say,
-leaves it as good as it was."""
+"""Rooms, folders or files, whose code decides a product, beside the one that makes them all: a change elsewhere, of the viewer say,
+leaves it as good as it was. Rooms that decide an input already, as the stripes decide a cloud, are not named again."""
 _AT_A_TIME = 16
 """Sources that are asked for at a time: mostly they wait for disks and networks."""
 MOST_JOURNAL = 1 << 30
@@ -77,7 +77,10 @@ def code_digest(kind: str) -> str:
     """Digest of the code that makes products of a kind."""
     root = Path(str(resources.files("jaxscan")))
     digest = hashlib.sha256()
-    for file in sorted(file for room in (*CODE_OF[kind], "project/work") for file in (root / room).rglob("*.py")):
+    rooms = (*CODE_OF[kind], "project/work")
+    # A room is a folder, or one file.
+    files = {file for room in rooms for file in (*(root / room).rglob("*.py"), *root.glob(f"{room}.py"))}
+    for file in sorted(files):
         digest.update(str(file.relative_to(root)).encode() + b"\0" + read_bounded(file, MEGABYTE, error=ConfigError))
     return "sha256:" + digest.hexdigest()
 

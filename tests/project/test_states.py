@@ -4,6 +4,7 @@ import contextlib
 import json
 import shutil
 import sqlite3
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import jaxscan
 from jaxscan.errors import ConfigError, DependencyError
 from jaxscan.files.capture import CACHE_NAME, JOURNAL_NAME
 from jaxscan.project import begun_row, digests, failed_row, load_project, order_of
+from jaxscan.project.work.orders import WORK
 from tests.opened import catalogue_of, edit, products, states, work
 
 
@@ -198,3 +200,11 @@ def test_addresses_of_catalogues(museum):
     edit(museum, "sqlite:///own.sqlite", "postgresql://host:port/scans")
     with pytest.raises((ConfigError, DependencyError), match="the catalogue: "):
         catalogue_of(museum)
+
+
+def test_every_room_whose_code_counts_is_there():
+    root = Path(jaxscan.__file__).parent
+    for kind, rooms in digests.CODE_OF.items():
+        for room in rooms:
+            assert (root / room).is_dir() or (root / f"{room}.py").is_file(), (kind, room)
+    assert set(digests.CODE_OF) == set(WORK)
