@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration.chi_squared import chance_of
+from jaxscan.errors import CalibrationError
 from jaxscan.recalibration import Drift, HoldOut, RecalibrationSettings, Surfaces, Tracks
 from jaxscan.recalibration.judge import (
     closure_of,
@@ -97,6 +98,16 @@ def test_planes_that_were_held_out_judge(room):
 def test_one_plane_cannot_be_held_out(room):
     observations = room.observations.only([0])
     assert hold_out(adjusted_of(room.scanner, observations), room.scanner, lambda some: None) is None
+
+
+def test_half_of_the_planes_may_leave_something_open(room):
+    """All planes have an adjustment; that those of one half have none is no fault of the captures."""
+
+    def fit(some):
+        raise CalibrationError("The captures contradict each other, so no adjustment fits them.")
+
+    adjusted = adjusted_of(room.scanner, observe(truth_scanner()))
+    assert hold_out(adjusted, room.scanner, fit) is None
 
 
 def test_the_gap_of_an_overlap_is_measured():

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.adjusted import Adjusted
@@ -33,7 +34,7 @@ def hold_out(adjusted: Adjusted, stored: Scanner, fit: Fitting) -> HoldOut | Non
 
     Returns:
         RMS of means of neighbouring points over each half; None where there are fewer than two planes, or where those
-        of one half do not place every station.
+        of one half do not determine every station and the scanner.
     """
     points = adjusted.observations.points
     numbers = _halves(adjusted.observations.surfaces, points.surface[adjusted.point_kept])
@@ -41,7 +42,11 @@ def hold_out(adjusted: Adjusted, stored: Scanner, fit: Fitting) -> HoldOut | Non
         return None
     before, after = [], []
     for half in numbers:
-        fitted = fit(hidden(adjusted.observations, half))
+        try:
+            fitted = fit(hidden(adjusted.observations, half))
+        except CalibrationError:
+            # All planes together have an adjustment; these alone leave something open.
+            return None
         test = adjusted.point_kept & np.isin(points.surface, half)
         before.append(1e3 * flatness(stored, adjusted.observations, adjusted.corrections, test))
         after.append(1e3 * flatness(fitted.scanner, adjusted.observations, adjusted.corrections, test))
