@@ -477,7 +477,7 @@ def test_hostile_keys_of_s3_are_refused(bucket, tmp_path, key):
 
 def test_a_file_of_s3_is_no_folder(bucket, tmp_path):
     boto3.client("s3").put_object(Bucket="rooms", Key="alone/capture.toml", Body=b"x")
-    with pytest.raises(CaptureError, match="alone/capture.toml: found a file, expected a folder"):
+    with pytest.raises(CaptureError, match=r"alone/capture\.toml: found a file, expected a folder"):
         fetch_folder(f"{bucket}/alone/capture.toml", tmp_path / "none", most_bytes=GIGABYTE)
 
 

@@ -168,7 +168,7 @@ def test_what_may_not_be_listed_is_said_at_once(store):
         return True
 
     store.rule = rule
-    with pytest.raises(CaptureError, match="rooms/one: cannot be read: .*Who are you"):
+    with pytest.raises(CaptureError, match=r"rooms/one: cannot be read: .*Who are you"):
         fetch_folder("s3://rooms/one", store.config.parent / "one", most_bytes=GIGABYTE)
     assert len(store.asked) == 1
 

@@ -19,8 +19,6 @@ Reader = Callable[[Place, int, int], bytes]
 
 _LASTS = datetime.timedelta(minutes=10)
 """After so much time the driver is asked for its keys again; it renews those that end."""
-# A slow line is no failure, a silent one is: the first is the limit of a whole request.
-_LIMITS = {"timeout": "1 hour", "read_timeout": "60s", "connect_timeout": "10s"}
 _BUCKET = re.compile(r"[a-z0-9][a-z0-9.-]{1,61}[a-z0-9]")
 
 
@@ -72,7 +70,13 @@ def _reader_of_s3(place: Place) -> Reader:
         virtual_hosted_style_request=False,
         request_payer=False,
         s3_express=False,
-        client_options={"allow_http": server.endpoint_url.startswith("http://"), **_LIMITS},
+        client_options={
+            "allow_http": server.endpoint_url.startswith("http://"),
+            "connect_timeout": "10s",
+            # A silent line has failed. A slow one has not: this limit is that of a whole request.
+            "read_timeout": "60s",
+            "timeout": "1 hour",
+        },
         # Every request is tried again by the caller.
         retry_config={"max_retries": 0},
         **known,
