@@ -1,4 +1,4 @@
-"""Reads blocks of files: by fsspec's driver, and those of S3 by a client that needs a quarter of its time for each.
+"""Reads blocks of files: by fsspec's driver, and those of S3 by a client that needs less than half its time.
 
 A sweep has hundreds of small images. The client of S3 is used where server, region and keys are all that the driver
 was told, and it gets those of the driver; after its first failure the driver reads all that follows. What the driver
