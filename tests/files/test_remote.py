@@ -475,6 +475,12 @@ def test_hostile_keys_of_s3_are_refused(bucket, tmp_path, key):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_file_of_s3_is_no_folder(bucket, tmp_path):
+    boto3.client("s3").put_object(Bucket="rooms", Key="alone/capture.toml", Body=b"x")
+    with pytest.raises(CaptureError, match=r"alone/capture\.toml: found a file, expected a folder"):
+        fetch_folder(f"{bucket}/alone/capture.toml", tmp_path / "none", most_bytes=GIGABYTE)
+
+
 def test_what_s3_has_not_is_said(bucket, tmp_path):
     assert find_captures(f"{bucket}/none/*") == find_captures("s3://no-such-bucket/*") == []
     for address in (f"{bucket}/none", "s3://no-such-bucket/none"):

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import CACHE_NAME
 from jaxscan.files.disk import shown
-from jaxscan.files.remote.place import Missing, Place, asked, info_of, open_place
+from jaxscan.files.remote.pages import listed
+from jaxscan.files.remote.place import Missing, Place, info_of, open_place
 
 
 MAX_FILES = 200_000
@@ -88,12 +89,11 @@ def entries_of(folder: Place) -> list[tuple[str, dict[str, Any]]]:
     """The entries of a folder: names, none of which leads anywhere else, with the fields of the listing.
 
     Raises:
-        CaptureError: If it cannot be listed, or the listing is hostile.
+        CaptureError: If it cannot be listed, or the listing is hostile, or of more than `MAX_FILES`.
     """
-    listed = asked(lambda: folder.storage.ls(folder.path, detail=True), folder)
     above = folder.path.rstrip("/") + "/"
     entries = []
-    for entry in listed:
+    for entry in listed(folder, MAX_FILES):
         name, kind = str(entry["name"]), entry["type"]
         if name == folder.path and kind == "file":
             raise CaptureError(f"{shown(folder.address)}: found a file, expected a folder.")

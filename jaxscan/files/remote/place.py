@@ -135,14 +135,24 @@ def _tried(do: Callable[[], Result], failure: str) -> Result:
             raise Missing(f"{failure}: no such file or folder.") from problem
         # Every driver has errors of its own for a network that fails.
         except Exception as problem:
-            wait_s = None if isinstance(problem, _FINAL) else next(waits_s, None)
+            wait_s = None if _is_final(problem) else next(waits_s, None)
             if wait_s is None:
                 raise CaptureError(f"{failure}: {_cause(problem)}.") from problem
             time.sleep(wait_s)
 
 
+def _is_final(problem: Exception) -> bool:
+    # The driver of S3 knows few names of refusals; it keeps the answer of the server as the cause.
+    answer = getattr(problem.__cause__, "response", None)
+    said = answer.get("ResponseMetadata") if isinstance(answer, dict) else None
+    refused = isinstance(said, dict) and said.get("HTTPStatusCode") in (401, 403)
+    return refused or isinstance(problem, _FINAL)
+
+
 def _cause(problem: BaseException) -> str:
-    return f"{' '.join(str(problem).split()) or type(problem).__name__:.300}".rstrip(".")
+    """What happened, in one line without the colours and other controls of a terminal."""
+    text = "".join(letter if letter.isprintable() else " " for letter in str(problem))
+    return f"{' '.join(text.split()) or type(problem).__name__:.300}".rstrip(".")
 
 
 def in_threads(do: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:

@@ -48,8 +48,8 @@ class Desk:
         kept = self.output / "stripes"
         if is_remote(address):
             # Stripes of a copy serve no other one.
-            kept = self.folder / "stripes"
-            path = self.folder / "fetched" / name
+            kept = self._fetched(role)
+            path = kept / name
             path.mkdir(parents=True)
             free = shutil.disk_usage(path).free
             fetch_folder(address, path, most_bytes=min(MOST_BYTES, int(_SHARE * free)))
@@ -71,11 +71,15 @@ class Desk:
         address = self.step.sources[role]
         if not is_remote(address):
             return Path(address)
-        path = self.folder / "fetched" / Path(address).name
-        path.parent.mkdir(exist_ok=True)
+        path = self._fetched(role) / Path(address).name
+        path.parent.mkdir(parents=True, exist_ok=True)
         if not path.exists():
             fetch_file(address, path, most_bytes=MOST_BYTES)
         return path
+
+    def _fetched(self, role: str) -> Path:
+        """A folder for what is fetched of one source: two may have one name."""
+        return self.folder / "fetched" / str(list(self.step.sources).index(role))
 
     def target(self, number: int = 0) -> Path:
         """Where an output of the step is to be written."""
