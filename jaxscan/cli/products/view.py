@@ -101,12 +101,12 @@ def view(
     out = notes_first(notes, json)
     address = open_address(host, web_port, option="--web-port")
     with serve_clouds(address, named, scanner, partial(products_of, projects) if projects else None):
-        url = address.url(with_token=True)
-        out.print(f"Open this address in a browser: {url}")
+        for line in address.invitation():
+            out.print(line)
         out.print("Ctrl-C ends it.")
         emit_json(json, "view", {"url": address.url(), "notes": notes})
         if open and _has_screen():
-            webbrowser.open_new_tab(url)
+            webbrowser.open_new_tab(address.url(with_token=True))
         signal.pause() if hasattr(signal, "pause") else input()
 
 
