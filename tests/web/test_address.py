@@ -35,7 +35,7 @@ class Asking:
 
 
 @pytest.mark.parametrize("number", ["192.168.1.5", None])
-def test_all_interfaces_are_shown_by_number_too( monkeypatch, number):
+def test_all_interfaces_are_shown_by_number_too(monkeypatch, number):
     monkeypatch.setattr(address, "own_number", lambda family: number)
     wide = opened("0.0.0.0")
     said = [f"Open this address in a browser: http://{socket.gethostname()}:{wide.port}/?token={wide.token}"]
