@@ -11,7 +11,7 @@ from jaxscan.errors import OptionError
 LOOPBACK = "127.0.0.1"
 _LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 _ANYWHERE = {"0.0.0.0", "::"}
-_AFAR = {
+_AFAR: dict[int, tuple[str, ...]] = {
     socket.AF_INET: ("192.0.2.1", "10.0.0.1", "192.168.0.1", "172.16.0.1"),
     socket.AF_INET6: ("2001:db8::1", "fd00::1"),
 }
@@ -106,7 +106,7 @@ def own_number(family: int = socket.AF_INET) -> str | None:
     Args:
         family: AF_INET or AF_INET6.
     """
-    for place in _AFAR[family]:
+    for place in _AFAR.get(family, ()):
         try:
             with socket.socket(family, socket.SOCK_DGRAM) as asking:
                 # It chooses the interface; nothing is sent.
