@@ -80,6 +80,7 @@ HOME_OF = {
     "s3fs": set(),
     "laspy": {"files"},
     "pyproj": {"files"},
+    "rerun": {"files/clouds/rerun.py"},
     "serial": set(),
     "aiohttp": {"web", "viewer", "cli/console"},
     "yarl": {"web"},

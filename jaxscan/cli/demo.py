@@ -75,8 +75,8 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
     seconds["colour"] = time.perf_counter() - lap
     points = int(np.asarray(cloud.valid).sum())
     out.print(
-        f"reconstructed {points} points from {len(sweep)} pairs in {seconds['reconstruct']:.1f} s "
-        f"({points / seconds['reconstruct']:.0f} points a second, compiling included), "
+        f"reconstructed {points:,} points from {len(sweep)} pairs in {seconds['reconstruct']:.1f} s "
+        f"({points / seconds['reconstruct']:,.0f} points a second, compiling included), "
         f"and coloured them from laser-off images in {seconds['colour']:.1f} s"
     )
     api.save_cloud(cloud, output / "room.ply", calibration_digest=calibration_digest(output / "calibration.json"))
@@ -99,7 +99,7 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
         out.print(f"median error of a point along its ray {1e3 * comparison.along_ray_m.median_abs:.2f} mm")
     out.print(
         f"{100 * comparison.completeness:.1f} % of the lit cells have a point; "
-        f"{comparison.false_points} points where the truth has none"
+        f"{comparison.false_points:,} points where the truth has none"
     )
     out.print(f"{seconds['all']:.0f} s in all; written: {', '.join(str(output / n) for n in FILES)}")
     look = ["jaxscan", "view", str(output / "room.ply"), "-c", str(output / "calibration.json")]

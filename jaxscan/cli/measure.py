@@ -157,8 +157,8 @@ def compare(
         rows.append(_error_row("along the ray", found.along_ray_m))
     out = notes_first(notes, json)
     out.print(table("Error, mm", ("", "RMS", "mean", "median", "95 %", "largest"), rows))
-    out.print(f"{found.points} points compared; {100 * found.completeness:.1f} % of the true ones have a point")
-    out.print(f"{found.false_points} points where the truth has none")
+    out.print(f"{found.points:,} points compared; {100 * found.completeness:.1f} % of the true ones have a point")
+    out.print(f"{found.false_points:,} points where the truth has none")
     emit_json(json, "measure-compare", result | {"notes": notes})
 
 

@@ -110,8 +110,8 @@ def reconstruct(
         float(np.median(np.asarray(sigma)[valid])) for sigma in (cloud.sigma_random, cloud.sigma_systematic)
     )
     out.print(
-        f"{points} points from {len(sweep)} records in {seconds:.1f} s "
-        f"({1e3 * seconds / len(sweep):.1f} ms a pair, {points / seconds:.0f} points a second)"
+        f"{points:,} points from {len(sweep)} records in {seconds:.1f} s "
+        f"({1e3 * seconds / len(sweep):.1f} ms a pair, {points / seconds:,.0f} points a second)"
     )
     out.print(f"median sigma along the ray: {1e3 * random:.2f} mm random, {1e3 * systematic:.2f} mm systematic")
     out.print(f"written: {output}")

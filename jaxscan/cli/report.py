@@ -73,7 +73,7 @@ def report(
         out.print(f"{name} {side['value_m']:.4f} m, sigma {1e3 * side['sigma_m']:.2f} mm")
     for doubt in numbers["doubts"]:
         out.print(f"suspicious: {doubt}")
-    out.print(f"{numbers['points']} points; {100 * numbers['coverage']:.1f} % of the directions looked at have some")
+    out.print(f"{numbers['points']:,} points; {100 * numbers['coverage']:.1f} % of the directions looked at have some")
     out.print(f"written: {output}")
     emit_json(json, "report", numbers)
 

@@ -142,7 +142,7 @@ def distributions(fit: Fit) -> Html | None:
     for name, whitened in residual_plots.whitened_residuals(fit).items():
         far = float(np.mean(np.abs(whitened) > 3))
         caption = (
-            f"<b>{name.capitalize()}.</b> {len(whitened)} residuals, standard deviation {np.std(whitened):.3f}; "
+            f"<b>{name.capitalize()}.</b> {len(whitened):,} residuals, standard deviation {np.std(whitened):.3f}; "
             f"{100 * far:.2f} % beyond 3 (Gaussian: 0.27 %)."
         )
         figures += [
@@ -182,8 +182,9 @@ def board(calibration: Calibration) -> Html | None:
         return None
     sigma = 1e3 * float(np.sqrt(np.mean(np.square(found.height_sigma_m))))
     lines = [
-        f"The board is {1e3 * found.rms_off_flat_m:.3f} mm off its best plane (root mean square over the corners; "
-        f"standard deviation of one corner {sigma:.3f} mm). Its shape in the solve: {_SHAPES.get(found.free, '')}."
+        f"The board is {words.millimetres(1e3 * found.rms_off_flat_m)} off its best plane (root mean square over the "
+        f"corners; standard deviation of one corner {words.millimetres(sigma)}). "
+        f"Its shape in the solve: {_SHAPES.get(found.free, '')}."
     ]
     before, after = found.held_out_rms_parabola_px, found.held_out_rms_px
     if found.free != "parabola" and before is not None and after is not None:
@@ -191,12 +192,13 @@ def board(calibration: Calibration) -> Html | None:
             f"With it, the corners of views that had no part in the solve are {after:.3f} px off; with a bow alone "
             f"they are {before:.3f} px off."
         )
+    arrows = " Arrows lead from where a corner should be printed to where it is, enlarged."
     drawn = _figure(
         board_map(found, corners, observations.board.square),
         "board",
         "Map of the board's heights and of the places of its corners",
-        "Heights of the corners over the best plane, in millimetres. Arrows lead from where a corner should be printed "
-        "to where it is, enlarged.",
+        "Heights of the corners over the best plane; colours are full at three standard deviations or more."
+        f"{arrows if np.any(found.shift_m) else ''}",
     )
     return section("Shape of the board", element("p", " ".join(lines)), element("div", drawn, class_="figures"))
 

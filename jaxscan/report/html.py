@@ -80,7 +80,7 @@ figure,.tile,.verdict,tr{break-inside:avoid}h2,h3{break-after:avoid}.scroll{over
 .tiles{grid-template-columns:repeat(4,1fr)}th,td{padding:.16rem .5rem}@page{margin:14mm}}
 """
 
-_VOID = {"img"}
+_VOID = {"img", "source"}
 """Elements that have no end."""
 _HYPHEN = re.compile(r"(?<=[0-9]e)-(?=[0-9])|(?<![\w.:/-])-(?=\.?[0-9])")
 # A second guard beside the escaping: browsers neither run scripts nor fetch anything.

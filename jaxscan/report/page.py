@@ -59,13 +59,13 @@ def _head(calibration: Calibration, date: str) -> Html:
         lines.append(observations.board.describe())
     quality = calibration.quality
     if quality.views is not None and quality.corners is not None:
-        lines.append(f"{quality.views} views, {quality.corners} corners")
+        lines.append(f"{quality.views} views, {quality.corners:,} corners")
     if calibration.scanner is None:
         lines.append("camera alone, without laser and turntable")
     elif not calibration.scanner.laser_names:
         lines.append("camera and axis, without laser")
     elif quality.stripe_points is not None:
-        lines.append(f"{quality.stripe_points} stripe points")
+        lines.append(f"{quality.stripe_points:,} stripe points")
     names = [str(capture.get("name")) for capture in _captures(calibration)]
     title = f"Calibration report: {', '.join(names)}" if names else "Calibration report"
     return element("header", element("h1", title), element("p", " · ".join([*([date] if date else []), *lines])))

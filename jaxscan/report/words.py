@@ -167,7 +167,7 @@ def noise_lines(calibration: Calibration) -> list[str]:
         share = f", {100 * rejected / count:.1f} % rejected" if rejected else ", none rejected"
         # The residuals of a solve that did not converge are not judged.
         compared = f", {_promise(ratio, source)}" if of.converged is not False else ""
-        lines.append(f"{title}: {count}{share}; RMS {rms_px:.3f} px{compared}.")
+        lines.append(f"{title}: {count:,}{share}; RMS {rms_px:.3f} px{compared}.")
     return lines
 
 

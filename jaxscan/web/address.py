@@ -3,7 +3,7 @@
 import ipaddress
 import secrets
 import socket
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from jaxscan.errors import OptionError
 
@@ -11,6 +11,11 @@ from jaxscan.errors import OptionError
 LOOPBACK = "127.0.0.1"
 _LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 _ANYWHERE = {"0.0.0.0", "::"}
+_AFAR: dict[int, tuple[str, ...]] = {
+    socket.AF_INET: ("192.0.2.1", "10.0.0.1", "192.168.0.1", "172.16.0.1"),
+    socket.AF_INET6: ("2001:db8::1", "fd00::1"),
+}
+"""Numbers for examples, which the way out leads to, and of private networks, where there is no way out."""
 _WAITING = 64
 """Connections that may wait to be accepted."""
 
@@ -37,6 +42,18 @@ class Address:
         host = socket.gethostname() if self.host in _ANYWHERE else self.host
         shown = f"[{host}]" if ":" in host else host
         return f"http://{shown}:{self.port}/" + (f"?token={self.token}" if with_token and self.token else "")
+
+    def invitation(self) -> tuple[str, ...]:
+        """What to print: the address with its token, and where it names all interfaces the same by number.
+
+        Few telephones know the name of a machine; all know its number.
+        """
+        lines = [f"Open this address in a browser: {self.url(with_token=True)}"]
+        number = own_number(self.socket.family) if self.host in _ANYWHERE else None
+        if number is not None:
+            numbered = replace(self, host=number).url(with_token=True)
+            lines.append(f"On a machine that does not find that name: {numbered}")
+        return tuple(lines)
 
     def knows(self, name: str) -> bool:
         """Whether a name in the header Host is one of this machine.
@@ -81,6 +98,25 @@ def open_address(host: str, port: int, *, option: str) -> Address:
         names |= {own, f"{own}.local"}
     token = None if narrow else secrets.token_urlsafe()
     return Address(listening, host, bound[1], frozenset(names - _ANYWHERE), token)
+
+
+def own_number(family: int = socket.AF_INET) -> str | None:
+    """This machine's number in its network, as other machines there know it; None without a network.
+
+    Args:
+        family: AF_INET or AF_INET6.
+    """
+    for place in _AFAR.get(family, ()):
+        try:
+            with socket.socket(family, socket.SOCK_DGRAM) as asking:
+                # It chooses the interface; nothing is sent.
+                asking.connect((place, 9))
+                number = ipaddress.ip_address(asking.getsockname()[0])
+        except OSError:
+            continue
+        if not (number.is_loopback or number.is_unspecified or number.is_link_local):
+            return str(number)
+    return None
 
 
 def _why_not(host: str, port: int, option: str, problem: OSError) -> str:

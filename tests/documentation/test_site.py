@@ -132,3 +132,19 @@ def test_pages_fit_a_window(browser, address, page, size):
     asked = browser.execute_script("return performance.getEntriesByType('resource').map(entry => entry.name)")
     assert asked and all(name.startswith(address) for name in asked), asked
     assert not looks.complaints()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", ["index", "repository/hardware/PROTOCOL"])
+def test_search_finds_words_in_pages_from_the_disk(browser, site, page):
+    looks = Looks(browser)
+    looks.open((site / f"{page}.html").as_uri())
+    asking = browser.find_element("css selector", "input.md-search__input")
+    browser.execute_script("arguments[0].focus()", asking)
+    asking.send_keys("double sphere")
+    found = looks.until(lambda: browser.find_elements("css selector", "a.md-search-result__link"))
+    places = [link.get_attribute("href") for link in found]
+    assert any(place.startswith((site / "mathematics.html").as_uri()) for place in places), places
+    asked = browser.execute_script("return performance.getEntriesByType('resource').map(entry => entry.name)")
+    assert all(name.startswith("file:") for name in asked), asked
+    assert not looks.complaints()

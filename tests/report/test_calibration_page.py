@@ -14,7 +14,7 @@ from jaxscan.geometry import Chessboard
 from jaxscan.report import calibration_date, calibration_page, thumbnail
 
 
-VOID = {"meta", "br", "img", "hr", "link", "input"}
+VOID = {"meta", "br", "img", "hr", "link", "input", "source"}
 SECTIONS = [
     "In words",
     "The rig",

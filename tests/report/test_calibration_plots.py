@@ -7,7 +7,10 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
+from jaxscan.calibration.verdict import BoardMap
+from jaxscan.geometry import Chessboard
 from jaxscan.report import image_plots, residual_plots, uncertainty_plots
+from jaxscan.report.board_plots import board_map
 from jaxscan.report.drawing import arrows, as_svg, plain
 from jaxscan.report.html import Html, element, escaped, table
 
@@ -110,3 +113,32 @@ def test_text_is_escaped_and_markup_is_not():
     assert escaped("<a & 'b'>\x07") == "&lt;a &amp; &#x27;b&#x27;&gt; "
     assert element("p", "<i>", Html("<i></i>"), class_='"x') == '<p class="&quot;x">&lt;i&gt;<i></i></p>'
     assert "<td>&lt;b&gt;</td>" in table(["<h>"], [["<b>"]]) and "<th>&lt;h&gt;</th>" in table(["<h>"], [])
+
+
+BOARD = Chessboard(columns=4, rows=3, square=0.03)
+"""Of 12 corners."""
+
+
+def numbers_on_the_map(heights_m, sigma_m):
+    """What is written on the map of a board: the numbers of its corners, and the title of the colours."""
+    shift = ((0.0, 0.0),) * len(heights_m)
+    found = BoardMap("bent", 0.0, None, None, tuple(heights_m), (sigma_m,) * len(heights_m), shift)
+    figure = board_map(found, BOARD.corners(), BOARD.square)
+    axes, bar = figure.axes
+    return [text.get_text() for text in axes.texts], bar.get_ylabel(), axes.collections[0].get_clim()
+
+
+def test_heights_of_a_board_are_written_with_as_many_digits_as_they_have():
+    heights = np.linspace(-0.55e-3, 0.55e-3, 12)
+    numbers, title, limits = numbers_on_the_map(heights, 0.01e-3)
+    assert title == "height into the board, mm" and limits == pytest.approx((-0.55, 0.55))
+    assert numbers[0] == "-0.55" and numbers[-1] == "+0.55"
+    numbers, title, limits = numbers_on_the_map(1e-2 * heights, 0.1e-6)
+    assert title == "height into the board, µm" and limits == pytest.approx((-5.5, 5.5))
+    assert numbers[0] == "-5.5" and numbers[-1] == "+5.5"
+
+
+def test_heights_that_are_noise_are_pale_and_have_no_sign_of_their_own():
+    numbers, title, limits = numbers_on_the_map([0.0, -4e-8, *[1e-6] * 10], 2e-6)
+    assert title == "height into the board, µm" and limits == pytest.approx((-6.0, 6.0))
+    assert numbers[:3] == ["0.0", "0.0", "+1.0"]

@@ -41,9 +41,11 @@ def test_it_has_its_sections_and_asks_for_nothing(document):
     assert not {"script", "iframe", "object", "link", "base", "form"} & set(document.tags)
     for tag, key, value in document.attributes:
         assert not key.startswith("on"), (tag, key)
-        if key.endswith("href") or key == "src":
+        if key.endswith("href") or key in ("src", "srcset"):
             assert value.startswith(("#", "data:image/png;base64,", "data:image/jpeg;base64,")), (tag, key)
     assert "<script>alert(1)</script>" in document.all_words()
+    # One picture for desks, and one with larger words for telephones.
+    assert document.tags.count("source") == document.tags.count("img") == 1
 
 
 def test_dimensions_are_those_of_measure_room(document, box):

@@ -52,7 +52,10 @@ def test_dimensions_are_those_of_measure_room(drawn, box):
     assert any("hole in the floor" in text for text in words)
 
 
-def test_words_are_on_the_picture_and_do_not_overlap(drawn):
+@pytest.mark.parametrize("width", [1600, 800])
+def test_words_are_on_the_picture_and_do_not_overlap(cloud, box, width):
+    drawn = room_picture(cloud, box, width=width)
+    assert drawn.rgb.shape[1] == width
     height, width = drawn.rgb.shape[:2]
     for label in drawn.labels:
         left, top, right, bottom = label.box

@@ -87,7 +87,8 @@ def console(
         sessions = Sessions(desk, works, calibration)
         sessions.list()
         stack.enter_context(Server(make_site(address, desk, sessions), address))
-        out.print(f"Open this address in a browser: {address.url(with_token=True)}")
+        for line in address.invitation():
+            out.print(line)
         out.print("Ctrl-C ends the console; the laser goes off.")
         emit_json(json, "console", {"url": address.url(), "captures": str(captures)})
         desk.attend()

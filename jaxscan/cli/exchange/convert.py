@@ -87,7 +87,7 @@ def convert(
     out = console(json)
     for note in notes:
         out.print(f"note: {note}")
-    out.print(f"written: {target} ({points} points)")
+    out.print(f"written: {target} ({points:,} points)")
     emit_json(json, "convert", {"source": str(source), "cloud": str(target), "points": points, "notes": notes})
 
 

@@ -97,7 +97,7 @@ def mesh(
                 made = api.draw_texture(plain, points, scanner, drawn)
     seconds = time.perf_counter() - start
     api.save_mesh(made, output)
-    out.print(f"{len(made.faces)} faces on {len(made.vertices)} vertices in {seconds:.1f} s")
+    out.print(f"{len(made.faces):,} faces on {len(made.vertices):,} vertices in {seconds:.1f} s")
     if made.texture is not None:
         out.print(f"texture of {made.texture.shape[1]} x {made.texture.shape[0]} px")
     out.print(f"written: {', '.join(map(str, written))}")

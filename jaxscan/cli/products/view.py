@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 import tyro
@@ -23,10 +23,12 @@ from jaxscan.errors import CaptureError, CloudError, OptionError
 
 
 if TYPE_CHECKING:
+    from jaxscan.files.clouds import Unit, Up
+    from jaxscan.reconstruction import PointCloud
     from jaxscan.viewer import Panorama
 
 
-PORT = 8643
+HOST, PORT = "127.0.0.1", 8643
 MOST_CLOUDS = 24
 """Of a project, at a time."""
 LARGEST_PICTURE = 200_000_000
@@ -41,9 +43,10 @@ def view(
     panorama: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PATH")] = (),
     unit: CloudUnit = None,
     up: CloudUp = None,
-    host: str = "127.0.0.1",
+    host: str = HOST,
     web_port: int = PORT,
     open: bool = True,
+    rerun: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     json: JsonTarget = None,
 ) -> None:
     """Look around in clouds: `jaxscan view room.ply -c calibration.json`.
@@ -59,21 +62,21 @@ def view(
         host: Name or number of this machine at which the page is served. Other machines need the token that is printed.
         web_port: TCP port of the page; 0 for any that is free.
         open: Open the browser of this machine, where it has a screen.
-        json: Write the address, without its token, as JSON too.
+        rerun: Recording (.rrd) to write for the viewer Rerun, instead of serving a page.
+        json: Write the address, without its token, or what was written, as JSON too.
     """
-    need_pages("The viewer", "view")
-    # Imported here, so that `--help` does not load JAX.
-    from jaxscan.files import clouds as files
-    from jaxscan.viewer import Named, knows_its_place, serve_clouds
-    from jaxscan.web import open_address
-
+    if rerun is None:
+        need_pages("The viewer", "view")
+    else:
+        pages = {"--host": host != HOST, "--web-port": web_port != PORT, "--panorama": bool(panorama)}
+        _check_rerun(rerun, {**pages, "--calibration": calibration is not None})
     check_paths(
         [
             *(place for path in clouds for place in file_at("CLOUD", path)),
             *(place for path in panorama for place in file_at("--panorama", path)),
             *calibration_at("--calibration", calibration),
         ],
-        file_at("--json", json),
+        [*file_at("--rerun", rerun), *file_at("--json", json)],
     )
     check_json(json)
     projects = [path for path in clouds if path.suffix.lower() == ".toml"]
@@ -83,31 +86,80 @@ def view(
     if len(panorama) > len(clouds):
         raise OptionError(f"--panorama: found {len(panorama)} pictures for {len(clouds)} clouds; name one for each.")
     scanner, notes = calibrated(calibration)
-    notes = [*notes, *missing]
+    read = {path: _read(path, unit, up) for path in clouds}
+    notes = [*notes, *missing, *(f"{path}: {note}" for path, one in read.items() for note in one.notes)]
+    if rerun is not None:
+        _write_rerun({str(path): one.cloud for path, one in read.items()}, rerun, notes, json)
+        return
+    # Imported here, so that a recording needs nothing of pages.
+    from jaxscan.viewer import Named, knows_its_place, serve_clouds
+    from jaxscan.web import open_address
+
     seen = [_read_panorama(path) for path in panorama]
     given = {"calibration": ("-c", calibration), "unit": ("--unit", unit), "up": ("--up", up)}
     words = {name: f"{key} {shlex.quote(str(value))}" for name, (key, value) in given.items() if value is not None}
     named = []
     for path, picture in zip_longest(clouds, seen):
-        stored = files.read_cloud(path)
-        metres, said = files.in_metres(stored, unit)
-        cloud, more = files.with_z_up(stored, metres, up)
-        if not np.any(np.asarray(cloud.valid)):
-            raise CloudError(f"{path}: has no points; nothing can be shown.")
-        if picture is not None and not knows_its_place(cloud):
+        one = read[path]
+        if picture is not None and not knows_its_place(one.cloud):
             raise OptionError(f"--panorama: {path} does not say where its scanner stood, so nobody can stand there.")
-        notes += [f"{path}: {note}" for note in (*said, *more)]
-        named.append(Named(str(path), cloud, turned=cloud is not metres, panorama=picture, words=words))
+        named.append(Named(str(path), one.cloud, turned=one.turned, panorama=picture, words=words))
     out = notes_first(notes, json)
     address = open_address(host, web_port, option="--web-port")
     with serve_clouds(address, named, scanner, partial(products_of, projects) if projects else None):
-        url = address.url(with_token=True)
-        out.print(f"Open this address in a browser: {url}")
+        for line in address.invitation():
+            out.print(line)
         out.print("Ctrl-C ends it.")
         emit_json(json, "view", {"url": address.url(), "notes": notes})
         if open and _has_screen():
-            webbrowser.open_new_tab(url)
+            webbrowser.open_new_tab(address.url(with_token=True))
         signal.pause() if hasattr(signal, "pause") else input()
+
+
+class _Read(NamedTuple):
+    """A cloud as it was read."""
+
+    cloud: "PointCloud"
+    """In metres, z up."""
+    turned: bool
+    """Whether its axes are not those of the file."""
+    notes: list[str]
+
+
+def _read(path: Path, unit: "Unit | None", up: "Up | None") -> _Read:
+    from jaxscan.files import clouds as files
+
+    stored = files.read_cloud(path)
+    metres, said = files.in_metres(stored, unit)
+    cloud, more = files.with_z_up(stored, metres, up)
+    if not np.any(np.asarray(cloud.valid)):
+        raise CloudError(f"{path}: has no points; nothing can be shown.")
+    return _Read(cloud, cloud is not metres, [*said, *more])
+
+
+def _check_rerun(path: Path, others: dict[str, bool]) -> None:
+    """Check that a recording can be written, and that no option asks for something that only a page has."""
+    from jaxscan.files.clouds import load_rerun
+    from jaxscan.files.disk import check_writable
+
+    for option in (option for option, given in others.items() if given):
+        raise OptionError(f"--rerun: found with {option}, expected without: no page is served.")
+    if path.suffix.lower() != ".rrd":
+        raise OptionError(f"--rerun: found {path}, expected a name that ends in .rrd.")
+    load_rerun()
+    check_writable(path, error=OptionError)
+
+
+def _write_rerun(clouds: dict[str, "PointCloud"], path: Path, notes: list[str], json: str | None) -> None:
+    from jaxscan.files.clouds import save_rerun
+
+    origin = save_rerun(clouds, path)
+    if origin.any():
+        notes = [*notes, f"0 of the recording is {' '.join(f'{value:.0f}' for value in origin)} m of the clouds"]
+    points = sum(int(np.count_nonzero(cloud.valid)) for cloud in clouds.values())
+    notes_first(notes, json).print(f"written: {path} ({points:,} points)")
+    result = {"recording": str(path), "clouds": list(clouds), "points": points, "origin_m": origin.tolist()}
+    emit_json(json, "view", {**result, "notes": notes})
 
 
 def with_projects(paths: Sequence[Path]) -> tuple[tuple[Path, ...], list[str]]:

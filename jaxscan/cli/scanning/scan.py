@@ -211,7 +211,7 @@ def _finish_cloud(
         out.print(f"noise: {done.noise}")
     jaxscan.save_cloud(points, cloud, calibration_digest=calibration_digest(calibration))
     count = int(np.count_nonzero(points.valid))
-    out.print(f"{count} points, written: {cloud}")
+    out.print(f"{count:,} points, written: {cloud}")
     return {"cloud": str(cloud), "points": count, "live": done.live, "notes": notes, "noise": done.noise}
 
 

@@ -14,3 +14,4 @@ from jaxscan.files.clouds.clouds import (
 )
 from jaxscan.files.clouds.e57 import FlatPicture, RoundPicture, Surroundings
 from jaxscan.files.clouds.placing import Unit, Up, in_metres, shifted, with_z_up
+from jaxscan.files.clouds.rerun import load_rerun, save_rerun

@@ -76,7 +76,7 @@ def _panorama(seen: Directions, values: np.ndarray, label: str, colours: str, no
     axes.set_yticks(range(-90, 91, 30), [_degrees(value) for value in range(-90, 91, 30)])
     # Where the scanner does not look there is nothing to see.
     axes.set_ylim(bottom, top)
-    bar = figure.colorbar(shown, ax=axes, orientation="horizontal", shrink=0.6, aspect=40, pad=0.02)
+    bar = figure.colorbar(shown, ax=axes, orientation="horizontal", shrink=0.44, aspect=30, pad=0.02, anchor=(0.0, 1.0))
     bar.set_label(label, color=SOFT, fontsize=9)
     bar.outline.set_visible(False)
     bar.ax.tick_params(length=0, labelsize=8)

@@ -62,21 +62,22 @@ class RoomPicture(NamedTuple):
     labels: tuple[Label, ...]
 
 
-def room_picture(cloud: PointCloud, box: RoomBox | None = None) -> RoomPicture:
+def room_picture(cloud: PointCloud, box: RoomBox | None = None, *, width: int = WIDTH) -> RoomPicture:
     """A room, cut open, with what a person wants to know beside it.
 
     Args:
         cloud: The room, z up. A cloud without points gives an empty picture.
         box: Its dimensions, as `measure_room` finds them, where it does.
+        width: Of the picture [px]; letters and lines are equally large in every picture.
     """
     cloud, box = _near_zero(cloud, box)
     xyz, rgb, normals = (np.asarray(field) for field in (cloud.xyz, cloud.rgb, cloud.normals))
     if not np.asarray(cloud.valid).any():
-        return RoomPicture(draw_cloud(xyz, rgb, size=(WIDTH, WIDTH // 2)), ())
+        return RoomPicture(draw_cloud(xyz, rgb, size=(width, width // 2)), ())
     room = room_of(cloud, box)
     lines = dimension_lines(room, np.array(room_view(xyz[np.asarray(cloud.valid)]).eye))
     outer = [line.ends + 2.0 * _BESIDE * room.extent * line.outwards for line in lines]
-    picture, frame = draw_room(xyz, rgb, normals=normals, beside=np.concatenate(outer) if outer else None, width=WIDTH)
+    picture, frame = draw_room(xyz, rgb, normals=normals, beside=np.concatenate(outer) if outer else None, width=width)
     return _marked(picture, frame, room, lines)
 
 
@@ -243,7 +244,7 @@ def _legend(room: Room, frame: Frame) -> list["_Item"]:
     if any(axis.dimension is not None for axis in room.axes):
         items.append(_Item(_draw_nothing, 0.0, "± one standard deviation"))
     if room.hole_m is not None:
-        words = "hole in the floor: under the scanner, out of its camera's sight"
+        words = "hole in the floor, out of the camera's sight"
         items.append(_Item(_draw_ring, 70.0, words))
     return [*items, _Item(_draw_nothing, 0.0, "ceiling and near walls are left out")]
 

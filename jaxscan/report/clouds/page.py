@@ -3,6 +3,8 @@
 import base64
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from jaxscan.measurement import Dimension, RoomBox
 from jaxscan.report.clouds import maps
 from jaxscan.report.clouds.directions import Directions
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
 
 NAMED_HOLES = 8
 _JPEG = 82
+_NARROW_PX = 800
+"""Width of the picture for narrow screens."""
 
 
 def cloud_page(facts: Facts, box: RoomBox | None, beside: Beside) -> str:
@@ -51,12 +55,7 @@ def cloud_page(facts: Facts, box: RoomBox | None, beside: Beside) -> str:
 
 def _head(facts: Facts) -> str:
     stations = f" from {facts.stations} stations" if facts.stations > 1 else ""
-    return f"{_grouped(facts.points)} points{stations}"
-
-
-def _grouped(count: int) -> str:
-    """With thin spaces between thousands."""
-    return f"{count:,}".replace(",", "\u202f")
+    return f"{facts.points:,} points{stations}"
 
 
 def _tiles(facts: Facts, box: RoomBox | None) -> Html:
@@ -81,11 +80,24 @@ def _sides(box: RoomBox | None) -> list[tuple[str, Dimension]]:
 
 def _picture(facts: Facts, box: RoomBox | None) -> Html:
     drawn = room_picture(facts.shown, box)
-    data = base64.b64encode(encode_jpeg(drawn.rgb, quality=_JPEG)).decode()
     described = "The room, cut open and seen from above one of its corners. " + "; ".join(
         label.words for label in drawn.labels
     )
-    return element("figure", element("img", src=f"data:image/jpeg;base64,{data}", alt=described), class_="photograph")
+    # On a telephone the words of the large picture would be a few pixels high.
+    narrow = room_picture(facts.shown, box, width=_NARROW_PX)
+    return element(
+        "figure",
+        element(
+            "picture",
+            element("source", media="(max-width:640px)", srcset=_data(narrow.rgb)),
+            element("img", src=_data(drawn.rgb), alt=described),
+        ),
+        class_="photograph",
+    )
+
+
+def _data(rgb: np.ndarray) -> str:
+    return f"data:image/jpeg;base64,{base64.b64encode(encode_jpeg(rgb, quality=_JPEG)).decode()}"
 
 
 def _dimensions(box: RoomBox | None, beside: Beside) -> Html:
@@ -98,7 +110,7 @@ def _dimensions(box: RoomBox | None, beside: Beside) -> Html:
             f"{1e3 * side.sigma_random_m:.2f} mm",
             f"{1e3 * side.sigma_systematic_m:.2f} mm" if side.sigma_systematic_m > 0 else "not known",
             f"{1e3 * side.rms_m:.2f} mm",
-            _grouped(side.points),
+            f"{side.points:,}",
             f"{side.angle_deg:.3f}°",
         )
         for name, side in _sides(box)
@@ -122,7 +134,7 @@ def _coverage(facts: Facts) -> Html:
     if not facts.placed:
         lines.append("Nobody knows where the scanner stood: directions are those from the middle of the points.")
     if facts.far_off:
-        lines.append(f"{_grouped(facts.far_off)} stray points are too far away to be drawn.")
+        lines.append(f"{facts.far_off:,} stray points are too far away to be drawn.")
     if facts.stations > len(facts.directions):
         lines.append(f"{facts.stations - len(facts.directions)} more stations are not drawn.")
     return section("Coverage", bullets(lines) if lines else "", *parts)
@@ -171,7 +183,7 @@ def _sigma(facts: Facts) -> Html:
     rows = [
         (
             f"{row.nearest_m:g} to {row.farthest_m:g}" if row.farthest_m < 1e9 else f"over {row.nearest_m:g}",
-            _grouped(row.points),
+            f"{row.points:,}",
             millimetres(1e3 * row.median_m),
             millimetres(1e3 * row.p95_m),
         )
@@ -196,7 +208,7 @@ def _sigma(facts: Facts) -> Html:
 def _left_out(facts: Facts, beside: Beside) -> Html:
     lines = []
     if facts.beyond_walls is not None:
-        count = "No point lies" if facts.beyond_walls == 0 else f"{_grouped(facts.beyond_walls)} points lie"
+        count = "No point lies" if facts.beyond_walls == 0 else f"{facts.beyond_walls:,} points lie"
         lines.append(f"{count} outside the walls by more than 50 mm, where windows, doors and mirrors would put them.")
     lines.append(
         beside.left_out

@@ -46,7 +46,7 @@ def headline(result: Recalibration) -> Headline:
     wall, points = 1e3 * result.adjusted.wall_m, int(np.count_nonzero(result.adjusted.point_kept))
     walls = len(result.adjusted.surfaces.kind)
     explanation = (
-        f"The calibration was updated from {points} points on {walls} flat {'surface' if walls == 1 else 'surfaces'} "
+        f"The calibration was updated from {points:,} points on {walls} flat {'surface' if walls == 1 else 'surfaces'} "
         f"that are rough by {millimetres(wall)}."
     )
     return Headline("bad" if result.drift.drifted else "good", said, explanation)
