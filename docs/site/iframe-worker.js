@@ -1,69 +1,28 @@
-// The search of the theme runs in a worker, which browsers refuse to a page from the disk: there it runs in a hidden
-// frame. After iframe-worker 1.0.4:
-//
-// Copyright (c) 2020-2022 Martin Donath <martin.donath@squidfunk.com>
-//
-// Permission is hereby granted, free of charge, to any person obtaining a copy of this software and associated
-// documentation files (the "Software"), to deal in the Software without restriction, including without limitation the
-// rights to use, copy, modify, merge, publish, distribute, sublicense, and/or sell copies of the Software, and to permit
-// persons to whom the Software is furnished to do so, subject to the following conditions:
-//
-// The above copyright notice and this permission notice shall be included in all copies or substantial portions of the
-// Software.
-//
-// THE SOFTWARE IS PROVIDED "AS IS", WITHOUT WARRANTY OF ANY KIND, EXPRESS OR IMPLIED, INCLUDING BUT NOT LIMITED TO THE
-// WARRANTIES OF MERCHANTABILITY, FITNESS FOR A PARTICULAR PURPOSE AND NON-INFRINGEMENT. IN NO EVENT SHALL THE AUTHORS OR
-// COPYRIGHT HOLDERS BE LIABLE FOR ANY CLAIM, DAMAGES OR OTHER LIABILITY, WHETHER IN AN ACTION OF CONTRACT, TORT OR
-// OTHERWISE, ARISING FROM, OUT OF OR IN CONNECTION WITH THE SOFTWARE OR THE USE OR OTHER DEALINGS IN THE SOFTWARE.
-
+// Browsers start no worker for a page from the disk, and the theme's search needs one. There a stand-in runs the
+// worker's script in a hidden frame of the page, with the names that such a script expects.
 "use strict";
-(() => {
-  // In the frame: messages go to the page, and scripts are loaded one after the other.
-  function tell(message) {
-    parent.postMessage(message, "*");
-  }
-  function load(...urls) {
-    return urls.reduce((before, url) => before.then(() => new Promise((done) => {
-      const script = document.createElement("script");
-      script.src = url;
-      script.onload = done;
-      document.body.appendChild(script);
-    })), Promise.resolve());
-  }
 
-  class FrameWorker extends EventTarget {
-    constructor(url) {
-      super();
-      this.frame = document.createElement("iframe");
-      this.frame.hidden = true;
-      document.body.appendChild(this.frame);
-      const inside = this.frame.contentWindow;
-      this.hear = (event) => {
-        if (event.source !== inside) return;
-        this.dispatchEvent(new MessageEvent("message", { data: event.data }));
-        this.onmessage?.(event);
-      };
-      window.addEventListener("message", this.hear);
-      inside.document.open();
-      inside.document.write(
-        `<html><body><script>postMessage = ${tell}; importScripts = ${load};</script>` +
-        `<script src="${url}"></script></body></html>`,
-      );
-      inside.document.close();
-      this.ready = new Promise((done) => { inside.onload = done; });
-    }
+function StandIn(address) {
+  const worker = new EventTarget(), frame = document.createElement("iframe");
+  const loaded = new Promise((done) => { frame.onload = done; });
+  frame.hidden = true;
+  document.body.append(frame);
+  const added = (source) => new Promise((onload, onerror) => {
+    const script = frame.contentDocument.createElement("script");
+    frame.contentDocument.body.append(Object.assign(script, { src: source, onload, onerror }));
+  });
+  const ready = loaded.then(() => {
+    frame.contentWindow.postMessage = (data) => {
+      const said = new MessageEvent("message", { data });
+      worker.dispatchEvent(said);
+      worker.onmessage?.(said);
+    };
+    frame.contentWindow.importScripts = async (...sources) => { for (const source of sources) await added(source); };
+    return added(address);
+  });
+  worker.postMessage = (data) => ready.then(() => frame.contentWindow.dispatchEvent(new MessageEvent("message", { data })));
+  worker.terminate = () => frame.remove();
+  return worker;
+}
 
-    postMessage(data) {
-      this.ready.then(() => {
-        this.frame.contentWindow?.dispatchEvent(new MessageEvent("message", structuredClone({ data })));
-      });
-    }
-
-    terminate() {
-      window.removeEventListener("message", this.hear);
-      this.frame.remove();
-    }
-  }
-
-  if (location.protocol === "file:") window.Worker = FrameWorker;
-})();
+if (location.protocol === "file:") window.Worker = StandIn;
