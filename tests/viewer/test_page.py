@@ -89,9 +89,8 @@ def listed(looks):
 
 
 def colour_by(looks, what):
-    looks.driver.execute_script(
-        "const by = document.getElementById('by'); by.value = arguments[0]; by.dispatchEvent(new Event('change'));", what
-    )
+    script = "const by = document.getElementById('by'); by.value = arguments[0]; by.dispatchEvent(new Event('change'));"
+    looks.driver.execute_script(script, what)
 
 
 def measure_somewhere(looks, kind, first=0):
@@ -114,8 +113,9 @@ def measure_somewhere(looks, kind, first=0):
 
 def picture(looks, name):
     """What a canvas shows, [row, column, 4], BGRA."""
-    png = looks.driver.execute_script("return document.getElementById(arguments[0]).toDataURL()", name).partition(",")[2]
-    return cv2.imdecode(np.frombuffer(base64.b64decode(png), np.uint8), cv2.IMREAD_UNCHANGED)
+    address = looks.driver.execute_script("return document.getElementById(arguments[0]).toDataURL()", name)
+    png = base64.b64decode(address.partition(",")[2])
+    return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED)
 
 
 def wait_for_answer(looks):
@@ -240,15 +240,17 @@ def test_clouds_side_by_side_have_names_and_may_all_be_hidden(opened):
     assert opened.colours("marks") == 1 and opened.complaints() == []
 
 
-def test_a_browser_that_takes_its_graphics_away_and_gives_them_again(opened):
+def test_a_browser_that_takes_its_graphics_away_and_gives_them_again(looks, url):
+    looks.open(url)
+    looks.until(lambda: looks.colours("cloud") > 20)
     script = """
         window.taken ??= document.getElementById("cloud").getContext("webgl").getExtension("WEBGL_lose_context");
         window.taken[arguments[0]]();"""
-    opened.driver.execute_script(script, "loseContext")
-    opened.until(lambda: opened.at("lost").is_displayed())
-    opened.driver.execute_script(script, "restoreContext")
-    opened.until(lambda: opened.colours("cloud") > 20)
-    assert not opened.at("lost").is_displayed()
+    looks.driver.execute_script(script, "loseContext")
+    looks.until(lambda: looks.at("lost").is_displayed())
+    looks.driver.execute_script(script, "restoreContext")
+    looks.until(lambda: looks.colours("cloud") > 20)
+    assert not looks.at("lost").is_displayed()
 
 
 def test_another_server_at_the_same_address_shows_its_own_clouds(looks, room):

@@ -148,4 +148,17 @@ def test_one_stands_in_it(looks):
     looks.until(lambda: looks.driver.execute_script(said) == "a panorama is shown")
     looks.at("cloud").send_keys("o")
     looks.until(lambda: looks.driver.execute_script(said).endswith("points shown"))
+    looks.at("cloud").send_keys("1")
+    looks.until(lambda: looks.driver.execute_script(said) == "a panorama is shown")
+    # A step aside leads out of it.
+    looks.at("cloud").send_keys("\ue008" + 2 * "\ue014")
+    looks.until(lambda: looks.driver.execute_script(said).endswith("points shown"))
+    # Dark pictures are brightened as dark clouds are, bright ones are left.
+    gain = """
+        const done = arguments[1], canvas = document.createElement("canvas"), pen = canvas.getContext("2d");
+        pen.fillStyle = arguments[0];
+        pen.fillRect(0, 0, canvas.width, canvas.height);
+        import("./panorama.js").then(({ Panorama }) => done(Panorama.prototype.gain(canvas)));"""
+    found = [looks.driver.execute_async_script(gain, colour) for colour in ("#28281e", "#fafafa", "#020202")]
+    assert found == pytest.approx([235 / 40, 1, 6])
     assert looks.complaints() == []

@@ -115,7 +115,7 @@ function bounds() {
 }
 // What of a cloud is to be seen from outside: its tiles, as far as they are not strays.
 const balls = ({ chunks, low, high, shift }) => chunks.filter((chunk) => chunk[GAP_M] > 1e8).map((chunk) =>
-  [[0, 1, 2].map((k) => Math.min(high[k], Math.max(low[k], chunk[X + k])) + shift[k]), chunk[RADIUS] / 2]);
+  [[0, 1, 2].map((k) => Math.min(high[k], Math.max(low[k], chunk[X + k])) + shift[k]), chunk[RADIUS]]);
 const top = ({ low, high, shift }) => [0, 1, 2, 3].map((bits) => moved([[low, high][bits & 1][0], [low, high][bits >> 1][1], high[2]], shift));
 
 // Side by side as one sees them from outside, on one floor.
