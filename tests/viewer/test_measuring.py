@@ -56,6 +56,9 @@ def test_flatness(shown, flat, run):
     found = measure_flatness(shown, flat[0])
     ran = run(*found.command().split()[1:])
     assert ran.code == 0 and ran.out.split() == " ".join(found.words).split()
+    normal = found.words[0].partition("normal ")[2].split()
+    assert [len(one.lstrip("-")) for one in normal] == [6, 6, 6] and "-0.0000" not in normal
+    assert np.array(normal, float) == pytest.approx(found.plane.normal, abs=5.1e-5)
 
 
 def test_the_room(tiny, shown, run, tmp_path):
