@@ -96,9 +96,11 @@ class PlaneMeasurement:
 
     def words(self) -> str:
         """As people read it."""
+        # Nothing is "-0.0000".
+        normal = " ".join(f"{x:.4f}" for x in np.round(self.normal, 4) + 0.0)
         return (
             f"RMS {1e3 * self.rms_m:.2f} mm, 95 % of {self.points} points within {1e3 * self.range95_m:.2f} mm, "
-            f"normal {np.array2string(self.normal, precision=4)}"
+            f"normal {normal}"
         )
 
 

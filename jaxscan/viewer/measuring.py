@@ -31,18 +31,23 @@ _DECIMALS = 4
 _LEAST = 4
 _FORMULA = ("=", "+", "-", "@")
 _OPTIONS = ("calibration", "unit", "up")
-_COLUMNS = ("kind", "cloud", "x1_m", "y1_m", "z1_m", "x2_m", "y2_m", "z2_m", "value_m", "sigma_m", "words")
+_PLACES = ("x1_m", "y1_m", "z1_m", "x2_m", "y2_m", "z2_m")
+_COLUMNS = ("kind", "what", "cloud", *_PLACES, "value_m", "sigma_m", "words")
 
 
 class Measured(NamedTuple):
     """One measurement."""
 
     kind: Kind
+    what: str
+    """What the value is: "distance", "RMS", "length", "width" or "height"; "" where there is none."""
     cloud: str
     at: np.ndarray
-    """The picked places [k, 3], m, in the cloud's frame."""
-    value_m: float
-    sigma_m: float
+    """The picked places, or the ends of a length of the room [k, 3], m, in the cloud's frame."""
+    value_m: float | None
+    """None of a point."""
+    sigma_m: float | None
+    """None where nobody knows it."""
     words: tuple[str, ...]
     """As `jaxscan measure` prints it."""
     plane: PlaneMeasurement | None = None
@@ -53,7 +58,7 @@ class Measured(NamedTuple):
 
     def command(self) -> str:
         """The command that measures the same; "" if there is none."""
-        if self.turned and len(self.at):
+        if self.turned and self.kind != "room":
             return ""
         file = shlex.quote(self.cloud)
         calibration, unit, up = (f" {self.options[name]}" if name in self.options else "" for name in _OPTIONS)
@@ -86,7 +91,7 @@ def measure_point(shown: ShownCloud, index: int) -> Measured:
     sigma = float(np.hypot(shown.cloud.sigma_random[cell], shown.cloud.sigma_systematic[cell]))
     said = " ".join(f"{x:.{_DECIMALS}f}" for x in place) + " m"
     words = f"{said}, sigma {1e3 * sigma:.2f} mm along the ray" if sigma else f"{said}, sigma unknown"
-    return Measured("point", shown.name, rounded(place)[None], 0.0, sigma, (words,))
+    return Measured("point", "", shown.name, rounded(place)[None], None, sigma or None, (words,))
 
 
 def measure_between(shown: ShownCloud, a: np.ndarray, b: np.ndarray, scanner: Scanner | None) -> Measured:
@@ -99,7 +104,8 @@ def measure_between(shown: ShownCloud, a: np.ndarray, b: np.ndarray, scanner: Sc
     near = shown.around(at, DISTANCE_RADIUS_M, _LEAST)
     found = measure_distance(near, at[0], at[1], radius_m=DISTANCE_RADIUS_M, scanner=scanner)
     words = _finite(found.words())
-    return Measured("distance", shown.name, at, found.value_m, found.sigma_m, words, None, shown.turned, shown.words)
+    measured = Measured("distance", "distance", shown.name, at, found.value_m, found.sigma_m, words)
+    return measured._replace(turned=shown.turned, options=shown.words)
 
 
 def measure_flatness(shown: ShownCloud, place: np.ndarray) -> Measured:
@@ -111,7 +117,8 @@ def measure_flatness(shown: ShownCloud, place: np.ndarray) -> Measured:
     at = rounded(place)[None]
     found = measure_plane(shown.around(at, PLANE_RADIUS_M, _LEAST), at[0], radius_m=PLANE_RADIUS_M)
     words = _finite((found.words(),))
-    return Measured("flatness", shown.name, at, found.rms_m, 0.0, words, found, shown.turned, shown.words)
+    measured = Measured("flatness", "RMS", shown.name, at, found.rms_m, None, words, found)
+    return measured._replace(turned=shown.turned, options=shown.words)
 
 
 def measure_sides(shown: ShownCloud, scanner: Scanner | None) -> tuple[Measured, ...]:
@@ -122,19 +129,20 @@ def measure_sides(shown: ShownCloud, scanner: Scanner | None) -> tuple[Measured,
     """
     box = measure_room(shown.cloud, scanner=scanner)
     sides = {name: getattr(box, name) for name in ("length", "width", "height")}
-    none = np.zeros((0, 3))
     return tuple(
         Measured(
             "room",
+            name,
             shown.name,
-            none,
-            s.value_m,
-            s.sigma_m,
-            (f"{name} {length_words(s.value_m, s.sigma_m)}",),
+            # From wall to wall through the room's centre, which is midway between the two.
+            rounded(box.centre_m + np.outer([-0.5, 0.5], side.value_m * side.direction)),
+            side.value_m,
+            side.sigma_m,
+            (f"{name} {length_words(side.value_m, side.sigma_m)}",),
             options=shown.words,
         )
-        for name, s in sides.items()
-        if s is not None
+        for name, side in sides.items()
+        if side is not None
     )
 
 
@@ -147,7 +155,8 @@ def as_csv(measured: list[Measured]) -> bytes:
         places = [f"{x:.{_DECIMALS}f}" for x in one.at.reshape(-1)] + [""] * (6 - one.at.size)
         # A table program would take such a name for a formula.
         name = f"'{one.cloud}" if one.cloud.startswith(_FORMULA) else one.cloud
-        writer.writerow([one.kind, name, *places, f"{one.value_m:.6f}", f"{one.sigma_m:.6f}", "; ".join(one.words)])
+        numbers = ["" if number is None else f"{number:.6f}" for number in (one.value_m, one.sigma_m)]
+        writer.writerow([one.kind, one.what, name, *places, *numbers, "; ".join(one.words)])
     return text.getvalue().encode()
 
 
@@ -156,6 +165,7 @@ def as_json(measured: list[Measured]) -> bytes:
     rows: list[dict[str, Any]] = [
         {
             "kind": one.kind,
+            "what": one.what,
             "cloud": one.cloud,
             "at_m": one.at.tolist(),
             "value_m": one.value_m,

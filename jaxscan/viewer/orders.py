@@ -11,7 +11,7 @@ from jaxscan.errors import OptionError
 MOST_BYTES = 1 << 16
 """Longest message of a page."""
 _MOST_M = 1e7
-Do = Literal["pick", "room", "undo", "save", "choose"]
+Do = Literal["pick", "room", "undo", "remove", "clear", "save", "choose"]
 _KINDS = ("point", "distance", "flatness")
 _WIDEST_RAD = 0.2
 
@@ -34,7 +34,11 @@ class Order(NamedTuple):
     shifts: tuple[tuple[int, np.ndarray], ...] = ()
     """The clouds that are shown, and where each stands [m]."""
     section: np.ndarray | None = None
-    """Lowest and highest corner of what is shown [2, 3], m."""
+    """Lowest and highest corner of what is shown [2, 3], m, in a frame that is turned about the scene's z axis."""
+    turn_rad: float = 0.0
+    """How far it is turned."""
+    id: int = 0
+    """Of the measurement that is to be removed."""
 
 
 def parse_order(text: str, clouds: int) -> Order:
@@ -57,8 +61,10 @@ def parse_order(text: str, clouds: int) -> Order:
     match do, what:
         case "choose", str() if what in _KINDS:
             return Order("choose", what)
-        case "undo", _:
-            return Order("undo")
+        case "undo" | "clear", _:
+            return Order(do)
+        case "remove", _:
+            return Order("remove", id=int(_number(found.get("id"))))
         case "save", "csv" | "json":
             return Order("save", what)
         case "room" | "pick", _:
@@ -68,6 +74,7 @@ def parse_order(text: str, clouds: int) -> Order:
                 ray=_ray(found) if do == "pick" else None,
                 shifts=_shifts(found.get("clouds"), clouds),
                 section=None if section is None else np.stack([_place(section, k) for k in (0, 1)]),
+                turn_rad=_number(found.get("turn_rad", 0)),
             )
     raise OptionError("no such order.")
 
@@ -104,8 +111,11 @@ def _numbers(found: Any) -> np.ndarray:
     """A vector [3] of finite numbers that are not too large."""
     if not isinstance(found, list) or len(found) != 3:
         raise OptionError("expected three numbers.")
-    for one in found:
-        # NaN is not within either; Python compares integers of any length.
-        if isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) <= _MOST_M:
-            raise OptionError("expected three numbers.")
-    return np.array(found, np.float64)
+    return np.array([_number(one) for one in found], np.float64)
+
+
+def _number(found: Any) -> float:
+    # NaN is not within either; Python compares integers of any length.
+    if isinstance(found, bool) or not isinstance(found, int | float) or not abs(found) <= _MOST_M:
+        raise OptionError("expected a number.")
+    return float(found)

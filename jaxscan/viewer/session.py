@@ -2,12 +2,14 @@
 
 import threading
 from collections.abc import Sequence
-from typing import Any
+from itertools import count
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
+from jaxscan.measurement import PlaneMeasurement
 from jaxscan.viewer.measuring import (
     Kind,
     Measured,
@@ -26,6 +28,16 @@ from jaxscan.viewer.shown import ShownCloud
 _WIDER = 4.0
 
 
+class Entry(NamedTuple):
+    """A line of the list."""
+
+    cloud: int
+    """Number of its cloud."""
+    measured: Measured
+    id: int
+    """By which a page names it; never given twice."""
+
+
 class Session:
     """The measurements of a page; any thread may call."""
 
@@ -38,8 +50,8 @@ class Session:
         """
         self._clouds, self._scanner = clouds, scanner
         self.kind: Kind = "point"
-        self.measured: list[tuple[int, Measured]] = []
-        """With the number of the cloud."""
+        self.measured: list[Entry] = []
+        self._ids = count()
         self.message = ""
         self._first: tuple[int, np.ndarray] | None = None
         """The cloud and the first place of a distance."""
@@ -55,6 +67,10 @@ class Session:
                         self.kind, self._first = order.what, None  # type: ignore[assignment]
                     case "undo":
                         self._undo()
+                    case "remove":
+                        self.measured = [entry for entry in self.measured if entry.id != order.id]
+                    case "clear":
+                        self.measured, self._first = [], None
                     case "room":
                         self._room(order)
                     case "pick" if order.ray is not None:
@@ -73,19 +89,21 @@ class Session:
             "message": self.message,
             "first": None if self._first is None else self._in_scene(*self._first),
             "measured": [
-                {"kind": one.kind, "words": one.words, "command": one.command(), "cloud": number}
+                {"id": key, "kind": one.kind, "words": one.words, "command": one.command(), "cloud": number}
                 | {"at": [self._in_scene(number, place) for place in one.at], "plane": one.plane is not None}
-                for number, one in self.measured
+                for number, one, key in self.measured
             ],
         }
 
     def _in_scene(self, number: int, place: np.ndarray) -> dict[str, Any]:
         return {"cloud": number, "xyz": (place - self._clouds[number].origin).tolist()}
 
-    def plane(self, number: int) -> Measured | None:
-        """A measurement of flatness by its place in the list."""
-        found = self.measured[number][1] if 0 <= number < len(self.measured) else None
-        return found if found is not None and found.plane is not None else None
+    def plane(self, key: int) -> PlaneMeasurement | None:
+        """The plane of a measurement of flatness, by its id."""
+        return next((entry.measured.plane for entry in self.measured if entry.id == key), None)
+
+    def _add(self, number: int, *found: Measured) -> None:
+        self.measured += [Entry(number, one, next(self._ids)) for one in found]
 
     def _undo(self) -> None:
         if self._first is not None:
@@ -96,8 +114,15 @@ class Session:
     def _room(self, order: Order) -> None:
         if not order.shifts:
             raise MeasurementError("No cloud is shown.")
-        number = order.shifts[0][0]
-        self.measured += [(number, side) for side in measure_sides(self._clouds[number], self._scanner)]
+        problems = []
+        for number, _ in order.shifts:
+            try:
+                self._add(number, *measure_sides(self._clouds[number], self._scanner))
+            except MeasurementError as problem:
+                name = f"{self._clouds[number].name}: " if len(order.shifts) > 1 else ""
+                problems.append(f"{name}{problem}")
+        if problems:
+            raise MeasurementError(" ".join(problems))
 
     def _pick(self, order: Order, ray: Ray) -> None:
         # Between two profiles there may be no point within a finger's breadth.
@@ -110,15 +135,15 @@ class Session:
         picked = measure_point(cloud, index)
         place = picked.at[0]
         if self.kind == "point":
-            self.measured.append((number, picked))
+            self._add(number, picked)
         elif self.kind == "flatness":
-            self.measured.append((number, measure_flatness(cloud, place)))
+            self._add(number, measure_flatness(cloud, place))
         elif self._first is None or self._first[0] != number:
             self._first = (number, place)
             self.message = "Now the other place, in the same cloud."
         else:
             first, self._first = self._first[1], None
-            self.measured.append((number, measure_between(cloud, first, place, self._scanner)))
+            self._add(number, measure_between(cloud, first, place, self._scanner))
 
     def _hits(self, order: Order, ray: Ray) -> list[tuple[float, int, int]]:
         """The point of each cloud that a ray meets: distance, number of the cloud, point."""
@@ -127,14 +152,18 @@ class Session:
             xyz, origin = self._clouds[number].xyz, ray.origin - shift
             shown = None
             if order.section is not None:
-                low, high = (order.section - shift).astype(np.float32)
-                shown = ((xyz >= low) & (xyz <= high)).all(1)
+                c, s = np.cos(order.turn_rad), np.sin(order.turn_rad)
+                # Scene to box; the cloud's own shift is taken from the box, whose numbers are few.
+                turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+                low, high = (order.section - turn @ shift).astype(np.float32)
+                within = xyz @ turn.T.astype(np.float32) if order.turn_rad else xyz
+                shown = ((within >= low) & (within <= high)).all(1)
             index = pick(xyz, origin, ray.direction, cone_rad=ray.cone_rad, shown=shown)
             if index is not None:
                 hits.append((float(np.linalg.norm(xyz[index] - origin)), number, index))
         return hits
 
     def _saved(self, what: str) -> dict[str, Any]:
-        listed = [one for _, one in self.measured]
+        listed = [entry.measured for entry in self.measured]
         data = as_csv(listed) if what == "csv" else as_json(listed)
         return {"file": f"measured.{what}", "text": data.decode()}

@@ -24,6 +24,12 @@ def knows_its_place(cloud: PointCloud) -> bool:
     return bool(((low < 0) & (high > 0)).all())
 
 
+def middle_of(cloud: PointCloud) -> np.ndarray:
+    """A place amid a cloud [3], in whole metres: one on a map has more digits than a browser's numbers."""
+    points = np.asarray(cloud.xyz)[np.asarray(cloud.valid)]
+    return np.round(np.median(points[:: max(1, len(points) // 10_000)].astype(np.float64), 0))
+
+
 class ShownCloud:
     """A cloud of the scene. Its frame there is its own, less `origin`, which keeps numbers small on a map."""
 

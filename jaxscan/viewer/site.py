@@ -3,9 +3,10 @@
 import asyncio
 import json
 import re
+import secrets
 from collections import Counter, OrderedDict
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -19,7 +20,7 @@ from jaxscan.reconstruction import PointCloud
 from jaxscan.viewer.colours import COLOURINGS, Scale
 from jaxscan.viewer.orders import MOST_BYTES, parse_order
 from jaxscan.viewer.session import Session
-from jaxscan.viewer.shown import ShownCloud
+from jaxscan.viewer.shown import ShownCloud, middle_of
 from jaxscan.web import Address, Gate, Resource, Server, resource_routes
 
 
@@ -34,6 +35,7 @@ _FILES = (
     "panorama.js",
     "panel.js",
     "box.js",
+    "hands.js",
     "marks.js",
     "icon.svg",
 )
@@ -132,8 +134,10 @@ class View:
             products: Of the project that they belong to.
         """
         self.clouds = [
-            ShownCloud(one.name, one.cloud, _middle(one.cloud), turned=one.turned, words=one.words) for one in clouds
+            ShownCloud(one.name, one.cloud, middle_of(one.cloud), turned=one.turned, words=one.words) for one in clouds
         ]
+        self._id = secrets.token_hex(8)
+        """By which a page knows that its server began anew, perhaps with other clouds."""
         self._panoramas, self._scanner = [one.panorama for one in clouds], scanner
         self._products, self._looking = products, asyncio.Lock()
         self._sessions: OrderedDict[str, Session] = OrderedDict()
@@ -161,7 +165,7 @@ class View:
             for cloud, seen in zip(self.clouds, self._panoramas, strict=True)
         ]
         known = [by for by in COLOURINGS if by == "deviation" or any(cloud.has(by) for cloud in self.clouds)]
-        said = {"systematic": self._scanner is not None, "products": self._products is not None}
+        said = {"id": self._id, "systematic": self._scanner is not None, "products": self._products is not None}
         return _json({"clouds": clouds, "colourings": known, **said})
 
     async def points(self, request: web.Request) -> web.StreamResponse:
@@ -209,13 +213,12 @@ class View:
         by = next((one for one in COLOURINGS if one == request.query.get("by")), None)
         if by is None:
             raise OptionError("no such colours.")
-        measured = None
+        plane = None
         if by == "deviation":
             session, number = self._sessions.get(request.query.get("page", "")), request.query.get("plane", "")
-            measured = session.plane(int(number)) if session is not None and _NUMBER.fullmatch(number) else None
-            if measured is None:
+            plane = session.plane(int(number)) if session is not None and _NUMBER.fullmatch(number) else None
+            if plane is None:
                 raise OptionError("Measure the flatness of a place first: deviations are those from its plane.")
-        plane = None if measured is None else measured.plane
         key = (by, None if plane is None else (*plane.normal, *plane.centre_m))
         async with self._colouring:
             if key not in self._colours:
@@ -237,16 +240,18 @@ class View:
         socket = web.WebSocketResponse(heartbeat=_HEARTBEAT_S, max_msg_size=MOST_BYTES, compress=False)
         await socket.prepare(request)
         session = self._session(request.query.get("page", "")[:64])
-        await socket.send_str(json.dumps(session.state(), allow_nan=False))
-        async for message in socket:
-            if message.type is not WSMsgType.TEXT:
-                break
-            try:
-                order = parse_order(message.data, len(self.clouds))
-                answer = await asyncio.to_thread(session.carry_out, order)
-            except JaxscanError as problem:
-                answer = {"message": " ".join(str(problem).split())}
-            await socket.send_str(json.dumps(answer, allow_nan=False))
+        # A page may go while something is measured.
+        with suppress(ConnectionResetError):
+            await socket.send_str(json.dumps({"scene": self._id, **session.state()}, allow_nan=False))
+            async for message in socket:
+                if message.type is not WSMsgType.TEXT:
+                    break
+                try:
+                    order = parse_order(message.data, len(self.clouds))
+                    answer = await asyncio.to_thread(session.carry_out, order)
+                except JaxscanError as problem:
+                    answer = {"message": " ".join(str(problem).split())}
+                await socket.send_str(json.dumps(answer, allow_nan=False))
         return socket
 
     def _session(self, page: str) -> Session:
@@ -256,12 +261,6 @@ class View:
                 self._sessions.popitem(last=False)
         self._sessions.move_to_end(page)
         return self._sessions[page]
-
-
-def _middle(cloud: PointCloud) -> np.ndarray:
-    """A place amid a cloud, in whole metres: one on a map has more digits than a browser's numbers."""
-    points = np.asarray(cloud.xyz)[np.asarray(cloud.valid)]
-    return np.round(np.median(points[:: max(1, len(points) // 10_000)].astype(np.float64), 0))
 
 
 _BINARY = "application/octet-stream"

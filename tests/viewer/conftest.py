@@ -19,7 +19,7 @@ def room(tiny):
 @pytest.fixture(scope="module")
 def url(room):
     """Its address while it is served; twice, the second time without colours."""
-    grey = room._replace(name="<b>grey</b>", cloud=jaxscan.load_cloud(room.name))
+    grey = room._replace(name="<b>grey", cloud=jaxscan.load_cloud(room.name))
     address = open_address("127.0.0.1", 0, option="--web-port")
     with serve_clouds(address, [room, grey]):
         yield address.url()

@@ -56,6 +56,9 @@ def test_flatness(shown, flat, run):
     found = measure_flatness(shown, flat[0])
     ran = run(*found.command().split()[1:])
     assert ran.code == 0 and ran.out.split() == " ".join(found.words).split()
+    normal = found.words[0].partition("normal ")[2].split()
+    assert [len(one.lstrip("-")) for one in normal] == [6, 6, 6] and "-0.0000" not in normal
+    assert np.array(normal, float) == pytest.approx(found.plane.normal, abs=5.1e-5)
 
 
 def test_the_room(tiny, shown, run, tmp_path):
@@ -88,6 +91,30 @@ def test_lists_can_be_read_back_and_hold_no_formula(shown, flat):
     assert read["measured"][1]["at_m"] == measured[1].at.tolist()
 
 
+def test_what_nobody_knows_is_left_empty(shown, flat):
+    """A point has no length and flatness no sigma: neither is 0."""
+    host = shown.cloud
+    none = np.zeros_like(host.sigma_random)
+    unknown = ShownCloud("a", dataclasses.replace(host, sigma_random=none, sigma_systematic=none), shown.origin)
+    measured = [measure_point(shown, 5), measure_point(unknown, 5), measure_flatness(shown, flat[0])]
+    measured += measure_sides(shown, None)
+    rows = list(csv.DictReader(io.StringIO(as_csv(measured).decode())))
+    assert [row["what"] for row in rows] == ["", "", "RMS", "length", "width", "height"]
+    assert [bool(row["value_m"]) for row in rows] == [False, False, True, True, True, True]
+    assert [bool(row["sigma_m"]) for row in rows] == [True, False, False, True, True, True]
+    read = json.loads(as_json(measured))["measured"]
+    assert read[1]["sigma_m"] is None and read[0]["value_m"] is None and read[2]["sigma_m"] is None
+
+
+def test_the_rooms_lengths_are_drawn_from_wall_to_wall(shown):
+    for side in measure_sides(shown, None):
+        assert np.linalg.norm(side.at[1] - side.at[0]) == pytest.approx(side.value_m, abs=2e-4)
+        direction = (side.at[1] - side.at[0]) / side.value_m
+        along = (shown.xyz + shown.origin) @ direction
+        # Nothing is behind the walls but the worst points, 26 mm off in this cloud.
+        assert (along.min(), along.max()) == pytest.approx(tuple(side.at @ direction), abs=0.06)
+
+
 def ray_to(shown, place):
     """From the middle of the cloud to a place of it, in the frame of the scene."""
     origin = -shown.origin
@@ -108,6 +135,34 @@ def test_a_page_measures_undoes_and_saves(tiny, shown, flat):
     assert np.linalg.norm(drawn[1] - drawn[0]) == pytest.approx(session.measured[0][1].value_m, abs=0.03)
     assert json.loads(session.carry_out(Order("save", "json"))["text"])["measured"][0]["kind"] == "distance"
     assert session.carry_out(Order("undo"))["measured"] == []
+
+
+def test_entries_are_taken_out_by_their_ids(shown, flat):
+    session = Session([shown, shown], None)
+    shifts = ((0, np.zeros(3)), (1, np.zeros(3)))
+    both = session.carry_out(Order("room", shifts=shifts))["measured"]
+    assert [one["cloud"] for one in both] == [0, 0, 0, 1, 1, 1]
+    again = Order("remove", id=both[1]["id"])
+    session.carry_out(again)
+    # A cross that is pressed twice takes one out.
+    left = session.carry_out(again)["measured"]
+    assert [one["id"] for one in left] == [one["id"] for one in both if one["id"] != again.id]
+    assert session.carry_out(Order("clear"))["measured"] == []
+    added = session.carry_out(Order("room", shifts=shifts))["measured"]
+    assert not {one["id"] for one in added} & {one["id"] for one in both}
+
+
+def test_what_a_turned_section_hides_is_not_picked(shown, flat):
+    shift, turn = np.array([0.0, 3.0, 0.0]), 0.6
+    ray = ray_to(shown, flat[0])
+    ray = ray._replace(origin=ray.origin + shift)
+    place = flat[0] - shown.origin + shift
+    around = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]]) @ place
+    for off, hit in ((0.0, 1), (1.0, 0)):
+        box = np.stack([around - 0.3, around + 0.3]) + off
+        session = Session([shown], None)
+        session.carry_out(Order("pick", ray=ray, shifts=((0, shift),), section=box, turn_rad=turn))
+        assert len(session.measured) == hit
 
 
 def test_a_page_that_clicks_beside_is_told(shown):

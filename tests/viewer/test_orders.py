@@ -24,6 +24,8 @@ def test_a_good_one():
     assert order.shifts[0][0] == 1 and order.section.shape == (2, 3)
     assert parse_order(json.dumps({"do": "room", "clouds": []}), 1).shifts == ()
     assert parse_order('{"do": "save", "what": "csv"}', 1).what == "csv"
+    assert parse_order('{"do": "remove", "id": 7}', 1).id == 7
+    assert order.turn_rad == 0 and parse_order(json.dumps(GOOD | {"turn_rad": 0.5}), 2).turn_rad == 0.5
 
 
 @pytest.mark.parametrize(
@@ -51,6 +53,10 @@ def test_a_good_one():
         {"clouds": 3 * [{"number": 0, "shift": [0, 0, 0]}]},
         {"section": [[0, 0, 0]]},
         {"section": "all"},
+        {"turn_rad": "much"},
+        {"turn_rad": None},
+        {"do": "remove"},
+        {"do": "remove", "id": [1]},
     ],
 )
 def test_bad_ones(change):

@@ -11,10 +11,12 @@ from jaxscan.viewer import Panorama, serve_clouds
 from jaxscan.vision import decode_image, encode_jpeg, encode_picture_png, read_panorama
 from jaxscan.web import open_address
 
+from ..browser.driver import WIDE as WINDOW
 from ..browser.driver import Looks
 
 
 WIDE, HIGH, ABOVE = 1000, 400, 50
+HEIGHT = WINDOW[1]
 TURNED = np.array([[0.0, -1.0, 0.0, 0.3], [1.0, 0.0, 0.0, -0.2], [0.0, 0.0, 1.0, 0.1], [0.0, 0.0, 0.0, 1.0]])
 """T_room_scanner: the scanner's x axis lies along y of the room."""
 
@@ -93,23 +95,27 @@ def looks(browser, room):
         browser.get("about:blank")
 
 
-def colour_in_the_middle(looks):
+def colour_at(looks, x=None, y=HEIGHT / 2):
+    """The colour of the page's picture [px]; in the middle of what the panel leaves free."""
     script = """
+      const middle = document.getElementById("panel").getBoundingClientRect().left / 2;
       const from = document.getElementById("cloud"), copy = document.createElement("canvas");
       copy.width = from.width; copy.height = from.height;
       const pen = copy.getContext("2d");
       pen.drawImage(from, 0, 0);
-      return Array.from(pen.getImageData(from.width / 2, from.height / 2, 1, 1).data);"""
-    return looks.driver.execute_script(script)
+      return Array.from(pen.getImageData(arguments[0] ?? middle, arguments[1], 1, 1).data);"""
+    return looks.driver.execute_script(script, x, y)
 
 
-def seen_at(looks):
-    """Azimuth and elevation of the middle of the page's picture, in the scanner's frame [degrees]."""
-    red, green, *_ = colour_in_the_middle(looks)
+def seen_at(looks, x=None, y=HEIGHT / 2):
+    """Azimuth and elevation of a place of the page's picture, in the scanner's frame [degrees]."""
+    red, green, *_ = colour_at(looks, x, y)
     return 180 - 360 * red / 255, -72 + 144 * green / 255
 
 
 def test_one_stands_in_it(looks):
+    from selenium.webdriver.common.actions.action_builder import ActionBuilder
+
     looks.click("station-1")
     # JavaScript's text: the part of the panel is folded.
     said = "return document.getElementById('shown').textContent"
@@ -124,6 +130,35 @@ def test_one_stands_in_it(looks):
     looks.until(lambda: looks.driver.execute_script(said).endswith("points shown"))
     looks.click("photographs")
     looks.until(lambda: looks.driver.execute_script(said) == "a panorama is shown")
-    looks.at("cloud").send_keys("-" * 5)
+    # What is under the pointer stays there while the picture is dragged.
+    held = seen_at(looks, 300, 500)
+    pointer = ActionBuilder(looks.driver)
+    pointer.pointer_action.move_to_location(300, 500).pointer_down().move_by(60, 20).move_by(100, 20).pointer_up()
+    pointer.perform()
+    looks.until(lambda: seen_at(looks, 300, 500)[0] > held[0] + 5)
+    assert seen_at(looks, 460, 540) == pytest.approx(held, abs=3)
+    # One looks closer, and does not leave; other colours are those of points.
+    apart = seen_at(looks, 100)[0] - seen_at(looks)[0]
+    looks.at("cloud").send_keys("+" * 5)
+    looks.until(lambda: seen_at(looks, 100)[0] - seen_at(looks)[0] < 0.6 * apart)
+    colour = "const by = document.getElementById('by'); by.value = arguments[0]; by.dispatchEvent(new Event('change'));"
+    looks.driver.execute_script(colour, "height")
     looks.until(lambda: looks.driver.execute_script(said).endswith("points shown"))
+    looks.driver.execute_script(colour, "photograph")
+    looks.until(lambda: looks.driver.execute_script(said) == "a panorama is shown")
+    looks.at("cloud").send_keys("o")
+    looks.until(lambda: looks.driver.execute_script(said).endswith("points shown"))
+    looks.at("cloud").send_keys("1")
+    looks.until(lambda: looks.driver.execute_script(said) == "a panorama is shown")
+    # A step aside leads out of it.
+    looks.at("cloud").send_keys("\ue008" + 2 * "\ue014")
+    looks.until(lambda: looks.driver.execute_script(said).endswith("points shown"))
+    # Dark pictures are brightened as dark clouds are, bright ones are left.
+    gain = """
+        const done = arguments[1], canvas = document.createElement("canvas"), pen = canvas.getContext("2d");
+        pen.fillStyle = arguments[0];
+        pen.fillRect(0, 0, canvas.width, canvas.height);
+        import("./panorama.js").then(({ Panorama }) => done(Panorama.prototype.gain(canvas)));"""
+    found = [looks.driver.execute_async_script(gain, colour) for colour in ("#28281e", "#fafafa", "#020202")]
+    assert found == pytest.approx([235 / 40, 1, 6])
     assert looks.complaints() == []

@@ -1,40 +1,81 @@
-// The section: a box of the scene. Its sides are moved by sliders, and by handles that are drawn over the cloud.
+// The section: a box of the scene, turned about z. Its sides are moved by sliders, and by handles that are drawn over the cloud.
 import { at, make } from "./panel.js";
 
-const MARGIN_M = 0.2, REACH_PX = 12, FINGER_PX = 26, LEAST_M = 0.01, NEAR_M = 0.02, STEEP_PX = 4, COLOUR = "#6fb3ff";
+const MARGIN_M = 0.2, REACH_PX = 12, FINGER_PX = 26, LEAST_M = 0.01, NEAR_M = 0.02, STEEP_PX = 4, COLOUR = "#6fb3ff", FAR_M = 1e6, STEP_M = 0.01;
 // Corners by bits: 1 is the far side along x, 2 along y, 4 along z.
-const EDGES = [0, 1, 2, 3, 4, 5, 6, 7].flatMap((corner) => [1, 2, 4].filter((bit) => !(corner & bit)).map((bit) => [corner, corner | bit]));
+const CORNERS = [0, 1, 2, 3, 4, 5, 6, 7];
+const EDGES = CORNERS.flatMap((corner) => [1, 2, 4].filter((bit) => !(corner & bit)).map((bit) => [corner, corner | bit]));
+const turned = ([x, y, z], angle) => { const c = Math.cos(angle), s = Math.sin(angle); return [c * x - s * y, s * x + c * y, z]; };
 
 export class Box {
   // Around a scene; `changed` is called when a side has moved.
   constructor(low, high, changed) {
-    this.least = low.map((one) => one - MARGIN_M); this.most = high.map((one) => one + MARGIN_M); this.changed = changed;
+    this.scene = [low.map((one) => one - MARGIN_M), high.map((one) => one + MARGIN_M)];
+    // The box turns about the middle of the scene.
+    this.middle = low.map((one, k) => (one + high[k]) / 2);
+    this.changed = changed; this.held = -1; this.angle = 0;
+    this.bound();
     // Of each axis from and to.
-    this.sides = [0, 1, 2].flatMap((axis) => [this.least[axis], this.most[axis]]);
-    this.rows = this.sides.map((_, side) => this.row(side));
+    this.sides = this.ends();
+    this.rows = [...this.sides.map((_, side) => this.row(side)), this.turning()];
     at("box").replaceChildren(...this.rows.map((row) => row.label));
     this.tell();
   }
 
+  // How far the sides reach: to the ends of the scene along the box's own axes.
+  bound() {
+    const all = CORNERS.map((bits) => this.inBox([0, 1, 2].map((k) => this.scene[(bits >> k) & 1][k])));
+    [this.least, this.most] = [Math.min, Math.max].map((end) => [0, 1, 2].map((k) => end(...all.map((one) => one[k]))));
+  }
+  ends() { return [0, 1, 2].flatMap((axis) => [this.least[axis], this.most[axis]]); }
+  full(side) { const [least, most] = [this.least[side >> 1], this.most[side >> 1]]; return side % 2 ? this.sides[side] > most - STEP_M : this.sides[side] < least + STEP_M; }
+
+  inBox(place) { return turned(place.map((one, k) => one - this.middle[k]), -this.angle).map((one, k) => one + this.middle[k]); }
+  inScene(place) { return turned(place.map((one, k) => one - this.middle[k]), this.angle).map((one, k) => one + this.middle[k]); }
+
   row(side) {
-    const axis = side >> 1, name = "xyz"[axis], end = side % 2 ? "to" : "from";
-    const label = make("label", `${name} ${end} `), slider = make("input"), told = make("output");
-    Object.assign(slider, { type: "range", min: this.least[axis], max: this.most[axis], step: 0.01, id: `${name}-${end}` });
-    slider.oninput = () => this.set(side, Number(slider.value));
+    const name = "xyz"[side >> 1], end = side % 2 ? "to" : "from";
+    return this.slider(`${name} ${end} `, { step: STEP_M, id: `${name}-${end}` }, (value) => this.set(side, value));
+  }
+  turning() { return this.slider("turn ", { min: -45, max: 45, step: 0.5, id: "turn" }, (value) => this.turn((value * Math.PI) / 180)); }
+
+  slider(name, settings, moved) {
+    const label = make("label", name), slider = make("input"), told = make("output");
+    Object.assign(slider, { type: "range", ...settings });
+    slider.oninput = () => moved(Number(slider.value));
     label.append(told, slider);
     return { label, slider, told };
   }
 
   set(side, value) { this.sides[side] = value; this.tell(); this.changed(); }
-  tell() {
-    this.rows.forEach(({ slider, told }, side) => { slider.value = this.sides[side]; told.textContent = `${this.sides[side].toFixed(2)} m`; });
+
+  // Sides that left nothing out go on leaving nothing out.
+  turn(angle) {
+    const full = this.sides.map((_, side) => this.full(side));
+    this.angle = angle; this.bound();
+    this.sides = this.ends().map((end, side) => (full[side] ? end : Math.max(this.least[side >> 1], Math.min(this.most[side >> 1], this.sides[side]))));
+    this.tell(); this.changed();
   }
-  corners() { return [0, 1].map((end) => [0, 1, 2].map((axis) => this.sides[2 * axis + end])); }
+
+  tell() {
+    this.rows.forEach(({ slider, told }, side) => {
+      if (side === 6) { slider.value = (180 * this.angle) / Math.PI; told.textContent = `${slider.value}°`; return; }
+      Object.assign(slider, { min: this.least[side >> 1], max: this.most[side >> 1] });
+      slider.value = this.sides[side]; told.textContent = this.full(side) ? "all" : `${this.sides[side].toFixed(2)} m`;
+    });
+  }
+
+  // Lowest and highest corner, of coordinates turned about the scene's z axis; far away where a side leaves nothing out.
+  cut() {
+    const about = turned(this.middle, -this.angle), moved = (side) => this.sides[side] + about[side >> 1] - this.middle[side >> 1];
+    const section = [0, 1].map((end) => [0, 1, 2].map((axis) => (this.full(2 * axis + end) ? (end ? FAR_M : -FAR_M) : moved(2 * axis + end))));
+    return { section, turn_rad: this.angle };
+  }
 
   // The middle of a side, moved along its axis.
   handle(side, along = 0) {
     const axis = side >> 1;
-    return [0, 1, 2].map((k) => (k === axis ? this.sides[side] + along : (this.sides[2 * k] + this.sides[2 * k + 1]) / 2));
+    return this.inScene([0, 1, 2].map((k) => (k === axis ? this.sides[side] + along : (this.sides[2 * k] + this.sides[2 * k + 1]) / 2)));
   }
 
   // The side whose handle is nearest to a place of the picture, within reach; -1 if there is none.
@@ -59,8 +100,8 @@ export class Box {
     this.set(side, Math.max(low, Math.min(high, value)));
   }
 
-  draw(pen, camera, width, height, held) {
-    const corner = (bits) => [0, 1, 2].map((axis) => this.sides[2 * axis + ((bits >> axis) & 1)]);
+  draw(pen, camera, width, height) {
+    const corner = (bits) => this.inScene([0, 1, 2].map((axis) => this.sides[2 * axis + ((bits >> axis) & 1)]));
     const eye = camera.eye(), ahead = camera.forward(), depth = (place) => place.reduce((sum, one, k) => sum + ahead[k] * (one - eye[k]), 0);
     pen.strokeStyle = COLOUR; pen.lineWidth = 1;
     for (const bits of EDGES) {
@@ -75,7 +116,7 @@ export class Box {
     this.sides.forEach((_, side) => {
       const seen = camera.project(this.handle(side), width, height);
       if (!seen) return;
-      pen.beginPath(); pen.arc(seen[0], seen[1], side === held ? 9 : 7, 0, 7);
+      pen.beginPath(); pen.arc(seen[0], seen[1], side === this.held ? 9 : 7, 0, 7);
       pen.fillStyle = COLOUR; pen.fill(); pen.strokeStyle = "#0d1115"; pen.lineWidth = 2; pen.stroke();
       pen.fillStyle = "#0d1115"; pen.font = "600 10px system-ui"; pen.textAlign = "center"; pen.textBaseline = "middle";
       pen.fillText("xyz"[side >> 1], seen[0], seen[1] + 0.5);

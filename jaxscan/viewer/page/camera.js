@@ -1,19 +1,39 @@
-// Where one looks from: around a target, with z up.
-const FOV = (50 * Math.PI) / 180, STEEP = 1.55;
+// Where one looks from: around a target, with z up; or from a place at which one stands.
+const rad = Math.PI / 180, FOV = 50 * rad, NARROWEST = 15 * rad, WIDEST = 90 * rad, STEEP = 1.55, PER_PX = 1 / 200;
+export const OUTSIDE = { yaw: -0.9, pitch: 0.55 };
+const ABOVE = { yaw: -Math.PI / 2, pitch: STEEP }, dot = (a, b) => a.reduce((sum, one, k) => sum + one * b[k], 0);
 
 export class Camera {
-  constructor() { this.target = [0, 0, 0]; this.yaw = -0.9; this.pitch = 0.55; this.away = 8; this.wide = 10; }
+  constructor() {
+    Object.assign(this, { target: [0, 0, 0], away: 8, wide: 10, fov: FOV, standing: false, ...OUTSIDE });
+    // Shares of the picture that the panel covers at the right and at the bottom; width by height of what is left.
+    this.beside = 0; this.below = 0; this.aspect = 1;
+  }
 
-  // Looks at a box from outside, or from above.
-  stand(low, high, above = false) {
+  // What the panel leaves free of the picture.
+  fit(width, height, right, below) { this.beside = right; this.below = below; this.aspect = ((1 - right) * width) / ((1 - below) * height); }
+
+  // Looks at a box from outside, or from above, so that balls in it, [centre, radius], fill what is free.
+  stand(low, high, balls, above = false) {
     this.target = low.map((one, k) => (one + high[k]) / 2);
     this.wide = Math.max(Math.hypot(...low.map((one, k) => high[k] - one)), 0.1);
-    this.away = (above ? 0.95 : 0.85) * this.wide;
-    this.yaw = above ? -Math.PI / 2 : -0.9; this.pitch = above ? STEEP : 0.55;
+    Object.assign(this, { standing: false, fov: FOV }, above ? ABOVE : OUTSIDE);
+    const tall = Math.tan(FOV / 2) * Math.max(1, 1 / this.aspect), broad = Math.tan(FOV / 2) * Math.max(1, this.aspect);
+    const reach = (centre, radius, axis) => Math.abs(dot(centre, axis)) + radius, [right, up, back] = [this.right(), this.up(), this.back()];
+    this.away = Math.max(0.05, ...balls.map(([place, radius]) => {
+      const centre = place.map((one, k) => one - this.target[k]);
+      return dot(centre, back) + Math.max(reach(centre, radius, right) / broad, reach(centre, radius, up) / tall);
+    }));
   }
 
   // Stands at a place, and looks along the x axis.
-  enter(place) { this.target = [...place]; this.away = 0.05; this.yaw = Math.PI; this.pitch = 0; }
+  enter(place) { Object.assign(this, { target: [...place], away: 0, yaw: Math.PI, pitch: 0, standing: true, fov: FOV }); }
+
+  // Turns about a place from now on.
+  about(place) {
+    if (this.standing) Object.assign(this, { standing: false, fov: FOV, away: Math.hypot(...place.map((one, k) => one - this.target[k])) });
+    this.target = [...place];
+  }
 
   back() { return [Math.cos(this.pitch) * Math.cos(this.yaw), Math.cos(this.pitch) * Math.sin(this.yaw), Math.sin(this.pitch)]; }
   eye() { const back = this.back(); return this.target.map((one, k) => one + this.away * back[k]); }
@@ -25,25 +45,37 @@ export class Camera {
     this.yaw -= dx;
     this.pitch = Math.min(STEEP, Math.max(-STEEP, this.pitch + dy));
   }
-  // By a share of what is seen.
-  move(dx, dy) {
-    const right = this.right(), up = this.up(), wide = 2 * Math.tan(FOV / 2) * Math.max(this.away, 0.02 * this.wide);
-    this.target = this.target.map((one, k) => one - wide * (dx * right[k] - dy * up[k]));
+  // A pointer's way, in pixels: it turns what is looked at; where one stands the picture goes with the pointer.
+  drag(dx, dy, width, height) {
+    const focal = this.focal(width, height);
+    if (this.standing) this.turn(-dx / focal, -dy / focal); else this.turn(dx * PER_PX, dy * PER_PX);
   }
-  zoom(factor) { this.away = Math.min(20 * this.wide, Math.max(0.05, this.away * factor)); }
+  // Moves the picture by pixels, as far as it is away.
+  move(dx, dy, width, height) {
+    const right = this.right(), up = this.up(), each = Math.max(this.away, (this.standing ? 0.2 : 0.02) * this.wide) / this.focal(width, height);
+    this.target = this.target.map((one, k) => one - each * (dx * right[k] - dy * up[k]));
+  }
+  // Comes nearer, or looks closer where one stands.
+  zoom(factor) {
+    if (this.standing) this.fov = Math.min(WIDEST, Math.max(NARROWEST, this.fov * factor));
+    else this.away = Math.min(20 * this.wide, Math.max(0.05, this.away * factor));
+  }
 
-  focal(height) { return height / (2 * Math.tan(FOV / 2)); }
-  halfView(width, height) { return Math.atan(Math.tan(FOV / 2) * Math.hypot(1, width / height)); }
+  // In pixels, by the shorter side of what is free.
+  focal(width, height) { return Math.min((1 - this.beside) * width, (1 - this.below) * height) / (2 * Math.tan(this.fov / 2)); }
+  // The middle of what is free.
+  middle(width, height) { return [((1 - this.beside) * width) / 2, ((1 - this.below) * height) / 2]; }
+  // The angle from the middle to the farthest corner of the picture.
+  halfView(width, height) { return Math.atan(Math.hypot((1 + this.beside) * width, (1 + this.below) * height) / 2 / this.focal(width, height)); }
 
   // From the scene to the picture, in WebGL's order.
   matrix(width, height) {
-    const r = this.right(), u = this.up(), b = this.back(), e = this.eye(), f = 1 / Math.tan(FOV / 2), g = (f * height) / width;
+    const r = this.right(), u = this.up(), b = this.back(), e = this.eye(), focal = this.focal(width, height), f = (2 * focal) / height, g = (2 * focal) / width;
     const near = Math.max(0.02, 0.005 * this.away), far = this.away + 4 * this.wide, k = (far + near) / (near - far), w = (2 * far * near) / (near - far);
-    const dot = (a) => -(a[0] * e[0] + a[1] * e[1] + a[2] * e[2]);
-    const rows = [r, u, b].map((axis) => [...axis, dot(axis)]);
+    const rows = [r, u, b].map((axis) => [...axis, -dot(axis, e)]);
     const m = new Float32Array(16);
     for (let c = 0; c < 4; c++) {
-      m[4 * c] = g * rows[0][c]; m[4 * c + 1] = f * rows[1][c];
+      m[4 * c] = g * rows[0][c] + this.beside * rows[2][c]; m[4 * c + 1] = f * rows[1][c] - this.below * rows[2][c];
       m[4 * c + 2] = k * rows[2][c] + (c === 3 ? w : 0); m[4 * c + 3] = -rows[2][c];
     }
     return m;
@@ -51,15 +83,15 @@ export class Camera {
 
   // The ray through a place of the picture, in pixels.
   ray(x, y, width, height) {
-    const t = Math.tan(FOV / 2), a = ((2 * x) / width - 1) * t * (width / height), b = (1 - (2 * y) / height) * t;
+    const focal = this.focal(width, height), [u0, v0] = this.middle(width, height), a = (x - u0) / focal, b = (v0 - y) / focal;
     const r = this.right(), u = this.up(), f = this.forward();
     return { origin: this.eye(), direction: f.map((one, k) => one + a * r[k] + b * u[k]) };
   }
 
   // Where a place of the scene is in the picture [px]; null behind the camera.
   project(place, width, height) {
-    const e = this.eye(), apart = place.map((one, k) => one - e[k]), along = (axis) => axis.reduce((sum, one, k) => sum + one * apart[k], 0);
-    const depth = along(this.forward()), focal = this.focal(height);
-    return depth <= 0 ? null : [width / 2 + (focal * along(this.right())) / depth, height / 2 - (focal * along(this.up())) / depth];
+    const e = this.eye(), apart = place.map((one, k) => one - e[k]), depth = dot(apart, this.forward()), focal = this.focal(width, height);
+    const [u0, v0] = this.middle(width, height);
+    return depth <= 0 ? null : [u0 + (focal * dot(apart, this.right())) / depth, v0 - (focal * dot(apart, this.up())) / depth];
   }
 }

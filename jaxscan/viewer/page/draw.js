@@ -1,18 +1,20 @@
 import { Panorama } from "./panorama.js";
 
 // Points in WebGL: of each tile as many as the view needs, fewer while it moves.
-const VERTEX = `attribute vec3 place; attribute vec3 colour; uniform mat4 view; uniform vec3 middle, low, high; uniform float size; varying vec3 shown;
+const VERTEX = `attribute vec3 place; attribute vec3 colour; uniform mat4 view; uniform vec3 middle, low, high; uniform vec2 turn; uniform float size; varying vec3 shown;
 void main() {
-  vec3 at = place + middle;
+  vec3 at = place + middle, turned = vec3(turn.x * at.x + turn.y * at.y, turn.x * at.y - turn.y * at.x, at.z);
   gl_Position = view * vec4(at, 1.0);
-  if (any(lessThan(at, low)) || any(greaterThan(at, high))) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  if (any(lessThan(turned, low)) || any(greaterThan(turned, high))) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   gl_PointSize = clamp(size / gl_Position.w, 1.0, 24.0);
   shown = colour;
 }`;
 const FRAGMENT = "precision mediump float; varying vec3 shown; void main() { gl_FragColor = vec4(shown, 1.0); }";
+const NO_SECTION = { section: [[-1e9, -1e9, -1e9], [1e9, 1e9, 1e9]], turn_rad: 0 };
 const AT_ONCE = 6, REST_MS = 150, MOVING_S = 1 / 24, RESTING_S = 0.4, LEAST = 5e3, LEAST_AT_REST = 1e5, GAP_PX = 1, KEPT = 3, ON_PLACE_M = 0.06;
 // A chunk as the server lists it.
-const TILE = 0, COUNT = 1, X = 2, RADIUS = 5, GAP = 6, SPACING = 7;
+const TILE = 0, COUNT = 1, SPACING = 7;
+export const X = 2, RADIUS = 5, GAP = 6;
 
 export class Drawing {
   constructor(canvas, camera, drawn) {
@@ -22,15 +24,22 @@ export class Drawing {
     this.budget = 2e6; this.size = 1; this.section = null;
     // Points a second; slow until it is known.
     this.rate = 1e6; this.movedAt = -1e9; this.waiting = 0; this.points = 0; this.wanted = []; this.pausing = null;
-    if (!this.gl) return;
-    const gl = this.gl, program = this.program = this.compiled(VERTEX, FRAGMENT);
-    gl.enable(gl.DEPTH_TEST); gl.clearColor(0.05, 0.067, 0.082, 1);
     // Where one stands in a panorama: {cloud, place}.
     this.standing = null; this.photographs = true;
+    if (!this.gl) return;
+    this.prepare();
+    // A driver that begins anew, or a machine that slept, takes all that was given to WebGL.
+    canvas.addEventListener("webglcontextlost", (event) => { event.preventDefault(); this.version++; this.kept.clear(); this.asked.clear(); });
+    canvas.addEventListener("webglcontextrestored", () => { this.prepare(); this.later(); });
+    new ResizeObserver(() => this.later()).observe(canvas);
+  }
+
+  prepare() {
+    const gl = this.gl, program = this.program = this.compiled(VERTEX, FRAGMENT);
+    gl.enable(gl.DEPTH_TEST); gl.clearColor(0.05, 0.067, 0.082, 1);
     this.panorama = new Panorama(gl, (...texts) => this.compiled(...texts));
     this.at = Object.fromEntries(["place", "colour"].map((name) => [name, gl.getAttribLocation(program, name)]));
-    this.uniform = Object.fromEntries(["view", "middle", "low", "high", "size"].map((name) => [name, gl.getUniformLocation(program, name)]));
-    new ResizeObserver(() => this.later()).observe(canvas);
+    this.uniform = Object.fromEntries(["view", "middle", "low", "high", "turn", "size"].map((name) => [name, gl.getUniformLocation(program, name)]));
   }
 
   compiled(vertex, fragment) {
@@ -46,7 +55,7 @@ export class Drawing {
   // The cloud in whose panorama one stands; none away from its place.
   around() {
     const { cloud, place } = this.standing ?? {}, eye = this.camera.eye();
-    const there = cloud?.panorama && this.photographs && Math.hypot(...place.map((one, k) => one - eye[k])) < ON_PLACE_M;
+    const there = cloud?.panorama && this.photographs && this.camera.standing && Math.hypot(...place.map((one, k) => one - eye[k])) < ON_PLACE_M;
     return there ? cloud : null;
   }
 
@@ -67,6 +76,7 @@ export class Drawing {
   moves() { return performance.now() - this.movedAt < REST_MS; }
 
   draw() {
+    if (this.gl.isContextLost()) return;
     const gl = this.gl, canvas = this.canvas, dense = Math.min(devicePixelRatio, 2);
     const width = Math.max(1, Math.round(canvas.clientWidth * dense)), height = Math.max(1, Math.round(canvas.clientHeight * dense));
     if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
@@ -75,7 +85,7 @@ export class Drawing {
       gl.viewport(0, 0, width, height);
       if (this.panorama.draw(around, this.camera, width, height, () => this.later())) return this.drawn(around);
     }
-    const begun = performance.now(), moves = this.moves(), focal = this.camera.focal(height);
+    const begun = performance.now(), moves = this.moves(), focal = this.camera.focal(width, height);
     const time = moves ? MOVING_S : RESTING_S, most = Math.max(this.rate * time, moves ? LEAST : LEAST_AT_REST);
     const wanted = this.chosen(focal, this.camera.halfView(width, height), Math.min(most, this.budget));
     const shown = wanted.filter((one) => this.kept.has(one.key)), finest = new Map();
@@ -86,8 +96,9 @@ export class Drawing {
     gl.viewport(0, 0, width, height); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.useProgram(this.program); gl.enableVertexAttribArray(this.at.place); gl.enableVertexAttribArray(this.at.colour);
     gl.uniformMatrix4fv(this.uniform.view, false, this.camera.matrix(width, height));
-    gl.uniform3fv(this.uniform.low, this.section ? this.section[0] : [-1e9, -1e9, -1e9]);
-    gl.uniform3fv(this.uniform.high, this.section ? this.section[1] : [1e9, 1e9, 1e9]);
+    const { section: [low, high], turn_rad: turn } = this.section ?? NO_SECTION;
+    gl.uniform3fv(this.uniform.low, low); gl.uniform3fv(this.uniform.high, high);
+    gl.uniform2f(this.uniform.turn, Math.cos(turn), Math.sin(turn));
     this.points = 0;
     for (const { key, cloud, chunk } of shown) {
       const { place, colour } = this.kept.get(key);

@@ -1,17 +1,28 @@
 // The page: the server knows the points and measures; what is shown is chosen here.
 import { Box } from "./box.js";
-import { Camera } from "./camera.js";
-import { Drawing } from "./draw.js";
+import { Camera, OUTSIDE } from "./camera.js";
+import { Drawing, GAP as GAP_M, RADIUS, X } from "./draw.js";
+import { takeHands } from "./hands.js";
 import { drawMarks } from "./marks.js";
-import { at, make, showProducts, showScale, showState } from "./panel.js";
+import { at, make, say, sayWaiting, showProducts, showScale, showState, titles } from "./panel.js";
 
-const canvas = at("cloud"), camera = new Camera(), CLICK_PX = 8, STILL_PX = 5, FAR_M = 1000;
-let state = { kind: "point", message: "", measured: [], first: null }, socket = null, again = 0, box = null, held = -1;
-const placed = (one) => one.xyz.map((x, k) => x + (drawing.clouds[one.cloud]?.shift[k] ?? 0));
+const canvas = at("cloud"), camera = new Camera(), CLICK_PX = 8, FAR_M = 1000, GAP = 1.1, AWAY = "No connection to jaxscan view";
+let state = { kind: "point", message: "", measured: [], first: null }, socket = null, again = 0, box = null, scene = null;
+// What the colours show, and the flatness that they are about.
+let by = "photograph", plane = "";
+const several = () => drawing.clouds.length > 1, moved = (xyz, shift) => xyz.map((x, k) => x + shift[k]);
+const placed = (one) => { const cloud = drawing.clouds[one.cloud]; return cloud?.visible ? moved(one.xyz, cloud.shift) : null; };
+const sectioned = () => (box && at("section").checked && !drawing.around() ? box : null);
 const drawing = new Drawing(canvas, camera, (panorama) => {
-  const shows = box && at("section").checked && !panorama;
-  drawMarks(at("marks"), camera, state, placed, shows ? (pen, width, height) => box.draw(pen, camera, width, height, held) : null);
-  at("loading").hidden = drawing.points > 0 || panorama !== null;
+  if (!drawing.clouds.length) return;
+  const section = sectioned(), none = !drawing.clouds.some((cloud) => cloud.visible);
+  drawMarks(at("marks"), camera, {
+    state, place: placed, box: section && ((pen, width, height) => section.draw(pen, camera, width, height)),
+    names: at("apart").checked ? drawing.clouds.filter((cloud) => cloud.visible).map((cloud) => [cloud.title, top(cloud)]) : [],
+    cross: canvas.matches(":focus-visible"),
+  });
+  at("loading").hidden = (drawing.points > 0 || panorama !== null) && !none;
+  at("loading").textContent = none ? "no cloud is shown" : "loading …";
   at("shown").textContent = panorama ? "a panorama is shown" : `${drawing.points.toLocaleString("en")} points shown`;
 });
 
@@ -30,22 +41,31 @@ function connect() {
   socket.onopen = () => { again = 0; };
   socket.onmessage = ({ data }) => hear(JSON.parse(data));
   socket.onclose = () => {
-    at("message").textContent = "No connection to jaxscan view; trying again …";
+    say(`${AWAY}; trying again …`);
     setTimeout(connect, Math.min(300 * 2 ** again++, 5000));
   };
 }
 
 function hear(message) {
   if (message.file) return save(message);
+  // The server began anew, perhaps with other clouds.
+  if (message.scene && message.scene !== scene.id) return location.reload();
   state = { ...state, ...message };
-  showState(state);
+  showState(state, (one) => (several() ? drawing.clouds[one.cloud].title : ""), (id) => order({ do: "remove", id }));
+  if (by === "deviation" && lastPlane() !== plane) {
+    // Deviations from a plane that was taken back are none.
+    if (lastPlane() === "") at("by").value = "photograph";
+    colour();
+  }
   drawing.later();
 }
 
 function order(what) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(what));
-  else at("message").textContent = "No connection to jaxscan view: nothing was done.";
+  else say(`${AWAY}: nothing was done.`);
 }
+
+function measure(what) { sayWaiting("measuring …"); order({ ...what, ...shown() }); }
 
 function save({ file, text }) {
   const link = make("a");
@@ -57,34 +77,56 @@ function save({ file, text }) {
 
 const shown = () => ({
   clouds: drawing.clouds.filter((cloud) => cloud.visible).map(({ number, shift }) => ({ number, shift })),
-  section: at("section").checked ? box.corners() : null,
+  ...(at("section").checked ? box.cut() : {}),
 });
 
 function pick(x, y) {
-  const width = canvas.clientWidth, height = canvas.clientHeight;
-  at("message").textContent = "measuring …";
-  order({ do: "pick", ...camera.ray(x, y, width, height), cone_rad: Math.atan(CLICK_PX / camera.focal(height)), ...shown() });
+  const size = [canvas.clientWidth, canvas.clientHeight];
+  measure({ do: "pick", ...camera.ray(x, y, ...size), cone_rad: Math.atan(CLICK_PX / camera.focal(...size)) });
 }
 
+const lastPlane = () => state.measured.filter((one) => one.plane).at(-1)?.id ?? "";
+
 async function colour() {
-  const by = at("by").value, planes = state.measured.flatMap((one, k) => (one.plane ? [k] : []));
-  const query = new URLSearchParams({ by, page: ownName(), plane: planes.at(-1) ?? "" }).toString();
-  const problem = await showScale(query);
-  if (problem) { at("message").textContent = problem; at("by").value = "photograph"; return; }
+  const wanted = at("by").value, last = lastPlane();
+  const query = new URLSearchParams({ by: wanted, page: ownName(), plane: last }).toString(), problem = await showScale(query);
+  if (problem) { say(problem); at("by").value = by; return; }
+  by = wanted; plane = last;
+  photographs();
   drawing.recolour(query);
 }
 
-function bounds() {
-  const some = drawing.clouds.filter((cloud) => cloud.visible), of = some.length ? some : drawing.clouds;
-  const low = [0, 1, 2].map((k) => Math.min(...of.map((cloud) => cloud.low[k] + cloud.shift[k])));
-  return [low, [0, 1, 2].map((k) => Math.max(...of.map((cloud) => cloud.high[k] + cloud.shift[k])))];
+// A panorama shows no other colours than the photograph's.
+function photographs() { drawing.photographs = at("photographs").checked && by === "photograph"; drawing.moved(); }
+
+// What the panel leaves free of the picture: beside it at a desk, above it on a telephone.
+function fit() {
+  const panel = at("panel").getBoundingClientRect(), width = canvas.clientWidth, height = canvas.clientHeight, below = panel.width > 0.9 * width;
+  if (!panel.width) return;
+  camera.fit(width, height, below ? 0 : 1 - panel.left / width, below ? 1 - panel.top / height : 0);
+  drawing.moved();
 }
 
+// The clouds that are shown; all if none is.
+const looked = () => { const some = drawing.clouds.filter((cloud) => cloud.visible); return some.length ? some : drawing.clouds; };
+function bounds() {
+  const low = [0, 1, 2].map((k) => Math.min(...looked().map((cloud) => cloud.low[k] + cloud.shift[k])));
+  return [low, [0, 1, 2].map((k) => Math.max(...looked().map((cloud) => cloud.high[k] + cloud.shift[k])))];
+}
+// What of a cloud is to be seen from outside: its tiles, as far as they are not strays.
+const balls = ({ chunks, low, high, shift }) => chunks.filter((chunk) => chunk[GAP_M] > 1e8).map((chunk) =>
+  [[0, 1, 2].map((k) => Math.min(high[k], Math.max(low[k], chunk[X + k])) + shift[k]), chunk[RADIUS]]);
+const top = ({ low, high, shift }) => [0, 1, 2, 3].map((bits) => moved([[low, high][bits & 1][0], [low, high][bits >> 1][1], high[2]], shift));
+
+// Side by side as one sees them from outside, on one floor.
 function apart() {
-  let place = 0;
+  const right = [-Math.sin(OUTSIDE.yaw), Math.cos(OUTSIDE.yaw), 0], [first] = drawing.clouds;
+  const along = (cloud) => [0, 1].reduce((sum, k) => sum + (Math.abs(right[k]) * (cloud.high[k] - cloud.low[k])) / 2, 0);
+  let place = -along(first);
   for (const cloud of drawing.clouds) {
-    cloud.shift = at("apart").checked ? [place - cloud.low[0] + drawing.clouds[0].low[0], 0, 0] : [...cloud.home];
-    if (cloud.visible) place += 1.2 * (cloud.high[0] - cloud.low[0]);
+    const half = along(cloud), middle = (k) => (first.low[k] + first.high[k] - cloud.low[k] - cloud.high[k]) / 2 + right[k] * (place + half);
+    cloud.shift = at("apart").checked ? [middle(0), middle(1), first.low[2] - cloud.low[2]] : [...cloud.home];
+    if (cloud.visible) place += 2 * GAP * half;
   }
   enclose();
   look("outside");
@@ -97,92 +139,60 @@ function enclose() {
 }
 
 function cut() {
-  drawing.section = at("section").checked ? box.corners() : null;
+  drawing.section = at("section").checked ? box.cut() : null;
   drawing.moved();
 }
 
 function look(where) {
-  if (typeof where === "string") camera.stand(...bounds(), where === "above");
+  if (typeof where === "string") camera.stand(...bounds(), looked().flatMap(balls), where === "above");
   else {
-    drawing.standing = { cloud: where.cloud, place: where.xyz.map((x, k) => x + where.cloud.shift[k]) };
+    drawing.standing = { cloud: where.cloud, place: moved(where.xyz, where.cloud.shift) };
     camera.enter(drawing.standing.place);
   }
   drawing.moved();
 }
 
-// The side of the section whose handle a pointer is on; -1 if on none.
-function grasped(event) {
-  if (!box || !at("section").checked || drawing.around()) return -1;
-  return box.handleAt(event.offsetX, event.offsetY, camera, canvas.clientWidth, canvas.clientHeight, event.pointerType === "touch");
-}
-
-// Hands: one finger or the left button turns, two fingers or another button move, a tap measures; handles are dragged.
-const fingers = new Map();
-let travelled = 0, spread = 0;
-canvas.oncontextmenu = (event) => event.preventDefault();
-canvas.onpointerdown = (event) => {
-  canvas.setPointerCapture(event.pointerId);
-  if (!fingers.size) { travelled = 0; held = grasped(event); }
-  fingers.set(event.pointerId, [event.clientX, event.clientY]);
-  if (fingers.size > 1) { travelled = STILL_PX + 1; held = -1; }
-  spread = 0;
-};
-canvas.onpointermove = (event) => {
-  const before = fingers.get(event.pointerId);
-  if (!before) { canvas.style.cursor = grasped(event) < 0 ? "" : "grab"; return; }
-  const dx = event.clientX - before[0], dy = event.clientY - before[1];
-  fingers.set(event.pointerId, [event.clientX, event.clientY]);
-  travelled += Math.hypot(dx, dy);
-  if (held >= 0) return box.drag(held, dx, dy, camera, canvas.clientWidth, canvas.clientHeight);
-  if (travelled <= STILL_PX) return;
-  if (fingers.size > 1) {
-    const [a, b] = [...fingers.values()], now = Math.hypot(a[0] - b[0], a[1] - b[1]);
-    if (spread) camera.zoom(spread / now);
-    spread = now;
-    camera.move(dx / canvas.clientHeight / 2, dy / canvas.clientHeight / 2);
-  } else if (event.shiftKey || event.buttons > 1) camera.move(dx / canvas.clientHeight, dy / canvas.clientHeight);
-  else camera.turn(dx / 200, dy / 200);
-  drawing.moved();
-};
-canvas.onpointerup = (event) => {
-  fingers.delete(event.pointerId);
-  if (held >= 0) { held = -1; drawing.later(); } else if (travelled <= STILL_PX && event.button === 0) pick(event.offsetX, event.offsetY);
-};
-canvas.onpointercancel = (event) => { fingers.delete(event.pointerId); held = -1; };
-canvas.addEventListener("wheel", (event) => { event.preventDefault(); camera.zoom(Math.exp(event.deltaY / 600)); drawing.moved(); }, { passive: false });
-canvas.ondblclick = () => { const last = state.measured.at(-1); if (last?.at.length) { camera.target = placed(last.at.at(-1)); drawing.moved(); } };
-
-const KEYS = {
-  p: () => order({ do: "choose", what: "point" }), d: () => order({ do: "choose", what: "distance" }), f: () => order({ do: "choose", what: "flatness" }),
-  u: () => order({ do: "undo" }), o: () => look("outside"), a: () => look("above"), s: () => at("station-1")?.click(),
-  "+": () => camera.zoom(0.85), "-": () => camera.zoom(1.18), Enter: () => pick(canvas.clientWidth / 2, canvas.clientHeight / 2),
-  ArrowLeft: () => camera.turn(-0.08, 0), ArrowRight: () => camera.turn(0.08, 0), ArrowUp: () => camera.turn(0, 0.08), ArrowDown: () => camera.turn(0, -0.08),
-};
-addEventListener("keydown", (event) => {
-  const work = KEYS[event.key.length === 1 ? event.key.toLowerCase() : event.key];
-  if (!work || event.ctrlKey || event.metaKey || event.altKey || event.target.matches("input, select, button, summary")) return;
-  event.preventDefault(); work(); drawing.moved();
+const choose = (what) => () => order({ do: "choose", what }), station = (number) => () => at(`station-${number}`)?.click();
+takeHands(canvas, camera, drawing, {
+  box: sectioned, pick,
+  keys: {
+    p: choose("point"), d: choose("distance"), f: choose("flatness"), u: () => order({ do: "undo" }),
+    o: () => look("outside"), a: () => look("above"), s: station(1),
+    ...Object.fromEntries([1, 2, 3, 4, 5, 6, 7, 8, 9].map((number) => [number, station(number)])),
+  },
 });
+canvas.ondblclick = () => { const last = state.measured.at(-1), place = last?.at.length && placed(last.at.at(-1)); if (place) { camera.about(place); drawing.moved(); } };
+canvas.addEventListener("webglcontextlost", () => { at("lost").hidden = false; });
+canvas.addEventListener("webglcontextrestored", () => { at("lost").hidden = true; });
+addEventListener("resize", fit);
 
-for (const kind of ["point", "distance", "flatness"]) at(kind).onclick = () => order({ do: "choose", what: kind });
-at("undo").onclick = () => order({ do: "undo" });
-at("room").onclick = () => { at("message").textContent = "measuring …"; order({ do: "room", ...shown() }); };
+for (const kind of ["point", "distance", "flatness"]) at(kind).onclick = choose(kind);
+for (const what of ["undo", "clear"]) at(what).onclick = () => order({ do: what });
+at("room").onclick = () => measure({ do: "room" });
 for (const what of ["csv", "json"]) at(what).onclick = () => order({ do: "save", what });
 for (const where of ["outside", "above"]) at(where).onclick = () => look(where);
 at("by").onchange = colour;
-at("photographs").onchange = () => { drawing.photographs = at("photographs").checked; drawing.moved(); };
+at("photographs").onchange = photographs;
 at("apart").onchange = apart;
 at("section").onchange = cut;
-at("budget").oninput = () => { drawing.budget = 1e6 * at("budget").value; drawing.later(); };
+at("budget").oninput = () => { drawing.budget = 1e6 * at("budget").value; at("budget-words").textContent = `${at("budget").value} million`; drawing.later(); };
 at("size").oninput = () => { drawing.size = Number(at("size").value); drawing.moved(); };
+at("fold").onclick = () => {
+  const folded = at("panel").classList.toggle("folded");
+  at("fold").textContent = folded ? "more" : "less";
+  at("fold").setAttribute("aria-expanded", !folded);
+  if (folded) at("measure").open = true;
+  fit();
+};
 
 async function begin() {
   at("no-webgl").hidden = Boolean(drawing.gl);
   if (!drawing.gl) at("loading").hidden = true;
   const answer = await fetch("scene");
   if (!answer.ok) { at("loading").textContent = await answer.text(); at("panel").hidden = true; return; }
-  const scene = await answer.json();
-  drawing.clouds = scene.clouds.map((cloud, number) => ({ ...cloud, number, visible: true, home: cloud.shift }));
+  scene = await answer.json();
+  const named = titles(scene.clouds.map((cloud) => cloud.name));
+  drawing.clouds = scene.clouds.map((cloud, number) => ({ ...cloud, number, visible: true, home: cloud.shift, title: named[number] }));
   // Too far apart for one scene: they stand side by side, always.
   if (drawing.clouds.some((cloud) => Math.hypot(...cloud.home) > FAR_M)) { at("apart").checked = true; at("apart").disabled = true; }
   at("systematic").hidden = scene.systematic;
@@ -190,7 +200,7 @@ async function begin() {
   let stations = 0;
   for (const cloud of drawing.clouds) {
     for (const xyz of cloud.stations) {
-      const button = make("button", `station ${++stations}`);
+      const button = make("button", `station ${++stations}${several() ? ` · ${cloud.title}` : ""}`);
       button.id = `station-${stations}`;
       button.onclick = () => look({ xyz, cloud });
       at("places").append(button);
@@ -207,6 +217,8 @@ async function begin() {
     label.append(tick, ` ${cloud.name}`);
     at("clouds").append(label);
   }
+  at("budget").oninput();
+  fit();
   if (at("apart").checked) apart();
   drawing.query = "by=photograph";
   enclose();

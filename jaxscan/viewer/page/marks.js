@@ -1,26 +1,46 @@
-// What was measured, drawn over the cloud.
-const MARK = "#ffa02e";
+// What was measured, drawn over the cloud; names of clouds that stand side by side; a cross where Enter measures.
+const MARK = "#ffa02e", NAME = "#e6ebf0", CROSS_PX = 12;
 
-// `box` draws itself, or is null.
-export function drawMarks(canvas, camera, state, place, box) {
+// `state` is what was measured; `place` gives the place of an end in the scene, null where its cloud is hidden; `box` draws
+// itself, or is null; `names` are [text, the corners of the cloud's top].
+export function drawMarks(canvas, camera, { state, place, box, names, cross }) {
   const dense = Math.min(devicePixelRatio, 2), width = canvas.clientWidth, height = canvas.clientHeight;
   canvas.width = Math.round(width * dense); canvas.height = Math.round(height * dense);
   // Drawn in memory: Chromium without a graphics processor goes on showing what it should have cleared.
   const pen = canvas.getContext("2d", { willReadFrequently: true });
   pen.scale(dense, dense);
   box?.(pen, width, height);
-  pen.strokeStyle = pen.fillStyle = MARK; pen.lineWidth = 2; pen.font = "600 13px system-ui";
+  pen.lineWidth = 2; pen.font = "600 13px system-ui";
   const spot = (at) => { pen.beginPath(); pen.arc(at[0], at[1], 4, 0, 7); pen.fill(); };
-  const seen = (one) => camera.project(place(one), width, height);
+  const line = (a, b) => { pen.beginPath(); pen.moveTo(...a); pen.lineTo(...b); pen.stroke(); };
+  const tag = (text, x, y, colour) => {
+    const wide = pen.measureText(text).width + 10, free = 2 * camera.middle(width, height)[0];
+    // As far as its place is in the picture, a text is so too.
+    if (x < free) x = Math.min(x, free - wide);
+    pen.fillStyle = "#0d1115cc"; pen.fillRect(x, y, wide, 20);
+    pen.fillStyle = colour; pen.fillText(text, x + 5, y + 15);
+  };
+  const seen = (one) => { const found = place(one); return found && camera.project(found, width, height); };
+  for (const [text, corners] of names) {
+    const at = corners.map((corner) => camera.project(corner, width, height)), x = at.reduce((sum, one) => sum + one?.[0] / at.length, 0);
+    if (at.every(Boolean)) tag(text, x - pen.measureText(text).width / 2 - 5, Math.min(...at.map((one) => one[1])) - 24, NAME);
+  }
+  pen.strokeStyle = pen.fillStyle = MARK;
   if (state.first) { const at = seen(state.first); if (at) spot(at); }
   (state.measured ?? []).forEach((one, number) => {
+    // The room's lengths lead closely by the eyes of one who stands in it.
+    if (one.kind === "room" && camera.standing) return;
     const ends = one.at.map(seen);
     if (!ends.length || ends.some((end) => !end)) return;
-    if (ends.length === 2) { pen.beginPath(); pen.moveTo(...ends[0]); pen.lineTo(...ends[1]); pen.stroke(); }
+    pen.fillStyle = MARK;
+    if (ends.length === 2) line(...ends);
     ends.forEach(spot);
-    const middle = [0, 1].map((k) => ends.reduce((sum, end) => sum + end[k], 0) / ends.length);
-    const text = `${number + 1}: ${one.words[0].split(",")[0]}`, wide = pen.measureText(text).width;
-    pen.fillStyle = "#0d1115cc"; pen.fillRect(middle[0] + 8, middle[1] - 24, wide + 10, 20);
-    pen.fillStyle = MARK; pen.fillText(text, middle[0] + 13, middle[1] - 9);
+    // The room's lengths meet in its middle, so their words stand nearer to an end.
+    const share = one.kind === "room" ? 0.75 : 0.5, [x, y] = ends.length === 2 ? [0, 1].map((k) => (1 - share) * ends[0][k] + share * ends[1][k]) : ends[0];
+    tag(`${number + 1}: ${one.words[0].split(",")[0]}`, x + 8, y - 24, MARK);
   });
+  if (!cross) return;
+  const [x, y] = camera.middle(width, height);
+  pen.strokeStyle = NAME;
+  line([x - CROSS_PX, y], [x + CROSS_PX, y]); line([x, y - CROSS_PX], [x, y + CROSS_PX]);
 }

@@ -14,19 +14,65 @@ const ASKS = {
   flatness: "Click a flat place: its plane within 200 mm, as jaxscan measure plane does.",
 };
 
-export function showState(state) {
-  for (const kind of Object.keys(ASKS)) at(kind).classList.toggle("chosen", state.kind === kind);
-  at("message").textContent = state.message || ASKS[state.kind];
-  at("measured").replaceChildren(...state.measured.map((one) => {
-    const item = make("li", one.words.join("; "));
-    if (one.command) item.title = one.command;
+// `nameOf` gives the name of a measurement's cloud, "" if there is only one; `remove` takes one back.
+export function showState(state, nameOf, remove) {
+  for (const kind of Object.keys(ASKS)) {
+    at(kind).classList.toggle("chosen", state.kind === kind);
+    at(kind).setAttribute("aria-pressed", state.kind === kind);
+  }
+  say(state.message || ASKS[state.kind]);
+  const focused = at("measured").contains(document.activeElement), some = state.measured.length > 0;
+  at("measured").replaceChildren(...state.measured.map((one, number) => {
+    const item = make("li"), name = nameOf(one);
+    if (name) item.append(make("span", `${name}: `, "quiet"));
+    item.append(make("span", one.words.join("; "), "words"));
+    const buttons = make("span", "", "together");
+    if (one.command) {
+      item.title = one.command;
+      buttons.append(small("copy", `the command that measures ${number + 1}`, () => copy(one.command)));
+    }
+    buttons.append(small("×", `remove ${number + 1}`, () => remove(one.id)));
+    item.append(buttons);
     return item;
   }));
   at("measured").scrollTop = 1e6;
+  for (const id of ["csv", "json", "clear"]) at(id).disabled = !some;
+  at("undo").disabled = !some && !state.first;
+  // The button that was pressed is gone.
+  if (focused) (at("measured").querySelector("li:last-child button:last-child") ?? at(state.kind)).focus();
+}
+
+function small(text, label, press) {
+  const button = make("button", text, "small");
+  button.setAttribute("aria-label", label); button.title = label;
+  button.onclick = press;
+  return button;
+}
+
+// Only a page of this machine, or one over HTTPS, may write to the clipboard; elsewhere the command is there to be marked.
+async function copy(command) {
+  try { await navigator.clipboard.writeText(command); say(`Copied: ${command}`); } catch { say(command); }
+}
+
+let ticking = 0;
+// A line about what was done.
+export function say(text) { clearInterval(ticking); at("seconds").textContent = ""; at("message").textContent = text; }
+// A line about what goes on, and for how long.
+export function sayWaiting(text) {
+  say(text);
+  const begun = performance.now();
+  ticking = setInterval(() => { at("seconds").textContent = `${Math.round((performance.now() - begun) / 1000)} s`; }, 1000);
+}
+
+// The shortest names by which clouds can be told apart: their files', or the whole paths.
+export function titles(names) {
+  const short = names.map((name) => name.split("/").at(-1));
+  return new Set(short).size === names.length ? short : names;
 }
 
 export async function showScale(query) {
-  const answer = await fetch(`scale?${query}`);
+  const answer = await fetch(`scale?${query}`).catch(() => null);
+  if (!answer) return "No connection to jaxscan view: the colours stay.";
   if (!answer.ok) return (await answer.text()).trim();
   const scale = await answer.json();
   at("scale").hidden = !scale;

@@ -5,6 +5,7 @@ import json
 import struct
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 from aiohttp import WSMsgType, web
@@ -105,7 +106,9 @@ class Hub:
             else:
                 self._carry_out(order)
         except JaxscanError as problem:
-            await page.socket.send_str(as_json({"kind": "refused", "says": " ".join(str(problem).split())}))
+            # The page may be gone by now.
+            with suppress(ConnectionError):
+                await page.socket.send_str(as_json({"kind": "refused", "says": " ".join(str(problem).split())}))
 
     def _operates(self, page: Page) -> bool:
         """Whether this is the page that operates; of two with one name, as a copied tab has it, the older one."""
