@@ -193,6 +193,8 @@ async function begin() {
   scene = await answer.json();
   const named = titles(scene.clouds.map((cloud) => cloud.name));
   drawing.clouds = scene.clouds.map((cloud, number) => ({ ...cloud, number, visible: true, home: cloud.shift, title: named[number] }));
+  // The rooms of a project are not of one place.
+  at("apart").checked = scene.products;
   // Too far apart for one scene: they stand side by side, always.
   if (drawing.clouds.some((cloud) => Math.hypot(...cloud.home) > FAR_M)) { at("apart").checked = true; at("apart").disabled = true; }
   at("systematic").hidden = scene.systematic;
@@ -214,7 +216,8 @@ async function begin() {
   for (const cloud of drawing.clouds) {
     const label = make("label"), tick = make("input");
     Object.assign(tick, { type: "checkbox", checked: true, onchange: () => { cloud.visible = tick.checked; if (at("apart").checked) apart(); drawing.moved(); } });
-    label.append(tick, ` ${cloud.name}`);
+    label.append(tick, ` ${cloud.title}`);
+    label.title = cloud.name;
     at("clouds").append(label);
   }
   at("budget").oninput();
