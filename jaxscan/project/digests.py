@@ -38,8 +38,8 @@ CODE_OF: Mapping[str, tuple[str, ...]] = {
     "merged tiles": _MERGED,
     "merged plan": _PLAN,
 }
-"""Rooms, folders or files, whose code decides a product, beside the one that makes them all: a change elsewhere, of the viewer say,
-leaves it as good as it was. Rooms that decide an input already, as the stripes decide a cloud, are not named again."""
+"""Rooms, folders or files, whose code decides a product, beside the one that makes them all: a change elsewhere, of the
+viewer say, leaves it as good as it was. What decides an input already, as stripes a cloud, is not named again."""
 _AT_A_TIME = 16
 """Sources that are asked for at a time: mostly they wait for disks and networks."""
 MOST_JOURNAL = 1 << 30
