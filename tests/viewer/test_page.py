@@ -308,9 +308,13 @@ def test_the_room_by_the_keyboard_and_over_a_reload(opened):
         seen = np.nonzero(picture(opened, "cloud")[..., 1] > 40)[1]
         return seen.mean() if len(seen) else np.inf
 
-    # After the reload, its points come again.
-    opened.until(lambda: opened.colours("cloud") > 20)
-    before = middle()
+    def rests():
+        """Where the middle stays: after the reload the points come again, one piece after the other."""
+        first = middle()
+        time.sleep(0.5)
+        return first if first == middle() < np.inf else None
+
+    before = opened.until(rests)
     opened.at("cloud").send_keys("\ue008" + 2 * "\ue014")
     opened.until(lambda: middle() < before - 80)
 
