@@ -4,7 +4,7 @@ import glob
 import json
 import os
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -136,6 +136,7 @@ def _size(path: Path) -> tuple[int, int]:
 def _patterns(sweeps: Sequence[Found], captures: Sequence[Found]) -> list[str]:
     """Patterns that find these sweeps and no other capture. One that finds several also finds what is added later."""
     own, patterns = {one.path for one in sweeps}, list[str]()
+    in_folder = Counter(path.parent for path in own)
     beside, alike = defaultdict[Path, list[Path]](list), defaultdict[tuple[Path, str], list[Path]](list)
     for one in captures:
         beside[one.path.parent].append(one.path)
@@ -150,7 +151,9 @@ def _patterns(sweeps: Sequence[Found], captures: Sequence[Found]) -> list[str]:
             depth = len(Path(pattern).parts)
             some = frozenset(path for path in places if len(path.parts) == depth and path.match(pattern))
             hidden = any(part.startswith(".") for path in some for part in path.parts)
-            known[pattern] = some if some <= own and not hidden else frozenset()
+            # Folders of rooms, each with its one sweep; where they hold several, the sweeps have the names of rooms.
+            crowded = len({path.parent for path in some}) > 1 and any(in_folder[path.parent] > 1 for path in some)
+            known[pattern] = some if some <= own and not hidden and not crowded else frozenset()
         return known[pattern]
 
     left = set(own)

@@ -115,7 +115,8 @@ def _name_of(path: str | Path, address: str, pattern: str) -> Name:
 
     It becomes the name of files, so accents are dropped, and all but plain letters, digits and ._- becomes -.
     """
-    wild = [bool(set(part) & set("*?[")) for part in pattern.rstrip("/").split("/")]
+    # A letter in brackets stands for itself.
+    wild = [bool(set(re.sub(r"\[[*?[]\]", "", part)) & set("*?[")) for part in pattern.rstrip("/").split("/")]
     parts = address.rstrip("/").split("/")[-len(wild) :]
     opened = range(wild.index(True), len(wild) - wild[::-1].index(True)) if any(wild) else [-1]
     folded = unicodedata.normalize("NFKD", "-".join(parts[k] for k in opened)).encode("ascii", "ignore").decode()

@@ -17,4 +17,4 @@ from jaxscan.report.page import calibration_page
 from jaxscan.report.scales import with_scale
 from jaxscan.report.tables import Parameter, outcome_rows, parameters, quality_rows
 from jaxscan.report.views import drawn_records, thumbnail
-from jaxscan.report.words import calibration_date, headline
+from jaxscan.report.words import calibration_date

@@ -11,7 +11,6 @@ from jaxscan.files.disk import read_arrays, write_arrays
 from jaxscan.geometry import Scanner
 from jaxscan.project.work.desk import Desk
 from jaxscan.reconstruction import PointCloud
-from jaxscan.report import headline
 
 
 def calibrate_rig(desk: Desk) -> None:
@@ -29,8 +28,10 @@ def calibrate_rig(desk: Desk) -> None:
     verdict = result.quality.verdict
     if verdict is not None and verdict.refused is not None:
         raise CalibrationError(f"{boards}: cannot be used: {verdict.refused}")
-    about = headline(result)
-    desk.notes.extend([f"{about.headline}.", *result.missing])
+    good_to = verdict.good_to if verdict is not None else None
+    if good_to is not None and good_to.sigma_mm is not None and good_to.at_m is not None:
+        desk.notes.append(f"Good to {good_to.sigma_mm:.2g} mm at {good_to.at_m:.1f} m.")
+    desk.notes.extend(result.missing)
     api.save_calibration(result, desk.target())
 
 

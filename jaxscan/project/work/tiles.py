@@ -60,9 +60,10 @@ class Tiles:
         One of more than `MOST_POINTS` comes in several clouds.
         """
         for place, path in sorted(self._files.items()):
-            with open(path, "rb") as file:
-                while len(rows := np.fromfile(file, _ROW, MOST_POINTS)):
-                    yield place, _cloud(rows)
+            read = 0
+            while len(rows := np.fromfile(path, _ROW, MOST_POINTS, offset=read)):
+                read += rows.nbytes
+                yield place, _cloud(rows)
             path.unlink()
 
 
