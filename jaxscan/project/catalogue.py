@@ -111,11 +111,13 @@ class Catalogue:
             return
         table = self._table
         values = [{"project": self._project, **_values(row)} for row in rows]
+        of = self._sql.bindparam
+        same = table.delete().where(
+            table.c.project == self._project, table.c.key == of("of_key"), table.c.digest == of("of_digest")
+        )
         try:
             with self._engine.begin() as connection:
-                for row in rows:
-                    same = (table.c.project == self._project, table.c.key == row.key, table.c.digest == row.digest)
-                    connection.execute(table.delete().where(*same))
+                connection.execute(same, [{"of_key": row.key, "of_digest": row.digest} for row in rows])
                 connection.execute(table.insert(), values)
         except self._sql.exc.SQLAlchemyError as problem:
             raise ConfigError(f"the catalogue: cannot be written: {_first_line(problem)}.") from None
