@@ -88,9 +88,15 @@ def measure_storage(home: Path, rounds: int, cores: list[int]) -> list[tuple[flo
 @contextmanager
 def server(core: int) -> Iterator[str]:
     """A server of S3 on loopback, with a core of its own."""
-    code = (
-        "import time; from moto.server import ThreadedMotoServer as Server; "
-        "s = Server(ip_address='127.0.0.1', port=0, verbose=False); s.start(); print(s.get_host_and_port()[1], flush=True); time.sleep(1e6)"
+    code = "\n".join(
+        (
+            "import time",
+            "from moto.server import ThreadedMotoServer",
+            "server = ThreadedMotoServer(ip_address='127.0.0.1', port=0, verbose=False)",
+            "server.start()",
+            "print(server.get_host_and_port()[1], flush=True)",
+            "time.sleep(1e6)",
+        )
     )
     words = [sys.executable, "-c", code]
     process = subprocess.Popen(
