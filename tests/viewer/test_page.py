@@ -74,12 +74,12 @@ def opened(looks, url):
 
 
 def settle(looks):
-    """Waits until no more points come."""
-    count, since = "", time.monotonic()
+    """Waits until the picture stays as it is: points and their colours come one piece after the other."""
+    last, since = picture(looks, "cloud"), time.monotonic()
     while time.monotonic() - since < 1.0:
-        shown = looks.driver.execute_script("return document.getElementById('shown').textContent")
-        if shown != count:
-            count, since = shown, time.monotonic()
+        seen = picture(looks, "cloud")
+        if not np.array_equal(seen, last):
+            last, since = seen, time.monotonic()
 
 
 def listed(looks):
@@ -308,13 +308,8 @@ def test_the_room_by_the_keyboard_and_over_a_reload(opened):
         seen = np.nonzero(picture(opened, "cloud")[..., 1] > 40)[1]
         return seen.mean() if len(seen) else np.inf
 
-    def rests():
-        """Where the middle stays: after the reload the points come again, one piece after the other."""
-        first = middle()
-        time.sleep(0.5)
-        return first if first == middle() < np.inf else None
-
-    before = opened.until(rests)
+    settle(opened)
+    before = middle()
     opened.at("cloud").send_keys("\ue008" + 2 * "\ue014")
     opened.until(lambda: middle() < before - 80)
 
