@@ -39,7 +39,7 @@ CODE_OF: Mapping[str, tuple[str, ...]] = {
     "merged plan": _PLAN,
 }
 """Rooms, folders or files, whose code decides a product, beside the one that makes them all: a change elsewhere, of the
-viewer say, leaves it as good as it was. What decides an input already, as stripes a cloud, is not named again."""
+viewer say, leaves it as good as it was. Rooms that decide an input already are not named again."""
 _AT_A_TIME = 16
 """Sources that are asked for at a time: mostly they wait for disks and networks."""
 MOST_JOURNAL = 1 << 30

@@ -40,7 +40,7 @@ class Measured(NamedTuple):
 
     kind: Kind
     what: str
-    """What the value is: "distance", "RMS", "length", "width" or "height"; "" where there is none."""
+    """Name of the value: "distance", "RMS", "length", "width" or "height"; "" where there is none."""
     cloud: str
     at: np.ndarray
     """The picked places, or the ends of a length of the room [k, 3], m, in the cloud's frame."""

@@ -28,7 +28,7 @@ def listed(folder: Place, most: int) -> list[dict[str, Any]]:
 
 
 def _alone(folder: Place) -> list[dict[str, Any]]:
-    """What is where no folder with entries is: a file, an empty bucket, or an error."""
+    """The entry of a place that is no folder with entries: that of a file, none of an empty bucket."""
     entry = info_of(folder)
     return [entry] if entry["type"] == "file" else []
 

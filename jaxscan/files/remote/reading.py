@@ -1,8 +1,8 @@
 """Reads blocks of files: by fsspec's driver, and those of S3 by a client that needs less than half its time.
 
 A sweep has hundreds of small images. The client of S3 is used where server, region and keys are all that the driver
-was told, and it gets those of the driver; after its first failure the driver reads all that follows. What the driver
-reads, and what it says of an error, counts: the client makes it faster, and changes nothing else.
+was told, and it gets those of the driver; after its first failure the driver reads all that follows. The driver's
+answers and errors are those that count: the client makes it faster, and changes nothing else.
 """
 
 import datetime

@@ -28,7 +28,7 @@ OURS: Mapping[str, Any] = {
 }
 """For clusters that are started for a batch."""
 PINNING = "jaxscan.fleet.clusters.pinning"
-"""What a worker loads before its work: it takes its share of the cores."""
+"""The module that a worker loads before its work: it takes its share of the cores."""
 LOOPBACK_PAGE = "127.0.0.1:0"
 """Where the pages of schedulers and workers are: they know no password, so only their own machine may see them."""
 

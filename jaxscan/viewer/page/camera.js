@@ -10,7 +10,7 @@ export class Camera {
     this.beside = 0; this.below = 0; this.aspect = 1;
   }
 
-  // What the panel leaves free of the picture.
+  // Takes the part of the picture that the panel leaves free.
   fit(width, height, right, below) { this.beside = right; this.below = below; this.aspect = ((1 - right) * width) / ((1 - below) * height); }
 
   // Looks at a box from outside, or from above, so that balls in it, [centre, radius], fill what is free.

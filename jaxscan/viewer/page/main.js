@@ -8,7 +8,7 @@ import { at, make, say, sayWaiting, showProducts, showScale, showState, titles }
 
 const canvas = at("cloud"), camera = new Camera(), CLICK_PX = 8, FAR_M = 1000, GAP = 1.1, AWAY = "No connection to jaxscan view";
 let state = { kind: "point", message: "", measured: [], first: null }, socket = null, again = 0, box = null, scene = null;
-// What the colours show, and the flatness that they are about.
+// The quantity that the colours show, and the flatness that they are about.
 let by = "photograph", plane = "";
 const several = () => drawing.clouds.length > 1, moved = (xyz, shift) => xyz.map((x, k) => x + shift[k]);
 const placed = (one) => { const cloud = drawing.clouds[one.cloud]; return cloud?.visible ? moved(one.xyz, cloud.shift) : null; };
@@ -99,7 +99,7 @@ async function colour() {
 // A panorama shows no other colours than the photograph's.
 function photographs() { drawing.photographs = at("photographs").checked && by === "photograph"; drawing.moved(); }
 
-// What the panel leaves free of the picture: beside it at a desk, above it on a telephone.
+// The part of the picture that the panel leaves free: beside it at a desk, above it on a telephone.
 function fit() {
   const panel = at("panel").getBoundingClientRect(), width = canvas.clientWidth, height = canvas.clientHeight, below = panel.width > 0.9 * width;
   if (!panel.width) return;
@@ -113,7 +113,7 @@ function bounds() {
   const low = [0, 1, 2].map((k) => Math.min(...looked().map((cloud) => cloud.low[k] + cloud.shift[k])));
   return [low, [0, 1, 2].map((k) => Math.max(...looked().map((cloud) => cloud.high[k] + cloud.shift[k])))];
 }
-// What of a cloud is to be seen from outside: its tiles, as far as they are not strays.
+// The parts of a cloud to be seen from outside: its tiles, as far as they are not strays.
 const balls = ({ chunks, low, high, shift }) => chunks.filter((chunk) => chunk[GAP_M] > 1e8).map((chunk) =>
   [[0, 1, 2].map((k) => Math.min(high[k], Math.max(low[k], chunk[X + k])) + shift[k]), chunk[RADIUS]]);
 const top = ({ low, high, shift }) => [0, 1, 2, 3].map((bits) => moved([[low, high][bits & 1][0], [low, high][bits >> 1][1], high[2]], shift));
