@@ -12,6 +12,8 @@ from jaxscan.web.address import Address
 
 _END_S = 1.0
 """So long connections may take to end."""
+_TURNS = 10
+"""Of the loop, until the runner knows a connection that was accepted; three would do."""
 
 
 class Server:
@@ -62,4 +64,15 @@ class Server:
             self._begun.set()
             await self._end.wait()
         finally:
+            # A connection that is accepted in the turn of the loop in which asyncio's server closes is never closed
+            # (CPython 3.11). So none is accepted any more, and the runner hears of the last ones, some turns later.
+            self._loop.remove_reader(self._address.socket)
+            for _ in range(_TURNS):
+                await asyncio.sleep(0)
+            transports = [connection.transport for connection in runner.server.connections] if runner.server else []
             await runner.cleanup()
+            # Where the other end reads nothing, a transport waits for what is still to be sent.
+            for transport in transports:
+                if transport is not None:
+                    transport.abort()
+            await asyncio.sleep(0)
