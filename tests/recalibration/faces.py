@@ -88,11 +88,11 @@ STATED = {
 """Standard deviations of a poor calibration [px, rad, m]."""
 
 
-def poor(seed: int) -> tuple[Scanner, Scanner]:
-    """A stored rig with a poor calibration that states its covariance, and a true rig drawn from it."""
+def poor(seed: int, better: float = 1.0) -> tuple[Scanner, Scanner]:
+    """A stored rig with a poor calibration, or one as many times better, that states its covariance; and a true rig."""
     stored = rig()
     names = stored.parameter_names()
-    sigma = np.array([STATED.get(name, STATED.get(name.rsplit(".", 1)[-1], 0.0)) for name in names])
+    sigma = np.array([STATED.get(name, STATED.get(name.rsplit(".", 1)[-1], 0.0)) for name in names]) / better
     step = sigma * np.random.default_rng(seed).normal(size=len(sigma))
     true = jax.tree.map(np.asarray, stored.retract(step))
     return rig(np.diag(sigma**2)), true

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CalibrationError
-from jaxscan.recalibration import RecalibrationSettings, Start
+from jaxscan.recalibration import RecalibrationSettings, RoomObservations, Start
 from jaxscan.recalibration.adjust import adjust, departure, joint, triangulate_points
 from jaxscan.recalibration.adjust.prepare import prepare
+from jaxscan.recalibration.segment import observe_surfaces
 from jaxscan.recalibration.table import say_lost_steps
+from tests.recalibration import faces
+from tests.recalibration.boxes import pose
+from tests.recalibration.faces import X, Y
 from tests.recalibration.linear_room import with_held
 from tests.recalibration.small_room import SIGMA, exact_sweep, observe, stored, truth_scanner, with_covariance
 
@@ -162,3 +166,27 @@ def test_stated_and_observed_errors_agree():
     assert 0.85 < np.sqrt(np.mean(np.square(sizes))) < 1.15
     # The mean of 60 chi-squares of 21 has a standard deviation of 0.84.
     assert 21 - 3 * 0.84 < np.mean(chi2) < 21 + 3 * 0.84
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_station_that_slides_along_its_walls_settles(seed):
+    """Two walls lean by 0.2 degrees, which is all that tells heights apart; patches of all walls are off together."""
+    lean = 0.003
+    walls = [faces.Face((1, 0, lean), -2.0), faces.Face(X, 2.2), faces.Face(Y, -2.1), faces.Face((0, 1, -lean), 2.4)]
+    prior, truth = faces.poor(seed, better=20.0)
+    second = pose((0.4, -0.3, 0.1), np.rad2deg(0.7))
+    poses = np.stack([np.eye(4), second])
+    sweeps = [
+        faces.take(walls, truth, steps=90, seed=2 * seed + k, pose=place, station=k).sweep
+        for k, place in enumerate(poses)
+    ]
+    points, surfaces = observe_surfaces(sweeps, truth, poses)
+    patch = np.random.default_rng(seed).normal(scale=0.1, size=(2, 16, 9))
+    q = points.q + np.outer(patch[points.sweep, points.record // 6, points.line // 64], [1.0, 0.0])
+    observations = RoomObservations(
+        points._replace(q=q), surfaces, tuple(sweep.angle for sweep in sweeps), np.arange(2), "rows"
+    )
+    adjusted = adjust(prior, Start(prior, poses), observations, RecalibrationSettings(stations=True))
+    assert adjusted.converged
+    away = (adjusted.stations[1] - second)[:3, 3]
+    assert np.all(np.abs(away) < 4 * np.sqrt(np.diag(adjusted.station_covariance[1])[:3]))

@@ -14,7 +14,7 @@ from jaxscan.recalibration.adjust.conclude import conclude
 from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise, cauchy_weights, learn_noise, shared_by_profiles
 from jaxscan.recalibration.adjust.prepare import Prepared, prepare
 from jaxscan.recalibration.adjust.room import Unknowns
-from jaxscan.recalibration.adjust.solver import linearise, on_host, solve, step_of
+from jaxscan.recalibration.adjust.solver import Covariance, linearise, on_host, solve, step_of
 from jaxscan.recalibration.adjust.state import State
 from jaxscan.recalibration.adjust.wall_shape import beside_shape, learn_heights
 from jaxscan.recalibration.adjusted import Adjusted, Start
@@ -29,11 +29,14 @@ _FIRST_DAMPING, _NEAR_DAMPING = 1e-4, 1e-10
 _ROUGH, _FINE = 1e-3, 1e-6
 _ROBUST_ROUNDS, _REJECTION_ROUNDS = 6, 8
 _REJECT_ANY, _REJECT_ALL = 5.0, 4.0
+# Share by which the noise may still change in the last round, and a station of its standard deviation in the last step.
 _SETTLED = 0.01
-# The problem is nearly linear beside the minimum of plain least squares.
-_SHAPE_STEPS = 8
-# Share by which the sum of squares may rise in such a step: patches follow the points.
-_RISE = 1e-3
+# The problem is nearly linear beside the minimum of plain least squares; less so where a station can slide along walls.
+_SHAPE_STEPS = 16
+# Parts of such a step that are tried.
+_PARTS = 0.5 ** np.arange(5)
+# Share by which the sum of squares may rise in such a step, by rounding.
+_RISE = 1e-9
 
 
 def adjust(
@@ -139,23 +142,41 @@ def _shaped(state: State, settings: RecalibrationSettings) -> State:
     grid = np.stack([points.sweep, points.surface, points.record, points.line], 1)[kept]
     shared = np.sqrt(shared_by_profiles(beside_shape(state.whitened(), state.walls, heights)[kept], grid))
     noise = Noise(float(shared * state.noise.stripe), float(shared * wall))
-    state = _with_boards(replace(state, noise=noise, heights=heights))
+    # Patches that follow the points would make every step another problem, where a station can slide along its walls.
+    state = _with_boards(replace(state, noise=noise, heights=heights, patched=state.walls))
     room = state.weighted(1.0, 1.0)
     state = _moved(state, state.prepared._replace(room=room), state.y)
     for _ in range(_SHAPE_STEPS):
         step = on_host(step_of(room, state.shaped[0], state.covariance))
-        y = jax.tree.map(lambda old, new: np.asarray(old - new), state.y, step)
-        if not all(np.isfinite(part).all() for part in y):
+        near = np.sqrt(np.mean(step.scanner**2)) < _ROUGH and _settled(step, state.covariance)
+        after = _stepped(state, step)
+        if near:
+            return after or state
+        if after is None:
+            break
+        state = after
+    # A step that was not taken, or not the last one: the caller must know that this is no minimum.
+    return replace(state, converged=False)
+
+
+def _stepped(state: State, step: Unknowns) -> State | None:
+    """The state after the largest part of a step that does not raise the sum of squares; None where there is none."""
+    for part in _PARTS:
+        y = jax.tree.map(lambda old, new, part=part: np.asarray(old - part * new), state.y, step)
+        if not all(np.isfinite(numbers).all() for numbers in y):
             break
         after = replace(_moved(state, state.prepared, y), steps=state.steps + 1)
         # Written so that a sum which is no number is no improvement either.
-        if not after.cost <= (1.0 + _RISE) * state.cost:
-            break
-        state = after
-        if np.sqrt(np.mean(step.scanner**2)) < _ROUGH:
-            return state
-    # A step that was not taken, or not the last one: the caller must know that this is no minimum.
-    return replace(state, converged=False)
+        if after.cost <= (1.0 + _RISE) * state.cost:
+            return after
+    return None
+
+
+def _settled(step: Unknowns, covariance: Covariance) -> bool:
+    """Whether the stations moved by a small part of what is known of them."""
+    first = len(step.scanner)
+    sigma = np.sqrt(np.diag(covariance.dense)[first : first + len(step.stations)])
+    return bool(np.all(np.abs(step.stations) < _SETTLED * sigma))
 
 
 def _with_boards(state: State) -> State:

@@ -1,5 +1,6 @@
 """An adjustment between its rounds, and at its end."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -35,6 +36,8 @@ class State:
     """Over the given sigmas [1]."""
     heights: Float[np.ndarray, " sizes"] = field(default_factory=lambda: np.zeros(4))
     """Standard deviation of the heights of patches of each size [m]."""
+    patched: Sequence[Wall] = ()
+    """Walls whose patches are kept; without any, patches follow the places of the points."""
     stated_wall_m: float = FIRST_WALL_M
     """Roughness of walls before any was learned [m]."""
     boards: BoardEquations | None = None
@@ -97,8 +100,8 @@ class State:
 
     @cached_property
     def walls(self) -> list[Wall]:
-        """The patches of all walls."""
-        return find_walls(self.prepared.room, self.linearised, self.kept)
+        """All walls and their patches."""
+        return find_walls(self.prepared.room, self.linearised, self.kept, self.patched)
 
     @cached_property
     def shaped(self) -> tuple[Blocks, float]:

@@ -5,6 +5,7 @@ random field: sums of patches of a few sizes, each as high or low as its size's 
 learned from the residuals. With it the least squares is a generalised one, and its covariance is honest.
 """
 
+from collections.abc import Sequence
 from itertools import combinations
 from typing import NamedTuple
 
@@ -30,8 +31,8 @@ _KINDS = np.column_stack([_SIZES == _SIZES[0], (_SIZES / _SIZES[-1]) ** 2])
 _BELIEVED = 1.5
 
 
-class Wall(NamedTuple):
-    """The kept points of one surface, and sums over its patches; leads with the points or the patches."""
+class Patches(NamedTuple):
+    """The kept points of one surface and the patches that they lie on; leads with the points or the patches."""
 
     surface: int
     member: Int[np.ndarray, " points"]
@@ -41,6 +42,12 @@ class Wall(NamedTuple):
     """Whitened residual by the height of any of them [1 / m]."""
     size: Int[np.ndarray, " patches"]
     """Number of its size."""
+
+
+class Wall(NamedTuple):
+    """Sums over the patches of one surface at a step."""
+
+    on: Patches
     dense: Float[np.ndarray, "patches dense"]
     """Inner products with the derivatives by the dense unknowns."""
     local: Float[np.ndarray, "patches 3"]
@@ -49,24 +56,30 @@ class Wall(NamedTuple):
     """Inner products with the residuals."""
 
 
-def find_walls(room: Room, at: Linearised, kept: Bool[np.ndarray, " points"]) -> list[Wall]:
-    """The patches of all planes."""
-    surface, place = np.asarray(room.points.local), at.points.place
+def find_walls(
+    room: Room, at: Linearised, kept: Bool[np.ndarray, " points"], before: Sequence[Wall] = ()
+) -> list[Wall]:
+    """The walls of all planes; with the patches of walls before, if there are any, wherever their points are now."""
+    return [_wall(room, at, on) for on in [wall.on for wall in before] or _find_patches(room, at, kept)]
+
+
+def _find_patches(room: Room, at: Linearised, kept: Bool[np.ndarray, " points"]) -> list[Patches]:
+    surface, place = np.asarray(room.points.local), np.asarray(at.points.place)
     planes = [s for s in np.unique(surface[: len(kept)][kept]) if not room.places.sphere[s]]
     members = [np.flatnonzero(kept & (surface[: len(kept)] == s)) for s in planes]
     extent = [np.prod(np.ptp(place[index], axis=0) + _SIZES[0]) for index in members]
     grown = max(1.0, float(np.sqrt(max(extent, default=0.0) / (_MOST * _SIZES[0] ** 2))))
-    return [_wall(room, at, (int(s), index, grown)) for s, index in zip(planes, members, strict=True)]
+    by_height = np.asarray(room.point_weight) / _some(np.asarray(at.points.reach))
+    found = []
+    for s, index in zip(planes, members, strict=True):
+        patch, size = _patches(place[index], grown)
+        found.append(Patches(int(s), index, patch, by_height[index], size))
+    return found
 
 
-def _wall(room: Room, at: Linearised, of: tuple[int, np.ndarray, float]) -> Wall:
-    surface, index, grown = of
-    weight = np.asarray(room.point_weight)[index]
-    rows = at.points.rows
-    by_height = weight / _some(np.asarray(at.points.reach)[index])
-    place = np.asarray(at.points.place)[index]
-    patches, sizes = _patches(place, grown)
-    count = len(sizes)
+def _wall(room: Room, at: Linearised, on: Patches) -> Wall:
+    index, by_height, patches = on.member, on.by_height, on.patch
+    weight, rows, count = np.asarray(room.point_weight)[index], at.points.rows, len(on.size)
 
     def sums(values: np.ndarray) -> np.ndarray:
         """Sums of numbers of points over every patch; a point lies on one patch of each size."""
@@ -85,21 +98,21 @@ def _wall(room: Room, at: Linearised, of: tuple[int, np.ndarray, float]) -> Wall
         dense[:, columns] = columns_of((weighted * (station == number))[:, None] * rows.station[index])
     if angles:
         dense[:, begin : begin + angles] = _by_both(
-            patches, [np.asarray(room.points.angle)[index]], weighted * rows.angle[index], (count, angles)
+            patches, np.asarray(room.points.angle)[None, index], weighted * rows.angle[index], (count, angles)
         )
     local = columns_of(weighted[:, None] * rows.local[index])
-    ends = np.flatnonzero(np.asarray(room.lengths.ends).ravel() == surface)
+    ends = np.flatnonzero(np.asarray(room.lengths.ends).ravel() == on.surface)
     if len(ends):
         first = begin + angles + 3 * ends[0]
         dense[:, first : first + 3], local = local, np.zeros_like(local)
     residual = sums(weighted * rows.value[index])
     gram = _by_both(patches, patches, by_height**2, (count, count))
-    return Wall(surface, index, np.stack(patches), by_height, sizes, dense, local, gram, residual)
+    return Wall(on, dense, local, gram, residual)
 
 
 def _patches(
     place: Float[np.ndarray, "points 2"], grown: float
-) -> tuple[list[Int[np.ndarray, " points"]], Int[np.ndarray, " patches"]]:
+) -> tuple[Int[np.ndarray, "sizes points"], Int[np.ndarray, " patches"]]:
     """The patch of every point, for each size, numbered through; and the number of the size of every patch."""
     patches, sizes = [], np.zeros(0, int)
     for number, size in enumerate(_SIZES * grown):
@@ -107,11 +120,11 @@ def _patches(
         names, patch = np.unique(cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1], return_inverse=True)
         patches.append(patch.ravel() + len(sizes))
         sizes = np.append(sizes, np.full(len(names), number))
-    return patches, sizes
+    return np.stack(patches), sizes
 
 
 def _by_both(
-    first: list[np.ndarray], second: list[np.ndarray], values: Float[np.ndarray, " points"], shape: tuple[int, int]
+    first: np.ndarray, second: np.ndarray, values: Float[np.ndarray, " points"], shape: tuple[int, int]
 ) -> Float[np.ndarray, "first second"]:
     """Sums of numbers of points by two numberings of the points."""
     total = np.zeros(shape[0] * shape[1])
@@ -131,18 +144,18 @@ def learn_heights(walls: list[Wall], covariance: Covariance) -> Float[np.ndarray
     found, noise, spread = np.zeros(count), np.zeros(count), np.zeros(count)
     added = np.zeros((count, count))
     for wall in walls:
-        away = wall.dense - wall.local @ covariance.coupling[wall.surface]
+        away = wall.dense - wall.local @ covariance.coupling[wall.on.surface]
         left = wall.gram - away @ covariance.dense @ away.T
-        left = left - wall.local @ covariance.local[wall.surface] @ wall.local.T
+        left = left - wall.local @ covariance.local[wall.on.surface] @ wall.local.T
         size = np.diag(wall.gram)
         for number in range(count):
-            mine = wall.size == number
+            mine = wall.on.size == number
             found[number] += np.sum(wall.residual[mine] ** 2 / size[mine])
             noise[number] += np.sum(np.diag(left)[mine] / size[mine])
             block = left[np.ix_(mine, mine)]
             spread[number] += 2.0 * np.sum(block**2 / np.outer(size[mine], size[mine]))
             for other in range(count):
-                block = left[np.ix_(mine, wall.size == other)]
+                block = left[np.ix_(mine, wall.on.size == other)]
                 added[number, other] += np.sum(block**2 / size[mine, None])
     # Where the fit takes up nearly all that a size adds, its sums say nothing.
     weight = np.where(spread >= 2.0 * _FEWEST, 1.0 / np.sqrt(np.maximum(spread, 1.0)), 0.0)
@@ -181,18 +194,18 @@ def with_shape(blocks: Blocks, walls: list[Wall], height: Float[np.ndarray, " si
     dense, gradient, less = blocks.dense.copy(), blocks.dense_gradient.copy(), 0.0
     cross, local, by_local = blocks.cross.copy(), blocks.local.copy(), blocks.local_gradient.copy()
     for wall in walls:
-        free = height[wall.size] > 0
+        free = height[wall.on.size] > 0
         if not free.any():
             continue
-        size = height[wall.size[free]]
+        size = height[wall.on.size[free]]
         gram = wall.gram[np.ix_(free, free)] * np.outer(size, size) + np.eye(len(size))
         half = np.linalg.solve(np.linalg.cholesky(gram), np.diag(size))
         few, own, residual = half @ wall.dense[free], half @ wall.local[free], half @ wall.residual[free]
         dense -= few.T @ few
         gradient -= few.T @ residual
-        cross[wall.surface] -= few.T @ own
-        local[wall.surface] -= own.T @ own
-        by_local[wall.surface] -= own.T @ residual
+        cross[wall.on.surface] -= few.T @ own
+        local[wall.on.surface] -= own.T @ own
+        by_local[wall.on.surface] -= own.T @ residual
         less += float(residual @ residual)
     return Blocks(dense, cross, local, gradient, by_local), less
 
@@ -203,10 +216,10 @@ def beside_shape(
     """Whitened errors less the likeliest shapes of the walls."""
     left = whitened.copy()
     for wall in walls:
-        size = height[wall.size]
+        size = height[wall.on.size]
         gram = wall.gram * np.outer(size, size) + np.eye(len(size))
         likeliest = size * np.linalg.solve(gram, size * wall.residual)
-        left[wall.member] -= wall.by_height * likeliest[wall.patch].sum(0)
+        left[wall.on.member] -= wall.on.by_height * likeliest[wall.on.patch].sum(0)
     return left
 
 
