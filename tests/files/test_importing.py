@@ -84,6 +84,18 @@ def test_groups_of_names():
     ]
 
 
+def test_groups_of_which_one_has_the_name_of_another_and_more():
+    """`step*.jpg` would name the files of both."""
+    names = ["step1.jpg", "step2.jpg", "step_table1.jpg"]
+    found = group(names)
+    assert [one.pattern for one in found] == ["step[0-9]*.jpg", "step_table*.jpg"]
+    assert [(one.name, one.key) for one in match(found[0].pattern, names, "--on")] == [
+        ("step1.jpg", (1,)),
+        ("step2.jpg", (2,)),
+    ]
+    assert [one.key for one in match("step[0-9]*.jpg", ["step9.jpg", "step12.jpg"], "--on")] == [(9,), (12,)]
+
+
 def image(path):
     path.parent.mkdir(parents=True, exist_ok=True)
     assert cv2.imwrite(str(path), np.full((8, 9), 100, np.uint8))
@@ -137,6 +149,18 @@ def test_images_that_do_not_fit(tmp_path, capsys, damage, said):
     assert said in message and "laser_2.png" in message
     # Nothing half written is left.
     assert sorted(os.listdir(tmp_path)) == ["in"]
+
+
+def test_a_pattern_that_names_two_scans_is_said(tmp_path, capsys):
+    for k in range(3):
+        image(tmp_path / f"step{k}.png")
+        image(tmp_path / f"step_table{k}.png")
+    assert main(["import", str(tmp_path), "--show", "--on", "step*", "--step-deg", "1"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "'step*' names 2 kinds of files, one after the other" in said and "is this one scan?" in said
+    assert "--on 'step[0-9]*.png' --off 'step_table*.png'" in refusal(capsys, "import", tmp_path, "--show")
+    assert main(["import", str(tmp_path), "--show", "--on", "step[0-9]*", "--step-deg", "1"]) == 0
+    assert "kinds of files" not in capsys.readouterr().out
 
 
 def test_what_is_refused(tmp_path, capsys):

@@ -86,8 +86,8 @@ def match(pattern: str, names: Sequence[str], option: str) -> list[Matched]:
     if plain.startswith("/") or re.match(r"[A-Za-z]:", plain) or ".." in plain.split("/"):
         raise OptionError(f"{option}: found {pattern[:60]!r}, expected a pattern of names inside the folder.")
     shape = _Pattern(plain)
-    parts = [(name, shape.open_parts(name)) for name in names]
-    found = [Matched(name, numbers_and_words(" ".join(texts))) for name, texts in parts if texts is not None]
+    parts = [(name, shape.open_part(name)) for name in names]
+    found = [Matched(name, numbers_and_words(text)) for name, text in parts if text is not None]
     if not found:
         raise OptionError(
             f"{option}: no image or video in the folder has a name like '{plain[:60]}'; without patterns, `jaxscan "
@@ -103,13 +103,21 @@ class _Pattern:
         self._pieces = [_piece(text) for text in re.split(r"\*+", pattern)]
         self._whole = "*" not in pattern
 
-    def open_parts(self, name: str) -> list[str] | None:
-        """The parts of a name that the pattern leaves open; None where it does not fit."""
+    def open_part(self, name: str) -> str | None:
+        """A name with blanks for what the pattern says; None where it does not fit."""
+        spans = self._spans(name)
+        if spans is None:
+            return None
+        is_open = {at for start, end in spans for at in range(start, end)}
+        return "".join(letter if at in is_open else " " for at, letter in enumerate(name))
+
+    def _spans(self, name: str) -> list[tuple[int, int]] | None:
+        """Where a name is open, by its first and last letters."""
         (first, _), *middle = self._pieces
         hit = first.match(name)
         if hit is None:
             return None
-        found, at = [*hit.groups()], hit.end()
+        found, at = [*hit.regs[1:]], hit.end()
         if self._whole:
             return found if at == len(name) else None
         last, length = middle.pop()
@@ -117,10 +125,10 @@ class _Pattern:
             hit = expression.search(name, at)
             if hit is None:
                 return None
-            found += [name[at : hit.start()], *hit.groups()]
+            found += [(at, hit.start()), *hit.regs[1:]]
             at = hit.end()
         end = last.fullmatch(name, len(name) - length) if len(name) - length >= at else None
-        return None if end is None else [*found, name[at : end.start()], *end.groups()]
+        return None if end is None else [*found, (at, end.start()), *end.regs[1:]]
 
 
 def _piece(text: str) -> tuple[re.Pattern[str], int]:

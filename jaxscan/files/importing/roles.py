@@ -79,9 +79,25 @@ def _by_patterns(names: Sequence[str], request: ImportRequest) -> Roles:
     off = tuple(tuple(match(pattern, names, "--off")) for pattern in request.off)
     boards = [file for pattern in request.boards for file in match(pattern, names, "--boards")]
     _refuse_doubles([("--on", on), ("--off", off), ("--boards", [boards] if boards else [])])
+    said = [
+        sentence
+        for patterns, lists in ((request.on, on), (request.off, off))
+        for pattern, files in zip(patterns, lists, strict=True)
+        for sentence in _several_kinds(pattern, files)
+    ]
     several = len(on) > 1 and not request.exposures_ms
     groups = tuple((f"laser {k + 1}" if several else "", files) for k, files in enumerate(on))
-    return Roles(_renamed(groups, request), off, tuple(boards), None, ())
+    return Roles(_renamed(groups, request), off, tuple(boards), None, tuple(said))
+
+
+def _several_kinds(pattern: str, files: Sequence[Matched]) -> list[str]:
+    """A sentence where a pattern names more than a row of numbered files: perhaps the images of another scan too."""
+    kinds = group([file.name for file in files])
+    if len(kinds) == 1:
+        return []
+    listed = ", ".join(f"'{one.pattern}' ({one.files})" for one in kinds[:_GROUPS])
+    more = f" and {len(kinds) - _GROUPS} more" if len(kinds) > _GROUPS else ""
+    return [f"'{pattern}' names {len(kinds)} kinds of files, one after the other: {listed}{more}; is this one scan?"]
 
 
 def _refuse_doubles(groups: Sequence[tuple[str, Sequence[Sequence[Matched]]]]) -> None:

@@ -1,5 +1,6 @@
 """Recognition of images by the words in their names."""
 
+import fnmatch
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -9,6 +10,8 @@ from jaxscan.files.importing.listing import VIDEOS, Matched, numbers_and_words
 
 
 Role = Literal["on", "off", "texture", "board"]
+_MOST_COMPARED = 100
+"""Groups of names that are compared with one another."""
 ROLES: tuple[Role, ...] = ("on", "off", "texture", "board")
 
 # English, German, French, Spanish and Italian. A name with a word of a later row has its role, whatever else it says.
@@ -91,8 +94,14 @@ class Group(NamedTuple):
 
 
 def group(names: Sequence[str]) -> list[Group]:
-    """Groups of files, the largest first; `names` in natural order."""
+    """Groups of files, the largest first; `names` in natural order.
+
+    A pattern that would name files of another group too asks for a digit: `step[0-9]*.jpg` beside `step_table*.jpg`.
+    """
     patterns = [re.sub(r"[0-9]+", "*", name) for name in names]
+    kinds = set(patterns) if len(set(patterns)) <= _MOST_COMPARED else set()
+    wide = {one for one in kinds if any(other != one and fnmatch.fnmatchcase(other, one) for other in kinds)}
+    patterns = [one.replace("*", "[0-9]*") if one in wide else one for one in patterns]
     counts = Counter(patterns)
     first: dict[str, str] = {}
     last: dict[str, str] = {}
