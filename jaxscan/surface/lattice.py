@@ -40,9 +40,10 @@ def make_lattice(cloud: PointCloud) -> Lattice:
     """
     valid = np.asarray(cloud.valid)
     if min(valid.shape) < 2 or len(np.unique(np.asarray(cloud.angle))) < 2:
+        alike = ", all at one angle" if len(valid) > 1 else ""
         raise CloudError(
-            f"the cloud has no grid of profiles and lines (found {valid.shape[0]} x {valid.shape[1]}); take one that "
-            "`jaxscan reconstruct` wrote, or --poisson."
+            f"the cloud has no grid of profiles and lines (found {valid.shape[0]} x {valid.shape[1]}{alike}); take one "
+            "that `jaxscan reconstruct` wrote of a rig that moves, or --poisson."
         )
     laser, angle = np.asarray(cloud.laser), np.asarray(cloud.angle, np.float64)
     station = np.zeros_like(laser) if cloud.stations is None else np.asarray(cloud.stations.number)

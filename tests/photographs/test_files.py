@@ -228,6 +228,10 @@ def test_a_capture_without_laser_off_images_keeps_the_colours_of_stripes(tmp_pat
     assert not api.has_photographs(write_capture(tmp_path / "without", world, off=False))
     capture = write_capture(tmp_path / "good", world)
     assert api.has_photographs(capture)
+    # A scanner that stands still sees one profile, whose points have no neighbours on a surface.
+    assert not api.has_photographs(
+        dataclasses.replace(capture, records=tuple(dataclasses.replace(one, angle=0.0) for one in capture.records))
+    )
     with pytest.raises(CaptureError, match="no laser-off images"):
         api.colour_cloud(world.cloud, api.open_capture(tmp_path / "without"), world.scanner)
     coloured = api.colour_cloud(world.cloud, capture, world.scanner)

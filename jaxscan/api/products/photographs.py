@@ -68,8 +68,10 @@ class CapturedPhotographs:
 
 
 def has_photographs(capture: Capture) -> bool:
-    """Whether a capture has laser-off images in usable number."""
-    return len(capture) >= ENOUGH and all(record.off for record in capture.records)
+    """Whether a capture has laser-off images in usable number, and from several places: those of a scanner that stands
+    still show what it sees behind its one profile, and no surface."""
+    several = len(capture) >= ENOUGH and len(np.unique(capture.angles)) > 1
+    return several and all(record.off for record in capture.records)
 
 
 def chosen_photographs(capture: Capture, scanner: Scanner) -> tuple[int, ...]:
@@ -81,7 +83,7 @@ def chosen_photographs(capture: Capture, scanner: Scanner) -> tuple[int, ...]:
 def photograph_notes(capture: Capture, scanner: Scanner) -> list[str]:
     """What a user should know about the choice of photographs; nothing where all are looked at."""
     chosen = len(chosen_photographs(capture, scanner))
-    if chosen == len(capture):
+    if chosen == len(capture) or not all(record.off for record in capture.records):
         return []
     return [f"{chosen} of {len(capture)} laser-off images are looked at, evenly spread over the sweep; they overlap."]
 
