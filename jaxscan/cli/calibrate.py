@@ -10,7 +10,7 @@ from jaxscan import api
 from jaxscan.calibration import CalibrationSettings, KnownParts, Part
 from jaxscan.calibration.parameters import Block
 from jaxscan.calibration.settings import RigKind
-from jaxscan.cli.known import known_files, known_parts
+from jaxscan.cli.known import known_files, known_parts, motion_notes
 from jaxscan.cli.options import OutputPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
@@ -92,6 +92,8 @@ def calibrate(
         for note in capture.notes:
             out.print(f"note: {capture.path}: {note}")
     known = known_parts(opened[0], camera, sheet, axis, refine, lens) if opened else KnownParts()
+    for note in motion_notes(opened[0], axis) if opened else []:
+        out.print(f"note: {note}")
     plan = api.plan_calibration(opened, settings=settings, known=known)
     out.print(f"solving for {plan.words()}{_held(known)}")
     for sentence in plan.missing:

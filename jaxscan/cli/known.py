@@ -52,6 +52,16 @@ def known_files(sheet: Sequence[str], axis: Sequence[str]) -> list[tuple[str, Pa
     return [(option, Path(words[0])) for option, words in both if _is_file(words)]
 
 
+def motion_notes(capture: Capture, axis: Sequence[str]) -> list[str]:
+    """What an axis is taken for where the capture does not say what moves."""
+    if not axis or _is_file(axis) or capture.carries is not None:
+        return []
+    return [
+        f"{capture.path}: does not say what the table carries, so --axis is that of a table that carries the scanner; "
+        'otherwise write into its capture.toml: [turntable] carries = "object".'
+    ]
+
+
 def _is_file(words: Sequence[str]) -> bool:
     return len(words) == 1 and words[0].lower().endswith(".json")
 

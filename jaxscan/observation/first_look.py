@@ -22,6 +22,8 @@ from jaxscan.stripes import LaserLine
 _LOOKED_AT = 6
 # Records that show the same other board suffice.
 _AGREE = 2
+# Boards with the line in the laser-off image, and how many times the points of the laser-on images, are clear.
+_EXCHANGED, _TIMES = 3, 3
 
 Progress = Callable[[int, int], None]
 FindCorners = Callable[[np.ndarray, AbstractBoard], FoundCorners | None]
@@ -86,7 +88,7 @@ def look_at_boards(
 
     Raises:
         CaptureError: If the colour of a laser cannot be learned, or a frame cannot be read.
-        CalibrationError: If the board is found in no record.
+        CalibrationError: If the board is found in no record, or if laser on and laser off are exchanged.
     """
     lines = tuple(learn_colours(capture) for capture in captures) if with_stripes else None
 
@@ -100,7 +102,52 @@ def look_at_boards(
     seen = go_through(captures, look, Look(board, [], lines), progress=progress)
     if all(view.corners is None for view in seen.records):
         raise CalibrationError(_not_found(captures, seen, eyes))
+    if lines is not None:
+        _refuse_exchanged(captures, seen, lines, eyes.to_grey)
     return seen
+
+
+def _refuse_exchanged(
+    captures: Sequence[BoardSource], seen: Look, lines: Sequence[tuple[LaserLine, ...]], to_grey: ToGrey
+) -> None:
+    """Refuse captures whose laser-off images show the laser.
+
+    It is looked for there only where most boards with both images have no line.
+
+    Args:
+        captures: The captures.
+        seen: All their records, with corners and stripes.
+        lines: The lasers of each capture, their colours learned.
+        to_grey: Makes a frame grey.
+
+    Raises:
+        CalibrationError: With the first capture in which laser on and laser off are exchanged.
+    """
+    for number, capture in enumerate(captures):
+        pairs = [
+            (index, view)
+            for index, view in enumerate(one for one in seen.records if one.capture == number)
+            if view.corners is not None and view.record.on and view.record.off
+        ]
+        dark = [(index, view) for index, view in pairs if not view.stripes]
+        if 2 * len(dark) <= len(pairs):
+            continue
+        views = []
+        for index, view in dark[:BATCH_RECORDS]:
+            read = SeenRecord.read(captures, number, index, to_grey)
+            views.append(read._replace(on=read.off, off=read.on, corners=view.corners))
+        found = find_stripes(views, capture, lines[number], seen.board)
+        some = sum(bool(view.stripes) for view in found)
+        if some >= _EXCHANGED and _points(found) > _TIMES * _points([view for _, view in pairs]):
+            raise CalibrationError(
+                f"{capture.path}: laser on and laser off are exchanged: {some} of {len(found)} boards have the line in "
+                f"the laser-off image, and {len(pairs) - len(dark)} of all {len(pairs)} in the laser-on image."
+            )
+
+
+def _points(views: Sequence[SeenRecord]) -> int:
+    """Points of the likeliest line of each board."""
+    return sum(int(view.stripes[0].valid.sum()) for view in views if view.stripes)
 
 
 def _not_found(captures: Sequence[BoardSource], seen: Look, eyes: Eyes) -> str:
@@ -124,9 +171,9 @@ def _not_found(captures: Sequence[BoardSource], seen: Look, eyes: Eyes) -> str:
     if others:
         return f"{found}; the images show {others[0][0]}: correct the [board] table of capture.toml."
     return (
-        f"{found}: check the [board] table of capture.toml (columns and rows count inner "
-        "corners for a chessboard, squares for ChArUco, circles, or tags), and that the board is sharp, well lit "
-        "and wholly in the image."
+        f"{found}: check the [board] table of capture.toml (columns and rows count inner corners for a chessboard, "
+        "squares for ChArUco, circles, or tags; circles have a layout too), and that the board is sharp, well lit and "
+        "wholly in the image."
     )
 
 

@@ -170,3 +170,21 @@ def test_two_records_are_refused_before_any_image_is_read(folder, refused):
     assert "The captures have 2 view(s) of the board, and a camera needs at least 3" in refused(
         "calibrate", few, "-o", folder / "no.json"
     )
+
+
+def test_laser_on_and_off_exchanged(folder, refused):
+    capture = folder / "exchanged"
+    plain_rig.board_capture(capture, "nothing", free=5, placements=0)
+    (capture / "on").rename(capture / "kept")
+    (capture / "off").rename(capture / "on")
+    (capture / "kept").rename(capture / "off")
+    message = refused("calibrate", capture, "-o", folder / "no.json")
+    assert "laser on and laser off are exchanged: 5 of 5 boards have the line in the laser-off image" in message
+
+
+@pytest.mark.parametrize("carries, said", [("", True), ("object", False)])
+def test_what_an_axis_is_taken_for_is_said(folder, run, carries, said):
+    few = folder / f"few-{carries}"
+    plain_rig.board_capture(few, carries, lit=False, free=2, placements=0)
+    ran = run("calibrate", few, "-o", folder / "no.json", "--axis", "0", "0", "0.4", "0", "-1", "0")
+    assert ran.code == 1 and ("so --axis is that of a table that carries the scanner" in ran.out) == said, ran.out
