@@ -12,6 +12,7 @@ import pytest
 
 from jaxscan.errors import CalibrationError
 from jaxscan.files import load_calibration, load_scanner, save_calibration
+from jaxscan.files.calibration import calibration_notes
 
 
 GUIDE = Path(__file__).resolve().parents[2] / "docs" / "captures.md"
@@ -66,6 +67,11 @@ def test_the_file_of_the_guide(by_hand, tmp_path):
     again = load_scanner(tmp_path / "canonical.json")
     for one, other in zip(jax.tree.leaves(again), jax.tree.leaves(scanner), strict=True):
         assert np.asarray(one).tobytes() == np.asarray(other).tobytes()
+
+
+def test_that_it_counts_as_exact_is_said(by_hand):
+    (note,) = calibration_notes(by_hand())
+    assert "has no covariance, so it counts as exact" in note
 
 
 @pytest.mark.parametrize("factor", [-1.0, 3.0, -1e-3])

@@ -172,6 +172,8 @@ def calibration_notes(path: str | Path) -> list[str]:
     table, notes = _parse(tables, name=str(path)), [values_note(tables, str(path))]
     if read_quality(table.quality).converged is False:
         notes.append(f"{path}: its solve did not converge, so points and their sigmas may be wrong; calibrate again.")
+    if table.covariance is None and table.lasers:
+        notes.append(f"{path}: has no covariance, so it counts as exact: sigmas hold the noise of the stripes alone.")
     return [note for note in notes if note]
 
 
