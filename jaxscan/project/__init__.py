@@ -1,6 +1,6 @@
 """Many captures as one project: the products of each, and which of them are there already."""
 
-from jaxscan.project.begin import project_text
+from jaxscan.project.begin import board_notes, project_text
 from jaxscan.project.catalogue import Catalogue, Row, open_catalogue, row_from_json, row_to_json
 from jaxscan.project.claim import check_owner, claimed
 from jaxscan.project.compare import Comparison, LengthChange, compare_projects

@@ -9,11 +9,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxscan.errors import CalibrationError, ConfigError
+from jaxscan import api
+from jaxscan.errors import CalibrationError, ConfigError, JaxscanError
 from jaxscan.files.calibration import load_scanner
-from jaxscan.files.capture import HEADER_NAME, CaptureHeader, parse_header
+from jaxscan.files.capture import HEADER_NAME, CaptureHeader, TurntableTable, open_capture, parse_header
 from jaxscan.files.disk import MEGABYTE, read_bounded
+from jaxscan.geometry import Scanner
 from jaxscan.project.claim import ABOUT
+from jaxscan.project.project import Project
 
 
 DEEPEST = 4
@@ -39,8 +42,8 @@ class Found(NamedTuple):
 def project_text(folder: Path) -> str:
     """The text of a project file for what lies in a folder, four folders deep.
 
-    Captures of the same camera, laser and table are of one rig. Its calibration is the file that fits the size of its
-    images, or is made from its captures of a board.
+    Sweeps of the same camera, laser and table are of one rig. Its calibration is the file that fits the size of its
+    images, or is made from captures of a board by the same camera and laser, if they say nothing else of the table.
 
     Raises:
         ConfigError: If there is no sweep, or not one calibration for a rig.
@@ -53,15 +56,35 @@ def project_text(folder: Path) -> str:
         raise ConfigError(f"{folder}: found no sweep in it, expected folders of captures with {HEADER_NAME}.")
     calibrations = [path for path in files if _is_calibration(folder / path)]
     text = _BEGINNING.format(name=_quoted(_name(folder)))
-    rigs = _rigs(captures)
-    for number, members in enumerate(rigs, 1):
-        own = [one for one in members if one.header.kind == "sweep"]
-        if own:
-            name = "rig" if len(rigs) == 1 else f"rig-{number}"
-            text += f'\n[[rig]]\nname = "{name}"\n{_calibration(folder, members, calibrations)}'
-            for pattern in _patterns(own, captures):
-                text += f'\n[[captures]]\npattern = {_quoted(pattern)}\nrig = "{name}"\n'
+    boards = _alike([one for one in captures if one.header.kind == "calibration"])
+    rigs = _alike(sweeps)
+    for number, own in enumerate(rigs, 1):
+        name = "rig" if len(rigs) == 1 else f"rig-{number}"
+        text += f'\n[[rig]]\nname = "{name}"\n{_calibration(folder, own[0], calibrations, boards)}'
+        for pattern in _patterns(own, captures):
+            text += f'\n[[captures]]\npattern = {_quoted(pattern)}\nrig = "{name}"\n'
     return text
+
+
+def board_notes(project: Project) -> list[str]:
+    """What the boards of a new project cannot tell, by their headers and journals: its batch would say so late."""
+    notes = []
+    for rig in project.wanted.rig:
+        places = [str(Path(project.file.parent, place)) for place in rig.boards]
+        if not places:
+            continue
+        try:
+            missing = api.plan_calibration([open_capture(place, compare=False) for place in places]).missing
+        except JaxscanError as problem:
+            notes.append(str(problem))
+            continue
+        notes += [f"{' and '.join(rig.boards)}: {sentence}" for sentence in missing]
+        if missing:
+            notes.append(
+                f"sweeps that need it give no cloud. What is known, an axis too, goes to `jaxscan calibrate "
+                f"{' '.join(rig.boards)}`, and the file that it writes to {project.file.name} in place of the boards."
+            )
+    return notes
 
 
 def _walked(folder: Path) -> tuple[list[Path], list[Path]]:
@@ -96,41 +119,73 @@ def _is_calibration(path: Path) -> bool:
     return True
 
 
-def _rigs(captures: Sequence[Found]) -> list[list[Found]]:
-    """Captures by the camera, laser and table of their headers."""
-    rigs: list[list[Found]] = []
+def _alike(captures: Sequence[Found]) -> list[list[Found]]:
+    """Captures by the camera, laser, table and board of their headers: what can be calibrated together."""
+    groups: list[list[Found]] = []
     for one in captures:
-        same = next((rig for rig in rigs if _parts(rig[0].header) == _parts(one.header)), None)
+        same = next((group for group in groups if _parts(group[0].header) == _parts(one.header)), None)
         if same is None:
-            rigs.append([one])
+            groups.append([one])
         else:
             same.append(one)
-    return rigs
+    return groups
 
 
 def _parts(header: CaptureHeader) -> tuple[object, ...]:
-    return header.camera, header.laser, header.turntable
+    return header.camera, header.laser, header.turntable, header.board
 
 
-def _calibration(folder: Path, members: Sequence[Found], calibrations: Sequence[Path]) -> str:
-    camera = members[0].header.camera
-    fits = [path for path in calibrations if _size(folder / path) == (camera.width, camera.height)]
-    boards = [one.path.as_posix() for one in members if one.header.kind == "calibration"]
+def _calibration(folder: Path, sweep: Found, calibrations: Sequence[Path], boards: Sequence[Sequence[Found]]) -> str:
+    """The line of a rig that says by what it is calibrated."""
+    why = {path: _unfit(load_scanner(folder / path), sweep.header) for path in calibrations}
+    fits = [path for path in calibrations if not why[path]]
     if len(fits) == 1:
         return f"calibration = {_quoted(fits[0].as_posix())}\n"
     if len(fits) > 1:
         names = " and ".join(path.as_posix() for path in fits[:3])
-        raise ConfigError(f"{folder}: {len(fits)} calibrations fit the rig of {members[0].path} ({names}); keep one.")
-    if not boards:
+        raise ConfigError(f"{folder}: {len(fits)} calibrations fit the rig of {sweep.path} ({names}); keep one.")
+    others = {path: [what] for path, what in why.items() if what} | {
+        group[0].path: _differs(group[0].header, sweep.header) for group in boards
+    }
+    serve = [group for group in boards if not others[group[0].path]]
+    # Boards that say the same of all parts come before those that leave some of them open.
+    same = [group for group in serve if _parts(group[0].header)[:3] == _parts(sweep.header)[:3]]
+    for chosen in (same, serve):
+        if len(chosen) == 1:
+            return f"boards = [{', '.join(_quoted(one.path.as_posix()) for one in chosen[0])}]\n"
+    if serve:
+        names = " and ".join(group[0].path.as_posix() for group in serve[:3])
         raise ConfigError(
-            f"{folder}: found neither a calibration nor captures of a board for the rig of {members[0].path}."
+            f"{folder}: {len(serve)} kinds of boards may be of the rig of {sweep.path} ({names}); keep one of them."
         )
-    return f"boards = [{', '.join(map(_quoted, boards))}]\n"
+    seen = "".join(f"; {path} has another {' and '.join(what)}" for path, what in list(others.items())[:3])
+    raise ConfigError(
+        f"{folder}: found neither a calibration nor captures of a board for the rig of {sweep.path}{seen}."
+    )
 
 
-def _size(path: Path) -> tuple[int, int]:
-    camera = load_scanner(path).camera
-    return camera.width, camera.height
+def _differs(board: CaptureHeader, sweep: CaptureHeader) -> list[str]:
+    """What of a rig another one has: what a capture of a board leaves open may be the sweep's.
+
+    How images were stored says nothing of the rig, and the colour of a laser is a way of looking for it.
+    """
+    what = []
+    if (board.camera.width, board.camera.height) != (sweep.camera.width, sweep.camera.height):
+        what.append("size of image")
+    if [(one.name, one.stripe_axis) for one in board.laser] != [(one.name, one.stripe_axis) for one in sweep.laser]:
+        what.append("laser")
+    if board.turntable is not None and board.turntable != (sweep.turntable or TurntableTable()):
+        what.append("turntable")
+    return what
+
+
+def _unfit(scanner: Scanner, sweep: CaptureHeader) -> str:
+    """What of a rig a calibration has otherwise; "" where it fits."""
+    if (scanner.camera.width, scanner.camera.height) != (sweep.camera.width, sweep.camera.height):
+        return "size of image"
+    moves = None if sweep.turntable is None else sweep.turntable.carries
+    carries = scanner.turntable.carries
+    return "" if moves in (None, carries) else f'carries = "{carries}"'
 
 
 def _patterns(sweeps: Sequence[Found], captures: Sequence[Found]) -> list[str]:

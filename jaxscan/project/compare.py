@@ -75,19 +75,26 @@ def compare_projects(first: Project, second: Project) -> Comparison:
     the code, the settings or the calibration.
 
     Raises:
-        ConfigError: If one has no measures, or they have no capture in common.
+        ConfigError: If one has no measures, or they have no capture, or no length, in common.
     """
     (measures, sources), (others, other_sources) = _measures(first), _measures(second)
     lengths, lost, gained = list[LengthChange](), list[str](), list[str]()
     both = _names(first) & _names(second)
-    for name in sorted(both & (measures.keys() | others.keys())):
+    common = sorted(both & (measures.keys() | others.keys()))
+    for name in common:
         ours, theirs = measures.get(name, {}), others.get(name, {})
         same = sources.get(name) is not None and sources.get(name) == other_sources.get(name)
         lengths += [_change(name, side, ours[side], theirs[side], same=same) for side in ours if side in theirs]
         lost += [f"{name} {side}" for side in ours if side not in theirs]
         gained += [f"{name} {side}" for side in theirs if side not in ours]
-    if not lengths and not lost:
+    if not common:
         raise ConfigError(f"{first.file} and {second.file} have measures of no capture in common; name captures alike.")
+    if not lengths and not lost and not gained:
+        more = f" and {len(common) - 1} more" if len(common) > 1 else ""
+        raise ConfigError(
+            f"{first.file} and {second.file}: neither has a length of {common[0]}{more}, for lengths are those of "
+            "rooms, of walls that face each other."
+        )
     only_first, only_second = sorted(measures.keys() - both), sorted(others.keys() - both)
     return Comparison(
         tuple(lengths), tuple(only_first), tuple(only_second), tuple(lost), tuple(gained), _stale(second, others)

@@ -25,6 +25,19 @@ class SettingsTable(FileModel):
     """Only every n-th record."""
     colour: Literal["photographs", "stripe"] = "photographs"
     smooth: Literal["edge", "off"] = "edge"
+    min_range_m: Annotated[float, pydantic.Field(ge=0.0, le=1000.0)] = 0.05
+    """Smallest distance from the camera [m]."""
+    max_range_m: Annotated[float, pydantic.Field(gt=0.0, le=1000.0)] = 30.0
+    """Largest distance from the camera [m]: stripes are looked for where it allows them."""
+
+    @pydantic.model_validator(mode="after")
+    def _limits_in_order(self) -> "SettingsTable":
+        if self.min_range_m >= self.max_range_m:
+            raise ValueError(
+                f"found min_range_m {self.min_range_m:g} and max_range_m {self.max_range_m:g}, expected a "
+                "smaller one first"
+            )
+        return self
 
 
 class ProjectTable(FileModel):

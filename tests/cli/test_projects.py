@@ -13,6 +13,9 @@ from tests.museum import museum  # noqa: F401
 from tests.opened import edit, work
 
 
+TABLE = '[turntable]\ncarries = "scanner"\n'
+
+
 @pytest.fixture
 def folder(tiny, tmp_path):
     """Two sweeps and a capture of boards, in folders of their own."""
@@ -72,6 +75,14 @@ def test_the_calibration_that_lies_there_is_taken(folder, tiny, run):
     assert ran.code == 1 and "2 calibrations fit the rig" in ran.err and ran.err.count("\n") == 1
 
 
+def test_a_calibration_of_another_motion_is_not_taken(folder, tiny, run):
+    shutil.copy(tiny.calibration, folder / "calibration.json")
+    for sweep in (folder / "sweeps").iterdir():
+        edit(sweep / "capture.toml", TABLE, TABLE.replace("scanner", "object"))
+    ran = run("project", "init", folder)
+    assert ran.code == 1 and 'calibration.json has another carries = "scanner"; boards has another turntable' in ran.err
+
+
 def test_a_folder_without_what_is_needed(folder, tmp_path_factory, run):
     empty = tmp_path_factory.mktemp("empty")
     ran = run("project", "init", empty)
@@ -79,6 +90,46 @@ def test_a_folder_without_what_is_needed(folder, tmp_path_factory, run):
     shutil.rmtree(folder / "boards")
     ran = run("project", "init", folder)
     assert ran.code == 1 and "neither a calibration nor captures of a board" in ran.err
+
+
+def unsealed(capture):
+    """A capture without the lines of its journal that would say what is changed."""
+    journal = capture / "frames.jsonl"
+    lines = [line for line in journal.read_text().splitlines(keepends=True) if "i" in json.loads(line)]
+    journal.write_text("".join(lines))
+    return capture
+
+
+def test_boards_that_leave_open_what_a_sweep_says(folder, run):
+    """Imported boards have no table, and perhaps other files and another way of looking for the laser."""
+    header = unsealed(folder / "boards") / "capture.toml"
+    edit(header, "[camera]", '[camera]\ncompression = "jpeg"')
+    for sweep in (folder / "sweeps").iterdir():
+        edit(sweep / "capture.toml", TABLE, TABLE.replace("scanner", "object"))
+    edit(header, TABLE, "")
+    ran = run("project", "init", folder)
+    assert ran.code == 0, ran.err
+    assert load_project(folder / "project.toml").wanted.rig[0].boards == ("boards",) and "note:" not in ran.out
+    (folder / "project.toml").unlink()
+    shutil.copytree(folder / "boards", folder / "others")
+    edit(folder / "others" / "capture.toml", 'compression = "jpeg"', 'compression = "video"')
+    ran = run("project", "init", folder)
+    assert ran.code == 1 and "2 kinds of boards may be of the rig of sweeps/room-1 (boards and others)" in ran.err
+    shutil.rmtree(folder / "others")
+    edit(header, "[camera]", TABLE.replace("scanner", "linear") + "[camera]")
+    ran = run("project", "init", folder)
+    assert ran.code == 1 and "for the rig of sweeps/room-1; boards has another turntable" in ran.err
+
+
+def test_boards_without_an_axis_are_said_before_the_batch(folder, run):
+    journal = unsealed(folder / "boards") / "frames.jsonl"
+    lines = [json.loads(line) | {"angle_deg": 0.0} for line in journal.read_text().splitlines()]
+    journal.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    ran = run("project", "init", folder, "--json", "-")
+    assert ran.code == 0, ran.err
+    axis, known = json.loads(ran.out)["notes"]
+    assert axis.startswith("boards: no axis: no board placement was seen from two table angles")
+    assert "jaxscan calibrate boards" in known
 
 
 def test_status_computes_and_writes_nothing(museum, run):  # noqa: F811

@@ -61,6 +61,16 @@ def test_a_length_that_is_lost_is_a_change(two, run):
     assert ran.code == 0 and found["gained"] == ["room-2 height"] and found["lost"] == []
 
 
+def test_objects_have_no_lengths(two):
+    """As of sweeps of things on a table: the names are alike, and there is nothing to compare."""
+    for file in two:
+        for path in (file.parent / "products" / "measures").iterdir():
+            path.write_text(json.dumps(json.loads(path.read_text()) | {"lengths": {}}))
+    first, second = map(load_project, two)
+    with pytest.raises(ConfigError, match=r"neither has a length of room-1 and 1 more, for lengths are those of rooms"):
+        compare_projects(first, second)
+
+
 def test_two_epochs(two):
     first, second = two
     for name in ("room-1", "room-2"):

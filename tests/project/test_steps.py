@@ -98,6 +98,7 @@ def test_a_digest_changes_with_whatever_changes_the_product(folder):
         (('boards = ["boards"]', ""), "needs a calibration or captures of boards"),
         (('"mesh"', '"meshes"'), "meshes"),
         (("every = 2", "evry = 2"), "every"),
+        (("every = 2", "max_range_m = 0.01"), "found min_range_m 0.05 and max_range_m 0.01"),
         (('name = "museum"', 'name = "../museum"'), "name"),
         (('boards = ["boards"]', 'boards = ["boards"]\nfirst = 2026-02-01\nlast = 2026-01-01'), "before it begins"),
     ],

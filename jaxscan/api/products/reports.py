@@ -8,12 +8,15 @@ import numpy as np
 from jaxscan.api.stripes import find_stripes, plan_watched
 from jaxscan.calibration import Calibration
 from jaxscan.errors import CaptureError, MeasurementError, OutputError
+from jaxscan.files import load_calibration, load_scanner
+from jaxscan.files.calibration import calibration_digest
 from jaxscan.files.capture import Capture
+from jaxscan.files.clouds import read_cloud
 from jaxscan.files.disk import write_atomically
 from jaxscan.geometry import Scanner
 from jaxscan.measurement import RoomBox, measure_room
 from jaxscan.reconstruction import DEFAULTS, PointCloud, Progress, cloud_of_plan, sweep_doubts
-from jaxscan.report import Beside, Facts, cloud_page, drawn_records, facts_of, thumbnail
+from jaxscan.report import Beside, Facts, calibration_date, cloud_page, drawn_records, facts_of, thumbnail
 
 
 def save_report(
@@ -42,6 +45,26 @@ def save_report(
     facts = facts_of(cloud, box)
     write_atomically(Path(path), cloud_page(facts, box, beside).encode(), error=OutputError)
     return facts, box
+
+
+def report_files(cloud: Path, calibration: Path, path: Path) -> None:
+    """Write the report of a cloud's file and of the calibration it was made with, by their names and digests."""
+    stored = read_cloud(cloud)
+    rows = calibration_rows(calibration, stored.about.calibration)
+    save_report(
+        stored.cloud, path, scanner=load_scanner(calibration), beside=Beside(path.stem, calibration=tuple(rows))
+    )
+
+
+def calibration_rows(path: Path, named: str) -> list[tuple[str, str]]:
+    """Name, digest and date of a calibration, and whether it is that which a cloud names; for `Beside`."""
+    digest = calibration_digest(path)
+    rows = [("file", path.name), ("digest", digest), ("date", calibration_date(load_calibration(path), path))]
+    if named and named != digest:
+        rows.append(("not that of the cloud", f"which was made with {named}"))
+    elif named:
+        rows.append(("used", "for this cloud"))
+    return rows
 
 
 def board_photographs(capture: Capture, calibration: Calibration) -> dict[int, bytes]:

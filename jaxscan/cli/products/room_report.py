@@ -32,7 +32,7 @@ def write_room_report(
         JaxscanError: If an input is not what it should be, or the report cannot be written.
     """
     # Imported here, so that `--help` does not load JAX.
-    from jaxscan.api.products.reports import look_again, save_report
+    from jaxscan.api.products.reports import calibration_rows, look_again, save_report
     from jaxscan.files import clouds
     from jaxscan.files.calibration import calibration_notes
     from jaxscan.report import Beside
@@ -47,7 +47,7 @@ def write_room_report(
     if calibration is not None:
         scanner = jaxscan.load_scanner(calibration)
         notes += calibration_notes(calibration)
-        rows = _calibration_rows(calibration, stored.about.calibration)
+        rows = calibration_rows(calibration, stored.about.calibration)
     elif stored.about.calibration:
         rows = [("digest", stored.about.calibration)]
     doubts, left_out = None, ""
@@ -82,17 +82,3 @@ def _is_made_of(cloud: "PointCloud", angles: np.ndarray) -> bool:
     if not (np.ptp(cloud.angle) > 0 and record.min() >= 0 and record.max() < len(angles)):
         return False
     return bool(np.abs(angles[record] - np.asarray(cloud.angle)).max() < SAME_RAD)
-
-
-def _calibration_rows(path: Path, named: str) -> list[tuple[str, str]]:
-    """Name, digest and date of a calibration, and whether it is that which the cloud names."""
-    from jaxscan.files.calibration import calibration_digest
-    from jaxscan.report import calibration_date
-
-    digest = calibration_digest(path)
-    rows = [("file", path.name), ("digest", digest), ("date", calibration_date(jaxscan.load_calibration(path), path))]
-    if named and named != digest:
-        rows.append(("not that of the cloud", f"which was made with {named}"))
-    elif named:
-        rows.append(("used", "for this cloud"))
-    return rows

@@ -31,7 +31,7 @@ def init(
     """
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.files.disk import write_atomically
-    from jaxscan.project import load_project, project_text, steps_of
+    from jaxscan.project import board_notes, load_project, project_text, steps_of
 
     target = folder / NAME
     check_paths([], [*file_at("FOLDER", target), *file_at("--json", json)])
@@ -43,13 +43,15 @@ def init(
     write_atomically(target, project_text(folder).encode())
     try:
         project = load_project(target)
-        steps = len(steps_of(project))
+        steps, notes = len(steps_of(project)), board_notes(project)
     except JaxscanError:
         # What is in the way, a name that two captures have say, is mended in the folder; then it is called again.
         target.unlink()
         raise
     out = console(json)
     out.print(f"written: {target} ({len(project.captures)} captures, {steps} steps)")
+    for note in notes:
+        out.print(f"note: {note}")
     out.print(f"next: {shlex.join(['jaxscan', 'batch', str(target)])}")
     names = [capture.name for capture in project.captures]
-    emit_json(json, "project-init", {"project": str(target), "captures": names})
+    emit_json(json, "project-init", {"project": str(target), "captures": names, "notes": notes})

@@ -20,7 +20,7 @@ from jaxscan.files.disk import MEGABYTE, parse_json, read_bounded, write_atomica
 from jaxscan.files.known_room import load_known_room
 from jaxscan.files.remote import is_remote
 from jaxscan.project.work.desk import Desk
-from jaxscan.project.work.sweeps import coloured
+from jaxscan.project.work.sweeps import coloured, reconstruct_settings
 from jaxscan.project.work.tiles import Tiles
 from jaxscan.recalibration import Recalibration
 from jaxscan.reconstruction import PointCloud, join_clouds, stack_placed
@@ -111,7 +111,7 @@ def place_station(desk: Desk) -> None:
     sweep, scanner = desk.capture().every(desk.setting("every")), api.load_scanner(calibration)
     angles = (sweep.angles + np.array(station["corrections_rad"])).tolist()
     records = tuple(replace(record, angle=angle) for record, angle in zip(sweep.records, angles, strict=True))
-    settings = api.ReconstructSettings(smooth=desk.setting("smooth"))
+    settings = reconstruct_settings(desk)
     turned = replace(sweep, records=records) if np.any(station["corrections_rad"]) else sweep
     done = api.reconstruct_capture(turned, scanner, settings=settings, progress=desk.progress)
     desk.notes.extend(done.notes)

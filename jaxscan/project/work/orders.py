@@ -5,7 +5,7 @@ import os
 import platform
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -85,7 +85,12 @@ def do_step(order: Order, progress: Progress = None) -> Row:
         # A defect of jaxscan is the failure of one step too; where it arose is kept in the catalogue.
         message = f"unexpected {type(problem).__name__}: {problem}".splitlines()[0]
         return failed_row(order, message, seconds=time.perf_counter() - started, details=traceback.format_exc())
-    return _row(order, "done", " ".join(notes), time.perf_counter() - started)._replace(outputs=outputs)
+    return _row(order, "done", _sentences(notes), time.perf_counter() - started)._replace(outputs=outputs)
+
+
+def _sentences(notes: Sequence[str]) -> str:
+    """Notes in one line, each with its full stop."""
+    return " ".join(note if note.endswith((".", "!", "?")) else f"{note}." for note in map(str.strip, notes) if note)
 
 
 def begun_row(order: Order) -> Row:

@@ -72,7 +72,6 @@ def draw_panorama(desk: Desk) -> None:
 def write_report(desk: Desk) -> None:
     """The report of a cloud."""
     # Imported here, because it loads matplotlib.
-    from jaxscan.api.products.reports import save_report
+    from jaxscan.api.products.reports import report_files
 
-    scanner = api.load_scanner(desk.file("calibration"))
-    save_report(api.load_cloud(desk.file("cloud")), desk.target(), scanner=scanner)
+    report_files(desk.file("cloud"), desk.file("calibration"), desk.target())

@@ -38,7 +38,7 @@ def calibrate_rig(desk: Desk) -> None:
 def find_part(desk: Desk) -> None:
     """The stripes of some records of a large sweep."""
     sweep, scanner = desk.capture().every(desk.setting("every")), api.load_scanner(desk.file("calibration"))
-    settings, records = _settings(desk), (desk.setting("first"), desk.setting("stop"))
+    settings, records = reconstruct_settings(desk), (desk.setting("first"), desk.setting("stop"))
     arrays = stripes_of_range(sweep, scanner, records, settings=settings, progress=desk.progress)
     write_arrays(desk.target(), arrays)
 
@@ -51,9 +51,9 @@ def reconstruct_sweep(desk: Desk) -> None:
     parts = [desk.file(role) for role in desk.step.products if role.startswith("stripes ")]
     if parts:
         arrays = [read_arrays(path, error=CaptureError) for path in parts]
-        done = cloud_of_ranges(sweep, scanner, arrays, settings=_settings(desk))
+        done = cloud_of_ranges(sweep, scanner, arrays, settings=reconstruct_settings(desk))
     else:
-        done = api.reconstruct_capture(sweep, scanner, settings=_settings(desk), progress=desk.progress)
+        done = api.reconstruct_capture(sweep, scanner, settings=reconstruct_settings(desk), progress=desk.progress)
     desk.notes.extend(done.notes)
     cloud = coloured(desk, done.cloud, sweep, scanner)
     digest = calibration_digest(calibration)
@@ -61,8 +61,11 @@ def reconstruct_sweep(desk: Desk) -> None:
         api.save_cloud(cloud, desk.target(number), calibration_digest=digest)
 
 
-def _settings(desk: Desk) -> api.ReconstructSettings:
-    return api.ReconstructSettings(smooth=desk.setting("smooth"))
+def reconstruct_settings(desk: Desk) -> api.ReconstructSettings:
+    """How the sweep of a step is reconstructed."""
+    return api.ReconstructSettings(
+        smooth=desk.setting("smooth"), min_range_m=desk.setting("min_range_m"), max_range_m=desk.setting("max_range_m")
+    )
 
 
 def coloured(desk: Desk, cloud: PointCloud, sweep: Capture, scanner: Scanner) -> PointCloud:

@@ -1,0 +1,19 @@
+"""What a step that was done says: every note a sentence."""
+
+import json
+
+from jaxscan.project.work import orders
+from tests.opened import edit, work
+
+
+def test_notes_end_where_they_end(museum, monkeypatch):
+    edit(museum, '["cloud", "measures", "mesh"]', '["cloud"]')
+    monkeypatch.setitem(orders.WORK, "cloud", lambda desk: _say(desk, "the first note", "The second.", "is this one?"))
+    rows = work(museum)
+    assert {row.message for row in rows} == {"the first note. The second. is this one?"}, json.dumps(str(rows))
+
+
+def _say(desk, *notes):
+    desk.notes.extend(notes)
+    for number in range(len(desk.step.outputs)):
+        desk.target(number).write_bytes(b"made")
