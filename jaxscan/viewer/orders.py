@@ -39,6 +39,8 @@ class Order(NamedTuple):
     """How far it is turned."""
     id: int = 0
     """Of the measurement that is to be removed."""
+    backs: bool = True
+    """Whether points are shown that are seen from behind."""
 
 
 def parse_order(text: str, clouds: int) -> Order:
@@ -75,6 +77,7 @@ def parse_order(text: str, clouds: int) -> Order:
                 shifts=_shifts(found.get("clouds"), clouds),
                 section=None if section is None else np.stack([_place(section, k) for k in (0, 1)]),
                 turn_rad=_number(found.get("turn_rad", 0)),
+                backs=found.get("backs") is not False,
             )
     raise OptionError("no such order.")
 

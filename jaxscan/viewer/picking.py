@@ -1,7 +1,9 @@
 """Which point a click means."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int8
+
+from jaxscan.viewer.sides import seen_from
 
 
 _BEHIND = 0.02
@@ -17,6 +19,7 @@ def pick(
     *,
     cone_rad: float,
     shown: np.ndarray | None = None,
+    sides: Int8[np.ndarray, "n 3"] | None = None,
 ) -> int | None:
     """The point that a click means: of the nearest surface within a cone around its ray, the one closest to the ray.
 
@@ -26,6 +29,7 @@ def pick(
         direction: Where it goes; its length does not matter.
         cone_rad: Half the angle of the cone.
         shown: Which points may be picked, bool [n]; all if None.
+        sides: From which side the points were seen, where those that the ray meets from behind are not shown.
 
     Returns:
         The number of the point; None where the cone holds none.
@@ -41,6 +45,8 @@ def pick(
             inside &= shown[start : start + _AT_ONCE]
         found.append(start + np.flatnonzero(inside))
     candidates = np.concatenate(found) if found else np.zeros(0, int)
+    if sides is not None:
+        candidates = candidates[seen_from(sides[candidates], xyz[candidates], np.asarray(origin, np.float64))]
     if not len(candidates):
         return None
     apart = xyz[candidates].astype(np.float64) - origin

@@ -158,7 +158,8 @@ class Session:
                 low, high = (order.section - turn @ shift).astype(np.float32)
                 within = xyz @ turn.T.astype(np.float32) if order.turn_rad else xyz
                 shown = ((within >= low) & (within <= high)).all(1)
-            index = pick(xyz, origin, ray.direction, cone_rad=ray.cone_rad, shown=shown)
+            sides = None if order.backs else self._clouds[number].sides
+            index = pick(xyz, origin, ray.direction, cone_rad=ray.cone_rad, shown=shown, sides=sides)
             if index is not None:
                 hits.append((float(np.linalg.norm(xyz[index] - origin)), number, index))
         return hits

@@ -11,14 +11,20 @@ from jaxscan.measurement import PlaneMeasurement
 from jaxscan.reconstruction import PointCloud
 from jaxscan.viewer.colours import UNKNOWN, Colouring, Scale, brightened, coloured_normals, scale_of
 from jaxscan.viewer.levels import Levels, make_levels
+from jaxscan.viewer.sides import hides_well, sides_of
 
 
 _MM = 1e3
 
 
+def says_its_place(cloud: PointCloud) -> bool:
+    """Whether a cloud says where its scanner stood: by a pose, or by angles of a table."""
+    return cloud.stations is not None or bool(np.ptp(np.asarray(cloud.angle)) > 0)
+
+
 def knows_its_place(cloud: PointCloud) -> bool:
-    """Whether a cloud says where its scanner stood: by a pose, angles of a table, or an origin amid the points."""
-    if cloud.stations is not None or np.ptp(np.asarray(cloud.angle)) > 0:
+    """Whether a cloud says where its scanner stood, or has it in an origin amid the points."""
+    if says_its_place(cloud):
         return True
     low, high = np.percentile(np.asarray(cloud.xyz)[np.asarray(cloud.valid)], [1, 99], axis=0)
     return bool(((low < 0) & (high > 0)).all())
@@ -65,6 +71,10 @@ class ShownCloud:
         some = self.xyz[:: max(1, len(self.xyz) // 50_000)]
         self.low, self.high = np.percentile(some, [1, 99], axis=0)
         """Corners of the points without their outermost hundredth, in the scene's frame [3], m."""
+        self.sides = sides_of(self.take(cloud.normals), self._towards(), certain=says_its_place(cloud))
+        """From which side the points were seen, int8 [n, 3]; None where the cloud does not know."""
+        self.hides = self.sides is not None and hides_well(self.sides)
+        """Whether what is seen from behind is better left out at first."""
 
     @property
     def points(self) -> int:
@@ -136,6 +146,16 @@ class ShownCloud:
         if self.cloud.stations is None:
             return np.asarray(-self.origin[None][: int(knows_its_place(self.cloud))])
         return np.asarray(np.asarray(self.cloud.stations.pose)[:, :3, 3] - self.origin)
+
+    def _towards(self) -> np.ndarray | None:
+        """From each point to where its scanner stood, [n, 3], m; None where nobody knows."""
+        places = self.stations().astype(np.float32)
+        if not len(places):
+            return None
+        if self.cloud.stations is None:
+            return np.asarray(places[0] - self.xyz)
+        lines = self.cloud.valid.shape[1]
+        return np.asarray(places[np.asarray(self.cloud.stations.number)[self.cells // lines]] - self.xyz)
 
     def axes(self) -> list[list[float]]:
         """The axes of the scanner at the first station, in the scene's frame [axis, 3]."""

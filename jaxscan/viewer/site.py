@@ -160,6 +160,8 @@ class View:
                 "stations": cloud.stations()[:_MOST_STATIONS].tolist(),
                 "low": cloud.low.tolist(),
                 "high": cloud.high.tolist(),
+                "sides": cloud.sides is not None,
+                "hides": cloud.hides,
                 "panorama": None if seen is None else {"top": seen.top, "bottom": seen.bottom, "axes": cloud.axes()},
             }
             for cloud, seen in zip(self.clouds, self._panoramas, strict=True)
@@ -169,11 +171,13 @@ class View:
         return _json({"clouds": clouds, "colourings": known, **said})
 
     async def points(self, request: web.Request) -> web.StreamResponse:
-        """Places of a chunk about its middle, float32."""
+        """Places of a chunk about its middle, float32; and their sides, int8, where the cloud knows them."""
         cloud, chunk = self._asked(request)
-        middle = chunk.centre.astype(np.float32)
-        body = np.ascontiguousarray(cloud.xyz[chunk.start : chunk.stop] - middle).tobytes()
-        return web.Response(body=body, content_type=_BINARY)
+        part, middle = slice(chunk.start, chunk.stop), chunk.centre.astype(np.float32)
+        body = np.ascontiguousarray(cloud.xyz[part] - middle).tobytes()
+        return web.Response(
+            body=body + (b"" if cloud.sides is None else cloud.sides[part].tobytes()), content_type=_BINARY
+        )
 
     async def coloured(self, request: web.Request) -> web.Response:
         """Colours of a chunk, uint8."""

@@ -176,6 +176,35 @@ def test_colours_a_section_and_what_stands_where(opened):
     assert "<b>grey" in opened.driver.execute_script("return document.getElementById('clouds').textContent")
 
 
+def lit(looks):
+    """Pixels of the cloud's canvas that show points."""
+    return np.count_nonzero(picture(looks, "cloud")[..., 1] > 40)
+
+
+def test_what_is_seen_from_behind_is_hidden_and_is_not_picked(opened):
+    assert opened.at("backs").is_selected() and opened.at("backs-part").is_displayed()
+    hidden = lit(opened)
+    opened.at("cloud").send_keys("b")
+    opened.until(lambda: not opened.at("backs").is_selected())
+    settle(opened)
+    assert lit(opened) > 1.2 * hidden
+    # Places that only backs cover: a click there meets something only while they are shown.
+    back = picture(opened, "cloud")[..., 1] > 40
+    opened.click("backs")
+    settle(opened)
+    assert abs(lit(opened) - hidden) < 0.02 * hidden
+    front = ndimage.binary_dilation(picture(opened, "cloud")[..., 1] > 40, iterations=45)
+    free = opened.driver.execute_script("return document.getElementById('panel').getBoundingClientRect().left")
+    rows, columns = np.nonzero(ndimage.uniform_filter(back.astype(float), 25) * ~front)
+    inside = columns < free
+    assert inside.any()
+    y, x = np.median(rows[inside]), np.median(columns[inside])
+    y, x = min(zip(rows[inside], columns[inside], strict=True), key=lambda one: abs(one[0] - y) + abs(one[1] - x))
+    tap(opened, x / back.shape[1], y / back.shape[0])
+    opened.until(lambda: opened.text("message") == "There is no point: click on the cloud.")
+    assert opened.complaints() == []
+
+
 def handles(looks):
     """Where the handles of the section are [px]: blue spots that are drawn over the cloud."""
     blue = np.all(picture(looks, "marks") == (255, 179, 111, 255), axis=-1)

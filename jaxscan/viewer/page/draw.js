@@ -1,11 +1,12 @@
 import { Panorama } from "./panorama.js";
 
 // Points in WebGL: of each tile as many as the view needs, fewer while it moves.
-const VERTEX = `attribute vec3 place; attribute vec3 colour; uniform mat4 view; uniform vec3 middle, low, high; uniform vec2 turn; uniform float size; varying vec3 shown;
+// `side` points to where a point was seen from; it is zero where nobody knows.
+const VERTEX = `attribute vec3 place, colour, side; uniform mat4 view; uniform vec3 middle, low, high, eye; uniform vec2 turn; uniform float size; varying vec3 shown;
 void main() {
   vec3 at = place + middle, turned = vec3(turn.x * at.x + turn.y * at.y, turn.x * at.y - turn.y * at.x, at.z);
   gl_Position = view * vec4(at, 1.0);
-  if (any(lessThan(turned, low)) || any(greaterThan(turned, high))) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  if (any(lessThan(turned, low)) || any(greaterThan(turned, high)) || dot(side, eye - at) < 0.0) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   gl_PointSize = clamp(size / gl_Position.w, 1.0, 24.0);
   shown = colour;
 }`;
@@ -13,7 +14,7 @@ const FRAGMENT = "precision mediump float; varying vec3 shown; void main() { gl_
 const NO_SECTION = { section: [[-1e9, -1e9, -1e9], [1e9, 1e9, 1e9]], turn_rad: 0 };
 const AT_ONCE = 6, REST_MS = 150, MOVING_S = 1 / 24, RESTING_S = 0.4, LEAST = 5e3, LEAST_AT_REST = 1e5, GAP_PX = 1, KEPT = 3, ON_PLACE_M = 0.06;
 // A chunk as the server lists it.
-const TILE = 0, COUNT = 1, SPACING = 7;
+const TILE = 0, COUNT = 1, SPACING = 7, PLACE_BYTES = 12;
 export const X = 2, RADIUS = 5, GAP = 6;
 
 export class Drawing {
@@ -22,6 +23,8 @@ export class Drawing {
     this.gl = canvas.getContext("webgl", { antialias: false, preserveDrawingBuffer: true });
     this.clouds = []; this.kept = new Map(); this.asked = new Map(); this.query = ""; this.version = 0;
     this.budget = 2e6; this.size = 1; this.section = null;
+    // Whether points are drawn that are seen from behind.
+    this.backs = true;
     // Points a second; slow until it is known.
     this.rate = 1e6; this.movedAt = -1e9; this.waiting = 0; this.points = 0; this.wanted = []; this.pausing = null;
     // Where one stands in a panorama: {cloud, place}.
@@ -38,8 +41,8 @@ export class Drawing {
     const gl = this.gl, program = this.program = this.compiled(VERTEX, FRAGMENT);
     gl.enable(gl.DEPTH_TEST); gl.clearColor(0.05, 0.067, 0.082, 1);
     this.panorama = new Panorama(gl, (...texts) => this.compiled(...texts));
-    this.at = Object.fromEntries(["place", "colour"].map((name) => [name, gl.getAttribLocation(program, name)]));
-    this.uniform = Object.fromEntries(["view", "middle", "low", "high", "turn", "size"].map((name) => [name, gl.getUniformLocation(program, name)]));
+    this.at = Object.fromEntries(["place", "colour", "side"].map((name) => [name, gl.getAttribLocation(program, name)]));
+    this.uniform = Object.fromEntries(["view", "middle", "low", "high", "eye", "turn", "size"].map((name) => [name, gl.getUniformLocation(program, name)]));
   }
 
   compiled(vertex, fragment) {
@@ -98,6 +101,7 @@ export class Drawing {
     gl.uniformMatrix4fv(this.uniform.view, false, this.camera.matrix(width, height));
     const { section: [low, high], turn_rad: turn } = this.section ?? NO_SECTION;
     gl.uniform3fv(this.uniform.low, low); gl.uniform3fv(this.uniform.high, high);
+    gl.uniform3fv(this.uniform.eye, this.camera.eye());
     gl.uniform2f(this.uniform.turn, Math.cos(turn), Math.sin(turn));
     this.points = 0;
     for (const { key, cloud, chunk } of shown) {
@@ -105,6 +109,9 @@ export class Drawing {
       gl.uniform3f(this.uniform.middle, ...[0, 1, 2].map((k) => chunk[X + k] + cloud.shift[k]));
       gl.uniform1f(this.uniform.size, 1.3 * this.size * focal * finest.get(1000 * cloud.number + chunk[TILE]));
       gl.bindBuffer(gl.ARRAY_BUFFER, place); gl.vertexAttribPointer(this.at.place, 3, gl.FLOAT, false, 0, 0);
+      // Behind the places, of clouds that know them.
+      if (cloud.sides && !this.backs) { gl.enableVertexAttribArray(this.at.side); gl.vertexAttribPointer(this.at.side, 3, gl.BYTE, true, 0, PLACE_BYTES * chunk[COUNT]); }
+      else { gl.disableVertexAttribArray(this.at.side); gl.vertexAttrib3f(this.at.side, 0, 0, 0); }
       gl.bindBuffer(gl.ARRAY_BUFFER, colour); gl.vertexAttribPointer(this.at.colour, 3, gl.UNSIGNED_BYTE, true, 0, 0);
       gl.drawArrays(gl.POINTS, 0, chunk[COUNT]);
       this.points += chunk[COUNT];

@@ -77,7 +77,7 @@ function save({ file, text }) {
 
 const shown = () => ({
   clouds: drawing.clouds.filter((cloud) => cloud.visible).map(({ number, shift }) => ({ number, shift })),
-  ...(at("section").checked ? box.cut() : {}),
+  ...(at("section").checked ? box.cut() : {}), backs: drawing.backs,
 });
 
 function pick(x, y) {
@@ -157,7 +157,7 @@ takeHands(canvas, camera, drawing, {
   box: sectioned, pick,
   keys: {
     p: choose("point"), d: choose("distance"), f: choose("flatness"), u: () => order({ do: "undo" }),
-    o: () => look("outside"), a: () => look("above"), s: station(1),
+    b: () => at("backs-part").hidden || at("backs").click(), o: () => look("outside"), a: () => look("above"), s: station(1),
     ...Object.fromEntries([1, 2, 3, 4, 5, 6, 7, 8, 9].map((number) => [number, station(number)])),
   },
 });
@@ -175,6 +175,7 @@ at("by").onchange = colour;
 at("photographs").onchange = photographs;
 at("apart").onchange = apart;
 at("section").onchange = cut;
+at("backs").onchange = () => { drawing.backs = !at("backs").checked; drawing.moved(); };
 at("budget").oninput = () => { drawing.budget = 1e6 * at("budget").value; at("budget-words").textContent = `${at("budget").value} million`; drawing.later(); };
 at("size").oninput = () => { drawing.size = Number(at("size").value); drawing.moved(); };
 at("fold").onclick = () => {
@@ -208,6 +209,9 @@ async function begin() {
       at("places").append(button);
     }
   }
+  at("backs-part").hidden = !drawing.clouds.some((cloud) => cloud.sides);
+  at("backs").checked = drawing.clouds.some((cloud) => cloud.hides);
+  drawing.backs = !at("backs").checked;
   at("photographs-part").hidden = !drawing.clouds.some((cloud) => cloud.panorama);
   at("products-part").hidden = !scene.products;
   at("products-part").ontoggle = () => { if (at("products-part").open) showProducts(); };

@@ -1,0 +1,57 @@
+"""From which side each point was seen, so that a view from outside can leave out what it sees from behind."""
+
+from itertools import product
+
+import numpy as np
+from jaxtyping import Float, Int8
+
+
+_STEPS = 127
+"""A component of a normal in steps, as WebGL reads signed bytes."""
+_AGREE = 0.9
+"""Share of normals that point to where the scanner stood, from which they were made so."""
+_KNOWN = 0.5
+"""Share of points with a normal, below which a cloud does not know its sides."""
+_REMAINS = 0.1
+"""Share of points that is left from every side of a cloud of which the backs are hidden at first."""
+_SOME = 100_000
+
+
+def sides_of(
+    normals: Float[np.ndarray, "n 3"], towards: Float[np.ndarray, "n 3"] | None, *, certain: bool
+) -> Int8[np.ndarray, "n 3"] | None:
+    """Unit normals in steps, towards where each point was seen from; zero where there is none.
+
+    Args:
+        normals: Of the points; zero where there is none.
+        towards: From each point to its scanner, of any length; None where nobody knows.
+        certain: Whether the cloud says where its scanner stood, which is only likely otherwise.
+
+    Returns:
+        None where the cloud does not know.
+    """
+    some = slice(None, None, max(1, len(normals) // _SOME))
+    known = np.any(normals[some] != 0, axis=1)
+    if towards is None or not known.mean() >= _KNOWN:
+        return None
+    slopes = np.einsum("ni,ni->n", normals[some], towards[some])[known]
+    steps = np.rint(_STEPS * normals).astype(np.int8)
+    if np.mean(slopes > 0) >= _AGREE:
+        # Not turned one by one: a camera stands beside the axis, and sees a little more than it.
+        return steps
+    if not certain:
+        return None
+    return np.where(np.einsum("ni,ni->n", normals, towards)[:, None] < 0, -steps, steps)
+
+
+def hides_well(sides: Int8[np.ndarray, "n 3"]) -> bool:
+    """Whether enough is left of a cloud without its backs, from wherever one looks: not of a single wall."""
+    few = sides[:: max(1, len(sides) // _SOME)].astype(np.float32)
+    few = few[np.any(few != 0, axis=1)]
+    ways = np.array(list(product((-1.0, 1.0), repeat=3)), np.float32)
+    return bool(len(few) and (few @ ways.T > 0).mean(0).min() >= _REMAINS)
+
+
+def seen_from(sides: Int8[np.ndarray, "n 3"], xyz: Float[np.ndarray, "n 3"], eye: Float[np.ndarray, "3"]) -> np.ndarray:
+    """Which points a place sees from the side from which they were seen, bool [n]; those that know no side too."""
+    return np.asarray(np.einsum("ni,ni->n", sides.astype(np.float32), eye.astype(np.float32) - xyz) >= 0)
