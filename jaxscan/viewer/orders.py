@@ -11,7 +11,7 @@ from jaxscan.errors import OptionError
 MOST_BYTES = 1 << 16
 """Longest message of a page."""
 _MOST_M = 1e7
-Do = Literal["pick", "room", "undo", "remove", "clear", "save", "choose"]
+Do = Literal["pick", "room", "undo", "remove", "clear", "save", "choose", "cancel"]
 _KINDS = ("point", "distance", "flatness")
 _WIDEST_RAD = 0.2
 
@@ -63,7 +63,7 @@ def parse_order(text: str, clouds: int) -> Order:
     match do, what:
         case "choose", str() if what in _KINDS:
             return Order("choose", what)
-        case "undo" | "clear", _:
+        case "undo" | "clear" | "cancel", _:
             return Order(do)
         case "remove", _:
             return Order("remove", id=int(_number(found.get("id"))))

@@ -11,16 +11,17 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-from aiohttp import WSMsgType, web
+from aiohttp import web
 from aiohttp.typedefs import Handler
 
 from jaxscan.errors import JaxscanError, OptionError
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import PointCloud
 from jaxscan.viewer.colours import COLOURINGS, Scale
-from jaxscan.viewer.orders import MOST_BYTES, parse_order
+from jaxscan.viewer.orders import MOST_BYTES
 from jaxscan.viewer.session import Session
 from jaxscan.viewer.shown import ShownCloud, middle_of
+from jaxscan.viewer.talking import AT_ONCE, talk, tell
 from jaxscan.web import Address, Gate, Resource, Server, resource_routes
 
 
@@ -143,6 +144,7 @@ class View:
         self._sessions: OrderedDict[str, Session] = OrderedDict()
         self._colours: OrderedDict[tuple[Any, ...], tuple[list[np.ndarray], Scale | None]] = OrderedDict()
         self._colouring = asyncio.Lock()
+        self._slots = asyncio.Semaphore(AT_ONCE)
 
     async def scene(self, _: web.Request) -> web.Response:
         """What there is: clouds with the lists of their chunks, places to stand in, colourings."""
@@ -246,16 +248,8 @@ class View:
         session = self._session(request.query.get("page", "")[:64])
         # A page may go while something is measured.
         with suppress(ConnectionResetError):
-            await socket.send_str(json.dumps({"scene": self._id, **session.state()}, allow_nan=False))
-            async for message in socket:
-                if message.type is not WSMsgType.TEXT:
-                    break
-                try:
-                    order = parse_order(message.data, len(self.clouds))
-                    answer = await asyncio.to_thread(session.carry_out, order)
-                except JaxscanError as problem:
-                    answer = {"message": " ".join(str(problem).split())}
-                await socket.send_str(json.dumps(answer, allow_nan=False))
+            await tell(socket, {"scene": self._id, **session.state()})
+            await talk(socket, session, len(self.clouds), self._slots)
         return socket
 
     def _session(self, page: str) -> Session:

@@ -19,7 +19,7 @@ from jaxscan.viewer.measuring import (
     measure_sides,
 )
 from jaxscan.viewer.orders import Order, Ray
-from jaxscan.viewer.session import Session
+from jaxscan.viewer.session import Session, Work
 from jaxscan.viewer.shown import ShownCloud
 
 from ..cli.conftest import run as run
@@ -163,6 +163,28 @@ def test_what_a_turned_section_hides_is_not_picked(shown, flat):
         session = Session([shown], None)
         session.carry_out(Order("pick", ray=ray, shifts=((0, shift),), section=box, turn_rad=turn))
         assert len(session.measured) == hit
+
+
+def test_what_was_begun_is_dropped_when_something_else_is_wanted(shown, flat):
+    session = Session([shown, shown], None)
+    shifts = ((0, np.zeros(3)), (1, np.zeros(3)))
+    room, click = Order("room", shifts=shifts), Order("pick", ray=ray_to(shown, flat[0]), shifts=shifts)
+    for other in (Order("cancel"), Order("undo"), Order("clear"), Order("choose", "flatness"), click, room):
+        work = session.begin(room)
+        assert isinstance(work, Work) and session.state()["measuring"] and session.finish(work._replace(id=-1)) is None
+        session.begin(other)
+        assert session.finish(work) is None and session.measured == []
+    # Nor is the second cloud measured for nobody.
+    assert work.measure(lambda: False) == ([], "")
+    session.carry_out(Order("choose", "point"))
+    state = session.carry_out(click)
+    assert len(state["measured"]) == 1 and not state["measuring"]
+    # What is in the list may be saved and taken out meanwhile; to take back is to end it.
+    work = session.begin(room)
+    assert session.begin(Order("save", "csv"))["file"] == "measured.csv"
+    assert session.begin(Order("remove", id=state["measured"][0]["id"]))["measuring"]
+    assert session.begin(Order("cancel"))["message"] == "Ended: nothing was measured."
+    assert session.begin(Order("cancel"))["message"] == ""
 
 
 def test_a_page_that_clicks_beside_is_told(shown):

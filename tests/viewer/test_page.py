@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from jaxscan.errors import MeasurementError
 from jaxscan.viewer import serve_clouds
 from jaxscan.viewer.session import Session
+from jaxscan.viewer.talking import AT_ONCE
 from jaxscan.web import open_address
 
 from ..browser.driver import NARROW, WIDE, Looks
@@ -66,9 +68,10 @@ def tap(looks, x, y):
 
 @pytest.fixture
 def opened(looks, url):
-    """The page with all its points, at a desk."""
+    """The page with all its points, those too that are seen from behind, at a desk."""
     looks.open(url)
     looks.until(lambda: looks.colours("cloud") > 20)
+    looks.click("backs")
     settle(looks)
     return looks
 
@@ -182,6 +185,10 @@ def lit(looks):
 
 
 def test_what_is_seen_from_behind_is_hidden_and_is_not_picked(opened):
+    # As a page begins.
+    opened.driver.refresh()
+    opened.until(lambda: opened.colours("cloud") > 20)
+    settle(opened)
     assert opened.at("backs").is_selected() and opened.at("backs-part").is_displayed()
     hidden = lit(opened)
     opened.at("cloud").send_keys("b")
@@ -308,12 +315,41 @@ def test_a_page_that_goes_while_something_is_measured_is_no_news(looks, url, cap
     looks.open(url)
     looks.until(lambda: looks.colours("cloud") > 20)
     with monkeypatch.context() as patched:
-        patched.setattr(Session, "carry_out", slowly)
+        patched.setattr(Session, "begin", slowly)
         looks.click("room")
         assert begun.wait(10)
         looks.driver.get("about:blank")
         time.sleep(0.7)
     assert caplog.text == ""
+
+
+def test_escape_and_a_click_end_a_long_measurement(opened, monkeypatch):
+    go, running = threading.Event(), []
+
+    def slowly(*_):
+        running.append(1)
+        go.wait(20)
+        running.pop()
+        raise MeasurementError("too late")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("jaxscan.viewer.session.measure_sides", slowly)
+        try:
+            opened.click("room")
+            opened.until(lambda: running and "ends it" in opened.text("seconds"))
+            opened.at("cloud").send_keys("\ue00c")
+            opened.until(lambda: opened.text("message") == "Ended: nothing was measured.")
+            # What nobody waits for goes on; a click does not wait for it, and others do not pile up.
+            for _ in range(4):
+                opened.click("room")
+            measure_somewhere(opened, "point")
+            assert len(listed(opened)) == 1 and len(running) == AT_ONCE
+        finally:
+            go.set()
+    opened.until(lambda: not running)
+    time.sleep(0.3)
+    assert len(listed(opened)) == 1 and "too late" not in opened.text("message")
+    assert opened.complaints() == []
 
 
 def test_the_room_by_the_keyboard_and_over_a_reload(opened):

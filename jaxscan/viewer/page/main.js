@@ -50,7 +50,7 @@ function hear(message) {
   if (message.file) return save(message);
   // The server began anew, perhaps with other clouds.
   if (message.scene && message.scene !== scene.id) return location.reload();
-  state = { ...state, ...message };
+  state = { ...state, measuring: false, ...message };
   showState(state, (one) => (several() ? drawing.clouds[one.cloud].title : ""), (id) => order({ do: "remove", id }));
   if (by === "deviation" && lastPlane() !== plane) {
     // Deviations from a plane that was taken back are none.
@@ -65,7 +65,10 @@ function order(what) {
   else say(`${AWAY}: nothing was done.`);
 }
 
-function measure(what) { sayWaiting("measuring …"); order({ ...what, ...shown() }); }
+function measure(what) {
+  state.measuring = true; at("undo").disabled = false;
+  sayWaiting("measuring …"); order({ ...what, ...shown() });
+}
 
 function save({ file, text }) {
   const link = make("a");
@@ -157,6 +160,7 @@ takeHands(canvas, camera, drawing, {
   box: sectioned, pick,
   keys: {
     p: choose("point"), d: choose("distance"), f: choose("flatness"), u: () => order({ do: "undo" }),
+    Escape: () => { if (state.measuring) order({ do: "cancel" }); },
     b: () => at("backs-part").hidden || at("backs").click(), o: () => look("outside"), a: () => look("above"), s: station(1),
     ...Object.fromEntries([1, 2, 3, 4, 5, 6, 7, 8, 9].map((number) => [number, station(number)])),
   },

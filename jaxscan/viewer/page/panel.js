@@ -20,7 +20,7 @@ export function showState(state, nameOf, remove) {
     at(kind).classList.toggle("chosen", state.kind === kind);
     at(kind).setAttribute("aria-pressed", state.kind === kind);
   }
-  say(state.message || ASKS[state.kind]);
+  if (!state.measuring) say(state.message || ASKS[state.kind]);
   const focused = at("measured").contains(document.activeElement), some = state.measured.length > 0;
   at("measured").replaceChildren(...state.measured.map((one, number) => {
     const item = make("li"), name = nameOf(one);
@@ -37,7 +37,7 @@ export function showState(state, nameOf, remove) {
   }));
   at("measured").scrollTop = 1e6;
   for (const id of ["csv", "json", "clear"]) at(id).disabled = !some;
-  at("undo").disabled = !some && !state.first;
+  at("undo").disabled = !some && !state.first && !state.measuring;
   // The button that was pressed is gone.
   if (focused) (at("measured").querySelector("li:last-child button:last-child") ?? at(state.kind)).focus();
 }
@@ -61,7 +61,7 @@ export function say(text) { clearInterval(ticking); at("seconds").textContent = 
 export function sayWaiting(text) {
   say(text);
   const begun = performance.now();
-  ticking = setInterval(() => { at("seconds").textContent = `${Math.round((performance.now() - begun) / 1000)} s`; }, 1000);
+  ticking = setInterval(() => { at("seconds").textContent = `${Math.round((performance.now() - begun) / 1000)} s; Esc or undo ends it`; }, 1000);
 }
 
 // The shortest names by which clouds can be told apart: their files', or the whole paths.
