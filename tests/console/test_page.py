@@ -48,6 +48,11 @@ def test_a_scan_by_clicks(visit, console):
         looks.driver.execute_script("[...document.querySelectorAll('#captures button')][0].click()")
         looks.until(lambda: looks.driver.execute_script("return document.getElementById('record').naturalWidth > 0"))
         assert looks.text("record-name") == "kitchen, 1 of 10"
+        looks.click("close")
+        looks.until(lambda: not looks.at("opened").is_displayed())
+        # What is taken is not offered again; nor is anything to be resumed.
+        assert looks.at("sweep-name").get_attribute("value") == "kitchen-2"
+        assert looks.text("next").startswith("First Look") and not looks.at("resume").is_enabled()
         assert looks.complaints() == []
 
     visit(work)
@@ -67,12 +72,68 @@ def test_stop_by_a_key_and_resume_by_a_click_over_a_reload(visit, console, paper
         looks.at("stop").send_keys(ESCAPE)
         looks.until(lambda: looks.text("ended") == "Stopped: the laser is off.")
         assert not paper.table.laser and not paper.table.contactor
+        assert looks.text("next") == "Resume goes on with room."
         looks.driver.refresh()
         looks.click("resume")
         looks.until(lambda: "complete, 10 records" in looks.text("ended"))
 
     visit(work)
     assert len(open_capture(console.captures.path("room"))) == 10
+
+
+def test_what_goes_on_is_said_and_what_may_be_compared(visit, console):
+    def capture(name, cloud):
+        about = {"name": name, "kind": "sweep", "records": 0, "complete": True, "problem": "", "changed": 0.0}
+        return about | {"cloud": cloud}
+
+    def work(looks, url):
+        buttons = "return Array.from(document.querySelectorAll('#captures button'), (one) => one.textContent)"
+        offered = lambda: [text for text in looks.driver.execute_script(buttons) if "ompare" in text]
+        press = (
+            "[...document.querySelectorAll('#captures button')].find((one) => one.textContent === arguments[0]).click()"
+        )
+        looks.open(url)
+        looks.until(lambda: looks.text("doing") == "ready")
+        work = {"what": "calibrate boards", "running": True, "well": None, "lines": [], "result": {}}
+        console.slate.write(works=[work])
+        looks.until(lambda: looks.text("next") == "The calibration is calculated: wait for its verdict.")
+        console.slate.write(works=[], captures=[capture("one", True), capture("other", False)])
+        looks.until(lambda: looks.text("next").startswith("one has its cloud"))
+        assert offered() == []
+        console.slate.write(captures=[capture("one", True), capture("other", True)])
+        looks.until(lambda: offered() == ["Compare …", "Compare …"])
+        looks.driver.execute_script(press, "Compare …")
+        looks.until(lambda: offered() == ["Do not compare", "Compare with one"])
+        looks.driver.execute_script(press, "Do not compare")
+        looks.until(lambda: offered() == ["Compare …", "Compare …"])
+        console.slate.write(laser="unknown")
+        looks.until(lambda: "switch its supply off" in looks.text("laser"))
+
+    visit(work)
+
+
+def test_the_board_and_its_button_are_seen_together_on_a_telephone(visit, console):
+    def work(looks, url):
+        looks.open(url, NARROW)
+        looks.until(lambda: looks.text("doing") == "ready")
+        sides = {
+            "covered": [[False] * 4] * 3,
+            "corners": [[0] * 4] * 3,
+            "depth_m": None,
+            "found": [],
+            "problem": "no board",
+        }
+        guide = {"pose": None, "advice": ["come nearer"], "min_tilt_deg": 20, **sides}
+        guide["next"] = {"at": [0.5, 0.5], "tilt_deg": 0, "towards_deg": 0}
+        placing = {"kind": "free", "number": 0, "total": 3, "at_deg": None}
+        console.slate.write(doing="placing", placing=placing, guide=guide, planned=3, done=0, left_s=None)
+        looks.until(lambda: looks.at("take").is_displayed())
+        middle = "return [...arguments].map((id) => document.getElementById(id).getBoundingClientRect().top)"
+        picture, button = looks.driver.execute_script(middle, "picture", "take")
+        assert 0 < picture < button < NARROW[1] - 120
+        assert looks.text("left") == "" and looks.complaints() == []
+
+    visit(work)
 
 
 def test_two_windows(visit):

@@ -66,6 +66,35 @@ def test_stop_in_mid_shot_and_resume(console, paper, held):
     assert records(console) == 10
 
 
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_laser_of_which_nobody_knows_is_not_said_to_be_off(console, paper, held, monkeypatch, stopped):
+    waits, go = held(4)
+    well, nowhere = paper.controller.make_safe, PortError("there is no port nowhere")
+
+    async def pages(console):
+        page = await console.open()
+        await page.order("sweep", name="room", resume=False)
+        await waiting(waits)
+        paper.controller.make_safe = lambda: False
+        await page.order("stop" if stopped else "pause")
+        go.set()
+        state = await page.done()
+        assert "switch its supply off by hand" in state["problem"] + state["ended"]
+        assert state["laser"] == "unknown" and "laser is off." not in state["ended"]
+        # Nor is it known after a try that does not reach the rig.
+        with monkeypatch.context() as patched:
+            patched.setattr("scanrig.controllers.jxs.connect", lambda *_: (_ for _ in ()).throw(nowhere))
+            await page.order("sweep", name="room", resume=True)
+            state = await page.done()
+        assert state["problem"] == str(nowhere) and state["laser"] == "unknown"
+        paper.controller.make_safe = well
+        await page.order("sweep", name="room", resume=True)
+        state = await page.done()
+        assert state["ended"].endswith("complete, 10 records.") and state["laser"] == "off"
+
+    console.run(pages)
+
+
 def test_stop_while_nothing_runs_does_nothing(console, paper):
     async def pages(console):
         page = await console.open()

@@ -106,6 +106,7 @@ class Desk:
 
     def attend(self) -> None:
         """Carry out orders until `leave`, or a signal."""
+        from scanrig.controllers import UNCONFIRMED
         from scanrig.errors import Fault
 
         with self._stopping:
@@ -126,8 +127,12 @@ class Desk:
                 finished += 1
                 # As the sentence on a fault names it.
                 estop = f": {Fault.EMERGENCY_STOP};" in f"{said} {problem}"
+                # The sentence begins with a capital, or does not. What was not confirmed stays so until the rig is
+                # open again, as it is while the laser may shine.
+                doubt = UNCONFIRMED[1:] in f"{said} {problem}" or self.slate.read("laser") == "unknown"
+                laser = "unknown" if doubt else "off"
                 self.slate.write(
-                    doing="nothing", problem=problem, ended=said, estop=estop, laser="off", finished=finished
+                    doing="nothing", problem=problem, ended=said, estop=estop, laser=laser, finished=finished
                 )
 
     def notify(self, sentence: str) -> None:
@@ -140,9 +145,12 @@ class Desk:
         try:
             return self._open_and_run(order), ""
         except KeyboardInterrupt as interrupt:
-            if str(interrupt) != PAGE:
+            said = str(interrupt)
+            if not said.startswith(PAGE):
                 raise
-            return "Stopped: the laser is off.", ""
+            # What is wrong with it stands behind.
+            doubt = said.removeprefix(PAGE).lstrip(". ")
+            return ("", f"Stopped. {doubt}") if doubt else ("Stopped: the laser is off.", "")
         except JaxscanError as problem:
             return "", " ".join(str(problem).split())
 
@@ -175,20 +183,21 @@ class Desk:
             return said
 
 
-def progress_of(slate: Slate, now: Callable[[], float], seconds: float) -> Callable[[int, int], None]:
+def progress_of(slate: Slate, now: Callable[[], float], seconds: float | None) -> Callable[[int, int], None]:
     """The hook of a session that tells how far it is, and how long it still takes.
 
     Args:
         slate: Where it is told.
         now: The time [s].
-        seconds: What the plan expects of the whole capture.
+        seconds: What the plan expects of the whole capture; None where a person has a part in it.
     """
     begun: list[tuple[float, int]] = []
 
     def progress(done: int, planned: int) -> None:
         begun.append((now(), done))
         (start, first), (at, last) = begun[0], begun[-1]
-        each = (at - start) / (last - first) if last > first else seconds / max(planned, 1)
-        slate.write(done=done, planned=planned, left_s=round(each * (planned - done), 1))
+        planned_s = None if seconds is None else seconds / max(planned, 1)
+        each = (at - start) / (last - first) if last > first else planned_s
+        slate.write(done=done, planned=planned, left_s=None if each is None else round(each * (planned - done), 1))
 
     return progress

@@ -96,8 +96,8 @@ class Sessions:
         if rig.board is None:
             raise OptionError(f"{desk.chosen.config}: has no [board] table, which captures of boards need.")
         folder = self._captures.path(order.name)
-        plan = ScanPlan.of(rig, boards=True)
-        self._expect(running, plan)
+        plan, by_hand = ScanPlan.of(rig, boards=True), desk.chosen.place_command is None
+        self._expect(running, plan, by_hand=by_hand)
         guide = make_guide(rig)
         operator = PageOperator(guide, running.painter, self._slate, running.should_stop)
         if desk.chosen.place_command is not None:
@@ -112,7 +112,7 @@ class Sessions:
         desk.operator = operator
         try:
             on_pair = on_board_pair(rig, guide, operator, running.painter, self._slate)
-            progress = progress_of(self._slate, time.monotonic, plan.seconds)
+            progress = progress_of(self._slate, time.monotonic, None if by_hand else plan.seconds)
             hooks = Hooks(on_pair, progress, desk.notify, running.should_stop)
             result = run_calibration(rig, folder, running.devices, operator, hooks, resume=order.resume)
         finally:
@@ -167,11 +167,13 @@ class Sessions:
         there = next(path for path in (folder, *folder.parents) if path.exists())
         self._slate.write(captures=self._captures.listed(), free_bytes=free_bytes(there))
 
-    def _expect(self, running: Running, plan: ScanPlan) -> None:
+    def _expect(self, running: Running, plan: ScanPlan, *, by_hand: bool = False) -> None:
         for note in plan.notes:
             self._desk.notify(note)
+        # How long a person takes for a pose nobody knows before the first.
+        left = None if by_hand else plan.seconds
         self._slate.write(
-            capture=running.order.name, done=0, planned=plan.records, left_s=plan.seconds, needed_bytes=plan.bytes
+            capture=running.order.name, done=0, planned=plan.records, left_s=left, needed_bytes=plan.bytes
         )
 
     def _live(self, running: Running, plan: ScanPlan, folder: Path) -> LiveCloud:

@@ -33,7 +33,9 @@ function card(capture, state, operates, cloud) {
   if (capture.kind === "sweep") button("Reconstruct", () => order("reconstruct", { name: capture.name }), operates && Boolean(state.calibration));
   if (capture.cloud) button("Show cloud", () => showCloud(capture.name, cloud));
   if (capture.cloud) button("Look around", () => window.open(`/look/${encodeURIComponent(capture.name)}/`, "_blank", "noopener"));
-  if (capture.cloud && chosen !== capture.name) button(chosen ? `Compare with ${chosen}` : "Compare …", () => compare(capture.name, state, operates, cloud), operates);
+  const several = state.captures.filter((one) => one.cloud).length > 1;
+  if (capture.cloud && chosen === capture.name) button("Do not compare", () => { chosen = null; showCaptures(state, operates, cloud, order); });
+  else if (capture.cloud && several) button(chosen ? `Compare with ${chosen}` : "Compare …", () => compare(capture.name, state, operates, cloud), operates);
   if (capture.kind && !capture.complete && operates && state.doing === "nothing") {
     button("Go on", () => order(capture.kind === "sweep" ? "sweep" : "boards", { name: capture.name, resume: true }));
   }
@@ -60,6 +62,7 @@ function open(capture) {
   at("records").max = capture.records - 1;
   at("records").value = 0;
   turn();
+  at("opened").scrollIntoView({ block: "nearest" });
 }
 
 function turn() {
@@ -68,5 +71,6 @@ function turn() {
   at("record-name").textContent = `${opened.name}, ${index + 1} of ${opened.records}`;
 }
 
+at("close").onclick = () => { at("opened").hidden = true; };
 at("records").oninput = turn;
 at("lit").onchange = turn;

@@ -18,8 +18,9 @@ export function showLive(state) {
   document.getElementById("peak-dn").textContent = lit ? `${live.peak_dn.toFixed(0)} of 255${live.clipped > 0.02 ? `, ${(100 * live.clipped).toFixed(0)} % clipped` : ""}` : "–";
   document.getElementById("angle").textContent = live.angle_deg === undefined ? "" : `table at ${live.angle_deg.toFixed(2)}°`;
   const exposure = live.exposure;
-  const says = live.proof || (exposure ? exposure.do || `exposure is good: ${exposure.found}` : "");
+  const says = live.proof || (exposure ? exposure.do && `${exposure.do} (in ${state.config}; then End, and Look again)` || `exposure is good: ${exposure.found}` : "");
   document.getElementById("exposure").textContent = says;
+  if (!bitmap) document.getElementById("no-picture").textContent = state.doing === "opening" ? "opening the rig …" : "Press Look to see what the camera sees.";
   draw(state);
 }
 

@@ -7,6 +7,7 @@ import { showCaptures } from "/captures.js";
 
 const PICTURE = 1, CLOUD = 2;
 const WORDS = { nothing: "ready", opening: "opening the rig …", aim: "looking", sweep: "scanning", boards: "capturing the board", placing: "place the board" };
+const LASER = { off: "laser off", unknown: "laser not known to be off: switch its supply off" };
 const cloud = new Cloud(at("cloud"), at("no-webgl"), at("points"), at("no-points"));
 let socket = null, state = {}, you = { operates: false, pages: 0 }, again = 0;
 
@@ -59,16 +60,34 @@ const size = (bytes) => (bytes >= 1e9 ? `${(bytes / 1e9).toFixed(1)} GB` : `${(b
 // What to do next, where nothing is done.
 function next() {
   if (state.doing !== "nothing" || !you.operates) return "";
-  if (state.captures.some((capture) => capture.cloud)) return "";
+  const works = state.works.filter((work) => work.running).map((work) => work.what.split(" ")[0]);
+  if (works.includes("calibrate")) return "The calibration is calculated: wait for its verdict.";
+  if (works.includes("reconstruct")) return "The cloud is calculated; it can be looked at as soon as that is done.";
+  if (resumable()) return `Resume goes on with ${state.order.name}.`;
+  const made = state.captures.find((capture) => capture.cloud);
+  if (made) return `${made.name} has its cloud: Look around, under Captures.`;
+  if (!state.calibration && state.verdict?.verdict) return "This calibration is not used: its verdict below says what to do.";
   if (!state.calibration) return state.has_board ? "First Look, until the line is bright and sharp; then Calibrate with the board." : "First Look, until the line is bright and sharp; then Scan.";
   return "Take the board out of the room; then Scan.";
+}
+
+const resumable = () => Boolean(state.order) && state.order.do !== "aim" && state.done < state.planned && known(state.order.name) && !known(state.order.name).complete;
+const known = (name) => state.captures.find((capture) => capture.name === name);
+
+// A capture is not written over: a name that is taken gives way to the next one, but not under a person's hands.
+function nameAnew(id) {
+  const field = at(id), [, stem, number] = field.value.match(/^(.*?)(?:-(\d+))?$/);
+  if (document.activeElement === field || !known(field.value)) return;
+  let next = Number(number ?? 1) + 1;
+  while (known(`${stem}-${next}`)) next++;
+  field.value = `${stem}-${next}`;
 }
 
 function show() {
   const busy = state.doing !== "nothing", running = busy && state.doing !== "aim", operates = you.operates;
   at("config").textContent = state.config;
   at("doing").textContent = WORDS[state.doing] ?? state.doing;
-  at("laser").textContent = state.laser === "off" ? "laser off" : "laser may shine";
+  at("laser").textContent = LASER[state.laser] ?? "laser may shine";
   at("laser").classList.toggle("on", state.laser !== "off");
   at("role").textContent = operates ? (you.pages > 1 ? `you operate, ${you.pages - 1} watching` : "") : "watching";
   at("take-over").hidden = operates;
@@ -76,19 +95,21 @@ function show() {
   say("ended", state.ended);
   at("next").textContent = next();
   at("estop").hidden = !state.estop;
+  at("estop").textContent = `The emergency stop is pressed. Release it, then ${resumable() ? "press Resume" : "begin again"}.`;
   for (const id of ["aim", "boards", "sweep"]) at(id).disabled = !operates || running || (id === "aim" && busy);
   at("boards").disabled ||= !state.has_board;
   at("boards").title = state.has_board ? "" : "The configuration has no [board] table.";
   at("pause").disabled = !operates || !busy;
   at("pause").textContent = state.doing === "aim" ? "End" : "Pause";
-  at("resume").disabled = !operates || busy || !state.order || state.order.do === "aim" || state.done >= state.planned;
+  at("resume").disabled = !operates || busy || !resumable();
+  if (!busy) for (const id of ["boards-name", "sweep-name"]) nameAnew(id);
   at("lost-stops").disabled = !operates;
   at("lost-stops").checked = state.lost === "stop";
   if (state.planned) {
     at("progress").max = state.planned;
     at("progress").value = state.done;
     at("count").textContent = `${state.capture}: ${state.done} of ${state.planned} records`;
-    at("left").textContent = state.done < state.planned ? `about ${duration(state.left_s)} left` : "";
+    at("left").textContent = state.done < state.planned && state.left_s !== null ? `about ${duration(state.left_s)} left` : "";
   }
   const needs = state.needed_bytes ? `, this capture takes up to ${size(state.needed_bytes)}` : "";
   at("disk").textContent = state.free_bytes === undefined ? "" : `${size(state.free_bytes)} free on the disk${needs}`;
