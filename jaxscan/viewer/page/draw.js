@@ -2,11 +2,11 @@ import { Panorama } from "./panorama.js";
 
 // Points in WebGL: of each tile as many as the view needs, fewer while it moves.
 // `side` points to where a point was seen from; it is zero where nobody knows.
-const VERTEX = `attribute vec3 place, colour, side; uniform mat4 view; uniform vec3 middle, low, high, eye; uniform vec2 turn; uniform float size; varying vec3 shown;
+const VERTEX = `attribute vec3 place, colour, side; uniform mat4 view; uniform vec3 middle, low, high, eye; uniform vec2 turn; uniform float size, behind; varying vec3 shown;
 void main() {
   vec3 at = place + middle, turned = vec3(turn.x * at.x + turn.y * at.y, turn.x * at.y - turn.y * at.x, at.z);
   gl_Position = view * vec4(at, 1.0);
-  if (any(lessThan(turned, low)) || any(greaterThan(turned, high)) || dot(side, eye - at) < 0.0) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  if (any(lessThan(turned, low)) || any(greaterThan(turned, high)) || dot(side, eye - at) < behind) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   gl_PointSize = clamp(size / gl_Position.w, 1.0, 24.0);
   shown = colour;
 }`;
@@ -42,7 +42,7 @@ export class Drawing {
     gl.enable(gl.DEPTH_TEST); gl.clearColor(0.05, 0.067, 0.082, 1);
     this.panorama = new Panorama(gl, (...texts) => this.compiled(...texts));
     this.at = Object.fromEntries(["place", "colour", "side"].map((name) => [name, gl.getAttribLocation(program, name)]));
-    this.uniform = Object.fromEntries(["view", "middle", "low", "high", "eye", "turn", "size"].map((name) => [name, gl.getUniformLocation(program, name)]));
+    this.uniform = Object.fromEntries(["view", "middle", "low", "high", "eye", "turn", "size", "behind"].map((name) => [name, gl.getUniformLocation(program, name)]));
   }
 
   compiled(vertex, fragment) {
@@ -97,7 +97,7 @@ export class Drawing {
       finest.set(tile, Math.min(chunk[SPACING], finest.get(tile) ?? Infinity));
     }
     gl.viewport(0, 0, width, height); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    gl.useProgram(this.program); gl.enableVertexAttribArray(this.at.place); gl.enableVertexAttribArray(this.at.colour);
+    gl.useProgram(this.program); for (const one of Object.values(this.at)) gl.enableVertexAttribArray(one);
     gl.uniformMatrix4fv(this.uniform.view, false, this.camera.matrix(width, height));
     const { section: [low, high], turn_rad: turn } = this.section ?? NO_SECTION;
     gl.uniform3fv(this.uniform.low, low); gl.uniform3fv(this.uniform.high, high);
@@ -109,9 +109,10 @@ export class Drawing {
       gl.uniform3f(this.uniform.middle, ...[0, 1, 2].map((k) => chunk[X + k] + cloud.shift[k]));
       gl.uniform1f(this.uniform.size, 1.3 * this.size * focal * finest.get(1000 * cloud.number + chunk[TILE]));
       gl.bindBuffer(gl.ARRAY_BUFFER, place); gl.vertexAttribPointer(this.at.place, 3, gl.FLOAT, false, 0, 0);
-      // Behind the places, of clouds that know them.
-      if (cloud.sides && !this.backs) { gl.enableVertexAttribArray(this.at.side); gl.vertexAttribPointer(this.at.side, 3, gl.BYTE, true, 0, PLACE_BYTES * chunk[COUNT]); }
-      else { gl.disableVertexAttribArray(this.at.side); gl.vertexAttrib3f(this.at.side, 0, 0, 0); }
+      // Behind the places, of clouds that know them. Others read any bytes, which change nothing.
+      const sides = cloud.sides ? PLACE_BYTES * chunk[COUNT] : 0;
+      gl.vertexAttribPointer(this.at.side, 3, gl.BYTE, true, 0, sides);
+      gl.uniform1f(this.uniform.behind, cloud.sides && !this.backs ? 0 : -1e9);
       gl.bindBuffer(gl.ARRAY_BUFFER, colour); gl.vertexAttribPointer(this.at.colour, 3, gl.UNSIGNED_BYTE, true, 0, 0);
       gl.drawArrays(gl.POINTS, 0, chunk[COUNT]);
       this.points += chunk[COUNT];
