@@ -101,7 +101,7 @@ def _robust(state: State, settings: RecalibrationSettings) -> State:
             break
         before = max(scale)
         damp = cauchy_weights(size / scale[0]) / scale[0], cauchy_weights(seen / scale[1]) / scale[1]
-        state = _solved(state, settings, _ROUGH, damp)
+        state = _solved(_with_boards(state), settings, _ROUGH, damp)
     return state
 
 
@@ -119,7 +119,7 @@ def _reject(state: State, settings: RecalibrationSettings) -> State:
         square = cleaned.error_px[kept] ** 2 / cleaned.redundancy()[kept]
         noise = learn_noise(square, cleaned.given_px[kept], cleaned.reach[kept], settings.wall_m)
         cleaned = replace(cleaned, noise=noise)
-        cleaned = replace(cleaned, sighting_noise=cleaned.learned_sighting_noise())
+        cleaned = _with_boards(replace(cleaned, sighting_noise=cleaned.learned_sighting_noise()))
         same = np.array_equal(kept, state.kept) and np.array_equal(sightings, state.sighting_kept)
         ratios = _ratios(cleaned, state)
         if round_number > 0 and same and max(abs(ratio - 1.0) for ratio in ratios) < _SETTLED:
@@ -198,7 +198,17 @@ def _ratios(after: State, before: State) -> tuple[float, ...]:
     return (
         mean(after) / mean(before),
         after.sighting_noise / before.sighting_noise,
+        # Boards look noisier from a scanner that does not fit them yet.
+        *(_board_noise(after) / _board_noise(before)),
     )
+
+
+def _board_noise(state: State) -> np.ndarray:
+    """Of corners and of stripes, and how many of these share one error; of no captured boards, nothing."""
+    if state.boards is None:
+        return np.zeros(0)
+    result = state.boards.result
+    return np.array([result.corner_noise, *result.stripe_noise, result.stripe_correlation])
 
 
 def _robust_noise_of(state: State, settings: RecalibrationSettings) -> Noise:
@@ -216,7 +226,6 @@ def _solved(
     damp: tuple[np.ndarray | float, np.ndarray | float] = (1.0, 1.0),
 ) -> State:
     """The state after one more solve, in which weights are damped by factors of the points and the sightings."""
-    state = _with_boards(state)
     room = state.weighted(*damp)
     damping = _FIRST_DAMPING if state.steps == 0 else _NEAR_DAMPING
     limits = np.asarray(damping), np.asarray(tolerance)
