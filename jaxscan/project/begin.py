@@ -44,6 +44,7 @@ def project_text(folder: Path) -> str:
 
     Sweeps of the same camera, laser and table are of one rig. Its calibration is the file that fits the size of its
     images, or is made from captures of a board by the same camera and laser, if they say nothing else of the table.
+    Where they say that it carries things, or nothing, they have products of their own.
 
     Raises:
         ConfigError: If there is no sweep, or not one calibration for a rig.
@@ -62,7 +63,7 @@ def project_text(folder: Path) -> str:
         name = "rig" if len(rigs) == 1 else f"rig-{number}"
         text += f'\n[[rig]]\nname = "{name}"\n{_calibration(folder, own[0], calibrations, boards)}'
         for pattern in _patterns(own, captures):
-            text += f'\n[[captures]]\npattern = {_quoted(pattern)}\nrig = "{name}"\n'
+            text += f'\n[[captures]]\npattern = {_quoted(pattern)}\nrig = "{name}"\n{_products(own[0].header)}'
     return text
 
 
@@ -133,6 +134,16 @@ def _alike(captures: Sequence[Found]) -> list[list[Found]]:
 
 def _parts(header: CaptureHeader) -> tuple[object, ...]:
     return header.camera, header.laser, header.turntable, header.board
+
+
+def _products(header: CaptureHeader) -> str:
+    """The line of captures that are none of a room; "" for those of which the project's products can be made."""
+    carries = None if header.turntable is None else header.turntable.carries
+    if carries == "nothing":
+        return 'products = ["cloud"]  # profiles of a scanner that stands still; also "measures", "report"\n'
+    if carries == "object":
+        return 'products = ["cloud", "mesh"]  # things on a table are no rooms; also "measures", "report"\n'
+    return ""
 
 
 def _calibration(folder: Path, sweep: Found, calibrations: Sequence[Path], boards: Sequence[Sequence[Found]]) -> str:

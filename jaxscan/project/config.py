@@ -14,6 +14,8 @@ Format = Literal["ply", "npz", "e57", "las", "laz", "pcd", "xyz", "ptx"]
 Merged = Literal["e57", "tiles", "plan"]
 MOST_PARTS = 10_000
 """Rigs, patterns and groups of a project."""
+_Products = Annotated[tuple[Product, ...], pydantic.Field(min_length=1, max_length=6)]
+_Formats = Annotated[tuple[Format, ...], pydantic.Field(min_length=1, max_length=8)]
 Name = Annotated[str, pydantic.Strict(), pydantic.Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
 _Place = Annotated[str, pydantic.Strict(), pydantic.Field(max_length=1000, pattern=r"^[^\x00-\x1f\x7f]+$")]
 
@@ -48,8 +50,8 @@ class ProjectTable(FileModel):
     """Folder of the products, from the project's own."""
     catalogue: Annotated[str, pydantic.Strict(), pydantic.Field(max_length=1000)] = ""
     """Address of a database as SQLAlchemy knows them; "" for a file in the folder of the products."""
-    products: Annotated[tuple[Product, ...], pydantic.Field(min_length=1, max_length=6)] = ("cloud", "measures")
-    formats: Annotated[tuple[Format, ...], pydantic.Field(min_length=1, max_length=8)] = ("ply",)
+    products: _Products = ("cloud", "measures")
+    formats: _Formats = ("ply",)
     """Of clouds."""
     split_records: Annotated[Integer, pydantic.Field(ge=32, le=1_000_000)] = 1000
     """The stripes of larger captures are found in pieces of so many records."""
@@ -84,6 +86,10 @@ class CapturesTable(FileModel):
     pattern: _Place
     """A folder, or a pattern of folders, from the project's own; or on object storage ("s3://bucket/rooms/*")."""
     rig: Name
+    products: _Products | None = None
+    """Of these captures; without, those of the project."""
+    formats: _Formats | None = None
+    """Of their clouds; without, those of the project."""
     settings: SettingsTable = SettingsTable()
 
 

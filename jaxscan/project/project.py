@@ -11,10 +11,19 @@ from datetime import date, datetime
 from pathlib import Path, PurePosixPath
 
 from jaxscan.errors import ConfigError
-from jaxscan.files.capture import HEADER_NAME, parse_header
-from jaxscan.files.disk import MEGABYTE, read_bounded
-from jaxscan.files.remote import find_captures, is_remote, read_remote
-from jaxscan.project.config import GroupTable, Name, ProjectFile, RigTable, SettingsTable, load_project_file
+from jaxscan.files.capture import HEADER_NAME, CaptureHeader
+from jaxscan.files.remote import find_captures, is_remote
+from jaxscan.project.config import (
+    Format,
+    GroupTable,
+    Name,
+    Product,
+    ProjectFile,
+    RigTable,
+    SettingsTable,
+    load_project_file,
+)
+from jaxscan.project.fitting import fitting_products, header_of
 
 
 MOST_CAPTURES = 100_000
@@ -30,6 +39,10 @@ class ProjectCapture:
     """Its folder, or where it is on object storage."""
     rig: RigTable
     settings: SettingsTable
+    products: tuple[Product, ...]
+    """Those that are wanted, without what cannot be made of it."""
+    formats: tuple[Format, ...]
+    """Of its cloud."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +53,8 @@ class Project:
     wanted: ProjectFile
     captures: tuple[ProjectCapture, ...]
     """In the order of their names."""
+    notes: tuple[str, ...] = ()
+    """Sentences on products that are left out."""
 
     @property
     def output(self) -> Path:
@@ -48,11 +63,15 @@ class Project:
 
 
 def load_project(path: str | Path) -> Project:
-    """A project, its patterns followed. Captures are looked at only where two calibrations of a rig need their day.
+    """A project, its patterns followed.
+
+    Captures are looked at only where calibrations of a rig need their day, and on this disk where a product that is
+    wanted cannot be made of every capture.
 
     Raises:
         ConfigError: If the file is none, a pattern finds nothing, two captures have one name, not exactly one
-            calibration fits a capture, or a group is not of one rig.
+            calibration fits a capture, a group is not of one rig, or a table asks for a product that none of its
+            captures can have.
     """
     file = Path(path).absolute()
     wanted = load_project_file(file)
@@ -62,23 +81,31 @@ def load_project(path: str | Path) -> Project:
     for rig in wanted.rig:
         rigs[rig.name].append(rig)
     found: dict[str, ProjectCapture] = {}
+    notes, headers = list[str](), dict[str, CaptureHeader]()
     boards = {_place(file.parent, one) for rig in wanted.rig for one in rig.boards}
     for table in wanted.captures:
         addresses = [one for one in _captures(file.parent, table.pattern) if _place(file.parent, one) not in boards]
         if not addresses:
             raise ConfigError(f'{path}: captures: the pattern "{table.pattern}" finds no capture.')
+        own: dict[Name, str] = {}
         for address in addresses:
             name = _name_of(path, address, table.pattern)
-            if name in found:
+            other = own.get(name) or (found[name].address if name in found else None)
+            if other is not None:
                 raise ConfigError(
-                    f'{path}: captures: "{name}" is found twice, as {found[name].address} and as {address}; names are '
-                    "the keys of products: rename a folder, or let the pattern have its * where the folders differ, as "
-                    "in */sweep."
+                    f'{path}: captures: "{name}" is found twice, as {other} and as {address}; names are the keys of '
+                    "products: rename a folder, or let the pattern have its * where the folders differ, as in */sweep."
                 )
-            found[name] = ProjectCapture(name, address, _rig_of(path, address, rigs[table.rig]), table.settings)
+            own[name] = address
+        of_rig = {name: _rig_of(path, own[name], rigs[table.rig], headers) for name in own}
+        fitting = fitting_products(path, table, wanted.project, own, headers)
+        formats = wanted.project.formats if table.formats is None else table.formats
+        for name, products in fitting.products.items():
+            found[name] = ProjectCapture(name, own[name], of_rig[name], table.settings, products, formats)
+        notes.extend(fitting.notes)
     for group in wanted.group:
         _check_group(path, group, found)
-    project = Project(file, wanted, tuple(found[name] for name in sorted(found)))
+    project = Project(file, wanted, tuple(found[name] for name in sorted(found)), tuple(notes))
     _check_output(path, project)
     return project
 
@@ -129,11 +156,12 @@ def _name_of(path: str | Path, address: str, pattern: str) -> Name:
     return name
 
 
-def _rig_of(path: str | Path, address: str, rigs: Sequence[RigTable]) -> RigTable:
-    """The rig's table that is valid for a capture."""
+def _rig_of(path: str | Path, address: str, rigs: Sequence[RigTable], headers: dict[str, CaptureHeader]) -> RigTable:
+    """The rig's table that is valid for a capture; a header that is read for it is added to `headers`."""
     if len(rigs) == 1 and rigs[0].first is None and rigs[0].last is None:
         return rigs[0]
-    day = _day_of(address)
+    headers[address] = header_of(address)
+    day = _day_of(address, headers[address])
     fits = [rig for rig in rigs if (rig.first or date.min) <= day <= (rig.last or date.max)]
     if len(fits) != 1:
         count = "no calibration fits" if not fits else f"{len(fits)} calibrations fit"
@@ -144,11 +172,9 @@ def _rig_of(path: str | Path, address: str, rigs: Sequence[RigTable]) -> RigTabl
     return fits[0]
 
 
-def _day_of(address: str) -> date:
+def _day_of(address: str, header: CaptureHeader) -> date:
     """The day on which a capture was begun."""
-    name = f"{address}/{HEADER_NAME}"
-    text = read_remote(name, MEGABYTE) if is_remote(address) else read_bounded(name, MEGABYTE, error=ConfigError)
-    started = parse_header(text, name=name).acquisition.get("started")
+    started = header.acquisition.get("started")
     try:
         return datetime.fromisoformat(started).date() if isinstance(started, str) else _unknown(address)
     except ValueError:

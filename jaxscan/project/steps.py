@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 from jaxscan.api.ranges import ranges_of
 from jaxscan.errors import CaptureError, ConfigError
-from jaxscan.files.capture import JOURNAL_NAME, open_capture
-from jaxscan.files.disk import MEGABYTE, open_regular
+from jaxscan.files.capture import open_capture
 from jaxscan.files.remote import is_remote
 from jaxscan.project.config import GroupTable, RigTable
+from jaxscan.project.fitting import is_longer
 from jaxscan.project.project import Project, ProjectCapture
 
 
@@ -190,19 +190,19 @@ def _beside(rig: RigTable) -> str:
 
 
 def _of_capture(project: Project, capture: ProjectCapture, reads: _Reads) -> Iterator[Step]:
-    wanted, name = project.wanted.project, capture.name
+    name = capture.name
     key, source = f"cloud/{name}", {"capture": capture.address}
     # Later steps read the cloud as PLY, which loses nothing.
-    formats = dict.fromkeys(("ply", *wanted.formats))
+    formats = dict.fromkeys(("ply", *capture.formats))
     clouds = tuple(f"clouds/{name}.{suffix}" for suffix in formats)
     settings = capture.settings.model_dump()
-    parts = tuple(_parts(capture, wanted.split_records, reads))
+    parts = tuple(_parts(capture, project.wanted.project.split_records, reads))
     yield from parts
     found = {f"stripes {number}": part.outputs[0] for number, part in enumerate(parts)}
     inputs = (*reads.inputs, *(part.key for part in parts))
     yield Step(key, "cloud", inputs, source | reads.sources, reads.products | found, clouds, settings)
     for kind, files in _FILES.items():
-        if kind in wanted.products:
+        if kind in capture.products:
             yield Step(
                 f"{kind}/{name}",
                 kind,
@@ -223,7 +223,7 @@ def _parts(capture: ProjectCapture, records: int, reads: _Reads) -> Iterator[Ste
         return
     name, settings = capture.name, capture.settings.model_dump(exclude={"colour"})
     try:
-        if not _may_be_large(Path(capture.address), records):
+        if not is_longer(Path(capture.address), records):
             return
         sweep = open_capture(capture.address, compare=False).every(capture.settings.every)
         ranges = ranges_of(sweep, records)
@@ -236,15 +236,6 @@ def _parts(capture: ProjectCapture, records: int, reads: _Reads) -> Iterator[Ste
         file, own = f"stripes/{name}.{first}-{stop}.npz", settings | {"first": first, "stop": stop}
         source = {"capture": capture.address, **reads.sources}
         yield Step(f"stripes/{name}/{first}-{stop}", "stripes", reads.inputs, source, reads.products, (file,), own)
-
-
-def _may_be_large(folder: Path, records: int) -> bool:
-    """Whether a journal has more lines; counting them takes less time than reading them."""
-    lines = 0
-    with open_regular(folder / JOURNAL_NAME, error=CaptureError) as file:
-        while lines <= records and (block := file.read(MEGABYTE)):
-            lines += block.count(b"\n")
-    return lines > records
 
 
 def _of_group(project: Project, group: GroupTable, reads: _Reads) -> Iterator[Step]:

@@ -59,6 +59,8 @@ def batch(
     with claimed(wanted), opened(wanted) as found:
         counts = counted(found.states)
         out.print(f"{_many(found.project.captures, 'capture')}, {_many(found.states, 'step')}: {in_words(counts)}")
+        for note in wanted.notes:
+            out.print(f"note: {note}")
         result: dict[str, Any] = {"done": [], "failed": {}, "not_begun": {}, "notes": {}}
         if counts["done"] < len(found.states):
             result = _work(found, choice, out)
@@ -68,7 +70,8 @@ def batch(
     if result["notes"]:
         told = shlex.join(["jaxscan", "project", "status", "--all", str(project)])
         out.print(f"notes on {_many(result['notes'], 'step')}: {told}")
-    emit_json(json, "batch", result | {"output": str(found.project.output), "seconds_s": seconds})
+    about = {"output": str(found.project.output), "seconds_s": seconds, "left_out": list(wanted.notes)}
+    emit_json(json, "batch", result | about)
     if result["failed"]:
         failed, behind = _many(result["failed"], "step"), _many(result["not_begun"], "step")
         again = shlex.join(["jaxscan", "batch", str(project)])

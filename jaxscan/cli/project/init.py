@@ -43,7 +43,7 @@ def init(
     write_atomically(target, project_text(folder).encode())
     try:
         project = load_project(target)
-        steps, notes = len(steps_of(project)), board_notes(project)
+        steps, notes = len(steps_of(project)), [*project.notes, *board_notes(project)]
     except JaxscanError:
         # What is in the way, a name that two captures have say, is mended in the folder; then it is called again.
         target.unlink()

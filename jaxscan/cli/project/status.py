@@ -50,10 +50,14 @@ def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False,
             out.print(f"{one.step.key} ({one.state}): {one.why}")
     if len(listed) < len(shown):
         out.print(f"... and {len(shown) - len(listed)} more (--all)")
+    for note in found.project.notes:
+        out.print(f"note: {note}")
     out.print(in_words(counts))
     if counts["done"] < len(states):
         out.print(f"next: {shlex.join(['jaxscan', 'batch', str(project)])}")
-    emit_json(json, "project-status", {"counts": counts, "steps": [_as_json(one) for one in states]})
+    left_out = list(found.project.notes)
+    result = {"counts": counts, "steps": [_as_json(one) for one in states], "left_out": left_out}
+    emit_json(json, "project-status", result)
 
 
 def _as_json(status: "Status") -> dict[str, Any]:
