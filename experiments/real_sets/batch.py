@@ -10,6 +10,7 @@ by the verbs of `jaxscan`, eight minutes on two cores; the figures are printed.
 
 import argparse
 import json
+import re
 import subprocess
 import sys
 import time
@@ -183,7 +184,9 @@ def main() -> int:
     frame = calibrate_desk(folder)
     verb("project", "init", folder)
     project = folder / "project.toml"
-    text = project.read_text().replace('"measures"]', '"measures", "mesh", "report"]')
+    # All of them for all captures: what cannot be made is left out.
+    text = re.sub(r'(rig = ".*"\n)products = .*\n', r"\1", project.read_text())
+    text = text.replace('"measures"]', '"measures", "mesh", "report"]')
     project.write_text(text.replace('formats = ["ply"]', 'formats = ["ply", "e57", "laz", "xyz"]'))
     print(project.read_text())
     verb("batch", project, "--workers", "2")

@@ -180,3 +180,42 @@ def test_a_project_is_viewed_by_its_clouds(museum, run):  # noqa: F811
     expected = (clouds / "room-1.ply", clouds / "room-2.ply", museum.parent / "other.ply")
     found, notes = with_projects((museum, museum.parent / "other.ply"))
     assert found == expected and notes == ["cloud/room-2: stale: room-2.npz is gone"]
+
+
+def test_products_of_a_table_that_carries_things(folder, run):
+    """The desk scanner's captures ask for no measures of rooms; a rig that stands still has clouds alone."""
+    for name, carries in (("room-2", "object"), ("boards", "object")):
+        edit(unsealed_all(folder, name) / "capture.toml", TABLE, TABLE.replace("scanner", carries))
+    shutil.copytree(folder / "boards", folder / "others")
+    edit(folder / "others" / "capture.toml", "object", "scanner")
+    ran = run("project", "init", folder)
+    assert ran.code == 0, ran.err
+    project = load_project(folder / "project.toml")
+    assert {one.name: one.products for one in project.captures} == {
+        "room-1": ("cloud", "measures"),
+        "room-2": ("cloud", "mesh"),
+    }
+    assert project.notes == () and "note:" not in ran.out
+
+
+def unsealed_all(folder, name):
+    """The capture of a name, which may be changed."""
+    return unsealed(next(folder.glob(f"**/{name}")))
+
+
+def test_what_is_left_out_is_said_and_what_is_asked_for_there_is_refused(museum, run):  # noqa: F811
+    edit(museum.parent / "room-2" / "capture.toml", TABLE, TABLE.replace("scanner", "object"))
+    edit(museum, '"mesh"]', '"plan"]')
+    ran = run("project", "status", museum, "--json", "-")
+    result = json.loads(ran.out)
+    assert result["counts"]["missing"] == 5 and "note: " + result["left_out"][0] in ran.err
+    assert result["left_out"][0].startswith(
+        'captures "room-*": no plan of room-2: capture.toml says carries = "object"'
+    )
+    edit(museum, 'pattern = "room-*"', 'pattern = "room-2"\nproducts = ["cloud", "plan"]')
+    for verb in (("batch",), ("project", "status")):
+        ran = run(*verb, museum)
+        assert ran.code == 1 and ran.err.count("\n") == 1
+        assert 'captures "room-2": asks for plan of room-2, which cannot be: ' in ran.err
+        assert 'Write products = ["cloud"] there.' in ran.err
+    assert not (museum.parent / "products").exists()
