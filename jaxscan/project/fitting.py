@@ -76,7 +76,7 @@ def fitting_products(
     # What a header says of the rig stays so, but a sweep of one record may be one that goes on.
     if table.products is not None and never and all(why in UNFIT for why, _ in left):
         raise ConfigError(
-            f'{path}: captures "{table.pattern}": asks for {_and(never)} of {_some(tuple(captures))}, which cannot be: '
+            f'{path}: captures "{table.pattern}": {_and(never)} cannot be made of {_some(tuple(captures))}: '
             f"{_said(next(iter(left))[0])}. {_instead(asked, never)}"
         )
     notes = []

@@ -216,6 +216,6 @@ def test_what_is_left_out_is_said_and_what_is_asked_for_there_is_refused(museum,
     for verb in (("batch",), ("project", "status")):
         ran = run(*verb, museum)
         assert ran.code == 1 and ran.err.count("\n") == 1
-        assert 'captures "room-2": asks for plan of room-2, which cannot be: ' in ran.err
+        assert 'captures "room-2": plan cannot be made of room-2: ' in ran.err
         assert 'Write products = ["cloud"] there.' in ran.err
     assert not (museum.parent / "products").exists()

@@ -111,7 +111,7 @@ def test_a_table_that_asks_for_what_none_of_its_captures_has_is_refused(museum):
     with pytest.raises(ConfigError) as refused:
         load_project(museum)
     assert str(refused.value) == (
-        f'{museum}: captures "room-2": asks for plan of room-2, which cannot be: capture.toml says carries = '
+        f'{museum}: captures "room-2": plan cannot be made of room-2: capture.toml says carries = '
         '"object", and a table that carries the object turns no camera in a room. Write products = ["mesh"] there.'
     )
     # One of two: the other one has it.
