@@ -120,7 +120,9 @@ class PaperController:
         self.clock.sleep(0.003)
         self.link_counts.sent += 1
         if self.lost:
+            self.link_counts.unanswered += 1
             raise LinkLost("no answer from paper")
+        self.link_counts.heard += 1
         self._heard = self.clock.now()
 
     def _open_contactor(self) -> None:

@@ -11,6 +11,7 @@ from jaxscan.cli.console.boards import PageOperator
 from jaxscan.cli.console.captures import Captures
 from jaxscan.cli.console.orders import Order
 from jaxscan.cli.console.painter import Painter
+from jaxscan.cli.console.silence import Silence
 from jaxscan.cli.console.slate import Slate
 from jaxscan.cli.console.stopping import PAGE, Stopping
 from jaxscan.cli.process.signals import RigInUse
@@ -175,6 +176,7 @@ class Desk:
                 opened.callback(self._stopping.end)
                 interrupts = opened.enter_context(Interrupts())
                 self.slate.write(doing=order.do, laser="may shine")
+                opened.enter_context(Silence(self.slate, controller))
                 should_stop = lambda: interrupts() or self._pausing.is_set()
                 running = Running(rig, Devices(controller, camera), order, should_stop, painter)
                 said = self.sessions[order.do](running)

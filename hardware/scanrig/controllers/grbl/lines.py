@@ -129,7 +129,7 @@ class GrblLines:
         try:
             self.link.write(data)
         except LinkLost:
-            self.broken = True
+            self._lose()
             raise
 
     def report(self) -> Report:
@@ -146,6 +146,7 @@ class GrblLines:
                 reports = [report for line in self.read(left) if (report := read_report(line))]
                 if reports:
                     return reports[-1]
+            self.counts.unanswered += 1
         raise LinkLost(f"no answer from {self.link.name} to '?'; check cable and power")
 
     def reset(self) -> None:
@@ -186,11 +187,12 @@ class GrblLines:
         try:
             data = self.link.read(max(timeout_s, 0.0))
         except LinkLost:
-            self.broken = True
+            self._lose()
             raise
         *lines, rest = (self._rest + data.replace(b"\r", b"")).split(b"\n")
         self._rest = rest[:_LONGEST]
         texts = [line.decode("ascii", "replace") for line in lines if line]
+        self.counts.heard += len(texts)
         for text in texts:
             self._note(text)
         if tell_reset:
@@ -218,6 +220,10 @@ class GrblLines:
             self.link = self._reopen()
             self._rest, self.broken = b"", False
 
+    def _lose(self) -> None:
+        self.broken = True
+        self.counts.unanswered += 1
+
     def _note(self, text: str) -> None:
         if text.startswith(self.expected_greeting):
             self.greeting = text
@@ -243,4 +249,5 @@ class GrblLines:
                 if line == "ok" or _ERROR.fullmatch(line):
                     return said, line
                 said.append(line)
+        self.counts.unanswered += 1
         return said, ""

@@ -1,6 +1,8 @@
 """Stop-and-wait over a link: each line is repeated until answered, and carried out once (PROTOCOL.md, section 1)."""
 
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from scanrig.clock import Clock
 from scanrig.controllers.jxs.answers import read_refusal
@@ -113,6 +115,7 @@ class Exchange:
             self._send(line, again=sends > 0)
             sends += 1
             answer = self._answer(seq, wait)
+            self.counts.unanswered += answer is None
             wait = min(2 * wait, self.timeout_s)
             if isinstance(answer, Refusal):
                 raise Refused(read_refusal(answer.code, verb), command_text(verb, **args), f"error {answer.code}")
@@ -150,7 +153,8 @@ class Exchange:
         start = b"\n" if again or self._half_line else b""
         # An interrupt during the write leaves half a line; the next line must end it first.
         self._half_line = True
-        self.link.write(start + line)
+        with self._failures():
+            self.link.write(start + line)
         self._half_line = False
         self.counts.sent += 1
         self.counts.resent += again
@@ -177,8 +181,11 @@ class Exchange:
 
     def _receive(self, timeout_s: float) -> list[Message]:
         """The messages of one read; events are filed and counted."""
-        messages = self._reader.feed(self.link.read(timeout_s))
+        with self._failures():
+            data = self.link.read(timeout_s)
+        messages = self._reader.feed(data)
         for message in messages:
+            self.counts.heard += not isinstance(message, Damaged)
             if isinstance(message, Event):
                 self._file(message)
             elif isinstance(message, Reply) and message.seq == self._hello:
@@ -189,6 +196,15 @@ class Exchange:
                 self.counts.damaged += 1
                 self.odd_lines.append(message.raw)
         return messages
+
+    @contextmanager
+    def _failures(self) -> Iterator[None]:
+        """Counts a port that fails."""
+        try:
+            yield
+        except LinkLost:
+            self.counts.unanswered += 1
+            raise
 
     def _file(self, event: Event) -> None:
         self.counts.events += 1

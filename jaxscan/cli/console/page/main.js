@@ -86,7 +86,8 @@ function nameAnew(id) {
 function show() {
   const busy = state.doing !== "nothing", running = busy && state.doing !== "aim", operates = you.operates;
   at("config").textContent = state.config;
-  at("doing").textContent = WORDS[state.doing] ?? state.doing;
+  at("doing").textContent = state.silence || (WORDS[state.doing] ?? state.doing);
+  at("doing").classList.toggle("on", Boolean(state.silence));
   at("laser").textContent = LASER[state.laser] ?? "laser may shine";
   at("laser").classList.toggle("on", state.laser !== "off");
   at("role").textContent = operates ? (you.pages > 1 ? `you operate, ${you.pages - 1} watching` : "") : "watching";
