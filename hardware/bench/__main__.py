@@ -21,6 +21,8 @@ from jaxscan.errors import JaxscanError
 
 
 STATUS_S = 0.5
+PLACE = ".venv/bin/python -m bench place"
+"""Shows the camera of a running bench the board in a pose, as docs/console.md has it."""
 SOCKETS = {"place": "camera", "camera": "camera", "rig": "control"}
 """Which socket of a running bench a word is for."""
 
@@ -75,6 +77,7 @@ def run(world: Path, config: str) -> int:
         free = sum(pose["kind"] == "free" for pose in poses)
         print(f"The bench is set up. Port: {desk.rig.port}   camera: {desk.camera.address}")
         print(f"In another terminal, type:\n\n    jaxscan scan configs/{config} -o captures/bench\n")
+        print(f'or, to scan from a web page,\n\n    jaxscan console configs/{config} --place-command "{PLACE}"\n')
         print(f"The board has {len(poses)} poses: {free} free views, then {len(poses) - free} placements.\n{HELP}\n")
         attend(desk)
     return 0
