@@ -1,10 +1,12 @@
 """The camera on the bench: a frame for every pulse of the trigger wire, showing the plant during the pulse."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -197,6 +199,9 @@ def test_the_whole_bench_from_its_terminal(tmp_path, whole_bench):
             line = bench.stdout.readline()
             assert line, said
             said += line
+        for pages in ("docs/console.md", "docs/first-room.md"):
+            text = (Path(__file__).resolve().parents[2] / pages).read_text()
+            assert re.search(r"jaxscan console configs/bench.toml --place-command .*?place\"", text)[0] in said
         assert "jaxscan scan configs/bench.toml" in said and str(tmp_path / "bench" / "port") in said
         second = subprocess.run(command, env=whole_bench, stdin=subprocess.DEVNULL, capture_output=True, text=True)
         assert second.returncode == 1 and "runs already" in second.stderr

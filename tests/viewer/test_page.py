@@ -365,9 +365,13 @@ def test_the_room_by_the_keyboard_and_over_a_reload(opened):
     opened.at("room").send_keys("f")
     opened.until(lambda: opened.text("message").startswith("Click a flat place"))
     assert opened.at("flatness").get_attribute("aria-pressed") == "true"
-    # A cross where Enter measures; moving to the right takes the cloud to the left.
+    # A cross where Enter measures, in no canvas: one over the cloud halves the pictures a second.
     opened.at("cloud").send_keys("p")
-    opened.until(lambda: opened.colours("marks") > 1)
+    opened.until(lambda: not opened.driver.execute_script("return document.getElementById('cross').hidden"))
+    free = opened.driver.execute_script("return document.getElementById('panel').getBoundingClientRect().left")
+    where = "const at = document.getElementById('cross').getBoundingClientRect(); return [at.x, at.y]"
+    place = opened.driver.execute_script(where)
+    assert place == pytest.approx([free / 2, WIDE[1] / 2], abs=1) and opened.colours("marks") == 1
 
     def middle():
         seen = np.nonzero(picture(opened, "cloud")[..., 1] > 40)[1]
@@ -375,6 +379,7 @@ def test_the_room_by_the_keyboard_and_over_a_reload(opened):
 
     settle(opened)
     before = middle()
+    # Moving to the right takes the cloud to the left.
     opened.at("cloud").send_keys("\ue008" + 2 * "\ue014")
     opened.until(lambda: middle() < before - 80)
 

@@ -3,7 +3,7 @@ import { Box } from "./box.js";
 import { Camera, OUTSIDE } from "./camera.js";
 import { Drawing, GAP as GAP_M, RADIUS, X } from "./draw.js";
 import { takeHands } from "./hands.js";
-import { drawMarks } from "./marks.js";
+import { drawMarks, showCross } from "./marks.js";
 import { at, make, say, sayWaiting, showProducts, showScale, showState, titles } from "./panel.js";
 
 const canvas = at("cloud"), camera = new Camera(), CLICK_PX = 8, FAR_M = 1000, GAP = 1.1, AWAY = "No connection to jaxscan view";
@@ -19,8 +19,8 @@ const drawing = new Drawing(canvas, camera, (panorama) => {
   drawMarks(at("marks"), camera, {
     state, place: placed, box: section && ((pen, width, height) => section.draw(pen, camera, width, height)),
     names: at("apart").checked ? drawing.clouds.filter((cloud) => cloud.visible).map((cloud) => [cloud.title, top(cloud)]) : [],
-    cross: canvas.matches(":focus-visible"),
   });
+  showCross(at("cross"), camera, canvas.matches(":focus-visible"), canvas.clientWidth, canvas.clientHeight);
   at("loading").hidden = (drawing.points > 0 || panorama !== null) && !none;
   at("loading").textContent = none ? "no cloud is shown" : "loading …";
   at("shown").textContent = panorama ? "a panorama is shown" : `${drawing.points.toLocaleString("en")} points shown`;

@@ -1,12 +1,12 @@
-// What was measured, drawn over the cloud; names of clouds that stand side by side; a cross where Enter measures.
-const MARK = "#ffa02e", NAME = "#e6ebf0", CROSS_PX = 12;
+// What was measured, drawn over the cloud; names of clouds that stand side by side.
+const MARK = "#ffa02e", NAME = "#e6ebf0";
 // Canvases that show nothing: to lay an empty one over the cloud anew takes a fifth of the pictures a second.
 const empty = new WeakSet();
 
 // `state` is what was measured; `place` gives the place of an end in the scene, null where its cloud is hidden; `box` draws
 // itself, or is null; `names` are [text, the corners of the cloud's top].
-export function drawMarks(canvas, camera, { state, place, box, names, cross }) {
-  const nothing = !(box || state.first || state.measured?.length || names.length || cross);
+export function drawMarks(canvas, camera, { state, place, box, names }) {
+  const nothing = !(box || state.first || state.measured?.length || names.length);
   if (nothing && empty.has(canvas)) return;
   if (nothing) empty.add(canvas); else empty.delete(canvas);
   const dense = Math.min(devicePixelRatio, 2), width = canvas.clientWidth, height = canvas.clientHeight;
@@ -44,8 +44,11 @@ export function drawMarks(canvas, camera, { state, place, box, names, cross }) {
     const share = one.kind === "room" ? 0.75 : 0.5, [x, y] = ends.length === 2 ? [0, 1].map((k) => (1 - share) * ends[0][k] + share * ends[1][k]) : ends[0];
     tag(`${number + 1}: ${one.words[0].split(",")[0]}`, x + 8, y - 24, MARK);
   });
-  if (!cross) return;
-  const [x, y] = camera.middle(width, height);
-  pen.strokeStyle = NAME;
-  line([x - CROSS_PX, y], [x + CROSS_PX, y]); line([x, y - CROSS_PX], [x, y + CROSS_PX]);
+}
+
+// Where Enter measures: an element of its own, which costs no picture that a canvas over the cloud costs.
+export function showCross(cross, camera, shown, width, height) {
+  cross.hidden = !shown;
+  const [left, top] = camera.middle(width, height).map((one) => `${Math.round(one)}px`);
+  if (shown && (cross.style.left !== left || cross.style.top !== top)) Object.assign(cross.style, { left, top });
 }
