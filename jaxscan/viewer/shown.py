@@ -10,11 +10,14 @@ from numpy.typing import ArrayLike
 from jaxscan.measurement import PlaneMeasurement
 from jaxscan.reconstruction import PointCloud
 from jaxscan.viewer.colours import UNKNOWN, Colouring, Scale, brightened, coloured_normals, scale_of
+from jaxscan.viewer.gridded import gridded_normals
 from jaxscan.viewer.levels import Levels, make_levels
 from jaxscan.viewer.sides import hides_well, sides_of
 
 
 _MM = 1e3
+_DARKEST = 60.0
+"""Level of the weakest points of a cloud that has intensities alone."""
 
 
 def says_its_place(cloud: PointCloud) -> bool:
@@ -71,7 +74,8 @@ class ShownCloud:
         some = self.xyz[:: max(1, len(self.xyz) // 50_000)]
         self.low, self.high = np.percentile(some, [1, 99], axis=0)
         """Corners of the points without their outermost hundredth, in the scene's frame [3], m."""
-        self.sides = sides_of(self.take(cloud.normals), self._towards(), certain=says_its_place(cloud))
+        normals = cloud.normals if self.has("normals") else self._gridded()
+        self.sides = sides_of(self.take(normals), self._towards(), certain=says_its_place(cloud))
         """From which side the points were seen, int8 [n, 3]; None where the cloud does not know."""
         self.hides = self.sides is not None and hides_well(self.sides)
         """Whether what is seen from behind is better left out at first."""
@@ -83,9 +87,14 @@ class ShownCloud:
 
     def has(self, by: Colouring) -> bool:
         """Whether the cloud knows what the colours would show."""
-        if by in ("photograph", "height", "deviation"):
+        if by in ("height", "deviation"):
             return True
-        field = {"intensity": self.cloud.intensity, "normals": self.cloud.normals, "sigma": self.cloud.sigma_random}[by]
+        field = {
+            "photograph": self.cloud.rgb,
+            "intensity": self.cloud.intensity,
+            "normals": self.cloud.normals,
+            "sigma": self.cloud.sigma_random,
+        }[by]
         return bool(np.any(np.asarray(field)))
 
     def take(self, field: ArrayLike) -> np.ndarray:
@@ -97,13 +106,14 @@ class ShownCloud:
         """The colours of its points, and their scale where they have one.
 
         Args:
-            by: What they show; as photographed where the cloud does not know it.
+            by: What they show; as photographed where the cloud does not know it, and grey where it has no colours.
             plane: The plane for deviations, in the cloud's frame.
         """
         if by == "deviation" and plane is not None:
             return self._deviations(plane)
         if by in ("photograph", "deviation") or not self.has(by):
-            return brightened(self.take(self.cloud.rgb)), None
+            # Black on a dark ground would not be seen.
+            return brightened(self.take(self.cloud.rgb)) if self.has("photograph") else self._grey(), None
         if by == "normals":
             return coloured_normals(self.take(self.cloud.normals)), None
         if by == "height":
@@ -118,6 +128,14 @@ class ShownCloud:
             return np.where(known[:, None], scale.coloured(values), UNKNOWN), scale
         scale = scale_of(values, unit)
         return scale.coloured(values), scale
+
+    def _grey(self) -> np.ndarray:
+        if not self.has("intensity"):
+            return np.broadcast_to(UNKNOWN, (self.points, 3)).copy()
+        levels = self.take(self.cloud.intensity)
+        scale = scale_of(levels, "DN")
+        grey = np.clip((levels - scale.low) / max(scale.high - scale.low, 1e-12), 0.0, 1.0)
+        return np.repeat((_DARKEST + (255 - _DARKEST) * grey).astype(np.uint8)[:, None], 3, axis=1)
 
     def _deviations(self, plane: PlaneMeasurement) -> tuple[np.ndarray, Scale]:
         offset = float((plane.centre_m - self.origin) @ plane.normal)
@@ -156,6 +174,15 @@ class ShownCloud:
             return np.asarray(places[0] - self.xyz)
         lines = self.cloud.valid.shape[1]
         return np.asarray(places[np.asarray(self.cloud.stations.number)[self.cells // lines]] - self.xyz)
+
+    def _gridded(self) -> ArrayLike:
+        """Normals of a cloud without any, by its grid; zero where it has none."""
+        places = self.stations() + self.origin
+        if not len(places):
+            return self.cloud.normals
+        numbers = 0 if self.cloud.stations is None else np.asarray(self.cloud.stations.number)
+        found = gridded_normals(self.cloud, np.broadcast_to(places[numbers], (len(self.cloud.valid), 3)))
+        return self.cloud.normals if found is None else found
 
     def axes(self) -> list[list[float]]:
         """The axes of the scanner at the first station, in the scene's frame [axis, 3]."""

@@ -168,7 +168,10 @@ class View:
             }
             for cloud, seen in zip(self.clouds, self._panoramas, strict=True)
         ]
-        known = [by for by in COLOURINGS if by == "deviation" or any(cloud.has(by) for cloud in self.clouds)]
+        known = [by for by in COLOURINGS if any(cloud.has(by) for cloud in self.clouds)]
+        # The first is shown at first; a panorama is seen among the colours of photographs.
+        if any(self._panoramas) and "photograph" not in known:
+            known.insert(0, "photograph")
         said = {"id": self._id, "systematic": self._scanner is not None, "products": self._products is not None}
         return _json({"clouds": clouds, "colourings": known, **said})
 

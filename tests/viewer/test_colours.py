@@ -1,8 +1,11 @@
 """Colours of the viewer."""
 
+import dataclasses
+
 import numpy as np
 
-from jaxscan.viewer.colours import Scale, brightened, coloured_normals, scale_of
+from jaxscan.viewer.colours import UNKNOWN, Scale, brightened, coloured_normals, scale_of
+from jaxscan.viewer.shown import ShownCloud, middle_of
 
 
 def test_ends_and_outside():
@@ -38,3 +41,13 @@ def test_dark_pictures_are_brightened_and_bright_ones_left():
 def test_normals():
     colours = coloured_normals(np.array([[1.0, 0, 0], [-1, 0, 0], [0, 0, 0]]))
     assert colours.tolist() == [[255, 127, 127], [0, 127, 127], [127, 127, 127]]
+
+
+def test_a_cloud_without_colours_is_grey_not_black(room):
+    cloud = dataclasses.replace(room.cloud, rgb=np.zeros_like(room.cloud.rgb))
+    shown = ShownCloud("", cloud, middle_of(cloud))
+    grey, scale = shown.coloured("photograph", plane=None)
+    assert not shown.has("photograph") and scale is None
+    assert grey.min() >= 60 and len(np.unique(grey)) > 20 and np.ptp(grey, axis=1).max() == 0
+    plain = dataclasses.replace(cloud, intensity=np.zeros_like(cloud.intensity))
+    assert np.all(ShownCloud("", plain, middle_of(cloud)).coloured("photograph", plane=None)[0] == UNKNOWN)

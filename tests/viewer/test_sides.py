@@ -1,8 +1,12 @@
 """From which side points were seen, and what of them a place sees from behind."""
 
+import dataclasses
+
+import jax
 import numpy as np
 import pytest
 
+from jaxscan.viewer.gridded import gridded_normals
 from jaxscan.viewer.picking import pick
 from jaxscan.viewer.shown import ShownCloud, middle_of
 from jaxscan.viewer.sides import hides_well, seen_from, sides_of
@@ -67,3 +71,31 @@ def test_a_scanned_room_knows_its_sides(room):
     above = shown.high * [0, 0, 1] + [0, 0, 5]
     ceiling = shown.xyz[:, 2] > shown.high[2] - 0.02
     assert not seen_from(shown.sides, shown.xyz, above)[ceiling].mean() > 0.2
+
+
+def stripped(cloud):
+    """The cloud as other scanners' files have it: a grid, and no normals."""
+    return dataclasses.replace(cloud, normals=np.zeros_like(cloud.normals))
+
+
+def test_a_grid_without_normals_knows_the_same_sides(room):
+    cloud = stripped(room.cloud)
+    shown, own = ShownCloud("", cloud, middle_of(cloud)), ShownCloud("", room.cloud, middle_of(cloud))
+    assert shown.hides and not shown.has("normals")
+    a, b = shown.sides.astype(float), own.sides.astype(float)
+    both = np.any(a != 0, 1) & np.any(b != 0, 1)
+    assert both.mean() > 0.9
+    cosine = np.einsum("ni,ni->n", a[both], b[both]) / 127**2
+    # Those at edges take other neighbours without the sigmas of rows.
+    assert np.mean(cosine > 0.95) > 0.95
+
+
+def test_a_grid_on_a_map_and_places_where_no_scanner_stood(room):
+    cloud, here = stripped(room.cloud), np.zeros((len(room.cloud.valid), 3))
+    found, map_m = gridded_normals(cloud, here), np.array([400_000.0, 5_800_000.0, 100.0])
+    far = dataclasses.replace(cloud, xyz=np.where(cloud.valid[..., None], cloud.xyz.astype(np.float64) + map_m, 0.0))
+    cosine = np.einsum("ijk,ijk->ij", gridded_normals(far, here + map_m), found)[np.any(found != 0, -1)]
+    assert np.mean(cosine > 0.999) > 0.99
+    assert gridded_normals(cloud, here + [1.5, 0.5, 0.0]) is None
+    few = jax.tree.map(lambda field: field[:2], cloud)
+    assert gridded_normals(few, here[:2]) is None

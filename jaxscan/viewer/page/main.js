@@ -9,7 +9,7 @@ import { at, make, say, sayWaiting, showProducts, showScale, showState, titles }
 const canvas = at("cloud"), camera = new Camera(), CLICK_PX = 8, FAR_M = 1000, GAP = 1.1, AWAY = "No connection to jaxscan view";
 let state = { kind: "point", message: "", measured: [], first: null }, socket = null, again = 0, box = null, scene = null;
 // The quantity that the colours show, and the flatness that they are about.
-let by = "photograph", plane = "";
+let by = "", plane = "";
 const several = () => drawing.clouds.length > 1, moved = (xyz, shift) => xyz.map((x, k) => x + shift[k]);
 const placed = (one) => { const cloud = drawing.clouds[one.cloud]; return cloud?.visible ? moved(one.xyz, cloud.shift) : null; };
 const sectioned = () => (box && at("section").checked && !drawing.around() ? box : null);
@@ -54,7 +54,7 @@ function hear(message) {
   showState(state, (one) => (several() ? drawing.clouds[one.cloud].title : ""), (id) => order({ do: "remove", id }));
   if (by === "deviation" && lastPlane() !== plane) {
     // Deviations from a plane that was taken back are none.
-    if (lastPlane() === "") at("by").value = "photograph";
+    if (lastPlane() === "") at("by").value = scene.colourings[0];
     colour();
   }
   drawing.later();
@@ -213,7 +213,10 @@ async function begin() {
       at("places").append(button);
     }
   }
-  at("backs-part").hidden = !drawing.clouds.some((cloud) => cloud.sides);
+  const sided = drawing.clouds.filter((cloud) => cloud.sides);
+  at("backs-part").hidden = !sided.length;
+  // Others are shown from all sides, and may stand before it.
+  if (sided.length < drawing.clouds.length) at("backs-of").textContent = sided.length === 1 ? `, of ${sided[0].title}` : `, of ${sided.length} of ${drawing.clouds.length} clouds`;
   at("backs").checked = drawing.clouds.some((cloud) => cloud.hides);
   drawing.backs = !at("backs").checked;
   at("photographs-part").hidden = !drawing.clouds.some((cloud) => cloud.panorama);
@@ -231,7 +234,9 @@ async function begin() {
   at("budget").oninput();
   fit();
   if (at("apart").checked) apart();
-  drawing.query = "by=photograph";
+  [by] = scene.colourings;
+  drawing.query = new URLSearchParams({ by }).toString();
+  showScale(drawing.query);
   enclose();
   look("outside");
   connect();
