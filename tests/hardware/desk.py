@@ -122,7 +122,7 @@ class PaperController:
         if self.lost:
             self.link_counts.unanswered += 1
             raise LinkLost("no answer from paper")
-        self.link_counts.heard += 1
+        self.link_counts.unanswered = 0
         self._heard = self.clock.now()
 
     def _open_contactor(self) -> None:

@@ -97,7 +97,5 @@ class LinkCounts:
     events: int = 0
     events_missed: int = 0
     events_by_name: dict[str, int] = field(default_factory=dict)
-    heard: int = 0
-    """Lines that arrived undamaged, whatever they say."""
     unanswered: int = 0
-    """Waits for an answer that came to nothing, and failures of the port."""
+    """Waits for an answer that came to nothing, and failures of the port, since a line was heard last."""

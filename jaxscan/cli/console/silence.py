@@ -33,8 +33,7 @@ class Silence:
             now: The time [s].
         """
         self._slate, self._controller, self._now = slate, controller, now
-        counts = controller.link_counts
-        self._heard, self._unanswered, self._heard_at = counts.heard, counts.unanswered, now()
+        self._heard_at = now()
         self._picture, self._step_at = slate.picture().version, 0.0
         self._stepping = False
         """Whether a step has ended since the table found home, which takes as long as it takes."""
@@ -60,11 +59,9 @@ class Silence:
             self._slate.write(silence=self.look())
 
     def _answers(self) -> str:
-        counts, now = self._controller.link_counts, self._now()
-        if counts.heard != self._heard:
-            self._heard, self._unanswered, self._heard_at = counts.heard, counts.unanswered, now
+        now = self._now()
         # While it waits for a person or a camera the host may ask nothing.
-        if counts.unanswered == self._unanswered:
+        if not self._controller.link_counts.unanswered:
             self._heard_at = now
         return _since("no answer from the rig", now - self._heard_at, SILENT_S)
 

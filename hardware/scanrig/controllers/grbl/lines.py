@@ -192,7 +192,8 @@ class GrblLines:
         *lines, rest = (self._rest + data.replace(b"\r", b"")).split(b"\n")
         self._rest = rest[:_LONGEST]
         texts = [line.decode("ascii", "replace") for line in lines if line]
-        self.counts.heard += len(texts)
+        if texts:
+            self.counts.unanswered = 0
         for text in texts:
             self._note(text)
         if tell_reset:

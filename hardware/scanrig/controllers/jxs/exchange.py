@@ -185,7 +185,8 @@ class Exchange:
             data = self.link.read(timeout_s)
         messages = self._reader.feed(data)
         for message in messages:
-            self.counts.heard += not isinstance(message, Damaged)
+            if not isinstance(message, Damaged):
+                self.counts.unanswered = 0
             if isinstance(message, Event):
                 self._file(message)
             elif isinstance(message, Reply) and message.seq == self._hello:
