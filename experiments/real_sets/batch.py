@@ -38,7 +38,7 @@ COVERED_M = {"table": 0.0, "toy": BY_NAME["srv_toy"].inner_m}
 BOX_M = 0.09
 """The box under the toy is nearer to the axis."""
 NEAR_BOARD_M = 0.005
-"""Points farther from a board are of what is behind it."""
+"""Points farther from a board are of things behind it."""
 
 
 def verb(*words: str | Path) -> str:
@@ -151,7 +151,7 @@ def box_figures(xyz: np.ndarray, height: float) -> list[tuple[float, float, floa
 
 
 def figures(folder: Path, frame: TableFrame) -> None:
-    """What the clouds are worth, as far as flat things in them tell."""
+    """Prints how flat the flat things in the clouds are."""
     products = folder / "products"
     for name, inner in COVERED_M.items():
         cloud = products / "clouds" / f"{name}.ply"

@@ -53,7 +53,7 @@ def known_files(sheet: Sequence[str], axis: Sequence[str]) -> list[tuple[str, Pa
 
 
 def motion_notes(capture: Capture, axis: Sequence[str]) -> list[str]:
-    """What an axis is taken for where the capture does not say what moves."""
+    """A note on the motion that a known axis is taken for, where the capture names none."""
     if not axis or _is_file(axis) or capture.carries is not None:
         return []
     return [

@@ -68,7 +68,7 @@ def project_text(folder: Path) -> str:
 
 
 def board_notes(project: Project) -> list[str]:
-    """What the boards of a new project cannot tell, by their headers and journals: its batch would say so late."""
+    """Sentences on parts that the boards of a new project leave open, which its batch would say late."""
     notes = []
     for rig in project.wanted.rig:
         places = [str(Path(project.file.parent, place)) for place in rig.boards]
@@ -121,7 +121,7 @@ def _is_calibration(path: Path) -> bool:
 
 
 def _alike(captures: Sequence[Found]) -> list[list[Found]]:
-    """Captures by the camera, laser, table and board of their headers: what can be calibrated together."""
+    """Captures by the camera, laser, table and board of their headers: those that can be calibrated together."""
     groups: list[list[Found]] = []
     for one in captures:
         same = next((group for group in groups if _parts(group[0].header) == _parts(one.header)), None)
@@ -176,7 +176,7 @@ def _calibration(folder: Path, sweep: Found, calibrations: Sequence[Path], board
 
 
 def _differs(board: CaptureHeader, sweep: CaptureHeader) -> list[str]:
-    """What of a rig another one has: what a capture of a board leaves open may be the sweep's.
+    """The parts of a rig in which a capture of a board differs from a sweep; parts that it leaves open may be the same.
 
     How images were stored says nothing of the rig, and the colour of a laser is a way of looking for it.
     """
@@ -191,7 +191,7 @@ def _differs(board: CaptureHeader, sweep: CaptureHeader) -> list[str]:
 
 
 def _unfit(scanner: Scanner, sweep: CaptureHeader) -> str:
-    """What of a rig a calibration has otherwise; "" where it fits."""
+    """The part of a rig in which a calibration differs from a sweep; "" where it fits."""
     if (scanner.camera.width, scanner.camera.height) != (sweep.camera.width, sweep.camera.height):
         return "size of image"
     moves = None if sweep.turntable is None else sweep.turntable.carries

@@ -17,7 +17,7 @@ UNFIT: Mapping[str, tuple[Product, ...]] = {
     "linear": ("panorama",),
     "nothing": ("mesh", "plan", "panorama"),
 }
-"""By what a header says the table carries. A stage may move along the walls of a room, so its plan is tried."""
+"""By the load of the table that a header names. A stage may move along the walls of a room, so its plan is tried."""
 _OF_MANY: tuple[Product, ...] = ("mesh", "plan", "panorama")
 """Products of neighbouring profiles, which a single record has not."""
 _WHY = {
@@ -32,7 +32,7 @@ _MOST_NAMES = 3
 
 
 class Fitting(NamedTuple):
-    """What is made of the captures of one table."""
+    """The products of the captures of one table."""
 
     products: Mapping[Name, tuple[Product, ...]]
     """Of each capture, by its name."""
@@ -73,7 +73,7 @@ def fitting_products(
         if gone:
             left[why, gone].append(name)
     never = tuple(kind for kind in asked if not any(kind in some for some in products.values()))
-    # What a header says of the rig stays so, but a sweep of one record may be one that goes on.
+    # A header's word on the rig stays as it is, but a sweep of one record may be one that goes on.
     if table.products is not None and never and all(why in UNFIT for why, _ in left):
         raise ConfigError(
             f'{path}: captures "{table.pattern}": {_and(never)} cannot be made of {_some(tuple(captures))}: '
@@ -134,7 +134,7 @@ def _said(why: str) -> str:
 
 
 def _instead(asked: Iterable[Product], gone: Iterable[Product]) -> str:
-    """What to write, so that no more is asked for than there can be."""
+    """The line to write, so that no more is asked for than there can be."""
     left = [f'"{kind}"' for kind in asked if kind not in gone] or ['"cloud"']
     return f"Write products = [{', '.join(left)}] there."
 

@@ -40,7 +40,7 @@ class ProjectCapture:
     rig: RigTable
     settings: SettingsTable
     products: tuple[Product, ...]
-    """Those that are wanted, without what cannot be made of it."""
+    """Those that are wanted and can be made of it."""
     formats: tuple[Format, ...]
     """Of its cloud."""
 

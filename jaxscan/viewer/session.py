@@ -40,7 +40,7 @@ class Entry(NamedTuple):
 
 
 Found = tuple[list[tuple[int, Measured]], str]
-"""What was measured, each with the number of its cloud; and why it could not be."""
+"""Measurements, each with the number of its cloud; and why there are none."""
 Measure = Callable[[Callable[[], bool]], Found]
 """Measures, as long as its answer is wanted."""
 
@@ -167,7 +167,7 @@ class Session:
         return found, " ".join(" ".join(problems).split())
 
     def _pick(self, order: Order, ray: Ray) -> Measure | None:
-        """What is to be measured by a click; None where that is done, or nothing was met."""
+        """The measurement that a click asks for; None where that is done, or nothing was met."""
         # Between two profiles there may be no point within a finger's breadth.
         hits = self._hits(order, ray) or self._hits(order, ray._replace(cone_rad=_WIDER * ray.cone_rad))
         if not hits:

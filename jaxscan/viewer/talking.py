@@ -1,4 +1,4 @@
-"""Carries out the orders of one page: what is measured does not hold up what comes after it."""
+"""Carries out the orders of one page: a measurement does not hold up the orders after it."""
 
 import asyncio
 import json
@@ -17,7 +17,7 @@ AT_ONCE = 2
 
 
 async def talk(socket: web.WebSocketResponse, session: Session, clouds: int, slots: asyncio.Semaphore) -> None:
-    """Carry out the orders of a page until it goes; what it waits for is dropped then.
+    """Carry out the orders of a page until it goes; its measurements are dropped then.
 
     Args:
         socket: Of the page.

@@ -50,7 +50,7 @@ def test_a_scan_by_clicks(visit, console):
         assert looks.text("record-name") == "kitchen, 1 of 10"
         looks.click("close")
         looks.until(lambda: not looks.at("opened").is_displayed())
-        # What is taken is not offered again; nor is anything to be resumed.
+        # A taken name is not offered again; nor is anything to be resumed.
         assert looks.at("sweep-name").get_attribute("value") == "kitchen-2"
         assert looks.text("next").startswith("First Look") and not looks.at("resume").is_enabled()
         assert looks.complaints() == []

@@ -1,4 +1,4 @@
-"""What a step that was done says: every note a sentence."""
+"""The words of a step that was done: every note a sentence."""
 
 import json
 

@@ -44,7 +44,7 @@ def test_captures_with_products_and_formats_of_their_own(museum):
     assert kinds(museum, "room-2") == ["cloud", "mesh", "panorama"]
     assert steps["cloud/room-2"].outputs == ("clouds/room-2.ply", "clouds/room-2.las")
     after, _ = digests_of(steps.values())
-    # What is as it was stays so; other formats are another cloud, and another mesh of it.
+    # Captures without products of their own stay as they are; other formats are another cloud, and another mesh of it.
     assert {key for key in before if after.get(key) == before[key]} == {
         "cloud/room-1",
         "measures/room-1",

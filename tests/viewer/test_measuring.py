@@ -179,7 +179,7 @@ def test_what_was_begun_is_dropped_when_something_else_is_wanted(shown, flat):
     session.carry_out(Order("choose", "point"))
     state = session.carry_out(click)
     assert len(state["measured"]) == 1 and not state["measuring"]
-    # What is in the list may be saved and taken out meanwhile; to take back is to end it.
+    # Entries of the list may be saved and taken out meanwhile; to take back is to end it.
     work = session.begin(room)
     assert session.begin(Order("save", "csv"))["file"] == "measured.csv"
     assert session.begin(Order("remove", id=state["measured"][0]["id"]))["measuring"]

@@ -339,7 +339,7 @@ def test_escape_and_a_click_end_a_long_measurement(opened, monkeypatch):
             opened.until(lambda: running and "ends it" in opened.text("seconds"))
             opened.at("cloud").send_keys("\ue00c")
             opened.until(lambda: opened.text("message") == "Ended: nothing was measured.")
-            # What nobody waits for goes on; a click does not wait for it, and others do not pile up.
+            # A measurement that nobody waits for goes on; a click does not wait for it, and others do not pile up.
             for _ in range(4):
                 opened.click("room")
             measure_somewhere(opened, "point")

@@ -1,4 +1,4 @@
-"""From which side points were seen, and what of them a place sees from behind."""
+"""From which side points were seen, and which of them a place sees from behind."""
 
 import dataclasses
 

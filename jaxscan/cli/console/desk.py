@@ -128,8 +128,8 @@ class Desk:
                 finished += 1
                 # As the sentence on a fault names it.
                 estop = f": {Fault.EMERGENCY_STOP};" in f"{said} {problem}"
-                # The sentence begins with a capital, or does not. What was not confirmed stays so until the rig is
-                # open again, as it is while the laser may shine.
+                # The sentence begins with a capital, or does not. A doubt about the laser stays until the rig is
+                # open again and may let it shine.
                 doubt = UNCONFIRMED[1:] in f"{said} {problem}" or self.slate.read("laser") == "unknown"
                 laser = "unknown" if doubt else "off"
                 self.slate.write(
@@ -149,7 +149,7 @@ class Desk:
             said = str(interrupt)
             if not said.startswith(PAGE):
                 raise
-            # What is wrong with it stands behind.
+            # The laser's doubt, if there is one, stands behind that word.
             doubt = said.removeprefix(PAGE).lstrip(". ")
             return ("", f"Stopped. {doubt}") if doubt else ("Stopped: the laser is off.", "")
         except JaxscanError as problem:

@@ -51,7 +51,7 @@ class Silence:
         self._slate.write(silence="")
 
     def look(self) -> str:
-        """What there is to say now."""
+        """The words that are true now, "" while all is well."""
         return self._answers() or self._steps()
 
     def _watch(self) -> None:

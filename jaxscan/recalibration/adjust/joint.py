@@ -173,7 +173,7 @@ def _stepped(state: State, step: Unknowns) -> State | None:
 
 
 def _settled(step: Unknowns, covariance: Covariance) -> bool:
-    """Whether the stations moved by a small part of what is known of them."""
+    """Whether the stations moved by a small part of their standard deviations."""
     first = len(step.scanner)
     sigma = np.sqrt(np.diag(covariance.dense)[first : first + len(step.stations)])
     return bool(np.all(np.abs(step.stations) < _SETTLED * sigma))

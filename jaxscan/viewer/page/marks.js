@@ -1,4 +1,4 @@
-// What was measured, drawn over the cloud; names of clouds that stand side by side.
+// Measurements, drawn over the cloud; names of clouds that stand side by side.
 const MARK = "#ffa02e", NAME = "#e6ebf0";
 // Canvases that show nothing: to lay an empty one over the cloud anew takes a fifth of the pictures a second.
 const empty = new WeakSet();
