@@ -5,7 +5,7 @@
 DESK and LINES are copies of the repositories of `srv_toy` and `zhaocongyang` (see `sets`), or bare git snapshots of
 them; FOLDER is new. The desk scanner is calibrated by its boards and the markers on its table; its two sweeps follow.
 The pairs of the fixed light plane are boards and, once more, the profiles of a scanner that stands still. All is done
-by the verbs of `jaxscan`, eight minutes on two cores; the figures are printed.
+by the verbs of `jaxscan`, some minutes on two cores; the figures are printed.
 """
 
 import argparse
