@@ -10,6 +10,16 @@ FARTHEST_M = 1e8
 """Largest coordinate of a point [m]: more than twice around the Earth."""
 
 
+LEAST_KNOWN = 0.2
+"""Largest share of itself that the standard deviation of a dimension may have [1]; above it nobody measured it."""
+
+
+def is_known(value: float, sigma: float) -> bool:
+    """Whether a length, an area or a volume is known well enough to be stated as one."""
+    # NaN fails too.
+    return sigma <= LEAST_KNOWN * value
+
+
 def checked_samples(cloud: Cloud) -> Samples:
     """All valid points, as `samples_of` gives them.
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
+from jaxscan.measurement.checked import is_known
 from jaxscan.measurement.planes import Plane
 from jaxscan.measurement.ransac import find_planes
 from jaxscan.measurement.samples import Cloud, Samples, about_the_scanner, places_of, samples_of
@@ -21,6 +22,8 @@ UPRIGHT = np.sin(np.radians(15.0))
 """|z| of a normal below which a plane is a wall."""
 ALONG = np.radians(20.0)
 """Largest angle of a wall to the room's own direction."""
+PARALLEL = np.cos(np.radians(5.0))
+"""Least cosine between two walls that are opposite each other."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +66,9 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
     """Measure a room from wall to wall.
 
     The walls are the outermost large planes in each direction, not those with the most points,
-    fitted by weighted least squares. As opposite walls are never quite parallel, a dimension is
-    the distance between them along their mean normal through the room's centre: the point midway
+    fitted by weighted least squares. Opposite walls are parallel to 5 degrees, at most a fifth of the
+    points is behind a wall, and a dimension is known to a fifth of itself. As opposite walls are
+    never quite parallel, a dimension is the distance between them along their mean normal through the room's centre: the point midway
     between the walls of every pair, and nearest the origin where a pair is missing.
 
     Args:
@@ -76,20 +80,24 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
         Length, width and height [m] as far as they were seen, each with its standard deviation.
 
     Raises:
-        MeasurementError: If no two opposite walls are found.
+        MeasurementError: If no two opposite walls are found between which the points are.
     """
     samples, place = about_the_scanner(samples_of(cloud))
     rng = np.random.default_rng(seed)
     pairs, planes = bounding_walls(samples, rng, seed=seed)
-    found = [pair for pair in pairs if len(pair) == 2]
+    found = [pair for pair in pairs if len(pair) == 2 and -pair[0].plane.normal @ pair[1].plane.normal > PARALLEL]
+    none = MeasurementError(
+        f"No two opposite walls among {planes} planes in {len(samples.p)} points; "
+        "a room must be scanned from within, all around, in steps of a few degrees."
+    )
     if not found:
-        raise MeasurementError(
-            f"No two opposite walls among {planes} planes in {len(samples.p)} points; "
-            "a room must be scanned from within, all around, in steps of a few degrees."
-        )
+        raise none
     centre = _centre(found)
     systematic = partial(systematic_sigma, scanner, places_of(cloud))
-    dimensions = sorted((_dimension(pair, centre, systematic, rng) for pair in found), key=lambda each: -each.value_m)
+    measured = [_dimension(pair, centre, systematic, rng) for pair in found]
+    dimensions = sorted((one for one in measured if is_known(one.value_m, one.sigma_m)), key=lambda each: -each.value_m)
+    if not dimensions:
+        raise none
     height = next((each for each in dimensions if abs(each.direction[2]) > 0.5), None)
     horizontal = [each for each in dimensions if each is not height]
     return RoomBox(
@@ -169,7 +177,8 @@ def _pair(
     limit = LEVEL if direction[2] == 1.0 else np.cos(ALONG)
     mine = [(plane, p) for plane, p in planes if abs(plane.normal @ direction) > limit]
     walls = (outermost(mine, side) for side in (direction, -direction))
-    return [refine_wall(samples, wall, rng=rng) for wall in walls if wall is not None]
+    refined = (refine_wall(samples, wall, rng=rng) for wall in walls if wall is not None)
+    return [wall for wall in refined if wall.bounds(samples)]
 
 
 def _centre(pairs: list[list[Wall]]) -> np.ndarray:

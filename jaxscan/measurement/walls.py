@@ -17,6 +17,11 @@ KEPT = 2.5
 SHARE, SPAN = 0.1, 0.5
 """A wall has at least these shares of the largest support and of the largest width of all planes on
 its side of the room; smaller planes are things behind a door."""
+NARROW = 0.05
+"""A wall is at least this wide across its longest extent, in units of it: points of one line lie on any plane."""
+BEYOND, BEYOND_M = 0.2, 0.1
+"""Of all points at most this share is farther than this [m] behind a wall, seen through its openings; with more the
+room goes on behind it."""
 SYSTEMATIC_POINTS = 2000
 """Points per wall on which the effect of the calibration is evaluated."""
 
@@ -37,6 +42,11 @@ class Wall(NamedTuple):
         plane = plane._replace(distance=distance, centre=plane.centre + step)
         return self._replace(plane=plane, samples=self.samples.moved(step))
 
+    def bounds(self, samples: Samples) -> bool:
+        """Whether the points of the room are before it."""
+        behind = samples.p @ self.plane.normal - self.plane.distance > BEYOND_M + 6.0 * samples.sigma
+        return bool(np.mean(behind) <= BEYOND)
+
     @property
     def rms_m(self) -> float:
         """RMS distance of its points [m]."""
@@ -50,20 +60,24 @@ def outermost(candidates: list[tuple[Plane, np.ndarray]], outward: np.ndarray) -
     Furniture in front of a wall may have more points than the wall.
     """
     side = [(facing(plane, outward), p) for plane, p in candidates]
-    side = [(plane, p) for plane, p in side if plane.distance > 0]
+    side = [
+        (plane, p)
+        for plane, p in side
+        if plane.distance > 0 and np.min(widths := _widths(plane, p)) >= NARROW * np.max(widths)
+    ]
     if not side:
         return None
     support = np.array([len(p) for _, p in side])
-    width = np.array([_width(plane, p) for plane, p in side])
+    width = np.array([np.max(_widths(plane, p)) for plane, p in side])
     large = (support >= SHARE * support.max()) & (width >= SPAN * width[support >= SHARE * support.max()].max())
     depth = np.array([plane.distance if big else -np.inf for (plane, _), big in zip(side, large, strict=True)])
     return side[int(np.argmax(depth))][0]
 
 
-def _width(plane: Plane, p: np.ndarray) -> float:
-    """Longest extent of the support in its plane, without its last 2 % on either side [m]."""
+def _widths(plane: Plane, p: np.ndarray) -> np.ndarray:
+    """Extents of the support along the axes of its plane [2], without its last 2 % on either side [m]."""
     low, high = np.percentile((p - plane.centre) @ plane.axes.T, [2, 98], axis=0)
-    return float(np.max(high - low))
+    return np.asarray(high - low)
 
 
 def refine_wall(samples: Samples, plane: Plane, *, rng: np.random.Generator) -> Wall:

@@ -21,6 +21,8 @@ from jaxscan.files.disk import open_regular
 _SINGLE_STEPS = 1 << 20
 """Steps of a coordinate up to which a single holds it sixteen times finer than the file."""
 _SINGLE_M = 1e6
+_LARGEST_STEP_M = 1.0
+"""Of a coordinate; no program writes a coarser one."""
 _COMPRESSED = 0x80
 _DAMAGE = (
     *(ValueError, TypeError, LookupError, AttributeError, ArithmeticError, EOFError, MemoryError, OSError),
@@ -109,6 +111,12 @@ def _points_of(las: Any) -> np.ndarray:
         if "amplitude" not in values:
             values["intensity"] = values["intensity"] / np.float32(257)
     scales, offsets = np.array(las.header.scales), np.array(las.header.offsets)
+    # NaN fails too; a negative step mirrors the cloud.
+    if not ((scales > 0) & (scales <= _LARGEST_STEP_M)).all() or not np.isfinite(offsets).all():
+        raise ValueError(
+            f"steps of its coordinates {scales.tolist()} and offsets {offsets.tolist()}, expected steps above 0 and up "
+            f"to {_LARGEST_STEP_M:g} and finite offsets: others mirror or squash the cloud"
+        )
     xyz = np.stack([np.asarray(las[axis]) for axis in "XYZ"], -1) * scales + offsets
     single = (np.abs(xyz).max(0) <= np.minimum(scales * _SINGLE_STEPS, _SINGLE_M)).all()
     values |= dict(zip("xyz", (xyz.astype(np.float32) if single else xyz).T, strict=True))
