@@ -68,8 +68,9 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
     The walls are the outermost large planes in each direction, not those with the most points,
     fitted by weighted least squares. Opposite walls are parallel to 5 degrees, at most a fifth of the
     points is behind a wall, and a dimension is known to a fifth of itself. As opposite walls are
-    never quite parallel, a dimension is the distance between them along their mean normal through the room's centre: the point midway
-    between the walls of every pair, and nearest the origin where a pair is missing.
+    never quite parallel, a dimension is the distance between them along their mean normal through the
+    room's centre: the point midway between the walls of every pair, and nearest the origin where a pair
+    is missing.
 
     Args:
         cloud: The room, scanned from within; z of the scanner frame is vertical within 10 degrees.
