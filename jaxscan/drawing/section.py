@@ -60,7 +60,8 @@ def draw_section(survey: Survey, a: tuple[float, float], b: tuple[float, float])
     if step != 0.0:
         first = first + step * across[:2]
         remarks.append(
-            f"The section ran within a wall and is moved by {100 * abs(step):.0f} cm into the room, through {_text(first)}."
+            f"The section ran within a wall and is moved by {100 * abs(step):.0f} cm into the room, through "
+            f"{_text(first)}."
         )
     plane = Surface.exact(across, float(across[:2] @ first))
     ends = _ends(survey, plane, first, along)

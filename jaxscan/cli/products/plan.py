@@ -75,9 +75,8 @@ def plan(
     ]
     out.print(table(f"Walls, {height[0]:g} m above the floor", ("", "m", "m²", ""), rows))
     for each in result["openings"]:
-        out.print(
-            f"{each['wall']}: {each['kind']} {_length(each['width']) or 'not known how'} wide, {_length(each['height']) or 'not known how'} high"
-        )
+        wide, high = (_length(each[name]) or "not known how" for name in ("width", "height"))
+        out.print(f"{each['wall']}: {each['kind']} {wide} wide, {high} high")
     for name, unit in (("height", "m"), ("floor_area", "m²"), ("volume", "m³")):
         found = result[name]
         if found is not None:
