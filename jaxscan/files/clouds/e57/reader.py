@@ -141,11 +141,13 @@ def _wanted(fields: list[Field]) -> dict[str, str]:
     """Names of the columns that a cloud can use, by their names in the file."""
     names = {field.name for field in fields if field.readable}
     known = COLUMNS | _OWN_COLUMNS
+    cartesian = ("cartesianX", "cartesianY", "cartesianZ")
     # Where both are there, the state of the one is not that of the other.
-    if {"cartesianX", "cartesianY", "cartesianZ"} <= names:
+    if set(cartesian) <= names:
         known = known | {"cartesianInvalidState": "invalid"}
     else:
-        known = known | _SPHERICAL | {"sphericalInvalidState": "invalid"}
+        known = {name: column for name, column in known.items() if name not in cartesian}
+        known |= _SPHERICAL | {"sphericalInvalidState": "invalid"}
     return {name: column for name, column in known.items() if name in names}
 
 
@@ -154,7 +156,7 @@ def _read_points(
 ) -> np.ndarray:
     """All columns of a scan that a cloud can use, as records."""
     wanted = _wanted(fields)
-    types = {column: next(field.type for field in fields if field.name == name) for name, column in wanted.items()}
+    types = {wanted[field.name]: _stored(field, wanted[field.name]) for field in fields if field.name in wanted}
     stored = {column: kind if column not in full or full[column] is None else "u1" for column, kind in types.items()}
     # Without an upper limit of the colours, the values themselves say later what is bright.
     table = np.empty(count, list(stored.items()))
@@ -177,6 +179,13 @@ def _read_points(
     read_columns(pages, int(points.attributes.get("fileOffset", "0")), count, fields, sinks)
     colours = [column for column, brightest in full.items() if brightest is None and column in types]
     return _with_bytes(table, colours) if colours else table
+
+
+def _stored(field: Field, column: str) -> str:
+    """Type of a column: what is turned is a float, and what counts profiles or lines counts further in other scans."""
+    if column in ("x", "y", "z", "nx", "ny", "nz"):
+        return field.type if field.single is not None else "f8"
+    return "i4" if field.type == "u1" and column in ("step", "row", "profile", "record") else field.type
 
 
 def _with_bytes(table: np.ndarray, colours: list[str]) -> np.ndarray:
