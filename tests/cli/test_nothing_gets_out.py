@@ -32,12 +32,15 @@ def strace():
 
 
 def traced(strace, folder, code, *words):
-    """What a process and its children ask of the kernel: (lines about sockets of a network, opened files)."""
+    """What a process and its children ask of the kernel: (lines that reach out over a network, opened files, the run).
+
+    A library may look, while it is imported, whether there are sockets of IPv6; it asks nobody.
+    """
     log = folder.parent / f"{folder.name}.trace"
     told = [strace, "-f", "-qq", "-s", "512", "-e", "trace=network,open,openat,openat2", "-o", log]
     ran = subprocess.run([*told, sys.executable, "-c", code, *words], cwd=folder, capture_output=True, text=True)
     lines = log.read_text().splitlines()
-    sockets = [line for line in lines if re.search(r"AF_INET|AF_PACKET|AF_VSOCK", line)]
+    sockets = [line for line in lines if re.search(r"\b(connect|send\w+)\(.*AF_(INET|PACKET|VSOCK)", line)]
     opened = {found[1] for line in lines if (found := re.search(r'\bopen(?:at2?)?\([^"]*"([^"]*)"', line))}
     assert opened, ran.stderr
     return sockets, opened, ran
@@ -45,21 +48,26 @@ def traced(strace, folder, code, *words):
 
 def test_the_trace_sees_sockets_and_files(strace, tmp_path):
     (tmp_path / "secret.txt").write_text("sk")
-    code = "import socket; socket.socket(); open('secret.txt')"
+    code = "import socket; open('secret.txt'); socket.socket().connect_ex(('127.0.0.1', 9))"
     sockets, opened, _ = traced(strace, tmp_path, code)
     assert sockets and "secret.txt" in opened
 
 
 RUN = """
-import contextlib, json, sys
+import json, os, sys
+import jaxscan.api, jaxscan.files.clouds
 from jaxscan.cli.main import main
 for words in json.loads(sys.argv[1]):
-    sys.argv = ["jaxscan", *words]
-    try:
-        main()
-        print(words, "code 0", flush=True)
-    except SystemExit as ended:
-        print(words, "code", ended.code, flush=True)
+    # The command ends its process. One for each order; what they import is loaded once.
+    child = os.fork()
+    if child == 0:
+        sys.argv = ["jaxscan", *words]
+        try:
+            main()
+        except SystemExit as ended:
+            os._exit(ended.code or 0)
+        os._exit(0)
+    print(words, "code", os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
 
 
@@ -134,7 +142,8 @@ def hostile_settings(secret):
     xml = (
         f'<?xml version="1.0"?>{doctype(secret)}<opencv_storage><camera_matrix>&s;&n;</camera_matrix></opencv_storage>'
     )
-    yaml = f"%YAML:1.0\n---\ncamera_matrix: !include {secret}\nbase: !!python/object/apply:os.system [ls]\nurl: {ADDRESS}\n"
+    yaml = f"%YAML:1.0\n---\ncamera_matrix: !include {secret}\nbase: !!python/object/apply:os.system [ls]\n"
+    yaml += f"url: {ADDRESS}\n"
     toml = f'include = "{secret}"\nurl = "{ADDRESS}"\n'
     return {
         "camera.xml": xml.encode(),
