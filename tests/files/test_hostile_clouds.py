@@ -130,16 +130,6 @@ def test_headers_of_e57(tmp_path, place, value):
     assert "announces more than the file holds" in refused(tmp_path / "a.e57", las_with(data, place, "<Q", value))
 
 
-def test_the_xml_of_e57_defines_nothing(tmp_path):
-    """Definitions that stand for one another unfold to any length."""
-    data = bytearray(good(".e57", tmp_path))
-    place, length = struct.unpack_from("<QQ", data, 24)
-    at = data.index(b"<e57Root", place - place % 1024)
-    data[at : at + 8] = b"<!ENTITY"
-    assert length > 1000
-    assert "holds definitions" in refused(tmp_path / "a.e57", bytes(data))
-
-
 def test_blocks_of_ptx(tmp_path):
     data = good(".ptx", tmp_path)
     assert data.startswith(b"3\n5\n")
