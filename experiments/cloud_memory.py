@@ -1,9 +1,10 @@
 """Memory and processor time of the verbs that read and write clouds, each in a process of its own.
 
-Two clouds of a room are made: one of points alone, as other programs write it (15 bytes a point), and one on the grid of
-a scanner, with all that this library says of a point. Each is converted to every format, each of these is converted
-back to PLY, and a few verbs measure it. A line of the table says the peak of resident memory of the whole process, how
-much that is for each point beyond the same command with a cloud of few points, and the time of the processor.
+Two clouds of a room are made: one of points alone, as other programs write it (15 bytes a point), and one on the
+grid of a scanner, with all that this library says of a point. Each is converted to every format, each of these is
+converted back to PLY, and a few verbs measure it. A line of the table says the peak of resident memory of the whole
+process, how much that is for each point beyond the same command with a cloud of few points, and the time of the
+processor.
 
     python experiments/cloud_memory.py [--points 10000000] [--only WORD] [--json FILE]
 """
