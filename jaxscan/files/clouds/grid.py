@@ -315,8 +315,12 @@ def _unorganised(points: Records, name: str, *, ours: bool) -> PointCloud:
         {} if lost else {"sigma_random": own, "sigma_systematic": "sigma_systematic"}
     )
     # What no point fills takes no memory: the system gives pages when they are written.
-    xyz, normals, rgb = (np.zeros((1, count, 3), kind) for kind in (dtype, dtype, np.uint8))
-    fields = {field: np.zeros((1, count), dtype) for field in ("intensity", "sigma_random", "sigma_systematic")}
+    xyz: np.ndarray = np.zeros((1, count, 3), dtype)
+    normals: np.ndarray = np.zeros((1, count, 3), dtype)
+    rgb = np.zeros((1, count, 3), np.uint8)
+    fields: dict[str, np.ndarray] = {
+        field: np.zeros((1, count), dtype) for field in ("intensity", "sigma_random", "sigma_systematic")
+    }
     valid = np.zeros((1, count), bool)
     start = 0
     for block in points:
@@ -324,20 +328,20 @@ def _unorganised(points: Records, name: str, *, ours: bool) -> PointCloud:
         start += len(block)
         # Values out of range become infinite, and are dropped.
         with np.errstate(over="ignore"):
-            places = np.stack([block[axis].astype(dtype) for axis in "xyz"], -1)
+            places: np.ndarray = np.stack([block[axis].astype(dtype) for axis in "xyz"], -1)
             seen = np.isfinite(places).all(-1)
             valid[0, part] = seen
             xyz[0, part] = np.where(seen[:, None], places, 0)
             if _COLOURS <= names:
                 rgb[0, part] = np.where(seen[:, None], _colours(block), 0)
             if normals_whole:
-                given = np.stack([block[axis].astype(dtype) for axis in ("nx", "ny", "nz")], -1)
+                given: np.ndarray = np.stack([block[axis].astype(dtype) for axis in ("nx", "ny", "nz")], -1)
                 lengths = np.sqrt((given * given).sum(-1, keepdims=True))
                 usable = seen[:, None] & np.isfinite(lengths) & (lengths > 0)
                 normals[0, part] = np.where(usable, given / np.where(usable, lengths, 1), 0)
             for field, column in scalars.items():
                 if column in names:
-                    values = block[column].astype(dtype)
+                    values: np.ndarray = block[column].astype(dtype)
                     fields[field][0, part] = np.where(seen & np.isfinite(values), values, 0)
     if not valid.any():
         raise CloudError(f"{name}: holds no finite point.")
@@ -349,7 +353,9 @@ def _unorganised(points: Records, name: str, *, ours: bool) -> PointCloud:
         record=np.zeros(1, np.int32),
         laser=np.zeros(1, np.int32),
         angle=np.zeros(1),
-        **fields,
+        intensity=fields["intensity"],
+        sigma_random=fields["sigma_random"],
+        sigma_systematic=fields["sigma_systematic"],
     )
 
 

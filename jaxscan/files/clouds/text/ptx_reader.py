@@ -84,14 +84,14 @@ def _read_block(file: BinaryIO, first: bytes, rest: int) -> _Block:
     file.seek(start)
     types = [(name, "f8" if name in "xyz" else "f4") for name in _COLUMNS[:width]]
     kind, parts = np.dtype(types), []
-    for first in range(0, columns * rows, sizes.BLOCK_POINTS):
-        count = min(sizes.BLOCK_POINTS, columns * rows - first)
+    for begin in range(0, columns * rows, sizes.BLOCK_POINTS):
+        count = min(sizes.BLOCK_POINTS, columns * rows - begin)
         cells = numbers_of(text_lines(file, count), kind)
         if len(cells) != count:
-            raise ValueError(f"found {first + len(cells)} points, expected {columns} x {rows}")
+            raise ValueError(f"found {begin + len(cells)} points, expected {columns} x {rows}")
         seen = np.flatnonzero(np.any([cells[axis] != 0 for axis in "xyz"], axis=0))
         if len(seen):
-            parts.append(_points_of(cells[seen], first + seen, rows, pose))
+            parts.append(_points_of(cells[seen], begin + seen, rows, pose))
     return _Block(columns, rows, pose, parts)
 
 
