@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from copy import copy
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -131,8 +130,13 @@ class CloudSamples:
     Samples take three times the memory of a cloud's own fields.
     """
 
-    def __init__(self, cloud: Cloud) -> None:
+    def __init__(self, cloud: Cloud, *, origin: np.ndarray | None = None, steps: tuple[np.ndarray, ...] = ()) -> None:
         """Nothing is taken from the cloud yet.
+
+        Args:
+            cloud: The cloud.
+            origin: Where all points were seen from, instead of from their stations [3], m.
+            steps: By which points and origin are shifted, one after the other [3], m.
 
         Raises:
             MeasurementError: If the cloud has no points.
@@ -145,24 +149,18 @@ class CloudSamples:
         if len(self) == 0:
             raise MeasurementError("The cloud has no valid points; nothing can be measured in it.")
         self._cloud, self._places = cloud, places_of(cloud)
-        self._steps: tuple[np.ndarray, ...] = ()
-        self._origin: np.ndarray | None = None
-        """Where all points were seen from, instead of from their stations [3], m."""
+        self._origin, self._steps = origin, steps
 
     def __len__(self) -> int:
         return int(self._counts[-1])
 
     def moved(self, step: np.ndarray) -> "CloudSamples":
         """The points, and where they were seen from, after a shift [3], m."""
-        found = copy(self)
-        found._steps = (*self._steps, np.asarray(step))
-        return found
+        return CloudSamples(self._cloud, origin=self._origin, steps=(*self._steps, np.asarray(step)))
 
     def seen_from(self, place: np.ndarray) -> "CloudSamples":
         """The points as if they were seen from a place [3], m."""
-        found = copy(self)
-        found._origin, found._steps = place, ()
-        return found
+        return CloudSamples(self._cloud, origin=place, steps=self._steps)
 
     def blocks(self) -> Iterator[Samples]:
         """All points, some at a time."""

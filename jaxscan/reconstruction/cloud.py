@@ -125,7 +125,8 @@ _AT_ONCE = 1 << 20
 def some_points(cloud: PointCloud, wanted: int) -> np.ndarray:
     """Every k-th valid point, float64 [n, 3], so that it is `wanted` to twice as many of a cloud with more."""
     xyz, valid = _flat(cloud.xyz), _flat(cloud.valid)
-    every, found, seen = max(1, np.count_nonzero(valid) // wanted), [], 0
+    every = max(1, int(np.count_nonzero(valid)) // wanted)
+    found, seen = [], 0
     for start in range(0, len(valid), _AT_ONCE):
         cells = start + np.flatnonzero(valid[start : start + _AT_ONCE])
         found.append(xyz[cells[-seen % every :: every]].astype(np.float64))
