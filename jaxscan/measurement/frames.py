@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxscan.errors import MeasurementError
 from jaxscan.measurement.room import bounding_walls
-from jaxscan.measurement.samples import Cloud, samples_of
+from jaxscan.measurement.samples import Cloud, CloudSamples
 from jaxscan.measurement.walls import Wall
 
 
@@ -200,7 +200,7 @@ def align_room(cloud: Cloud, *, seed: int = 0) -> RoomFrame:
     Raises:
         MeasurementError: If floor or walls are not found.
     """
-    pairs, planes = bounding_walls(samples_of(cloud), np.random.default_rng(seed), seed=seed)
+    pairs, planes = bounding_walls(CloudSamples(cloud), np.random.default_rng(seed), seed=seed)
     *across, level = pairs
     floors = [wall for wall in level if -wall.plane.normal[2] > _UPRIGHT]
     if not floors or len(across) < 2 or not all(across):

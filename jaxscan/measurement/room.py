@@ -11,7 +11,7 @@ from jaxscan.geometry import Scanner
 from jaxscan.measurement.checked import is_known
 from jaxscan.measurement.planes import Plane
 from jaxscan.measurement.ransac import find_planes
-from jaxscan.measurement.samples import Cloud, Samples, about_the_scanner, places_of, samples_of
+from jaxscan.measurement.samples import Cloud, CloudSamples, Samples, about_the_scanner, places_of
 from jaxscan.measurement.systematic import systematic_sigma
 from jaxscan.measurement.walls import Wall, outermost, refine_wall, wall_weights
 
@@ -83,12 +83,12 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
     Raises:
         MeasurementError: If no two opposite walls are found between which the points are.
     """
-    samples, place = about_the_scanner(samples_of(cloud))
+    samples, place = about_the_scanner(CloudSamples(cloud))
     rng = np.random.default_rng(seed)
     pairs, planes = bounding_walls(samples, rng, seed=seed)
     found = [pair for pair in pairs if len(pair) == 2 and -pair[0].plane.normal @ pair[1].plane.normal > PARALLEL]
     none = MeasurementError(
-        f"No two opposite walls among {planes} planes in {len(samples.p)} points; "
+        f"No two opposite walls among {planes} planes in {len(samples)} points; "
         "a room must be scanned from within, all around, in steps of a few degrees."
     )
     if not found:
@@ -110,7 +110,7 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
     )
 
 
-def bounding_walls(samples: Samples, rng: np.random.Generator, *, seed: int) -> tuple[list[list[Wall]], int]:
+def bounding_walls(samples: CloudSamples, rng: np.random.Generator, *, seed: int) -> tuple[list[list[Wall]], int]:
     """The walls across each direction of the room, the vertical last, and the number of planes they are among."""
     inside = _place_inside(samples)
     seen = samples.moved(-inside)
@@ -123,16 +123,16 @@ _NEAR_THE_RIM = 0.05
 """Share of its extent at either end of a cloud where nobody stands to scan it."""
 
 
-def _place_inside(samples: Samples) -> np.ndarray:
+def _place_inside(samples: CloudSamples) -> np.ndarray:
     """A place in the room from which its walls are seen: the scanner's, or the middle where that cannot be it.
 
     A cloud of another program has no angles and does not say where its scanner stood: its origin may be in a corner
     of the room, or on a map.
     """
-    place = samples.origin[0]
-    if np.ptp(samples.angle) > 0:
+    place = samples.first_origin()
+    if samples.turns():
         return place
-    low, high = np.percentile(samples.p, [1.0, 99.0], axis=0)
+    low, high = np.array([np.percentile(axis, [1.0, 99.0]) for axis in samples.places().T]).T
     rim = _NEAR_THE_RIM * (high - low)
     within = (low + rim < place) & (place < high - rim)
     return place if within.all() else (low + high) / 2
@@ -172,7 +172,7 @@ def _modulo_right_angle(angle: np.ndarray) -> np.ndarray:
 
 
 def _pair(
-    samples: Samples, planes: list[tuple[Plane, np.ndarray]], direction: np.ndarray, rng: np.random.Generator
+    samples: CloudSamples, planes: list[tuple[Plane, np.ndarray]], direction: np.ndarray, rng: np.random.Generator
 ) -> list[Wall]:
     """The walls on both sides of the room across `direction`."""
     limit = LEVEL if direction[2] == 1.0 else np.cos(ALONG)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.measurement.planes import Plane, facing, fitted_plane, weighted_plane
-from jaxscan.measurement.samples import Samples, spread_out
+from jaxscan.measurement.samples import CloudSamples, Samples, spread_out
 
 
 REFINED = 200_000
@@ -42,10 +42,13 @@ class Wall(NamedTuple):
         plane = plane._replace(distance=distance, centre=plane.centre + step)
         return self._replace(plane=plane, samples=self.samples.moved(step))
 
-    def bounds(self, samples: Samples) -> bool:
+    def bounds(self, samples: CloudSamples) -> bool:
         """Whether the points of the room are before it."""
-        behind = samples.p @ self.plane.normal - self.plane.distance > BEYOND_M + 6.0 * samples.sigma
-        return bool(np.mean(behind) <= BEYOND)
+        normal, distance = self.plane.normal, self.plane.distance
+        behind = sum(
+            np.count_nonzero(some.p @ normal - distance > BEYOND_M + 6.0 * some.sigma) for some in samples.blocks()
+        )
+        return behind <= BEYOND * len(samples)
 
     @property
     def rms_m(self) -> float:
@@ -80,7 +83,7 @@ def _widths(plane: Plane, p: np.ndarray) -> np.ndarray:
     return np.asarray(high - low)
 
 
-def refine_wall(samples: Samples, plane: Plane, *, rng: np.random.Generator) -> Wall:
+def refine_wall(samples: CloudSamples | Samples, plane: Plane, *, rng: np.random.Generator) -> Wall:
     """Weighted least squares on the wall's points alone.
 
     Skirting, pictures and furniture are in front of a wall, and nothing is behind it. So the scale
@@ -88,8 +91,12 @@ def refine_wall(samples: Samples, plane: Plane, *, rng: np.random.Generator) -> 
     things in front do not shift the plane.
     """
     normal, distance = plane.normal, plane.distance
-    residual = samples.p @ normal - distance
-    near = np.flatnonzero(np.abs(residual) < NEIGHBOURHOOD_M + 6.0 * samples.sigma_across(normal))
+
+    def is_near(some: Samples) -> np.ndarray:
+        residual = some.p @ normal - distance
+        return np.asarray(np.abs(residual) < NEIGHBOURHOOD_M + 6.0 * some.sigma_across(normal))
+
+    near = samples.chosen(is_near) if isinstance(samples, CloudSamples) else np.flatnonzero(is_near(samples))
     near = near[spread_out(len(near), REFINED, rng)]
     around = samples.take(near)
     kept, scale = np.ones(len(near), bool), 1.0
