@@ -39,7 +39,10 @@ def run_cases(
     answers: list[dict[str, Any]] = []
 
     def work() -> None:
-        with tempfile.TemporaryDirectory(prefix="jaxscan-fuzz-", ignore_cleanup_errors=True) as folder, Canary() as bird:
+        with (
+            tempfile.TemporaryDirectory(prefix="jaxscan-fuzz-", ignore_cleanup_errors=True) as folder,
+            Canary() as bird,
+        ):
             worker = None
             while (case := todo.get()) is not None:
                 worker = worker or _start(corpus, Path(folder), bird)

@@ -106,12 +106,19 @@ def change_xml(rng: random.Random, text: bytes) -> bytes:
                 return change_bytes(rng, text)
             hit = rng.choice(found)
             group = 1 if hit[1] is not None else 2
-            return text[: len(text) - len(body)] + body[: hit.start(group)] + _value(rng, hit[group]) + body[hit.end(group) :]
+            return (
+                text[: len(text) - len(body)]
+                + body[: hit.start(group)]
+                + _value(rng, hit[group])
+                + body[hit.end(group) :]
+            )
         case 5 | 6:
             # A whole element, or its name.
             found = list(re.finditer(rb"<(\w[\w:]*)[^<>]*>(?:[^<>]*</\1>)?", body))
             hit = rng.choice(found)
-            new = rng.choice((b"", hit[0] * 2, hit[0] * 300, hit[0].replace(hit[1], b"x"), hit[0].replace(b"Float", b"Integer")))
+            new = rng.choice(
+                (b"", hit[0] * 2, hit[0] * 300, hit[0].replace(hit[1], b"x"), hit[0].replace(b"Float", b"Integer"))
+            )
             return text[: len(text) - len(body)] + body[: hit.start()] + new + body[hit.end() :]
         case 7:
             # So many attributes, or scans, that a list without limits would be long.
@@ -170,7 +177,17 @@ def _value(rng: random.Random, old: bytes) -> bytes:
 
 _LAS_FIELDS = (
     *((24, "B"), (25, "B"), (94, "<H"), (96, "<I"), (100, "<I"), (104, "<B"), (105, "<H"), (107, "<I")),
-    *((131, "<d"), (139, "<d"), (147, "<d"), (155, "<d"), (163, "<d"), (171, "<d"), (179, "<d"), (227, "<Q"), (247, "<Q")),
+    *(
+        (131, "<d"),
+        (139, "<d"),
+        (147, "<d"),
+        (155, "<d"),
+        (163, "<d"),
+        (171, "<d"),
+        (179, "<d"),
+        (227, "<Q"),
+        (247, "<Q"),
+    ),
 )
 
 
