@@ -16,6 +16,8 @@ from .texts import change_journal, change_toml
 IN, OUT, VICTIM = "in", "out", "victim.txt"
 SECRET = "sk-secret-4711"
 """What the victim holds; no result may repeat it."""
+VICTIM_PLACE = "JAXSCAN_FUZZ_VICTIM"
+"""Variable with the path of the victim of a case."""
 CANARY = "JAXSCAN_FUZZ_CANARY"
 """Variable with the address of a server that nobody may ask anything."""
 
@@ -51,6 +53,7 @@ class Draft:
         self.rng, self.corpus, self.folder = rng, corpus, folder
         (folder / IN).mkdir(parents=True)
         (folder / OUT).mkdir()
+        os.environ[VICTIM_PLACE] = str(folder / VICTIM)
         (folder / VICTIM).write_text(f"{SECRET}\n")
 
     def take(self, name: str) -> Path:

@@ -66,7 +66,11 @@ def project_case(draft: Draft) -> Case:
         draft.change(file, change_toml)
     elif rng.random() < 0.5:
         place = rng.choice(
-            (f"sqlite:///{draft.folder / 'made.sqlite'}", "sqlite:////etc/x", "postgresql://127.0.0.1/x")
+            (
+                f"sqlite:///{draft.folder / 'made.sqlite'}",
+                f"sqlite:///{draft.folder.parent / 'outside.sqlite'}",
+                "postgresql://127.0.0.1/x",
+            )
         )
         text = PROJECT.replace('name = "room"', f'name = "room"\ncatalogue = "{place}"', 1)
         file.write_text(text.replace('"unsealed"', rng.choice(('"unsealed"', '"/etc/*"', '"*" * 9', '"../**/*"'))))
@@ -155,7 +159,7 @@ def served_case(draft: Draft) -> Case:
         config, captures = draft.take("scan.toml"), draft.take("sealed")
         draft.change(config, change_toml)
         words = ["console", str(config), "--captures", str(captures.parent), *where]
-        return Case("console", words, drive=_console(words), allowed=frozenset({"network"}))
+        return Case("console", words, allowed=frozenset({"network"}))
     cloud, picture = draft.take("cloud.npz"), draft.take("panorama.jpg")
     if rng.random() < 0.3:
         draft.change(cloud, change_npz)
@@ -163,24 +167,6 @@ def served_case(draft: Draft) -> Case:
         draft.change(picture, rng.choice((change_bytes, change_image)))
     words = ["view", str(cloud), "--panorama", str(picture), "--no-open", *where]
     return Case("view", words, allowed=frozenset({"network"}))
-
-
-def _console(words: list[str]) -> Callable[[], list[str]]:
-    def drive() -> list[str]:
-        from jaxscan.cli.console.desk import Desk
-        from jaxscan.cli.main import main
-
-        attend, Desk.attend = Desk.attend, lambda self: None  # type: ignore[method-assign]
-        try:
-            code = main(words)
-        except SystemExit as end:
-            code = int(end.code or 0)
-        finally:
-            Desk.attend = attend  # type: ignore[method-assign]
-        # The words are judged here: a driver has no exit code.
-        return [] if code in (0, 1, 2) else ["traceback"]
-
-    return drive
 
 
 def wrong_angles(draft: Draft) -> Case:

@@ -5,7 +5,7 @@ import random
 import re
 import struct
 
-from .draft import CANARY
+from .draft import CANARY, VICTIM_PLACE
 from .nasty import nasty_number, nasty_text, near
 from .texts import change_bytes, change_lines
 
@@ -148,7 +148,7 @@ def _declaration(rng: random.Random) -> bytes:
 
 def _definitions(rng: random.Random, address: str) -> bytes:
     """Entities that unfold, that name a file, or that lead to another machine."""
-    file = "file://" + os.path.abspath("victim.txt")
+    file = "file://" + os.environ.get(VICTIM_PLACE, "/etc/hostname")
     bomb = "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 9}">' for k in range(1, rng.choice((4, 9)))).encode()
     return rng.choice(
         (
