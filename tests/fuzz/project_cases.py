@@ -108,7 +108,10 @@ def project_case(draft: Draft) -> Case:
 
 def file_text(path: Path) -> str:
     """What a file of the case says; "" of what is no file."""
-    return path.read_text(errors="replace") if path.is_file() and not path.is_symlink() else ""
+    if not path.is_file() or path.is_symlink():
+        return ""
+    with open(path, errors="replace") as file:
+        return file.read(1 << 20)
 
 
 def _claim(file: Path) -> Callable[[], list[str]]:
@@ -170,18 +173,15 @@ def served_case(draft: Draft) -> Case:
 
 
 def wrong_angles(draft: Draft) -> Case:
-    """Angles in another unit, as a script would write them: nothing is damaged, and all is wrong."""
+    """Angles in radians, as a script would write them: nothing is damaged, and all is wrong."""
     import json
 
     capture, calibration = draft.take("unsealed"), draft.take("calibration.json")
     journal = capture / "frames.jsonl"
     records = [json.loads(line) for line in journal.read_text().splitlines()]
-    change: Callable[[float], float] = draft.rng.choice(
-        (lambda old: old * 0.017453292519943295, lambda old: old / 10, lambda old: old * 57.29577951308232)
-    )
     for record in records:
         if "angle_deg" in record:
-            record["angle_deg"] = change(record["angle_deg"])
+            record["angle_deg"] = record["angle_deg"] * 0.017453292519943295
     journal.write_bytes(b"".join(dump(record) + b"\n" for record in records))
     words = ["reconstruct", str(capture), "-c", str(calibration), "--no-cache", "-o", draft.output("cloud.npz")]
     return Case("unsealed angles", words, {f"{OUT}/cloud.npz"}, cloud=f"{OUT}/cloud.npz", needs_word=True)

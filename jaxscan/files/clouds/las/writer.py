@@ -83,7 +83,13 @@ def write_las(cloud: PointCloud, path: Path, about: About) -> None:
     las.user_data = points.laser
     for name in extra:
         las[name] = values[name]
-    las.write(str(path))
+    try:
+        las.write(str(path))
+    except Exception as problem:
+        # lazrs, which is loaded for compressed points alone, has an error of its own for a disk that takes no more.
+        if type(problem).__name__ != "LazrsError":
+            raise
+        raise OSError(f"the points cannot be packed onto the disk ({problem})") from problem
 
 
 def _placed(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
