@@ -8,6 +8,7 @@ import pytest
 from jaxscan.errors import ConfigError
 from jaxscan.files import load_toml
 from jaxscan.simulation import SimulationConfig
+from jaxscan.simulation.settings.laser import LaserSpec
 
 
 SMALL = """
@@ -103,3 +104,10 @@ def test_every_number_has_two_limits():
             names += 1
             assert bounded(field.annotation, ends(field.metadata)), f"{model.__name__}.{name}"
     assert names > 60
+
+
+@pytest.mark.parametrize("normal", [(1e308, 1e308, 1.0), (1e200, 0.0, 0.0), (5e-324, 0.0, 0.0)])
+def test_a_sheet_of_huge_numbers_is_refused_without_a_warning(normal):
+    """Warnings are errors here; one on the terminal would be a second line."""
+    with pytest.raises(pydantic.ValidationError, match="no plane"):
+        LaserSpec(name="red", normal=normal, distance_m=1.0)
