@@ -72,9 +72,15 @@ def write_las(cloud: PointCloud, path: Path, about: About) -> None:
     )
     brightest = float(np.max(cloud.intensity, where=cloud.valid, initial=-np.inf))
     scale = 257.0 if brightest <= 255 else 65535 / brightest
-    with laspy.open(str(path), mode="w", header=header, do_compress=path.suffix.lower() == ".laz") as file:
-        for points in blocks(cloud):
-            file.write_points(_record(laspy, header, points, cloud, list(extra), scale))
+    try:
+        with laspy.open(str(path), mode="w", header=header, do_compress=path.suffix.lower() == ".laz") as file:
+            for points in blocks(cloud):
+                file.write_points(_record(laspy, header, points, cloud, list(extra), scale))
+    except Exception as problem:
+        # lazrs, which is loaded for compressed points alone, has an error of its own for a disk that takes no more.
+        if type(problem).__name__ != "LazrsError":
+            raise
+        raise OSError(f"the points cannot be packed onto the disk ({problem})") from problem
 
 
 def _record(laspy: Any, header: Any, points: CloudPoints, cloud: PointCloud, extra: Sequence[str], scale: float) -> Any:
