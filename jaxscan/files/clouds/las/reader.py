@@ -112,10 +112,8 @@ def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> Records:
     if not (np.isfinite(scales).all() and np.isfinite(offsets).all()):
         raise ValueError("the steps or offsets of its coordinates are not finite")
     if not ((scales > 0) & (scales <= _LARGEST_STEP_M)).all():
-        raise ValueError(
-            f"the steps {', '.join(f'{one:g}' for one in scales)} of its coordinates mirror or squash it, expected above 0 "
-            f"and up to {_LARGEST_STEP_M:g}"
-        )
+        words = ", ".join(f"{one:g}" for one in scales)
+        raise ValueError(f"steps of {words} m mirror or squash it, expected above 0 and up to {_LARGEST_STEP_M:g} m")
     names, extra = set(header.point_format.dimension_names), list(header.point_format.extra_dimension_names)
     single, brightest = _looked_through(laspy, file, given, "red" in names)
 
