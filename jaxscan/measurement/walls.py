@@ -42,10 +42,9 @@ class Wall(NamedTuple):
         plane = plane._replace(distance=distance, centre=plane.centre + step)
         return self._replace(plane=plane, samples=self.samples.moved(step))
 
-    def bounds(self, samples: Samples) -> bool:
-        """Whether the points of the room are before it."""
-        behind = samples.p @ self.plane.normal - self.plane.distance > BEYOND_M + 6.0 * samples.sigma
-        return bool(np.mean(behind) <= BEYOND)
+    def behind(self, samples: Samples) -> float:
+        """Share of the points that are behind it [1]; above `BEYOND` it does not bound them."""
+        return float(np.mean(samples.p @ self.plane.normal - self.plane.distance > BEYOND_M + 6.0 * samples.sigma))
 
     @property
     def rms_m(self) -> float:

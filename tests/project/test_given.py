@@ -21,4 +21,4 @@ def test_a_contradiction_of_what_was_given_is_not_hidden_by_the_stored_calibrati
     monkeypatch.setattr(groups, "_recalibrated", fail)
     monkeypatch.setattr(groups, "_save", save)
     with pytest.raises(raised):
-        groups.refine_rig(None)
+        groups.refine_rig(object.__new__(groups.Desk))
