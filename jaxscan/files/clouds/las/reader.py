@@ -111,12 +111,11 @@ def _points_of(las: Any) -> np.ndarray:
         if "amplitude" not in values:
             values["intensity"] = values["intensity"] / np.float32(257)
     scales, offsets = np.array(las.header.scales), np.array(las.header.offsets)
-    # NaN fails too; a negative step mirrors the cloud.
-    if not ((scales > 0) & (scales <= _LARGEST_STEP_M)).all() or not np.isfinite(offsets).all():
-        raise ValueError(
-            f"steps of its coordinates {scales.tolist()} and offsets {offsets.tolist()}, expected steps above 0 and up "
-            f"to {_LARGEST_STEP_M:g} and finite offsets: others mirror or squash the cloud"
-        )
+    # NaN fails too; a negative step mirrors the cloud. Short, as the reader cuts what libraries say.
+    wrong = [step for step in scales.tolist() if not 0 < step <= _LARGEST_STEP_M]
+    if wrong or not np.isfinite(offsets).all():
+        found = f"a step of its coordinates is {wrong[0]:g}" if wrong else "an offset is not finite"
+        raise ValueError(f"{found}, expected steps above 0, up to {_LARGEST_STEP_M:g}")
     xyz = np.stack([np.asarray(las[axis]) for axis in "XYZ"], -1) * scales + offsets
     single = (np.abs(xyz).max(0) <= np.minimum(scales * _SINGLE_STEPS, _SINGLE_M)).all()
     values |= dict(zip("xyz", (xyz.astype(np.float32) if single else xyz).T, strict=True))
