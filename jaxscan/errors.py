@@ -17,6 +17,10 @@ class CalibrationError(JaxscanError):
     """Observations that do not determine the scanner, or a calibration that does not fit its use."""
 
 
+class GivenError(CalibrationError):
+    """A known length, sphere or place that somebody gave, and that the sweeps contradict."""
+
+
 class CloudError(JaxscanError):
     """A point cloud that cannot be read or written."""
 

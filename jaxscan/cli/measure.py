@@ -52,6 +52,7 @@ def room(
     notes += said
     box = jaxscan.measure_room(points, scanner=scanner)
     sides = {name: side for name in ("length", "width", "height") if (side := getattr(box, name)) is not None}
+    notes += [f"a dimension is left out: {remark}." for remark in box.remarks]
     result = finite({name: dataclasses.asdict(side) for name, side in sides.items()})
     columns = ("", "m", "sigma mm", "wall RMS mm", "points", "not parallel by")
     rows = [

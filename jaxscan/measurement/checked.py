@@ -22,6 +22,19 @@ def is_known(value: float, sigma: float) -> bool:
     return sigma <= LEAST_KNOWN * value
 
 
+def require_known(what: str, value_m: float, sigma_m: float) -> None:
+    """Refuse to state a length that is not known.
+
+    Raises:
+        MeasurementError: If its standard deviation is too large a share of it.
+    """
+    if not is_known(value_m, sigma_m):
+        raise MeasurementError(
+            f"The {what} is not known: {1e3 * value_m:.3g} mm with a standard deviation of {1e3 * sigma_m:.3g} mm, "
+            f"expected at most {100 * LEAST_KNOWN:.0f} % of it; average more points, or measure something longer."
+        )
+
+
 def checked_samples(cloud: Cloud) -> CloudSamples:
     """All valid points.
 

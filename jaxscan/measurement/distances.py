@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
+from jaxscan.measurement.checked import is_known, require_known
 from jaxscan.measurement.planes import Plane, Point, facing, fitted_plane, patch_around, weighted_plane
 from jaxscan.measurement.samples import Cloud, CloudSamples, Samples, places_of
 from jaxscan.measurement.systematic import systematic_sigma
@@ -27,7 +28,7 @@ class DistanceMeasurement:
     sigma_systematic_m: float
     plane_to_plane_m: float | None
     """Distance of the planes of the two patches along their mean normal, midway between the patches;
-    None unless both are planar and parallel within 10 degrees."""
+    None unless both are planar and parallel within 10 degrees, and it is known to a fifth of itself."""
     plane_to_plane_sigma_m: float | None
     """Random part of its standard deviation [m]."""
     a_m: np.ndarray
@@ -67,7 +68,8 @@ def measure_distance(
         The distance [m] with its predicted standard deviation, and the distance of the patches' planes.
 
     Raises:
-        MeasurementError: If a patch has too few points, or the patches are one.
+        MeasurementError: If a patch has too few points, the patches are one, or the distance is not known to a fifth of
+            itself.
     """
     samples = CloudSamples(cloud)
     patches = [patch_around(samples, point, radius_m) for point in (a, b)]
@@ -83,10 +85,12 @@ def measure_distance(
     shares = [np.full(len(patch.p), sign / len(patch.p)) for sign, patch in zip((-1, 1), patches, strict=True)]
     weights = np.outer(np.concatenate(shares), along)
     systematic = systematic_sigma(scanner, places_of(cloud), Samples.joined(patches), weights)
+    sigma = float(np.hypot(np.sqrt(variance), systematic))
+    require_known("distance", value, sigma)
     apart, apart_sigma = _between_planes(*(_flat(patch) for patch in patches))
     return DistanceMeasurement(
         value_m=value,
-        sigma_m=float(np.hypot(np.sqrt(variance), systematic)),
+        sigma_m=sigma,
         sigma_random_m=float(np.sqrt(variance)),
         sigma_systematic_m=systematic,
         plane_to_plane_m=apart,
@@ -109,7 +113,8 @@ def _between_planes(first: Plane | None, second: Plane | None) -> tuple[float | 
     feet = [(plane.distance - plane.normal @ middle) / (plane.normal @ normal) for plane in (first, second)]
     # Each plane is evaluated at its own end of the line between the planes, near its own patch.
     sigma = [plane.sigma_at(middle + foot * normal) for plane, foot in zip((first, second), feet, strict=True)]
-    return float(abs(feet[1] - feet[0])), float(np.hypot(sigma[0], sigma[1]))
+    apart, both = float(abs(feet[1] - feet[0])), float(np.hypot(sigma[0], sigma[1]))
+    return (apart, both) if is_known(apart, both) else (None, None)
 
 
 def _flat(patch: Samples) -> Plane | None:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.errors import MeasurementError
-from jaxscan.measurement.room import bounding_walls
+from jaxscan.measurement.room import because, bounding_walls
 from jaxscan.measurement.samples import Cloud, CloudSamples
 from jaxscan.measurement.walls import Wall
 
@@ -200,14 +200,14 @@ def align_room(cloud: Cloud, *, seed: int = 0) -> RoomFrame:
     Raises:
         MeasurementError: If floor or walls are not found.
     """
-    pairs, planes = bounding_walls(CloudSamples(cloud), np.random.default_rng(seed), seed=seed)
+    pairs, planes, remarks = bounding_walls(CloudSamples(cloud), np.random.default_rng(seed), seed=seed)
     *across, level = pairs
     floors = [wall for wall in level if -wall.plane.normal[2] > _UPRIGHT]
     if not floors or len(across) < 2 or not all(across):
         seen = sum(map(len, across))
         raise MeasurementError(
-            f"{len(floors)} floors and {seen} walls among {planes} planes, expected the floor and two walls that meet; "
-            "a room must be scanned from within, in steps of a few degrees."
+            f"{len(floors)} floors and {seen} walls among {planes} planes, expected the floor and two walls that meet"
+            f"{because(remarks)}; a room must be scanned from within, in steps of a few degrees."
         )
     (floor,) = floors
     up = -floor.plane.normal

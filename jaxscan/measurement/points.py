@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
-from jaxscan.measurement.checked import checked_samples
+from jaxscan.measurement.checked import checked_samples, require_known
 from jaxscan.measurement.planes import Point
 from jaxscan.measurement.samples import SIGMA_FLOOR_M, Cloud, CloudSamples, places_of
 from jaxscan.measurement.systematic import systematic_sigma
@@ -48,7 +48,8 @@ def measure_points(
         The distance [m] with its predicted standard deviation.
 
     Raises:
-        MeasurementError: If there is no point near a place, or both places have the same.
+        MeasurementError: If there is no point near a place, both places have the same, or the distance is
+            not known to a fifth of itself.
     """
     samples = checked_samples(cloud)
     nearest = [_nearest(samples, place, within_m) for place in (a, b)]
@@ -67,7 +68,9 @@ def measure_points(
     noise = ends.sigma * np.abs(ray @ along) / np.where(reach > 0, reach, 1.0)
     random = float(np.sqrt(np.sum(noise**2) + 2.0 * SIGMA_FLOOR_M**2))
     systematic = systematic_sigma(scanner, places_of(cloud), ends, np.stack([-along, along]))
-    return PointDistance(value, float(np.hypot(random, systematic)), random, systematic, ends.p[0], ends.p[1])
+    sigma = float(np.hypot(random, systematic))
+    require_known("distance", value, sigma)
+    return PointDistance(value, sigma, random, systematic, ends.p[0], ends.p[1])
 
 
 def _nearest(samples: CloudSamples, place: Point, within_m: float) -> int:

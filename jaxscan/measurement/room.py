@@ -1,6 +1,6 @@
 """The dimensions of a room, from wall to wall."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -13,7 +13,7 @@ from jaxscan.measurement.planes import Plane
 from jaxscan.measurement.ransac import find_planes
 from jaxscan.measurement.samples import Cloud, CloudSamples, Samples, about_the_scanner, places_of
 from jaxscan.measurement.systematic import systematic_sigma
-from jaxscan.measurement.walls import Wall, outermost, refine_wall, wall_weights
+from jaxscan.measurement.walls import BEYOND, Wall, outermost, refine_wall, wall_weights
 
 
 LEVEL = np.cos(np.radians(15.0))
@@ -60,6 +60,8 @@ class RoomBox:
     """Middle between the walls [3], m, scanner frame; distances are taken there."""
     walls: tuple[Wall, ...] = field(repr=False)
     """Every bounding plane that was found, with its points, normals pointing out of the room."""
+    remarks: tuple[str, ...] = ()
+    """Why dimensions are left out, where planes were found for them: parts of a sentence."""
 
 
 def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0) -> RoomBox:
@@ -85,20 +87,26 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
     """
     samples, place = about_the_scanner(CloudSamples(cloud))
     rng = np.random.default_rng(seed)
-    pairs, planes = bounding_walls(samples, rng, seed=seed)
-    found = [pair for pair in pairs if len(pair) == 2 and -pair[0].plane.normal @ pair[1].plane.normal > PARALLEL]
-    none = MeasurementError(
-        f"No two opposite walls among {planes} planes in {len(samples)} points; "
-        "a room must be scanned from within, all around, in steps of a few degrees."
-    )
-    if not found:
-        raise none
-    centre = _centre(found)
+    pairs, planes, remarks = bounding_walls(samples, rng, seed=seed)
+    opposite = [(pair, float(-pair[0].plane.normal @ pair[1].plane.normal)) for pair in pairs if len(pair) == 2]
+    found = [pair for pair, cosine in opposite if cosine > PARALLEL]
+    for _, cosine in opposite:
+        if cosine <= PARALLEL:
+            remarks.append(f"opposite walls are {np.degrees(np.arccos(cosine)):.0f} degrees from parallel")
+    centre = _centre(found) if found else np.zeros(3)
     systematic = partial(systematic_sigma, scanner, places_of(cloud))
     measured = [_dimension(pair, centre, systematic, rng) for pair in found]
     dimensions = sorted((one for one in measured if is_known(one.value_m, one.sigma_m)), key=lambda each: -each.value_m)
+    for one in measured:
+        if not is_known(one.value_m, one.sigma_m):
+            remarks.append(
+                f"a distance of {one.value_m:.3g} m between walls has a standard deviation of {one.sigma_m:.2g} m"
+            )
     if not dimensions:
-        raise none
+        raise MeasurementError(
+            f"No two opposite walls among {planes} planes in {len(samples)} points{because(remarks)}; "
+            "a room must be scanned from within, all around, in steps of a few degrees."
+        )
     height = next((each for each in dimensions if abs(each.direction[2]) > 0.5), None)
     horizontal = [each for each in dimensions if each is not height]
     return RoomBox(
@@ -107,16 +115,36 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
         height=height,
         centre_m=centre + place,
         walls=tuple(wall.moved(place) for pair in pairs for wall in pair),
+        remarks=tuple(remarks),
     )
 
 
-def bounding_walls(samples: CloudSamples, rng: np.random.Generator, *, seed: int) -> tuple[list[list[Wall]], int]:
-    """The walls across each direction of the room, the vertical last, and the number of planes they are among."""
+def because(remarks: Sequence[str]) -> str:
+    """Remarks as the end of a sentence; empty without any."""
+    return f" ({'; '.join(remarks)})" if remarks else ""
+
+
+def bounding_walls(
+    samples: CloudSamples, rng: np.random.Generator, *, seed: int
+) -> tuple[list[list[Wall]], int, list[str]]:
+    """The walls across each direction of the room, the vertical last.
+
+    Returns:
+        The walls, the number of planes they are among, and why planes are no walls.
+    """
     inside = _place_inside(samples)
     seen = samples.moved(-inside)
     planes = find_planes(seen, seed=seed)
-    pairs = [_pair(seen, planes, direction, rng) for direction in _directions(planes)]
-    return [[wall.moved(inside) for wall in pair] for pair in pairs], len(planes)
+    pairs, remarks = [], []
+    for direction in _directions(planes):
+        found = [(wall, wall.behind(seen)) for wall in _pair(seen, planes, direction, rng)]
+        pairs.append([wall.moved(inside) for wall, behind in found if behind <= BEYOND])
+        remarks += [
+            f"{100 * behind:.0f} % of the points lie behind a plane at {wall.plane.distance:.2f} m"
+            for wall, behind in found
+            if behind > BEYOND
+        ]
+    return pairs, len(planes), remarks
 
 
 _NEAR_THE_RIM = 0.05
@@ -178,8 +206,7 @@ def _pair(
     limit = LEVEL if direction[2] == 1.0 else np.cos(ALONG)
     mine = [(plane, p) for plane, p in planes if abs(plane.normal @ direction) > limit]
     walls = (outermost(mine, side) for side in (direction, -direction))
-    refined = (refine_wall(samples, wall, rng=rng) for wall in walls if wall is not None)
-    return [wall for wall in refined if wall.bounds(samples)]
+    return [refine_wall(samples, wall, rng=rng) for wall in walls if wall is not None]
 
 
 def _centre(pairs: list[list[Wall]]) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
-from jaxscan.measurement.checked import checked_samples
+from jaxscan.measurement.checked import checked_samples, require_known
 from jaxscan.measurement.planes import Point
 from jaxscan.measurement.samples import SIGMA_FLOOR_M, Cloud, CloudSamples, Samples, places_of, spread_out
 from jaxscan.measurement.systematic import systematic_sigma
@@ -76,7 +76,8 @@ def measure_sphere(
         The sphere with its predicted standard deviations.
 
     Raises:
-        MeasurementError: If there are too few points, or none that lie on such a sphere.
+        MeasurementError: If there are too few points, none that lie on such a sphere, or its radius is not known to a
+            fifth of itself.
     """
     place = np.asarray(near, np.float64)
     fit = fit_sphere(checked_samples(cloud), place, radius_m, free=not held)
@@ -87,6 +88,7 @@ def measure_sphere(
     random = np.sqrt(np.diag(fit.covariance))
     both = np.hypot(random, systematic)
     radius_random, radius_systematic = (0.0, 0.0) if held else (float(random[3]), float(systematic[3]))
+    require_known("radius", fit.radius, float(np.hypot(radius_random, radius_systematic)))
     residual = np.linalg.norm(fit.members.p - fit.centre, axis=1) - fit.radius
     return SphereMeasurement(
         centre_m=fit.centre,

@@ -42,13 +42,13 @@ class Wall(NamedTuple):
         plane = plane._replace(distance=distance, centre=plane.centre + step)
         return self._replace(plane=plane, samples=self.samples.moved(step))
 
-    def bounds(self, samples: CloudSamples) -> bool:
-        """Whether the points of the room are before it."""
+    def behind(self, samples: CloudSamples) -> float:
+        """Share of the points that are behind it [1]; above `BEYOND` it does not bound them."""
         normal, distance = self.plane.normal, self.plane.distance
         behind = sum(
             np.count_nonzero(some.p @ normal - distance > BEYOND_M + 6.0 * some.sigma) for some in samples.blocks()
         )
-        return bool(behind <= BEYOND * len(samples))
+        return float(behind / len(samples))
 
     @property
     def rms_m(self) -> float:

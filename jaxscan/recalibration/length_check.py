@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.errors import CalibrationError
+from jaxscan.errors import GivenError
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.moved import moved_scanner
@@ -19,6 +19,8 @@ from jaxscan.recalibration.tracks import named_points
 _SIGMAS = 6.0
 # The same where the rig was knocked; those sigmas are tolerances already.
 _LOOSE_SIGMAS = 3.0
+# A length that the scanner of the sweeps misses by so much contradicts them, or the other lengths.
+_MISSED_SIGMAS = 10.0
 # Points of a surface that are looked at.
 _POINTS = 200
 
@@ -47,7 +49,7 @@ def check_lengths(
         A sentence for each length that only a rig that was knocked explains.
 
     Raises:
-        CalibrationError: With both lengths.
+        GivenError: With both lengths.
     """
     notes = []
     for number, known in enumerate(observations.lengths):
@@ -61,7 +63,7 @@ def check_lengths(
         said = f"known length {number + 1}: found {found.metres:.4f} m by the stored calibration, expected "
         off = abs(found.metres - known.metres)
         if off > farthest:
-            raise CalibrationError(
+            raise GivenError(
                 f"{said}{known.metres:.4f} m within {1e3 * farthest:.2g} mm; check its number and its ends; if the "
                 "rig was knocked, leave the length out and recalibrate first."
             )
@@ -70,6 +72,31 @@ def check_lengths(
                 f"{said}{known.metres:.4f} m within {1e3 * limit:.2g} mm; if the rig was not knocked, measure it again"
             )
     return notes
+
+
+def check_adjusted(observations: RoomObservations, sweeps: Sequence[SweepStripes], scanner: Scanner) -> None:
+    """Refuse a known length that the new scanner misses, with its covariance.
+
+    Args:
+        observations: With the known lengths, in the order of the user.
+        sweeps: With their angles put right.
+        scanner: The new scanner.
+
+    Raises:
+        GivenError: With both lengths.
+    """
+    for number, known in enumerate(observations.lengths):
+        found = _length(known, observations, sweeps, scanner)
+        if found is None:
+            continue
+        own = _sigma_of_calibration(known, observations, sweeps, scanner)
+        limit = _MISSED_SIGMAS * float(np.linalg.norm([known.sigma_m, found.sigma_m, own]))
+        if abs(found.metres - known.metres) > limit:
+            raise GivenError(
+                f"known length {number + 1}: found {found.metres:.4f} m by these sweeps, expected "
+                f"{known.metres:.4f} m within {1e3 * limit:.2g} mm; it contradicts them or the other lengths: "
+                "measure it again in metres, or leave it out."
+            )
 
 
 def found_lengths(

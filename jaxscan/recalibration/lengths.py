@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxscan.errors import CalibrationError
+from jaxscan.errors import GivenError
 from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.adjusted import Start
 from jaxscan.recalibration.given import MeasuredLength, Place
@@ -39,7 +39,7 @@ def place_lengths(
         start: Scanner, stations and angles with which the points are placed.
 
     Raises:
-        CalibrationError: If an end is near no surface, no target has its name, both ends are the same, or they lie on
+        GivenError: If an end is near no surface, no target has its name, both ends are the same, or they lie on
             walls that are not parallel.
     """
     if not lengths:
@@ -55,7 +55,7 @@ def place_lengths(
         name = length.name or f"known length {number + 1}"
         kinds = [isinstance(place, str) for place in (length.first, length.second)]
         if kinds[0] != kinds[1]:
-            raise CalibrationError(f"{name}: one end is a target, the other a point; expected two of one kind.")
+            raise GivenError(f"{name}: one end is a target, the other a point; expected two of one kind.")
         if kinds[0]:
             ends = [_target(name, place, observations.tracks) for place in (length.first, length.second)]
         else:
@@ -63,7 +63,7 @@ def place_lengths(
             ends = [_surface(name, place, near) for place in (length.first, length.second)]
             _check_parallel(name, observations.surfaces, ends)
         if ends[0] == ends[1]:
-            raise CalibrationError(f"{name}: both ends are on one surface or target; expected two.")
+            raise GivenError(f"{name}: both ends are on one surface or target; expected two.")
         metres, sigma = float(length.metres), float(length.sigma_m)
         if not kinds[0] and observations.surfaces.kind[ends[0]] == "plane":
             metres = _between_centres(length, observations.surfaces, ends)
@@ -75,7 +75,7 @@ def _target(name: str, place: Place, tracks: Tracks | None) -> int:
     known = () if tracks is None else tracks.name
     if place not in known:
         some = ", ".join(sorted({each for each in known if each})[:8]) or "none"
-        raise CalibrationError(f"{name}: no target is called {place}; found {some}.")
+        raise GivenError(f"{name}: no target is called {place}; found {some}.")
     return known.index(str(place))
 
 
@@ -89,14 +89,14 @@ def _surface(name: str, place: Place, near: _Near) -> int:
     if nearest < 0 or away[nearest] > _NEAR_M:
         where = ", ".join(f"{x:.2f}" for x in point)
         far = f"; the nearest is {away[nearest]:.2f} m away" if nearest >= 0 else ""
-        raise CalibrationError(
+        raise GivenError(
             f"{name}: no surface within {_NEAR_M:g} m of ({where}) m{far}; "
             "give a point on the wall as measured in the cloud."
         )
     number = int(near.surface[nearest])
     normal, distance = near.surfaces.normal[number], float(near.surfaces.distance[number])
     if near.surfaces.kind[number] == "plane" and (off := abs(float(normal @ point) - distance)) > _ON_M:
-        raise CalibrationError(
+        raise GivenError(
             f"{name}: found an end {100 * off:.0f} cm off the plane of the nearest flat surface, expected at most "
             f"{100 * _ON_M:.0f} cm; give a point on a wall as measured in the cloud."
         )
@@ -108,7 +108,7 @@ def _check_parallel(name: str, surfaces: Surfaces, ends: Sequence[int]) -> None:
         return
     cosine = abs(float(surfaces.normal[ends[0]] @ surfaces.normal[ends[1]]))
     if cosine < _PARALLEL:
-        raise CalibrationError(
+        raise GivenError(
             f"{name}: its ends lie on walls at {np.degrees(np.arccos(cosine)):.0f} degrees to each other, expected "
             "parallel ones; give a point on each of two opposite walls."
         )

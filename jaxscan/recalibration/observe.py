@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxscan.errors import CalibrationError
+from jaxscan.errors import CalibrationError, GivenError
 from jaxscan.recalibration.adjusted import Start
 from jaxscan.recalibration.given import Given, KnownSphere
 from jaxscan.recalibration.lengths import place_lengths
@@ -26,7 +26,8 @@ def observe_room(
         settings: With the largest number of points.
 
     Raises:
-        CalibrationError: If no plane is found, or something that was given is not there.
+        CalibrationError: If no plane is found.
+        GivenError: If something that was given is not there.
     """
     points, surfaces = observe_surfaces(sweeps, start.scanner, start.stations, start.corrections, settings)
     for number, sphere in enumerate(given.spheres):
@@ -59,7 +60,7 @@ def _found(
     found, problem = [], None
     for index in range(len(sweeps)) if sphere.sweep is None else (sphere.sweep,):
         if not 0 <= index < len(sweeps):
-            raise CalibrationError(f"sphere {number + 1}: names sweep {index}, found {len(sweeps)} sweeps.")
+            raise GivenError(f"sphere {number + 1}: names sweep {index}, found {len(sweeps)} sweeps.")
         pose = np.asarray(start.stations[sweeps[index].station], np.float64)
         near = pose[:3, :3].T @ (np.asarray(sphere.near, np.float64) - pose[:3, 3])
         correction = start.corrections[index] if start.corrections else None
@@ -70,7 +71,7 @@ def _found(
         else:
             found.append((index, pose, one))
     if not found:
-        raise CalibrationError(f"sphere {number + 1}: {problem}") from problem
+        raise GivenError(f"sphere {number + 1}: {problem}") from problem
     return found
 
 

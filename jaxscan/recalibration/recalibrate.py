@@ -9,16 +9,16 @@ from jaxtyping import Float
 
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.verdict import predict_lengths
-from jaxscan.errors import CalibrationError
+from jaxscan.errors import CalibrationError, GivenError
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration import judge
 from jaxscan.recalibration.adjust import adjust
 from jaxscan.recalibration.adjusted import Adjusted, Start
 from jaxscan.recalibration.given import Given
-from jaxscan.recalibration.length_check import check_lengths, found_lengths
+from jaxscan.recalibration.length_check import check_adjusted, check_lengths, found_lengths
 from jaxscan.recalibration.lengths import lost_lengths
 from jaxscan.recalibration.observe import observe_room
-from jaxscan.recalibration.observed import SweepStripes
+from jaxscan.recalibration.observed import RoomObservations, SweepStripes
 from jaxscan.recalibration.prior import require_prior
 from jaxscan.recalibration.result import PanoramaOfWalls, Recalibration, TableFindings
 from jaxscan.recalibration.segment import find_patches, flat
@@ -74,6 +74,7 @@ def recalibrate(
     Raises:
         CalibrationError: If nothing can be adjusted at all: no sweeps, no plane in them, a stored calibration without
             covariance, sheet or table, or sweeps of a camera of another size.
+        GivenError: If something that was given contradicts the sweeps.
     """
     settings, given = settings or RecalibrationSettings(), given or Given()
     scanner = require_prior(stored)
@@ -90,6 +91,8 @@ def recalibrate(
     start = Start(loose, stations, job.corrections)
     observed = observe_room(sweeps, start, given, settings)
     doubts = check_lengths(observed, _corrected(job), scanner, loose)
+    if doubts:
+        _check_without(job, observed, start, doubts[0])
     # Only the scanner of this solve is used: one angle per step would cost much and change it little.
     rough = adjust(loose, start._replace(scanner=scanner), observed, replace(settings, angles="model"))
     done()
@@ -117,6 +120,20 @@ def recalibrate(
     return replace(result, notes=(*job.table.sentences, *result.notes, *notes, *doubts, *lost))
 
 
+def _check_without(job: _Job, observed: RoomObservations, start: Start, doubt: str) -> None:
+    """Refuse lengths that the stored calibration contradicts where the sweeps alone show no drift that explains them.
+
+    With a rig that may have been knocked, a wrong length would bend the calibration until it fits.
+    """
+    alone = observed._replace(lengths=())
+    solve = lambda prior, before: adjust(prior, _after(job, before), alone, job.settings)
+    free = adjust(start.scanner, start, alone, job.settings)
+    verdict = judge.find_drift(job.stored, free, solve, job.settings)
+    if not verdict.drift.drifted:
+        raise GivenError(f"{doubt}; without the known lengths, the sweeps show no drift.")
+    check_adjusted(observed, _corrected(job, verdict.adjusted.corrections), verdict.adjusted.scanner)
+
+
 def _after(job: _Job, before: Adjusted) -> Start:
     return Start(before.scanner, before.stations, job.corrections)
 
@@ -134,6 +151,9 @@ def _judged(job: _Job, verdict: judge.Verdict, done: Callable[[], None]) -> Reca
     slopes = judge.scale_slopes(adjusted.scanner, adjusted.observations, adjusted.corrections)
     lengths = judge.length_gains(predict_lengths(stored), predict_lengths(adjusted.scanner))
     refused = judge.refuse_result(adjusted, gained, verdict.drift, held_out, lengths, settings)
+    corrected = _corrected(job, adjusted.corrections)
+    if not refused:
+        check_adjusted(adjusted.observations, corrected, adjusted.scanner)
     panoramas, hidden = _panoramas(job, adjusted)
     result = Recalibration(
         scanner=stored if refused else adjusted.scanner,
@@ -151,7 +171,7 @@ def _judged(job: _Job, verdict: judge.Verdict, done: Callable[[], None]) -> Reca
         panoramas=panoramas,
         notes=(*verdict.notes, *hidden),
         lengths=lengths,
-        known=found_lengths(adjusted.observations, _corrected(job, adjusted.corrections), adjusted.scanner),
+        known=found_lengths(adjusted.observations, corrected, adjusted.scanner),
     )
     done()
     return result

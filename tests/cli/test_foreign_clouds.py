@@ -70,6 +70,20 @@ def test_units(run, tmp_path, factor, words, says):
     assert "z is taken for it (--up)" in said
 
 
+@pytest.mark.parametrize(
+    ("factor", "words", "says"),
+    [
+        (1e3, ("--unit", "m"), "m large, which no room and no thing on a table is; in millimetres it would be "),
+        (0.5, ("--unit", "mm"), "in metres it would be "),
+        (1.0, ("--unit", "m"), None),
+    ],
+)
+def test_a_size_that_nothing_has_is_said(run, tmp_path, factor, words, says):
+    source = foreign(tmp_path / "a.xyz", room(), factor=factor)
+    ran = run("convert", source, tmp_path / "b.ply", *words)
+    assert ran.code == 0 and ((says in ran.out) if says else "no thing on a table" not in ran.out)
+
+
 @pytest.mark.parametrize("words", [(), ("--up", "y")])
 def test_a_cloud_with_y_up_has_its_three_sides(run, tmp_path, words):
     found = measured(run, foreign(tmp_path / "a.xyz", room(), turn=Y_UP), *words)

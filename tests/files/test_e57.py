@@ -169,3 +169,18 @@ def test_a_changed_byte_is_noticed(tmp_path, good):
     damaged = bytearray(good)
     damaged[100] ^= 1
     assert "the checksum of page 0" in refused(tmp_path / "a.e57", bytes(damaged))
+
+
+def test_a_pose_that_is_no_rotation_is_refused(tmp_path):
+    save_cloud(make_cloud(), tmp_path / "a.e57")
+    data = (tmp_path / "a.e57").read_bytes()
+    xml = xml_of(data)
+    one = b'<w type="Float">1</w>'
+    assert one in xml
+    for length, fits in ((b"1.0004", True), (b"2", False), (b"0.5", False)):
+        (tmp_path / "b.e57").write_bytes(with_xml(data, xml.replace(one, one.replace(b">1<", b">" + length + b"<"))))
+        if fits:
+            assert load_cloud(tmp_path / "b.e57").valid.any()
+        else:
+            with pytest.raises(CloudError, match="no rigid motion: its quaternion has the length"):
+                load_cloud(tmp_path / "b.e57")

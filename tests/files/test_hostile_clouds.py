@@ -143,6 +143,12 @@ def test_blocks_of_ptx(tmp_path):
         assert says in refused(tmp_path / "a.ptx", data.replace(b"3\n5\n", new, 1))
     assert "no rigid motion" in refused(tmp_path / "a.ptx", data.replace(b"1 0 0 0\n", b"2 0 0 0\n"))
     assert "not finite" in refused(tmp_path / "a.ptx", data.replace(b"1 0 0 0\n", b"nan 0 0 0\n"))
+    mirrored = refused(tmp_path / "a.ptx", data.replace(b"1 0 0 0\n", b"-1 0 0 0\n"))
+    assert "the pose is no rigid motion: its axes are scaled by -1" in mirrored
+    # A turn by 45 degrees that is written with five digits.
+    turned = b"0.70711 0.70711 0 0\n-0.70711 0.70711 0 0\n"
+    (tmp_path / "a.ptx").write_bytes(data.replace(b"1 0 0 0\n0 1 0 0\n", turned))
+    np.testing.assert_allclose(np.linalg.det(load_cloud(tmp_path / "a.ptx").stations.pose[0]), 1.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(

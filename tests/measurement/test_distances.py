@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import MeasurementError
-from jaxscan.measurement import compare_clouds, measure_distance, measure_plane
+from jaxscan.measurement import compare_clouds, measure_distance, measure_plane, measure_points
 
 
 def wall_cloud(depth, noise=1e-3, seed=0, shape=(200, 100)):
@@ -121,3 +121,11 @@ def test_a_true_point_in_the_cameras_centre_has_no_ray():
     assert found.along_ray_m.max_abs == pytest.approx(without.along_ray_m.max_abs, rel=1e-9)
     truth.xyz[:] = 0.0
     assert compare_clouds(cloud, truth).along_ray_m is None
+
+
+def test_a_distance_that_is_noise_is_not_stated():
+    cloud = wall_cloud(lambda y, z: np.full_like(y, 2.5), noise=0.05)
+    a, b = np.array([2.5, 0.0, 0.0]), np.array([2.5, 0.1, 0.0])
+    with pytest.raises(MeasurementError, match=r"^The distance is not known: .* expected at most 20 % of it"):
+        measure_points(cloud, a, b + [0.2, 0, 0], within_m=0.5)
+    assert measure_distance(cloud, a, b + [0, 0.4, 0], radius_m=0.05).sigma_m < 0.02

@@ -8,7 +8,7 @@ import pytest
 
 from experiments.recalibration.world import Noise, Sweeping, sweep_of, turn_laser
 from jaxscan.calibration import Calibration
-from jaxscan.errors import CalibrationError
+from jaxscan.errors import CalibrationError, GivenError
 from jaxscan.recalibration import (
     Given,
     KnownLength,
@@ -209,6 +209,23 @@ def test_a_length_that_the_stored_calibration_contradicts_is_refused():
     (note,) = check_lengths(given(exact + 0.05), sweeps, good, poor)
     assert note.endswith("if the rig was not knocked, measure it again")
     assert check_lengths(given(exact + 0.05), sweeps, poor, poor) == []
+
+
+@pytest.mark.parametrize(
+    ("laser_deg", "said"),
+    [
+        (0.0, "found 3.820. m by the stored calibration, expected 3.7200 m .* the sweeps show no drift"),
+        (0.05, "found 3.82.. m by these sweeps, expected 3.7200 m within"),
+    ],
+)
+def test_a_wrong_length_does_not_bend_the_calibration(laser_deg, said):
+    """By 0.1 m; a rig that was knocked in any way would explain it."""
+    surfaces = observe(truth_scanner()).surfaces
+    pairs = np.argwhere(np.triu(np.abs(surfaces.normal @ surfaces.normal.T) > 0.99, 1))
+    given = Given(lengths=(MeasuredLength(3.72, 1e-3, *(surfaces.centre[k] for k in pairs[0])),))
+    calibration = calibration_of(with_covariance(truth_scanner(), np.diag(GOOD**2)))
+    with pytest.raises(GivenError, match=f"known length 1: {said}"):
+        recalibrate([sweep(laser_deg)], calibration, SETTINGS, given)
 
 
 def test_a_length_between_targets_is_compared_too():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxscan.errors import CalibrationError
+from jaxscan.errors import CalibrationError, GivenError
 from jaxscan.recalibration import SweepStripes, Tracks
 from jaxscan.recalibration.stations import place_stations
 from jaxscan.simulation import Motion, distort, make_rig, true_scanner
@@ -114,3 +114,9 @@ def test_numbers_of_stations_have_no_gap(empty):
 def test_the_room_of_these_tests_stops_rays_where_it_should():
     t, _ = cast(FURNISHED, np.array([2.0, 2.6, 0.4]), np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
     np.testing.assert_allclose(t, [1.15, 2.2, 2.1], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("off", [pose((0.8, 0, 0), 0), pose((0, 0.8, 0), 0), pose((5, 0, 0), 0), pose((0, 0, 0), 90)])
+def test_a_first_pose_that_is_wrong_is_refused(empty, off):
+    with pytest.raises(GivenError, match=r"^sweep1: its given place \(\[\[station\]\] of --known\) is contradicted"):
+        place_stations(empty[0], SCANNER, start={1: empty[1] @ off})

@@ -27,6 +27,8 @@ MILLIMETRES_FROM, CENTIMETRES_FROM = 1500.0, 200.0
 """Extents from which a cloud is taken for one in a smaller unit: no room is 200 m large, and few are 15 m."""
 FAR_AWAY = 10.0
 """A cloud so many times its extent from the origin is one of a map, which is in metres."""
+SMALLEST_M, LARGEST_M = 0.005, 1000.0
+"""Extents of things on a table and of places: others are in another unit, whatever the file says."""
 LOW = 0.75
 """Rooms are lower than wide: an extent of less than this share of z's is taken for the height."""
 
@@ -40,7 +42,29 @@ def in_metres(stored: StoredCloud, unit: Unit | None = None) -> tuple[PointCloud
         if away < FAR_AWAY * extent and extent >= CENTIMETRES_FROM:
             unit = "mm" if extent >= MILLIMETRES_FROM else "cm"
         notes = [f"the file does not say its unit; an extent of {extent:.4g} is taken as {_WORDS[unit]} (--unit)."]
-    return (cloud if unit in (None, "m") else _scaled(cloud, _METRES[unit or "m"])), notes
+    factor = _METRES[unit or "m"]
+    cloud = cloud if factor == 1.0 else _scaled(cloud, factor)
+    return cloud, notes + _size_notes(cloud, factor)
+
+
+def _size_notes(cloud: PointCloud, factor: float) -> list[str]:
+    """A note where a cloud has the size of neither a place nor a thing on a table, with the unit that would fit.
+
+    Args:
+        cloud: In metres.
+        factor: What one unit of its file was taken for [m].
+    """
+    extent, away = float(np.linalg.norm(_extents(cloud))), float(np.linalg.norm(_middle(cloud)))
+    if extent == 0.0 or SMALLEST_M <= extent <= LARGEST_M or (extent > LARGEST_M and away >= FAR_AWAY * extent):
+        return []
+    number = extent / factor
+    unit: Unit = "mm" if number >= MILLIMETRES_FROM else "cm" if number >= CENTIMETRES_FROM else "m"
+    fitting = _METRES[unit] * number
+    fits = f"in {_WORDS[unit]} it would be {fitting:.4g} m (--unit {unit})"
+    return [
+        f"the cloud is {extent:.4g} m large, which no room and no thing on a table is; "
+        + (fits if SMALLEST_M <= fitting <= LARGEST_M else "check its unit.")
+    ]
 
 
 def with_z_up(stored: StoredCloud, cloud: PointCloud, up: Up | None = None) -> tuple[PointCloud, list[str]]:

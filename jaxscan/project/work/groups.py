@@ -13,7 +13,7 @@ import numpy as np
 from jaxscan import api
 from jaxscan.calibration import Calibration
 from jaxscan.drawing import draw_plan, survey_room
-from jaxscan.errors import CalibrationError, CaptureError, CloudError
+from jaxscan.errors import CalibrationError, CaptureError, CloudError, GivenError
 from jaxscan.files.calibration import calibration_digest
 from jaxscan.files.clouds import save_stations
 from jaxscan.files.disk import MEGABYTE, parse_json, read_bounded, write_atomically
@@ -72,12 +72,16 @@ def refine_rig(desk: Desk) -> None:
 
     Raises:
         CaptureError: If storage cannot be read, which may be otherwise tomorrow.
+        GivenError: If a known length or place contradicts the sweeps.
     """
     calibration, refused = None, None
     try:
         result = _recalibrated(desk)
         calibration, refused = result.calibration, result.refused
         desk.notes.extend(result.notes)
+    except GivenError:
+        # A person can put it right; the stored calibration would hide it.
+        raise
     except (CalibrationError, CaptureError) as problem:
         if isinstance(problem, CaptureError) and any(map(is_remote, desk.step.sources.values())):
             raise

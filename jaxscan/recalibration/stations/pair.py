@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxscan.errors import CalibrationError
+from jaxscan.errors import CalibrationError, GivenError
 from jaxscan.recalibration.stations.guesses import guess_poses, turn_between
 from jaxscan.recalibration.stations.landmarks import pose_of
 from jaxscan.recalibration.stations.settling import Settled, settle
@@ -72,13 +72,15 @@ def place_pair(one: Station, other: Station, *, first: np.ndarray | None = None)
 
     Raises:
         CalibrationError: If the two see too little in common, or fit in several places.
+        GivenError: If what they see contradicts the first pose.
     """
     names = sorted(set(one.landmarks) & set(other.landmarks))
     at, of = (np.array([marks[name] for name in names]).reshape(-1, 3) for marks in (one.landmarks, other.landmarks))
     by_marks = pose_of(at, of) if first is None else None
-    given = first if first is not None else by_marks
-    if given is not None:
-        return _near(one, other, given)
+    if first is not None:
+        return _near(one, other, first, or_else=_contradicted(other))
+    if by_marks is not None:
+        return _near(one, other, by_marks)
     guesses = guess_poses(one.view, other.view)
     if len(guesses) == 0:
         raise CalibrationError(f"{one.name}, {other.name}: found walls in fewer than two common directions; {_ASK}.")
@@ -90,13 +92,28 @@ def place_pair(one: Station, other: Station, *, first: np.ndarray | None = None)
     return _decide(one, other, places)
 
 
-def _near(one: Station, other: Station, given: np.ndarray) -> Pair:
-    """A given pose, settled on the walls where these hold it."""
-    for place in _places(one, other, given[None]):
-        if not _far(place.settled.pose, given, START_M, START_RAD):
+def _near(one: Station, other: Station, given: np.ndarray, *, or_else: CalibrationError | None = None) -> Pair:
+    """A given pose, settled on the walls where these hold it; `or_else` is raised if they contradict it."""
+    places = _places(one, other, given[None])
+    for place in places:
+        if not is_far(place.settled.pose, given):
+            if or_else is not None and place.denied > max(DENIED, MOST_DENIED * (place.common + place.denied)):
+                raise or_else
             return Pair(place.settled.pose, place.common / _cells(one, other))
-    (common,), _ = _compare(one.space, other.space, given[None])
+    # Walls that do not hold it along one direction still take its error out along the others.
+    settled = settle(one.view, other.view, given).pose
+    (common, _), (_, denied) = _compare(one.space, other.space, np.array([given, settled]))
+    if or_else is not None and (places or common == 0 or denied > max(DENIED, common / 2)):
+        raise or_else
     return Pair(given, common / _cells(one, other))
+
+
+def _contradicted(station: Station) -> GivenError:
+    return GivenError(
+        f"{station.name}: its given place ([[station]] of --known) is contradicted by what the stations see; expected "
+        f"it within {START_M:g} m and {np.degrees(START_RAD):.0f} degrees, in metres and degrees from the first "
+        "station's place: correct it, or leave it out."
+    )
 
 
 def _places(one: Station, other: Station, guesses: np.ndarray, *, few: bool = False) -> list[_Place]:
@@ -151,6 +168,11 @@ def _decide(one: Station, other: Station, places: list[_Place]) -> Pair:
 
 def _cells(one: Station, other: Station) -> int:
     return len(one.space.some) + len(other.space.some)
+
+
+def is_far(pose: np.ndarray, given: np.ndarray) -> bool:
+    """Whether a pose is farther from a given one than the tolerance of those."""
+    return _far(pose, given, START_M, START_RAD)
 
 
 def _far(a: np.ndarray, b: np.ndarray, metres: float, radians: float) -> bool:

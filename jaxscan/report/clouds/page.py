@@ -119,7 +119,7 @@ def _dimensions(box: RoomBox | None, beside: Beside) -> Html:
     text = (
         "As jaxscan measure room gives them: through the middle of the room, along the mean normal of two opposite "
         "walls. ± is one standard deviation."
-    )
+    ) + "".join(f" A dimension is left out: {remark}." for remark in box.remarks)
     return section("Dimensions", element("p", text), table(columns, rows))
 
 

@@ -209,6 +209,10 @@ def _number(element: Element | None, default: float) -> float:
     return default if element is None else float(element.text.strip() or "0")
 
 
+_UNIT = 1e-2
+"""By how much the length of a quaternion may differ from 1, as it is written with few digits."""
+
+
 def _pose(scan: Element) -> np.ndarray:
     """T_file_scan [4, 4]."""
 
@@ -218,8 +222,10 @@ def _pose(scan: Element) -> np.ndarray:
     pose = np.eye(4)
     pose[:3, 3] = [read(f"translation/{axis}", 0.0) for axis in "xyz"]
     q = np.array([read("rotation/w", 1.0), *(read(f"rotation/{axis}", 0.0) for axis in "xyz")])
-    if not (np.isfinite(q).all() and np.isfinite(pose).all() and np.linalg.norm(q) > 0):
-        raise ValueError("the pose of a scan is no rigid motion")
+    if not (np.isfinite(q).all() and np.isfinite(pose).all() and abs(np.linalg.norm(q) - 1.0) < _UNIT):
+        raise ValueError(
+            f"the pose of a scan is no rigid motion: its quaternion has the length {np.linalg.norm(q):.4g}"
+        )
     w, x, y, z = q / np.linalg.norm(q)
     pose[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

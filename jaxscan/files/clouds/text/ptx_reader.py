@@ -26,6 +26,8 @@ _POINT = np.dtype(
 _POINT_IN_SINGLES = np.dtype([(name, "f4" if name in "xyz" else _POINT[name]) for name in _POINT.names or ()])
 _SINGLE_M = 128.0
 """Coordinates up to which a single is good to 8 um."""
+_ROUNDED, _EXACT = 1e-3, 1e-9
+"""By how much the axes of a pose may differ from unit length, as it is written: with few digits, or with all."""
 _SHORTEST_CELL = 8
 """Bytes of a cell: four numbers."""
 
@@ -77,6 +79,7 @@ def _read_block(file: BinaryIO, first: bytes, rest: int) -> _Block:
     pose = np.array([[float(word) for word in words] for words in head[4:]]).T
     if not np.isfinite(pose).all():
         raise ValueError("the pose holds a number that is not finite")
+    pose = _rigid(pose)
     start = file.tell()
     width = len(next(text_lines(file, 1), "").split())
     if width not in (4, 7):
@@ -93,6 +96,22 @@ def _read_block(file: BinaryIO, first: bytes, rest: int) -> _Block:
         if len(seen):
             parts.append(_points_of(cells[seen], begin + seen, rows, pose))
     return _Block(columns, rows, pose, parts)
+
+
+def _rigid(pose: np.ndarray) -> np.ndarray:
+    """A pose [4, 4] that is written with few digits, with a rotation that is one.
+
+    Raises:
+        ValueError: If it is no rigid motion.
+    """
+    u, scales, v = np.linalg.svd(pose[:3, :3])
+    if np.abs(scales - 1.0).max() > _ROUNDED or np.linalg.det(u @ v) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() > 0:
+        scales = scales if np.linalg.det(pose[:3, :3]) >= 0 else -scales
+        found = ", ".join(f"{scale:.4g}" for scale in scales)
+        raise ValueError(f"the pose is no rigid motion: its axes are scaled by {found}, expected 1, 1, 1")
+    # A rotation of double precision stays as it is, to the bit.
+    exact = np.abs(scales - 1.0).max() < _EXACT
+    return pose if exact else np.block([[u @ v, pose[:3, 3:]], [np.eye(4)[3:]]])
 
 
 def _joined(blocks: list[_Block], name: str) -> PointCloud:

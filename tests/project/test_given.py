@@ -1,0 +1,24 @@
+"""What a person gave for a group and what its sweeps contradict."""
+
+import pytest
+
+from jaxscan.errors import CalibrationError, GivenError
+from jaxscan.project.work import groups
+
+
+class Stopped(Exception):
+    """The stored calibration was about to be used."""
+
+
+@pytest.mark.parametrize(("problem", "raised"), [(GivenError("length 1"), GivenError), (CalibrationError(""), Stopped)])
+def test_a_contradiction_of_what_was_given_is_not_hidden_by_the_stored_calibration(monkeypatch, problem, raised):
+    def fail(desk):
+        raise problem
+
+    def save(desk, calibration, refused):
+        raise Stopped
+
+    monkeypatch.setattr(groups, "_recalibrated", fail)
+    monkeypatch.setattr(groups, "_save", save)
+    with pytest.raises(raised):
+        groups.refine_rig(object.__new__(groups.Desk))
