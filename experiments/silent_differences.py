@@ -8,8 +8,8 @@ seal were taken, so only plausibility is left. The calibration is the true one w
 those of the stripes alone, the strictest measure.
 
 Of the unchanged capture a cloud is written too, as PLY, PCD and XYZ, and a bit of the file is turned, a digit is
-changed, or a block is lost or exchanged. "sealed" files have the digest that jaxscan writes; XYZ has no place for one. A
-cloud has changed if a point reads another place, sigma or colour; where the file is refused, that of the unsealed one
+changed, or a block is lost or exchanged. "sealed" files have the digest that jaxscan writes; XYZ has no place for one.
+A cloud has changed if a point reads another place, sigma or colour; where the file is refused, that of the unsealed one
 tells. Clouds are counted apart.
 
     python experiments/silent_differences.py [--each N] [--seed S] [--only KIND] [--json FILE] [--results DIR]
