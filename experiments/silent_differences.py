@@ -104,7 +104,7 @@ def reconstructed(place: Place, cache: bool) -> tuple[PointCloud | None, set[str
     # Records by their own numbers, so that a missing one is missing.
     rows = np.full(int(numbers.max()) + 1, -1)
     rows[numbers] = np.arange(len(numbers))
-    return _by_number(done.cloud, rows), {note.replace(str(place.sweep), "") for note in (*notes, *done.notes)}
+    return _by_number(done.cloud, rows), {note.replace(str(place.sweep.parent), "") for note in (*notes, *done.notes)}
 
 
 def _by_number(cloud: PointCloud, rows: np.ndarray) -> Any:
