@@ -83,7 +83,8 @@ def make(folder: Path, seed: int) -> Path:
         ("mosaic", small("bayer_rggb8", seed, 50.0)),
     ):
         jaxscan.simulate(config, folder / "made", every=EVERY)
-        (folder / "made" / "sweep").rename(folder / name)
+        # Image files, which the mutations edit; the storage of new captures has a checksum in every frame.
+        repack_capture(folder / "made" / "sweep", folder / name, storage="png")
         shutil.rmtree(folder / "made")
     repack_capture(folder / "files", folder / "shards", storage="npy")
     for name in ("files", "shards", "mosaic"):
