@@ -98,6 +98,14 @@ def _zeroed(image: np.ndarray, rng: Rng) -> np.ndarray:
     return image
 
 
+def _mirrored(image: np.ndarray, rng: Rng) -> np.ndarray:
+    return np.flip(image, int(rng.integers(2)))
+
+
+def _bit_turned(image: np.ndarray, rng: Rng) -> np.ndarray:
+    return image ^ np.uint8(1 << rng.integers(4, 8))
+
+
 def _header(old: str, *new: str) -> Mutation:
     def mutate(place: Place, rng: Rng) -> None:
         path = place.sweep / "capture.toml"
@@ -144,9 +152,9 @@ def _seal_removed(place: Place, rng: Rng) -> None:
     write_lines(place.sweep, lines)
 
 
-def _shard(change: Callable[[bytearray, int, Rng], bytearray]) -> Mutation:
+def _shard(change: Callable[[bytearray, int, Rng], bytearray], side: str = "on") -> Mutation:
     def mutate(place: Place, rng: Rng) -> None:
-        shards = sorted((place.sweep / "on").glob("*.npy"))
+        shards = sorted((place.sweep / side).glob("*.npy"))
         path = shards[rng.integers(len(shards))]
         path.write_bytes(change(bytearray(path.read_bytes()), 128, rng))
 
@@ -164,6 +172,14 @@ def _byte_inserted(data: bytearray, start: int, rng: Rng) -> bytearray:
     return data[:at] + b"\x00" + data[at:]
 
 
+def _block_lost(data: bytearray, start: int, rng: Rng) -> bytearray:
+    """Zeros, as of a block that a disk has lost: 4 to 64 KiB."""
+    size = 4096 * int(rng.integers(1, 17))
+    at = int(rng.integers(start, len(data) - size))
+    data[at : at + size] = bytes(size)
+    return data
+
+
 def _block_moved(data: bytearray, start: int, rng: Rng) -> bytearray:
     size = int(rng.integers(20_000, 80_000))
     a, b = (int(at) for at in rng.integers(start, len(data) - size, 2))
@@ -179,6 +195,7 @@ PICTURES: dict[str, Mutation] = {
     "journal: angles in radians": all_angles(lambda angle, rng: np.radians(angle)),
     "journal: angles negated": all_angles(lambda angle, rng: -angle),
     "journal: angles scaled by 0.5 to 0.95": all_angles(lambda angle, rng: angle * rng.uniform(0.5, 0.95)),
+    "journal: all angles by 360 deg more": all_angles(lambda angle, rng: angle + 360.0),
     "journal: records removed": journal(removed),
     "journal: records removed, the rest renumbered": journal(renumbered),
     "journal: last records removed": journal(last_removed),
@@ -201,6 +218,10 @@ PICTURES: dict[str, Mutation] = {
     "images: pair at another exposure": _pixels(_dimmed, "on", "off"),
     "images: on at another exposure": _pixels(_dimmed, "on"),
     "images: a part of on is black": _pixels(_zeroed, "on"),
+    "images: a part of off is black": _pixels(_zeroed, "off"),
+    "images: on mirrored": _pixels(_mirrored, "on"),
+    "images: off mirrored": _pixels(_mirrored, "off"),
+    "images: a bit of off turned": _pixels(_bit_turned, "off"),
     "images: on exchanged, its digest corrected": _rehashed,
     "header: pixel_format": _header('"mono8"', '"bayer_rggb8"', '"bayer_grbg8"'),
     "header: response": _header('response = "linear"', 'response = "srgb"'),
@@ -215,6 +236,8 @@ SHARDS: dict[str, Mutation] = {
     "shards: 200 bytes changed": _shard(_bytes_changed),
     "shards: a byte inserted": _shard(_byte_inserted),
     "shards: a block copied elsewhere": _shard(_block_moved),
+    "shards: a block of on is zeros": _shard(_block_lost),
+    "shards: a block of off is zeros": _shard(_block_lost, "off"),
 }
 """Of captures with raw frames."""
 COLOURS: dict[str, Mutation] = {

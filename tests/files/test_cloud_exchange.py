@@ -7,7 +7,7 @@ import pytest
 
 from jaxscan.errors import CloudError, DependencyError
 from jaxscan.files.clouds import READERS, load_cloud, read_cloud, save_cloud, save_clouds, shifted
-from jaxscan.reconstruction import SMOOTHED, PointCloud
+from jaxscan.reconstruction import SMOOTHED, PointCloud, join_clouds
 
 from .clouds import LINES, PROFILES, make_cloud
 from .test_joined_clouds import COVARIANCE, SECOND
@@ -299,3 +299,54 @@ def test_a_scan_of_e57_says_what_it_is(tmp_path):
     assert "http://www.libe57.org/E57_EXT_surface_normals.txt" in uris
     assert np.array_equal(fields["nor:normalX"], cloud.normals[cloud.valid][:, 0])
     assert np.array_equal(fields["jaxscan:sigma_random"], cloud.sigma_random[cloud.valid])
+
+
+SEALED = (".ply", ".pcd")
+
+
+@pytest.mark.parametrize("suffix", SEALED)
+@pytest.mark.parametrize("joined", [False, True])
+def test_any_changed_bit_is_noticed(tmp_path, monkeypatch, suffix, joined):
+    """Neither format has a checksum of its own; the digest is taken a block at a time."""
+    monkeypatch.setattr("jaxscan.files.clouds.seal._BLOCK_BYTES", 100)
+    cloud = make_cloud()
+    if joined:
+        cloud = join_clouds([cloud, make_cloud(seed=1)], [np.eye(4)] * 2, [np.zeros((6, 6))] * 2)
+    path = tmp_path / f"a{suffix}"
+    save_cloud(cloud, path, calibration_digest="sha256:0123")
+    whole = path.read_bytes()
+    assert np.array_equal(load_cloud(path).xyz[cloud.valid], cloud.xyz[cloud.valid])
+    line = range(whole.index(b"seal"), whole.index(b" bytes\n") + 7)
+    unnoticed = []
+    for at in range(0, len(whole), 3):
+        data = bytearray(whole)
+        data[at] ^= 1 << at % 8
+        path.write_bytes(data)
+        try:
+            load_cloud(path)
+            unnoticed.append(at)
+        except CloudError:
+            pass
+    # Without its line the file is one of another program.
+    assert set(unnoticed) <= set(line)
+    place = whole.index(b"0123") + 1
+    path.write_bytes(whole[:place] + b"7" + whole[place + 1 :])
+    with pytest.raises(CloudError, match=f"{path.name}: has changed since it was written: found digest"):
+        load_cloud(path)
+    # As the message says.
+    start = whole.rindex(b"\n", 0, line.start) + 1
+    path.write_bytes(whole[:start] + whole[line.stop :])
+    assert np.array_equal(load_cloud(path).xyz[cloud.valid], cloud.xyz[cloud.valid])
+
+
+@pytest.mark.parametrize("suffix", SEALED)
+def test_another_programs_header_frees_it_from_the_digest(tmp_path, suffix):
+    """Such a program may keep our comments, digest and all, and change the points."""
+    path = tmp_path / f"a{suffix}"
+    save_cloud(make_cloud(), path)
+    head, body = path.read_bytes().split(b"seal", 1)
+    comment = b"comment " if suffix == ".ply" else b"# "
+    changed = bytearray(head + b"Created by another program\n" + comment + b"seal" + body)
+    changed[-200:-196] = bytes(4)
+    path.write_bytes(changed)
+    load_cloud(path)

@@ -13,7 +13,7 @@ from jaxscan.errors import CloudError
 from jaxscan.files.clouds import load_cloud, save_cloud
 from jaxscan.reconstruction import PointCloud
 
-from .clouds import LINES, PROFILES, make_cloud
+from .clouds import LINES, PROFILES, make_cloud, unsealed
 
 
 XYZ = np.array([[0.5, 1.5, -2.0], [3.0, 4.0, 5.0], [1e3, 0.0, 0.25]])
@@ -70,7 +70,7 @@ def test_colours_as_floats_and_in_16_bit(tmp_path):
 def test_ours_after_another_program_dropped_the_grid(tmp_path):
     cloud = make_cloud()
     save_cloud(cloud, tmp_path / "a.ply")
-    data = (tmp_path / "a.ply").read_bytes().replace(b"property int scalar_step", b"property int scalar_strp")
+    data = unsealed(tmp_path / "a.ply").replace(b"property int scalar_step", b"property int scalar_strp")
     (tmp_path / "a.ply").write_bytes(data)
     back = load_cloud(tmp_path / "a.ply")
     assert back.valid.shape == (1, np.count_nonzero(cloud.valid))
@@ -81,7 +81,7 @@ def test_ours_after_another_program_dropped_the_grid(tmp_path):
 def test_smoothed_points_without_their_grid_claim_what_their_rows_are_worth(tmp_path):
     cloud = make_cloud(smoothed=True)
     save_cloud(cloud, tmp_path / "a.ply")
-    whole = (tmp_path / "a.ply").read_bytes()
+    whole = unsealed(tmp_path / "a.ply")
     (tmp_path / "a.ply").write_bytes(whole.replace(b"property int scalar_step", b"property int scalar_strp"))
     back = load_cloud(tmp_path / "a.ply")
     assert np.array_equal(back.sigma_random[0], cloud.sigma_row[cloud.valid]) and back.shared_lines is None
@@ -111,7 +111,7 @@ def test_an_npz_with_one_field_of_smoothed_points_lost_is_damaged(tmp_path):
 def test_ours_without_the_profiles(tmp_path):
     cloud = make_cloud()
     save_cloud(cloud, tmp_path / "a.ply")
-    data = (tmp_path / "a.ply").read_bytes()
+    data = unsealed(tmp_path / "a.ply")
     (tmp_path / "a.ply").write_bytes(data.replace(b"element profile", b"element another"))
     back = load_cloud(tmp_path / "a.ply")
     assert np.array_equal(back.valid, cloud.valid)
@@ -146,7 +146,7 @@ def test_ours_without_the_profiles(tmp_path):
 def test_wrong_headers(tmp_path, old, new, message):
     path = tmp_path / "a.ply"
     save_cloud(make_cloud(), path)
-    data = path.read_bytes()
+    data = unsealed(path)
     assert data.count(old) == 1
     path.write_bytes(data.replace(old, new))
     with pytest.raises(CloudError) as caught:
@@ -157,7 +157,7 @@ def test_wrong_headers(tmp_path, old, new, message):
 def test_points_that_share_a_cell_or_are_not_finite(tmp_path):
     path = tmp_path / "a.ply"
     save_cloud(make_cloud(), path)
-    head, body = path.read_bytes().split(b"end_header\n")
+    head, body = unsealed(path).split(b"end_header\n")
     # A vertex has 11 floats, 3 colours, 2 ints and a laser: 56 bytes.
     path.write_bytes(head + b"end_header\n" + body[:56] + body[:56] + body[112:])
     with pytest.raises(CloudError, match="two points have the same step and row"):
@@ -201,7 +201,7 @@ def _good(tmp_path_factory):
     for suffix in (".ply", ".npz"):
         path = tmp_path_factory.mktemp("good") / f"a{suffix}"
         save_cloud(make_cloud(), path)
-        GOOD[suffix] = path.read_bytes()
+        GOOD[suffix] = unsealed(path)
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".npz"])
@@ -298,7 +298,7 @@ def test_doubles_are_written_as_doubles(tmp_path, national, suffix, error_m):
         found = np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], -1)
         assert scan["rowIndex"].tolist() == list(range(50))
     elif suffix == ".pcd":
-        head, body = path.read_bytes().split(b"DATA binary\n")
+        head, body = unsealed(path).split(b"DATA binary\n")
         assert b"SIZE 8 8 8 4 4 4 4 4 4 4 4 4 4 1 8 4\n" in head
         found = np.frombuffer(body, [("xyz", "<f8", 3), ("rest", "V53")])["xyz"]
     else:
@@ -353,7 +353,7 @@ def test_rows_beyond_65535_keep_their_number_in_e57(tmp_path):
 def test_fewer_points_than_the_file_holds_are_noticed(tmp_path):
     path = tmp_path / "a.ply"
     save_cloud(make_cloud(), path)
-    data = path.read_bytes()
+    data = unsealed(path)
     count = np.count_nonzero(make_cloud().valid)
     path.write_bytes(data.replace(b"element vertex %d" % count, b"element vertex %d" % (count // 2)))
     with pytest.raises(CloudError, match=r"goes on after the data that its header announces"):
@@ -379,7 +379,7 @@ def test_ours_with_a_property_line_missing_is_damaged(tmp_path, name):
     save_cloud(make_cloud(), path)
     kind = {"step": "int", "row": "int", "laser": "uchar"}.get(name, "float")
     spelled = name if name in ("x", "nx") else f"scalar_{name}"
-    data = path.read_bytes()
+    data = unsealed(path)
     assert data.count(f"property {kind} {spelled}\n".encode()) == 1
     path.write_bytes(data.replace(f"property {kind} {spelled}\n".encode(), b"", 1))
     with pytest.raises(CloudError):
@@ -390,11 +390,8 @@ def test_ours_with_a_property_line_missing_is_damaged(tmp_path, name):
 def test_ours_with_one_sigma_lost_claims_none(tmp_path, name):
     cloud = make_cloud()
     save_cloud(cloud, tmp_path / "a.ply")
-    data = (
-        (tmp_path / "a.ply")
-        .read_bytes()
-        .replace(f"float scalar_{name}".encode(), f"float scalar_{name[:-1]}x".encode(), 1)
-    )
+    data = unsealed(tmp_path / "a.ply")
+    data = data.replace(f"float scalar_{name}".encode(), f"float scalar_{name[:-1]}x".encode(), 1)
     (tmp_path / "a.ply").write_bytes(data)
     back = load_cloud(tmp_path / "a.ply")
     assert np.array_equal(back.xyz[0], cloud.xyz[cloud.valid])
@@ -403,7 +400,7 @@ def test_ours_with_one_sigma_lost_claims_none(tmp_path, name):
 
 def test_a_part_of_a_normal_is_none(tmp_path):
     save_cloud(make_cloud(), tmp_path / "a.ply")
-    (tmp_path / "a.ply").write_bytes((tmp_path / "a.ply").read_bytes().replace(b"float nx", b"float mx", 1))
+    (tmp_path / "a.ply").write_bytes(unsealed(tmp_path / "a.ply").replace(b"float nx", b"float mx", 1))
     assert not load_cloud(tmp_path / "a.ply").normals.any()
 
 
@@ -415,7 +412,7 @@ def test_a_negative_sigma_is_refused(tmp_path, suffix):
     sigma[2, 0] = -1.0
     save_cloud(dataclasses.replace(cloud, sigma_systematic=sigma), tmp_path / f"a{suffix}")
     load_cloud(tmp_path / f"a{suffix}")
-    data = (tmp_path / f"a{suffix}").read_bytes()
+    data = unsealed(tmp_path / f"a{suffix}")
     with pytest.raises(CloudError, match="sigma_systematic of a valid point is negative"):
         save_cloud(dataclasses.replace(cloud, sigma_systematic=-cloud.sigma_systematic), tmp_path / f"b{suffix}")
     value = cloud.sigma_systematic[0, 0].tobytes()
@@ -441,7 +438,7 @@ def test_a_grid_is_no_larger_than_its_points_can_need(tmp_path):
     path = tmp_path / "a.ply"
     save_cloud(make_cloud(), path)
     whole = load_cloud(path)
-    data = path.read_bytes().replace(b"element profile", b"element another")
+    data = unsealed(path).replace(b"element profile", b"element another")
     path.write_bytes(data.replace(b"comment grid 6 5", b"comment grid 16384 16384"))
     points = load_cloud(path)
     assert points.valid.shape == (1, np.count_nonzero(whole.valid))

@@ -13,7 +13,7 @@ from jaxscan.files.clouds import load_cloud, save_cloud
 from jaxscan.files.clouds.pcd.lzf import unpack
 from tests.fuzz.hardship import hardship
 
-from .clouds import make_cloud
+from .clouds import make_cloud, unsealed
 from .test_cloud_exchange import needed
 
 
@@ -26,7 +26,7 @@ def good(suffix, folder):
         needed(suffix)
         path = folder / f"good{suffix}"
         save_cloud(make_cloud(), path)
-        _good[suffix] = path.read_bytes()
+        _good[suffix] = unsealed(path)
     return _good[suffix]
 
 

@@ -12,6 +12,7 @@ from jaxscan.errors import CaptureError, OptionError
 from jaxscan.files.importing import list_images
 from jaxscan.files.importing.listing import match, natural
 from jaxscan.files.importing.words import group, understand
+from jaxscan.vision.video import is_cut_short
 
 
 NAMES = sorted(["l_2.png", "l_10.png", "l_1.png", "b_1.png", "a/l_3.png", "x[1].png"], key=natural)
@@ -186,6 +187,76 @@ def test_what_is_refused(tmp_path, capsys):
     out.mkdir()
     assert "exists" in refusal(capsys, *words, "--step-deg", "1")
     assert "same file" in refusal(capsys, "import", source, "-o", source, "--step-deg", "1")
+
+
+def video(path, codec, frames=6):
+    """Frames of noise, so that every one of them takes its share of the file."""
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*codec), 10, (64, 48))
+    if not writer.isOpened():
+        pytest.skip(f"OpenCV cannot write {codec} here")
+    rng = np.random.default_rng(0)
+    for _ in range(frames):
+        writer.write(rng.integers(0, 256, (48, 64, 3), np.uint8))
+    writer.release()
+    return path.read_bytes()
+
+
+VIDEOS = [(".avi", "FFV1"), (".avi", "MJPG"), (".mkv", "FFV1"), (".webm", "VP80"), (".mp4", "mp4v")]
+
+
+@pytest.mark.parametrize(("suffix", "codec"), VIDEOS)
+def test_a_video_that_is_cut_short_is_refused(tmp_path, capsys, suffix, codec):
+    """Decoders give the frames that are left as if there were no others."""
+    (tmp_path / "in").mkdir()
+    path = tmp_path / "in" / f"laser{suffix}"
+    whole = video(path, codec)
+    for share in (0.98, 0.7, 0.5):
+        path.write_bytes(whole[: int(share * len(whole))])
+        message = refusal(capsys, "import", tmp_path / "in", "-o", tmp_path / "out", "--step-deg", "1")
+        # The list of frames of an MP4 stands at its end.
+        expected = "cannot be decoded" if suffix == ".mp4" else "the file ends before its own header says"
+        assert expected in message
+        assert not (tmp_path / "out").exists()
+    path.write_bytes(whole)
+    assert main(["import", str(tmp_path / "in"), "-o", str(tmp_path / "out"), "--step-deg", "1"]) == 0
+    said = capsys.readouterr().out
+    assert f"laser{suffix} has 6 frames" in said and "says of itself" not in said
+
+
+@pytest.mark.parametrize(
+    ("beginning", "short"),
+    [
+        (b"RIFF" + (100).to_bytes(4, "little") + b"AVI " + bytes(96), False),
+        (b"RIFF" + (101).to_bytes(4, "little") + b"AVI " + bytes(96), True),
+        (b"RIFF" + bytes(4) + b"AVI ", False),
+        (b"RIFF\xff\xff\xff\xffAVI ", False),
+        (b"\0\0\0\x10ftypisomisom" + b"\0\0\0\x20mdat" + bytes(24), False),
+        (b"\0\0\0\x10ftypisomisom" + b"\0\0\0\x20mdat" + bytes(23), True),
+        (b"\0\0\0\x10ftypisomisom" + b"\0\0\0\0mdat" + bytes(23), False),
+        (b"\0\0\0\x10ftypisomisom" + b"\0\0\0\1mdat" + (40).to_bytes(8, "big") + bytes(23), True),
+        (b"\x1a\x45\xdf\xa3\x81\0" + b"\x18\x53\x80\x67\x85" + bytes(5), False),
+        (b"\x1a\x45\xdf\xa3\x81\0" + b"\x18\x53\x80\x67\x85" + bytes(4), True),
+        (b"\x1a\x45\xdf\xa3\x81\0" + b"\x18\x53\x80\x67\x01" + 7 * b"\xff" + bytes(4), False),
+        (b"\x1a\x45\xdf\xa3", False),
+    ],
+)
+def test_a_video_says_how_long_it_is(tmp_path, beginning, short):
+    """Sizes that were left open, as by a recorder that was stopped hard, say nothing."""
+    (tmp_path / "video").write_bytes(beginning)
+    with open(tmp_path / "video", "rb") as file:
+        assert is_cut_short(file) is short
+
+
+def test_frames_that_a_video_only_announces_are_said(tmp_path, capsys):
+    (tmp_path / "in").mkdir()
+    path = tmp_path / "in" / "laser.avi"
+    whole = video(path, "MJPG")
+    # The number of frames in the header of the stream; the file is whole.
+    place = whole.index(b"strh") + 8 + 32
+    assert whole[place : place + 4] == (6).to_bytes(4, "little")
+    path.write_bytes(whole[:place] + (9).to_bytes(4, "little") + whole[place + 4 :])
+    assert main(["import", str(tmp_path / "in"), "-o", str(tmp_path / "out"), "--step-deg", "1"]) == 0
+    assert "laser.avi has 6 frames, but says of itself that it has 9" in capsys.readouterr().out
 
 
 def test_lists_of_other_files_are_no_videos(tmp_path, capsys):

@@ -11,7 +11,7 @@ from jaxscan.files.clouds import load_cloud, save_cloud, save_clouds
 from jaxscan.geometry import exponential
 from jaxscan.reconstruction import SMOOTHED, join_clouds, of_station
 
-from .clouds import PROFILES, make_cloud
+from .clouds import PROFILES, make_cloud, unsealed
 from .test_clouds import open3d
 
 
@@ -180,7 +180,7 @@ def test_a_block_of_ptx_carries_its_pose(tmp_path, stations, joined):
 def test_wrong_poses_in_a_ply_file_are_refused(tmp_path, joined, old, new, message):
     path = tmp_path / "a.ply"
     save_cloud(joined, path)
-    data = path.read_bytes()
+    data = unsealed(path)
     assert data.count(old) == 1
     path.write_bytes(data.replace(old, new))
     with pytest.raises(CloudError, match=message):

@@ -8,7 +8,7 @@ import pytest
 
 from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
 from jaxscan.reconstruction import FrameWatch, journal_doubts
-from jaxscan.reconstruction.doubts.frames import exchanged_frames, repeated_frames, strange_frames
+from jaxscan.reconstruction.doubts.frames import blank_frames, exchanged_frames, repeated_frames, strange_frames
 from jaxscan.reconstruction.doubts.header import header_doubts
 from jaxscan.reconstruction.doubts.turning import turning_doubts
 from jaxscan.reconstruction.sweep import Sweep
@@ -127,6 +127,7 @@ def doubts_of(on, off, angles=None, scanner=SCANNER):
     seen, own = seen_of(on, off), np.arange(len(on))
     angles = np.radians(TURN) if angles is None else angles
     found = repeated_frames(seen, own) + exchanged_frames(seen, own) + strange_frames(seen, own, own)
+    found += blank_frames(seen, own)
     return found + turning_doubts(seen, own, angles, own, scanner)
 
 
@@ -182,6 +183,34 @@ def test_frames_of_another_record_or_brightness(frames, sides):
     for side in sides:
         dim[side][8] = dim[side][8] // 3
     assert any("record 8" in doubt for doubt in doubts_of(*dim))
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_block_of_zeros(frames, side):
+    """As in a raw shard whose disk has lost a block: too little for the brightness of the whole frame."""
+    stacks = [stack.copy() for stack in frames]
+    stacks[side].reshape(COUNT, -1)[11, 1000:3000] = 0
+    assert any("record 11 has up to 5 rows of zeros" in doubt for doubt in doubts_of(*stacks))
+
+
+@pytest.mark.parametrize("side", [0, 1])
+@pytest.mark.parametrize("damage", ["mirrored", "upside down", "a bit", "a part"])
+def test_one_frame_of_a_pair_that_is_damaged(frames, side, damage):
+    rng = np.random.default_rng(1)
+    # A room with bare walls, where the median of the difference says nothing, and a few things before them.
+    bare = np.rint(120 + rng.normal(0, 1.2, frames[0].shape))
+    bare[:, 10:50, 60:90] -= 50
+    stripe = 90 * np.exp(-0.5 * ((np.arange(WIDTH) - 200) / 1.5) ** 2)
+    stacks = [np.rint(bare + stripe).astype(np.uint8), np.rint(bare + rng.normal(0, 1.2, bare.shape)).astype(np.uint8)]
+    assert strange_frames(seen_of(*stacks), np.arange(COUNT), np.arange(COUNT)) == []
+    frame = stacks[side][17].copy()
+    part = np.roll(frame.reshape(-1)[:7000], 30)
+    stacks[side][17] = {
+        "mirrored": frame[:, ::-1], "upside down": frame[::-1, ::-1], "a bit": frame ^ 16,
+        "a part": np.concatenate([part, frame.reshape(-1)[7000:]]).reshape(frame.shape),
+    }[damage]  # fmt: skip
+    found = strange_frames(seen_of(*stacks), np.arange(COUNT), np.arange(COUNT))
+    assert any("record 17" in doubt for doubt in found)
 
 
 def test_angles_that_the_picture_contradicts(frames):

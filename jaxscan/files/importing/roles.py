@@ -47,7 +47,8 @@ def _with_frames(folder: Path, roles: Roles, every: int) -> Roles:
     videos = {file.name for file in (*files, *roles.boards) if is_video(file.name)}
     if not videos:
         return roles
-    counts = {name: count_frames(folder, name) for name in videos}
+    counted = {name: count_frames(folder, name) for name in sorted(videos)}
+    counts = {name: found for name, (found, _) in counted.items()}
 
     def frames(group: Sequence[Matched]) -> tuple[Matched, ...]:
         made: list[Matched] = []
@@ -64,8 +65,14 @@ def _with_frames(folder: Path, roles: Roles, every: int) -> Roles:
         on=tuple((name, frames(bare(group))) for name, group in roles.on),
         off=tuple(frames(bare(group)) for group in roles.off),
         boards=frames(roles.boards),
-        said=(*roles.said, *(f"{name} has {count} frames" for name, count in counts.items())),
+        said=(*roles.said, *(_frames_said(name, *numbers) for name, numbers in counted.items())),
     )
+
+
+def _frames_said(name: str, found: int, announced: int) -> str:
+    # Some recorders count frames that they dropped, and a length in time is only an estimate: no reason to refuse.
+    doubt = f", but says of itself that it has {announced}: look whether some are missing" if found < announced else ""
+    return f"{name} has {found} frames{doubt}"
 
 
 def _by_patterns(names: Sequence[str], request: ImportRequest) -> Roles:

@@ -39,6 +39,17 @@ def repeated_frames(seen: Seen, numbers: np.ndarray, off_images: np.ndarray | No
     return doubts
 
 
+def blank_frames(seen: Seen, numbers: np.ndarray) -> list[str]:
+    """Records of which one frame is without anything where the other has light, as where a file has lost a block."""
+    blank = np.flatnonzero(seen.blank.any(1))
+    if not len(blank):
+        return []
+    rows = int(seen.blank[blank].max())
+    return [
+        f"{said(numbers[blank], 'has', 'have')} up to {rows} rows of zeros in one frame and light there in the other"
+    ]
+
+
 def exchanged_frames(seen: Seen, numbers: np.ndarray) -> list[str]:
     """Records whose laser-off frame has the stripe."""
     brighter, darker = seen.change.T
@@ -75,9 +86,32 @@ def strange_frames(seen: Seen, numbers: np.ndarray, own: np.ndarray) -> list[str
     unlike = own[seen.unrest[own] > max(3.0 * usual, usual + 3.0, 4.0 * scatter(seen.unrest[own]))]
     if len(unlike):
         doubts.append(f"the laser-on and the laser-off frame of {named(numbers[unlike])} do not show the same")
+    broken = own[_far_off(seen.lost[own])]
+    broken = broken[~np.isin(broken, unlike)]
+    if len(broken):
+        doubts.append(
+            f"the laser-on frame of {said(numbers[broken], 'lacks', 'lack')} light that its laser-off frame has: one "
+            "of the two is damaged or of something else in part"
+        )
     light = seen.change[own, 0]
     least = np.minimum(np.concatenate([light[1:2], light[:-1]]), np.concatenate([light[1:], light[-2:-1]]))
     gone = own[(light < 0.1 * least) & (least > 0.4 * np.median(light)) & (least > 2e-3)]
     if len(gone):
         doubts.append(f"{said(numbers[gone], 'shows', 'show')} no laser, and the records around do")
     return doubts
+
+
+def _far_off(lost: np.ndarray) -> np.ndarray:
+    """Records at one of whose places something is far above the same of the sweep and of the records around.
+
+    Args:
+        lost: As in `Seen`, of one laser, [records, places].
+    """
+    wrong: set[int] = set()
+    for place in lost.T:
+        residuals = bend(place)
+        # Ten standard deviations, of which 4 of 5 residuals keep 1.28 at most; levels are whole numbers.
+        high = np.maximum(residuals, 0.0)
+        limit = max(8.0 * scatter(residuals), 4.0, float(np.median(place)))
+        wrong |= set(peaks(high, limit).tolist())
+    return np.array(sorted(wrong), int)

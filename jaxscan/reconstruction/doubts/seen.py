@@ -13,6 +13,10 @@ TRACE_BINS = 160
 _PREFIX = "seen_"
 _NO_TWINS = 0.1
 """Part of the pixels that noise changes from which two frames are never the same by chance [1]."""
+_LOST = 0.98
+"""Part of a place's pixels that may be darker in the laser-on frame [1]."""
+_LIGHT_DN = 3
+"""Level [DN] of a row that no sensor gives as zeros in its next frame."""
 
 
 class Seen(NamedTuple):
@@ -28,6 +32,11 @@ class Seen(NamedTuple):
     """Part of the pixels that are brighter, and darker, in the laser-on frame, float32 [records, 2]."""
     unrest: np.ndarray
     """Median difference between the frames of a pair [DN], float32 [records]."""
+    lost: np.ndarray
+    """Light that the laser-on frame lacks at one pixel in fifty of each place [DN], float32 [records, places]."""
+    blank: np.ndarray
+    """Rows of the laser-on and of the laser-off frame that are zero while the other frame has light there, int32
+    [records, 2]."""
     colours: np.ndarray
     """Mean of the laser-off frame in the four phases of a mosaic or the three channels [DN], float32 [records, 4]."""
     light: np.ndarray
@@ -63,6 +72,8 @@ def _empty(records: int) -> Seen:
         grain=np.zeros(pairs, np.float32),
         change=np.zeros(pairs, np.float32),
         unrest=np.zeros(records, np.float32),
+        lost=np.zeros((records, _BLOCKS), np.float32),
+        blank=np.zeros(pairs, np.int32),
         colours=np.zeros((records, 4), np.float32),
         light=np.zeros((records, 4), np.float32),
         trace=np.zeros((records, _BLOCKS, TRACE_BINS), np.float16),
@@ -98,21 +109,26 @@ class FrameWatch:
         brighter, darker = difference > least, difference < -least
         seen.change[record] = np.count_nonzero(brighter) / size.size, np.count_nonzero(darker) / size.size
         seen.unrest[record] = unrest
+        # A laser adds light; what is darker is noise, or one of the frames is of something else there.
+        seen.lost[record] = np.quantile(-difference.reshape(_BLOCKS, -1), _LOST, axis=1)
+        seen.blank[record] = _blank_rows(self._middle(on), self._middle(off))
         seen.colours[record] = self._phases(dark)
         seen.light[record] = self._phases(np.where(brighter, difference, 0))
         seen.trace[record] = _trace(dark)
 
     def _sample(self, frame: np.ndarray) -> np.ndarray:
         """Some lines across the turning axis, uint8 [lines, samples(, 3)]; of a bracket the middle exposure."""
-        frame = np.asarray(frame)
-        if self._brackets:
-            frame = frame[len(frame) // 2]
+        frame = self._middle(frame)
         if not self._upright:
             frame = frame.swapaxes(0, 1)
         last = max(len(frame) // 2 - 1, 0)
         first = 2 * np.linspace(0, last, _BLOCKS + 2).astype(int)[1:-1]
         lines = np.stack([first, np.minimum(first + 1, len(frame) - 1)], 1).reshape(-1)
         return frame[lines]
+
+    def _middle(self, frame: np.ndarray) -> np.ndarray:
+        frame = np.asarray(frame)
+        return frame[len(frame) // 2] if self._brackets else frame
 
     def _phases(self, sample: np.ndarray) -> np.ndarray:
         found = np.zeros(4, np.float32)
@@ -124,6 +140,16 @@ class FrameWatch:
         phases = np.array([[part.mean() if part.size else 0.0 for part in row] for row in parts])
         found[:] = (phases if self._upright else phases.T).reshape(-1)
         return found
+
+
+def _blank_rows(on: np.ndarray, off: np.ndarray) -> tuple[int, int]:
+    """Rows of each frame that are zero where the other's are not: lost blocks of raw frames are whole rows."""
+    dark = [~frame.reshape(len(frame), -1).any(1) for frame in (on, off)]
+    both = zip(dark, (off, on), strict=True)
+    first, second = (
+        sum(int(np.median(other[row]) >= _LIGHT_DN) for row in np.flatnonzero(zero)) for zero, other in both
+    )
+    return first, second
 
 
 def _texture(sample: np.ndarray) -> tuple[int, float, float]:

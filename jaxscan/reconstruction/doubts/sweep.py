@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxscan.reconstruction.cloud import PointCloud
-from jaxscan.reconstruction.doubts.frames import exchanged_frames, repeated_frames, strange_frames
+from jaxscan.reconstruction.doubts.frames import blank_frames, exchanged_frames, repeated_frames, strange_frames
 from jaxscan.reconstruction.doubts.header import header_doubts
 from jaxscan.reconstruction.doubts.outliers import groups_of
 from jaxscan.reconstruction.doubts.profiles import profile_doubts
@@ -29,6 +29,7 @@ def sweep_doubts(
     """
     sweep, number = plan.sweep, np.asarray(numbers)
     doubts = repeated_frames(seen, number, off_images) + exchanged_frames(seen, number)
+    doubts += blank_frames(seen, number)
     lit: list[tuple[int, ...]] = [()] * len(sweep)
     for record, laser in zip(sweep.record.tolist(), sweep.laser.tolist(), strict=True):
         lit[record] = (*lit[record], laser)

@@ -13,6 +13,7 @@ from jaxscan.files.clouds.about import StoredCloud, about_of
 from jaxscan.files.clouds.grid import Records, cloud_of
 from jaxscan.files.clouds.pcd.lzf import unpack
 from jaxscan.files.clouds.points import plain_names
+from jaxscan.files.clouds.seal import check_seal
 from jaxscan.files.clouds.tables import numbers_of, text_lines
 from jaxscan.files.disk import open_regular
 
@@ -42,10 +43,11 @@ def read_pcd(path: Path) -> StoredCloud:
     """A cloud from a PCD file: text, binary, or packed.
 
     Raises:
-        CloudError: If it is damaged or has no points.
+        CloudError: If it is damaged, has changed since this library wrote it, or has no points.
     """
     try:
         with open_regular(path, error=CloudError) as file:
+            check_seal(file, path)
             header = _read_header(file, path)
             size = os.fstat(file.fileno()).st_size
             file.seek(header.length)

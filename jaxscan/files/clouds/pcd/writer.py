@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxscan.files.clouds.about import About, header_lines
 from jaxscan.files.clouds.points import POINT, blocks, columns, profiles_at_a_time, record_of, table
+from jaxscan.files.clouds.seal import SEAL_LINE, seal
 from jaxscan.reconstruction import CloudPoints, PointCloud
 
 
@@ -34,7 +35,7 @@ def write_pcd(cloud: PointCloud, path: Path, about: About) -> None:
     width, height = (lines, profiles) if organised else (count, 1)
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",
-        *(f"# {line}" for line in header_lines(cloud, about)),
+        *(f"# {line}" for line in (*header_lines(cloud, about), SEAL_LINE)),
         "VERSION 0.7",
         f"FIELDS {' '.join(names)}",
         f"SIZE {' '.join(str(point[name].itemsize) for name in names)}",
@@ -49,15 +50,16 @@ def write_pcd(cloud: PointCloud, path: Path, about: About) -> None:
     ]
     with open(path, "wb") as file:
         file.write("\n".join(header).encode("ascii"))
-        if not organised:
+        if organised:
+            for start, stop in profiles_at_a_time(cloud):
+                cells = _empty(point, (stop - start, lines))
+                points = cloud.points(start, stop)
+                cells[points.step - start, points.row] = _records(cloud, points, point)
+                file.write(cells.data)
+        else:
             for points in blocks(cloud):
                 file.write(_records(cloud, points, point).data)
-            return
-        for start, stop in profiles_at_a_time(cloud):
-            cells = _empty(point, (stop - start, lines))
-            points = cloud.points(start, stop)
-            cells[points.step - start, points.row] = _records(cloud, points, point)
-            file.write(cells.data)
+    seal(path)
 
 
 def _records(cloud: PointCloud, points: CloudPoints, point: np.dtype) -> np.ndarray:

@@ -12,6 +12,7 @@ from jaxscan.files.clouds import points as sizes
 from jaxscan.files.clouds.about import StoredCloud, about_of
 from jaxscan.files.clouds.grid import Records, cloud_of
 from jaxscan.files.clouds.points import plain_names
+from jaxscan.files.clouds.seal import check_seal
 from jaxscan.files.clouds.tables import numbers_of, text_lines
 from jaxscan.files.disk import open_regular
 
@@ -51,10 +52,11 @@ def read_ply(path: Path) -> StoredCloud:
     grid where they have kept step and row.
 
     Raises:
-        CloudError: If it is damaged or has no points.
+        CloudError: If it is damaged, has changed since this library wrote it, or has no points.
     """
     try:
         with open_regular(path, error=CloudError) as file:
+            check_seal(file, path)
             header = _read_header(file, path)
             size = os.fstat(file.fileno()).st_size
             vertices, profiles = _read_tables(file, header, size, path)

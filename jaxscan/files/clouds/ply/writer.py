@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxscan.files.clouds.about import About, header_lines
 from jaxscan.files.clouds.points import POINT, blocks, columns, record_of, table
+from jaxscan.files.clouds.seal import SEAL_LINE, seal
 from jaxscan.reconstruction import PointCloud
 
 
@@ -32,7 +33,7 @@ def write_ply(cloud: PointCloud, path: Path, about: About) -> None:
     profiles = len(cloud.valid)
     vertex = record_of(VERTEX, cloud)
     header = ["ply", "format binary_little_endian 1.0"]
-    header += [f"comment {line}" for line in header_lines(cloud, about)]
+    header += [f"comment {line}" for line in (*header_lines(cloud, about), SEAL_LINE)]
     header += _element("vertex", int(np.count_nonzero(cloud.valid)), vertex)
     profile = PROFILE if cloud.stations is None else JOINED_PROFILE
     header += _element("profile", profiles, profile, plain=True)
@@ -45,6 +46,7 @@ def write_ply(cloud: PointCloud, path: Path, about: About) -> None:
         for points in blocks(cloud):
             file.write(table(columns(points, cloud), vertex).data)
         file.write(per_profile.data)
+    seal(path)
 
 
 def _element(name: str, count: int, dtype: np.dtype, *, plain: bool = False) -> list[str]:
