@@ -111,7 +111,9 @@ def _far_off(lost: np.ndarray) -> np.ndarray:
     for place in lost.T:
         residuals = bend(place)
         # Ten standard deviations, of which 4 of 5 residuals keep 1.28 at most; levels are whole numbers.
-        high = np.maximum(residuals, 0.0)
-        limit = max(8.0 * scatter(residuals), 4.0, float(np.median(place)))
+        usual = float(np.median(place))
+        limit = max(8.0 * scatter(residuals), 4.0, usual)
+        # The neighbours of a record that is far too low are no higher than usual themselves.
+        high = np.where(place - usual > limit, np.maximum(residuals, 0.0), 0.0)
         wrong |= set(peaks(high, limit).tolist())
     return np.array(sorted(wrong), int)
