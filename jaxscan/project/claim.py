@@ -2,14 +2,24 @@
 
 import contextlib
 import errno
+import io
 import json
 import os
 import platform
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
 from jaxscan.errors import ConfigError
-from jaxscan.files.disk import MEGABYTE, parse_json, read_bounded, reported, write_atomically
+from jaxscan.files.disk import (
+    MEGABYTE,
+    make_folder,
+    open_to_write,
+    parse_json,
+    read_bounded,
+    reported,
+    write_atomically,
+)
 from jaxscan.project.project import Project
 
 
@@ -21,6 +31,7 @@ except ImportError:  # Not on Windows; there nothing is locked.
 
 FORMAT = "jaxscan-products/1"
 ABOUT, LOCK = "project.json", ".batch.lock"
+MOST_LOCK = 4096
 
 
 @contextlib.contextmanager
@@ -33,14 +44,30 @@ def claimed(project: Project) -> Iterator[None]:
     output = project.output
     with contextlib.ExitStack() as stack:
         with reported(f"{output}: cannot be written", error=ConfigError):
-            output.mkdir(parents=True, exist_ok=True)
-            lock = stack.enter_context(open(output / LOCK, "a+", encoding="utf-8"))
+            make_folder(output)
+            with reported(f"{output / LOCK}: cannot be written", error=ConfigError):
+                lock = stack.enter_context(_opened(output / LOCK))
             _take(lock.fileno(), output)
             _take_over(project)
-            lock.truncate(0)
-            lock.write(f"{os.getpid()} on {platform.node()}\n")
-            lock.flush()
+            os.ftruncate(lock.fileno(), 0)
+            lock.write(f"{os.getpid()} on {platform.node()}\n".encode())
         yield
+
+
+def _opened(path: Path) -> io.FileIO:
+    """The file of the lock; its content is lost, so it must be one that a batch wrote.
+
+    Raises:
+        OSError: If it cannot be opened, is a link, a device or a pipe, or holds something else.
+    """
+    lock = open_to_write(path, "append")
+    try:
+        if not re.fullmatch(rb"(\d+ on [^\n]*\n?)?\0*", os.pread(lock.fileno(), MOST_LOCK, 0)):
+            raise OSError("found something that is no lock of a batch; move it away")
+    except BaseException:
+        lock.close()
+        raise
+    return lock
 
 
 def _take(handle: int, output: Path) -> None:
@@ -86,13 +113,14 @@ def _take_over(project: Project) -> None:
     if _owner(project) != own:
         about = {"format": FORMAT, "project": project.wanted.project.name, "file": own}
         text = json.dumps(about, indent=2) + "\n"
-        write_atomically(project.output / ABOUT, text.encode(), error=ConfigError)
+        write_atomically(project.output / ABOUT, text.encode(), error=ConfigError, links="replace")
 
 
 def _owner(project: Project) -> str | None:
     path = project.output / ABOUT
-    if not path.exists():
+    if not os.path.lexists(path):
         return None
-    about = parse_json(read_bounded(path, MEGABYTE, error=ConfigError), name=str(path), error=ConfigError)
+    content = read_bounded(path, MEGABYTE, error=ConfigError, links="refuse")
+    about = parse_json(content, name=str(path), error=ConfigError)
     other = about.get("file") if isinstance(about, dict) else None
     return other if isinstance(other, str) else None

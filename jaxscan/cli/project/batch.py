@@ -56,7 +56,7 @@ def batch(
     check_choice(choice)
     out, start = console(json), time.perf_counter()
     wanted = load_project(project)
-    with claimed(wanted), opened(wanted) as found:
+    with claimed(wanted), opened(wanted, write=True) as found:
         counts = counted(found.states)
         out.print(f"{_many(found.project.captures, 'capture')}, {_many(found.states, 'step')}: {in_words(counts)}")
         for note in wanted.notes:

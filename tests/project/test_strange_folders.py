@@ -1,0 +1,113 @@
+"""A project's folder may come from a stranger: no verb writes or makes anything outside of it."""
+
+import hashlib
+import os
+
+import pytest
+
+from jaxscan.errors import ConfigError
+from jaxscan.files.disk import open_to_write, refuse_links
+from jaxscan.project import claimed, load_project, open_catalogue
+from jaxscan.project.catalogue import Catalogue
+from tests.opened import edit, work
+
+
+LETTER = "dear reader\n"
+NAMES = (".batch.lock", "project.json", "catalogue.sqlite", "catalogue.sqlite-journal", "clouds", "stripes")
+
+
+@pytest.fixture
+def outside(tmp_path_factory):
+    """A folder of the user with a letter in it."""
+    folder = tmp_path_factory.mktemp("outside")
+    (folder / "letter").write_text(LETTER)
+    (folder / "letters").mkdir()
+    return folder
+
+
+def fingerprint(folder):
+    """Every name below a folder, with the digest of its content and the time of its last change."""
+    return {
+        str(path.relative_to(folder)): (
+            path.is_dir() or hashlib.sha256(path.read_bytes()).hexdigest(),
+            os.lstat(path).st_mtime_ns,
+        )
+        for path in (folder, *folder.rglob("*"))
+    }
+
+
+@pytest.mark.parametrize("verb", [("batch",), ("project", "status"), ("project", "compare")], ids=" ".join)
+@pytest.mark.parametrize("there", [True, False], ids=["a link", "a dangling link"])
+@pytest.mark.parametrize("name", NAMES[:4])
+def test_no_verb_follows_a_link_among_the_products(museum, outside, run, verb, name, there):
+    (museum.parent / "products").mkdir()
+    if name.endswith("-journal"):
+        (museum.parent / "products" / "catalogue.sqlite").touch()
+    (museum.parent / "products" / name).symlink_to(outside / ("letter" if there else "made"))
+    before = fingerprint(outside)
+    ran = run(*verb, *[museum] * (2 if verb[-1] == "compare" else 1))
+    assert fingerprint(outside) == before
+    if verb == ("batch",) and name != "project.json":
+        assert ran.code == 1 and ran.err.count("\n") == 1 and "found a link" in ran.err
+
+
+@pytest.mark.parametrize("name", NAMES[4:])
+def test_no_step_writes_through_a_link(museum, outside, name):
+    (museum.parent / "products").mkdir()
+    (museum.parent / "products" / name).symlink_to(outside / "letters")
+    before = fingerprint(outside)
+    rows = work(museum)
+    assert fingerprint(outside) == before
+    assert "found a link" in next(row for row in rows if row.state == "failed").message
+
+
+def test_a_product_that_is_a_link_is_not_read(museum, outside):
+    (museum.parent / "products" / "clouds").mkdir(parents=True)
+    link = museum.parent / "products" / "clouds" / "room-1.ply"
+    link.symlink_to(outside / "letter")
+    with pytest.raises(OSError, match="found a link"):
+        refuse_links(museum.parent / "products", link)
+
+
+@pytest.mark.parametrize("text", [LETTER, "1 on vm\nmore", "x" * 10_000])
+def test_what_is_no_lock_of_a_batch_is_not_overwritten(museum, text):
+    lock = museum.parent / "products" / ".batch.lock"
+    lock.parent.mkdir()
+    lock.write_text(text)
+    with pytest.raises(ConfigError, match="no lock of a batch"), claimed(load_project(museum)):
+        pass
+    assert lock.read_text() == text
+
+
+def test_status_makes_nothing(museum, run):
+    (museum.parent / "products").mkdir()
+    before = fingerprint(museum.parent)
+    assert run("project", "status", museum).code == 0
+    assert fingerprint(museum.parent) == before
+
+
+def test_a_catalogue_outside_is_not_made(museum, outside, run):
+    edit(museum, 'name = "museum"', f'name = "museum"\ncatalogue = "sqlite:///{outside}/made.sqlite"')
+    before = fingerprint(outside)
+    for verb in (("project", "status"), ("batch",)):
+        ran = run(*verb, museum)
+        assert ran.code == 1 and "would lie outside" in ran.err and ran.err.count("\n") == 1
+    assert fingerprint(outside) == before
+    (outside / "made.sqlite").touch()
+    open_catalogue(load_project(museum)).close()
+
+
+def test_a_journal_that_names_another_file_is_refused(tmp_path):
+    """SQLite would take it back and then remove the file that it names."""
+    Catalogue(tmp_path / "catalogue.sqlite", "rooms").close()
+    (tmp_path / "catalogue.sqlite-journal").write_bytes(b"/home/letter" + bytes.fromhex("d9d505f920a163d7"))
+    with pytest.raises(ConfigError, match="names another file"):
+        Catalogue(tmp_path / "catalogue.sqlite", "rooms")
+
+
+@pytest.mark.timeout(20)
+def test_a_pipe_is_no_file_to_write_to(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for how in ("change", "append"):
+        with pytest.raises(OSError, match="device or pipe"):
+            open_to_write(tmp_path / "pipe", how)
