@@ -287,7 +287,7 @@ def test_only_the_command_line_knows_the_acquisition_layer(path):
 MAY_OPEN = {
     "files/disk/opening.py": {"os.open"},
     "files/disk/partial.py": {"os.open"},
-    "files/disk/atomic.py": {"os.open"},
+    "files/disk/writing.py": {"os.open"},
     "files/disk/arrays.py": {"ZipFile", ".open"},
     "files/capture/shards.py": {"mmap"},
     "vision/video.py": {"VideoCapture"},
