@@ -6,7 +6,7 @@ from pathlib import Path
 
 from jaxscan.errors import ConfigError
 from jaxscan.files.capture import JOURNAL_NAME, SEAL
-from jaxscan.files.recording import make_folder
+from jaxscan.files.disk import make_folder
 from scanrig.controllers import require_allowed
 from scanrig.errors import SessionError
 from scanrig.recording import FolderLock

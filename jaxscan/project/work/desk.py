@@ -50,7 +50,7 @@ class Desk:
             # Stripes of a copy serve no other one.
             kept = self._fetched(role)
             path = kept / name
-            path.mkdir(parents=True)
+            make_folder(path, new=True)
             free = shutil.disk_usage(path).free
             fetch_folder(address, path, most_bytes=min(MOST_BYTES, int(_SHARE * free)))
         _make(self.output if kept.is_relative_to(self.output / "stripes") else self.folder, kept)
@@ -75,7 +75,7 @@ class Desk:
         if not is_remote(address):
             return Path(address)
         path = self._fetched(role) / Path(address).name
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent, own=self.folder)
         if not path.exists():
             fetch_file(address, path, most_bytes=MOST_BYTES)
         return path
@@ -91,7 +91,7 @@ class Desk:
     def beside(self, output: str) -> Path:
         """Where a file is to be written that gets the place `output` among the products."""
         path = self.folder / "made" / output
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent, own=self.folder)
         return path
 
     def made(self) -> list[str]:

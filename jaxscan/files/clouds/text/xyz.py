@@ -11,7 +11,7 @@ from jaxscan.files.clouds.about import About, StoredCloud
 from jaxscan.files.clouds.grid import cloud_of
 from jaxscan.files.clouds.points import blocks, plain_names
 from jaxscan.files.clouds.tables import LONGEST_LINE, numbers_of, text_lines
-from jaxscan.files.disk import open_regular
+from jaxscan.files.disk import Part, open_regular
 from jaxscan.reconstruction import PointCloud
 
 
@@ -22,7 +22,7 @@ _TITLE_LINES = 10
 _BLOCK_LINES = 1 << 18
 
 
-def write_xyz(cloud: PointCloud, path: Path, about: About) -> None:
+def write_xyz(cloud: PointCloud, path: Part, about: About) -> None:
     """Write `x y z r g b` of the valid points, a line each; metres."""
     with open(path, "w", encoding="ascii", newline="\n") as file:
         for points in blocks(cloud):
