@@ -16,6 +16,8 @@ from jaxscan.project.project import Project
 
 STATES = ("begun", "done", "failed")
 IN_MEMORY = "sqlite://"
+TRUSTED = "JAXSCAN_CATALOGUES"
+"""Variable of the environment: addresses of the servers, separated by blanks, that a project may name."""
 _NAMES_ANOTHER = bytes.fromhex("d9d505f920a163d7")
 """The last bytes of a journal that names a file to be removed, which one of a single database never does."""
 _TEXTS = ("key", "digest", "state", "message", "host", "version", "details")
@@ -85,10 +87,12 @@ class Catalogue:
         try:
             if isinstance(address, Path):
                 _check_file(address, write=write)
-                connect = partial(sqlite3.connect, _uri(address, write=write), uri=True, check_same_thread=False)
+                connect = partial(_connected, _uri(address, write=write))
                 self._engine = sqlalchemy.create_engine("sqlite://", creator=connect, poolclass=sqlalchemy.QueuePool)
             else:
                 self._engine = sqlalchemy.create_engine(address)
+            if isinstance(address, Path):
+                self._check_schema(address)
             if write or address == IN_MEMORY:
                 metadata.create_all(self._engine)
             self._empty = not sqlalchemy.inspect(self._engine).has_table(self._table.name)
@@ -98,6 +102,20 @@ class Catalogue:
             ) from None
         except (sqlalchemy.exc.SQLAlchemyError, ValueError) as problem:
             raise ConfigError(f"the catalogue: cannot be opened: {_first_line(problem)}.") from None
+
+    def _check_schema(self, path: Path) -> None:
+        """Check that a file holds tables and indexes alone: triggers and views would run a stranger's statements.
+
+        Raises:
+            ConfigError: If it holds something else.
+        """
+        query = self._sql.text("SELECT type, name FROM sqlite_master WHERE type IN ('trigger', 'view') OR sql LIKE :v")
+        with self._engine.connect() as connection:
+            found = connection.execute(query, {"v": "create virtual%"}).first()
+        if found is not None:
+            kind = "virtual table" if found.type == "table" else found.type
+            self.close()
+            raise ConfigError(f"the catalogue: {path}: found a {kind}, {found.name:.40}, expected plain tables.")
 
     def rows(self) -> list[Row]:
         """All rows of the project, the oldest first.
@@ -151,13 +169,20 @@ def open_catalogue(project: Project, *, write: bool = True) -> Catalogue:
     project may be a stranger's.
 
     Raises:
-        ConfigError: If it cannot be opened, is a link, or is to be made outside.
+        ConfigError: If it cannot be opened, is a link, is to be made outside, or is on a server that the user's
+            environment does not name.
         DependencyError: If what it needs is not installed.
     """
     wanted, file = project.wanted.project, project.output / "catalogue.sqlite"
     if wanted.catalogue:
         scheme, _, place = wanted.catalogue.partition("://")
         if scheme.partition("+")[0].lower() != "sqlite":
+            # A server that a stranger names would learn who asks, with the user's own name and password.
+            if "://" in wanted.catalogue and wanted.catalogue not in os.environ.get(TRUSTED, "").split():
+                raise ConfigError(
+                    f"the catalogue: {scheme:.40}://… is a server, which a stranger may have named: if "
+                    f"you know it, set {TRUSTED} to the whole address."
+                )
             return Catalogue(wanted.catalogue, wanted.name, write=write)
         place = place.removeprefix("/")
         if place in ("", ":memory:"):
@@ -192,6 +217,13 @@ def _check_file(path: Path, *, write: bool) -> None:
                         raise ConfigError(f"{path}: found a database in WAL mode, of which SQLite cannot only read.")
         if write and not os.path.lexists(path):
             open_to_write(path, "make").close()
+
+
+def _connected(uri: str) -> sqlite3.Connection:
+    connection = sqlite3.connect(uri, uri=True, check_same_thread=False)
+    # What the tables of a stranger call by themselves, in a check or a default, may then do nothing but compute.
+    connection.execute("PRAGMA trusted_schema=OFF")
+    return connection
 
 
 def _uri(path: Path, *, write: bool) -> str:

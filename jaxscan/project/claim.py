@@ -7,12 +7,14 @@ import json
 import os
 import platform
 import re
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
 from jaxscan.errors import ConfigError
 from jaxscan.files.disk import (
     MEGABYTE,
+    is_outside,
     make_folder,
     open_to_write,
     parse_json,
@@ -35,13 +37,20 @@ MOST_LOCK = 4096
 
 
 @contextlib.contextmanager
-def claimed(project: Project) -> Iterator[None]:
+def claimed(project: Project, named: Path | None = None) -> Iterator[None]:
     """Make the folder of the products this project's, and keep other batches out until the end of `with`.
 
+    Args:
+        project: The project, whose file may come from a stranger.
+        named: The folder of the products as the user names it: where it lies outside of the project's, the first batch
+            needs the user's own word.
+
     Raises:
-        ConfigError: If it belongs to another project, another batch is at work, or it cannot be written.
+        ConfigError: If it belongs to another project, is not the one that was named, lies outside and was not named,
+            another batch is at work, or it cannot be written.
     """
     output = project.output
+    _check_outside(project, named)
     with contextlib.ExitStack() as stack:
         with reported(f"{output}: cannot be written", error=ConfigError):
             make_folder(output)
@@ -92,6 +101,22 @@ def _is_another(other: str, own: str) -> bool:
         return not os.path.samefile(other, own)
     except (OSError, ValueError):
         return False
+
+
+def _check_outside(project: Project, named: Path | None) -> None:
+    """Check that a folder outside of the project's is named by the user, or is known to be this project's.
+
+    All links are followed: a link in place of the folder leads outside too.
+    """
+    output, home = project.output, project.file.parent
+    if named is not None:
+        if os.path.realpath(named) != os.path.realpath(output):
+            raise ConfigError(f"{named}: is not the folder of the products, which {project.file} says is {output}.")
+    elif is_outside(output, home) and _owner(project) != str(project.file):
+        raise ConfigError(
+            f"{project.file}: output: {output} is outside of {home}, where a project writes only what you allow: "
+            f"call it once with {shlex.join(['--output', os.path.realpath(output)])}."
+        )
 
 
 def check_owner(project: Project) -> None:

@@ -1,7 +1,9 @@
 """A project's folder may come from a stranger: no verb writes or makes anything outside of it."""
 
+import contextlib
 import hashlib
 import os
+import sqlite3
 
 import pytest
 
@@ -103,6 +105,56 @@ def test_a_journal_that_names_another_file_is_refused(tmp_path):
     (tmp_path / "catalogue.sqlite-journal").write_bytes(b"/home/letter" + bytes.fromhex("d9d505f920a163d7"))
     with pytest.raises(ConfigError, match="names another file"):
         Catalogue(tmp_path / "catalogue.sqlite", "rooms")
+
+
+@pytest.mark.parametrize("link", [False, True], ids=["a path", "a link"])
+def test_products_outside_need_the_users_word(museum, outside, run, link):
+    if link:
+        (museum.parent / "products").symlink_to(outside / "letters")
+    else:
+        edit(museum, 'name = "museum"', 'name = "museum"\noutput = "../' + f'{outside.name}/letters"')
+    before = fingerprint(outside)
+    ran = run("batch", museum)
+    assert ran.code == 1 and ran.err.count("\n") == 1 and f"--output {outside}/letters" in ran.err
+    with pytest.raises(ConfigError, match="is not the folder"), claimed(load_project(museum), museum.parent):
+        pass
+    assert fingerprint(outside) == before
+    with claimed(load_project(museum), outside / "letters"):
+        pass
+    # From now on it is this project's.
+    with claimed(load_project(museum)):
+        pass
+
+
+def test_a_server_needs_the_users_word(museum, run, monkeypatch):
+    edit(museum, 'name = "museum"', 'name = "museum"\ncatalogue = "postgresql://host:port/scans"')
+    for verb in ("status",), ("compare", museum):
+        ran = run("project", *verb, museum)
+        assert ran.code == 1 and ran.err.count("\n") == 1 and "set JAXSCAN_CATALOGUES" in ran.err
+    monkeypatch.setenv("JAXSCAN_CATALOGUES", "postgresql://other/scans postgresql://host:port/scans")
+    with pytest.raises(ConfigError, match="cannot be opened"):
+        open_catalogue(load_project(museum))
+
+
+@pytest.mark.parametrize(
+    ("kind", "statement"),
+    [
+        ("trigger", "CREATE TRIGGER t AFTER INSERT ON jaxscan_products BEGIN DELETE FROM jaxscan_products; END"),
+        ("view", "CREATE VIEW v AS SELECT * FROM jaxscan_products"),
+        ("virtual table", "CREATE VIRTUAL TABLE v USING fts5(x)"),
+    ],
+)
+@pytest.mark.parametrize("write", [True, False])
+def test_a_catalogue_that_runs_statements_of_its_own_is_refused(tmp_path, kind, statement, write):
+    path = tmp_path / "catalogue.sqlite"
+    Catalogue(path, "rooms").close()
+    with contextlib.closing(sqlite3.connect(path)) as connection:
+        connection.execute(statement)
+        connection.commit()
+    before = path.read_bytes()
+    with pytest.raises(ConfigError, match=f"found a {kind}"):
+        Catalogue(path, "rooms", write=write)
+    assert path.read_bytes() == before
 
 
 @pytest.mark.timeout(20)
