@@ -288,6 +288,7 @@ MAY_OPEN = {
     "files/disk/opening.py": {"os.open"},
     "files/disk/partial.py": {"os.open"},
     "files/disk/writing.py": {"os.open"},
+    "files/disk/lock.py": {".read_text"},
     "files/disk/arrays.py": {"ZipFile", ".open"},
     "files/capture/shards.py": {"mmap"},
     "vision/video.py": {"VideoCapture"},
@@ -298,7 +299,8 @@ MAY_OPEN = {
     "__init__.py": {".read_text"},
 }
 """Files that open others by themselves: the door, what it writes with, archives behind it, videos whose
-beginning was read through the door, the null device, new files on other machines, our own."""
+beginning was read through the door, the null device, what the system tells of processes, new files on other machines,
+our own."""
 OPENERS = {"ZipFile", "memmap", "mmap", "imread", "genfromtxt", "VideoCapture"}
 
 
@@ -345,7 +347,6 @@ MAY_WRITE = {
     "jaxscan/fleet/clusters/ssh.py": {".mkdir", ".open"},
     "jaxscan/cli/process/quiet.py": {".mkdir"},
     "jaxscan/recalibration/judge/parts.py": {"Part"},
-    "scanrig/recording/lock.py": {"os.open"},
 }
 """Places that write by themselves: the door, and what it hands out; the database, whose file is looked at and made
 through the door before SQLite opens it; new files on other machines, through their SFTP; the folder of caches, which

@@ -1,12 +1,8 @@
 """The folder of a project's products: one project writes there, and one batch at a time."""
 
 import contextlib
-import errno
-import io
 import json
 import os
-import platform
-import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,9 +10,9 @@ from pathlib import Path
 from jaxscan.errors import ConfigError
 from jaxscan.files.disk import (
     MEGABYTE,
+    FolderLock,
     is_outside,
     make_folder,
-    open_to_write,
     parse_json,
     read_bounded,
     reported,
@@ -25,15 +21,8 @@ from jaxscan.files.disk import (
 from jaxscan.project.project import Project
 
 
-try:
-    import fcntl
-except ImportError:  # Not on Windows; there nothing is locked.
-    fcntl = None  # type: ignore[assignment]
-
-
 FORMAT = "jaxscan-products/1"
 ABOUT, LOCK = "project.json", ".batch.lock"
-MOST_LOCK = 4096
 
 
 @contextlib.contextmanager
@@ -51,48 +40,12 @@ def claimed(project: Project, named: Path | None = None) -> Iterator[None]:
     """
     output = project.output
     _check_outside(project, named)
-    with contextlib.ExitStack() as stack:
-        with reported(f"{output}: cannot be written", error=ConfigError):
-            make_folder(output)
-            with reported(f"{output / LOCK}: cannot be written", error=ConfigError):
-                lock = stack.enter_context(_opened(output / LOCK))
-            _take(lock.fileno(), output)
-            _take_over(project)
-            os.ftruncate(lock.fileno(), 0)
-            lock.write(f"{os.getpid()} on {platform.node()}\n".encode())
+    with reported(f"{output}: cannot be written", error=ConfigError):
+        make_folder(output)
+    busy, remedy = "another batch is writing here ({})", "wait for it, or end it"
+    with FolderLock(output / LOCK, error=ConfigError, busy=busy, remedy=remedy):
+        _take_over(project)
         yield
-
-
-def _opened(path: Path) -> io.FileIO:
-    """The file of the lock; its content is lost, so it must be one that a batch wrote.
-
-    Raises:
-        OSError: If it cannot be opened, is a link, a device or a pipe, or holds something else.
-    """
-    lock = open_to_write(path, "append")
-    try:
-        if not re.fullmatch(rb"(\d+ on [^\n]*\n?)?\0*", os.pread(lock.fileno(), MOST_LOCK, 0)):
-            raise OSError("found something that is no lock of a batch; move it away")
-    except BaseException:
-        lock.close()
-        raise
-    return lock
-
-
-def _take(handle: int, output: Path) -> None:
-    if fcntl is None:
-        return
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        who = read_bounded(output / LOCK, MEGABYTE, error=ConfigError).decode(errors="replace").strip()
-        raise ConfigError(
-            f"{output}: another batch is writing here (process {who or 'unknown'}); wait for it, or end it."
-        ) from None
-    except OSError as problem:
-        # Some disks of clusters have no locks; there nobody is kept out.
-        if problem.errno not in (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK):
-            raise
 
 
 def _is_another(other: str, own: str) -> bool:

@@ -76,7 +76,7 @@ def test_what_is_no_lock_of_a_batch_is_not_overwritten(museum, text):
     lock = museum.parent / "products" / ".batch.lock"
     lock.parent.mkdir()
     lock.write_text(text)
-    with pytest.raises(ConfigError, match="no lock of a batch"), claimed(load_project(museum)):
+    with pytest.raises(ConfigError, match="no lock of a program"), claimed(load_project(museum)):
         pass
     assert lock.read_text() == text
 

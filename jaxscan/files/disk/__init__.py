@@ -5,6 +5,7 @@ from jaxscan.files.disk.atomic import check_writable, write_atomically, write_to
 from jaxscan.files.disk.bounded import MAX_DEPTH, file_digest, is_deep, parse_json, reported, too_deep
 from jaxscan.files.disk.config import load_toml, parse_toml
 from jaxscan.files.disk.folders import whole_folder
+from jaxscan.files.disk.lock import FolderLock
 from jaxscan.files.disk.opening import MEGABYTE, NO_LINK, check_name, open_regular, read_bounded, shown
 from jaxscan.files.disk.partial import Part, forget_partials, partial_file, partial_folder, remove_left
 from jaxscan.files.disk.readable_json import readable_json
