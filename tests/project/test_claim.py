@@ -33,7 +33,7 @@ def test_the_lock_of_a_batch_that_died_is_taken_over(museum, text):
         pass
     assert not lock.exists()
     lock.write_text('{"pid": 1, "host": "elsewhere", "start": "then"}')
-    with pytest.raises(ConfigError, match=r"process 1 on elsewhere.*; if that one has ended, delete "), claimed(project):
+    with pytest.raises(ConfigError, match=r"process 1 on elsewhere.*; if that one has ended, delete"), claimed(project):
         pass
 
 
