@@ -4,13 +4,18 @@ import contextlib
 import hashlib
 import os
 import sqlite3
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from jaxscan.errors import ConfigError
-from jaxscan.files.disk import open_to_write, refuse_links
+from jaxscan.errors import CaptureError, ConfigError
+from jaxscan.files.capture import save_stripes
+from jaxscan.files.disk import open_to_write, refuse_links, remove_left
 from jaxscan.project import claimed, load_project, open_catalogue
 from jaxscan.project.catalogue import Catalogue
+from jaxscan.project.steps import Step
+from jaxscan.project.work.desk import Desk, publish
 from tests.opened import edit, work
 
 
@@ -155,6 +160,51 @@ def test_a_catalogue_that_runs_statements_of_its_own_is_refused(tmp_path, kind, 
     with pytest.raises(ConfigError, match=f"found a {kind}"):
         Catalogue(path, "rooms", write=write)
     assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("there", [True, False], ids=["a link", "a dangling link"])
+@pytest.mark.parametrize("place", ["reports/room-1.html", "tiles/hall/0_0.ply", "stripes/room-1.npz"])
+def test_a_product_takes_the_place_of_a_link(tmp_path, outside, place, there):
+    """Of a file that is a link, the link is replaced; what it leads to stays."""
+    output, made = tmp_path / "products", tmp_path / "products" / "work"
+    (made / "made" / place).parent.mkdir(parents=True)
+    (made / "made" / place).write_text("made")
+    (output / place).parent.mkdir(parents=True)
+    (output / place).symlink_to(outside / ("letter" if there else "new"))
+    before = fingerprint(outside)
+    step = Step("report/room-1", "report", (), {}, {}, (place,), {})
+    publish(Desk(step, output, made, lambda done, total: None))
+    assert fingerprint(outside) == before
+    assert not (output / place).is_symlink() and (output / place).read_text() == "made"
+
+
+@pytest.mark.parametrize("place", ["reports/room-1.html", "tiles/hall/0_0.ply"])
+def test_a_folder_of_products_that_is_a_link_is_refused(tmp_path, outside, place):
+    output, made = tmp_path / "products", tmp_path / "products" / "work"
+    (made / "made" / place).parent.mkdir(parents=True)
+    (made / "made" / place).write_text("made")
+    (output / Path(place).parts[0]).symlink_to(outside / "letters")
+    before = fingerprint(outside)
+    step = Step("report/room-1", "report", (), {}, {}, (place,), {})
+    with pytest.raises(CaptureError, match="found a link"):
+        publish(Desk(step, output, made, lambda done, total: None))
+    assert fingerprint(outside) == before
+
+
+@pytest.mark.parametrize("name", [".part-0123456789ab", ".part-0123456789ab.ply"])
+def test_what_looks_like_a_left_file_and_is_a_link_removes_nothing(tmp_path, outside, name):
+    (tmp_path / name).symlink_to(outside / ("letters" if name.endswith("ab") else "letter"))
+    (outside / "letters" / "second").write_text(LETTER)
+    before = fingerprint(outside)
+    remove_left(tmp_path)
+    assert fingerprint(outside) == before
+
+
+def test_stripes_are_not_kept_through_a_link(tmp_path, outside):
+    (tmp_path / "room.npz").symlink_to(outside / "letter")
+    before = fingerprint(outside)
+    save_stripes(tmp_path / "room.npz", {"v": np.zeros(3)}, {})
+    assert fingerprint(outside) == before and not (tmp_path / "room.npz").is_symlink()
 
 
 @pytest.mark.timeout(20)
