@@ -287,7 +287,8 @@ def test_only_the_command_line_knows_the_acquisition_layer(path):
 MAY_OPEN = {
     "files/disk/opening.py": {"os.open"},
     "files/disk/partial.py": {"os.open"},
-    "files/disk/atomic.py": {"os.open"},
+    "files/disk/writing.py": {"os.open"},
+    "files/disk/lock.py": {".read_text"},
     "files/disk/arrays.py": {"ZipFile", ".open"},
     "files/capture/shards.py": {"mmap"},
     "vision/video.py": {"VideoCapture"},
@@ -298,7 +299,8 @@ MAY_OPEN = {
     "__init__.py": {".read_text"},
 }
 """Files that open others by themselves: the door, what it writes with, archives behind it, videos whose
-beginning was read through the door, the null device, new files on other machines, our own."""
+beginning was read through the door, the null device, what the system tells of processes, new files on other machines,
+our own."""
 OPENERS = {"ZipFile", "memmap", "mmap", "imread", "genfromtxt", "VideoCapture"}
 
 
@@ -390,6 +392,133 @@ def test_xml_is_read_through_one_door(path):
     for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "ImageFile":
             assert ast.unparse(node.args[1]) == "'w'", f"line {node.lineno}: libE57 only writes"
+
+
+MAY_WRITE = {
+    "jaxscan/files/disk/": {"os.open", "open", ".open", "os.mkdir", ".write_bytes", ".touch", "Part"},
+    "jaxscan/project/catalogue.py": {"connect", "create_engine"},
+    "jaxscan/fleet/clusters/ssh.py": {".mkdir", ".open"},
+    "jaxscan/cli/process/quiet.py": {".mkdir"},
+    "jaxscan/recalibration/judge/parts.py": {"Part"},
+}
+"""Places that write by themselves: the door, and what it hands out; the database, whose file is looked at and made
+through the door before SQLite opens it; new files on other machines, through their SFTP; the folder of caches, which
+is made before any library is loaded and checked to be the user's own; parts of something else."""
+MAKERS = {"mkdir", "makedirs", "symlink", "link", "mkfifo", "mknod", "truncate", "copy", "copy2", "copyfile"}
+MAKERS |= {"copytree", "move", "save", "savez", "savez_compressed", "savetxt", "imwrite", "VideoWriter", "Part"}
+MAKERS |= {"connect", "create_engine", "RotatingFileHandler", "FileHandler"}
+OWNERS = {"os", "shutil", "np", "numpy", "cv2", "sqlite3", "sqlalchemy", "logging"}
+METHODS = {"write_text", "write_bytes", "touch", "mkdir", "symlink_to", "hardlink_to"}
+HANDED = {"savefig", "saveas", "tofile", "ImageFile", "ZipFile", "memmap"}
+"""Calls that write to the path that is their first argument."""
+PARTS = {"partial_file", "partial_folder", "whole_folder"}
+IN_MEMORY = {"BytesIO", "StringIO"}
+
+
+def name_of(call):
+    return call.func.id if isinstance(call.func, ast.Name) else getattr(call.func, "attr", "")
+
+
+def root_of(node):
+    """The name at the beginning of an expression for a path: of `part / "a"`, `str(part)` and `part.parent.name`."""
+    while not isinstance(node, ast.Name):
+        if isinstance(node, ast.BinOp):
+            node = node.left
+        elif isinstance(node, ast.Call) and name_of(node) in {"str", "Path", "partial"} and node.args:
+            node = node.args[0]
+        else:
+            return ""
+    return node.id
+
+
+def parts_of(node):
+    """Names in a function that stand for a file in work, an opened file, or memory: nothing is opened by them."""
+    arguments = node.args
+    every = [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs]
+    found = {one.arg for one in every if getattr(one.annotation, "id", "") == "Part"}
+    for inner in ast.walk(node):
+        if isinstance(inner, ast.withitem) and isinstance(inner.context_expr, ast.Call):
+            if name_of(inner.context_expr) in PARTS | {"open", "open_to_write"}:
+                found.add(getattr(inner.optional_vars, "id", ""))
+        elif isinstance(inner, ast.Assign) and isinstance(inner.value, ast.Call):
+            if name_of(inner.value) in IN_MEMORY:
+                found.update(getattr(target, "id", "") for target in inner.targets)
+    return found - {""}
+
+
+def mode_of(call, at):
+    """The mode of an opening; None if it is none that writes."""
+    modes = [*call.args[at : at + 1], *(key.value for key in call.keywords if key.arg == "mode")]
+    if not modes:
+        return None
+    mode = modes[0].value if isinstance(modes[0], ast.Constant) else "w"
+    return mode if isinstance(mode, str) and set(mode) & set("wax+") else None
+
+
+def writings(node, parts=frozenset()):
+    """(how, line) of every call that makes a file or folder, or opens one for writing, other than a file in work."""
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+        parts = parts | parts_of(node)
+    if isinstance(node, ast.Call):
+        name, first = name_of(node), node.args[0] if node.args else None
+        owner = getattr(node.func, "value", None)
+        module = getattr(owner, "id", "") in OWNERS
+        how, target = "", first
+        if name == "open" and isinstance(node.func, ast.Name):
+            how = "open" if mode_of(node, 1) else ""
+        elif name == "open" and getattr(owner, "id", "") == "os":
+            told = ast.unparse(node.args[1]) if len(node.args) > 1 else "O_CREAT"
+            harmless = told == "os.O_RDONLY" or ast.unparse(first) == "os.devnull"
+            how = "" if harmless else "os.open"
+        elif name == "open":
+            how, target = ".open" if mode_of(node, 0) or mode_of(node, 1) else "", owner
+        elif name in METHODS and not module:
+            how, target = f".{name}", owner
+        elif name in HANDED:
+            # Those that take a mode write only with one.
+            reads = name in {"ImageFile", "ZipFile", "memmap"} and not mode_of(node, 1) and not mode_of(node, 2)
+            how = "" if reads else name
+        elif (name in MAKERS and module) or name == "Part":
+            how = f"os.{name}" if getattr(owner, "id", "") == "os" else name
+        elif name == "partial" and first is not None and getattr(first, "attr", "") in MAKERS | METHODS | {"open"}:
+            how, target = first.attr, None
+        if how and (target is None or root_of(target) not in parts):
+            yield how, node.lineno
+    for child in ast.iter_child_nodes(node):
+        yield from writings(child, parts)
+
+
+def test_writings_are_found():
+    ways = (
+        "open(a, 'w')", "open(a, mode='r+b')", "open(a, m)", "os.open(a, os.O_RDWR)", "os.open(a, b)", "a.open('x')",
+        "a.write_text('')", "(a / 'b').mkdir()", "os.makedirs(a)", "a.symlink_to(b)", "shutil.copy(b, a)", "a.touch()",
+        "np.save(a, x)", "np.savez(str(a), x=x)", "ZipFile(a, 'w')", "cv2.imwrite(a, x)", "figure.savefig(a)",
+        "sqlite3.connect(a)", "partial(sqlite3.connect, a)", "sqlalchemy.create_engine(a)", "Part(a)",
+    )  # fmt: skip
+    text = "\n".join(ways)
+    assert [line for _, line in writings(ast.parse(text))] == list(range(1, len(ways) + 1))
+    inside = (
+        "def f(a: {kind}):\n    open(a, 'w')\n    (a / 'b').write_bytes(b'')\n    def g():\n        np.save(a, x)\n"
+    )
+    assert len(list(writings(ast.parse(inside.format(kind="Path"))))) == 3
+    assert not list(writings(ast.parse(inside.format(kind="Part"))))
+    harmless = (
+        "def f():\n    b = io.BytesIO()\n    figure.savefig(b)\n    open(c)\n    os.open(os.devnull, os.O_RDWR)\n"
+    )
+    harmless += (
+        "    os.open(a, os.O_RDONLY)\n    ZipFile(c)\n    with whole_folder(a) as d:\n        (d / 'e').touch()\n"
+    )
+    assert not list(writings(ast.parse(harmless)))
+
+
+@for_every([*FILES, *RIG_FILES], lambda path: str(path.relative_to(ROOT)))
+def test_files_are_written_through_one_door(path):
+    """`open_to_write` and `make_folder` follow no link; writers that are handed a file in work take a `Part`."""
+    where = str(path.relative_to(ROOT).as_posix()).removeprefix("hardware/")
+    allowed = set().union(*(ways for start, ways in MAY_WRITE.items() if where.startswith(start)))
+    found = [(how, line) for how, line in writings(tree_of(path)) if how not in allowed]
+    told = ", ".join(f"line {line}: {how}" for how, line in found)
+    assert not found, f"{told}, expected open_to_write, make_folder, or a path that is a Part"
 
 
 @for_every([p for p in FILES if folder_of(p) == "files"])

@@ -8,6 +8,9 @@ from pathlib import Path
 
 import jax
 
+from jaxscan.errors import OutputError
+from jaxscan.files.disk import write_atomically
+
 
 _COMPILERS = ("jaxscan", "jax", "jaxlib", "equinox", "numba")
 
@@ -22,9 +25,10 @@ def remember(kind: Hashable) -> None:
     """Note that it is; without a cache on disk, nothing."""
     note = _note(kind)
     # A cache that cannot be written to is no fault of the work.
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OutputError):
         if note is not None:
-            note.write_text(f"compiled and kept here: {kind!r}\n")
+            text = f"compiled and kept here: {kind!r}\n"
+            write_atomically(note, text.encode(), durable=False, error=OutputError, links="replace")
 
 
 def cache_on_disk() -> str | None:

@@ -63,6 +63,9 @@ OPTIONAL = (
     Optional("obstore", "obstore", "s3", "captures on object storage"),
 )
 
+_SHOWN = 100
+"""Problems of a capture that are printed."""
+
 
 class RigUnwell(JaxscanError):
     """A part of the rig that a scan needs does not work."""
@@ -151,14 +154,17 @@ def _look_at_rig(port: str | None, config: Path | None, camera: str | None, out:
 
 
 def _verify(capture: Path, out: Terminal, json: str | None) -> None:
-    from jaxscan.files.capture import seal_note, verify_capture
+    from jaxscan.files.capture import read_texts, seal_note, verify_capture
 
+    texts = read_texts(capture)
     with progress_bar("Verifying") as progress:
-        found = verify_capture(capture, progress=progress)
+        found = verify_capture(capture, texts=texts, progress=progress)
     problems = [str(problem) for problem in found]
-    for sentence in problems:
+    for sentence in problems[:_SHOWN]:
         out.print(sentence)
-    note = seal_note(capture)
+    if len(problems) > _SHOWN:
+        out.print(f"and {len(problems) - _SHOWN} more problems; --json lists them all")
+    note = seal_note(capture, texts=texts)
     if note:
         out.print(f"note: {note}")
     elif not problems:

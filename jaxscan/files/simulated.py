@@ -13,7 +13,7 @@ import numpy as np
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import CaptureHeader, open_capture
 from jaxscan.files.clouds import save_cloud
-from jaxscan.files.disk import check_name, partial_folder, reported, write_atomically
+from jaxscan.files.disk import check_name, make_folder, partial_folder, reported, write_atomically
 from jaxscan.files.recording import create_capture
 from jaxscan.reconstruction import PointCloud
 from jaxscan.simulation import RenderedRecord, SimulationConfig, board_pairs, sweep_angles, true_cloud
@@ -79,7 +79,7 @@ def new_simulation(folder: Path) -> Iterator[Path]:
     if os.path.lexists(target) and (not os.path.isdir(target) or os.listdir(target)):
         raise CaptureError(f"{folder}: exists and is not empty; choose another folder, a capture is never overwritten.")
     with reported(f"{folder}: cannot be written", error=CaptureError):
-        target.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(target.parent)
         with partial_folder(target) as part:
             yield part
             if os.path.isdir(target):

@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import distributed
 
 from jaxscan.errors import FleetError
+from jaxscan.files.disk import open_to_write
 from jaxscan.fleet.tasks import Tasks
 from jaxscan.fleet.work import TOPIC, do_order, sees
 from jaxscan.project import Catalogue, Order, Row, begun_row
@@ -138,7 +139,7 @@ def check_sight(client: distributed.Client, output: Path) -> None:
         FleetError: With the worker that does not.
     """
     name = f".seen-{secrets.token_hex(8)}"
-    (output / name).touch()
+    open_to_write(output / name, "make").close()
     try:
         # A worker that ends while it is asked is none.
         seen = client.run(sees, str(output), name, on_error="ignore")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import distributed
 
+from jaxscan.files.disk import open_to_write
 from jaxscan.project import Order, code_digest, do_step, row_to_json
 
 
@@ -53,7 +54,7 @@ def sees(folder: str, name: str) -> bool:
     try:
         probe = path.with_name(f"{name}.{time.time_ns()}")
         seen = path.is_file()
-        probe.touch()
+        open_to_write(probe, "make").close()
         probe.unlink()
     except OSError:
         return False

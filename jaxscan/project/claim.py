@@ -1,22 +1,24 @@
 """The folder of a project's products: one project writes there, and one batch at a time."""
 
 import contextlib
-import errno
 import json
 import os
-import platform
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
 from jaxscan.errors import ConfigError
-from jaxscan.files.disk import MEGABYTE, parse_json, read_bounded, reported, write_atomically
+from jaxscan.files.disk import (
+    MEGABYTE,
+    FolderLock,
+    is_outside,
+    make_folder,
+    parse_json,
+    read_bounded,
+    reported,
+    write_atomically,
+)
 from jaxscan.project.project import Project
-
-
-try:
-    import fcntl
-except ImportError:  # Not on Windows; there nothing is locked.
-    fcntl = None  # type: ignore[assignment]
 
 
 FORMAT = "jaxscan-products/1"
@@ -24,39 +26,26 @@ ABOUT, LOCK = "project.json", ".batch.lock"
 
 
 @contextlib.contextmanager
-def claimed(project: Project) -> Iterator[None]:
+def claimed(project: Project, named: Path | None = None) -> Iterator[None]:
     """Make the folder of the products this project's, and keep other batches out until the end of `with`.
 
+    Args:
+        project: The project, whose file may come from a stranger.
+        named: The folder of the products as the user names it: where it lies outside of the project's, the first batch
+            needs the user's own word.
+
     Raises:
-        ConfigError: If it belongs to another project, another batch is at work, or it cannot be written.
+        ConfigError: If it belongs to another project, is not the one that was named, lies outside and was not named,
+            another batch is at work, or it cannot be written.
     """
     output = project.output
-    with contextlib.ExitStack() as stack:
-        with reported(f"{output}: cannot be written", error=ConfigError):
-            output.mkdir(parents=True, exist_ok=True)
-            lock = stack.enter_context(open(output / LOCK, "a+", encoding="utf-8"))
-            _take(lock.fileno(), output)
-            _take_over(project)
-            lock.truncate(0)
-            lock.write(f"{os.getpid()} on {platform.node()}\n")
-            lock.flush()
+    _check_outside(project, named)
+    with reported(f"{output}: cannot be written", error=ConfigError):
+        make_folder(output)
+    busy, remedy = "another batch is writing here ({})", "wait for it, or end it"
+    with FolderLock(output / LOCK, error=ConfigError, busy=busy, remedy=remedy):
+        _take_over(project)
         yield
-
-
-def _take(handle: int, output: Path) -> None:
-    if fcntl is None:
-        return
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        who = read_bounded(output / LOCK, MEGABYTE, error=ConfigError).decode(errors="replace").strip()
-        raise ConfigError(
-            f"{output}: another batch is writing here (process {who or 'unknown'}); wait for it, or end it."
-        ) from None
-    except OSError as problem:
-        # Some disks of clusters have no locks; there nobody is kept out.
-        if problem.errno not in (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK):
-            raise
 
 
 def _is_another(other: str, own: str) -> bool:
@@ -65,6 +54,22 @@ def _is_another(other: str, own: str) -> bool:
         return not os.path.samefile(other, own)
     except (OSError, ValueError):
         return False
+
+
+def _check_outside(project: Project, named: Path | None) -> None:
+    """Check that a folder outside of the project's is named by the user, or is known to be this project's.
+
+    All links are followed: a link in place of the folder leads outside too.
+    """
+    output, home = project.output, project.file.parent
+    if named is not None:
+        if os.path.realpath(named) != os.path.realpath(output):
+            raise ConfigError(f"{named}: is not the folder of the products, which {project.file} says is {output}.")
+    elif is_outside(output, home) and _owner(project) != str(project.file):
+        raise ConfigError(
+            f"{project.file}: output: {output} is outside of {home}, where a project writes only what you allow: "
+            f"call it once with {shlex.join(['--output', os.path.realpath(output)])}."
+        )
 
 
 def check_owner(project: Project) -> None:
@@ -86,13 +91,14 @@ def _take_over(project: Project) -> None:
     if _owner(project) != own:
         about = {"format": FORMAT, "project": project.wanted.project.name, "file": own}
         text = json.dumps(about, indent=2) + "\n"
-        write_atomically(project.output / ABOUT, text.encode(), error=ConfigError)
+        write_atomically(project.output / ABOUT, text.encode(), error=ConfigError, links="replace")
 
 
 def _owner(project: Project) -> str | None:
     path = project.output / ABOUT
-    if not path.exists():
+    if not os.path.lexists(path):
         return None
-    about = parse_json(read_bounded(path, MEGABYTE, error=ConfigError), name=str(path), error=ConfigError)
+    content = read_bounded(path, MEGABYTE, error=ConfigError, links="refuse")
+    about = parse_json(content, name=str(path), error=ConfigError)
     other = about.get("file") if isinstance(about, dict) else None
     return other if isinstance(other, str) else None

@@ -155,7 +155,7 @@ def _stale(project: Project, measured: Iterable[str]) -> tuple[str, ...]:
 
 
 def _rows(project: Project) -> list[Row]:
-    with contextlib.closing(open_catalogue(project)) as catalogue:
+    with contextlib.closing(open_catalogue(project, write=False)) as catalogue:
         return catalogue.rows()
 
 

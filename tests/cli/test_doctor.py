@@ -80,6 +80,17 @@ def test_a_capture_is_verified(run, sweep):
     assert victim.name in problem
 
 
+def test_of_many_problems_some_are_printed_and_all_are_in_the_json(run, sweep):
+    journal = sweep / "frames.jsonl"
+    first = json.loads(journal.read_text().splitlines()[0])
+    lines = [json.dumps(first | {"i": k, "on": "on/gone.zst"}) for k in range(150)]
+    journal.write_text("\n".join(lines) + "\n")
+    ran = run("doctor", "--capture", sweep)
+    assert ran.code == 1 and ran.out.count("gone.zst") == 100 and "and 50 more problems" in ran.out
+    ran = run("doctor", "--capture", sweep, "--json", "-")
+    assert len(json.loads(ran.out)["problems"]) == 150
+
+
 def test_a_broken_seal_is_not_cured_by_taking_records_again(run, tmp_path):
     assert Desk().sweep(tmp_path / "room").status == "complete"
     journal = tmp_path / "room" / "frames.jsonl"

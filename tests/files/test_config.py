@@ -240,3 +240,8 @@ def test_the_worst_mebibyte(kind, share, tmp_path):
     began = time.monotonic()
     run = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True)
     assert int(run.stdout) < 900 / share and time.monotonic() - began < 10 + 50 / share
+
+
+def test_too_many_tables_are_refused_before_they_are_read():
+    with pytest.raises(ConfigError, match=r"x\.toml: found 30001 tables, expected at most 30000"):
+        parse_toml(b"[[a]]\n" * 30_001, name="x.toml", error=ConfigError)

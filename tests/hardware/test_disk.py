@@ -14,7 +14,7 @@ from scanrig.clock import SystemClock
 from scanrig.errors import SessionError
 from scanrig.recording import space
 from scanrig.recording.ledger import Ledger
-from scanrig.recording.lock import LOCK_NAME, FolderLock
+from scanrig.recording.lock import LOCK_NAME, folder_lock
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import CaptureHeader, open_capture, verify_capture
@@ -213,9 +213,9 @@ def test_23_two_processes_in_one_folder(tmp_path, holder):
 
 
 def test_23_two_in_one_process(tmp_path):
-    with FolderLock(tmp_path), pytest.raises(SessionError, match="in use by process"), FolderLock(tmp_path):
+    with folder_lock(tmp_path), pytest.raises(SessionError, match="in use by process"), folder_lock(tmp_path):
         pass
-    with FolderLock(tmp_path) as lock:
+    with folder_lock(tmp_path) as lock:
         assert lock.note == ""
 
 
@@ -223,7 +223,7 @@ def test_23_the_lock_of_another_machine_is_never_taken_over(tmp_path):
     (tmp_path / LOCK_NAME).write_text('{"pid": 1, "host": "elsewhere", "start": "then"}')
     with (
         pytest.raises(SessionError, match=r"process 1 on elsewhere; if that one has ended, delete "),
-        FolderLock(tmp_path),
+        folder_lock(tmp_path),
     ):
         pass
 
@@ -231,7 +231,7 @@ def test_23_the_lock_of_another_machine_is_never_taken_over(tmp_path):
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"pid": "x"}', "\x00" * 100])
 def test_23_a_lock_whose_writer_died_before_it_had_written(tmp_path, text):
     (tmp_path / LOCK_NAME).write_text(text)
-    with FolderLock(tmp_path) as lock:
+    with folder_lock(tmp_path) as lock:
         assert "took over" in lock.note
 
 
@@ -243,7 +243,7 @@ def test_23_a_link_in_place_of_the_lock_is_not_followed(tmp_path, there):
     if there:
         target.write_text("dear")
     (folder / LOCK_NAME).symlink_to(target)
-    with pytest.raises(SessionError, match="cannot be written"), FolderLock(folder):
+    with pytest.raises(SessionError, match="cannot be written"), folder_lock(folder):
         pass
     assert target.exists() == there and (not there or target.read_text() == "dear")
 
@@ -255,15 +255,15 @@ def test_23_where_the_file_system_has_no_locks_the_process_decides(tmp_path, mon
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
     monkeypatch.setattr(fcntl, "flock", none)
-    with FolderLock(tmp_path), pytest.raises(SessionError, match=f"process {os.getpid()}"), FolderLock(tmp_path):
+    with folder_lock(tmp_path), pytest.raises(SessionError, match=f"process {os.getpid()}"), folder_lock(tmp_path):
         pass
     ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
     (tmp_path / LOCK_NAME).write_text(json.dumps({"pid": int(ended.stdout), "host": os.uname().nodename, "start": "x"}))
-    with FolderLock(tmp_path) as lock:
+    with folder_lock(tmp_path) as lock:
         assert f"process {int(ended.stdout)}" in lock.note
     # The number of a dead process that another one has by now.
     (tmp_path / LOCK_NAME).write_text(json.dumps({"pid": os.getpid(), "host": os.uname().nodename, "start": "then"}))
-    with FolderLock(tmp_path) as lock:
+    with folder_lock(tmp_path) as lock:
         assert "took over" in lock.note
 
 
@@ -277,7 +277,7 @@ def test_23_never_two_at_once_however_they_race(tmp_path):
         mine = 0
         while mine < 25:
             try:
-                with FolderLock(tmp_path):
+                with folder_lock(tmp_path):
                     (tmp_path / "inside").touch(exist_ok=False)
                     mine += 1
                     (tmp_path / "inside").unlink()

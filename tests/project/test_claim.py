@@ -1,5 +1,7 @@
 """The folder of products belongs to one project, and to one batch at a time."""
 
+import json
+import os
 import shutil
 
 import pytest
@@ -16,6 +18,22 @@ def test_one_batch_at_a_time(museum, run):
         ran = run("batch", museum)
         assert ran.code == 1 and ran.err.count("\n") == 1 and "another batch is writing here" in ran.err
     with claimed(project):
+        pass
+
+
+@pytest.mark.parametrize("text", ["", '{"pid": 1', "1 on vm\n"])
+def test_the_lock_of_a_batch_that_died_is_taken_over(museum, text):
+    project = load_project(museum)
+    with claimed(project):
+        lock = project.output / ".batch.lock"
+        assert json.loads(lock.read_text())["pid"] == os.getpid()
+    assert not lock.exists()
+    lock.write_text(text)
+    with claimed(project):
+        pass
+    assert not lock.exists()
+    lock.write_text('{"pid": 1, "host": "elsewhere", "start": "then"}')
+    with pytest.raises(ConfigError, match=r"process 1 on elsewhere.*; if that one has ended, delete"), claimed(project):
         pass
 
 

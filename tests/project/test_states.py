@@ -193,11 +193,12 @@ def test_names_that_are_no_text_reach_the_catalogue(museum):
     catalogue.close()
 
 
-def test_addresses_of_catalogues(museum):
+def test_addresses_of_catalogues(museum, monkeypatch):
     edit(museum, 'name = "museum"', 'name = "museum"\ncatalogue = "sqlite:///own.sqlite"')
     catalogue_of(museum).close()
     assert (museum.parent / "own.sqlite").exists()
     edit(museum, "sqlite:///own.sqlite", "postgresql://host:port/scans")
+    monkeypatch.setenv("JAXSCAN_CATALOGUES", "postgresql://host:port/scans")
     with pytest.raises((ConfigError, DependencyError), match="the catalogue: "):
         catalogue_of(museum)
 

@@ -2,5 +2,5 @@
 
 from scanrig.recording.background import AHEAD, Background
 from scanrig.recording.ledger import Ledger
-from scanrig.recording.lock import FolderLock
+from scanrig.recording.lock import folder_lock
 from scanrig.recording.space import KEPT_PAIRS, DiskFull, free_bytes, is_full, readable, require_space

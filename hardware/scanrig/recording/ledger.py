@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import JOURNAL_NAME, MAX_LINE_BYTES, CaptureHeader, seal
-from jaxscan.files.disk import NO_LINK, remove_left
+from jaxscan.files.disk import append_whole, open_to_write, remove_left
 from jaxscan.files.recording import CaptureWriter, create_capture, require_no_links, resume_capture
 from scanrig.clock import Clock
 
@@ -107,7 +107,7 @@ class Ledger:
         try:
             event = self._event("end", {"status": status, **fields, **seal(self.folder)})
             self.events.append(event)
-            _append_whole(self.folder / JOURNAL_NAME, json.dumps(event).encode() + b"\n")
+            _append_line(self.folder / JOURNAL_NAME, json.dumps(event).encode() + b"\n")
         except (CaptureError, OSError) as problem:
             return f"the end could not be noted in the journal: {problem}"
         return ""
@@ -134,21 +134,10 @@ def fitting(event: dict[str, Any]) -> dict[str, Any]:
     return event
 
 
-def _append_whole(path: Path, line: bytes) -> None:
-    """Append a whole line, or nothing."""
-    handle = os.open(path, os.O_RDWR | os.O_APPEND | NO_LINK)
-    try:
-        before = os.fstat(handle).st_size
-        if before and os.pread(handle, 1, before - 1) != b"\n":
+def _append_line(path: Path, line: bytes) -> None:
+    """Append a whole line to a journal that exists, or nothing."""
+    with open_to_write(path, "change") as journal:
+        end = journal.seek(0, os.SEEK_END)
+        if end and os.pread(journal.fileno(), 1, end - 1) != b"\n":
             raise OSError("its last line is torn")
-        try:
-            rest = memoryview(line)
-            while rest:
-                rest = rest[os.write(handle, rest) :]
-            os.fsync(handle)
-        except OSError:
-            with contextlib.suppress(OSError):
-                os.ftruncate(handle, before)
-            raise
-    finally:
-        os.close(handle)
+        append_whole(journal, line, durable=True)

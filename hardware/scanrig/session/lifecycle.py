@@ -6,10 +6,10 @@ from pathlib import Path
 
 from jaxscan.errors import ConfigError
 from jaxscan.files.capture import JOURNAL_NAME, SEAL
-from jaxscan.files.recording import make_folder
+from jaxscan.files.disk import make_folder
 from scanrig.controllers import require_allowed
 from scanrig.errors import SessionError
-from scanrig.recording import FolderLock
+from scanrig.recording import folder_lock
 from scanrig.session.ending import Ending, counted, ended_by, leave_safe
 from scanrig.session.job import Job, SessionResult
 from scanrig.session.resume import Found, find_capture, is_capture, ranges, require_same_plan
@@ -35,7 +35,7 @@ def run_job(job: Job, work: Callable[[Session], bool]) -> SessionResult:
         )
     made = _folder(job.folder)
     try:
-        with FolderLock(job.folder) as lock:
+        with folder_lock(job.folder) as lock:
             found = _look(job)
             if found is not None and found.status == "complete" and not found.damaged and not found.suspect:
                 return _complete_already(job, found)

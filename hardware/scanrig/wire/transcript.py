@@ -2,8 +2,8 @@
 
 import json
 from pathlib import Path
-from typing import TextIO
 
+from jaxscan.files.disk import append_whole, open_to_write
 from scanrig.clock import Clock, ManualClock, SystemClock
 from scanrig.errors import TranscriptDifference
 from scanrig.wire.link import Link
@@ -12,14 +12,14 @@ from scanrig.wire.link import Link
 class RecordingLink:
     """A link that records its traffic: `{"t": seconds, "write" | "read": text}`, one object per line.
 
-    Each byte is stored as the character with the same number, so that the file is readable.
+    Each byte is stored as the character with the same number, so that the file is readable. The file is a new one.
     """
 
     def __init__(self, link: Link, path: Path | str, clock: Clock | None = None):
         self._link = link
         self._clock = clock or SystemClock()
         self._start = self._clock.now()
-        self._file: TextIO = open(path, "w", encoding="utf-8")
+        self._file = open_to_write(path, "make")
 
     @property
     def name(self) -> str:
@@ -45,8 +45,7 @@ class RecordingLink:
 
     def _keep(self, action: str, data: bytes) -> None:
         entry = {"t": round(self._clock.now() - self._start, 4), action: data.decode("latin-1")}
-        self._file.write(json.dumps(entry) + "\n")
-        self._file.flush()
+        append_whole(self._file, json.dumps(entry).encode() + b"\n", durable=False)
 
 
 class TranscriptLink:

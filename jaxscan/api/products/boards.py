@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxscan.errors import OptionError, OutputError
-from jaxscan.files.disk import write_together
+from jaxscan.files.disk import Part, write_together
 from jaxscan.geometry import AbstractBoard
 
 
@@ -73,5 +73,5 @@ def write_sheets(sheets: BoardSheets) -> list[Path]:
     return list(sheets.files)
 
 
-def _write(part: Path, *, content: bytes) -> None:
+def _write(part: Part, *, content: bytes) -> None:
     part.write_bytes(content)

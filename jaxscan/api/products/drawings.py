@@ -5,22 +5,22 @@ from pathlib import Path
 
 from jaxscan.drawing import Drawing
 from jaxscan.errors import OutputError
-from jaxscan.files.disk import check_writable, write_atomically
+from jaxscan.files.disk import Part, check_writable, write_atomically
 from jaxscan.files.drawings import check_dxf, svg_of, write_dxf
 
 
-def _write_svg(drawing: Drawing, path: Path) -> None:
+def _write_svg(drawing: Drawing, path: Part) -> None:
     path.write_bytes(svg_of(drawing))
 
 
-def _write_pdf(drawing: Drawing, path: Path) -> None:
+def _write_pdf(drawing: Drawing, path: Part) -> None:
     # Imported here, so that `import jaxscan` does not load OpenCV.
     from jaxscan.report import pdf_of
 
     path.write_bytes(pdf_of(drawing))
 
 
-WRITERS: dict[str, Callable[[Drawing, Path], None]] = {".dxf": write_dxf, ".svg": _write_svg, ".pdf": _write_pdf}
+WRITERS: dict[str, Callable[[Drawing, Part], None]] = {".dxf": write_dxf, ".svg": _write_svg, ".pdf": _write_pdf}
 
 
 def check_drawing_path(path: str | Path) -> None:

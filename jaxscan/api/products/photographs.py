@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError, OutputError
 from jaxscan.files.capture import Capture
-from jaxscan.files.disk import check_writable, write_atomically
+from jaxscan.files.disk import check_writable, make_folder, reported, whole_folder, write_atomically, write_together
 from jaxscan.geometry import Scanner
 from jaxscan.photographs import (
     Panorama,
@@ -219,8 +219,7 @@ def save_panorama(panorama: Panorama, path: str | Path) -> list[Path]:
         pictures.append(encode_picture_png(millimetres, xmp=xmp, about=DEPTH_UNIT))
         pictures.append(encode_picture_png(normals, xmp=xmp, about=NORMAL_UNIT))
     paths = panorama_paths(path, with_cloud=panorama.distance_m is not None)
-    for one, picture in zip(paths, pictures, strict=True):
-        write_atomically(one, picture, error=OutputError)
+    write_together(dict(zip(paths, pictures, strict=True)), error=OutputError)
     return paths
 
 
@@ -252,19 +251,17 @@ def export_photographs(
     undistorted = undistorted or not is_describable(camera)
     if undistorted:
         scanner = dataclasses.replace(scanner, camera=ideal, covariance=None)
-    try:
-        (folder / "images").mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        raise OutputError(f"{folder}: cannot be made: {problem.strerror}.") from problem
-    angles, names = [], []
-    for number, (angle, image) in enumerate(photographs):
-        name = f"images/{number:06d}.png"
-        picture = np.asarray(undistort(image, camera, ideal)) if undistorted else image
-        write_atomically(folder / name, encode_picture_png(picture), error=OutputError, durable=False)
-        angles.append(angle)
-        names.append(name)
-    content = json.dumps(describe_cameras(scanner, angles, names), indent=2, allow_nan=False) + "\n"
-    write_atomically(folder / "transforms.json", content.encode(), error=OutputError)
+    angles, names = list[float](), list[str]()
+    with reported(f"{folder}: cannot be written", error=OutputError), whole_folder(folder) as part:
+        make_folder(part / "images")
+        for number, (angle, image) in enumerate(photographs):
+            name = f"images/{number:06d}.png"
+            picture = np.asarray(undistort(image, camera, ideal)) if undistorted else image
+            write_atomically(part / name, encode_picture_png(picture), error=OutputError, durable=False)
+            angles.append(angle)
+            names.append(name)
+        content = json.dumps(describe_cameras(scanner, angles, names), indent=2, allow_nan=False) + "\n"
+        write_atomically(part / "transforms.json", content.encode(), error=OutputError, durable=False)
     return len(names)
 
 

@@ -38,7 +38,7 @@ def orthophoto(
     """
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.errors import OutputError
-    from jaxscan.files.disk import write_atomically
+    from jaxscan.files.disk import reported, whole_folder, write_atomically
     from jaxscan.report import with_scale
     from jaxscan.vision import encode_png
 
@@ -55,11 +55,13 @@ def orthophoto(
     pictures = jaxscan.draw_orthophotos(survey, np.asarray(loaded.rgb), pixel_m=pixel_mm / 1e3)
     files = [output / f"{picture.side}.png" for picture in pictures]
     check_paths(reads, [*(Place("the picture", file) for file in files), *file_at("--json", json)])
-    output.mkdir(parents=True, exist_ok=True)
+    with reported(f"{output}: cannot be written", error=OutputError), whole_folder(output) as part:
+        for picture, file in zip(pictures, files, strict=True):
+            words = f"{picture.side}, {pixel_mm:g} mm per pixel"
+            content = encode_png(with_scale(picture.rgb, picture.pixel_m, words))
+            write_atomically(part / file.name, content, error=OutputError, durable=False)
     out = notes_first(notes, json)
     for picture, file in zip(pictures, files, strict=True):
-        words = f"{picture.side}, {pixel_mm:g} mm per pixel"
-        write_atomically(file, encode_png(with_scale(picture.rgb, picture.pixel_m, words)), error=OutputError)
         out.print(f"written: {file}, {100 * picture.seen.mean():.0f} % seen")
     walls = [
         {"wall": picture.side, "file": str(file), "rows": picture.rgb.shape[0], "columns": picture.rgb.shape[1]}

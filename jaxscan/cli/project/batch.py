@@ -26,6 +26,7 @@ def batch(
     workers: int | None = None,
     memory_gib: float | None = None,
     tls: Path | None = None,
+    output: Path | None = None,
     json: JsonTarget = None,
 ) -> None:
     """Make what a project lacks: `jaxscan batch project.toml`.
@@ -43,6 +44,8 @@ def batch(
         workers: How many workers; without, one for each core of this machine, as far as memory reaches.
         memory_gib: Memory of each worker [GiB].
         tls: Folder with ca.pem, cert.pem and key.pem, for --cluster tls://host:port.
+        output: Folder of the products, as the project's file has it: needed once where that lies outside of the
+            project's folder.
         json: Write the result as JSON too.
     """
     check_paths([*file_at("PROJECT", project), *file_at("--ssh", ssh)], file_at("--json", json))
@@ -56,7 +59,7 @@ def batch(
     check_choice(choice)
     out, start = console(json), time.perf_counter()
     wanted = load_project(project)
-    with claimed(wanted), opened(wanted) as found:
+    with claimed(wanted, output), opened(wanted, write=True) as found:
         counts = counted(found.states)
         out.print(f"{_many(found.project.captures, 'capture')}, {_many(found.states, 'step')}: {in_words(counts)}")
         for note in wanted.notes:

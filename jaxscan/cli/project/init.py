@@ -40,7 +40,7 @@ def init(
         raise OptionError(f"{target}: exists, and may be yours; move it away.")
     if not folder.is_dir():
         raise OptionError(f"{folder}: is no folder.")
-    write_atomically(target, project_text(folder).encode())
+    write_atomically(target, project_text(folder).encode(), links="replace")
     try:
         project = load_project(target)
         steps, notes = len(steps_of(project)), [*project.notes, *board_notes(project)]

@@ -30,8 +30,8 @@ class Opened(NamedTuple):
 
 
 @contextlib.contextmanager
-def opened(project: "Project") -> Iterator[Opened]:
-    """Find what of a project's products is there.
+def opened(project: "Project", *, write: bool = False) -> Iterator[Opened]:
+    """Find what of a project's products is there; without `write`, nothing is made.
 
     Raises:
         JaxscanError: If a capture or the catalogue is not what it should be.
@@ -42,7 +42,7 @@ def opened(project: "Project") -> Iterator[Opened]:
     check_owner(project)
     steps = steps_of(project)
     digests, parts = digests_of(steps)
-    catalogue = open_catalogue(project)
+    catalogue = open_catalogue(project, write=write)
     try:
         yield Opened(project, states_of(steps, digests, parts, catalogue.rows(), project.output), catalogue)
     finally:

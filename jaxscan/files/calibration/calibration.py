@@ -23,6 +23,7 @@ from jaxscan.files.calibration.observations import (
 from jaxscan.files.calibration.quality import finite, quality_table, read_quality
 from jaxscan.files.disk import (
     MEGABYTE,
+    Part,
     check,
     check_writable,
     file_digest,
@@ -58,17 +59,17 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
     _parse(tables, name=str(path))
     beside = observations_path(path)
     tables[DIGESTS] = digests_of(tables)
-    writers: dict[Path, Callable[[Path], None]] = {}
+    writers: dict[Path, Callable[[Part], None]] = {}
     if calibration.observations is not None:
         write = observations_writer(calibration.observations, beside)
 
-        def write_beside(part: Path) -> None:
+        def write_beside(part: Part) -> None:
             write(part)
             tables[DIGESTS] = digests_of(tables, part)
 
         writers[beside] = write_beside
 
-    def write_own(part: Path) -> None:
+    def write_own(part: Part) -> None:
         part.write_bytes(readable_json(tables).encode())
 
     # The names change one right after the other: a calibration with observations of another is refused.

@@ -13,6 +13,7 @@ from jaxscan.errors import CalibrationError
 from jaxscan.files.capture import BoardTable
 from jaxscan.files.disk import (
     ImageSize,
+    Part,
     check,
     check_arrays,
     check_writable,
@@ -100,7 +101,7 @@ def check_observations_path(path: Path) -> None:
         raise CalibrationError(f"{path}: exists and holds no observations; choose another name for the calibration.")
 
 
-def observations_writer(observations: Observations, path: Path) -> Callable[[Path], None]:
+def observations_writer(observations: Observations, path: Path) -> Callable[[Part], None]:
     """The function that writes the observations to a file, which is then to be renamed to `path`.
 
     Raises:

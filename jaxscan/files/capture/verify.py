@@ -1,6 +1,7 @@
 """Check of a capture: its images against the digests in its records, header and journal against its seals."""
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +13,16 @@ from jaxscan.files.capture.journal import Record
 from jaxscan.files.capture.references import Folder, ImageRef
 from jaxscan.files.capture.seals import difference, frame_digest, sealing
 from jaxscan.files.capture.shards import Shards
-from jaxscan.files.capture.texts import read_texts
+from jaxscan.files.capture.texts import CaptureTexts, read_texts
 from jaxscan.files.disk import file_digest
 
 
-_BLOCK = 64
+_BLOCK = 256
+"""Records between two calls of `progress`."""
+_CHUNK = 16
+"""Records that a thread is handed at once: to hand one over takes as long as to look at a small image."""
+_KEPT = 1 << 16
+"""Images whose digests are kept: many records may name one."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +40,16 @@ class Problem:
         return self.message if self.record is None else f"record {self.record}: {self.message}"
 
 
-def verify_capture(path: str | Path, *, progress: Callable[[int, int], None] | None = None) -> list[Problem]:
+def verify_capture(
+    path: str | Path, *, texts: CaptureTexts | None = None, progress: Callable[[int, int], None] | None = None
+) -> list[Problem]:
     """Compare every image of a capture with the sha256 in its record, header and journal with its seals.
 
     For records without digests, it is only checked that their images exist.
 
     Args:
         path: The folder.
+        texts: Its header and journal, where they were read before.
         progress: Called with (records done, records in all).
 
     Returns:
@@ -50,29 +59,41 @@ def verify_capture(path: str | Path, *, progress: Callable[[int, int], None] | N
         CaptureError: If header or journal cannot be read.
     """
     path = Path(path)
-    texts = read_texts(path)
+    texts = texts or read_texts(path)
     records = texts.records
     problems = [Problem(None, note) for note in texts.notes]
     problems += [Problem(None, broken, lasting=True) for broken in sealing(texts, path).broken]
     folder, shards = Folder(path), Shards(path, frame_shape(texts.header))
     limit = image_limit(texts.header)
+
+    @functools.lru_cache(_KEPT)
+    def digest(image: ImageRef) -> str:
+        located = folder.locate(image)
+        if image.index is not None:
+            return frame_digest(shards.image(image))
+        return file_digest(located, limit=limit, error=CaptureError).removeprefix("sha256:")
+
+    def problems_of(chunk: Sequence[Record]) -> list[Problem]:
+        return [problem for record in chunk for problem in _problems(record, folder, digest)]
+
     with ThreadPoolExecutor(cores(), thread_name_prefix="jaxscan-verify") as pool:
         for start in range(0, len(records), _BLOCK):
             block = records[start : start + _BLOCK]
-            for found in pool.map(lambda record: _problems(record, folder, shards, limit), block):
+            chunks = [block[first : first + _CHUNK] for first in range(0, len(block), _CHUNK)]
+            for found in pool.map(problems_of, chunks):
                 problems += found
             if progress is not None:
                 progress(start + len(block), len(records))
     return problems
 
 
-def seal_note(path: str | Path) -> str:
+def seal_note(path: str | Path, *, texts: CaptureTexts | None = None) -> str:
     """Why a change of the capture could stay unnoticed, in a sentence; "" where seal and digests cover all of it.
 
     Raises:
         CaptureError: If header or journal cannot be read.
     """
-    texts = read_texts(Path(path))
+    texts = texts or read_texts(Path(path))
     state = sealing(texts, Path(path))
     bare = [record.i for record in texts.records if any(one.sha256 is None for one in (*record.on, *record.off))]
     if len(bare) == len(texts.records):
@@ -82,25 +103,18 @@ def seal_note(path: str | Path) -> str:
     return state.note
 
 
-def _problems(record: Record, folder: Folder, shards: Shards, limit: int) -> list[Problem]:
+def _problems(record: Record, folder: Folder, digest: Callable[[ImageRef], str]) -> list[Problem]:
     """The problems of one record's images; called by several threads."""
     problems = []
     for image in (*record.on, *record.off):
         try:
-            message = _difference(image, folder.locate(image), shards, limit)
+            # Without what the record says of it: the digest is that of the image.
+            found = digest(ImageRef(image.path, image.index)) if image.sha256 is not None else ""
+            if image.sha256 is None:
+                folder.locate(image)
         except CaptureError as problem:
-            message = str(problem)
-        if message is not None:
-            problems.append(Problem(record.i, message))
+            problems.append(Problem(record.i, str(problem)))
+            continue
+        if (differs := difference(image, found)) is not None:
+            problems.append(Problem(record.i, f"{image}: {differs}; the file has changed."))
     return problems
-
-
-def _difference(image: ImageRef, located: Path, shards: Shards, limit: int) -> str | None:
-    """How an image differs from its digest; None if it does not, or has no digest."""
-    if image.sha256 is None:
-        return None
-    if image.index is not None:
-        found = difference(image, frame_digest(shards.image(image)))
-    else:
-        found = difference(image, file_digest(located, limit=limit, error=CaptureError).removeprefix("sha256:"))
-    return None if found is None else f"{image}: {found}; the file has changed."

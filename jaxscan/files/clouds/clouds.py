@@ -15,11 +15,11 @@ from jaxscan.files.clouds.pcd import read_pcd, write_pcd
 from jaxscan.files.clouds.ply import read_ply, write_ply
 from jaxscan.files.clouds.points import check_cloud
 from jaxscan.files.clouds.text import read_ptx, read_xyz, write_ptx, write_xyz
-from jaxscan.files.disk import check_writable, write_atomically
+from jaxscan.files.disk import Part, check_writable, write_atomically
 from jaxscan.reconstruction import PointCloud, join_clouds
 
 
-Writer = Callable[[PointCloud, Path, About], None]
+Writer = Callable[[PointCloud, Part, About], None]
 Reader = Callable[[Path], StoredCloud]
 
 # To add a format: a function (cloud, path, about) and one (path), a line in each table.

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds.about import CLOUD_FORMAT, JOINED_FORMAT, About, StoredCloud, about_of, format_of, frame_of
-from jaxscan.files.disk import check_arrays, read_arrays, write_arrays
+from jaxscan.files.disk import Part, check_arrays, read_arrays, write_arrays
 from jaxscan.reconstruction import SMOOTHED, PointCloud, Stations
 
 
@@ -31,7 +31,7 @@ _STATIONS: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
 _SMOOTHED = dict.fromkeys(SMOOTHED, _ARRAYS["intensity"])
 
 
-def write_npz(cloud: PointCloud, path: Path, about: About) -> None:
+def write_npz(cloud: PointCloud, path: Part, about: About) -> None:
     """Write every field that there is as it is, and the entries of the PLY header."""
     names = [field.name for field in dataclasses.fields(cloud) if field.name != "stations"]
     values = {name: getattr(cloud, name) for name in names} | dict(zip(_STATIONS, cloud.stations or (), strict=False))

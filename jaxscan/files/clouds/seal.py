@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from jaxscan.errors import CloudError
+from jaxscan.files.disk import Part
 
 
 _DIGEST_BYTES, _SIZE_DIGITS = 16, 15
@@ -23,7 +24,7 @@ SEAL_LINE = f"seal blake2b {'0' * 2 * _DIGEST_BYTES} of {'0' * _SIZE_DIGITS} byt
 """Comment for a header, whose numbers `seal` fills in."""
 
 
-def seal(path: Path) -> None:
+def seal(path: Part) -> None:
     """Fill in the line of a file that is complete; it is read once, a block at a time.
 
     Args:

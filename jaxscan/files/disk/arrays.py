@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxscan.errors import JaxscanError
 from jaxscan.files.disk.opening import Links, open_regular
+from jaxscan.files.disk.partial import Part
 
 
 MAX_ARRAYS_BYTES = 1 << 34
@@ -36,7 +37,7 @@ NPY_DAMAGE = (OSError, ValueError, EOFError, SyntaxError, tokenize.TokenError, O
 _ZIP_DAMAGE = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, RuntimeError, struct.error)
 
 
-def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+def write_arrays(path: Part, arrays: Mapping[str, np.ndarray]) -> None:
     """Write an NPZ file, not compressed."""
     with open(path, "wb") as file:
         np.savez(file, allow_pickle=False, **dict(arrays))

@@ -2,7 +2,6 @@
 
 import contextlib
 import errno
-import io
 import os
 import stat
 from collections.abc import Callable, Mapping
@@ -11,13 +10,14 @@ from typing import Any, Literal
 
 from jaxscan.errors import JaxscanError
 from jaxscan.files.disk.bounded import reported
-from jaxscan.files.disk.opening import NO_LINK, shown
-from jaxscan.files.disk.partial import partial_file
+from jaxscan.files.disk.opening import shown
+from jaxscan.files.disk.partial import Part, partial_file
+from jaxscan.files.disk.writing import sync_to_disk
 
 
 def write_atomically(
     path: str | Path,
-    content: bytes | Callable[[Path], None],
+    content: bytes | Callable[[Part], None],
     *,
     durable: bool = True,
     error: type[JaxscanError] = JaxscanError,
@@ -41,13 +41,13 @@ def write_atomically(
 
 
 def write_together(
-    contents: Mapping[Path, Callable[[Path], None]], *, error: type[JaxscanError] = JaxscanError
+    contents: Mapping[Path, bytes | Callable[[Part], None]], *, error: type[JaxscanError] = JaxscanError
 ) -> None:
     """Write files that belong together: all are complete and on the disk before the first gets its name.
 
     Args:
-        contents: The function that writes each file, as for `write_atomically`. They are called in their order, and
-            the files get their names in it, with nothing between.
+        contents: The bytes of each file, or the function that writes it, as for `write_atomically`. They are called in
+            their order, and the files get their names in it, with nothing between.
         error: Type of the error raised.
 
     Raises:
@@ -58,13 +58,13 @@ def write_together(
 
 
 def _write(
-    contents: Mapping[Any, bytes | Callable[[Path], None]],
+    contents: Mapping[Any, bytes | Callable[[Part], None]],
     *,
     durable: bool,
     error: type[JaxscanError],
     links: Literal["follow", "replace"],
 ) -> None:
-    parts: list[tuple[str | Path, Path, Path]] = []
+    parts: list[tuple[str | Path, Path, Part]] = []
     with contextlib.ExitStack() as stack:
         for path, content in contents.items():
             with _reported(path, error):
@@ -102,34 +102,6 @@ def check_writable(path: str | Path, *, error: type[JaxscanError] = JaxscanError
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
 
-def open_to_append(path: str | Path) -> io.FileIO:
-    """Open a file to append to it without buffering; it is made where it is missing.
-
-    Raises:
-        OSError: If it cannot be opened, or is a link, which may lead anywhere.
-    """
-    return open(path, "ab", buffering=0, opener=lambda name, flags: os.open(name, flags | NO_LINK, 0o666))
-
-
-def append_whole(file: io.FileIO, data: bytes, *, durable: bool) -> None:
-    """Append all of `data` to a file, or nothing; a part that was written is removed where the disk allows it.
-
-    Raises:
-        OSError: If it cannot be written.
-    """
-    before = os.fstat(file.fileno()).st_size
-    try:
-        rest = memoryview(data)
-        while rest:
-            rest = rest[file.write(rest) or 0 :]
-        if durable:
-            os.fsync(file.fileno())
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.ftruncate(file.fileno(), before)
-        raise
-
-
 def _reported(path: str | Path, error: type[JaxscanError]) -> contextlib.AbstractContextManager[None]:
     return reported(f"{shown(path)}: cannot be written", error=error)
 
@@ -150,12 +122,3 @@ def _target(path: str | Path, links: Literal["follow", "replace"]) -> Path:
     if not (stat.S_ISREG(mode) or stat.S_ISLNK(mode)):
         raise OSError("it exists and is not a regular file")
     return target
-
-
-def sync_to_disk(path: Path) -> None:
-    """Wait until a file, or the list of names in a folder, is safe from a loss of power."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -14,6 +14,9 @@ from jaxscan.files.disk.validation import Model, check
 MAX_CONFIG_BYTES = MEGABYTE
 MAX_PARTS = MAX_DEPTH
 """Most parts of a dotted key, such as 3 in `laser.plane.normal`: Python's reader takes the square of their number."""
+MAX_TABLES = 30_000
+"""Most heads of tables: Python's reader takes 0.1 ms for each. A project may have 10,000 rigs, patterns and groups."""
+_HEAD = re.compile(r"^[ \t]*+\[", re.MULTILINE)
 
 # Comments and texts of many lines are passed over; then a key, or another word, with its dotted parts. Nothing is
 # tried twice, so the time is in proportion to the length. Behind the first error of syntax nothing matters.
@@ -51,7 +54,7 @@ def parse_toml(data: bytes, *, name: str, error: type[JaxscanError]) -> dict[str
 
     Raises:
         JaxscanError: Of type `error`, with the line of the first syntax error; also for keys of more than `MAX_PARTS`
-            parts and tables nested more than `MAX_DEPTH` deep.
+            parts, more than `MAX_TABLES` tables, and tables nested more than `MAX_DEPTH` deep.
     """
     try:
         text = data.decode("utf-8")
@@ -62,6 +65,10 @@ def parse_toml(data: bytes, *, name: str, error: type[JaxscanError]) -> dict[str
         if found["more"]:
             line = text.count("\n", 0, found.start()) + 1
             raise error(f"{name}: line {line}: found a key of more than {MAX_PARTS} dotted parts, expected fewer.")
+    # Lines of texts and lists that look like heads are counted too.
+    heads = sum(1 for _ in _HEAD.finditer(text))
+    if heads > MAX_TABLES:
+        raise error(f"{name}: found {heads} tables, expected at most {MAX_TABLES}.")
     try:
         tables = tomllib.loads(text)
     except RecursionError as problem:

@@ -15,6 +15,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NewType
 
 from jaxscan.files.disk.network import is_on_network
 
@@ -34,6 +35,9 @@ _QUIET_S = 3600.0
 _LOOKED_AT = 4096
 """Most entries of a folder that are asked for their age; folders come before the files in them."""
 
+Part = NewType("Part", Path)
+"""A file or folder in work: made here, under a name of its own. Writers that take one need no door of their own."""
+
 _held: dict[Path, tuple[int, int | None]] = {}
 """The process that made each partial file or folder, for a forked one has made none, and the handle with its lock."""
 _cleared: set[Path] = set()
@@ -41,7 +45,7 @@ _cleared: set[Path] = set()
 
 
 @contextlib.contextmanager
-def partial_file(target: str | Path) -> Iterator[Path]:
+def partial_file(target: str | Path) -> Iterator[Part]:
     """A new empty file beside `target`, with its suffix; rename it when it is complete.
 
     Yields:
@@ -60,7 +64,7 @@ def partial_file(target: str | Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def partial_folder(target: str | Path) -> Iterator[Path]:
+def partial_folder(target: str | Path) -> Iterator[Part]:
     """A new empty folder beside `target`; rename it when it is complete.
 
     Yields:
@@ -95,7 +99,7 @@ def remove_left(folder: str | Path) -> None:
 
 
 @contextlib.contextmanager
-def _made(folder: Path, suffix: str, make: Callable[[Path], int | None]) -> Iterator[Path]:
+def _made(folder: Path, suffix: str, make: Callable[[Path], int | None]) -> Iterator[Part]:
     part = _lock_new(folder, suffix, make)
     try:
         yield part
@@ -103,7 +107,7 @@ def _made(folder: Path, suffix: str, make: Callable[[Path], int | None]) -> Iter
         _remove(part)
 
 
-def _lock_new(folder: Path, suffix: str, make: Callable[[Path], int | None]) -> Path:
+def _lock_new(folder: Path, suffix: str, make: Callable[[Path], int | None]) -> Part:
     tries = 0
     while True:
         part = folder / f".part-{secrets.token_hex(_DIGITS)}{suffix}"
@@ -121,7 +125,7 @@ def _lock_new(folder: Path, suffix: str, make: Callable[[Path], int | None]) -> 
         _held[part] = os.getpid(), handle
         # Another process may have taken it for a left one before it was locked.
         if handle is None or (_lock(handle) and _is_at(part, handle)):
-            return part
+            return Part(part)
         _remove(part)
 
 

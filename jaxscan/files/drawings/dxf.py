@@ -1,13 +1,13 @@
 """DXF R2010 through ezdxf: layers, lines, texts and dimensions, in metres."""
 
 import importlib.util
-from pathlib import Path
 
 import numpy as np
 
 from jaxscan.drawing import Drawing, layer_of
 from jaxscan.drawing.model import TEXT_M
 from jaxscan.errors import DependencyError
+from jaxscan.files.disk import Part
 
 
 STYLE = "JAXSCAN"
@@ -35,7 +35,7 @@ def check_dxf() -> None:
         raise DependencyError('DXF needs ezdxf: pip install "jaxscan[plan]"')
 
 
-def write_dxf(drawing: Drawing, path: Path) -> None:
+def write_dxf(drawing: Drawing, path: Part) -> None:
     """Write a drawing as DXF; one unit of it is a metre.
 
     Raises:

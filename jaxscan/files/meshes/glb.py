@@ -2,12 +2,12 @@
 
 import json
 import struct
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jaxscan.errors import OutputError
+from jaxscan.files.disk import Part
 from jaxscan.surface import Mesh
 
 
@@ -16,7 +16,7 @@ _VERTICES, _INDICES = 34962, 34963
 _LINEAR, _MIPMAPS, _CLAMP = 9729, 9987, 33071
 
 
-def write_glb(mesh: Mesh, path: Path, name: str) -> None:
+def write_glb(mesh: Mesh, path: Part, name: str) -> None:
     """Write vertices with normals, colours or the texture, and faces; the light of the room is in the colours.
 
     Raises:
@@ -78,7 +78,7 @@ def write_glb(mesh: Mesh, path: Path, name: str) -> None:
     _write(path, content, data)
 
 
-def _write(path: Path, content: dict[str, Any], data: list[Any]) -> None:
+def _write(path: Part, content: dict[str, Any], data: list[Any]) -> None:
     last = content["bufferViews"][-1]
     length = last["byteOffset"] + -(-last["byteLength"] // 4) * 4
     content["buffers"] = [{"byteLength": length}]

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxscan.errors import OutputError
-from jaxscan.files.disk import check_writable, write_together
+from jaxscan.files.disk import Part, check_writable, write_together
 from jaxscan.files.meshes.glb import write_glb
 from jaxscan.files.meshes.obj import safe_stem, write_materials, write_obj
 from jaxscan.files.meshes.ply import write_ply
@@ -15,7 +15,7 @@ from jaxscan.surface import Mesh
 
 
 # To add a format: one function (mesh, path, name of the mesh), one line here.
-_WRITERS: dict[str, Callable[[Mesh, Path, str], None]] = {
+_WRITERS: dict[str, Callable[[Mesh, Part, str], None]] = {
     ".glb": write_glb,
     ".obj": write_obj,
     ".ply": write_ply,
@@ -71,7 +71,7 @@ def save_mesh(mesh: Mesh, path: str | Path) -> list[Path]:
     if not np.isfinite(mesh.vertices).all():
         raise OutputError(f"{path}: a vertex of the mesh is not finite.")
     name, writer = safe_stem(path), _WRITERS[path.suffix.lower()]
-    contents: dict[Path, Callable[[Path], None]] = {path: lambda part: writer(mesh, part, name)}
+    contents: dict[Path, Callable[[Part], None]] = {path: lambda part: writer(mesh, part, name)}
     paths = mesh_paths(path, textured=textured)
     if len(paths) > 1 and mesh.texture is not None:
         # Here, so that a mesh without a texture does not load OpenCV.
@@ -87,5 +87,5 @@ def save_mesh(mesh: Mesh, path: str | Path) -> list[Path]:
     return paths
 
 
-def _write(path: Path, data: bytes) -> None:
+def _write(path: Part, data: bytes) -> None:
     path.write_bytes(data)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxscan.files.disk import Part
 from jaxscan.surface import Mesh
 
 
@@ -16,7 +17,7 @@ def safe_stem(path: Path) -> str:
     return re.sub(r"[^A-Za-z0-9._-]+", "_", path.stem).strip(".") or "mesh"
 
 
-def write_obj(mesh: Mesh, path: Path, name: str) -> None:
+def write_obj(mesh: Mesh, path: Part, name: str) -> None:
     """Write vertices with normals, and with colours or places in the texture, and faces."""
     textured = mesh.uv is not None and mesh.texture is not None
     with open(path, "w", encoding="ascii", newline="\n") as file:
@@ -38,7 +39,7 @@ def write_obj(mesh: Mesh, path: Path, name: str) -> None:
         _write_rows(file, f"f {corner} {corner} {corner}\n", mesh.faces, repeat=3 if textured else 2)
 
 
-def write_materials(path: Path, name: str) -> None:
+def write_materials(path: Part, name: str) -> None:
     """Write the material that `write_obj` names: the picture as it is, without shine."""
     lines = ("newmtl scan", "Ka 1 1 1", "Kd 1 1 1", "Ks 0 0 0", "illum 1", f"map_Ka {name}.jpg", f"map_Kd {name}.jpg")
     path.write_text("\n".join(lines) + "\n", encoding="ascii", newline="\n")

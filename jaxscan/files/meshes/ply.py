@@ -1,9 +1,8 @@
 """PLY, binary: coloured vertices and faces."""
 
-from pathlib import Path
-
 import numpy as np
 
+from jaxscan.files.disk import Part
 from jaxscan.surface import Mesh
 
 
@@ -12,7 +11,7 @@ _BLOCK = 1 << 20
 _TYPES = {"f4": "float", "f8": "double", "u1": "uchar"}
 
 
-def write_ply(mesh: Mesh, path: Path, name: str) -> None:
+def write_ply(mesh: Mesh, path: Part, name: str) -> None:
     """Write vertices with normals and colours, and faces."""
     real = mesh.vertices.dtype.str[1:]
     parts = (("xyz", real), (("nx", "ny", "nz"), "f4"), (("red", "green", "blue"), "u1"))

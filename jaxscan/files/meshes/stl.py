@@ -1,9 +1,8 @@
 """STL, binary: triangles alone."""
 
-from pathlib import Path
-
 import numpy as np
 
+from jaxscan.files.disk import Part
 from jaxscan.surface import Mesh
 
 
@@ -11,7 +10,7 @@ _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "
 _BLOCK = 1 << 20
 
 
-def write_stl(mesh: Mesh, path: Path, name: str) -> None:
+def write_stl(mesh: Mesh, path: Part, name: str) -> None:
     """Write all faces with the normals of their planes."""
     with open(path, "wb") as file:
         file.write(f"metres {name}".encode("ascii")[:80].ljust(80))

@@ -1,6 +1,6 @@
 """Captures on disk, written."""
 
-from jaxscan.files.recording.folder import LOCK_NAME, make_folder, require_no_links
+from jaxscan.files.recording.folder import LOCK_NAME, require_no_links
 from jaxscan.files.recording.repack import repack_capture
 from jaxscan.files.recording.resume import resume_capture
 from jaxscan.files.recording.store import STORAGES, Storage

@@ -1,31 +1,14 @@
-"""The folder of a new capture: created durably, and only where no other data is lost."""
+"""The folder of a new capture: only where no other data is lost."""
 
-import contextlib
 import os
 from pathlib import Path
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME
-from jaxscan.files.disk import sync_to_disk
 
 
 LOCK_NAME = ".scan.lock"
 """Lock file in a folder during a capture."""
-
-
-def make_folder(path: Path, *, durable: bool) -> None:
-    """Make a folder and its missing parents; with `durable` they survive a loss of power.
-
-    Raises:
-        OSError: If it cannot be made.
-    """
-    new = [path, *(above for above in path.parents if not os.path.exists(above))]
-    path.mkdir(parents=True, exist_ok=True)
-    if durable and os.name == "posix":
-        for folder in new:
-            # A folder that may be written but not listed cannot be waited for.
-            with contextlib.suppress(PermissionError):
-                sync_to_disk(folder.parent)
 
 
 def require_no_links(path: Path) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import JOURNAL_NAME, ImageRef, exposure_levels, read_texts
-from jaxscan.files.disk import reported, write_atomically
+from jaxscan.files.disk import make_folder, reported, write_atomically
 from jaxscan.files.recording.folder import require_no_links
 from jaxscan.files.recording.store import Storage, WriteSettings
 from jaxscan.files.recording.writer import CaptureWriter
@@ -39,7 +39,7 @@ def resume_capture(
         write_atomically(path / JOURNAL_NAME, journal, durable=durable, error=CaptureError, links="replace")
     with reported(f"{path}: cannot be written", error=CaptureError):
         for folder in ("on", "off"):
-            (path / folder).mkdir(exist_ok=True)
+            make_folder(path / folder, own=path)
         levels = exposure_levels(texts.records[-1].on) if texts.records else None
         images = (*texts.records[-1].on, *texts.records[-1].off) if texts.records else ()
         settings = WriteSettings(storage or _stored(images), durable, digests)

@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.disk import reported, sync_to_disk, write_atomically
+from jaxscan.files.disk import append_whole, open_to_write, reported, sync_to_disk, write_atomically
 
 
 Storage = Literal["zstd", "png", "npy"]
@@ -121,7 +121,7 @@ class ShardStore:
         with reported(f"{self._path / shard}: cannot be written", error=CaptureError):
             with self._lock:
                 self._make(shard)
-            with open(self._path / shard, "r+b", buffering=0) as file:
+            with open_to_write(self._path / shard, "change") as file:
                 file.seek(_HEADER_BYTES + int(index) * self._bytes)
                 data = np.ascontiguousarray(image).reshape(-1).data
                 digest = hashlib.sha256(data).hexdigest() if self._digests else ""
@@ -135,8 +135,8 @@ class ShardStore:
         if shard in self._made:
             return
         file = self._path / shard
-        with open(file, "xb") as made:
-            made.write(_header(self._length[shard], self._shape))
+        with open_to_write(file, "make") as made:
+            append_whole(made, _header(self._length[shard], self._shape), durable=False)
             made.truncate(_HEADER_BYTES + self._length[shard] * self._bytes)
         if self._durable:
             sync_to_disk(file)
@@ -154,10 +154,13 @@ class ShardStore:
             if shard not in self._made or place.used >= place.length:
                 continue
             file_path = self._path / shard
-            with reported(f"{file_path}: cannot be written", error=CaptureError), open(file_path, "r+b") as file:
-                # The header shrinks before the file, so the file is readable at any moment.
+            with (
+                reported(f"{file_path}: cannot be written", error=CaptureError),
+                open_to_write(file_path, "change") as file,
+            ):
+                # The header shrinks before the file, so the file is readable at any moment. The disk writes over a
+                # few bytes in one go.
                 file.write(_header(place.used, self._shape))
-                file.flush()
                 if self._durable:
                     os.fsync(file.fileno())
                 file.truncate(_HEADER_BYTES + place.used * self._bytes)

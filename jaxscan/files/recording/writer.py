@@ -22,8 +22,8 @@ from jaxscan.files.capture import (
     journal_line,
     seal,
 )
-from jaxscan.files.disk import append_whole, check_name, open_to_append, reported, write_atomically
-from jaxscan.files.recording.folder import is_unused, make_folder, require_no_links
+from jaxscan.files.disk import append_whole, check_name, make_folder, open_to_append, reported, write_atomically
+from jaxscan.files.recording.folder import is_unused, require_no_links
 from jaxscan.files.recording.given import given_frame, named
 from jaxscan.files.recording.store import Storage, WriteSettings, image_store
 
@@ -288,9 +288,9 @@ def create_capture(
             raise CaptureError(
                 f"{path}: exists and is not empty; choose another folder, a capture is never overwritten."
             )
-        (path / "on").mkdir(exist_ok=True)
-        (path / "off").mkdir(exist_ok=True)
-        (path / JOURNAL_NAME).touch()
+        for folder in ("on", "off"):
+            make_folder(path / folder, own=path)
+        open_to_append(path / JOURNAL_NAME).close()
         # Last: a folder with a header is a capture.
         write_atomically(path / HEADER_NAME, toml, durable=durable, error=CaptureError, links="replace")
         return CaptureWriter(path, header, settings=WriteSettings(storage, durable, digests))

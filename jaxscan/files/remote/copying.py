@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.disk import MEGABYTE, reported, shown, write_atomically
+from jaxscan.files.disk import MEGABYTE, Part, make_folder, reported, shown, write_atomically
 from jaxscan.files.remote.listing import FileEntry, file_entry, listing
 from jaxscan.files.remote.place import Place, asked, in_threads, info_of, open_place
 from jaxscan.files.remote.reading import Reader, reader_of
@@ -34,11 +34,11 @@ def fetch_folder(address: str, folder: Path, *, most_bytes: int) -> None:
     files = listing(place)
     _check_size(sum(file.size for file in files), most_bytes, place)
     with reported(f"{shown(folder)}: cannot be written", error=CaptureError):
-        os.makedirs(folder, exist_ok=True)
+        make_folder(folder)
         if os.listdir(folder):
             raise CaptureError(f"{shown(folder)}: found files in it, expected an empty folder.")
         for inner in sorted({os.path.dirname(file.name) for file in files}):
-            os.makedirs(folder / inner, exist_ok=True)
+            make_folder(folder / inner, own=folder)
 
     read = reader_of(place)
 
@@ -91,7 +91,7 @@ def read_remote(address: str, limit: int) -> bytes:
 def _fetch(read: Reader, place: Place, size: int, path: Path) -> None:
     """Copy a file of a known size; it gets its name when it is complete."""
 
-    def write(part: Path) -> None:
+    def write(part: Part) -> None:
         with open(part, "wb") as file:
             for start in range(0, size, BLOCK_BYTES):
                 file.write(_block(read, place, start, min(start + BLOCK_BYTES, size)))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxscan.errors import DependencyError, OutputError
-from jaxscan.files.disk import reported, shown, write_atomically
+from jaxscan.files.disk import make_folder, reported, shown, write_atomically
 
 
 DAYS = 30
@@ -107,7 +107,7 @@ def make_certificates(folder: str | Path, *, days: int = DAYS) -> Certificates:
     """
     texts = new_certificates(days)
     with reported(f"{shown(folder)}: cannot be made", error=OutputError):
-        os.mkdir(folder, mode=0o700)
+        make_folder(folder, new=True, mode=0o700)
     paths = paths_in(folder)
     for path, text in zip(paths, texts, strict=True):
         write_atomically(path, text.encode(), error=OutputError)

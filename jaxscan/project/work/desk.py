@@ -9,7 +9,7 @@ from typing import Any
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import Capture, open_capture
-from jaxscan.files.disk import partial_folder, reported
+from jaxscan.files.disk import make_folder, partial_folder, refuse_links, reported
 from jaxscan.files.remote import fetch_file, fetch_folder, is_remote
 from jaxscan.project.steps import Step
 from jaxscan.reconstruction import Progress
@@ -50,10 +50,10 @@ class Desk:
             # Stripes of a copy serve no other one.
             kept = self._fetched(role)
             path = kept / name
-            path.mkdir(parents=True)
+            make_folder(path, new=True)
             free = shutil.disk_usage(path).free
             fetch_folder(address, path, most_bytes=min(MOST_BYTES, int(_SHARE * free)))
-        kept.mkdir(exist_ok=True)
+        _make(self.output if kept.is_relative_to(self.output / "stripes") else self.folder, kept)
         capture = open_capture(path).keeping(kept / f"{self._name(role)}.npz")
         self.notes.extend(capture.notes)
         return capture
@@ -67,12 +67,15 @@ class Desk:
     def file(self, role: str) -> Path:
         """A file that a step before made, or that was given."""
         if role in self.step.products:
-            return self.output / self.step.products[role]
+            path = self.output / self.step.products[role]
+            with reported(f"{path}: cannot be read", error=CaptureError):
+                refuse_links(self.output, path)
+            return path
         address = self.step.sources[role]
         if not is_remote(address):
             return Path(address)
         path = self._fetched(role) / Path(address).name
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent, own=self.folder)
         if not path.exists():
             fetch_file(address, path, most_bytes=MOST_BYTES)
         return path
@@ -88,7 +91,7 @@ class Desk:
     def beside(self, output: str) -> Path:
         """Where a file is to be written that gets the place `output` among the products."""
         path = self.folder / "made" / output
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent, own=self.folder)
         return path
 
     def made(self) -> list[str]:
@@ -119,9 +122,16 @@ def publish(desk: Desk) -> None:
     made = desk.made()
     for path in made:
         target = desk.output / path
-        target.parent.mkdir(parents=True, exist_ok=True)
+        _make(desk.output, target.parent)
         desk.beside(path).replace(target)
     for folder in desk.owned:
+        with reported(f"{desk.output / folder}: cannot be written", error=CaptureError):
+            refuse_links(desk.output, desk.output / folder)
         for old in (desk.output / folder).iterdir():
             if str(old.relative_to(desk.output)) not in made and not old.is_dir():
                 old.unlink()
+
+
+def _make(own: Path, folder: Path) -> None:
+    with reported(f"{folder}: cannot be written", error=CaptureError):
+        make_folder(folder, own=own)

@@ -1,5 +1,6 @@
 """Calibrations and clouds, made of captures."""
 
+from functools import partial
 from pathlib import Path
 
 from jaxscan import api
@@ -7,7 +8,7 @@ from jaxscan.api.ranges import cloud_of_ranges, stripes_of_range
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.files.calibration import calibration_digest, calibration_notes
 from jaxscan.files.capture import Capture
-from jaxscan.files.disk import read_arrays, write_arrays
+from jaxscan.files.disk import read_arrays, write_arrays, write_atomically
 from jaxscan.geometry import Scanner
 from jaxscan.project.work.desk import Desk
 from jaxscan.reconstruction import PointCloud
@@ -40,7 +41,7 @@ def find_part(desk: Desk) -> None:
     sweep, scanner = desk.capture().every(desk.setting("every")), api.load_scanner(desk.file("calibration"))
     settings, records = reconstruct_settings(desk), (desk.setting("first"), desk.setting("stop"))
     arrays = stripes_of_range(sweep, scanner, records, settings=settings, progress=desk.progress)
-    write_arrays(desk.target(), arrays)
+    write_atomically(desk.target(), partial(write_arrays, arrays=arrays), durable=False, error=CaptureError)
 
 
 def reconstruct_sweep(desk: Desk) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Shaped
 
+from jaxscan.files.disk import append_whole, make_folder, open_to_append
 from jaxscan.reconstruction import PointCloud
 
 
@@ -33,7 +34,7 @@ class Tiles:
         self._files: dict[tuple[int, int], Path] = {}
 
     def __enter__(self) -> "Tiles":
-        self._folder.mkdir()
+        make_folder(self._folder, new=True)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -51,8 +52,8 @@ class Tiles:
         ends = np.cumsum(np.bincount(of_place.ravel(), minlength=len(places)))
         for place, some in zip(places.tolist(), np.split(rows[order], ends[:-1]), strict=True):
             path = self._files.setdefault((place[0], place[1]), self._folder / f"{place[0]}_{place[1]}")
-            with open(path, "ab") as file:
-                some.tofile(file)
+            with open_to_append(path) as file:
+                append_whole(file, some.tobytes(), durable=False)
 
     def clouds(self) -> Iterator[tuple[tuple[int, int], PointCloud]]:
         """Each tile, by its place in steps of its side, as a cloud without a grid: one profile of all its points.

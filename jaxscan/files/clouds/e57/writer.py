@@ -5,7 +5,6 @@ import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +16,7 @@ from jaxscan.files.clouds.e57.library import COLUMNS, NORMALS_URI, OWN, OWN_URI,
 from jaxscan.files.clouds.e57.pictures import Surroundings, append_panorama, append_photograph
 from jaxscan.files.clouds.points import blocks, columns, smoothed_names
 from jaxscan.files.clouds.stations import covariance_text, quaternion
+from jaxscan.files.disk import Part
 from jaxscan.reconstruction import PointCloud, Stations, of_station
 
 
@@ -28,7 +28,7 @@ _GPS_EPOCH_S, _LEAP_S = 315964800, 18
 """GPS time counts from 1980-01-06 without leap seconds."""
 
 
-def write_e57(cloud: PointCloud, path: Path, about: About, around: Surroundings | None = None) -> None:
+def write_e57(cloud: PointCloud, path: Part, about: About, around: Surroundings | None = None) -> None:
     """Write one scan for each station: metres, pose, row and column index, colour, intensity [DN], normals.
 
     The column is the profile of the station, the row the line. Points are in the station's own frame; the pose of the
@@ -54,7 +54,7 @@ def write_e57(cloud: PointCloud, path: Path, about: About, around: Surroundings 
         raise OSError(str(problem).splitlines()[0]) from problem
 
 
-def write_e57_stations(stations: Sequence[Callable[[], PointCloud]], path: Path, about: About) -> None:
+def write_e57_stations(stations: Sequence[Callable[[], PointCloud]], path: Part, about: About) -> None:
     """Write the clouds of several stations as `write_e57` writes the joined one; only one is in memory.
 
     Args:

@@ -1,7 +1,6 @@
 """LAS 1.4 and LAZ, the formats of surveying, through laspy; with the uncertainty of every point."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from jaxscan.files.clouds.about import About, frame_of, header_lines
 from jaxscan.files.clouds.crs import LOCAL_WKT, wkt_of
 from jaxscan.files.clouds.las.library import load_laspy
 from jaxscan.files.clouds.points import blocks, columns, smoothed_names
+from jaxscan.files.disk import Part
 from jaxscan.reconstruction import CloudPoints, PointCloud
 
 
@@ -45,7 +45,7 @@ _SMOOTHED_EXTRA = {
 }
 
 
-def write_las(cloud: PointCloud, path: Path, about: About) -> None:
+def write_las(cloud: PointCloud, path: Part, about: About) -> None:
     """Write the valid points: point format 7, colours and intensity in 16 bit, extra bytes, the frame as WKT.
 
     The suffix `.laz` compresses. Intensity is the amplitude in 1/257 DN, or coarser where the largest would not fit;

@@ -1,12 +1,11 @@
 """PCD, the format of the Point Cloud Library and of ROS; binary."""
 
-from pathlib import Path
-
 import numpy as np
 
 from jaxscan.files.clouds.about import About, header_lines
 from jaxscan.files.clouds.points import POINT, blocks, columns, profiles_at_a_time, record_of, table
 from jaxscan.files.clouds.seal import SEAL_LINE, seal
+from jaxscan.files.disk import Part
 from jaxscan.reconstruction import CloudPoints, PointCloud
 
 
@@ -23,7 +22,7 @@ CELLS_PER_POINT = 16
 """Emptier grids are written as a list of points, whose step and row tell their cells."""
 
 
-def write_pcd(cloud: PointCloud, path: Path, about: About) -> None:
+def write_pcd(cloud: PointCloud, path: Part, about: About) -> None:
     """Write the grid, a profile as a row, with NaN where there is no point; coordinates as doubles if they are.
 
     A cloud of one profile, and one whose grid is almost empty, is written as a list of its points.

@@ -1,12 +1,11 @@
 """Writing PLY, the format for storage and exchange. `reader` reads it."""
 
-from pathlib import Path
-
 import numpy as np
 
 from jaxscan.files.clouds.about import About, header_lines
 from jaxscan.files.clouds.points import POINT, blocks, columns, record_of, table
 from jaxscan.files.clouds.seal import SEAL_LINE, seal
+from jaxscan.files.disk import Part
 from jaxscan.reconstruction import PointCloud
 
 
@@ -24,7 +23,7 @@ _TYPE_NAMES = {"<f4": "float", "<f8": "double", "<i4": "int", "|u1": "uchar"}
 _GEOMETRY = {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"}
 
 
-def write_ply(cloud: PointCloud, path: Path, about: About) -> None:
+def write_ply(cloud: PointCloud, path: Part, about: About) -> None:
     """Write the valid points as binary little-endian PLY; x, y and z are doubles where the cloud holds doubles.
 
     All but coordinates, normals and colours begin with `scalar_`: CloudCompare keeps only numbers of such names,

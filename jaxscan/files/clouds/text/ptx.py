@@ -1,10 +1,9 @@
 """PTX: text that keeps the grid, with the pose of every station."""
 
-from pathlib import Path
-
 import numpy as np
 
 from jaxscan.files.clouds.about import About
+from jaxscan.files.disk import Part
 from jaxscan.reconstruction import PointCloud, of_station
 
 
@@ -15,7 +14,7 @@ _SAMPLES = 200_000
 _AT_ONCE = 1 << 15
 
 
-def write_ptx(cloud: PointCloud, path: Path, about: About) -> None:
+def write_ptx(cloud: PointCloud, path: Part, about: About) -> None:
     """Write the whole grid, a block per station and laser: `x y z intensity r g b`, holes as zeros.
 
     Columns are profiles. As in files of other scanners a column runs upwards, and columns follow one another to the

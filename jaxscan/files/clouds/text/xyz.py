@@ -13,7 +13,7 @@ from jaxscan.files.clouds.about import About, StoredCloud
 from jaxscan.files.clouds.grid import USED, Records, cloud_of
 from jaxscan.files.clouds.points import blocks, plain_names
 from jaxscan.files.clouds.tables import LONGEST_LINE, numbers_of, text_lines
-from jaxscan.files.disk import open_regular
+from jaxscan.files.disk import Part, open_regular
 from jaxscan.reconstruction import PointCloud
 
 
@@ -26,7 +26,7 @@ _BLOCK_LINES = 1 << 15
 _COLOURS, _NORMALS = ("red", "green", "blue"), ("nx", "ny", "nz")
 
 
-def write_xyz(cloud: PointCloud, path: Path, about: About) -> None:
+def write_xyz(cloud: PointCloud, path: Part, about: About) -> None:
     """Write `x y z r g b` of the valid points, a line each; metres."""
     with open(path, "w", encoding="ascii", newline="\n") as file:
         for points in blocks(cloud, _BLOCK_LINES):
