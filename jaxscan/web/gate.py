@@ -7,6 +7,7 @@ from aiohttp import web
 from aiohttp.typedefs import Handler
 
 from jaxscan.web.address import Address
+from jaxscan.web.connections import Connection
 
 
 _METHODS = {"GET", "HEAD"}
@@ -40,12 +41,21 @@ class Gate:
 
         @web.middleware
         async def let_in(request: web.Request, handler: Handler) -> web.StreamResponse:
-            refused = self._refusal(request)
-            if refused is not None:
-                return refused
-            if self._address.token is not None and not self._has_pass(request):
-                return self._first_visit(request)
-            return await handler(request)
+            transport = request.transport
+            connection = None if transport is None else transport.get_protocol()
+            if not isinstance(connection, Connection):
+                # It has ended meanwhile.
+                return _refused(503, "This connection has ended.")
+            connection.begin()
+            try:
+                answer = self._refusal(request)
+                if answer is None and not self._has_pass(request):
+                    answer = self._first_visit(request)
+                elif answer is None and not connection.welcome():
+                    answer = _refused(503, "Too many connections are open; close a page.")
+                return await handler(request) if answer is None else answer
+            finally:
+                connection.end()
 
         async def secure(request: web.BaseRequest, response: web.StreamResponse) -> None:
             for name, value in _SECURITY.items():
@@ -59,11 +69,13 @@ class Gate:
         """The answer to a request that does not come from a page of ours; None to one that may."""
         if request.method not in _METHODS:
             return _refused(405, "Only GET is answered here.")
+        if request.body_exists:
+            return _refused(413, "Requests have no body here.")
         hosts = request.headers.getall("Host", [])
         if len(hosts) != 1 or not self._address.knows(_name(hosts[0])):
             return _refused(403, "This name is not one of this machine; open the address that the terminal shows.")
         origins = request.headers.getall("Origin", [])
-        if origins and [_place(origin) for origin in origins] != [hosts[0]]:
+        if origins and origins != [f"http://{hosts[0]}"]:
             return _refused(403, "Another site asks; open the address that the terminal shows.")
         if not origins and "Upgrade" in request.headers:
             return _refused(403, "A WebSocket without an origin; open the address that the terminal shows.")
@@ -78,7 +90,7 @@ class Gate:
         """Trades the token in the address for a cookie, and takes it out of the address."""
         if "token" not in request.query:
             return _refused(403, "Open the whole address that the terminal shows, with its token.")
-        if not _same(request.query["token"], self._address.token or ""):
+        if not _same(request.query["token"], self._address.token):
             return _refused(403, "The token is wrong: open the whole address that the terminal shows.")
         rest = urlencode([(name, value) for name, value in request.query.items() if name != "token"])
         response = web.Response(status=303, headers={"Location": "/" + (f"?{rest}" if rest else "")})
@@ -87,7 +99,10 @@ class Gate:
 
 
 def _refused(status: int, why: str) -> web.Response:
-    return web.Response(status=status, text=f"{why}\n")
+    response = web.Response(status=status, text=f"{why}\n")
+    # Whoever is refused does not keep a connection.
+    response.force_close()
+    return response
 
 
 def _same(given: str, expected: str) -> bool:
@@ -103,12 +118,3 @@ def _name(host: str) -> str:
     except ValueError:
         return ""
     return (parts.hostname or "") if parts.netloc == host and "@" not in host else ""
-
-
-def _place(origin: str) -> str:
-    """The `name:port` of an origin; "" where there is none."""
-    try:
-        parts = urlsplit(origin)
-    except ValueError:
-        return ""
-    return parts.netloc if parts.scheme in ("http", "https") else ""
