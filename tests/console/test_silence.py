@@ -84,7 +84,7 @@ def test_the_page_says_so_instead_of_scanning(browser, console, held, monkeypatc
 
     def work():
         looks = Looks(browser)
-        looks.open(f"http://127.0.0.1:{console.address.port}/")
+        looks.open(console.address.url(with_token=True))
         looks.click("sweep")
         assert waits.wait(60)
         looks.until(lambda: looks.text("doing") == "scanning")
