@@ -6,6 +6,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ from jaxscan.errors import MeasurementError
 from jaxscan.viewer import serve_clouds
 from jaxscan.viewer.session import Session
 from jaxscan.viewer.talking import AT_ONCE
-from jaxscan.web import open_address
+from jaxscan.web import in_browser, open_address
 
 from ..browser.driver import NARROW, WIDE, Looks
 from ..cli.conftest import run as run
@@ -456,6 +457,23 @@ def test_an_address_needs_its_token(room, host):
                     urllib.request.urlopen(here + path + token)
                 with refused.value:
                     assert refused.value.code == 403
+
+
+def test_the_browser_is_opened_without_the_token_among_the_words_of_its_call(looks, room, monkeypatch):
+    called = []
+    monkeypatch.setattr("webbrowser.open_new_tab", called.append)
+    address = open_address("127.0.0.1", 0, option="--web-port")
+    with serve_clouds(address, [room]):
+        with in_browser(address.url(with_token=True)):
+            (place,) = called
+            assert address.token not in place
+            file = Path(urllib.request.url2pathname(place.removeprefix("file://")))
+            assert (file.stat().st_mode & 0o777, file.parent.stat().st_mode & 0o777) == (0o600, 0o700)
+            looks.open(place)
+            looks.until(lambda: looks.driver.current_url == address.url() and looks.colours("cloud") > 20)
+        assert not file.parent.exists()
+        looks.driver.refresh()
+        looks.until(lambda: looks.colours("cloud") > 20)
 
 
 def test_the_products_of_a_project_are_listed_as_they_are_now(looks, room):

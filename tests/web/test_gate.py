@@ -263,6 +263,21 @@ def test_the_token_is_traded_for_a_cookie_and_leaves_the_address(either):
     assert ask(either, Cookie=cookie + "x")[0] == 403
 
 
+def test_a_guest_that_brings_the_token_has_it_taken_out_of_the_address(either):
+    for token in (either.token, "of_another_day"):
+        status, headers, _ = ask(either, f"/?token={token}&page=2")
+        assert (status, headers["Location"]) == (303, "/?page=2")
+
+
+def test_the_file_with_which_a_browser_is_opened_leads_in_by_the_token_alone(either):
+    status, headers, body = ask(either, f'/?token={either.token}&page="><b>', Cookie=None, Sec_Fetch_Site="cross-site")
+    assert status == 200 and headers["Set-Cookie"].startswith(f"jaxscan-{either.port}=")
+    assert b'content="0; url=/?page=%22%3E%3Cb%3E"' in body and either.token.encode() not in body
+    for token in ("", "?token=", "?token=wrong"):
+        status, headers, _ = ask(either, f"/{token}", Cookie=None, Sec_Fetch_Site="cross-site")
+        assert status == 403 and "Set-Cookie" not in headers
+
+
 def test_a_token_goes_nowhere_else(wide):
     status, headers, _ = ask(wide, f"//evil.example/?token={wide.token}", Cookie=None)
     assert (status, headers["Location"]) == (303, "/")
