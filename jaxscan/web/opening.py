@@ -1,6 +1,5 @@
 """Opening a page in the browser of this machine."""
 
-import os
 import tempfile
 import webbrowser
 from collections.abc import Iterator
@@ -27,7 +26,7 @@ def in_browser(url: str) -> Iterator[None]:
     """
     with tempfile.TemporaryDirectory(prefix="jaxscan-") as folder:
         page = Path(folder) / "open.html"
-        with open(os.open(page, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
-            file.write(_PAGE.format(url=escape(url)))
+        page.touch(0o600, exist_ok=False)
+        page.write_text(_PAGE.format(url=escape(url)), encoding="utf-8")
         webbrowser.open_new_tab(page.as_uri())
         yield
