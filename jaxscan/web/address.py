@@ -16,7 +16,7 @@ _AFAR: dict[int, tuple[str, ...]] = {
     socket.AF_INET6: ("2001:db8::1", "fd00::1"),
 }
 """Numbers for examples, which the way out leads to, and of private networks, where there is no way out."""
-_WAITING = 64
+_WAITING = 512
 """Connections that may wait to be accepted."""
 
 
@@ -29,19 +29,16 @@ class Address:
     port: int
     names: frozenset[str]
     """Names of this machine in the header Host; further ones are refused."""
-    token: str | None
-    """The word that opens a wide address; None on the loopback."""
-
-    @property
-    def wide(self) -> bool:
-        """Whether other machines can reach it."""
-        return self.token is not None
+    token: str
+    """The word that opens it, on the loopback too: others may have an account on this machine."""
+    wide: bool
+    """Whether other machines can reach it."""
 
     def url(self, *, with_token: bool = False) -> str:
         """The address for a browser on this machine, or on another one where it is wide."""
         host = socket.gethostname() if self.host in _ANYWHERE else self.host
         shown = f"[{host}]" if ":" in host else host
-        return f"http://{shown}:{self.port}/" + (f"?token={self.token}" if with_token and self.token else "")
+        return f"http://{shown}:{self.port}/" + (f"?token={self.token}" if with_token else "")
 
     def invitation(self) -> tuple[str, ...]:
         """What to print: the address with its token, and where it names all interfaces the same by number.
@@ -65,7 +62,7 @@ class Address:
 
 
 def open_address(host: str, port: int, *, option: str) -> Address:
-    """Listen at an address; one that other machines can reach gets a token.
+    """Listen at an address, which gets a token.
 
     Args:
         host: Name or number of the network interface.
@@ -96,8 +93,7 @@ def open_address(host: str, port: int, *, option: str) -> Address:
     if not narrow:
         own = socket.gethostname().lower()
         names |= {own, f"{own}.local"}
-    token = None if narrow else secrets.token_urlsafe()
-    return Address(listening, host, bound[1], frozenset(names - _ANYWHERE), token)
+    return Address(listening, host, bound[1], frozenset(names - _ANYWHERE), secrets.token_urlsafe(), wide=not narrow)
 
 
 def own_number(family: int = socket.AF_INET) -> str | None:

@@ -1,12 +1,14 @@
 """The gate: every request is checked here before anything answers it, WebSockets like pages."""
 
 import secrets
+from html import escape
 from urllib.parse import urlencode, urlsplit
 
 from aiohttp import web
 from aiohttp.typedefs import Handler
 
 from jaxscan.web.address import Address
+from jaxscan.web.connections import Connection
 
 
 _METHODS = {"GET", "HEAD"}
@@ -40,12 +42,22 @@ class Gate:
 
         @web.middleware
         async def let_in(request: web.Request, handler: Handler) -> web.StreamResponse:
-            refused = self._refusal(request)
-            if refused is not None:
-                return refused
-            if self._address.token is not None and not self._has_pass(request):
-                return self._first_visit(request)
-            return await handler(request)
+            transport = request.transport
+            connection = None if transport is None else transport.get_protocol()
+            if not isinstance(connection, Connection):
+                # It has ended meanwhile.
+                return _refused(503, "This connection has ended.")
+            connection.begin()
+            try:
+                known = self._has_pass(request)
+                answer = self._refusal(request)
+                if answer is None and ("token" in request.query or not known):
+                    answer = self._visit(request, known)
+                elif answer is None and not connection.welcome():
+                    answer = _refused(503, "Too many connections are open; close a page.")
+                return await handler(request) if answer is None else answer
+            finally:
+                connection.end()
 
         async def secure(request: web.BaseRequest, response: web.StreamResponse) -> None:
             for name, value in _SECURITY.items():
@@ -59,35 +71,53 @@ class Gate:
         """The answer to a request that does not come from a page of ours; None to one that may."""
         if request.method not in _METHODS:
             return _refused(405, "Only GET is answered here.")
+        if request.body_exists:
+            return _refused(413, "Requests have no body here.")
         hosts = request.headers.getall("Host", [])
         if len(hosts) != 1 or not self._address.knows(_name(hosts[0])):
             return _refused(403, "This name is not one of this machine; open the address that the terminal shows.")
         origins = request.headers.getall("Origin", [])
-        if origins and [_place(origin) for origin in origins] != [hosts[0]]:
+        if origins and origins != [f"http://{hosts[0]}"]:
             return _refused(403, "Another site asks; open the address that the terminal shows.")
         if not origins and "Upgrade" in request.headers:
             return _refused(403, "A WebSocket without an origin; open the address that the terminal shows.")
-        if request.headers.get("Sec-Fetch-Site", "none") not in _OWN_SITES:
+        if self._led_here(request) and not self._has_token(request):
             return _refused(403, "Another site leads here; type the address that the terminal shows.")
         return None
 
     def _has_pass(self, request: web.Request) -> bool:
         return _same(request.cookies.get(self._cookie, ""), self._pass)
 
-    def _first_visit(self, request: web.Request) -> web.Response:
+    def _has_token(self, request: web.Request) -> bool:
+        return _same(request.query.get("token", ""), self._address.token)
+
+    def _led_here(self, request: web.Request) -> bool:
+        """Whether another site asks, as the file is one with which a browser is opened."""
+        return request.headers.get("Sec-Fetch-Site", "none") not in _OWN_SITES
+
+    def _visit(self, request: web.Request, known: bool) -> web.Response:
         """Trades the token in the address for a cookie, and takes it out of the address."""
-        if "token" not in request.query:
+        if not known and "token" not in request.query:
             return _refused(403, "Open the whole address that the terminal shows, with its token.")
-        if not _same(request.query["token"], self._address.token or ""):
+        if not known and not self._has_token(request):
             return _refused(403, "The token is wrong: open the whole address that the terminal shows.")
         rest = urlencode([(name, value) for name, value in request.query.items() if name != "token"])
-        response = web.Response(status=303, headers={"Location": "/" + (f"?{rest}" if rest else "")})
+        where = "/" + (f"?{rest}" if rest else "")
+        if self._led_here(request):
+            # A browser that another site led here sends no cookie where it is sent on; a page of ours leads it on.
+            leads = f'<!doctype html><meta http-equiv="refresh" content="0; url={escape(where)}">\n'
+            response = web.Response(text=leads, content_type="text/html", charset="utf-8")
+        else:
+            response = web.Response(status=303, headers={"Location": where})
         response.set_cookie(self._cookie, self._pass, path="/", httponly=True, samesite="Strict")
         return response
 
 
 def _refused(status: int, why: str) -> web.Response:
-    return web.Response(status=status, text=f"{why}\n")
+    response = web.Response(status=status, text=f"{why}\n")
+    # Whoever is refused does not keep a connection.
+    response.force_close()
+    return response
 
 
 def _same(given: str, expected: str) -> bool:
@@ -103,12 +133,3 @@ def _name(host: str) -> str:
     except ValueError:
         return ""
     return (parts.hostname or "") if parts.netloc == host and "@" not in host else ""
-
-
-def _place(origin: str) -> str:
-    """The `name:port` of an origin; "" where there is none."""
-    try:
-        parts = urlsplit(origin)
-    except ValueError:
-        return ""
-    return parts.netloc if parts.scheme in ("http", "https") else ""

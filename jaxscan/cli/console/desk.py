@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, NamedTuple
 from jaxscan.cli.console.boards import PageOperator
 from jaxscan.cli.console.captures import Captures
 from jaxscan.cli.console.orders import Order
+from jaxscan.cli.console.outliving import outlived
 from jaxscan.cli.console.painter import Painter
 from jaxscan.cli.console.silence import Silence
 from jaxscan.cli.console.slate import Slate
 from jaxscan.cli.console.stopping import PAGE, Stopping
+from jaxscan.cli.process.running import answer_in_words
 from jaxscan.cli.process.signals import RigInUse
 from jaxscan.cli.process.terminal import Terminal
 from jaxscan.errors import JaxscanError, OptionError
@@ -124,7 +126,8 @@ class Desk:
                 if problem:
                     self.out.print(f"jaxscan: {problem}")
                     self.slate.say(problem, "problem")
-                self.after()
+                with outlived(self.slate, "the list of captures"):
+                    self.after()
                 finished += 1
                 # As the sentence on a fault names it.
                 estop = f": {Fault.EMERGENCY_STOP};" in f"{said} {problem}"
@@ -154,6 +157,9 @@ class Desk:
             return ("", f"Stopped. {doubt}") if doubt else ("Stopped: the laser is off.", "")
         except JaxscanError as problem:
             return "", " ".join(str(problem).split())
+        except Exception as problem:
+            # The devices are closed; the next order finds the console alive.
+            return "", answer_in_words(problem)
 
     def _open_and_run(self, order: Order) -> str:
         from scanrig.cameras import open_camera

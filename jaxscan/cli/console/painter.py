@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from jaxscan.cli.console.outliving import outlived
 from jaxscan.cli.console.slate import Slate
 from jaxscan.cli.scanning.line_finder import line_finder
 from jaxscan.vision import encode_jpeg, to_grey
@@ -43,7 +44,6 @@ class Painter:
         self._newest: Seen | None = None
         self._come, self._end = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._paint, name="jaxscan-painter", daemon=True)
-        self._problem: Exception | None = None
 
     def __enter__(self) -> "Painter":
         self._rehearse()
@@ -79,9 +79,10 @@ class Painter:
             seen = self._newest
             if seen is None or self._end.is_set():
                 continue
-            jpeg, live = self._draw(seen)
-            self._slate.show(jpeg)
-            self._slate.write(live=live)
+            with outlived(self._slate, "the camera's picture"):
+                jpeg, live = self._draw(seen)
+                self._slate.show(jpeg)
+                self._slate.write(live=live)
             self._end.wait(_BETWEEN_S)
 
     def _draw(self, seen: Seen) -> tuple[bytes, dict[str, Any]]:

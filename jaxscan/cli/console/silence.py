@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from jaxscan.cli.console.outliving import outlived
 from jaxscan.cli.console.slate import Slate
 
 
@@ -56,7 +57,8 @@ class Silence:
 
     def _watch(self) -> None:
         while not self._end.wait(_BETWEEN_S):
-            self._slate.write(silence=self.look())
+            with outlived(self._slate, "the watch over the rig"):
+                self._slate.write(silence=self.look())
 
     def _answers(self) -> str:
         now = self._now()

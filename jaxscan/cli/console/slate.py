@@ -49,6 +49,13 @@ class Slate:
             self._lines.append({"at": time.time(), "kind": kind, "says": sentence})
             self._version += 1
 
+    def say_once(self, sentence: str, kind: str = "note") -> None:
+        """The same, unless it is among the last sentences already: threads may fail many times a second."""
+        with self._lock:
+            known = any(line["says"] == sentence for line in self._lines)
+        if not known:
+            self.say(sentence, kind)
+
     def read(self, name: str) -> Any:
         """One field."""
         with self._lock:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxscan.cli.console.captures import result_of
+from jaxscan.cli.console.outliving import outlived
 from jaxscan.cli.console.slate import Slate
 
 
@@ -71,16 +72,23 @@ class Works:
             shown: dict[str, Any] = {"what": work.what, "running": True, "well": None, "lines": [], "result": {}}
             self._shown = [shown, *self._shown][:20]
             self._tell()
-            with tempfile.TemporaryDirectory() as folder:
-                answer = Path(folder) / "answer.json"
-                code = self._call([*work.words, "--json", str(answer)], shown["lines"])
-                result = result_of(answer) if answer.exists() else {}
-            shown |= {"running": False, "well": code == 0}
-            shown["result"] = {name: result[name] for name in _FOUND if name in result}
-            if not self._ended:
-                work.then(code == 0, result)
+            # The works after it do not suffer from what happens to one.
+            with outlived(self._slate, work.what):
+                self._carry_out(work, shown)
+            if shown["running"]:
+                shown |= {"running": False, "well": False}
             self._busy -= 1
             self._tell()
+
+    def _carry_out(self, work: Work, shown: dict[str, Any]) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            answer = Path(folder) / "answer.json"
+            code = self._call([*work.words, "--json", str(answer)], shown["lines"])
+            result = result_of(answer) if answer.exists() else {}
+        shown |= {"running": False, "well": code == 0}
+        shown["result"] = {name: result[name] for name in _FOUND if name in result}
+        if not self._ended:
+            work.then(code == 0, result)
 
     def _call(self, words: Sequence[str], lines: list[str]) -> int:
         nowhere, pipe = subprocess.DEVNULL, subprocess.PIPE

@@ -5,9 +5,10 @@ import logging
 import os
 import sys
 import threading
+import time
 import traceback
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,10 @@ from jaxscan.printable import printable
 DEFECT, UNREAD = 70, 141
 """Exit codes: a defect of jaxscan; nobody reads the output (as after SIGPIPE)."""
 _LONGEST = 300
-"""Longest message of an unexpected error that is quoted."""
+"""Longest message of an unexpected error, or of another library, that is quoted."""
+_SELDOM_S = 60.0
+"""A kind of message of other libraries is printed once in that time."""
+_DEFECT = "this is a defect of jaxscan"
 
 
 def run_function(words: Sequence[str]) -> int:
@@ -65,7 +69,7 @@ def run_process(words: Sequence[str]) -> int:
         code = left.code if isinstance(left.code, int) else int(left.code is not None)
     except (Exception, KeyboardInterrupt) as problem:
         for line in "".join(traceback.format_exception(problem)).splitlines():
-            _say(line)
+            say_line(line)
         code = 1
     try:
         if sys.stdout is not None:
@@ -80,23 +84,27 @@ def run_process(words: Sequence[str]) -> int:
 def _answer(problem: BaseException) -> int:
     """Print one line on an error, and return the exit code."""
     if isinstance(problem, KeyboardInterrupt):
-        _say("interrupted")
+        say_line("interrupted")
         return exit_code(problem)
     if isinstance(problem, BrokenPipeError):
         return UNREAD
+    said = answer_in_words(problem)
+    say_line(said)
+    return DEFECT if said.startswith(_DEFECT) else 1
+
+
+def answer_in_words(problem: BaseException) -> str:
+    """One line on an error that ended a verb, or a part of it."""
     if isinstance(problem, JaxscanError):
         # Messages of other libraries may have several lines.
-        _say(" ".join(str(problem).split()))
-    elif isinstance(problem, MemoryError) or "RESOURCE_EXHAUSTED" in str(problem)[:_LONGEST]:
-        _say(f"{inputs_in_words()}: too large for the memory of this machine.")
-    elif isinstance(problem, RecursionError):
-        _say(f"{inputs_in_words()}: nested too deeply to be read.")
-    elif isinstance(problem, OSError) and problem.strerror:
-        _say(f"{problem.filename or 'standard output'}: {problem.strerror}.")
-    else:
-        _say(_defect(problem))
-        return DEFECT
-    return 1
+        return " ".join(str(problem).split())
+    if isinstance(problem, MemoryError) or "RESOURCE_EXHAUSTED" in str(problem)[:_LONGEST]:
+        return f"{inputs_in_words()}: too large for the memory of this machine."
+    if isinstance(problem, RecursionError):
+        return f"{inputs_in_words()}: nested too deeply to be read."
+    if isinstance(problem, OSError) and problem.strerror:
+        return f"{problem.filename or 'standard output'}: {problem.strerror}."
+    return _defect(problem)
 
 
 def _defect(problem: BaseException) -> str:
@@ -106,7 +114,7 @@ def _defect(problem: BaseException) -> str:
     said = " ".join(str(problem).split())
     said = f": {said[:_LONGEST]}" if said else ""
     return (
-        f"this is a defect of jaxscan, not of your files: {type(problem).__name__}{where}{said}. Please report this "
+        f"{_DEFECT}, not of your files: {type(problem).__name__}{where}{said}. Please report this "
         "line and the command; the same command with --debug shows more."
     )
 
@@ -115,29 +123,52 @@ def _is_ours(file: str) -> bool:
     return any(folder in Path(file).parts for folder in ("jaxscan", "scanrig"))
 
 
-def _say(line: str) -> None:
+def say_line(line: str) -> None:
     """Print a line on standard error, if anybody listens."""
     if sys.stderr is not None:
         with contextlib.suppress(OSError, ValueError):
             print(f"jaxscan: {printable(line)}", file=sys.stderr, flush=True)
 
 
+class LogLines:
+    """Takes the place of `logging.lastResort`: of each kind of message one line a minute, with the number of others.
+
+    What strangers send a server is told there too, and they may send much. A kind is the place in the program that
+    tells it, so that there are few.
+    """
+
+    level = logging.WARNING
+
+    def __init__(self, say: Callable[[str], None], now: Callable[[], float] = time.monotonic) -> None:
+        """Args: what prints a line, and the time [s]."""
+        self._say, self._now = say, now
+        self._lock = threading.Lock()
+        self._said: dict[tuple[str, str, int], tuple[float, int]] = {}
+        """When a kind was said, and how many others came since."""
+
+    def handle(self, record: logging.LogRecord) -> None:
+        """Say a message, or count it."""
+        kind, now = (record.name, record.pathname, record.lineno), self._now()
+        with self._lock:
+            at, others = self._said.get(kind, (-_SELDOM_S, 0))
+            if now - at < _SELDOM_S:
+                self._said[kind] = at, others + 1
+                return
+            self._said[kind] = now, 0
+        message = " ".join(record.getMessage().split())[:_LONGEST]
+        self._say(f"note: {message}" + (f" ({others} more of this kind since the last line)" if others else ""))
+
+
 def _keep_to_lines() -> None:
     """Print messages of other libraries and of threads as lines of ours, with nothing for the terminal to obey."""
 
     def show_warning(message: Warning | str, category: type[Warning], *_: object) -> None:
-        _say(f"note: {category.__name__}: {' '.join(str(message).split())}")
-
-    class LogLines:
-        level = logging.WARNING
-
-        def handle(self, record: logging.LogRecord) -> None:
-            _say(f"note: {' '.join(record.getMessage().split())}")
+        say_line(f"note: {category.__name__}: {' '.join(str(message).split())}")
 
     def show_unheard(unheard: Any) -> None:
         if unheard.exc_value is not None and not isinstance(unheard.exc_value, KeyboardInterrupt):
-            _say(_defect(unheard.exc_value))
+            say_line(_defect(unheard.exc_value))
 
     warnings.showwarning = show_warning  # type: ignore[assignment]
-    logging.lastResort = LogLines()  # type: ignore[assignment]
+    logging.lastResort = LogLines(say_line)  # type: ignore[assignment]
     threading.excepthook = sys.unraisablehook = show_unheard

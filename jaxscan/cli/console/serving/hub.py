@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from aiohttp import WSMsgType, web
 
 from jaxscan.cli.console.orders import FOR_ALL, MOST_BYTES, BadOrder, Order, parse_order
+from jaxscan.cli.console.outliving import outlived
 from jaxscan.cli.console.serving.roles import GRACE_S, KEY, Roles
 from jaxscan.cli.console.slate import Slate, as_json
 from jaxscan.errors import JaxscanError
@@ -41,15 +42,23 @@ class Hub:
         self._slate, self._carry_out = slate, carry_out
         self._roles = Roles()
         self._pages: list[Page] = []
+        self._not_greeted = 0
+        """Sockets whose page has not said its name yet."""
 
     async def socket(self, request: web.Request) -> web.WebSocketResponse:
         """Serve one page until it goes."""
         socket = web.WebSocketResponse(heartbeat=_HEARTBEAT_S, max_msg_size=MOST_BYTES, compress=False)
         await socket.prepare(request)
-        name = await self._greeted(socket)
-        if name is None or len(self._pages) >= MOST_PAGES:
-            why = "too many pages are open; close one." if name is not None else "load the page again."
-            await socket.close(code=1008, message=why.encode())
+        if len(self._pages) + self._not_greeted >= MOST_PAGES:
+            await socket.close(code=1008, message=b"too many pages are open; close one.")
+            return socket
+        self._not_greeted += 1
+        try:
+            name = await self._greeted(socket)
+        finally:
+            self._not_greeted -= 1
+        if name is None:
+            await socket.close(code=1008, message=b"load the page again.")
             return socket
         page = Page(name, socket)
         self._pages.append(page)
@@ -67,7 +76,7 @@ class Hub:
         return socket
 
     async def watch(self, application: web.Application) -> Any:
-        """Ends a session whose page is lost, where the operator chose so."""
+        """Ends a session whose page is lost: aiming always, others where the operator chose so."""
         task = asyncio.create_task(self._watch())
         yield
         task.cancel()
@@ -81,16 +90,28 @@ class Hub:
     async def _watch(self) -> None:
         while True:
             await asyncio.sleep(_BETWEEN_S)
-            lost = self._roles.lost_for(time.monotonic()) > GRACE_S
-            if lost and self._slate.read("lost") == "stop" and self._slate.read("doing") != "nothing":
-                self._slate.say("The page that operated is lost: paused after this step, as it was chosen.")
-                self._carry_out(Order("pause"))
-                self._roles.lost_since = None
+            with outlived(self._slate, "the watch over pages"):
+                self._look_for_lost_page()
+
+    def _look_for_lost_page(self) -> None:
+        if self._roles.lost_for(time.monotonic()) <= GRACE_S:
+            return
+        doing = self._slate.read("doing")
+        if doing == "aim":
+            # It serves nobody, and the laser shines.
+            says = "The page that operated is lost: the laser goes off, nobody looks at it."
+        elif doing != "nothing" and self._slate.read("lost") == "stop":
+            says = "The page that operated is lost: paused after this step, as it was chosen."
+        else:
+            return
+        self._carry_out(Order("pause"))
+        self._slate.say(says)
+        self._roles.lost_since = None
 
     async def _greeted(self, socket: web.WebSocketResponse) -> str | None:
         """The page's own name, with which it begins; None if it does not."""
         try:
-            found = json.loads(await socket.receive_str(timeout=_GREET_S))
+            found = json.loads(await asyncio.wait_for(socket.receive_str(), _GREET_S))
         except (TypeError, ValueError, TimeoutError, RecursionError):
             return None
         name = found.get("page") if isinstance(found, dict) else None
@@ -116,7 +137,13 @@ class Hub:
         return page.name == self._roles.operator and page is first
 
     async def _send(self, page: Page) -> None:
-        """Send what has changed; what a slow page missed in between it never gets."""
+        """Send what has changed until the page goes; one that cannot be told is closed, and comes again."""
+        with outlived(self._slate, "what a page is told"):
+            await self._send_changes(page)
+        await page.socket.close(code=1011, message=b"the page could not be told; it tries again.")
+
+    async def _send_changes(self, page: Page) -> None:
+        """What a slow page missed in between it never gets."""
         state = picture = cloud = chunks = 0
         you: dict[str, Any] = {}
         try:
