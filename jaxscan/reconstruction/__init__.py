@@ -1,7 +1,14 @@
 """Stripes to a coloured cloud."""
 
 from jaxscan.reconstruction.cloud import SMOOTHED, CloudPoints, PointCloud, Stations
-from jaxscan.reconstruction.doubts import FrameWatch, Seen, journal_doubts, profile_doubts, sweep_doubts
+from jaxscan.reconstruction.doubts import (
+    FrameWatch,
+    Seen,
+    journal_doubts,
+    profile_doubts,
+    refuse_other_motion,
+    sweep_doubts,
+)
 from jaxscan.reconstruction.extraction import (
     Progress,
     StripePart,
