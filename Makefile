@@ -11,7 +11,7 @@ LIBRARIES := libusb-1.0-0 libegl1 libgl1 libx11-6 libgomp1 libudev1 libidn2-0
 BROWSER_PACKAGES := chromium chromium-driver
 # What a person gives the mount: `make mount MOUNT="-D baseline=200 -D laser_angle=4.3"`.
 MOUNT ?=
-BENCH_PACKAGES := gcc make gcc-avr avr-libc binutils-avr simavr libsimavr-dev libaravis-0.8-0 aravis-tools
+BENCH_PACKAGES := gcc make gcc-avr avr-libc binutils-avr simavr libsimavr-dev libaravis-0.8-0 aravis-tools strace
 SHARED := -n 2 --dist loadfile --no-loadscope-reorder
 QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1
 

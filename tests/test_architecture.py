@@ -339,6 +339,59 @@ def test_files_are_opened_through_one_door(path):
     assert not found, f"line {found[0][1]}: {found[0][0]}, expected open_regular or read_bounded of jaxscan.files"
 
 
+XML_PARSERS = {"xml.parsers", "xml.dom", "xml.sax.expatreader", "xml.sax.xmlreader", "lxml", "bs4", "defusedxml"}
+XML_PARSERS |= {"html.parser", "xmltodict", "untangle", "pyexpat", "libxml2", "svgpathtools"}
+XML_READINGS = {
+    "fromstring",
+    "fromstringlist",
+    "iterparse",
+    "XMLParser",
+    "XMLPullParser",
+    "XML",
+    "XMLID",
+    "ElementTree",
+}
+XML_READINGS |= {"FileStorage", "make_parser", "parseString", "ImageFile", "E57"}
+
+
+def xml_readings(tree):
+    """(how, line) of all that parses XML: modules of parsers, and functions of modules that also write it."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        else:
+            name = getattr(node, "attr", "") if isinstance(node, ast.Attribute) else ""
+            owner = getattr(getattr(node, "value", None), "id", "")
+            if name in XML_READINGS or (name == "parse" and owner.lower() in ("xml", "et", "elementtree", "sax")):
+                yield name, node.lineno
+            continue
+        for name in names:
+            known = any(name == one or name.startswith(f"{one}.") for one in XML_PARSERS)
+            if known or name.rpartition(".")[2] in XML_READINGS - {"ElementTree"}:
+                yield name, node.lineno
+
+
+def test_readings_of_xml_are_found():
+    text = "import lxml.etree\nfrom xml.parsers import expat\nxml.fromstring(a)\nxml.Element('a')\ncv2.FileStorage(a)\n"
+    text += "ET.parse(a)\nimport xml.etree.ElementTree as xml\nfrom xml.etree.ElementTree import fromstring\n"
+    assert sorted(line for _, line in xml_readings(ast.parse(text))) == [1, 2, 3, 5, 6, 8]
+
+
+@for_every([*FILES, *RIG_FILES])
+def test_xml_is_read_through_one_door(path):
+    """`parse_xml` follows nothing that a file says; a parser that does sends a user's files to a stranger."""
+    where = str(path.relative_to(ROOT))
+    # libE57 writes; its ImageFile also reads, by Xerces.
+    allowed = {"jaxscan/files/disk/xml.py": {"xml.parsers.expat"}, "jaxscan/files/clouds/e57/writer.py": {"ImageFile"}}
+    found = [one for one in xml_readings(tree_of(path)) if one[0] not in allowed.get(where, set())]
+    assert not found, f"line {found[0][1]}: {found[0][0]}, expected parse_xml of jaxscan.files"
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "ImageFile":
+            assert ast.unparse(node.args[1]) == "'w'", f"line {node.lineno}: libE57 only writes"
+
+
 @for_every([p for p in FILES if folder_of(p) == "files"])
 def test_a_name_that_is_too_long_is_no_surprise(path):
     """`Path.exists` and its like raise for such names; `os.path.exists` says no, and the opening says why."""

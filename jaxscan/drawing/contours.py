@@ -11,6 +11,8 @@ STEP_M = 0.03
 """And this much more [m]."""
 APART_M = 0.3
 """And up to this distance [m]."""
+CROSSING = 0.1
+"""Sine of the angle at which a surface must cross a plane, for its place in it to be known [1]."""
 TOLERANCE_M = 0.008
 """Lines are simplified by up to this [m]."""
 
@@ -33,6 +35,13 @@ def joined_quads(quads: Quads, p: np.ndarray, eye: np.ndarray) -> Quads:
         beside = np.sqrt(np.maximum(apart**2 - behind**2, 0.0))
         joined &= (behind < STEEP * beside + STEP_M) & (apart < APART_M)
     return Quads(quads.corners[joined])
+
+
+def steep_quads(quads: Quads, p: np.ndarray, height: np.ndarray) -> Quads:
+    """The quads that cross the plane of a height [cells], m, so steeply that their place in it is known."""
+    heights, corners = height[quads.corners], p[quads.corners]
+    across = np.linalg.norm(corners[:, [0, 1]] - corners[:, [3, 2]], axis=2).max(1)
+    return Quads(quads.corners[np.ptp(heights, axis=1) > CROSSING * across])
 
 
 def cut(quads: Quads, p: np.ndarray, height: np.ndarray) -> list[np.ndarray]:

@@ -1,9 +1,11 @@
 """A drawing: layers of lines, texts and dimensions, in metres, x to the right and y up."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
+from jaxscan.measurement.checked import LEAST_KNOWN
 from jaxscan.measurement.outline import Estimate
 
 
@@ -88,6 +90,8 @@ class Drawing:
     lines: tuple[Line, ...]
     texts: tuple[Text, ...]
     dimensions: tuple[DimensionLine, ...]
+    remarks: tuple[str, ...] = ()
+    """What differs from what was asked for, and what is left out: a sentence each."""
 
     @property
     def layers(self) -> list[str]:
@@ -142,6 +146,26 @@ def strokes(drawing: Drawing) -> tuple[list[Line], list[Text]]:
         middle = 0.5 * (ends[0] + ends[1]) + 0.8 * TEXT_M * above
         texts.append(Text(one.layer, middle, one.words, TEXT_M, angle + np.pi * turned))
     return lines, texts
+
+
+def known_dimensions(
+    found: Iterable[tuple[Estimate, DimensionLine]],
+) -> tuple[list[DimensionLine], list[str]]:
+    """The dimensions of lengths that are known, and a remark about those that are left out."""
+    drawn, left = [], 0
+    for length, line in found:
+        if length.known:
+            drawn.append(line)
+        else:
+            left += 1
+    return drawn, [unknown_words(left, "dimension")] if left else []
+
+
+def unknown_words(count: int, what: str) -> str:
+    """The sentence about numbers that are left out."""
+    share = f"standard deviation{'s are' if count > 1 else ' is'} above {100 * LEAST_KNOWN:.0f} % of"
+    whose, of = ("their", "themselves") if count > 1 else ("its", "itself")
+    return f"{count} {what}{'s' if count > 1 else ''} left out: {whose} {share} {of}."
 
 
 def with_sigma(found: Estimate) -> str:

@@ -1,11 +1,12 @@
 """The floor plan of a room at heights above its floor."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from jaxscan.drawing.contours import cut, joined_quads, kept_parts, simplified
-from jaxscan.drawing.model import TEXT_M, DimensionLine, Drawing, Line, Text, with_sigma
+from jaxscan.drawing.model import TEXT_M, DimensionLine, Drawing, Line, Text, known_dimensions, with_sigma
 from jaxscan.drawing.survey import Survey
 from jaxscan.errors import MeasurementError
 from jaxscan.measurement.outline import Estimate, Opening, Side
@@ -46,7 +47,8 @@ def draw_plan(survey: Survey, *, heights_m: Sequence[float] = (1.0,)) -> Drawing
             ceiling = "any height above it" if top is None else f"{top.value:.3f} m, where the ceiling is"
             raise MeasurementError(f"Height {height:g} m: expected a height above the floor, below {ceiling}.")
     first = heights_m[0]
-    lines, dimensions = [], []
+    lines: list[Line] = []
+    wanted: list[tuple[Estimate, DimensionLine]] = []
     lengths = room.lengths(first)
     texts = []
     for number, (loop, corners) in enumerate(zip(room.loops, room.corners(first), strict=True)):
@@ -55,18 +57,21 @@ def draw_plan(survey: Survey, *, heights_m: Sequence[float] = (1.0,)) -> Drawing
             start, end, length = at[i], at[(i + 1) % len(at)], lengths[number][i]
             cuts = [one for one in survey.openings[number][i] if one.bottom.value < first < one.top.value]
             lines += _wall(side, start, end, cuts)
-            dimensions += [_width(one, start, end) for one in cuts]
+            wanted += [(one.width, _width(one, start, end)) for one in cuts]
             if length is not None:
-                dimensions.append(DimensionLine("A-ANNO-DIMS", start, end, -OUTSIDE_M, with_sigma(length)))
+                words = with_sigma(length)
+                wanted.append((length, DimensionLine("A-ANNO-DIMS", start, end, -OUTSIDE_M, words)))
             texts.append(_name(side, start, end))
     for start_3d, end_3d, found in clear_distances(room, first):
-        dimensions.append(DimensionLine("A-ANNO-DIMS", start_3d[:2], end_3d[:2], 0.0, with_sigma(found)))
+        words = with_sigma(found)
+        wanted.append((found, DimensionLine("A-ANNO-DIMS", start_3d[:2], end_3d[:2], 0.0, words)))
+    dimensions, remarks = known_dimensions(wanted)
     for height in heights_m:
         layer = "A-FURN" if len(heights_m) == 1 else f"A-FURN-{round(100 * height)}"
         lines += [Line(layer, points) for points in _furniture(survey, height)]
     words = f"Plan, cut {' and '.join(f'{height:.2f}' for height in heights_m)} m above the floor"
-    drawing = Drawing(words, tuple(lines), tuple(texts), tuple(dimensions))
-    notes = [f"{words}. ± one standard deviation.", *room_words(survey)]
+    drawing = Drawing(words, tuple(lines), tuple(texts), tuple(dimensions), tuple(remarks))
+    notes = [f"{words}. ± one standard deviation.", *room_words(survey), *remarks]
     return with_notes(drawing, notes)
 
 
@@ -74,9 +79,9 @@ def room_words(survey: Survey) -> list[str]:
     """Height, area and volume in words, as far as they are known."""
     room = survey.outline
     found = [
-        *(f"Height {with_sigma(one)}" for one in [room.height()] if one is not None),
-        *(f"floor {_amount(one)} m²" for one in [room.floor_area()] if one is not None),
-        *(f"volume {_amount(one)} m³" for one in [room.volume()] if one is not None),
+        *(f"Height {with_sigma(one)}" for one in [room.height()] if one is not None and one.known),
+        *(f"floor {_amount(one)} m²" for one in [room.floor_area()] if one is not None and one.known),
+        *(f"volume {_amount(one)} m³" for one in [room.volume()] if one is not None and one.known),
     ]
     return [", ".join(found) + "."] if found else []
 
@@ -93,7 +98,7 @@ def with_notes(drawing: Drawing, notes: Sequence[str]) -> Drawing:
         Text("A-ANNO-TEXT", np.array([middle, low[1] - 2.0 * TEXT_M * (i + 1.5)]), words)
         for i, words in enumerate(notes)
     ]
-    return Drawing(drawing.title, drawing.lines, (*drawing.texts, *texts), drawing.dimensions)
+    return replace(drawing, texts=(*drawing.texts, *texts))
 
 
 def _wall(side: Side, start: np.ndarray, end: np.ndarray, cuts: list[Opening]) -> list[Line]:

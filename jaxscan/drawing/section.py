@@ -4,15 +4,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxscan.drawing.contours import cut, joined_quads, kept_parts, simplified
-from jaxscan.drawing.model import DimensionLine, Drawing, Line, with_sigma
+from jaxscan.drawing.contours import cut, joined_quads, kept_parts, simplified, steep_quads
+from jaxscan.drawing.model import DimensionLine, Drawing, Line, known_dimensions, with_sigma
 from jaxscan.drawing.plan import LAYER_OF, SHORTEST_M, room_words, with_notes
 from jaxscan.drawing.survey import WALL_M, Survey
 from jaxscan.errors import MeasurementError
-from jaxscan.measurement.outline import Opening
+from jaxscan.measurement.outline import Estimate, Opening
 from jaxscan.measurement.outline.corners import Surface, corner_of, length_between
 
 
+WITHIN_M = 0.06
+"""A section runs within a wall if both ends of the wall are nearer to it than this [m]."""
+MOVED_M = 0.08
+"""Such a section is moved to this distance before the wall [m]: farther than what is taken for the wall."""
 OUTSIDE_M = 0.35
 """Distance of the dimensions from what they measure [m]."""
 
@@ -51,6 +55,14 @@ def draw_section(survey: Survey, a: tuple[float, float], b: tuple[float, float])
         )
     along = (second - first) / np.linalg.norm(second - first)
     across = np.array([-along[1], along[0], 0.0])
+    step = _out_of_walls(survey, first, across)
+    remarks = []
+    if step != 0.0:
+        first = first + step * across[:2]
+        remarks.append(
+            f"The section ran within a wall and is moved by {100 * abs(step):.0f} cm into the room, through "
+            f"{_text(first)}."
+        )
     plane = Surface.exact(across, float(across[:2] @ first))
     ends = _ends(survey, plane, first, along)
     if len(ends) < 2:
@@ -62,15 +74,56 @@ def draw_section(survey: Survey, a: tuple[float, float], b: tuple[float, float])
             f"{_text(low)} to {_text(high)} in the plan."
         )
     lines: list[Line] = []
-    dimensions: list[DimensionLine] = []
+    wanted: list[tuple[Estimate, DimensionLine]] = []
     for left, right in zip(ends[::2], ends[1::2], strict=True):
         some_lines, some_dimensions = _stretch(survey, plane, left, right, np.append(along, 0.0), first)
         lines += some_lines
-        dimensions += some_dimensions
+        wanted += some_dimensions
+    dimensions, left_out = known_dimensions(wanted)
+    if not dimensions:
+        raise MeasurementError(
+            f"No dimension of the section through {_text(first)} and {_text(second)} is known to a fifth of itself: "
+            "give one that crosses the walls more steeply, or through more of the room."
+        )
+    remarks += left_out
     lines += [Line("A-FURN", points) for points in _furniture(survey, plane, first, along)]
     words = f"Section through {_text(first)} and {_text(second)} of the plan"
-    drawing = Drawing(words, tuple(lines), (), tuple(dimensions))
-    return with_notes(drawing, [f"{words}. ± one standard deviation.", *room_words(survey)])
+    drawing = Drawing(words, tuple(lines), (), tuple(dimensions), tuple(remarks))
+    return with_notes(drawing, [f"{words}. ± one standard deviation.", *remarks, *room_words(survey)])
+
+
+def _out_of_walls(survey: Survey, first: np.ndarray, across: np.ndarray) -> float:
+    """How far along `across` a section through a point [2] has to be moved so that it does not run within a wall [m].
+
+    Raises:
+        MeasurementError: If it runs within another wall there.
+    """
+    room = survey.outline
+    walls: list[tuple[np.ndarray, float]] = []
+    for loop, corners in zip(room.loops, room.corners(), strict=True):
+        at = np.array([corner.at[:2] for corner in corners])
+        for side, start, end in zip(loop, at, np.roll(at, -1, 0), strict=True):
+            inward = np.array([start[1] - end[1], end[0] - start[0]])
+            if side.seen:
+                walls.append((np.array([start - first, end - first]) @ across[:2], float(np.sign(inward @ across[:2]))))
+
+    def within(step: float) -> list[float]:
+        """Where the section would have to be to be clear of each wall in which it is."""
+        return [
+            float(sign * (sign * heights).max() + sign * MOVED_M)
+            for heights, sign in walls
+            if np.abs(heights - step).max() < WITHIN_M
+        ]
+
+    steps = within(0.0)
+    if not steps:
+        return 0.0
+    step = max(steps, key=abs)
+    if np.ptp(np.sign(steps)) or within(step):
+        raise MeasurementError(
+            f"The section through {_text(first)} runs within walls on both sides; give one that crosses the room."
+        )
+    return step
 
 
 def _text(point: np.ndarray) -> str:
@@ -99,7 +152,7 @@ def _ends(survey: Survey, plane: Surface, first: np.ndarray, along: np.ndarray) 
 
 def _stretch(
     survey: Survey, plane: Surface, left: _End, right: _End, along: np.ndarray, first: np.ndarray
-) -> tuple[list[Line], list[DimensionLine]]:
+) -> tuple[list[Line], list[tuple[Estimate, DimensionLine]]]:
     """Floor, ceiling and the two walls of a stretch inside."""
     room = survey.outline
     middle = 0.5 * (left.s + right.s)
@@ -109,7 +162,8 @@ def _stretch(
         return np.array([float((p[:2] - first) @ along[:2]), p[2]])
 
     low = [corner_of(end.surface, plane, room.floor) for end in (left, right)]
-    lines, dimensions = [Line("A-FLOR", np.stack([flat(corner.at) for corner in low]))], []
+    lines = [Line("A-FLOR", np.stack([flat(corner.at) for corner in low]))]
+    wanted: list[tuple[Estimate, DimensionLine]] = []
     top = 0.0
     if room.ceiling is not None:
         high = [corner_of(end.surface, plane, room.ceiling) for end in (left, right)]
@@ -118,7 +172,8 @@ def _stretch(
             lines += _upright(end, flat(below.at), flat(above.at))
         ends = [corner_of(upright, plane, surface) for surface in (room.floor, room.ceiling)]
         height = length_between(ends[0], ends[1], room.errors)
-        dimensions.append(DimensionLine("A-ANNO-DIMS", flat(ends[0].at), flat(ends[1].at), 0.0, with_sigma(height)))
+        words = with_sigma(height)
+        wanted.append((height, DimensionLine("A-ANNO-DIMS", flat(ends[0].at), flat(ends[1].at), 0.0, words)))
         top = height.value
     else:
         top = float(survey.p[:, 2].max())
@@ -126,8 +181,9 @@ def _stretch(
             lines += _upright(end, flat(below.at), flat(below.at) + [0.0, top])
     if left.seen and right.seen:
         width = length_between(low[0], low[1], room.errors)
-        dimensions.append(DimensionLine("A-ANNO-DIMS", flat(low[0].at), flat(low[1].at), -OUTSIDE_M, with_sigma(width)))
-    return lines, dimensions
+        words = with_sigma(width)
+        wanted.append((width, DimensionLine("A-ANNO-DIMS", flat(low[0].at), flat(low[1].at), -OUTSIDE_M, words)))
+    return lines, wanted
 
 
 def _upright(end: _End, low: np.ndarray, high: np.ndarray) -> list[Line]:
@@ -153,7 +209,7 @@ def _upright(end: _End, low: np.ndarray, high: np.ndarray) -> list[Line]:
 def _furniture(survey: Survey, plane: Surface, first: np.ndarray, along: np.ndarray) -> list[np.ndarray]:
     """Lines in which the plane cuts what stands in the room."""
     height = survey.p @ plane.plane.normal - plane.plane.distance
-    quads = joined_quads(survey.quads, survey.p, survey.eye)
+    quads = steep_quads(joined_quads(survey.quads, survey.p, survey.eye), survey.p, height)
     room = survey.outline
     found = []
     for line in cut(quads, survey.p, height):

@@ -7,7 +7,7 @@ import numpy as np
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
 from jaxscan.measurement.planes import Plane, Point, facing, fitted_plane, patch_around, weighted_plane
-from jaxscan.measurement.samples import Cloud, Samples, places_of, samples_of
+from jaxscan.measurement.samples import Cloud, CloudSamples, Samples, places_of
 from jaxscan.measurement.systematic import systematic_sigma
 
 
@@ -69,7 +69,7 @@ def measure_distance(
     Raises:
         MeasurementError: If a patch has too few points, or the patches are one.
     """
-    samples = samples_of(cloud)
+    samples = CloudSamples(cloud)
     patches = [patch_around(samples, point, radius_m) for point in (a, b)]
     means = [patch.p.mean(0) for patch in patches]
     value = float(np.linalg.norm(means[1] - means[0]))

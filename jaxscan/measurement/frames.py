@@ -1,5 +1,6 @@
 """A frame for a cloud: that of known targets, or of the room itself."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,7 +8,7 @@ from jaxtyping import Float
 
 from jaxscan.errors import MeasurementError
 from jaxscan.measurement.room import bounding_walls
-from jaxscan.measurement.samples import Cloud, samples_of
+from jaxscan.measurement.samples import Cloud, CloudSamples
 from jaxscan.measurement.walls import Wall
 
 
@@ -18,6 +19,10 @@ _SCALES = (0.9, 1.1)
 """Ratios of the distances in both frames that can be errors of measurement."""
 _MIRRORED = 5.0
 """Targets are mirrored if they leave their plane by this many residuals, to the wrong side."""
+_LEAST_M, _OFF = 0.002, 10.0
+"""One target is off if it is this many standard deviations of the others from its place, of at least this size [m]."""
+_MISFIT_M, _MISFIT = 0.03, 0.01
+"""Largest standard deviation of a target's coordinate [m], and what is added to it per metre from their middle [1]."""
 _UPRIGHT = 0.9
 """Least cosine between the floor's normal and the scanner's z."""
 
@@ -64,7 +69,12 @@ class RoomFrame:
     """Angle between the floor's normal and z of the scanner."""
 
 
-def align_targets(scanner: Float[np.ndarray, "targets 3"], site: Float[np.ndarray, "targets 3"]) -> TargetFrame:
+def align_targets(
+    scanner: Float[np.ndarray, "targets 3"],
+    site: Float[np.ndarray, "targets 3"],
+    *,
+    names: Sequence[str] | None = None,
+) -> TargetFrame:
     r"""The rigid motion that brings targets nearest to their known coordinates.
 
     Minimises $\sum_i |R a_i + t - b_i|^2$ over rotations R, in closed form; lengths stay as they are. With f residuals
@@ -73,16 +83,68 @@ def align_targets(scanner: Float[np.ndarray, "targets 3"], site: Float[np.ndarra
     Args:
         scanner: Targets in the frame of the cloud [m], three or more that are not on one line.
         site: The same targets in the frame that is wanted [m].
+        names: Of the targets; by default their numbers from 1.
 
     Returns:
         The frame, the residuals, and their standard deviations.
 
     Raises:
-        MeasurementError: If the targets are too few, nearly on one line, mirrored, or in another unit.
+        MeasurementError: If the targets are too few, nearly on one line, mirrored, in another unit, or contradict each
+            other; with the name of the one that is off where the others tell.
 
     Source: Kabsch, A solution for the best rotation to relate two sets of vectors (1976).
     """
     a, b = np.asarray(scanner, np.float64), np.asarray(site, np.float64)
+    names = [str(number + 1) for number in range(len(a))] if names is None else list(names)
+    try:
+        found = _fitted(a, b)
+    except MeasurementError:
+        # One wrong target can look like another unit or a mirror.
+        _check_each(a, b, names)
+        raise
+    _check_each(a, b, names)
+    reach = float(np.sqrt(np.mean(np.sum((b - found.centre_m) ** 2, axis=1))))
+    if found.sigma_m > _MISFIT_M + _MISFIT * reach:
+        off = np.linalg.norm(found.residuals_m, axis=1)
+        which = (
+            "Three do not tell which of them is wrong: give a fourth, or measure them again."
+            if len(a) == FEWEST_TARGETS
+            else "No single one explains it: two may be exchanged, or several are wrong."
+        )
+        raise MeasurementError(
+            f"The targets contradict each other: residuals up to {1e3 * off.max():.0f} mm, at target "
+            f"{names[int(np.argmax(off))]!r}, expected less than {1e3 * (_MISFIT_M + _MISFIT * reach):.0f} mm. {which}"
+        )
+    return found
+
+
+def _check_each(a: np.ndarray, b: np.ndarray, names: list[str]) -> None:
+    """Refuse a target that is off where all others agree without it."""
+    if len(a) <= FEWEST_TARGETS:
+        return
+    alone: list[tuple[float, float, str]] = []
+    for number, name in enumerate(names):
+        others = np.arange(len(a)) != number
+        try:
+            found = _fitted(a[others], b[others])
+        except MeasurementError:
+            continue
+        sigma = max(found.sigma_m, _LEAST_M)
+        placed = found.transform[:3, :3] @ a[number] + found.transform[:3, 3]
+        off = float(np.linalg.norm(b[number] - placed))
+        if off > _OFF * np.hypot(sigma, found.sigma_at(placed)):
+            alone.append((found.sigma_m, off, name))
+    if alone:
+        sigma, off, name = min(alone)
+        raise MeasurementError(
+            f"Target {name!r} is {1e3 * off:.0f} mm from where the others place it, which agree to {1e3 * sigma:.1f} "
+            f"mm without it; expected less than {_OFF:g} standard deviations: correct its coordinates or leave it out."
+        )
+
+
+def _fitted(scanner: np.ndarray, site: np.ndarray) -> TargetFrame:
+    """The frame of targets, whether or not they agree."""
+    a, b = scanner, site
     count = len(a)
     if count < FEWEST_TARGETS:
         raise MeasurementError(f"{count} targets, expected {FEWEST_TARGETS} or more: fewer do not tell a rotation.")
@@ -138,7 +200,7 @@ def align_room(cloud: Cloud, *, seed: int = 0) -> RoomFrame:
     Raises:
         MeasurementError: If floor or walls are not found.
     """
-    pairs, planes = bounding_walls(samples_of(cloud), np.random.default_rng(seed), seed=seed)
+    pairs, planes = bounding_walls(CloudSamples(cloud), np.random.default_rng(seed), seed=seed)
     *across, level = pairs
     floors = [wall for wall in level if -wall.plane.normal[2] > _UPRIGHT]
     if not floors or len(across) < 2 or not all(across):

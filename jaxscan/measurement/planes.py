@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Array
-from jaxscan.measurement.samples import Cloud, Samples, samples_of
+from jaxscan.measurement.samples import Cloud, CloudSamples, Samples
 
 
 Point = Array | Sequence[float]
@@ -118,7 +118,7 @@ def measure_plane(cloud: Cloud, point: Point, *, radius_m: float = 0.2) -> Plane
     Raises:
         MeasurementError: If the patch has too few points, or they determine no plane.
     """
-    patch = patch_around(samples_of(cloud), point, radius_m)
+    patch = patch_around(CloudSamples(cloud), point, radius_m)
     plane = facing(weighted_plane(patch.p, np.ones(len(patch.p))), (patch.origin - patch.p).mean(0))
     extent = np.sqrt(np.mean(((patch.p - plane.centre) @ plane.axes.T) ** 2, axis=0))
     residual = patch.p @ plane.normal - plane.distance
@@ -133,19 +133,26 @@ def measure_plane(cloud: Cloud, point: Point, *, radius_m: float = 0.2) -> Plane
     return PlaneMeasurement(plane.normal, plane.centre, rms, float(high - low), len(patch.p))
 
 
-def patch_around(samples: Samples, point: Point, radius_m: float) -> Samples:
+def patch_around(samples: CloudSamples, point: Point, radius_m: float) -> Samples:
     """Points within a radius [m] of a picked point.
 
     Raises:
         MeasurementError: If there are fewer than four.
     """
     centre = np.asarray(point, np.float64)
-    distance = np.linalg.norm(samples.p - centre, axis=1)
-    inside = distance <= radius_m
-    if inside.sum() < 4:
+    nearest = np.inf
+
+    def is_inside(some: Samples) -> np.ndarray:
+        nonlocal nearest
+        distance = np.linalg.norm(some.p - centre, axis=1)
+        nearest = min(nearest, float(distance.min()))
+        return np.asarray(distance <= radius_m)
+
+    inside = samples.chosen(is_inside)
+    if len(inside) < 4:
         raise MeasurementError(
-            f"Only {int(inside.sum())} points lie within {radius_m} m of {_text(point)}, the nearest "
-            f"{distance.min():.3f} m away; at least 4 are needed: pick a point on a surface or a larger radius."
+            f"Only {len(inside)} points lie within {radius_m} m of {_text(point)}, the nearest "
+            f"{nearest:.3f} m away; at least 4 are needed: pick a point on a surface or a larger radius."
         )
     return samples.take(inside)
 

@@ -8,7 +8,7 @@ from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
 from jaxscan.measurement.checked import checked_samples
 from jaxscan.measurement.planes import Point
-from jaxscan.measurement.samples import SIGMA_FLOOR_M, Cloud, Samples, places_of
+from jaxscan.measurement.samples import SIGMA_FLOOR_M, Cloud, CloudSamples, places_of
 from jaxscan.measurement.systematic import systematic_sigma
 
 
@@ -54,7 +54,9 @@ def measure_points(
     nearest = [_nearest(samples, place, within_m) for place in (a, b)]
     if nearest[0] == nearest[1]:
         raise MeasurementError("Both places have the same nearest point; give places farther apart.")
-    ends = samples.take(np.array(nearest))
+    order = np.argsort(nearest)
+    # Points are taken in their order in the cloud.
+    ends = samples.take(np.array(nearest)[order]).take(np.argsort(order))
     apart = ends.p[1] - ends.p[0]
     value = float(np.linalg.norm(apart))
     if value == 0.0:
@@ -68,13 +70,18 @@ def measure_points(
     return PointDistance(value, float(np.hypot(random, systematic)), random, systematic, ends.p[0], ends.p[1])
 
 
-def _nearest(samples: Samples, place: Point, within_m: float) -> int:
-    away = np.linalg.norm(samples.p - np.asarray(place, np.float64), axis=1)
-    nearest = int(np.argmin(away))
-    if away[nearest] > within_m:
+def _nearest(samples: CloudSamples, place: Point, within_m: float) -> int:
+    distance, nearest, start = np.inf, 0, 0
+    for block in samples.blocks():
+        away = np.linalg.norm(block.p - np.asarray(place, np.float64), axis=1)
+        best = int(np.argmin(away))
+        if away[best] < distance:
+            distance, nearest = float(away[best]), start + best
+        start += len(away)
+    if distance > within_m:
         text = "(" + ", ".join(f"{x:.3f}" for x in np.asarray(place)) + ")"
         raise MeasurementError(
-            f"The point nearest {text} is {away[nearest]:.3f} m away, expected one within {within_m:g} m: give a place "
+            f"The point nearest {text} is {distance:.3f} m away, expected one within {within_m:g} m: give a place "
             "on a surface."
         )
     return nearest

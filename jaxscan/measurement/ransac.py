@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxscan.measurement.planes import Plane, weighted_plane
-from jaxscan.measurement.samples import Samples, spread_out
+from jaxscan.measurement.samples import CloudSamples, Samples, spread_out
 
 
 VOTERS = 12000
@@ -22,13 +22,13 @@ NEAREST_M, FARTHEST_M = 0.004, 0.02
 """Limits of the distance from a plane up to which a point votes for it (3 sigma between) [m]."""
 
 
-def find_planes(samples: Samples, *, seed: int) -> list[tuple[Plane, np.ndarray]]:
+def find_planes(samples: CloudSamples, *, seed: int) -> list[tuple[Plane, np.ndarray]]:
     """Planes with their supporting points [k, 3], most supported first.
 
     Deterministic for a given seed.
     """
     rng = np.random.default_rng(seed)
-    voters = samples.take(spread_out(len(samples.p), VOTERS, rng))
+    voters = samples.take(spread_out(len(samples), VOTERS, rng))
     normals, distances, origin = _hypotheses(voters, rng)
     left = np.ones(len(voters.p), bool)
     planes: list[tuple[Plane, np.ndarray]] = []

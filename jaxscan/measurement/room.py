@@ -8,9 +8,10 @@ import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
+from jaxscan.measurement.checked import is_known
 from jaxscan.measurement.planes import Plane
 from jaxscan.measurement.ransac import find_planes
-from jaxscan.measurement.samples import Cloud, Samples, about_the_scanner, places_of, samples_of
+from jaxscan.measurement.samples import Cloud, CloudSamples, Samples, about_the_scanner, places_of
 from jaxscan.measurement.systematic import systematic_sigma
 from jaxscan.measurement.walls import Wall, outermost, refine_wall, wall_weights
 
@@ -21,6 +22,8 @@ UPRIGHT = np.sin(np.radians(15.0))
 """|z| of a normal below which a plane is a wall."""
 ALONG = np.radians(20.0)
 """Largest angle of a wall to the room's own direction."""
+PARALLEL = np.cos(np.radians(5.0))
+"""Least cosine between two walls that are opposite each other."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +66,11 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
     """Measure a room from wall to wall.
 
     The walls are the outermost large planes in each direction, not those with the most points,
-    fitted by weighted least squares. As opposite walls are never quite parallel, a dimension is
-    the distance between them along their mean normal through the room's centre: the point midway
-    between the walls of every pair, and nearest the origin where a pair is missing.
+    fitted by weighted least squares. Opposite walls are parallel to 5 degrees, at most a fifth of the
+    points is behind a wall, and a dimension is known to a fifth of itself. As opposite walls are
+    never quite parallel, a dimension is the distance between them along their mean normal through the
+    room's centre: the point midway between the walls of every pair, and nearest the origin where a pair
+    is missing.
 
     Args:
         cloud: The room, scanned from within; z of the scanner frame is vertical within 10 degrees.
@@ -76,20 +81,24 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
         Length, width and height [m] as far as they were seen, each with its standard deviation.
 
     Raises:
-        MeasurementError: If no two opposite walls are found.
+        MeasurementError: If no two opposite walls are found between which the points are.
     """
-    samples, place = about_the_scanner(samples_of(cloud))
+    samples, place = about_the_scanner(CloudSamples(cloud))
     rng = np.random.default_rng(seed)
     pairs, planes = bounding_walls(samples, rng, seed=seed)
-    found = [pair for pair in pairs if len(pair) == 2]
+    found = [pair for pair in pairs if len(pair) == 2 and -pair[0].plane.normal @ pair[1].plane.normal > PARALLEL]
+    none = MeasurementError(
+        f"No two opposite walls among {planes} planes in {len(samples)} points; "
+        "a room must be scanned from within, all around, in steps of a few degrees."
+    )
     if not found:
-        raise MeasurementError(
-            f"No two opposite walls among {planes} planes in {len(samples.p)} points; "
-            "a room must be scanned from within, all around, in steps of a few degrees."
-        )
+        raise none
     centre = _centre(found)
     systematic = partial(systematic_sigma, scanner, places_of(cloud))
-    dimensions = sorted((_dimension(pair, centre, systematic, rng) for pair in found), key=lambda each: -each.value_m)
+    measured = [_dimension(pair, centre, systematic, rng) for pair in found]
+    dimensions = sorted((one for one in measured if is_known(one.value_m, one.sigma_m)), key=lambda each: -each.value_m)
+    if not dimensions:
+        raise none
     height = next((each for each in dimensions if abs(each.direction[2]) > 0.5), None)
     horizontal = [each for each in dimensions if each is not height]
     return RoomBox(
@@ -101,7 +110,7 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
     )
 
 
-def bounding_walls(samples: Samples, rng: np.random.Generator, *, seed: int) -> tuple[list[list[Wall]], int]:
+def bounding_walls(samples: CloudSamples, rng: np.random.Generator, *, seed: int) -> tuple[list[list[Wall]], int]:
     """The walls across each direction of the room, the vertical last, and the number of planes they are among."""
     inside = _place_inside(samples)
     seen = samples.moved(-inside)
@@ -114,16 +123,16 @@ _NEAR_THE_RIM = 0.05
 """Share of its extent at either end of a cloud where nobody stands to scan it."""
 
 
-def _place_inside(samples: Samples) -> np.ndarray:
+def _place_inside(samples: CloudSamples) -> np.ndarray:
     """A place in the room from which its walls are seen: the scanner's, or the middle where that cannot be it.
 
     A cloud of another program has no angles and does not say where its scanner stood: its origin may be in a corner
     of the room, or on a map.
     """
-    place = samples.origin[0]
-    if np.ptp(samples.angle) > 0:
+    place = samples.first_origin()
+    if samples.turns():
         return place
-    low, high = np.percentile(samples.p, [1.0, 99.0], axis=0)
+    low, high = np.array([np.percentile(axis, [1.0, 99.0]) for axis in samples.places().T]).T
     rim = _NEAR_THE_RIM * (high - low)
     within = (low + rim < place) & (place < high - rim)
     return place if within.all() else (low + high) / 2
@@ -163,13 +172,14 @@ def _modulo_right_angle(angle: np.ndarray) -> np.ndarray:
 
 
 def _pair(
-    samples: Samples, planes: list[tuple[Plane, np.ndarray]], direction: np.ndarray, rng: np.random.Generator
+    samples: CloudSamples, planes: list[tuple[Plane, np.ndarray]], direction: np.ndarray, rng: np.random.Generator
 ) -> list[Wall]:
     """The walls on both sides of the room across `direction`."""
     limit = LEVEL if direction[2] == 1.0 else np.cos(ALONG)
     mine = [(plane, p) for plane, p in planes if abs(plane.normal @ direction) > limit]
     walls = (outermost(mine, side) for side in (direction, -direction))
-    return [refine_wall(samples, wall, rng=rng) for wall in walls if wall is not None]
+    refined = (refine_wall(samples, wall, rng=rng) for wall in walls if wall is not None)
+    return [wall for wall in refined if wall.bounds(samples)]
 
 
 def _centre(pairs: list[list[Wall]]) -> np.ndarray:

@@ -1,6 +1,7 @@
 """The points of a cloud as a list, with noise, laser, angle and profile."""
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -119,49 +120,156 @@ class Samples(NamedTuple):
         return np.abs(ray @ normal) / np.where(distance > 0, distance, 1.0)
 
 
+AT_ONCE = 1 << 17
+"""Points that are looked at together."""
+
+
+class CloudSamples:
+    """All valid points of a cloud, in the order of its grid. Only some are samples at a time.
+
+    Samples take three times the memory of a cloud's own fields.
+    """
+
+    def __init__(self, cloud: Cloud, *, origin: np.ndarray | None = None, steps: tuple[np.ndarray, ...] = ()) -> None:
+        """Nothing is taken from the cloud yet.
+
+        Args:
+            cloud: The cloud.
+            origin: Where all points were seen from, instead of from their stations [3], m.
+            steps: By which points and origin are shifted, one after the other [3], m.
+
+        Raises:
+            MeasurementError: If the cloud has no points.
+        """
+        self._valid = np.asarray(cloud.valid)
+        self._lines = self._valid.shape[1]
+        stops = range(0, self._valid.size, AT_ONCE)
+        flat = self._valid.reshape(-1)
+        self._counts = np.cumsum([0, *(np.count_nonzero(flat[k : k + AT_ONCE]) for k in stops)])
+        if len(self) == 0:
+            raise MeasurementError("The cloud has no valid points; nothing can be measured in it.")
+        self._cloud, self._places = cloud, places_of(cloud)
+        self._origin, self._steps = origin, steps
+
+    def __len__(self) -> int:
+        return int(self._counts[-1])
+
+    def moved(self, step: np.ndarray) -> "CloudSamples":
+        """The points, and where they were seen from, after a shift [3], m."""
+        return CloudSamples(self._cloud, origin=self._origin, steps=(*self._steps, np.asarray(step)))
+
+    def seen_from(self, place: np.ndarray) -> "CloudSamples":
+        """The points as if they were seen from a place [3], m."""
+        return CloudSamples(self._cloud, origin=place, steps=self._steps)
+
+    def blocks(self) -> Iterator[Samples]:
+        """All points, some at a time."""
+        for number in range(len(self._counts) - 1):
+            if self._counts[number + 1] > self._counts[number]:
+                yield self._of(self._cells(number))
+
+    def take(self, index: np.ndarray) -> Samples:
+        """The points at `index`, which is in order."""
+        ends = np.searchsorted(index, self._counts)
+        parts = [
+            self._cells(number)[index[start:stop] - self._counts[number]]
+            for number, (start, stop) in enumerate(itertools.pairwise(ends))
+            if stop > start
+        ]
+        return self._of(np.concatenate(parts) if parts else np.zeros(0, np.int64))
+
+    def all(self) -> Samples:
+        """Every point."""
+        return self._of(np.flatnonzero(self._valid))
+
+    def chosen(self, choose: Callable[[Samples], np.ndarray]) -> np.ndarray:
+        """Numbers of the points for which a rule says True [n], in order."""
+        parts, start = [], 0
+        for block in self.blocks():
+            parts.append(start + np.flatnonzero(choose(block)))
+            start += len(block.p)
+        return np.concatenate(parts)
+
+    def ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """The smallest and the largest coordinates [3], m."""
+        low, high = zip(*((block.p.min(0), block.p.max(0)) for block in self.blocks()), strict=True)
+        return np.min(low, axis=0), np.max(high, axis=0)
+
+    def places(self) -> np.ndarray:
+        """All points [n, 3], m: 24 bytes each."""
+        return np.concatenate([block.p for block in self.blocks()])
+
+    def mean_origin(self) -> np.ndarray:
+        """The mean place from which the points were seen [3], m."""
+        per_profile = np.count_nonzero(self._valid, axis=1)
+        weights = np.bincount(self._places.number, per_profile, len(self._places.pose))
+        return np.asarray(weights @ self._places.pose[:, :3, 3] / len(self))
+
+    def first_origin(self) -> np.ndarray:
+        """The place from which the first point was seen [3], m."""
+        return np.asarray(self.take(np.zeros(1, int)).origin[0])
+
+    def turns(self) -> bool:
+        """Whether not all points have the same angle."""
+        angle = np.asarray(self._cloud.angle, np.float64)[self._valid.any(1)]
+        return bool(np.ptp(angle) > 0)
+
+    def _cells(self, number: int) -> np.ndarray:
+        """Valid cells of a block, counted line after line."""
+        start = number * AT_ONCE
+        return start + np.flatnonzero(self._valid.reshape(-1)[start : start + AT_ONCE])
+
+    def _of(self, cells: np.ndarray) -> Samples:
+        cloud, places = self._cloud, self._places
+
+        def take(field: Array) -> np.ndarray:
+            values = np.asarray(field)
+            return values.reshape(-1, *values.shape[2:])[cells].astype(np.float64)
+
+        profile, line = np.divmod(cells, self._lines)
+        # Not in the protocol: clouds whose rows were not smoothed need not have them.
+        row, lines = (getattr(cloud, name, None) for name in ("sigma_row", "shared_lines"))
+        sigma = np.maximum(take(cloud.sigma_random), SIGMA_FLOOR_M)
+        station = places.number[profile]
+        found = Samples(
+            p=take(cloud.xyz),
+            sigma=sigma,
+            laser=np.asarray(cloud.laser)[profile],
+            angle=np.asarray(cloud.angle, np.float64)[profile],
+            profile=profile,
+            line=line,
+            sigma_row=sigma if row is None else np.maximum(take(row), SIGMA_FLOOR_M),
+            shared=np.ones(len(line)) if lines is None else np.maximum(take(lines), 1.0),
+            station=station,
+            origin=places.pose[station, :3, 3],
+        )
+        if self._origin is not None:
+            found = found._replace(origin=np.broadcast_to(self._origin, found.p.shape))
+        for step in self._steps:
+            found = found.moved(step)
+        return found
+
+
 def samples_of(cloud: Cloud) -> Samples:
     """All valid points, in the order of the grid.
 
     Raises:
         MeasurementError: If the cloud has no points.
     """
-    valid = np.asarray(cloud.valid)
-    profile, line = np.nonzero(valid)
-    if len(profile) == 0:
-        raise MeasurementError("The cloud has no valid points; nothing can be measured in it.")
-    # Not in the protocol: clouds whose rows were not smoothed need not have them.
-    row, lines = (getattr(cloud, name, None) for name in ("sigma_row", "shared_lines"))
-    sigma, sigma_row = (
-        np.maximum(np.asarray(field)[valid].astype(np.float64), SIGMA_FLOOR_M)
-        for field in (cloud.sigma_random, cloud.sigma_random if row is None else row)
-    )
-    places = places_of(cloud)
-    station = places.number[profile]
-    return Samples(
-        p=np.asarray(cloud.xyz)[valid].astype(np.float64),
-        sigma=sigma,
-        laser=np.asarray(cloud.laser)[profile],
-        angle=np.asarray(cloud.angle, np.float64)[profile],
-        profile=profile,
-        line=line,
-        sigma_row=sigma_row,
-        shared=np.ones(len(line)) if lines is None else np.maximum(np.asarray(lines, np.float64)[valid], 1.0),
-        station=station,
-        origin=places.pose[station, :3, 3],
-    )
+    return CloudSamples(cloud).all()
 
 
-def about_the_scanner(samples: Samples) -> tuple[Samples, np.ndarray]:
+def about_the_scanner(samples: CloudSamples) -> tuple[CloudSamples, np.ndarray]:
     """The samples about the place from which they were seen, and that place [3], m.
 
     The origin of a map is far from a room, and that of an aligned cloud is in a corner of it. Where the cloud does not
     say where the scanner stood, it is taken to be amid the points.
     """
-    low, high = samples.p.min(0), samples.p.max(0)
-    place = samples.origin.mean(0)
+    low, high = samples.ends()
+    place = samples.mean_origin()
     if np.linalg.norm(np.clip(place, low, high) - place) > np.linalg.norm(high - low):
-        place = np.median(samples.p, axis=0)
-        samples = samples._replace(origin=np.broadcast_to(place, samples.p.shape))
+        place = np.array([np.median(axis) for axis in samples.places().T])
+        samples = samples.seen_from(place)
     return samples.moved(-place), place
 
 

@@ -9,7 +9,7 @@ from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
 from jaxscan.measurement.checked import checked_samples
 from jaxscan.measurement.planes import Point
-from jaxscan.measurement.samples import SIGMA_FLOOR_M, Cloud, Samples, places_of, spread_out
+from jaxscan.measurement.samples import SIGMA_FLOOR_M, Cloud, CloudSamples, Samples, places_of, spread_out
 from jaxscan.measurement.systematic import systematic_sigma
 
 
@@ -100,7 +100,7 @@ def measure_sphere(
     )
 
 
-def fit_sphere(samples: Samples, near: np.ndarray, radius: float, *, free: bool) -> SphereFit:
+def fit_sphere(samples: CloudSamples, near: np.ndarray, radius: float, *, free: bool) -> SphereFit:
     """The sphere next to a place.
 
     Weighted least squares of the distances to the surface, without outliers: the noise of a point lies along its ray,
@@ -118,7 +118,8 @@ def fit_sphere(samples: Samples, near: np.ndarray, radius: float, *, free: bool)
     Raises:
         MeasurementError: If there are too few points, or none that lie on such a sphere.
     """
-    around = samples.take(np.linalg.norm(samples.p - near, axis=1) < radius + REACH_M)
+    reach = radius + REACH_M
+    around = samples.take(samples.chosen(lambda some: np.linalg.norm(some.p - near, axis=1) < reach))
     place = "(" + ", ".join(f"{x:.3f}" for x in near) + ")"
     if len(around.p) < FEWEST:
         raise MeasurementError(

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.measurement.planes import Plane, facing, fitted_plane, weighted_plane
-from jaxscan.measurement.samples import Samples, spread_out
+from jaxscan.measurement.samples import CloudSamples, Samples, spread_out
 
 
 REFINED = 200_000
@@ -17,6 +17,11 @@ KEPT = 2.5
 SHARE, SPAN = 0.1, 0.5
 """A wall has at least these shares of the largest support and of the largest width of all planes on
 its side of the room; smaller planes are things behind a door."""
+NARROW = 0.05
+"""A wall is at least this wide across its longest extent, in units of it: points of one line lie on any plane."""
+BEYOND, BEYOND_M = 0.2, 0.1
+"""Of all points at most this share is farther than this [m] behind a wall, seen through its openings; with more the
+room goes on behind it."""
 SYSTEMATIC_POINTS = 2000
 """Points per wall on which the effect of the calibration is evaluated."""
 
@@ -37,6 +42,14 @@ class Wall(NamedTuple):
         plane = plane._replace(distance=distance, centre=plane.centre + step)
         return self._replace(plane=plane, samples=self.samples.moved(step))
 
+    def bounds(self, samples: CloudSamples) -> bool:
+        """Whether the points of the room are before it."""
+        normal, distance = self.plane.normal, self.plane.distance
+        behind = sum(
+            np.count_nonzero(some.p @ normal - distance > BEYOND_M + 6.0 * some.sigma) for some in samples.blocks()
+        )
+        return behind <= BEYOND * len(samples)
+
     @property
     def rms_m(self) -> float:
         """RMS distance of its points [m]."""
@@ -50,23 +63,27 @@ def outermost(candidates: list[tuple[Plane, np.ndarray]], outward: np.ndarray) -
     Furniture in front of a wall may have more points than the wall.
     """
     side = [(facing(plane, outward), p) for plane, p in candidates]
-    side = [(plane, p) for plane, p in side if plane.distance > 0]
+    side = [
+        (plane, p)
+        for plane, p in side
+        if plane.distance > 0 and np.min(widths := _widths(plane, p)) >= NARROW * np.max(widths)
+    ]
     if not side:
         return None
     support = np.array([len(p) for _, p in side])
-    width = np.array([_width(plane, p) for plane, p in side])
+    width = np.array([np.max(_widths(plane, p)) for plane, p in side])
     large = (support >= SHARE * support.max()) & (width >= SPAN * width[support >= SHARE * support.max()].max())
     depth = np.array([plane.distance if big else -np.inf for (plane, _), big in zip(side, large, strict=True)])
     return side[int(np.argmax(depth))][0]
 
 
-def _width(plane: Plane, p: np.ndarray) -> float:
-    """Longest extent of the support in its plane, without its last 2 % on either side [m]."""
+def _widths(plane: Plane, p: np.ndarray) -> np.ndarray:
+    """Extents of the support along the axes of its plane [2], without its last 2 % on either side [m]."""
     low, high = np.percentile((p - plane.centre) @ plane.axes.T, [2, 98], axis=0)
-    return float(np.max(high - low))
+    return np.asarray(high - low)
 
 
-def refine_wall(samples: Samples, plane: Plane, *, rng: np.random.Generator) -> Wall:
+def refine_wall(samples: CloudSamples | Samples, plane: Plane, *, rng: np.random.Generator) -> Wall:
     """Weighted least squares on the wall's points alone.
 
     Skirting, pictures and furniture are in front of a wall, and nothing is behind it. So the scale
@@ -74,8 +91,12 @@ def refine_wall(samples: Samples, plane: Plane, *, rng: np.random.Generator) -> 
     things in front do not shift the plane.
     """
     normal, distance = plane.normal, plane.distance
-    residual = samples.p @ normal - distance
-    near = np.flatnonzero(np.abs(residual) < NEIGHBOURHOOD_M + 6.0 * samples.sigma_across(normal))
+
+    def is_near(some: Samples) -> np.ndarray:
+        residual = some.p @ normal - distance
+        return np.asarray(np.abs(residual) < NEIGHBOURHOOD_M + 6.0 * some.sigma_across(normal))
+
+    near = samples.chosen(is_near) if isinstance(samples, CloudSamples) else np.flatnonzero(is_near(samples))
     near = near[spread_out(len(near), REFINED, rng)]
     around = samples.take(near)
     kept, scale = np.ones(len(near), bool), 1.0

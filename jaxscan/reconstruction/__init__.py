@@ -1,6 +1,6 @@
 """Stripes to a coloured cloud."""
 
-from jaxscan.reconstruction.cloud import SMOOTHED, CloudPoints, PointCloud, Stations
+from jaxscan.reconstruction.cloud import SMOOTHED, CloudPoints, PointCloud, Stations, some_points
 from jaxscan.reconstruction.doubts import (
     FrameWatch,
     Seen,

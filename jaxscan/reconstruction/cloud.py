@@ -89,11 +89,18 @@ class PointCloud(eqx.Module):
 
     def points(self, start: int = 0, stop: int | None = None) -> CloudPoints:
         """The valid points as a flat list, of all profiles or of those from `start` to before `stop`."""
-        part = slice(start, stop)
-        step, row = np.nonzero(np.asarray(self.valid[part]))
+        profiles, lines = self.valid.shape
+        start, stop, _ = slice(start, stop).indices(profiles)
+        return self.points_of_cells(start * lines, stop * lines)
+
+    def points_of_cells(self, start: int, stop: int) -> CloudPoints:
+        """The valid points as a flat list, of the cells from `start` to before `stop`, counted line after line."""
+        lines = self.valid.shape[1]
+        cells = start + np.flatnonzero(_flat(self.valid)[start:stop])
+        step, row = np.divmod(cells, lines)
 
         def take(field, dtype):
-            return np.asarray(field[part])[step, row].astype(dtype)
+            return _flat(field)[cells].astype(dtype, copy=False)
 
         random, systematic = take(self.sigma_random, np.float32), take(self.sigma_systematic, np.float32)
         return CloudPoints(
@@ -104,9 +111,30 @@ class PointCloud(eqx.Module):
             sigma=np.hypot(random, systematic),
             sigma_random=random,
             sigma_systematic=systematic,
-            step=(step + start).astype(np.int32),
+            step=step.astype(np.int32),
             row=row.astype(np.int32),
-            laser=np.asarray(self.laser[part])[step].astype(np.uint8),
+            laser=np.asarray(self.laser)[step].astype(np.uint8),
             **{name: take(getattr(self, name), np.float32) for name in SMOOTHED if getattr(self, name) is not None},
-            station=None if self.stations is None else np.asarray(self.stations.number[part])[step].astype(np.uint8),
+            station=None if self.stations is None else np.asarray(self.stations.number)[step].astype(np.uint8),
         )
+
+
+_AT_ONCE = 1 << 20
+
+
+def some_points(cloud: PointCloud, wanted: int) -> np.ndarray:
+    """Every k-th valid point, float64 [n, 3], so that it is `wanted` to twice as many of a cloud with more."""
+    xyz, valid = _flat(cloud.xyz), _flat(cloud.valid)
+    every = max(1, int(np.count_nonzero(valid)) // wanted)
+    found, seen = [], 0
+    for start in range(0, len(valid), _AT_ONCE):
+        cells = start + np.flatnonzero(valid[start : start + _AT_ONCE])
+        found.append(xyz[cells[-seen % every :: every]].astype(np.float64))
+        seen += len(cells)
+    return np.concatenate(found)
+
+
+def _flat(field: Array) -> np.ndarray:
+    """A field of cells in a row."""
+    values = np.asarray(field)
+    return values.reshape(-1, *values.shape[2:])

@@ -108,12 +108,18 @@ def _fields(cloud: PointCloud) -> dict[str, Any]:
 
 def _turned(xyz: np.ndarray, normals: np.ndarray, valid: np.ndarray, pose: np.ndarray) -> dict[str, np.ndarray]:
     """Points and normals carried along, in their own precision; zero where they are not valid."""
-    seen = valid[..., None]
-    rotation = pose[:3, :3]
-    return {
-        "xyz": np.where(seen, xyz.astype(np.float64) @ rotation.T + pose[:3, 3], 0).astype(xyz.dtype),
-        "normals": np.where(seen, normals.astype(np.float64) @ rotation.T, 0).astype(normals.dtype),
-    }
+    found = {"xyz": np.zeros_like(xyz), "normals": np.zeros_like(normals)}
+    shift = {"xyz": pose[:3, 3], "normals": np.zeros(3)}
+    for name, field in (("xyz", xyz), ("normals", normals)):
+        flat, target = field.reshape(-1, 3), found[name].reshape(-1, 3)
+        for start in range(0, len(flat), _AT_ONCE):
+            part = slice(start, start + _AT_ONCE)
+            moved = flat[part].astype(np.float64) @ pose[:3, :3].T + shift[name]
+            target[part] = np.where(valid.reshape(-1)[part, None], moved, 0)
+    return found
+
+
+_AT_ONCE = 1 << 17
 
 
 def _moved(cloud: PointCloud, pose: np.ndarray, covariance: np.ndarray, *, smoothed: bool) -> dict[str, Any]:

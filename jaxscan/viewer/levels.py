@@ -15,6 +15,8 @@ _TILE_DEPTH = 3
 """Halvings to a tile: 8 along each edge."""
 OVERVIEW = 20_000
 """Points that are shown of all tiles, however far, at most."""
+_AT_ONCE = 1 << 18
+"""Points whose places on the curve are found together."""
 _WHOLE = 0.9
 """With this share of the points shown, the rest comes in one chunk."""
 
@@ -56,21 +58,25 @@ def make_levels(xyz: Float[np.ndarray, "n 3"], *, overview: int = OVERVIEW) -> L
     """
     low = xyz.min(0)
     extent = max(float((xyz.max(0) - low).max()), 1e-9)
-    codes = _morton(xyz, low, extent)
-    along = np.argsort(codes)
+    codes = np.empty(len(xyz), np.uint64)
+    for start in range(0, len(xyz), _AT_ONCE):
+        codes[start : start + _AT_ONCE] = _morton(xyz[start : start + _AT_ONCE], low, extent)
+    along = np.argsort(codes).astype(np.int32)
     codes = codes[along]
     digit = np.zeros(len(codes), np.uint8)
-    changed = codes[1:] ^ codes[:-1]
-    # By the highest bit that differs; equal places differ in none, and are of the finest level.
-    digit[1:] = DEPTH - 1 - np.maximum(_highest_bit(changed), 0) // 3
+    for start in range(0, len(codes) - 1, _AT_ONCE):
+        changed = codes[start + 1 : start + _AT_ONCE + 1] ^ codes[start : start + _AT_ONCE][: len(codes) - 1 - start]
+        # By the highest bit that differs; equal places differ in none, and are of the finest level.
+        digit[start + 1 : start + 1 + len(changed)] = DEPTH - 1 - np.maximum(_highest_bit(changed), 0) // 3
     counts = np.cumsum(np.bincount(digit, minlength=DEPTH))
     first = max(int(np.searchsorted(counts, overview, side="right")) - 1, 0)
     last = max(int(np.searchsorted(counts, _WHOLE * len(xyz))), first)
     level = np.clip(digit, first, last)
     tile = (codes >> np.uint64(3 * (DEPTH - _TILE_DEPTH))).astype(np.int16)
+    del codes
     key = tile * np.int16(DEPTH) + level
     by_level = np.argsort(key, kind="stable")
-    order, key = along[by_level].astype(np.int32), key[by_level]
+    order, key = along[by_level], key[by_level]
     starts = np.flatnonzero(np.diff(key, prepend=-1))
     return Levels(order, _chunks(xyz, order, (starts, key[starts]), extent))
 

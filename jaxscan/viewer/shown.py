@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxscan.measurement import PlaneMeasurement
-from jaxscan.reconstruction import PointCloud
+from jaxscan.reconstruction import PointCloud, some_points
 from jaxscan.viewer.colours import UNKNOWN, Colouring, Scale, brightened, coloured_normals, scale_of
 from jaxscan.viewer.gridded import gridded_normals
 from jaxscan.viewer.levels import Levels, make_levels
@@ -29,14 +29,13 @@ def knows_its_place(cloud: PointCloud) -> bool:
     """Whether a cloud says where its scanner stood, or has it in an origin amid the points."""
     if says_its_place(cloud):
         return True
-    low, high = np.percentile(np.asarray(cloud.xyz)[np.asarray(cloud.valid)], [1, 99], axis=0)
+    low, high = np.percentile(some_points(cloud, 1_000_000), [1, 99], axis=0)
     return bool(((low < 0) & (high > 0)).all())
 
 
 def middle_of(cloud: PointCloud) -> np.ndarray:
     """A place amid a cloud [3], in whole metres: one on a map has more digits than a browser's numbers."""
-    points = np.asarray(cloud.xyz)[np.asarray(cloud.valid)]
-    return np.round(np.median(points[:: max(1, len(points) // 10_000)].astype(np.float64), 0))
+    return np.round(np.median(some_points(cloud, 10_000), 0))
 
 
 class ShownCloud:
@@ -62,20 +61,23 @@ class ShownCloud:
         """
         self.name, self.cloud, self.origin, self.turned = name, cloud, origin, turned
         self.words = words
-        cells = np.flatnonzero(np.asarray(cloud.valid))
+        number = np.int32 if cloud.valid.size < 2**31 else np.int64
+        cells = np.flatnonzero(np.asarray(cloud.valid)).astype(number)
         flat = np.asarray(cloud.xyz).reshape(-1, 3)
-        xyz = (flat[cells] - origin.astype(flat.dtype)).astype(np.float32)
+        xyz = flat[cells]
+        xyz -= origin.astype(flat.dtype)
+        xyz = xyz.astype(np.float32, copy=False)
         self.levels: Levels = make_levels(xyz)
         self.xyz = xyz[self.levels.order]
         """Points in the scene's frame, in the order in which they are shown, float32 [n, 3]."""
-        self.cells = cells[self.levels.order].astype(np.int32 if flat.size < 2**31 else np.int64)
+        self.cells = cells[self.levels.order]
         """Their places on the cloud's grid, counted line after line."""
 
         some = self.xyz[:: max(1, len(self.xyz) // 50_000)]
         self.low, self.high = np.percentile(some, [1, 99], axis=0)
         """Corners of the points without their outermost hundredth, in the scene's frame [3], m."""
-        normals = cloud.normals if self.has("normals") else self._gridded()
-        self.sides = sides_of(self.take(normals), self._towards(), certain=says_its_place(cloud))
+        del xyz, cells
+        self.sides = self._sides()
         """From which side the points were seen, int8 [n, 3]; None where the cloud does not know."""
         self.hides = self.sides is not None and hides_well(self.sides)
         """Whether what is seen from behind is better left out at first."""
@@ -164,6 +166,13 @@ class ShownCloud:
         if self.cloud.stations is None:
             return np.asarray(-self.origin[None][: int(knows_its_place(self.cloud))])
         return np.asarray(np.asarray(self.cloud.stations.pose)[:, :3, 3] - self.origin)
+
+    def _sides(self) -> np.ndarray | None:
+        normals = self.cloud.normals if self.has("normals") else self._gridded()
+        # Most clouds of other programs have none, and taking them takes as much memory as the points.
+        if not np.any(np.asarray(normals)):
+            return None
+        return sides_of(self.take(normals), self._towards(), certain=says_its_place(self.cloud))
 
     def _towards(self) -> np.ndarray | None:
         """From each point to where its scanner stood, [n, 3], m; None where nobody knows."""

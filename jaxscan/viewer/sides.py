@@ -35,7 +35,9 @@ def sides_of(
     if towards is None or not known.mean() >= _KNOWN:
         return None
     slopes = np.einsum("ni,ni->n", normals[some], towards[some])[known]
-    steps = np.rint(_STEPS * normals).astype(np.int8)
+    steps = np.empty(normals.shape, np.int8)
+    for start in range(0, len(normals), _SOME):
+        steps[start : start + _SOME] = np.rint(_STEPS * normals[start : start + _SOME])
     if np.mean(slopes > 0) >= _AGREE:
         # Not turned one by one: a camera stands beside the axis, and sees a little more than it.
         return steps

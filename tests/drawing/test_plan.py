@@ -1,11 +1,14 @@
 """Plans and sections of a furnished room: what is drawn, and where."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import jaxscan
 from jaxscan.drawing.contours import simplified
 from jaxscan.errors import MeasurementError
+from jaxscan.measurement.outline.corners import Surface
 
 from ..measurement.rooms import CUPBOARD, HEIGHT, seen_room
 
@@ -126,3 +129,29 @@ def test_simplified_lines_stay_within_the_tolerance():
     assert np.abs(np.interp(t, short[:, 0], short[:, 1]) - line[:, 1]).max() < 0.02
     straight = simplified(np.stack([t, 3.0 * t], 1))
     assert len(straight) == 2
+
+
+def test_a_section_within_a_wall_is_moved_before_it(survey):
+    """Through 0 of the plan, along both walls that meet there; the wall it would run in has no place in it."""
+    for a, b in (((-1.0, 0.0), (2.0, 0.0)), ((0.0, -2.0), (0.0, 2.0))):
+        section = jaxscan.draw_section(survey, a, b)
+        (remark,) = section.remarks
+        assert "moved by 8 cm into the room" in remark
+        widths = [one.length_m for one in section.dimensions if one.offset_m != 0.0]
+        assert widths and all(min(abs(one - each) for each in (2.5, 3.5, 5.0, 6.0)) < 5e-3 for one in widths)
+    assert not jaxscan.draw_section(survey, (0.7, 1.0), (0.7, 2.0)).remarks
+
+
+def test_what_is_not_known_is_no_dimension(survey):
+    """Walls whose places are known to metres: their lengths are left out, and the drawing says how many."""
+
+    def vague(side):
+        wall = side.surface.wall
+        plane = wall.plane._replace(covariance=np.eye(3) * 4.0)
+        return replace(side, surface=Surface(plane, wall._replace(plane=plane)))
+
+    loops = tuple(tuple(vague(side) for side in loop) for loop in survey.outline.loops)
+    unknown = replace(survey, outline=replace(survey.outline, loops=loops))
+    plan = jaxscan.draw_plan(unknown)
+    assert any("left out" in remark for remark in plan.remarks)
+    assert not [one for one in plan.dimensions if one.offset_m == -0.5]

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import load_cloud, save_cloud
 from jaxscan.files.clouds.pcd.lzf import unpack
+from tests.fuzz.hardship import hardship
 
 from .clouds import make_cloud
 from .test_cloud_exchange import needed
@@ -130,16 +131,6 @@ def test_headers_of_e57(tmp_path, place, value):
     assert "announces more than the file holds" in refused(tmp_path / "a.e57", las_with(data, place, "<Q", value))
 
 
-def test_the_xml_of_e57_defines_nothing(tmp_path):
-    """Definitions that stand for one another unfold to any length."""
-    data = bytearray(good(".e57", tmp_path))
-    place, length = struct.unpack_from("<QQ", data, 24)
-    at = data.index(b"<e57Root", place - place % 1024)
-    data[at : at + 8] = b"<!ENTITY"
-    assert length > 1000
-    assert "holds definitions" in refused(tmp_path / "a.e57", bytes(data))
-
-
 def test_blocks_of_ptx(tmp_path):
     data = good(".ptx", tmp_path)
     assert data.startswith(b"3\n5\n")
@@ -237,3 +228,17 @@ def test_lzf():
 def test_one_point_is_a_cloud(tmp_path):
     (tmp_path / "a.xyz").write_text("1 2 3\n")
     assert load_cloud(tmp_path / "a.xyz").xyz.tolist() == [[[1, 2, 3]]]
+
+
+@pytest.mark.parametrize("suffix", (".ply", ".npz", *FORMATS))
+def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, suffix):
+    """Libraries that pack points have errors of their own for it."""
+    needed(suffix)
+    path = tmp_path / f"cloud{suffix}"
+    save_cloud(make_cloud(), path)
+    size = path.stat().st_size
+    path.unlink()
+    with pytest.raises(CloudError, match="cannot be written") as problem, hardship(size // 2, ()):
+        save_cloud(make_cloud(), path)
+    assert "\n" not in str(problem.value)
+    assert list(tmp_path.iterdir()) == []

@@ -5,11 +5,22 @@ from collections.abc import Callable
 from pathlib import Path
 
 from .archives import change_npz
-from .cloud_cases import convert_cloud, make_product, measure_cloud
+from .cloud_cases import align_targets, convert_cloud, make_product, measure_cloud, mirrored_cloud
 from .draft import IN, OUT, VICTIM, Case, Draft, changed_capture
 from .nasty import nasty_number
 from .pictures import change_image
 from .places import replace_place, strange_name
+from .project_cases import (
+    hard_disk,
+    many_lines,
+    paper_case,
+    project_case,
+    recalibrate_case,
+    served_case,
+    video_case,
+    wrong_angles,
+)
+from .talk_cases import gate_case, orders_case, wire_case
 from .texts import change_bytes, change_json, change_toml
 
 
@@ -176,19 +187,32 @@ def _words(draft: Draft) -> Case:
 
 
 KINDS: dict[Callable[[Draft], Case], float] = {
-    _reconstruct: 30,
-    _reconstruct_with: 6,
+    _reconstruct: 20,
+    _reconstruct_with: 4,
     _repack: 8,
     _import: 6,
     _verify: 8,
-    _calibrate: 1.5,
-    _camera: 10,
-    _report: 2,
-    convert_cloud: 16,
-    measure_cloud: 8,
-    make_product: 8,
-    _simulate: 4,
+    _calibrate: 0.5,
+    _camera: 8,
+    _report: 1,
+    convert_cloud: 24,
+    measure_cloud: 12,
+    make_product: 6,
+    mirrored_cloud: 0.5,
+    align_targets: 2,
+    _simulate: 3,
     _rig: 3,
     _words: 4,
+    project_case: 8,
+    paper_case: 5,
+    served_case: 3,
+    wrong_angles: 0.5,
+    hard_disk: 5,
+    video_case: 4,
+    many_lines: 0.5,
+    recalibrate_case: 1,
+    orders_case: 4,
+    gate_case: 4,
+    wire_case: 4,
 }
 """The kinds of cases, and how often each comes."""

@@ -5,29 +5,61 @@ from pathlib import Path
 from .archives import change_npz
 from .draft import OUT, Case, Draft, changed_capture
 from .nasty import nasty_number
-from .texts import change_bytes, change_json, change_ply_header
+from .scans import change_e57, change_las, change_pcd, change_ptx, change_xyz, mirror_las
+from .texts import change_bytes, change_json, change_ply_header, change_toml
 
 
 CLOUDS = (".ply", ".npz", ".e57", ".las", ".laz", ".pcd", ".xyz", ".ptx")
+_CHANGES = {
+    ".npz": change_npz,
+    ".e57": change_e57,
+    ".las": change_las,
+    ".laz": change_las,
+    ".pcd": change_pcd,
+    ".xyz": change_xyz,
+    ".ptx": change_ptx,
+}
 
 
 def _changed_cloud(draft: Draft) -> Path:
     rng = draft.rng
-    name = rng.choice(("cloud.ply", "foreign.ply", "cloud.npz", "cloud" + rng.choice(CLOUDS)))
+    name = rng.choice(("foreign.ply", "cloud.e57", *("cloud" + rng.choice(CLOUDS) for _ in range(4))))
     cloud = draft.take(name)
-    if name == "cloud.npz":
-        draft.change(cloud, change_npz)
-    elif cloud.suffix != ".ply":
-        draft.change(cloud, change_bytes)
-    else:
-        draft.change(cloud, rng.choice((change_ply_header, change_ply_header, change_bytes)))
+    own = _CHANGES.get(cloud.suffix, rng.choice((change_ply_header, change_ply_header, change_bytes)))
+    draft.change(cloud, own)
     return cloud
 
 
 def convert_cloud(draft: Draft) -> Case:
     cloud, suffix = _changed_cloud(draft), draft.rng.choice(CLOUDS)
     target = str(cloud) if draft.rng.random() < 0.02 else draft.output("cloud" + suffix)
-    return Case(f"convert to {suffix}", ["convert", str(cloud), target], {f"{OUT}/cloud{suffix}"})
+    words = ["convert", str(cloud), target]
+    if draft.rng.random() < 0.15:
+        numbers = [str(draft.rng.choice((500_000.0, nasty_number(draft.rng)))) for _ in range(3)]
+        words += draft.rng.choice((["--epsg", numbers[0]], ["--offset", *numbers], ["--unit", "foot"], ["--up", "-y"]))
+    return Case(f"convert {cloud.suffix} to {suffix}", words, {f"{OUT}/cloud{suffix}"})
+
+
+def mirrored_cloud(draft: Draft) -> Case:
+    """A change that no damage makes: the cloud is whole, and wrong."""
+    cloud = draft.take(draft.rng.choice(("cloud.las", "cloud.laz")))
+    cloud.write_bytes(mirror_las(draft.rng, cloud.read_bytes()))
+    words = ["convert", str(cloud), draft.output("cloud.xyz")]
+    return Case("mirrored cloud", words, {f"{OUT}/cloud.xyz"}, needs_word=True)
+
+
+def align_targets(draft: Draft) -> Case:
+    """Targets with changed values; of one with a coordinate of the wrong sign a word is needed."""
+    rng, targets, cloud = draft.rng, draft.take("targets.toml"), draft.take("cloud.npz")
+    sign = rng.random() < 0.3
+    if sign:
+        text = targets.read_text()
+        at = rng.choice([k for k in range(len(text) - 1) if text[k : k + 6] == "site ="]) + 8
+        targets.write_text(text[:at] + ("-" if text[at] != "-" else "") + text[at + (text[at] == "-") :])
+    else:
+        draft.change(targets, change_toml)
+    words = ["align", str(cloud), "-o", draft.output("a.npz"), "--targets", str(targets)]
+    return Case("align sign" if sign else "align targets", words, {f"{OUT}/a.npz"}, needs_word=sign)
 
 
 def measure_cloud(draft: Draft) -> Case:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from .project_cases import KNOWN, TARGETS
+
 
 RECORDS = 12
 VIEWS = 6
@@ -94,8 +96,26 @@ def make_corpus(tiny: Path, folder: Path, configs: Path) -> None:
     (folder / "unsealed" / "stripes.npz").rename(folder / "stripes.npz")
     (folder / "foreign.ply").write_text(FOREIGN_PLY)
     (folder / "rig.toml").write_text(RIG)
+    (folder / "targets.toml").write_text(TARGETS)
+    (folder / "known.toml").write_text(KNOWN)
     for name in ("scan.toml", "desk.toml"):
         shutil.copy(configs / name, folder / name)
+    panorama = ["panorama", str(folder / "unsealed"), "-c", str(folder / "calibration.json"), "--width", "128"]
+    assert main([*panorama, "-o", str(folder / "panorama.jpg")]) == 0
+    for name, codec in (("film.avi", "MJPG"), ("film.mp4", "mp4v")):
+        _filmed(folder / "unsealed" / "on", folder / name, codec)
+
+
+def _filmed(pictures: Path, path: Path, codec: str) -> None:
+    """A video of all pictures of a folder, in the order of their names."""
+    import cv2
+
+    frames = [cv2.resize(cv2.imread(str(picture)), (64, 48)) for picture in sorted(pictures.iterdir())]
+    film = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), 10.0, (64, 48))
+    assert film.isOpened()
+    for frame in frames:
+        film.write(frame)
+    film.release()
 
 
 def _thinned(source: Path, target: Path, count: int, *, plain: bool) -> None:

@@ -1,5 +1,6 @@
 """The files of a case in the making: copies of the corpus, some of them changed."""
 
+import os
 import random
 import shutil
 from collections.abc import Callable
@@ -13,6 +14,12 @@ from .texts import change_journal, change_toml
 
 
 IN, OUT, VICTIM = "in", "out", "victim.txt"
+SECRET = "sk-secret-4711"
+"""What the victim holds; no result may repeat it."""
+VICTIM_PLACE = "JAXSCAN_FUZZ_VICTIM"
+"""Variable with the path of the victim of a case."""
+CANARY = "JAXSCAN_FUZZ_CANARY"
+"""Variable with the address of a server that nobody may ask anything."""
 
 
 @dataclass
@@ -27,6 +34,16 @@ class Case:
     """Names that it may write in any case: the cache of stripes."""
     cloud: str | None = None
     """The cloud that is compared with that of the unchanged files."""
+    drive: Callable[[], list[str]] | None = None
+    """In place of words: a part of the program that no verb reaches alone; it returns the faults that it saw."""
+    needs_word: bool = False
+    """Whether the change is one that must be refused, or said in a note."""
+    allowed: frozenset[str] = frozenset()
+    """What it may ask of the system: "network", "program"."""
+    most_bytes: int | None = None
+    """A full disk: no file may grow beyond this."""
+    read_only: tuple[Path, ...] = ()
+    """Folders that cannot be written while it runs."""
 
 
 class Draft:
@@ -36,7 +53,8 @@ class Draft:
         self.rng, self.corpus, self.folder = rng, corpus, folder
         (folder / IN).mkdir(parents=True)
         (folder / OUT).mkdir()
-        (folder / VICTIM).write_text("untouched\n")
+        os.environ[VICTIM_PLACE] = str(folder / VICTIM)
+        (folder / VICTIM).write_text(f"{SECRET}\n")
 
     def take(self, name: str) -> Path:
         """A copy of a file or folder of the corpus."""
@@ -53,6 +71,11 @@ class Draft:
             replace_place(self.rng, path, self.folder / VICTIM)
             return
         path.write_bytes(change(self.rng, path.read_bytes()))
+
+    @property
+    def canary(self) -> str:
+        """An address that a file may name, and that nobody may follow."""
+        return os.environ.get(CANARY, "http://127.0.0.1:9/")
 
     def output(self, name: str) -> str:
         """Where a verb is to write; now and then a place that is hard to write to."""

@@ -157,3 +157,27 @@ def test_on_the_command_line(tmp_path, capsys, tiny):
         assert main([*words, *wrong]) == 1 and says in capsys.readouterr().err
     targets.write_text(entries[0] * 2)
     assert main([*words, "--targets", str(targets)]) == 1 and "two targets have the name" in capsys.readouterr().err
+
+
+KNOWN = np.array([[0.0, 0.0, 0.3], [4.0, 0.1, 1.6], [3.8, 3.1, 0.7], [0.2, 2.9, 2.1], [2.1, 1.4, 0.2]])
+
+
+@pytest.mark.parametrize("change", [lambda p: p * [-1, 1, 1], lambda p: p + [1.0, 0, 0], lambda p: 1e3 * p])
+def test_a_wrong_target_is_named(change):
+    """Of five to a millimetre one has a sign turned, is a metre off, or is in millimetres."""
+    seen = KNOWN + np.random.default_rng(0).normal(0, 1e-3, KNOWN.shape)
+    names = list("ABCDE")
+    assert jaxscan.align_targets(seen, KNOWN, names=names).sigma_m < 3e-3
+    wrong = KNOWN.copy()
+    wrong[2] = change(wrong[2])
+    with pytest.raises(MeasurementError, match="Target 'C' is"):
+        jaxscan.align_targets(seen, wrong, names=names)
+
+
+def test_targets_that_contradict_without_one_to_blame():
+    with pytest.raises(MeasurementError, match="exchanged"):
+        jaxscan.align_targets(KNOWN, KNOWN[[1, 0, 2, 3, 4]])
+    three = KNOWN[:3].copy()
+    three[1, 1] += 0.5
+    with pytest.raises(MeasurementError, match="do not tell which"):
+        jaxscan.align_targets(KNOWN[:3], three)

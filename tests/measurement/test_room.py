@@ -189,3 +189,44 @@ def test_a_cloud_of_another_rig_is_noticed(scanner, box_room):
     cloud.laser[:] = 1
     with pytest.raises(MeasurementError, match="points of laser 1, and the calibration has 1"):
         measure_room(cloud, scanner=scanner)
+
+
+def one_row(cloud):
+    """The cloud as a text without a grid gives it: nobody knows which points are of one profile."""
+    valid = cloud.valid
+    single = type(cloud)(**vars(cloud))
+    single.xyz, single.sigma_random = cloud.xyz[valid][None], 0.0 * cloud.sigma_random[valid][None]
+    single.valid, single.laser, single.angle = np.ones((1, valid.sum()), bool), np.zeros(1, np.int32), np.zeros(1)
+    return single
+
+
+@pytest.mark.parametrize("profiles", [8, 15])
+def test_profiles_are_no_walls(profiles, box_room):
+    """Each of a few profiles is a plane of its own, in which hundreds of points are."""
+    sparse = box_room((3.2, 3.8, 2.4), grid=(profiles, 256), noise=2e-4, elevation=60.0)
+    for cloud in (sparse, one_row(sparse)):
+        try:
+            room = measure_room(cloud)
+        except MeasurementError as problem:
+            assert "No two opposite walls" in str(problem)
+        else:
+            found = [one for one in (room.length, room.width, room.height) if one is not None]
+            assert all(min(abs(one.value_m - each) for each in (3.2, 3.8, 2.4)) < 5e-3 for one in found), found
+            assert all(one.angle_deg < 5.0 for one in found)
+
+
+def test_a_dense_room_needs_no_grid(box_room):
+    room = measure_room(one_row(box_room(grid=(360, 120))))
+    np.testing.assert_allclose(values(room), SIZE, atol=1e-3)
+
+
+def test_walls_before_which_the_room_is_not(box_room):
+    """A cupboard's sides as the only planes: most of the points are behind them."""
+    rng = np.random.default_rng(2)
+    cloud = one_row(box_room((0.5, 0.4, 0.6), at=(0.0, 0.0, 0.3), grid=(90, 40), noise=1e-4))
+    around = rng.uniform(-3.0, 3.0, (6 * cloud.xyz.shape[1], 3)).astype(np.float32)
+    cloud.xyz = np.concatenate([cloud.xyz, around[None]], axis=1)
+    count = cloud.xyz.shape[1]
+    cloud.sigma_random, cloud.valid = np.zeros((1, count), np.float32), np.ones((1, count), bool)
+    with pytest.raises(MeasurementError, match="No two opposite walls"):
+        measure_room(cloud)

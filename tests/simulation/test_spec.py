@@ -8,6 +8,7 @@ import pytest
 from jaxscan.errors import ConfigError
 from jaxscan.files import load_toml
 from jaxscan.simulation import SimulationConfig
+from jaxscan.simulation.settings.laser import LaserSpec
 
 
 SMALL = """
@@ -103,3 +104,10 @@ def test_every_number_has_two_limits():
             names += 1
             assert bounded(field.annotation, ends(field.metadata)), f"{model.__name__}.{name}"
     assert names > 60
+
+
+@pytest.mark.parametrize("baseline", [1e-300, -1e-200, 5e-324])
+def test_a_baseline_of_nothing_is_refused_without_a_warning(baseline):
+    """Warnings are errors here; one on the terminal would be a second line."""
+    with pytest.raises(pydantic.ValidationError, match="no plane"):
+        LaserSpec(name="red", baseline_m=baseline, crossing_m=1.0)

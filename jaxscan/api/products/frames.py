@@ -25,14 +25,16 @@ def align_cloud(cloud: PointCloud, transform: Float[np.ndarray, "4 4"]) -> Point
     """
     turn, shift = transform[:3, :3], transform[:3, 3]
     xyz, normals, valid = np.asarray(cloud.xyz), np.asarray(cloud.normals), np.asarray(cloud.valid)
-    moved = np.where(valid[..., None], xyz.astype(np.float64) @ turn.T + shift, 0.0)
-    kind = np.float64 if np.abs(moved).max(initial=0.0) > _FAR_M else xyz.dtype
+    moved = xyz.astype(np.float64) @ turn.T
+    moved += shift
+    moved[~valid] = 0.0
+    kind = np.float64 if max(moved.max(initial=0.0), -moved.min(initial=0.0)) > _FAR_M else xyz.dtype
     before = cloud.stations
     if before is None:
         before = Stations(np.zeros(len(xyz), np.int32), np.eye(4)[None], np.zeros((1, 6, 6)))
     return dataclasses.replace(
         cloud,
-        xyz=moved.astype(kind),
+        xyz=moved.astype(kind, copy=False),
         normals=(normals.astype(np.float64) @ turn.T).astype(normals.dtype),
         stations=before._replace(pose=transform @ np.asarray(before.pose, np.float64)),
     )

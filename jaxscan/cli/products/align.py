@@ -72,7 +72,7 @@ def _to_targets(path: Path, out: Terminal) -> tuple[np.ndarray, dict[str, Any]]:
     from jaxscan.files.targets import load_targets
 
     names, scanner, site = load_targets(path)
-    found = jaxscan.align_targets(scanner, site)
+    found = jaxscan.align_targets(scanner, site, names=names)
     rows = [
         (name, *(f"{1e3 * part:+.1f}" for part in residual), f"{1e3 * np.linalg.norm(residual):.1f}")
         for name, residual in zip(names, found.residuals_m, strict=True)

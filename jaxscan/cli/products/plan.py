@@ -75,14 +75,17 @@ def plan(
     ]
     out.print(table(f"Walls, {height[0]:g} m above the floor", ("", "m", "m²", ""), rows))
     for each in result["openings"]:
-        out.print(f"{each['wall']}: {each['kind']} {_length(each['width'])} wide, {_length(each['height'])} high")
+        wide, high = (_length(each[name]) or "not known how" for name in ("width", "height"))
+        out.print(f"{each['wall']}: {each['kind']} {wide} wide, {high} high")
     for name, unit in (("height", "m"), ("floor_area", "m²"), ("volume", "m³")):
         found = result[name]
         if found is not None:
             out.print(f"{name.replace('_', ' ')}: {_length(found) if unit == 'm' else _area(found)} {unit}")
+    for remark in drawing.remarks:
+        out.print(f"note: {remark}")
     out.print("± is one standard deviation" + ("" if scanner else "; --calibration adds the calibration's part") + ".")
     out.print(f"written: {output}")
-    emit_json(json, "plan", result | {"drawing": str(output), "notes": notes})
+    emit_json(json, "plan", result | {"drawing": str(output), "notes": [*notes, *drawing.remarks]})
 
 
 def _numbers(survey: "Survey", height: float) -> dict[str, Any]:
@@ -112,7 +115,7 @@ def _numbers(survey: "Survey", height: float) -> dict[str, Any]:
 
 
 def _entry(found: "Estimate | None") -> dict[str, float] | None:
-    return None if found is None else dataclasses.asdict(found)
+    return None if found is None or not found.known else dataclasses.asdict(found)
 
 
 def _length(entry: dict[str, float] | None) -> str:

@@ -6,7 +6,7 @@ from typing import Any, Literal
 import numpy as np
 
 from jaxscan.files.clouds.about import StoredCloud
-from jaxscan.reconstruction import PointCloud, Stations
+from jaxscan.reconstruction import PointCloud, Stations, some_points
 
 
 Unit = Literal["m", "cm", "mm", "inch", "foot"]
@@ -68,24 +68,20 @@ def shifted(cloud: PointCloud, offset: tuple[float, float, float]) -> PointCloud
         stations = Stations(np.zeros(len(cloud.valid), np.int32), step[None], np.zeros((1, 6, 6)))
     else:
         stations = cloud.stations._replace(pose=step @ np.asarray(cloud.stations.pose, np.float64))
-    moved = np.asarray(cloud.xyz).astype(np.float64) + step[:3, 3]
-    xyz = np.where(np.asarray(cloud.valid)[..., None], moved, 0)
+    xyz = np.asarray(cloud.xyz).astype(np.float64)
+    xyz += step[:3, 3]
+    xyz[~np.asarray(cloud.valid)] = 0
     return dataclasses.replace(cloud, xyz=xyz, stations=stations)
 
 
 def _extents(cloud: PointCloud) -> np.ndarray:
     """Extents [3] of the cloud without its outermost hundredth on every side."""
-    low, high = np.percentile(_some_points(cloud), [1, 99], axis=0)
+    low, high = np.percentile(some_points(cloud, 100_000), [1, 99], axis=0)
     return np.asarray(high - low)
 
 
 def _middle(cloud: PointCloud) -> np.ndarray:
-    return np.asarray(np.median(_some_points(cloud), axis=0))
-
-
-def _some_points(cloud: PointCloud) -> np.ndarray:
-    points = np.asarray(cloud.xyz)[np.asarray(cloud.valid)].astype(np.float64)
-    return points[:: max(1, len(points) // 100_000)]
+    return np.asarray(np.median(some_points(cloud, 100_000), axis=0))
 
 
 def _scaled(cloud: PointCloud, factor: float) -> PointCloud:

@@ -8,8 +8,8 @@ from jaxscan.errors import CloudError
 from jaxscan.reconstruction import SMOOTHED, CloudPoints, PointCloud, Stations
 
 
-BLOCK_POINTS = 1 << 20
-"""Grid cells that are processed at a time: enough to be fast, few enough for any memory."""
+BLOCK_POINTS = 1 << 17
+"""Points that are read or written at a time: enough to be fast, few enough for any memory."""
 
 MAX_STATIONS = 64
 """Most stations of one cloud, so that their poses fit into the header of a PLY file."""
@@ -43,10 +43,14 @@ def profiles_at_a_time(cloud: PointCloud) -> Iterator[tuple[int, int]]:
         yield start, min(start + stride, profiles)
 
 
-def blocks(cloud: PointCloud) -> Iterator[CloudPoints]:
-    """The valid points, some profiles at a time; blocks without points are left out."""
-    for start, stop in profiles_at_a_time(cloud):
-        points = cloud.points(start, stop)
+def blocks(cloud: PointCloud, cells: int | None = None) -> Iterator[CloudPoints]:
+    """The valid points, of `BLOCK_POINTS` or so many cells at a time; blocks without points are left out.
+
+    A block may end within a profile: clouds of other programs have a single one.
+    """
+    stride = BLOCK_POINTS if cells is None else cells
+    for start in range(0, cloud.valid.size, stride):
+        points = cloud.points_of_cells(start, min(start + stride, cloud.valid.size))
         if len(points.xyz):
             yield points
 

@@ -15,3 +15,4 @@ from jaxscan.files.disk.opening import MEGABYTE, NO_LINK, check_name, open_regul
 from jaxscan.files.disk.partial import forget_partials, partial_file, partial_folder, remove_left
 from jaxscan.files.disk.readable_json import readable_json
 from jaxscan.files.disk.validation import FileModel, ImageSize, Integer, Number, check
+from jaxscan.files.disk.xml import Element, parse_xml

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.geometry import Scanner
+from jaxscan.measurement.checked import is_known
 from jaxscan.measurement.outline.level import Frame
 from jaxscan.measurement.planes import Plane
 from jaxscan.measurement.samples import Places, Samples
@@ -31,6 +32,11 @@ class Estimate:
     """From the scatter of the points."""
     sigma_systematic: float
     """From the covariances of the calibration and of the poses of stations; 0 where they are not known."""
+
+    @property
+    def known(self) -> bool:
+        """Whether it may be stated as a dimension."""
+        return is_known(self.value, self.sigma)
 
 
 class Surface(NamedTuple):

@@ -158,9 +158,10 @@ def measure_outline(cloud: Cloud, *, scanner: Scanner | None = None, seed: int =
     Raises:
         MeasurementError: If there is no floor, or fewer than three walls around the scanner.
     """
-    samples, place = about_the_scanner(checked_samples(cloud))
+    found, place = about_the_scanner(checked_samples(cloud))
     rng = np.random.default_rng(seed)
-    planes = find_planes(samples, seed=seed)
+    planes = find_planes(found, seed=seed)
+    samples = found.all()
     frame, floor, ceiling = find_level(samples, planes, rng)
     standing = frame.samples(samples)
     walls = _candidates(frame, planes, standing)

@@ -1,5 +1,6 @@
 """Configuration of a line laser."""
 
+import math
 from typing import Annotated, Literal
 
 import numpy as np
@@ -83,7 +84,7 @@ class LaserSpec(Section):
         whole = [name for name, values in forms.items() if all(value is not None for value in values)]
         if len(begun) != 1 or begun != whole:
             raise ValueError(f"a laser's sheet needs exactly one of: {'; '.join(forms)}; got {begun or 'none'}")
-        if self.baseline_m == 0 or self.crossing_m == 0 or self.normal == (0, 0, 0) or self.plane()[1] < 1e-4:
+        if self.baseline_m == 0 or self.crossing_m == 0 or self.normal == (0, 0, 0) or not self.plane()[1] >= 1e-4:
             raise ValueError("the sheet is no plane, or passes the camera at less than 0.1 mm")
         return self
 
@@ -100,5 +101,6 @@ class LaserSpec(Section):
             normal, distance = np.array(self.normal), self.distance_m
         else:
             normal, distance = np.array([1 / (self.baseline_m or 1), 0.0, 1 / (self.crossing_m or 1)]), 1.0
-        length = float(np.linalg.norm(normal)) * (1.0 if distance > 0 else -1.0)
-        return normal / length, distance / length
+        # By Python's numbers: components that are too large give no distance, and no warning of NumPy's.
+        length = math.hypot(*normal.tolist()) * (1.0 if distance > 0 else -1.0)
+        return np.array([value / length for value in normal.tolist()]), distance / length

@@ -27,21 +27,6 @@ COLUMNS = {
 """Columns that the standard and the extension of normals know."""
 
 
-def node_at(node: Any, path: str | int) -> Any:
-    """A node below another one, by its name or number."""
-    from pye57.utils import get_node
-
-    return get_node(node, path)
-
-
-def value_at(node: Any, path: str) -> Any:
-    """The number or text of a node below another one; None where there is none."""
-    if not node.isDefined(path):
-        return None
-    found = node_at(node, path)
-    return found.value() if hasattr(found, "value") else None
-
-
 def load_libe57() -> Any:
     """The module.
 

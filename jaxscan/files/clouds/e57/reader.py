@@ -1,28 +1,33 @@
-"""Reading E57: files of this library on their grid, others by rows and columns, or as a single row of points."""
+"""Reading E57: files of this library on their grid, others by rows and columns, or as a single row of points.
 
-import contextlib
+The format is read here, in blocks, and not by libE57: its parser of XML follows what a file says, to other files and
+addresses too, and hears no signal while it does.
+"""
+
+import math
 import os
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
 
 import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds.about import StoredCloud, about_of, version_of
 from jaxscan.files.clouds.crs import epsg_of
-from jaxscan.files.clouds.e57.library import COLUMNS, OWN, load_libe57, node_at, value_at
+from jaxscan.files.clouds.e57.library import COLUMNS, OWN
+from jaxscan.files.clouds.e57.packets import Field, Sink, read_columns
+from jaxscan.files.clouds.e57.pages import PAGE, Pages, without_checksums
 from jaxscan.files.clouds.e57.scans import Scan, joined
-from jaxscan.files.disk import open_regular
+from jaxscan.files.disk import Element, open_regular, parse_xml
 
 
 MAX_XML_BYTES = 1 << 24
+"""Of 1024 scans with their pictures, or of 64 stations that each name all others."""
 MAX_SCANS = 1024
-_BLOCK_POINTS = 1 << 18
 _SPHERICAL = {"sphericalRange": "range", "sphericalAzimuth": "azimuth", "sphericalElevation": "elevation"}
-_INVALID = {"cartesianInvalidState": "invalid", "sphericalInvalidState": "invalid"}
-_KNOWN = COLUMNS | _SPHERICAL | _INVALID
+_COLOURS = {"red": "colorLimits/colorRedMaximum", "green": "colorLimits/colorGreenMaximum"}
+_COLOURS["blue"] = "colorLimits/colorBlueMaximum"
 _OWN_COLUMNS = {
     f"{OWN}{name}": name
     for name in (
@@ -37,117 +42,189 @@ def read_e57(path: Path) -> StoredCloud:
 
     Raises:
         CloudError: If it is damaged or has no points.
-        DependencyError: If pye57 is not installed.
     """
     with open_regular(path, error=CloudError) as file:
         size = os.fstat(file.fileno()).st_size
-        _check(file, size, path)
-    e57 = load_libe57()
-    try:
-        with contextlib.closing(e57.ImageFile(str(path), "r")) as image:
-            root = image.root()
-            frame = str(value_at(root, "coordinateMetadata") or "")
-            scans = list(_scans(e57, image, root, size, path))
-    except (e57.E57Exception, ValueError, TypeError, KeyError, AttributeError, RuntimeError, OverflowError) as problem:
-        reason = (str(problem).splitlines() or [""])[0]
-        raise CloudError(f"{path}: not a readable E57 file: {reason:.100}.") from problem
+        place, length = _places(file.read(48), size, path)
+        pages = Pages(file, size)
+        try:
+            text = pages.read(without_checksums(place), length)
+            root = parse_xml(text, name=str(path), error=CloudError, limit=MAX_XML_BYTES)
+            scans = list(_scans(pages, root, size, path))
+        except (ValueError, OverflowError, struct.error, OSError) as problem:
+            raise CloudError(f"{path}: not a readable E57 file: {problem!s:.100}.") from problem
     lines = scans[0].lines if scans else []
     if sum(len(scan.points) for scan in scans) == 0:
         raise CloudError(f"{path}: holds no points.")
     version_of(lines, str(path))
     about = about_of(lines)
-    epsg = about.epsg if about.epsg is not None else epsg_of(frame)
+    frame = root.find("coordinateMetadata")
+    epsg = about.epsg if about.epsg is not None or frame is None else epsg_of(frame.text)
     # The standard knows no other unit, and z up in the frame of a levelled scanner.
     return StoredCloud(joined(scans, str(path)), about._replace(epsg=epsg, in_metres=True, upright=True))
 
 
-def _check(file: BinaryIO, size: int, path: Path) -> None:
-    """Look at the sizes in the head, and at the XML for definitions that unfold: its parser would unfold them."""
-    head = file.read(48)
+def _places(head: bytes, size: int, path: Path) -> tuple[int, int]:
+    """Place and length of the XML, after a look at the sizes in the head."""
     if len(head) < 48 or head[:8] != b"ASTM-E57":
         raise CloudError(f"{path}: not an E57 file.")
+    (version,) = struct.unpack_from("<I", head, 8)
     length, place, xml, page = struct.unpack_from("<QQQQ", head, 16)
-    if length > size or place > size or xml > min(size, MAX_XML_BYTES) or page != 1024:
+    if length > size or place > size or xml > min(size, MAX_XML_BYTES) or page != PAGE:
         raise CloudError(f"{path}: the head announces more than the file holds; it is damaged or cut short.")
-    file.seek(place // page * page)
-    data = file.read((place % page + xml) * page // (page - 4) + 2 * page)
-    # A checksum ends every page.
-    text = b"".join(data[k : k + page - 4] for k in range(0, len(data), page))[place % page :][:xml]
-    if b"<!" in text.replace(b"<![CDATA[", b"") or b"\0" in text:
-        raise CloudError(f"{path}: its XML holds definitions, which no E57 file needs; it is refused.")
+    if version > 1:
+        raise CloudError(f"{path}: found version {version} of E57, expected 1.")
+    return place, xml
 
 
-def _scans(e57: Any, image: Any, root: Any, size: int, path: Path) -> Iterator[Scan]:
-    if not root.isDefined("data3D"):
-        return
-    listed = node_at(root, "data3D")
-    if listed.childCount() > MAX_SCANS:
-        raise CloudError(f"{path}: found {listed.childCount()} scans, expected at most {MAX_SCANS}.")
-    left = size
-    for k in range(listed.childCount()):
-        scan = node_at(listed, k)
-        if not scan.isDefined("points"):
+def _scans(pages: Pages, root: Element, size: int, path: Path) -> Iterator[Scan]:
+    listed = root.find("data3D")
+    scans = [] if listed is None else listed.children
+    if len(scans) > MAX_SCANS:
+        raise CloudError(f"{path}: found {len(scans)} scans, expected at most {MAX_SCANS}.")
+    left = 8 * size
+    for scan in scans:
+        points = scan.find("points")
+        if points is None:
             continue
-        vector = node_at(scan, "points")
+        count = int(points.attributes.get("recordCount", "0"))
+        fields = _fields_of(points.find("prototype"))
         # A point takes more than a byte; without data a file could announce any number of equal ones.
-        left -= vector.childCount()
-        if left < 0:
-            raise CloudError(
-                f"{path}: announces {vector.childCount()} points, which the file cannot hold; it is damaged."
-            )
-        points = _read_points(e57, image, vector, _colour_limit(scan))
-        yield Scan(points, _pose(scan), str(value_at(scan, f"{OWN}header") or "").splitlines())
+        left -= max(8, sum(field.bits for field in fields)) * count
+        if count < 0 or left < 0:
+            raise CloudError(f"{path}: announces {count} points, which the file cannot hold; it is damaged.")
+        header = scan.find(f"{OWN}header")
+        yield Scan(
+            _read_points(pages, points, count, fields, _full_brightness(scan, fields)),
+            _pose(scan),
+            [] if header is None else header.text.splitlines(),
+        )
 
 
-def _read_points(e57: Any, image: Any, vector: Any, brightest: float) -> np.ndarray:
+def _fields_of(prototype: Element | None) -> list[Field]:
+    """The columns of a scan in their order."""
+    found = [] if prototype is None else list(_leaves(prototype, ""))
+    if len({field.name for field in found}) < len(found):
+        raise ValueError("a scan has two columns of one name")
+    return found
+
+
+def _leaves(parent: Element, before: str) -> Iterator[Field]:
+    for child in parent.children:
+        name, kind = before + child.tag, child.attributes.get("type", "")
+        if kind in ("Structure", "Vector"):
+            yield from _leaves(child, f"{name}/")
+        else:
+            yield _field(name, kind, child.attributes)
+
+
+def _field(name: str, kind: str, words: dict[str, str]) -> Field:
+    if kind == "Float":
+        single = words.get("precision", "double") == "single"
+        brightest = float(words.get("maximum", "inf"))
+        return Field(name, 32 if single else 64, single, brightest=brightest)
+    if kind == "String":
+        return Field(name, 0, readable=False)
+    if kind not in ("Integer", "ScaledInteger"):
+        raise ValueError(f"a column has the unknown type {kind:.40}")
+    least, most = int(words.get("minimum", -(1 << 63))), int(words.get("maximum", (1 << 63) - 1))
+    if not -(1 << 63) <= least <= most < 1 << 63:
+        raise ValueError(f"the limits {least:.6g} and {most:.6g} of a column cannot be")
+    bits = (most - least).bit_length()
+    if kind == "Integer":
+        return Field(name, bits, least=least, brightest=most)
+    scale, offset = float(words.get("scale", "1")), float(words.get("offset", "0"))
+    return Field(name, bits, least=least, scale=scale, offset=offset, brightest=most * scale + offset)
+
+
+def _wanted(fields: list[Field]) -> dict[str, str]:
+    """Names of the columns that a cloud can use, by their names in the file."""
+    names = {field.name for field in fields if field.readable}
+    known = COLUMNS | _OWN_COLUMNS
+    cartesian = ("cartesianX", "cartesianY", "cartesianZ")
+    # Where both are there, the state of the one is not that of the other.
+    if set(cartesian) <= names:
+        known = known | {"cartesianInvalidState": "invalid"}
+    else:
+        known = {name: column for name, column in known.items() if name not in cartesian}
+        known |= _SPHERICAL | {"sphericalInvalidState": "invalid"}
+    return {name: column for name, column in known.items() if name in names}
+
+
+def _read_points(
+    pages: Pages, points: Element, count: int, fields: list[Field], full: dict[str, float | None]
+) -> np.ndarray:
     """All columns of a scan that a cloud can use, as records."""
-    prototype = e57.StructureNode(vector.prototype())
-    names = [prototype.get(k).elementName() for k in range(prototype.childCount())]
-    wanted = {name: (_KNOWN | _OWN_COLUMNS)[name] for name in names if name in _KNOWN or name in _OWN_COLUMNS}
-    types = {column: _type_of(e57, node_at(prototype, name)) for name, column in wanted.items()}
-    colours = [column for column in ("red", "green", "blue") if column in types]
-    stored = {column: "u1" if column in colours else kind for column, kind in types.items()}
-    count = vector.childCount()
-    points = np.empty(count, list(stored.items()))
+    wanted = _wanted(fields)
+    types = {wanted[field.name]: _stored(field, wanted[field.name]) for field in fields if field.name in wanted}
+    stored = {column: kind if column not in full or full[column] is None else "u1" for column, kind in types.items()}
+    # Without an upper limit of the colours, the values themselves say later what is bright.
+    table = np.empty(count, list(stored.items()))
     if not wanted or count == 0:
-        return points
-    block = {name: np.empty(min(_BLOCK_POINTS, count), types[column]) for name, column in wanted.items()}
-    buffers = e57.VectorSourceDestBuffer()
-    for name, values in block.items():
-        buffers.append(e57.SourceDestBuffer(image, name, values, len(values), True, True))
-    done = 0
-    with contextlib.closing(vector.reader(buffers)) as reader:
-        while done < count and (read := reader.read()):
-            for name, column in wanted.items():
-                values = block[name][:read]
-                if column in colours and brightest != 255:
-                    values = np.clip(np.round(values * (255 / brightest)), 0, 255)
-                points[column][done : done + read] = values
-            done += read
-    if done < count:
-        raise ValueError(f"found {done} points of {count}")
-    return points
+        return table
+
+    def sink(column: str) -> Sink:
+        brightest = full.get(column)
+
+        def fill(start: int, values: np.ndarray) -> None:
+            if brightest is not None and (brightest != 255 or values.dtype.kind == "f"):
+                values = np.clip(np.round(np.nan_to_num(values) * (255 / brightest)), 0, 255)
+            elif brightest is not None:
+                values = np.clip(values, 0, 255)
+            table[column][start : start + len(values)] = values
+
+        return fill
+
+    sinks = [sink(wanted[field.name]) if field.name in wanted else None for field in fields]
+    read_columns(pages, int(points.attributes.get("fileOffset", "0")), count, fields, sinks)
+    colours = [column for column, brightest in full.items() if brightest is None and column in types]
+    return _with_bytes(table, colours) if colours else table
 
 
-def _type_of(e57: Any, node: Any) -> str:
-    """A type that holds the values of a column and that the binding takes."""
-    if isinstance(node, e57.FloatNode):
-        return "f4" if node.precision() == e57.E57_SINGLE else "f8"
-    return "q" if isinstance(node, e57.IntegerNode) else "f8"
+def _stored(field: Field, column: str) -> str:
+    """Type of a column: what is turned is a float, and what counts profiles or lines counts further in other scans."""
+    if column in ("x", "y", "z", "nx", "ny", "nz"):
+        return field.type if field.single is not None else "f8"
+    return "i4" if field.type == "u1" and column in ("step", "row", "profile", "record") else field.type
 
 
-def _colour_limit(scan: Any) -> float:
-    """The number of full brightness."""
-    value = value_at(scan, "colorLimits/colorRedMaximum")
-    return float(value) if value is not None and value > 0 else 255.0
+def _with_bytes(table: np.ndarray, colours: list[str]) -> np.ndarray:
+    """Colours without limits in 8 bits, by what they reach together: 1, 255 or 65535."""
+    reached = max(float(np.nan_to_num(table[column]).max()) for column in colours)
+    full = next(
+        (one for one in (1.0, 255.0) if reached <= one and (one > 1 or table[colours[0]].dtype.kind == "f")), 65535
+    )
+    names = table.dtype.names or ()
+    found = np.empty(len(table), [(name, "u1" if name in colours else table.dtype[name].str) for name in names])
+    for name in names:
+        values = table[name]
+        found[name] = np.clip(np.round(np.nan_to_num(values) * (255 / full)), 0, 255) if name in colours else values
+    return found
 
 
-def _pose(scan: Any) -> np.ndarray:
+def _full_brightness(scan: Element, fields: list[Field]) -> dict[str, float | None]:
+    """The number of full brightness of each colour: that of the scan, else that of the column; None where none is."""
+    most = {COLUMNS.get(field.name): field.brightest for field in fields}
+    found: dict[str, float | None] = {}
+    for colour, path in _COLOURS.items():
+        limit = scan.find(path)
+        stated = _number(limit, 0.0)
+        if not 0 < stated < math.inf:
+            stated = float(most.get(colour, math.inf))
+        found[colour] = stated if 0 < stated <= 65535 else None
+    return found
+
+
+def _number(element: Element | None, default: float) -> float:
+    """The number that an element holds: 0 where it is empty."""
+    return default if element is None else float(element.text.strip() or "0")
+
+
+def _pose(scan: Element) -> np.ndarray:
     """T_file_scan [4, 4]."""
 
     def read(key: str, default: float) -> float:
-        value = value_at(scan, f"pose/{key}")
-        return default if value is None else float(value)
+        return _number(scan.find(f"pose/{key}"), default)
 
     pose = np.eye(4)
     pose[:3, 3] = [read(f"translation/{axis}", 0.0) for axis in "xyz"]

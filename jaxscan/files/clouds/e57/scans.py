@@ -11,6 +11,8 @@ from jaxscan.reconstruction import PointCloud
 
 _SINGLE_M = 128.0
 """Coordinates up to which a single is good to 8 um."""
+_BLOCK = 1 << 18
+_AXES, _NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 
 
 class Scan(NamedTuple):
@@ -27,26 +29,37 @@ class Scan(NamedTuple):
 def joined(scans: list[Scan], name: str) -> PointCloud:
     """The cloud of all scans, in the frame of the file.
 
-    Of ours, on the grid with its stations; of others, the points as a single profile.
+    Of ours, on the grid with its stations; of others, the points as a single profile. The list is emptied.
 
     Raises:
         CloudError: If there is no point, or grid or stations cannot be.
     """
-    parts = [_in_file_frame(part, scan.pose) for scan in scans if len(part := _cartesian(scan.points, name))]
+    lines, parts = scans[0].lines, []
+    # Each is let go of as it is taken over, so that a cloud is in memory once.
+    while scans:
+        scan = scans.pop(0)
+        if len(part := _cartesian(scan.points, name)):
+            parts.append(_in_file_frame(part, scan.pose))
+        del scan, part
     if not parts:
         raise CloudError(f"{name}: holds no valid point.")
+    points = parts.pop() if len(parts) == 1 else _concatenated(parts)
+    if lines and "profile" in (points.dtype.names or ()):
+        points["step"] = points["profile"]
+    return cloud_of(points, lines, name)
+
+
+def _concatenated(parts: list[np.ndarray]) -> np.ndarray:
     together = sorted({field for part in parts for field in part.dtype.names or ()})
-    types = [(field, _widest(parts, field)) for field in together]
-    points = np.zeros(sum(map(len, parts)), types)
+    points = np.zeros(sum(map(len, parts)), [(field, _widest(parts, field)) for field in together])
     start = 0
-    for part in parts:
+    while parts:
+        part = parts.pop(0)
         for field in part.dtype.names or ():
             points[field][start : start + len(part)] = part[field]
         start += len(part)
-    lines = scans[0].lines
-    if lines and "profile" in together:
-        points["step"] = points["profile"]
-    return cloud_of(points, lines, name)
+        del part
+    return points
 
 
 def _widest(parts: list[np.ndarray], field: str) -> np.dtype:
@@ -57,7 +70,8 @@ def _cartesian(points: np.ndarray, name: str) -> np.ndarray:
     """Points that the scan calls valid, with x, y and z."""
     names = set(points.dtype.names or ())
     if "invalid" in names:
-        points = points[points["invalid"] == 0]
+        valid = points["invalid"] == 0
+        points = points if valid.all() else points[valid]
     spherical = {"range", "azimuth", "elevation"}
     if not ({"x", "y", "z"} <= names or spherical <= names):
         raise CloudError(f"{name}: the points have no x, y and z.")
@@ -76,21 +90,22 @@ def _cartesian(points: np.ndarray, name: str) -> np.ndarray:
 
 
 def _in_file_frame(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Points and normals carried along by the pose; singles where nothing is lost by them."""
+    """Points and normals carried along by the pose, in place; singles where nothing is lost by them."""
     if np.array_equal(pose, np.eye(4)):
         return points
-    turned = np.stack([points[axis].astype(np.float64) for axis in "xyz"], -1) @ pose[:3, :3].T + pose[:3, 3]
-    double = points.dtype["x"].itemsize > 4 or np.abs(turned).max() > _SINGLE_M
-    types = [
-        (field, np.dtype("f8") if double and field in ("x", "y", "z") else points.dtype[field])
-        for field in points.dtype.names or ()
-    ]
-    moved = points.astype(types)
-    for axis, values in zip("xyz", turned.T, strict=True):
-        moved[axis] = values
-    names = ("nx", "ny", "nz")
-    if set(names) <= set(points.dtype.names or ()):
-        normals = np.stack([points[name].astype(np.float64) for name in names], -1) @ pose[:3, :3].T
-        for name, values in zip(names, normals.T, strict=True):
-            moved[name] = values
-    return moved
+    blocks = [slice(start, start + _BLOCK) for start in range(0, len(points), _BLOCK)]
+
+    def turned(block: slice, names: tuple[str, ...]) -> np.ndarray:
+        return np.stack([points[name][block].astype(np.float64) for name in names], -1) @ pose[:3, :3].T
+
+    double = points.dtype["x"].itemsize > 4
+    if not double and any(np.abs(turned(block, _AXES) + pose[:3, 3]).max() > _SINGLE_M for block in blocks):
+        names = points.dtype.names or ()
+        points = points.astype([(name, np.dtype("f8") if name in _AXES else points.dtype[name]) for name in names])
+    for block in blocks:
+        for axis, values in zip(_AXES, (turned(block, _AXES) + pose[:3, 3]).T, strict=True):
+            points[axis][block] = values
+        if set(_NORMAL) <= set(points.dtype.names or ()):
+            for axis, values in zip(_NORMAL, turned(block, _NORMAL).T, strict=True):
+                points[axis][block] = values
+    return points

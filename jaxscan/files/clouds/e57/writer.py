@@ -4,6 +4,7 @@ import contextlib
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +15,7 @@ from jaxscan.files.clouds.about import About, header_lines, lines_of_grid
 from jaxscan.files.clouds.crs import wkt_of
 from jaxscan.files.clouds.e57.library import COLUMNS, NORMALS_URI, OWN, OWN_URI, load_libe57
 from jaxscan.files.clouds.e57.pictures import Surroundings, append_panorama, append_photograph
-from jaxscan.files.clouds.points import columns, smoothed_names
+from jaxscan.files.clouds.points import blocks, columns, smoothed_names
 from jaxscan.files.clouds.stations import covariance_text, quaternion
 from jaxscan.reconstruction import PointCloud, Stations, of_station
 
@@ -137,7 +138,8 @@ class _Scan(NamedTuple):
     rotation: tuple[float, float, float, float]
     """Unit quaternion (w, x, y, z)."""
     translation: tuple[float, float, float]
-    fields: dict[str, np.ndarray]
+    points: Callable[[], Iterator[dict[str, np.ndarray]]]
+    """Gives the columns of all points, a block at a time, by the names of the format."""
     double: bool
 
 
@@ -176,17 +178,22 @@ def _scans(cloud: PointCloud, about: About, whole: _Whole | None = None) -> Iter
                 f"scan's own frame, upper triangle by rows: {covariance_text(cloud.stations.covariance[number])}"
             )
         mine = of_station(cloud, number)
-        points = mine.points()
-        if len(points.xyz) == 0:
+        if not np.any(mine.valid):
             continue
-        values = columns(points, mine)
-        if cloud.stations is not None:
-            # The column counts the profiles of the scan.
-            profile = np.flatnonzero(np.asarray(cloud.stations.number) == number)
-            values |= {"profile": profile[points.step] + profiles, "station": np.full(len(points.step), first + number)}
+        # The column counts the profiles of the scan.
+        profile = None if cloud.stations is None else profiles + np.flatnonzero(cloud.stations.number == number)
+        read = partial(_columns, mine, profile, first + number)
         rotation, translation = quaternion(pose[:3, :3]), tuple(pose[:3, 3].tolist())
-        double = points.xyz.dtype == np.float64
-        yield _Scan(name, described, header, rotation, translation, _fields(values, smoothed_names(mine)), double)
+        yield _Scan(name, described, header, rotation, translation, read, mine.xyz.dtype == np.float64)
+
+
+def _columns(cloud: PointCloud, profile: np.ndarray | None, station: int) -> Iterator[dict[str, np.ndarray]]:
+    """The columns of a scan, a block at a time; with the profile of the whole cloud where it has several stations."""
+    for points in blocks(cloud):
+        values = columns(points, cloud)
+        if profile is not None:
+            values |= {"profile": profile[points.step], "station": np.full(len(points.step), station)}
+        yield _fields(values, smoothed_names(cloud))
 
 
 def _fields(values: Mapping[str, np.ndarray], smoothed: tuple[str, ...]) -> dict[str, np.ndarray]:
@@ -208,8 +215,15 @@ def _type_of(key: str, values: np.ndarray) -> type:
 
 
 def _write_scan(e57: Any, image: Any, scans: Any, written: _Scan) -> None:
-    """Append a scan."""
-    fields = written.fields
+    """Append a scan: the bounds of its columns, which stand before the points, and then the points."""
+    least_of: dict[str, np.ndarray] = {}
+    most_of: dict[str, np.ndarray] = {}
+    largest = 0
+    for block in written.points():
+        largest = max(largest, len(block["rowIndex"]))
+        for key, values in block.items():
+            least_of[key] = np.minimum(values.min(), least_of.get(key, values.min()))
+            most_of[key] = np.maximum(values.max(), most_of.get(key, values.max()))
 
     def number(value: Any) -> Any:
         return e57.IntegerNode(image, value) if isinstance(value, int) else e57.FloatNode(image, value)
@@ -223,9 +237,9 @@ def _write_scan(e57: Any, image: Any, scans: Any, written: _Scan) -> None:
     def bounds(limits: dict[str, str]) -> Any:
         return structure(
             {
-                f"{key}{end}": limit(fields[field]).item()
+                f"{key}{end}": limit[field].item()
                 for key, field in limits.items()
-                for end, limit in (("Minimum", np.min), ("Maximum", np.max))
+                for end, limit in (("Minimum", least_of), ("Maximum", most_of))
             }
         )
 
@@ -242,8 +256,9 @@ def _write_scan(e57: Any, image: Any, scans: Any, written: _Scan) -> None:
     pose.set("rotation", structure(dict(zip("wxyz", written.rotation, strict=True))))
     pose.set("translation", structure(dict(zip("xyz", written.translation, strict=True))))
     prototype, buffers = e57.StructureNode(image), e57.VectorSourceDestBuffer()
-    for key, values in fields.items():
-        least, most = values.min().item(), values.max().item()
+    buffer = {key: np.empty(largest, value.dtype) for key, value in least_of.items()}
+    for key, values in buffer.items():
+        least, most = least_of[key].item(), most_of[key].item()
         if values.dtype == np.float64:
             double = key == f"{OWN}angle" or (written.double and key.startswith("cartesian"))
             node = e57.FloatNode(image, least, e57.E57_DOUBLE if double else e57.E57_SINGLE, least, most)
@@ -256,4 +271,8 @@ def _write_scan(e57: Any, image: Any, scans: Any, written: _Scan) -> None:
     scan.set("points", points)
     scans.append(scan)
     with contextlib.closing(points.writer(buffers)) as writer:
-        writer.write(len(fields["rowIndex"]))
+        for block in written.points():
+            count = len(block["rowIndex"])
+            for key, values in block.items():
+                buffer[key][:count] = values
+            writer.write(count)

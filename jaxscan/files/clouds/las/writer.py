@@ -1,6 +1,8 @@
 """LAS 1.4 and LAZ, the formats of surveying, through laspy; with the uncertainty of every point."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -8,8 +10,8 @@ from jaxscan.errors import CloudError
 from jaxscan.files.clouds.about import About, frame_of, header_lines
 from jaxscan.files.clouds.crs import LOCAL_WKT, wkt_of
 from jaxscan.files.clouds.las.library import load_laspy
-from jaxscan.files.clouds.points import columns, smoothed_names
-from jaxscan.reconstruction import PointCloud
+from jaxscan.files.clouds.points import blocks, columns, smoothed_names
+from jaxscan.reconstruction import CloudPoints, PointCloud
 
 
 SCALE_M = 1e-4
@@ -54,12 +56,8 @@ def write_las(cloud: PointCloud, path: Path, about: About) -> None:
         DependencyError: If laspy, or lazrs for `.laz`, or pyproj for a code, is not installed.
     """
     laspy = load_laspy(compressed=path.suffix.lower() == ".laz")
-    points = cloud.points()
-    values = columns(points, cloud)
-    values |= {"amplitude": points.intensity}
-    values |= {f"normal_{axis}": values[f"n{axis}"] for axis in "xyz"}
     header = laspy.LasHeader(point_format=7, version="1.4")
-    header.offsets, header.scales = _placed(points.xyz)
+    header.offsets, header.scales = _placed(cloud)
     header.generating_software = "jaxscan"
     # Point formats 6 to 10 have their frame as WKT.
     header.global_encoding.wkt = True
@@ -72,23 +70,40 @@ def write_las(cloud: PointCloud, path: Path, about: About) -> None:
     header.add_extra_dims(
         [laspy.ExtraBytesParams(name, _TYPES.get(name, np.float32), description) for name, description in extra.items()]
     )
-    las = laspy.LasData(header)
-    las.xyz = points.xyz.astype(np.float64)
-    las.red, las.green, las.blue = points.rgb.astype(np.uint16).T * np.uint16(257)
-    brightest = float(points.intensity.max())
+    brightest = float(np.max(cloud.intensity, where=cloud.valid, initial=-np.inf))
     scale = 257.0 if brightest <= 255 else 65535 / brightest
-    las.intensity = np.clip(np.round(points.intensity.astype(np.float64) * scale), 0, 65535).astype(np.uint16)
-    las.return_number = np.ones(len(points.step), np.uint8)
-    las.number_of_returns = np.ones(len(points.step), np.uint8)
-    las.user_data = points.laser
+    try:
+        with laspy.open(str(path), mode="w", header=header, do_compress=path.suffix.lower() == ".laz") as file:
+            for points in blocks(cloud):
+                file.write_points(_record(laspy, header, points, cloud, list(extra), scale))
+    except Exception as problem:
+        # lazrs, which is loaded for compressed points alone, has an error of its own for a disk that takes no more.
+        if type(problem).__name__ != "LazrsError":
+            raise
+        raise OSError(f"the points cannot be packed onto the disk ({problem})") from problem
+
+
+def _record(laspy: Any, header: Any, points: CloudPoints, cloud: PointCloud, extra: Sequence[str], scale: float) -> Any:
+    values = columns(points, cloud)
+    values |= {"amplitude": points.intensity}
+    values |= {f"normal_{axis}": values[f"n{axis}"] for axis in "xyz"}
+    record = laspy.ScaleAwarePointRecord.zeros(len(points.step), header=header)
+    for axis, places in zip("xyz", points.xyz.astype(np.float64).T, strict=True):
+        record[axis] = places
+    for name, colours in zip(("red", "green", "blue"), points.rgb.astype(np.uint16).T * np.uint16(257), strict=True):
+        record[name] = colours
+    record["intensity"] = np.clip(np.round(points.intensity.astype(np.float64) * scale), 0, 65535).astype(np.uint16)
+    record["return_number"] = record["number_of_returns"] = np.ones(len(points.step), np.uint8)
+    record["user_data"] = points.laser
     for name in extra:
-        las[name] = values[name]
-    las.write(str(path))
+        record[name] = values[name]
+    return record
 
 
-def _placed(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Offset and step [3] with which 32-bit numbers hold the coordinates [n, 3]: offset 0 where that suffices."""
-    lowest, highest = xyz.min(0).astype(np.float64), xyz.max(0).astype(np.float64)
+def _placed(cloud: PointCloud) -> tuple[np.ndarray, np.ndarray]:
+    """Offset and step [3] with which 32-bit numbers hold the coordinates: offset 0 where that suffices."""
+    ends = np.array([(points.xyz.min(0), points.xyz.max(0)) for points in blocks(cloud)], np.float64)
+    lowest, highest = ends[:, 0].min(0), ends[:, 1].max(0)
     if max(np.abs(lowest).max(), np.abs(highest).max()) <= SCALE_M * _STEPS:
         return np.zeros(3), np.full(3, SCALE_M)
     # Whole metres, so that the offset itself is exact. One metre is left for its rounding.

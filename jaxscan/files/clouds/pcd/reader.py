@@ -1,14 +1,16 @@
 """Reading PCD: files of this library on their grid, others as a single row of points."""
 
 import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
 from jaxscan.errors import CloudError
+from jaxscan.files.clouds import points as sizes
 from jaxscan.files.clouds.about import StoredCloud, about_of
-from jaxscan.files.clouds.grid import cloud_of
+from jaxscan.files.clouds.grid import Records, cloud_of
 from jaxscan.files.clouds.pcd.lzf import unpack
 from jaxscan.files.clouds.points import plain_names
 from jaxscan.files.clouds.tables import numbers_of, text_lines
@@ -47,15 +49,17 @@ def read_pcd(path: Path) -> StoredCloud:
             header = _read_header(file, path)
             size = os.fstat(file.fileno()).st_size
             file.seek(header.length)
-            table = _read_table(file, header, size - header.length, path)
+            read = _reading(file, header, size - header.length, path)
+            count = sum(len(block) for block in read())
+            if count == 0:
+                raise CloudError(f"{path}: holds no finite point.")
+            points = Records(_unpacked_type(header.dtype), count, read)
+            cloud = cloud_of(points, header.comments, str(path))
+    except ValueError as problem:
+        raise CloudError(f"{path}: the points cannot be read: {str(problem)[:60]}.") from problem
     except (OSError, EOFError) as problem:
         raise CloudError(f"{path}: cannot be read: {getattr(problem, 'strerror', None) or problem}.") from problem
-    points = _unpacked_colours(table)
-    # Cells of the grid without a point.
-    points = points[np.isfinite(points["x"]) & np.isfinite(points["y"]) & np.isfinite(points["z"])]
-    if len(points) == 0:
-        raise CloudError(f"{path}: holds no finite point.")
-    return StoredCloud(cloud_of(points, header.comments, str(path)), about_of(header.comments))
+    return StoredCloud(cloud, about_of(header.comments))
 
 
 def _read_header(file: BinaryIO, path: Path) -> _Header:
@@ -112,35 +116,53 @@ def _whole(entries: dict[str, list[str]], key: str) -> int | None:
     return int(word) if word.isascii() and word.isdigit() and len(word) < 16 else None
 
 
-def _read_table(file: BinaryIO, header: _Header, rest: int, path: Path) -> np.ndarray:
+def _reading(file: BinaryIO, header: _Header, rest: int, path: Path) -> Callable[[], Iterator[np.ndarray]]:
+    """Reads the finite points of the file a block at a time, with colours in columns of their own."""
     dtype, count = header.dtype, header.points
     short = CloudError(f"{path}: announces {count} points, but the file ends before; it is damaged or cut short.")
-    if header.encoding == "binary":
-        # Nothing is allocated before this check.
-        if count * dtype.itemsize > rest:
-            raise short
-        return np.fromfile(file, dtype, count)
-    try:
-        if header.encoding == "ascii":
-            flat = _flat(dtype)
-            if count * 2 * len(flat.names or ()) - 1 > rest:
+    flat = _flat(dtype)
+    # Nothing is allocated before this check.
+    if header.encoding == "binary" and count * dtype.itemsize > rest:
+        raise short
+    if header.encoding == "ascii" and count * 2 * len(flat.names or ()) - 1 > rest:
+        raise short
+    packed = _unpacked_table(file, header, rest, short) if header.encoding == "binary_compressed" else None
+
+    def read() -> Iterator[np.ndarray]:
+        file.seek(header.length)
+        for start in range(0, count, sizes.BLOCK_POINTS):
+            some = min(sizes.BLOCK_POINTS, count - start)
+            if packed is not None:
+                block = _part_of(packed, dtype, count, start, some)
+            elif header.encoding == "ascii":
+                block = _packed_again(numbers_of(text_lines(file, some), flat), dtype)
+            else:
+                block = np.fromfile(file, dtype, some)
+            if len(block) != some:
                 raise short
-            table = numbers_of(text_lines(file, count), flat)
-            if len(table) != count:
-                raise short
-            return _packed_again(table, dtype)
-        packed, size = (int.from_bytes(file.read(4), "little") for _ in range(2))
-        if packed > rest - 8 or size != count * dtype.itemsize or size > _MOST_PACKED * packed:
-            raise short
-        data = unpack(file.read(packed), size)
-    except ValueError as problem:
-        raise CloudError(f"{path}: the points cannot be read: {str(problem)[:60]}.") from problem
-    table, at = np.empty(count, dtype), 0
+            # Others are cells of the grid without a point.
+            finite = np.isfinite(block["x"]) & np.isfinite(block["y"]) & np.isfinite(block["z"])
+            yield _unpacked_colours(block[finite])
+
+    return read
+
+
+def _unpacked_table(file: BinaryIO, header: _Header, rest: int, short: CloudError) -> bytes:
+    """The bytes of all points, one field after the other."""
+    packed, size = (int.from_bytes(file.read(4), "little") for _ in range(2))
+    if packed > rest - 8 or size != header.points * header.dtype.itemsize or size > _MOST_PACKED * packed:
+        raise short
+    return unpack(file.read(packed), size)
+
+
+def _part_of(data: bytes, dtype: np.dtype, count: int, start: int, some: int) -> np.ndarray:
+    """Some of the points that are stored field by field."""
+    table, at = np.empty(some, dtype), 0
     for name in dtype.names or ():
-        # Packed points are stored field by field.
-        field = np.frombuffer(data, dtype[name].base, count * _of(dtype[name]), at)
-        table[name] = field.reshape(count, *dtype[name].shape)
-        at += field.nbytes
+        numbers = _of(dtype[name])
+        field = np.frombuffer(data, dtype[name].base, some * numbers, at + start * dtype[name].itemsize)
+        table[name] = field.reshape(some, *dtype[name].shape)
+        at += count * dtype[name].itemsize
     return table
 
 
@@ -163,18 +185,32 @@ def _packed_again(table: np.ndarray, dtype: np.dtype) -> np.ndarray:
     return records
 
 
+def _colour_of(dtype: np.dtype) -> str | None:
+    """The field that holds a packed colour."""
+    return next((name for name in ("rgb", "rgba") if name in (dtype.names or ()) and _is_colour(dtype[name])), None)
+
+
+def _is_colour(field: np.dtype) -> bool:
+    return not field.shape and field.itemsize == 4
+
+
+def _unpacked_type(dtype: np.dtype) -> np.dtype:
+    """The plain numbers of a record alone, and colours in fields of their own."""
+    names = [name for name in dtype.names or () if not dtype[name].shape]
+    kept = [(name, dtype[name].str) for name in names if name not in ("rgb", "rgba")]
+    missing = _colour_of(dtype) is not None and not {"red", "green", "blue"} & set(names)
+    return np.dtype(kept + [(name, "u1") for name in (("red", "green", "blue") if missing else ())])
+
+
 def _unpacked_colours(table: np.ndarray) -> np.ndarray:
-    """Records with plain numbers alone, and colours in fields of their own."""
-    names = [name for name in table.dtype.names or () if not table.dtype[name].shape]
-    colour = next((name for name in ("rgb", "rgba") if name in names and table.dtype[name].itemsize == 4), None)
-    kept = [(name, table.dtype[name].str) for name in names if name not in ("rgb", "rgba")]
-    missing = colour is not None and not {"red", "green", "blue"} & set(names)
-    colours = ("red", "green", "blue") if missing else ()
-    points = np.empty(len(table), kept + [(name, "u1") for name in colours])
-    for name, _ in kept:
-        points[name] = table[name]
-    if colour is not None and missing:
+    """Records of `_unpacked_type`."""
+    points = np.empty(len(table), _unpacked_type(table.dtype))
+    names, colour = set(table.dtype.names or ()), _colour_of(table.dtype)
+    for name in points.dtype.names or ():
+        if name in names:
+            points[name] = table[name]
+    if colour is not None and not {"red", "green", "blue"} & names:
         bits = np.ascontiguousarray(table[colour]).view(np.uint32)
-        for name, shift in zip(colours, (16, 8, 0), strict=False):
+        for name, shift in zip(("red", "green", "blue"), (16, 8, 0), strict=False):
             points[name] = (bits >> np.uint32(shift)) & np.uint32(255)
     return points

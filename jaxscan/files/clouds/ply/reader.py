@@ -1,14 +1,16 @@
 """Reading PLY: files of this library on their grid, others as a single row of points."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
 from jaxscan.errors import CloudError
+from jaxscan.files.clouds import points as sizes
 from jaxscan.files.clouds.about import StoredCloud, about_of
-from jaxscan.files.clouds.grid import cloud_of
+from jaxscan.files.clouds.grid import Records, cloud_of
 from jaxscan.files.clouds.points import plain_names
 from jaxscan.files.clouds.tables import numbers_of, text_lines
 from jaxscan.files.disk import open_regular
@@ -55,12 +57,12 @@ def read_ply(path: Path) -> StoredCloud:
         with open_regular(path, error=CloudError) as file:
             header = _read_header(file, path)
             size = os.fstat(file.fileno()).st_size
-            tables = _read_tables(file, header, size, path)
+            vertices, profiles = _read_tables(file, header, size, path)
+            cloud = cloud_of(vertices, header.comments, str(path), profiles=profiles)
+    except ValueError as problem:
+        raise CloudError(f"{path}: vertex: not a table of numbers: {str(problem)[:60]}.") from problem
     except (OSError, EOFError) as problem:
         raise CloudError(f"{path}: cannot be read: {getattr(problem, 'strerror', None) or problem}.") from problem
-    vertices = tables["vertex"]
-    vertices.dtype.names = tuple(plain_names(vertices.dtype.names or ()))
-    cloud = cloud_of(vertices, header.comments, str(path), profiles=tables.get("profile"))
     return StoredCloud(cloud, about_of(header.comments))
 
 
@@ -101,26 +103,36 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
     return _Header(encoding, tuple(comments), parsed, length)
 
 
-def _read_tables(file: BinaryIO, header: _Header, size: int, path: Path) -> dict[str, np.ndarray]:
-    """The tables up to the first that cannot be read, which must come after the vertices."""
-    tables: dict[str, np.ndarray] = {}
+def _read_tables(file: BinaryIO, header: _Header, size: int, path: Path) -> tuple[Records, np.ndarray | None]:
+    """The vertices, which are still in the file, and the profiles where they can be read."""
+    vertices: Records | None = None
+    profiles: np.ndarray | None = None
+    text = header.encoding == "ascii"
     file.seek(header.length)
-    listless = [element for element in header.elements if element.dtype is not None]
     for element in header.elements:
         if element.dtype is None:
             break
-        table = _read_table(file, element, header.encoding == "ascii", size, path)
-        if element.name in ("vertex", "profile"):
-            tables[element.name] = table
+        _check_length(file, element, text, size, path)
+        if element.name == "vertex":
+            vertices = _vertices(file, element, text)
+        if element.name == "profile":
+            try:
+                profiles = np.concatenate([np.empty(0, element.dtype), *_blocks(file, element, text)])
+            except ValueError as problem:
+                raise CloudError(f"{path}: profile: not a table of numbers: {str(problem)[:60]}.") from problem
+        elif text:
+            for _ in text_lines(file, element.rows if element.dtype.names else 0):
+                pass
+        else:
+            file.seek(element.rows * element.dtype.itemsize, os.SEEK_CUR)
     # The length of a list is in the list alone; without lists the header says where the file ends.
-    if len(listless) == len(header.elements) and _has_more(file):
+    if all(element.dtype is not None for element in header.elements) and _has_more(file):
         raise CloudError(f"{path}: the file goes on after the data that its header announces; it is damaged.")
-    vertices = tables.get("vertex")
     if vertices is None:
         raise CloudError(f"{path}: has no vertices that can be read; lists in or before them are not supported.")
     if len(vertices) == 0:
         raise CloudError(f"{path}: holds no points.")
-    return tables
+    return vertices, profiles
 
 
 def _has_more(file: BinaryIO) -> bool:
@@ -131,25 +143,43 @@ def _has_more(file: BinaryIO) -> bool:
     return bool(rest)
 
 
-def _read_table(file: BinaryIO, element: _Element, ascii_text: bool, size: int, path: Path) -> np.ndarray:
+def _check_length(file: BinaryIO, element: _Element, text: bool, size: int, path: Path) -> None:
+    """Compare what the header announces with what is left of the file, before memory is taken."""
     dtype, count = element.dtype or np.dtype([]), element.rows
-    properties = len(dtype.names or ())
-    # As text, a number takes a digit and a separator. Nothing is allocated before this check.
-    needed = count * (2 * properties if ascii_text else dtype.itemsize) - (1 if ascii_text and count else 0)
+    # As text, a number takes a digit and a separator.
+    needed = count * (2 * len(dtype.names or ()) if text else dtype.itemsize) - (1 if text and count else 0)
     if needed > size - file.tell():
         raise CloudError(
             f"{path}: announces {count} of {element.name[:60]}, but the file ends before; it is damaged or cut short."
         )
-    if count == 0 or properties == 0:
-        return np.zeros(count if properties else 0, dtype)
-    if not ascii_text:
-        return np.fromfile(file, dtype, count)
-    try:
-        table = numbers_of(text_lines(file, count), dtype)
-    except ValueError as problem:
-        raise CloudError(f"{path}: {element.name[:60]}: not a table of numbers: {str(problem)[:60]}.") from problem
-    if len(table) != count:
-        raise CloudError(
-            f"{path}: {element.name[:60]}: found {(len(table), properties)}, expected {(count, properties)}."
-        )
-    return table
+
+
+def _vertices(file: BinaryIO, element: _Element, text: bool) -> Records:
+    """The vertices from where the file is, with the names that this library gives to their columns."""
+    start, dtype = file.tell(), element.dtype or np.dtype([])
+    plain = np.dtype(
+        [(name, dtype[given]) for name, given in zip(plain_names(dtype.names or ()), dtype.names or (), strict=True)]
+    )
+
+    def read() -> Iterator[np.ndarray]:
+        file.seek(start)
+        return (block.view(plain) for block in _blocks(file, element, text))
+
+    return Records(plain, element.rows if dtype.names else 0, read)
+
+
+def _blocks(file: BinaryIO, element: _Element, text: bool) -> Iterator[np.ndarray]:
+    """The rows of a table from where the file is.
+
+    Raises:
+        ValueError: If they are no rows of numbers, or the file has fewer.
+    """
+    dtype, left = element.dtype or np.dtype([]), element.rows if element.dtype is not None else 0
+    while left and dtype.names:
+        count = min(left, sizes.BLOCK_POINTS)
+        block = numbers_of(text_lines(file, count), dtype) if text else np.fromfile(file, dtype, count)
+        if len(block) != count:
+            rows, columns = element.rows - left + len(block), len(dtype.names)
+            raise ValueError(f"found {(rows, columns)}, expected {(element.rows, columns)}")
+        yield block
+        left -= count

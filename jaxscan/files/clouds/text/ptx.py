@@ -12,6 +12,7 @@ from jaxscan.reconstruction import PointCloud, of_station
 _LINE = "%.6f %.6f %.6f %.6f %d %d %d\n"
 _HOLE = "0 0 0 0.500000 0 0 0\n"
 _SAMPLES = 200_000
+_AT_ONCE = 1 << 15
 
 
 def write_ptx(cloud: PointCloud, path: Path, about: About) -> None:
@@ -32,7 +33,8 @@ def write_ptx(cloud: PointCloud, path: Path, about: About) -> None:
                 file.write(f"{len(profiles)}\n{station.valid.shape[1]}\n" + _pose_text(pose))
                 down, left = _directions(station, profiles)
                 for profile in profiles[::-1] if left else profiles:
-                    file.writelines(_column(station, int(profile), brightest)[:: -1 if down else 1])
+                    for part in _parts(station.valid.shape[1], reverse=down):
+                        file.writelines(_column(station, int(profile), part, brightest)[:: -1 if down else 1])
 
 
 def _pose_text(pose: np.ndarray) -> str:
@@ -46,22 +48,34 @@ def _directions(cloud: PointCloud, profiles: np.ndarray) -> tuple[bool, bool]:
     stride = max(1, cloud.valid[:1].size * len(profiles) // _SAMPLES)
     chosen = profiles[: -1 if len(profiles) > 1 else None : stride]
     following = profiles[1:][::stride] if len(profiles) > 1 else chosen
-    p, seen = (np.asarray(field)[chosen] for field in (cloud.xyz, cloud.valid))
-    q, seen_next = (np.asarray(field)[following] for field in (cloud.xyz, cloud.valid))
-    p, q = p.astype(np.float64), q.astype(np.float64)
-    along = p[:, 1:] - p[:, :-1]
-    rises = np.sign(along[..., 2][seen[:, 1:] & seen[:, :-1]]).sum()
     # As in most images, lines run downwards where the points do not tell.
+    rises, right = 0.0, 0.0
+    for first, second in zip(chosen, following, strict=True):
+        for part in _parts(cloud.valid.shape[1] - 1):
+            start, stop = part.start, part.stop
+            p, q = (np.asarray(cloud.xyz[one, start : stop + 1], np.float64) for one in (first, second))
+            seen, seen_next = (np.asarray(cloud.valid[one, start : stop + 1]) for one in (first, second))
+            along = p[1:] - p[:-1]
+            both = seen[1:] & seen[:-1]
+            rises += np.sign(along[..., 2][both]).sum()
+            triple = both & seen_next[:-1]
+            # To the right, then along the line, is a right-handed turn about the way back to the scanner if it rises.
+            turn = np.cross((q - p)[:-1][triple], along[triple])
+            right -= np.sign(np.einsum("ij,ij->i", turn, p[:-1][triple])).sum()
     down = bool(rises <= 0)
-    triple = seen[:, 1:] & seen[:, :-1] & seen_next[:, :-1]
-    across, up, to_point = (q - p)[:, :-1][triple], along[triple] * (-1 if down else 1), p[:, :-1][triple]
-    # To the right, then up, is a right-handed turn about the way back to the scanner.
-    right = np.sign(-np.einsum("ij,ij->i", np.cross(across, up), to_point)).sum()
-    return down, bool(right < 0)
+    return down, bool((-right if down else right) < 0)
 
 
-def _column(cloud: PointCloud, profile: int, brightest: float) -> list[str]:
-    """The lines of a profile, from the first to the last."""
-    fields = (cloud.valid[profile], cloud.xyz[profile], cloud.intensity[profile] / brightest, cloud.rgb[profile])
-    rows = zip(*(np.asarray(field).tolist() for field in fields), strict=True)
+def _parts(lines: int, *, reverse: bool = False) -> list[slice]:
+    """Lines that are looked at together: as words and numbers of Python each takes ten times the memory."""
+    parts = [slice(start, min(start + _AT_ONCE, lines)) for start in range(0, lines, _AT_ONCE)]
+    return parts[::-1] if reverse else parts
+
+
+def _column(cloud: PointCloud, profile: int, part: slice, brightest: float) -> list[str]:
+    """Lines of a profile, from the first to the last of them."""
+    seen_of, places, levels, colours = (
+        np.asarray(field[profile, part]) for field in (cloud.valid, cloud.xyz, cloud.intensity, cloud.rgb)
+    )
+    rows = zip(*(field.tolist() for field in (seen_of, places, levels / brightest, colours)), strict=True)
     return [_LINE % (*xyz, min(max(level, 0.0), 1.0), *rgb) if seen else _HOLE for seen, xyz, level, rgb in rows]

@@ -7,8 +7,9 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from jaxscan.errors import CloudError
+from jaxscan.files.clouds import points as sizes
 from jaxscan.files.clouds.about import About, StoredCloud
-from jaxscan.files.clouds.grid import MAX_CELLS, cloud_of, on_grid
+from jaxscan.files.clouds.grid import MAX_CELLS, Records, cloud_of, on_grid
 from jaxscan.files.clouds.points import MAX_STATIONS
 from jaxscan.files.clouds.tables import LONGEST_LINE, numbers_of, text_lines
 from jaxscan.files.disk import open_regular
@@ -34,8 +35,8 @@ class _Block(NamedTuple):
     rows: int
     pose: np.ndarray
     """T_file_block [4, 4]."""
-    cells: np.ndarray
-    """Structured array [columns * rows], in the block's own frame."""
+    parts: list[np.ndarray]
+    """The points that were seen, structured arrays in the frame of the file; `step` counts columns of the block."""
 
 
 def read_ptx(path: Path) -> StoredCloud:
@@ -55,19 +56,19 @@ def read_ptx(path: Path) -> StoredCloud:
                     continue
                 block = _read_block(file, line, min(size - file.tell(), _SHORTEST_CELL * (MAX_CELLS - cells)))
                 blocks.append(block)
-                cells += len(block.cells)
+                cells += block.columns * block.rows
         except ValueError as problem:
             raise CloudError(f"{path}: block {len(blocks)}: not a PTX file: {str(problem)[:90]}.") from problem
-    if not any(_seen(block.cells).any() for block in blocks):
+    if not any(block.parts for block in blocks):
         raise CloudError(f"{path}: holds no points.")
     return StoredCloud(_joined(blocks, str(path)), About(in_metres=True, upright=True))
 
 
 def _read_block(file: BinaryIO, first: bytes, rest: int) -> _Block:
-    sizes = [text.split() for text in (first.decode("latin-1"), *text_lines(file, 1))]
-    if len(sizes) < 2 or any(len(one) != 1 or not one[0].isascii() or not one[0].isdigit() for one in sizes):
+    counts = [text.split() for text in (first.decode("latin-1"), *text_lines(file, 1))]
+    if len(counts) < 2 or any(len(one) != 1 or not one[0].isascii() or not one[0].isdigit() for one in counts):
         raise ValueError("expected the numbers of columns and of rows, a line each")
-    columns, rows = (int(one[0][:12]) for one in sizes)
+    columns, rows = (int(one[0][:12]) for one in counts)
     head = [text.split() for text in text_lines(file, 8)]
     if [len(words) for words in head] != [3] * 4 + [4] * 4:
         raise ValueError("expected 4 lines of 3 numbers and 4 of 4 for the pose")
@@ -82,14 +83,16 @@ def _read_block(file: BinaryIO, first: bytes, rest: int) -> _Block:
         raise ValueError(f"found {width} numbers in a line, expected 4 or 7")
     file.seek(start)
     types = [(name, "f8" if name in "xyz" else "f4") for name in _COLUMNS[:width]]
-    cells = numbers_of(text_lines(file, columns * rows), np.dtype(types))
-    if len(cells) != columns * rows:
-        raise ValueError(f"found {len(cells)} points, expected {columns} x {rows}")
-    return _Block(columns, rows, pose, cells)
-
-
-def _seen(cells: np.ndarray) -> np.ndarray:
-    return np.any([cells[axis] != 0 for axis in "xyz"], axis=0)
+    kind, parts = np.dtype(types), []
+    for begin in range(0, columns * rows, sizes.BLOCK_POINTS):
+        count = min(sizes.BLOCK_POINTS, columns * rows - begin)
+        cells = numbers_of(text_lines(file, count), kind)
+        if len(cells) != count:
+            raise ValueError(f"found {begin + len(cells)} points, expected {columns} x {rows}")
+        seen = np.flatnonzero(np.any([cells[axis] != 0 for axis in "xyz"], axis=0))
+        if len(seen):
+            parts.append(_points_of(cells[seen], begin + seen, rows, pose))
+    return _Block(columns, rows, pose, parts)
 
 
 def _joined(blocks: list[_Block], name: str) -> PointCloud:
@@ -104,13 +107,16 @@ def _joined(blocks: list[_Block], name: str) -> PointCloud:
         laser = sum(number == station for number in numbers)
         poses += [] if any(known) else [block.pose]
         numbers.append(station)
-        parts.append(_points_of(block, start, laser))
+        for part in block.parts:
+            part["step"] += start
+            part["laser"] = laser
+        parts += block.parts
         start += block.columns
-    points = np.concatenate(parts)
-    if max(np.abs(points[axis]).max() for axis in "xyz") <= _SINGLE_M:
-        points = points.astype(_POINT_IN_SINGLES)
+    single = max(np.abs(part[axis]).max() for part in parts for axis in "xyz") <= _SINGLE_M
+    kind = _POINT_IN_SINGLES if single else _POINT
+    points = Records(kind, sum(map(len, parts)), lambda: (part.astype(kind) for part in parts))
     lines = {block.rows for block in blocks}
-    if len(lines) > 1 or len(poses) > MAX_STATIONS or points["laser"].max() > 255:
+    if len(lines) > 1 or len(poses) > MAX_STATIONS or max(part["laser"].max() for part in parts) > 255:
         return cloud_of(points, [], name)
     stations = None
     if not (len(poses) == 1 and np.array_equal(poses[0], np.eye(4))):
@@ -119,19 +125,17 @@ def _joined(blocks: list[_Block], name: str) -> PointCloud:
     return on_grid(points, (start, lines.pop()), None, name, stations=stations)
 
 
-def _points_of(block: _Block, start: int, laser: int) -> np.ndarray:
-    seen = np.flatnonzero(_seen(block.cells))
-    cells = block.cells[seen]
-    points = np.zeros(len(seen), _POINT)
+def _points_of(cells: np.ndarray, numbers: np.ndarray, rows: int, pose: np.ndarray) -> np.ndarray:
+    """Cells of a block with a point, by their numbers in the block, as points in the frame of the file."""
+    points = np.zeros(len(cells), _POINT)
     local = np.stack([cells[axis] for axis in "xyz"], -1)
-    moved = local @ block.pose[:3, :3].T + block.pose[:3, 3]
+    moved = local @ pose[:3, :3].T + pose[:3, 3]
     for axis, values in zip("xyz", moved.T, strict=True):
         points[axis] = values
     points["intensity"] = np.nan_to_num(cells["intensity"]) * 255
     for name in ("red", "green", "blue"):
         if name in (cells.dtype.names or ()):
             points[name] = np.clip(np.nan_to_num(cells[name]), 0, 255)
-    points["step"] = start + seen // block.rows
-    points["row"] = block.rows - 1 - seen % block.rows
-    points["laser"] = laser
+    points["step"] = numbers // rows
+    points["row"] = rows - 1 - numbers % rows
     return points

@@ -1,0 +1,266 @@
+"""Changes of clouds whose containers have checksums, headers and words: E57, LAS and LAZ, PCD, XYZ and PTX."""
+
+import os
+import random
+import re
+import struct
+
+from .draft import CANARY, VICTIM_PLACE
+from .nasty import nasty_number, nasty_text, near
+from .texts import change_bytes, change_lines
+
+
+PAGE = 1024
+
+
+def _table() -> list[int]:
+    table = []
+    for byte in range(256):
+        for _ in range(8):
+            byte = byte >> 1 ^ (0x82F63B78 if byte & 1 else 0)
+        table.append(byte)
+    return table
+
+
+_CRC = _table()
+
+
+def _checksum(data: bytes) -> bytes:
+    """CRC-32C of a page, as the standard orders its bytes."""
+    crc = 0xFFFFFFFF
+    for byte in data:
+        crc = crc >> 8 ^ _CRC[(crc ^ byte) & 255]
+    return struct.pack(">I", crc ^ 0xFFFFFFFF)
+
+
+def _logical(data: bytes) -> bytearray:
+    """The content of the pages without their checksums."""
+    return bytearray(b"".join(data[at : at + PAGE - 4] for at in range(0, len(data), PAGE)))
+
+
+def _paged(old: bytes, logical: bytes) -> bytes:
+    """Pages with right checksums; of a page that did not change it is known."""
+    out = []
+    for at in range(0, len(logical), PAGE - 4):
+        page = bytes(logical[at : at + PAGE - 4]).ljust(PAGE - 4, b"\0")
+        there = old[len(out) * PAGE : len(out) * PAGE + PAGE]
+        out.append(there if there[:-4] == page else page + _checksum(page))
+    return b"".join(out)
+
+
+def change_e57(rng: random.Random, data: bytes) -> bytes:
+    """An E57 file with another head, other XML or other points, all pages with right checksums; or other bytes."""
+    kind = rng.randrange(10)
+    if kind == 0:
+        return change_bytes(rng, data)
+    logical = _logical(data)
+    _, _, _, place, length, _ = struct.unpack_from("<IIQQQQ", data, 8)
+    # Physical places count the checksums.
+    start = place - place // PAGE * 4
+    if kind == 1:
+        field = rng.choice((8, 12, 16, 24, 32, 40))
+        struct.pack_into("<Q" if field >= 16 else "<I", logical, field, _field(rng, 64 if field >= 16 else 32))
+        return _paged(data, logical)
+    if kind < 4:
+        # The points: packets of binary data with sizes of their own.
+        at = rng.choice((rng.randrange(48, 200), rng.randrange(48, start)))
+        some = rng.choice((bytes([logical[at] ^ 1 << rng.randrange(8)]), rng.randbytes(4), b"\xff" * 8, b"\0" * 8))
+        logical[at : at + len(some)] = some
+        return _paged(data, logical[: len(_logical(data))])
+    text = bytes(logical[start : start + length])
+    new = change_xml(rng, text)
+    struct.pack_into("<Q", logical, 32, len(new))
+    logical[start:] = new
+    pages = -(-len(logical) // (PAGE - 4))
+    struct.pack_into("<Q", logical, 16, pages * PAGE)
+    return _paged(data, logical)
+
+
+def _field(rng: random.Random, bits: int) -> int:
+    return rng.choice((0, 1, 48, 1023, 1024, 4096, 2**31, 2**32 - 1, 2**63, 2**64 - 1, rng.getrandbits(bits))) % 2**bits
+
+
+def change_xml(rng: random.Random, text: bytes) -> bytes:
+    """XML with definitions, another encoding, deep nesting, or other names and values."""
+    body = re.sub(rb"^<\?xml.*?\?>\s*", b"", text)
+    address = os.environ.get(CANARY, "http://127.0.0.1:9/")
+    match rng.randrange(9):
+        case 0:
+            return _declaration(rng) + _definitions(rng, address) + body
+        case 1:
+            # In letters that a look at the bytes does not know.
+            name, codec = rng.choice(_ENCODINGS)
+            inside = _definitions(rng, address) if rng.random() < 0.7 else b""
+            head = f'<?xml version="1.0" encoding="{name}"?>\n'.encode()
+            return (head + inside + body).decode("utf-8", "replace").encode(codec, "replace")
+        case 2:
+            deep = rng.choice((10, 64, 65, 100, 1000, 5000))
+            name = rng.choice((b"a", b"data3D", b"vectorChild", b"x:y"))
+            inside = b"<%s>" % name * deep + b"</%s>" % name * rng.choice((deep, deep, deep - 1, 0))
+            at = body.find(b"</e57Root>")
+            return _declaration(rng) + body[:at] + inside + body[at:]
+        case 3 | 4:
+            # One number or text, in an element or an attribute.
+            found = list(re.finditer(rb">([^<>]+)<|\"([^\"<>]*)\"", body))
+            if not found:
+                return change_bytes(rng, text)
+            hit = rng.choice(found)
+            group = 1 if hit[1] is not None else 2
+            return (
+                text[: len(text) - len(body)]
+                + body[: hit.start(group)]
+                + _value(rng, hit[group])
+                + body[hit.end(group) :]
+            )
+        case 5 | 6:
+            # A whole element, or its name.
+            found = list(re.finditer(rb"<(\w[\w:]*)[^<>]*>(?:[^<>]*</\1>)?", body))
+            hit = rng.choice(found)
+            new = rng.choice(
+                (b"", hit[0] * 2, hit[0] * 300, hit[0].replace(hit[1], b"x"), hit[0].replace(b"Float", b"Integer"))
+            )
+            return text[: len(text) - len(body)] + body[: hit.start()] + new + body[hit.end() :]
+        case 7:
+            # So many attributes, or scans, that a list without limits would be long.
+            many = rng.choice((100, 2000, 20_000))
+            what = b"".join(b' a%d="1"' % k for k in range(many))
+            return body.replace(b"<e57Root", b"<e57Root" + what, 1)
+        case _:
+            return change_bytes(rng, text)
+
+
+_ENCODINGS = (
+    ("ebcdic-cp-us", "cp037"),
+    ("IBM037", "cp037"),
+    ("UTF-16", "utf-16"),
+    ("UTF-16LE", "utf-16-le"),
+    ("UCS-4", "utf-32-be"),
+    ("ISO-8859-1", "latin-1"),
+    ("UTF-8", "utf-8-sig"),
+    ("windows-1252", "cp1252"),
+    ("x" * 300, "utf-8"),
+)
+
+
+def _declaration(rng: random.Random) -> bytes:
+    return rng.choice((b'<?xml version="1.0" encoding="UTF-8"?>\n', b"", b'<?xml version="1.1"?>', b"\n\n"))
+
+
+def _definitions(rng: random.Random, address: str) -> bytes:
+    """Entities that unfold, that name a file, or that lead to another machine."""
+    file = "file://" + os.environ.get(VICTIM_PLACE, "/etc/hostname")
+    bomb = "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 9}">' for k in range(1, rng.choice((4, 9)))).encode()
+    return rng.choice(
+        (
+            b'<!DOCTYPE e57Root [<!ENTITY e0 "xxxxxxxx">' + bomb + b"]>",
+            f'<!DOCTYPE e57Root SYSTEM "{address}a.dtd">'.encode(),
+            f'<!DOCTYPE e57Root [<!ENTITY % x SYSTEM "{address}b.dtd"> %x;]>'.encode(),
+            f'<!DOCTYPE e57Root [<!ENTITY x SYSTEM "{file}">]>'.encode(),
+            f'<!DOCTYPE e57Root [<!ENTITY % x SYSTEM "{file}"> %x;]>'.encode(),
+            b"<!-- a remark -->",
+            b'<?xml-stylesheet href="' + address.encode() + b'c.xsl"?>',
+            f'<!DOCTYPE e57Root PUBLIC "x" "{address}d.dtd"><!ATTLIST e57Root a CDATA "1">'.encode(),
+        )
+    )
+
+
+def _value(rng: random.Random, old: bytes) -> bytes:
+    if rng.random() < 0.4:
+        try:
+            number = float(old)
+            return str(near(rng, int(number) if number == int(number) else number)).encode()
+        except (ValueError, OverflowError):
+            pass
+    text = rng.choice((str(nasty_number(rng)), nasty_text(rng), "&lt;&#27;[31m", "&#0;", "&unknown;"))
+    return text.encode("utf-8", "surrogatepass")
+
+
+_LAS_FIELDS = (
+    *((24, "B"), (25, "B"), (94, "<H"), (96, "<I"), (100, "<I"), (104, "<B"), (105, "<H"), (107, "<I")),
+    *(
+        (131, "<d"),
+        (139, "<d"),
+        (147, "<d"),
+        (155, "<d"),
+        (163, "<d"),
+        (171, "<d"),
+        (179, "<d"),
+        (227, "<Q"),
+        (247, "<Q"),
+    ),
+)
+
+
+def change_las(rng: random.Random, data: bytes) -> bytes:
+    """A LAS or LAZ file with another field in its head, or other bytes in its head, records or points."""
+    if rng.random() < 0.3:
+        return change_bytes(rng, data)
+    changed = bytearray(data)
+    if rng.random() < 0.3:
+        # Records between head and points, and the beginning of compressed points.
+        at = rng.randrange(94, min(3000, len(data) - 8))
+        changed[at : at + 4] = rng.choice((rng.randbytes(4), b"\xff" * 4, b"\0" * 4))
+        return bytes(changed)
+    at, kind = rng.choice(_LAS_FIELDS)
+    if kind == "<d":
+        (old,) = struct.unpack_from(kind, data, at)
+        value: float = rng.choice((-old, 0.0, float(nasty_number(rng)), near(rng, old)))
+    else:
+        value = _field(rng, 8 * struct.calcsize(kind))
+    struct.pack_into(kind, changed, at, value)
+    return bytes(changed)
+
+
+def mirror_las(rng: random.Random, data: bytes) -> bytes:
+    """A LAS file with a scale of the other sign: the cloud is mirrored."""
+    changed = bytearray(data)
+    at = rng.choice((131, 139, 147))
+    struct.pack_into("<d", changed, at, -struct.unpack_from("<d", data, at)[0])
+    return bytes(changed)
+
+
+def change_words(rng: random.Random, data: bytes, lines: int | None = None) -> bytes:
+    """A text with one word of its first lines changed, or with lines changed.
+
+    Args:
+        rng: Random numbers.
+        data: The text, perhaps with bytes behind it.
+        lines: Lines of the head; without, any line.
+    """
+    kind = rng.randrange(6)
+    if kind == 0:
+        return change_bytes(rng, data)
+    parts = data.split(b"\n")
+    head, rest = (parts, []) if lines is None else (parts[:lines], parts[lines:])
+    if kind == 1:
+        head = change_lines(rng, b"\n".join(head)).split(b"\n")
+    else:
+        at = rng.randrange(len(head))
+        words = head[at].split(b" ")
+        word = rng.randrange(len(words))
+        new = _value(rng, words[word])
+        match rng.randrange(4):
+            case 0:
+                del words[word]
+            case 1:
+                words.insert(word, new)
+            case _:
+                words[word] = new
+        head[at] = b" ".join(words)
+    return b"\n".join([*head, *rest])
+
+
+def change_pcd(rng: random.Random, data: bytes) -> bytes:
+    """A PCD file with its head or its bytes changed."""
+    end = data.find(b"\nDATA ")
+    return change_words(rng, data, data[: end + 1].count(b"\n") + 1) if end > 0 else change_bytes(rng, data)
+
+
+def change_ptx(rng: random.Random, data: bytes) -> bytes:
+    """A PTX file with its ten lines of head changed, or a line of points."""
+    return change_words(rng, data, rng.choice((10, 10, None)))
+
+
+def change_xyz(rng: random.Random, data: bytes) -> bytes:
+    """A table of points with a word, a line or a byte changed."""
+    return change_words(rng, data, rng.choice((1, None)))
