@@ -11,6 +11,7 @@ from jaxscan.reconstruction import (
     Progress,
     ReconstructSettings,
     cloud_of_plan,
+    cloud_points,
     pair_notes,
     refuse_other_motion,
     sweep_doubts,
@@ -68,13 +69,13 @@ def reconstruct_capture(
     plan = watched.plan
     if not cache:
         cloud = cloud_of_plan(plan, noise=noise, progress=progress)
-        refuse_other_motion(plan, cloud, capture.off_frame, str(capture.path))
+        refuse_other_motion(plan, cloud_points(plan, cloud), capture.off_frame, str(capture.path))
         doubts = sweep_doubts(plan, cloud, watched.watch.seen, watched.numbers, watched.off_images)
         notes = (*plan.notes, *pair_notes(plan, capture.frames, watched.numbers), *doubts)
         return Reconstruction(cloud, notes=notes, noise=plan.noise)
     found = find_stripes(capture, watched, noise=noise, progress=progress)
     cloud = cloud_of_plan(plan, stripes=found.stripes, progress=progress if found.from_cache else None)
-    refuse_other_motion(plan, cloud, capture.off_frame, str(capture.path))
+    refuse_other_motion(plan, cloud_points(plan, cloud), capture.off_frame, str(capture.path))
     doubts = sweep_doubts(plan, cloud, found.seen, watched.numbers, watched.off_images)
     notes = (*plan.notes, *found.notes, *doubts)
     return Reconstruction(cloud, from_cache=found.from_cache, kept=found.kept, notes=notes, noise=plan.noise)

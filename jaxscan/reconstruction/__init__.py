@@ -4,6 +4,7 @@ from jaxscan.reconstruction.cloud import SMOOTHED, CloudPoints, PointCloud, Stat
 from jaxscan.reconstruction.doubts import (
     FrameWatch,
     Seen,
+    cloud_points,
     journal_doubts,
     profile_doubts,
     refuse_other_motion,

@@ -3,11 +3,10 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.geometry import AbstractCamera, Array, Scanner, Turntable
+from jaxscan.geometry import AbstractCamera, Array, Turntable
 from jaxscan.reconstruction.cloud import PointCloud
 from jaxscan.reconstruction.plan import Plan
 
@@ -16,22 +15,30 @@ _SIZE_PX = 320
 """Larger side of a reduced image, at most [px]."""
 _FLAT_PX = 7
 """Half of the square whose mean is taken away: vignetting and lamps move with the camera [px]."""
-_POINTS, _LINES, _HALF = 24, 4, 12
+_POINTS, _LINES, _HALF = 16, 3, 12
 """Points of a record, and half a window around each, across and along its way [px]."""
-_RECORDS = 6
+_RECORDS = 4
 """Records from which pairs are taken."""
 _CLEAR = 0.6
 """Correlation from which a pair tells how far it turned [1]."""
-_LOST = 0.6
-"""Correlation where the angle says, in that of the best place, below which a pair contradicts it [1]."""
+_ALIKE = 0.9
+"""Correlation where the angle says, in that of the best place, from which a pair agrees: a texture may repeat [1]."""
 _FEW, _MOST = 4, 0.8
-"""Pairs that must tell, and the part of them that must contradict [1]."""
+"""Pairs that must tell, and the part of them that must agree on another turn [1]."""
 _NEAR_PX, _NEAR = 3.0, 0.1
-"""Motion that is never doubted: pixels, and a part of it [1]."""
-_SIGMAS, _FLOOR = 10.0, 0.003
-"""How sure a contradiction must be, and the least sigma of a ratio: distances and pixels are only so good [1]."""
+"""Motion at which a place is that of the angle: pixels, and a part of it [1]."""
+_LEAST_PX = 5.0
+"""Motion from which a pair tells a ratio, seen or by the journal [px]."""
+_SIGMAS, _FLOOR, _SCALE = 10.0, 0.003, 0.03
+"""How sure a contradiction must be, the least sigma of a ratio (distances and pixels are only so good), and the least
+error of a scale [1]."""
+_STILL_M = 0.002
+"""Differences of stripes by which the table did turn [m]."""
 _FAR_PX = 20.0
 """Motion of the wider pairs by the journal [px]."""
+
+Points = Callable[[int], np.ndarray | None]
+"""Points of the stripe of a record [points, 3], in the scanner frame, as the laser has them at angle 0 [m]."""
 
 
 class _Ways(NamedTuple):
@@ -40,29 +47,47 @@ class _Ways(NamedTuple):
     turns: np.ndarray
     """Turns of the table [rad]; 0 in the middle."""
     pixels: np.ndarray
-    """Places in the reduced image, NaN behind the camera [points, lines, turns, 2]."""
+    """Places in the reduced image, far outside for those behind the camera [2, points, lines, turns]."""
 
 
 class _Turn(NamedTuple):
     """What a pair of records shows, where it tells anything."""
 
-    ratio: float
-    """Turn that is seen, in that of the journal [1]."""
     seen: float
     said: float
-    contradicts: bool
+    px: float
+    """The larger of both in the reduced image [px]."""
+
+    @property
+    def ratio(self) -> float:
+        """The turn that is seen, in that of the journal [1]."""
+        return self.seen / self.said
 
 
-def refuse_other_motion(plan: Plan, cloud: PointCloud, off_frame: Callable[[int], Array | None], name: str) -> None:
+def cloud_points(plan: Plan, cloud: PointCloud) -> Points:
+    """The points of each record of a cloud, turned back to angle 0."""
+    record = np.asarray(cloud.record)
+
+    def points(one: int) -> np.ndarray | None:
+        profiles, table = np.flatnonzero(record == one), plan.scanner.turntable
+        if not len(profiles) or not isinstance(table, Turntable):
+            return None
+        found = np.asarray(cloud.xyz[profiles[0]], np.float64)[np.asarray(cloud.valid[profiles[0]])]
+        return _turned(found, np.array([0.0, 0.0, 1.0]), np.zeros(3), -_theta(table, float(plan.sweep.angles[one])))
+
+    return points
+
+
+def refuse_other_motion(plan: Plan, points: Points, off_frame: Callable[[int], Array | None], name: str) -> None:
     """Refuse a sweep whose images move otherwise than its angles say.
 
     The laser gives the distance of points in a record, so calibration and angle say where each must be seen in the
     laser-off image of another record. It is looked for at all other turns too. Images that show nothing, or several
-    places alike, tell nothing.
+    places alike, tell nothing. Only NumPy computes, on a few reduced images.
 
     Args:
         plan: The sweep and its scanner.
-        cloud: Its cloud.
+        points: Of its records, in the order along the stripe.
         off_frame: The laser-off image of a record.
         name: Of the capture, for the message.
 
@@ -72,24 +97,24 @@ def refuse_other_motion(plan: Plan, cloud: PointCloud, off_frame: Callable[[int]
     table = plan.scanner.turntable
     if not isinstance(table, Turntable) or plan.predicts or len(plan.sweep) < 2:
         return
-    found = _turns(plan, cloud, table, off_frame)
+    found = [turn for turn in _turns(plan, points, table, off_frame) if turn.px >= _LEAST_PX]
     if len(found) < _FEW:
         return
-    against = [turn for turn in found if turn.contradicts]
-    if len(against) < max(_FEW, _MOST * len(found)):
+    ratio = float(np.median([turn.ratio for turn in found]))
+    agreed = [turn for turn in found if abs(turn.ratio - ratio) <= _NEAR * max(abs(ratio), _NEAR)]
+    if len(agreed) < max(_FEW, _MOST * len(found)):
         return
-    ratios = np.array([turn.ratio for turn in against])
-    ratio = float(np.median(ratios))
-    spread = float(np.median(np.abs(ratios - ratio)))
-    sigma = max(1.4826 * spread / np.sqrt(len(ratios)), _FLOOR)
-    # Behind an object that turns, the background stands still by right.
-    still = table.carries == "object" and abs(ratio) < _NEAR
-    if still or spread > _NEAR * max(abs(ratio), 0.1) or abs(ratio - 1.0) < _SIGMAS * sigma:
+    ratios = np.array([turn.ratio for turn in agreed])
+    sigma = max(1.4826 * float(np.median(np.abs(ratios - ratio))) / np.sqrt(len(ratios)), _FLOOR)
+    if abs(ratio - 1.0) <= max(_SIGMAS * sigma, _SCALE * max(1.0, abs(ratio))):
         return
-    first = against[0]
+    # Dirt on the lens stands still, and so does what is behind an object that turns.
+    if abs(ratio) < _NEAR and (table.carries == "object" or not _same_stripes(points, len(plan.sweep))):
+        return
+    first = agreed[0]
     raise CaptureError(
         f"{name}: the pictures turn by {np.degrees(first.seen):.3g} deg where the journal says "
-        f"{np.degrees(first.said):.3g} deg, in {len(against)} of {len(found)} pairs of records: {_cause(ratio)}."
+        f"{np.degrees(first.said):.3g} deg, in {len(agreed)} of {len(found)} pairs of records: {_cause(ratio)}."
     )
 
 
@@ -103,9 +128,25 @@ def _cause(ratio: float) -> str:
     return f"multiply angle_deg by {ratio:.3g}, or use the calibration of this table"
 
 
-def _turns(plan: Plan, cloud: PointCloud, table: Turntable, off_frame: Callable[[int], Array | None]) -> list[_Turn]:
+def _records(count: int) -> list[int]:
+    return np.unique(np.linspace(0, count - 1, min(count, _RECORDS)).astype(int)).tolist()
+
+
+def _some(stripe: np.ndarray) -> np.ndarray:
+    """Points of a stripe, evenly along it."""
+    return stripe[np.linspace(0, len(stripe) - 1, _POINTS).astype(int)]
+
+
+def _same_stripes(points: Points, count: int) -> bool:
+    """Whether the laser shows the same in all records, as it does where nothing turns."""
+    found = [points(one) for one in _records(count)]
+    whole = [_some(stripe) for stripe in found if stripe is not None and len(stripe) >= _POINTS]
+    return len(whole) > 1 and float(np.median(np.linalg.norm(np.ptp(whole, 0), axis=-1))) < _STILL_M
+
+
+def _turns(plan: Plan, points: Points, table: Turntable, off_frame: Callable[[int], Array | None]) -> list[_Turn]:
     sweep, count = plan.sweep, len(plan.sweep)
-    camera = plan.scanner.as_dtype(np.float32).camera
+    camera = plan.scanner.camera
     factor = max(2, -(-max(camera.width, camera.height) // _SIZE_PX))
     images: dict[int, np.ndarray | None] = {}
 
@@ -115,19 +156,21 @@ def _turns(plan: Plan, cloud: PointCloud, table: Turntable, off_frame: Callable[
             images[record] = None if frame is None else _reduced(frame, factor, len(sweep.exposures) > 1)
         return images[record]
 
-    record = np.asarray(cloud.record)
     found = []
-    for one in np.unique(np.linspace(0, count - 1, min(count, _RECORDS)).astype(int)).tolist():
-        seen, profiles = image(one), np.flatnonzero(record == one)
-        points = _points(cloud, profiles, plan.scanner, float(sweep.angles[one])) if len(profiles) else None
-        if seen is None or points is None:
+    for one in _records(count):
+        stripe = points(one)
+        if stripe is None or len(stripe) < _POINTS:
             continue
-        ways = _ways(camera, table, points, factor)
+        ways = _ways(camera, table, _from_scanner(table, _some(stripe)), factor)
+        seen = image(one)
+        if seen is None:
+            continue
+        strips = _strips(seen, ways.pixels)
         for other in _partners(sweep.angles, one, ways.turns):
             turned = image(other)
             said = (sweep.angles[other] - sweep.angles[one] + np.pi) % (2 * np.pi) - np.pi
             if turned is not None:
-                turn = _judged(_correlation(seen, turned, ways.pixels), ways.turns, float(said))
+                turn = _judged(*_correlation(strips, _strips(turned, ways.pixels)), ways.turns, float(said))
                 found += [] if turn is None else [turn]
     return found
 
@@ -148,8 +191,8 @@ def _reduced(frame: Array, factor: int, bracket: bool) -> np.ndarray:
     frame = frame[len(frame) // 2] if bracket else frame
     frame = frame[..., 1] if frame.ndim == 3 else frame
     rows, columns = (size // factor for size in frame.shape)
-    blocks = frame[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
-    small = blocks.mean((1, 3), dtype=np.float32)
+    lines = frame[: rows * factor, : columns * factor].reshape(rows, factor, -1).sum(1, dtype=np.uint32)
+    small = lines.reshape(rows, columns, factor).sum(2).astype(np.float32) / factor**2
     small = small - _box(_box(small).T).T
     # One bright edge is not worth more than many of a texture.
     most = float(np.quantile(np.abs(small), 0.98))
@@ -164,94 +207,111 @@ def _box(image: np.ndarray) -> np.ndarray:
     return ((sums[:, stop] - sums[:, first]) / (stop - first)).astype(np.float32)
 
 
-def _points(cloud: PointCloud, profiles: np.ndarray, scanner: Scanner, angle: float) -> np.ndarray | None:
-    """Points of a record, evenly along its stripe, in the camera frame at its angle [points, 3]."""
-    profile = profiles[0]
-    valid = np.flatnonzero(np.asarray(cloud.valid)[profile])
-    if len(valid) < _POINTS:
-        return None
-    chosen = valid[np.linspace(0, len(valid) - 1, _POINTS).astype(int)]
-    pose = np.asarray(scanner.pose(np.float64(angle)), np.float64)
-    return (np.asarray(cloud.xyz, np.float64)[profile, chosen] - pose[:3, 3]) @ pose[:3, :3]
+def _theta(table: Turntable, phi: float) -> float:
+    """`Turntable.angle` [rad], and against it where the object turns."""
+    order = np.array([1, 2])
+    waves = np.stack([np.cos(order * phi) - 1, np.sin(order * phi)], -1).ravel() @ np.asarray(table.harmonics)
+    theta = float(np.asarray(table.gain)) * phi + float(waves)
+    return theta if table.carries == "scanner" else -theta
+
+
+def _from_scanner(table: Turntable, points: np.ndarray) -> np.ndarray:
+    """Points of the scanner frame in the camera frame at angle 0; see `Turntable.frame`."""
+    z, foot = (np.asarray(part, np.float64) for part in (table.direction, table.point))
+    x = np.array([0.0, 0.0, 1.0]) - z[2] * z
+    x /= np.linalg.norm(x)
+    return points @ np.stack([x, np.cross(z, x), z]) + foot
+
+
+def _turned(points: np.ndarray, axis: np.ndarray, foot: np.ndarray, theta: np.ndarray | float) -> np.ndarray:
+    """Points [..., 3] turned about an axis by angles that broadcast with them."""
+    theta, apart = np.asarray(theta)[..., None], points - foot
+    along = (apart @ axis)[..., None] * axis
+    return foot + along + np.cos(theta) * (apart - along) + np.sin(theta) * np.cross(axis, apart)
 
 
 def _ways(camera: AbstractCamera, table: Turntable, points: np.ndarray, factor: int) -> _Ways:
     axis, foot = (np.asarray(part, np.float64) for part in (table.direction, table.point))
-    gain = float(np.asarray(table.gain)) * (1 if table.carries == "scanner" else -1)
-
-    def turned(turns: np.ndarray) -> np.ndarray:
-        """The points as the camera sees them after each turn [points, turns, 3]."""
-        theta = -gain * turns[:, None]
-        apart = points - foot
-        along = (apart @ axis)[:, None, None] * axis
-        across, side = apart[:, None] - along, np.cross(axis, apart)[:, None]
-        return foot + along + np.cos(theta) * across + np.sin(theta) * side
+    sense = -_theta(table, 1.0)
 
     def pixels(places: np.ndarray) -> np.ndarray:
-        with jax.enable_x64(False):
-            flat = np.asarray(_project(camera, places.reshape(-1, 3).astype(np.float32)), np.float64)
-        return ((flat + 0.5) / factor - 0.5).reshape(*places.shape[:-1], 2)
+        flat = camera.project(np.ascontiguousarray(places.reshape(-1, 3).T))
+        return ((np.asarray(flat) + 0.5) / factor - 0.5).reshape(2, *places.shape[:-1])
 
     little = 1e-3
-    before, after = np.moveaxis(pixels(turned(np.array([-little, little]))), 1, 0)
-    step = 2 * little / max(float(np.median(np.linalg.norm(after - before, axis=-1))), 1e-9)
+    before, after = (pixels(_turned(points, axis, foot, sense * turn)) for turn in (-little, little))
+    step = 2 * little / max(float(np.median(np.linalg.norm(after - before, axis=0))), 1e-9)
     reach = max(camera.width, camera.height) // factor
     turns = step * np.arange(-reach, reach + 1)
     height = little * np.linalg.norm(points, axis=1, keepdims=True) * axis
-    px = np.linalg.norm(pixels(points + height) - pixels(points - height), axis=-1)
-    lines = np.arange(-_LINES, _LINES + 1)[:, None, None]
+    px = np.linalg.norm(pixels(points + height) - pixels(points - height), axis=0)
     across = 2 * height / np.maximum(px, 1e-9)[:, None]
-    places = turned(turns)[:, None] + lines * across[:, None, None]
-    found = pixels(places)
-    return _Ways(turns, np.where(places[..., 2:] > 0.01, found, np.nan))
+    lines = points[:, None] + np.arange(-_LINES, _LINES + 1)[:, None] * across[:, None]
+    places = _turned(lines[:, :, None], axis, foot, sense * turns)
+    return _Ways(turns, np.where(places[..., 2] > 0.01, pixels(places), -9.0))
 
 
-@jax.jit
-def _project(camera: AbstractCamera, places: Array) -> Array:
-    return jax.vmap(camera.project)(places)
+class _Strips(NamedTuple):
+    """An image along the ways."""
+
+    values: np.ndarray
+    """[points, lines, turns]; 0 outside of the image."""
+    inside: np.ndarray
+    """[points, turns]"""
 
 
-def _strips(image: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The image along the ways, and where they are within it."""
-    x, y = np.nan_to_num(pixels[..., 0], nan=-1.0), np.nan_to_num(pixels[..., 1], nan=-1.0)
+def _strips(image: np.ndarray, pixels: np.ndarray) -> _Strips:
     rows, columns = image.shape
+    x, y = pixels.astype(np.float32)
     inside = (x >= 0) & (x <= columns - 1.001) & (y >= 0) & (y <= rows - 1.001)
     x, y = np.clip(x, 0, columns - 1.001), np.clip(y, 0, rows - 1.001)
-    i, j = y.astype(int), x.astype(int)
+    i, j = y.astype(np.int32), x.astype(np.int32)
     a, b = y - i, x - j
-    above = image[i, j] * (1 - b) + image[i, j + 1] * b
-    below = image[i + 1, j] * (1 - b) + image[i + 1, j + 1] * b
-    return np.where(inside, above * (1 - a) + below * a, 0.0), inside
+    flat, at = image.ravel(), i * columns + j
+    above = flat[at] * (1 - b) + flat[at + 1] * b
+    below = flat[at + columns] * (1 - b) + flat[at + columns + 1] * b
+    return _Strips(np.where(inside, above * (1 - a) + below * a, 0.0), np.all(inside, axis=1))
 
 
-def _correlation(one: np.ndarray, other: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Correlation of all windows of one image with the other after each turn; NaN where too few are seen."""
-    (first, near), (second, there) = _strips(one, pixels), _strips(other, pixels)
-    count, middle, wide = pixels.shape[2], pixels.shape[2] // 2, 2 * _HALF + 1
-    edge = ((0, 0), (0, 0), (_HALF, _HALF))
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(second, edge), wide, -1)
-    inside = np.lib.stride_tricks.sliding_window_view(np.pad(there.all(1), edge[1:]), wide, -1).all(-1)
-    energy = np.einsum("pzjw,pzjw->pj", windows, windows)
+def _correlation(one: _Strips, other: _Strips) -> tuple[np.ndarray, np.ndarray]:
+    """Correlation of all windows of one image with the other after each turn, and of those at the stripe alone.
+
+    NaN where too few are seen.
+    """
+    count = one.values.shape[2]
+    middle, wide, size = count // 2, 2 * _HALF + 1, count + 2 * _HALF
+    spectrum = np.fft.rfft(other.values, size)
+    energy, inside = (
+        np.apply_along_axis(np.convolve, 1, part, np.ones(wide), "same")
+        for part in ((other.values**2).sum(1), other.inside.astype(np.float64))
+    )
+    inside = inside > wide - 0.5
     sums = np.zeros((4, count))
+    at_stripe = None
     # Beside the stripe distances are much the same, and more of the image is compared.
     for centre in (0, -5 * _HALF, 5 * _HALF):
         if not wide <= middle + centre < count - wide:
             continue
         part = np.s_[middle + centre - _HALF : middle + centre + _HALF + 1]
-        known = near[..., part].all((1, 2))
-        own = first[..., part] * known[:, None, None]
-        usable = inside & known[:, None]
-        alike = np.einsum("pzw,pzjw->pj", own, windows)
+        usable = inside & np.all(one.inside[:, part], axis=1)[:, None]
+        own = one.values[..., part]
+        product = np.fft.irfft((spectrum * np.conj(np.fft.rfft(own, size))).sum(1), size)
+        alike = np.roll(product, _HALF, 1)[:, :count]
         values = (alike, np.broadcast_to((own**2).sum((1, 2))[:, None], alike.shape), energy, np.ones_like(alike))
-        for k, value in enumerate(values):
-            total = np.where(usable, value, 0.0).sum(0)
-            start, stop = max(centre, 0), count + min(centre, 0)
-            sums[k, start - centre : stop - centre] += total[start:stop]
+        total = np.stack([np.where(usable, value, 0.0).sum(0) for value in values])
+        start, stop = max(centre, 0), count + min(centre, 0)
+        sums[:, start - centre : stop - centre] += total[:, start:stop]
+        at_stripe = total if centre == 0 else at_stripe
+    at_stripe = sums if at_stripe is None else at_stripe
+    return _normalised(sums), _normalised(at_stripe)
+
+
+def _normalised(sums: np.ndarray) -> np.ndarray:
     enough = sums[3] >= max(0.3 * float(sums[3].max()), 8.0)
     return np.where(enough, sums[0] / np.sqrt(np.maximum(sums[1] * sums[2], 1e-9)), np.nan)
 
 
-def _judged(alike: np.ndarray, turns: np.ndarray, said: float) -> _Turn | None:
+def _judged(alike: np.ndarray, at_stripe: np.ndarray, turns: np.ndarray, said: float) -> _Turn | None:
     step = float(turns[1] - turns[0])
     near = np.abs(turns - said) <= _NEAR_PX * step + _NEAR * abs(said)
     # A turn that cannot be seen is not contradicted by things that look alike.
@@ -260,5 +320,20 @@ def _judged(alike: np.ndarray, turns: np.ndarray, said: float) -> _Turn | None:
     best = int(np.nanargmax(alike))
     if alike[best] < _CLEAR:
         return None
-    seen = float(turns[best])
-    return _Turn(seen / said, seen, said, bool(np.nanmax(alike[near]) < _LOST * alike[best]))
+    if np.nanmax(alike[near]) >= _ALIKE * alike[best]:
+        best = int(np.nanargmax(np.where(near, alike, np.nan)))
+    # Only at the stripe is the distance known, which a small difference takes.
+    around = slice(max(best - 2, 0), best + 3)
+    if np.isfinite(at_stripe[around]).all():
+        alike, best = at_stripe, around.start + int(np.argmax(at_stripe[around]))
+    seen = float(turns[best]) + step * _peak(alike, best)
+    return _Turn(seen, said, max(abs(seen), abs(said)) / step)
+
+
+def _peak(values: np.ndarray, best: int) -> float:
+    """Where between its neighbours a largest value lies [steps], by a parabola."""
+    around = values[max(best - 1, 0) : best + 2]
+    if len(around) < 3 or not np.isfinite(around).all():
+        return 0.0
+    bend = 2 * around[1] - around[0] - around[2]
+    return float(np.clip(0.5 * (around[2] - around[0]) / bend, -0.5, 0.5)) if bend > 0 else 0.0
