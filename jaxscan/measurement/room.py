@@ -132,7 +132,7 @@ def _place_inside(samples: CloudSamples) -> np.ndarray:
     place = samples.first_origin()
     if samples.turns():
         return place
-    low, high = np.array([np.percentile(axis, [1.0, 99.0]) for axis in samples.places().T]).T
+    low, high = np.array([np.percentile(axis, [1.0, 99.0]) for axis in samples.some_places().T]).T
     rim = _NEAR_THE_RIM * (high - low)
     within = (low + rim < place) & (place < high - rim)
     return place if within.all() else (low + high) / 2

@@ -48,7 +48,7 @@ class Wall(NamedTuple):
         behind = sum(
             np.count_nonzero(some.p @ normal - distance > BEYOND_M + 6.0 * some.sigma) for some in samples.blocks()
         )
-        return behind <= BEYOND * len(samples)
+        return bool(behind <= BEYOND * len(samples))
 
     @property
     def rms_m(self) -> float:

@@ -99,10 +99,10 @@ class ShownCloud:
         }[by]
         return bool(np.any(np.asarray(field)))
 
-    def take(self, field: ArrayLike) -> np.ndarray:
-        """A field of the cloud at its points, in the order in which they are shown."""
+    def take(self, field: ArrayLike, some: slice = slice(None)) -> np.ndarray:
+        """A field of the cloud at its points or some of them, in the order in which they are shown."""
         values = np.asarray(field)
-        return np.asarray(values.reshape(-1, *values.shape[2:])[self.cells])
+        return np.asarray(values.reshape(-1, *values.shape[2:])[self.cells[some]])
 
     def coloured(self, by: Colouring, *, plane: PlaneMeasurement | None) -> tuple[np.ndarray, Scale | None]:
         """The colours of its points, and their scale where they have one.
@@ -172,17 +172,18 @@ class ShownCloud:
         # Most clouds of other programs have none, and taking them takes as much memory as the points.
         if not np.any(np.asarray(normals)):
             return None
-        return sides_of(self.take(normals), self._towards(), certain=says_its_place(self.cloud))
+        seen = lambda some: (self.take(normals, some), self._towards(some))
+        return sides_of(seen, self.points, certain=says_its_place(self.cloud))
 
-    def _towards(self) -> np.ndarray | None:
-        """From each point to where its scanner stood, [n, 3], m; None where nobody knows."""
+    def _towards(self, some: slice) -> np.ndarray | None:
+        """From some points to where their scanner stood, [n, 3], m; None where nobody knows."""
         places = self.stations().astype(np.float32)
         if not len(places):
             return None
         if self.cloud.stations is None:
-            return np.asarray(places[0] - self.xyz)
+            return np.asarray(places[0] - self.xyz[some])
         lines = self.cloud.valid.shape[1]
-        return np.asarray(places[np.asarray(self.cloud.stations.number)[self.cells // lines]] - self.xyz)
+        return np.asarray(places[np.asarray(self.cloud.stations.number)[self.cells[some] // lines]] - self.xyz[some])
 
     def _gridded(self) -> ArrayLike:
         """Normals of a cloud without any, by its grid; zero where it has none."""

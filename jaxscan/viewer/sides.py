@@ -1,5 +1,6 @@
 """From which side each point was seen, so that a view from outside can leave out what it sees from behind."""
 
+from collections.abc import Callable
 from itertools import product
 
 import numpy as np
@@ -18,32 +19,37 @@ _SOME = 100_000
 
 
 def sides_of(
-    normals: Float[np.ndarray, "n 3"], towards: Float[np.ndarray, "n 3"] | None, *, certain: bool
+    seen: Callable[[slice], tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"] | None]],
+    count: int,
+    *,
+    certain: bool,
 ) -> Int8[np.ndarray, "n 3"] | None:
     """Unit normals in steps, towards where each point was seen from; zero where there is none.
 
     Args:
-        normals: Of the points; zero where there is none.
-        towards: From each point to its scanner, of any length; None where nobody knows.
+        seen: Normals of some of the points, zero where there is none, and from each of these points to its scanner, of
+            any length; None in its place where nobody knows.
+        count: Number of points.
         certain: Whether the cloud says where its scanner stood, which is only likely otherwise.
 
     Returns:
         None where the cloud does not know.
     """
-    some = slice(None, None, max(1, len(normals) // _SOME))
-    known = np.any(normals[some] != 0, axis=1)
+    normals, towards = seen(slice(None, None, max(1, count // _SOME)))
+    known = np.any(normals != 0, axis=1)
     if towards is None or not known.mean() >= _KNOWN:
         return None
-    slopes = np.einsum("ni,ni->n", normals[some], towards[some])[known]
-    steps = np.empty(normals.shape, np.int8)
-    for start in range(0, len(normals), _SOME):
-        steps[start : start + _SOME] = np.rint(_STEPS * normals[start : start + _SOME])
-    if np.mean(slopes > 0) >= _AGREE:
-        # Not turned one by one: a camera stands beside the axis, and sees a little more than it.
-        return steps
-    if not certain:
+    # Not turned one by one where they agree: a camera stands beside the axis, and sees a little more than it.
+    agree = np.mean(np.einsum("ni,ni->n", normals, towards)[known] > 0) >= _AGREE
+    if not (agree or certain):
         return None
-    return np.where(np.einsum("ni,ni->n", normals, towards)[:, None] < 0, -steps, steps)
+    steps = np.empty((count, 3), np.int8)
+    for start in range(0, count, _SOME):
+        normals, towards = seen(slice(start, start + _SOME))
+        if not agree and towards is not None:
+            normals = np.where(np.einsum("ni,ni->n", normals, towards)[:, None] < 0, -normals, normals)
+        steps[start : start + _SOME] = np.rint(_STEPS * normals)
+    return steps
 
 
 def hides_well(sides: Int8[np.ndarray, "n 3"]) -> bool:

@@ -24,5 +24,5 @@ def test_steps_that_are_none_are_refused(step, axis, tmp_path):
     data = bytearray(path.read_bytes())
     struct.pack_into("<d", data, SCALES + 8 * axis, step)
     path.write_bytes(data)
-    with pytest.raises(CloudError, match="not a readable LAS file: steps of its coordinates"):
+    with pytest.raises(CloudError, match="not a readable LAS file: .*(mirror or squash|not finite)"):
         jaxscan.load_cloud(path)

@@ -28,33 +28,38 @@ def box():
     return at * ROOM_M, inwards
 
 
+def sides_seen(normals, towards, *, certain):
+    seen = lambda some: (normals[some], None if towards is None else towards[some])
+    return sides_of(seen, len(normals), certain=certain)
+
+
 def test_normals_towards_the_scanner_are_sides():
     at, inwards = box()
     inwards[:300] = 0
-    sides = sides_of(inwards, -at, certain=False)
+    sides = sides_seen(inwards, -at, certain=False)
     assert sides.dtype == np.int8 and np.array_equal(sides, 127 * inwards)
 
 
 def test_normals_that_nobody_turned_are_turned_where_the_scanner_stood_for_certain():
     at, inwards = box()
     mixed = inwards * np.random.default_rng(SEED).choice([-1.0, 1.0], (3000, 1))
-    assert np.array_equal(sides_of(mixed, -at, certain=True), 127 * inwards)
+    assert np.array_equal(sides_seen(mixed, -at, certain=True), 127 * inwards)
     # An origin amid the points of a thing, whose normals point outwards, is no scanner.
-    assert sides_of(-inwards, -at, certain=False) is None
-    assert sides_of(inwards, None, certain=False) is None
-    assert sides_of(np.zeros_like(inwards), -at, certain=True) is None
+    assert sides_seen(-inwards, -at, certain=False) is None
+    assert sides_seen(inwards, None, certain=False) is None
+    assert sides_seen(np.zeros_like(inwards), -at, certain=True) is None
 
 
 def test_backs_are_hidden_at_first_where_enough_is_left_from_everywhere():
     at, inwards = box()
-    sides = sides_of(inwards, -at, certain=True)
+    sides = sides_seen(inwards, -at, certain=True)
     wall = inwards[:, 0] < 0
     assert hides_well(sides) and not hides_well(sides[wall]) and not hides_well(np.zeros_like(sides))
 
 
 def test_a_ray_from_outside_meets_the_far_wall():
     at, inwards = box()
-    sides, eye, way = sides_of(inwards, -at, certain=True), np.array([9.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])
+    sides, eye, way = sides_seen(inwards, -at, certain=True), np.array([9.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])
     at = at.astype(np.float32)
     assert at[pick(at, eye, way, cone_rad=0.05)][0] == pytest.approx(ROOM_M[0])
     assert at[pick(at, eye, way, cone_rad=0.05, sides=sides)][0] == pytest.approx(-ROOM_M[0])

@@ -3,8 +3,10 @@
 Source: ASTM E2807, 9.3 and 9.4.
 """
 
+import itertools
+import math
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,8 +15,8 @@ from jaxscan.files.clouds.e57.pages import Pages, without_checksums
 
 
 _SECTION, _DATA, _OTHERS = 1, 1, (0, 2)
-_AT_A_TIME = 1 << 18
-"""Bytes of a column that are collected before they are decoded."""
+BLOCK_POINTS = 1 << 16
+"""Points that are decoded together; a multiple of eight."""
 
 
 class Field(NamedTuple):
@@ -46,84 +48,82 @@ class Field(NamedTuple):
         return "i4" if self.least >= -(1 << 31) and self.least + (1 << self.bits) <= 1 << 31 else "i8"
 
 
-Sink = Callable[[int, np.ndarray], None]
-"""Takes values of a column, and the number of those before."""
-
-
-def read_columns(pages: Pages, place: int, count: int, fields: Sequence[Field], sinks: Sequence[Sink | None]) -> None:
-    """Read the columns of a scan, some of their values at a time.
+def read_blocks(
+    pages: Pages, place: int, count: int, fields: Sequence[Field], wanted: Sequence[int]
+) -> Iterator[list[np.ndarray]]:
+    """Values of some columns of a scan, of the same points each, from the first point to the last.
 
     Args:
         pages: The file.
         place: Where the section begins, counted with checksums.
         count: Number of points.
         fields: All columns in their order.
-        sinks: What takes the values of each column; None where they are not asked for.
+        wanted: Numbers of the columns that are asked for.
 
     Raises:
         ValueError: If the section is damaged or ends too early.
     """
-    wanted = [
-        (k, _Column(field, sink, count)) for k, (field, sink) in enumerate(zip(fields, sinks, strict=True)) if sink
-    ]
+    columns = [_Column(fields[k]) for k in wanted]
+    packets = _packets(pages, place, len(fields))
+    for start in range(0, count, BLOCK_POINTS):
+        points = min(BLOCK_POINTS, count - start)
+        while any(column.whole < points for column in columns):
+            parts = next(packets, None)
+            if parts is None:
+                raise ValueError(f"the section of {count} points ends too early")
+            for k, column in zip(wanted, columns, strict=True):
+                column.hold(parts[k], count - start)
+        yield [column.take(points) for column in columns]
+
+
+def _packets(pages: Pages, place: int, columns: int) -> Iterator[list[bytes]]:
+    """The bytes of each column in one packet after the other."""
     at = without_checksums(place)
     section, length, data = struct.unpack("<B7xQQ8x", pages.read(at, 32))
     if section != _SECTION:
         raise ValueError("a scan has no section of points")
     end, at = at + length, without_checksums(data)
-    while not all(column.complete for _, column in wanted):
-        if at >= end:
-            raise ValueError(f"the section of {count} points ends too early")
+    while at < end:
         kind, packet = struct.unpack("<BxH", pages.read(at, 4))
         if kind == _DATA:
-            _take(pages.read(at, packet + 1), len(fields), wanted)
+            yield _parts(pages.read(at, packet + 1), columns)
         elif kind not in _OTHERS:
             raise ValueError("found an unknown packet")
         at += packet + 1
 
 
-def _take(packet: bytes, count: int, wanted: list[tuple[int, "_Column"]]) -> None:
-    """Hand the columns their bytes of a packet."""
+def _parts(packet: bytes, count: int) -> list[bytes]:
+    """What a packet has of each column."""
     if len(packet) < 6 + 2 * count or struct.unpack_from("<H", packet, 4) != (count,):
         raise ValueError("a packet does not have the columns of its scan")
     places = np.cumsum([6 + 2 * count, *struct.unpack_from(f"<{count}H", packet, 6)]).tolist()
     if places[-1] > len(packet):
         raise ValueError("a packet is shorter than its columns")
-    for k, column in wanted:
-        column.take(packet[places[k] : places[k + 1]])
+    return [packet[start:stop] for start, stop in itertools.pairwise(places)]
 
 
 class _Column:
-    """Collects the bytes of a column, and decodes them when there are many."""
+    """The bytes of a column that are not decoded yet."""
 
-    def __init__(self, field: Field, sink: Sink, count: int) -> None:
-        self._field, self._sink, self._count = field, sink, count
-        self._done, self._held = 0, bytearray()
-        if field.bits == 0:
-            self._decode()
+    def __init__(self, field: Field) -> None:
+        self._field, self._held = field, bytearray()
 
     @property
-    def complete(self) -> bool:
-        return self._done == self._count
+    def whole(self) -> float:
+        """Number of values that are there."""
+        return float(8 * len(self._held) // self._field.bits) if self._field.bits else math.inf
 
-    def take(self, data: bytes) -> None:
-        self._held += data
-        bits = 8 * len(self._held)
-        if not self.complete and (bits >= 8 * _AT_A_TIME or bits >= (self._count - self._done) * self._field.bits):
-            self._decode()
+    def hold(self, data: bytes, left: int) -> None:
+        """Keep the bytes of a packet, except what is more than the points that are left."""
+        if self.whole < left:
+            self._held += data
 
-    def _decode(self) -> None:
-        """Decode what is whole: eight values always end with a byte."""
-        bits, left = self._field.bits, self._count - self._done
-        while left:
-            whole = min(left, 8 * len(self._held) // bits if bits else _AT_A_TIME)
-            found = min(whole if whole == left else whole // 8 * 8, _AT_A_TIME)
-            if not found:
-                return
-            used = (found * bits + 7) // 8
-            self._sink(self._done, _decoded(self._field, self._held[:used], found))
-            del self._held[:used]
-            self._done, left = self._done + found, left - found
+    def take(self, count: int) -> np.ndarray:
+        """The next values: eight of them always end with a byte, and only the last block has another number."""
+        used = (count * self._field.bits + 7) // 8
+        found = _decoded(self._field, self._held[:used], count)
+        del self._held[:used]
+        return found
 
 
 def _decoded(field: Field, data: bytearray, count: int) -> np.ndarray:

@@ -7,7 +7,7 @@ addresses too, and hears no signal while it does.
 import math
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from jaxscan.errors import CloudError
 from jaxscan.files.clouds.about import StoredCloud, about_of, version_of
 from jaxscan.files.clouds.crs import epsg_of
 from jaxscan.files.clouds.e57.library import COLUMNS, OWN
-from jaxscan.files.clouds.e57.packets import Field, Sink, read_columns
+from jaxscan.files.clouds.e57.packets import Field, read_blocks
 from jaxscan.files.clouds.e57.pages import PAGE, Pages, without_checksums
 from jaxscan.files.clouds.e57.scans import Scan, joined
 from jaxscan.files.disk import Element, open_regular, parse_xml
@@ -51,17 +51,18 @@ def read_e57(path: Path) -> StoredCloud:
             text = pages.read(without_checksums(place), length)
             root = parse_xml(text, name=str(path), error=CloudError, limit=MAX_XML_BYTES)
             scans = list(_scans(pages, root, size, path))
+            if sum(scan.points for scan in scans) == 0:
+                raise CloudError(f"{path}: holds no points.")
+            lines = scans[0].lines
+            version_of(lines, str(path))
+            cloud = joined(scans, str(path))
         except (ValueError, OverflowError, struct.error, OSError) as problem:
             raise CloudError(f"{path}: not a readable E57 file: {problem!s:.100}.") from problem
-    lines = scans[0].lines if scans else []
-    if sum(len(scan.points) for scan in scans) == 0:
-        raise CloudError(f"{path}: holds no points.")
-    version_of(lines, str(path))
     about = about_of(lines)
     frame = root.find("coordinateMetadata")
     epsg = about.epsg if about.epsg is not None or frame is None else epsg_of(frame.text)
     # The standard knows no other unit, and z up in the frame of a levelled scanner.
-    return StoredCloud(joined(scans, str(path)), about._replace(epsg=epsg, in_metres=True, upright=True))
+    return StoredCloud(cloud, about._replace(epsg=epsg, in_metres=True, upright=True))
 
 
 def _places(head: bytes, size: int, path: Path) -> tuple[int, int]:
@@ -94,11 +95,7 @@ def _scans(pages: Pages, root: Element, size: int, path: Path) -> Iterator[Scan]
         if count < 0 or left < 0:
             raise CloudError(f"{path}: announces {count} points, which the file cannot hold; it is damaged.")
         header = scan.find(f"{OWN}header")
-        yield Scan(
-            _read_points(pages, points, count, fields, _full_brightness(scan, fields)),
-            _pose(scan),
-            [] if header is None else header.text.splitlines(),
-        )
+        yield _scan(pages, scan, points, count, fields, [] if header is None else header.text.splitlines())
 
 
 def _fields_of(prototype: Element | None) -> list[Field]:
@@ -151,34 +148,40 @@ def _wanted(fields: list[Field]) -> dict[str, str]:
     return {name: column for name, column in known.items() if name in names}
 
 
-def _read_points(
-    pages: Pages, points: Element, count: int, fields: list[Field], full: dict[str, float | None]
-) -> np.ndarray:
-    """All columns of a scan that a cloud can use, as records."""
+def _scan(pages: Pages, scan: Element, points: Element, count: int, fields: list[Field], lines: list[str]) -> Scan:
+    """A scan with all columns that a cloud can use."""
     wanted = _wanted(fields)
-    types = {wanted[field.name]: _stored(field, wanted[field.name]) for field in fields if field.name in wanted}
-    stored = {column: kind if column not in full or full[column] is None else "u1" for column, kind in types.items()}
-    # Without an upper limit of the colours, the values themselves say later what is bright.
-    table = np.empty(count, list(stored.items()))
-    if not wanted or count == 0:
-        return table
+    place = int(points.attributes.get("fileOffset", "0"))
+    numbers = {wanted[field.name]: k for k, field in enumerate(fields) if field.name in wanted}
 
-    def sink(column: str) -> Sink:
-        brightest = full.get(column)
+    def read(columns: Iterable[str]) -> Iterator[dict[str, np.ndarray]]:
+        names = list(columns)
+        for values in read_blocks(pages, place, count, fields, [numbers[name] for name in names]):
+            yield dict(zip(names, values, strict=True))
 
-        def fill(start: int, values: np.ndarray) -> None:
-            if brightest is not None and (brightest != 255 or values.dtype.kind == "f"):
-                values = np.clip(np.round(np.nan_to_num(values) * (255 / brightest)), 0, 255)
-            elif brightest is not None:
-                values = np.clip(values, 0, 255)
-            table[column][start : start + len(values)] = values
+    full = {colour: one for colour, one in _full_brightness(scan, fields).items() if colour in numbers}
+    unlimited = [colour for colour, one in full.items() if one is None]
+    if unlimited and count:
+        # Colours without limits: by what they reach together.
+        reached = max(float(np.nan_to_num(values).max()) for block in read(unlimited) for values in block.values())
+        floats = fields[numbers[unlimited[0]]].type[0] == "f"
+        full |= dict.fromkeys(unlimited, 1.0 if floats and reached <= 1 else 255.0 if reached <= 255 else 65535.0)
+    types = {name: "u1" if name in full else _stored(fields[k], name) for name, k in numbers.items()}
 
-        return fill
+    def blocks(columns: Iterable[str]) -> Iterator[dict[str, np.ndarray]]:
+        for block in read(columns):
+            for colour in full.keys() & block.keys():
+                block[colour] = _byte(block[colour], full[colour] or 255.0)
+            yield block
 
-    sinks = [sink(wanted[field.name]) if field.name in wanted else None for field in fields]
-    read_columns(pages, int(points.attributes.get("fileOffset", "0")), count, fields, sinks)
-    colours = [column for column, brightest in full.items() if brightest is None and column in types]
-    return _with_bytes(table, colours) if colours else table
+    return Scan(count, types, blocks, _pose(scan), lines)
+
+
+def _byte(values: np.ndarray, brightest: float) -> np.ndarray:
+    """Colours in 8 bits."""
+    if brightest != 255 or values.dtype.kind == "f":
+        values = np.round(np.nan_to_num(values) * (255 / brightest))
+    return np.clip(values, 0, 255).astype(np.uint8)
 
 
 def _stored(field: Field, column: str) -> str:
@@ -186,20 +189,6 @@ def _stored(field: Field, column: str) -> str:
     if column in ("x", "y", "z", "nx", "ny", "nz"):
         return field.type if field.single is not None else "f8"
     return "i4" if field.type == "u1" and column in ("step", "row", "profile", "record") else field.type
-
-
-def _with_bytes(table: np.ndarray, colours: list[str]) -> np.ndarray:
-    """Colours without limits in 8 bits, by what they reach together: 1, 255 or 65535."""
-    reached = max(float(np.nan_to_num(table[column]).max()) for column in colours)
-    full = next(
-        (one for one in (1.0, 255.0) if reached <= one and (one > 1 or table[colours[0]].dtype.kind == "f")), 65535
-    )
-    names = table.dtype.names or ()
-    found = np.empty(len(table), [(name, "u1" if name in colours else table.dtype[name].str) for name in names])
-    for name in names:
-        values = table[name]
-        found[name] = np.clip(np.round(np.nan_to_num(values) * (255 / full)), 0, 255) if name in colours else values
-    return found
 
 
 def _full_brightness(scan: Element, fields: list[Field]) -> dict[str, float | None]:

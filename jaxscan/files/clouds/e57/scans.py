@@ -1,25 +1,33 @@
 """The scans of an E57 file as one cloud."""
 
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.files.clouds.grid import cloud_of
+from jaxscan.files.clouds.grid import Records, cloud_of
 from jaxscan.reconstruction import PointCloud
 
 
 _SINGLE_M = 128.0
 """Coordinates up to which a single is good to 8 um."""
-_BLOCK = 1 << 18
 _AXES, _NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
+_SPHERICAL = ("range", "azimuth", "elevation")
+
+Block = dict[str, np.ndarray]
+"""Columns of some points."""
 
 
 class Scan(NamedTuple):
-    """A scan as it is stored."""
+    """A scan as it is stored, in its own frame."""
 
-    points: np.ndarray
-    """Structured array [n], in the scan's own frame."""
+    points: int
+    """Number of points."""
+    types: dict[str, str]
+    """Type of each column."""
+    blocks: Callable[[Iterable[str]], Iterator[Block]]
+    """Reads some columns of all points, a block at a time."""
     pose: np.ndarray
     """T_file_scan [4, 4]."""
     lines: list[str]
@@ -29,83 +37,78 @@ class Scan(NamedTuple):
 def joined(scans: list[Scan], name: str) -> PointCloud:
     """The cloud of all scans, in the frame of the file.
 
-    Of ours, on the grid with its stations; of others, the points as a single profile. The list is emptied.
+    Of ours, on the grid with its stations; of others, the points as a single profile. Beside the cloud only a block of
+    points is in memory at a time.
 
     Raises:
         CloudError: If there is no point, or grid or stations cannot be.
+        ValueError: If the file is damaged.
     """
-    lines, parts = scans[0].lines, []
-    # Each is let go of as it is taken over, so that a cloud is in memory once.
-    while scans:
-        scan = scans.pop(0)
-        if len(part := _cartesian(scan.points, name)):
-            parts.append(_in_file_frame(part, scan.pose))
-        del scan, part
+    lines = scans[0].lines
+    parts = [part for scan in scans if scan.points and (part := _in_file_frame(scan, name)).points]
     if not parts:
         raise CloudError(f"{name}: holds no valid point.")
-    points = parts.pop() if len(parts) == 1 else _concatenated(parts)
-    if lines and "profile" in (points.dtype.names or ()):
-        points["step"] = points["profile"]
-    return cloud_of(points, lines, name)
+    together = sorted({field for part in parts for field in part.types})
+    types = {field: np.result_type(*(part.types[field] for part in parts if field in part.types)) for field in together}
+    # Of ours, profiles are counted through all stations, and steps in each.
+    profiles = bool(lines) and "profile" in types
+
+    def read() -> Iterator[np.ndarray]:
+        for part in parts:
+            for block in part.blocks(part.types):
+                points = np.zeros(len(block["x"]), list(types.items()))
+                for field, values in block.items():
+                    points[field] = values
+                if profiles:
+                    points["step"] = points["profile"]
+                yield points
+
+    return cloud_of(Records(np.dtype(list(types.items())), sum(part.points for part in parts), read), lines, name)
 
 
-def _concatenated(parts: list[np.ndarray]) -> np.ndarray:
-    together = sorted({field for part in parts for field in part.dtype.names or ()})
-    points = np.zeros(sum(map(len, parts)), [(field, _widest(parts, field)) for field in together])
-    start = 0
-    while parts:
-        part = parts.pop(0)
-        for field in part.dtype.names or ():
-            points[field][start : start + len(part)] = part[field]
-        start += len(part)
-        del part
-    return points
-
-
-def _widest(parts: list[np.ndarray], field: str) -> np.dtype:
-    return np.result_type(*(part.dtype[field] for part in parts if field in (part.dtype.names or ())))
-
-
-def _cartesian(points: np.ndarray, name: str) -> np.ndarray:
-    """Points that the scan calls valid, with x, y and z."""
-    names = set(points.dtype.names or ())
-    if "invalid" in names:
-        valid = points["invalid"] == 0
-        points = points if valid.all() else points[valid]
-    spherical = {"range", "azimuth", "elevation"}
-    if not ({"x", "y", "z"} <= names or spherical <= names):
+def _in_file_frame(scan: Scan, name: str) -> Scan:
+    """The points that the scan calls valid with x, y and z, carried along by the pose, like their normals."""
+    cartesian = set(_AXES) <= set(scan.types)
+    if not (cartesian or set(_SPHERICAL) <= set(scan.types)):
         raise CloudError(f"{name}: the points have no x, y and z.")
-    if "x" in names:
-        kept = [field for field in points.dtype.names or () if field not in spherical | {"invalid"}]
-        return points[kept] if len(kept) < len(names) else points
-    kept = [field for field in points.dtype.names or () if field not in spherical | {"invalid"}]
-    found = np.empty(len(points), [("x", "f8"), ("y", "f8"), ("z", "f8"), *((f, points.dtype[f].str) for f in kept)])
-    distance, azimuth, elevation = (points[field].astype(np.float64) for field in ("range", "azimuth", "elevation"))
-    found["x"] = distance * np.cos(elevation) * np.cos(azimuth)
-    found["y"] = distance * np.cos(elevation) * np.sin(azimuth)
-    found["z"] = distance * np.sin(elevation)
-    for field in kept:
-        found[field] = points[field]
-    return found
+    stored = [field for field in scan.types if cartesian is False or field not in _SPHERICAL]
+    kept = [field for field in stored if field not in (*_AXES, *_SPHERICAL, "invalid")]
+    turns = not np.array_equal(scan.pose, np.eye(4))
+
+    def blocks(columns: Iterable[str]) -> Iterator[Block]:
+        wanted = set(columns)
+        needed = [field for field in stored if field in wanted | {*_AXES, *_SPHERICAL, "invalid"}]
+        for block in scan.blocks(needed):
+            if "invalid" in block:
+                valid = block.pop("invalid") == 0
+                block = {field: values[valid] for field, values in block.items()}
+            block = block if cartesian else _cartesian(block)
+            if turns:
+                block |= _turned(block, _AXES, scan.pose[:3, :3], scan.pose[:3, 3])
+                if set(_NORMAL) <= set(block):
+                    block |= _turned(block, _NORMAL, scan.pose[:3, :3], np.zeros(3))
+            yield block
+
+    single = cartesian and all(np.dtype(scan.types[axis]).itemsize <= 4 for axis in _AXES)
+    count = scan.points
+    if "invalid" in scan.types or (turns and single):
+        # Singles suffice where nothing is lost by them; what is not finite is dropped later.
+        count, reach = 0, 0.0
+        for block in blocks(()):
+            count += len(block["x"])
+            places = np.abs([block[axis] for axis in _AXES])
+            reach = max(reach, float(np.max(places, where=np.isfinite(places), initial=0.0)))
+        single = single and (not turns or reach <= _SINGLE_M)
+    types = dict.fromkeys(_AXES, "f4" if single else "f8") | {field: scan.types[field] for field in kept}
+    return Scan(count, types, blocks, np.eye(4), scan.lines)
 
 
-def _in_file_frame(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Points and normals carried along by the pose, in place; singles where nothing is lost by them."""
-    if np.array_equal(pose, np.eye(4)):
-        return points
-    blocks = [slice(start, start + _BLOCK) for start in range(0, len(points), _BLOCK)]
+def _turned(block: Block, names: tuple[str, ...], turn: np.ndarray, shift: np.ndarray) -> Block:
+    moved = np.stack([block[name].astype(np.float64) for name in names], -1) @ turn.T + shift
+    return dict(zip(names, moved.T, strict=True))
 
-    def turned(block: slice, names: tuple[str, ...]) -> np.ndarray:
-        return np.stack([points[name][block].astype(np.float64) for name in names], -1) @ pose[:3, :3].T
 
-    double = points.dtype["x"].itemsize > 4
-    if not double and any(np.abs(turned(block, _AXES) + pose[:3, 3]).max() > _SINGLE_M for block in blocks):
-        names = points.dtype.names or ()
-        points = points.astype([(name, np.dtype("f8") if name in _AXES else points.dtype[name]) for name in names])
-    for block in blocks:
-        for axis, values in zip(_AXES, (turned(block, _AXES) + pose[:3, 3]).T, strict=True):
-            points[axis][block] = values
-        if set(_NORMAL) <= set(points.dtype.names or ()):
-            for axis, values in zip(_NORMAL, turned(block, _NORMAL).T, strict=True):
-                points[axis][block] = values
-    return points
+def _cartesian(block: Block) -> Block:
+    distance, azimuth, elevation = (block.pop(field).astype(np.float64) for field in _SPHERICAL)
+    flat = distance * np.cos(elevation)
+    return block | {"x": flat * np.cos(azimuth), "y": flat * np.sin(azimuth), "z": distance * np.sin(elevation)}

@@ -109,12 +109,11 @@ def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> Records:
     with _opened(laspy, file, compressed) as reader:
         header = reader.header
     scales, offsets = np.array(header.scales), np.array(header.offsets)
-    # NaN fails too; a negative step mirrors the cloud.
-    if not ((scales > 0) & (scales <= _LARGEST_STEP_M)).all() or not np.isfinite(offsets).all():
-        raise ValueError(
-            f"steps of its coordinates {scales.tolist()} and offsets {offsets.tolist()}, expected steps above 0 and up "
-            f"to {_LARGEST_STEP_M:g} and finite offsets: others mirror or squash the cloud"
-        )
+    if not (np.isfinite(scales).all() and np.isfinite(offsets).all()):
+        raise ValueError("the steps or offsets of its coordinates are not finite")
+    if not ((scales > 0) & (scales <= _LARGEST_STEP_M)).all():
+        words = ", ".join(f"{one:g}" for one in scales)
+        raise ValueError(f"steps of {words} m mirror or squash it, expected above 0 and up to {_LARGEST_STEP_M:g} m")
     names, extra = set(header.point_format.dimension_names), list(header.point_format.extra_dimension_names)
     single, brightest = _looked_through(laspy, file, given, "red" in names)
 

@@ -73,9 +73,13 @@ def write_las(cloud: PointCloud, path: Path, about: About) -> None:
     brightest = float(np.max(cloud.intensity, where=cloud.valid, initial=-np.inf))
     scale = 257.0 if brightest <= 255 else 65535 / brightest
     try:
-        with laspy.open(str(path), mode="w", header=header, do_compress=path.suffix.lower() == ".laz") as file:
+        # Opened here, for the writer leaves its file open where the disk is full.
+        with (
+            open(path, "w+b") as file,
+            laspy.LasWriter(file, header, do_compress=path.suffix.lower() == ".laz", closefd=False) as writer,
+        ):
             for points in blocks(cloud):
-                file.write_points(_record(laspy, header, points, cloud, list(extra), scale))
+                writer.write_points(_record(laspy, header, points, cloud, list(extra), scale))
     except Exception as problem:
         # lazrs, which is loaded for compressed points alone, has an error of its own for a disk that takes no more.
         if type(problem).__name__ != "LazrsError":
