@@ -17,13 +17,13 @@ _FLAT_PX = 7
 """Half of the square whose mean is taken away: vignetting and lamps move with the camera [px]."""
 _POINTS, _LINES, _HALF = 16, 3, 12
 """Points of a record, and half a window around each, across and along its way [px]."""
-_RECORDS = 4
+_RECORDS = 6
 """Records from which pairs are taken."""
-_CLEAR = 0.6
+_CLEAR = 0.7
 """Correlation from which a pair tells how far it turned [1]."""
 _ALIKE = 0.9
 """Correlation where the angle says, in that of the best place, from which a pair agrees: a texture may repeat [1]."""
-_FEW, _MOST = 4, 0.8
+_FEW, _MOST = 4, 0.7
 """Pairs that must tell, and the part of them that must agree on another turn [1]."""
 _NEAR_PX, _NEAR = 3.0, 0.1
 """Motion at which a place is that of the angle: pixels, and a part of it [1]."""
@@ -95,7 +95,7 @@ def refuse_other_motion(plan: Plan, points: Points, off_frame: Callable[[int], A
         CaptureError: If nearly all pairs of records that tell anything agree on another turn, by more than ten sigmas.
     """
     table = plan.scanner.turntable
-    if not isinstance(table, Turntable) or plan.predicts or len(plan.sweep) < 2:
+    if not isinstance(table, Turntable):
         return
     found = [turn for turn in _turns(plan, points, table, off_frame) if turn.px >= _LEAST_PX]
     if len(found) < _FEW:
@@ -170,7 +170,10 @@ def _turns(plan: Plan, points: Points, table: Turntable, off_frame: Callable[[in
             turned = image(other)
             said = (sweep.angles[other] - sweep.angles[one] + np.pi) % (2 * np.pi) - np.pi
             if turned is not None:
-                turn = _judged(*_correlation(strips, _strips(turned, ways.pixels)), ways.turns, float(said))
+                alike, at_stripe = _correlation(strips, _strips(turned, ways.pixels))
+                # Beside the stripe on a thing that turns may be what does not.
+                alike = alike if table.carries == "scanner" else at_stripe
+                turn = _judged(alike, at_stripe, ways.turns, float(said))
                 found += [] if turn is None else [turn]
     return found
 
