@@ -33,7 +33,7 @@ def recalibrate(
     """Refine a stored calibration with ordinary sweeps of a room.
 
     The walls must be flat; nothing else need be known of them. The stored calibration holds the directions of which
-    sweeps tell nothing. Stripes are kept beside each capture, so that a second time no image is read.
+    sweeps tell nothing. Stripes are kept beside each capture, so that a second time only a few images are read.
 
     Args:
         captures: Sweeps of one room, taken with the rig as it is now.
