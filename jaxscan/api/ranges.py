@@ -21,9 +21,11 @@ from jaxscan.reconstruction import (
     StripePart,
     can_be_split,
     cloud_of_plan,
+    cloud_points,
     extraction_key,
     make_plan,
     pair_notes,
+    refuse_other_motion,
     stripes_of_part,
     stripes_of_parts,
     sweep_doubts,
@@ -109,6 +111,7 @@ def cloud_of_ranges(
     seen = _seen([part for _, part in told], len(capture))
     notes = pair_notes(plan, capture.frames, watched.numbers)
     cloud = cloud_of_plan(plan, stripes=stripes)
+    refuse_other_motion(plan, cloud_points(plan, cloud), capture.off_frame, str(capture.path))
     doubts = sweep_doubts(plan, cloud, seen, watched.numbers, watched.off_images)
     return Reconstruction(cloud, notes=(*plan.notes, *notes, *doubts), noise=plan.noise)
 

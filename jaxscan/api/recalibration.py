@@ -18,7 +18,7 @@ from jaxscan.files.capture import Capture, common_board, refuse_copies
 from jaxscan.files.clouds import save_cloud, save_clouds
 from jaxscan.observation import Observations, Progress
 from jaxscan.recalibration import FeatureEyes, Given, Recalibration, RecalibrationSettings, SweepStripes
-from jaxscan.reconstruction import smooth_stripes
+from jaxscan.reconstruction import refuse_other_motion, smooth_stripes
 
 
 def recalibrate(
@@ -33,7 +33,7 @@ def recalibrate(
     """Refine a stored calibration with ordinary sweeps of a room.
 
     The walls must be flat; nothing else need be known of them. The stored calibration holds the directions of which
-    sweeps tell nothing. Stripes are kept beside each capture, so that a second time no image is read.
+    sweeps tell nothing. Stripes are kept beside each capture, so that a second time only a few images are read.
 
     Args:
         captures: Sweeps of one room, taken with the rig as it is now.
@@ -48,7 +48,8 @@ def recalibrate(
         updated, `refused` says why, and `calibration` is None.
 
     Raises:
-        CaptureError: If a capture is not a sweep, is given twice, or cannot be read.
+        CaptureError: If a capture is not a sweep, is given twice, or cannot be read, or its images turn otherwise than
+            its angles say.
         CalibrationError: If the calibration cannot be refined, the captures are not those of its rig, or no plane is
             found in them.
     """
@@ -81,6 +82,8 @@ def recalibrate(
                 station=number if settings.stations else 0,
             )
         )
+        shown = recalibration.points_of_records(scanner, sweeps[-1])
+        refuse_other_motion(one.plan, shown, capture.off_frame, str(capture.path))
         notes += [f"{capture.path}: {note}" for note in (*capture.notes, *one.plan.notes, *found.notes)]
     if boards:
         given = replace(given, boards=_observed(boards, scanner.laser_names, share.part(len(captures))))

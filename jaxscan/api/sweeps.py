@@ -11,7 +11,9 @@ from jaxscan.reconstruction import (
     Progress,
     ReconstructSettings,
     cloud_of_plan,
+    cloud_points,
     pair_notes,
+    refuse_other_motion,
     sweep_doubts,
 )
 from jaxscan.stripes import NoiseModel
@@ -59,18 +61,21 @@ def reconstruct_capture(
         The cloud, and where its stripes are from. A folder that cannot be written gives a note.
 
     Raises:
-        CaptureError: If the sweep has no records or no stripe, or a frame cannot be read.
+        CaptureError: If the sweep has no records or no stripe, a frame cannot be read, or the images turn otherwise
+            than the angles say.
         CalibrationError: If the scanner is not that of the sweep, or no point is in range.
     """
     watched = plan_watched(capture, scanner, settings)
     plan = watched.plan
     if not cache:
         cloud = cloud_of_plan(plan, noise=noise, progress=progress)
+        refuse_other_motion(plan, cloud_points(plan, cloud), capture.off_frame, str(capture.path))
         doubts = sweep_doubts(plan, cloud, watched.watch.seen, watched.numbers, watched.off_images)
         notes = (*plan.notes, *pair_notes(plan, capture.frames, watched.numbers), *doubts)
         return Reconstruction(cloud, notes=notes, noise=plan.noise)
     found = find_stripes(capture, watched, noise=noise, progress=progress)
     cloud = cloud_of_plan(plan, stripes=found.stripes, progress=progress if found.from_cache else None)
+    refuse_other_motion(plan, cloud_points(plan, cloud), capture.off_frame, str(capture.path))
     doubts = sweep_doubts(plan, cloud, found.seen, watched.numbers, watched.off_images)
     notes = (*plan.notes, *found.notes, *doubts)
     return Reconstruction(cloud, from_cache=found.from_cache, kept=found.kept, notes=notes, noise=plan.noise)

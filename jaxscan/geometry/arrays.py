@@ -6,6 +6,7 @@
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 
@@ -21,3 +22,9 @@ def real(value: Any) -> Array:
         return value
     array = np.asarray(value)
     return array if np.issubdtype(array.dtype, np.floating) else array.astype(np.float64)
+
+
+def functions_of(points: Array, *others: Array) -> Any:
+    """The functions that compute with points: NumPy's, which compile nothing, for NumPy arrays of many; else JAX's."""
+    many = isinstance(points, np.ndarray) and points.ndim > 1
+    return np if many and all(isinstance(other, np.ndarray) for other in others) else jnp

@@ -26,5 +26,6 @@ from jaxscan.recalibration.result import (
     TableFindings,
 )
 from jaxscan.recalibration.settings import RecalibrationSettings
+from jaxscan.recalibration.table import points_of_records
 from jaxscan.recalibration.tracks import FeatureEyes, observe_features
 from jaxscan.recalibration.used import earlier_captures, refuse_used

@@ -1,7 +1,15 @@
 """Stripes to a coloured cloud."""
 
 from jaxscan.reconstruction.cloud import SMOOTHED, CloudPoints, PointCloud, Stations, some_points
-from jaxscan.reconstruction.doubts import FrameWatch, Seen, journal_doubts, profile_doubts, sweep_doubts
+from jaxscan.reconstruction.doubts import (
+    FrameWatch,
+    Seen,
+    cloud_points,
+    journal_doubts,
+    profile_doubts,
+    refuse_other_motion,
+    sweep_doubts,
+)
 from jaxscan.reconstruction.extraction import (
     Progress,
     StripePart,

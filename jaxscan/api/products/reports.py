@@ -15,7 +15,15 @@ from jaxscan.files.clouds import read_cloud
 from jaxscan.files.disk import write_atomically
 from jaxscan.geometry import Scanner
 from jaxscan.measurement import RoomBox, measure_room
-from jaxscan.reconstruction import DEFAULTS, PointCloud, Progress, cloud_of_plan, sweep_doubts
+from jaxscan.reconstruction import (
+    DEFAULTS,
+    PointCloud,
+    Progress,
+    cloud_of_plan,
+    cloud_points,
+    refuse_other_motion,
+    sweep_doubts,
+)
 from jaxscan.report import Beside, Facts, calibration_date, cloud_page, drawn_records, facts_of, thumbnail
 
 
@@ -104,12 +112,14 @@ def look_again(capture: Capture, scanner: Scanner, progress: Progress = None) ->
         that gave no point.
 
     Raises:
-        CaptureError: If the sweep has no records or no stripe, or a frame cannot be read.
+        CaptureError: If the sweep has no records or no stripe, a frame cannot be read, or the images turn otherwise
+            than the angles say.
         CalibrationError: If the scanner is not that of the sweep.
     """
     watched = plan_watched(capture, scanner, DEFAULTS)
     found = find_stripes(capture, watched, progress=progress)
     cloud = cloud_of_plan(watched.plan, stripes=found.stripes)
+    refuse_other_motion(watched.plan, cloud_points(watched.plan, cloud), capture.off_frame, str(capture.path))
     doubts = sweep_doubts(watched.plan, cloud, found.seen, watched.numbers, watched.off_images)
     stripes, points = int(np.asarray(found.stripes.valid).sum()), int(np.asarray(cloud.valid).sum())
     sentence = (

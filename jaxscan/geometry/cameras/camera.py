@@ -59,8 +59,11 @@ class AbstractCamera(eqx.Module):
             raise ValueError(f"`distortion` must have {wanted} coefficients, got shape {np.shape(self.distortion)}.")
 
     @abc.abstractmethod
-    def project(self, p: Float[Array, "3"]) -> Float[Array, "2"]:
-        """Pixel at which the point `p` [camera frame, any length unit] is seen [px]."""
+    def project(self, p: Float[Array, "3 *points"]) -> Float[Array, "2 *points"]:
+        """Pixel at which the point `p` [camera frame, any length unit] is seen [px].
+
+        Many points in a NumPy array are projected by NumPy, which compiles nothing.
+        """
 
     @abc.abstractmethod
     def unproject(self, q: Float[Array, "2"]) -> Float[Array, "3"]:

@@ -1,12 +1,12 @@
 """The double sphere camera: a lens of two coefficients that sees beyond 180 degrees, inverted in closed form."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.geometry.arrays import Array
+from jaxscan.geometry.arrays import Array, functions_of
 from jaxscan.geometry.cameras.camera import AbstractCamera
 from jaxscan.geometry.parameters import ParameterBlock
 
@@ -38,19 +38,20 @@ class DoubleSphere(AbstractCamera):
     )
     wide: ClassVar[bool] = True
 
-    def project(self, p: Float[Array, "3"]) -> Float[Array, "2"]:
+    def project(self, p: Float[Array, "3 *points"]) -> Float[Array, "2 *points"]:
         """Pixel of a point [px].
 
         Undefined behind the camera, and beyond the angle at which the image folds back or ends.
         """
         xi, alpha = self.distortion[0], self.distortion[1]
+        numeric = functions_of(p, self.fx)
         aside = p[0] * p[0] + p[1] * p[1]
-        d1 = _root(aside + p[2] * p[2])
+        d1 = _root(aside + p[2] * p[2], numeric)
         z = xi * d1 + p[2]
-        scale = alpha * _root(aside + z * z) + (1.0 - alpha) * z
+        scale = alpha * _root(aside + z * z, numeric) + (1.0 - alpha) * z
         # 1 where the projection is undefined, so that neither value nor gradient is NaN there.
-        scale = jnp.where(scale > 0, scale, 1.0).astype(scale.dtype)
-        return jnp.stack([self.fx * (p[0] / scale) + self.cx, self.fy * (p[1] / scale) + self.cy])
+        scale = numeric.where(scale > 0, scale, 1.0).astype(scale.dtype)
+        return numeric.stack([self.fx * (p[0] / scale) + self.cx, self.fy * (p[1] / scale) + self.cy])
 
     def unproject(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
         """Unit ray of a pixel, in closed form.
@@ -90,8 +91,8 @@ class DoubleSphere(AbstractCamera):
         return np.array([min(side)[1:] for side in sides])
 
 
-def _root(square: Array) -> Array:
+def _root(square: Array, numeric: Any = jnp) -> Array:
     """The square root, and 0 with slope 0 where there is none."""
     positive = square > 0
-    root = jnp.sqrt(jnp.where(positive, square, 1.0).astype(square.dtype))
-    return jnp.where(positive, root, 0.0).astype(square.dtype)
+    root = numeric.sqrt(numeric.where(positive, square, 1.0).astype(square.dtype))
+    return numeric.where(positive, root, 0.0).astype(square.dtype)

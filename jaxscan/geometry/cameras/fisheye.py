@@ -1,13 +1,13 @@
 """The fisheye camera: the angle to the optical axis, not its tangent, becomes the radius."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.geometry.arrays import Array
+from jaxscan.geometry.arrays import Array, functions_of
 from jaxscan.geometry.cameras.camera import AbstractCamera
 from jaxscan.geometry.parameters import ParameterBlock
 
@@ -40,15 +40,16 @@ class Fisheye(AbstractCamera):
     )
     wide: ClassVar[bool] = True
 
-    def project(self, p: Float[Array, "3"]) -> Float[Array, "2"]:
+    def project(self, p: Float[Array, "3 *points"]) -> Float[Array, "2 *points"]:
         """Pixel of a point [px].
 
         Undefined only straight behind the camera, and beyond the angle at which the polynomial
         folds back.
         """
-        per_radius, square = _angle(p[0], p[1], p[2])
+        numeric = functions_of(p, self.fx)
+        per_radius, square = _angle(p[0], p[1], p[2], numeric)
         scale = per_radius * _factor(square, self.distortion)
-        return jnp.stack([self.fx * (scale * p[0]) + self.cx, self.fy * (scale * p[1]) + self.cy])
+        return numeric.stack([self.fx * (scale * p[0]) + self.cx, self.fy * (scale * p[1]) + self.cy])
 
     def unproject(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
         """Unit ray of a pixel, by Newton's method: 1e-10 px in float64, 1e-3 px in float32.
@@ -76,19 +77,19 @@ class Fisheye(AbstractCamera):
         return np.array([[focal, cubic / focal, 0.0, 0.0, 0.0]])
 
 
-def _angle(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
+def _angle(x: Array, y: Array, z: Array, numeric: Any = jnp) -> tuple[Array, Array]:
     """theta over the radius hypot(x, y), and theta squared; both smooth where the radius is 0 and z > 0."""
     radius2, z2 = x * x + y * y, z * z
     near = (z > 0) & (radius2 < _SMALL_SLOPE * z2)
     # Straight behind the camera the direction is undefined; 1 keeps value and gradient finite.
-    lost = (z <= 0) & (radius2 <= jnp.finfo(z.dtype).eps ** 2 * z2)
-    safe_z = jnp.where(near, z, 1.0).astype(z.dtype)
-    slope2 = jnp.where(near, radius2, 0.0).astype(z.dtype) / (safe_z * safe_z)
+    lost = (z <= 0) & (radius2 <= numeric.finfo(z.dtype).eps ** 2 * z2)
+    safe_z = numeric.where(near, z, 1.0).astype(z.dtype)
+    slope2 = numeric.where(near, radius2, 0.0).astype(z.dtype) / (safe_z * safe_z)
     series = 1.0 - slope2 * (1 / 3 - slope2 * (1 / 5 - slope2 / 7))
-    radius = jnp.sqrt(jnp.where(near | lost, 1.0, radius2).astype(z.dtype))
-    theta = jnp.arctan2(radius, jnp.where(near, 1.0, z).astype(z.dtype))
-    per_radius = jnp.where(near, series / safe_z, theta / radius).astype(z.dtype)
-    return per_radius, jnp.where(near, slope2 * series * series, theta * theta).astype(z.dtype)
+    radius = numeric.sqrt(numeric.where(near | lost, 1.0, radius2).astype(z.dtype))
+    theta = numeric.arctan2(radius, numeric.where(near, 1.0, z).astype(z.dtype))
+    per_radius = numeric.where(near, series / safe_z, theta / radius).astype(z.dtype)
+    return per_radius, numeric.where(near, slope2 * series * series, theta * theta).astype(z.dtype)
 
 
 def _factor(square: Array, k: Float[Array, "4"]) -> Array:

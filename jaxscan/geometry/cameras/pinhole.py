@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.geometry.arrays import Array, real
+from jaxscan.geometry.arrays import Array, functions_of, real
 from jaxscan.geometry.cameras.camera import AbstractCamera
 from jaxscan.geometry.parameters import ParameterBlock
 
@@ -40,15 +40,16 @@ class Pinhole(AbstractCamera):
     skew: Float[Array, ""] = eqx.field(default=0.0, converter=real)
     """Skew s of the pixel axes [px]; known, never estimated."""
 
-    def project(self, p: Float[Array, "3"]) -> Float[Array, "2"]:
+    def project(self, p: Float[Array, "3 *points"]) -> Float[Array, "2 *points"]:
         """Pixel of a point [px].
 
         Continuous but meaningless for points on or behind the camera plane.
         """
         # 1 where z is 0, so that neither value nor gradient is NaN there.
-        z = jnp.where(p[2] == 0, 1.0, p[2]).astype(p.dtype)
+        numeric = functions_of(p, self.fx)
+        z = numeric.where(p[2] == 0, 1.0, p[2]).astype(p.dtype)
         x, y = _distort(p[0] / z, p[1] / z, self.distortion)
-        return jnp.stack([self.fx * x + self.skew * y + self.cx, self.fy * y + self.cy])
+        return numeric.stack([self.fx * x + self.skew * y + self.cx, self.fy * y + self.cy])
 
     def unproject(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
         """Unit ray of a pixel, by Newton's method: 1e-10 px in float64, 1e-3 px in float32."""

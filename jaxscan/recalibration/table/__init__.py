@@ -2,3 +2,4 @@
 
 from jaxscan.recalibration.table.check import check_angles
 from jaxscan.recalibration.table.corrections import say_lost_steps
+from jaxscan.recalibration.table.sheet import points_of_records

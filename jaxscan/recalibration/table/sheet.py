@@ -13,6 +13,7 @@ from jaxscan.geometry import Scanner, StripeAxis, stripe_pixel
 from jaxscan.geometry.arrays import Array
 from jaxscan.geometry.motions.turntable import ANGLE_PARAMETERS
 from jaxscan.recalibration.moved import moved_scanner
+from jaxscan.recalibration.observed import SweepStripes
 
 
 CHUNK = 6_144
@@ -52,6 +53,21 @@ def sheet_points(
     """
     x, slope = _in_chunks(_points, scanner, stripes)
     return x, slope
+
+
+def points_of_records(scanner: Scanner, sweep: SweepStripes) -> Callable[[int], Float[np.ndarray, "points 3"] | None]:
+    """`sheet_points` of the first stripe of each record, in the order along it; None for a record without a stripe."""
+
+    def points(record: int) -> Float[np.ndarray, "points 3"] | None:
+        profiles = np.flatnonzero(sweep.record == record)
+        if not len(profiles):
+            return None
+        first = int(profiles[0])
+        line = np.flatnonzero(sweep.valid[first])
+        laser = np.full(len(line), sweep.laser[first])
+        return sheet_points(scanner, Stripes(sweep.centre[first, line], line, laser, sweep.stripe_axis))[0]
+
+    return points
 
 
 def parameter_slopes(scanner: Scanner, stripes: Stripes) -> Float[np.ndarray, "points 3 params"]:

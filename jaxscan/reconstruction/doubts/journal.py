@@ -76,10 +76,17 @@ def _angles(number: np.ndarray, degrees: np.ndarray) -> list[str]:
         records = number[both] if len(both) else number[wrong + 1]
         expected = float(np.median(usual))
         doubts.append(
-            f"the angle of {named(records)} does not continue that of the records around: a step of "
-            f"{steps[wrong[0]]:.4g} deg, where {expected:.4g} deg are usual"
+            f"the angle of {named(records)} does not continue that of the records around: "
+            + _unlike(float(np.diff(degrees)[wrong[0]]), float(steps[wrong[0]]), expected)
         )
     return doubts
+
+
+def _unlike(written: float, step: float, expected: float) -> str:
+    """A step as it stands in the journal beside the usual one, with as many digits as tell them apart."""
+    shown = written if abs(written) > 360.0 else step
+    digits = next((n for n in range(4, 16) if f"{shown:.{n}g}" != f"{expected:.{n}g}"), 16)
+    return f"a step of {shown:.{digits}g} deg, where {expected:.{digits}g} deg are usual"
 
 
 def _radians(degrees: np.ndarray, step: float) -> list[str]:
