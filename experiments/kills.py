@@ -5,17 +5,25 @@ leaves real things behind: an open serial port, a table in motion, a lit laser, 
 process that is gone. Every second session is a fresh process; the others are forked, so that they reach the camera
 within a fraction of a second, before its heartbeat has ended.
 
-    python experiments/kills.py [--kills 50] [--seed 1] [--steps 40] [--load 0] [--json FILE]
+    python experiments/kills.py [--kills 50] [--seed 1] [--steps 40] [--load 0] [--console] [--json FILE]
+
+With --console it is `jaxscan console` that scans, by the order of a page that shows the token and leaves; as long as it
+lives, a flood of half-open connections from the loopback stands at its door. Just before each kill a page that has the
+cookie asks for the console's page.
 
 Verified after each kill: what the journal held is there, byte for byte, and no shot is lost but those in flight: the
 one that is taken, and those that wait for proof or disk.
 Verified at the end: the capture is complete and `jaxscan doctor --capture` finds nothing; each image is, pixel for
-pixel, the picture that the simulated room gives at the record's angle, with or without laser.
+pixel, the picture that the simulated room gives at the record's angle, with or without laser. In the log of the
+firmware's pins no pulse of the laser is longer than its lease in a shot, and after the host's death none is lit later
+than the link's watchdog allows.
 
 Needs `make bench-deps`.
 """
 
 import argparse
+import asyncio
+import http.client
 import json
 import os
 import random
@@ -24,16 +32,23 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
+import aiohttp
 import numpy as np
+from bench import CLOCK_HZ
 from bench.camera.world import View, World, load_world
 from bench.desk import Desk, set_up
+from bench.flood import Flood
 from bench.places import WORLD
+from scanrig.config import load_rig
 from scanrig.recording import AHEAD
+from scanrig.session.plan import controller_settings
 
 from jaxscan.cli.main import main as jaxscan_main
 from jaxscan.files.capture import open_capture, verify_capture
@@ -41,8 +56,10 @@ from jaxscan.files.capture import open_capture, verify_capture
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIG = ROOT / "configs" / "bench.toml"
-SESSION_S = 120.0
+SESSION_S = 300.0
 """A session that is not killed must end within this time."""
+MOST_FAILED = 10
+"""Sessions that may end by themselves with an error before the run is given up; one is enough for it to fail."""
 
 
 @dataclass
@@ -63,6 +80,145 @@ class Tally:
     lost: int = 0
     """How many more these were at any time than the kills before allow."""
     captures: list[Path] = field(default_factory=list)
+    flood: list[int] = field(default_factory=list)
+    """Half-open connections that each console got."""
+    answers_s: list[float] = field(default_factory=list)
+    """How long pages with the cookie waited for the console's page, in the flood."""
+    unanswered: int = 0
+    """Pages with the cookie that got another answer than the page, or none."""
+    said: int = 0
+    """Most lines that a console printed."""
+
+
+class Scan:
+    """A session by `jaxscan scan`, in a process of its own."""
+
+    def __init__(self, child: int, log: Path) -> None:
+        self.child, self.log = child, log
+
+    def ended(self, within_s: float) -> int | None:
+        """Its exit status, or None if it still runs after `within_s`."""
+        return ended(self.child, within_s)
+
+    def last_words(self, tally: Tally) -> None:
+        """What is to be asked of it before it is killed."""
+
+    def killed(self) -> None:
+        """Kill it."""
+        with suppress(ProcessLookupError, ChildProcessError):
+            os.kill(self.child, signal.SIGKILL)
+            ended(self.child, 10.0)
+
+
+class ConsoleScan(Scan):
+    """A session by `jaxscan console`, which is flooded; it is over when it is over on the page."""
+
+    def __init__(self, child: int, log: Path, capture: Path) -> None:
+        super().__init__(child, log)
+        self._capture = capture
+        log.touch()
+        self._before = log.stat().st_size
+        self._order = json.dumps({"do": "sweep", "name": capture.name, "resume": True})
+        self.port, self._cookie = 0, ""
+
+    def lines(self) -> list[str]:
+        """What it has printed."""
+        return self.log.read_bytes()[self._before :].decode(errors="replace").splitlines()
+
+    def address(self) -> str:
+        """The address that it prints, with its token."""
+        end = time.monotonic() + SESSION_S
+        while time.monotonic() < end and ended(self.child, 0.0) is None:
+            words = [line.split()[-1] for line in self.lines()[:1] if "?token=" in line]
+            if words and self.log.read_bytes().endswith(b"\n"):
+                self.port = urlsplit(words[0]).port or 0
+                return words[0]
+            time.sleep(0.01)
+        raise SystemExit(f"The console printed no address, but: {self.lines()}")
+
+    async def give_order(self, address: str) -> None:
+        """Be a page that begins the scan, and leave when it has begun."""
+        jar = aiohttp.CookieJar(unsafe=True)
+        limit = aiohttp.ClientTimeout(total=60.0)
+        async with aiohttp.ClientSession(cookie_jar=jar, timeout=limit) as page:
+            async with page.get(address) as answer:
+                answer.raise_for_status()
+            self._cookie = "; ".join(f"{one.key}={one.value}" for one in jar)
+            own = f"http://127.0.0.1:{self.port}"
+            async with page.ws_connect(f"{own}/socket", headers={"Origin": own}) as wire, asyncio.timeout(60.0):
+                await wire.send_str(json.dumps({"page": "0" * 32}))
+                await wire.receive_str()
+                await wire.send_str(self._order)
+                async for message in wire:
+                    if message.type is not aiohttp.WSMsgType.TEXT:
+                        continue
+                    told = json.loads(message.data)
+                    if told["kind"] == "refused":
+                        raise SystemExit(f"The console refused to scan: {told['says']}")
+                    if told["state"]["doing"] != "nothing" or told["state"]["finished"]:
+                        return
+        raise SystemExit("The console ended its page's connection.")
+
+    def ended(self, within_s: float) -> int | None:
+        """0 when the sweep is complete, 1 when the session has ended otherwise; the console is ended then."""
+        end = time.monotonic() + within_s
+        while True:
+            status = ended(self.child, 0.0)
+            if status is None and any(line.startswith("jaxscan: ") for line in self.lines()):
+                status = self._leave(1)
+            elif status is None and b'"complete"' in whole_lines(self._capture).rpartition(b'"event"')[2]:
+                status = self._leave(0)
+            if status is not None or time.monotonic() >= end:
+                return status
+            time.sleep(0.02)
+
+    def _leave(self, status: int) -> int:
+        os.kill(self.child, signal.SIGTERM)
+        if ended(self.child, 30.0) is None:
+            super().killed()
+            return 1
+        return status
+
+    def last_words(self, tally: Tally) -> None:
+        """Ask for the page, as one that has the cookie."""
+        start = time.monotonic()
+        asking = http.client.HTTPConnection("127.0.0.1", self.port, timeout=30.0)
+        try:
+            asking.request("GET", "/", headers={"Cookie": self._cookie})
+            well = asking.getresponse().status == 200
+        except (OSError, http.client.HTTPException):
+            well = False
+        finally:
+            asking.close()
+        if well:
+            tally.answers_s.append(time.monotonic() - start)
+        else:
+            tally.unanswered += 1
+
+
+@contextmanager
+def scanning(
+    desk: Desk, config: Path, capture: Path, tally: Tally, arguments: argparse.Namespace, *, fresh: bool
+) -> Iterator[Scan]:
+    """A session that scans; by the console within its flood, which ends with `with`."""
+    log, port = capture.with_suffix(".log"), desk.rig.port
+    if not arguments.console:
+        yield Scan(begin(["scan", str(config), "-o", str(capture), "--resume", "--port", port], log, fresh=fresh), log)
+        return
+    words = ["console", str(config), "--captures", str(capture.parent), "--port", port, "--web-port", "0"]
+    scan = ConsoleScan(0, log, capture)
+    scan.child = begin(words, log, fresh=fresh)
+    try:
+        address = scan.address()
+        with Flood(scan.port, held=arguments.held, per_s=arguments.per_s) as flood:
+            asyncio.run(scan.give_order(address))
+            yield scan
+    except BaseException:
+        # A forked one holds the bench's lock, too.
+        scan.killed()
+        raise
+    tally.flood.append(flood.opened)
+    tally.said = max(tally.said, len(scan.lines()))
 
 
 def begin(words: list[str], log: Path, *, fresh: bool) -> int:
@@ -70,10 +226,13 @@ def begin(words: list[str], log: Path, *, fresh: bool) -> int:
     if fresh:
         with open(log, "ab") as file:
             command = [sys.executable, "-m", "jaxscan.cli.main", *words]
-            return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=file, stderr=file, cwd=ROOT).pid
+            said = {**os.environ, "PYTHONUNBUFFERED": "1"}
+            return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=file, stderr=file, cwd=ROOT, env=said).pid
+    sys.stdout.flush()
     child = os.fork()
     if child:
         return child
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     with open(log, "ab") as file:
         os.dup2(file.fileno(), 1)
         os.dup2(file.fileno(), 2)
@@ -97,11 +256,11 @@ def ended(child: int, within_s: float) -> int | None:
         time.sleep(0.005)
 
 
-def after_records(child: int, folder: Path, known: int, count: int) -> int | None:
+def after_records(scan: Scan, folder: Path, known: int, count: int) -> int | None:
     """Wait until a session has added so many records to the journal of `known` bytes; its exit status if it ended."""
     end = time.monotonic() + SESSION_S
     while time.monotonic() < end:
-        status = ended(child, 0.0)
+        status = scan.ended(0.0)
         if status is not None or records_in(whole_lines(folder)[known:]) >= count:
             return status
         time.sleep(0.01)
@@ -143,22 +302,23 @@ def kill_scans(desk: Desk, config: Path, folder: Path, arguments: argparse.Names
             sessions += 1
             fresh = sessions % 2 == 1
             before, seen = whole_lines(capture), len(desk.camera.frames())
-            words = ["scan", str(config), "-o", str(capture), "--resume", "--port", desk.rig.port]
             start = time.monotonic()
-            child = begin(words, log, fresh=fresh)
-            if enough:
-                status = ended(child, SESSION_S)
-            elif generator.random() < 0.5:
-                # Any moment, most of them while it begins; a fresh process loads its modules first.
-                status = ended(child, generator.uniform(0.0, arguments.latest_s) + arguments.load_s * fresh)
-            else:
-                # Any moment of a scan that takes records.
-                status = after_records(child, capture, len(before), generator.randint(1, 8))
-                status = ended(child, generator.uniform(0.0, 0.5)) if status is None else status
-            if status is None:
-                os.kill(child, signal.SIGKILL)
-                ended(child, 10.0)
-                tally.kills += 1
+            with scanning(desk, config, capture, tally, arguments, fresh=fresh) as scan:
+                if enough:
+                    status = scan.ended(SESSION_S)
+                elif generator.random() < 0.5:
+                    # Any moment, most of them while it begins; a fresh process loads its modules first. A console has
+                    # loaded them when it is asked to scan.
+                    load_s = arguments.load_s * (fresh and not arguments.console)
+                    status = scan.ended(generator.uniform(0.0, arguments.latest_s) + load_s)
+                else:
+                    # Any moment of a scan that takes records.
+                    status = after_records(scan, capture, len(before), generator.randint(1, 8))
+                    status = scan.ended(generator.uniform(0.0, 0.5)) if status is None else status
+                if status is None:
+                    scan.last_words(tally)
+                    scan.killed()
+                    tally.kills += 1
             after = whole_lines(capture)
             tally.shortened += not after.startswith(before)
             new = after[len(before) :]
@@ -171,7 +331,7 @@ def kill_scans(desk: Desk, config: Path, folder: Path, arguments: argparse.Names
             tally.adrift += adrift
             tally.lost = max(tally.lost, tally.adrift - (1 + AHEAD) * tally.kills)
             complete = status == 0
-            said = " ".join(log.read_text(errors="replace").split())[-200:] if log.exists() else ""
+            said = " ".join(log.read_text(errors="replace").split())[-600:] if log.exists() else ""
             print(
                 f"kill {tally.kills:3d} {capture.name} {'fresh' if fresh else 'forked':6} "
                 f"{time.monotonic() - start:5.1f} s, status {status}, +{taken} records, {adrift} in flight, "
@@ -182,7 +342,7 @@ def kill_scans(desk: Desk, config: Path, folder: Path, arguments: argparse.Names
             if status not in (None, 0) or (enough and not complete):
                 tally.failed.append(said)
                 print(said, file=sys.stderr)
-                if len(tally.failed) > 3:
+                if len(tally.failed) > MOST_FAILED:
                     return tally
         tally.captures.append(capture)
     return tally
@@ -213,6 +373,32 @@ def _picture(world: World, entry: dict[str, Any]) -> np.ndarray:
     return world.frame(view, entry["cycle"])
 
 
+def light(edges: list[dict[str, Any]]) -> dict[str, float]:
+    """The laser in the pins' log [ms]: its longest pulse, and how late it shone after a host was gone.
+
+    The latter ends at the link's watchdog, or with the next host, whose greeting puts the laser off.
+    """
+    longest = latest = 0.0
+    lit: int | None = None
+    gone: int | None = None
+    for edge in edges:
+        now = edge["cycle"]
+        if edge.get("host") == "closed":
+            gone = now
+        elif edge.get("host") == "open":
+            gone = None
+        elif edge.get("pin") == "light" and edge["v"]:
+            lit = now
+        elif edge.get("pin") == "light" and lit is not None:
+            longest, lit = max(longest, now - lit), None
+            if gone is not None:
+                latest = max(latest, now - gone)
+    if lit is not None:
+        raise SystemExit("The laser still shines at the end of the log.")
+    per_ms = CLOCK_HZ / 1e3
+    return {"longest_pulse_ms": round(longest / per_ms, 2), "latest_light_after_death_ms": round(latest / per_ms, 2)}
+
+
 def verdict(tally: Tally, ledger: list[dict[str, Any]], steps: int) -> dict[str, float]:
     """The figures of a run."""
     world = load_world(WORLD, reach_deg=10.0)
@@ -240,6 +426,19 @@ def verdict(tally: Tally, ledger: list[dict[str, Any]], steps: int) -> dict[str,
     }
 
 
+def in_the_flood(tally: Tally) -> dict[str, float]:
+    """The figures of consoles that were flooded."""
+    answers = np.array(tally.answers_s)
+    return {
+        "half_open_connections": sum(tally.flood),
+        "most_lines_of_a_console": tally.said,
+        "pages_answered": len(answers),
+        "pages_unanswered": tally.unanswered,
+        "answer_median_s": round(float(np.median(answers)), 3),
+        "answer_longest_s": round(float(np.max(answers)), 3),
+    }
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=50)
@@ -248,6 +447,9 @@ def main() -> int:
     parser.add_argument("--latest-s", type=float, default=10.0, help="latest moment of a kill after the start")
     parser.add_argument("--load-s", type=float, default=3.0, help="time that a fresh process needs to load its modules")
     parser.add_argument("--load", type=int, default=0, metavar="N", help="busy loops beside it")
+    parser.add_argument("--console", action="store_true", help="scan by a console that is flooded")
+    parser.add_argument("--held", type=int, default=300, help="half-open connections at a time")
+    parser.add_argument("--per-s", type=float, default=300.0, help="new ones in a second, at most")
     parser.add_argument("--json", metavar="FILE", help="write the figures to a file")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary, ExitStack() as stack:
@@ -263,8 +465,14 @@ def main() -> int:
         with set_up(folder / "bench", world=WORLD, wait_s=600.0) as desk:
             tally = kill_scans(desk, config, folder, arguments)
             ledger = desk.camera.frames()
+            desk.rig.run_for(1.0)
+            shone = light(desk.rig.edges())
+        settings = controller_settings(load_rig(config))
+        lease_ms = settings.laser_on_ms + settings.ready_ms + settings.exposure_ms + settings.gap_ms
+        shone |= {"lease_ms": lease_ms, "watchdog_ms": settings.watchdog_ms}
         minutes = (time.perf_counter() - start) / 60
         figures = {**verdict(tally, ledger, arguments.steps), "minutes": round(minutes, 1)}
+        figures |= shone | (in_the_flood(tally) if arguments.console else {})
         figures |= {"load_before": load, "load_after": os.getloadavg()[0], "busy_loops": arguments.load}
     for name, value in figures.items():
         print(f"{name:>30} {value}")
@@ -272,7 +480,12 @@ def main() -> int:
         Path(arguments.json).write_text(json.dumps({"seed": arguments.seed, **figures}, indent=2) + "\n")
     good = figures["captures"] == figures["captures_complete"] == figures["captures_clean"]
     good = good and figures["images"] == figures["images_right"] > 0
-    good = good and figures["kills"] == arguments.kills
+    good = good and figures["kills"] == arguments.kills and not tally.unanswered
+    good = (
+        good
+        and figures["longest_pulse_ms"] <= lease_ms + 1
+        and (figures["latest_light_after_death_ms"] <= settings.watchdog_ms + 1)
+    )
     return 0 if good and not tally.failed and not tally.lost and not tally.shortened else 1
 
 

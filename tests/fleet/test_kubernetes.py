@@ -1,6 +1,11 @@
 """Pods of Kubernetes: what the operator is asked for, and what is refused before."""
 
+import http.client
 import json
+import os
+import re
+import subprocess
+import sys
 
 import dask
 import pytest
@@ -40,6 +45,29 @@ def test_nothing_is_open_to_the_outside():
     for (container,) in containers(found).values():
         assert not container["securityContext"]["allowPrivilegeEscalation"]
     assert not any(found["spec"][part]["spec"]["automountServiceAccountToken"] for part in containers(found))
+
+
+def test_pages_answer_to_nothing_but_the_probe():
+    (worker,), (scheduler,) = containers(spec()).values()
+    assert "--no-dashboard" in scheduler["command"] and scheduler["livenessProbe"]["httpGet"]["path"] == "/health"
+    assert worker["command"][-2:] == ["--preload", "jaxscan.fleet.clusters.no_page"]
+    variables = {variable["name"]: variable["value"] for variable in scheduler["env"]}
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
+    command += ["--no-dashboard", "--dashboard-address", "127.0.0.1:0"]
+    environment = {**os.environ, **variables, "DASK_CONFIG": os.devnull}
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
+        try:
+            found = next(filter(None, (re.search(r"dashboard at:.*:(\d+)/", line) for line in process.stderr)))
+            statuses = {}
+            for path in ("/health", "/info/main/workers.html", "/json/identity.json", "/status", "/metrics"):
+                asking = http.client.HTTPConnection("127.0.0.1", int(found[1]), timeout=30.0)
+                asking.request("GET", path)
+                statuses[path] = asking.getresponse().status
+                asking.close()
+        finally:
+            process.kill()
+    assert statuses.pop("/health") == 200
+    assert set(statuses.values()) == {404}, statuses
 
 
 def test_the_operator_reads_it_as_its_own():

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import stat
 import sys
 import time
@@ -17,6 +18,7 @@ from jaxscan.fleet import ClusterChoice, open_cluster
 pytest.importorskip("dask_jobqueue", reason="the extra `fleet` is not installed")
 
 from jaxscan.fleet.clusters import jobs
+from jaxscan.fleet.clusters.settings import OURS
 from jaxscan.fleet.clusters.slurm import certificates_for_nodes, slurm_cluster
 
 
@@ -47,7 +49,16 @@ def test_a_job_asks_for_what_was_said(home):
     command = lines[-1]
     assert command.startswith(f"{sys.executable} -m distributed.cli.dask_worker tls://127.0.0.1:")
     assert "--nthreads 1 --memory-limit 7.50GiB" in command
-    assert "--dashboard-address 127.0.0.1:0" in command
+    assert "--no-dashboard --dashboard-address 127.0.0.1:0 --preload jaxscan.fleet.clusters.no_page" in command
+    assert "export DASK_DISTRIBUTED__WORKER__HTTP__ROUTES='[]'" in lines
+
+
+def test_the_scheduler_here_serves_no_page(home):
+    with dask.config.set(OURS), certificates_for_nodes() as security:
+        with slurm_cluster(ClusterChoice(slurm=True), security) as cluster:
+            where = ("127.0.0.1", cluster.scheduler.http_server.port)
+            with pytest.raises(ConnectionRefusedError), socket.create_connection(where, timeout=5.0):
+                pass
 
 
 def test_a_script_holds_paths_and_no_secrets(home):

@@ -145,4 +145,6 @@ def test_workers_of_one_host_share_it():
     assert {k["protocol"] for k in kwargs} == {"tls://"}
     scheduler = scheduler_spec(two, folders)["options"]["kwargs"]
     assert scheduler["security"]["require_encryption"] and scheduler["security"]["tls_ca_file"] == "/tmp/b/ca.pem"
-    assert scheduler["dashboard_address"] == "127.0.0.1:0"
+    for node in (scheduler, *kwargs):
+        assert "jaxscan.fleet.clusters.no_page" in node["preload"] and node["dashboard"] is False
+        assert node["dashboard_address"] == "127.0.0.1:0", "until that is loaded"

@@ -11,7 +11,15 @@ import distributed
 
 from jaxscan.errors import OptionError
 from jaxscan.fleet.clusters.choice import ClusterChoice, patience_of
-from jaxscan.fleet.clusters.settings import MEMORY, as_environment, run_apart, wait_for_worker
+from jaxscan.fleet.clusters.settings import (
+    LOOPBACK_PAGE,
+    MEMORY,
+    NO_PAGE,
+    PAGELESS,
+    as_environment,
+    run_apart,
+    wait_for_worker,
+)
 
 
 ANSWER_S = 20.0
@@ -81,9 +89,11 @@ def cluster_spec(name: str, image: str, choice: ClusterChoice) -> dict[str, Any]
         choice: How many workers, and how much memory for each.
     """
     memory = f"{round((choice.memory_gib or _MEMORY_GIB) * 1024)}Mi"
-    environment = [{"name": key, "value": value} for key, value in as_environment(MEMORY).items()]
-    worker = ["dask", "worker", "--name", "$(DASK_WORKER_NAME)", "--nthreads", "1"]
-    worker += ["--memory-limit", f"{memory}B", "--no-dashboard", "--dashboard-address", "127.0.0.1:0"]
+    environment = [{"name": key, "value": value} for key, value in as_environment({**MEMORY, **PAGELESS}).items()]
+    no_page = ["--no-dashboard", "--dashboard-address", LOOPBACK_PAGE, "--preload", NO_PAGE]
+    worker = ["dask", "worker", "--name", "$(DASK_WORKER_NAME)", "--nthreads", "1", "--memory-limit", f"{memory}B"]
+    # The probes of Kubernetes come from outside the pod, so the scheduler's HTTP listens. It answers only to them.
+    only_health = as_environment({"distributed.scheduler.http.routes": ["distributed.http.health"]})
     ports = {"tcp-comm": 8786, "http-dashboard": 8787}
     probe = {"httpGet": {"port": "http-dashboard", "path": "/health"}}
     return {
@@ -93,15 +103,16 @@ def cluster_spec(name: str, image: str, choice: ClusterChoice) -> dict[str, Any]
         "spec": {
             "worker": {
                 "replicas": choice.workers or 1,
-                "spec": _pod(_container("worker", image, worker, memory, env=environment)),
+                "spec": _pod(_container("worker", image, [*worker, *no_page], memory, env=environment)),
             },
             "scheduler": {
                 "spec": _pod(
                     _container(
                         "scheduler",
                         image,
-                        ["dask", "scheduler", "--host", "0.0.0.0"],
+                        ["dask", "scheduler", "--host", "0.0.0.0", "--no-dashboard"],
                         _SCHEDULER_MEMORY,
+                        env=[{"name": key, "value": value} for key, value in only_health.items()],
                         ports=[{"name": key, "containerPort": port} for key, port in ports.items()],
                         readinessProbe={**probe, "periodSeconds": 1, "timeoutSeconds": 300},
                         livenessProbe={**probe, "initialDelaySeconds": 15, "periodSeconds": 20},

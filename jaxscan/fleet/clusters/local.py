@@ -17,7 +17,7 @@ from distributed.system import MEMORY_LIMIT
 from jaxscan.fleet.clusters.certificates import new_certificates, security_of
 from jaxscan.fleet.clusters.choice import ClusterChoice
 from jaxscan.fleet.clusters.pinning import WORKERS
-from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, OURS, PINNING, kept_environment
+from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, NO_PAGE, OURS, PINNING, kept_environment
 from jaxscan.fleet.clusters.sizes import GIB, sizes_for
 
 
@@ -51,7 +51,7 @@ def open_local(choice: ClusterChoice) -> Iterator[Any]:
                 security=security,
                 dashboard_address=LOOPBACK_PAGE,
                 memory_limit=sizes.memory,
-                preload=[PINNING],
+                preload=[PINNING, NO_PAGE],
                 silence_logs=logging.CRITICAL,
             ) as cluster,
             distributed.Client(cluster, set_as_default=False) as client,

@@ -19,10 +19,19 @@ MEMORY: Mapping[str, Any] = {
     "distributed.worker.memory.pause": False,
     "distributed.worker.memory.terminate": 0.95,
 }
+NO_PAGE = "jaxscan.fleet.clusters.no_page"
+"""The module that schedulers and workers load so that they serve no page."""
+PAGELESS: Mapping[str, Any] = {
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+}
+"""Until that module is loaded, their pages have nothing to tell."""
 # A worker gets one task at a time, so that none waits behind one that is long or that ends its worker. And a worker
 # that dies gets a successor however long that takes to start: Dask would give it up after some seconds.
 OURS: Mapping[str, Any] = {
     **MEMORY,
+    **PAGELESS,
+    "distributed.scheduler.preload": [NO_PAGE],
     "distributed.scheduler.worker-saturation": 1.0,
     "distributed.deploy.lost-worker-timeout": "1 day",
 }
@@ -30,7 +39,7 @@ OURS: Mapping[str, Any] = {
 PINNING = "jaxscan.fleet.clusters.pinning"
 """The module that a worker loads before its work: it takes its share of the cores."""
 LOOPBACK_PAGE = "127.0.0.1:0"
-"""Where the pages of schedulers and workers are: they know no password, so only their own machine may see them."""
+"""Where schedulers and workers serve pages until `NO_PAGE` is loaded."""
 
 
 def as_environment(settings: Mapping[str, Any]) -> dict[str, str]:

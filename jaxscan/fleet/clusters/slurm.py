@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shlex
 import shutil
 import tempfile
 import time
@@ -18,7 +19,7 @@ from jaxscan.files.disk import reported
 from jaxscan.fleet.clusters.certificates import make_certificates, security_of
 from jaxscan.fleet.clusters.choice import ClusterChoice, patience_of
 from jaxscan.fleet.clusters.jobs import MOST_IN_VAIN, Jobs, jobs_of
-from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, MEMORY, OURS, as_environment
+from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, MEMORY, NO_PAGE, OURS, PAGELESS, as_environment
 
 
 _CORES, _MEMORY = 1, "4GiB"
@@ -103,7 +104,9 @@ def slurm_cluster(choice: ClusterChoice, security: Any) -> Any:
     except (ValueError, TypeError) as problem:
         said = f"cores {cores!r:.40} and memory {memory!r:.40}"
         raise OptionError(f"--slurm: Dask's configuration has {said}, expected as 8 and 16GiB.") from problem
-    exports = [f"export {name}={value}" for name, value in as_environment(MEMORY).items()]
+    exports = [f"export {name}={shlex.quote(value)}" for name, value in as_environment({**MEMORY, **PAGELESS}).items()]
+    no_page = ["--no-dashboard", "--dashboard-address", LOOPBACK_PAGE, "--preload", NO_PAGE]
+    scheduler = {"dashboard": False, "dashboard_address": LOOPBACK_PAGE, **configured("scheduler-options", {})}
     return SLURMCluster(
         # One task at a time on all cores of a job.
         cores=1,
@@ -111,8 +114,8 @@ def slurm_cluster(choice: ClusterChoice, security: Any) -> Any:
         job_cpu=int(cores),
         memory=memory,
         job_script_prologue=[*configured("job-script-prologue", []), *exports],
-        worker_extra_args=[*configured("worker-extra-args", []), "--dashboard-address", LOOPBACK_PAGE],
+        worker_extra_args=[*configured("worker-extra-args", []), *no_page],
         security=security,
         protocol="tls://",
-        scheduler_options={"dashboard_address": LOOPBACK_PAGE, **configured("scheduler-options", {})},
+        scheduler_options=scheduler,
     )

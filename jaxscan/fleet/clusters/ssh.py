@@ -21,7 +21,7 @@ from jaxscan.fleet.clusters.certificates import NAMES, Certificates, new_certifi
 from jaxscan.fleet.clusters.choice import ClusterChoice
 from jaxscan.fleet.clusters.hosts import Host, read_hosts
 from jaxscan.fleet.clusters.pinning import WORKERS
-from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, OURS, PINNING, run_apart
+from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, NO_PAGE, OURS, PINNING, run_apart
 
 
 ANSWER_S = 20.0
@@ -64,7 +64,8 @@ def open_ssh(choice: ClusterChoice) -> Iterator[Any]:
 
 def scheduler_spec(host: Host, folders: dict[Host, str]) -> dict[str, Any]:
     """What Dask starts as a scheduler, as values that travel in a command line."""
-    options = {"protocol": "tls://", "port": 0, "dashboard_address": LOOPBACK_PAGE, "security": _paths(folders[host])}
+    options = {"protocol": "tls://", "port": 0, "security": _paths(folders[host])}
+    options |= {"dashboard": False, "dashboard_address": LOOPBACK_PAGE, "preload": [NO_PAGE]}
     return {
         "cls": Scheduler,
         "options": {
@@ -93,7 +94,7 @@ def worker_specs(
             "memory_limit": memory,
             "dashboard_address": LOOPBACK_PAGE,
             "dashboard": False,
-            "preload": [PINNING],
+            "preload": [PINNING, NO_PAGE],
             "env": {WORKERS: str(count)},
             "death_timeout": _START_S,
             "security": _paths(folders[host]),

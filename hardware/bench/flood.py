@@ -1,0 +1,119 @@
+"""A flood of half-open connections: each asks for nothing, or begins to ask and never ends, and holds its place."""
+
+import contextlib
+import selectors
+import socket
+import struct
+import threading
+import time
+from types import TracebackType
+
+
+LOOPBACK = "127.0.0.1"
+"""Only this machine is ever flooded."""
+_BEGINNINGS = (b"", b"GET / HTTP/1.1\r\n", b"GET /?token=")
+"""What comes of a request; the rest never does."""
+_RESET = struct.pack("ii", 1, 0)
+"""Closed with a reset, so that no port of ours stays taken for a minute."""
+_TURN_S = 0.01
+
+
+class Flood:
+    """Within `with`, a thread holds so many connections to a port of the loopback, and renews those that end."""
+
+    def __init__(self, port: int, *, held: int = 300, per_s: float = 300.0, most: int | None = None) -> None:
+        """Nothing is connected yet.
+
+        Args:
+            port: On the loopback.
+            held: Connections at a time, which must be far below the limit of open files.
+            per_s: New connections in a second, at most.
+            most: Connections in all; None for as many as the time allows.
+        """
+        self._port, self._held, self._per_s, self._most = port, held, per_s, most
+        self.opened = 0
+        """Connections that were begun."""
+        self.ended = 0
+        """Those that the other end closed."""
+        self.highest = 0
+        """How many were held at once."""
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="flood", daemon=True)
+        self._problem: BaseException | None = None
+
+    def __enter__(self) -> "Flood":
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._end.set()
+        self._thread.join()
+        if self._problem is not None and problem is None:
+            raise self._problem
+
+    @property
+    def spent(self) -> bool:
+        """Whether all connections were begun that there may be."""
+        return self._most is not None and self.opened >= self._most
+
+    def _run(self) -> None:
+        try:
+            with selectors.DefaultSelector() as selector:
+                try:
+                    self._pour(selector)
+                finally:
+                    for key in list(selector.get_map().values()):
+                        _close(selector, key.fileobj)
+        except BaseException as problem:
+            self._problem = problem
+
+    def _pour(self, selector: selectors.BaseSelector) -> None:
+        before, allowed = time.monotonic(), 0.0
+        while not self._end.wait(_TURN_S):
+            now = time.monotonic()
+            # What was not opened in its second is not made up for.
+            allowed = min(allowed + (now - before) * self._per_s, self._per_s)
+            before = now
+            while allowed >= 1 and not self.spent and len(selector.get_map()) < self._held:
+                self._open_one(selector)
+                allowed -= 1
+            self.highest = max(self.highest, len(selector.get_map()))
+            for key, _ in selector.select(0):
+                self._hear(selector, key)
+
+    def _open_one(self, selector: selectors.BaseSelector) -> None:
+        one = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+        one.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            one.connect((LOOPBACK, self._port))
+        beginning = _BEGINNINGS[self.opened % len(_BEGINNINGS)]
+        self.opened += 1
+        # It can be written to once it is connected.
+        selector.register(one, selectors.EVENT_READ | selectors.EVENT_WRITE, beginning)
+
+    def _hear(self, selector: selectors.BaseSelector, key: selectors.SelectorKey) -> None:
+        one = key.fileobj
+        if not isinstance(one, socket.socket):
+            raise TypeError("only sockets are registered")
+        try:
+            if key.events & selectors.EVENT_WRITE:
+                one.send(key.data)
+                selector.modify(one, selectors.EVENT_READ)
+                return
+            if one.recv(4096):
+                return
+        except BlockingIOError:
+            return
+        except OSError:
+            pass
+        self.ended += 1
+        _close(selector, one)
+
+
+def _close(selector: selectors.BaseSelector, one: object) -> None:
+    if isinstance(one, socket.socket):
+        selector.unregister(one)
+        one.close()
