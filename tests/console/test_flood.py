@@ -132,7 +132,7 @@ def test_five_thousand_half_open_connections_do_not_disturb_a_scan(bench, consol
             await page.until(lambda page: True)
             await scan(page, "still")
             lines = len(said.read_text().splitlines())
-            # It begins in mid-scan: what a camera does that is opened within a flood is in experiments/results/kills.md.
+            # The flood begins in mid-scan; of a camera that is opened within one see experiments/results/kills.md.
             await page.order("sweep", name="flooded", resume=False)
             await page.until(lambda page: taken(page, "flooded") >= 1)
             with Flood(port, held=HELD, per_s=600.0) as flood:
