@@ -1,6 +1,7 @@
 """The gate: every request is checked here before anything answers it, WebSockets like pages."""
 
 import secrets
+from html import escape
 from urllib.parse import urlencode, urlsplit
 
 from aiohttp import web
@@ -48,9 +49,10 @@ class Gate:
                 return _refused(503, "This connection has ended.")
             connection.begin()
             try:
+                known = self._has_pass(request)
                 answer = self._refusal(request)
-                if answer is None and not self._has_pass(request):
-                    answer = self._first_visit(request)
+                if answer is None and ("token" in request.query or not known):
+                    answer = self._visit(request, known)
                 elif answer is None and not connection.welcome():
                     answer = _refused(503, "Too many connections are open; close a page.")
                 return await handler(request) if answer is None else answer
@@ -79,21 +81,34 @@ class Gate:
             return _refused(403, "Another site asks; open the address that the terminal shows.")
         if not origins and "Upgrade" in request.headers:
             return _refused(403, "A WebSocket without an origin; open the address that the terminal shows.")
-        if request.headers.get("Sec-Fetch-Site", "none") not in _OWN_SITES:
+        if self._led_here(request) and not self._has_token(request):
             return _refused(403, "Another site leads here; type the address that the terminal shows.")
         return None
 
     def _has_pass(self, request: web.Request) -> bool:
         return _same(request.cookies.get(self._cookie, ""), self._pass)
 
-    def _first_visit(self, request: web.Request) -> web.Response:
+    def _has_token(self, request: web.Request) -> bool:
+        return _same(request.query.get("token", ""), self._address.token)
+
+    def _led_here(self, request: web.Request) -> bool:
+        """Whether another site asks, as the file is one with which a browser is opened."""
+        return request.headers.get("Sec-Fetch-Site", "none") not in _OWN_SITES
+
+    def _visit(self, request: web.Request, known: bool) -> web.Response:
         """Trades the token in the address for a cookie, and takes it out of the address."""
-        if "token" not in request.query:
+        if not known and "token" not in request.query:
             return _refused(403, "Open the whole address that the terminal shows, with its token.")
-        if not _same(request.query["token"], self._address.token):
+        if not known and not self._has_token(request):
             return _refused(403, "The token is wrong: open the whole address that the terminal shows.")
         rest = urlencode([(name, value) for name, value in request.query.items() if name != "token"])
-        response = web.Response(status=303, headers={"Location": "/" + (f"?{rest}" if rest else "")})
+        where = "/" + (f"?{rest}" if rest else "")
+        if self._led_here(request):
+            # A browser that another site led here sends no cookie where it is sent on; a page of ours leads it on.
+            leads = f'<!doctype html><meta http-equiv="refresh" content="0; url={escape(where)}">\n'
+            response = web.Response(text=leads, content_type="text/html", charset="utf-8")
+        else:
+            response = web.Response(status=303, headers={"Location": where})
         response.set_cookie(self._cookie, self._pass, path="/", httponly=True, samesite="Strict")
         return response
 

@@ -6,7 +6,6 @@ again at once, with a line in the log each time.
 
 import asyncio
 import logging
-import os
 import socket
 import threading
 from collections.abc import Callable
@@ -81,7 +80,7 @@ class Server:
         connections = Connections()
         door = _Door(self._address.socket, runner.server, connections)
         try:
-            door.open()
+            door.let_in()
             self._begun.set()
             while not self._end.is_set():
                 connections.end_late_ones()
@@ -102,12 +101,12 @@ class _Door:
         self._listening, self._server, self._connections = listening, server, connections
         self._loop = asyncio.get_running_loop()
         self._coming: set[asyncio.Task[object]] = set()
-        self._spare: int | None = os.open(os.devnull, os.O_RDONLY)
+        self._spare: socket.socket | None = socket.socket()
         """Given up where no other descriptor is left, to turn somebody away."""
         self._again: asyncio.TimerHandle | None = None
         listening.setblocking(False)
 
-    def open(self) -> None:
+    def let_in(self) -> None:
         """Begin to accept, or go on."""
         self._loop.add_reader(self._listening, self._accept_some)
 
@@ -139,7 +138,7 @@ class _Door:
             self._coming.add(task)
             task.add_done_callback(self._coming.discard)
         self._loop.remove_reader(self._listening)
-        self._again = self._loop.call_later(pause, self.open)
+        self._again = self._loop.call_later(pause, self.let_in)
 
     async def _begin(self, accepted: socket.socket, address: str) -> None:
         make = lambda: self._connections.admit(self._server(), address)
@@ -156,9 +155,9 @@ class _Door:
             accepted, _ = self._listening.accept()
             accepted.close()
         with suppress(OSError):
-            self._spare = os.open(os.devnull, os.O_RDONLY)
+            self._spare = socket.socket()
 
     def _give_up_spare(self) -> None:
         if self._spare is not None:
-            os.close(self._spare)
+            self._spare.close()
             self._spare = None

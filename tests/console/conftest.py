@@ -92,7 +92,10 @@ class Console:
         self.desk.out = Terminal()
 
         async def visit():
-            async with aiohttp.ClientSession() as self.session:
+            # Jars of aiohttp leave cookies of bare numbers out, which browsers keep.
+            async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as self.session:
+                async with self.session.get(self.address.url(with_token=True)) as answer:
+                    assert answer.status == 200
                 await pages(self)
 
         def work():

@@ -30,11 +30,21 @@ def served(tiny, tmp_path_factory):
     application = Gate(address).application()
     application.add_routes(view_routes("/look/{name}", Looks(Captures(folder)).view))
     with Server(application, address):
-        yield address.url()
+        yield address.url(with_token=True)
 
 
-def test_its_calibration_is_found_by_the_digest(served):
-    with urllib.request.urlopen(f"{served}look/room/scene") as answer:
+@pytest.fixture
+def ask(served):
+    """Opens a path as a guest."""
+    opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+    with pytest.raises(urllib.error.HTTPError):
+        # There is no first page here, to which the token leads.
+        opener.open(served)
+    return lambda path: opener.open(served.partition("?")[0] + path)
+
+
+def test_its_calibration_is_found_by_the_digest(ask):
+    with ask("look/room/scene") as answer:
         scene = json.load(answer)
     assert scene["systematic"] is True and scene["clouds"][0]["points"] > 1000
 
@@ -42,14 +52,16 @@ def test_its_calibration_is_found_by_the_digest(served):
 @pytest.mark.parametrize(
     "name, says", [("later", "later: has no cloud yet; reconstruct it first."), ("..%2froom", "expected letters")]
 )
-def test_what_is_not_there_is_said(served, name, says):
+def test_what_is_not_there_is_said(ask, name, says):
     with pytest.raises(urllib.error.HTTPError) as refused:
-        urllib.request.urlopen(f"{served}look/{name}/scene")
+        ask(f"look/{name}/scene")
     assert refused.value.code == 404 and says in refused.value.read().decode()
 
 
 def test_in_a_browser(served, browser):
     person = Person(browser)
+    person.open(served)
+    served = served.partition("?")[0]
     person.open(f"{served}look/room/")
     person.until(lambda: person.colours("cloud") > 20)
     assert person.complaints() == []

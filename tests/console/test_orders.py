@@ -115,6 +115,52 @@ def test_a_page_that_does_not_begin_with_its_name_is_closed(console, greeting):
     console.run(pages)
 
 
+def test_a_page_that_says_nothing_is_closed_and_counts_until_then(console, monkeypatch):
+    monkeypatch.setattr("jaxscan.cli.console.serving.hub._GREET_S", 1.0)
+
+    async def pages(console):
+        url = f"http://127.0.0.1:{console.address.port}/socket"
+        origin = {"Origin": f"http://127.0.0.1:{console.address.port}"}
+        mute = [await console.session.ws_connect(url, headers=origin, autoping=False) for _ in range(12)]
+        with pytest.raises(AssertionError, match="too many pages"):
+            await console.open()
+
+        async def until_closed(socket):
+            # Answers to pings are no greeting.
+            while True:
+                await socket.ping()
+                if (await socket.receive(10)).type in (aiohttp.WSMsgType.CLOSE, aiohttp.WSMsgType.CLOSED):
+                    return
+                await asyncio.sleep(0.05)
+
+        await asyncio.wait_for(asyncio.gather(*map(until_closed, mute)), 30)
+        assert (await console.open()).you["operates"]
+
+    console.run(pages)
+
+
+def test_a_page_that_cannot_be_told_is_closed_and_the_next_is_told(console, monkeypatch):
+    well, broken = console.slate.picture, []
+
+    def once():
+        if not broken:
+            broken.append(1)
+            raise OSError(24, "Too many open files")
+        return well()
+
+    monkeypatch.setattr(console.slate, "picture", once)
+
+    async def pages(console):
+        page = await console.open()
+        while (message := await page.socket.receive(10)).type is not aiohttp.WSMsgType.CLOSE:
+            pass
+        assert message.data == 1011
+        again = await console.open()
+        assert any("what a page is told: did not succeed" in line["says"] for line in again.state["lines"])
+
+    console.run(pages)
+
+
 def test_too_many_pages_are_refused(console):
     async def pages(console):
         opened = [await console.open() for _ in range(12)]

@@ -20,7 +20,7 @@ def visit(console, browser):
     """`visit(work)` calls `work(looks, url)` in another thread while the console runs."""
 
     def call(work):
-        url = f"http://127.0.0.1:{console.address.port}/"
+        url = console.address.url(with_token=True)
 
         async def pages(console):
             await asyncio.to_thread(work, Looks(browser), url)
@@ -192,6 +192,10 @@ def test_points_are_drawn_as_they_come(visit, console):
 
 def test_another_site_opens_no_socket(visit, console):
     def work(looks, url):
+        # A guest's browser, with its cookie.
+        looks.open(url)
+        looks.until(lambda: looks.text("doing") == "ready")
+        url = console.address.url()
         looks.open("data:text/html,<p>a page of a stranger</p>")
         script = """
           const [url, done] = arguments, socket = new WebSocket(url);

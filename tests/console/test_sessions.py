@@ -9,6 +9,7 @@ import threading
 import pytest
 from scanrig.errors import Fault, PortError
 
+from jaxscan.cli.console.serving.roles import Roles
 from jaxscan.files.capture import open_capture, verify_capture
 
 
@@ -211,6 +212,34 @@ def test_a_connection_that_is_cut(console, paper, held, monkeypatch, stops):
 
     console.run(pages)
     assert records(console) == (4 if stops else 10) and dark(paper)
+
+
+def test_aiming_ends_without_a_page(console, paper, monkeypatch):
+    monkeypatch.setattr("jaxscan.cli.console.serving.hub.GRACE_S", 0.2)
+    well, broken = Roles.lost_for, []
+
+    def lost_for(roles, now):
+        # The watch outlives what goes wrong in it.
+        if len(broken) < 3:
+            broken.append(1)
+            raise OSError(24, "Too many open files")
+        return well(roles, now)
+
+    async def pages(console):
+        page = await console.open()
+        await page.order("aim")
+        await page.until(lambda page: page.state["doing"] == "aim" and page.pictures)
+        monkeypatch.setattr(Roles, "lost_for", lost_for)
+        await page.socket.close()
+        async with asyncio.timeout(60):
+            while console.slate.read("doing") != "nothing":
+                await asyncio.sleep(0.05)
+        assert dark(paper) and console.slate.read("laser") == "off"
+        says = [line["says"] for line in (await console.open()).state["lines"]]
+        assert "The page that operated is lost: the laser goes off, nobody looks at it." in says
+        assert len([line for line in says if "the watch over pages: did not succeed" in line]) == 1
+
+    console.run(pages)
 
 
 def test_the_emergency_stop_is_shown(console, paper, held):

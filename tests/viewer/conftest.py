@@ -22,7 +22,7 @@ def url(room):
     grey = room._replace(name="<b>grey", cloud=jaxscan.load_cloud(room.name))
     address = open_address("127.0.0.1", 0, option="--web-port")
     with serve_clouds(address, [room, grey]):
-        yield address.url()
+        yield address.url(with_token=True)
 
 
 @pytest.fixture(scope="session")

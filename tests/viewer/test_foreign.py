@@ -28,7 +28,7 @@ def looks(browser):
 def test_places_alone_are_coloured_by_their_height(looks, bare):
     address = open_address("127.0.0.1", 0, option="--web-port")
     with serve_clouds(address, [bare]):
-        looks.open(address.url())
+        looks.open(address.url(with_token=True))
         looks.until(lambda: looks.colours("cloud") > 20 and looks.text("scale-words").endswith(" m"))
         offered = "return Array.from(document.querySelectorAll('#by option'), (one) => one.value)"
         assert looks.driver.execute_script(offered) == ["height", "deviation"]
@@ -38,7 +38,7 @@ def test_places_alone_are_coloured_by_their_height(looks, bare):
 def test_the_box_on_backs_says_of_which_clouds(looks, room, bare):
     address = open_address("127.0.0.1", 0, option="--web-port")
     with serve_clouds(address, [room, bare]):
-        looks.open(address.url())
+        looks.open(address.url(with_token=True))
         name = room.name.rpartition("/")[2]
         looks.until(lambda: looks.text("backs-part") == f"hide what is seen from behind, of {name}")
         # Beside one with colours it is grey, not as dark as the ground.

@@ -6,6 +6,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ from jaxscan.errors import MeasurementError
 from jaxscan.viewer import serve_clouds
 from jaxscan.viewer.session import Session
 from jaxscan.viewer.talking import AT_ONCE
-from jaxscan.web import open_address
+from jaxscan.web import in_browser, open_address
 
 from ..browser.driver import NARROW, WIDE, Looks
 from ..cli.conftest import run as run
@@ -293,13 +294,20 @@ def test_another_server_at_the_same_address_shows_its_own_clouds(looks, room):
     address = open_address("127.0.0.1", 0, option="--web-port")
     title = "return document.getElementById('clouds').textContent"
     with serve_clouds(address, [room]):
-        looks.open(address.url())
+        looks.open(address.url(with_token=True))
         looks.until(lambda: looks.colours("cloud") > 20)
     looks.until(lambda: looks.text("message").startswith("No connection"))
     colour_by(looks, "height")
     looks.until(lambda: "the colours stay" in looks.text("message") or "trying again" in looks.text("message"))
     looks.until(lambda: looks.driver.execute_script("return document.getElementById('by').value") == "photograph")
-    with serve_clouds(open_address("127.0.0.1", address.port, option="--web-port"), [room._replace(name="other")]):
+    anew = open_address("127.0.0.1", address.port, option="--web-port")
+    with serve_clouds(anew, [room._replace(name="other")]):
+        looks.until(lambda: "the whole address that the terminal shows" in looks.text("message"))
+        first = looks.driver.current_window_handle
+        looks.driver.switch_to.new_window("tab")
+        looks.open(anew.url(with_token=True))
+        looks.driver.close()
+        looks.driver.switch_to.window(first)
         looks.until(lambda: looks.driver.execute_script(title).strip() == "other")
         looks.driver.get("about:blank")
 
@@ -415,9 +423,14 @@ def test_without_webgl_the_page_says_what_to_do(looks, url):
 
 
 def test_requests_that_mean_nothing(url):
+    # A guest, as a browser is one.
+    opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+    opener.open(url).close()
+    url = url.partition("?")[0]
+
     def status(path):
         try:
-            with urllib.request.urlopen(url.rstrip("/") + path) as answer:
+            with opener.open(url.rstrip("/") + path) as answer:
                 return answer.status
         except urllib.error.HTTPError as refused:
             with refused:
@@ -428,13 +441,14 @@ def test_requests_that_mean_nothing(url):
         assert status(path) == 404, path
     for plane in ("0", "-1", "x", ""):
         assert status(f"/scale?by=deviation&page=nobody&plane={plane}") == 404
-    with urllib.request.urlopen(url + "scene") as answer:
+    with opener.open(url + "scene") as answer:
         scene = json.loads(answer.read())
     assert [cloud["name"] for cloud in scene["clouds"]][1] == "<b>grey"
 
 
-def test_a_wide_address_needs_its_token(room):
-    address = open_address("0.0.0.0", 0, option="--web-port")
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
+def test_an_address_needs_its_token(room, host):
+    address = open_address(host, 0, option="--web-port")
     with serve_clouds(address, [room]):
         here = f"http://127.0.0.1:{address.port}"
         for path in ("/", "/scene", "/points/0/0", "/socket"):
@@ -445,12 +459,29 @@ def test_a_wide_address_needs_its_token(room):
                     assert refused.value.code == 403
 
 
+def test_the_browser_is_opened_without_the_token_among_the_words_of_its_call(looks, room, monkeypatch):
+    called = []
+    monkeypatch.setattr("webbrowser.open_new_tab", called.append)
+    address = open_address("127.0.0.1", 0, option="--web-port")
+    with serve_clouds(address, [room]):
+        with in_browser(address.url(with_token=True)):
+            (place,) = called
+            assert address.token not in place
+            file = Path(urllib.request.url2pathname(place.removeprefix("file://")))
+            assert (file.stat().st_mode & 0o777, file.parent.stat().st_mode & 0o777) == (0o600, 0o700)
+            looks.open(place)
+            looks.until(lambda: looks.driver.current_url == address.url() and looks.colours("cloud") > 20)
+        assert not file.parent.exists()
+        looks.driver.refresh()
+        looks.until(lambda: looks.colours("cloud") > 20)
+
+
 def test_the_products_of_a_project_are_listed_as_they_are_now(looks, room):
     rows = [("cloud/one", "done", ""), ("mesh/one", "stale", "settings changed")]
     rows += [("cloud/two", "failed", "no <b>laser</b>")]
     address = open_address("127.0.0.1", 0, option="--web-port")
     with serve_clouds(address, [room], products=lambda: rows):
-        looks.open(address.url())
+        looks.open(address.url(with_token=True))
         looks.until(lambda: looks.at("products-part").is_displayed())
         looks.driver.execute_script("document.getElementById('products-part').open = true")
         looks.until(lambda: looks.text("products-words") == "1 done, 1 stale, 1 failed")

@@ -89,7 +89,7 @@ def looks(browser, room):
     address = open_address("127.0.0.1", 0, option="--web-port")
     with serve_clouds(address, [room._replace(cloud=placed, panorama=seen)]):
         looks = Looks(browser)
-        looks.open(address.url())
+        looks.open(address.url(with_token=True))
         looks.until(lambda: looks.colours("cloud") > 20)
         yield looks
         browser.get("about:blank")

@@ -107,6 +107,6 @@ def test_the_address_is_said_and_a_signal_ends_it(tiny, tmp_path):
         # Not Ctrl-C's, which a shell lets processes in the background ignore.
         process.send_signal(signal.SIGTERM)
         out, err = process.communicate(timeout=30)
-    assert "http://127.0.0.1:" in said and "token" not in said
+    assert "http://127.0.0.1:" in said and "/?token=" in said
     assert (process.returncode, out, err) == (143, "", "jaxscan: interrupted\n")
     assert json.loads((tmp_path / "served.json").read_text())["format"] == "jaxscan-view/1"

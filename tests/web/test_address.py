@@ -47,7 +47,7 @@ def test_all_interfaces_are_shown_by_number_too(monkeypatch, number):
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
 def test_a_single_interface_is_shown_once(host):
     one = opened(host)
-    assert one.invitation() == (f"Open this address in a browser: http://{host}:{one.port}/",)
+    assert one.invitation() == (f"Open this address in a browser: http://{host}:{one.port}/?token={one.token}",)
 
 
 @pytest.mark.parametrize("family", [socket.AF_INET, socket.AF_INET6])

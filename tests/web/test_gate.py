@@ -15,6 +15,7 @@ from jaxscan.web import PAGE_POLICY, Gate, Resource, Server, open_address, resou
 PAGES = {"/": Resource("jaxscan.data", "demo.toml", "text/plain; charset=utf-8")}
 MOST = 1000
 """Longest message that the echo takes [bytes]."""
+_COOKIES = {}
 
 
 async def echo(request):
@@ -45,8 +46,20 @@ def wide():
         yield address
 
 
+def guest(address):
+    """The cookie of somebody who has shown the token."""
+    if address.token not in _COOKIES:
+        _, headers, _ = ask(address, f"/?token={address.token}", Cookie=None)
+        _COOKIES[address.token] = headers["Set-Cookie"].partition(";")[0]
+    return _COOKIES[address.token]
+
+
 def ask(address, path="/", method="GET", **headers):
-    """The answer to a request with these headers alone, its path sent as it is: (status, headers, body)."""
+    """The answer to a guest's request with these headers, its path sent as it is: (status, headers, body).
+
+    A stranger is who gives None for the cookie.
+    """
+    headers = {"Cookie": guest(address)} | headers if "Cookie" not in headers else headers
     connection = http.client.HTTPConnection("127.0.0.1", address.port, timeout=10)
     try:
         connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
@@ -64,7 +77,8 @@ def ask(address, path="/", method="GET", **headers):
 
 
 def talk(address, work, **headers):
-    """What `work` returns with a WebSocket that was opened with these headers."""
+    """What `work` returns with a WebSocket that a guest opened with these headers."""
+    headers = {"Cookie": guest(address)} | headers if "Cookie" not in headers else headers
 
     async def go():
         given = {"Origin": f"http://127.0.0.1:{address.port}"} | {
@@ -95,7 +109,7 @@ def test_a_page_and_a_socket_on_the_loopback(narrow):
     assert status == 200 and body.startswith(b"#")
     assert headers["Content-Security-Policy"] == PAGE_POLICY
     assert headers["X-Content-Type-Options"] == "nosniff" and headers["Cache-Control"] == "no-store"
-    assert narrow.token is None and narrow.url(with_token=True) == f"http://127.0.0.1:{narrow.port}/"
+    assert narrow.url() == f"http://127.0.0.1:{narrow.port}/"
     assert talk(narrow, say_hello) == "heard hello"
 
 
@@ -143,6 +157,11 @@ def test_two_names_are_refused(narrow):
         "",
         "http://[",
         "ftp://{host}",
+        "https://{host}",
+        "http://{host}/",
+        "http://{host}/a",
+        "HTTP://{host}",
+        "http://{host} http://{host}",
     ],
 )
 def test_a_foreign_origin_is_refused_for_pages_and_sockets(narrow, origin):
@@ -205,50 +224,70 @@ def test_a_message_that_is_too_long_closes_its_socket_and_no_other(narrow):
     assert talk(narrow, say_hello) == "heard hello"
 
 
-def test_a_wide_address_needs_its_token(wide):
-    assert len(wide.token) > 30 and wide.url(with_token=True).endswith(f"/?token={wide.token}")
-    assert wide.token not in wide.url()
+@pytest.fixture(params=["narrow", "wide"])
+def either(request):
+    return request.getfixturevalue(request.param)
+
+
+def test_an_address_needs_its_token(either):
+    assert len(either.token) > 30 and either.url(with_token=True).endswith(f"/?token={either.token}")
+    assert either.token not in either.url()
     for path in (
         "/",
         "/echo",
         "/nothing",
         "/?token=",
-        f"/?token={wide.token[:-1]}",
+        f"/?token={either.token[:-1]}",
         "/?token=%ff%fe",
         "/?token=%c3%a9",
         "/?token=%c3%a9",
     ):
-        status, headers, _ = ask(wide, path)
+        status, headers, _ = ask(either, path, Cookie=None)
         assert status in (400, 403) and "Set-Cookie" not in headers
-    assert refused(wide) == 403
-    assert refused(wide, Cookie=f"jaxscan-{wide.port}={wide.token}") == 403
+    assert refused(either, Cookie=None) == 403
+    assert refused(either, Cookie=f"jaxscan-{either.port}={either.token}") == 403
 
 
-def test_the_token_is_traded_for_a_cookie_and_leaves_the_address(wide):
-    status, headers, _ = ask(wide, f"/?token={wide.token}&page=2")
+def test_the_token_is_traded_for_a_cookie_and_leaves_the_address(either):
+    status, headers, _ = ask(either, f"/?token={either.token}&page=2", Cookie=None)
     assert (status, headers["Location"]) == (303, "/?page=2")
     cookie, *flags = headers["Set-Cookie"].split("; ")
     assert {"HttpOnly", "SameSite=Strict", "Path=/"} <= set(flags)
-    assert wide.token not in cookie
-    assert ask(wide, Cookie=cookie)[0] == 200
-    assert talk(wide, say_hello, Cookie=cookie) == "heard hello"
+    assert either.token not in cookie
+    assert ask(either, Cookie=cookie)[0] == 200
+    assert talk(either, say_hello, Cookie=cookie) == "heard hello"
     # The cookie does not open the gate to another site.
-    assert ask(wide, Cookie=cookie, Origin="http://evil.example")[0] == 403
-    assert refused(wide, Cookie=cookie, Origin="http://evil.example") == 403
-    assert ask(wide, Cookie=cookie, Host="evil.example")[0] == 403
-    assert ask(wide, Cookie=cookie + "x")[0] == 403
+    assert ask(either, Cookie=cookie, Origin="http://evil.example")[0] == 403
+    assert refused(either, Cookie=cookie, Origin="http://evil.example") == 403
+    assert ask(either, Cookie=cookie, Host="evil.example")[0] == 403
+    assert ask(either, Cookie=cookie + "x")[0] == 403
+
+
+def test_a_guest_that_brings_the_token_has_it_taken_out_of_the_address(either):
+    for token in (either.token, "of_another_day"):
+        status, headers, _ = ask(either, f"/?token={token}&page=2")
+        assert (status, headers["Location"]) == (303, "/?page=2")
+
+
+def test_the_file_with_which_a_browser_is_opened_leads_in_by_the_token_alone(either):
+    status, headers, body = ask(either, f'/?token={either.token}&page="><b>', Cookie=None, Sec_Fetch_Site="cross-site")
+    assert status == 200 and headers["Set-Cookie"].startswith(f"jaxscan-{either.port}=")
+    assert b'content="0; url=/?page=%22%3E%3Cb%3E"' in body and either.token.encode() not in body
+    for token in ("", "?token=", "?token=wrong"):
+        status, headers, _ = ask(either, f"/{token}", Cookie=None, Sec_Fetch_Site="cross-site")
+        assert status == 403 and "Set-Cookie" not in headers
 
 
 def test_a_token_goes_nowhere_else(wide):
-    status, headers, _ = ask(wide, f"//evil.example/?token={wide.token}")
+    status, headers, _ = ask(wide, f"//evil.example/?token={wide.token}", Cookie=None)
     assert (status, headers["Location"]) == (303, "/")
 
 
 def test_a_wide_address_knows_its_numbers_and_its_own_name(wide):
     own = socket.gethostname()
     for host in ("192.168.1.5:80", f"{own}:80", f"{own}.local:80"):
-        assert ask(wide, f"/?token={wide.token}", Host=host)[0] == 303
-    assert ask(wide, f"/?token={wide.token}", Host="evil.example")[0] == 403
+        assert ask(wide, f"/?token={wide.token}", Host=host, Cookie=None)[0] == 303
+    assert ask(wide, f"/?token={wide.token}", Host="evil.example", Cookie=None)[0] == 403
 
 
 def test_a_port_that_is_taken_is_said_in_one_line(narrow):

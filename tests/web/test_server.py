@@ -1,6 +1,7 @@
 """The server's end: no connection outlives it."""
 
 import gc
+import http.client
 import socket
 import time
 import warnings
@@ -18,6 +19,16 @@ async def much(request):
     return web.Response(body=20_000_000 * b"x")
 
 
+def cookie(address):
+    """That of a guest."""
+    connection = http.client.HTTPConnection("127.0.0.1", address.port, timeout=10)
+    connection.request("GET", f"/?token={address.token}")
+    answer = connection.getresponse()
+    connection.close()
+    assert answer.status == 303
+    return answer.headers["Set-Cookie"].partition(";")[0]
+
+
 def end_with_open_connections(asking):
     """The warnings of a server that ends while others are connected, who ask for much and read nothing."""
     address = open_address("127.0.0.1", 0, option="--web-port")
@@ -27,9 +38,10 @@ def end_with_open_connections(asking):
         warnings.simplefilter("always")
         with Server(application, address):
             others = [socket.create_connection(("127.0.0.1", address.port), timeout=10) for _ in range(MANY)]
+            host = f"127.0.0.1:{address.port}"
             if asking:
                 for other in others:
-                    other.sendall(f"GET /much HTTP/1.1\r\nHost: 127.0.0.1:{address.port}\r\n\r\n".encode())
+                    other.sendall(f"GET /much HTTP/1.1\r\nHost: {host}\r\nCookie: {cookie(address)}\r\n\r\n".encode())
                     other.recv(1)
             begun = time.monotonic()
         took = time.monotonic() - begun

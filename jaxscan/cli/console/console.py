@@ -39,7 +39,8 @@ def console(
             capture of the board in the folder, if it is good.
         port: Serial port instead of the port in the configuration; "auto" takes the only controller there is.
         place_command: Command that places the board; the number of the pose is appended to it.
-        host: Name or number of this machine at which the page is served. Other machines need the token that is printed.
+        host: Name or number of this machine at which the page is served. Everybody needs the token of the address that
+            is printed.
         web_port: TCP port of the page; 0 for any that is free.
         json: Write the address, without its token, as JSON too.
     """

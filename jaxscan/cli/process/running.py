@@ -69,7 +69,7 @@ def run_process(words: Sequence[str]) -> int:
         code = left.code if isinstance(left.code, int) else int(left.code is not None)
     except (Exception, KeyboardInterrupt) as problem:
         for line in "".join(traceback.format_exception(problem)).splitlines():
-            _say(line)
+            say_line(line)
         code = 1
     try:
         if sys.stdout is not None:
@@ -84,12 +84,12 @@ def run_process(words: Sequence[str]) -> int:
 def _answer(problem: BaseException) -> int:
     """Print one line on an error, and return the exit code."""
     if isinstance(problem, KeyboardInterrupt):
-        _say("interrupted")
+        say_line("interrupted")
         return exit_code(problem)
     if isinstance(problem, BrokenPipeError):
         return UNREAD
     said = answer_in_words(problem)
-    _say(said)
+    say_line(said)
     return DEFECT if said.startswith(_DEFECT) else 1
 
 
@@ -123,7 +123,7 @@ def _is_ours(file: str) -> bool:
     return any(folder in Path(file).parts for folder in ("jaxscan", "scanrig"))
 
 
-def _say(line: str) -> None:
+def say_line(line: str) -> None:
     """Print a line on standard error, if anybody listens."""
     if sys.stderr is not None:
         with contextlib.suppress(OSError, ValueError):
@@ -163,12 +163,12 @@ def _keep_to_lines() -> None:
     """Print messages of other libraries and of threads as lines of ours, with nothing for the terminal to obey."""
 
     def show_warning(message: Warning | str, category: type[Warning], *_: object) -> None:
-        _say(f"note: {category.__name__}: {' '.join(str(message).split())}")
+        say_line(f"note: {category.__name__}: {' '.join(str(message).split())}")
 
     def show_unheard(unheard: Any) -> None:
         if unheard.exc_value is not None and not isinstance(unheard.exc_value, KeyboardInterrupt):
-            _say(_defect(unheard.exc_value))
+            say_line(_defect(unheard.exc_value))
 
     warnings.showwarning = show_warning  # type: ignore[assignment]
-    logging.lastResort = LogLines(_say)  # type: ignore[assignment]
+    logging.lastResort = LogLines(say_line)  # type: ignore[assignment]
     threading.excepthook = sys.unraisablehook = show_unheard

@@ -4,8 +4,8 @@ import os
 import shlex
 import signal
 import sys
-import webbrowser
 from collections.abc import Sequence
+from contextlib import ExitStack
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
@@ -59,7 +59,8 @@ def view(
         calibration: Calibration that the clouds were made with; sigma then includes the calibration's part.
         panorama: Panorama of the first cloud, then that of the second, and so on, to stand in: as `jaxscan panorama`
             makes them, or any equirectangular PNG or JPEG from the scanner's place.
-        host: Name or number of this machine at which the page is served. Other machines need the token that is printed.
+        host: Name or number of this machine at which the page is served. Everybody needs the token of the address that
+            is printed.
         web_port: TCP port of the page; 0 for any that is free.
         open: Open the browser of this machine, where it has a screen.
         rerun: Recording (.rrd) to write for the viewer Rerun, instead of serving a page.
@@ -93,7 +94,7 @@ def view(
         return
     # Imported here, so that a recording needs nothing of pages.
     from jaxscan.viewer import Named, knows_its_place, serve_clouds
-    from jaxscan.web import open_address
+    from jaxscan.web import in_browser, open_address
 
     seen = [_read_panorama(path) for path in panorama]
     given = {"calibration": ("-c", calibration), "unit": ("--unit", unit), "up": ("--up", up)}
@@ -106,13 +107,15 @@ def view(
         named.append(Named(str(path), one.cloud, turned=one.turned, panorama=picture, words=words))
     out = notes_first(notes, json)
     address = open_address(host, web_port, option="--web-port")
-    with serve_clouds(address, named, scanner, partial(products_of, projects) if projects else None):
+    with ExitStack() as stack:
+        products = partial(products_of, projects) if projects else None
+        stack.enter_context(serve_clouds(address, named, scanner, products))
         for line in address.invitation():
             out.print(line)
         out.print("Ctrl-C ends it.")
         emit_json(json, "view", {"url": address.url(), "notes": notes})
         if open and _has_screen():
-            webbrowser.open_new_tab(address.url(with_token=True))
+            stack.enter_context(in_browser(address.url(with_token=True)))
         signal.pause() if hasattr(signal, "pause") else input()
 
 

@@ -40,8 +40,11 @@ function connect() {
   socket = new WebSocket(address);
   socket.onopen = () => { again = 0; };
   socket.onmessage = ({ data }) => hear(JSON.parse(data));
-  socket.onclose = () => {
+  socket.onclose = async () => {
     say(`${AWAY}; trying again …`);
+    // A server that began anew has another token: who opens its address in another tab brings this page back, too.
+    const asked = await fetch("icon.svg", { cache: "no-store" }).catch(() => null);
+    if (asked?.status === 403) say(`${AWAY}; trying again. ${await asked.text()}`);
     setTimeout(connect, Math.min(300 * 2 ** again++, 5000));
   };
 }

@@ -29,9 +29,12 @@ function connect() {
   socket.binaryType = "arraybuffer";
   socket.onopen = () => { again = 0; at("lost").hidden = true; cloud.clear(0); socket.send(JSON.stringify({ page: ownName() })); };
   socket.onmessage = ({ data }) => (typeof data === "string" ? hear(JSON.parse(data)) : look(data));
-  socket.onclose = ({ reason }) => {
+  socket.onclose = async ({ reason }) => {
     at("lost").hidden = false;
     if (reason) say("problem", reason);
+    // A console that began anew has another token: who opens its address in another tab brings this page back, too.
+    const asked = await fetch("/icon.svg", { cache: "no-store" }).catch(() => null);
+    if (asked?.status === 403) say("problem", await asked.text());
     setTimeout(connect, Math.min(300 * 2 ** again++, 5000));
   };
 }

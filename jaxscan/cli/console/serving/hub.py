@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from aiohttp import WSMsgType, web
 
 from jaxscan.cli.console.orders import FOR_ALL, MOST_BYTES, BadOrder, Order, parse_order
+from jaxscan.cli.console.outliving import outlived
 from jaxscan.cli.console.serving.roles import GRACE_S, KEY, Roles
 from jaxscan.cli.console.slate import Slate, as_json
 from jaxscan.errors import JaxscanError
@@ -89,18 +90,23 @@ class Hub:
     async def _watch(self) -> None:
         while True:
             await asyncio.sleep(_BETWEEN_S)
-            if self._roles.lost_for(time.monotonic()) <= GRACE_S:
-                continue
-            doing = self._slate.read("doing")
-            if doing == "aim":
-                # It serves nobody, and the laser shines.
-                self._slate.say("The page that operated is lost: the laser goes off, nobody looks at it.")
-            elif doing != "nothing" and self._slate.read("lost") == "stop":
-                self._slate.say("The page that operated is lost: paused after this step, as it was chosen.")
-            else:
-                continue
-            self._carry_out(Order("pause"))
-            self._roles.lost_since = None
+            with outlived(self._slate, "the watch over pages"):
+                self._look_for_lost_page()
+
+    def _look_for_lost_page(self) -> None:
+        if self._roles.lost_for(time.monotonic()) <= GRACE_S:
+            return
+        doing = self._slate.read("doing")
+        if doing == "aim":
+            # It serves nobody, and the laser shines.
+            says = "The page that operated is lost: the laser goes off, nobody looks at it."
+        elif doing != "nothing" and self._slate.read("lost") == "stop":
+            says = "The page that operated is lost: paused after this step, as it was chosen."
+        else:
+            return
+        self._carry_out(Order("pause"))
+        self._slate.say(says)
+        self._roles.lost_since = None
 
     async def _greeted(self, socket: web.WebSocketResponse) -> str | None:
         """The page's own name, with which it begins; None if it does not."""
@@ -131,7 +137,13 @@ class Hub:
         return page.name == self._roles.operator and page is first
 
     async def _send(self, page: Page) -> None:
-        """Send what has changed; what a slow page missed in between it never gets."""
+        """Send what has changed until the page goes; one that cannot be told is closed, and comes again."""
+        with outlived(self._slate, "what a page is told"):
+            await self._send_changes(page)
+        await page.socket.close(code=1011, message=b"the page could not be told; it tries again.")
+
+    async def _send_changes(self, page: Page) -> None:
+        """What a slow page missed in between it never gets."""
         state = picture = cloud = chunks = 0
         you: dict[str, Any] = {}
         try:
