@@ -28,7 +28,7 @@ from .test_bench import bench as bench
 
 LATE_S = 10.0
 """After which the rig's configuration calls a step late."""
-STEPS = 20
+STEPS = 60
 MOST = 5000
 HELD = 300
 """Of them at once: far below the limit of open files, which this process shares."""
@@ -132,13 +132,16 @@ def test_five_thousand_half_open_connections_do_not_disturb_a_scan(bench, consol
             await page.until(lambda page: True)
             await scan(page, "still")
             lines = len(said.read_text().splitlines())
-            with Flood(port, held=HELD, per_s=400.0) as flood:
-                await asyncio.gather(scan(page, "flooded"), ask_until(lambda: "flooded" in ended(page)))
-                await ask_until(lambda: flood.opened >= MOST)
+            # The flood begins in mid-scan; of a camera that is opened within one see experiments/results/kills.md.
+            await page.order("sweep", name="flooded", resume=False)
+            await page.until(lambda page: taken(page, "flooded") >= 1)
+            with Flood(port, held=HELD, per_s=600.0) as flood:
+                await asyncio.gather(to_its_end(page, "flooded"), ask_until(lambda: "flooded" in ended(page)))
+                assert flood.opened >= MOST
                 quiet = len(said.read_text().splitlines())
                 configure(1500)
                 await page.order("sweep", name="stopped", resume=False)
-                await page.until(lambda page: page.state["done"] >= 1 and page.state["doing"] == "sweep")
+                await page.until(lambda page: taken(page, "stopped") >= 1)
                 while not bench.rig.plant()["light"]:
                     await asyncio.sleep(0.02)
                 before = bench.rig.plant()["cycle"]
@@ -148,10 +151,16 @@ def test_five_thousand_half_open_connections_do_not_disturb_a_scan(bench, consol
 
     async def scan(page, name):
         await page.order("sweep", name=name, resume=False)
+        await to_its_end(page, name)
+
+    async def to_its_end(page, name):
         for k in range(STEPS):
-            await page.until(lambda page, k=k: page.state["done"] > k and page.state["capture"] == name)
+            await page.until(lambda page, k=k: taken(page, name) > k)
         await page.done()
         assert f"{STEPS} records" in ended(page), page.state
+
+    def taken(page, name):
+        return page.state["done"] if page.state.get("capture") == name else 0
 
     def ended(page):
         return page.state["ended"] + page.state["problem"]
