@@ -400,10 +400,12 @@ MAY_WRITE = {
     "jaxscan/fleet/clusters/ssh.py": {".mkdir", ".open"},
     "jaxscan/cli/process/quiet.py": {".mkdir"},
     "jaxscan/recalibration/judge/parts.py": {"Part"},
+    "jaxscan/web/opening.py": {".touch", ".write_text"},
 }
 """Places that write by themselves: the door, and what it hands out; the database, whose file is looked at and made
 through the door before SQLite opens it; new files on other machines, through their SFTP; the folder of caches, which
-is made before any library is loaded and checked to be the user's own; parts of something else."""
+is made before any library is loaded and checked to be the user's own; parts of something else; a page in a new folder
+ that only this account can enter."""
 MAKERS = {"mkdir", "makedirs", "symlink", "link", "mkfifo", "mknod", "truncate", "copy", "copy2", "copyfile"}
 MAKERS |= {"copytree", "move", "save", "savez", "savez_compressed", "savetxt", "imwrite", "VideoWriter", "Part"}
 MAKERS |= {"connect", "create_engine", "RotatingFileHandler", "FileHandler"}

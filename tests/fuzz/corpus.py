@@ -81,6 +81,8 @@ def make_corpus(tiny: Path, folder: Path, configs: Path) -> None:
     pictures = folder / "pictures"
     assert main(["convert", str(tiny / "captures" / "sweep"), str(pictures), "--storage", "png"]) == 0
     _thinned(pictures, folder / "unsealed", RECORDS, plain=True)
+    # Views that overlap, so that images say how far the table turned.
+    _thinned(pictures, folder / "turning", RECORDS, plain=True, spread=False)
     shutil.rmtree(pictures)
     _thinned(tiny / "captures" / "boards", folder / "boards", VIEWS, plain=True)
     # A capture is sealed when it is copied into another storage.
@@ -118,14 +120,15 @@ def _filmed(pictures: Path, path: Path, codec: str) -> None:
     film.release()
 
 
-def _thinned(source: Path, target: Path, count: int, *, plain: bool) -> None:
-    """A capture of `count` records, spread over those of another; `plain`: without digests and events."""
+def _thinned(source: Path, target: Path, count: int, *, plain: bool, spread: bool = True) -> None:
+    """A capture of `count` records of another, over all of them or the first ones; `plain`: without digests, events."""
     target.mkdir()
     header = re.sub(r"(?m)^steps = \d+$", f"steps = {count}", (source / "capture.toml").read_text())
     (target / "capture.toml").write_text(header)
     records = [json.loads(line) for line in (source / "frames.jsonl").read_text().splitlines()]
     records = [record for record in records if "i" in record]
-    chosen = [records[k] for k in np.linspace(0, len(records) - 1, count).astype(int)]
+    last = len(records) - 1 if spread else count - 1
+    chosen = [records[k] for k in np.linspace(0, last, count).astype(int)]
     for number, record in enumerate(chosen):
         if plain:
             record.pop("sha256", None)

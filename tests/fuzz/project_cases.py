@@ -176,7 +176,7 @@ def wrong_angles(draft: Draft) -> Case:
     """Angles in radians, as a script would write them: nothing is damaged, and all is wrong."""
     import json
 
-    capture, calibration = draft.take("unsealed"), draft.take("calibration.json")
+    capture, calibration = draft.take("turning"), draft.take("calibration.json")
     journal = capture / "frames.jsonl"
     records = [json.loads(line) for line in journal.read_text().splitlines()]
     for record in records:

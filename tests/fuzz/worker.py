@@ -36,6 +36,8 @@ def _prepare(corpus: Path, work: Path) -> Watch:
     from jaxscan.cli.process import quiet
     from jaxscan.cli.process.running import _keep_to_lines
 
+    # Compiled modules would be written beside the sources, outside of the case.
+    sys.dont_write_bytecode = True
     for name in ("tmp", "home"):
         (work / name).mkdir(exist_ok=True)
     os.environ |= {"TMPDIR": str(work / "tmp"), "HOME": str(work / "home")}

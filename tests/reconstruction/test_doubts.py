@@ -80,6 +80,14 @@ def test_angles_that_cannot_be_are_doubted(angles, words):
     assert len(found) == 1 and words in found[0] and "\n" not in found[0]
 
 
+def test_a_whole_turn_in_radians_is_doubted_with_few_records():
+    turn = 30.0 * np.arange(12)
+    (doubt,) = journal_doubts(range(12), np.radians(turn), ONE[:12], None)
+    assert "radians" in doubt
+    # A small turn is none, nor is a sweep of 6 degrees that is no whole turn.
+    assert journal_doubts(range(12), turn / 60, ONE[:12], None) == []
+
+
 def test_missing_records_are_named():
     left = [k for k in range(COUNT) if k not in (5, 6, 20)]
     (doubt,) = journal_doubts(left, TURN[left], ONE[:37], None)

@@ -16,7 +16,9 @@ _STEP = 0.01
 _ROUND_DEG = 0.05
 """Angle that microsteps may be off [deg]."""
 _TURN_IN_RADIANS = 24
-"""Records from which a turn of 2 pi is taken for one in radians."""
+"""Records from which steps that divide 2 pi are taken for radians; of fewer, only a whole turn."""
+_WHOLE_TURN = 0.002
+"""Part by which a whole turn may differ from 2 pi [1]."""
 
 
 def journal_doubts(
@@ -91,7 +93,8 @@ def _unlike(written: float, step: float, expected: float) -> str:
 
 def _radians(degrees: np.ndarray, step: float) -> list[str]:
     """A turn that fits into 2 pi, in steps that divide it evenly."""
-    if len(degrees) < _TURN_IN_RADIANS or np.ptp(degrees) > 2 * np.pi * 1.01 or step <= 0:
+    whole = abs(np.ptp(degrees) + step - 2 * np.pi) < _WHOLE_TURN * 2 * np.pi
+    if step <= 0 or np.ptp(degrees) > 2 * np.pi * 1.01 or not (whole or len(degrees) >= _TURN_IN_RADIANS):
         return []
     parts = 2 * np.pi / step
     if abs(parts - round(parts)) > 0.02 or (parts > 2000 and abs(np.ptp(degrees) + step - 2 * np.pi) > 0.01):
