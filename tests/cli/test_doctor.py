@@ -45,7 +45,7 @@ def test_what_optional_packages_are_for(run, monkeypatch):
     found = checks(ran)
     for name, without, extra in (
         ("ezdxf", "drawings as DXF", "plan"),
-        ("pye57", "clouds as E57", "export"),
+        ("pye57", "clouds written as E57", "export"),
         ("aiohttp", "console, view", "console"),
         ("rerun-sdk", "view --rerun", "rerun"),
     ):
