@@ -1,43 +1,68 @@
-"""The stripe engine: learn from the first frames, then frames of one laser to stripes, natively or by XLA."""
+"""The stripe engine: learn from the first frames, then stacks of frames of one laser to stripes.
+
+All of it is one function that is compiled once for a stack of so many frames; fewer are filled up and cost nothing. On
+a CPU it goes from frame to frame, so that everything of a frame stays in a core's cache, and callers hand stacks to
+several threads; on an accelerator it takes several frames at a time.
+"""
 
 import functools
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import UInt8
+from jax import lax
+from jax.sharding import Mesh, PartitionSpec
+from jaxtyping import Int8, UInt8
 
-from jaxscan.geometry import Array
+from jaxscan.geometry import Array, StripeAxis
 from jaxscan.stripes.channels import doubted, doubts_of, other_channels
-from jaxscan.stripes.choosing import choose_stripes, chosen_of
-from jaxscan.stripes.continuation import (
-    NOTHING_MORE,
-    ChunkStripes,
-    Continuation,
-    continue_stripes,
-    merge_channels,
-    padded,
-)
+from jaxscan.stripes.choose import choose_stripes, chosen_of
 from jaxscan.stripes.estimators import Estimator, estimator_of
-from jaxscan.stripes.frames import LaserLine, check_black, learn_noise, with_colour
+from jaxscan.stripes.exposures import merge_brackets
+from jaxscan.stripes.frames import (
+    Colour,
+    LaserLine,
+    PixelFormat,
+    applied_ratio,
+    check_black,
+    lamp_ratio,
+    laser_sites,
+    learn_noise,
+    with_colour,
+)
+from jaxscan.stripes.planes import plane_of
 from jaxscan.stripes.search import (
     LEARNED_FRAMES,
-    REASONS,
     LineGate,
-    Planes,
     Search,
     correct_search,
-    host_planes,
     learn_search,
     noise_of,
     prepare_search,
-    read_planes,
     whole_lines,
 )
 from jaxscan.stripes.setup import ExtractionSetup
-from jaxscan.stripes.stripes import FrameStripes, NoiseModel
+from jaxscan.stripes.speckle import REASONS
+from jaxscan.stripes.stripes import Choice, FrameStripes, NoiseModel
+
+
+_LOOKS = (32, 80)
+"""Lines and samples of a frame from which the brightness of a pair is compared."""
+_AT_ONCE = 8
+"""Frames that an accelerator takes at a time."""
+_ALIGNED = 64
+"""Address of memory that JAX takes on a CPU without a copy [bytes]."""
+
+
+class ChunkStripes(NamedTuple):
+    """Stripes of a chunk of records."""
+
+    stripes: FrameStripes
+    chosen: Int8[Array, "records lines"] | None
+    """Of several candidates of every line the number of the stripe, -1 for none; None where one is given."""
 
 
 class StripeEngine(eqx.Module):
@@ -83,92 +108,199 @@ class StripeEngine(eqx.Module):
     def profiles_per_record(self) -> int:
         return self.estimator.candidates if self.setup.several else 1
 
-    def learn(self, on: Array, off: Array | None, then: Continuation = NOTHING_MORE) -> "StripeEngine":
+    def learn(self, on: Array, off: Array | None, records: int = 0) -> "StripeEngine":
         """The engine that knows width and speckle of the stripes in the first frames, where the settings ask for it.
 
         Arguments as of `extract`, so that nothing else is compiled.
         """
         if self.channels:
-            engines = [one.learn(on, off) for one in (self.own_channel(), *self.channels)]
-            found = [one.extract(on, off) for one in engines]
+            engines = [one.learn(on, off, records) for one in (self.own_channel(), *self.channels)]
+            found = [one.extract(on, off, records) for one in engines]
             doubts = doubts_of([chosen_of(one.stripes, one.chosen) for one in found], self.setup.sites.line_step)
             return StripeEngine(self.setup, engines[0].search, tuple(engines[1:]), self.responses, doubts)
         if not self.learns:
             return self
+        records = max(records, len(on))
         on, off = on[:LEARNED_FRAMES], None if off is None else off[:LEARNED_FRAMES]
-        then = NOTHING_MORE if self.takes_any_number(off) else then
-        plain = self.extract(on, off, then)
+        plain = self.extract(on, off, records)
         first = chosen_of(plain.stripes, plain.chosen)
         search = learn_search(self.search, first, self.setup)
         if search.speckle > self.search.speckle:
-            again = StripeEngine(self.setup, search).extract(on, off, then)
+            again = StripeEngine(self.setup, search).extract(on, off, records)
             search = correct_search(search, first, chosen_of(again.stripes, again.chosen), self.setup)
         return StripeEngine(self.setup, search)
 
-    def extract(self, on: Array, off: Array | None, then: Continuation = NOTHING_MORE) -> ChunkStripes:
+    def extract(self, on: Array, off: Array | None, records: int = 0) -> ChunkStripes:
         """Stripes of a chunk of records, a profile for each; with all candidates one for each of them.
 
-        On a CPU an estimator may search natively; elsewhere, and on several devices, all is one
-        function of XLA's, the frames shared out among the devices. Single precision throughout, so that
-        the result does not depend on the caller's setting.
+        Single precision throughout, so that the result does not depend on the caller's setting. Several devices share
+        the frames.
 
         Args:
-            on: Laser-on frames, uint8 [records, rows, columns] (rgb8: and 3), with a second axis over
-                exposures where there are several.
+            on: Laser-on frames, uint8 [records, rows, columns] (rgb8: and 3), with a second axis over exposures where
+                there are several.
             off: Laser-off frames of the same shape, or None.
-            then: Work that is compiled together with it.
+            records: Records that the function is compiled for, at least as many as there are.
 
         Returns:
             NumPy arrays in memory of their own.
         """
-        native, count = self._is_native(off), len(on)
-        if then.records and (self.channels or not native):
-            on, off = padded(on, then.records), None if off is None else padded(off, then.records)
         if self.channels:
-            return _cut(self._of_channels(on, off, then), count, then.records)
-        if len(self.setup.exposures) > 1:
-            on, off = on.reshape(-1, *on.shape[2:]), None if off is None else off.reshape(-1, *off.shape[2:])
+            return self._of_channels(on, off, records)
+        count, exposures = len(on), len(self.setup.exposures)
+        shape = on.shape[1 + (exposures > 1) :]
+        room = max(records, count)
         with jax.enable_x64(False):
-            if native and off is not None:
-                planes = host_planes(on, off, self.search, self.setup)
-                found = compute_natively(self, planes, off, then)
-            else:
-                found = self._compute(on, off, then)
-            return _cut(jax.tree.map(np.asarray, found), count, then.records)
+            ons = _stack(on, room)
+            offs = None if off is None else _stack(off, room)
+            kind = _Kind.of(self.setup, shape)
+            found = _extracted(ons, offs, np.int32(count * exposures), self.search, kind, room * exposures)
+            found = jax.tree.map(np.asarray, found)
+        return jax.tree.map(lambda field: field[: len(field) // room * count], found)
 
-    def takes_any_number(self, off: Array | None) -> bool:
-        """Whether nothing is compiled for the number of frames."""
-        return self._is_native(off) and not self.channels and len(self.setup.exposures) == 1
-
-    def _is_native(self, off: Array | None) -> bool:
-        """Whether stripes are found natively: on a CPU alone, in pairs, by an estimator that can."""
-        alone = jax.default_backend() == "cpu" and len(jax.local_devices()) == 1
-        return alone and off is not None and self.estimator.find_natively is not None
-
-    def _of_channels(self, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
+    def _of_channels(self, on: Array, off: Array | None, records: int) -> ChunkStripes:
         """Of every line the channel in which its stripe is known best."""
-        found = [one.extract(on, off) for one in (self.own_channel(), *self.channels)]
+        found = [one.extract(on, off, records) for one in (self.own_channel(), *self.channels)]
         doubts = self.doubts or (0.0,) * len(found)
         parts = [(doubted(one.stripes, found[0].stripes, d), one.chosen) for one, d in zip(found, doubts, strict=True)]
+        each = self.profiles_per_record
+
+        def together(fields: Sequence[Array], each: int) -> np.ndarray:
+            # [channels][records * each, lines] to [records * channels * each, lines].
+            lines = fields[0].shape[1]
+            return np.stack([np.asarray(field).reshape(-1, each, lines) for field in fields], 1).reshape(-1, lines)
+
+        stripes = jax.tree.map(lambda *fields: together(fields, each), *(one for one, _ in parts))
+        numbers = [number for _, number in parts if number is not None]
+        chosen = together(numbers, 1) if numbers else None
+        # Channels are chosen like exposures; amplitudes are as the first one sees them.
         with jax.enable_x64(False):
-            off = off if then.needs_frames else None
-            return jax.tree.map(np.asarray, _merge_channels(parts, off, then, self.setup, (1.0, *self.responses)))
-
-    def _compute(self, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
-        devices = jax.local_devices()
-        if len(devices) > 1:
-            mesh = Mesh(np.array(devices), ("frames",))
-            split = NamedSharding(mesh, PartitionSpec("frames"))
-            on, off = jax.device_put(on, split), None if off is None else jax.device_put(off, split)
-            return _on_devices(mesh, self, on, off, then)
-        return _at_once(self, on, off, then)
+            merged = merge_brackets(stripes, chosen, (1.0, *self.responses), each)
+            return ChunkStripes(*jax.tree.map(np.asarray, merged))
 
 
-def _cut(found: ChunkStripes, count: int, records: int) -> ChunkStripes:
-    """Of results of so many records those of the first ones."""
-    if records <= count:
-        return found
-    return jax.tree.map(lambda field: field[: len(field) // records * count], found)
+class _Kind(NamedTuple):
+    """All that the function is compiled for beside sizes: no name, no number of the settings."""
+
+    shape: tuple[int, ...]
+    """Of a frame."""
+    pixel_format: PixelFormat
+    colour: Colour
+    stripe_axis: StripeAxis
+    linear: bool
+    estimator: str
+    choice: Choice
+    exposures: tuple[float, ...]
+    several: bool
+
+    @classmethod
+    def of(cls, setup: ExtractionSetup, shape: tuple[int, ...]) -> "_Kind":
+        frames, line = setup.frames, setup.line
+        # Of a mono camera the colour means nothing.
+        colour: Any = "red" if frames.pixel_format == "mono8" else line.colour
+        settings = setup.settings
+        return cls(
+            tuple(int(size) for size in shape),
+            frames.pixel_format,
+            colour,
+            line.stripe_axis,
+            frames.response == "linear",
+            settings.estimator,
+            settings.choice,
+            setup.exposures,
+            setup.several,
+        )
+
+    @property
+    def line(self) -> LaserLine:
+        return LaserLine(colour=self.colour, stripe_axis=self.stripe_axis)
+
+
+def _stack(frames: Array, records: int) -> UInt8[Array, " bytes"]:
+    """The bytes of a chunk of frames, as memory that JAX takes without a copy where that can be.
+
+    NumPy's large arrays begin 16 bytes behind an aligned address. Frames inside of one are passed with the bytes
+    before them, from the last aligned address on; others are copied.
+    """
+    count, size = len(frames), int(np.prod(frames.shape[1:]))
+    if not isinstance(frames, np.ndarray):
+        frames = jnp.asarray(frames)
+        return jnp.pad(frames.reshape(-1), (0, (records - count) * size))
+    frames = np.ascontiguousarray(frames)
+    before = frames.ctypes.data % _ALIGNED
+    owner = frames
+    while isinstance(owner.base, np.ndarray) and owner.base.dtype == np.uint8:
+        owner = owner.base
+    first = frames.ctypes.data - owner.ctypes.data
+    if count == records and owner.flags.c_contiguous and first >= before:
+        return owner.reshape(-1)[first - before : first + count * size]
+    before = before if size % _ALIGNED == 0 else 0
+    memory = np.zeros(records * size + before + _ALIGNED, np.uint8)
+    start = -memory.ctypes.data % _ALIGNED
+    memory[start + before : start + before + count * size] = frames.reshape(-1)
+    return memory[start : start + before + records * size]
+
+
+@functools.partial(jax.jit, static_argnames=("kind", "frames"))
+def _extracted(on: Array, off: Array | None, count: Array, search: Search, kind: _Kind, frames: int) -> ChunkStripes:
+    devices = jax.local_devices()
+    if len(devices) == 1 or frames % len(devices):
+        return _of_stack(on, off, count, search, kind, frames)
+    # All local devices take the same number of frames each; no frame needs another one.
+    mesh, share = Mesh(np.array(devices), ("frames",)), frames // len(devices)
+    size = int(np.prod(kind.shape))
+    split, everywhere = PartitionSpec("frames"), PartitionSpec()
+
+    def part(on: Array, off: Array | None, count: Array, search: Search) -> ChunkStripes:
+        return _of_stack(on, off, count - share * lax.axis_index("frames"), search, kind, share)
+
+    cut = lambda stack: None if stack is None else stack[stack.size - frames * size :]
+    specs = (split, split, everywhere, everywhere)
+    call = jax.shard_map(part, mesh=mesh, in_specs=specs, out_specs=split, check_vma=False)
+    return call(cut(on), cut(off), count, search)
+
+
+def _of_stack(on: Array, off: Array | None, count: Array, search: Search, kind: _Kind, frames: int) -> ChunkStripes:
+    """Stripes of the first `count` frames of a stack; frames of a record's exposures follow each other."""
+    estimator, size = estimator_of(kind), int(np.prod(kind.shape))
+    sites = laser_sites(kind.pixel_format, kind.line)
+
+    def of_frame(k: Array) -> FrameStripes:
+        # The frames end with the stack.
+        cut = lambda stack: plane_of(stack, stack.size - (frames - k) * size, kind.shape, kind.pixel_format, kind.line)
+        lit, dark = cut(on), None if off is None else cut(off)
+        ratio = jnp.float32(1.0) if dark is None else _ratio(lit.samples, dark.samples, search)
+        return estimator.measure(lit, dark, ratio, search, sites, kind.linear)
+
+    if jax.default_backend() == "cpu":
+        shapes = jax.eval_shape(of_frame, jnp.int32(0))
+        nothing = jax.tree.map(lambda field: jnp.zeros((frames, *field.shape), field.dtype), shapes)
+
+        def put(k, found):
+            return jax.tree.map(lambda all, one: lax.dynamic_update_index_in_dim(all, one, k, 0), found, of_frame(k))
+
+        measured = lax.fori_loop(0, jnp.clip(count, 0, frames), put, nothing)
+    else:
+        measured = lax.map(of_frame, jnp.arange(frames, dtype=jnp.int32), batch_size=min(_AT_ONCE, frames))
+    lines = kind.shape[0] if kind.stripe_axis == "rows" else kind.shape[1]
+    stripes, chosen = choose_stripes(measured, search, kind.choice, sites, lines, several=kind.several)
+    if len(kind.exposures) > 1:
+        each = estimator.candidates if kind.several else 1
+        stripes, chosen = merge_brackets(stripes, chosen, kind.exposures, each)
+    return ChunkStripes(stripes, chosen)
+
+
+def _ratio(on: UInt8[Array, "lines samples"], off: UInt8[Array, "lines samples"], search: Search) -> Array:
+    """Factor by which the light of a frame's laser-off image is multiplied [1]."""
+    pair = lamp_ratio(*sample_pair(on[None], off[None]), search.read_dn, search.electrons_per_dn)
+    return applied_ratio(pair).astype(jnp.float32)[0]
+
+
+def sample_pair(on: Array, off: Array) -> tuple[Array, Array]:
+    """A lattice of pixels of every frame's plane, uint8 [frames, n], for `lamp_ratio`."""
+    steps = [max(1, size // looks) for size, looks in zip(on.shape[1:], _LOOKS, strict=True)]
+    first, second = (frames[:, :: steps[0], :: steps[1]] for frames in (on, off))
+    return first.reshape(len(on), -1), second.reshape(len(on), -1)
 
 
 def prepare_engines(
@@ -202,9 +334,7 @@ def prepare_engines(
         if noise is None:
             noise = learn_noise(on, off, frames=setup.frames, line=line).noise
         check_black(noise, on, frames=setup.frames, line=line)
-        # Lasers that look alike share their compiled functions: no name, and no colour for a mono camera.
-        colour = "red" if setup.frames.pixel_format == "mono8" else line.colour
-        setup = setup._replace(line=LaserLine(colour=colour, stripe_axis=line.stripe_axis))
+        setup = setup._replace(line=line)
         found = other_channels(on, off, setup, gate)
         others = [setup._replace(line=channel.line) for channel in found]
         own, *rest = (
@@ -222,54 +352,5 @@ def stripes_of_frames(engine: StripeEngine, on: UInt8[Array, "frames ..."], off:
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape, or None.
     """
-    return compute_at_once(engine, on, off, NOTHING_MORE).stripes
-
-
-def compute_at_once(engine: StripeEngine, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
-    """All of it by XLA; pure and traceable. Frames of a record's exposures follow each other."""
-    planes = read_planes(on, off, engine.search, engine.setup)
-    located = engine.estimator.locate(planes, engine.search, engine.setup)
-    return _finish(engine, (located, planes.lamp_ratio), off if then.needs_frames else None, then)
-
-
-def compute_natively(engine: StripeEngine, planes: Planes, off: Array | None, then: Continuation) -> ChunkStripes:
-    """The stripes natively, exposures and the continuation by XLA."""
-    find, setup = engine.estimator.find_natively, engine.setup
-    if find is None:
-        raise ValueError(f"The estimator {setup.settings.estimator!r} has no native code.")
-    stripes, chosen = find(planes, engine.search, setup)
-    if then is NOTHING_MORE and len(setup.exposures) == 1:
-        return ChunkStripes(stripes, chosen, None)
-    each = len(stripes.u) // max(len(planes.on), 1)
-    records = then.records or len(planes.on) // len(setup.exposures)
-    frames = records * len(setup.exposures)
-    stripes = FrameStripes(*(padded(field, frames * each) for field in stripes))
-    chosen = None if chosen is None else padded(chosen, frames)
-    off = padded(off, frames) if then.needs_frames and off is not None else None
-    return _from_stripes(stripes, chosen, off, then, setup)
-
-
-def _finish(engine: StripeEngine, located: tuple, off: Array | None, then: Continuation) -> ChunkStripes:
-    """Measure, choose, merge exposures, continue."""
-    setup, search = engine.setup, engine.search
-    measured = engine.estimator.measure(located[0], located[1], search, setup)
-    return continue_stripes(*choose_stripes(measured, search, setup), off, then, setup)
-
-
-_at_once = jax.jit(compute_at_once)
-_from_stripes = jax.jit(continue_stripes, static_argnums=4)
-_merge_channels = jax.jit(merge_channels, static_argnums=(3, 4))
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _on_devices(mesh: Mesh, engine: StripeEngine, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
-    """All local devices take the same number of frames each; no frame needs another one."""
-    frames, everywhere = PartitionSpec("frames"), PartitionSpec()
-    specs = (
-        everywhere,
-        frames,
-        frames,
-        Continuation(then.function, everywhere, frames, then.needs_frames, then.records),
-    )
-    call = jax.shard_map(compute_at_once, mesh=mesh, in_specs=specs, out_specs=frames, check_vma=False)
-    return call(engine, on, off, then)
+    kind, flat = _Kind.of(engine.setup, on.shape[1:]), None if off is None else off.reshape(-1)
+    return _of_stack(on.reshape(-1), flat, jnp.int32(len(on)), engine.search, kind, len(on)).stripes

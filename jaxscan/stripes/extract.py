@@ -2,7 +2,6 @@
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.dark import predict_off
@@ -61,22 +60,14 @@ def extract_stripes(
     if predicted:
         engine = engine.own_channel()
     chunks = [slice(start, start + _CHUNK) for start in range(0, len(on), _CHUNK)]
-    frames_of = lambda part: (_padded(on[part], len(on)), None if off is None else _padded(off[part], len(on)))
+    records = min(_CHUNK, len(on))
+    frames_of = lambda part: (on[part], None if off is None else off[part], records)
     engine = engine.learn(*frames_of(chunks[0]))
     found = [engine.extract(*frames_of(part)).stripes for part in chunks]
     each = engine.profiles_per_record
     profiles = each * len(on)
     with jax.enable_x64(False):
-        joined = jax.tree.map(lambda *fields: jnp.concatenate(fields)[:profiles], *found)
+        joined = jax.tree.map(lambda *fields: jnp.concatenate(fields), *found)
         fields = {name: getattr(joined, name) for name in KEPT_FIELDS}
         record = jnp.repeat(jnp.arange(len(on), dtype=jnp.int32), each)
         return Stripes(**fields, record=record, laser=jnp.zeros(profiles, jnp.int32))
-
-
-def _padded(frames: Array, total: int) -> Array:
-    """A short last chunk filled up, so that one compiled function serves all."""
-    missing = min(_CHUNK, total) - len(frames)
-    if missing == 0:
-        return frames
-    xp = np if isinstance(frames, np.ndarray) else jnp
-    return xp.concatenate([frames, xp.zeros((missing, *frames.shape[1:]), frames.dtype)])

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.fitting import DarkWindow, moments
+from jaxscan.stripes.fit import DarkWindow, moments
 
 
 NO_INFORMATION = 1e3

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.geometry import Array
+from jaxscan.stripes.engine import sample_pair
 from jaxscan.stripes.extract import extract_stripes
-from jaxscan.stripes.fitting import DarkWindow
+from jaxscan.stripes.fit import DarkWindow
 from jaxscan.stripes.frames import (
     FrameFormat,
     LaserLine,
@@ -19,7 +20,6 @@ from jaxscan.stripes.frames import (
     laser_sites,
 )
 from jaxscan.stripes.leak import frame_leak, leak
-from jaxscan.stripes.search import sample_pair
 
 
 _MONO = FrameFormat()
@@ -79,5 +79,5 @@ def judge_pairs(on: Array, off: Array, *, frames: FrameFormat = _MONO, line: Las
         each = leak(window, flat(centre - middle), flat(width), flat(amplitude))
         of_frame = frame_leak(jax.tree.map(lambda values: values.reshape(count, lines), each), valid)
         pair = sample_pair(lit, dark)
-        unrest = np.ones(count) if pair is None else lamp_ratio(*pair, noise.read_dn, noise.electrons_per_dn).unrest
+        unrest = lamp_ratio(*pair, noise.read_dn, noise.electrons_per_dn).unrest
         return PairQuality(np.asarray(of_frame.ratio), np.asarray(of_frame.sigma), np.asarray(unrest))

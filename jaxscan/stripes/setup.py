@@ -1,4 +1,4 @@
-"""The setup of an extraction: all that its functions are compiled for."""
+"""The setup of an extraction."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from jaxscan.stripes.stripes import StripeSettings
 
 
 class ExtractionSetup(NamedTuple):
-    """Frames of one kind, a laser as they show it, and the settings; static, so another one compiles anew."""
+    """Frames of one kind, a laser as they show it, and the settings."""
 
     image_size: tuple[int, int]
     """Width and height of a frame [px]."""

@@ -69,15 +69,6 @@ KEPT_FIELDS = tuple(name for name in FrameStripes._fields if name not in ("snr",
 """Fields of `FrameStripes` that `Stripes` has too."""
 
 
-class MeasuredLines(NamedTuple):
-    """Measured candidates of a chunk of frames, and which of them are on each line."""
-
-    measured: FrameStripes
-    """In any order [candidates]."""
-    slots: Int[Array, "frames lines k"]
-    """Index of each candidate of a line; -1 where there is none."""
-
-
 @dataclass(frozen=True)
 class NoiseModel:
     """Noise of one frame: variance = read_dn^2 + light / electrons_per_dn (+ 1/12)  [DN^2], light = level - black_dn;
@@ -104,7 +95,7 @@ Choice = Literal["path", "brightest", "nearest", "farthest", "all"]
 
 @dataclass(frozen=True)
 class StripeSettings:
-    """How stripes are found and which are believed; static, so a change recompiles."""
+    """How stripes are found and which are believed."""
 
     estimator: str = "gaussian"
     """How a centre is found on a line: "gaussian" fits a Gaussian to every maximum; "centre_of_gravity"

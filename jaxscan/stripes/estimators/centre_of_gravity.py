@@ -14,14 +14,16 @@ and reflections beside the stripe pull the centre, and clipping is not corrected
 import math
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.search import Planes, Search
-from jaxscan.stripes.setup import ExtractionSetup
-from jaxscan.stripes.stripes import Choice, FrameStripes, MeasuredLines
+from jaxscan.stripes.frames import Sites
+from jaxscan.stripes.planes import Plane
+from jaxscan.stripes.search import Search
+from jaxscan.stripes.stripes import Choice, FrameStripes
 
 
 _REACH = 16
@@ -55,73 +57,78 @@ class CentreOfGravity:
     """One candidate a line: the brightest."""
 
     candidates = 1
-    find_natively = None
     choices: tuple[Choice, ...] = ("path", "brightest")
     learns = False
 
-    def locate(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Peak:
-        """The highest sample of every blurred line."""
-        levels, samples = jnp.asarray(search.levels), planes.on.shape[2]
-        number = jnp.arange(samples, dtype=jnp.int32)[None, None, :]
-        low, high = (jnp.asarray(limit)[None, :, None] for limit in (search.low, search.high))
-        gate = (number >= low) & (number < high)
-        on = levels[planes.on]
-        room = _median(on, gate) if planes.off is None else planes.lamp_ratio[:, None, None] * levels[planes.off]
-        light = jnp.where(gate, on - room, -jnp.inf)
-        place = jnp.argmax(_blurred(jnp.pad(light, _BORDER, mode="edge")), axis=2).astype(jnp.int32)
-        index = place[..., None] + np.arange(-_REACH - 1, _REACH + 2, dtype=np.int32)[None, None, :]
-        inside = (index >= low) & (index < high)
-        index = jnp.clip(index, 0, samples - 1)
-
-        def window(values):
-            return jnp.take_along_axis(jnp.asarray(values), index, 2)
-
-        clipped = inside & (window(planes.on) >= setup.settings.saturation)
-        return Peak(
-            place,
-            inside,
-            light=jnp.where(inside, window(light), 0.0),
-            room=window(jnp.broadcast_to(room, on.shape)),
-            off=None if planes.off is None else levels[window(planes.off)],
-            saturated=jnp.sum(clipped, axis=2).astype(jnp.uint8),
-        )
-
     def measure(
-        self, located: Peak, lamp_ratio: Float[Array, " frames"], search: Search, setup: ExtractionSetup
-    ) -> MeasuredLines:
-        """The centre of gravity of every line, its standard deviation by propagation of the noise."""
-        settings, pitch, light = setup.settings, setup.sites.pitch, located.light
-        variance = _variance(located, lamp_ratio[:, None, None], search)
-        blurred = _blurred(light)
-        top = blurred[:, :, _REACH, None]
-        counts = _around_the_middle(located.inside[:, :, 1:-1] & (blurred > _SHARE * top))
-        weight = jnp.where(counts, blurred - _SHARE * top, 0.0)
-        total = jnp.sum(weight, axis=2, keepdims=True)
-        total = jnp.where(total > 0, total, 1.0)
-        x = jnp.arange(-_REACH, _REACH + 1, dtype=jnp.float32)[None, None, :]
-        centre = jnp.sum(x * weight, axis=2, keepdims=True) / total
-        # d centre / d blurred sample; the highest one moves the threshold too.
-        pull = jnp.where(counts, x - centre, 0.0) / total
-        pull = pull - jnp.where(x == 0, _SHARE * jnp.sum(pull, axis=2, keepdims=True), 0.0)
-        of_sample = _blurred(jnp.pad(pull, ((0, 0), (0, 0), (2, 2))))
-        sigma = pitch * jnp.sqrt(jnp.sum(of_sample**2 * variance, axis=2))
-        lit = jnp.where(counts, light[:, :, 1:-1], 0.0)
-        amplitude = jnp.max(lit, axis=2)
-        width = pitch * jnp.sum(lit, axis=2) / (math.sqrt(2.0 * math.pi) * jnp.maximum(amplitude, 1e-3))
-        samples_wide = jnp.maximum(width / pitch, 0.5)
-        sigma = jnp.sqrt(sigma**2 + (pitch * _SAMPLING / samples_wide**2) ** 2)
-        snr = jnp.maximum(top[:, :, 0], 0.0) / jnp.sqrt(sum(h * h for h in _BLUR) * variance[:, :, _REACH + 1])
-        valid = (amplitude > 0) & (snr >= settings.least_snr) & (sigma <= settings.max_sigma_px)
-        valid &= (width >= settings.min_width_px) & (width <= settings.max_width_px)
-        grey = jnp.zeros_like(snr)
-        if located.off is not None:
-            nearest = jnp.round(centre).astype(jnp.int32) + _REACH + 1
-            grey = jnp.take_along_axis(located.off, nearest, 2)[:, :, 0]
-        nothing = jnp.zeros_like(snr)
-        u = pitch * (located.place.astype(jnp.float32) + centre[:, :, 0])
-        fields = u, sigma, amplitude, width, nothing, nothing, snr, grey, located.saturated, valid
-        slots = jnp.arange(u.size, dtype=jnp.int32).reshape(*u.shape, 1)
-        return MeasuredLines(FrameStripes(*(field.ravel() for field in fields)), slots)
+        self, on: Plane, off: Plane | None, lamp_ratio: Array, search: Search, sites: Sites, linear: bool
+    ) -> FrameStripes:
+        """The centre of gravity of the brightest place of every line, its standard deviation by propagation."""
+        dark = None if off is None else off.samples[None]
+        return _measured(_located(on.samples[None], dark, lamp_ratio[None], search), lamp_ratio, search, sites.pitch)
+
+
+def _located(on: Array, off: Array | None, lamp_ratio: Array, search: Search) -> Peak:
+    """The highest sample of every blurred line."""
+    levels, samples = jnp.asarray(search.levels), on.shape[2]
+    number = jnp.arange(samples, dtype=jnp.int32)[None, None, :]
+    low, high = (jnp.asarray(limit)[None, :, None] for limit in (search.low, search.high))
+    gate = (number >= low) & (number < high)
+    lit = levels[on]
+    room = _median(lit, gate) if off is None else lamp_ratio[:, None, None] * levels[off]
+    light = jnp.where(gate, lit - room, -jnp.inf)
+    place = jnp.argmax(_blurred(jnp.pad(light, _BORDER, mode="edge")), axis=2).astype(jnp.int32)
+    index = place[..., None] + np.arange(-_REACH - 1, _REACH + 2, dtype=np.int32)[None, None, :]
+    inside = (index >= low) & (index < high)
+    index = jnp.clip(index, 0, samples - 1)
+
+    def window(values):
+        return jnp.take_along_axis(jnp.asarray(values), index, 2)
+
+    clipped = inside & (window(on) >= search.limits.saturation)
+    return Peak(
+        place,
+        inside,
+        light=jnp.where(inside, window(light), 0.0),
+        room=window(jnp.broadcast_to(room, lit.shape)),
+        off=None if off is None else levels[window(off)],
+        saturated=jnp.sum(clipped, axis=2).astype(jnp.uint8),
+    )
+
+
+def _measured(located: Peak, lamp_ratio: Array, search: Search, pitch: int) -> FrameStripes:
+    """The stripes [1, lines]: one candidate of a line."""
+    limits, light = search.limits, located.light
+    variance = _variance(located, lamp_ratio, search)
+    blurred = _blurred(light)
+    top = blurred[:, :, _REACH, None]
+    counts = _around_the_middle(located.inside[:, :, 1:-1] & (blurred > _SHARE * top))
+    weight = jnp.where(counts, blurred - _SHARE * top, 0.0)
+    total = jnp.sum(weight, axis=2, keepdims=True)
+    total = jnp.where(total > 0, total, 1.0)
+    x = jnp.arange(-_REACH, _REACH + 1, dtype=jnp.float32)[None, None, :]
+    centre = jnp.sum(x * weight, axis=2, keepdims=True) / total
+    # d centre / d blurred sample; the highest one moves the threshold too.
+    pull = jnp.where(counts, x - centre, 0.0) / total
+    pull = pull - jnp.where(x == 0, _SHARE * jnp.sum(pull, axis=2, keepdims=True), 0.0)
+    of_sample = _blurred(jnp.pad(pull, ((0, 0), (0, 0), (2, 2))))
+    sigma = pitch * jnp.sqrt(jnp.sum(of_sample**2 * variance, axis=2))
+    lit = jnp.where(counts, light[:, :, 1:-1], 0.0)
+    amplitude = jnp.max(lit, axis=2)
+    width = pitch * jnp.sum(lit, axis=2) / (math.sqrt(2.0 * math.pi) * jnp.maximum(amplitude, 1e-3))
+    samples_wide = jnp.maximum(width / pitch, 0.5)
+    sigma = jnp.sqrt(sigma**2 + (pitch * _SAMPLING / samples_wide**2) ** 2)
+    snr = jnp.maximum(top[:, :, 0], 0.0) / jnp.sqrt(sum(h * h for h in _BLUR) * variance[:, :, _REACH + 1])
+    valid = (amplitude > 0) & (snr >= limits.least_snr) & (sigma <= limits.max_sigma)
+    valid &= (width >= limits.min_width) & (width <= limits.max_width)
+    grey = jnp.zeros_like(snr)
+    if located.off is not None:
+        nearest = jnp.round(centre).astype(jnp.int32) + _REACH + 1
+        grey = jnp.take_along_axis(located.off, nearest, 2)[:, :, 0]
+    nothing = jnp.zeros_like(snr)
+    u = pitch * (located.place.astype(jnp.float32) + centre[:, :, 0])
+    fields = u, sigma, amplitude, width, nothing, nothing, snr, grey, located.saturated, valid
+    return jax.tree.map(lambda field: jnp.where(valid, field, jnp.zeros_like(field)), FrameStripes(*fields))
 
 
 def _variance(located: Peak, ratio: Array, search: Search) -> Float[Array, "frames lines window"]:

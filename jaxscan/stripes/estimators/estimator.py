@@ -1,29 +1,19 @@
-"""The protocol of an estimator: from the planes of the laser's colour to measured candidates on every line."""
+"""The protocol of an estimator: from a frame's plane of the laser's colour to measured candidates on every line."""
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
-from jaxtyping import Int8
+from jaxtyping import Float
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.search import Planes, Search
-from jaxscan.stripes.setup import ExtractionSetup
-from jaxscan.stripes.stripes import Choice, FrameStripes, MeasuredLines
-
-
-class Found(NamedTuple):
-    """Stripes on the lines of the image, as of `choose_stripes`."""
-
-    stripes: FrameStripes
-    chosen: Int8[Array, "frames lines"] | None
+from jaxscan.stripes.frames import Sites
+from jaxscan.stripes.planes import Plane
+from jaxscan.stripes.search import Search
+from jaxscan.stripes.stripes import Choice, FrameStripes
 
 
 @runtime_checkable
 class Estimator(Protocol):
-    """Finds and measures stripes; the engine learns, chooses among candidates, and puts them on the image's lines.
-
-    Coordinates are those of the laser's plane: sample s of a line lies at `setup.sites.pitch` times s [px].
-    """
+    """Finds and measures stripes; the engine learns, chooses among candidates, and puts them on the image's lines."""
 
     candidates: int
     """Largest number of candidates of a line."""
@@ -32,20 +22,25 @@ class Estimator(Protocol):
     learns: bool
     """Whether the stripes of the first frames tell it width and speckle."""
 
-    @property
-    def find_natively(self) -> Callable[[Planes, Search, ExtractionSetup], Found] | None:
-        """`locate`, `measure` and the choice faster on a CPU, of NumPy planes with laser-off frames; None where there
-        is no such function."""
-
-    def locate(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Any:
-        """Where stripes may be, as `measure` takes it; pure and traceable."""
-
-    def measure(self, located: Any, lamp_ratio: Any, search: Search, setup: ExtractionSetup) -> MeasuredLines:
-        """Centres and their standard deviations; pure and traceable.
+    def measure(
+        self,
+        on: Plane,
+        off: Plane | None,
+        lamp_ratio: Float[Array, ""],
+        search: Search,
+        sites: Sites,
+        linear: bool,
+    ) -> FrameStripes:
+        """Centres and their standard deviations in one frame; pure and traceable.
 
         Args:
-            located: The result of either search.
-            lamp_ratio: Factor by which the light of each frame's laser-off image is multiplied [frames].
-            search: Where to look, and the noise.
-            setup: Frames, laser and settings.
+            on: With the laser on; sample s of a line lies at `sites.pitch` times s [px].
+            off: The same with the laser off, where there are any.
+            lamp_ratio: Factor by which the light of the laser-off frame is multiplied [1].
+            search: Where to look, the noise, and what is believed.
+            sites: Where the plane lies in the image.
+            linear: Whether codes are linear levels.
+
+        Returns:
+            Fields [candidates, lines of the plane]; zero where there is no stripe.
         """

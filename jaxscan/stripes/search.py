@@ -1,18 +1,27 @@
-"""The search: where a stripe is looked for, from which signal on, and the prior of its width."""
+"""The search: where a stripe is looked for, from which signal on, and what is believed; and what first frames tell."""
 
 import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, Int16
+from jaxtyping import Bool, Float, Int, Int16
 
 from jaxscan.geometry import Array, across_and_along
 from jaxscan.stripes.frames import decode_table
-from jaxscan.stripes.search.candidates import thresholds
-from jaxscan.stripes.search.speckle import Rows, correct_speckle, learn_speckle
-from jaxscan.stripes.search.widths import LEARNED_FRAMES, learn_widths
+from jaxscan.stripes.peaks import COARSE_NORM, LATTICE_PX
 from jaxscan.stripes.setup import ExtractionSetup
-from jaxscan.stripes.stripes import FrameStripes, NoiseModel
+from jaxscan.stripes.speckle import Rows, correct_speckle, learn_speckle
+from jaxscan.stripes.stripes import FrameStripes, NoiseModel, StripeSettings
+
+
+LEARNED_FRAMES = 8
+"""Frames from which width and speckle are learned."""
+_LEAST_STRIPES = 100
+"""With fewer no width is learned."""
+_LEAST_SPREAD = 0.1
+"""Smallest standard deviation of the prior of the width [1]."""
+_WORST = 0.3
+"""Standard deviation of a logarithm of the width up to which a stripe tells something [1]."""
 
 
 class LineGate(NamedTuple):
@@ -26,6 +35,40 @@ class LineGate(NamedTuple):
     """+1 where the range falls towards higher coordinates, -1 where it grows; 0 if unknown."""
 
 
+class Limits(NamedTuple):
+    """The numbers of `StripeSettings` that compiled code takes, so that another setting compiles nothing."""
+
+    saturation: Int[Array, ""]
+    iterations: Int[Array, ""]
+    clipped_iterations: Int[Array, ""]
+    least_snr: Float[Array, ""]
+    min_snr: Float[Array, ""]
+    continued_snr: Float[Array, ""]
+    min_width: Float[Array, ""]
+    max_width: Float[Array, ""]
+    max_sigma: Float[Array, ""]
+    max_chi2: Float[Array, ""]
+    max_misfit: Float[Array, ""]
+    guard_edges: Float[Array, ""]
+    """1 where an edge under the stripe widens its sigma, else 0."""
+
+    @classmethod
+    def of(cls, settings: StripeSettings) -> "Limits":
+        numbers = settings.saturation, settings.iterations, settings.clipped_iterations
+        rest = (
+            settings.least_snr,
+            settings.min_snr,
+            settings.continued_snr,
+            settings.min_width_px,
+            settings.max_width_px,
+            settings.max_sigma_px,
+            settings.max_chi2,
+            settings.max_misfit,
+            float(settings.guard_edges),
+        )
+        return cls(*(np.asarray(n, np.int32) for n in numbers), *(np.asarray(x, np.float32) for x in rest))
+
+
 class Search(NamedTuple):
     """Where and from which signal on stripes are looked for; arrays, so a change compiles nothing."""
 
@@ -37,6 +80,8 @@ class Search(NamedTuple):
     """Smallest response of a candidate, by the mean level of its line."""
     levels: Float[Array, "256"]
     """Linear level of each code [DN]."""
+    rounding: Float[Array, "256"]
+    """Variance that rounding gives to that level [DN^2]."""
     read_dn: Float[Array, ""]
     """Read noise of one frame [DN]."""
     electrons_per_dn: Float[Array, ""]
@@ -53,6 +98,25 @@ class Search(NamedTuple):
     """Information of this mean as a prior of each stripe [1]; 0 while nothing is known."""
     near_side: Float[Array, ""]
     """+1 where the nearer of two stripes has the larger centre, else -1; 0 if unknown."""
+    limits: Limits
+
+
+def thresholds(noise: NoiseModel, settings: StripeSettings, *, pitch: int, has_off: bool) -> Int16[np.ndarray, "256"]:
+    """Smallest response of a candidate, by the level of the room around it [DN].
+
+    Args:
+        noise: Noise of a frame.
+        settings: With the signal-to-noise ratio from which a maximum is a candidate.
+        pitch: Distance between samples [px]: a lattice point adds up two samples, or is one.
+        has_off: Whether a laser-off frame is subtracted; else the mean of eight lattice points is.
+    """
+    level = np.arange(256.0)
+    variance = noise.variance(level)
+    samples = LATTICE_PX / pitch
+    # The surround counts four times (the triangle's weight) with an eighth of the variance.
+    spread = COARSE_NORM**2 * (2.0 if has_off else 1.0) + (0.0 if has_off else 2.0)
+    response = settings.candidate_snr * np.sqrt(spread * samples * variance)
+    return np.clip(np.ceil(response), 2, 32000).astype(np.int16)
 
 
 def whole_lines(setup: ExtractionSetup, near_side: int = 0) -> LineGate:
@@ -82,11 +146,13 @@ def prepare_search(setup: ExtractionSetup, noise: NoiseModel, gate: LineGate, *,
     samples = across // sites.pitch
     first = np.clip((gate.low[plane] - offset) // sites.pitch, 0, samples)
     last = np.clip(-(-(gate.high[plane] - offset) // sites.pitch), 0, samples)
+    levels, slopes = decode_table(setup.frames.response)
     return Search(
         low=first.astype(np.int32),
         high=last.astype(np.int32),
         thresholds=thresholds(noise, settings, pitch=sites.pitch, has_off=has_off),
-        levels=decode_table(setup.frames.response)[0].astype(np.float32),
+        levels=levels.astype(np.float32),
+        rounding=(slopes**2 / 12).astype(np.float32),
         read_dn=np.asarray(noise.read_dn, np.float32),
         electrons_per_dn=np.asarray(noise.electrons_per_dn, np.float32),
         black_dn=np.asarray(noise.black_dn, np.float32),
@@ -95,6 +161,7 @@ def prepare_search(setup: ExtractionSetup, noise: NoiseModel, gate: LineGate, *,
         log_width=np.zeros((), np.float32),
         width_information=np.zeros((), np.float32),
         near_side=np.asarray(gate.near_side, np.float32),
+        limits=Limits.of(settings),
     )
 
 
@@ -148,3 +215,32 @@ def _rows(search: Search, stripes: FrameStripes, setup: ExtractionSetup) -> Rows
     dark = 2.0 * noise_of(search).variance(grey)
     fitted = valid & (np.asarray(stripes.saturated)[lines] == 0) & (chi2 > 0)
     return Rows(u, sigma, amplitude, width, dark, valid, fitted)
+
+
+def learn_widths(
+    width: Float[np.ndarray, "frames lines"],
+    sigma: Float[np.ndarray, "frames lines"],
+    valid: Bool[np.ndarray, "frames lines"],
+) -> tuple[float, float]:
+    """Mean of the logarithm of the width [px], and the prior's information (0: nothing is known).
+
+    Of a faint stripe the samples tell the width badly, and a fit of the wrong width finds a worse centre. The width of
+    the other stripes is therefore a prior: a normal distribution of the logarithm of the width, whose spread is the
+    stripes' own, without that of their noise.
+
+    Args:
+        width: Fitted standard deviations of some frames' stripes [px].
+        sigma: Standard deviation of their centres [px]; relative to the width that of a
+            logarithm of the width too, as long as amplitude and width are unknown.
+        valid: Which of them exist.
+    """
+    safe = np.where(valid, width, 1.0)
+    noise = (sigma / safe) ** 2
+    used = valid & (noise < _WORST**2)
+    if np.count_nonzero(used) < _LEAST_STRIPES:
+        return 0.0, 0.0
+    # Integration over a pixel widens the stripe that the fit sees.
+    logarithm = 0.5 * np.log(safe[used] ** 2 + 1 / 12)
+    low, middle, high = np.percentile(logarithm, [15.9, 50.0, 84.1])
+    own = max((0.5 * (high - low)) ** 2 - float(np.mean(noise[used])), _LEAST_SPREAD**2)
+    return float(middle), 1.0 / own

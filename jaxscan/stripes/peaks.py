@@ -1,0 +1,302 @@
+"""Where the stripe may be: the highest maxima of two matched filters on every line of a frame.
+
+The filters run on a lattice of 2 px: sums of two neighbouring samples, or the samples themselves where they are 2 px
+apart. A triangle over three lattice points (weights 1, 2, 1) is within a few per cent of the matched filter of stripes
+between 1 and 2 px; the sum of three triangles is within a few per cent of those between 2.5 and 6 px. A line's
+candidates are the highest maxima of the larger of the two, each with the zone around it that belongs to it.
+
+It is written for XLA, which makes fast code of elementwise operations over long rows and of nothing else: two samples
+are added inside the 16-bit word that they share; the maximum along a line is folded, slice onto slice of it, where the
+best two of every 16 points, a comb with wide gaps, are kept; and the lattice at the borders, which filters reach
+beyond, is a small array of its own, so that no padding copies the frame.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Bool, Float, Int, Int16, UInt8
+
+from jaxscan.geometry import Array
+from jaxscan.stripes.planes import Plane
+
+
+CANDIDATES = 3
+"""Candidates of a line."""
+LATTICE_PX = 2
+"""Spacing of the points on which candidates are searched [px]."""
+WINDOW = 24
+"""Samples of a fit's window."""
+FINE_NORM, COARSE_NORM = np.sqrt(6.0), np.sqrt(22.0)
+"""Root sums of squares of the two filters' weights on the lattice."""
+_FINE_SHIFT = 3
+"""2 - 1 / 8 brings the fine filter's response to the noise of the coarse one's, within 2 %."""
+_HALF_SPAN = 12
+"""Lattice points on either side of a maximum in which its extent is measured."""
+_ZONE_SPAN = 24
+"""Lattice points on either side of a maximum that may belong to it."""
+_BIN_EXTENT_PX = 13.0
+"""Extent from which two samples of a window are taken as one [px]."""
+_FLANK_GAP = 4
+_TEETH = 16
+"""Points of a comb; the number of one takes four bits of a key."""
+_MARGIN = 3
+"""Lattice points that the filters reach to either side."""
+
+keep = lax.optimization_barrier
+"""Computed once and kept, where several reductions or gathers use it: XLA would compute it again for each."""
+
+
+class Peaks(NamedTuple):
+    """Candidates of one frame, the highest of each line first."""
+
+    exists: Bool[Array, "candidates lines"]
+    at: Float[Array, "candidates lines"]
+    """Centre, from the line's first sample [px]."""
+    extent: Float[Array, "candidates lines"]
+    """Distance between the half-maximum points, widened by the filter [px]."""
+    first: Int[Array, "candidates lines"]
+    """First sample of the window for the fit; may lie outside the line."""
+    bins: Int[Array, "candidates lines"]
+    """Neighbouring samples that are taken as one."""
+
+
+def find_peaks(
+    on: Plane,
+    off: Plane | None,
+    lamp_ratio: Float[Array, ""],
+    low: Int[Array, " lines"],
+    high: Int[Array, " lines"],
+    thresholds: Int16[Array, "256"],
+    *,
+    pitch: int,
+) -> Peaks:
+    """The candidates of a frame.
+
+    Args:
+        on: With the laser on.
+        off: The same with the laser off. Without it the level of both sides of a maximum is subtracted, the higher of
+            the two, so that no edge wins.
+        lamp_ratio: Factor by which the light of the laser-off frame is multiplied [1].
+        low: First sample of each line that may hold the stripe.
+        high: The sample behind the last one; a line whose `high` is not above `low` has no candidate.
+        thresholds: Smallest response of a candidate by the mean level of its line.
+        pitch: Distance between samples [px], 1 or 2.
+    """
+    each = LATTICE_PX // pitch
+    points = on.samples.shape[1] // each
+    begin, end = low // each, jnp.minimum(-(-high // each), points)
+    point = jnp.arange(points, dtype=jnp.int16)[None]
+    inside = (point >= begin.astype(jnp.int16)[:, None]) & (point < end.astype(jnp.int16)[:, None])
+    level = _lattice(on.samples, pitch)
+    if off is not None:
+        room = _lattice(off.samples, pitch)
+        level = level - room - _brighter(room, lamp_ratio)
+    lattice = keep(jnp.where(inside, level, jnp.int16(0)))
+    ground = None if off is not None else keep(_surround(lattice))
+
+    def measured(at):
+        """Response, threshold, extent to both sides and the zone of a maximum of every line."""
+        around = _around(lattice, at, begin, end)
+        if off is None:
+            base = jnp.take_along_axis(ground, at[:, None], 1)[:, 0]
+            mean = base // (8 * each)
+        else:
+            base, mean = jnp.zeros_like(at), _level(off, each * at)
+        threshold = jnp.asarray(thresholds)[mean].astype(jnp.int32)
+        fine, response = _filtered(around, base)
+        offset = np.arange(-_ZONE_SPAN - 1, _ZONE_SPAN + 2, dtype=np.int32)[:, None]
+        counts = (at + offset >= begin) & (at + offset < end)
+        response = jnp.where(counts, response, -1)
+        half = [_half_distance(fine - (base >> 1), counts, side) for side in (-1, 1)]
+        zone = [_zone_steps(response, threshold, side) for side in (-1, 1)]
+        return response[_ZONE_SPAN + 1] >= threshold, *half, at - zone[0], at + zone[1]
+
+    def rank(state, _):
+        """The highest maximum that is left, and what is left without its zone."""
+        combs, borders = state
+        keys = borders if combs is None else jnp.maximum(_decoded(combs >> 16), borders)
+        key = jnp.max(keys, 1)
+        at = _LAST - (key & _LAST)
+        # A branch, because what comes out of it is kept: else XLA walks through a zone again for each point of a line.
+        nothing = (jnp.zeros(key.shape, jnp.bool_), *(jnp.zeros(key.shape, jnp.float32),) * 2, at, at)
+        exists, before, after, first, last = lax.cond(jnp.any(key > 0), measured, lambda _: nothing, at)
+
+        def outside(keys):
+            place = _LAST - (keys & _LAST)
+            return (place <= first[:, None]) | (place >= last[:, None])
+
+        if combs is not None:
+            best, second = outside(_decoded(combs >> 16)), outside(_decoded(combs & 0xFFFF))
+            second = jnp.where(second, combs & 0xFFFF, 0)
+            combs = jnp.where(best, combs & ~0xFFFF | second, second << 16)
+        centre = LATTICE_PX * (at.astype(jnp.float32) + 0.5 * (after - before)) + (0.5 if pitch == 1 else 0.0)
+        state = combs, jnp.where(outside(borders), borders, 0)
+        return state, (exists & (key > 0), centre, LATTICE_PX * (before + after))
+
+    _, (exists, at, extent) = lax.scan(rank, _combed(lattice, ground), length=CANDIDATES)
+    bins = jnp.where((extent > _BIN_EXTENT_PX) & (pitch == 1), 2, 1).astype(jnp.int32)
+    first = jnp.floor(at / pitch + 0.5).astype(jnp.int32) - bins * (WINDOW // 2)
+    return Peaks(exists, at, extent, first, bins)
+
+
+_LAST = (1 << 13) - 1
+"""The last point that a line can have. The lower bits of a key say how far from it a point is, the upper ones are half
+of its response: of equal responses the first wins."""
+
+
+def _lattice(frame: UInt8[Array, "lines samples"], pitch: int) -> Int16[Array, "lines points"]:
+    if pitch == 2:
+        return frame.astype(jnp.int16)
+    pairs = frame.shape[1] // 2
+    words = lax.bitcast_convert_type(frame[:, : 2 * pairs].reshape(-1, pairs, 2), jnp.uint16)
+    return ((words & 255) + (words >> 8)).astype(jnp.int16)
+
+
+def _brighter(room: Int16[Array, "lines points"], ratio: Float[Array, ""]) -> Int16[Array, "lines points"]:
+    """What the lamps add to the laser-off level, in 1/128 of it; ratios from 0.5 to 1.5 stay within 16 bits."""
+    more = jnp.clip(jnp.round(128.0 * ratio) - 128.0, -64, 64).astype(jnp.int16)
+    return (room * more + 64) >> 7
+
+
+def _triangles(at) -> tuple[Array, Array]:
+    """The fine filter and the larger of both, of a function that gives the lattice so many points away."""
+    fine = at(-1) + 2 * at(0) + at(1)
+    coarse = at(-3) + at(3) + 2 * (at(-2) + at(-1) + at(0) + at(1) + at(2))
+    return fine, jnp.maximum(2 * fine - (fine >> _FINE_SHIFT), coarse)
+
+
+def _respond(lattice: Array, ground: Array | None) -> Array:
+    """The response at all points but `_MARGIN` on either side."""
+    count = lattice.shape[1] - 2 * _MARGIN
+    if ground is not None:
+        # A constant level answers 15 / 8 of itself in the one, 12 / 8 in the other: the ground is a sum of eight.
+        lattice, level = lattice.astype(jnp.int32), ground[:, _MARGIN : _MARGIN + count]
+    cut = lambda k: lattice[:, _MARGIN + k : _MARGIN + k + count]
+    if ground is None:
+        return _triangles(cut)[1]
+    fine = cut(-1) + 2 * cut(0) + cut(1)
+    coarse = cut(-3) + cut(3) + 2 * (cut(-2) + cut(-1) + cut(0) + cut(1) + cut(2))
+    return jnp.maximum(2 * fine - (fine >> _FINE_SHIFT) - ((15 * level) >> 4), coarse - ((3 * level) >> 1))
+
+
+def _combed(lattice: Int16[Array, "lines points"], ground: Array | None) -> tuple[Array | None, Array]:
+    """The best two points of every comb, in one word so that one loop over the frame makes them; and the keys of all
+    points near the borders, which the combs leave out."""
+    points = lattice.shape[1]
+    # A multiple of 16 columns, or vectors do not fill: a third slower.
+    width = 16 * -(-(points - 2 * _MARGIN) // (16 * _TEETH))
+    teeth = (points - 2 * _MARGIN) // width if points >= 64 else 0
+    if teeth == 0:
+        return None, _border(lattice, ground, 0, points)
+    cut = lambda field: None if field is None else field[:, : width * teeth + 2 * _MARGIN]
+    half = jnp.clip(_respond(cut(lattice), cut(ground)) >> 1, 0, 4095).astype(jnp.uint16)
+    keys = [(half[:, i * width : (i + 1) * width] << 4) | jnp.uint16(_TEETH - 1 - i) for i in range(teeth)]
+    ranked = [(key, None) for key in keys]
+    while len(ranked) > 1:
+        ranked = [_best_two(*ranked[i : i + 2]) for i in range(0, len(ranked), 2)]
+    best, second = (key.astype(jnp.int32) for key in ranked[0])
+    first = min(width * teeth + _MARGIN, points - (width - 16))
+    borders = [_border(lattice, ground, 0, 16), _border(lattice, ground, first, points)]
+    return best << 16 | second, jnp.concatenate(borders, 1)
+
+
+def _decoded(comb: Int[Array, "lines columns"]) -> Int[Array, "lines columns"]:
+    """The keys of points of combs."""
+    width = comb.shape[1]
+    column = jnp.arange(width, dtype=jnp.int32)[None]
+    tooth = _TEETH - 1 - (comb & (_TEETH - 1))
+    return _key((comb >> 4) & 0xFFF, _MARGIN + tooth * width + column)
+
+
+def _best_two(one: tuple[Array, Array | None], other: tuple[Array, Array | None] | None = None) -> tuple:
+    """The best two of what two slices have."""
+    if other is None:
+        return one
+    seconds = [second for second in (one[1], other[1]) if second is not None]
+    return jnp.maximum(one[0], other[0]), functools.reduce(jnp.maximum, seconds, jnp.minimum(one[0], other[0]))
+
+
+def _key(half: Int[Array, "lines n"], place: Int[Array, "#lines n"]) -> Int[Array, "lines n"]:
+    return jnp.where(half > 0, half * (_LAST + 1) + (_LAST - place), 0)
+
+
+def _border(lattice: Array, ground: Array | None, first: int, last: int) -> Int[Array, "lines n"]:
+    """Keys of some points, of which the filters may reach beyond the line."""
+    points = lattice.shape[1]
+    before, behind = max(first - _MARGIN, 0), min(last + _MARGIN, points)
+    room = ((0, 0), (_MARGIN - (first - before), _MARGIN - (behind - last)))
+    part, base = (None if field is None else jnp.pad(field[:, before:behind], room) for field in (lattice, ground))
+    half = jnp.clip(_respond(part, base) >> 1, 0, 4095).astype(jnp.int32)
+    return _key(half, jnp.arange(first, last, dtype=jnp.int32)[None])
+
+
+def _level(off: Plane, at: Int[Array, " lines"]) -> Int[Array, " lines"]:
+    """Mean level around a sample of every line."""
+    lines, samples = off.samples.shape
+    place = jnp.clip(at[None] + np.arange(-8, 9, 2, dtype=np.int32)[:, None], 0, samples - 1)
+    return jnp.sum(off.at(jnp.arange(lines, dtype=jnp.int32)[None], place).astype(jnp.int32), 0) // 9
+
+
+def _around(lattice: Array, at: Array, begin: Array, end: Array) -> Int[Array, "around lines"]:
+    """The lattice around a point of every line; 0 beyond the searched part."""
+    lines, points = lattice.shape
+    offset = np.arange(-_ZONE_SPAN - 1 - _MARGIN, _ZONE_SPAN + 2 + _MARGIN, dtype=np.int32)[:, None]
+    place = at[None] + offset
+    flat = points * jnp.arange(lines, dtype=jnp.int32)[None] + jnp.clip(place, 0, points - 1)
+    found = lattice.reshape(-1).at[flat].get(mode="promise_in_bounds").astype(jnp.int32)
+    return keep(jnp.where((place >= begin) & (place < end), found, 0))
+
+
+def _filtered(around: Array, base: Array) -> tuple[Array, Array]:
+    """Both filters at the points around a maximum, with the ground at the maximum for all of them."""
+    count = around.shape[0] - 2 * _MARGIN
+    cut = lambda k: around[_MARGIN + k : _MARGIN + k + count]
+    fine = cut(-1) + 2 * cut(0) + cut(1)
+    coarse = cut(-3) + cut(3) + 2 * (cut(-2) + cut(-1) + cut(0) + cut(1) + cut(2))
+    return keep((fine, jnp.maximum(2 * fine - (fine >> _FINE_SHIFT) - ((15 * base) >> 4), coarse - ((3 * base) >> 1))))
+
+
+def _surround(lattice: Int16[Array, "lines points"]) -> Int[Array, "lines points"]:
+    """The higher of the levels on both sides, summed over eight points."""
+    left, right = _FLANK_GAP + 7, _FLANK_GAP
+    points = lattice.shape[1]
+    # Beyond the image its last level goes on, or the image's border would be an edge.
+    flank = jnp.pad(lattice.astype(jnp.int32), ((0, 0), (left, right + 7)), mode="edge")
+    for distance in (1, 2, 4):
+        flank = flank[:, :-distance] + flank[:, distance:]
+    # Point k of `flank` now holds 8 points from k - left on.
+    return jnp.maximum(flank[:, :points], flank[:, left + right : left + right + points])
+
+
+def _zone_steps(response: Int[Array, "around lines"], threshold: Array, side: int) -> Int[Array, " lines"]:
+    """Steps to the first point on one side that does not belong to the maximum any more."""
+    middle = _ZONE_SPAN + 1
+    peak, floor = response[middle], threshold // 2
+    rise, lowest = jnp.maximum(floor, peak // 4), peak
+    steps, goes_on = jnp.ones_like(peak), jnp.ones(peak.shape, jnp.bool_)
+    for step in range(1, _ZONE_SPAN + 1):
+        value = response[middle + side * step]
+        goes_on &= (value >= floor) & (value < lowest + rise)
+        steps += goes_on.astype(jnp.int32)
+        lowest = jnp.minimum(lowest, value)
+    return steps
+
+
+def _half_distance(fine: Int[Array, "around lines"], counts: Array, side: int) -> Float[Array, " lines"]:
+    """Distance to half of the fine filter's maximum above the ground [lattice points]."""
+    middle = _ZONE_SPAN + 1
+    peak = fine[middle]
+    inner, outer, steps = peak, peak, jnp.zeros_like(peak)
+    goes_on = jnp.ones(peak.shape, jnp.bool_)
+    for step in range(1, _HALF_SPAN + 1):
+        # The filter reaches one point beyond the searched part.
+        value = jnp.where(counts[middle + side * (step - 1)], fine[middle + side * step], 0)
+        inner, outer = jnp.where(goes_on, outer, inner), jnp.where(goes_on, value, outer)
+        steps += goes_on.astype(jnp.int32)
+        goes_on &= 2 * value >= peak
+    drop = (2 * jnp.maximum(inner - outer, 1)).astype(jnp.float32)
+    fraction = jnp.clip((2 * inner - peak).astype(jnp.float32) / drop, 0.0, 1.0)
+    return (steps - 1).astype(jnp.float32) + fraction
