@@ -49,6 +49,7 @@ _PIXEL = 1.0 / 12.0
 _BLOCK = 256
 """Candidates that are fitted together, until the last of them is at rest."""
 _ROW = 64
+"""Candidates that are counted by one row of a product."""
 
 
 class Window(NamedTuple):
@@ -160,13 +161,8 @@ def fit_peaks(
     Returns:
         Fields [candidates, lines]; zero where no stripe is believed.
     """
-    exists = peaks.exists.reshape(-1)
-    lines, room = on.samples.shape[0], exists.size
-    blocks = -(-room // _BLOCK)
-    number, total = _numbered(exists)
-    # Where the k-th of those that exist is; behind the last the first again.
-    places = jnp.zeros(blocks * _BLOCK, jnp.int32)
-    places = places.at[jnp.where(exists, number, blocks * _BLOCK)].set(jnp.arange(room, dtype=jnp.int32), mode="drop")
+    places, total, number = _packed(peaks.exists.reshape(-1), _BLOCK)
+    lines, blocks = on.samples.shape[0], len(places) // _BLOCK
     flat = [field.reshape(-1) for field in (peaks.at, peaks.extent, peaks.first, peaks.bins)]
 
     def block(k, found):
@@ -180,10 +176,11 @@ def fit_peaks(
     types = {"saturated": jnp.uint8, "valid": jnp.bool_}
     nothing = FrameStripes(*(jnp.zeros(blocks * _BLOCK, types.get(n, jnp.float32)) for n in FrameStripes._fields))
     found = lax.fori_loop(0, -(-total // _BLOCK), block, nothing)
-    back = jnp.where(exists, number, 0)
+    back = jnp.maximum(number, 0)
 
     def unpacked(field: Array) -> Array:
-        return jnp.where(peaks.exists, field.at[back].get(mode="promise_in_bounds").reshape(peaks.exists.shape), jnp.zeros((), field.dtype))
+        found = field.at[back].get(mode="promise_in_bounds").reshape(peaks.exists.shape)
+        return jnp.where(peaks.exists, found, jnp.zeros((), field.dtype))
 
     return jax.tree.map(unpacked, found)
 
@@ -199,14 +196,19 @@ class _Cut(NamedTuple):
     real: Array
 
 
-def _numbered(exists: Bool[Array, " n"]) -> tuple[Int[Array, " n"], Int[Array, ""]]:
-    """How many exist before each, and in all; two small products in place of a long sum."""
-    whole = jnp.pad(exists, (0, -exists.size % _ROW)).reshape(-1, _ROW).astype(jnp.float32)
+def _packed(exists: Bool[Array, " n"], block: int) -> tuple[Int[Array, " m"], Int[Array, ""], Int[Array, " n"]]:
+    """Places of those that exist one after the other, filled up to whole blocks with the first place; their number; and
+    for every place where it went, -1 for none. Counting is two small products in place of a long sum."""
+    count = exists.size
+    room = -(-count // block) * block
+    whole = jnp.pad(exists, (0, -count % _ROW)).reshape(-1, _ROW).astype(jnp.float32)
     within = whole @ jnp.asarray(np.triu(np.ones((_ROW, _ROW), np.float32), 1))
     rows = jnp.sum(whole, 1)
     before = jnp.asarray(np.tril(np.ones((len(rows), len(rows)), np.float32), -1)) @ rows
-    number = (within + before[:, None]).reshape(-1)[: exists.size].astype(jnp.int32)
-    return number, jnp.sum(rows).astype(jnp.int32)
+    number = (within + before[:, None]).reshape(-1)[:count].astype(jnp.int32)
+    places = jnp.zeros(room, jnp.int32)
+    places = places.at[jnp.where(exists, number, room)].set(jnp.arange(count, dtype=jnp.int32), mode="drop")
+    return places, jnp.sum(rows).astype(jnp.int32), jnp.where(exists, number, -1)
 
 
 def _fit_block(

@@ -45,9 +45,6 @@ _TEETH = 16
 _MARGIN = 3
 """Lattice points that the filters reach to either side."""
 
-keep = lax.optimization_barrier
-"""Computed once and kept, where several reductions or gathers use it: XLA would compute it again for each."""
-
 
 class Peaks(NamedTuple):
     """Candidates of one frame, the highest of each line first."""
@@ -94,35 +91,35 @@ def find_peaks(
     if off is not None:
         room = _lattice(off.samples, pitch)
         level = level - room - _brighter(room, lamp_ratio)
-    lattice = keep(jnp.where(inside, level, jnp.int16(0)))
-    ground = None if off is not None else keep(_surround(lattice))
+    lattice = jnp.where(inside, level, jnp.int16(0))
+    ground = None if off is not None else _surround(lattice)
+    least = jnp.min(jnp.asarray(thresholds)).astype(jnp.int32)
 
     def measured(at):
-        """Response, threshold, extent to both sides and the zone of a maximum of every line."""
-        around = _around(lattice, at, begin, end)
+        """Whether a maximum stands out, its extent to both sides and its zone, of every line."""
+        around = _around(lattice, at)
         if off is None:
             base = jnp.take_along_axis(ground, at[:, None], 1)[:, 0]
             mean = base // (8 * each)
         else:
-            base, mean = jnp.zeros_like(at), _level(off, each * at)
-        threshold = jnp.asarray(thresholds)[mean].astype(jnp.int32)
-        fine, response = _filtered(around, base)
-        offset = np.arange(-_ZONE_SPAN - 1, _ZONE_SPAN + 2, dtype=np.int32)[:, None]
-        counts = (at + offset >= begin) & (at + offset < end)
-        response = jnp.where(counts, response, -1)
-        half = [_half_distance(fine - (base >> 1), counts, side) for side in (-1, 1)]
+            base, mean = None, _level(off, each * at)
+        threshold = jnp.asarray(thresholds)[mean]
+        count = len(around) - 2 * _MARGIN
+        fine, response = _filters(lambda k: around[_MARGIN + k : _MARGIN + k + count], base)
+        half = [_half_distance(fine, side) for side in (-1, 1)]
         zone = [_zone_steps(response, threshold, side) for side in (-1, 1)]
-        return response[_ZONE_SPAN + 1] >= threshold, *half, at - zone[0], at + zone[1]
+        exists = response[_ZONE_SPAN + 1] >= threshold
+        return jnp.stack([exists.astype(jnp.float32), *half]), jnp.stack([at - zone[0], at + zone[1]])
 
     def rank(state, _):
-        """The highest maximum that is left, and what is left without its zone."""
+        """The highest maximum that is left on every line, and what is left without its zone."""
         combs, borders = state
-        keys = borders if combs is None else jnp.maximum(_decoded(combs >> 16), borders)
-        key = jnp.max(keys, 1)
+        key = jnp.max(borders if combs is None else jnp.maximum(_decoded(combs >> 16), borders), 1)
         at = _LAST - (key & _LAST)
         # A branch, because what comes out of it is kept: else XLA walks through a zone again for each point of a line.
-        nothing = (jnp.zeros(key.shape, jnp.bool_), *(jnp.zeros(key.shape, jnp.float32),) * 2, at, at)
-        exists, before, after, first, last = lax.cond(jnp.any(key > 0), measured, lambda _: nothing, at)
+        nothing = jnp.zeros((3, len(at)), jnp.float32), jnp.full((2, len(at)), -1, jnp.int32)
+        may = 2 * (key >> _INDEX_BITS) + 1 >= least
+        (exists, before, after), (first, last) = lax.cond(jnp.any(may), measured, lambda _: nothing, at)
 
         def outside(keys):
             place = _LAST - (keys & _LAST)
@@ -134,15 +131,17 @@ def find_peaks(
             combs = jnp.where(best, combs & ~0xFFFF | second, second << 16)
         centre = LATTICE_PX * (at.astype(jnp.float32) + 0.5 * (after - before)) + (0.5 if pitch == 1 else 0.0)
         state = combs, jnp.where(outside(borders), borders, 0)
-        return state, (exists & (key > 0), centre, LATTICE_PX * (before + after))
+        return state, (may & (exists > 0), centre, LATTICE_PX * (before + after))
 
+    # What the loop changes is kept: else XLA would go over the frame once for the best points and once for the second.
     _, (exists, at, extent) = lax.scan(rank, _combed(lattice, ground), length=CANDIDATES)
     bins = jnp.where((extent > _BIN_EXTENT_PX) & (pitch == 1), 2, 1).astype(jnp.int32)
     first = jnp.floor(at / pitch + 0.5).astype(jnp.int32) - bins * (WINDOW // 2)
     return Peaks(exists, at, extent, first, bins)
 
 
-_LAST = (1 << 13) - 1
+_INDEX_BITS = 13
+_LAST = (1 << _INDEX_BITS) - 1
 """The last point that a line can have. The lower bits of a key say how far from it a point is, the upper ones are half
 of its response: of equal responses the first wins."""
 
@@ -161,25 +160,27 @@ def _brighter(room: Int16[Array, "lines points"], ratio: Float[Array, ""]) -> In
     return (room * more + 64) >> 7
 
 
-def _triangles(at) -> tuple[Array, Array]:
-    """The fine filter and the larger of both, of a function that gives the lattice so many points away."""
+def _filters(at, ground: Array | None) -> tuple[Array, Array]:
+    """The fine filter, and the larger of both above the ground.
+
+    Args:
+        at: Gives the lattice so many points away.
+        ground: Sums of eight points: a constant level answers 15 / 8 of them in the one filter, 12 / 8 in the other.
+    """
     fine = at(-1) + 2 * at(0) + at(1)
     coarse = at(-3) + at(3) + 2 * (at(-2) + at(-1) + at(0) + at(1) + at(2))
-    return fine, jnp.maximum(2 * fine - (fine >> _FINE_SHIFT), coarse)
+    scaled = 2 * fine - (fine >> _FINE_SHIFT)
+    if ground is None:
+        return fine, jnp.maximum(scaled, coarse)
+    low, high = ((15 * ground) >> 4).astype(jnp.int16), ((3 * ground) >> 1).astype(jnp.int16)
+    return fine - (ground >> 1).astype(jnp.int16), jnp.maximum(scaled - low, coarse - high)
 
 
-def _respond(lattice: Array, ground: Array | None) -> Array:
+def _respond(lattice: Int16[Array, "lines points"], ground: Array | None) -> Int16[Array, "lines n"]:
     """The response at all points but `_MARGIN` on either side."""
     count = lattice.shape[1] - 2 * _MARGIN
-    if ground is not None:
-        # A constant level answers 15 / 8 of itself in the one, 12 / 8 in the other: the ground is a sum of eight.
-        lattice, level = lattice.astype(jnp.int32), ground[:, _MARGIN : _MARGIN + count]
-    cut = lambda k: lattice[:, _MARGIN + k : _MARGIN + k + count]
-    if ground is None:
-        return _triangles(cut)[1]
-    fine = cut(-1) + 2 * cut(0) + cut(1)
-    coarse = cut(-3) + cut(3) + 2 * (cut(-2) + cut(-1) + cut(0) + cut(1) + cut(2))
-    return jnp.maximum(2 * fine - (fine >> _FINE_SHIFT) - ((15 * level) >> 4), coarse - ((3 * level) >> 1))
+    level = None if ground is None else ground[:, _MARGIN : _MARGIN + count]
+    return _filters(lambda k: lattice[:, _MARGIN + k : _MARGIN + k + count], level)[1]
 
 
 def _combed(lattice: Int16[Array, "lines points"], ground: Array | None) -> tuple[Array | None, Array]:
@@ -235,28 +236,17 @@ def _border(lattice: Array, ground: Array | None, first: int, last: int) -> Int[
 
 def _level(off: Plane, at: Int[Array, " lines"]) -> Int[Array, " lines"]:
     """Mean level around a sample of every line."""
-    lines, samples = off.samples.shape
-    place = jnp.clip(at[None] + np.arange(-8, 9, 2, dtype=np.int32)[:, None], 0, samples - 1)
-    return jnp.sum(off.at(jnp.arange(lines, dtype=jnp.int32)[None], place).astype(jnp.int32), 0) // 9
+    place = jnp.clip(at[None] + np.arange(-8, 9, 2, dtype=np.int32)[:, None], 0, off.samples.shape[1] - 1)
+    return jnp.sum(off.at(jnp.arange(len(at), dtype=jnp.int32), place).astype(jnp.int32), 0) // 9
 
 
-def _around(lattice: Array, at: Array, begin: Array, end: Array) -> Int[Array, "around lines"]:
-    """The lattice around a point of every line; 0 beyond the searched part."""
+def _around(lattice: Int16[Array, "lines points"], at: Int[Array, " lines"]) -> Int16[Array, "around lines"]:
+    """The lattice around a point of every line; 0 beyond it, as it is beyond what is searched."""
     lines, points = lattice.shape
-    offset = np.arange(-_ZONE_SPAN - 1 - _MARGIN, _ZONE_SPAN + 2 + _MARGIN, dtype=np.int32)[:, None]
-    place = at[None] + offset
-    flat = points * jnp.arange(lines, dtype=jnp.int32)[None] + jnp.clip(place, 0, points - 1)
-    found = lattice.reshape(-1).at[flat].get(mode="promise_in_bounds").astype(jnp.int32)
-    return keep(jnp.where((place >= begin) & (place < end), found, 0))
-
-
-def _filtered(around: Array, base: Array) -> tuple[Array, Array]:
-    """Both filters at the points around a maximum, with the ground at the maximum for all of them."""
-    count = around.shape[0] - 2 * _MARGIN
-    cut = lambda k: around[_MARGIN + k : _MARGIN + k + count]
-    fine = cut(-1) + 2 * cut(0) + cut(1)
-    coarse = cut(-3) + cut(3) + 2 * (cut(-2) + cut(-1) + cut(0) + cut(1) + cut(2))
-    return keep((fine, jnp.maximum(2 * fine - (fine >> _FINE_SHIFT) - ((15 * base) >> 4), coarse - ((3 * base) >> 1))))
+    place = at[None] + np.arange(-_ZONE_SPAN - 1 - _MARGIN, _ZONE_SPAN + 2 + _MARGIN, dtype=np.int32)[:, None]
+    flat = points * jnp.arange(lines, dtype=jnp.int32) + jnp.clip(place, 0, points - 1)
+    found = lattice.reshape(-1).at[flat].get(mode="promise_in_bounds")
+    return jnp.where((place >= 0) & (place < points), found, jnp.int16(0))
 
 
 def _surround(lattice: Int16[Array, "lines points"]) -> Int[Array, "lines points"]:
@@ -271,32 +261,33 @@ def _surround(lattice: Int16[Array, "lines points"]) -> Int[Array, "lines points
     return jnp.maximum(flank[:, :points], flank[:, left + right : left + right + points])
 
 
-def _zone_steps(response: Int[Array, "around lines"], threshold: Array, side: int) -> Int[Array, " lines"]:
+def _zone_steps(
+    response: Int16[Array, "around lines"], threshold: Int16[Array, " lines"], side: int
+) -> Int[Array, " lines"]:
     """Steps to the first point on one side that does not belong to the maximum any more."""
     middle = _ZONE_SPAN + 1
-    peak, floor = response[middle], threshold // 2
-    rise, lowest = jnp.maximum(floor, peak // 4), peak
+    peak, floor = response[middle], threshold // jnp.int16(2)
+    rise, lowest = jnp.maximum(floor, peak >> 2), peak
     steps, goes_on = jnp.ones_like(peak), jnp.ones(peak.shape, jnp.bool_)
     for step in range(1, _ZONE_SPAN + 1):
         value = response[middle + side * step]
         goes_on &= (value >= floor) & (value < lowest + rise)
-        steps += goes_on.astype(jnp.int32)
+        steps += goes_on.astype(jnp.int16)
         lowest = jnp.minimum(lowest, value)
-    return steps
+    return steps.astype(jnp.int32)
 
 
-def _half_distance(fine: Int[Array, "around lines"], counts: Array, side: int) -> Float[Array, " lines"]:
+def _half_distance(fine: Int16[Array, "around lines"], side: int) -> Float[Array, " lines"]:
     """Distance to half of the fine filter's maximum above the ground [lattice points]."""
     middle = _ZONE_SPAN + 1
     peak = fine[middle]
     inner, outer, steps = peak, peak, jnp.zeros_like(peak)
     goes_on = jnp.ones(peak.shape, jnp.bool_)
     for step in range(1, _HALF_SPAN + 1):
-        # The filter reaches one point beyond the searched part.
-        value = jnp.where(counts[middle + side * (step - 1)], fine[middle + side * step], 0)
+        value = fine[middle + side * step]
         inner, outer = jnp.where(goes_on, outer, inner), jnp.where(goes_on, value, outer)
-        steps += goes_on.astype(jnp.int32)
+        steps += goes_on.astype(jnp.int16)
         goes_on &= 2 * value >= peak
-    drop = (2 * jnp.maximum(inner - outer, 1)).astype(jnp.float32)
+    drop = (2 * jnp.maximum(inner - outer, jnp.int16(1))).astype(jnp.float32)
     fraction = jnp.clip((2 * inner - peak).astype(jnp.float32) / drop, 0.0, 1.0)
-    return (steps - 1).astype(jnp.float32) + fraction
+    return steps.astype(jnp.float32) - 1.0 + fraction
