@@ -35,15 +35,8 @@ from jaxscan.stripes.frames import (
     with_colour,
 )
 from jaxscan.stripes.pairs import judge_pairs
+from jaxscan.stripes.scatter import ProfileRows, Scatter, ScatterLaw, row_scatter, scatter_law
 from jaxscan.stripes.search import LEARNED_FRAMES, LineGate, whole_lines
 from jaxscan.stripes.setup import ExtractionSetup
-from jaxscan.stripes.smoothing import (
-    ProfileRows,
-    Scatter,
-    ScatterLaw,
-    Smoothed,
-    row_scatter,
-    scatter_law,
-    smooth_profiles,
-)
+from jaxscan.stripes.smooth import Smoothed, smooth_profiles
 from jaxscan.stripes.stripes import KEPT_FIELDS, Choice, FrameStripes, NoiseModel, Stripes, StripeSettings
