@@ -23,7 +23,6 @@ from jaxscan.stripes import (
     LaserLine,
     NoiseModel,
     StripeSettings,
-    host_planes,
     learn_noise,
     predict_off,
     prepare_engines,
@@ -156,8 +155,9 @@ def _extract(
     (engine,) = prepare_engines(on, off, [setup], noise=noise)
     if rig is None or rig.picture is None or not dark:
         return engine.extract(on, off), [None] * len(views), (noise, doubts)
-    planes = host_planes(whole, off, engine.search, engine.setup)
-    on_plane, off_plane, ratio = (np.asarray(plane) for plane in planes)
+    planes = [np.asarray(engine.setup.plane(frames)) for frames in (whole, off)]
+    on_plane, off_plane = planes
+    ratio = engine.lamp_ratios(*planes)
     sights = [
         Sight(on_plane[k], off_plane[k], float(ratio[k]), engine.setup.sites, frames, line, noise)
         for k in range(len(views))

@@ -64,23 +64,14 @@ class DecoyWatch:
         looks = _LOOKS_WITHOUT_OFF if predicted else _LOOKS
         self._chosen = set((np.unique(np.linspace(0, profiles - 1, min(looks, profiles)).astype(int)) - first).tolist())
         self._kept: list[tuple[Batch, np.ndarray]] = []
-        self._compared: list[tuple[np.ndarray, np.ndarray]] = []
         self._profiles, self.found = profiles, 0
         self._bytes, self._lock = 0, threading.Lock()
 
-    def look(
-        self, batch: Batch, found: ChunkStripes, search: Callable[[Batch], ChunkStripes | None] = lambda _: None
-    ) -> None:
-        """Search the chosen ones of a batch for decoys, or keep them; in threads and in any order.
-
-        Args:
-            batch: Frames.
-            found: Their stripes.
-            search: Finds the stripes of a few frames; None where that is done for many at the end.
-        """
+    def look(self, batch: Batch, found: ChunkStripes) -> None:
+        """Keep the chosen ones of a batch, to be searched for decoys; in threads and in any order."""
         stripes = clearness(chosen_of(found.stripes, found.chosen))
         with self._lock:
-            self.found += int(np.count_nonzero(stripes[: len(batch.profiles)]))
+            self.found += int(np.count_nonzero(stripes))
         rows = [k for k, profile in enumerate(batch.profiles.tolist()) if profile in self._chosen]
         if batch.off is None or not rows or len(stripes) != len(batch.on):
             return
@@ -88,22 +79,16 @@ class DecoyWatch:
             each = 2 * batch.on[0].nbytes
             rows = rows[: max(int((_BYTES - self._bytes) // each), 0 if self._bytes else 1)]
             self._bytes += each * len(rows)
-        if not rows:
-            return
-        on, off = (np.asarray(frames)[rows] for frames in (batch.on, batch.off))
-        result = search(Batch(batch.profiles[rows], batch.laser, off, on))
-        with self._lock:
-            if result is None:
+            if rows:
+                on, off = (np.asarray(frames)[rows] for frames in (batch.on, batch.off))
                 self._kept.append((Batch(batch.profiles[rows], batch.laser, on, off), stripes[rows]))
-            else:
-                self._compared.append((stripes[rows], clearness(chosen_of(result.stripes, result.chosen))))
 
     def judge(self, search: Callable[[Batch], ChunkStripes], size: int) -> Chance:
         """Search what is kept for decoys, and compare.
 
         Args:
-            search: Finds the stripes of a batch of `size` frames.
-            size: Frames of a batch.
+            search: Finds the stripes of a batch of `size` frames at most.
+            size: Frames of a batch at most.
 
         Raises:
             CaptureError: If the stripes are not more, or not clearer, than those of chance.
@@ -115,6 +100,7 @@ class DecoyWatch:
         self, search: Callable[[Batch], ChunkStripes], size: int
     ) -> tuple[Float[np.ndarray, "searched lines"], Float[np.ndarray, "searched lines"]]:
         """Search what is kept for decoys: the clearness [1] of the stripes, and of their decoys."""
+        compared: list[tuple[np.ndarray, np.ndarray]] = []
         for laser in sorted({batch.laser for batch, _ in self._kept}):
             own = [item for item in self._kept if item[0].laser == laser]
             profiles, on, off, found = (
@@ -123,15 +109,13 @@ class DecoyWatch:
             )
             for start in range(0, len(profiles), size):
                 part = slice(start, start + size)
-                turned = Batch(profiles[part], laser, off[part], on[part])
-                result = search(turned)
-                decoys = clearness(chosen_of(result.stripes, result.chosen))[: len(profiles[part])]
-                self._compared.append((found[part], decoys))
+                result = search(Batch(profiles[part], laser, off[part], on[part]))
+                compared.append((found[part], clearness(chosen_of(result.stripes, result.chosen))))
         self._kept = []
-        if not self._compared:
+        if not compared:
             none = np.zeros((0, 0), np.float32)
             return none, none
-        stripes, decoys = (np.concatenate(parts) for parts in zip(*self._compared, strict=True))
+        stripes, decoys = (np.concatenate(parts) for parts in zip(*compared, strict=True))
         return stripes, decoys
 
 

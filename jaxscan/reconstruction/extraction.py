@@ -12,31 +12,35 @@ import numpy as np
 from jaxscan.reconstruction.ahead import map_ahead, workers
 from jaxscan.reconstruction.decoys import Chance, DecoyWatch, judge
 from jaxscan.reconstruction.plan import Plan
-from jaxscan.reconstruction.points import coloured
-from jaxscan.reconstruction.streaming import Batch, GrowingStripes, ReadOnce, batches
-from jaxscan.stripes import ChunkStripes, Continuation, NoiseModel, StripeEngine, Stripes, padded, pick_by_steps
+from jaxscan.reconstruction.points import stripe_colours
+from jaxscan.reconstruction.streaming import Batch, GrowingStripes, batches
+from jaxscan.reconstruction.sweep import FrameChunk
+from jaxscan.stripes import ChunkStripes, NoiseModel, StripeEngine, Stripes, pick_by_steps
 
 
 Progress = Callable[[int, int], None] | None
 
 
 def stripes_of_plan(plan: Plan, *, noise: NoiseModel | None = None, progress: Progress = None) -> Stripes:
-    """`extract_sweep` by a plan that is made."""
+    """`extract` by a plan that is made."""
     sweep = plan.sweep
     profiles = len(sweep.record)
-    found = extracted(plan, noise, progress, with_points=False)
-    each = found.each
+    frames = _Ahead(plan)
+    engines = plan.engines(noise, frames.first(plan.learned_from))
+    search = _Search(plan, engines, DecoyWatch(profiles, predicted=plan.predicts))
+    each = search.each
     stripes = GrowingStripes(each * profiles, plan.lines)
     chosen = np.full((profiles, plan.lines), -1, np.int8)
-    for rows, result in found.chunks:
-        stripes.store(rows, result.stripes, result.more.rgb)
-        if result.chosen is not None:
-            own = rows[::each] // each
-            chosen[own] = result.chosen[: len(own)]
+    for batch, found, rgb in search.results(frames.chunks(), progress):
+        stripes.store(rows_of(batch.profiles, each), found.stripes, rgb)
+        if found.chosen is not None:
+            chosen[batch.profiles] = found.chosen
     if plan.settings.check_steps:
         stripes.fields = pick_by_steps(stripes.fields, chosen, sweep.laser, sweep.angles[sweep.record])
         each = 1
-    stripes.keep_clear(found.chance(plan).least)
+    chance = search.decoys.judge(search.find, plan.size)
+    plan.notes.extend([chance.note] if chance.note else [])
+    stripes.keep_clear(chance.least)
     profile = np.arange(each * profiles) // each
     return stripes.finish(sweep.record[profile], sweep.laser[profile])
 
@@ -80,11 +84,11 @@ def stripes_of_part(
     """
     part.size = plan.size
     decoys = DecoyWatch(len(plan.sweep.record), predicted=False, first=first)
-    found = extracted(part, noise, progress, with_points=False, learned=(_learned(plan, noise), decoys))
+    search = _Search(part, _learned(plan, noise), decoys, learned=True)
     stripes = GrowingStripes(len(part.sweep.record), part.lines)
-    for rows, result in found.chunks:
-        stripes.store(rows, result.stripes, result.more.rgb)
-    clear, lost = decoys.compared(found.search, part.size)
+    for batch, found, rgb in search.results(part.sweep.chunks(part.size), progress):
+        stripes.store(batch.profiles, found.stripes, rgb)
+    clear, lost = decoys.compared(search.find, part.size)
     return StripePart(stripes.fields, clear, lost, decoys.found)
 
 
@@ -110,18 +114,13 @@ def stripes_of_parts(plan: Plan, parts: Sequence[StripePart]) -> Stripes:
 
 def _learned(plan: Plan, noise: NoiseModel | None) -> dict[int, StripeEngine]:
     """The engines, with what they learn from each laser's first batch."""
-    frames = ReadOnce(plan.sweep, plan.size)
-    engines, learned = plan.engines(noise, frames.first(plan.learned_from)), set[int]()
+    frames = _Ahead(plan)
+    search = _Search(plan, plan.engines(noise, frames.first(plan.learned_from)), None)
     for batch in batches(plan.sweep, plan.size, frames.chunks()):
-        if batch.laser not in learned:
-            learned.add(batch.laser)
-            engines[batch.laser] = engines[batch.laser].learn(
-                batch.on, batch.off, coloured(plan.frames, records=plan.size)
-            )
-            plan.tell_noise(batch.laser, engines[batch.laser])
-        if len(learned) == len(engines):
+        search.learn(batch)
+        if len(search.learned) == len(search.engines):
             break
-    return engines
+    return search.engines
 
 
 def rows_of(profiles: np.ndarray, each: int) -> np.ndarray:
@@ -129,85 +128,69 @@ def rows_of(profiles: np.ndarray, each: int) -> np.ndarray:
     return (each * profiles[:, None] + np.arange(each)[None, :]).reshape(-1)
 
 
-class Extraction(NamedTuple):
-    """Stripes on their way."""
+class _Ahead:
+    """The chunks of a sweep, of which the first are looked at before they are searched."""
 
-    each: int
-    """Profiles of a record."""
-    chunks: Iterator[tuple[np.ndarray, ChunkStripes]]
-    """Stripes, colours and perhaps points, with the rows of the grid that they are."""
-    decoys: DecoyWatch
-    """To be asked after the last chunk."""
-    search: Callable[[Batch], ChunkStripes]
-    """Finds the stripes of a batch."""
+    def __init__(self, plan: Plan) -> None:
+        self._coming, self._seen = plan.sweep.chunks(plan.size), list[FrameChunk]()
 
-    def chance(self, plan: Plan) -> Chance:
-        """The decoys' verdict, whose note goes to those of the plan."""
-        found = self.decoys.judge(self.search, plan.size)
-        plan.notes.extend([found.note] if found.note else [])
-        return found
+    def first(self, count: int) -> FrameChunk:
+        """The first records, of which there are at least so many, in whatever chunks they lie."""
+        while sum(len(chunk.on) for chunk in self._seen) < count:
+            self._seen.append(next(self._coming))
+        on = [chunk.on for chunk in self._seen]
+        off = [chunk.off for chunk in self._seen if chunk.off is not None]
+        joined = [frames[0] if len(frames) == 1 else np.concatenate(frames) for frames in (on, off) if frames]
+        return FrameChunk(*(frames[:count] for frames in joined), *([None] if not off else []))
+
+    def chunks(self) -> Iterator[FrameChunk]:
+        """All of them, once."""
+        while self._seen:
+            yield self._seen.pop(0)
+        yield from self._coming
 
 
-def extracted(
-    plan: Plan,
-    noise: NoiseModel | None,
-    progress: Progress,
-    *,
-    with_points: bool,
-    learned: tuple[dict[int, StripeEngine], DecoyWatch] | None = None,
-) -> Extraction:
-    """Begin to find the stripes of all chunks.
+class _Search:
+    """Finds the stripes of batches of frames, in threads."""
 
-    Args:
-        plan: The sweep, or a part of one.
-        noise: Noise of a frame; learned from the first records where not given.
-        progress: Called with (records done, records in all).
-        with_points: Whether chunks have points too.
-        learned: Of a part: engines that have learned from the whole sweep, and the watch over its profiles.
-    """
-    sweep, size = plan.sweep, plan.size
-    frames, angles = ReadOnce(sweep, size), sweep.angles.astype(np.float32)
-    if learned is None:
-        engines = plan.engines(noise, frames.first(plan.learned_from))
-        decoys = DecoyWatch(len(sweep.record), predicted=plan.predicts)
-    else:
-        engines, decoys = learned
-    each = next(iter(engines.values())).profiles_per_record
+    def __init__(
+        self, plan: Plan, engines: dict[int, StripeEngine], decoys: DecoyWatch | None, *, learned: bool = False
+    ) -> None:
+        self.plan, self.engines = plan, engines
+        self.decoys = decoys if decoys is not None else DecoyWatch(1, predicted=False)
+        self.learned = set(engines) if learned else set[int]()
+        self.each = next(iter(engines.values())).profiles_per_record
+        """Profiles of a record."""
 
-    def then(batch: Batch) -> Continuation:
-        if not with_points:
-            return coloured(plan.frames, records=size)
-        phi = padded(angles[sweep.record[batch.profiles]], size)
-        return coloured(plan.frames, plan.aim(int(batch.profiles[0])), phi, records=size)
+    def find(self, batch: Batch) -> ChunkStripes:
+        return self.engines[batch.laser].extract(batch.on, batch.off, self.plan.size)
 
-    def search(batch: Batch) -> ChunkStripes:
-        return engines[batch.laser].extract(batch.on, batch.off, then(batch))
+    def learn(self, batch: Batch) -> None:
+        """Each laser's first batch says how wide the stripes are."""
+        if batch.laser not in self.learned:
+            self.learned.add(batch.laser)
+            self.engines[batch.laser] = self.engines[batch.laser].learn(batch.on, batch.off, self.plan.size)
+            self.plan.tell_noise(batch.laser, self.engines[batch.laser])
 
-    def search_alone(batch: Batch) -> ChunkStripes | None:
-        engine = engines[batch.laser]
-        return engine.extract(batch.on, batch.off) if engine.takes_any_number(batch.off) else None
+    def results(
+        self, chunks: Iterator[FrameChunk], progress: Progress
+    ) -> Iterator[tuple[Batch, ChunkStripes, np.ndarray]]:
+        """Stripes and colours of all batches in order; `progress` is called with (records done, records in all)."""
+        sweep = self.plan.sweep
 
-    def compute(batch: Batch) -> tuple[np.ndarray, ChunkStripes]:
-        found = search(batch)
-        decoys.look(batch, found, search_alone)
-        return batch.profiles, found
+        def compute(batch: Batch) -> tuple[Batch, ChunkStripes, np.ndarray]:
+            found = self.find(batch)
+            self.decoys.look(batch, found)
+            off = batch.off if batch.off is None or len(sweep.exposures) == 1 else batch.off[:, -1]
+            return batch, found, stripe_colours(found.stripes, off, self.plan.frames, self.plan.stripe_axis)
 
-    def ready(waiting: Iterator[Batch]) -> Iterator[Batch]:
-        """Each laser's first batch is computed twice: at first it says how wide the stripes are."""
-        known = set(engines) if learned is not None else set[int]()
-        for batch in waiting:
-            if batch.laser not in known:
-                known.add(batch.laser)
-                engines[batch.laser] = engines[batch.laser].learn(batch.on, batch.off, then(batch))
-                plan.tell_noise(batch.laser, engines[batch.laser])
-            yield batch
+        def ready() -> Iterator[Batch]:
+            for batch in batches(sweep, self.plan.size, chunks):
+                self.learn(batch)
+                yield batch
 
-    def chunks() -> Iterator[tuple[np.ndarray, ChunkStripes]]:
-        compiled = next(iter(engines.values())).learns
-        waiting = ready(batches(sweep, size, frames.chunks()))
-        for profiles, result in map_ahead(compute, waiting, workers(), compiled=compiled):
-            yield rows_of(profiles, each), result
+        compiled = next(iter(self.engines.values())).learns
+        for batch, found, rgb in map_ahead(compute, ready(), workers(), compiled=compiled):
+            yield batch, found, rgb
             if progress is not None:
-                progress(int(sweep.record[profiles[-1]]) + 1, len(sweep))
-
-    return Extraction(each, chunks(), decoys, search)
+                progress(int(sweep.record[batch.profiles[-1]]) + 1, len(sweep))

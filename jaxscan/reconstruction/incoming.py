@@ -8,25 +8,22 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction.colours import NOISE_RECORDS
 from jaxscan.reconstruction.plan import make_plan
-from jaxscan.reconstruction.points import Centres, coloured, points_alone
+from jaxscan.reconstruction.points import Centres, points_alone, stripe_colours
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.streaming import GrowingStripes, chunk_records
 from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
 from jaxscan.stripes import (
     LEARNED_FRAMES,
-    Continuation,
     LaserLine,
     PixelFormat,
     Response,
     StripeEngine,
     Stripes,
-    padded,
 )
 
 
@@ -141,7 +138,7 @@ class IncomingStripes:
         """
         self._sweep.first = FrameChunk(np.stack([pair.on for pair in pairs]), np.stack([pair.off for pair in pairs]))
         (engine,) = self._plan.engines().values()
-        self._engine = engine.learn(*_frames(pairs[: self.size]), self._then())
+        self._engine = engine.learn(*_frames(pairs[: self.size]), self.size)
         self._plan.tell_noise(0, self._engine)
         self._sweep.first = None
 
@@ -158,18 +155,15 @@ class IncomingStripes:
         for start in range(0, len(ordered), self.size):
             some = ordered[start : start + self.size]
             numbers, (on, off) = np.array([pair.number for pair in some]), _frames(some)
-            phi = padded(np.array([pair.angle for pair in some], np.float32), self.size)
-            found, _, (rgb, _) = self._engine.extract(on, off, self._then())
-            centres = Centres(*(padded(field, self.size) for field in (found.u, found.sigma, found.valid)))
-            # JAX keeps this setting per thread.
-            with jax.enable_x64(False):
-                points = points_alone(plan.aim(0), centres, phi, stripe_axis=plan.stripe_axis)
-                valid = np.asarray(points.valid)
+            phi = np.array([pair.angle for pair in some], np.float32)
+            found = self._engine.extract(on, off, self.size).stripes
+            rgb = stripe_colours(found, off, plan.frames, plan.stripe_axis)
+            points = points_alone(plan.aim(0), Centres.of(found), phi, self.size, stripe_axis=plan.stripe_axis)
+            valid = np.asarray(points.valid)
             self._stripes.store(numbers, found, rgb)
-            self.points[numbers] = np.count_nonzero(valid[: len(some)], axis=1)
+            self.points[numbers] = np.count_nonzero(valid, axis=1)
             if self._show is not None:
-                there = valid[: len(some)]
-                self._show(np.asarray(points.xyz)[: len(some)][there], np.asarray(rgb)[: len(some)][there])
+                self._show(points.xyz[valid], rgb[valid])
 
     def are_of(self, sweep: SweepSource, numbers: Sequence[int]) -> bool:
         """Whether a finished sweep would learn the same from its first records.
@@ -190,9 +184,6 @@ class IncomingStripes:
         fields = {name: values[rows] for name, values in self._stripes.fields.items()}
         record, laser = np.arange(count, dtype=np.int32), np.zeros(count, np.int32)
         return Stripes(**fields, record=record, laser=laser)
-
-    def _then(self) -> Continuation:
-        return coloured(self._plan.frames, records=self.size)
 
 
 def _frames(pairs: Sequence[RecordedPair]) -> tuple[np.ndarray, np.ndarray]:

@@ -10,10 +10,9 @@ from jaxscan.geometry import Array, Scanner
 from jaxscan.reconstruction.ahead import map_ahead, workers
 from jaxscan.reconstruction.along import SmoothedSweep, SweepSmoother, smooth_sweep
 from jaxscan.reconstruction.cloud import PointCloud
-from jaxscan.reconstruction.decoys import clearness
-from jaxscan.reconstruction.extraction import Progress, extracted, rows_of, stripes_of_plan
+from jaxscan.reconstruction.extraction import Progress, rows_of, stripes_of_plan
 from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan
-from jaxscan.reconstruction.points import Centres, Points, colours_alone, line_step, points_alone
+from jaxscan.reconstruction.points import Centres, Points, colours_at, line_step, points_alone
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.streaming import GrowingCloud, batches
 from jaxscan.reconstruction.sweep import SweepSource
@@ -22,7 +21,6 @@ from jaxscan.stripes import (
     Sites,
     Stripes,
     laser_sites,
-    padded,
 )
 
 
@@ -96,36 +94,21 @@ def cloud_of_plan(
 ) -> PointCloud:
     """`reconstruct` by a plan that is made."""
     sweep, settings = plan.sweep, plan.settings
-    if stripes is None and (settings.check_steps or settings.smooths):
+    if stripes is None:
         stripes = stripes_of_plan(plan, noise=noise, progress=progress)
         # All frames are read; the rest takes no time.
         progress = None
-    if stripes is not None:
-        check_stripes(plan, stripes)
-        each = len(stripes.u) // len(sweep.record)
-    # Before threads ask for it.
-    camera = plan.rig.scanner.camera
-    # Single precision throughout, so that the result does not depend on the caller's setting.
+    check_stripes(plan, stripes)
+    each = len(stripes.u) // len(sweep.record)
+    carries = plan.scanner.turntable.carries
+    cloud = GrowingCloud(each * len(sweep.record), plan.lines, travels=carries == "linear")
+    for part in _from_stripes(plan, stripes, each, progress):
+        cloud.store(*part)
+    _check_result(cloud, settings)
+    # Profiles of a scanner that stands still are no neighbours.
+    normals = settings.normals and carries != "nothing"
     with jax.enable_x64(False):
-        if stripes is None:
-            extraction = extracted(plan, noise, progress, with_points=True)
-            each = extraction.each
-            parts: Iterator[tuple] = (
-                (rows, found.more.points, found.stripes.amplitude, found.more.rgb, clearness(found.stripes), {})
-                for rows, found in extraction.chunks
-            )
-        else:
-            parts, extraction = _from_stripes(plan, stripes, each, progress), None
-        carries = plan.scanner.turntable.carries
-        cloud = GrowingCloud(each * len(sweep.record), plan.lines, travels=carries == "linear")
-        for part in parts:
-            cloud.store(*part)
-        if extraction is not None:
-            cloud.keep_clear(extraction.chance(plan).least)
-        _check_result(cloud, settings)
-        # Profiles of a scanner that stands still are no neighbours.
-        normals = settings.normals and carries != "nothing"
-        between_lines = line_step(camera, plan.stripe_axis) if normals else None
+        between_lines = line_step(plan.rig.scanner.camera, plan.stripe_axis) if normals else None
         profile, rank = np.divmod(np.arange(each * len(sweep.record)), each)
         record = sweep.record[profile]
         return cloud.finish(record, plan.sheet[profile], sweep.angles[record], rank, between_lines)
@@ -157,25 +140,22 @@ def _from_stripes(
         along = None if smoother is None else smoother.smooth(int(stripes.laser[rows[0]]), rows)
         if along is not None:
             u, sigma = along.u, along.sigma
-        u, sigma = u.astype(np.float32), sigma.astype(np.float32)
-        centres = Centres(*(padded(field, size * each) for field in (u, sigma, valid)))
-        phi = padded(np.repeat(angles[sweep.record[profiles]], each), size * each)
-        # JAX keeps this setting per thread.
-        with jax.enable_x64(False):
-            points = points_alone(plan.aim(int(profiles[0])), centres, phi, stripe_axis=axis)
-            if stripes.rgb is None:
-                rgb = colours_alone(centres.u, centres.valid, off, pixel_format=sweep.pixel_format, stripe_axis=axis)
-            else:
-                rgb = np.asarray(stripes.rgb)[rows]
-            points = jax.tree.map(np.asarray, points)
-        return rows, points, np.asarray(rgb), {} if along is None else along.beside(points.sigma_random[: len(rows)])
+        centres = Centres(u.astype(np.float32), sigma.astype(np.float32), valid)
+        phi = np.repeat(angles[sweep.record[profiles]], each)
+        points = points_alone(plan.aim(int(profiles[0])), centres, phi, size * each, stripe_axis=axis)
+        rgb = (
+            colours_at(u, valid, off, sweep.pixel_format, axis)
+            if stripes.rgb is None
+            else np.asarray(stripes.rgb)[rows]
+        )
+        return rows, points, rgb, {} if along is None else along.beside(points.sigma_random)
 
     if stripes.rgb is not None:
         items: Iterator[tuple[np.ndarray, Array | None]] = ((profiles, None) for profiles in _blocks(plan))
     else:
         one = slice(None) if len(sweep.exposures) == 1 else np.s_[:, -1]
         frames = ((batch.profiles, batch.off) for batch in batches(sweep, size))
-        items = ((profiles, None if off is None else padded(off[one], size)) for profiles, off in frames)
+        items = ((profiles, None if off is None else off[one]) for profiles, off in frames)
     for rows, points, rgb, beside in map_ahead(compute, items, workers()):
         amplitude, valid = (np.asarray(field)[rows] for field in (stripes.amplitude, stripes.valid))
         yield rows, points, amplitude, rgb, valid, beside

@@ -5,7 +5,6 @@ all of it for frames in memory.
 """
 
 from jaxscan.stripes.choose import chosen_of, pick_by_steps
-from jaxscan.stripes.dark import Channels, box_mean, predict_off, read_channels, warped
 from jaxscan.stripes.engine import ChunkStripes, StripeEngine, prepare_engines, stripes_of_frames
 from jaxscan.stripes.estimators import ESTIMATORS, Estimator, estimator_of
 from jaxscan.stripes.extract import extract_stripes
@@ -35,6 +34,7 @@ from jaxscan.stripes.frames import (
     with_colour,
 )
 from jaxscan.stripes.pairs import judge_pairs
+from jaxscan.stripes.predict import Channels, box_mean, predict_off, read_channels, warped
 from jaxscan.stripes.scatter import ProfileRows, Scatter, ScatterLaw, row_scatter, scatter_law
 from jaxscan.stripes.search import LEARNED_FRAMES, LineGate, whole_lines
 from jaxscan.stripes.setup import ExtractionSetup

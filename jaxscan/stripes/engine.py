@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.sharding import Mesh, PartitionSpec
-from jaxtyping import Int8, UInt8
+from jaxtyping import Float, Int8, UInt8
 
 from jaxscan.geometry import Array, StripeAxis
 from jaxscan.stripes.channels import doubted, doubts_of, other_channels
@@ -157,6 +157,14 @@ class StripeEngine(eqx.Module):
             found = _extracted(ons, offs, np.int32(count * exposures), self.search, kind, room * exposures)
             found = jax.tree.map(np.asarray, found)
         return jax.tree.map(lambda field: field[: len(field) // room * count], found)
+
+    def lamp_ratios(
+        self, on: UInt8[Array, "frames lines samples"], off: UInt8[Array, "frames lines samples"]
+    ) -> Float[np.ndarray, " frames"]:
+        """Factors by which the light of the laser-off planes is multiplied before it is subtracted [1]."""
+        with jax.enable_x64(False):
+            found = lamp_ratio(*sample_pair(on, off), self.search.read_dn, self.search.electrons_per_dn)
+            return np.asarray(applied_ratio(found), np.float32)
 
     def _of_channels(self, on: Array, off: Array | None, records: int) -> ChunkStripes:
         """Of every line the channel in which its stripe is known best."""

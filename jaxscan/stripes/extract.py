@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.dark import predict_off
 from jaxscan.stripes.engine import prepare_engines
 from jaxscan.stripes.frames import FrameFormat, LaserLine, PixelFormat, check_frames, frame_rank
+from jaxscan.stripes.predict import predict_off
 from jaxscan.stripes.setup import ExtractionSetup
 from jaxscan.stripes.stripes import KEPT_FIELDS, NoiseModel, Stripes, StripeSettings
 

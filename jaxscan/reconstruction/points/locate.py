@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from jaxscan.geometry import AbstractCamera, Array, Scanner, StripeAxis, stripe_pixel
 from jaxscan.reconstruction.points.triangulate import Limits, triangulate
 from jaxscan.reconstruction.points.uncertainty import RangeTable, range_table
+from jaxscan.stripes import FrameStripes
 
 
 class Rig(eqx.Module):
@@ -53,6 +54,10 @@ class Centres(NamedTuple):
     sigma: Float[Array, "profiles lines"]
     valid: Bool[Array, "profiles lines"]
 
+    @classmethod
+    def of(cls, stripes: FrameStripes) -> "Centres":
+        return cls(stripes.u, stripes.sigma, stripes.valid)
+
 
 def locate_points(aim: Aim, centres: Centres, phi: Float[Array, " profiles"], *, stripe_axis: StripeAxis) -> Points:
     """Points and sigmas of a chunk; pure and traceable.
@@ -92,8 +97,21 @@ def locate_points(aim: Aim, centres: Centres, phi: Float[Array, " profiles"], *,
     return Points(xyz, sigma_random, sigma_systematic, valid, centre)
 
 
-points_alone = jax.jit(locate_points, static_argnames="stripe_axis")
-"""`locate_points`, compiled."""
+def points_alone(
+    aim: Aim, centres: Centres, phi: Float[Array, " profiles"], room: int = 0, *, stripe_axis: StripeAxis
+) -> Points:
+    """`locate_points`, compiled for `room` profiles at least; NumPy arrays, float32."""
+    count = len(phi)
+    missing = max(room - count, 0)
+    centres = Centres(*(np.pad(np.asarray(field), ((0, missing), (0, 0))) for field in centres))
+    phi = np.pad(np.asarray(phi, np.float32), (0, missing))
+    # JAX keeps this setting per thread. Single precision, so that the result does not depend on the caller's setting.
+    with jax.enable_x64(False):
+        points = _compiled(aim, centres, phi, stripe_axis=stripe_axis)
+        return jax.tree.map(lambda field: np.asarray(field)[:count], points)
+
+
+_compiled = jax.jit(locate_points, static_argnames="stripe_axis")
 
 
 def line_step(camera: AbstractCamera, stripe_axis: StripeAxis) -> float:

@@ -2,4 +2,3 @@
 
 from jaxscan.reconstruction.streaming.batches import Batch, batches, chunk_records
 from jaxscan.reconstruction.streaming.grid import GrowingCloud, GrowingStripes
-from jaxscan.reconstruction.streaming.once import ReadOnce

@@ -1,6 +1,5 @@
 """The result of a reconstruction while it is being filled, on the host."""
 
-import jax
 import numpy as np
 
 from jaxscan.geometry import Array
@@ -24,7 +23,6 @@ class GrowingCloud:
         for name in ("intensity", "sigma_random", "sigma_systematic"):
             self.fields[name] = np.zeros(grid, np.float32)
         self.centre = np.zeros((profiles, 3), np.float32)
-        self.clear = np.zeros(grid, np.float32)
         self.stripes = 0
         """Valid stripe centres so far, whether or not they gave a point."""
 
@@ -37,32 +35,26 @@ class GrowingCloud:
         found: Array,
         beside: dict[str, np.ndarray],
     ) -> None:
-        """Copy one chunk, of which the first `len(profiles)` profiles are real.
+        """Copy one chunk.
 
         Args:
             profiles: Where they go.
             points: The points.
             amplitude: Amplitude of every stripe [DN].
             rgb: Colour of every stripe.
-            found: How clear the stripes were; 0 where there was none.
+            found: Whether there was a stripe.
             beside: Fields of the cloud that smoothed points have.
         """
-        rows, count = _rows(profiles), len(profiles)
-        parts = jax.tree.map(lambda field: np.asarray(field)[:count], {**points._asdict(), "rgb": rgb})
-        parts["intensity"] = np.where(parts["valid"], np.asarray(amplitude)[:count], np.float32(0))
+        rows = _rows(profiles)
+        parts = {**points._asdict(), "rgb": rgb}
+        parts["intensity"] = np.where(parts["valid"], np.asarray(amplitude), np.float32(0))
         parts["rgb"] = np.where(parts["valid"][:, :, None], parts["rgb"], np.uint8(0))
         for name in beside:
             self.fields.setdefault(name, np.zeros_like(self.fields["intensity"]))
         for name, field in self.fields.items():
             field[rows] = beside[name] if name in beside else parts[name]
         self.centre[rows] = parts["centre"]
-        self.clear[rows] = np.asarray(found, np.float32)[:count]
-        self.stripes += int(np.count_nonzero(np.asarray(found)[:count]))
-
-    def keep_clear(self, least: float) -> None:
-        """Take out the points of stripes that are less clear."""
-        if least > 0.0:
-            _take_out(self.fields, self.clear < least)
+        self.stripes += int(np.count_nonzero(found))
 
     def finish(
         self, record: np.ndarray, laser: np.ndarray, angle: np.ndarray, rank: np.ndarray, line_step: float | None
@@ -122,11 +114,11 @@ class GrowingStripes:
         self.fields["rgb"] = np.zeros((profiles, lines, 3), np.uint8)
 
     def store(self, profiles: np.ndarray, stripes: FrameStripes, rgb: Array) -> None:
-        """Copy one chunk, of which the first `len(profiles)` profiles are real."""
+        """Copy one chunk."""
         rows = _rows(profiles)
         found = {**stripes._asdict(), "rgb": rgb}
         for name, field in self.fields.items():
-            field[rows] = np.asarray(found[name])[: len(profiles)]
+            field[rows] = np.asarray(found[name])
 
     def keep_clear(self, least: float) -> None:
         """Take out the stripes whose width is less than so many standard deviations of their centre."""

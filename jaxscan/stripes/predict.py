@@ -13,16 +13,18 @@ difference is added, so that the prediction is right on average around every str
 
 import dataclasses
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+import scipy.ndimage
+from jaxtyping import Bool, Float, Int16, UInt8
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.dark.channels import COLOURS, Channels, put_plane, read_channels
-from jaxscan.stripes.dark.native import CODES, running_median
-from jaxscan.stripes.frames import LaserLine, PixelFormat, laser_sites
+from jaxscan.stripes.frames import Colour, LaserLine, PixelFormat, laser_plane, laser_sites
 
 
+_CODES = 1024
+"""Values of which medians are taken are whole numbers from 0 to below this."""
 _HALF_PX = 32
 """Reach on either side of the running medians of hue and of clipped stripes [px]."""
 _NEAR_PX = 12
@@ -41,6 +43,16 @@ _LATTICE = 10_000
 _STEPS = 12
 
 Planes = Float[np.ndarray, "frames lines samples"]
+_COLOURS: tuple[Colour, ...] = ("red", "green", "blue")
+
+
+class Channels(NamedTuple):
+    """Planes of a chunk of frames on the pixels of the laser's channel."""
+
+    laser: UInt8[np.ndarray, "frames lines samples"]
+    """Level of the laser's channel [DN]."""
+    others: tuple[Float[np.ndarray, "frames lines samples"], ...]
+    """Levels of the other two [DN], interpolated where a mosaic has others there; none of a mono camera."""
 
 
 def predict_off(
@@ -75,7 +87,7 @@ def _clear_others(off: np.ndarray, on: np.ndarray, line: LaserLine) -> None:
     clipped = _near(seen.laser >= _CLIPPED, _NEAR_PX)
     if not clipped.any():
         return
-    for colour, plane in zip([one for one in COLOURS if one != line.colour], seen.others, strict=True):
+    for colour, plane in zip([one for one in _COLOURS if one != line.colour], seen.others, strict=True):
         room = np.where(clipped, _along(plane, _HALF_PX), plane)
         other = dataclasses.replace(line, colour=colour)
         put_plane(off, np.rint(room).astype(np.uint8), pixel_format="rgb8", line=other)
@@ -125,8 +137,8 @@ def _from_others(
     if clipped.any():
         mixed = np.where(clipped, np.minimum(mixed, _along(mixed, half)), mixed)
     ratio = np.log2((level + np.float32(_SOFT_DN)) / (mixed + np.float32(_SOFT_DN)))
-    codes = np.clip(np.rint(_PER_OCTAVE * ratio) + CODES // 2, 0, CODES - 1).astype(np.int16)
-    hue = np.exp2((running_median(codes, half) - np.float32(CODES // 2)) / np.float32(_PER_OCTAVE))
+    codes = np.clip(np.rint(_PER_OCTAVE * ratio) + _CODES // 2, 0, _CODES - 1).astype(np.int16)
+    hue = np.exp2((running_median(codes, half) - np.float32(_CODES // 2)) / np.float32(_PER_OCTAVE))
     return np.maximum(hue * (mixed + np.float32(_SOFT_DN)) - np.float32(_SOFT_DN), 0.0)
 
 
@@ -167,5 +179,96 @@ def box_mean(values: Planes, samples: int, lines: int) -> Planes:
 
 
 def _along(level: Planes, half: int) -> Planes:
-    codes = np.clip(np.rint(2.0 * level), 0, CODES - 1).astype(np.int16)
+    codes = np.clip(np.rint(2.0 * level), 0, _CODES - 1).astype(np.int16)
     return np.float32(0.5) * running_median(codes, half).astype(np.float32)
+
+
+def running_median(
+    codes: Int16[np.ndarray, "frames lines samples"], half: int
+) -> Int16[np.ndarray, "frames lines samples"]:
+    """Median along each line of the samples within `half` on both sides; near its ends of those and of as many below
+    as above all.
+
+    Args:
+        codes: Values from 0 to `_CODES` - 1.
+        half: Samples on either side.
+    """
+    ends = np.where(np.arange(half) % 2 == 0, -1, _CODES).astype(np.int16)
+    wide = np.pad(codes, ((0, 0), (0, 0), (half, half)))
+    wide[:, :, :half], wide[:, :, -half:] = ends[::-1], ends
+    # One long line, for which SciPy keeps the window sorted.
+    found = scipy.ndimage.median_filter(wide.reshape(-1), size=2 * half + 1).reshape(wide.shape)
+    return np.clip(found[:, :, half:-half], 0, _CODES - 1)
+
+
+def warped(
+    planes: Float[np.ndarray, "planes lines samples"], where: Float[np.ndarray, "a b 2"], pitch: int
+) -> Float[np.ndarray, "planes lines samples"]:
+    """Planes read at other places, bilinear; beyond them their border.
+
+    Args:
+        planes: float32.
+        where: Line and sample that are read, at every `pitch`-th line and sample; bilinear in between.
+        pitch: Distance of the given places.
+    """
+    lines, samples = planes.shape[1:]
+    i, j = (np.arange(size) // pitch for size in (lines, samples))
+    down, right = (np.float32(np.arange(size) % pitch) / np.float32(pitch) for size in (lines, samples))
+    along = where[i] + down[:, None, None] * (where[i + 1] - where[i])
+    places = along[:, j] + right[None, :, None] * (along[:, j + 1] - along[:, j])
+    at = np.moveaxis(places, -1, 0)
+    read = lambda plane: scipy.ndimage.map_coordinates(plane, at, np.float32, order=1, mode="nearest")
+    return np.stack([read(plane) for plane in planes])
+
+
+def read_channels(on: UInt8[np.ndarray, "frames ..."], pixel_format: PixelFormat, line: LaserLine) -> Channels:
+    """All channels of frames uint8 [frames, rows, columns] (rgb8: and 3) where the laser's is measured."""
+    laser = np.ascontiguousarray(laser_plane(on, pixel_format=pixel_format, line=line))
+    names = [colour for colour in _COLOURS if colour != line.colour]
+    if pixel_format == "mono8":
+        return Channels(laser, ())
+    if pixel_format == "rgb8":
+        planes = [on[..., _COLOURS.index(name)] for name in names]
+        if line.stripe_axis == "columns":
+            planes = [plane.swapaxes(1, 2) for plane in planes]
+        return Channels(laser, tuple(plane.astype(np.float32) for plane in planes))
+    full = [_interpolated(on, pixel_format, name) for name in names]
+    others = (laser_plane(plane, pixel_format=pixel_format, line=line) for plane in full)
+    return Channels(laser, tuple(np.ascontiguousarray(other) for other in others))
+
+
+def put_plane(
+    frames: UInt8[np.ndarray, "frames ..."],
+    plane: UInt8[np.ndarray, "frames lines samples"],
+    *,
+    pixel_format: PixelFormat,
+    line: LaserLine,
+) -> None:
+    """Write the samples of the laser's channel into frames; the inverse of `laser_plane`."""
+    if pixel_format == "rgb8":
+        frames = frames[..., _COLOURS.index(str(line.colour))]
+    if line.stripe_axis == "columns":
+        frames = frames.swapaxes(1, 2)
+    sites = laser_sites(pixel_format, line)
+    kinds, (_, lines, samples) = len(sites.offsets), plane.shape
+    for k, offset in enumerate(sites.offsets):
+        rows = slice(sites.first_line + sites.line_step * k, sites.first_line + sites.line_step * lines, None)
+        target = frames[:, rows][:, :: sites.line_step * kinds, offset :: sites.pitch]
+        target[:, :, :samples] = plane[:, k::kinds]
+
+
+def _interpolated(on: np.ndarray, pixel_format: PixelFormat, colour: str) -> Float[np.ndarray, "frames rows columns"]:
+    """One colour of a mosaic at every pixel, bilinear."""
+    tile = pixel_format[6:10]
+    here = np.zeros(on.shape[1:], np.float32)
+    for k, letter in enumerate(tile):
+        here[k // 2 :: 2, k % 2 :: 2] = letter == colour[0]
+    return _spread(on * here) / _spread(here[None])
+
+
+def _spread(values: Float[np.ndarray, "frames rows columns"]) -> Float[np.ndarray, "frames rows columns"]:
+    for axis in (1, 2):
+        padded = np.pad(values, [(1, 1) if k == axis else (0, 0) for k in range(3)])
+        before, here, after = (np.take(padded, range(k, k + values.shape[axis]), axis) for k in range(3))
+        values = before + 2.0 * here + after
+    return values
