@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.sharding import Mesh, PartitionSpec
-from jaxtyping import Float, Int8, UInt8
+from jaxtyping import Float, Int, Int8, UInt8
 
 from jaxscan.geometry import Array, StripeAxis
 from jaxscan.stripes.channels import doubted, doubts_of, other_channels
@@ -54,7 +54,8 @@ _LOOKS = (32, 80)
 _AT_ONCE = 8
 """Frames that an accelerator takes at a time."""
 _ALIGNED = 64
-"""Address of memory that JAX takes on a CPU without a copy [bytes]."""
+"""Addresses from which on JAX takes memory without a copy on a CPU: multiples of this [bytes]. NumPy's own arrays begin
+16 bytes behind one."""
 
 
 class ChunkStripes(NamedTuple):
@@ -148,13 +149,19 @@ class StripeEngine(eqx.Module):
         if self.channels:
             return self._of_channels(on, off, records)
         count, exposures = len(on), len(self.setup.exposures)
-        shape = on.shape[1 + (exposures > 1) :]
         room = max(records, count)
+        kind = _Kind.of(self.setup, on.shape[1 + (exposures > 1) :])
+        pair = [None if frames is None else _bytes_around(frames, room) for frames in (on, off)]
+        if count > 1 and pair[0] is None and _bytes_around(on[1:], room) is not None:
+            # The first frame of a large array alone has to be copied.
+            parts = [self.extract(on[k], None if off is None else off[k], room) for k in (np.s_[:1], np.s_[1:])]
+            return jax.tree.map(lambda *fields: np.concatenate(fields), *parts)
+        stacks = [
+            None if frames is None else found or _copied(frames, room)
+            for frames, found in zip((on, off), pair, strict=True)
+        ]
         with jax.enable_x64(False):
-            ons = _stack(on, room)
-            offs = None if off is None else _stack(off, room)
-            kind = _Kind.of(self.setup, shape)
-            found = _extracted(ons, offs, np.int32(count * exposures), self.search, kind, room * exposures)
+            found = _extracted(*stacks, np.int32(count * exposures), self.search, kind, room * exposures)
             found = jax.tree.map(np.asarray, found)
         return jax.tree.map(lambda field: field[: len(field) // room * count], found)
 
@@ -224,33 +231,48 @@ class _Kind(NamedTuple):
         return LaserLine(colour=self.colour, stripe_axis=self.stripe_axis)
 
 
-def _stack(frames: Array, records: int) -> UInt8[Array, " bytes"]:
-    """The bytes of a chunk of frames, as memory that JAX takes without a copy where that can be.
+class _Stack(NamedTuple):
+    """Bytes that hold a chunk of frames."""
 
-    NumPy's large arrays begin 16 bytes behind an aligned address. Frames inside of one are passed with the bytes
-    before them, from the last aligned address on; others are copied.
-    """
-    count, size = len(frames), int(np.prod(frames.shape[1:]))
+    bytes: UInt8[Array, " bytes"]
+    start: Int[Array, ""]
+    """Where the first frame begins."""
+
+
+def _bytes_around(frames: Array, records: int) -> _Stack | None:
+    """A piece of the array that frames are cut out of, which JAX takes without a copy; None where there is none."""
     if not isinstance(frames, np.ndarray):
-        frames = jnp.asarray(frames)
-        return jnp.pad(frames.reshape(-1), (0, (records - count) * size))
-    frames = np.ascontiguousarray(frames)
-    before = frames.ctypes.data % _ALIGNED
+        return None
     owner = frames
     while isinstance(owner.base, np.ndarray) and owner.base.dtype == np.uint8:
         owner = owner.base
-    first = frames.ctypes.data - owner.ctypes.data
-    if count == records and owner.flags.c_contiguous and first >= before:
-        return owner.reshape(-1)[first - before : first + count * size]
-    before = before if size % _ALIGNED == 0 else 0
-    memory = np.zeros(records * size + before + _ALIGNED, np.uint8)
-    start = -memory.ctypes.data % _ALIGNED
-    memory[start + before : start + before + count * size] = frames.reshape(-1)
-    return memory[start : start + before + records * size]
+    if not (frames.flags.c_contiguous and owner.flags.c_contiguous):
+        return None
+    size = records * (frames.nbytes // len(frames)) + _ALIGNED
+    at, end = frames.ctypes.data - owner.ctypes.data, owner.nbytes - size
+    # From the last aligned address before the frames on; earlier, where the array ends too soon.
+    first = min(at, end)
+    first -= (owner.ctypes.data + first) % _ALIGNED
+    if first < 0:
+        return None
+    return _Stack(owner.reshape(-1)[first : first + size], np.int32(at - first))
+
+
+def _copied(frames: Array, records: int) -> _Stack:
+    """The bytes of frames in memory of their own, with room for so many records."""
+    if not isinstance(frames, np.ndarray):
+        size = (records - len(frames)) * int(np.prod(frames.shape[1:])) + _ALIGNED
+        return _Stack(jnp.pad(jnp.asarray(frames).reshape(-1), (0, size)), np.int32(0))
+    size = records * (frames.nbytes // len(frames)) + _ALIGNED
+    # Memory that is not touched costs nothing.
+    memory = np.zeros(size + _ALIGNED, np.uint8)
+    first = -memory.ctypes.data % _ALIGNED
+    memory[first : first + frames.nbytes] = frames.reshape(-1)
+    return _Stack(memory[first : first + size], np.int32(0))
 
 
 @functools.partial(jax.jit, static_argnames=("kind", "frames"))
-def _extracted(on: Array, off: Array | None, count: Array, search: Search, kind: _Kind, frames: int) -> ChunkStripes:
+def _extracted(on: _Stack, off: _Stack | None, count: Array, search: Search, kind: _Kind, frames: int) -> ChunkStripes:
     devices = jax.local_devices()
     if len(devices) == 1 or frames % len(devices):
         return _of_stack(on, off, count, search, kind, frames)
@@ -260,22 +282,22 @@ def _extracted(on: Array, off: Array | None, count: Array, search: Search, kind:
     split, everywhere = PartitionSpec("frames"), PartitionSpec()
 
     def part(on: Array, off: Array | None, count: Array, search: Search) -> ChunkStripes:
-        return _of_stack(on, off, count - share * lax.axis_index("frames"), search, kind, share)
+        stacks = [None if stack is None else _Stack(stack, jnp.int32(0)) for stack in (on, off)]
+        return _of_stack(*stacks, count - share * lax.axis_index("frames"), search, kind, share)
 
-    cut = lambda stack: None if stack is None else stack[stack.size - frames * size :]
+    cut = lambda stack: None if stack is None else lax.dynamic_slice(stack.bytes, (stack.start,), (frames * size,))
     specs = (split, split, everywhere, everywhere)
     call = jax.shard_map(part, mesh=mesh, in_specs=specs, out_specs=split, check_vma=False)
     return call(cut(on), cut(off), count, search)
 
 
-def _of_stack(on: Array, off: Array | None, count: Array, search: Search, kind: _Kind, frames: int) -> ChunkStripes:
+def _of_stack(on: _Stack, off: _Stack | None, count: Array, search: Search, kind: _Kind, frames: int) -> ChunkStripes:
     """Stripes of the first `count` frames of a stack; frames of a record's exposures follow each other."""
     estimator, size = estimator_of(kind), int(np.prod(kind.shape))
     sites = laser_sites(kind.pixel_format, kind.line)
 
     def of_frame(k: Array) -> FrameStripes:
-        # The frames end with the stack.
-        cut = lambda stack: plane_of(stack, stack.size - (frames - k) * size, kind.shape, kind.pixel_format, kind.line)
+        cut = lambda stack: plane_of(stack.bytes, stack.start + k * size, kind.shape, kind.pixel_format, kind.line)
         lit, dark = cut(on), None if off is None else cut(off)
         ratio = jnp.float32(1.0) if dark is None else _ratio(lit.samples, dark.samples, search)
         return estimator.measure(lit, dark, ratio, search, sites, kind.linear)
@@ -360,5 +382,6 @@ def stripes_of_frames(engine: StripeEngine, on: UInt8[Array, "frames ..."], off:
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape, or None.
     """
-    kind, flat = _Kind.of(engine.setup, on.shape[1:]), None if off is None else off.reshape(-1)
-    return _of_stack(on.reshape(-1), flat, jnp.int32(len(on)), engine.search, kind, len(on)).stripes
+    kind = _Kind.of(engine.setup, on.shape[1:])
+    stacks = [None if frames is None else _Stack(frames.reshape(-1), jnp.int32(0)) for frames in (on, off)]
+    return _of_stack(*stacks, jnp.int32(len(on)), engine.search, kind, len(on)).stripes
