@@ -81,7 +81,7 @@ def choose_stripes(
     """
     frames, count, lines = measured.u.shape
     offsets = jnp.asarray(sites.offsets, jnp.float32)[jnp.arange(lines) % len(sites.offsets)]
-    measured = measured._replace(u=jnp.where(measured.valid, measured.u + offsets, 0.0))
+    measured = measured._replace(u=jnp.where(measured.valid, measured.u + offsets[None, None], 0.0))
     number = None if choice == "all" else _chosen(measured, search, choice)
     if several:
         stripes = jax.tree.map(lambda field: field.reshape(frames * count, lines), measured)

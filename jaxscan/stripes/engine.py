@@ -20,7 +20,7 @@ from jaxtyping import Float, Int, Int8, UInt8
 from jaxscan.geometry import Array, StripeAxis
 from jaxscan.stripes.channels import doubted, doubts_of, other_channels
 from jaxscan.stripes.choose import choose_stripes, chosen_of
-from jaxscan.stripes.estimators import Estimator, estimator_of
+from jaxscan.stripes.estimators import ESTIMATORS, Estimator, estimator_of
 from jaxscan.stripes.exposures import merge_brackets
 from jaxscan.stripes.frames import (
     Colour,
@@ -293,7 +293,7 @@ def _extracted(on: _Stack, off: _Stack | None, count: Array, search: Search, kin
 
 def _of_stack(on: _Stack, off: _Stack | None, count: Array, search: Search, kind: _Kind, frames: int) -> ChunkStripes:
     """Stripes of the first `count` frames of a stack; frames of a record's exposures follow each other."""
-    estimator, size = estimator_of(kind), int(np.prod(kind.shape))
+    estimator, size = ESTIMATORS[kind.estimator], int(np.prod(kind.shape))
     sites = laser_sites(kind.pixel_format, kind.line)
 
     def of_frame(k: Array) -> FrameStripes:

@@ -200,23 +200,24 @@ def _fit_block(
 ) -> FrameStripes:
     """Fit and judge some candidates."""
     samples, limits = on.samples.shape[1], search.limits
-    place = sample_places(WINDOW)[:, None]
+    place = jnp.asarray(sample_places(WINDOW))[:, None]
     bins = cut.bins.astype(jnp.float32)
     step, per_bin, per_dn = pitch * bins, 1.0 / bins, search.electrons_per_dn
     middle = pitch * (cut.first.astype(jnp.float32) + 0.5 * (WINDOW * bins - 1.0))
     start = cut.at - middle
-    x = place * step - start
+    x = place * step[None] - start[None]
     inside, code_on, code_off = _codes(on, off, cut)
-    near = inside & (jnp.abs(x) <= cut.extent + 1.0)
-    clipped = [code >= limits.saturation for code in code_on]
+    near = inside & (jnp.abs(x) <= cut.extent[None] + 1.0)
+    top_code = limits.saturation.astype(jnp.uint8)
+    clipped = [code >= top_code for code in code_on]
     saturated = jnp.sum((near & clipped[0]).astype(jnp.float32), 0)
-    saturated += jnp.sum((near & clipped[1] & (cut.bins == 2)).astype(jnp.float32), 0)
+    saturated += jnp.sum((near & clipped[1] & (cut.bins == 2)[None]).astype(jnp.float32), 0)
     used = near & ~clipped[0] & ~clipped[1]
     level, rounding = _levels(code_on, search, linear)
     frame = search.read_dn**2
     variance, dark = frame + rounding, None
     if code_off is not None:
-        used &= (code_off[0] < limits.saturation) & (code_off[1] < limits.saturation)
+        used &= (code_off[0] < top_code) & (code_off[1] < top_code)
         dark, dark_rounding = _levels(code_off, search, linear)
         dark = jnp.where(inside, dark, 0.0)
         level = level - ratio * dark
@@ -226,7 +227,7 @@ def _fit_block(
     background = None
     if dark is None:
         background = jnp.clip(jnp.min(jnp.where(used, level, 1e3), 0), 0.0, 1e3)
-        variance = variance + jnp.maximum(background - search.black_dn, 0.0) / per_dn
+        variance = variance + jnp.maximum(background - search.black_dn, 0.0)[None] / per_dn
         top = top - background
     # The half-widths at half of the maximum and at the clipped top give width and amplitude of a Gaussian that is cut
     # off. Where it is not, the filter widened it.
@@ -235,7 +236,7 @@ def _fit_block(
     squared = (0.25 * cut.extent**2 - flat**2) / (2.0 * math.log(2.0)) - spread
     width = jnp.clip(jnp.sqrt(jnp.maximum(squared, 0.36)), 0.6, limits.max_width)
     amplitude = jnp.maximum(top, 1.0) * jnp.exp(jnp.minimum(0.5 * (flat / width) ** 2, 1.5))
-    window = Window(level, jnp.where(used, variance * per_bin, UNUSED_VARIANCE), step, bins, per_bin / per_dn)
+    window = Window(level, jnp.where(used, variance * per_bin[None], UNUSED_VARIANCE), step, bins, per_bin / per_dn)
     prior = search.log_width, search.width_information
     rules = FitRules(1.1 * limits.max_width, prior, search.speckle * lax.rsqrt(bins), REST)
     steps = jnp.where(saturated > 0, limits.clipped_iterations, limits.iterations)
@@ -246,10 +247,10 @@ def _fit_block(
     valid &= cut.real & (u >= -0.5) & (u <= pitch * (samples - 1) + 0.5)
     grey = jnp.zeros_like(u)
     if dark is not None:
-        grey = jnp.sum(jnp.maximum(1.0 - jnp.abs(place - fit.u / step), 0.0) * dark, 0)
+        grey = jnp.sum(jnp.maximum(1.0 - jnp.abs(place - (fit.u / step)[None]), 0.0) * dark, 0)
         # An edge of the surface's reflectance under the stripe may have moved the centre.
-        room = (frame + 1 / 12 + jnp.maximum(dark - search.black_dn, 0.0) / per_dn) / step
-        edge = albedo_shift(DarkWindow(dark, place * step, used, room), fit.u, fit.width, offset=search.black_dn)
+        room = (frame + 1 / 12 + jnp.maximum(dark - search.black_dn, 0.0) / per_dn) / step[None]
+        edge = albedo_shift(DarkWindow(dark, place * step[None], used, room), fit.u, fit.width, offset=search.black_dn)
         sigma = jnp.sqrt(sigma * sigma + limits.guard_edges * edge.shift * edge.shift)
     snr = jnp.sqrt(jnp.maximum(fit.energy, 0.0))
     clips = jnp.minimum(saturated, 255.0).astype(jnp.uint8)
@@ -260,13 +261,13 @@ def _fit_block(
 def _codes(on: Plane, off: Plane | None, cut: _Cut) -> tuple[Array, tuple[Array, Array], tuple[Array, Array] | None]:
     """Of every sample of the windows whether it is in the image, and the first and last code of its bin."""
     samples = on.samples.shape[1]
-    index = cut.first + cut.bins * np.arange(WINDOW, dtype=np.int32)[:, None]
-    last = index + cut.bins - 1
+    index = cut.first[None] + cut.bins[None] * np.arange(WINDOW, dtype=np.int32)[:, None]
+    last = index + cut.bins[None] - 1
     inside = (index >= 0) & (last < samples)
     frames = (on,) if off is None else (on, off)
 
     def taken(index: Array) -> tuple[Array, ...]:
-        return tuple(frame.at(cut.line, jnp.clip(index, 0, samples - 1)) for frame in frames)
+        return tuple(frame.at(cut.line[None], jnp.clip(index, 0, samples - 1)) for frame in frames)
 
     # Branches, because what comes out of them is kept: else XLA reads the image again for each use of a code.
     nothing = tuple(jnp.zeros(index.shape, jnp.uint8) for _ in frames)
@@ -351,16 +352,17 @@ def fit_stripe(
     most = (rules.max_width / window.step) ** 2 + pixel
     log_step = jnp.log(window.step)
 
-    def modelled(u, amplitude, squared, base):
+    def modelled(*parameters):
         """Gaussian, residual, weight, and variance without speckle."""
+        u, amplitude, squared, base = (parameter[None] for parameter in parameters)
         s = (place - u) ** 2 * (1.0 / squared)
         gauss = jnp.exp(-0.5 * s)
         # The fourth cumulant of the pixel, by the Hermite polynomial that belongs to it.
-        flatness = -0.05 * pixel * pixel / (squared * squared)
+        flatness = -0.05 * (pixel * pixel)[None] / (squared * squared)
         model = amplitude * gauss * (1.0 + flatness * ((s - 6.0) * s + 3.0))
         bright = jnp.maximum(model, 0.0)
-        spread = window.variance + window.shot * bright
-        grain = speckle * bright
+        spread = window.variance + window.shot[None] * bright
+        grain = speckle[None] * bright
         return gauss, window.y - model - base, 1.0 / (spread + grain * grain), spread
 
     def solved(u, amplitude, squared, base, degree):

@@ -105,7 +105,9 @@ def find_peaks(
             base, mean = None, _level(off, each * at)
         threshold = jnp.asarray(thresholds)[mean]
         count = len(around) - 2 * _MARGIN
-        fine, response = _filters(lambda k: around[_MARGIN + k : _MARGIN + k + count], base)
+        fine, response = _filters(
+            lambda k: around[_MARGIN + k : _MARGIN + k + count], None if base is None else base[None]
+        )
         half = [_half_distance(fine, side) for side in (-1, 1)]
         zone = [_zone_steps(response, threshold, side) for side in (-1, 1)]
         exists = response[_ZONE_SPAN + 1] >= threshold
@@ -114,7 +116,9 @@ def find_peaks(
     def rank(state, _):
         """The highest maximum that is left on every line, and what is left without its zone."""
         combs, borders = state
-        key = jnp.max(borders if combs is None else jnp.maximum(_decoded(combs >> 16), borders), 1)
+        key = jnp.max(borders, 1)
+        if combs is not None:
+            key = jnp.maximum(key, jnp.max(_decoded(combs >> 16), 1))
         at = _LAST - (key & _LAST)
         # A branch, because what comes out of it is kept: else XLA walks through a zone again for each point of a line.
         nothing = jnp.zeros((3, len(at)), jnp.float32), jnp.full((2, len(at)), -1, jnp.int32)
@@ -199,8 +203,7 @@ def _combed(lattice: Int16[Array, "lines points"], ground: Array | None) -> tupl
     while len(ranked) > 1:
         ranked = [_best_two(*ranked[i : i + 2]) for i in range(0, len(ranked), 2)]
     best, second = (key.astype(jnp.int32) for key in ranked[0])
-    first = min(width * teeth + _MARGIN, points - (width - 16))
-    borders = [_border(lattice, ground, 0, 16), _border(lattice, ground, first, points)]
+    borders = [_border(lattice, ground, 0, 16), _border(lattice, ground, width * teeth + _MARGIN, points)]
     return best << 16 | second, jnp.concatenate(borders, 1)
 
 
@@ -237,14 +240,14 @@ def _border(lattice: Array, ground: Array | None, first: int, last: int) -> Int[
 def _level(off: Plane, at: Int[Array, " lines"]) -> Int[Array, " lines"]:
     """Mean level around a sample of every line."""
     place = jnp.clip(at[None] + np.arange(-8, 9, 2, dtype=np.int32)[:, None], 0, off.samples.shape[1] - 1)
-    return jnp.sum(off.at(jnp.arange(len(at), dtype=jnp.int32), place).astype(jnp.int32), 0) // 9
+    return jnp.sum(off.at(jnp.arange(len(at), dtype=jnp.int32)[None], place).astype(jnp.int32), 0) // 9
 
 
 def _around(lattice: Int16[Array, "lines points"], at: Int[Array, " lines"]) -> Int16[Array, "around lines"]:
     """The lattice around a point of every line; 0 beyond it, as it is beyond what is searched."""
     lines, points = lattice.shape
     place = at[None] + np.arange(-_ZONE_SPAN - 1 - _MARGIN, _ZONE_SPAN + 2 + _MARGIN, dtype=np.int32)[:, None]
-    flat = points * jnp.arange(lines, dtype=jnp.int32) + jnp.clip(place, 0, points - 1)
+    flat = points * jnp.arange(lines, dtype=jnp.int32)[None] + jnp.clip(place, 0, points - 1)
     found = lattice.reshape(-1).at[flat].get(mode="promise_in_bounds")
     return jnp.where((place >= 0) & (place < points), found, jnp.int16(0))
 

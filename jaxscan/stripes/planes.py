@@ -29,7 +29,7 @@ class Plane(NamedTuple):
         lines, count = samples.shape
         return cls(samples, jnp.asarray(samples).reshape(-1), count * np.arange(lines, dtype=np.int32), 1)
 
-    def at(self, line: Int[Array, "*n"], sample: Int[Array, "*n"]) -> UInt8[Array, "*n"]:
+    def at(self, line: Int[Array, "*#n"], sample: Int[Array, "*n"]) -> UInt8[Array, "*n"]:
         """Samples within the plane."""
         place = jnp.asarray(self.first)[line] + self.step * sample
         return self.stack.at[place].get(mode="promise_in_bounds")

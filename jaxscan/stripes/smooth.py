@@ -25,8 +25,7 @@ selection, IEEE Trans. Signal Processing 47, 1999.
 
 import functools
 import operator
-from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -36,10 +35,9 @@ from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.frames import Sites
-from jaxscan.stripes.packing import packed
 
 
-_SIZES = np.array([3, 6, 10])
+_SIZES = (3, 6, 10)
 """Half sizes of windows, and lines on either side of a possible edge: of fewer lines more noise would be left, of more
 the surface itself would be smoothed."""
 _REACH = 20
@@ -61,13 +59,11 @@ differ from that of the smaller window. The first of each is for the smallest wi
 scatter further; and the row itself is not better than that window unless a jump is plain."""
 _LEAST_PX = 1e-4
 """Smallest standard deviation of a centre that is believed."""
-_TOGETHER = 1024
-"""Rows in doubt that are looked at together."""
+_PROFILES, _FEW = 32, 8
+"""Profiles that are smoothed at a time, and where there are only a few."""
 _BLOCK, _MARGIN = 64, 24
 """Rows of a block of running sums, and those beside it that its windows reach."""
 _EVERY_LINE = Sites()
-
-T = TypeVar("T")
 
 
 class Smoothed(NamedTuple):
@@ -101,8 +97,17 @@ def smooth_profiles(
     """
     lines = np.s_[:, sites.first_line :: sites.line_step]
     whole = [np.asarray(field) for field in (u, sigma, valid)]
+    fields = [field[lines] for field in whole]
+    found = [np.zeros(fields[0].shape, np.float32) for _ in Smoothed._fields]
     with jax.enable_x64(True):
-        found = [np.asarray(field, np.float32) for field in _smoothed(*(field[lines] for field in whole))]
+        for first in range(0, len(fields[0]) if fields[0].size else 0, _PROFILES):
+            part = [field[first : first + _PROFILES] for field in fields]
+            count = len(part[0])
+            # Few sizes, so that little is compiled.
+            room = _PROFILES if len(fields[0]) > _FEW else _FEW if count > 1 else 1
+            part = [np.pad(field, ((0, max(room - count, 0)), (0, 0))) for field in part]
+            for to, field in zip(found, _smoothed(*part), strict=True):
+                to[first : first + count] = np.asarray(field)[:count]
     if sites == _EVERY_LINE:
         return Smoothed(*found)
     smoothed = Smoothed(*(np.zeros(whole[0].shape, np.float32) for _ in found))
@@ -125,41 +130,56 @@ class _Rows(NamedTuple):
     """The same, 0 for strays."""
 
 
-@jax.jit
+class _Running(NamedTuple):
+    """Sums of moments up to each row of a block, about the block's middle."""
+
+    sums: Float[Array, "10 sums"]
+    """Weights times the line to the power of 0 to 4, times the centre and the line to the power of 0 to 2, times the
+    square of the centre; and rows. Of all blocks, one more than a block and its margins have rows."""
+    x: Float[Array, "profiles rows"]
+    """Lines about the middle of the row's block."""
+    y: Float[Array, "profiles rows"]
+    """Centres about one of the row's block [px]."""
+    at: Int[Array, "profiles rows"]
+    """Where in `sums` those up to before each row are."""
+
+
 def _smoothed(u: Array, sigma: Array, valid: Array) -> tuple[Array, Array, Array]:
-    """Of the profiles of one laser, as `Smoothed`."""
+    """Of the profiles of one laser, as `Smoothed`.
+
+    Each step is compiled by itself, so that what it gives is kept: inside of one function XLA's code for a CPU would
+    compute it again for each neighbour that looks at it.
+    """
+    rows, number = _gathered(u, sigma, valid)
+    running = _summed(rows)
+    edge, doubt = _gaps(rows)
+    for size in _SIZES:
+        height = _compared(rows, running, edge, *_ends(rows, edge), size)
+        edge, doubt = _marked(height, edge, doubt, size)
+    ends = _ends(rows, edge)
+    first = _windows(rows, running, ends)
+    most, at = _most_doubtful(doubt, first[3], first[4])
+    # The same with windows that end at the most doubtful edge in them.
+    other = _windows(rows, running, _cut_short(ends, most, at))
+    return _mixed(rows, first, other, most, number, valid)
+
+
+@jax.jit
+def _gathered(u: Array, sigma: Array, valid: Array) -> tuple[_Rows, Int[Array, "profiles lines"]]:
+    """The valid rows of every profile, and which of them each line is."""
     profiles, lines = u.shape
     number = jnp.where(valid, jnp.cumsum(valid, 1, dtype=jnp.int32) - 1, lines)
     profile = jnp.arange(profiles, dtype=jnp.int32)[:, None]
     line = jnp.zeros((profiles, lines), jnp.int32)
     line = line.at[profile, number].set(jnp.arange(lines, dtype=jnp.int32)[None], mode="drop")
-    real = jnp.arange(lines)[None] <= jnp.max(jnp.where(valid, number, -1), 1, keepdims=True)
+    real = jnp.arange(lines, dtype=jnp.int32)[None] < jnp.sum(valid, 1, dtype=jnp.int32)[:, None]
 
     def packed(field: Array) -> Array:
         return jnp.take_along_axis(field.astype(jnp.float64), line, 1)
 
     own = jnp.where(real, 1.0 / jnp.maximum(packed(sigma), _LEAST_PX) ** 2, 0.0)
-    some = jnp.any(valid)
     rows = _Rows(jnp.where(real, line, lines + 100).astype(jnp.float64), jnp.where(real, packed(u), 0.0), own, own)
-    rows = rows._replace(weight=_kept(some, lambda: jnp.where(_strays(rows), 0.0, own)))
-    running = _kept(some, lambda: _Running.of(rows))
-    edge, doubt = _edges(rows, running, some)
-    centre, variance, shared = _parabolas(rows, running, edge, doubt, some)
-    alone = 1.0 / jnp.where(real, own, 1.0)
-    used = rows.weight > 0
-    # So an average of smoothed centres is stated as good as that of the rows.
-    best = jnp.where(used, jnp.minimum(variance, alone), alone)
-    share = jnp.where(used, jnp.maximum(shared / best, 1.0), 1.0)
-    found = rows.y + jnp.where(used, centre, 0.0), jnp.sqrt(best), share
-    back = jnp.minimum(number, lines - 1)
-    spread = lambda field: jnp.where(valid, jnp.take_along_axis(field, back, 1), 0.0).astype(jnp.float32)
-    return spread(found[0]), spread(found[1]), spread(found[2])
-
-
-def _kept(some: Bool[Array, ""], make: Callable[[], T]) -> T:
-    """What a function gives, written to memory because it comes out of a branch. XLA's code for a CPU would compute it
-    again for each use, and for each neighbour that looks at it."""
-    return lax.cond(some, make, lambda: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(make)))
+    return rows._replace(weight=jnp.where(_strays(rows), 0.0, own)), number
 
 
 def _shifted(field: Array, by: int) -> Array:
@@ -167,8 +187,8 @@ def _shifted(field: Array, by: int) -> Array:
     if by == 0:
         return field
     rows = field.shape[1]
-    part = field[:, by:] if by > 0 else field[:, : rows + by]
-    return jnp.pad(part, ((0, 0), (max(-by, 0), max(by, 0))))
+    part = field[:, by:] if by > 0 else field[:, : max(rows + by, 0)]
+    return jnp.pad(part, ((0, 0), (min(max(-by, 0), rows), min(max(by, 0), rows))))
 
 
 def _strays(rows: _Rows) -> Bool[Array, "profiles rows"]:
@@ -187,227 +207,187 @@ def _strays(rows: _Rows) -> Bool[Array, "profiles rows"]:
     return whole & (q - value * t0 - slope * t1 < _AGREE) & off
 
 
-class _Running(NamedTuple):
-    """Sums of moments up to each row of a block, about the block's middle."""
+@jax.jit
+def _summed(rows: _Rows) -> _Running:
+    profiles, count = rows.x.shape
+    blocks, width = -(-count // _BLOCK), _BLOCK + 2 * _MARGIN
+    room = blocks * _BLOCK - count
 
-    sums: Float[Array, "10 sums"]
-    """Weights times the line to the power of 0 to 4, times the centre and the line to the power of 0 to 2, times the
-    square of the centre; and rows. Of all blocks, one more than a block and its margins have rows."""
-    x: Float[Array, "profiles rows"]
-    """Lines about the middle of the row's block."""
-    y: Float[Array, "profiles rows"]
-    """Centres about one of the row's block [px]."""
-    at: Int[Array, "profiles rows"]
-    """Where in `sums` those up to before each row are."""
+    def cut(field: Array) -> Array:
+        """[rows of a block, profiles, blocks]: sums go on along the leading axis, one addition for all blocks."""
+        wide = jnp.pad(field, ((0, 0), (_MARGIN, _MARGIN + room)))
+        return jnp.stack([wide[:, k * _BLOCK : k * _BLOCK + width] for k in range(blocks)], 2).swapaxes(0, 1)
 
-    @classmethod
-    def of(cls, rows: _Rows) -> "_Running":
-        profiles, count = rows.x.shape
-        blocks, width = -(-count // _BLOCK), _BLOCK + 2 * _MARGIN
-        room = blocks * _BLOCK - count
+    x, y, w = cut(rows.x), cut(rows.y), cut(rows.weight)
+    x0, y0 = x[width // 2], y[width // 2]
+    # Beyond a gap nothing belongs to a window: there any number will do that costs no digits.
+    x = jnp.clip(x - x0[None], -2.0 * width, 2.0 * width)
+    y = y - y0[None]
 
-        def cut(field: Array) -> Array:
-            """[rows of a block, profiles, blocks]: sums go on along the leading axis, one addition for all blocks."""
-            wide = jnp.pad(field, ((0, 0), (_MARGIN, _MARGIN + room)))
-            return jnp.stack([wide[:, k * _BLOCK : k * _BLOCK + width] for k in range(blocks)], 2).swapaxes(0, 1)
+    def add(total: tuple[Array, ...], row: tuple[Array, Array, Array]) -> tuple:
+        x, y, w = row
+        y = jnp.where(w > 0, y, 0.0)
+        wx, wy = w * x, w * y
+        wxx = wx * x
+        more = w, wx, wxx, wxx * x, wxx * x * x, wy, wx * y, wxx * y, wy * y, (w > 0).astype(w.dtype)
+        return tuple(a + b for a, b in zip(total, more, strict=True)), total
 
-        x, y, w = cut(rows.x), cut(rows.y), cut(rows.weight)
-        x0, y0 = x[width // 2], y[width // 2]
-        # Beyond a gap nothing belongs to a window: there any number will do that costs no digits.
-        x = jnp.clip(x - x0, -2.0 * width, 2.0 * width)
-        y = jnp.where(w > 0, y - y0, 0.0)
+    nothing = (jnp.zeros(x0.shape, x.dtype),) * 10
+    last, before = lax.scan(add, nothing, (x, y, w))
+    sums = jnp.stack([jnp.concatenate([b, a[None]]).reshape(-1) for b, a in zip(before, last, strict=True)])
+    block, row = np.divmod(np.arange(count), _BLOCK)
+    at = ((_MARGIN + row) * profiles + np.arange(profiles)[:, None]) * blocks + block
 
-        def add(total: tuple[Array, ...], row: tuple[Array, Array, Array]) -> tuple:
-            x, y, w = row
-            wx, wy = w * x, w * y
-            wxx = wx * x
-            more = w, wx, wxx, wxx * x, wxx * x * x, wy, wx * y, wxx * y, wy * y, (w > 0).astype(w.dtype)
-            return tuple(a + b for a, b in zip(total, more, strict=True)), total
+    def own(field: Array) -> Array:
+        inner = field[_MARGIN : _MARGIN + _BLOCK]
+        return jnp.transpose(inner, (1, 2, 0)).reshape(profiles, -1)[:, :count]
 
-        nothing = (jnp.zeros(x0.shape, x.dtype),) * 10
-        last, before = lax.scan(add, nothing, (x, y, w))
-        sums = jnp.stack([jnp.concatenate([b, a[None]]).reshape(-1) for b, a in zip(before, last, strict=True)])
-        block, row = np.divmod(np.arange(count), _BLOCK)
-        at = ((_MARGIN + row) * profiles + np.arange(profiles)[:, None]) * blocks + block
-
-        def own(field: Array) -> Array:
-            inner = field[_MARGIN : _MARGIN + _BLOCK]
-            return jnp.transpose(inner, (1, 2, 0)).reshape(profiles, -1)[:, :count]
-
-        return cls(sums, own(x), own(jnp.broadcast_to(cut(rows.y) - y0, x.shape)), jnp.asarray(at.astype(np.int32)))
-
-    def windows(self, first: Array, last: Array) -> list[Array]:
-        """The sums from the `first`-th row before each to the `last`-th behind it, about the row's own line and centre.
-
-        About the block's middle a window far from it would be an ill-conditioned parabola of large numbers.
-        """
-        step = self.sums.shape[1] // (_BLOCK + 2 * _MARGIN + 1)
-        high, low = self.at + step * (last + 1), self.at - step * first
-        m = [s.at[high].get(mode="promise_in_bounds") - s.at[low].get(mode="promise_in_bounds") for s in self.sums]
-        s0, m1, m2, m3, m4, n0, n1, n2, q, rows = m
-        x, y = self.x, self.y
-        s1, s2 = m1 - x * s0, m2 - x * (2 * m1 - x * s0)
-        s3 = m3 - x * (3 * m2 - x * (3 * m1 - x * s0))
-        s4 = m4 - x * (4 * m3 - x * (6 * m2 - x * (4 * m1 - x * s0)))
-        t1, t2 = n1 - x * n0 - y * s1, n2 - x * (2 * n1 - x * n0) - y * s2
-        return [s0, s1, s2, s3, s4, n0 - y * s0, t1, t2, q - y * (2 * n0 - y * s0), rows]
+    return _Running(sums, own(x), own(y), jnp.asarray(at.astype(np.int32)))
 
 
-def _edges(
-    rows: _Rows, running: _Running, some: Bool[Array, ""]
-) -> tuple[Bool[Array, "profiles rows"], Float[Array, "profiles rows"]]:
-    """Whether each row and the next are on two surfaces, first by few rows, then by more that end at known edges; and
-    the chi-squared of places that may be edges, and are none for certain."""
-    following = _shifted(rows.own, 1) > 0
-    straight = 0.25 * (rows.weight + _shifted(rows.weight, 1)) * _STRAIGHT
-    edge = _kept(some, lambda: ~following | (_shifted(rows.x, 1) - rows.x > _GAP))
+def _between(running: _Running, first: Array, last: Array) -> list[Array]:
+    """The sums from the `first`-th row before each to the `last`-th behind it, about the row's own line and centre.
 
-    def look(state: tuple[Array, Array], size: Array) -> tuple[tuple[Array, Array], None]:
-        edge, doubt = state
-        most = int(_SIZES[-1])
-
-        def compared() -> Array:
-            before, behind = _kept(some, lambda: (_runs(edge, most - 1), _shifted(_runs_on(edge, most - 1), 1)))
-            before, behind = jnp.minimum(before, size - 1), jnp.minimum(behind, size - 1)
-            one = running.windows(before, jnp.zeros_like(before))
-            other = running.windows(-jnp.ones_like(before), behind + 1)
-            both = [a + b for a, b in zip(one, other, strict=True)]
-            lines, known = zip(*(_line_explains(side) for side in (one, other)), strict=True)
-            curved, whole = _parabola_explains(both, straight)
-            return jnp.where(known[0] & known[1] & whole & ~edge, lines[0] + lines[1] - curved, 0.0)
-
-        height = _kept(some, compared)
-        # Those beside an edge look across it.
-        highest = height
-        for k in range(1, most):
-            beside = jnp.maximum(_shifted(height, k), _shifted(height, -k))
-            highest = jnp.where(k < size, jnp.maximum(highest, beside), highest)
-        marked = (height > _DOUBT) & (height >= highest)
-        return (edge | (marked & (height > _EDGE)), jnp.where(marked, jnp.maximum(doubt, height), doubt)), None
-
-    (edge, doubt), _ = lax.scan(look, (edge, jnp.zeros_like(rows.y)), jnp.asarray(_SIZES, jnp.int32))
-    return edge, doubt
-
-
-def _runs(edge: Bool[Array, "profiles rows"], most: int) -> Int[Array, "profiles rows"]:
-    """Rows before each, `most` at most, that no edge parts from it."""
-    rows, goes_on = jnp.zeros(edge.shape, jnp.int32), jnp.ones(edge.shape, jnp.bool_)
-    free = ~edge
-    for k in range(1, most + 1):
-        goes_on &= _shifted(free, -k)
-        rows += goes_on
-    return rows
-
-
-def _runs_on(edge: Bool[Array, "profiles rows"], most: int) -> Int[Array, "profiles rows"]:
-    """Rows behind each, `most` at most, that no edge parts from it."""
-    rows, goes_on = jnp.zeros(edge.shape, jnp.int32), jnp.ones(edge.shape, jnp.bool_)
-    free = ~edge
-    for k in range(most):
-        goes_on &= _shifted(free, k)
-        rows += goes_on
-    return rows
-
-
-def _parabolas(
-    rows: _Rows, running: _Running, edge: Array, doubt: Array, some: Bool[Array, ""]
-) -> tuple[Array, Array, Array]:
-    """Centre minus that of the row, its variance, and its shared lines times that variance, of every row.
-
-    Windows end at edges; where an edge is in doubt, the answers with and without it count by their odds.
+    About the block's middle a window far from it would be an ill-conditioned parabola of large numbers.
     """
-
-    def sides() -> tuple[Array, Array]:
-        left, right = _runs(edge, _REACH), _runs_on(edge, _REACH)
-        # No window is longer than so many lines.
-        for k in range(_REACH, 0, -1):
-            left = jnp.where((left == k) & (rows.x - _shifted(rows.x, -k) > _REACH), k - 1, left)
-            right = jnp.where((right == k) & (_shifted(rows.x, k) - rows.x > _REACH), k - 1, right)
-        return left, right
-
-    left, right = _kept(some, sides)
-    value, variance, spread, low, high = _windows(rows.weight, running, left, right, some)
-
-    def doubts() -> tuple[Array, Array]:
-        """The most doubtful edge in the window, and the row before it."""
-        most, at = jnp.zeros_like(doubt), jnp.full(doubt.shape, _REACH, jnp.int32)
-        for k in range(-_REACH, _REACH):
-            there = jnp.where((k >= -low) & (k < high), _shifted(doubt, k), 0.0)
-            at, most = jnp.where(there > most, k, at), jnp.maximum(there, most)
-        return most, at
-
-    most, at = _kept(some, doubts)
-    doubtful = most > 0
-
-    # The same with windows that end there, of the few rows that have one.
-    ends = jnp.where(at < 0, -at - 1, left), jnp.where(at < 0, right, at)
-    fields = rows.weight, running.x, running.y, running.at, *ends
-    places, total, back = packed(doubtful.reshape(-1), _TOGETHER)
-
-    def again(block: Array, found: Array) -> Array:
-        here = lax.dynamic_slice_in_dim(places, block * _TOGETHER, _TOGETHER)
-        weight, x, y, sums, first, last = (field.reshape(-1)[here] for field in fields)
-        part = _windows(weight, running._replace(x=x, y=y, at=sums), first, last, some)
-        return lax.dynamic_update_slice_in_dim(found, jnp.stack(part[:2]), block * _TOGETHER, 1)
-
-    others = lax.fori_loop(0, -(-total // _TOGETHER), again, jnp.zeros((2, places.size), value.dtype))
-    without = others[:, jnp.maximum(back, 0).reshape(doubtful.shape)]
-    count = rows.x.shape[1]
-    row = jnp.arange(count, dtype=jnp.int32)[None]
-    line = lambda at: jnp.take_along_axis(rows.x, jnp.clip(at, 0, count - 1), 1)
-    shared = spread * (line(row + high) - line(row - low) + 1.0)
-    share = jnp.where(doubtful, 1.0 / (1.0 + jnp.exp(0.5 * (_EVEN - most))), 0.0)
-    apart = without[0] - value
-    mixed = variance + share * (without[1] - variance + (1.0 - share) * apart**2)
-    return value + share * apart, mixed, shared
+    step = running.sums.shape[1] // (_BLOCK + 2 * _MARGIN + 1)
+    high, low = running.at + step * (last + 1), running.at - step * first
+    m = [s.at[high].get(mode="promise_in_bounds") - s.at[low].get(mode="promise_in_bounds") for s in running.sums]
+    s0, m1, m2, m3, m4, n0, n1, n2, q, rows = m
+    x, y = running.x, running.y
+    s1, s2 = m1 - x * s0, m2 - x * (2 * m1 - x * s0)
+    s3 = m3 - x * (3 * m2 - x * (3 * m1 - x * s0))
+    s4 = m4 - x * (4 * m3 - x * (6 * m2 - x * (4 * m1 - x * s0)))
+    t1, t2 = n1 - x * n0 - y * s1, n2 - x * (2 * n1 - x * n0) - y * s2
+    return [s0, s1, s2, s3, s4, n0 - y * s0, t1, t2, q - y * (2 * n0 - y * s0), rows]
 
 
-def _windows(
-    weight: Array, running: _Running, left: Array, right: Array, some: Bool[Array, ""]
-) -> tuple[Array, Array, Array, Array, Array]:
+@jax.jit
+def _gaps(rows: _Rows) -> tuple[Bool[Array, "profiles rows"], Float[Array, "profiles rows"]]:
+    """Rows that a gap parts from the next one; and doubts about the others, none as yet."""
+    following = _shifted(rows.own, 1) > 0
+    return ~following | (_shifted(rows.x, 1) - rows.x > _GAP), jnp.zeros_like(rows.y)
+
+
+@jax.jit
+def _ends(rows: _Rows, edge: Bool[Array, "profiles rows"]) -> tuple[Array, Array]:
+    """Rows before and behind each that no edge parts from it and that are not farther away than a window reaches."""
+    free = ~edge
+    left, right = jnp.zeros(edge.shape, jnp.int32), jnp.zeros(edge.shape, jnp.int32)
+    goes_left, goes_right = jnp.ones(edge.shape, jnp.bool_), jnp.ones(edge.shape, jnp.bool_)
+    for k in range(1, _REACH + 1):
+        goes_left &= _shifted(free, -k) & (rows.x - _shifted(rows.x, -k) <= _REACH)
+        goes_right &= _shifted(free, k - 1) & (_shifted(rows.x, k) - rows.x <= _REACH)
+        left, right = left + goes_left.astype(jnp.int32), right + goes_right.astype(jnp.int32)
+    return left, right
+
+
+@jax.jit
+def _compared(rows: _Rows, running: _Running, edge: Array, left: Array, right: Array, size: Array | int) -> Array:
+    """Chi-squared by which straight lines on both sides of a place behind each row are better than one parabola."""
+    before, behind = jnp.minimum(left, size - 1), jnp.minimum(_shifted(right, 1), size - 1)
+    one = _between(running, before, jnp.zeros_like(before))
+    other = _between(running, -jnp.ones_like(before), behind + 1)
+    both = [a + b for a, b in zip(one, other, strict=True)]
+    lines, known = zip(*(_line_explains(side) for side in (one, other)), strict=True)
+    curved, whole = _parabola_explains(both, 0.25 * (rows.weight + _shifted(rows.weight, 1)) * _STRAIGHT)
+    return jnp.where(known[0] & known[1] & whole & ~edge, lines[0] + lines[1] - curved, 0.0)
+
+
+@jax.jit
+def _marked(height: Array, edge: Array, doubt: Array, size: Array | int) -> tuple[Array, Array]:
+    """The edges with those of a size, and the chi-squared of places that may be edges."""
+    # Those beside an edge look across it.
+    beside = [jnp.where(abs(k) < size, _shifted(height, k), 0.0) for k in range(1 - _SIZES[-1], _SIZES[-1])]
+    marked = (height > _DOUBT) & (height >= functools.reduce(jnp.maximum, beside))
+    return edge | (marked & (height > _EDGE)), jnp.where(marked, jnp.maximum(doubt, height), doubt)
+
+
+@jax.jit
+def _most_doubtful(doubt: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """The most doubtful edge in the window of each row, and how many rows on the row before it is."""
+    most, at = jnp.zeros_like(doubt), jnp.full(doubt.shape, _REACH, jnp.int32)
+    for k in range(-_REACH, _REACH):
+        there = jnp.where((k >= -low) & (k < high), _shifted(doubt, k), 0.0)
+        at, most = jnp.where(there > most, k, at), jnp.maximum(there, most)
+    return most, at
+
+
+@jax.jit
+def _cut_short(ends: tuple[Array, Array], most: Array, at: Array) -> tuple[Array, Array]:
+    left, right = ends
+    return jnp.where((most > 0) & (at < 0), -at - 1, left), jnp.where((most > 0) & (at >= 0), at, right)
+
+
+def _windows(rows: _Rows, running: _Running, ends: tuple[Array, Array]) -> tuple[Array, ...]:
     """For every row a parabola in the largest window that it fits and whose value agrees with those of smaller ones.
 
     Returns:
         Centre minus that of the row, its variance, that of the window's lines over their number, and the rows of the
         window on either side.
     """
+    return _chosen(rows.weight, ends, [_fitted(running, ends, size) for size in _SIZES])
 
-    def reach(size: Array) -> tuple[Array, Array]:
-        # A side that ends early is made up for on the other.
-        first = jnp.minimum(left, 2 * size - jnp.minimum(right, size))
-        return first, jnp.minimum(right, 2 * size - jnp.minimum(left, size))
 
-    def fitted(_: None, size: Array) -> tuple[None, tuple[Array, ...]]:
-        sums = _kept(some, lambda: running.windows(*reach(size)))
-        value, variance, explained = _parabola(sums)
-        return None, (value, variance, sums[8] - explained, sums[0], sums[9])
+def _reach(ends: tuple[Array, Array], size: Array | int) -> tuple[Array, Array]:
+    """Rows of a window to both sides. A side that ends early is made up for on the other."""
+    left, right = ends
+    first = jnp.minimum(left, 2 * size - jnp.minimum(right, size))
+    return first, jnp.minimum(right, 2 * size - jnp.minimum(left, size))
 
-    # The loop keeps the few numbers of each size; what is made of them is cheap.
-    _, fits = lax.scan(fitted, None, jnp.asarray(_SIZES, jnp.int32))
 
-    def chosen() -> tuple[Array, ...]:
-        alone = 1.0 / jnp.where(weight > 0, weight, 1.0)
-        zero = jnp.zeros_like(left)
-        state, goes_on = (jnp.zeros_like(alone), alone, alone, zero, zero), jnp.ones(alone.shape, jnp.bool_)
-        for number, size in enumerate(_SIZES.tolist()):
-            value, variance, _, low, high = state
-            found, own, chi2, total, used = (field[number] for field in fits)
-            told = (used >= 5.0) & (own >= 0)
-            freedom = jnp.where(told, used - 3.0, 2.0)
-            single = (low == 0) & (high == 0)
-            most, far = jnp.where(single, _MISFIT[0], _MISFIT[1]), jnp.where(single, _APART[0], _APART[1])
-            fit = chi2 <= freedom + most * jnp.sqrt(2.0 * freedom)
-            fit &= jnp.abs(found - value) <= far * jnp.sqrt(jnp.maximum(variance - own, 0.0))
-            # Residuals of the parabola beyond the noise count as noise.
-            excess = jnp.maximum(chi2 / freedom, 1.0)
-            better = goes_on & told & fit & (excess * own < variance)
-            new = found, excess * own, excess / jnp.where(total > 0, total, 1.0), *reach(size)
-            state = tuple(jnp.where(better, a, b) for a, b in zip(new, state, strict=True))
-            goes_on &= fit | ~told
-        return state
+@jax.jit
+def _fitted(running: _Running, ends: tuple[Array, Array], size: Array | int) -> tuple[Array, ...]:
+    """Value of the parabola in a window, its variance, chi-squared, sum of the weights, and rows."""
+    sums = _between(running, *_reach(ends, size))
+    value, variance, explained = _parabola(sums)
+    return value, variance, sums[8] - explained, sums[0], sums[9]
 
-    value, variance, spread, low, high = _kept(some, chosen)
-    return value, variance, spread, low, high
+
+@jax.jit
+def _chosen(weight: Array, ends: tuple[Array, Array], fits: list[tuple[Array, ...]]) -> tuple[Array, ...]:
+    alone = 1.0 / jnp.where(weight > 0, weight, 1.0)
+    zero = jnp.zeros(weight.shape, jnp.int32)
+    state, goes_on = (jnp.zeros_like(alone), alone, alone, zero, zero), jnp.ones(alone.shape, jnp.bool_)
+    for size, (found, own, chi2, total, used) in zip(_SIZES, fits, strict=True):
+        value, variance, _, low, high = state
+        told = (used >= 5.0) & (own >= 0)
+        freedom = jnp.where(told, used - 3.0, 2.0)
+        single = (low == 0) & (high == 0)
+        most, far = jnp.where(single, _MISFIT[0], _MISFIT[1]), jnp.where(single, _APART[0], _APART[1])
+        fits_it = chi2 <= freedom + most * jnp.sqrt(2.0 * freedom)
+        fits_it &= jnp.abs(found - value) <= far * jnp.sqrt(jnp.maximum(variance - own, 0.0))
+        # Residuals of the parabola beyond the noise count as noise.
+        excess = jnp.maximum(chi2 / freedom, 1.0)
+        better = goes_on & told & fits_it & (excess * own < variance)
+        new = found, excess * own, excess / jnp.where(total > 0, total, 1.0), *_reach(ends, size)
+        state = tuple(jnp.where(better, a, b) for a, b in zip(new, state, strict=True))
+        goes_on &= fits_it | ~told
+    return state
+
+
+@jax.jit
+def _mixed(
+    rows: _Rows, first: tuple[Array, ...], other: tuple[Array, ...], most: Array, number: Array, valid: Array
+) -> tuple[Array, Array, Array]:
+    """On the lines of the profiles: where an edge is in doubt, the answers with and without it count by their odds."""
+    value, variance, spread, low, high = first
+    count = rows.x.shape[1]
+    row = jnp.arange(count, dtype=jnp.int32)[None]
+    line = lambda at: jnp.take_along_axis(rows.x, jnp.clip(at, 0, count - 1), 1)
+    shared = spread * (line(row + high) - line(row - low) + 1.0)
+    share = jnp.where(most > 0, 1.0 / (1.0 + jnp.exp(0.5 * (_EVEN - most))), 0.0)
+    apart = other[0] - value
+    value, variance = value + share * apart, variance + share * (other[1] - variance + (1.0 - share) * apart**2)
+    alone = 1.0 / jnp.where(rows.own > 0, rows.own, 1.0)
+    used = rows.weight > 0
+    # So an average of smoothed centres is stated as good as that of the rows.
+    best = jnp.where(used, jnp.minimum(variance, alone), alone)
+    share = jnp.where(used, jnp.maximum(shared / best, 1.0), 1.0)
+    found = rows.y + jnp.where(used, value, 0.0), jnp.sqrt(best), share
+    back = jnp.minimum(number, count - 1)
+    spread_out = lambda field: jnp.where(valid, jnp.take_along_axis(field, back, 1), 0.0).astype(jnp.float32)
+    return spread_out(found[0]), spread_out(found[1]), spread_out(found[2])
 
 
 def _line(s0: Array, s1: Array, s2: Array, t0: Array, t1: Array) -> tuple[Array, Array, Array]:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscan.stripes.fitting.albedo import DarkWindow, albedo_shift
+from jaxscan.stripes.fit import DarkWindow, albedo_shift
 
 
 SAMPLES, SUBSAMPLES = 24, 16

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxscan.stripes import PIXEL_FORMATS, LaserLine, extract_stripes, laser_plane, predict_off
-from jaxscan.stripes.dark.channels import put_plane
+from jaxscan.stripes.predict import put_plane
 
 
 ROWS, COLUMNS = 200, 256

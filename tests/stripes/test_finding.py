@@ -1,5 +1,7 @@
 """Which rows hold a stripe: faint ones are found, empty ones and edges are not."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -12,9 +14,9 @@ from jaxscan.stripes import (
     extract_stripes,
     whole_lines,
 )
-from jaxscan.stripes.search.native import NativeLocator
-from jaxscan.stripes.search.planes import Planes
-from jaxscan.stripes.search.search import prepare_search
+from jaxscan.stripes.peaks import find_peaks
+from jaxscan.stripes.planes import Plane
+from jaxscan.stripes.search import prepare_search
 
 
 KNOWN = NoiseModel(read_dn=1.0, electrons_per_dn=40.0)
@@ -33,12 +35,12 @@ def test_faint_stripe_is_located(width, render):
     scene = render(width, 5 * NOISE_DN, columns=1280, rows=1024, u=u)
     setup = ExtractionSetup((1280, 1024), FrameFormat(), LaserLine(), StripeSettings())
     search = prepare_search(setup, KNOWN, whole_lines(setup), has_off=True)
-    planes = Planes(scene.on, scene.off, np.ones(1, np.float32))
-    located = NativeLocator().locate(planes, search, pitch=1, saturation=254)
-    centre = np.concatenate([(found.middle + found.start).reshape(-1) for found in located.lists])
-    slots = located.slots[0]
-    near = (slots >= 0) & (np.abs(centre[slots] - u[:, None]) < 3 * width + 1)
-    assert near.any(1).mean() > 0.98
+    on, off = (Plane.of(jnp.asarray(frames[0])) for frames in (scene.on, scene.off))
+    gate = (jnp.asarray(field) for field in (search.low, search.high, search.thresholds))
+    with jax.enable_x64(False):
+        peaks = find_peaks(on, off, jnp.float32(1.0), *gate, pitch=1)
+    near = np.asarray(peaks.exists) & (np.abs(np.asarray(peaks.at) - u) < 3 * width + 1)
+    assert near.any(0).mean() > 0.98
 
 
 def test_empty_rows_hold_no_point(render):

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscan.stripes.fitting.gaussian_fit import UNUSED_VARIANCE, FitRules, Start, Window, fit_stripe
+from jaxscan.stripes.fit import UNUSED_VARIANCE, FitRules, Start, Window, fit_stripe
 
 
 X = np.arange(24.0) - 11.5

@@ -20,7 +20,7 @@ from jaxscan.stripes import (
     stripes_of_frames,
 )
 from jaxscan.stripes.engine import StripeEngine
-from jaxscan.stripes.search.search import learn_search
+from jaxscan.stripes.search import learn_search
 
 
 KNOWN = NoiseModel(read_dn=1.0, electrons_per_dn=40.0)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscan.stripes.fitting.albedo import DarkWindow
+from jaxscan.stripes.fit import DarkWindow
 from jaxscan.stripes.leak import NO_INFORMATION, Leak, frame_leak, leak
 
 

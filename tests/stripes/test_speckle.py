@@ -15,8 +15,8 @@ from jaxscan.stripes import (
     row_scatter,
 )
 from jaxscan.stripes.engine import prepare_engines
-from jaxscan.stripes.fitting.gaussian_fit import FitRules, Start, Window, fit_stripe
-from jaxscan.stripes.search.speckle import Rows, correct_speckle
+from jaxscan.stripes.fit import FitRules, Start, Window, fit_stripe
+from jaxscan.stripes.speckle import Rows, correct_speckle
 
 
 KNOWN = NoiseModel(read_dn=1.7, electrons_per_dn=8.0, black_dn=5.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxscan.stripes.choosing.steps import StepSettings, check_steps
+from jaxscan.stripes.choose import StepSettings, check_steps
 
 
 PROFILES, LINES = 90, 64

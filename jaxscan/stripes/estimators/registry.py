@@ -1,26 +1,15 @@
 """All estimators, by the names that settings and the command line have for them."""
 
-from typing import Protocol
-
 from jaxscan.stripes.estimators.centre_of_gravity import CentreOfGravity
 from jaxscan.stripes.estimators.estimator import Estimator
 from jaxscan.stripes.estimators.gaussian import Gaussian
-from jaxscan.stripes.stripes import Choice
+from jaxscan.stripes.stripes import StripeSettings
 
 
 ESTIMATORS: dict[str, Estimator] = {"gaussian": Gaussian(), "centre_of_gravity": CentreOfGravity()}
 
 
-class Chosen(Protocol):
-    """Names an estimator and a rule of choice, as `StripeSettings` does."""
-
-    @property
-    def estimator(self) -> str: ...
-    @property
-    def choice(self) -> Choice: ...
-
-
-def estimator_of(settings: Chosen) -> Estimator:
+def estimator_of(settings: StripeSettings) -> Estimator:
     """The estimator that the settings name.
 
     Raises:
