@@ -53,9 +53,9 @@ _LOOKS = (32, 80)
 """Lines and samples of a frame from which the brightness of a pair is compared."""
 _AT_ONCE = 8
 """Frames that an accelerator takes at a time."""
-_ALIGNED = 64
-"""Addresses from which on JAX takes memory without a copy on a CPU: multiples of this [bytes]. NumPy's own arrays begin
-16 bytes behind one."""
+_ALIGNED, _BEFORE = 64, 16
+"""Addresses from which on JAX takes memory without a copy on a CPU are multiples of the first; NumPy's own arrays begin
+so many bytes behind one [bytes]."""
 
 
 class ChunkStripes(NamedTuple):
@@ -248,12 +248,12 @@ def _bytes_around(frames: Array, records: int) -> _Stack | None:
         owner = owner.base
     if not (frames.flags.c_contiguous and owner.flags.c_contiguous):
         return None
-    size = records * (frames.nbytes // len(frames)) + _ALIGNED
-    at, end = frames.ctypes.data - owner.ctypes.data, owner.nbytes - size
+    size = records * (frames.nbytes // len(frames)) + _BEFORE
+    at = frames.ctypes.data - owner.ctypes.data
     # From the last aligned address before the frames on; earlier, where the array ends too soon.
-    first = min(at, end)
+    first = min(at, owner.nbytes - size)
     first -= (owner.ctypes.data + first) % _ALIGNED
-    if first < 0:
+    if first < 0 or first + size < at + frames.nbytes:
         return None
     return _Stack(owner.reshape(-1)[first : first + size], np.int32(at - first))
 
@@ -261,9 +261,9 @@ def _bytes_around(frames: Array, records: int) -> _Stack | None:
 def _copied(frames: Array, records: int) -> _Stack:
     """The bytes of frames in memory of their own, with room for so many records."""
     if not isinstance(frames, np.ndarray):
-        size = (records - len(frames)) * int(np.prod(frames.shape[1:])) + _ALIGNED
+        size = (records - len(frames)) * int(np.prod(frames.shape[1:])) + _BEFORE
         return _Stack(jnp.pad(jnp.asarray(frames).reshape(-1), (0, size)), np.int32(0))
-    size = records * (frames.nbytes // len(frames)) + _ALIGNED
+    size = records * (frames.nbytes // len(frames)) + _BEFORE
     # Memory that is not touched costs nothing.
     memory = np.zeros(size + _ALIGNED, np.uint8)
     first = -memory.ctypes.data % _ALIGNED

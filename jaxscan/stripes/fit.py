@@ -366,7 +366,7 @@ def fit_stripe(
         return gauss, window.y - model - base, 1.0 / (spread + grain * grain), spread
 
     def solved(u, amplitude, squared, base, degree):
-        """Step, information of the centre, and the moments of weight and residual."""
+        """Step, information of the centre, what the step explains, and the moments of weight and residual."""
         gauss, residual, weight, _ = modelled(u, amplitude, squared, base)
         weighted = weight * gauss
         about = _about(powers[: degree + 3] @ (weighted * gauss), u, squared)
@@ -385,7 +385,9 @@ def fit_stripe(
             plain = _about(powers[:3] @ weighted, u, squared)
             normal = [[powers[0] @ weight], [plain[0], *normal[0]], [plain[2], *normal[1]], [plain[1], *normal[2]]]
             gradient.insert(0, powers[0] @ (weight * residual))
-        return *_solve(normal, gradient), about, first
+        delta, pivot = _solve(normal, gradient)
+        explained = sum(d * g for d, g in zip(delta, gradient, strict=True))
+        return delta, pivot, explained, (about, first)
 
     def step(state):
         number, moving, u, amplitude, squared, base, _ = state
@@ -420,9 +422,10 @@ def fit_stripe(
     # GPUs may multiply float32 matrices with 10 bits otherwise.
     with jax.default_matmul_precision("highest"):
         _, _, u, amplitude, squared, base, last = lax.while_loop(lambda state: jnp.any(state[1]), step, first)
-        _, pivot, about, moments_of = solved(u, amplitude, squared, base, 4)
+        _, pivot, explained, (about, moments_of) = solved(u, amplitude, squared, base, 4)
         gauss, residual, weight, spread = modelled(u, amplitude, squared, base)
-        chi2 = powers[0] @ (weight * residual * residual)
+        # Where steps are not at their end, what the next would explain is no misfit.
+        chi2 = jnp.maximum(powers[0] @ (weight * residual * residual) - explained, 0.0)
         # Where there is no stripe there is no speckle either.
         energy = amplitude * amplitude * (powers[0] @ (gauss * gauss / spread))
     # The third Hermite polynomial without the part that a shift of the centre explains.

@@ -191,18 +191,19 @@ def _combed(lattice: Int16[Array, "lines points"], ground: Array | None) -> tupl
     """The best two points of every comb, in one word so that one loop over the frame makes them; and the keys of all
     points near the borders, which the combs leave out."""
     points = lattice.shape[1]
-    # A multiple of 16 columns, or vectors do not fill: a third slower.
-    width = 16 * -(-(points - 2 * _MARGIN) // (16 * _TEETH))
-    teeth = (points - 2 * _MARGIN) // width if points >= 64 else 0
+    # A multiple of 16 columns, or vectors do not fill: a third slower; and so wide that one stripe's zone has no two
+    # points of a comb.
+    width = max(2 * _ZONE_SPAN, 16 * -(-(points - 2 * _MARGIN) // (16 * _TEETH)))
+    teeth = (points - 2 * _MARGIN) // width
     if teeth == 0:
         return None, _border(lattice, ground, 0, points)
     cut = lambda field: None if field is None else field[:, : width * teeth + 2 * _MARGIN]
     half = jnp.clip(_respond(cut(lattice), cut(ground)) >> 1, 0, 4095).astype(jnp.uint16)
     keys = [(half[:, i * width : (i + 1) * width] << 4) | jnp.uint16(_TEETH - 1 - i) for i in range(teeth)]
-    ranked = [(key, None) for key in keys]
+    ranked: list[tuple[Array, Array | None]] = [(key, None) for key in keys]
     while len(ranked) > 1:
         ranked = [_best_two(*ranked[i : i + 2]) for i in range(0, len(ranked), 2)]
-    best, second = (key.astype(jnp.int32) for key in ranked[0])
+    best, second = (jnp.zeros((), jnp.int32) if key is None else key.astype(jnp.int32) for key in ranked[0])
     borders = [_border(lattice, ground, 0, 16), _border(lattice, ground, width * teeth + _MARGIN, points)]
     return best << 16 | second, jnp.concatenate(borders, 1)
 

@@ -403,7 +403,8 @@ def _line_explains(sums: list[Array]) -> tuple[Array, Array]:
     """Part of the square sum that a straight line explains, and whether there is one."""
     s0, s1, s2, t0, t1 = sums[0], sums[1], sums[2], sums[5], sums[6]
     det = s0 * s2 - s1 * s1
-    known = det > 1e-9 * s0 * s2
+    # The number of rows has no rounding error, a determinant of one row has.
+    known = (det > 1e-9 * s0 * s2) & (sums[9] >= 2.0)
     return (s2 * t0 * t0 - 2.0 * s1 * t0 * t1 + s0 * t1 * t1) / jnp.where(known, det, 1.0), known
 
 

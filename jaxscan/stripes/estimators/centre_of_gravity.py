@@ -85,7 +85,7 @@ def _located(on: Array, off: Array | None, lamp_ratio: Array, search: Search) ->
     def window(values):
         return jnp.take_along_axis(jnp.asarray(values), index, 2)
 
-    clipped = inside & (window(on) >= search.limits.saturation)
+    clipped = inside & (window(on) >= search.limits.saturation.astype(jnp.uint8))
     return Peak(
         place,
         inside,
