@@ -65,7 +65,8 @@ def draw_plan(survey: Survey, *, heights_m: Sequence[float] = (1.0,)) -> Drawing
     for start_3d, end_3d, found in clear_distances(room, first):
         words = with_sigma(found)
         wanted.append((found, DimensionLine("A-ANNO-DIMS", start_3d[:2], end_3d[:2], 0.0, words)))
-    dimensions, remarks = known_dimensions(wanted)
+    dimensions, left_out = known_dimensions(wanted)
+    remarks = [*(f"{remark}." for remark in room.remarks), *left_out]
     for height in heights_m:
         layer = "A-FURN" if len(heights_m) == 1 else f"A-FURN-{round(100 * height)}"
         lines += [Line(layer, points) for points in _furniture(survey, height)]

@@ -56,7 +56,7 @@ def draw_section(survey: Survey, a: tuple[float, float], b: tuple[float, float])
     along = (second - first) / np.linalg.norm(second - first)
     across = np.array([-along[1], along[0], 0.0])
     step = _out_of_walls(survey, first, across)
-    remarks = []
+    remarks = [f"{remark}." for remark in survey.outline.remarks]
     if step != 0.0:
         first = first + step * across[:2]
         remarks.append(

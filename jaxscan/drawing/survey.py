@@ -7,6 +7,7 @@ import numpy as np
 from jaxscan.geometry import Scanner
 from jaxscan.measurement.grid import Quads, quads_of
 from jaxscan.measurement.outline import Opening, RoomOutline, find_openings, measure_outline
+from jaxscan.measurement.outline.loops import distance_to, is_within
 from jaxscan.measurement.samples import Cloud, places_of
 
 
@@ -29,19 +30,13 @@ class Survey:
 
     def is_inside(self, p: np.ndarray) -> np.ndarray:
         """Which points [n, 2 or 3] are within the outline, and not on a wall [n]."""
-        inside, clear = np.zeros(len(p), bool), np.ones(len(p), bool)
-        for loop, corners in zip(self.outline.loops, self.outline.corners(), strict=True):
-            at = np.array([corner.at[:2] for corner in corners])
+        loops = [np.array([corner.at[:2] for corner in loop]) for loop in self.outline.corners()]
+        clear = np.ones(len(p), bool)
+        for loop, at in zip(self.outline.loops, loops, strict=True):
             for side, start, end in zip(loop, at, np.roll(at, -1, 0), strict=True):
-                crosses = (start[1] > p[:, 1]) != (end[1] > p[:, 1])
-                rise = end[1] - start[1]
-                x = start[0] + (p[:, 1] - start[1]) * (end[0] - start[0]) / (rise if rise != 0 else 1.0)
-                inside ^= crosses & (p[:, 0] < x)
                 if side.seen:
-                    along = (end - start) / np.linalg.norm(end - start)
-                    s = np.clip((p[:, :2] - start) @ along, 0.0, np.linalg.norm(end - start))
-                    clear &= np.linalg.norm(p[:, :2] - start - s[:, None] * along, axis=1) > WALL_M
-        return inside & clear
+                    clear &= distance_to(start, end, p[:, :2]) > WALL_M
+        return is_within(loops, p) & clear
 
 
 def survey_room(cloud: Cloud, *, scanner: Scanner | None = None) -> Survey:

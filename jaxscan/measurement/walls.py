@@ -14,6 +14,8 @@ NEIGHBOURHOOD_M = 0.05
 """Points within this distance and 6 sigma of the plane take part in its refinement [m]."""
 KEPT = 2.5
 """Residuals beyond this many (robust) standard deviations are left out, on both sides alike."""
+FEWEST = 4
+"""Points in the refinement of a wall, at least: three lie on any plane."""
 SHARE, SPAN = 0.1, 0.5
 """A wall has at least these shares of the largest support and of the largest width of all planes on
 its side of the room; smaller planes are things behind a door."""
@@ -42,13 +44,12 @@ class Wall(NamedTuple):
         plane = plane._replace(distance=distance, centre=plane.centre + step)
         return self._replace(plane=plane, samples=self.samples.moved(step))
 
-    def behind(self, samples: CloudSamples) -> float:
+    def behind(self, samples: CloudSamples | Samples) -> float:
         """Share of the points that are behind it [1]; above `BEYOND` it does not bound them."""
         normal, distance = self.plane.normal, self.plane.distance
-        behind = sum(
-            np.count_nonzero(some.p @ normal - distance > BEYOND_M + 6.0 * some.sigma) for some in samples.blocks()
-        )
-        return float(behind / len(samples))
+        blocks = samples.blocks() if isinstance(samples, CloudSamples) else [samples]
+        beyond = [some.p @ normal - distance > BEYOND_M + 6.0 * some.sigma for some in blocks]
+        return float(sum(map(np.count_nonzero, beyond)) / sum(map(len, beyond)))
 
     @property
     def rms_m(self) -> float:
@@ -105,7 +106,8 @@ def refine_wall(samples: CloudSamples | Samples, plane: Plane, *, rng: np.random
         residual = (around.p @ normal - distance) / sigma
         scale = _outer_scale(residual)
         now = np.abs(residual) <= KEPT * scale
-        if np.array_equal(now, kept):
+        # On a plane that its points contradict none may be left.
+        if np.array_equal(now, kept) or np.count_nonzero(now) < FEWEST:
             break
         kept = now
         plane = facing(weighted_plane(around.p[kept], around.weights_across(normal)[kept]), normal)

@@ -3,6 +3,7 @@
 Which chunks a view needs is decided in the browser, by `gap` and distance: page/draw.js.
 """
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -58,27 +59,52 @@ def make_levels(xyz: Float[np.ndarray, "n 3"], *, overview: int = OVERVIEW) -> L
     """
     low = xyz.min(0)
     extent = max(float((xyz.max(0) - low).max()), 1e-9)
-    codes = np.empty(len(xyz), np.uint64)
-    for start in range(0, len(xyz), _AT_ONCE):
-        codes[start : start + _AT_ONCE] = _morton(xyz[start : start + _AT_ONCE], low, extent)
-    along = np.argsort(codes).astype(np.int32)
-    codes = codes[along]
-    digit = np.zeros(len(codes), np.uint8)
-    for start in range(0, len(codes) - 1, _AT_ONCE):
-        changed = codes[start + 1 : start + _AT_ONCE + 1] ^ codes[start : start + _AT_ONCE][: len(codes) - 1 - start]
-        # By the highest bit that differs; equal places differ in none, and are of the finest level.
-        digit[start + 1 : start + 1 + len(changed)] = DEPTH - 1 - np.maximum(_highest_bit(changed), 0) // 3
+    order, ends = _by_tile(xyz, low, extent)
+    digit = np.empty(len(xyz), np.uint8)
+    before = np.uint64(0)
+    for start, stop in itertools.pairwise(ends.tolist()):
+        if stop > start:
+            codes = _morton(xyz[order[start:stop]], low, extent)
+            along = np.argsort(codes)
+            order[start:stop], codes = order[start:stop][along], codes[along]
+            # By the highest bit that differs; equal places differ in none, and are of the finest level.
+            changed = codes ^ np.concatenate([[before], codes[:-1]])
+            digit[start:stop] = DEPTH - 1 - np.maximum(_highest_bit(changed), 0) // 3
+            before = codes[-1]
+    digit[0] = 0
     counts = np.cumsum(np.bincount(digit, minlength=DEPTH))
     first = max(int(np.searchsorted(counts, overview, side="right")) - 1, 0)
     last = max(int(np.searchsorted(counts, _WHOLE * len(xyz))), first)
-    level = np.clip(digit, first, last)
-    tile = (codes >> np.uint64(3 * (DEPTH - _TILE_DEPTH))).astype(np.int16)
-    del codes
-    key = tile * np.int16(DEPTH) + level
-    by_level = np.argsort(key, kind="stable")
-    order, key = along[by_level], key[by_level]
-    starts = np.flatnonzero(np.diff(key, prepend=-1))
-    return Levels(order, _chunks(xyz, order, (starts, key[starts]), extent))
+    runs, keys = [np.zeros(0, int)], [np.zeros(0, int)]
+    for tile, (start, stop) in enumerate(itertools.pairwise(ends.tolist())):
+        level = np.clip(digit[start:stop], first, last)
+        by_level = np.argsort(level, kind="stable")
+        order[start:stop] = order[start:stop][by_level]
+        found, begin = np.unique(level[by_level], return_index=True)
+        runs.append(start + begin)
+        keys.append(tile * DEPTH + found.astype(int))
+    return Levels(order, _chunks(xyz, order, (np.concatenate(runs), np.concatenate(keys)), extent))
+
+
+def _by_tile(xyz: np.ndarray, low: np.ndarray, extent: float) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the points by tile, int32 [n], and where each tile begins and the last one ends [tiles + 1].
+
+    What comes after takes one tile at a time: codes and sorted numbers of all points would be twice as large as they.
+    """
+    tile = np.empty(len(xyz), np.int16)
+    for start in range(0, len(xyz), _AT_ONCE):
+        codes = _morton(xyz[start : start + _AT_ONCE], low, extent)
+        tile[start : start + _AT_ONCE] = codes >> np.uint64(3 * (DEPTH - _TILE_DEPTH))
+    ends = np.concatenate([[0], np.cumsum(np.bincount(tile, minlength=8**_TILE_DEPTH))])
+    order, free = np.empty(len(xyz), np.int32), ends[:-1].copy()
+    for start in range(0, len(xyz), _AT_ONCE):
+        some = tile[start : start + _AT_ONCE]
+        by_tile = np.argsort(some, kind="stable")
+        counts = np.bincount(some, minlength=len(free))
+        # Of the points of a tile the next one goes to the next free place of that tile.
+        order[np.repeat(free - np.cumsum(counts) + counts, counts) + np.arange(len(some))] = start + by_tile
+        free += counts
+    return order, ends
 
 
 def _morton(xyz: np.ndarray, low: np.ndarray, extent: float) -> np.ndarray:

@@ -122,14 +122,14 @@ def measure_flatness(shown: ShownCloud, place: np.ndarray) -> Measured:
 
 
 def measure_sides(shown: ShownCloud, scanner: Scanner | None) -> tuple[Measured, ...]:
-    """Length, width and height of the room; as `jaxscan measure room`.
+    """Length, width and height of the room; as `jaxscan measure room`. The last says why others are left out.
 
     Raises:
         MeasurementError: If it has no walls.
     """
     box = measure_room(shown.cloud, scanner=scanner)
     sides = {name: getattr(box, name) for name in ("length", "width", "height")}
-    return tuple(
+    measured = [
         Measured(
             "room",
             name,
@@ -143,7 +143,10 @@ def measure_sides(shown: ShownCloud, scanner: Scanner | None) -> tuple[Measured,
         )
         for name, side in sides.items()
         if side is not None
-    )
+    ]
+    remarks = (f"a dimension is left out: {remark}." for remark in box.remarks)
+    measured[-1] = measured[-1]._replace(words=(*measured[-1].words, *remarks))
+    return tuple(measured)
 
 
 def as_csv(measured: list[Measured]) -> bytes:

@@ -16,6 +16,8 @@ from jaxscan.viewer.sides import hides_well, sides_of
 
 
 _MM = 1e3
+_AT_ONCE = 1 << 18
+"""Points that are taken together."""
 _DARKEST = 60.0
 """Level of the weakest points of a cloud that has intensities alone."""
 
@@ -36,6 +38,14 @@ def knows_its_place(cloud: PointCloud) -> bool:
 def middle_of(cloud: PointCloud) -> np.ndarray:
     """A place amid a cloud [3], in whole metres: one on a map has more digits than a browser's numbers."""
     return np.round(np.median(some_points(cloud, 10_000), 0))
+
+
+def _taken(values: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Values at an index [n]. NumPy would make a copy of it in 64 bits, twice as large: here of a part at a time."""
+    found = np.empty((len(index), *values.shape[1:]), values.dtype)
+    for start in range(0, len(index), _AT_ONCE):
+        found[start : start + _AT_ONCE] = values[index[start : start + _AT_ONCE]]
+    return found
 
 
 class ShownCloud:
@@ -64,19 +74,19 @@ class ShownCloud:
         number = np.int32 if cloud.valid.size < 2**31 else np.int64
         cells = np.flatnonzero(np.asarray(cloud.valid)).astype(number)
         flat = np.asarray(cloud.xyz).reshape(-1, 3)
-        xyz = flat[cells]
+        xyz = _taken(flat, cells)
         xyz -= origin.astype(flat.dtype)
         xyz = xyz.astype(np.float32, copy=False)
         self.levels: Levels = make_levels(xyz)
-        self.xyz = xyz[self.levels.order]
+        self.xyz = _taken(xyz, self.levels.order)
         """Points in the scene's frame, in the order in which they are shown, float32 [n, 3]."""
-        self.cells = cells[self.levels.order]
+        del xyz
+        self.cells = _taken(cells, self.levels.order)
         """Their places on the cloud's grid, counted line after line."""
-
+        del cells
         some = self.xyz[:: max(1, len(self.xyz) // 50_000)]
         self.low, self.high = np.percentile(some, [1, 99], axis=0)
         """Corners of the points without their outermost hundredth, in the scene's frame [3], m."""
-        del xyz, cells
         self.sides = self._sides()
         """From which side the points were seen, int8 [n, 3]; None where the cloud does not know."""
         self.hides = self.sides is not None and hides_well(self.sides)
@@ -102,7 +112,7 @@ class ShownCloud:
     def take(self, field: ArrayLike, some: slice = slice(None)) -> np.ndarray:
         """A field of the cloud at its points or some of them, in the order in which they are shown."""
         values = np.asarray(field)
-        return np.asarray(values.reshape(-1, *values.shape[2:])[self.cells[some]])
+        return _taken(values.reshape(-1, *values.shape[2:]), self.cells[some])
 
     def coloured(self, by: Colouring, *, plane: PlaneMeasurement | None) -> tuple[np.ndarray, Scale | None]:
         """The colours of its points, and their scale where they have one.

@@ -8,16 +8,38 @@ import struct
 import subprocess
 import sys
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import jaxscan
 from jaxscan.files.clouds import WRITERS, save_cloud
 from tests.files.clouds import make_cloud
 from tests.files.e57s import with_xml, xml_of
 
 
 ADDRESS = "http://127.0.0.1:9/asked-for"
+TREES = [
+    *(sys.prefix, sys.base_prefix, Path(jaxscan.__file__).parent, Path(jaxscan.__file__).parents[1] / "hardware"),
+    *("/lib", "/lib64", "/usr/lib", "/usr/lib64", "/usr/local/lib", "/usr/share/locale", "/usr/share/zoneinfo"),
+    *("/usr/share/fonts", "/sys/devices", "/sys/bus/pci", "/sys/fs/cgroup", "/proc/sys/crypto"),
+    os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"),
+]
+"""Folders of the program itself: interpreter, environment, package, libraries, fonts, caches, kind of machine."""
+FILES = [
+    *(
+        "/etc/ld.so.cache",
+        "/etc/ld.so.preload",
+        "/etc/localtime",
+        "/etc/locale.alias",
+        "/etc/ssl/openssl.cnf",
+        "/dev/null",
+        "/dev/urandom",
+    ),
+    *(f"/proc/{name}" for name in ("cpuinfo", "meminfo", "stat", "self/cgroup", "self/maps", "self/mountinfo")),
+]
+"""Single files that it may read. Folders on the path of modules are listed, and no more."""
 
 
 @pytest.fixture(scope="module")
@@ -37,20 +59,53 @@ def traced(strace, folder, code, *words):
     A library may look, while it is imported, whether there are sockets of IPv6; it asks nobody.
     """
     log = folder.parent / f"{folder.name}.trace"
-    told = [strace, "-f", "-qq", "-s", "512", "-e", "trace=network,open,openat,openat2", "-o", log]
+    told = [strace, "-f", "-y", "-qq", "-s", "4096", "-e", "trace=network,open,openat,openat2", "-o", log]
     ran = subprocess.run([*told, sys.executable, "-c", code, *words], cwd=folder, capture_output=True, text=True)
     lines = log.read_text().splitlines()
     sockets = [line for line in lines if re.search(r"\b(connect|send\w+)\(.*AF_(INET|PACKET|VSOCK)", line)]
-    opened = {found[1] for line in lines if (found := re.search(r'\bopen(?:at2?)?\([^"]*"([^"]*)"', line))}
+    opened = [found for line in lines if (found := OPENED.search(line))]
     assert opened, ran.stderr
     return sockets, opened, ran
+
+
+OPENED = re.compile(r'\bopen(?:at2?)?\((?:[^"<]*<([^>]*)>[^"]*)?"([^"]*)"(?:.*= \d+<(.*)>$)?')
+"""With -y: the folder from which a name counts, the name, and the file that was found at the end of all links."""
+
+
+def strays(opened, folder):
+    """Files that a process in a folder opened, or wanted to, that are neither in the folder nor the program's own."""
+    asked = {os.path.join(one[1] or folder, one[2]) for one in opened}
+    found = {one[3] for one in opened if one[3]}
+    real = {os.path.realpath(path) for path in map(str, (folder, *TREES))}
+    trees = tuple(f"{path.rstrip('/')}/" for path in {*map(str, (folder, *TREES)), *real})
+    single = {*FILES, *(os.path.abspath(path) for path in sys.path), *map(os.path.realpath, sys.path)}
+    # The kernel has a number for "self".
+    paths = {re.sub(r"^/proc/[0-9]+/", "/proc/self/", os.path.normpath(path)) for path in asked | found}
+    return sorted(path for path in paths if not f"{path}/".startswith(trees) and path not in single)
 
 
 def test_the_trace_sees_sockets_and_files(strace, tmp_path):
     (tmp_path / "secret.txt").write_text("sk")
     code = "import socket; open('secret.txt'); socket.socket().connect_ex(('127.0.0.1', 9))"
     sockets, opened, _ = traced(strace, tmp_path, code)
-    assert sockets and "secret.txt" in opened
+    assert sockets and "secret.txt" in [one[2] for one in opened]
+
+
+@pytest.mark.parametrize(
+    "name", ["../secret.txt", "link.txt", "{outside}/none.txt", "/etc/passwd", "/proc/self/environ", "../stranger2/a"]
+)
+def test_the_trace_sees_files_elsewhere(strace, tmp_path, name):
+    """By a path, by a link, and those that are not there."""
+    folder = tmp_path / "stranger"
+    folder.mkdir()
+    (tmp_path / "secret.txt").write_text("sk")
+    (folder / "link.txt").symlink_to("../secret.txt")
+    (folder / "own.txt").write_text("own")
+    name = name.format(outside=tmp_path)
+    code = "import os, sys; open('own.txt'); os.path.exists(sys.argv[1]); os.open(sys.argv[1], os.O_RDONLY)"
+    _, opened, _ = traced(strace, folder, code, name)
+    wanted = os.path.realpath(folder / name) if "proc" not in name else name
+    assert strays(opened, folder) == [wanted]
 
 
 RUN = """
@@ -179,6 +234,8 @@ def test_no_reader_asks_for_another_file_or_address(strace, tmp_path):
     assert "['convert', 'plain.e57', 'out-plain.e57.xyz'] code 0" in ran.stdout
     assert "['convert', 'entities.e57', 'out-entities.e57.xyz'] code 1" in ran.stdout
     assert not sockets, sockets[:3]
-    assert not [name for name in opened if name.endswith("secret.txt") or "asked-for" in name]
+    assert not [one[2] for one in opened if one[2].endswith("secret.txt") or "asked-for" in one[2]]
+    elsewhere = strays(opened, folder)
+    assert not elsewhere, elsewhere
     for path in folder.rglob("out*"):
         assert path.is_dir() or b"sk-secret" not in path.read_bytes()

@@ -155,3 +155,14 @@ def test_what_is_not_known_is_no_dimension(survey):
     plan = jaxscan.draw_plan(unknown)
     assert any("left out" in remark for remark in plan.remarks)
     assert not [one for one in plan.dimensions if one.offset_m == -0.5]
+
+
+def test_what_contradicts_a_wall_is_said(survey):
+    outline = replace(survey.outline, remarks=("W3 is no wall: its plane at 2.00 m has 30 % of the points behind it",))
+    contradicted = replace(survey, outline=outline)
+    for drawing in (
+        jaxscan.draw_plan(contradicted, heights_m=[1.0]),
+        jaxscan.draw_section(contradicted, (-1.0, 1.0), (4.0, 1.0)),
+    ):
+        said = f"{outline.remarks[0]}."
+        assert said in drawing.remarks and said in [text.words for text in drawing.texts]

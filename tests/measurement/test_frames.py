@@ -1,6 +1,8 @@
 """Frames of targets and of rooms: motions are found, sigmas cover the errors, and what tells no frame is refused."""
 
+import dataclasses
 import json
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -126,6 +128,22 @@ def test_a_cloud_is_moved_with_its_normals_and_its_place():
     far = np.eye(4)
     far[:3, 3] = 4.5e6
     np.testing.assert_allclose(jaxscan.align_cloud(cloud, far).points().xyz - 4.5e6, before.xyz, atol=1e-8)
+
+
+def test_a_cloud_is_moved_in_little_memory():
+    """A point takes 24 bytes, of its new place and normal; the rest is that of a block of 2^18 points."""
+    small = make_cloud()
+    times = 1 + 1_000_000 // small.valid.size
+    fields = {one.name: getattr(small, one.name) for one in dataclasses.fields(small)}
+    many = {name: np.repeat(value, times, 0) for name, value in fields.items() if isinstance(value, np.ndarray)}
+    cloud = dataclasses.replace(small, **many)
+    tracemalloc.start()
+    try:
+        jaxscan.align_cloud(cloud, motion(4))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 60 * cloud.valid.size
 
 
 def test_on_the_command_line(tmp_path, capsys, tiny):

@@ -1,5 +1,7 @@
 """Outlines of rooms of any shape: exact without noise, honest sigmas with it, and what is in the walls."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -138,6 +140,76 @@ def test_refusals():
     cloud.valid[:] = False
     with pytest.raises(MeasurementError, match="no valid points"):
         measure_outline(cloud)
+
+
+def repeated(cloud, times):
+    """The cloud with every profile taken several times, as a sweep at several exposures gives it."""
+    many = SimpleNamespace(**{name: np.repeat(values, times, 0) for name, values in vars(cloud).items()})
+    noise = 2e-4 * np.random.default_rng(1).normal(size=many.xyz.shape)
+    many.xyz = (many.xyz + noise).astype(np.float32)
+    return many
+
+
+def one_row(cloud, sigma):
+    """The points as a text gives them: nobody knows which are of one profile."""
+    p = cloud.xyz[cloud.valid][None]
+    known = {"sigma_random": np.full(p.shape[:2], sigma, np.float32), "valid": np.ones(p.shape[:2], bool)}
+    return SimpleNamespace(xyz=p, laser=np.zeros(1, np.int32), angle=np.zeros(1), **known)
+
+
+def test_profiles_are_no_walls(box_room):
+    """Three profiles at one angle are enough for a plane, on which hundreds of points lie; rooms go on behind it."""
+    rare = box_room((3.2, 3.8, 2.4), grid=(20, 256), noise=2e-4, elevation=60.0)
+    with pytest.raises(MeasurementError, match=r"No two .* has the points of one profile"):
+        measure_outline(repeated(rare, 3))
+    with pytest.raises(MeasurementError, match=r"No two .* has 2\d % of the points behind it"):
+        measure_outline(repeated(rare, 5))
+
+
+def test_a_profile_beside_walls_is_said(box_room):
+    room = measure_outline(repeated(box_room((3.2, 3.8, 2.4), grid=(36, 256), noise=2e-4, elevation=60.0), 3))
+    (remark,) = room.remarks
+    number, side = next((i, side) for i, side in enumerate(room.loops[0]) if remark.startswith(side.name))
+    assert "is no wall" in remark and not side.seen and room.lengths()[0][number] is None and not room.closed
+
+
+@pytest.mark.parametrize(("profiles", "lines"), [(15, 256), (24, 256)])
+def test_the_outline_holds_the_points(profiles, lines, box_room):
+    """Without a grid two profiles are taken for walls, in whose corner the scanner stands."""
+    rare = box_room((3.2, 3.8, 2.4), grid=(profiles, lines), noise=2e-4, elevation=60.0)
+    with pytest.raises(MeasurementError, match=r"No two .*\(\d\d % of the points lie outside of them"):
+        measure_outline(one_row(rare, 1e-3))
+
+
+@pytest.mark.parametrize("top", [2.05, HEIGHT])
+def test_a_glass_wall_or_an_open_door_is_no_contradiction(top):
+    """Nearly a fifth of the points is seen through it."""
+    corners = ((0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0))
+    cloud = seen_room(corners, at=np.array([3.9, 2.0, 1.3]), niches=((1, 1.0, 3.0, 0.0, top, 8.0),))
+    room = measure_outline(cloud)
+    assert room.remarks == () and room.closed and all(side.seen for side in room.loops[0])
+    found, truth = in_order(room, corners)
+    np.testing.assert_allclose(found, truth, atol=1e-3)
+    ahead = cloud.xyz @ np.array([np.cos(0.4), -np.sin(0.4), 0.0])
+    assert 0.15 < np.mean(ahead > 1.2) < 0.2
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_points_beyond_floor_and_ceiling(side):
+    """A quarter of the points is deeper than the floor, or above the ceiling, in no order."""
+    cloud = seen_room(elevation=75.0)
+    p, farther = cloud.xyz, np.random.default_rng(0).uniform(1.2, 2.0, cloud.xyz.shape[:2])
+    beyond = (np.abs(p[..., 2] - side * HEIGHT / 2) < 0.02) & (np.linalg.norm(p[..., :2], axis=-1) < 1.5)
+    assert 0.21 < beyond.mean() < 0.3
+    cloud.xyz = np.where(beyond[..., None], farther[..., None] * p, p).astype(np.float32)
+    if side < 0:
+        with pytest.raises(MeasurementError, match=r"2\d % of the points lie below .* no floor"):
+            measure_outline(cloud)
+        return
+    room = measure_outline(cloud)
+    assert room.ceiling is None and room.height() is None and room.volume() is None
+    assert len(room.remarks) == 1 and "no ceiling: 2" in room.remarks[0]
+    assert room.floor_area() is not None
 
 
 def test_the_part_of_the_calibration_is_that_of_other_lengths(tiny):

@@ -1,5 +1,7 @@
 """Levels of detail: every point once, coarse ones spread evenly."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -62,3 +64,16 @@ def test_hardly_any_points(xyz):
     levels = make_levels(xyz.astype(np.float32))
     assert sorted(levels.order.tolist()) == list(range(len(xyz)))
     assert all(np.isfinite([c.radius, c.spacing]).all() and c.spacing > 0 for c in levels.chunks)
+
+
+def test_levels_take_little_memory_beside_the_points():
+    """A point takes 4 bytes of its number and 2 of its tile; the codes are those of one tile at a time."""
+    xyz = shell(1_000_000)
+    tracemalloc.start()
+    try:
+        make_levels(xyz)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    # Blocks of 2^18 points take 10 bytes for each of the million.
+    assert peak < 20 * len(xyz)

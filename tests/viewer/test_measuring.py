@@ -71,6 +71,20 @@ def test_the_room(tiny, shown, run, tmp_path):
     assert [side.sigma_m for side in sides] == [printed[name]["sigma_m"] for name in ("length", "width", "height")]
 
 
+def test_the_list_says_why_a_dimension_is_left_out(shown, monkeypatch):
+    """As the terminal and the report do."""
+    remark = "31 % of the points lie behind a plane at 2.00 m"
+    whole = jaxscan.measure_room(shown.cloud)
+    part = dataclasses.replace(whole, height=None, remarks=(remark,))
+    monkeypatch.setattr("jaxscan.viewer.measuring.measure_room", lambda cloud, scanner: part)
+    session = Session([shown], None)
+    state = session.carry_out(Order("room", shifts=((0, np.zeros(3)),)))
+    assert [len(one["words"]) for one in state["measured"]] == [1, 2]
+    assert state["measured"][-1]["words"][-1] == f"a dimension is left out: {remark}."
+    for saved in ("csv", "json"):
+        assert remark in session.carry_out(Order("save", saved))["text"]
+
+
 def test_a_point_is_one_of_the_file(shown):
     found = measure_point(shown, 5)
     place = np.asarray(shown.cloud.xyz).reshape(-1, 3)[shown.cells[5]]

@@ -52,6 +52,7 @@ def orthophoto(
     loaded, said = upright(cloud, unit, up)
     notes += said
     survey = jaxscan.survey_room(loaded, scanner=scanner)
+    notes += [f"{remark}." for remark in survey.outline.remarks]
     pictures = jaxscan.draw_orthophotos(survey, np.asarray(loaded.rgb), pixel_m=pixel_mm / 1e3)
     files = [output / f"{picture.side}.png" for picture in pictures]
     check_paths(reads, [*(Place("the picture", file) for file in files), *file_at("--json", json)])

@@ -8,7 +8,7 @@ from jaxscan.errors import MeasurementError
 from jaxscan.measurement.planes import Plane
 from jaxscan.measurement.room import LEVEL, main_direction
 from jaxscan.measurement.samples import Samples
-from jaxscan.measurement.walls import Wall, outermost, refine_wall
+from jaxscan.measurement.walls import BEYOND, Wall, outermost, refine_wall
 
 
 class Frame(NamedTuple):
@@ -52,11 +52,14 @@ class Frame(NamedTuple):
 
 def find_level(
     samples: Samples, planes: list[tuple[Plane, np.ndarray]], rng: np.random.Generator
-) -> tuple[Frame, Wall, Wall | None]:
+) -> tuple[Frame, Wall, Wall | None, list[str]]:
     """The frame of the plan, its origin below that of the cloud; floor and ceiling in the cloud's frame.
 
+    Returns:
+        Frame, floor and ceiling, and why a plane above is no ceiling.
+
     Raises:
-        MeasurementError: If there is no floor.
+        MeasurementError: If there is no floor, or more than a fifth of the points is below it.
     """
     up = np.array([0.0, 0.0, 1.0])
     level = [(plane, p) for plane, p in planes if abs(plane.normal @ up) > LEVEL]
@@ -67,10 +70,22 @@ def find_level(
             "must be scanned from within, so far down that the floor is seen on all sides."
         )
     floor = refine_wall(samples, below, rng=rng)
+    if (share := floor.behind(samples)) > BEYOND:
+        raise MeasurementError(
+            f"{100 * share:.0f} % of the points lie below the lowest large plane, at {-floor.plane.distance:.2f} m, so "
+            "it is no floor from which heights are counted; a room must be scanned from within, so far down that the "
+            "floor is seen on all sides."
+        )
     up = -floor.plane.normal
     along = main_direction(planes)
     across = np.cross(up, along)
     across /= np.linalg.norm(across)
     rotation = np.stack([np.cross(across, up), across, up])
     frame = Frame(rotation, np.array([0.0, 0.0, floor.plane.distance]))
-    return frame, floor, None if above is None else refine_wall(samples, above, rng=rng)
+    ceiling = None if above is None else refine_wall(samples, above, rng=rng)
+    if ceiling is not None and (share := ceiling.behind(samples)) > BEYOND:
+        remark = (
+            f"the plane at {ceiling.plane.distance:.2f} m is no ceiling: {100 * share:.0f} % of the points lie above"
+        )
+        return frame, floor, None, [remark]
+    return frame, floor, ceiling, []

@@ -31,6 +31,26 @@ def closed_loops(edges: list[Edge], lines: list[Line]) -> list[list[Edge]]:
     return [outer, *(loop for loop, area in zip(loops, areas, strict=True) if area < 0)]
 
 
+def is_within(loops: list[np.ndarray], p: np.ndarray) -> np.ndarray:
+    """Which points [n, 2 or more] are within loops of corners [corners, 2], holes left out [n]."""
+    inside = np.zeros(len(p), bool)
+    for at in loops:
+        for start, end in zip(at, np.roll(at, -1, 0), strict=True):
+            crosses = (start[1] > p[:, 1]) != (end[1] > p[:, 1])
+            rise = end[1] - start[1]
+            x = start[0] + (p[:, 1] - start[1]) * (end[0] - start[0]) / (rise if rise != 0 else 1.0)
+            inside ^= crosses & (p[:, 0] < x)
+    return inside
+
+
+def distance_to(start: np.ndarray, end: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Of points [n, 2] from the stretch between two [2] [n], m."""
+    length = np.linalg.norm(end - start)
+    along = (end - start) / length
+    s = np.clip((p - start) @ along, 0.0, length)
+    return np.asarray(np.linalg.norm(p - start - s[:, None] * along, axis=1))
+
+
 def _following(
     index: int, left: set[int], ends: list[tuple[np.ndarray, np.ndarray]], edges: list[Edge], lines: list[Line]
 ) -> int | None:

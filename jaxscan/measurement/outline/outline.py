@@ -11,12 +11,12 @@ from jaxscan.measurement.checked import checked_samples
 from jaxscan.measurement.outline.cells import NEAR_M, Edge, Line, find_inside, wall_share
 from jaxscan.measurement.outline.corners import Corner, Errors, Estimate, Surface, area_of, corner_of, length_between
 from jaxscan.measurement.outline.level import Frame, find_level
-from jaxscan.measurement.outline.loops import closed_loops
+from jaxscan.measurement.outline.loops import closed_loops, distance_to, is_within
 from jaxscan.measurement.planes import Plane, facing
 from jaxscan.measurement.ransac import find_planes
-from jaxscan.measurement.room import is_upright
-from jaxscan.measurement.samples import Cloud, Samples, about_the_scanner, places_of
-from jaxscan.measurement.walls import SHARE, refine_wall
+from jaxscan.measurement.room import because, is_upright
+from jaxscan.measurement.samples import Cloud, Samples, about_the_scanner, places_of, spread_out
+from jaxscan.measurement.walls import BEYOND, BEYOND_M, NEIGHBOURHOOD_M, SHARE, Wall, refine_wall
 
 
 ONE_WALL_M = 0.12
@@ -32,6 +32,10 @@ EXTENDED_M = 1.0
 """A corner is known if one of its walls was seen nearer to it than this; the other may be hidden there [m]."""
 REACH_M = 0.3
 """Points farther than this from a plane are not looked at [m]."""
+LOOKED_AT = 100_000
+"""Most points of which the outline must hold most."""
+SHEETS = 2
+"""A profile and the one opposite to it lie on a plane, which is no wall."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,8 @@ class RoomOutline:
     errors: Errors = field(repr=False)
     samples: Samples = field(repr=False)
     """All points."""
+    remarks: tuple[str, ...] = ()
+    """Why sides are open where planes were found for them, and why the ceiling is left out: parts of a sentence."""
 
     @property
     def closed(self) -> bool:
@@ -145,7 +151,9 @@ def measure_outline(cloud: Cloud, *, scanner: Scanner | None = None, seed: int =
     """Find the walls around a room of any shape, and their corners.
 
     Upright planes divide the plan; of its cells those are inside that rays crossed, up to where walls are. Planes
-    within 0.12 m of a wall and parallel to it are things on the wall.
+    within 0.12 m of a wall and parallel to it are things on the wall. A plane is no wall if rays went through it to
+    more than a fifth of the points, or if the points on it are those of two profiles: the light of each is a plane
+    itself. At most a fifth of the points lies outside with the scanner.
 
     Args:
         cloud: The room, scanned from within; z of its frame is vertical within 10 degrees.
@@ -162,7 +170,7 @@ def measure_outline(cloud: Cloud, *, scanner: Scanner | None = None, seed: int =
     rng = np.random.default_rng(seed)
     planes = find_planes(found, seed=seed)
     samples = found.all()
-    frame, floor, ceiling = find_level(samples, planes, rng)
+    frame, floor, ceiling, remarks = find_level(samples, planes, rng)
     standing = frame.samples(samples)
     walls = _candidates(frame, planes, standing)
     if len(walls) < 2:
@@ -174,20 +182,21 @@ def measure_outline(cloud: Cloud, *, scanner: Scanner | None = None, seed: int =
     heights = (END_M, top - END_M)
     edges, lines = find_inside(standing, [_trace(plane) for plane in walls], heights)
     loops = closed_loops(edges, lines)
-    alone = MeasurementError(
-        f"No two of {len(walls)} walls bound the space around the scanner; a room must be scanned from within, all "
-        "around, in steps of a few degrees."
-    )
     if not loops:
-        raise alone
+        raise _unbounded(len(walls), remarks)
     starts = np.array([lines[edge.line].at(edge.start) for edge in loops[0]])
     first = int(np.argmin(starts.sum(1)))
     loops[0] = [*loops[0][first:], *loops[0][:first]]
     names = iter(range(1, 1 + sum(map(len, loops))))
-    around = _Around(standing, lines, walls, heights)
+    around = _Around(standing, lines, walls, heights, remarks)
     sides = [[around.side(f"W{next(names)}", edge, rng) for edge in loop] for loop in loops]
     if sum(side.seen for side in sides[0]) < 2:
-        raise alone
+        raise _unbounded(len(walls), remarks)
+    if (
+        share := _share_unheld(standing, [np.array([lines[e.line].at(e.start) for e in loop]) for loop in loops])
+    ) > BEYOND:
+        remarks.append(f"{100 * share:.0f} % of the points lie outside of them, as the scanner does")
+        raise _unbounded(len(walls), remarks)
     shift = Frame(np.eye(3), -np.append(starts.min(0), 0.0))
     frame = frame.shifted(shift.translation)
     ground, roof = frame.wall(floor), None if ceiling is None else frame.wall(ceiling)
@@ -199,6 +208,14 @@ def measure_outline(cloud: Cloud, *, scanner: Scanner | None = None, seed: int =
         None if roof is None else Surface(roof.plane, roof),
         Errors(scanner, places_of(cloud), of_cloud),
         frame.samples(samples),
+        tuple(remarks),
+    )
+
+
+def _unbounded(walls: int, remarks: list[str]) -> MeasurementError:
+    return MeasurementError(
+        f"No two of {walls} walls bound the space around the scanner{because(remarks)}; a room must be scanned from "
+        "within, all around, in steps of a few degrees."
     )
 
 
@@ -258,6 +275,8 @@ class _Around(NamedTuple):
     lines: list[Line]
     walls: list[Plane]
     heights: tuple[float, float]
+    remarks: list[str]
+    """What contradicts a wall is added here."""
 
     def side(self, name: str, edge: Edge, rng: np.random.Generator) -> Side:
         """The wall along an edge, fitted to its own points."""
@@ -269,14 +288,71 @@ class _Around(NamedTuple):
         if edge.line >= len(self.walls):
             return Side(name, given, False)
         plane = facing(self.walls[edge.line], outward)
+        opened = Side(name, Surface(plane._replace(covariance=np.zeros((3, 3))), None), False)
         ends = min(edge.start, edge.end), max(edge.start, edge.end)
         inset = min(END_M, 0.25 * (ends[1] - ends[0]))
         s, z = line.along(self.standing.p), self.standing.p[:, 2]
         mine = (s > ends[0] + inset) & (s < ends[1] - inset) & (z > self.heights[0]) & (z < self.heights[1])
         mine &= np.abs(self.standing.p @ plane.normal - plane.distance) < REACH_M
-        if wall_share(self.standing, line, ends, self.heights) < SEEN or mine.sum() < FEWEST:
-            return Side(name, Surface(plane._replace(covariance=np.zeros((3, 3))), None), False)
+        near = np.abs(self.standing.p[mine] @ plane.normal - plane.distance) < NEIGHBOURHOOD_M
+        if wall_share(self.standing, line, ends, self.heights) < SEEN or np.count_nonzero(near) < FEWEST:
+            return opened
         wall = refine_wall(self.standing.take(mine), plane, rng=rng)
+        if (problem := self._contradicted(wall, line, ends)) is not None:
+            self.remarks.append(f"{name} is no wall: its plane at {wall.plane.distance:.2f} m {problem}")
+            return opened
         low, high = np.percentile(line.along(wall.samples.p), [1, 99])
         gaps = (float(low - ends[0]), float(ends[1] - high))
         return Side(name, Surface(wall.plane, wall), True, gaps if sign > 0 else gaps[::-1])
+
+    def _contradicted(self, wall: Wall, line: Line, ends: tuple[float, float]) -> str | None:
+        """Why there is no wall along a stretch of a line where points lie on a plane; None if there may be one."""
+        before = wall.plane.distance - wall.samples.origin @ wall.plane.normal
+        if np.mean(before < -BEYOND_M) > 0.5:
+            return "was seen from behind"
+        share = _share_through(self.standing, wall.plane, line, ends)
+        if share > BEYOND:
+            return f"has {100 * share:.0f} % of the points behind it"
+        counts = np.sort(_points_by_angle(wall.samples))
+        if np.ptp(self.standing.angle) > 0 and counts[:-SHEETS].sum() < SHARE * counts.sum():
+            profiles = "one profile" if len(counts) == 1 else f"{SHEETS} profiles"
+            return f"has the points of {profiles}, and the light of each is a plane itself"
+        return None
+
+
+def _share_through(samples: Samples, plane: Plane, line: Line, ends: tuple[float, float]) -> float:
+    """Share of the points that are behind a stretch of a wall, so that their rays went through it [1]."""
+    before = plane.distance - samples.origin @ plane.normal
+    behind = samples.p @ plane.normal - plane.distance
+    # The plane of a profile goes through the scanner, or passes it on either side.
+    far = (before > -BEYOND_M) & (behind > BEYOND_M + 6.0 * samples.sigma)
+    before, behind = np.maximum(before[far], 0.0), behind[far]
+    origin, p = samples.origin[far, :2], samples.p[far, :2]
+    s = line.along(origin + (before / (before + behind))[:, None] * (p - origin))
+    return float(np.count_nonzero((s > ends[0]) & (s < ends[1])) / len(samples.p))
+
+
+def _share_unheld(standing: Samples, loops: list[np.ndarray]) -> float:
+    """Share of the points that are outside of an outline, and that its scanner did not see through a side of it [1].
+
+    A ray from within crosses a side; what crosses walls is counted for each of them.
+    """
+    some = standing.take(spread_out(len(standing.p), LOOKED_AT, np.random.default_rng(0)))
+    p, origin = some.p[:, :2], some.origin[:, :2]
+    away, aside = np.full(len(p), np.inf), np.full(len(p), np.inf)
+    for at in loops:
+        for start, end in zip(at, np.roll(at, -1, 0), strict=True):
+            away, aside = (
+                np.minimum(away, distance_to(start, end, p)),
+                np.minimum(aside, distance_to(start, end, origin)),
+            )
+    unheld = ~is_within(loops, p) & (away > BEYOND_M + 6.0 * some.sigma)
+    return float(np.mean(unheld & (~is_within(loops, origin) | (aside < NEAR_M))))
+
+
+def _points_by_angle(samples: Samples) -> np.ndarray:
+    """How many points were seen at each angle of each station [angles]; profiles may repeat an angle."""
+    _, first, counts = np.unique(samples.profile, return_index=True, return_counts=True)
+    places = np.stack([samples.station[first], samples.angle[first]], 1)
+    _, same = np.unique(places, axis=0, return_inverse=True)
+    return np.bincount(same.ravel(), counts)
