@@ -104,7 +104,7 @@ def cloud_of_plan(
         check_stripes(plan, stripes)
         each = len(stripes.u) // len(sweep.record)
     # Before threads ask for it.
-    camera = plan.rig.scanner.camera
+    plan.aim(0)
     # Single precision throughout, so that the result does not depend on the caller's setting.
     with jax.enable_x64(False):
         if stripes is None:
@@ -125,7 +125,7 @@ def cloud_of_plan(
         _check_result(cloud, settings)
         # Profiles of a scanner that stands still are no neighbours.
         normals = settings.normals and carries != "nothing"
-        between_lines = line_step(camera, plan.stripe_axis) if normals else None
+        between_lines = line_step(plan.scanner, plan.stripe_axis) if normals else None
         profile, rank = np.divmod(np.arange(each * len(sweep.record)), each)
         record = sweep.record[profile]
         return cloud.finish(record, plan.sheet[profile], sweep.angles[record], rank, between_lines)

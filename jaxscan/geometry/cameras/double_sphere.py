@@ -56,7 +56,7 @@ class DoubleSphere(AbstractCamera):
         rows = [focal * xp.stack(row, -1) for focal, row in ((self.fx, u), (self.fy, v))]
         return xp.stack(rows, -2) / scale[..., None, None]
 
-    def _scale(self, xp: Any, p: Array) -> tuple[Component, Component, Component]:
+    def _scale(self, xp: Any, p: Array) -> tuple[Any, Component, Component]:
         """D; its derivative by X over X, which is that by Y over Y; and its derivative by Z."""
         xi, alpha = self.distortion[0], self.distortion[1]
         aside = p[..., 0] * p[..., 0] + p[..., 1] * p[..., 1]

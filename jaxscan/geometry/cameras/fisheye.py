@@ -144,9 +144,9 @@ def _invert(xp: Any, target: Component, k: Float[Array, "4"], last: Component) -
 
 def _fold(xp: Any, k: Float[Array, "4"]) -> tuple[Component, Component]:
     """theta squared and theta_d squared at the end of the growth of theta_d, at most at theta = pi."""
-    square = xp.linspace(0.0, np.pi**2, _FOLD_GRID, dtype=k.dtype)
-    slope = _slope(square, k)
-    falling = slope <= 0
+    square: Any = xp.linspace(0.0, np.pi**2, _FOLD_GRID, dtype=k.dtype)
+    slope: Any = _slope(square, k)
+    falling: Any = slope <= 0
     after = xp.argmax(falling)
     before = xp.maximum(after - 1, 0)
     down = xp.where(falling[after], slope[before] - slope[after], 1.0).astype(k.dtype)
