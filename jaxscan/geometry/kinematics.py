@@ -1,7 +1,7 @@
 r"""Where a pixel's ray is, where it meets the laser, how that follows the pixel; and at which pixel a point is seen.
 
-With the ray $v(q)$ of the camera, the sheet's distance $d$ and incidence $m$, and the pose $T(\varphi)$ of the motion, the
-point of a stripe is
+With the ray $v(q)$ of the camera, the sheet's distance $d$ and incidence $m$, and the pose $T(\varphi)$ of the motion,
+the point of a stripe is
 
 $$p = T(\varphi) \, \frac{d}{m(v(q))} \, v(q).$$
 

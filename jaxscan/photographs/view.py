@@ -1,7 +1,6 @@
 """One photograph as points are seen in it: where, and how far away."""
 
-import functools
-from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -9,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxscan.geometry import AbstractCamera, Array, Scanner
+from jaxscan.geometry import AbstractCamera, Array, invert, transform
 
 
 MARGIN_PX = 1.5
@@ -20,6 +19,9 @@ class Lens(NamedTuple):
     """A camera and the cone of its rays, single precision."""
 
     camera: AbstractCamera
+    """Without its size, for which it would be compiled again."""
+    last_px: Float[Array, "2"]
+    """The largest (u, v) at which a colour is taken."""
     least_cosine: Float[Array, ""]
     """Cosine of the widest angle between the optical axis and a pixel's ray. Beyond, a lens model may fold back."""
     per_pixel: Float[Array, ""]
@@ -29,10 +31,11 @@ class Lens(NamedTuple):
     def of(camera: AbstractCamera) -> "Lens":
         """The lens of a camera."""
         cosines = border_rays(camera)[:, 2]
-        single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), camera)
+        single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), replace(camera, width=0, height=0))
+        last = np.array([camera.width, camera.height], np.float32) - 1 - np.float32(MARGIN_PX)
         focal = max(float(camera.fx), float(camera.fy))
         least, pixel = cosines.min() - 1e-4, 1.0 / focal
-        return Lens(single, np.asarray(least, np.float32), np.asarray(pixel, np.float32))
+        return Lens(single, last, np.asarray(least, np.float32), np.asarray(pixel, np.float32))
 
 
 class View(NamedTuple):
@@ -43,67 +46,31 @@ class View(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """A point as a photograph shows it."""
+    """Points as a photograph shows them."""
 
-    q: Float[Array, "2"]
-    """Pixel (u, v)."""
-    range_m: Float[Array, ""]
-    """Distance from the camera."""
-    inside: Bool[Array, ""]
-    """Whether it lies in the image."""
-
-
-def poses(scanner: Scanner, angles: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
-    """T_scanner_cam at each of the table's angles [rad], or positions of a stage [m]."""
-    with jax.enable_x64(False):
-        single = scanner.without_covariance().as_dtype(np.float32)
-        return np.asarray(_poses(single, np.asarray(angles, np.float32)))
-
-
-def pose_finder(scanner: Scanner) -> Callable[[float], Float[np.ndarray, "4 4"]]:
-    """`poses` of one angle at a time, each computed once."""
-    with jax.enable_x64(False):
-        single = scanner.without_covariance().as_dtype(np.float32)
-
-    @functools.cache
-    def pose_at(angle: float) -> np.ndarray:
-        # JAX keeps this setting per thread.
-        with jax.enable_x64(False):
-            return np.asarray(_poses(single, np.array([angle], np.float32)))[0]
-
-    return pose_at
-
-
-@jax.jit
-def _poses(scanner: Scanner, angles: Float[Array, " n"]) -> Float[Array, "n 4 4"]:
-    return jax.vmap(scanner.pose)(angles)
+    q: Float[Array, "n 2"]
+    """Pixels (u, v)."""
+    range_m: Float[Array, " n"]
+    """Distances from the camera."""
+    inside: Bool[Array, " n"]
+    """Whether they lie in the image."""
 
 
 def border_rays(camera: AbstractCamera) -> Float[np.ndarray, "n 3"]:
     """Unit rays [camera frame] of pixels round the border of the image."""
     columns, rows = np.linspace(0, camera.width - 1, 33), np.linspace(0, camera.height - 1, 33)
     sides = [(columns, rows[:1]), (columns, rows[-1:]), (columns[:1], rows), (columns[-1:], rows)]
-    q = np.concatenate([np.stack(np.broadcast_arrays(u, v), -1) for u, v in sides]).astype(np.float32)
-    with jax.enable_x64(False):
-        single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), camera)
-        return np.asarray(jax.jit(jax.vmap(single.unproject))(q))
-
-
-def sight(view: View, point: Float[Array, "3"]) -> Sight:
-    """A point [scanner frame, m] in a view."""
-    camera = view.lens.camera
-    rotation, centre = view.T_scanner_cam[:3, :3], view.T_scanner_cam[:3, 3]
-    p = rotation.T @ (point - centre)
-    range_m = jnp.sqrt(jnp.sum(p * p))
-    q = camera.project(p)
-    u, v = q
-    inside = (p[2] > view.lens.least_cosine * range_m) & (range_m > 0)
-    inside &= (u >= MARGIN_PX) & (u <= camera.width - 1 - MARGIN_PX)
-    inside &= (v >= MARGIN_PX) & (v <= camera.height - 1 - MARGIN_PX)
-    return Sight(q, range_m, inside)
+    q = np.concatenate([np.stack(np.broadcast_arrays(u, v), -1) for u, v in sides])
+    return np.asarray(camera.unproject(q))
 
 
 @jax.jit
 def sights(view: View, points: Float[Array, "n 3"]) -> Sight:
-    """`sight` of many points."""
-    return jax.vmap(sight, (None, 0))(view, points)
+    """Points [scanner frame, m] in a view."""
+    p, last = transform(invert(view.T_scanner_cam), points), view.lens.last_px
+    range_m = jnp.sqrt(p[:, 0] * p[:, 0] + p[:, 1] * p[:, 1] + p[:, 2] * p[:, 2])
+    q = view.lens.camera.project(p)
+    inside = (p[:, 2] > view.lens.least_cosine * range_m) & (range_m > 0)
+    for k in range(2):
+        inside &= (q[:, k] >= MARGIN_PX) & (q[:, k] <= last[k])
+    return Sight(q, range_m, inside)

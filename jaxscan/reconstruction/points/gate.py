@@ -65,7 +65,7 @@ def line_gate(
     least = distance / max_range_m
     most = distance / min_range_m if min_range_m > 0 else math.inf
     places = _cells(np.arange(float(lines)), along), _cells(np.arange(-1.0, length + 1.0), across)
-    return _gate(incidence, places, (least, most), math.ceil(margin_px))
+    return _gate(np.asarray(incidence), places, (least, most), math.ceil(margin_px))
 
 
 def _nodes(first: float, last: float) -> Float[np.ndarray, " nodes"]:

@@ -120,9 +120,7 @@ def triangulate(
     valid = (incidence >= limits.min_incidence) & (incidence > 0)
     valid &= (range_m >= limits.min_range_m) & (range_m <= limits.max_range_m)
     kept = lambda value, where: jnp.where(where, value, 0.0).astype(p_cam.dtype)
-    return Triangulated(
-        kept(p_cam, valid[..., None]), kept(range_m, valid), kept(slope, valid), incidence, valid
-    )
+    return Triangulated(kept(p_cam, valid[..., None]), kept(range_m, valid), kept(slope, valid), incidence, valid)
 
 
 def locate_points(aim: Aim, centres: Centres, phi: Float[Array, " profiles"], *, stripe_axis: StripeAxis) -> Points:

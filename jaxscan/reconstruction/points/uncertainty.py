@@ -60,7 +60,7 @@ def range_table(scanner: Scanner, stripe_axis: StripeAxis = "rows") -> RangeTabl
         return RangeTable(np.zeros((len(scanner.laser_names), lines, 2)), np.asarray(float(across - 1)))
     coarse = _knots(lines)
     u, line = np.meshgrid(knots, coarse)
-    q = stripe_pixel(u, line, stripe_axis)
+    q = np.asarray(stripe_pixel(u, line, stripe_axis))
     covariance = np.asarray(scanner.covariance, np.float64)
     table = np.stack([_numerators(scanner, covariance, laser, q) for laser in range(len(scanner.laser_names))])
     # Between lattice lines: linear, once for every line, so that a look-up needs two knots only.
