@@ -1,7 +1,5 @@
 """A rig as arrays: what a pixel's ray, its point and its derivatives depend on, and nothing else."""
 
-from dataclasses import replace
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,6 +8,7 @@ from jaxtyping import Float, Int
 from jaxscan.geometry.arrays import Array, namespace
 from jaxscan.geometry.cameras import AbstractCamera
 from jaxscan.geometry.laser import LaserSheet
+from jaxscan.geometry.layout import Layout, make_layout
 from jaxscan.geometry.motions import AbstractMotion
 
 
@@ -31,24 +30,30 @@ class Rig(eqx.Module):
     @staticmethod
     def of(camera: AbstractCamera, lasers: LaserSheet, motion: AbstractMotion) -> "Rig":
         """The rig of a camera of any size, of stacked sheets and a motion."""
-        return Rig(replace(camera, width=0, height=0), lasers, motion)
+        return Rig(camera.without_size(), lasers, motion)
 
     def laser(self, index: int | Int[Array, "..."]) -> LaserSheet:
         """One of the stacked sheets, or for many indices the sheet of each."""
         xp = namespace(self.lasers, index)
         return jax.tree.map(lambda leaf: xp.asarray(leaf)[index], self.lasers)
 
+    def layout(self) -> Layout:
+        """Positions of the minimal coordinates of each part; lasers are named by their numbers."""
+        numbers = tuple(map(str, range(self.lasers.distance.shape[-1])))
+        return make_layout(self.camera, numbers, motion=self.motion.blocks)
+
     def parameter_count(self) -> int:
         """Number of the minimal coordinates: of the camera, of the sheets, of the motion."""
-        motion = sum(len(block.parameters) for block in self.motion.blocks)
-        return 4 + self.camera.distortion.shape[-1] + 5 * self.lasers.distance.shape[-1] + motion
+        return len(self.layout().names)
 
     def retract(self, step: Float[Array, " params"]) -> "Rig":
         """The rig moved by `step` in its minimal coordinates [px, rad, m]."""
-        lasers = 4 + self.camera.distortion.shape[-1]
-        motion = lasers + 5 * self.lasers.distance.shape[-1]
-        sheets = self.lasers.retract(step[lasers:motion].reshape(-1, 5))
-        return Rig(self.camera.retract(step[:lasers]), sheets, self.motion.retract(step[motion:]))
+        layout = self.layout()
+        return Rig(
+            self.camera.retract(step[layout.camera]),
+            self.lasers.retract(step[layout.lasers].reshape(-1, 5)),
+            self.motion.retract(step[layout.turntable]),
+        )
 
     def astype(self, dtype: jnp.dtype | type) -> "Rig":
         """The same rig in another precision, as NumPy arrays or JAX arrays, whichever it is made of."""

@@ -122,9 +122,12 @@ class Scanner(eqx.Module):
 
     def retract(self, step: Float[Array, " params"]) -> "Scanner":
         """The scanner moved by `step` in its minimal coordinates; it has no covariance."""
-        moved = self.rig.retract(step)
-        camera = replace(moved.camera, width=self.camera.width, height=self.camera.height)
-        return Scanner(camera, moved.lasers, moved.motion, laser_names=self.laser_names, up=self.up)
+        return self.with_rig(self.rig.retract(step))
+
+    def with_rig(self, rig: Rig) -> "Scanner":
+        """Another rig under the names and with the image size of this one, without a covariance."""
+        camera = replace(rig.camera, width=self.camera.width, height=self.camera.height)
+        return Scanner(camera, rig.lasers, rig.motion, laser_names=self.laser_names, up=self.up)
 
 
 def point_up(turntable: AbstractMotion, up: Up) -> AbstractMotion:

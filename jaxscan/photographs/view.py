@@ -1,6 +1,5 @@
 """One photograph as points are seen in it: where, and how far away."""
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -31,7 +30,7 @@ class Lens(NamedTuple):
     def of(camera: AbstractCamera) -> "Lens":
         """The lens of a camera."""
         cosines = border_rays(camera)[:, 2]
-        single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), replace(camera, width=0, height=0))
+        single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), camera.without_size())
         last = np.array([camera.width, camera.height], np.float32) - 1 - np.float32(MARGIN_PX)
         focal = max(float(camera.fx), float(camera.fy))
         least, pixel = cosines.min() - 1e-4, 1.0 / focal

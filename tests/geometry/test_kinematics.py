@@ -187,7 +187,7 @@ def test_one_program_serves_scanners_of_any_name_and_size():
         camera = Pinhole(*_FIELDS, np.zeros(5), width, 480)
         scanner = Scanner(camera, make_rig().lasers, MOTIONS["turntable"], np.eye(3), names, up)
         programs(scanner.rig, q)
-    assert programs._cache_size() == 1
+    assert programs._cache_size() == 1  # noqa: SLF001
 
 
 def test_the_rig_moves_as_the_scanner_does(camera, motion):

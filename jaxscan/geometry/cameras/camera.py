@@ -87,6 +87,10 @@ class AbstractCamera(eqx.Module):
             For each lens the focal length [px], then all coefficients, with the optional ones [1].
         """
 
+    def without_size(self) -> "AbstractCamera":
+        """The same lens for images of any size, so that what is compiled for it serves all."""
+        return replace(self, width=0, height=0)
+
     @classmethod
     def blocks(cls) -> tuple[ParameterBlock, ...]:
         """Blocks of all minimal coordinates, with the optional ones."""
