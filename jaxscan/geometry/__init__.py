@@ -13,6 +13,16 @@ from jaxscan.geometry.layout import Layout, make_layout
 from jaxscan.geometry.motions import AbstractMotion, Carries, LinearStage, Still, Turntable
 from jaxscan.geometry.parameters import ParameterBlock
 from jaxscan.geometry.rig import Rig
-from jaxscan.geometry.rigid import compose, exponential, invert, nearest_rotation, rigid, transform, turn
+from jaxscan.geometry.rigid import (
+    compose,
+    exponential,
+    from_quaternion,
+    invert,
+    nearest_rotation,
+    quaternion,
+    rigid,
+    transform,
+    turn,
+)
 from jaxscan.geometry.scanner import Scanner, point_up
 from jaxscan.geometry.stripe_axis import StripeAxis, across_and_along, stripe_pixel

@@ -19,6 +19,7 @@ from jaxscan.geometry import (
     Scanner,
     StripeAxis,
     across_and_along,
+    compose,
     corner_frame,
     invert,
     transform,
@@ -103,8 +104,8 @@ def turn_boards(motion: AbstractMotion, poses: np.ndarray, at: np.ndarray, to: n
     Returns:
         Poses [n, 4, 4].
     """
-    with jax.enable_x64(True):
-        return np.asarray(_turned(motion, poses, at, to))
+    motion = jax.tree.map(np.asarray, motion)
+    return np.asarray(compose(compose(invert(motion.motion(to)), motion.motion(at)), poses))
 
 
 def predict_corners(rig: SolvedRig, poses: np.ndarray) -> PredictedCorners:
@@ -179,14 +180,6 @@ def _seen(camera: AbstractCamera, p: Float[Array, "3"]) -> tuple[Float[Array, "2
     """Pixel of a point, and whether the ray of that pixel leads to the point."""
     q = camera.project(p)
     return q, jnp.linalg.norm(camera.unproject(q) - p / jnp.linalg.norm(p)) < _SAME_RAY
-
-
-@compile_quickly
-def _turned(
-    motion: AbstractMotion, poses: Float[Array, "n 4 4"], at: Float[Array, " n"], to: Float[Array, " n"]
-) -> Float[Array, "n 4 4"]:
-    turn = jax.vmap(lambda pose, at, to: invert(motion.motion(to)) @ motion.motion(at) @ pose)
-    return turn(poses, at, to)
 
 
 @compile_quickly
