@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from jaxscan.api.kept_code import is_kept, remember
-from jaxscan.calibration import Calibration, CalibrationSettings, calibrate_observations, solved_rig
+from jaxscan.calibration import CalibrationSettings, calibrate_observations
 from jaxscan.files.capture import Capture
 from jaxscan.geometry import AbstractBoard, Turntable
 from jaxscan.geometry.scanner import UP_VECTORS
-from jaxscan.observation import BoardViews, Observations, StripeViews, rehearse_second_look
+from jaxscan.observation import BoardViews, Observations, StripeViews
 
 
-SOLVE, LOOK, JUDGE = "solver", "second look", "verdict"
+SOLVE, JUDGE = "solver", "verdict"
 """Names of the jobs, in their order."""
 _NOISE_PX = 0.05
 _TILT_RAD = 0.45
@@ -56,19 +56,14 @@ def rehearsal(
             return []
         _rehearsed.add(key)
     made_up = functools.cache(lambda: _observations(captures, board, stripes=stripes))
-    solved: list[Calibration] = []
 
     def solve() -> None:
-        solved.append(calibrate_observations(made_up(), settings=replace(settings, judge=settings.judge and not again)))
-
-    def look() -> None:
-        if solved:
-            rehearse_second_look(solved_rig(solved[0]), first.lasers[0].stripe_axis if stripes else "rows")
+        calibrate_observations(made_up(), settings=replace(settings, judge=settings.judge and not again))
 
     def judge() -> None:
         calibrate_observations(made_up(), settings=settings)
 
-    *jobs, (name, last) = [(SOLVE, solve), (LOOK, look), (JUDGE, judge)] if again else [(SOLVE, solve)]
+    *jobs, (name, last) = [(SOLVE, solve), (JUDGE, judge)] if again else [(SOLVE, solve)]
 
     def end() -> None:
         last()
