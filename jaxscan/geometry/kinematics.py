@@ -20,11 +20,14 @@ from jaxscan.geometry.rigid import compose, invert, transform, turn
 
 
 def rays(rig: Rig, q: Float[Array, "... 2"]) -> Float[Array, "... 3"]:
-    """Unit rays of pixels, camera frame.
+    """Where pixels look.
 
     Args:
         rig: The rig.
         q: Pixels (u, v) [px]. Those outside the image of a wide lens get the ray of the largest angle on their side.
+
+    Returns:
+        Unit rays, camera frame.
     """
     return rig.camera.unproject(real(q))
 
@@ -36,12 +39,15 @@ def poses(rig: Rig, phi: Float[Array, "..."] | float) -> Float[Array, "... 4 4"]
 
 
 def pixels(rig: Rig, p: Float[Array, "... 3"], phi: Float[Array, "..."] | float) -> Float[Array, "... 2"]:
-    """Pixels at which points are seen [px].
+    """Where points are seen.
 
     Args:
         rig: The rig.
         p: Points, scanner frame [m]. Of those behind the camera the result means nothing.
         phi: The table's angles [rad from home], or positions of a stage [m].
+
+    Returns:
+        Pixels (u, v) [px].
     """
     return rig.camera.project(transform(invert(poses(rig, phi)), real(p)))
 
@@ -68,13 +74,16 @@ def lit_points(
 def points(
     rig: Rig, q: Float[Array, "... 2"], laser: int | Int[Array, "..."], phi: Float[Array, "..."] | float
 ) -> Float[Array, "... 3"]:
-    """Points of stripes in the scanner frame [m]; the camera's centre where the ray misses the sheet.
+    """Where the rays of stripes meet their laser sheets.
 
     Args:
         rig: The rig.
         q: Stripe centres (u, v) [px].
         laser: Number of the sheet that lit each.
         phi: The table's angles [rad from home], or positions of a stage [m].
+
+    Returns:
+        Points, scanner frame [m]; the camera's centre where a ray misses the sheet.
     """
     return transform(poses(rig, phi), lit_points(rig, q, laser)[0])
 
@@ -82,7 +91,17 @@ def points(
 def slopes(
     rig: Rig, q: Float[Array, "... 2"], laser: int | Int[Array, "..."], phi: Float[Array, "..."] | float
 ) -> Float[Array, "... 3 2"]:
-    """Derivatives of `points` by the pixel [m / px]; 0 where the ray misses the sheet."""
+    """How `points` move with their pixels.
+
+    Args:
+        rig: The rig.
+        q: Stripe centres (u, v) [px].
+        laser: Number of the sheet that lit each.
+        phi: The table's angles [rad from home], or positions of a stage [m].
+
+    Returns:
+        Derivatives of the points by u and v [m / px]; 0 where a ray misses the sheet.
+    """
     p, incidence = lit_points(rig, q, laser)
     found = lit_slopes(rig, p, incidence, laser)
     rotation = poses(rig, phi)[..., :3, :3]
