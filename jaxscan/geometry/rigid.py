@@ -1,22 +1,53 @@
 """Rigid motions as 4 x 4 matrices: `T_ab` maps coordinates of frame b to frame a.
 
 Sums are written out component by component: one line serves one motion or many, NumPy and JAX, and an accelerator does
-not shorten float32 as it does in its matrix products. Exponentials come from jaxlie.
+not shorten float32 as it does in its matrix products.
 """
 
-import jax.numpy as jnp
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 
 from jaxscan.geometry.arrays import Array, namespace
 
 
-def exponential(twist: Float[Array, "6"]) -> Float[Array, "4 4"]:
-    """The motion exp(twist) of a twist (v, omega) [m, rad], in jaxlie's order."""
-    # Imported here, so that `import jaxscan` does not load jaxlie.
-    import jaxlie
+# Below this square of an angle the series in this file are exact to float64 rounding.
+_SMALL_SQUARE = 1e-2
 
-    return jaxlie.SE3.exp(jnp.asarray(twist)).as_matrix()
+
+def exponential(twist: Float[Array, "*n 6"]) -> Float[Array, "*n 4 4"]:
+    r"""The motion exp(twist) of a twist (v, omega) [m, rad].
+
+    With $K x = \omega \times x$ the rotation is $1 + a K + b K^2$ and the translation $v + b K v + c K^2 v$.
+
+    Source: Lynch and Park, Modern Robotics (2017), section 3.3.
+    """
+    xp, (v, w) = namespace(twist), (twist[..., :3], twist[..., 3:])
+    square = w[..., 0] * w[..., 0] + w[..., 1] * w[..., 1] + w[..., 2] * w[..., 2]
+    a, b, c = (factor[..., None] for factor in _rotation_factors(xp, xp.asarray(square)))
+    once = lambda x: xp.cross(w, x)
+    columns = []
+    for k in range(3):
+        axis = xp.broadcast_to(xp.eye(3, dtype=twist.dtype)[k], w.shape)
+        columns.append(axis + a * once(axis) + b * once(once(axis)))
+    return rigid(xp.stack(columns, -1), v + b * once(v) + c * once(once(v)))
+
+
+def _rotation_factors(xp: Any, square: Array) -> tuple[Array, Array, Array]:
+    """sin t / t, (1 - cos t) / t^2 and (t - sin t) / t^3 of t^2; smooth at 0."""
+    near = square < _SMALL_SQUARE
+    s, far = (xp.where(where, square, 1.0).astype(square.dtype) for where in (near, ~near))
+    t = xp.sqrt(far)
+    half = xp.sin(t / 2)
+    series = (
+        1.0 - s / 6 * (1.0 - s / 20 * (1.0 - s / 42 * (1.0 - s / 72))),
+        (1.0 - s / 12 * (1.0 - s / 30 * (1.0 - s / 56 * (1.0 - s / 90)))) / 2,
+        (1.0 - s / 20 * (1.0 - s / 42 * (1.0 - s / 72 * (1.0 - s / 110)))) / 6,
+    )
+    exact = xp.sin(t) / t, 2 * half * half / far, (t - xp.sin(t)) / (t * far)
+    a, b, c = (xp.where(near, *both).astype(square.dtype) for both in zip(series, exact, strict=True))
+    return a, b, c
 
 
 def rigid(rotation: Float[Array, "*n 3 3"], translation: Float[Array, "*n 3"]) -> Float[Array, "*n 4 4"]:

@@ -7,3 +7,4 @@ from jaxscan.photographs.panorama import Frame, Panorama, Projection, draw_dista
 from jaxscan.photographs.photograph import Album, Photograph, Photographs, as_rgb
 from jaxscan.photographs.surface import check_grid, surface_samples
 from jaxscan.photographs.transforms import OPENGL_FROM_OPENCV, describe_cameras, ideal_camera, is_describable, undistort
+from jaxscan.photographs.view import poses

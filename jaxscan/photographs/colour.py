@@ -8,12 +8,11 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from jaxscan.geometry import poses
 from jaxscan.photographs.blend import Tally, conclude
 from jaxscan.photographs.blocks import Blocks
 from jaxscan.photographs.occluder import Distances, Occluder
 from jaxscan.photographs.photograph import Photograph, Photographs
-from jaxscan.photographs.view import Lens, View, sights
+from jaxscan.photographs.view import Lens, View, pose_finder, sights
 from jaxscan.reconstruction.ahead import map_ahead, workers
 
 
@@ -89,8 +88,7 @@ def colour_points(
     # Single precision throughout, so that the result does not depend on the caller's setting.
     with jax.enable_x64(False), ThreadPoolExecutor(workers()) as pool:
         lens, blocks = Lens.of(photographs.scanner.camera), Blocks.of(points)
-        rig = photographs.scanner.rig
-        pose_at = lambda angle: np.asarray(poses(rig, angle), np.float32)
+        pose_at = pose_finder(photographs.scanner)
         places = _Places(blocks.gather(points), blocks.gather(unit))
         tally = Tally.start(blocks.gather(np.zeros((len(points), 3), np.uint8) if start is None else start))
         seen = np.zeros(tally.weight.shape[:2], np.bool_)

@@ -7,13 +7,13 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import Scanner, poses
+from jaxscan.geometry import Scanner
 from jaxscan.photographs.colour import BlendSettings, colour_points
 from jaxscan.photographs.filling import fill_holes
 from jaxscan.photographs.occluder import REFERENCES, Occluder, make_occluder
 from jaxscan.photographs.photograph import Photographs
 from jaxscan.photographs.surface import surface_samples
-from jaxscan.photographs.view import Lens, border_rays
+from jaxscan.photographs.view import Lens, border_rays, poses
 from jaxscan.reconstruction import PointCloud
 
 
@@ -90,7 +90,7 @@ def panorama_frame(scanner: Scanner, projection: Projection = "equirectangular",
         )
     if width is None:
         width = 2 * round(np.pi / float(Lens.of(scanner.camera).per_pixel))
-    pose = poses(scanner.rig, 0.0)
+    pose = poses(scanner, np.zeros(1))[0]
     elevation = np.arcsin(np.clip(border_rays(scanner.camera) @ pose[2, :3], -1, 1))
     low, high = float(elevation.min()), float(elevation.max())
     if projection == "cylinder":

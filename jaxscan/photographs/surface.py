@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxscan.errors import CloudError
-from jaxscan.geometry import Scanner, poses
+from jaxscan.geometry import Scanner
+from jaxscan.photographs.view import poses
 from jaxscan.reconstruction import PointCloud
 
 
@@ -71,7 +72,7 @@ def surface_samples(cloud: PointCloud, scanner: Scanner, spacing: float, *, reac
     check_grid(cloud)
     for profiles in _groups(cloud):
         angles = np.asarray(cloud.angle)[profiles]
-        where = np.asarray(poses(scanner.rig, angles), np.float32)
+        where = poses(scanner, angles)
         middle = where[:, :3, 3].mean(0)
         valid = np.asarray(cloud.valid)[profiles]
         step, line_step = _steps(np.asarray(cloud.xyz)[profiles] - middle.astype(np.float32), valid)

@@ -6,11 +6,14 @@ Axes of the camera are OpenGL's there: x right, y up, z backward. The centre of 
 from collections.abc import Sequence
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import AbstractCamera, Fisheye, Pinhole, Scanner, poses
+from jaxscan.geometry import AbstractCamera, Array, Fisheye, Pinhole, Scanner
+from jaxscan.photographs.view import poses
 
 
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -34,7 +37,7 @@ def describe_cameras(scanner: Scanner, angles: Sequence[float], names: Sequence[
     if not is_describable(camera):
         raise CalibrationError("transforms.json cannot describe the lens of this camera; write undistorted images.")
     # Rounded, so that zeros look like zeros.
-    matrices = np.round(poses(scanner.rig, np.asarray(angles)) @ OPENGL_FROM_OPENCV, 8) + 0.0
+    matrices = np.round(poses(scanner, np.asarray(angles)).astype(np.float64) @ OPENGL_FROM_OPENCV, 8) + 0.0
     frames = [
         {"file_path": name, "transform_matrix": matrix.tolist()} for name, matrix in zip(names, matrices, strict=True)
     ]
@@ -83,9 +86,17 @@ def undistort(
     # Here, because it loads numba: whoever reads no colours does not wait for that.
     from jaxscan.photographs.native_loops import read
 
-    v, u = np.mgrid[: ideal.height, : ideal.width].astype(np.float32)
-    places = np.asarray(camera.project(ideal.unproject(np.stack([u.ravel(), v.ravel()], -1))), np.float32)
+    with jax.enable_x64(False):
+        single, other = (jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), one) for one in (camera, ideal))
+        places = np.asarray(_places(single, other))
     colours = np.empty((len(places), 3), np.float32)
     read(image, places, colours)
     inside = np.all((places >= -0.5) & (places <= np.array(image.shape[1::-1], np.float32) - 0.5), -1)
     return np.where(inside[:, None], np.rint(colours), 0).astype(np.uint8).reshape(ideal.height, ideal.width, 3)
+
+
+@jax.jit
+def _places(camera: AbstractCamera, ideal: Pinhole) -> Float[Array, "n 2"]:
+    """Where a camera has each pixel of another one."""
+    v, u = jnp.mgrid[: ideal.height, : ideal.width].astype(jnp.float32)
+    return jax.vmap(lambda q: camera.project(ideal.unproject(q)))(jnp.stack([u.ravel(), v.ravel()], -1))

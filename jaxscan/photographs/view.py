@@ -1,5 +1,6 @@
 """One photograph as points are seen in it: where, and how far away."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -7,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxscan.geometry import AbstractCamera, Array, invert, transform
+from jaxscan.geometry import AbstractCamera, Array, Scanner, kinematics
 
 
 MARGIN_PX = 1.5
@@ -18,9 +19,6 @@ class Lens(NamedTuple):
     """A camera and the cone of its rays, single precision."""
 
     camera: AbstractCamera
-    """Without its size, for which it would be compiled again."""
-    last_px: Float[Array, "2"]
-    """The largest (u, v) at which a colour is taken."""
     least_cosine: Float[Array, ""]
     """Cosine of the widest angle between the optical axis and a pixel's ray. Beyond, a lens model may fold back."""
     per_pixel: Float[Array, ""]
@@ -30,11 +28,10 @@ class Lens(NamedTuple):
     def of(camera: AbstractCamera) -> "Lens":
         """The lens of a camera."""
         cosines = border_rays(camera)[:, 2]
-        single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), camera.without_size())
-        last = np.array([camera.width, camera.height], np.float32) - 1 - np.float32(MARGIN_PX)
+        single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), camera)
         focal = max(float(camera.fx), float(camera.fy))
         least, pixel = cosines.min() - 1e-4, 1.0 / focal
-        return Lens(single, last, np.asarray(least, np.float32), np.asarray(pixel, np.float32))
+        return Lens(single, np.asarray(least, np.float32), np.asarray(pixel, np.float32))
 
 
 class View(NamedTuple):
@@ -45,14 +42,25 @@ class View(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """Points as a photograph shows them."""
+    """A point as a photograph shows it."""
 
-    q: Float[Array, "n 2"]
-    """Pixels (u, v)."""
-    range_m: Float[Array, " n"]
-    """Distances from the camera."""
-    inside: Bool[Array, " n"]
-    """Whether they lie in the image."""
+    q: Float[Array, "2"]
+    """Pixel (u, v)."""
+    range_m: Float[Array, ""]
+    """Distance from the camera."""
+    inside: Bool[Array, ""]
+    """Whether it lies in the image."""
+
+
+def poses(scanner: Scanner, angles: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
+    """T_scanner_cam at each of the table's angles [rad], or positions of a stage [m]."""
+    return np.asarray(kinematics.poses(scanner.rig, np.asarray(angles, np.float64)), np.float32)
+
+
+def pose_finder(scanner: Scanner) -> Callable[[float], Float[np.ndarray, "4 4"]]:
+    """`poses` of one angle at a time."""
+    rig = scanner.rig
+    return lambda angle: np.asarray(kinematics.poses(rig, angle), np.float32)
 
 
 def border_rays(camera: AbstractCamera) -> Float[np.ndarray, "n 3"]:
@@ -63,13 +71,21 @@ def border_rays(camera: AbstractCamera) -> Float[np.ndarray, "n 3"]:
     return np.asarray(camera.unproject(q))
 
 
+def sight(view: View, point: Float[Array, "3"]) -> Sight:
+    """A point [scanner frame, m] in a view."""
+    camera = view.lens.camera
+    rotation, centre = view.T_scanner_cam[:3, :3], view.T_scanner_cam[:3, 3]
+    p = rotation.T @ (point - centre)
+    range_m = jnp.sqrt(jnp.sum(p * p))
+    q = camera.project(p)
+    u, v = q
+    inside = (p[2] > view.lens.least_cosine * range_m) & (range_m > 0)
+    inside &= (u >= MARGIN_PX) & (u <= camera.width - 1 - MARGIN_PX)
+    inside &= (v >= MARGIN_PX) & (v <= camera.height - 1 - MARGIN_PX)
+    return Sight(q, range_m, inside)
+
+
 @jax.jit
 def sights(view: View, points: Float[Array, "n 3"]) -> Sight:
-    """Points [scanner frame, m] in a view."""
-    p, last = transform(invert(view.T_scanner_cam), points), view.lens.last_px
-    range_m = jnp.sqrt(p[:, 0] * p[:, 0] + p[:, 1] * p[:, 1] + p[:, 2] * p[:, 2])
-    q = view.lens.camera.project(p)
-    inside = (p[:, 2] > view.lens.least_cosine * range_m) & (range_m > 0)
-    for k in range(2):
-        inside &= (q[:, k] >= MARGIN_PX) & (q[:, k] <= last[k])
-    return Sight(q, range_m, inside)
+    """`sight` of many points."""
+    return jax.vmap(sight, (None, 0))(view, points)

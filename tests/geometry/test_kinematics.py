@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import jaxscan
 from jaxscan.geometry import (
@@ -18,8 +19,12 @@ from jaxscan.geometry import (
     Scanner,
     Still,
     Turntable,
+    exponential,
+    from_quaternion,
     lit_points,
+    nearest_rotation,
     poses,
+    quaternion,
     stack_lasers,
 )
 
@@ -48,14 +53,13 @@ def make_rig(camera="pinhole", motion="turntable"):
     return Scanner(CAMERAS[camera], stack_lasers(sheets), MOTIONS[motion]).rig
 
 
-@pytest.fixture(params=CAMERAS)
-def camera(request):
-    return request.param
+KINDS = [*((camera, "turntable") for camera in CAMERAS), *(("pinhole", motion) for motion in list(MOTIONS)[1:])]
 
 
-@pytest.fixture(params=MOTIONS)
-def motion(request):
-    return request.param
+@pytest.fixture(params=KINDS, ids="-".join)
+def rig(request):
+    """Every camera on a turntable, and every other motion with a pinhole camera."""
+    return make_rig(*request.param)
 
 
 def stripes(count=60):
@@ -81,8 +85,8 @@ def single(tree):
     return jax.tree.map(lambda leaf: leaf.astype(np.float32) if leaf.dtype == np.float64 else leaf, tree)
 
 
-def test_numpy_equals_jax_in_both_precisions(camera, motion):
-    given = make_rig(camera, motion), *stripes()
+def test_numpy_equals_jax_in_both_precisions(rig):
+    given = rig, *stripes()
     # Rounding of points some metres away, of pixels, and of slopes of some centimetres a pixel.
     for cast, kind, tolerance in ((lambda tree: tree, np.float64, 1e-11), (single, np.float32, 2e-3)):
         one = cast(given)
@@ -93,8 +97,8 @@ def test_numpy_equals_jax_in_both_precisions(camera, motion):
             np.testing.assert_allclose(by_numpy, by_jax, atol=tolerance, rtol=tolerance, err_msg=name)
 
 
-def test_any_leading_axes(camera, motion):
-    rig, (q, laser, phi) = make_rig(camera, motion), stripes()
+def test_any_leading_axes(rig):
+    q, laser, phi = stripes()
     flat = functions(rig, q, laser, phi)
     shaped = functions(rig, q.reshape(3, 4, 5, 2), laser.reshape(3, 4, 5), phi.reshape(3, 4, 5))
     alone = functions(rig, q[7], int(laser[7]), float(phi[7]))
@@ -112,8 +116,8 @@ def test_positions_broadcast():
         np.testing.assert_array_equal(row, jaxscan.points(rig, q, laser, float(one)))
 
 
-def test_there_and_back(camera, motion):
-    rig, (q, laser, phi) = make_rig(camera, motion), stripes()
+def test_there_and_back(rig):
+    q, laser, phi = stripes()
     p = jaxscan.points(rig, q, laser, phi)
     np.testing.assert_allclose(jaxscan.pixels(rig, p, phi), q, atol=1e-9, rtol=0)
     p_cam, incidence = lit_points(rig, q, laser)
@@ -123,8 +127,8 @@ def test_there_and_back(camera, motion):
     np.testing.assert_allclose(np.linalg.norm(p - centre, axis=-1), np.linalg.norm(p_cam, axis=-1), rtol=1e-12)
 
 
-def test_slopes_are_differences(camera, motion):
-    rig, (q, laser, phi) = make_rig(camera, motion), stripes()
+def test_slopes_are_differences(rig):
+    q, laser, phi = stripes()
     found = jaxscan.slopes(rig, q, laser, phi)
     for k, step in enumerate(1e-4 * np.eye(2)):
         forth, back = (jaxscan.points(rig, q + sign * step, laser, phi) for sign in (1.0, -1.0))
@@ -132,8 +136,8 @@ def test_slopes_are_differences(camera, motion):
         np.testing.assert_allclose(found[..., k], (forth - back) / 2e-4, atol=1e-8 + 1e-7 * np.abs(found).max(), rtol=0)
 
 
-def test_derivatives_by_everything_are_differences(camera, motion):
-    rig, (q, laser, phi) = make_rig(camera, motion), (part[:6] for part in stripes())
+def test_derivatives_by_everything_are_differences(rig):
+    q, laser, phi = (part[:6] for part in stripes())
 
     def length(rig, q, phi):
         p, by_pixel = jaxscan.points(rig, q, laser, phi), jaxscan.slopes(rig, q, laser, phi)
@@ -168,9 +172,9 @@ def test_rays_that_miss_the_sheet_end_in_the_camera():
     assert np.isfinite(gradient(jnp.asarray(away))).all()
 
 
-def test_nothing_is_compiled_for_numpy(camera, motion, caplog):
+def test_nothing_is_compiled_for_numpy(rig, caplog):
     jax.clear_caches()
-    rig, given = make_rig(camera, motion), stripes()
+    given = stripes()
     with jax.log_compiles(), caplog.at_level(logging.DEBUG, logger="jax"):
         functions(rig, *given)
         rig.retract(np.full(rig.parameter_count(), 1e-4))
@@ -190,8 +194,34 @@ def test_one_program_serves_scanners_of_any_name_and_size():
     assert programs._cache_size() == 1  # noqa: SLF001
 
 
-def test_the_rig_moves_as_the_scanner_does(camera, motion):
-    rig = make_rig(camera, motion)
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.099, 0.101, 1.0, 3.0, 7.0])
+def test_exponential_of_any_twist(angle):
+    twist = np.random.default_rng(1).normal(size=6)
+    twist[3:] *= angle / np.linalg.norm(twist[3:])
+    x, y, z = twist[3:]
+    generator = np.zeros((4, 4))
+    generator[:3] = np.column_stack([[[0, -z, y], [z, 0, -x], [-y, x, 0]], twist[:3]])
+    np.testing.assert_allclose(exponential(twist), expm(generator), atol=1e-13)
+    slopes = jax.jacrev(exponential)(jnp.asarray(twist))
+    numeric = [(exponential(twist + step) - exponential(twist - step)) / 2e-6 for step in 1e-6 * np.eye(6)]
+    # Rounding over the step.
+    np.testing.assert_allclose(slopes, np.stack(numeric, -1), atol=2e-9)
+
+
+def test_quaternions_and_nearest_rotations():
+    rotation = exponential(np.array([0.0, 0.0, 0.0, 0.3, -2.0, 1.1]))[:3, :3]
+    w, *axis = quaternion(rotation)
+    angle = np.linalg.norm([0.3, -2.0, 1.1])
+    expected = np.sin(angle / 2) / angle * np.array([0.3, -2.0, 1.1])
+    np.testing.assert_allclose([w, *axis], [np.cos(angle / 2), *expected], atol=1e-15)
+    np.testing.assert_allclose(from_quaternion(3.0 * np.array([w, *axis])), rotation, atol=1e-15)
+    # Stretched along perpendicular axes a matrix keeps its rotation.
+    turned = exponential(np.array([0.0, 0.0, 0.0, 0.5, 0.2, 0.4]))[:3, :3]
+    stretched = rotation @ turned @ np.diag([1.1, 0.9, 1.2]) @ turned.T
+    np.testing.assert_allclose(nearest_rotation(np.stack([stretched, rotation])), [rotation, rotation], atol=1e-14)
+
+
+def test_the_rig_moves_as_the_scanner_does(rig):
     scanner = Scanner(rig.camera, rig.lasers, rig.motion, laser_names=("one", "two"))
     assert rig.parameter_count() == len(scanner.parameter_names())
     step = 1e-3 * np.arange(1.0, 1 + rig.parameter_count())

@@ -9,8 +9,7 @@ import numpy as np
 from jaxscan.errors import CloudError
 from jaxscan.files.capture import Capture
 from jaxscan.files.clouds import FlatPicture, RoundPicture, StoredCloud, Surroundings, save_cloud_with_pictures
-from jaxscan.geometry import poses
-from jaxscan.photographs import OPENGL_FROM_OPENCV, Panorama, Photographs, ideal_camera, undistort
+from jaxscan.photographs import OPENGL_FROM_OPENCV, Panorama, Photographs, ideal_camera, poses, undistort
 
 
 def save_scan(
@@ -73,5 +72,5 @@ def _without_distortion(photographs: Photographs) -> Iterator[FlatPicture]:
     centre = float(ideal.cx), float(ideal.cy)
     for angle, image in photographs:
         picture = np.asarray(undistort(image, camera, ideal))
-        pose = np.asarray(poses(photographs.scanner.rig, angle)) @ OPENGL_FROM_OPENCV
+        pose = poses(photographs.scanner, np.array([angle]))[0] @ OPENGL_FROM_OPENCV
         yield FlatPicture(encode_jpeg(picture), ideal.width, ideal.height, float(ideal.fx), centre, pose)

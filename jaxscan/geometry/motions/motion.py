@@ -35,7 +35,7 @@ class AbstractMotion(eqx.Module):
 
     @abc.abstractmethod
     def twist(self) -> Float[Array, "6"]:
-        """Twist (v, omega) of the camera for a motion by 1 rad or 1 m, in jaxlie's order."""
+        """Twist (v, omega) of the camera for a motion by 1 rad or 1 m."""
 
     @abc.abstractmethod
     def frame(self) -> Float[Array, "4 4"]:

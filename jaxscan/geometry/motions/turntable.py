@@ -111,7 +111,7 @@ class Turntable(AbstractMotion):
         return xp.asarray(self.gain * phi + first + second)
 
     def twist(self) -> Float[Array, "6"]:
-        """Unit twist (v, omega) = (p x a, a), in jaxlie's order."""
+        """Unit twist (v, omega) = (p x a, a)."""
         xp = namespace(self)
         return xp.concatenate([xp.cross(self.point, self.direction), self.direction])
 
