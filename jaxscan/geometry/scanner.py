@@ -89,10 +89,6 @@ class Scanner(eqx.Module):
         """The same scanner with JAX leaves of one floating type."""
         return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
 
-    def without_covariance(self) -> "Scanner":
-        """The same scanner without the covariance of its calibration."""
-        return Scanner(self.camera, self.lasers, self.turntable, None, self.laser_names, self.up)
-
     def scanner_from_camera(self) -> Float[Array, "4 4"]:
         """T_scanner_cam at position 0; see `frame` of the motion."""
         return self.turntable.frame()

@@ -87,7 +87,7 @@ def linear_room(points: float = 10.0) -> LinearRoom:
 def with_held(scanner: Scanner, step: np.ndarray) -> Scanner:
     """The scanner moved by a step; it keeps its covariance."""
     with jax.enable_x64(True):
-        moved = jax.tree.map(np.asarray, scanner.without_covariance().retract(step))
+        moved = jax.tree.map(np.asarray, scanner.retract(step))
     return with_covariance(moved, np.asarray(scanner.covariance))
 
 
