@@ -2,7 +2,6 @@
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from jaxscan.geometry.arrays import Array, namespace
@@ -54,7 +53,3 @@ class Rig(eqx.Module):
             self.lasers.retract(step[layout.lasers].reshape(-1, 5)),
             self.motion.retract(step[layout.turntable]),
         )
-
-    def astype(self, dtype: jnp.dtype | type) -> "Rig":
-        """The same rig in another precision, as NumPy arrays or JAX arrays, whichever it is made of."""
-        return jax.tree.map(lambda leaf: leaf.astype(dtype), self)
