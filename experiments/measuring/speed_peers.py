@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import cv2
+import jax
 import numba
 import numpy as np
 from paper.methods import horus_stripes
@@ -124,7 +125,8 @@ def pipeline(
 
 
 def _poses(scanner: Scanner, angle: np.ndarray) -> np.ndarray:
-    return np.asarray(scanner.pose(angle), np.float32)
+    with jax.enable_x64(True):
+        return np.asarray(jax.jit(jax.vmap(scanner.as_dtype(np.float64).pose))(angle)).astype(np.float32)
 
 
 def _results(pairs: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
