@@ -16,14 +16,13 @@ import sys
 import time
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from worlds import calibration_trials as trials
 from worlds.ideal_boards import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 
 from jaxscan.calibration import Calibration, calibrate_camera, calibrate_observations
 from jaxscan.calibration.verdict import depth_sigma, stripe_depths, stripe_pixels
-from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.geometry import LaserSheet, Scanner, Turntable, stack_lasers
 from jaxscan.observation import Observations
 from jaxscan.simulation import SimulationConfig, true_scanner
 
@@ -62,8 +61,7 @@ def sequential(observed: Observations, result: Calibration) -> tuple[LaserSheet,
     def bow(xy: np.ndarray) -> np.ndarray:
         return (1 - ((xy - centre) / half) ** 2) @ fit.warp
 
-    with jax.enable_x64(True):
-        rays = np.asarray(_rays(camera, observed.stripes.q))
+    rays = np.asarray(camera.unproject(np.asarray(observed.stripes.q)))
     points = []
     for row, view in enumerate(observed.stripes.view):
         rotation, shift = fit.pose[view, :3, :3], fit.pose[view, :3, 3]
@@ -79,11 +77,6 @@ def sequential(observed: Observations, result: Calibration) -> tuple[LaserSheet,
     normal = np.linalg.svd(p - middle, full_matrices=False)[2][2]
     a, b, c = np.linalg.lstsq(np.column_stack([p[:, :2], -np.ones(len(p))]), -p[:, 2], rcond=None)[0]
     return LaserSheet.from_plane(normal, normal @ middle), LaserSheet.from_abc(a, b, c)
-
-
-@jax.jit
-def _rays(camera: Pinhole, q: np.ndarray) -> jax.Array:
-    return jax.vmap(jax.vmap(camera.unproject))(q)
 
 
 def depth_error(scanner: Scanner, q: np.ndarray) -> float:

@@ -60,12 +60,17 @@ from jaxscan.geometry import Fisheye as Fisheye
 from jaxscan.geometry import LaserSheet as LaserSheet
 from jaxscan.geometry import LinearStage as LinearStage
 from jaxscan.geometry import Pinhole as Pinhole
+from jaxscan.geometry import Rig as Rig
 from jaxscan.geometry import Scanner as Scanner
 from jaxscan.geometry import Still as Still
 from jaxscan.geometry import Turntable as Turntable
 from jaxscan.geometry import fit_axis as fit_axis
 from jaxscan.geometry import fit_plane as fit_plane
+from jaxscan.geometry import pixels as pixels
 from jaxscan.geometry import plane_sigma as plane_sigma
+from jaxscan.geometry import points as points
+from jaxscan.geometry import rays as rays
+from jaxscan.geometry import slopes as slopes
 from jaxscan.measurement import Estimate as Estimate
 from jaxscan.measurement import RoomFrame as RoomFrame
 from jaxscan.measurement import RoomOutline as RoomOutline

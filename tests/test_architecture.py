@@ -95,7 +95,7 @@ HOME_OF = {
         "vision/native_loops.py",
     },
     "simplejpeg": {"vision"},
-    "scipy": {"measurement", "calibration/chi_squared.py"},
+    "scipy": {"measurement", "calibration/chi_squared.py", "geometry/rigid.py"},
     "matplotlib": {"report"},
     "rich": {"cli"},
     "tyro": {"cli"},

@@ -11,7 +11,7 @@ import numpy as np
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.verdict import length_sigma, measure_lengths, typical_lengths
 from jaxscan.errors import JaxscanError
-from jaxscan.geometry import Scanner
+from jaxscan.geometry import Scanner, points
 from jaxscan.recalibration import Given, Recalibration, RecalibrationSettings, SweepStripes, recalibrate
 
 
@@ -101,22 +101,10 @@ def wall_points(scanner: Scanner, task: Task, wall: int) -> np.ndarray:
     profile, line = np.nonzero((task.walls == wall) & sweep.valid)
     some = np.unique(np.linspace(0, len(profile) - 1, min(POINTS, len(profile))).astype(int)) if len(profile) else []
     profile, line = profile[some], line[some]
-    # Of one size, so that one compilation serves all walls.
-    index = np.resize(np.arange(len(profile)), POINTS) if len(profile) else np.zeros(0, int)
-    if not len(index):
-        return np.zeros((0, 3))
     across, along = sweep.centre[profile, line], line.astype(float)
     q = np.stack([across, along] if sweep.stripe_axis == "rows" else [along, across], -1)
-    with jax.enable_x64(True):
-        bare = jax.tree.map(np.asarray, scanner.without_covariance())
-        angle = sweep.angle[sweep.record[profile]]
-        return np.asarray(_points(bare, q[index], sweep.laser[profile][index], angle[index]))[: len(profile)]
-
-
-@jax.jit
-def _points(scanner: Scanner, q: np.ndarray, laser: np.ndarray, angle: np.ndarray) -> jax.Array:
-    scanner = jax.tree.map(jax.numpy.asarray, scanner)
-    return jax.vmap(lambda q, laser, phi: scanner.point(q, laser, phi)[0])(q, laser, angle)
+    angle = sweep.angle[sweep.record[profile]]
+    return np.asarray(points(scanner.rig, q, sweep.laser[profile], angle))
 
 
 def fitted(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:

@@ -1,12 +1,12 @@
 """jaxscan's own word on a world, through its public functions alone."""
 
-import jax
 import numpy as np
 
 import jaxscan
 from experiments.unkind.estimate import Dimension, Estimate, Rig, Rows, clocks, passed, ray_grid
 from experiments.unkind.figures import sheet_grid
 from experiments.unkind.truth import Truth
+from jaxscan.geometry import lit_points, lit_slopes
 
 
 def board_rows(calibration: jaxscan.Calibration, records: int, lines: int, *, solved: bool) -> Rows:
@@ -26,25 +26,14 @@ def board_rows(calibration: jaxscan.Calibration, records: int, lines: int, *, so
 
 def seen_rows(cloud: jaxscan.PointCloud, scanner: jaxscan.Scanner) -> Rows:
     """Centres [px] behind the points of a cloud: projected by the scanner that they were made with."""
-    scanner = scanner.without_covariance()
-    with jax.enable_x64(True):
-        exact = scanner.as_dtype(np.float64)
-        u, sigma = np.zeros(cloud.valid.shape), np.zeros(cloud.valid.shape)
-        rows = np.arange(cloud.valid.shape[1], dtype=np.float64)
-
-        def distance(q: jax.Array) -> jax.Array:
-            return exact.laser(0).intersect(exact.camera.unproject(q))[0]
-
-        # d range / d u along the row gives the sigma back in pixels.
-        slopes = jax.jit(jax.vmap(jax.grad(distance)))
-        project = jax.jit(jax.vmap(exact.camera.project))
-        for k, phi in enumerate(np.asarray(cloud.angle, np.float64)):
-            back = np.linalg.inv(np.asarray(exact.pose(phi)))
-            p = np.asarray(cloud.xyz[k], np.float64) @ back[:3, :3].T + back[:3, 3]
-            p[~np.asarray(cloud.valid[k])] = [0.0, 0.0, 1.0]
-            u[k] = np.asarray(project(p))[:, 0]
-            slope = np.asarray(slopes(np.stack([u[k], rows], -1)))[:, 0]
-            sigma[k] = np.asarray(cloud.sigma_random[k], np.float64) / np.maximum(np.abs(slope), 1e-12)
+    angle, valid = np.asarray(cloud.angle, np.float64)[:, None], np.asarray(cloud.valid)
+    u = np.where(valid, jaxscan.pixels(scanner.rig, np.where(valid[..., None], cloud.xyz, 1.0), angle)[..., 0], 0.0)
+    rows = np.broadcast_to(np.arange(u.shape[1], dtype=np.float64), u.shape)
+    # d range / d u along the row gives the sigma back in pixels.
+    p, incidence = lit_points(scanner.rig, np.stack([u, rows], -1), 0)
+    slope = (p * lit_slopes(scanner.rig, p, incidence, 0)[..., 0]).sum(-1)
+    slope = slope / np.maximum(np.linalg.norm(p, axis=-1), 1e-12)
+    sigma = np.asarray(cloud.sigma_random, np.float64) / np.maximum(np.abs(slope), 1e-12)
     return Rows(u, sigma, np.asarray(cloud.valid))
 
 
@@ -52,16 +41,14 @@ def own_rig(scanner: jaxscan.Scanner, truth: Truth) -> Rig:
     """For the comparison."""
     u, v = ray_grid(truth.size)
     at_u, at_v, _ = sheet_grid(truth)
-    with jax.enable_x64(True):
-        exact = scanner.without_covariance().as_dtype(np.float64)
-        unproject = jax.vmap(exact.camera.unproject)
-        way = np.asarray(unproject(np.stack([u.ravel(), v.ravel()], -1)))
-        rays = way / np.linalg.norm(way, axis=1, keepdims=True)
-        ahead = unproject(np.stack([at_u, at_v], -1))
-        far = jax.vmap(lambda ray: exact.laser(0).intersect(ray)[0])(ahead)
-        points = np.asarray(far)[:, None] * np.asarray(ahead)
-        table = exact.turntable
-        return Rig(rays.reshape(*u.shape, 3), points, np.asarray(table.direction), np.asarray(table.point))
+    rig, table = scanner.rig, scanner.turntable
+    points, _ = lit_points(rig, np.stack([at_u, at_v], -1), 0)
+    return Rig(
+        np.asarray(jaxscan.rays(rig, np.stack([u, v], -1))),
+        np.asarray(points),
+        np.asarray(table.direction),
+        np.asarray(table.point),
+    )
 
 
 def dimensions(cloud: jaxscan.PointCloud, scanner: jaxscan.Scanner, truth: Truth) -> list[Dimension]:
@@ -71,8 +58,7 @@ def dimensions(cloud: jaxscan.PointCloud, scanner: jaxscan.Scanner, truth: Truth
     except jaxscan.MeasurementError as problem:
         print(f"  no room: {problem}")
         return []
-    with jax.enable_x64(True):
-        frame = np.asarray(scanner.scanner_from_camera())[:3, :3]
+    frame = np.asarray(scanner.scanner_from_camera())[:3, :3]
     found = []
     for side in (box.length, box.width):
         if side is None:

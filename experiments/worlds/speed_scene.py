@@ -8,10 +8,9 @@ have a second reflection, inside or outside of the columns where the rig could s
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
-from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, rays, stack_lasers
 
 
 WIDTH, HEIGHT = 1280, 1024
@@ -80,8 +79,7 @@ class _Stage:
 def _ranges(scanner: Scanner, columns: np.ndarray) -> np.ndarray:
     """Range at which every pixel of the given columns meets the sheet [rows, columns], m; far is far."""
     q = np.stack(np.meshgrid(columns, np.arange(HEIGHT, dtype=float)), -1)
-    with jax.enable_x64(True):
-        ray = np.asarray(jax.jit(jax.vmap(jax.vmap(scanner.camera.unproject)))(q))
+    ray = np.asarray(rays(scanner.rig, q))
     incidence = ray @ np.asarray(scanner.lasers.normal[0])
     return np.where(incidence > 1e-3, float(scanner.lasers.distance[0]) / np.maximum(incidence, 1e-3), 1e3)
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from importlib import metadata
 
 from jaxscan.api.ahead import Ahead, tell
-from jaxscan.api.rehearsal import JUDGE, LOOK, SOLVE, rehearsal
+from jaxscan.api.rehearsal import JUDGE, SOLVE, rehearsal
 from jaxscan.calibration import (
     NOTHING_KNOWN,
     Calibration,
@@ -117,7 +117,6 @@ def calibrate(
         result = calibrate_observations(to_observations(captures, seen), settings=first, known=known)
         # A solve that did not converge predicts nothing.
         if redetect and result.quality.converged:
-            ahead.wait(LOOK, progress)
             tell(progress, "looking again at predicted places")
             again = look_again(captures, seen, solved_rig(result), eyes, progress=_part(progress, 1, looks))
             ahead.wait(JUDGE, progress)

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from jaxscan.api.kept_code import is_kept, remember
-from jaxscan.calibration import Calibration, CalibrationSettings, calibrate_observations, solved_rig
+from jaxscan.calibration import CalibrationSettings, calibrate_observations
 from jaxscan.files.capture import Capture
-from jaxscan.geometry import AbstractBoard, Turntable
+from jaxscan.geometry import AbstractBoard, Turntable, exponential
 from jaxscan.geometry.scanner import UP_VECTORS
-from jaxscan.observation import BoardViews, Observations, StripeViews, rehearse_second_look
+from jaxscan.observation import BoardViews, Observations, StripeViews
 
 
-SOLVE, LOOK, JUDGE = "solver", "second look", "verdict"
+SOLVE, JUDGE = "solver", "verdict"
 """Names of the jobs, in their order."""
 _NOISE_PX = 0.05
 _TILT_RAD = 0.45
@@ -56,19 +56,14 @@ def rehearsal(
             return []
         _rehearsed.add(key)
     made_up = functools.cache(lambda: _observations(captures, board, stripes=stripes))
-    solved: list[Calibration] = []
 
     def solve() -> None:
-        solved.append(calibrate_observations(made_up(), settings=replace(settings, judge=settings.judge and not again)))
-
-    def look() -> None:
-        if solved:
-            rehearse_second_look(solved_rig(solved[0]), first.lasers[0].stripe_axis if stripes else "rows")
+        calibrate_observations(made_up(), settings=replace(settings, judge=settings.judge and not again))
 
     def judge() -> None:
         calibrate_observations(made_up(), settings=settings)
 
-    *jobs, (name, last) = [(SOLVE, solve), (LOOK, look), (JUDGE, judge)] if again else [(SOLVE, solve)]
+    *jobs, (name, last) = [(SOLVE, solve), (JUDGE, judge)] if again else [(SOLVE, solve)]
 
     def end() -> None:
         last()
@@ -129,8 +124,7 @@ def _observations(captures: Sequence[Capture], board: AbstractBoard, *, stripes:
 def _pose(random: np.random.Generator, middle: np.ndarray, depth: float) -> np.ndarray:
     """T_cam_board of a tilted board in front of the camera."""
     a, b, c = random.uniform(-_TILT_RAD, _TILT_RAD, 3)
-    pose = np.eye(4)
-    pose[:3, :3] = _turn([1.0, 0.0, 0.0], a) @ _turn([0.0, 1.0, 0.0], b) @ _turn([0.0, 0.0, 1.0], c)
+    pose = np.asarray(exponential(np.array([0.0, 0.0, 0.0, a, b, c])))
     shift = 0.1 * depth * random.uniform(-1.0, 1.0, 3) + np.array([0.0, 0.0, depth])
     pose[:3, 3] = shift - pose[:3, :3] @ middle
     return pose
@@ -145,16 +139,7 @@ def _turned(capture: Capture, angle: float, depth: float) -> np.ndarray:
     point = np.array([0.0, 0.0, depth if by_object else -0.1])
     axis = Turntable.from_axis(UP_VECTORS[capture.up], point, carries="object" if by_object else "scanner")
     # The camera that turns to the left sees the board turn to the right.
-    turn[:3, :3] = _turn(np.asarray(axis.direction), angle if by_object else -angle)
-    turn[:3, 3] = point - turn[:3, :3] @ point
-    return turn
-
-
-def _turn(axis: np.ndarray | list[float], angle: float) -> np.ndarray:
-    """Rotation about a unit axis, by Rodrigues' formula [3, 3]."""
-    x, y, z = axis
-    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * k @ k
+    return np.asarray(exponential((angle if by_object else -angle) * axis.twist()))
 
 
 def _stripe(

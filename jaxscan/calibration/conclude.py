@@ -28,11 +28,10 @@ from jaxscan.calibration.verdict import (
     measure_good_to,
     predict_lengths,
     refusal,
-    root_of,
     warn,
 )
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import AbstractCamera, Scanner, make_layout
+from jaxscan.geometry import AbstractCamera, Scanner, make_layout, root_of
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
 from jaxscan.observation import Observations
 

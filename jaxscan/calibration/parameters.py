@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Literal
 
 from jaxtyping import Float
 
-from jaxscan.geometry import CAMERAS, Array, ParameterBlock, exponential
+from jaxscan.geometry import CAMERAS, Array, ParameterBlock, compose, exponential
 from jaxscan.geometry.laser import LASER_BLOCKS
 from jaxscan.geometry.motions import MOTION_BLOCKS
 
@@ -52,6 +52,6 @@ else:
     PriorName = Literal[tuple(PRIORS)]
 
 
-def move_pose(pose: Float[Array, "4 4"], step: Float[Array, "6"]) -> Float[Array, "4 4"]:
-    """T_cam0_board moved by a scaled step (translation, rotation) in the board's own frame."""
-    return pose @ exponential(LOCAL_SCALE * step)
+def move_poses(poses: Float[Array, "*n 4 4"], steps: Float[Array, "*n 6"]) -> Float[Array, "*n 4 4"]:
+    """T_cam0_board moved by scaled steps (translation, rotation) in the boards' own frames."""
+    return compose(poses, exponential(LOCAL_SCALE * steps))

@@ -1,22 +1,17 @@
-r"""How far points of a rig on paper are off, by the triangulation that the reconstruction itself uses.
+r"""How far points of a rig on paper are off, by the kinematics that the reconstruction itself uses.
 
 A stripe that lies $\sigma$ beside its place moves its point by $\sigma\,\partial p / \partial u$, along the sheet.
-The derivative is that of `triangulate`; on the optical axis it is $z^2 / (f b)$ in depth.
+The derivative is that of `slopes`; on the optical axis it is $z^2 / (f b)$ in depth.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxscan.design.rig import RigDesign
-from jaxscan.geometry import AbstractCamera, Array, LaserSheet
-from jaxscan.reconstruction import DEFAULTS
-from jaxscan.reconstruction.points import Limits, triangulate
+from jaxscan.geometry import Rig, lit_points, lit_slopes
 
 
 _LINES = 64
@@ -43,15 +38,9 @@ def spread_at(design: RigDesign, depths_m: Sequence[float], noise_px: float) -> 
         depths_m: z in the camera frame [m].
         noise_px: Standard deviation of a stripe's centre [px].
     """
-    scanner = design.scanner()
-    # Neither is used; a design of its own size would be compiled again.
-    camera = replace(scanner.camera, width=0, height=0)
-    parts = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), (camera, scanner.laser(0)))
-    limits = Limits.of(replace(DEFAULTS, min_range_m=0.0, max_range_m=1e6, min_incidence=1e-9))
-    lines = ((np.arange(_LINES) + 0.5) / _LINES * design.sensor.height - 0.5).astype(np.float32)
-    moved = np.stack(
-        [np.asarray(_shift_per_pixel(*parts, lines, np.float32(depth), limits), np.float64) for depth in depths_m]
-    )
+    rig = design.scanner().rig
+    lines = (np.arange(_LINES) + 0.5) / _LINES * design.sensor.height - 0.5
+    moved = np.stack([_shift_per_pixel(rig, lines, float(depth)) for depth in depths_m])
     rms = noise_px * np.sqrt(np.mean(moved**2, axis=1))
     return Spread(np.asarray(depths_m, np.float64), rms[:, 2], rms[:, 0], rms[:, 1])
 
@@ -61,17 +50,10 @@ def depth_sigma(design: RigDesign, depth_m: float, noise_px: float) -> float:
     return float(spread_at(design, [depth_m], noise_px).depth[0])
 
 
-@jax.jit
-def _shift_per_pixel(
-    camera: AbstractCamera, sheet: LaserSheet, lines: Float[Array, " lines"], depth: Float[Array, ""], limits: Limits
-) -> Float[Array, "lines 3"]:
+def _shift_per_pixel(rig: Rig, lines: Float[np.ndarray, " lines"], depth: float) -> Float[np.ndarray, "lines 3"]:
     """Movement [m/px] of the points of a plane at this depth, camera frame."""
-
-    def one(line):
-        y = (line - camera.cy) / camera.fy * depth
-        x = (sheet.distance - sheet.normal[1] * y - sheet.normal[2] * depth) / sheet.normal[0]
-        u = camera.project(jnp.stack([x, y, depth]))[0]
-        place = lambda u: triangulate(u, line, camera, sheet, limits=limits).p_cam
-        return jax.jvp(place, (u,), (jnp.ones_like(u),))[1]
-
-    return jax.vmap(one)(lines)
+    camera, sheet = rig.camera, rig.laser(0)
+    y = (lines - camera.cy) / camera.fy * depth
+    x = (sheet.distance - sheet.normal[1] * y - sheet.normal[2] * depth) / sheet.normal[0]
+    q = np.stack([np.asarray(camera.project(np.stack([x, y, np.full_like(y, depth)], -1)))[:, 0], lines], -1)
+    return np.asarray(lit_slopes(rig, *lit_points(rig, q, 0), 0))[..., 0]

@@ -8,12 +8,11 @@ into the board, so a board seen upright has the camera's axes. Corner k stands a
 import abc
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.geometry.arrays import Array
+from jaxscan.geometry.arrays import Array, namespace
+from jaxscan.geometry.rigid import invert, turn
 
 
 _ROUNDS = 4
@@ -117,59 +116,75 @@ class BowedBoard(eqx.Module):
     bend: Float[Array, " functions"] = eqx.field(default_factory=lambda: np.zeros(0))
     """Coefficients [m] of `bend_functions`, heights beside the bow; empty for a board that is a parabola."""
 
-    def height(self, xy: Float[Array, "2"]) -> Float[Array, ""]:
+    def height(self, xy: Float[Array, "*n 2"]) -> Float[Array, "*n"]:
         """z [m]: kx (1 - x'^2) + ky (1 - y'^2) and the bend, with x', y' = +-1 at the outer corners.
 
         Source: mrcal's `calobject_warp`.
         """
         rise = self.rise(xy)
-        bow = self.shape[0] * rise[0] + self.shape[1] * rise[1]
-        return bow + self._bent(xy) if self.bend.shape[0] else bow
+        z = self.shape[0] * rise[..., 0] + self.shape[1] * rise[..., 1]
+        if self.bend.shape[0]:
+            bends = self.bends(xy)
+            z = z + sum(self.bend[k] * bends[..., k] for k in range(self.bend.shape[0]))
+        return namespace(z).asarray(z)
 
-    def bends(self, xy: Float[Array, "2"]) -> Float[Array, " functions"]:
+    def bends(self, xy: Float[Array, "*n 2"]) -> Float[Array, "*n functions"]:
         """Derivatives of the height by the coefficients of the bend [1]."""
-        return jnp.stack(bend_functions((xy - self.frame[:2]) / self.frame[2:]))
+        return namespace(self, xy).stack(bend_functions(self._place(xy)), -1)
 
-    def _bent(self, xy: Float[Array, "2"]) -> Float[Array, ""]:
-        return jnp.dot(jnp.asarray(self.bend), self.bends(xy))
-
-    def rise(self, xy: Float[Array, "2"]) -> Float[Array, "2"]:
+    def rise(self, xy: Float[Array, "*n 2"]) -> Float[Array, "*n 2"]:
         """Derivatives of the height by kx and ky [1]."""
-        a = (xy - self.frame[:2]) / self.frame[2:]
+        a = self._place(xy)
         return 1.0 - a * a
 
-    def point(self, xy: Float[Array, "2"]) -> Float[Array, "3"]:
-        """The point of the board [m], board frame."""
-        return jnp.append(xy * (1.0 + self.shape[2]), self.height(xy))
+    def point(self, xy: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
+        """Points of the board [m], board frame."""
+        pitch = 1.0 + self.shape[2]
+        return namespace(self, xy).stack([xy[..., 0] * pitch, xy[..., 1] * pitch, self.height(xy)], -1)
 
-    def normal(self, xy: Float[Array, "2"]) -> Float[Array, "3"]:
-        """The surface's normal, scaled to z = 1, board frame; the error of the pitch is neglected."""
-        half = self.frame[2:]
-        slope = 2.0 * self.shape[:2] * (xy - self.frame[:2]) / (half * half)
+    def slope(self, xy: Float[Array, "*n 2"]) -> Float[Array, "*n 2"]:
+        """Derivatives of the height by x and y [1]."""
+        xp, place = namespace(self, xy), self._place(xy)
+        by = [-2.0 * self.shape[k] * place[..., k] for k in range(2)]
         if self.bend.shape[0]:
-            slope = slope - jax.grad(self._bent)(xy)
-        return jnp.stack([slope[0], slope[1], jnp.ones_like(slope[0])])
+            values, slopes = _polynomials(place)
+            ways = ((slopes, values), (values, slopes))
+            bends = [_products(along, across) for along, across in ways]
+            by = [by[k] + sum(self.bend[n] * one for n, one in enumerate(bends[k])) for k in range(2)]
+        return xp.stack([by[k] / self.frame[2 + k] for k in range(2)], -1)
 
-    def meet(self, pose: Float[Array, "4 4"], ray: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, "3"]]:
-        """Intersection of a ray from the camera and the board.
+    def normal(self, xy: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
+        """The surface's normal, scaled to z = 1, board frame; the error of the pitch is neglected."""
+        slope = self.slope(xy)
+        xp = namespace(slope)
+        return xp.concatenate([-slope, xp.ones_like(slope[..., :1])], -1)
+
+    def meet(
+        self, pose: Float[Array, "... 4 4"], ray: Float[Array, "... 3"]
+    ) -> tuple[Float[Array, "..."], Float[Array, "... 3"]]:
+        """Intersection of rays from the camera and the board.
 
         Args:
             pose: T_cam_board.
-            ray: Unit ray, camera frame.
+            ray: Unit rays, camera frame.
 
         Returns:
             range_m: Distance along the ray [m]; undefined for a ray parallel to the board.
             point: In the board frame [m].
         """
-        # Sums are written out: many thousands of 3 x 3 matrix products are slow.
-        turn = lambda p: jnp.stack([pose[0, i] * p[0] + pose[1, i] * p[1] + pose[2, i] * p[2] for i in range(3)])
-        origin, direction = -turn(pose[:3, 3]), turn(ray)
-        along_z = jnp.where(direction[2] == 0, 1.0, direction[2]).astype(direction.dtype)
-        range_m = jnp.asarray(-origin[2] / along_z)
+        xp, back = namespace(self, pose, ray), invert(pose)
+        origin, direction = back[..., :3, 3], turn(back[..., :3, :3], ray)
+        along_z = xp.where(direction[..., 2] == 0, 1.0, direction[..., 2]).astype(direction.dtype)
+        range_m = -origin[..., 2] / along_z
         for _ in range(_ROUNDS):
-            xy = (origin[:2] + range_m * direction[:2]) / (1.0 + self.shape[2])
-            range_m = jnp.asarray((self.height(xy) - origin[2]) / along_z)
-        return range_m, origin + range_m * direction
+            xy = (origin[..., :2] + range_m[..., None] * direction[..., :2]) / (1.0 + self.shape[2])
+            range_m = (self.height(xy) - origin[..., 2]) / along_z
+        return xp.asarray(range_m), origin + range_m[..., None] * direction
+
+    def _place(self, xy: Array) -> Array:
+        """Coordinates that are +-1 at the outer corners [1]."""
+        parts = [(xy[..., k] - self.frame[k]) / self.frame[2 + k] for k in range(2)]
+        return namespace(self, xy).stack(parts, -1)
 
 
 def bend_functions(place: Array) -> list[Array]:
@@ -183,13 +198,22 @@ def bend_functions(place: Array) -> list[Array]:
     Returns:
         28 arrays [...].
     """
+    values, _ = _polynomials(place)
+    return _products(values, values)
+
+
+def _polynomials(place: Array) -> tuple[list[Array], list[Array]]:
+    """Chebyshev polynomials of both coordinates, and their slopes [..., 2]."""
     inside = place.clip(-1.0, 1.0)
     values, slopes = [inside * 0.0 + 1.0, inside], [inside * 0.0, inside * 0.0 + 1.0]
     for _ in range(BEND_DEGREE - 1):
         slopes.append(2.0 * values[-1] + 2.0 * inside * slopes[-1] - slopes[-2])
         values.append(2.0 * inside * values[-1] - values[-2])
-    lines = [value + (place - inside) * slope for value, slope in zip(values, slopes, strict=True)]
-    return [lines[d - j][..., 0] * lines[j][..., 1] for d in range(BEND_DEGREE + 1) for j in range(d + 1)]
+    return [value + (place - inside) * slope for value, slope in zip(values, slopes, strict=True)], slopes
+
+
+def _products(along: list[Array], across: list[Array]) -> list[Array]:
+    return [along[d - j][..., 0] * across[j][..., 1] for d in range(BEND_DEGREE + 1) for j in range(d + 1)]
 
 
 def corner_frame(corners: Float[np.ndarray, "corners 3"]) -> Float[np.ndarray, "4"]:

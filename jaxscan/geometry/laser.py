@@ -1,14 +1,14 @@
 """The laser sheet: a plane, slightly bowed, in the frame of the camera at angle 0."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from jaxscan.geometry.arrays import Array, real
+from jaxscan.geometry.arrays import Array, Component, namespace, real
 from jaxscan.geometry.parameters import ParameterBlock
 from jaxscan.geometry.tangent import move_direction, tangent_basis, unit_vector
 
@@ -22,13 +22,13 @@ class LaserSheet(eqx.Module):
     is the plane of the paper.
     """
 
-    normal: Float[Array, "3"] = eqx.field(converter=real)
+    normal: Float[Array, "*lasers 3"] = eqx.field(converter=real)
     """Unit normal n, camera frame."""
-    distance: Float[Array, ""] = eqx.field(converter=real)
+    distance: Float[Array, "*lasers"] = eqx.field(converter=real)
     """Distance d > 0 of the camera centre from the plane [m]."""
-    bow: Float[Array, "2"] = eqx.field(converter=real)
+    bow: Float[Array, "*lasers 2"] = eqx.field(converter=real)
     """b2, b3 [rad per rad^2, rad per rad^3]."""
-    basis: Float[Array, "2 3"] = eqx.field(converter=real)
+    basis: Float[Array, "*lasers 2 3"] = eqx.field(converter=real)
     """Tangent vectors of the minimal coordinates n1, n2 of the normal."""
 
     @staticmethod
@@ -56,44 +56,72 @@ class LaserSheet(eqx.Module):
 
     def abc(self) -> Float[Array, "3"]:
         """The paper's a, b [1] and c [m] of the flat part. Source: the paper, equation (4)."""
-        return jnp.stack([self.normal[0], self.normal[1], jnp.asarray(self.distance)]) / self.normal[2]
+        return namespace(self).stack([self.normal[0], self.normal[1], self.distance]) / self.normal[2]
 
-    def intersect(self, ray: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        r"""Intersection of a unit ray and the sheet.
+    def intersect(self, ray: Float[Array, "... 3"]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        r"""Intersection of unit rays and the sheet, or each ray's own sheet.
 
         $$\text{range} = d / m, \qquad m = n \cdot v - \rho_v (b_2 \tau^2 + b_3 \tau^3)$$
 
         Args:
-            ray: Unit ray v, camera frame.
+            ray: Unit rays v, camera frame.
 
         Returns:
             range_m: Distance along the ray [m]; 0, never NaN, where the ray misses the sheet.
             incidence: m, about the sine of the angle between ray and sheet; the ray meets the
                 sheet in front of the camera where it is positive.
         """
-        incidence = jnp.dot(self.normal, ray) - self._bow_slope(ray)
+        xp = namespace(self, ray)
+        incidence = xp.asarray(_dot(self.normal, ray) - self._bow_height(xp, ray))
         hits = incidence > 0
         # 1 where the result is masked, so that neither value nor gradient is NaN.
-        range_m = self.distance / jnp.where(hits, incidence, 1.0).astype(incidence.dtype)
-        return jnp.where(hits, range_m, 0.0).astype(range_m.dtype), incidence
+        range_m = self.distance / xp.where(hits, incidence, 1.0).astype(incidence.dtype)
+        return xp.where(hits, range_m, 0.0).astype(range_m.dtype), incidence
 
-    def offset(self, p: Float[Array, "3"]) -> Float[Array, ""]:
-        """Signed distance of a point from the sheet [m], positive on the side of the normal."""
-        return jnp.dot(self.normal, p) - self.distance - self._bow_slope(p)
+    def offset(self, p: Float[Array, "... 3"]) -> Float[Array, "..."]:
+        """Signed distance of points from the sheet [m], positive on the side of the normal."""
+        xp = namespace(self, p)
+        return xp.asarray(_dot(self.normal, p) - self.distance - self._bow_height(xp, p))
 
-    def retract(self, step: Float[Array, "5"]) -> "LaserSheet":
-        """The sheet moved by n1, n2 [rad], d [m], b2, b3."""
-        normal, basis = move_direction(self.normal, self.basis, step[:2])
-        return LaserSheet(normal, self.distance + step[2], self.bow + step[3:5], basis)
+    def slope(self, p: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+        """Derivative of `offset` by the point [1]: the normal of the bowed sheet there, but for its length."""
+        xp = namespace(self, p)
+        g, e, along, across, squared = self._in_sheet(xp, p)
+        tau, (b2, b3) = xp.arctan2(across, along), (self.bow[..., k] for k in range(2))
+        per_rho = 1.0 / xp.sqrt(squared)
+        height, rise = tau * tau * (b2 + b3 * tau), tau * (2.0 * b2 + 3.0 * b3 * tau)
+        by_along, by_across = per_rho * (along * height - across * rise), per_rho * (across * height + along * rise)
+        n = self.normal
+        return xp.stack([n[..., k] - by_along * g[k] - by_across * e[k] for k in range(3)], -1)
 
-    def _bow_slope(self, p: Float[Array, "3"]) -> Float[Array, ""]:
-        g = jnp.zeros_like(self.normal).at[2].set(1.0) - self.normal[2] * self.normal
-        g = g / jnp.linalg.norm(g)
-        along, across = jnp.dot(g, p), jnp.dot(jnp.cross(self.normal, g), p)
+    def retract(self, step: Float[Array, "*lasers 5"]) -> "LaserSheet":
+        """The sheet moved by n1, n2 [rad], d [m], b2, b3; or stacked sheets, each by its own step."""
+        normal, basis = move_direction(self.normal, self.basis, step[..., :2])
+        return LaserSheet(normal, self.distance + step[..., 2], self.bow + step[..., 3:5], basis)
+
+    def _bow_height(self, xp: Any, p: Array) -> Component:
+        _, _, along, across, squared = self._in_sheet(xp, p)
+        tau = xp.arctan2(across, along)
+        return xp.sqrt(squared) * tau * tau * (self.bow[..., 0] + self.bow[..., 1] * tau)
+
+    def _in_sheet(self, xp: Any, p: Array) -> tuple[Any, Any, Component, Component, Component]:
+        """The directions g and e, by component, the coordinates of points along them, and the square of rho."""
+        nx, ny, nz = (self.normal[..., k] for k in range(3))
+        gx, gy, gz = -nz * nx, -nz * ny, 1.0 - nz * nz
+        length = xp.sqrt(gx * gx + gy * gy + gz * gz)
+        gx, gy, gz = gx / length, gy / length, gz / length
+        e = ny * gz - nz * gy, nz * gx - nx * gz, nx * gy - ny * gx
+        x, y, z = (p[..., k] for k in range(3))
+        along, across = gx * x + gy * y + gz * z, e[0] * x + e[1] * y + e[2] * z
         squared = along * along + across * across
-        safe = jnp.where(squared > 0, squared, 1.0).astype(squared.dtype)
-        tau = jnp.arctan2(across, jnp.where(squared > 0, along, 1.0).astype(along.dtype))
-        return jnp.sqrt(safe) * tau * tau * (self.bow[0] + self.bow[1] * tau)
+        # In the middle of the camera the bow is 0, and its derivatives are not NaN.
+        there = squared > 0
+        along, squared = (xp.where(there, value, 1.0).astype(squared.dtype) for value in (along, squared))
+        return (gx, gy, gz), e, along, across, squared
+
+
+def _dot(a: Array, b: Array) -> Component:
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
 
 
 LASER_BLOCKS = (

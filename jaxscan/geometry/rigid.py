@@ -1,34 +1,110 @@
 """Rigid motions as 4 x 4 matrices: `T_ab` maps coordinates of frame b to frame a.
 
-Exponentials come from jaxlie; chains of known motions are plain matrix products.
+Sums are written out component by component: one line serves one motion or many, NumPy and JAX, and an accelerator does
+not shorten float32 as it does in its matrix products.
 """
 
-import jax.numpy as jnp
+from typing import Any
+
+import numpy as np
 from jaxtyping import Float
 
-from jaxscan.geometry.arrays import Array
+from jaxscan.geometry.arrays import Array, namespace
 
 
-def exponential(twist: Float[Array, "6"]) -> Float[Array, "4 4"]:
-    """The motion exp(twist) of a twist (v, omega) [m, rad], in jaxlie's order."""
-    # Imported here, so that `import jaxscan` does not load jaxlie.
-    import jaxlie
-
-    return jaxlie.SE3.exp(jnp.asarray(twist)).as_matrix()
+# Below this square of an angle the series in this file are exact to float64 rounding.
+_SMALL_SQUARE = 1e-2
 
 
-def rigid(rotation: Float[Array, "3 3"], translation: Float[Array, "3"]) -> Float[Array, "4 4"]:
+def exponential(twist: Float[Array, "*n 6"]) -> Float[Array, "*n 4 4"]:
+    r"""The motion exp(twist) of a twist (v, omega) [m, rad].
+
+    With $K x = \omega \times x$ the rotation is $1 + a K + b K^2$ and the translation $v + b K v + c K^2 v$.
+
+    Source: Lynch and Park, Modern Robotics (2017), section 3.3.
+    """
+    xp, (v, w) = namespace(twist), (twist[..., :3], twist[..., 3:])
+    square = w[..., 0] * w[..., 0] + w[..., 1] * w[..., 1] + w[..., 2] * w[..., 2]
+    a, b, c = (factor[..., None] for factor in _rotation_factors(xp, xp.asarray(square)))
+    once = lambda x: xp.cross(w, x)
+    columns = []
+    for k in range(3):
+        axis = xp.broadcast_to(xp.eye(3, dtype=twist.dtype)[k], w.shape)
+        columns.append(axis + a * once(axis) + b * once(once(axis)))
+    return rigid(xp.stack(columns, -1), v + b * once(v) + c * once(once(v)))
+
+
+def _rotation_factors(xp: Any, square: Array) -> tuple[Array, Array, Array]:
+    """sin t / t, (1 - cos t) / t^2 and (t - sin t) / t^3 of t^2; smooth at 0."""
+    near = square < _SMALL_SQUARE
+    s, far = (xp.where(where, square, 1.0).astype(square.dtype) for where in (near, ~near))
+    t = xp.sqrt(far)
+    half = xp.sin(t / 2)
+    series = (
+        1.0 - s / 6 * (1.0 - s / 20 * (1.0 - s / 42 * (1.0 - s / 72))),
+        (1.0 - s / 12 * (1.0 - s / 30 * (1.0 - s / 56 * (1.0 - s / 90)))) / 2,
+        (1.0 - s / 20 * (1.0 - s / 42 * (1.0 - s / 72 * (1.0 - s / 110)))) / 6,
+    )
+    exact = xp.sin(t) / t, 2 * half * half / far, (t - xp.sin(t)) / (t * far)
+    a, b, c = (xp.where(near, *both).astype(square.dtype) for both in zip(series, exact, strict=True))
+    return a, b, c
+
+
+def rigid(rotation: Float[Array, "*n 3 3"], translation: Float[Array, "*n 3"]) -> Float[Array, "*n 4 4"]:
     """The motion p -> rotation p + translation."""
-    top = jnp.concatenate([rotation, translation[:, None]], axis=1)
-    return jnp.concatenate([top, jnp.zeros((1, 4), top.dtype).at[0, 3].set(1.0)], axis=0)
+    xp = namespace(rotation, translation)
+    top = xp.concatenate([rotation, translation[..., None]], -1)
+    last = xp.broadcast_to(xp.asarray([[0.0, 0.0, 0.0, 1.0]], top.dtype), (*top.shape[:-2], 1, 4))
+    return xp.concatenate([top, last], -2)
 
 
-def transform(T_ab: Float[Array, "4 4"], p_b: Float[Array, "3"]) -> Float[Array, "3"]:
+def turn(rotation: Float[Array, "... 3 3"], v: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+    """The vector, turned."""
+    x, y, z = (v[..., k] for k in range(3))
+    rows = [rotation[..., i, 0] * x + rotation[..., i, 1] * y + rotation[..., i, 2] * z for i in range(3)]
+    return namespace(rotation, v).stack(rows, -1)
+
+
+def transform(T_ab: Float[Array, "... 4 4"], p_b: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
     """The point `p_b` in frame a."""
-    return T_ab[:3, :3] @ p_b + T_ab[:3, 3]
+    x, y, z = (p_b[..., k] for k in range(3))
+    rows = [T_ab[..., i, 0] * x + T_ab[..., i, 1] * y + T_ab[..., i, 2] * z + T_ab[..., i, 3] for i in range(3)]
+    return namespace(T_ab, p_b).stack(rows, -1)
 
 
-def invert(T_ab: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
+def invert(T_ab: Float[Array, "*n 4 4"]) -> Float[Array, "*n 4 4"]:
     """T_ba."""
-    rotation = T_ab[:3, :3].T
-    return rigid(rotation, -rotation @ T_ab[:3, 3])
+    rotation = T_ab[..., :3, :3].swapaxes(-1, -2)
+    return rigid(rotation, -turn(rotation, T_ab[..., :3, 3]))
+
+
+def compose(T_ab: Float[Array, "... 4 4"], T_bc: Float[Array, "... 4 4"]) -> Float[Array, "... 4 4"]:
+    """T_ac."""
+    columns = [turn(T_ab[..., :3, :3], T_bc[..., :3, k]) for k in range(3)]
+    return rigid(namespace(T_ab, T_bc).stack(columns, -1), transform(T_ab, T_bc[..., :3, 3]))
+
+
+def nearest_rotation(matrix: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 3 3"]:
+    """The rotation that is nearest to a matrix, in the sum of squares.
+
+    Source: Kabsch, Acta Cryst. A32 (1976) 922: of a covariance of points, the rotation between them.
+    """
+    u, _, vt = np.linalg.svd(matrix)
+    u[..., :, 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
+    return u @ vt
+
+
+def quaternion(rotation: Float[np.ndarray, "3 3"]) -> tuple[float, float, float, float]:
+    """Unit quaternion (w, x, y, z) of a rotation, w not negative."""
+    # Imported here, so that `import jaxscan` does not load SciPy.
+    from scipy.spatial.transform import Rotation  # type: ignore[import-untyped]
+
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat(canonical=True).tolist()
+    return w, x, y, z
+
+
+def from_quaternion(q: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
+    """The rotation of a quaternion (w, x, y, z) of any length."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_quat(np.roll(q, -1)).as_matrix())

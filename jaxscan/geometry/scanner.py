@@ -1,6 +1,7 @@
 """The scanner: camera, laser sheets and motion, calibrated, as one pytree."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import equinox as eqx
@@ -9,11 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxscan.geometry import kinematics
 from jaxscan.geometry.arrays import Array
 from jaxscan.geometry.cameras import AbstractCamera
 from jaxscan.geometry.laser import LaserSheet, stack_lasers
 from jaxscan.geometry.layout import Layout, make_layout
 from jaxscan.geometry.motions import AbstractMotion, Still
+from jaxscan.geometry.rig import Rig
 from jaxscan.geometry.rigid import transform
 
 
@@ -73,44 +76,37 @@ class Scanner(eqx.Module):
             raise ValueError(f"laser_names: found {', '.join(names)}, expected {len(sheets)} different names")
         return Scanner(camera, stack_lasers(sheets), point_up(turntable or Still(), up), laser_names=names, up=up)
 
+    @property
+    def rig(self) -> Rig:
+        """Camera, sheets and motion as arrays alone: what `kinematics` computes with."""
+        return Rig.of(self.camera, self.lasers, self.turntable)
+
     def laser(self, index: int | Int[Array, ""]) -> LaserSheet:
         """One of the stacked sheets."""
-        return jax.tree.map(lambda leaf: leaf[index], self.lasers)
+        return self.rig.laser(index)
 
     def as_dtype(self, dtype: jnp.dtype | type) -> "Scanner":
         """The same scanner with JAX leaves of one floating type."""
         return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
 
-    def without_covariance(self) -> "Scanner":
-        """The same scanner without the covariance of its calibration."""
-        return Scanner(self.camera, self.lasers, self.turntable, None, self.laser_names, self.up)
-
     def scanner_from_camera(self) -> Float[Array, "4 4"]:
         """T_scanner_cam at position 0; see `frame` of the motion."""
         return self.turntable.frame()
 
-    def pose(self, phi: Float[Array, ""]) -> Float[Array, "4 4"]:
-        """T_scanner_cam(phi) at the table's angle [rad from home], or the position of a stage [m]."""
-        motion = self.turntable.motion(phi)
-        return jnp.asarray(self.scanner_from_camera(), motion.dtype) @ motion
+    def pose(self, phi: Float[Array, "..."]) -> Float[Array, "... 4 4"]:
+        """T_scanner_cam(phi); see `kinematics.poses`."""
+        return kinematics.poses(self.rig, phi)
 
     def point(
-        self, q: Float[Array, "2"], laser: int | Int[Array, ""], phi: Float[Array, ""]
-    ) -> tuple[Float[Array, "3"], Float[Array, ""]]:
-        """Point in the room of the stripe seen at pixel `q`.
+        self, q: Float[Array, "... 2"], laser: int | Int[Array, "..."], phi: Float[Array, "..."]
+    ) -> tuple[Float[Array, "... 3"], Float[Array, "..."]]:
+        """Points of stripes, scanner frame [m], and the incidence, which is positive where a point exists.
 
-        Args:
-            q: Stripe centre (u, v) [px].
-            laser: Index of the sheet.
-            phi: The table's angle [rad from home], or the position of a stage [m].
-
-        Returns:
-            p_scanner: Point [m], scanner frame.
-            incidence: See `LaserSheet.intersect`; positive where the point exists.
+        See `kinematics.points`.
         """
-        ray = self.camera.unproject(q)
-        range_m, incidence = self.laser(laser).intersect(ray)
-        return transform(self.pose(phi), range_m * ray), incidence
+        rig = self.rig
+        p_cam, incidence = kinematics.lit_points(rig, q, laser)
+        return transform(kinematics.poses(rig, phi), p_cam), incidence
 
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the minimal coordinates: camera, lasers, motion."""
@@ -122,14 +118,12 @@ class Scanner(eqx.Module):
 
     def retract(self, step: Float[Array, " params"]) -> "Scanner":
         """The scanner moved by `step` in its minimal coordinates; it has no covariance."""
-        layout = self.layout()
-        return Scanner(
-            camera=self.camera.retract(step[layout.camera]),
-            lasers=jax.vmap(LaserSheet.retract)(self.lasers, step[layout.lasers].reshape(-1, 5)),
-            turntable=self.turntable.retract(step[layout.turntable]),
-            laser_names=self.laser_names,
-            up=self.up,
-        )
+        return self.with_rig(self.rig.retract(step))
+
+    def with_rig(self, rig: Rig) -> "Scanner":
+        """Another rig under the names and with the image size of this one, without a covariance."""
+        camera = replace(rig.camera, width=self.camera.width, height=self.camera.height)
+        return Scanner(camera, rig.lasers, rig.motion, laser_names=self.laser_names, up=self.up)
 
 
 def point_up(turntable: AbstractMotion, up: Up) -> AbstractMotion:

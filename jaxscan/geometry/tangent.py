@@ -3,11 +3,10 @@
 import math
 from collections.abc import Sequence
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from jaxscan.geometry.arrays import Array
+from jaxscan.geometry.arrays import Array, namespace
 
 
 def tangent_basis(direction: np.ndarray) -> np.ndarray:
@@ -41,17 +40,18 @@ def unit_vector(vector: ArrayLike | Sequence[float], name: str) -> tuple[np.ndar
 
 
 def move_direction(
-    direction: Float[Array, "3"], basis: Float[Array, "2 3"], step: Float[Array, "2"]
-) -> tuple[Float[Array, "3"], Float[Array, "2 3"]]:
-    """Move a unit vector by `step` [rad, to first order] along its tangent vectors.
+    direction: Float[Array, "*n 3"], basis: Float[Array, "*n 2 3"], step: Float[Array, "*n 2"]
+) -> tuple[Float[Array, "*n 3"], Float[Array, "*n 2 3"]]:
+    """Move unit vectors by `step` [rad, to first order] along their tangent vectors.
 
     Returns:
-        direction: The moved unit vector.
-        basis: The tangent vectors moved along: orthonormal and perpendicular to it again.
+        direction: The moved unit vectors.
+        basis: The tangent vectors moved along: orthonormal and perpendicular to them again.
     """
-    moved = direction + step[0] * basis[0] + step[1] * basis[1]
-    moved = moved / jnp.linalg.norm(moved)
-    first = basis[0] - jnp.dot(basis[0], moved) * moved
-    first = first / jnp.linalg.norm(first)
-    second = basis[1] - jnp.dot(basis[1], moved) * moved - jnp.dot(basis[1], first) * first
-    return moved, jnp.stack([first, second / jnp.linalg.norm(second)])
+    xp = namespace(direction, basis, step)
+    dot = lambda a, b: xp.sum(a * b, -1, keepdims=True)
+    unit = lambda vector: vector / xp.sqrt(dot(vector, vector))
+    moved = unit(direction + step[..., 0:1] * basis[..., 0, :] + step[..., 1:2] * basis[..., 1, :])
+    first = unit(basis[..., 0, :] - dot(basis[..., 0, :], moved) * moved)
+    second = basis[..., 1, :] - dot(basis[..., 1, :], moved) * moved - dot(basis[..., 1, :], first) * first
+    return moved, xp.stack([first, unit(second)], -2)

@@ -2,14 +2,11 @@
 
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jaxscan.compiling import compile_quickly
 from jaxscan.errors import MeasurementError
-from jaxscan.geometry import Array, Scanner
-from jaxscan.measurement.samples import Cloud, places_of
+from jaxscan.geometry import Scanner
+from jaxscan.measurement.samples import Cloud, camera_centres
 
 
 @dataclass(frozen=True)
@@ -87,14 +84,7 @@ def _by_cell(cloud: Cloud, truth: Cloud, scanner: Scanner | None) -> CloudCompar
     both = valid & true
     if not both.any():
         raise MeasurementError("The clouds have the same grid but no point in the same cell.")
-    centre = np.zeros((len(valid), 3))
-    if scanner is not None:
-        with jax.enable_x64(True):
-            exact_scanner = scanner.without_covariance().as_dtype(jnp.float64)
-            centre = np.asarray(_camera_centres(exact_scanner, jnp.asarray(cloud.angle, jnp.float64)))
-    places = places_of(cloud)
-    T = places.pose[places.number]
-    centre = np.einsum("nij,nj->ni", T[:, :3, :3], centre) + T[:, :3, 3]
+    centre = camera_centres(cloud, scanner)
     profile = np.nonzero(both)[0]
     p, exact = np.asarray(cloud.xyz)[both].astype(float), np.asarray(truth.xyz)[both].astype(float)
     ray = exact - centre[profile]
@@ -112,12 +102,6 @@ def _by_cell(cloud: Cloud, truth: Cloud, scanner: Scanner | None) -> CloudCompar
         completeness=float(both.sum() / true.sum()),
         false_points=int((valid & ~true).sum()),
     )
-
-
-@compile_quickly
-def _camera_centres(scanner: Scanner, angle: Array) -> Array:
-    """Camera centre [n, 3], m, scanner frame, at the table's angles [n], rad from home."""
-    return jax.vmap(scanner.pose)(angle)[:, :3, 3]
 
 
 def _by_neighbour(cloud: Cloud, truth: Cloud) -> CloudComparison:

@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from jaxscan.errors import MeasurementError
-from jaxscan.geometry import Array
+from jaxscan.geometry import Array, Scanner, poses, transform
 
 
 SIGMA_FLOOR_M = 1e-4
@@ -286,6 +286,16 @@ def places_of(cloud: Cloud) -> Places:
         return Places(np.zeros(len(cloud.valid), int), np.eye(4)[None], np.zeros((1, 6, 6)))
     pose, covariance = (np.asarray(field, np.float64) for field in (stations.pose, stations.covariance))
     return Places(np.asarray(stations.number), pose, covariance)
+
+
+def camera_centres(cloud: Cloud, scanner: Scanner | None) -> np.ndarray:
+    """Where the camera was at each profile [profiles, 3], m, in the frame of the cloud.
+
+    Without a scanner it is taken to have been in the origin of its station.
+    """
+    places, angle = places_of(cloud), np.asarray(cloud.angle, np.float64)
+    centre = np.zeros((len(angle), 3)) if scanner is None else poses(scanner.rig, angle)[:, :3, 3]
+    return np.asarray(transform(places.pose[places.number], centre))
 
 
 def spread_out(count: int, wanted: int, rng: np.random.Generator) -> np.ndarray:

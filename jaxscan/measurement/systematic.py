@@ -6,8 +6,7 @@ import numpy as np
 
 from jaxscan.compiling import compile_quickly
 from jaxscan.errors import MeasurementError
-from jaxscan.geometry import Array, Scanner
-from jaxscan.geometry.rigid import invert, transform
+from jaxscan.geometry import Array, Rig, Scanner, pixels, points
 from jaxscan.measurement.samples import Places, Samples
 
 
@@ -63,16 +62,16 @@ def _by_scanner(scanner: Scanner | None, samples: Samples, weights: np.ndarray) 
     gradient = np.zeros(len(scanner.parameter_names()))
     found = np.empty_like(samples.p)
     with jax.enable_x64(True):
-        exact = scanner.without_covariance().as_dtype(jnp.float64)
+        rig = scanner.rig
         for start in range(0, len(samples.p), BLOCK):
             part = slice(start, start + BLOCK)
             # Padding repeats the first point with no weight.
             index = np.resize(np.arange(len(samples.p))[part], BLOCK)
             counted = (np.arange(BLOCK) < len(samples.p[part]))[:, None]
             counted_weights, laser = np.where(counted, weights[index], 0.0), samples.laser[index].astype(np.int32)
-            change, points = _gradient(exact, samples.p[index], counted_weights, laser, samples.angle[index])
+            change, there = _gradient(rig, samples.p[index], counted_weights, laser, samples.angle[index])
             gradient += np.asarray(change)
-            found[part] = np.asarray(points)[: len(samples.p[part])]
+            found[part] = np.asarray(there)[: len(samples.p[part])]
     _check_seen(samples.p, found)
     covariance = np.asarray(scanner.covariance, np.float64)
     return float(gradient @ covariance @ gradient)
@@ -92,17 +91,12 @@ def _check_seen(p: np.ndarray, found: np.ndarray) -> None:
 
 
 @compile_quickly
-def _gradient(scanner: Scanner, p: Array, weights: Array, laser: Array, angle: Array) -> tuple[jax.Array, jax.Array]:
+def _gradient(rig: Rig, p: Array, weights: Array, laser: Array, angle: Array) -> tuple[jax.Array, jax.Array]:
     """Gradient of the weighted sum [parameters], and the points as the scanner has them [n, 3]."""
-
-    def pixel(p, phi):
-        return scanner.camera.project(transform(invert(scanner.pose(phi)), p))
-
-    q = jax.vmap(pixel)(p, angle)
+    q = pixels(rig, p, angle)
 
     def weighted_sum(step):
-        moved = scanner.retract(step)
-        points, _ = jax.vmap(moved.point)(q, laser, angle)
-        return jnp.sum(points * weights), points
+        found = points(rig.retract(step), q, laser, angle)
+        return jnp.sum(found * weights), found
 
-    return jax.grad(weighted_sum, has_aux=True)(jnp.zeros(len(scanner.parameter_names()), p.dtype))
+    return jax.grad(weighted_sum, has_aux=True)(jnp.zeros(rig.parameter_count(), p.dtype))

@@ -12,5 +12,5 @@ from jaxscan.observation.observations import (
 )
 from jaxscan.observation.prediction import SolvedRig
 from jaxscan.observation.records import BoardRecord, BoardSource, SeenRecord
-from jaxscan.observation.second_look import look_again, rehearse_second_look
+from jaxscan.observation.second_look import look_again
 from jaxscan.observation.stripes_on_board import CONTRAST_CLASSES, BoardStripe, FoundStripe, select_board_stripe

@@ -3,33 +3,28 @@
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
-from jaxscan.compiling import compile_quickly, compile_sooner
 from jaxscan.geometry import (
     AbstractBoard,
     AbstractCamera,
     AbstractMotion,
-    Array,
     BoardPicture,
     BowedBoard,
     LaserSheet,
     Scanner,
     StripeAxis,
     across_and_along,
+    compose,
     corner_frame,
     invert,
     transform,
+    turn,
 )
 
 
 # Points along the stripe on a board; between them it is straight to much less than its noise.
 _SAMPLES = 128
-# Pixels that are lifted to a board at a time, and views whose corners are predicted at a time.
-_LIFTED = 4096
-_VIEWS = 32
 # Largest angle [rad] between a point and the ray of its pixel; beyond it the lens folds or the point is behind.
 _SAME_RAY = 1e-3
 
@@ -64,9 +59,9 @@ class SolvedRig(NamedTuple):
         return () if self.scanner is None else self.scanner.laser_names
 
     def surface(self) -> BowedBoard:
-        """The bowed board; call in 64 bit."""
+        """The bowed board."""
         frame = corner_frame(self.board.corners())
-        return BowedBoard(*(jnp.asarray(part) for part in (frame, self.shape, self.bend)))
+        return BowedBoard(*(np.asarray(part, np.float64) for part in (frame, self.shape, self.bend)))
 
 
 class PredictedCorners(NamedTuple):
@@ -103,8 +98,8 @@ def turn_boards(motion: AbstractMotion, poses: np.ndarray, at: np.ndarray, to: n
     Returns:
         Poses [n, 4, 4].
     """
-    with jax.enable_x64(True):
-        return np.asarray(_turned(motion, poses, at, to))
+    motion = jax.tree.map(np.asarray, motion)
+    return np.asarray(compose(compose(invert(motion.motion(to)), motion.motion(at)), poses))
 
 
 def predict_corners(rig: SolvedRig, poses: np.ndarray) -> PredictedCorners:
@@ -117,17 +112,15 @@ def predict_corners(rig: SolvedRig, poses: np.ndarray) -> PredictedCorners:
     Returns:
         Corners of all views.
     """
-    with jax.enable_x64(True):
-        corners = rig.board.corners()[:, :2]
-        offset = rig.offset if len(rig.offset) else np.zeros((len(corners), 3))
-        camera, corners, offset = jax.tree.map(jnp.asarray, (rig.camera, corners, offset))
-        surface, parts = rig.surface(), max(-(-len(poses) // _VIEWS), 1)
-        # Always as many at a time, so that all captures share one compilation.
-        padded = np.resize(np.asarray(poses, np.float64), (parts, _VIEWS, 4, 4))
-        found = [_corners(camera, jnp.asarray(some), (corners, offset), surface) for some in padded]
-        q, by_x, by_y, same = (np.concatenate(part)[: len(poses)] for part in zip(*found, strict=True))
-    length = np.stack([np.linalg.norm(by, axis=-1) for by in (by_x, by_y)], -1)
-    edges = np.stack([by_x, by_y], -2) / np.maximum(length, 1e-12)[..., None]
+    surface, camera, flat = rig.surface(), jax.tree.map(np.asarray, rig.camera), rig.board.corners()[:, :2]
+    poses = np.asarray(poses, np.float64)[:, None]
+    p = np.asarray(transform(poses, surface.point(flat) + (rig.offset if len(rig.offset) else 0.0)))
+    by_point, slope = np.asarray(camera.slopes(p)), surface.slope(flat)
+    tangent = np.zeros((2, len(flat), 3))
+    tangent[[0, 1], :, [0, 1]], tangent[..., 2] = 1.0 + surface.shape[2], slope.T
+    by = np.stack([np.einsum("vcij,vcj->vci", by_point, turn(poses[..., :3, :3], along)) for along in tangent], -2)
+    (q, same), length = _seen(camera, p), np.linalg.norm(by, axis=-1)
+    edges = by / np.maximum(length, 1e-12)[..., None]
     limit = np.array([rig.camera.width, rig.camera.height]) - 1.0
     visible = same & np.isfinite(q).all(-1) & ((q >= 0.0) & (q <= limit)).all(-1)
     return PredictedCorners(q, edges, length.min(-1) * rig.board.square, visible)
@@ -148,11 +141,7 @@ def predict_stripe(rig: SolvedRig, pose: np.ndarray, laser: int, stripe_axis: St
     if rig.scanner is None:
         raise ValueError("A camera alone predicts no stripe.")
     outline = rig.board.outline()
-    with jax.enable_x64(True):
-        camera, sheet = jax.tree.map(jnp.asarray, (rig.camera, rig.scanner.laser(laser)))
-        middle, reach = jnp.asarray(outline.mean(0)), float(np.linalg.norm(np.ptp(outline, axis=0)) / 2)
-        curve = _curve(camera, sheet, rig.surface(), jnp.asarray(pose), middle, jnp.asarray(reach))
-        q, xy, same = (np.asarray(part) for part in curve)
+    q, xy, same = _curve(rig, rig.scanner.laser(laser), np.asarray(pose), outline)
     lines = across_and_along(rig.camera.width, rig.camera.height, stripe_axis)[1]
     inside = same & np.isfinite(q).all(-1) & ((xy > outline.min(0)) & (xy < outline.max(0))).all(-1)
     if inside.sum() < 2:
@@ -166,76 +155,31 @@ def predict_stripe(rig: SolvedRig, pose: np.ndarray, laser: int, stripe_axis: St
 
 def lift_to_board(rig: SolvedRig, pose: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Board coordinates (x, y) [n, 2], m, on the board as drawn, of the points seen at pixels `q` [n, 2]."""
-    # Always as many at a time, so that all captures share one compilation.
-    parts = -(-len(q) // _LIFTED)
-    padded = np.resize(np.asarray(q, np.float64), (parts, _LIFTED, 2)) if len(q) else np.zeros((0, _LIFTED, 2))
-    with jax.enable_x64(True):
-        camera, surface = jax.tree.map(jnp.asarray, rig.camera), rig.surface()
-        lifted = [_lift(camera, surface, jnp.asarray(pose), jnp.asarray(part)) for part in padded]
-        return np.concatenate([np.zeros((0, 2)), *(np.asarray(part) for part in lifted)])[: len(q)]
+    surface, camera = rig.surface(), jax.tree.map(np.asarray, rig.camera)
+    _, p = surface.meet(np.asarray(pose), camera.unproject(np.asarray(q, np.float64)))
+    return np.asarray(p[:, :2] / (1.0 + surface.shape[2]))
 
 
-def _seen(camera: AbstractCamera, p: Float[Array, "3"]) -> tuple[Float[Array, "2"], Array]:
-    """Pixel of a point, and whether the ray of that pixel leads to the point."""
-    q = camera.project(p)
-    return q, jnp.linalg.norm(camera.unproject(q) - p / jnp.linalg.norm(p)) < _SAME_RAY
+def _seen(camera: AbstractCamera, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of points, and whether the ray of that pixel leads to the point."""
+    q = np.asarray(camera.project(p))
+    ray = p / np.linalg.norm(p, axis=-1, keepdims=True)
+    return q, np.linalg.norm(np.asarray(camera.unproject(q)) - ray, axis=-1) < _SAME_RAY
 
 
-@compile_quickly
-def _turned(
-    motion: AbstractMotion, poses: Float[Array, "n 4 4"], at: Float[Array, " n"], to: Float[Array, " n"]
-) -> Float[Array, "n 4 4"]:
-    turn = jax.vmap(lambda pose, at, to: invert(motion.motion(to)) @ motion.motion(at) @ pose)
-    return turn(poses, at, to)
-
-
-@compile_quickly
-def _corners(
-    camera: AbstractCamera,
-    poses: Float[Array, "views 4 4"],
-    corners: tuple[Float[Array, "corners 2"], Float[Array, "corners 3"]],
-    surface: BowedBoard,
-) -> tuple[Array, Array, Array, Array]:
-    """Of corners, and their places beside the surface: pixels, slopes, and whether they are seen."""
-
-    def one(pose, corner, offset):
-        place = lambda xy: transform(pose, surface.point(xy) + offset)
-        slopes = jax.jacfwd(lambda xy: camera.project(place(xy)))(corner)
-        q, same = _seen(camera, place(corner))
-        return q, slopes[:, 0], slopes[:, 1], same
-
-    return jax.vmap(lambda pose: jax.vmap(lambda *corner: one(pose, *corner))(*corners))(poses)
-
-
-@compile_quickly
 def _curve(
-    camera: AbstractCamera,
-    sheet: LaserSheet,
-    surface: BowedBoard,
-    pose: Float[Array, "4 4"],
-    middle: Float[Array, "2"],
-    reach: Float[Array, ""],
-) -> tuple[Array, Array, Array]:
+    rig: SolvedRig, sheet: LaserSheet, pose: np.ndarray, outline: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points of the sheet on the board: pixels, board coordinates, and whether they are seen."""
+    surface, middle, reach = rig.surface(), outline.mean(0), np.linalg.norm(np.ptp(outline, axis=0)) / 2
     place = lambda xy: transform(pose, surface.point(xy))
     # On the flat board the sheet is the straight line across . xy = level.
     across = (pose[:3, :2].T @ sheet.normal) * (1.0 + surface.shape[2])
-    length = jnp.maximum(jnp.linalg.norm(across), 1e-9)
+    length = max(float(np.linalg.norm(across)), 1e-9)
     across = across / length
-    along = jnp.stack([-across[1], across[0]])
-
-    def point(s):
-        xy = middle + s * reach * along
-        # Bows of sheet and board change the slope by less than a hundredth, so each round gains two digits.
-        for _ in range(4):
-            xy = xy - across * sheet.offset(place(xy)) / length
-        q, same = _seen(camera, place(xy))
-        return q, xy, same
-
-    return jax.vmap(point)(jnp.linspace(-1.0, 1.0, _SAMPLES))
-
-
-@compile_sooner
-def _lift(camera: AbstractCamera, surface: BowedBoard, pose: Float[Array, "4 4"], q: Float[Array, "n 2"]) -> Array:
-    points = jax.vmap(lambda pixel: surface.meet(pose, camera.unproject(pixel))[1])(q)
-    return points[:, :2] / (1.0 + surface.shape[2])
+    xy = middle + np.outer(np.linspace(-reach, reach, _SAMPLES), [-across[1], across[0]])
+    # Bows of sheet and board change the slope by less than a hundredth, so each round gains two digits.
+    for _ in range(4):
+        xy = xy - np.outer(np.asarray(sheet.offset(place(xy))) / length, across)
+    q, same = _seen(jax.tree.map(np.asarray, rig.camera), np.asarray(place(xy)))
+    return q, xy, same

@@ -4,14 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxscan.geometry import BoardPicture, StripeAxis
+from jaxscan.geometry import BoardPicture
 from jaxscan.observation.first_look import Eyes, Look, Progress, go_through
 from jaxscan.observation.prediction import (
     PredictedCorners,
     SolvedRig,
-    lift_to_board,
     predict_corners,
-    predict_stripe,
     turn_boards,
 )
 from jaxscan.observation.records import BoardSource, SeenRecord
@@ -67,16 +65,6 @@ def look_again(
         return view._replace(corners=found)
 
     return go_through(captures, look, first, rig=rig, progress=progress)
-
-
-def rehearse_second_look(rig: SolvedRig, stripe_axis: StripeAxis) -> None:
-    """Compile the code of a second look, for any poses and any number of records."""
-    predict_corners(rig, rig.poses)
-    lift_to_board(rig, rig.poses[0], np.zeros((1, 2)))
-    if rig.scanner is not None:
-        predict_stripe(rig, rig.poses[0], 0, stripe_axis)
-        if rig.scanner.turntable.blocks:
-            turn_boards(rig.scanner.turntable, rig.poses[:1], np.zeros(1), np.zeros(1))
 
 
 def _poses(views: Sequence[SeenRecord], rig: SolvedRig) -> list[np.ndarray | None]:

@@ -1,6 +1,5 @@
 """One photograph as points are seen in it: where, and how far away."""
 
-import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -9,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxscan.geometry import AbstractCamera, Array, Scanner
+from jaxscan.geometry import AbstractCamera, Array, Scanner, kinematics
 
 
 MARGIN_PX = 1.5
@@ -55,38 +54,21 @@ class Sight(NamedTuple):
 
 def poses(scanner: Scanner, angles: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
     """T_scanner_cam at each of the table's angles [rad], or positions of a stage [m]."""
-    with jax.enable_x64(False):
-        single = scanner.without_covariance().as_dtype(np.float32)
-        return np.asarray(_poses(single, np.asarray(angles, np.float32)))
+    return np.asarray(kinematics.poses(scanner.rig, np.asarray(angles, np.float64)), np.float32)
 
 
 def pose_finder(scanner: Scanner) -> Callable[[float], Float[np.ndarray, "4 4"]]:
-    """`poses` of one angle at a time, each computed once."""
-    with jax.enable_x64(False):
-        single = scanner.without_covariance().as_dtype(np.float32)
-
-    @functools.cache
-    def pose_at(angle: float) -> np.ndarray:
-        # JAX keeps this setting per thread.
-        with jax.enable_x64(False):
-            return np.asarray(_poses(single, np.array([angle], np.float32)))[0]
-
-    return pose_at
-
-
-@jax.jit
-def _poses(scanner: Scanner, angles: Float[Array, " n"]) -> Float[Array, "n 4 4"]:
-    return jax.vmap(scanner.pose)(angles)
+    """`poses` of one angle at a time."""
+    rig = scanner.rig
+    return lambda angle: np.asarray(kinematics.poses(rig, angle), np.float32)
 
 
 def border_rays(camera: AbstractCamera) -> Float[np.ndarray, "n 3"]:
     """Unit rays [camera frame] of pixels round the border of the image."""
     columns, rows = np.linspace(0, camera.width - 1, 33), np.linspace(0, camera.height - 1, 33)
     sides = [(columns, rows[:1]), (columns, rows[-1:]), (columns[:1], rows), (columns[-1:], rows)]
-    q = np.concatenate([np.stack(np.broadcast_arrays(u, v), -1) for u, v in sides]).astype(np.float32)
-    with jax.enable_x64(False):
-        single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), camera)
-        return np.asarray(jax.jit(jax.vmap(single.unproject))(q))
+    q = np.concatenate([np.stack(np.broadcast_arrays(u, v), -1) for u, v in sides])
+    return np.asarray(camera.unproject(q))
 
 
 def sight(view: View, point: Float[Array, "3"]) -> Sight:

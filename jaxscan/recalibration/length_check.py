@@ -9,7 +9,6 @@ from jaxtyping import Float
 from jaxscan.errors import GivenError
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration.adjust import triangulate_points
-from jaxscan.recalibration.moved import moved_scanner
 from jaxscan.recalibration.observed import KnownLength, RoomObservations, SweepStripes
 from jaxscan.recalibration.result import FoundLength
 from jaxscan.recalibration.tracks import named_points
@@ -125,7 +124,7 @@ def _sigma_of_calibration(
     changes = []
     for step in (vectors * np.sqrt(np.maximum(values, 0.0))).T:
         if np.any(step):
-            ends = [_length(known, observations, sweeps, moved_scanner(stored, way * step)) for way in (1.0, -1.0)]
+            ends = [_length(known, observations, sweeps, stored.retract(way * step)) for way in (1.0, -1.0)]
             changes.append((ends[0].metres - ends[1].metres) / 2 if ends[0] and ends[1] else 0.0)
     return float(np.linalg.norm(changes))
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from jaxscan.calibration import Calibration, CalibrationSettings, Quality, Verdict
-from jaxscan.calibration.verdict import Lengths, measure_good_to, predict_lengths, refusal, root_of
-from jaxscan.geometry import Scanner
+from jaxscan.calibration.verdict import Lengths, measure_good_to, predict_lengths, refusal
+from jaxscan.geometry import Scanner, root_of
 from jaxscan.recalibration.result import Recalibration
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Array, Scanner, StripeAxis, across_and_along
 from jaxscan.reconstruction.colours import NOISE_RECORDS, with_learned_colour
-from jaxscan.reconstruction.points import Aim, Limits, Rig, line_gate
+from jaxscan.reconstruction.points import Aim, line_gate
 from jaxscan.reconstruction.settings import ReconstructSettings
 from jaxscan.reconstruction.streaming import chunk_records
 from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
@@ -112,13 +112,12 @@ class Plan:
         return gates
 
     @cached_property
-    def rig(self) -> Rig:
-        """The scanner as chunks need it."""
-        return Rig.of(self.scanner, self.stripe_axis)
+    def _aim(self) -> Aim:
+        return Aim.of(self.scanner, self.settings, self.stripe_axis)
 
     def aim(self, profile: int) -> Aim:
         """Where the points of a profile, and of others of the same laser, go."""
-        return Aim(self.rig, np.asarray(self.sheet[profile], np.int32), Limits.of(self.settings))
+        return self._aim._replace(laser=np.asarray(self.sheet[profile], np.int32))
 
     @property
     def learned_from(self) -> int:

@@ -100,6 +100,8 @@ def cloud_of_plan(
         progress = None
     check_stripes(plan, stripes)
     each = len(stripes.u) // len(sweep.record)
+    # Before threads ask for it.
+    plan.aim(0)
     carries = plan.scanner.turntable.carries
     cloud = GrowingCloud(each * len(sweep.record), plan.lines, travels=carries == "linear")
     for part in _from_stripes(plan, stripes, each, progress):
@@ -108,7 +110,7 @@ def cloud_of_plan(
     # Profiles of a scanner that stands still are no neighbours.
     normals = settings.normals and carries != "nothing"
     with jax.enable_x64(False):
-        between_lines = line_step(plan.rig.scanner.camera, plan.stripe_axis) if normals else None
+        between_lines = line_step(plan.scanner, plan.stripe_axis) if normals else None
         profile, rank = np.divmod(np.arange(each * len(sweep.record)), each)
         record = sweep.record[profile]
         return cloud.finish(record, plan.sheet[profile], sweep.angles[record], rank, between_lines)

@@ -2,7 +2,6 @@
 
 from typing import TYPE_CHECKING, Any
 
-import jax
 import numpy as np
 
 from jaxscan.calibration import Calibration
@@ -203,9 +202,7 @@ def _draw_axis(canvas: _Canvas, table: Turntable, size: float) -> None:
 def _draw_camera(canvas: _Canvas, scanner: Scanner, size: float) -> None:
     camera = scanner.camera
     corners = np.array([[0, 0], [camera.width - 1, 0], [camera.width - 1, camera.height - 1], [0, camera.height - 1]])
-    with jax.enable_x64(True):
-        rays = np.array([np.asarray(camera.unproject(np.asarray(q, np.float64))) for q in corners])
-    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    rays = np.asarray(camera.unproject(corners.astype(np.float64)))
     ends = 0.55 * size * rays
     if np.isfinite(ends).all():
         for end in ends:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxscan.geometry import Scanner
+from jaxscan.geometry import Scanner, slopes
 from jaxscan.recalibration import Adjusted, RoomObservations
 from jaxscan.recalibration.adjust import point_gradient, triangulate_points
 
@@ -66,7 +66,8 @@ def linear_room(points: float = 10.0) -> LinearRoom:
     observed = observe(scanner)
     own, sweep = observed.points, exact_sweep()[0]
     phi = sweep.angle[own.record]
-    by_scanner, by_q, _ = point_gradient(scanner, own.q, own.laser, phi)
+    by_scanner = point_gradient(scanner, own.q, own.laser, phi)
+    by_q = slopes(scanner.rig, own.q, own.laser, phi)
     place, _ = triangulate_points(scanner, own.q, own.laser, phi)
     names = scanner.parameter_names()
     information = np.zeros((len(names), len(names)))
@@ -86,7 +87,7 @@ def linear_room(points: float = 10.0) -> LinearRoom:
 def with_held(scanner: Scanner, step: np.ndarray) -> Scanner:
     """The scanner moved by a step; it keeps its covariance."""
     with jax.enable_x64(True):
-        moved = jax.tree.map(np.asarray, scanner.without_covariance().retract(step))
+        moved = jax.tree.map(np.asarray, scanner.retract(step))
     return with_covariance(moved, np.asarray(scanner.covariance))
 
 

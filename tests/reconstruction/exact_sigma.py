@@ -7,7 +7,7 @@ import jax.numpy as jnp
 def range_sigma(scanner, q, laser):
     """Standard deviation [m] of the range at pixel `q` [px] from `scanner.covariance`, in float64."""
     with jax.enable_x64(True):
-        bare = scanner.without_covariance().as_dtype(jnp.float64)
+        bare = scanner.as_dtype(jnp.float64)
         return _sigma(bare, jnp.asarray(scanner.covariance), jnp.asarray(q), laser)
 
 

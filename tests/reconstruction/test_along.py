@@ -74,7 +74,7 @@ def test_without_smoothing_nothing_is_shared(clouds):
 def test_the_centre_of_the_row_comes_back(clouds, scanner):
     """A point seen by its camera is the smoothed centre; `shift_px` further is the point of the row alone."""
     smooth, rows = clouds
-    exact = scanner.without_covariance().as_dtype(jnp.float64)
+    exact = scanner.as_dtype(jnp.float64)
     for profile, line in [(0, 20), (2, 50), (5, 70)]:
         assert smooth.valid[profile, line] and smooth.shift_px[profile, line] != 0
         phi, laser = jnp.asarray(smooth.angle[profile]), jnp.asarray(0, jnp.int32)

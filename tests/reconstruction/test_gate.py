@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxscan.geometry import Fisheye, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.reconstruction.points import Limits, triangulate
 from jaxscan.reconstruction.points.gate import line_gate
-from jaxscan.reconstruction.points.triangulate import Limits, triangulate
 from jaxscan.reconstruction.settings import ReconstructSettings
 
 
@@ -38,15 +38,14 @@ def rig(camera, normal, distance, bow=(0.0, 0.0)):
 
 
 @functools.partial(jax.jit, static_argnames="axis")
-def everywhere(camera, sheet, u, line, axis):
+def everywhere(rig, u, line, axis):
     unlimited = Limits(*(jnp.asarray(limit, u.dtype) for limit in (0.0, math.inf, ReconstructSettings().min_incidence)))
-    one = lambda u, line: triangulate(u, line, camera, sheet, stripe_axis=axis, limits=unlimited)
-    return jax.vmap(one)(u, line)
+    return triangulate(rig, u, line, 1, stripe_axis=axis, limits=unlimited)
 
 
 def triangulated(scanner, u, line, axis, near, far):
     """What `triangulate` accepts with these limits, and its range [m]; compiled once for all limits."""
-    found = everywhere(scanner.camera, scanner.laser(1), jnp.asarray(u), jnp.asarray(line), axis)
+    found = everywhere(scanner.rig, jnp.asarray(u), jnp.asarray(line), axis)
     range_m = np.asarray(found.range_m)
     return np.asarray(found.valid) & (range_m >= near) & (range_m <= far), range_m
 

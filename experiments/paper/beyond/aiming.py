@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from experiments.paper.beyond.targets import Hall
@@ -45,8 +44,7 @@ def aim(hall: Hall, scanner: Scanner, step_deg: float, plate_every: int | None) 
     if plate_every is None:
         clouds = [(np.concatenate([points for points, _ in clouds]), 1)]
     angles = np.deg2rad(np.arange(0.0, 360.0, step_deg))
-    with jax.enable_x64(True):
-        poses = np.asarray(jax.vmap(scanner.without_covariance().as_dtype(np.float64).pose)(angles))
+    poses = np.asarray(scanner.pose(angles))
     met = [_met(scanner, points, angles[::every], poses[::every]) for points, every in clouds]
     width = max(int(np.ceil(high - low)) for _, low, high in met)
     width = min(-(-width // 32) * 32, scanner.camera.width)

@@ -6,7 +6,6 @@ share no code with the estimator. So one source of error can act alone, and a dr
 
 from dataclasses import dataclass, replace
 
-import jax
 import numpy as np
 
 import jaxscan
@@ -131,9 +130,7 @@ def cloud_of(stripes: SweepStripes, scanner: jaxscan.Scanner, stride: int, sigma
     valid, u = stripes.valid[:, rows], stripes.centre[:, rows]
     q = np.stack([u, np.broadcast_to(rows, u.shape)], -1).reshape(-1, 2).astype(float)
     phi = np.repeat(stripes.angle[stripes.record], len(rows))
-    with jax.enable_x64(True):
-        bare = jax.tree.map(np.asarray, scanner.without_covariance())
-        at, beside = (np.asarray(_points(bare, q + step, phi)) for step in ([0.0, 0.0], [1.0, 0.0]))
+    at, beside = (jaxscan.points(scanner.rig, q + step, 0, phi) for step in ([0.0, 0.0], [1.0, 0.0]))
     shape = valid.shape
     sigma = sigma_px * np.linalg.norm(beside - at, axis=-1).reshape(shape)
     return jaxscan.PointCloud(
@@ -148,12 +145,6 @@ def cloud_of(stripes: SweepStripes, scanner: jaxscan.Scanner, stride: int, sigma
         laser=stripes.laser,
         angle=stripes.angle[stripes.record],
     )
-
-
-@jax.jit
-def _points(scanner: jaxscan.Scanner, q: jax.Array, phi: jax.Array) -> jax.Array:
-    scanner = jax.tree.map(jax.numpy.asarray, scanner)
-    return jax.vmap(lambda q, phi: scanner.point(q, 0, phi)[0])(q, phi)
 
 
 def _faulty(config: SimulationConfig, faults: Faults, random: np.random.Generator) -> SimulationConfig:

@@ -39,6 +39,7 @@ from experiments.paper.stage import Stage
 from experiments.recalibration.trial import fitted
 from experiments.recalibration.world import Sweeping, TrueSweep, true_sweep
 from experiments.worlds.ideal_rig import IdealRig
+from jaxscan.geometry import lit_points
 from jaxscan.reconstruction.along import smooth_sweep
 from jaxscan.simulation import true_scanner
 
@@ -228,8 +229,7 @@ def _depth_error(stage: Stage, rigs: list[Rig], name: str, depth: float) -> floa
 
 
 def _on_our_sheet(scanner: jaxscan.Scanner, q: np.ndarray) -> float:
-    ray = scanner.camera.unproject(q)
-    return float((scanner.laser(0).intersect(ray)[0] * ray)[2])
+    return float(lit_points(scanner.rig, q, 0)[0][2])
 
 
 def _axis_errors(stage: Stage, rigs: list[Rig], name: str) -> dict[str, float]:

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+import jaxscan
 from jaxscan import Scanner
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Array
@@ -122,23 +123,13 @@ def _effect(samples: Samples, normal: np.ndarray, scanner: Scanner, free: bool) 
     index = np.concatenate([np.arange(len(part)), np.zeros(fill, int)])
     weights = np.concatenate([weights, np.zeros((3, fill, 3))], 1)
     with jax.enable_x64(True):
-        exact = scanner.without_covariance().as_dtype(jnp.float64)
-        moved = _moved(exact, some.p[index], some.laser[index].astype(np.int32), some.angle[index], weights)
+        moved = _moved(scanner.rig, some.p[index], some.laser[index].astype(np.int32), some.angle[index], weights)
         return np.asarray(moved)
 
 
 @jax.jit
-def _moved(scanner: Scanner, p: Array, laser: Array, angle: Array, weights: Array) -> Array:
+def _moved(rig: jaxscan.Rig, p: Array, laser: Array, angle: Array, weights: Array) -> Array:
     """Derivative of sums of weights [k, n, 3] times points: each keeps its pixel and its table angle."""
-
-    def pixel(p: Array, phi: Array) -> Array:
-        pose = scanner.pose(phi)
-        return scanner.camera.project(pose[:3, :3].T @ (p - pose[:3, 3]))
-
-    q = jax.vmap(pixel)(p, angle)
-
-    def sums(step: Array) -> Array:
-        points, _ = jax.vmap(scanner.retract(step).point)(q, laser, angle)
-        return jnp.einsum("knj,nj->k", weights, points)
-
-    return jax.jacfwd(sums)(jnp.zeros(len(scanner.parameter_names()), p.dtype))
+    q = jaxscan.pixels(rig, p, angle)
+    sums = lambda step: jnp.einsum("knj,nj->k", weights, jaxscan.points(rig.retract(step), q, laser, angle))
+    return jax.jacfwd(sums)(jnp.zeros(rig.parameter_count(), p.dtype))

@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
-import jax
 import numpy as np
 
 import jaxscan
@@ -18,6 +17,7 @@ from experiments.paper.methods.paper_way import (
     stripe_on_board,
 )
 from jaxscan.calibration import Quality
+from jaxscan.geometry import lit_points
 from jaxscan.observation import Observations, StripeViews
 from jaxscan.stripes import smooth_profiles
 
@@ -167,17 +167,6 @@ def _pose(places: np.ndarray, rays: np.ndarray) -> np.ndarray:
     return rigid(turn, shift)
 
 
-@jax.jit
-def _look(scanner: jaxscan.Scanner, q: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Unit rays of pixels [n, 2], and how far along them the sheet is."""
-    rays = jax.vmap(scanner.camera.unproject)(q)
-    return rays, jax.vmap(scanner.laser(0).intersect)(rays)[0]
-
-
 def _rays(scanner: jaxscan.Scanner, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit rays [n, 3] of pixels [n, 2], and where they meet the sheet [n, 3], camera frame."""
-    # One size for all, so that one compiled function serves.
-    padded = np.concatenate([q, np.zeros((_POINTS - len(q), 2))])
-    with jax.enable_x64(True):
-        rays, distance = (np.asarray(part)[: len(q)] for part in _look(scanner.as_dtype(np.float64), padded))
-    return rays, distance[:, None] * rays
+    return np.asarray(jaxscan.rays(scanner.rig, q)), np.asarray(lit_points(scanner.rig, q, 0)[0])

@@ -5,7 +5,6 @@ colour takes laser-off frames every few degrees. Each point takes its colour fro
 records the camera moves by 1 cm at most. Colours serve pictures only.
 """
 
-import jax
 import numpy as np
 
 import jaxscan
@@ -66,10 +65,4 @@ def _look(stage: Stage, seen: Room, xyz: np.ndarray, scanner: jaxscan.Scanner) -
 
 def _pixels(scanner: jaxscan.Scanner, points: np.ndarray, phi: float) -> np.ndarray:
     """Where a camera at the table's angle `phi` [rad] sees points [n, 3]; [n, 2] px."""
-    with jax.enable_x64(True):
-        pose = np.asarray(scanner.pose(phi))
-        camera_points = (points - pose[:3, 3]) @ pose[:3, :3]
-        return np.asarray(_project(scanner.camera, camera_points))
-
-
-_project = jax.jit(lambda camera, points: jax.vmap(camera.project)(points))
+    return np.asarray(jaxscan.pixels(scanner.rig, points, phi))

@@ -7,7 +7,6 @@ takes three times as long to render, and all experiments together have an hour. 
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 import jaxscan
@@ -96,8 +95,7 @@ def stripe_window(scanner: jaxscan.Scanner, near_m: float, far_m: float, margin_
     slope = (rows - float(camera.cy)) / float(camera.fy)
     z, slope = (part.ravel() for part in np.meshgrid([near_m, far_m], slope))
     points = np.column_stack([(distance - nz * z - ny * slope * z) / nx, slope * z, z])
-    with jax.enable_x64(True):
-        u = np.asarray(jax.vmap(camera.project)(points))[:, 0]
+    u = np.asarray(camera.project(points))[:, 0]
     first, stop = int(np.floor(u.min() - margin_px)), int(np.ceil(u.max() + margin_px)) + 1
     return max(first, 0), min(stop, camera.width)
 

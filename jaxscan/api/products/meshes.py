@@ -8,6 +8,7 @@ import numpy as np
 from jaxscan.api.products.photographs import open_photographs
 from jaxscan.files.capture import Capture
 from jaxscan.geometry import Scanner
+from jaxscan.measurement import camera_centres
 from jaxscan.photographs import colour_points, make_occluder
 from jaxscan.reconstruction import PointCloud, Progress, in_scanner_frame
 from jaxscan.surface import (
@@ -39,7 +40,7 @@ def mesh_cloud(cloud: PointCloud, *, scanner: Scanner | None = None, settings: M
         CloudError: If the cloud has no grid, or no face.
     """
     host = jax.tree.map(np.asarray, cloud)
-    return coloured_mesh(mesh_grid(host, None if scanner is None else camera_places(host, scanner), settings))
+    return coloured_mesh(mesh_grid(host, None if scanner is None else camera_centres(host, scanner), settings))
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ def textured_mesh(
         CalibrationError: If the calibration is for images of another size.
     """
     own, pose = in_scanner_frame(jax.tree.map(np.asarray, cloud))
-    grid = mesh_grid(own, camera_places(own, scanner), settings)
+    grid = mesh_grid(own, camera_centres(own, scanner), settings)
     if texture.texels is None:
         texels = texels_of_pixels(grid, _pixels_per_radian(scanner))
     else:
@@ -123,13 +124,3 @@ def poisson_mesh(cloud: PointCloud) -> Mesh:
         DependencyError: If Open3D is not installed.
     """
     return close_points(jax.tree.map(np.asarray, cloud))
-
-
-def camera_places(cloud: PointCloud, scanner: Scanner) -> np.ndarray:
-    """Where the camera was at each profile [profiles, 3], m, in the frame of the cloud."""
-    with jax.enable_x64(True):
-        wide = scanner.without_covariance().as_dtype(np.float64)
-        poses = np.asarray(jax.vmap(wide.pose)(np.asarray(cloud.angle, np.float64)))
-    if cloud.stations is not None:
-        poses = np.asarray(cloud.stations.pose)[np.asarray(cloud.stations.number)] @ poses
-    return poses[:, :3, 3]

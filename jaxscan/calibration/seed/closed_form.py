@@ -9,6 +9,7 @@ from jaxscan.geometry import (
     apply_homography,
     direct_homography,
     fit_plane,
+    nearest_rotation,
 )
 
 
@@ -140,9 +141,9 @@ def pose_from_homography(homography: np.ndarray, focal: float) -> np.ndarray:
     columns = homography / np.array([[focal], [focal], [1.0]])
     columns = columns * (2.0 / (np.linalg.norm(columns[:, 0]) + np.linalg.norm(columns[:, 1])))
     columns = columns * (1.0 if columns[2, 2] >= 0 else -1.0)
-    u, _, vt = np.linalg.svd(np.column_stack([columns[:, 0], columns[:, 1], np.cross(columns[:, 0], columns[:, 1])]))
     pose = np.eye(4)
-    pose[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    across = np.cross(columns[:, 0], columns[:, 1])
+    pose[:3, :3] = nearest_rotation(np.column_stack([columns[:, 0], columns[:, 1], across]))
     pose[:3, 3] = columns[:, 2]
     return pose
 

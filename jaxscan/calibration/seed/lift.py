@@ -3,17 +3,10 @@
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from jaxscan.calibration.solve.prepare import Prepared
-from jaxscan.compiling import compile_quickly
-from jaxscan.geometry import AbstractCamera, Array
-
-
-# Pixels that are turned into rays by one call.
-_BLOCK = 4096
+from jaxscan.geometry import AbstractCamera
 
 
 class Lifted(NamedTuple):
@@ -59,18 +52,9 @@ def lift_stripes(data: Prepared, camera: AbstractCamera, poses: np.ndarray) -> L
 
 def _meet(camera: AbstractCamera, pose: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where rays of pixels [stripes, points, 2] meet boards [stripes, 4, 4], and whether they do."""
-    flat = np.pad(q.reshape(-1, 2), ((0, -(q.size // 2) % _BLOCK), (0, 0)), mode="edge" if q.size else "constant")
-    # All are begun before the first is awaited.
-    parts = [rays_of(camera, flat[start : start + _BLOCK]) for start in range(0, len(flat), _BLOCK)]
-    ray = np.concatenate([np.zeros((0, 3)), *map(np.asarray, parts)])[: q.size // 2].reshape(*q.shape[:2], 3)
+    ray = np.asarray(jax.tree.map(np.asarray, camera).unproject(q))
     normal = pose[:, None, :3, 2]
     level = np.einsum("si,si->s", pose[:, :3, 2], pose[:, :3, 3])[:, None]
     along = np.sum(normal * ray, axis=-1)
     range_m = level / np.where(along == 0, 1.0, along)
     return range_m[..., None] * ray, (along != 0) & (range_m > 0)
-
-
-@compile_quickly
-def rays_of(camera: AbstractCamera, q: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
-    """Unit rays of pixels."""
-    return jax.vmap(camera.unproject)(jnp.asarray(q))

@@ -3,15 +3,12 @@
 import itertools
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from jaxscan.calibration.rigs import MIN_TRAVEL_M, MIN_TURN_RAD
 from jaxscan.calibration.solve.prepare import Prepared
-from jaxscan.compiling import compile_quickly
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import AbstractMotion, Array, Carries, LinearStage, Turntable, fit_axis, point_up
+from jaxscan.geometry import AbstractMotion, Carries, LinearStage, Turntable, fit_axis, nearest_rotation, point_up
 from jaxscan.geometry.scanner import Up
 
 
@@ -109,20 +106,14 @@ def _pairs(data: Prepared, least: float) -> list[tuple[int, int]]:
 
 def average_placements(poses: np.ndarray, data: Prepared, motion: AbstractMotion) -> np.ndarray:
     """T_cam0_board of every placement [views, 4, 4] (as many as views; the rest is identity)."""
-    motions = np.asarray(_motions(motion, data.angle))
+    motions = np.asarray(jax.tree.map(np.asarray, motion).motion(data.angle))
     result = np.tile(np.eye(4), (len(data.usable), 1, 1))
     for number in np.unique(data.placement[data.usable]):
         views = np.flatnonzero(data.usable & (data.placement == number))
         still = motions[views] @ poses[views]
-        u, _, vt = np.linalg.svd(still[:, :3, :3].mean(0))
-        result[number, :3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+        result[number, :3, :3] = nearest_rotation(still[:, :3, :3].mean(0))
         result[number, :3, 3] = np.median(still[:, :3, 3], axis=0)
     return result
-
-
-@compile_quickly
-def _motions(motion: AbstractMotion, angle: Float[Array, " n"]) -> Float[Array, "n 4 4"]:
-    return jax.vmap(motion.motion)(jnp.asarray(angle))
 
 
 def _signed_angles(rotations: np.ndarray, direction: np.ndarray) -> np.ndarray:

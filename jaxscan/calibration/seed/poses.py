@@ -1,9 +1,9 @@
 """First poses of boards before a camera that is known."""
 
+import jax
 import numpy as np
 
 from jaxscan.calibration.seed.closed_form import fit_homography, pose_from_homography
-from jaxscan.calibration.seed.lift import rays_of
 from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera
@@ -24,7 +24,7 @@ def seed_poses(data: Prepared, camera: AbstractCamera) -> np.ndarray:
         CalibrationError: If no view shows the board where this camera has rays.
     """
     poses = np.tile(np.eye(4), (len(data.usable), 1, 1))
-    rays = np.asarray(rays_of(camera, data.corner_q.reshape(-1, 2))).reshape(*data.corner_q.shape[:2], 3)
+    rays = np.asarray(jax.tree.map(np.asarray, camera).unproject(data.corner_q))
     found = 0
     for view in np.flatnonzero(data.usable):
         seen = data.corner_valid[view]

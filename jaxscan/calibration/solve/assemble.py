@@ -28,12 +28,11 @@ def make_problem(
         data: Of `prepare`.
         settings: Free blocks and priors.
     """
-    # The solver needs neither names nor sizes, and would compile again for each.
-    camera = replace(camera, width=0, height=0)
     layout = problem_layout(camera, lasers, motion)
     centre = {"cx": (data.size[0] - 1) / 2, "cy": (data.size[1] - 1) / 2}
     return Problem(
-        camera=camera,
+        # A problem of its own for each size would be compiled again for each.
+        camera=camera.without_size(),
         lasers=lasers,
         turntable=motion.carrying("scanner"),
         poses=poses,

@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxscan.calibration.parameters import move_pose
 from jaxscan.calibration.solve.problem import Problem, Step, camera_from_board, move, zero_step
 from jaxscan.calibration.solve.residuals import priors
 from jaxscan.calibration.solve.rows import Departures, corner_rows, departures, stripe_rows
@@ -26,8 +25,6 @@ _STRIPES = 8
 """Stripes that are evaluated by one call."""
 _VIEWS = 24
 """Views that are: a corner costs less than the call."""
-_POSES = 64
-"""Poses that are moved by one call."""
 
 
 class CornerPart(NamedTuple):
@@ -86,17 +83,8 @@ def evaluate(problem: Problem) -> Evaluated:
 
 
 def moved(step: Step, problem: Problem) -> Problem:
-    """`move`, compiled for any number of placements; on the host, in 64 bit."""
-    alone = _without_views(problem)
-    end = jax.tree.map(np.asarray, _move_shared(np.asarray(step.shared), alone))
-    poses, local = np.array(problem.poses), np.asarray(step.local)
-    for start in range(0, len(poses), _POSES):
-        some = slice(start, start + _POSES)
-        count = len(poses[some])
-        filled = np.pad(poses[some], ((0, _POSES - count), (0, 0), (0, 0)), mode="edge")
-        steps = np.pad(local[some], ((0, _POSES - count), (0, 0)))
-        poses[some] = np.asarray(_move_poses(filled, steps))[:count]
-    return replace(problem, camera=end.camera, lasers=end.lasers, turntable=end.turntable, shape=end.shape, poses=poses)
+    """`move` on the host, where nothing is compiled."""
+    return jax.tree.map(np.asarray, move(Step(*map(np.asarray, step)), jax.tree.map(np.asarray, problem)))
 
 
 def _parts(there: Bool[Array, " owners"], size: int) -> list[np.ndarray]:
@@ -210,13 +198,3 @@ def _prior_part(problem: Problem) -> PriorPart:
     start = zero_step(problem)
     move_priors = lambda shared: priors(move(Step(shared, start.local), problem))
     return PriorPart(priors(problem), jax.jacfwd(move_priors)(start.shared))
-
-
-@compile_quickly
-def _move_shared(shared: Float[Array, " shared"], problem: Problem) -> Problem:
-    return move(Step(shared, jnp.zeros((0, 6), shared.dtype)), problem)
-
-
-@compile_quickly
-def _move_poses(poses: Float[Array, "placements 4 4"], local: Float[Array, "placements 6"]) -> Array:
-    return jax.vmap(move_pose)(poses, local)

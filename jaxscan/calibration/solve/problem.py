@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.calibration.parameters import board_blocks, move_pose
+from jaxscan.calibration.parameters import board_blocks, move_poses
 from jaxscan.geometry import (
     AbstractCamera,
     AbstractMotion,
@@ -17,8 +17,10 @@ from jaxscan.geometry import (
     LaserSheet,
     Layout,
     bend_functions,
+    compose,
     invert,
     make_layout,
+    namespace,
 )
 
 
@@ -107,9 +109,9 @@ def move(step: Step, problem: Problem) -> Problem:
     layout = problem_layout(problem.camera, problem.lasers, problem.turntable, problem.modes.corner.shape[-1])
     moved = (
         problem.camera.retract(shared[layout.camera]),
-        jax.vmap(LaserSheet.retract)(problem.lasers, shared[layout.lasers].reshape(-1, 5)),
+        problem.lasers.retract(shared[layout.lasers].reshape(-1, 5)),
         problem.turntable.retract(shared[layout.turntable]),
-        jax.vmap(move_pose)(problem.poses, step.local),
+        move_poses(problem.poses, step.local),
         problem.shape + shared[layout.board],
     )
     return eqx.tree_at(lambda p: (p.camera, p.lasers, p.turntable, p.poses, p.shape), problem, moved)
@@ -117,8 +119,8 @@ def move(step: Step, problem: Problem) -> Problem:
 
 def camera_from_board(problem: Problem) -> Float[Array, "views 4 4"]:
     """T_cam(phi)_board of every view."""
-    motion = jax.vmap(problem.turntable.motion)(jnp.asarray(problem.angle))
-    return jax.vmap(lambda still, pose: invert(still) @ pose)(motion, jnp.asarray(problem.poses)[problem.placement])
+    back = invert(problem.turntable.motion(problem.angle))
+    return compose(back, namespace(problem).asarray(problem.poses)[problem.placement])
 
 
 def board_points(problem: Problem) -> Float[Array, "corners 3"]:

@@ -15,7 +15,6 @@ from jaxscan.calibration.verdict.lengths import (
     typical_lengths,
 )
 from jaxscan.calibration.verdict.limits import Result, chance, is_held_by_priors, is_named, noise_kind
-from jaxscan.calibration.verdict.propagate import root_of
 from jaxscan.calibration.verdict.quality import (
     BoardMap,
     DepthSigma,

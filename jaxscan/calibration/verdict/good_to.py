@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -12,12 +10,13 @@ from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.verdict import limits
 from jaxscan.calibration.verdict.lengths import point_error, working_depth
 from jaxscan.calibration.verdict.quality import GoodTo, ModelTest
-from jaxscan.compiling import compile_quickly
-from jaxscan.geometry import AbstractCamera, Array, Scanner
+from jaxscan.geometry import AbstractCamera, Scanner
 
 
 # Places of the image at which rays are compared, columns and rows.
 _GRID = (16, 12)
+# Length of the steps of differences, in units of the errors of first values: the next order is a millionth.
+_STEP = 1e-3
 # A lens model that does not come back to a pixel does not reach it.
 _RETURNS_PX = 1e-2
 
@@ -86,9 +85,13 @@ def ray_slopes(camera: AbstractCamera) -> Float[np.ndarray, "places 2 params"]:
         for count, size in zip(_GRID, (camera.width, camera.height), strict=True)
     )
     q = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    with jax.enable_x64(True):
-        exact = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), replace(camera, width=0, height=0))
-        back, slopes, turns = (np.asarray(part) for part in _slopes(exact, q))
+    ray = np.asarray(camera.unproject(q))
+    back = np.asarray(camera.project(ray))
+    turns = np.asarray(camera.slopes(ray)) @ np.stack([np.cross(axis, ray) for axis in np.eye(3)], -1)
+    count = len(camera.parameter_names())
+    sizes = _STEP * np.array([block.scale for block in camera.blocks() for _ in block.parameters][:count])
+    moved = lambda step: np.asarray(camera.retract(step).project(ray))
+    slopes = np.stack([moved(step) - moved(-step) for step in np.diag(sizes)], -1) / (2.0 * sizes)
     reached = np.linalg.norm(back - q, axis=1) < _RETURNS_PX
     reached &= np.isfinite(slopes).all((1, 2)) & np.isfinite(turns).all((1, 2))
     slopes, turns = slopes[reached].reshape(-1, slopes.shape[-1]), turns[reached].reshape(-1, 3)
@@ -111,16 +114,3 @@ def _at_work(
         if known and len(known) == len(groups) and np.linalg.norm(known) > np.linalg.norm(worst):
             worst, worst_depth = known, depth
     return worst, worst_depth
-
-
-@compile_quickly
-def _slopes(camera: AbstractCamera, q: Float[Array, "n 2"]) -> tuple[Array, Array, Array]:
-    """The pixels of the rays of pixels, and their derivatives by the camera's parameters and by a turn of the ray."""
-
-    def one(q):
-        ray = camera.unproject(q)
-        by_camera = jax.jacfwd(lambda step: camera.retract(step).project(ray))(jnp.zeros(len(camera.parameter_names())))
-        by_turn = jax.jacfwd(lambda turn: camera.project(ray + jnp.cross(turn, ray)))(jnp.zeros(3))
-        return camera.project(ray), by_camera, by_turn
-
-    return jax.vmap(one)(q)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration.verdict.lit import Lit, lit_lines
-from jaxscan.calibration.verdict.propagate import change, no_steps, pad_steps, scan_points, sigma_of, sigma_steps
+from jaxscan.calibration.verdict.propagate import both_ways, camera_points, change, scan_points, sigma_of, sigma_steps
 from jaxscan.calibration.verdict.quality import DepthSigma, LaserLengths, Lengths, LengthSigma
 from jaxscan.geometry import AbstractMotion, LinearStage, Scanner, Still, Turntable
 
@@ -121,7 +121,7 @@ def point_error(scanner: Scanner, laser: int, depth: float, steps: Float[np.ndar
     (lit,) = lit_lines(scanner, laser, (depth,))
     if not len(lit.q):
         return None
-    (found,) = _at_depths(scanner, laser, [lit], pad_steps(scanner, steps))
+    (found,) = _at_depths(scanner, laser, [lit], both_ways(steps))
     return found.sigma_range_mm if isinstance(scanner.turntable, Still) else found.sigma_point_mm
 
 
@@ -143,7 +143,7 @@ def stripe_pixels(scanner: Scanner, laser: int, depth: float) -> Float[np.ndarra
 
 def stripe_depths(scanner: Scanner, laser: int, q: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
     """Depth z in the camera frame of stripe points seen at pixels `q` [m]."""
-    return scan_points(scanner, no_steps(scanner), q, laser)[0, :, 2]
+    return camera_points(scanner.rig, q, laser)[:, 2]
 
 
 def depth_sigma(scanner: Scanner, laser: int, q: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
@@ -167,7 +167,7 @@ def typical_lengths(scanner: Scanner, laser: int) -> list[Length]:
 
 def measure_lengths(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray, " lengths"]:
     """The lengths as this scanner measures them at their pixels and angles [m]."""
-    return _lengths(scanner, lengths, no_steps(scanner))[0]
+    return _lengths(scanner, lengths, np.zeros((1, len(scanner.parameter_names()))))[0]
 
 
 def length_sigma(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray, " lengths"]:
@@ -254,7 +254,7 @@ def _shape_sigma(p: np.ndarray) -> float:
     turns = np.stack([np.cross(axis, arm).ravel() for axis in np.eye(3)], axis=-1)
     shifts = np.tile(np.eye(3), (len(arm), 1))
     motions, _ = np.linalg.qr(np.concatenate([shifts, turns], axis=-1))
-    moved = change(p).reshape(len(p) // 2, -1)
+    moved = change(p).reshape(len(p) // 2, arm.size)
     moved = moved - (moved @ motions) @ motions.T
     return float(np.sqrt(np.sum(moved**2) / len(arm)))
 
@@ -278,7 +278,7 @@ def _across_sweep(scanner: Scanner, laser: int, lit: Lit, length: float) -> Leng
         return Length("across the sweep", lit.depth, laser, np.tile(lit.middle(), (2, 1)), moved)
     if not isinstance(table, Turntable):
         return None
-    point = scan_points(scanner, no_steps(scanner), lit.middle()[None], laser)[0, 0]
+    point = camera_points(scanner.rig, lit.middle()[None], laser)[0]
     radius = float(np.linalg.norm(np.cross(np.asarray(table.direction), point - np.asarray(table.point))))
     if length > 2.0 * radius:
         return None

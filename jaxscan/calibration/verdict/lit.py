@@ -1,23 +1,18 @@
 """Where the stripe of a given depth lies in the image."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
-from jaxscan.compiling import compile_quickly
-from jaxscan.geometry import Array, Scanner
+from jaxscan.geometry import Scanner
 
 
 # Half the opening over which a stripe is looked for: 72 degrees to either side of the optical axis.
 _WIDEST_TANGENT = 3.0
 _SAMPLES = 512
 _NEARBY = 1.001
-_BLOCK = 2048
 
 
 class Lit(NamedTuple):
@@ -66,13 +61,6 @@ def lit_lines(scanner: Scanner, laser: int, depths: Sequence[float]) -> list[Lit
     ]
 
 
-def bare(scanner: Scanner) -> Scanner:
-    """In float64, and without names and sizes, for each of which would be compiled again: call in 64 bit."""
-    names = tuple(str(index) for index in range(len(scanner.laser_names)))
-    camera = replace(scanner.camera, width=0, height=0)
-    return Scanner(camera, scanner.lasers, scanner.turntable, laser_names=names).as_dtype(jnp.float64)
-
-
 def _at_lines(
     q: np.ndarray, seen: np.ndarray, along: np.ndarray, q_nearby: np.ndarray, size: np.ndarray
 ) -> tuple[np.ndarray, float]:
@@ -94,38 +82,19 @@ def _at_lines(
 
 def _stripe(scanner: Scanner, laser: int, depth: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pixels of the points of a sheet at depths, and whether the camera sees them there."""
-    if len(along) == 0:
-        return np.zeros((0, 2)), np.zeros(0, bool)
-    index = np.resize(np.arange(len(along)), -(-len(along) // _BLOCK) * _BLOCK)
-    with jax.enable_x64(True):
-        exact = bare(scanner)
-        parts = [_seen(exact, np.asarray(laser), depth[i], along[i]) for i in index.reshape(-1, _BLOCK)]
-    q, seen = (np.concatenate([np.asarray(part[i]) for part in parts])[: len(along)] for i in range(2))
-    return q, seen
-
-
-@compile_quickly
-def _seen(
-    scanner: Scanner, laser: Int[Array, ""], depth: Float[Array, " n"], along: Float[Array, " n"]
-) -> tuple[Float[Array, "n 2"], Bool[Array, " n"]]:
-    sheet = scanner.laser(laser)
+    sheet, camera = scanner.laser(laser), scanner.camera
     # In the plane z = depth the sheet is a line at a distance from the optical axis, but for its bow.
-    steepness = jnp.hypot(sheet.normal[0], sheet.normal[1])
-    steep = steepness > 1e-6
-    steepness = jnp.where(steep, steepness, 1.0)
-    beside = jnp.append(sheet.normal[:2], jnp.zeros((), depth.dtype)) / steepness
-    line = jnp.stack([-beside[1], beside[0], jnp.zeros_like(steepness)])
-
-    def one(depth, t):
-        ahead = jnp.zeros_like(line).at[2].set(depth)
-        at = (sheet.distance - sheet.normal[2] * depth) / steepness
-        # Each round leaves the slope of the bow, less than a hundredth, of the error before.
-        for _ in range(4):
-            at = at - sheet.offset(at * beside + t * line + ahead) / steepness
-        point = at * beside + t * line + ahead
-        q = scanner.camera.project(point)
-        # Far outside its field of view a lens model may fold back into the image.
-        seen = jnp.linalg.norm(scanner.camera.unproject(q) - point / jnp.linalg.norm(point)) < 1e-6
-        return q, seen & steep & (jnp.abs(sheet.offset(point)) < 1e-6 * depth)
-
-    return jax.vmap(one)(depth, along)
+    steepness = float(np.hypot(sheet.normal[0], sheet.normal[1]))
+    if steepness <= 1e-6:
+        return np.zeros((len(depth), 2)), np.zeros(len(depth), bool)
+    beside = np.asarray(sheet.normal[:2]) / steepness
+    points = lambda at: np.column_stack([np.outer(at, beside) + np.outer(along, [-beside[1], beside[0]]), depth])
+    at = (sheet.distance - sheet.normal[2] * depth) / steepness
+    # Each round leaves the slope of the bow, less than a hundredth, of the error before.
+    for _ in range(4):
+        at = at - sheet.offset(points(at)) / steepness
+    p = points(at)
+    q = np.asarray(camera.project(p))
+    # Far outside its field of view a lens model may fold back into the image.
+    same = np.linalg.norm(camera.unproject(q) - p / np.linalg.norm(p, axis=1, keepdims=True), axis=1) < 1e-6
+    return q, np.asarray(same & (np.abs(sheet.offset(p)) < 1e-6 * depth))

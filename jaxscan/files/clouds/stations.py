@@ -82,18 +82,3 @@ def _symmetric(triangle: list[float]) -> np.ndarray:
 def covariance_text(covariance: Array) -> str:
     """The upper triangle of a covariance [6, 6], by rows."""
     return " ".join(f"{value:.9g}" for value in np.asarray(covariance, np.float64)[_TRIANGLE])
-
-
-def quaternion(rotation: np.ndarray) -> tuple[float, float, float, float]:
-    """Unit quaternion (w, x, y, z) of a rotation [3, 3], w not negative.
-
-    Source: Bar-Itzhack, J. Guidance 23 (2000) 1085: the eigenvector of the largest eigenvalue.
-    """
-    r = np.asarray(rotation, np.float64)
-    k = np.zeros((4, 4))
-    k[0, 0] = np.trace(r)
-    k[0, 1:] = k[1:, 0] = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
-    k[1:, 1:] = r + r.T - np.trace(r) * np.eye(3)
-    w, x, y, z = np.linalg.eigh(k)[1][:, -1]
-    sign = -1.0 if w < 0 else 1.0
-    return float(sign * w), float(sign * x), float(sign * y), float(sign * z)

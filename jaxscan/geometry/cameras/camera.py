@@ -4,11 +4,10 @@ import abc
 from dataclasses import replace
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.geometry.arrays import Array, real
+from jaxscan.geometry.arrays import Array, namespace, real
 from jaxscan.geometry.parameters import ParameterBlock
 
 
@@ -26,8 +25,9 @@ class AbstractCamera(eqx.Module):
     """A central camera: one pixel, one ray through the centre of projection.
 
     Its minimal coordinates are fx, fy, cx, cy and the coefficients of its lens, in this order. A
-    model adds its name, the blocks of its coefficients, the projection and its inverse, and first
-    values from a radial curve. `CAMERAS` in `registry.py` lists the models.
+    model adds its name, the blocks of its coefficients, the projection with its slopes and its
+    inverse, and first values from a radial curve. All three are written component by component, for
+    any leading axes, in the functions of a `namespace`: JAX's or NumPy's. `CAMERAS` in `registry.py` lists the models.
     """
 
     model: eqx.AbstractClassVar[str]
@@ -47,9 +47,9 @@ class AbstractCamera(eqx.Module):
     distortion: Float[Array, " k"] = eqx.field(converter=real)
     """Coefficients of the lens, in the order of its blocks [1]."""
     width: int = eqx.field(static=True)
-    """Image width [px]."""
+    """Image width [px]; 0 in a `Rig`."""
     height: int = eqx.field(static=True)
-    """Image height [px]."""
+    """Image height [px]; 0 in a `Rig`."""
 
     def __check_init__(self) -> None:
         every = sum(len(block.parameters) for block in self.lens)
@@ -59,15 +59,16 @@ class AbstractCamera(eqx.Module):
             raise ValueError(f"`distortion` must have {wanted} coefficients, got shape {np.shape(self.distortion)}.")
 
     @abc.abstractmethod
-    def project(self, p: Float[Array, "3 *points"]) -> Float[Array, "2 *points"]:
-        """Pixel at which the point `p` [camera frame, any length unit] is seen [px].
-
-        Many points in a NumPy array are projected by NumPy, which compiles nothing.
-        """
+    def project(self, p: Float[Array, "*n 3"]) -> Float[Array, "*n 2"]:
+        """Pixels at which points `p` [camera frame, any length unit] are seen [px]."""
 
     @abc.abstractmethod
-    def unproject(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
-        """Unit ray [camera frame] of the pixel `q` [px]."""
+    def slopes(self, p: Float[Array, "*n 3"]) -> Float[Array, "*n 2 3"]:
+        """Derivatives of `project` by the point [px per length unit]."""
+
+    @abc.abstractmethod
+    def unproject(self, q: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
+        """Unit rays [camera frame] of the pixels `q` [px]."""
 
     @staticmethod
     @abc.abstractmethod
@@ -86,6 +87,10 @@ class AbstractCamera(eqx.Module):
             For each lens the focal length [px], then all coefficients, with the optional ones [1].
         """
 
+    def without_size(self) -> "AbstractCamera":
+        """The same lens for images of any size, so that what is compiled for it serves all."""
+        return replace(self, width=0, height=0)
+
     @classmethod
     def blocks(cls) -> tuple[ParameterBlock, ...]:
         """Blocks of all minimal coordinates, with the optional ones."""
@@ -98,12 +103,13 @@ class AbstractCamera(eqx.Module):
 
     def parameters(self) -> Float[Array, " params"]:
         """Values of the minimal coordinates [px; 1 for distortion]."""
-        pixels = jnp.stack([jnp.asarray(value) for value in (self.fx, self.fy, self.cx, self.cy)])
-        return jnp.concatenate([pixels, jnp.asarray(self.distortion)])
+        xp = namespace(self)
+        return xp.concatenate([xp.stack([self.fx, self.fy, self.cx, self.cy]), self.distortion])
 
     def prior_values(self) -> Float[Array, " params"]:
         """The values that the priors are for: the minimal coordinates, with the aspect fx / fy in place of fx."""
-        return jnp.asarray(self.parameters()).at[0].set(self.fx / self.fy)
+        values = self.parameters()
+        return namespace(values).concatenate([(self.fx / self.fy)[None], values[1:]])
 
     def retract(self, step: Float[Array, " params"]) -> "AbstractCamera":
         """This camera moved by `step` in its minimal coordinates [px; 1 for distortion]."""

@@ -2,11 +2,10 @@
 
 from typing import Any, ClassVar
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.geometry.arrays import Array, functions_of
+from jaxscan.geometry.arrays import Array, Component, namespace
 from jaxscan.geometry.cameras.camera import AbstractCamera
 from jaxscan.geometry.parameters import ParameterBlock
 
@@ -38,40 +37,60 @@ class DoubleSphere(AbstractCamera):
     )
     wide: ClassVar[bool] = True
 
-    def project(self, p: Float[Array, "3 *points"]) -> Float[Array, "2 *points"]:
-        """Pixel of a point [px].
+    def project(self, p: Float[Array, "*n 3"]) -> Float[Array, "*n 2"]:
+        """Pixels of points [px].
 
         Undefined behind the camera, and beyond the angle at which the image folds back or ends.
         """
-        xi, alpha = self.distortion[0], self.distortion[1]
-        numeric = functions_of(p, self.fx)
-        aside = p[0] * p[0] + p[1] * p[1]
-        d1 = _root(aside + p[2] * p[2], numeric)
-        z = xi * d1 + p[2]
-        scale = alpha * _root(aside + z * z, numeric) + (1.0 - alpha) * z
-        # 1 where the projection is undefined, so that neither value nor gradient is NaN there.
-        scale = numeric.where(scale > 0, scale, 1.0).astype(scale.dtype)
-        return numeric.stack([self.fx * (p[0] / scale) + self.cx, self.fy * (p[1] / scale) + self.cy])
+        xp = namespace(self, p)
+        scale = self._scale(xp, p)[0]
+        return xp.stack([self.fx * (p[..., 0] / scale) + self.cx, self.fy * (p[..., 1] / scale) + self.cy], -1)
 
-    def unproject(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
-        """Unit ray of a pixel, in closed form.
+    def slopes(self, p: Float[Array, "*n 3"]) -> Float[Array, "*n 2 3"]:
+        """Derivatives of `project` by the point [px per length unit]."""
+        xp = namespace(self, p)
+        scale, by_aside, by_z = self._scale(xp, p)
+        x, y = p[..., 0] / scale, p[..., 1] / scale
+        u = [1.0 - x * by_aside * p[..., 0], -x * by_aside * p[..., 1], -x * by_z]
+        v = [-y * by_aside * p[..., 0], 1.0 - y * by_aside * p[..., 1], -y * by_z]
+        rows = [focal * xp.stack(row, -1) for focal, row in ((self.fx, u), (self.fy, v))]
+        return xp.stack(rows, -2) / scale[..., None, None]
+
+    def _scale(self, xp: Any, p: Array) -> tuple[Any, Component, Component]:
+        """D; its derivative by X over X, which is that by Y over Y; and its derivative by Z."""
+        xi, alpha = self.distortion[0], self.distortion[1]
+        aside = p[..., 0] * p[..., 0] + p[..., 1] * p[..., 1]
+        d1 = _root(xp, aside + p[..., 2] * p[..., 2])
+        z = xi * d1 + p[..., 2]
+        d2 = _root(xp, aside + z * z)
+        scale = alpha * d2 + (1.0 - alpha) * z
+        d1, d2 = (xp.where(d > 0, d, 1.0).astype(d.dtype) for d in (d1, d2))
+        along = alpha * z / d2 + 1.0 - alpha
+        # 1 where the projection is undefined, so that neither value nor gradient is NaN there.
+        scale = xp.where(scale > 0, scale, 1.0).astype(scale.dtype)
+        return scale, along * xi / d1 + alpha / d2, along * (xi * p[..., 2] / d1 + 1.0)
+
+    def unproject(self, q: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
+        """Unit rays of pixels, in closed form.
 
         Pixels outside the image of the lens get the ray of the largest angle on their side.
         """
+        xp = namespace(self, q)
         xi, alpha = self.distortion[0], self.distortion[1]
-        x, y = (q[0] - self.cx) / self.fx, (q[1] - self.cy) / self.fy
+        x, y = (q[..., 0] - self.cx) / self.fx, (q[..., 1] - self.cy) / self.fy
         square = x * x + y * y
         inside = 1.0 - (2.0 * alpha - 1.0) * square
         beyond = inside <= 0
-        inwards = jnp.where(beyond, _root(1.0 - inside), 1.0).astype(square.dtype)
+        inwards = xp.where(beyond, _root(xp, 1.0 - inside), 1.0).astype(square.dtype)
         x, y = x / inwards, y / inwards
         square = x * x + y * y
-        root = jnp.where(beyond, 0.0, _root(inside)).astype(square.dtype)
+        root = xp.where(beyond, 0.0, _root(xp, inside)).astype(square.dtype)
         z = (1.0 - alpha * alpha * square) / (alpha * root + 1.0 - alpha)
-        scale = (z * xi + _root(z * z + (1.0 - xi * xi) * square)) / (z * z + square)
-        ray = jnp.stack([scale * x, scale * y, scale * z - xi])
+        scale = (z * xi + _root(xp, z * z + (1.0 - xi * xi) * square)) / (z * z + square)
+        x, y, z = scale * x, scale * y, scale * z - xi
         # Unit but for rounding.
-        return ray / jnp.linalg.norm(ray)
+        length = xp.sqrt(x * x + y * y + z * z)
+        return xp.stack([x / length, y / length, z / length], -1)
 
     @staticmethod
     def fit_curve(
@@ -91,8 +110,8 @@ class DoubleSphere(AbstractCamera):
         return np.array([min(side)[1:] for side in sides])
 
 
-def _root(square: Array, numeric: Any = jnp) -> Array:
+def _root(xp: Any, square: Component) -> Component:
     """The square root, and 0 with slope 0 where there is none."""
     positive = square > 0
-    root = numeric.sqrt(numeric.where(positive, square, 1.0).astype(square.dtype))
-    return numeric.where(positive, root, 0.0).astype(square.dtype)
+    root = xp.sqrt(xp.where(positive, square, 1.0).astype(square.dtype))
+    return xp.where(positive, root, 0.0).astype(square.dtype)

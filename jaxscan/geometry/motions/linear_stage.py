@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from jaxscan.geometry.arrays import Array, real
+from jaxscan.geometry.arrays import Array, namespace, real
 from jaxscan.geometry.motions.motion import AbstractMotion, Carries
 from jaxscan.geometry.parameters import ParameterBlock
 from jaxscan.geometry.rigid import rigid
@@ -57,18 +56,20 @@ class LinearStage(AbstractMotion):
         """Its name in files."""
         return "linear"
 
-    def motion(self, s: Float[Array, ""]) -> Float[Array, "4 4"]:
+    def motion(self, s: Float[Array, "*n"]) -> Float[Array, "*n 4 4"]:
         """T_cam0_cam(s): from camera coordinates at position `s` [m] to those at position 0."""
-        shift = self.gain * s * self.direction
-        return rigid(jnp.eye(3, dtype=shift.dtype), shift)
+        xp = namespace(self, s)
+        shift = xp.stack([self.gain * s * self.direction[k] for k in range(3)], -1)
+        return rigid(xp.broadcast_to(xp.eye(3, dtype=shift.dtype), (*shift.shape, 3)), shift)
 
     def twist(self) -> Float[Array, "6"]:
         """Unit twist (v, omega) = (direction, 0)."""
-        return jnp.concatenate([jnp.asarray(self.direction), jnp.zeros_like(self.direction)])
+        xp = namespace(self)
+        return xp.concatenate([self.direction, xp.zeros_like(self.direction)])
 
     def frame(self) -> Float[Array, "4 4"]:
         """T_scanner_cam at position 0: the identity."""
-        return jnp.eye(4, dtype=jnp.asarray(self.direction).dtype)
+        return namespace(self).eye(4, dtype=self.direction.dtype)
 
     def retract(self, step: Float[Array, "3"]) -> "LinearStage":
         """Moved by t1, t2 [rad] and gain [1]."""
@@ -77,7 +78,7 @@ class LinearStage(AbstractMotion):
 
     def prior_values(self) -> Float[Array, "3"]:
         """The values that the priors are for."""
-        return jnp.pad(jnp.asarray(self.gain)[None], (2, 0))
+        return namespace(self).pad(self.gain[None], (2, 0))
 
     def departure(self, other: AbstractMotion) -> Float[np.ndarray, "3"]:
         """How far another stage is away, in the minimal coordinates of this one."""

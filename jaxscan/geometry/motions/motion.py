@@ -30,12 +30,12 @@ class AbstractMotion(eqx.Module):
         """Its name in files."""
 
     @abc.abstractmethod
-    def motion(self, s: Float[Array, ""]) -> Float[Array, "4 4"]:
-        """T_cam0_cam(s): from camera coordinates at position `s` [rad or m] to those at position 0."""
+    def motion(self, s: Float[Array, "*n"]) -> Float[Array, "*n 4 4"]:
+        """T_cam0_cam(s) of any positions: from camera coordinates at position `s` [rad or m] to those at position 0."""
 
     @abc.abstractmethod
     def twist(self) -> Float[Array, "6"]:
-        """Twist (v, omega) of the camera for a motion by 1 rad or 1 m, in jaxlie's order."""
+        """Twist (v, omega) of the camera for a motion by 1 rad or 1 m."""
 
     @abc.abstractmethod
     def frame(self) -> Float[Array, "4 4"]:

@@ -2,11 +2,10 @@
 
 from typing import ClassVar
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.geometry.arrays import Array
+from jaxscan.geometry.arrays import Array, namespace
 from jaxscan.geometry.motions.motion import AbstractMotion, Carries
 from jaxscan.geometry.parameters import ParameterBlock
 
@@ -21,13 +20,14 @@ class Still(AbstractMotion):
         """Its name in files."""
         return "nothing"
 
-    def motion(self, s: Float[Array, ""]) -> Float[Array, "4 4"]:
+    def motion(self, s: Float[Array, "*n"]) -> Float[Array, "*n 4 4"]:
         """The identity."""
-        return jnp.eye(4, dtype=jnp.asarray(s).dtype)
+        xp = namespace(s)
+        return xp.broadcast_to(xp.eye(4, dtype=s.dtype), (*s.shape, 4, 4))
 
     def twist(self) -> Float[Array, "6"]:
         """No motion."""
-        return jnp.zeros(6)
+        return np.zeros(6)
 
     def frame(self) -> Float[Array, "4 4"]:
         """T_scanner_cam: the identity."""
@@ -39,7 +39,7 @@ class Still(AbstractMotion):
 
     def prior_values(self) -> Float[Array, " params"]:
         """None."""
-        return jnp.zeros(0)
+        return np.zeros(0)
 
     def departure(self, other: AbstractMotion) -> Float[np.ndarray, " params"]:
         """None."""

@@ -4,15 +4,13 @@ from collections.abc import Sequence
 from typing import ClassVar, Literal
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from jaxscan.geometry.arrays import Array, real
+from jaxscan.geometry.arrays import Array, namespace, real
 from jaxscan.geometry.motions.motion import AbstractMotion, Carries
 from jaxscan.geometry.parameters import ParameterBlock
-from jaxscan.geometry.rigid import rigid
+from jaxscan.geometry.rigid import nearest_rotation, rigid, turn
 from jaxscan.geometry.tangent import move_direction, tangent_basis, unit_vector
 
 
@@ -92,8 +90,7 @@ class Turntable(AbstractMotion):
             ValueError: If Tr does not turn.
         """
         tr = np.asarray(tr, np.float64)
-        u, _, vt = np.linalg.svd(tr[:3, :3])
-        rotation = u @ vt
+        rotation = nearest_rotation(tr[:3, :3])
         axis = np.array(
             [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
         )
@@ -105,29 +102,42 @@ class Turntable(AbstractMotion):
         point = np.linalg.lstsq(np.eye(3) - rotation, shift, rcond=1e-9)[0]
         return Turntable.from_axis(axis, point)
 
-    def angle(self, phi: Float[Array, ""]) -> Float[Array, ""]:
+    def angle(self, phi: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """Turned angle theta [rad] at the table's angle `phi` [rad from home]."""
+        xp = namespace(self, phi)
         c1, s1, c2, s2 = (self.harmonics[i] for i in range(4))
-        first = c1 * (jnp.cos(phi) - 1.0) + s1 * jnp.sin(phi)
-        second = c2 * (jnp.cos(2.0 * phi) - 1.0) + s2 * jnp.sin(2.0 * phi)
-        return self.gain * phi + first + second
+        first = c1 * (xp.cos(phi) - 1.0) + s1 * xp.sin(phi)
+        second = c2 * (xp.cos(2.0 * phi) - 1.0) + s2 * xp.sin(2.0 * phi)
+        return xp.asarray(self.gain * phi + first + second)
 
     def twist(self) -> Float[Array, "6"]:
-        """Unit twist (v, omega) = (p x a, a), in jaxlie's order."""
-        return jnp.concatenate([jnp.cross(self.point, self.direction), jnp.asarray(self.direction)])
+        """Unit twist (v, omega) = (p x a, a)."""
+        xp = namespace(self)
+        return xp.concatenate([xp.cross(self.point, self.direction), self.direction])
 
-    def motion(self, phi: Float[Array, ""]) -> Float[Array, "4 4"]:
+    def motion(self, phi: Float[Array, "*n"]) -> Float[Array, "*n 4 4"]:
         """T_cam0_cam(phi): from camera coordinates at table angle `phi` [rad] to those at angle 0.
 
-        Where the table carries the object, the camera frame at angle 0 is the frame of the
-        object, and the same chain runs with -theta.
+        The exponential of the angle times the axis' unit twist, in closed form. Where the table carries the object, the
+        camera frame at angle 0 is the frame of the object, and the same chain runs with -theta.
         """
-        theta = self.angle(phi)
-        return _turned(theta if self.carries == "scanner" else -theta, *map(jnp.asarray, (self.direction, self.point)))
+        xp, theta = namespace(self, phi), self.angle(phi)
+        theta = theta if self.carries == "scanner" else -theta
+        sin, half = xp.sin(theta), xp.sin(theta / 2)
+        # 1 - cos, exact for small angles too.
+        rest = 2 * half * half
+        a, p = ([part[k] for k in range(3)] for part in (self.direction, self.point))
+        along = sum(a[k] * p[k] for k in range(3))
+        cross = [a[1] * p[2] - a[2] * p[1], a[2] * p[0] - a[0] * p[2], a[0] * p[1] - a[1] * p[0]]
+        one = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+        skew = [[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]]
+        turned = lambda i, k: one[i][k] + rest * (a[i] * a[k] - one[i][k]) + sin * skew[i][k]
+        rotation = xp.stack([xp.stack([turned(i, k) for k in range(3)], -1) for i in range(3)], -2)
+        return rigid(rotation, xp.stack([rest * (p[k] - along * a[k]) - sin * cross[k] for k in range(3)], -1))
 
     def tr(self, step: float) -> Float[Array, "4 4"]:
         """The paper's Tr for steps of `step` [rad]. Source: the paper, equation (10)."""
-        return self.motion(jnp.asarray(step, jnp.asarray(self.gain).dtype))
+        return self.motion(namespace(self).asarray(step, self.gain.dtype))
 
     def table(self, step: float, count: int) -> Float[Array, "count 4 4"]:
         """The paper's look-up table: the motion at angles 0, step, 2 step, ... [rad].
@@ -135,14 +145,13 @@ class Turntable(AbstractMotion):
         Equal to the powers of `tr(step)` where the harmonics are zero. Source: the paper,
         equations (11), (12).
         """
-        angles = step * jnp.arange(count, dtype=jnp.asarray(self.gain).dtype)
-        return jax.vmap(self.motion)(angles)
+        return self.motion(step * namespace(self).arange(count, dtype=self.gain.dtype))
 
     def retract(self, step: Float[Array, "9"]) -> "Turntable":
         """Moved by d1, d2 [rad], p1, p2 [m], gain, c1, s1, c2, s2 [rad]."""
         direction, basis = move_direction(self.direction, self.basis, step[:2])
         point = self.point + step[2] * self.basis[0] + step[3] * self.basis[1]
-        point = point - jnp.dot(point, direction) * direction
+        point = point - (point * direction).sum() * direction
         return Turntable(direction, point, self.gain + step[4], self.harmonics + step[5:9], basis, self.carries)
 
     def frame(self) -> Float[Array, "4 4"]:
@@ -151,16 +160,16 @@ class Turntable(AbstractMotion):
         Origin at the point of the axis nearest the camera, z along the axis, x along the part
         of the camera's z that is perpendicular to the axis.
         """
-        z = jnp.asarray(self.direction)
-        forward = jnp.zeros_like(z).at[2].set(1.0)
-        x = forward - jnp.dot(forward, z) * z
-        x = x / jnp.linalg.norm(x)
-        rotation = jnp.stack([x, jnp.cross(z, x), z])
-        return rigid(rotation, -rotation @ self.point)
+        xp, z = namespace(self), self.direction
+        x = xp.asarray([0.0, 0.0, 1.0], z.dtype) - z[2] * z
+        x = x / xp.sqrt((x * x).sum())
+        rotation = xp.stack([x, xp.cross(z, x), z])
+        return rigid(rotation, -turn(rotation, self.point))
 
     def prior_values(self) -> Float[Array, "9"]:
         """The values that the priors are for: those of the angle, with the size of the gain."""
-        return jnp.pad(jnp.append(jnp.abs(self.gain), self.harmonics), (4, 0))
+        xp = namespace(self)
+        return xp.pad(xp.append(xp.abs(self.gain), self.harmonics), (4, 0))
 
     def departure(self, other: AbstractMotion) -> Float[np.ndarray, "9"]:
         """How far another table is away, in the minimal coordinates of this one."""
@@ -190,16 +199,3 @@ class Turntable(AbstractMotion):
         if carries not in ("scanner", "object"):
             raise ValueError(f"carries: found {carries}, a turntable carries the scanner or the object")
         return Turntable(self.direction, self.point, -self.gain, -self.harmonics, self.basis, carries)
-
-
-def _turned(theta: Float[Array, ""], a: Float[Array, "3"], p: Float[Array, "3"]) -> Float[Array, "4 4"]:
-    """exp of theta times the unit twist of an axis, in closed form: half the code to compile, and faster by as much."""
-    sin, half = jnp.sin(theta), jnp.sin(theta / 2)
-    # 1 - cos, exact for small angles too.
-    rest = 2 * half * half
-    zero = jnp.zeros_like(a[0])
-    cross = jnp.stack([zero, -a[2], a[1], a[2], zero, -a[0], -a[1], a[0], zero]).reshape(3, 3)
-    one = jnp.eye(3, dtype=a.dtype)
-    rotation = one + sin * cross + rest * (a[:, None] * a[None, :] - one)
-    across = p - jnp.dot(a, p) * a
-    return rigid(rotation, rest * across - sin * jnp.cross(a, p))

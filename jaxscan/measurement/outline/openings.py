@@ -8,15 +8,13 @@ knows.
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jaxscan.geometry import Array, Scanner
+from jaxscan.geometry import Scanner
 from jaxscan.measurement.grid import Quads, quads_of, rasterise
 from jaxscan.measurement.outline.corners import Estimate, Surface
 from jaxscan.measurement.outline.outline import RoomOutline, Side
-from jaxscan.measurement.samples import Cloud, places_of
+from jaxscan.measurement.samples import Cloud, camera_centres
 
 
 PIXEL_M = 0.02
@@ -130,21 +128,10 @@ class _Rays(NamedTuple):
 
 
 def _rays(cloud: Cloud, room: RoomOutline, scanner: Scanner | None) -> _Rays:
-    places = places_of(cloud)
-    eye = np.zeros((len(np.asarray(cloud.angle)), 3))
-    if scanner is not None:
-        with jax.enable_x64(True):
-            eye = np.asarray(_eyes(scanner.without_covariance().as_dtype(jnp.float64), np.asarray(cloud.angle, float)))
-    pose = places.pose[places.number]
-    eye = room.frame.of(np.einsum("nij,nj->ni", pose[:, :3, :3], eye) + pose[:, :3, 3])
+    eye = room.frame.of(camera_centres(cloud, scanner))
     xyz, sigma = np.asarray(cloud.xyz, np.float64), np.asarray(cloud.sigma_random, np.float64)
     cells = xyz.reshape(-1, 3)
     return _Rays(quads_of(cloud), room.frame.of(cells), np.repeat(eye, xyz.shape[1], 0), sigma.ravel())
-
-
-@jax.jit
-def _eyes(scanner: Scanner, angle: Array) -> Array:
-    return jnp.asarray(jax.vmap(scanner.pose)(angle))[:, :3, 3]
 
 
 def _top(room: RoomOutline) -> Estimate:

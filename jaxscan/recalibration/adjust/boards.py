@@ -18,7 +18,7 @@ from jaxscan.calibration.solve import Adjustment, Prepared, make_problem, prepar
 from jaxscan.calibration.solve import adjust as solve_boards
 from jaxscan.calibration.solve.linearised import linearise
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import Scanner
+from jaxscan.geometry import Rig, Scanner
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
 from jaxscan.observation import Observations
 from jaxscan.recalibration.adjust.room import Room
@@ -65,26 +65,24 @@ def prepare_boards(observations: Observations, scanner: Scanner) -> Prepared:
     return data
 
 
-def board_equations(
-    scanner: Scanner, data: Prepared, names: tuple[str, ...], before: BoardEquations | None
-) -> BoardEquations:
+def board_equations(rig: Rig, data: Prepared, before: BoardEquations | None) -> BoardEquations:
     """The information of boards on a step of the scanner; call in 64 bit.
 
     Args:
-        scanner: The present one, from which the step counts.
+        rig: The present one, from which the step counts.
         data: Of `prepare_boards`.
-        names: Of the scanner's minimal coordinates.
         before: Of a scanner nearby, from which the solve begins.
     """
     settings = CalibrationSettings(free=_FREE, judge=False)
     if before is None:
-        poses = average_placements(seed_poses(data, scanner.camera), data, scanner.turntable.carrying("scanner"))
+        poses = average_placements(seed_poses(data, rig.camera), data, rig.motion.carrying("scanner"))
     else:
         poses = np.asarray(before.result.problem.poses)
-    problem = make_problem(scanner.camera, scanner.lasers, scanner.turntable, poses, data, settings)
+    problem = make_problem(rig.camera, rig.lasers, rig.motion, poses, data, settings)
     result = solve_boards(problem, data, settings)
     # A motion that carries the object is described for the scanner: its angles turn backwards.
-    turned = -1.0 if scanner.turntable.carries == "object" else 1.0
+    turned = -1.0 if rig.motion.carries == "object" else 1.0
+    names = rig.layout().names
     scales = np.array(result.problem.scales)
     scales[: len(names)] = [turned if name in ANGLE_PARAMETERS else 1.0 for name in names]
     free = linearise(replace(result.problem, scales=scales))

@@ -1,7 +1,5 @@
 """A finished adjustment in the terms of its caller: scanner, stations, surfaces, residuals, covariances."""
 
-from dataclasses import replace
-
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
@@ -20,7 +18,7 @@ def conclude(state: State, prior: Scanner, observations: RoomObservations) -> Ad
     covariance = state.covariance.dense
     departure = np.asarray(room.root @ y.scanner)
     own = room.root @ covariance[:scanner, :scanner] @ room.root.T
-    moved = _named(state.linearised.scanner, prior)
+    moved = prior.with_rig(state.linearised.rig)
     every = range(scanner, scanner + stations, 6)
     poses = [np.zeros((6, 6))] + [covariance[k : k + 6, k : k + 6] * STATION_SCALE**2 for k in every]
     begin = scanner + stations
@@ -54,12 +52,6 @@ def conclude(state: State, prior: Scanner, observations: RoomObservations) -> Ad
         uneven_m=float(np.sqrt(np.sum(state.heights**2))),
         misfit=state.misfit,
     )
-
-
-def _named(solved: Scanner, prior: Scanner) -> Scanner:
-    """The solver's scanner with the size of its images and the names of its lasers."""
-    camera = replace(solved.camera, width=prior.camera.width, height=prior.camera.height)
-    return Scanner(camera, solved.lasers, solved.turntable, None, prior.laser_names, prior.up)
 
 
 def moved_surfaces(state: State, surfaces: Surfaces) -> Surfaces:

@@ -183,8 +183,7 @@ def _with_boards(state: State) -> State:
     """The state with the equations of captured boards, seen with its scanner."""
     if state.board_data is None:
         return state
-    scanner, names = state.linearised.scanner, state.prepared.room.scanner.parameter_names()
-    equations = board_equations(scanner, state.board_data, names, state.boards)
+    equations = board_equations(state.linearised.rig, state.board_data, state.boards)
     room = with_boards(state.prepared.room, np.asarray(state.y.scanner), equations)
     return replace(state, prepared=state.prepared._replace(room=room), boards=equations)
 

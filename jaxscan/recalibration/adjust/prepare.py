@@ -1,7 +1,6 @@
 """Observations of a room made ready for the solver: checked, and padded to few different sizes."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -60,14 +59,10 @@ def prepare(
     if observations.boards is not None:
         told = np.concatenate([told, np.zeros_like(root)])
         told_value = np.append(told_value, np.zeros(len(root)))
-    # The solver needs neither names nor sizes, and would compile again for each.
-    names = tuple(map(str, range(len(prior.laser_names))))
-    camera = replace(prior.camera, width=0, height=0)
-    scanner = replace(prior.without_covariance(), camera=camera, laser_names=names)
     points, usable = _sight_points(observations, angles)
     sightings, seen, first = _sight_tracks(observations, angles)
     room = Room(
-        scanner=scanner,
+        rig=prior.rig,
         root=root,
         told=told,
         told_value=told_value,

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.geometry import Array, Scanner, exponential
+from jaxscan.geometry import Array, Rig, exponential
 
 
 STATION_SCALE = 1e-3
@@ -62,7 +62,7 @@ class Room(eqx.Module):
     A weight is 1 over the standard deviation that the residual is divided by.
     """
 
-    scanner: Scanner
+    rig: Rig
     """The stored one, from which the step of the scanner is counted."""
     root: Float[Array, "params params"]
     """Of its covariance: a step of the scanner is `root` times normal numbers."""
@@ -101,9 +101,9 @@ class Unknowns(NamedTuple):
     """Surfaces, then tracked points."""
 
 
-def moved_scanner(room: Room, z: Float[Array, " params"]) -> Scanner:
-    """The scanner after a step."""
-    return room.scanner.retract(room.root @ z)
+def moved_rig(room: Room, z: Float[Array, " params"]) -> Rig:
+    """The rig after a step."""
+    return room.rig.retract(room.root @ z)
 
 
 def moved_station(station: Float[Array, "4 4"], step: Float[Array, "6"]) -> Float[Array, "4 4"]:

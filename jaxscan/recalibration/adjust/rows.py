@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
-from jaxscan.geometry import Array, Scanner, invert, transform
+from jaxscan.geometry import Array, Rig, invert, lit_points, pixels, poses, transform
 from jaxscan.recalibration.adjust.room import (
     ANGLE_SCALE,
     LOCAL_SCALE,
@@ -15,7 +15,7 @@ from jaxscan.recalibration.adjust.room import (
     Sight,
     Unknowns,
     moved_normal,
-    moved_scanner,
+    moved_rig,
     moved_station,
     station_steps,
 )
@@ -58,11 +58,11 @@ class Own(NamedTuple):
 
 
 def room_point(
-    scanner: Scanner, station: Float[Array, "4 4"], q: Float[Array, "2"], laser: Array, phi: Float[Array, ""]
+    rig: Rig, station: Float[Array, "4 4"], q: Float[Array, "2"], laser: Array, phi: Float[Array, ""]
 ) -> tuple[Float[Array, "3"], Bool[Array, ""]]:
     """Point of a stripe in the frame of the room, and whether the ray meets the sheet."""
-    point, incidence = scanner.point(q, laser, phi)
-    return transform(station, point), incidence > 0
+    p_cam, incidence = lit_points(rig, q, laser)
+    return transform(station, transform(poses(rig, phi), p_cam)), incidence > 0
 
 
 def surface_distance(place: Places, step: Float[Array, "3"], point: Float[Array, "3"]) -> Float[Array, ""]:
@@ -87,7 +87,7 @@ def point_rows(room: Room, y: Unknowns) -> PointRows:
     def error(z, own: Own, shift, sight: Sight, place: Places):
         pose = moved_station(room.stations[sight.station], own.station)
         q, phi = sight.q + shift * room.across, sight.phi + ANGLE_SCALE * own.angle
-        point, meets = room_point(moved_scanner(room, z), pose, q, sight.laser, phi)
+        point, meets = room_point(moved_rig(room, z), pose, q, sight.laser, phi)
         distance = jnp.where(meets, surface_distance(place, own.local, point), 0.0)
         return distance, (place.basis @ (point - place.centre), meets)
 
@@ -126,10 +126,9 @@ def sighting_rows(room: Room, y: Unknowns) -> Rows:
     steps, surfaces = station_steps(y.stations), len(room.places.sphere)
 
     def error(z, own: Own, sight: Sight, point):
-        scanner = moved_scanner(room, z)
         pose = moved_station(room.stations[sight.station], own.station)
-        camera = pose @ scanner.pose(sight.phi + ANGLE_SCALE * own.angle)
-        return scanner.camera.project(transform(invert(camera), point + LOCAL_SCALE * own.local)) - sight.q
+        p = transform(invert(pose), point + LOCAL_SCALE * own.local)
+        return pixels(moved_rig(room, z), p, sight.phi + ANGLE_SCALE * own.angle) - sight.q
 
     def one(sight: Sight):
         own = Own(steps[sight.station], _angle(y, sight), y.locals[surfaces + sight.local])

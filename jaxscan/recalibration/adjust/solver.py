@@ -10,7 +10,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.geometry import Array, Scanner
+from jaxscan.geometry import Array, Rig
 from jaxscan.recalibration.adjust.blocks import (
     Blocks,
     columns,
@@ -20,7 +20,7 @@ from jaxscan.recalibration.adjust.blocks import (
     whitened,
     zero_blocks,
 )
-from jaxscan.recalibration.adjust.room import Room, Unknowns, moved_scanner, moved_stations
+from jaxscan.recalibration.adjust.room import Room, Unknowns, moved_rig, moved_stations
 from jaxscan.recalibration.adjust.rows import PointRows, Rows, observe, residuals, twice
 
 
@@ -113,7 +113,7 @@ class Linearised(NamedTuple):
     blocks: Blocks
     cost: Float[Array, ""]
     """Sum of squared whitened residuals, with those of the prior."""
-    scanner: Scanner
+    rig: Rig
     stations: Float[Array, "stations 4 4"]
 
 
@@ -131,7 +131,7 @@ def _linearise(room: Room, y: Unknowns) -> Linearised:
         observed.sightings,
         blocks,
         jnp.asarray(cost),
-        moved_scanner(room, y.scanner),
+        moved_rig(room, y.scanner),
         moved_stations(room, y.stations),
     )
 

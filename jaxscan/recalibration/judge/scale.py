@@ -33,7 +33,7 @@ def scale_slopes(
     angle = angles_of(observations, corrections, points.take(some))
     where = points.q[some], points.laser[some], angle
     arm, valid = triangulate_points(scanner, *where)
-    slope, _, _ = point_gradient(scanner, *where)
+    slope = point_gradient(scanner, *where)
     if not isinstance(scanner.turntable, Turntable):
         raise TypeError(f"found {type(scanner.turntable).__name__}, expected a turntable")
     # The axis is the z axis of the scanner's frame.

@@ -58,5 +58,5 @@ def bending(
         laser: The sheet of each.
         phi: The table's angle of each [rad], or the position of a stage [m].
     """
-    by_scanner, _, _ = point_gradient(scanner, q, laser, phi)
+    by_scanner = point_gradient(scanner, q, laser, phi)
     return (by_scanner @ likely_steps(scanner).T).astype(np.float32)

@@ -2,11 +2,9 @@
 
 from collections.abc import Mapping
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jaxscan.geometry import Array, Scanner
+from jaxscan.geometry import Scanner, nearest_rotation, poses, rays, turn
 from jaxscan.recalibration.observed import SweepStripes, Tracks
 from jaxscan.recalibration.stations.view import View
 
@@ -45,22 +43,14 @@ def find_landmarks(
             continue
         sightings = np.flatnonzero(mine & (tracks.track == number))
         phi = np.array([sweeps[tracks.sweep[k]].angle[tracks.record[k]] for k in sightings], np.float64)
-        with jax.enable_x64(True):
-            exact = scanner.without_covariance().as_dtype(jnp.float64)
-            eyes, rays = (np.asarray(each) for each in _rays(exact, tracks.q[sightings].astype(np.float64), phi))
-        points = [p for eye, ray in zip(eyes, rays, strict=True) if (p := _on_patch(view, eye, ray)) is not None]
+        pose = np.asarray(poses(scanner.rig, phi))
+        ways = np.asarray(turn(pose[:, :3, :3], rays(scanner.rig, tracks.q[sightings])))
+        points = [
+            p for eye, ray in zip(pose[:, :3, 3], ways, strict=True) if (p := _on_patch(view, eye, ray)) is not None
+        ]
         if points:
             found[tracks.name[number]] = np.median(points, 0)
     return found
-
-
-@jax.jit
-def _rays(scanner: Scanner, q: Array, phi: Array) -> tuple[Array, Array]:
-    def one(q: Array, phi: Array) -> tuple[Array, Array]:
-        T = scanner.pose(phi)
-        return T[:3, 3], T[:3, :3] @ scanner.camera.unproject(q)
-
-    return jax.vmap(one)(q, phi)
 
 
 def _on_patch(view: View, eye: np.ndarray, ray: np.ndarray) -> np.ndarray | None:
@@ -82,10 +72,10 @@ def pose_of(at: np.ndarray, of: np.ndarray) -> np.ndarray | None:
     """
     while len(at) >= 3:
         middle_at, middle_of = at.mean(0), of.mean(0)
-        u, width, vt = np.linalg.svd((of - middle_of).T @ (at - middle_at) / len(at))
-        if np.sqrt(width[1]) < SPREAD_M:
+        both = (at - middle_at).T @ (of - middle_of) / len(at)
+        if np.sqrt(np.linalg.svd(both, compute_uv=False)[1]) < SPREAD_M:
             return None
-        rotation = vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T
+        rotation = nearest_rotation(both)
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = rotation, middle_at - rotation @ middle_of
         apart = np.linalg.norm(of @ rotation.T + pose[:3, 3] - at, axis=1)

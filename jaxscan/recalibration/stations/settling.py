@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxscan.geometry import compose, exponential
 from jaxscan.recalibration.stations.view import View
 
 
@@ -70,13 +71,6 @@ def _nearest(one: View, at: np.ndarray, facing: np.ndarray, near: float) -> tupl
 
 def _moved(pose: np.ndarray, step: np.ndarray) -> np.ndarray:
     """The pose after a small shift [m] and turn [rad] in the frame that stays."""
-    angle = float(np.linalg.norm(step[3:]))
-    rotation = np.eye(3)
-    if angle > 0:
-        x, y, z = step[3:] / angle
-        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        rotation = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    out = np.eye(4)
-    out[:3, :3] = rotation @ pose[:3, :3]
-    out[:3, 3] = rotation @ pose[:3, 3] + step[:3]
-    return out
+    moved = np.asarray(compose(exponential(np.append(np.zeros(3), step[3:])), pose))
+    moved[:3, 3] += step[:3]
+    return moved

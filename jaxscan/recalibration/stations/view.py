@@ -3,19 +3,15 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import Array, Scanner, stripe_pixel
+from jaxscan.geometry import Scanner, lit_points, poses, stripe_pixel, transform
 from jaxscan.recalibration.observed import SweepStripes
 
 
 PROFILES, LINES = 360, 128
 """Profiles and lines of each laser that are used at most."""
-BLOCK = 16384
-"""Points are padded to a multiple of this, so that one compiled function serves all."""
 PATCH_RAD = 0.09
 """Width of a patch [rad]: enough for a good normal, few corners inside."""
 PATCH_LINES = 8
@@ -72,44 +68,16 @@ def _look(sweep: SweepStripes, scanner: Scanner, profiles: np.ndarray) -> View:
         )
     )
     phi = sweep.angle[sweep.record[profiles]].astype(np.float64)
-    xyz, eyes, exists = triangulated(scanner, q, sweep.laser[profiles][row], phi[row])
+    pose = np.asarray(poses(scanner.rig, phi[row]))
+    p_cam, incidence = lit_points(scanner.rig, q, sweep.laser[profiles][row])
+    xyz, eyes, distance = np.asarray(transform(pose, p_cam)), pose[:, :3, 3], np.linalg.norm(p_cam, axis=1)
+    exists = (incidence > 0) & (distance > 0) & (distance < FARTHEST_M)
     valid[row, column] = exists
     on_grid, eyes_on_grid = np.zeros((*valid.shape, 3)), np.zeros((*valid.shape, 3))
     on_grid[row, column], eyes_on_grid[row, column] = xyz, eyes
     spacing = float(np.median(np.abs(np.diff(phi)))) if len(phi) > 1 else PATCH_RAD
     width = int(np.clip(round(PATCH_RAD / max(spacing, 1e-6)), 2, 16))
     return View(on_grid[valid], eyes_on_grid[valid], *_patches(on_grid, eyes_on_grid, valid, width))
-
-
-def triangulated(
-    scanner: Scanner, q: np.ndarray, laser: np.ndarray, phi: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points of stripes at pixels `q` [n, 2], of sheets [n], at the table's angles [n].
-
-    Returns:
-        Points [n, 3] and camera centres [n, 3], m, scanner frame; whether each point exists [n].
-    """
-    index = np.resize(np.arange(len(q)), -(-len(q) // BLOCK) * BLOCK)
-    found = []
-    with jax.enable_x64(True):
-        exact = scanner.without_covariance().as_dtype(jnp.float64)
-        for part in index.reshape(-1, BLOCK):
-            one = _points(exact, q[part], laser[part].astype(np.int32), phi[part])
-            found.append([np.asarray(each) for each in one])
-    if not found:
-        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool)
-    points, eyes, incidence = (np.concatenate(part)[: len(q)] for part in zip(*found, strict=True))
-    distance = np.linalg.norm(points - eyes, axis=1)
-    return points, eyes, (incidence > 0) & (distance > 0) & (distance < FARTHEST_M)
-
-
-@jax.jit
-def _points(scanner: Scanner, q: Array, laser: Array, phi: Array) -> tuple[Array, Array, Array]:
-    def one(q: Array, laser: Array, phi: Array) -> tuple[Array, Array, Array]:
-        point, incidence = scanner.point(q, laser, phi)
-        return point, scanner.pose(phi)[:3, 3], incidence
-
-    return jax.vmap(one)(q, laser, phi)
 
 
 def _patches(points: np.ndarray, eyes: np.ndarray, valid: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:

@@ -68,7 +68,7 @@ def check_angles(
 
 def _faults(sweep: SweepStripes, scanner: Scanner, table: Turntable) -> tuple[float, list[tuple[Place, float, float]]]:
     """Factor of the journal's angles, and steps about the axis: their place, angle and its sigma [rad]."""
-    own = table_angles(table, sweep.angle)
+    own = np.asarray(table.angle(sweep.angle))
     factor = find_factor(sweep, start_rig(scanner, own))
     if abs(factor - 1.0) >= ALIKE:
         rig = find_steps(sweep, _settled(sweep, scanner, table, factor))
@@ -114,15 +114,7 @@ def _free_factor(sweep: SweepStripes, rig: Rig, own: Float[np.ndarray, " records
 
 def _settled(sweep: SweepStripes, scanner: Scanner, table: Turntable, factor: float) -> Rig:
     if factor == 1.0:
-        return start_rig(scanner, table_angles(table, sweep.angle))
-    rough = settle(sweep, start_rig(scanner, table_angles(table, factor * sweep.angle)), 4, LOOSE)
+        return start_rig(scanner, np.asarray(table.angle(sweep.angle)))
+    rough = settle(sweep, start_rig(scanner, np.asarray(table.angle(factor * sweep.angle))), 4, LOOSE)
     # From here on the gain stays near to the one found.
     return rough._replace(table=np.zeros_like(rough.table))
-
-
-def table_angles(table: Turntable, phi: Float[np.ndarray, " records"]) -> Float[np.ndarray, " records"]:
-    """Angles about the axis at the table's angles `phi` [rad]."""
-    c1, s1, c2, s2 = np.asarray(table.harmonics, np.float64)
-    first = c1 * (np.cos(phi) - 1.0) + s1 * np.sin(phi)
-    second = c2 * (np.cos(2.0 * phi) - 1.0) + s2 * np.sin(2.0 * phi)
-    return float(table.gain) * phi + first + second

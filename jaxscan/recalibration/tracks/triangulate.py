@@ -1,21 +1,15 @@
 """Lines of sight, pixels, and points of the room from their sightings, by a scanner whose motion is known."""
 
-from collections.abc import Callable
-from functools import cache, partial
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.geometry import Array, Scanner, invert, transform
+from jaxscan.geometry import Scanner, compose, invert, pixels, poses, rays, transform, turn
 
 
 MOST_RANGE_M = 30.0
 LEAST_RANGE_M = 0.1
-_CHUNK = 4096
-"""Sightings that are computed at a time: one compiled function serves for any number."""
 
 
 class Rays(NamedTuple):
@@ -52,8 +46,8 @@ def rays_of(
         angle: The table's angle of each [rad from home].
         station: T_room_scanner of each.
     """
-    origin, direction = _in_chunks(_rays(), scanner, (q, angle, station))
-    return Rays(origin, direction)
+    pose = compose(station, poses(scanner.rig, angle))
+    return Rays(np.asarray(pose)[:, :3, 3], np.asarray(turn(pose[:, :3, :3], rays(scanner.rig, q))))
 
 
 def triangulate(
@@ -106,46 +100,11 @@ def project_all(
         station: T_room_scanner of each.
         step: Of the scanner in its minimal coordinates.
     """
-    step = np.zeros(len(scanner.parameter_names())) if step is None else step
-    return _in_chunks(partial(_project(), step), scanner, (point, angle, station))[0]
+    rig = scanner.rig if step is None else scanner.rig.retract(step)
+    return np.asarray(pixels(rig, transform(invert(station), point), angle))
 
 
 def _summed(values: np.ndarray, track: np.ndarray, count: int) -> np.ndarray:
     size = int(np.prod(values.shape[1:]))
     out = np.stack([np.bincount(track, column, count) for column in values.reshape(len(values), size).T], -1)
     return out.reshape(count, *values.shape[1:])
-
-
-def _in_chunks(
-    function: Callable[..., tuple[jax.Array, ...]], scanner: Scanner, values: tuple[np.ndarray, ...]
-) -> tuple[np.ndarray, ...]:
-    """Results of a compiled function for many items, float64."""
-    count = len(values[0])
-    with jax.enable_x64(True):
-        given = scanner.without_covariance().as_dtype(jnp.float64)
-        parts = []
-        for start in range(0, max(count, 1), _CHUNK):
-            chunk = (np.asarray(value[start : start + _CHUNK], np.float64) for value in values)
-            padded = (np.concatenate([c, np.ones((_CHUNK - len(c), *c.shape[1:]))]) for c in chunk)
-            parts.append([np.asarray(part) for part in function(given, *padded)])
-    return tuple(np.concatenate(part)[:count] for part in zip(*parts, strict=True))
-
-
-@cache
-def _project() -> Callable[..., tuple[jax.Array, ...]]:
-    def pixel(
-        step: jax.Array, scanner: Scanner, point: jax.Array, angle: jax.Array, station: jax.Array
-    ) -> tuple[Array]:
-        moved = scanner.retract(step)
-        return (moved.camera.project(transform(invert(station @ moved.pose(angle)), point)),)
-
-    return jax.jit(jax.vmap(pixel, (None, None, 0, 0, 0)))
-
-
-@cache
-def _rays() -> Callable[..., tuple[jax.Array, ...]]:
-    def ray(scanner: Scanner, q: jax.Array, angle: jax.Array, station: jax.Array) -> tuple[jax.Array, jax.Array]:
-        pose = station @ scanner.pose(angle)
-        return pose[:3, 3], pose[:3, :3] @ scanner.camera.unproject(q)
-
-    return jax.jit(jax.vmap(ray, (None, 0, 0, 0)))

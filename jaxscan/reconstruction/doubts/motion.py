@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.geometry import AbstractCamera, Array, Turntable
+from jaxscan.geometry import Array, Rig, Turntable, invert, poses, transform
 from jaxscan.reconstruction.cloud import PointCloud
 from jaxscan.reconstruction.plan import Plan
 
@@ -73,7 +73,8 @@ def cloud_points(plan: Plan, cloud: PointCloud) -> Points:
         if not len(profiles) or not isinstance(table, Turntable):
             return None
         found = np.asarray(cloud.xyz[profiles[0]], np.float64)[np.asarray(cloud.valid[profiles[0]])]
-        return _turned(found, np.array([0.0, 0.0, 1.0]), np.zeros(3), -_theta(table, float(plan.sweep.angles[one])))
+        rig = plan.scanner.rig
+        return np.asarray(transform(poses(rig, 0.0), transform(invert(poses(rig, plan.sweep.angles[one])), found)))
 
     return points
 
@@ -161,7 +162,7 @@ def _turns(plan: Plan, points: Points, table: Turntable, off_frame: Callable[[in
         stripe = points(one)
         if stripe is None or len(stripe) < _POINTS:
             continue
-        ways = _ways(camera, table, _from_scanner(table, _some(stripe)), factor)
+        ways = _ways(plan.scanner.rig, _some(stripe), factor, max(camera.width, camera.height) // factor)
         seen = image(one)
         if seen is None:
             continue
@@ -210,48 +211,23 @@ def _box(image: np.ndarray) -> np.ndarray:
     return ((sums[:, stop] - sums[:, first]) / (stop - first)).astype(np.float32)
 
 
-def _theta(table: Turntable, phi: float) -> float:
-    """`Turntable.angle` [rad], and against it where the object turns."""
-    order = np.array([1, 2])
-    waves = np.stack([np.cos(order * phi) - 1, np.sin(order * phi)], -1).ravel() @ np.asarray(table.harmonics)
-    theta = float(np.asarray(table.gain)) * phi + float(waves)
-    return theta if table.carries == "scanner" else -theta
+def _ways(rig: Rig, points: np.ndarray, factor: int, reach: int) -> _Ways:
+    """Where points [points, 3] of a record at angle 0 are seen from other angles, up to `reach` pixels away."""
 
+    def seen(places: np.ndarray, phi: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+        p = np.asarray(transform(invert(poses(rig, phi)), places))
+        return p, (np.asarray(rig.camera.project(p)) + 0.5) / factor - 0.5
 
-def _from_scanner(table: Turntable, points: np.ndarray) -> np.ndarray:
-    """Points of the scanner frame in the camera frame at angle 0; see `Turntable.frame`."""
-    z, foot = (np.asarray(part, np.float64) for part in (table.direction, table.point))
-    x = np.array([0.0, 0.0, 1.0]) - z[2] * z
-    x /= np.linalg.norm(x)
-    return points @ np.stack([x, np.cross(z, x), z]) + foot
-
-
-def _turned(points: np.ndarray, axis: np.ndarray, foot: np.ndarray, theta: np.ndarray | float) -> np.ndarray:
-    """Points [..., 3] turned about an axis by angles that broadcast with them."""
-    theta, apart = np.asarray(theta)[..., None], points - foot
-    along = (apart @ axis)[..., None] * axis
-    return foot + along + np.cos(theta) * (apart - along) + np.sin(theta) * np.cross(axis, apart)
-
-
-def _ways(camera: AbstractCamera, table: Turntable, points: np.ndarray, factor: int) -> _Ways:
-    axis, foot = (np.asarray(part, np.float64) for part in (table.direction, table.point))
-    sense = -_theta(table, 1.0)
-
-    def pixels(places: np.ndarray) -> np.ndarray:
-        flat = camera.project(np.ascontiguousarray(places.reshape(-1, 3).T))
-        return ((np.asarray(flat) + 0.5) / factor - 0.5).reshape(2, *places.shape[:-1])
-
-    little = 1e-3
-    before, after = (pixels(_turned(points, axis, foot, sense * turn)) for turn in (-little, little))
-    step = 2 * little / max(float(np.median(np.linalg.norm(after - before, axis=0))), 1e-9)
-    reach = max(camera.width, camera.height) // factor
+    little, up = 1e-3, np.array([0.0, 0.0, 1.0])
+    (before, after), away = (seen(points, turn)[1] for turn in (-little, little)), seen(points, 0.0)[0]
+    step = 2 * little / max(float(np.median(np.linalg.norm(after - before, axis=-1))), 1e-9)
     turns = step * np.arange(-reach, reach + 1)
-    height = little * np.linalg.norm(points, axis=1, keepdims=True) * axis
-    px = np.linalg.norm(pixels(points + height) - pixels(points - height), axis=0)
+    height = little * np.linalg.norm(away, axis=1, keepdims=True) * up
+    px = np.linalg.norm(seen(points + height, 0.0)[1] - seen(points - height, 0.0)[1], axis=-1)
     across = 2 * height / np.maximum(px, 1e-9)[:, None]
     lines = points[:, None] + np.arange(-_LINES, _LINES + 1)[:, None] * across[:, None]
-    places = _turned(lines[:, :, None], axis, foot, sense * turns)
-    return _Ways(turns, np.where(places[..., 2] > 0.01, pixels(places), -9.0))
+    p, pixels = seen(lines[:, :, None], turns)
+    return _Ways(turns, np.moveaxis(np.where(p[..., 2:] > 0.01, pixels, -9.0), -1, 0))
 
 
 class _Strips(NamedTuple):

@@ -4,13 +4,10 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.compiling import compile_quickly
-from jaxscan.geometry import AbstractCamera, Array, LaserSheet, Scanner, StripeAxis, across_and_along, stripe_pixel
+from jaxscan.geometry import Scanner, StripeAxis, across_and_along, lit_points, stripe_pixel
 from jaxscan.stripes import LineGate
 
 
@@ -59,29 +56,21 @@ def line_gate(
             f"The gate needs 0 <= min_range_m < max_range_m and a margin of at least 0 px, "
             f"got {min_range_m}, {max_range_m} and {margin_px}."
         )
-    camera, sheet = scanner.camera, scanner.laser(laser)
+    camera, rig = scanner.camera, scanner.rig
     length, lines = across_and_along(camera.width, camera.height, stripe_axis)
     across, along = _nodes(-1.0, float(length)), _nodes(0.0, float(lines - 1))
-    with jax.enable_x64(True):
-        exact = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), (camera, sheet))
-        u, line = jnp.meshgrid(jnp.asarray(across), jnp.asarray(along))
-        incidence = np.asarray(_incidence(*exact, stripe_pixel(u, line, stripe_axis)))
-    distance = float(np.asarray(sheet.distance))
+    u, line = np.meshgrid(across, along)
+    _, incidence = lit_points(rig, stripe_pixel(u, line, stripe_axis), laser)
+    distance = float(rig.laser(laser).distance)
     least = distance / max_range_m
     most = distance / min_range_m if min_range_m > 0 else math.inf
     places = _cells(np.arange(float(lines)), along), _cells(np.arange(-1.0, length + 1.0), across)
-    return _gate(incidence, places, (least, most), math.ceil(margin_px))
+    return _gate(np.asarray(incidence), places, (least, most), math.ceil(margin_px))
 
 
 def _nodes(first: float, last: float) -> Float[np.ndarray, " nodes"]:
     """Evenly spaced coordinates from first to last, at most a pitch apart."""
     return np.linspace(first, last, max(2, 1 + math.ceil((last - first) / _PITCH_PX)))
-
-
-@compile_quickly
-def _incidence(camera: AbstractCamera, sheet: LaserSheet, q: Float[Array, "a b 2"]) -> Float[Array, "a b"]:
-    """m of `LaserSheet.intersect` at pixels."""
-    return jax.vmap(jax.vmap(lambda pixel: sheet.intersect(camera.unproject(pixel))[1]))(q)
 
 
 def _error(incidence: Float[np.ndarray, "a b"]) -> Float[np.ndarray, "a b"]:

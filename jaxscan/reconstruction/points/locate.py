@@ -2,38 +2,72 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxscan.geometry import AbstractCamera, Array, Scanner, StripeAxis, stripe_pixel
-from jaxscan.reconstruction.points.triangulate import Limits, triangulate
+from jaxscan.geometry import (
+    Array,
+    Rig,
+    Scanner,
+    StripeAxis,
+    lit_points,
+    lit_slopes,
+    poses,
+    rays,
+    stripe_pixel,
+    transform,
+)
 from jaxscan.reconstruction.points.uncertainty import RangeTable, range_table
+from jaxscan.reconstruction.settings import ReconstructSettings
 from jaxscan.stripes import FrameStripes
 
 
-class Rig(eqx.Module):
-    """The scanner and its range table, in float32; the same for all chunks."""
+class Limits(NamedTuple):
+    """Which points are accepted; arrays, so a change compiles nothing."""
 
-    scanner: Scanner
-    table: RangeTable
+    min_range_m: Float[Array, ""]
+    max_range_m: Float[Array, ""]
+    min_incidence: Float[Array, ""]
 
     @staticmethod
-    def of(scanner: Scanner, stripe_axis: StripeAxis) -> "Rig":
-        table = range_table(scanner, stripe_axis)
-        # Host arrays: the same whether or not the caller enabled 64-bit JAX.
-        return jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), Rig(scanner.without_covariance(), table))
+    def of(settings: ReconstructSettings) -> "Limits":
+        """Those of the settings, float32."""
+        values = (settings.min_range_m, settings.max_range_m, settings.min_incidence)
+        return Limits(*(np.asarray(value, np.float32) for value in values))
 
 
 class Aim(NamedTuple):
     """Where the points of one laser go; arrays, so a change compiles nothing."""
 
     rig: Rig
+    table: RangeTable
     laser: Array
     """Which sheet, int32 []."""
     limits: Limits
+
+    @staticmethod
+    def of(scanner: Scanner, settings: ReconstructSettings, stripe_axis: StripeAxis) -> "Aim":
+        """That of the first laser, float32."""
+        parts = Aim(scanner.rig, range_table(scanner, stripe_axis), np.zeros((), np.int32), Limits.of(settings))
+        # Host arrays: the same whether or not the caller enabled 64-bit JAX.
+        single = lambda leaf: leaf if leaf.dtype == np.int32 else np.asarray(leaf, np.float32)
+        return jax.tree.map(single, parts)
+
+
+class Triangulated(NamedTuple):
+    """Stripe centres in space; zero, never NaN, where they are not valid."""
+
+    p_cam: Float[Array, "*n 3"]
+    """Points [m], camera frame."""
+    range_m: Float[Array, "*n"]
+    """Distance from the camera along the ray [m]."""
+    slope: Float[Array, "*n"]
+    """d range / d u [m/px]."""
+    incidence: Float[Array, "*n"]
+    """m of `LaserSheet.intersect` [1]."""
+    valid: Bool[Array, "*n"]
 
 
 class Points(NamedTuple):
@@ -59,6 +93,41 @@ class Centres(NamedTuple):
         return cls(stripes.u, stripes.sigma, stripes.valid)
 
 
+def triangulate(
+    rig: Rig,
+    u: Float[Array, "*n"],
+    line: Float[Array, "*n"],
+    laser: int | Array,
+    *,
+    stripe_axis: StripeAxis = "rows",
+    limits: Limits,
+) -> Triangulated:
+    r"""Intersect the viewing rays of stripe centres with their laser sheet.
+
+    $p = \frac{d}{m(q)}\, v(q)$, and the slope $\partial\,\mathrm{range} / \partial u$ is the exact
+    derivative, through the lens model and the bow of the sheet.
+
+    Args:
+        rig: The rig.
+        u: Stripe centres across the line [px].
+        line: Numbers of the lines: image rows, or columns for `stripe_axis` "columns" [px].
+        laser: Number of the sheet that lit the stripes.
+        stripe_axis: Whether a line is an image row or an image column.
+        limits: Range limits and the smallest incidence.
+
+    Source: the paper, equations (1)-(4).
+    """
+    p_cam, incidence = lit_points(rig, stripe_pixel(u, line, stripe_axis), laser)
+    range_m = jnp.sqrt(sum(p_cam[..., k] * p_cam[..., k] for k in range(3)))
+    by_u = lit_slopes(rig, p_cam, incidence, laser)[..., 0 if stripe_axis == "rows" else 1]
+    safe = jnp.where(range_m > 0, range_m, 1.0)
+    slope = sum(p_cam[..., k] * by_u[..., k] for k in range(3)) / safe
+    valid = (incidence >= limits.min_incidence) & (incidence > 0)
+    valid &= (range_m >= limits.min_range_m) & (range_m <= limits.max_range_m)
+    kept = lambda value, where: jnp.where(where, value, 0.0).astype(p_cam.dtype)
+    return Triangulated(kept(p_cam, valid[..., None]), kept(range_m, valid), kept(slope, valid), incidence, valid)
+
+
 def locate_points(aim: Aim, centres: Centres, phi: Float[Array, " profiles"], *, stripe_axis: StripeAxis) -> Points:
     """Points and sigmas of a chunk; pure and traceable.
 
@@ -68,33 +137,16 @@ def locate_points(aim: Aim, centres: Centres, phi: Float[Array, " profiles"], *,
         phi: The table's angle of each profile [rad from home].
         stripe_axis: Whether a line is an image row or an image column.
     """
-    rig, limits = aim.rig, aim.limits
-    laser = jnp.broadcast_to(aim.laser, (len(phi),))
-    lines = centres.u.shape[1]
-    line = jnp.arange(lines, dtype=jnp.float32)
-
-    def one(u, sigma, valid, number, laser):
-        u = jnp.where(valid, u, 0.0).astype(u.dtype)
-        found = triangulate(
-            u, number, rig.scanner.camera, rig.scanner.laser(laser), stripe_axis=stripe_axis, limits=limits
-        )
-        exists = valid & found.valid
-        systematic = rig.table.sigma(laser, number.astype(jnp.int32), u, found.incidence)
-        values = (found.p_cam, jnp.abs(found.slope) * sigma, systematic)
-        return *(jnp.where(exists, value, 0.0).astype(value.dtype) for value in values), exists
-
-    over_lines = jax.vmap(one, (0, 0, 0, 0, None))
-    over_profiles = jax.vmap(over_lines, (0, 0, 0, None, 0))
-    # GPUs may multiply float32 matrices with 10 bits otherwise.
-    with jax.default_matmul_precision("highest"):
-        p_cam, sigma_random, sigma_systematic, valid = over_profiles(
-            centres.u, centres.sigma, centres.valid, line, laser
-        )
-        pose = jax.vmap(rig.scanner.pose)(phi)
-    rotation, centre = pose[:, :3, :3], pose[:, :3, 3]
-    turned = sum(p_cam[:, :, None, j] * rotation[:, None, :, j] for j in range(3))
-    xyz = jnp.where(valid[:, :, None], turned + centre[:, None, :], 0.0).astype(p_cam.dtype)
-    return Points(xyz, sigma_random, sigma_systematic, valid, centre)
+    u = jnp.where(centres.valid, centres.u, 0.0).astype(centres.u.dtype)
+    line = jnp.broadcast_to(jnp.arange(u.shape[1], dtype=u.dtype), u.shape)
+    found = triangulate(aim.rig, u, line, aim.laser, stripe_axis=stripe_axis, limits=aim.limits)
+    valid = centres.valid & found.valid
+    exists = lambda value: jnp.where(valid, value, 0.0).astype(u.dtype)
+    systematic = aim.table.sigma(aim.laser, line.astype(jnp.int32), u, found.incidence)
+    pose = poses(aim.rig, phi)
+    xyz = jnp.where(valid[..., None], transform(pose[:, None], found.p_cam), 0.0).astype(u.dtype)
+    random = jnp.abs(found.slope) * centres.sigma
+    return Points(xyz, exists(random), exists(systematic), valid, pose[:, :3, 3])
 
 
 def points_alone(
@@ -114,14 +166,8 @@ def points_alone(
 _compiled = jax.jit(locate_points, static_argnames="stripe_axis")
 
 
-def line_step(camera: AbstractCamera, stripe_axis: StripeAxis) -> float:
+def line_step(scanner: Scanner, stripe_axis: StripeAxis) -> float:
     """Angle between neighbouring lines at the middle of the image [rad]."""
-    middle = np.array([camera.width, camera.height], np.float32) / 2
-    step = stripe_pixel(np.float32(0), np.float32(1), stripe_axis)
-    first, second = (np.asarray(_ray(camera, q)) for q in (middle, middle + step))
+    middle = np.array([scanner.camera.width, scanner.camera.height]) / 2
+    first, second = rays(scanner.rig, np.stack([middle, middle + stripe_pixel(np.zeros(()), np.ones(()), stripe_axis)]))
     return float(np.linalg.norm(second - first))
-
-
-@jax.jit
-def _ray(camera: AbstractCamera, q: Float[Array, "2"]) -> Array:
-    return camera.unproject(q)

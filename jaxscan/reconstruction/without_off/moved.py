@@ -5,15 +5,12 @@ Of the distances each place takes the one at which both agree with each other an
 sweep (R. T. Collins, A space-sweep approach to true multi-image matching, CVPR 1996).
 """
 
-import functools
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.geometry import Array, Scanner, StripeAxis, stripe_pixel
+from jaxscan.geometry import Scanner, StripeAxis, pixels, poses, rays, stripe_pixel, transform
 from jaxscan.stripes import Channels, Sites, box_mean, warped
 
 
@@ -55,25 +52,15 @@ def places(
         lattice: Pixels of the first step.
         axis: Whether a line is an image row or an image column.
     """
-    with jax.enable_x64(True):
-        exact = scanner.without_covariance().as_dtype(jnp.float64)
-        q = np.asarray(_places(exact, np.asarray(phi, np.float64), ranges, lattice.line, lattice.u, axis))
+    rig = scanner.rig
+    u, line = np.meshgrid(lattice.u, lattice.line)
+    ray = rays(rig, stripe_pixel(u, line, axis))
+    at = transform(poses(rig, phi[0]), ranges[:, None, None, None] * ray)
+    q = pixels(rig, at, phi[1])
     sites, (u, line) = lattice.sites, (q[..., 0], q[..., 1]) if axis == "rows" else (q[..., 1], q[..., 0])
     found = np.stack([(line - sites.first_line) / sites.line_step, (u - sites.offsets[0]) / sites.pitch], -1)
     # A pixel that is nowhere in the other step is taken from its border, and will not agree.
     return np.nan_to_num(found, nan=-1.0, posinf=1e6, neginf=-1e6).astype(np.float32)
-
-
-@functools.partial(jax.jit, static_argnames="axis")
-def _places(scanner: Scanner, phi: Array, ranges: Array, line: Array, u: Array, axis: StripeAxis) -> Array:
-    motion = jnp.linalg.inv(scanner.pose(phi[1])) @ scanner.pose(phi[0])
-
-    def at(distance, line, u):
-        point = distance * scanner.camera.unproject(stripe_pixel(u, line, axis))
-        return scanner.camera.project(motion[:3, :3] @ point + motion[:3, 3])
-
-    over_u = jax.vmap(at, (None, None, 0))
-    return jax.vmap(jax.vmap(over_u, (None, 0, None)), (0, None, None))(ranges, line, u)
 
 
 def moved(seen: Channels, neighbours: tuple[Channels, Channels], where: tuple[np.ndarray, np.ndarray]) -> Channels:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxscan.files.clouds.stations import quaternion
+from jaxscan.geometry import quaternion
 
 
 class RoundPicture(NamedTuple):

@@ -20,6 +20,7 @@ from jaxscan.files.clouds.e57.packets import Field, read_blocks
 from jaxscan.files.clouds.e57.pages import PAGE, Pages, without_checksums
 from jaxscan.files.clouds.e57.scans import Scan, joined
 from jaxscan.files.disk import Element, open_regular, parse_xml
+from jaxscan.geometry import from_quaternion
 
 
 MAX_XML_BYTES = 1 << 24
@@ -226,10 +227,5 @@ def _pose(scan: Element) -> np.ndarray:
         raise ValueError(
             f"the pose of a scan is no rigid motion: its quaternion has the length {np.linalg.norm(q):.4g}"
         )
-    w, x, y, z = q / np.linalg.norm(q)
-    pose[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
+    pose[:3, :3] = from_quaternion(q)
     return pose

@@ -15,8 +15,9 @@ from jaxscan.files.clouds.crs import wkt_of
 from jaxscan.files.clouds.e57.library import COLUMNS, NORMALS_URI, OWN, OWN_URI, load_libe57
 from jaxscan.files.clouds.e57.pictures import Surroundings, append_panorama, append_photograph
 from jaxscan.files.clouds.points import blocks, columns, smoothed_names
-from jaxscan.files.clouds.stations import covariance_text, quaternion
+from jaxscan.files.clouds.stations import covariance_text
 from jaxscan.files.disk import Part
+from jaxscan.geometry import quaternion
 from jaxscan.reconstruction import PointCloud, Stations, of_station
 
 

@@ -1,0 +1,55 @@
+"""A rig as arrays: what a pixel's ray, its point and its derivatives depend on, and nothing else."""
+
+import equinox as eqx
+import jax
+from jaxtyping import Float, Int
+
+from jaxscan.geometry.arrays import Array, namespace
+from jaxscan.geometry.cameras import AbstractCamera
+from jaxscan.geometry.laser import LaserSheet
+from jaxscan.geometry.layout import Layout, make_layout
+from jaxscan.geometry.motions import AbstractMotion
+
+
+class Rig(eqx.Module):
+    """Camera, laser sheets and motion, in the camera frame at position 0.
+
+    A pytree of arrays: sizes of images and names of lasers are the `Scanner`'s, so what is compiled for one rig serves
+    all of its models. `kinematics` computes with it; `jax.vmap` over its leaves is a Monte Carlo, and `jax.grad` by
+    them a sensitivity.
+    """
+
+    camera: AbstractCamera
+    """Without the size of its images: width and height are 0."""
+    lasers: LaserSheet
+    """All sheets stacked: every field has a leading axis over lasers (`stack_lasers`)."""
+    motion: AbstractMotion
+    """The motion between records: a `Turntable`, a `LinearStage`, or `Still`."""
+
+    @staticmethod
+    def of(camera: AbstractCamera, lasers: LaserSheet, motion: AbstractMotion) -> "Rig":
+        """The rig of a camera of any size, of stacked sheets and a motion."""
+        return Rig(camera.without_size(), lasers, motion)
+
+    def laser(self, index: int | Int[Array, "..."]) -> LaserSheet:
+        """One of the stacked sheets, or for many indices the sheet of each."""
+        xp = namespace(self.lasers, index)
+        return jax.tree.map(lambda leaf: xp.asarray(leaf)[index], self.lasers)
+
+    def layout(self) -> Layout:
+        """Positions of the minimal coordinates of each part; lasers are named by their numbers."""
+        numbers = tuple(map(str, range(self.lasers.distance.shape[-1])))
+        return make_layout(self.camera, numbers, motion=self.motion.blocks)
+
+    def parameter_count(self) -> int:
+        """Number of the minimal coordinates: of the camera, of the sheets, of the motion."""
+        return len(self.layout().names)
+
+    def retract(self, step: Float[Array, " params"]) -> "Rig":
+        """The rig moved by `step` in its minimal coordinates [px, rad, m]."""
+        layout = self.layout()
+        return Rig(
+            self.camera.retract(step[layout.camera]),
+            self.lasers.retract(step[layout.lasers].reshape(-1, 5)),
+            self.motion.retract(step[layout.turntable]),
+        )
