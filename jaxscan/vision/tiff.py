@@ -4,7 +4,7 @@ import struct
 from typing import NamedTuple
 
 import numpy as np
-from isal import igzip_lib, isal_zlib
+from isal import isal_zlib
 
 
 _SHORT, _LONG = 3, 4
@@ -145,7 +145,7 @@ def _unpacked(data: bytes, compression: int, expected: int) -> int:
     inflater = isal_zlib.decompressobj()
     try:
         found = len(inflater.decompress(data, expected + 1))
-    except igzip_lib.IsalError:
+    except isal_zlib.error:  # type: ignore[misc]  # Its stub calls the class an exception.
         return -1
     return found if inflater.eof else -1
 
