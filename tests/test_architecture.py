@@ -86,7 +86,6 @@ HOME_OF = {
     "yarl": {"web"},
     "numba": {
         "photographs/native_loops.py",
-        "simulation/native_loops.py",
         "stripes/choosing/native_loops.py",
         "stripes/fitting/loops/rows.py",
         "stripes/search/native_loops.py",

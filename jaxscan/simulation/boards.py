@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.simulation.camera import Blur, blurred, integrate, psf_weights
-from jaxscan.simulation.printing import Print
+from jaxscan.simulation.printing import Print, between_cells
 from jaxscan.simulation.rays import Numbers
 from jaxscan.simulation.rig import Motion, TrueRig
 
@@ -55,17 +55,12 @@ class SeenBoard:
 
     def albedo(self, bx: np.ndarray, by: np.ndarray) -> np.ndarray:
         """Albedo of the print by a quadratic spline over its cells, float32."""
-        # Here, because it loads numba.
-        from jaxscan.simulation.native_loops import between_cells
-
         p = self.picture
         row, column = (
             ((place - place.dtype.type(start)) * place.dtype.type(1 / p.cell)).astype(np.float32, copy=False)
             for place, start in ((by, p.origin[1]), (bx, p.origin[0]))
         )
-        total = np.empty(bx.shape, np.float32)
-        between_cells(p.albedo, row.ravel(), column.ravel(), total.ravel())
-        return total
+        return between_cells(p.albedo, row, column)
 
     def normal(self) -> np.ndarray:
         """Unit normal towards the camera, camera frame."""
