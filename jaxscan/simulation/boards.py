@@ -112,12 +112,17 @@ def cover(rig: TrueRig, board: SeenBoard, depth: np.ndarray, blur: Blur) -> Cove
     left, right = max(0, columns[0] - radius - 1), min(width, columns[-1] + radius + 2)
     pixel = float(np.median(depth[seen])) / rig.config.camera.fx
     fine = SeenBoard(board.picture.smoothed(pixel / SAMPLES), board.board_from_camera)
-    fills = np.empty((bottom - top, right - left), np.float32)
-    albedo = np.empty_like(fills)
+    fills = np.zeros((bottom - top, right - left), np.float32)
+    albedo = np.zeros_like(fills)
     for start in range(top, bottom, _STRIP):
         end = min(start + _STRIP, bottom)
-        part = slice(start - top, end - top)
-        fills[part], albedo[part] = _strip(rig, fine, slice(start, end), slice(left, right), blur)
+        # A board that is turned reaches over a part of the columns in each strip.
+        beside = np.flatnonzero(seen[max(0, start - radius - 1) : end + radius + 1].any(0))
+        if not len(beside):
+            continue
+        first, last = max(left, beside[0] - radius - 1), min(right, beside[-1] + radius + 2)
+        part = slice(start - top, end - top), slice(first - left, last - left)
+        fills[part], albedo[part] = _strip(rig, fine, slice(start, end), slice(first, last), blur)
     return Cover((slice(top, bottom), slice(left, right)), fills, albedo, fine)
 
 
