@@ -85,7 +85,6 @@ HOME_OF = {
     "aiohttp": {"web", "viewer", "cli/console"},
     "yarl": {"web"},
     "numba": {
-        "photographs/native_loops.py",
         "stripes/choosing/native_loops.py",
         "stripes/fitting/loops/rows.py",
         "stripes/search/native_loops.py",
