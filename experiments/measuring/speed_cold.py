@@ -1,6 +1,6 @@
 """The first result, for `speed.py`: the demo, and a calibration of its boards, in processes of their own.
 
-"Cold" means that nothing is compiled: neither JAX nor numba finds anything on the disk. "Again" is
+"Cold" means that nothing is compiled: JAX finds nothing on the disk. "Again" is
 the same command in a new process, with the compiled code of the first one; it renders everything anew.
 """
 
@@ -40,7 +40,7 @@ def cold_figures(scratch: Path) -> list[Figure]:
 def _run(cache: Path, *words: str) -> tuple[dict[str, Any], float, float]:
     """The JSON that `jaxscan` prints, its wall time and its processor time [s]."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
-    environment |= {"XDG_CACHE_HOME": str(cache), "NUMBA_CACHE_DIR": str(cache / "numba")}
+    environment |= {"XDG_CACHE_HOME": str(cache)}
     command = [sys.executable, "-m", "jaxscan.cli.main", *words, "--json", "-"]
     started, before = time.perf_counter(), os.times()
     done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True)

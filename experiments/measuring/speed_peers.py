@@ -2,7 +2,7 @@
 
 All pipelines end in coloured points: `horus` as the well-known desk scanner does it, operation by
 operation; `usual` the same for all rows at once; `lean` the least that gives a centroid. `fused`
-and `read` are bounds: one native pass for peak and centroid, and one over the bytes alone.
+and `read` are bounds: peak and centroid alone, in 8 bit, and one pass over the bytes.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import cv2
 import jax
-import numba
 import numpy as np
 from paper.methods import horus_stripes
 from worlds.speed_scene import DISTORTION, HEIGHT, WIDTH
@@ -20,7 +19,7 @@ from jaxscan.geometry import Scanner
 
 
 THREADS = 2
-"""As many as there are cores: frames over threads, since NumPy, OpenCV and the kernels let go of the lock."""
+"""As many as there are cores: frames over threads, since NumPy and OpenCV let go of the lock."""
 REACH = horus_stripes.REACH
 _ROWS = np.arange(HEIGHT)[:, None]
 
@@ -134,62 +133,30 @@ def _results(pairs: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.zeros((*shape, 3), np.float32), np.zeros((*shape, 3), np.uint8), np.full(shape, np.nan, np.float32)
 
 
-@numba.njit(nogil=True, error_model="numpy")
-def _fused(on, off, u, top):
-    """Peak and centroid of each row [rows, columns]; the width must be a multiple of 64.
-
-    Everything that touches all bytes stays in 8 bit: blocks of 64, one register each, whose
-    maximum goes into a key with the block's number. Only the winning block is searched for the
-    place, and only 17 pixels make the centroid, all still in the nearest cache.
-    """
-    for row in range(on.shape[0]):
-        best = np.uint16(0)
-        for block in range(WIDTH // 64):
-            highest = np.uint8(0)
-            for i in range(64):
-                x, y = on[row, 64 * block + i], off[row, 64 * block + i]
-                difference = np.uint8((x if x > y else y) - y)
-                highest = difference if difference > highest else highest
-            # The first of equals wins.
-            key = np.uint16((np.uint16(highest) << 8) | np.uint16(255 - block))
-            best = key if key > best else best
-        peak = np.uint8(best >> 8)
-        start = 64 * (255 - np.int64(best & 255))
-        place = np.int32(64)
-        for i in range(64):
-            x, y = on[row, start + i], off[row, start + i]
-            here = np.int32(i) if np.uint8((x if x > y else y) - y) == peak else np.int32(64)
-            place = here if here < place else place
-        first = min(max(start + place - REACH, 0), WIDTH - 2 * REACH - 1)
-        total, moment = np.int32(0), np.int32(0)
-        for i in range(2 * REACH + 1):
-            x, y = on[row, first + i], off[row, first + i]
-            weight = np.int32(np.uint8((x if x > y else y) - y))
-            total += weight
-            moment += np.int32(i) * weight
-        u[row] = np.float32(first) + np.float32(moment) / np.float32(total) if total > 0 else np.float32(-1)
-        top[row] = peak
-
-
-@numba.njit(nogil=True)
-def _add_up(words):
-    total = np.uint64(0)
-    for i in range(words.size):
-        total += words[i]
-    return total
+def _fused(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Peak and centroid of each row [rows, columns], in 8 bit until 17 pixels of each are left."""
+    difference = cv2.subtract(on, off)
+    # The first of equals wins.
+    place = difference.argmax(-1)
+    first = np.clip(place - REACH, 0, WIDTH - 2 * REACH - 1)
+    near = np.lib.stride_tricks.sliding_window_view(difference, 2 * REACH + 1, 1)[np.arange(len(first)), first]
+    total, moment = near.sum(-1, dtype=np.float32), near @ np.arange(2 * REACH + 1, dtype=np.float32)
+    u = np.where(total > 0, first + moment / np.maximum(total, 1), -1)
+    return u, difference[np.arange(len(place)), place]
 
 
 def fused(on: np.ndarray, off: np.ndarray, pool: ThreadPoolExecutor) -> Peer:
-    """Peak and centroid of every row in one native pass over the bytes, on all cores."""
+    """Peak and centroid of every row, with OpenCV and NumPy, on all cores."""
     u, top = np.zeros((len(on), HEIGHT), np.float32), np.zeros((len(on), HEIGHT), np.uint8)
-    several = 8
+    several = 1
 
-    def some(start: int) -> None:
-        rows = slice(start, start + several)
-        _fused(*(stack[rows].reshape(-1, WIDTH) for stack in (on, off)), u[rows].reshape(-1), top[rows].reshape(-1))
+    def look(start: int) -> None:
+        some = slice(start, start + several)
+        centre, peak = _fused(*(stack[some].reshape(-1, WIDTH) for stack in (on, off)))
+        u[some], top[some] = centre.reshape(-1, HEIGHT), peak.reshape(-1, HEIGHT)
 
     def run() -> int:
-        list(pool.map(some, range(0, len(on), several)))
+        list(pool.map(look, range(0, len(on), several)))
         return u.size
 
     return Peer(run, u)
@@ -199,4 +166,4 @@ def read(on: np.ndarray, off: np.ndarray, pool: ThreadPoolExecutor) -> Callable[
     """Add up all bytes, eight at a time, on all cores: the cost of reading the frames."""
     words = (stack.reshape(-1).view(np.uint64) for stack in (on, off))
     parts = [part for whole in words for part in np.array_split(whole, 8 * THREADS)]
-    return lambda: list(pool.map(_add_up, parts))
+    return lambda: list(pool.map(np.sum, parts))

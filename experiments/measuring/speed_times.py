@@ -103,7 +103,7 @@ def machine() -> dict[str, str]:
     """Date, processor, versions and load of this run."""
     with open("/proc/cpuinfo") as info:
         names = [line.split(":", 1)[1].strip() for line in info if line.startswith("model name")]
-    packages = ("jax", "numba", "numpy", "opencv-python-headless")
+    packages = ("jax", "numpy", "opencv-python-headless")
     versions = [f"Python {platform.python_version()}", *(f"{name} {version(name)}" for name in packages)]
     return {
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),

@@ -3,17 +3,23 @@
 The code depends on the number of records, the board and the rig, which header and journal tell before an image is read.
 """
 
+import contextlib
 import functools
+import hashlib
 import threading
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
+from importlib import metadata
+from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
-from jaxscan.api.kept_code import is_kept, remember
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
+from jaxscan.errors import OutputError
 from jaxscan.files.capture import Capture
+from jaxscan.files.disk import write_atomically
 from jaxscan.geometry import AbstractBoard, Turntable, exponential
 from jaxscan.geometry.scanner import UP_VECTORS
 from jaxscan.observation import BoardViews, Observations, StripeViews
@@ -27,6 +33,8 @@ _TILT_RAD = 0.45
 _FOCAL, _FILLED = 0.9, 0.5
 _POINTS = 512
 _LEAST_POINTS = 8
+
+_COMPILERS = ("jaxscan", "jax", "jaxlib", "equinox")
 
 _rehearsed: set[Hashable] = set()
 _one_at_a_time = threading.Lock()
@@ -52,7 +60,7 @@ def rehearsal(
     sizes = count.bit_length(), len(board.corners()).bit_length(), len(first.lasers), first.carries
     key = ("calibration", *sizes, settings.camera, settings.free, settings.only, settings.judge, stripes, again)
     with _one_at_a_time:
-        if key in _rehearsed or is_kept(key):
+        if key in _rehearsed or _is_kept(key):
             return []
         _rehearsed.add(key)
     made_up = functools.cache(lambda: _observations(captures, board, stripes=stripes))
@@ -67,9 +75,34 @@ def rehearsal(
 
     def end() -> None:
         last()
-        remember(key)
+        _remember(key)
 
     return [*jobs, (name, end)]
+
+
+def _is_kept(kind: Hashable) -> bool:
+    """Whether a note beside JAX's compiled code says that the code for a kind of work, told by its `repr`, is there."""
+    note = _note(kind)
+    return note is not None and note.exists()
+
+
+def _remember(kind: Hashable) -> None:
+    """Write that note; without a cache on disk, nothing."""
+    note = _note(kind)
+    # A cache that cannot be written to is no fault of the work.
+    with contextlib.suppress(OutputError):
+        if note is not None:
+            text = f"compiled and kept here: {kind!r}\n"
+            write_atomically(note, text.encode(), durable=False, error=OutputError, links="replace")
+
+
+def _note(kind: Hashable) -> Path | None:
+    folder = jax.config.values["jax_compilation_cache_dir"]
+    if not folder:
+        return None
+    versions = [f"{name} {metadata.version(name)}" for name in _COMPILERS]
+    words = repr((kind, versions, jax.default_backend()))
+    return Path(folder) / f"compiled-{hashlib.sha256(words.encode()).hexdigest()[:16]}"
 
 
 def _observations(captures: Sequence[Capture], board: AbstractBoard, *, stripes: bool) -> Observations:

@@ -4,7 +4,6 @@ import importlib.resources
 import shlex
 import time
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -12,11 +11,9 @@ import numpy as np
 import tyro
 
 from jaxscan import api
-from jaxscan.api.ahead import Ahead
-from jaxscan.api.sweep_rehearsal import ExpectedSweep
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import Place, calibration_at, capture_at, check_paths, file_at
-from jaxscan.cli.process.apart import rehearse_apart, sweep_apart
+from jaxscan.cli.process.apart import sweep_apart
 from jaxscan.cli.process.terminal import Terminal, table
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import CaptureError, MeasurementError
@@ -26,14 +23,12 @@ from jaxscan.geometry import Array, Scanner, Turntable
 from jaxscan.measurement import RoomBox
 from jaxscan.report import room_picture
 from jaxscan.simulation import SimulationConfig, true_scanner
-from jaxscan.stripes import LaserLine
 from jaxscan.vision import encode_png
 
 
 COLUMNS = ("", "measured m", "truth m", "error mm", "predicted sigma mm")
 FILES = ("calibration.json", "room.ply", "room.png")
 PATCH_M = 0.1
-COMPILED = "stripes and points"
 
 
 def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"), json: JsonTarget = None) -> None:
@@ -55,20 +50,15 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
     with importlib.resources.as_file(importlib.resources.files("jaxscan.data") / "demo.toml") as path:
         config = api.load_simulation(path)
 
-    # The code of the reconstruction is compiled while frames are rendered and boards looked at.
-    with Ahead([(COMPILED, partial(rehearse_apart, _expected(config)))]) as ahead:
-        captures, calibration = _calibrated(config, output / "captures", out, seconds)
-        api.save_calibration(calibration, output / "calibration.json")
-        scanner = api.load_scanner(output / "calibration.json")
-        sweep = api.open_capture(captures.sweep)
+    captures, calibration = _calibrated(config, output / "captures", out, seconds)
+    api.save_calibration(calibration, output / "calibration.json")
+    scanner = api.load_scanner(output / "calibration.json")
+    sweep = api.open_capture(captures.sweep)
 
-        lap = time.perf_counter()
-        with progress_bar("Reconstructing") as progress:
-            progress(0, len(sweep))
-            ahead.wait(COMPILED, progress)
-            progress.doing("finding stripes")
-            cloud = api.reconstruct(sweep, scanner, progress=progress)
-        seconds["reconstruct"] = time.perf_counter() - lap
+    lap = time.perf_counter()
+    with progress_bar("Reconstructing") as progress:
+        cloud = api.reconstruct(sweep, scanner, progress=progress)
+    seconds["reconstruct"] = time.perf_counter() - lap
     lap = time.perf_counter()
     with progress_bar("Colouring from photographs") as progress:
         cloud = api.colour_cloud(cloud, sweep, scanner, progress=progress)
@@ -189,13 +179,6 @@ def _calibrate(boards: Path, out: Terminal, seconds: dict[str, float]) -> api.Ca
     seconds["calibrate"] = time.perf_counter() - lap
     out.print(f"calibrated from {len(capture)} board pairs in {seconds['calibrate']:.1f} s")
     return calibration
-
-
-def _expected(config: SimulationConfig) -> ExpectedSweep:
-    """The sweep of the first laser."""
-    camera, laser = config.camera, config.laser[0]
-    line = LaserLine(laser.name, laser.colour, laser.stripe_axis)
-    return ExpectedSweep((camera.width, camera.height), config.sensor.pixel_format, line, config.plan.steps)
 
 
 def _room_rows(box: RoomBox, config: SimulationConfig) -> list[dict[str, Any]]:

@@ -109,7 +109,6 @@ def _look_at_machine(out: Terminal, json: str | None) -> None:
     checks = [
         _try("JAX", True, _jax),
         _try("OpenCV", True, lambda: _version("cv2", "opencv-python-headless")),
-        _try("Numba", True, lambda: _version("numba", "numba")),
         _try("optimistix", True, lambda: _version("optimistix", "optimistix")),
         _try("matplotlib (reports)", False, lambda: _version("matplotlib.figure", "matplotlib")),
     ]

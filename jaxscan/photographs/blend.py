@@ -7,8 +7,11 @@ with the number of photographs, and what a few of them mistake does not bleed in
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, UInt8
+
+from jaxscan.geometry import Array
 
 
 ROOM = 3
@@ -18,9 +21,9 @@ ROOM = 3
 class Tally(NamedTuple):
     """Colours of points so far."""
 
-    total: Float[np.ndarray, "*n colours 3"]
+    total: Float[Array, "*n colours 3"]
     """Sum of the weighted observations of each [DN]."""
-    weight: Float[np.ndarray, "*n colours"]
+    weight: Float[Array, "*n colours"]
 
     @staticmethod
     def start(rgb: UInt8[np.ndarray, "*n 3"]) -> "Tally":
@@ -29,6 +32,32 @@ class Tally(NamedTuple):
         weight[..., 0] = np.any(rgb != 0, -1)
         total[..., 0, :] = rgb
         return Tally(total, weight)
+
+
+def add(
+    tally: Tally, colour: Float[Array, "3"], weight: Float[Array, ""], tolerance: float | Float[Array, ""]
+) -> Tally:
+    """The tally of one point with one more observation of it.
+
+    Args:
+        tally: So far.
+        colour: Of the observation [DN].
+        weight: Of the observation; 0 for none.
+        tolerance: Difference [DN] up to which colours are the same.
+    """
+    used = tally.weight > 0
+    mean = tally.total / jnp.where(used, tally.weight, 1.0)[:, None]
+    apart = jnp.where(used, jnp.abs(mean - colour[None]).max(-1), jnp.inf)
+    alike = apart.min() <= tolerance
+    # Where all colours are taken, the lightest gives way to a heavier one.
+    slot = jnp.where(alike, jnp.argmin(apart), jnp.argmin(tally.weight))
+    counts = (weight > 0) & (alike | (weight > tally.weight.min()))
+    here = (jnp.arange(len(used)) == slot) & counts
+    before = jnp.where(alike, tally.weight, 0.0), jnp.where(alike, tally.total, 0.0)
+    return Tally(
+        jnp.where(here[:, None], before[1] + weight * colour[None], tally.total),
+        jnp.where(here, before[0] + weight, tally.weight),
+    )
 
 
 def conclude(tally: Tally, tolerance: float) -> UInt8[np.ndarray, "n 3"]:

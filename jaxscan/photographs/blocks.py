@@ -49,11 +49,11 @@ class Blocks:
 
     @staticmethod
     def taken(field: np.ndarray, few: Int[np.ndarray, " few"]) -> np.ndarray:
-        """`AT_ONCE` blocks of a field [blocks, size, 3], some again and again where there are fewer: [n, 3].
+        """`AT_ONCE` blocks of a field [blocks, size, ...], some again and again where there are fewer: [n, ...].
 
         Always as many, or each number of them would be compiled.
         """
-        return field[np.resize(few, AT_ONCE)].reshape(-1, 3)
+        return field[np.resize(few, AT_ONCE)].reshape(-1, *field.shape[2:])
 
     def seen_from(self, pose: Float[np.ndarray, "4 4"], least_cosine: float) -> list[Int[np.ndarray, " few"]]:
         """Blocks that may reach into the cone of a view about the z axis of its pose, `AT_ONCE` at a time."""

@@ -5,15 +5,31 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from jaxscan.photographs.blend import Tally, conclude
+from jaxscan.geometry import Array
+from jaxscan.photographs.blend import Tally, add, conclude
 from jaxscan.photographs.blocks import Blocks
 from jaxscan.photographs.occluder import Distances, Occluder
-from jaxscan.photographs.photograph import Photograph, Photographs
-from jaxscan.photographs.view import Lens, View, pose_finder, sights
+from jaxscan.photographs.photograph import Photograph, Photographs, read_image
+from jaxscan.photographs.view import Lens, View, dot, pose_finder, sight
 from jaxscan.reconstruction.ahead import map_ahead, workers
+
+
+STEEPEST_SEEN = 6.0
+"""Ways along a surface for one across it, seen from the camera: beyond, no colour is taken."""
+UNKNOWN_FACING = 0.5
+"""Cosine to the line of sight that a surface without normal is taken to have."""
+SKIN = 0.012
+"""Depth, relative to the distance, by which a point may lie behind the surface without being hidden."""
+FEATHER = 0.15
+"""Share of the image, on each side, over which the weight rises from its border."""
+SATURATED = 254
+"""From this code on a pixel says nothing about the colour."""
+POINTS_AT_ONCE = 1 << 11
+"""Points that are looked up in a photograph by one call."""
 
 
 class BlendSettings(NamedTuple):
@@ -34,18 +50,18 @@ DEFAULT_BLEND = BlendSettings()
 class _Places(NamedTuple):
     """Points, and their unit normals; zero where there is none."""
 
-    points: Float[np.ndarray, "*n 3"]
-    normals: Float[np.ndarray, "*n 3"]
+    points: Float[Array, "*n 3"]
+    normals: Float[Array, "*n 3"]
 
 
 class _Shot(NamedTuple):
     """A photograph, and all that is known about it."""
 
     angle: float
-    image: UInt8[np.ndarray, "rows columns 3"]
+    image: UInt8[Array, "rows columns 3"]
     view: View
     distances: Distances
-    gain: Float[np.ndarray, "3"]
+    gain: Float[Array, "3"]
 
 
 def colour_points(
@@ -91,20 +107,29 @@ def colour_points(
         pose_at = pose_finder(photographs.scanner)
         places = _Places(blocks.gather(points), blocks.gather(unit))
         tally = Tally.start(blocks.gather(np.zeros((len(points), 3), np.uint8) if start is None else start))
-        seen = np.zeros(tally.weight.shape[:2], np.bool_)
+        tally = Tally(*(field.reshape(-1, *field.shape[2:]) for field in tally))
+        seen = np.zeros(len(tally.weight), np.bool_)
 
         def prepare(photograph: Photograph) -> _Shot:
             shot = _prepared(photograph, lens, pose_at(photograph.angle), occluder)
             return shot if occluder is None or not settings.exposure else shot._replace(gain=_gain(shot, occluder))
 
-        def look(few: np.ndarray, shot: _Shot) -> None:
-            padded = _Places(*(blocks.taken(field, few) for field in places))
-            colours, weights = _observed(shot, padded, settings.bearing)
-            for number, block in enumerate(few):
-                mine = slice(number * blocks.size, (number + 1) * blocks.size)
-                found = colours[mine], weights[mine]
-                _add(found, shot.gain, settings.tolerance_dn, (tally.total[block], tally.weight[block]))
-                seen[block] |= weights[mine] > 0
+        def weigh(few: np.ndarray, shot: _Shot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            """Which points of some blocks the photograph may show, where, and with what weight."""
+            here = _Places(*(blocks.taken(np.asarray(field), few) for field in places))
+            q, weight = _weighed(shot, here, settings.bearing)
+            count = np.flatnonzero(weight[: len(few) * blocks.size])
+            return few[count // blocks.size] * blocks.size + count % blocks.size, q[count], weight[count]
+
+        def look(shot: _Shot, which: np.ndarray, q: np.ndarray, weight: np.ndarray) -> None:
+            """Add what the photograph shows of points to their tally."""
+            full = _full(np.arange(len(which)))
+            before = Tally(*(field[which[full]] for field in tally))
+            with jax.enable_x64(False):
+                after, shown = _looked_up(shot.image, shot.gain, q[full], weight[full], before, settings.tolerance_dn)
+            for field, part in zip(tally, after, strict=True):
+                field[which] = np.asarray(part)[: len(which)]
+            seen[which] |= np.asarray(shown)[: len(which)]
 
         def visible(angle: float) -> list[np.ndarray]:
             return blocks.seen_from(pose_at(angle), float(lens.least_cosine))
@@ -112,10 +137,15 @@ def colour_points(
         # While points are looked up in one photograph, the next one is prepared.
         shots = photographs.where(lambda angle: len(visible(angle)) > 0)
         for shot in map_ahead(prepare, shots, 1):
-            for _ in pool.map(look, visible(shot.angle), itertools.repeat(shot)):
-                pass
-        each = pool.map(lambda part: conclude(Tally(*part), settings.tolerance_dn), zip(*tally, strict=True))
-        return blocks.scatter(np.stack(list(each))), blocks.scatter(seen)
+            found = zip(*pool.map(weigh, visible(shot.angle), itertools.repeat(shot)), strict=True)
+            parts = [np.concatenate(part) for part in found]
+            cuts = range(POINTS_AT_ONCE, len(parts[0]), POINTS_AT_ONCE)
+            if len(parts[0]):
+                for _ in pool.map(look, itertools.repeat(shot), *(np.split(part, cuts) for part in parts)):
+                    pass
+        each = (field.reshape(-1, blocks.size, *field.shape[1:]) for field in tally)
+        rgb = pool.map(lambda part: conclude(Tally(*part), settings.tolerance_dn), zip(*each, strict=True))
+        return blocks.scatter(np.stack(list(rgb))), blocks.scatter(seen.reshape(-1, blocks.size))
 
 
 def _prepared(photograph: Photograph, lens: Lens, pose: np.ndarray, occluder: Occluder | None) -> _Shot:
@@ -125,7 +155,8 @@ def _prepared(photograph: Photograph, lens: Lens, pose: np.ndarray, occluder: Oc
         # On the device: it is handed to many calls.
         view = jax.device_put(View(lens, pose))
         distances = Distances.of_nothing() if occluder is None else occluder.distances(view)
-    return _Shot(photograph.angle, np.ascontiguousarray(photograph.image), view, distances, np.ones(3, np.float32))
+        image, distances = jax.device_put((np.ascontiguousarray(photograph.image), distances))
+    return _Shot(photograph.angle, image, view, distances, np.ones(3, np.float32))
 
 
 LEAST_COMMON = 50
@@ -141,8 +172,15 @@ def _gain(shot: _Shot, occluder: Occluder) -> Float[np.ndarray, "3"]:
     The stripes in a photograph are from photographs on both sides of it, so that errors do not add up along a turn.
     """
     points, rgb = occluder.references
-    colour, weight = _observed(shot, _Places(points, np.zeros_like(points)), np.inf)
-    use = (weight > 0)[:, None] & (colour > LEAST_DN) & (rgb > LEAST_DN) & (rgb < 250.0)
+    q, weight = _weighed(shot, _Places(points, np.zeros_like(points)), np.inf)
+    colour, known = np.zeros_like(points), np.zeros(len(points), np.bool_)
+    count = np.flatnonzero(weight)
+    for start in range(0, len(count), POINTS_AT_ONCE):
+        few = count[start : start + POINTS_AT_ONCE]
+        with jax.enable_x64(False):
+            found, brightest = (np.asarray(part)[: len(few)] for part in _read(shot.image, q[_full(few)]))
+        colour[few], known[few] = found, brightest < SATURATED
+    use = known[:, None] & (colour > LEAST_DN) & (rgb > LEAST_DN) & (rgb < 250.0)
     gain = np.ones(3, np.float32)
     for k in range(3):
         ratio = rgb[use[:, k], k] / colour[use[:, k], k]
@@ -152,20 +190,69 @@ def _gain(shot: _Shot, occluder: Occluder) -> Float[np.ndarray, "3"]:
     return gain
 
 
-def _observed(shot: _Shot, places: _Places, bearing: float) -> tuple[np.ndarray, np.ndarray]:
-    """Colours of points in a photograph [DN], and their weights: 0 where it shows something else."""
-    # Here, because it loads numba: whoever reads no colours does not wait for that.
-    from jaxscan.photographs.native_loops import observe
+def _full(few: np.ndarray) -> np.ndarray:
+    """Numbers of points, some again and again: always as many, or each number of them would be compiled."""
+    return np.resize(few, POINTS_AT_ONCE)
 
+
+def _weighed(shot: _Shot, places: _Places, bearing: float) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of points in a photograph, and their weights."""
     with jax.enable_x64(False):
-        seen = tuple(np.asarray(part) for part in sights(shot.view, places.points))
-    found = np.empty(places.points.shape, np.float32), np.empty(len(places.points), np.float32)
-    rules = shot.distances.nearest, shot.distances.cell, float(shot.view.lens.per_pixel), float(bearing)
-    observe(shot.image, tuple(places), seen, np.asarray(shot.view.T_scanner_cam), rules, found)
-    return found
+        q, weight = _weights(shot.view, shot.distances, places, None if bearing == np.inf else bearing)
+        return np.asarray(q), np.asarray(weight)
 
 
-def _add(found: tuple[np.ndarray, np.ndarray], gain: np.ndarray, tolerance: float, tally: tuple) -> None:
-    from jaxscan.photographs.native_loops import add
+def _weigh(
+    view: View, distances: Distances, place: _Places, bearing: float | Float[Array, ""] | None
+) -> tuple[Float[Array, "2"], Float[Array, ""]]:
+    """Pixel of a point in a photograph, and its weight: at most 1, and 0 where it shows something else."""
+    point, normal = place
+    pose, camera, cell = view.T_scanner_cam, view.lens.camera, distances.cell
+    (u, v), range_m, inside = seen = sight(view, point)
+    cosine = jnp.where(dot(normal, normal) > 0, dot(normal, pose[:3, 3] - point) / range_m, UNKNOWN_FACING)
+    # Whether something stands before the point, or so near its line of sight that their light could mix. A slanted
+    # surface is nearer beside the point: within two cells by so much.
+    facing = jnp.clip(cosine, 1 / STEEPEST_SEEN, 1.0)
+    slope = jnp.sqrt(1 - facing * facing) / facing
+    row, column = (jnp.floor((at + 0.5) / cell).astype(jnp.int32) + 1 for at in (v, u))
+    # Places outside the image are looked up at its border, and do not count.
+    before = jnp.asarray(distances.nearest).at[row, column].get(mode="clip")
+    hidden = range_m * (1 - SKIN - 2 * cell * view.lens.per_pixel * slope) > before
+    # Resolution on the surface, in both directions of the image; next to that, the distance from the middle of the
+    # rig changes little.
+    away = jnp.minimum(jnp.sqrt(dot(point, point)) / jnp.maximum(range_m, 1e-3), 2.0)
+    weight = jnp.minimum(cosine, 1.0) * away * away * jnp.minimum(_rise(u, camera.width), _rise(v, camera.height))
+    if bearing is not None:
+        off = jnp.arctan2(pose[0, 2] * point[1] - pose[1, 2] * point[0], pose[0, 2] * point[0] + pose[1, 2] * point[1])
+        weight = weight * jnp.exp(-0.5 * (off / bearing) ** 2)
+    shown = inside & (cosine > 1 / STEEPEST_SEEN) & ~hidden
+    return seen.q, jnp.where(shown, jnp.minimum(weight, 1.0), 0.0)
 
-    add(found, gain, float(tolerance), tally)
+
+def _rise(place: Float[Array, ""], size: int) -> Float[Array, ""]:
+    """From 0 at both ends of an axis of the image to 1, smoothly."""
+    t = jnp.clip(jnp.minimum(place, size - 1 - place) / (FEATHER * size), 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+_weights = jax.jit(jax.vmap(_weigh, (None, None, 0, None)))
+_read = jax.jit(jax.vmap(read_image, (None, 0)))
+
+
+@jax.jit
+def _looked_up(
+    image: UInt8[Array, "rows columns 3"],
+    gain: Float[Array, "3"],
+    q: Float[Array, "n 2"],
+    weight: Float[Array, " n"],
+    tally: Tally,
+    tolerance: float | Float[Array, ""],
+) -> tuple[Tally, Bool[Array, " n"]]:
+    """The tally of points after a photograph, and which of them it shows."""
+
+    def one(q: Float[Array, "2"], weight: Float[Array, ""], before: Tally) -> tuple[Tally, Bool[Array, ""]]:
+        colour, brightest = read_image(image, q)
+        weight = jnp.where(brightest < SATURATED, weight, 0.0)
+        return add(before, colour * gain, weight, tolerance), weight > 0
+
+    return jax.vmap(one)(q, weight, tally)

@@ -3,13 +3,15 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 
-from jaxscan.geometry import Scanner
+from jaxscan.geometry import Array, Scanner
 from jaxscan.photographs.blocks import Blocks
 from jaxscan.photographs.surface import surface_samples
-from jaxscan.photographs.view import Lens, View, sights
+from jaxscan.photographs.view import Lens, View, sight
 from jaxscan.reconstruction import PointCloud
 
 
@@ -51,14 +53,12 @@ class Occluder:
 
     def distances(self, view: View) -> Distances:
         """The surface in one view."""
-        # Here, because it loads numba: whoever reads no colours does not wait for that.
-        from jaxscan.photographs.native_loops import draw
-
         nearest = np.full(self.shape, np.inf, np.float32)
         if self.surface is not None:
             blocks, points = self.surface
             for few in blocks.seen_from(np.asarray(view.T_scanner_cam), float(view.lens.least_cosine)):
-                draw(tuple(np.asarray(part) for part in sights(view, blocks.taken(points, few))), self.cell, nearest)
+                seen = _first_cells(view, blocks.taken(points, few), self.cell, self.shape[1])
+                np.minimum.at(nearest.reshape(-1), *(np.asarray(part) for part in seen))
         return Distances(_spread(nearest), self.cell)
 
 
@@ -85,6 +85,19 @@ def make_occluder(cloud: PointCloud, scanner: Scanner) -> Occluder:
     chosen = np.linspace(0, len(xyz) - 1, REFERENCES).astype(int)
     shape = -(-camera.height // cell) + 2, -(-camera.width // cell) + 2
     return Occluder((blocks, blocks.gather(xyz)), (xyz[chosen], rgb[chosen]), cell, shape)
+
+
+@jax.jit
+def _first_cells(
+    view: View, points: Float[Array, "n 3"], cell: int | Int[Array, ""], columns: int | Int[Array, ""]
+) -> tuple[Int[Array, " n"], Float[Array, " n"]]:
+    """Number of the first of the four cells that each sample covers, two on each axis, and its distance [m].
+
+    Samples outside the image are infinitely far behind the corner of the border.
+    """
+    q, range_m, inside = jax.vmap(sight, (None, 0))(view, points)
+    column, row = jnp.floor((q.T + 0.5) / cell - 0.5).astype(jnp.int32) + 1
+    return jnp.where(inside, row * columns + column, 0), jnp.where(inside, range_m, jnp.inf)
 
 
 def _spread(nearest: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:

@@ -1,4 +1,4 @@
-"""Photographs of the room: the laser-off frames of a sweep, as RGB images."""
+"""Photographs of the room: the laser-off frames of a sweep, as RGB images, and their colours between the pixels."""
 
 import functools
 from collections.abc import Callable, Iterable, Iterator
@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from jaxscan.geometry import Array, Scanner
 from jaxscan.stripes import PixelFormat
@@ -113,3 +113,37 @@ def _demosaic(frame: UInt8[Array, "rows columns"], *, tile: str) -> UInt8[Array,
             plane = jnp.where(site == number, found, plane)
         planes.append(plane)
     return jnp.clip(jnp.round(jnp.stack(planes, -1)), 0, 255).astype(jnp.uint8)
+
+
+def read_image(
+    image: UInt8[Array, "rows columns 3"], q: Float[Array, "2"]
+) -> tuple[Float[Array, "3"], Float[Array, ""]]:
+    """Colour of an image at a pixel (u, v), by cubic convolution, and the brightest code that it is made of [DN].
+
+    Pixels on the border repeat beyond it. A colour is no darker and no brighter than the pixels about it: beside an
+    edge the cubic would be.
+    """
+    pixels, (rows, columns, _) = jnp.asarray(image), image.shape
+    left, top = jnp.floor(q)
+    across, down = _cubic(q[0] - left), _cubic(q[1] - top)
+    total, low, high = jnp.zeros(3, jnp.float32), jnp.full(3, 255, jnp.float32), jnp.zeros(3, jnp.float32)
+    # Written out, XLA keeps the sixteen pixels in registers; as an array [4, 4, 3] they take four times as long.
+    for i in range(4):
+        row, along = jnp.clip(top.astype(jnp.int32) + i - 1, 0, rows - 1), jnp.zeros(3, jnp.float32)
+        for j in range(4):
+            column = jnp.clip(left.astype(jnp.int32) + j - 1, 0, columns - 1)
+            level = pixels.at[row, column].get(mode="promise_in_bounds").astype(jnp.float32)
+            along += across[j] * level
+            low, high = jnp.minimum(low, level), jnp.maximum(high, level)
+        total += down[i] * along
+    return jnp.clip(total, low, high), high.max()
+
+
+def _cubic(t: Float[Array, ""]) -> tuple[Float[Array, ""], ...]:
+    """Weights of four pixels in a row, `t` after the second of them.
+
+    Source: Keys, Cubic convolution interpolation for digital image processing, 1981.
+    """
+    t2, t3 = t * t, t * t * t
+    first, second = -0.5 * t + t2 - 0.5 * t3, 1.0 - 2.5 * t2 + 1.5 * t3
+    return first, second, 0.5 * t + 2.0 * t2 - 1.5 * t3, -0.5 * t2 + 0.5 * t3

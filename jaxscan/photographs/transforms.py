@@ -13,6 +13,7 @@ from jaxtyping import Float, UInt8
 
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, Array, Fisheye, Pinhole, Scanner
+from jaxscan.photographs.photograph import read_image
 from jaxscan.photographs.view import poses
 
 
@@ -83,20 +84,19 @@ def undistort(
     image: UInt8[np.ndarray, "rows columns 3"], camera: AbstractCamera, ideal: Pinhole
 ) -> UInt8[np.ndarray, "height width 3"]:
     """A photograph as another camera at the same place would have taken it; black where it shows nothing."""
-    # Here, because it loads numba: whoever reads no colours does not wait for that.
-    from jaxscan.photographs.native_loops import read
-
     with jax.enable_x64(False):
         single, other = (jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), one) for one in (camera, ideal))
-        places = np.asarray(_places(single, other))
-    colours = np.empty((len(places), 3), np.float32)
-    read(image, places, colours)
-    inside = np.all((places >= -0.5) & (places <= np.array(image.shape[1::-1], np.float32) - 0.5), -1)
-    return np.where(inside[:, None], np.rint(colours), 0).astype(np.uint8).reshape(ideal.height, ideal.width, 3)
+        return np.asarray(_undistorted(image, single, other))
 
 
 @jax.jit
-def _places(camera: AbstractCamera, ideal: Pinhole) -> Float[Array, "n 2"]:
-    """Where a camera has each pixel of another one."""
-    v, u = jnp.mgrid[: ideal.height, : ideal.width].astype(jnp.float32)
-    return jax.vmap(lambda q: camera.project(ideal.unproject(q)))(jnp.stack([u.ravel(), v.ravel()], -1))
+def _undistorted(
+    image: UInt8[Array, "rows columns 3"], camera: AbstractCamera, ideal: Pinhole
+) -> UInt8[Array, "height width 3"]:
+    def colour(u: Float[Array, ""], v: Float[Array, ""]) -> UInt8[Array, "3"]:
+        q = camera.project(ideal.unproject(jnp.stack([u, v])))
+        inside = jnp.all((q >= -0.5) & (q <= jnp.array(image.shape[1::-1], jnp.float32) - 0.5))
+        return jnp.where(inside, jnp.round(read_image(image, q)[0]), 0).astype(jnp.uint8)
+
+    u, v = jnp.arange(ideal.width, dtype=jnp.float32), jnp.arange(ideal.height, dtype=jnp.float32)
+    return jax.vmap(jax.vmap(colour, (0, None)), (None, 0))(u, v)

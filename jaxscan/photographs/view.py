@@ -71,21 +71,21 @@ def border_rays(camera: AbstractCamera) -> Float[np.ndarray, "n 3"]:
     return np.asarray(camera.unproject(q))
 
 
+def dot(a: Float[Array, "3"], b: Float[Array, "3"]) -> Float[Array, ""]:
+    """Written out: of a contraction over three components XLA makes a loop for each of many points."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
 def sight(view: View, point: Float[Array, "3"]) -> Sight:
     """A point [scanner frame, m] in a view."""
     camera = view.lens.camera
     rotation, centre = view.T_scanner_cam[:3, :3], view.T_scanner_cam[:3, 3]
-    p = rotation.T @ (point - centre)
-    range_m = jnp.sqrt(jnp.sum(p * p))
+    way = point - centre
+    p = jnp.stack([dot(rotation[:, k], way) for k in range(3)])
+    range_m = jnp.sqrt(dot(p, p))
     q = camera.project(p)
     u, v = q
     inside = (p[2] > view.lens.least_cosine * range_m) & (range_m > 0)
     inside &= (u >= MARGIN_PX) & (u <= camera.width - 1 - MARGIN_PX)
     inside &= (v >= MARGIN_PX) & (v <= camera.height - 1 - MARGIN_PX)
     return Sight(q, range_m, inside)
-
-
-@jax.jit
-def sights(view: View, points: Float[Array, "n 3"]) -> Sight:
-    """`sight` of many points."""
-    return jax.vmap(sight, (None, 0))(view, points)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.simulation.camera import Blur, blurred, integrate, psf_weights
-from jaxscan.simulation.printing import Print
+from jaxscan.simulation.printing import Print, between_cells
 from jaxscan.simulation.rays import Numbers
 from jaxscan.simulation.rig import Motion, TrueRig
 
@@ -55,17 +55,12 @@ class SeenBoard:
 
     def albedo(self, bx: np.ndarray, by: np.ndarray) -> np.ndarray:
         """Albedo of the print by a quadratic spline over its cells, float32."""
-        # Here, because it loads numba.
-        from jaxscan.simulation.native_loops import between_cells
-
         p = self.picture
         row, column = (
             ((place - place.dtype.type(start)) * place.dtype.type(1 / p.cell)).astype(np.float32, copy=False)
             for place, start in ((by, p.origin[1]), (bx, p.origin[0]))
         )
-        total = np.empty(bx.shape, np.float32)
-        between_cells(p.albedo, row.ravel(), column.ravel(), total.ravel())
-        return total
+        return between_cells(p.albedo, row, column)
 
     def normal(self) -> np.ndarray:
         """Unit normal towards the camera, camera frame."""
@@ -117,12 +112,17 @@ def cover(rig: TrueRig, board: SeenBoard, depth: np.ndarray, blur: Blur) -> Cove
     left, right = max(0, columns[0] - radius - 1), min(width, columns[-1] + radius + 2)
     pixel = float(np.median(depth[seen])) / rig.config.camera.fx
     fine = SeenBoard(board.picture.smoothed(pixel / SAMPLES), board.board_from_camera)
-    fills = np.empty((bottom - top, right - left), np.float32)
-    albedo = np.empty_like(fills)
+    fills = np.zeros((bottom - top, right - left), np.float32)
+    albedo = np.zeros_like(fills)
     for start in range(top, bottom, _STRIP):
         end = min(start + _STRIP, bottom)
-        part = slice(start - top, end - top)
-        fills[part], albedo[part] = _strip(rig, fine, slice(start, end), slice(left, right), blur)
+        # A board that is turned reaches over a part of the columns in each strip.
+        beside = np.flatnonzero(seen[max(0, start - radius - 1) : end + radius + 1].any(0))
+        if not len(beside):
+            continue
+        first, last = max(left, beside[0] - radius - 1), min(right, beside[-1] + radius + 2)
+        part = slice(start - top, end - top), slice(first - left, last - left)
+        fills[part], albedo[part] = _strip(rig, fine, slice(start, end), slice(first, last), blur)
     return Cover((slice(top, bottom), slice(left, right)), fills, albedo, fine)
 
 

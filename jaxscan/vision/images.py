@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxscan.errors import CaptureError, DependencyError
 from jaxscan.geometry import MAX_PIXELS
-from jaxscan.vision.png import SIGNATURE, decode_png, png_size
+from jaxscan.vision.png import SIGNATURE, check_png, png_size
 from jaxscan.vision.tiff import Tiff
 from jaxscan.vision.zstd import MAGIC, decode_zstd, zstd_size
 
@@ -173,8 +173,16 @@ def _decode_jpeg(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
 
 
 def _decode_png(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
-    found = decode_png(data, out)
-    return _by_opencv(found) if isinstance(found, bytes) else found
+    unpacked, palette = check_png(data)
+    image = _by_opencv(unpacked)
+    if palette is None:
+        return image
+    # libpng spreads numbers of fewer bits over all levels of grey.
+    depth = data[24]
+    numbers = image // np.uint8(255 // ((1 << depth) - 1))
+    if numbers.max() >= len(palette):
+        raise ValueError("it has a pixel whose colour is not in its palette")
+    return palette[numbers]
 
 
 def _decode_tiff(data: bytes, out: np.ndarray | None = None) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""PNG files, read strictly: every chunk, every checksum and every row, before a pixel is believed.
+"""PNG files, checked before OpenCV decodes them: every chunk, every checksum and every length.
 
 libpng prints errors of its own to standard error, and gives damaged pictures where it can.
 """
@@ -7,6 +7,7 @@ import struct
 import zlib
 
 import numpy as np
+from isal import isal_zlib
 
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -29,16 +30,15 @@ def png_size(data: bytes) -> tuple[int, int]:
     return width, height
 
 
-def decode_png(data: bytes, out: np.ndarray | None = None) -> np.ndarray | bytes:
-    """The pixels of a PNG, after all of the file has been checked. A tRNS chunk is ignored.
+def check_png(data: bytes) -> tuple[bytes, np.ndarray | None]:
+    """Check a whole PNG and unpack it, so that a decoder has only the filters of its rows to undo.
 
     Args:
         data: The whole file. The caller has checked its size.
-        out: Filled and returned where it has the shape of the image, whose samples have 8 bits without a palette.
 
     Returns:
-        uint8 [rows, columns], or RGB [rows, columns, 3], where samples have 8 bits and rows are whole. For other kinds
-        a PNG with only the chunks that the pixels need, for a decoder.
+        The PNG, unpacked, with no chunks but those that its pixels need; and its palette, RGB uint8 [colours, 3], or
+        None. With a palette the PNG is a grey image, whose levels are the numbers of the colours.
 
     Raises:
         ValueError: With the damage.
@@ -53,36 +53,26 @@ def decode_png(data: bytes, out: np.ndarray | None = None) -> np.ndarray | bytes
         raise ValueError("its palette is damaged")
     bits = depth * _CHANNELS[colour]
     passes = _PASSES if interlaced else ((0, 1, 0, 1),)
-    parts = [(-(-(width - x) // across), -(-(height - y) // down)) for x, across, y, down in passes]
-    expected = sum(rows * (1 + (columns * bits + 7) // 8) for columns, rows in parts if columns > 0 and rows > 0)
-    inflater = zlib.decompressobj()
+    parts = [(-(-(height - y) // down), -(-(width - x) // across)) for x, across, y, down in passes]
+    shapes = [(rows, 1 + (columns * bits + 7) // 8) for rows, columns in parts if columns > 0 and rows > 0]
+    expected = sum(rows * length for rows, length in shapes)
+    inflater = isal_zlib.decompressobj()
     try:
         raw = inflater.decompress(packed, expected + 1)
-    except zlib.error as problem:
+    except isal_zlib.error as problem:  # type: ignore[misc]  # Its stub calls the class an exception.
         raise ValueError(f"its data cannot be unpacked: {problem}") from problem
     if len(raw) != expected or not inflater.eof or inflater.unused_data:
         raise ValueError("its data have another length than its rows")
-    if interlaced or depth != 8 or colour not in (0, 2, 3):
-        needed = {b"IHDR": data[16:29], b"PLTE": palette.ljust(3 << depth, b"\0"), b"IDAT": packed, b"IEND": b""}
-        if colour != 3:
-            del needed[b"PLTE"]
-        return SIGNATURE + b"".join(_chunk(kind, content) for kind, content in needed.items())
-    # Here, because it loads numba.
-    from jaxscan.vision.native_loops import unfilter
-
-    channels = _CHANNELS[colour]
-    shape = (height, width, channels) if channels > 1 else (height, width)
-    if colour == 3 or out is None or out.shape != shape or not out.flags.c_contiguous:
-        out = np.empty(shape, np.uint8)
-    pixels = out.reshape(height, -1)
-    if not unfilter(np.frombuffer(raw, np.uint8).reshape(height, -1), channels, pixels):
-        raise ValueError("it has a row with an unknown filter")
-    if colour == 3:
-        colours = np.frombuffer(palette, np.uint8).reshape(-1, 3)
-        if pixels.max() >= len(colours):
-            raise ValueError("it has a pixel whose colour is not in its palette")
-        return colours[pixels]
-    return out
+    start = 0
+    for rows, length in shapes:
+        filters = np.frombuffer(raw, np.uint8, rows * length, start)[::length]
+        if filters.max() > 4:
+            raise ValueError("it has a row with an unknown filter")
+        start += rows * length
+    header = struct.pack(">IIBBBBB", width, height, depth, 0 if colour == 3 else colour, 0, 0, interlaced)
+    unpacked = _chunk(b"IHDR", header) + _chunk(b"IDAT", zlib.compress(raw, 0)) + _chunk(b"IEND", b"")
+    colours = np.frombuffer(palette, np.uint8).reshape(-1, 3) if colour == 3 else None
+    return SIGNATURE + unpacked, colours
 
 
 def _chunks(data: bytes) -> dict[bytes, bytes]:
@@ -94,7 +84,7 @@ def _chunks(data: bytes) -> dict[bytes, bytes]:
         end = at + 12 + length
         if end > len(data):
             break
-        if zlib.crc32(view[at + 4 : end - 4]) != int.from_bytes(view[end - 4 : end], "big"):
+        if isal_zlib.crc32(view[at + 4 : end - 4]) != int.from_bytes(view[end - 4 : end], "big"):
             raise ValueError(f"the checksum of its part {kind!r:.20} is wrong")
         if kind == b"IEND":
             if len(found[b"IHDR"]) != 1 or len(found[b"PLTE"]) > 1:
@@ -109,4 +99,5 @@ def _chunks(data: bytes) -> dict[bytes, bytes]:
 
 
 def _chunk(kind: bytes, content: bytes) -> bytes:
-    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+    checksum = isal_zlib.crc32(content, isal_zlib.crc32(kind))
+    return b"".join((struct.pack(">I", len(content)), kind, content, struct.pack(">I", checksum)))

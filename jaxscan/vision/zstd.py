@@ -24,6 +24,8 @@ _SAMPLE = 32
 _CLEARLY = 0.05
 """How much less another step must need, bits of a pixel."""
 _LEVEL = 1
+_BLOCK = 32
+"""Lines of rows whose differences are undone together; about the root of their number costs least."""
 _LOCAL = threading.local()
 
 
@@ -82,31 +84,59 @@ def decode_zstd(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
     """
     columns, rows, channels, step = _header(data)
     packed = memoryview(data)[_START:]
-    size = rows * columns * channels
+    shape = (rows, columns) if channels == 1 else (rows, columns, channels)
     if not hasattr(_LOCAL, "unpacker"):
         _LOCAL.unpacker = zstandard.ZstdDecompressor()
     try:
         found = zstandard.get_frame_parameters(packed)
         # Without its checksum, or with another length, it is not as it was written.
-        if found.content_size != size or not found.has_checksum or found.dict_id:
+        if found.content_size != rows * columns * channels or not found.has_checksum or found.dict_id:
             raise ValueError("its data have another length than its rows")
-        raw = _LOCAL.unpacker.decompress(packed, allow_extra_data=False)
+        if _frame_end(packed) != len(packed):
+            raise ValueError("its data end before or after the file")
+        if out is None or out.shape != shape or not out.flags.c_contiguous:
+            out = np.empty(shape, np.uint8)
+        # Straight into the image: memory of its own for the differences would take as long as to undo them.
+        reader = _LOCAL.unpacker.stream_reader(packed)
+        # The checksum is compared when a reader reaches the end.
+        if reader.readinto(out.reshape(-1)) != out.size or reader.read(1):
+            raise ValueError("its data have another length than its rows")
     except zstandard.ZstdError as problem:
         raise ValueError(f"its data cannot be unpacked: {problem}"[:200]) from problem
-    if len(raw) != size:
-        raise ValueError("its data have another length than its rows")
-    shape = (rows, columns) if channels == 1 else (rows, columns, channels)
-    if out is None or out.shape != shape or not out.flags.c_contiguous:
-        out = np.empty(shape, np.uint8)
-    differences = np.frombuffer(raw, np.uint8).reshape(rows, -1)
-    if step == 0:
-        out.reshape(rows, -1)[...] = differences
-        return out
-    # Here, because it loads numba.
-    from jaxscan.vision.native_loops import add_rows
-
-    add_rows(differences, step, out.reshape(rows, -1))
+    if step:
+        _add_rows(out.reshape(rows, -1), step)
     return out
+
+
+def _add_rows(rows: np.ndarray, step: int) -> None:
+    """Undo differences to the row `step` above, modulo 256, in place; uint8 [rows, bytes].
+
+    Row by row inside blocks, all blocks at once, then block by block: NumPy is called a few times per image.
+    """
+    blocks = len(rows) // (_BLOCK * step)
+    first = blocks * _BLOCK * step
+    # `step` rows that follow each other are one line, so that lines differ from the line above.
+    lines = rows[:first].reshape(blocks, _BLOCK, step * rows.shape[1])
+    for line in range(1, _BLOCK):
+        lines[:, line] += lines[:, line - 1]
+    for block in range(1, blocks):
+        lines[block] += lines[block - 1, -1]
+    for row in range(max(first, step), len(rows)):
+        rows[row] += rows[row - step]
+
+
+def _frame_end(packed: memoryview) -> int:
+    """Where a zstd frame with a checksum ends, by the lengths of its blocks.
+
+    Source: RFC 8878, section 3.1.1.2.
+    """
+    at, last = zstandard.frame_header_size(packed), 0
+    while not last and at < len(packed):
+        header = int.from_bytes(packed[at : at + 3], "little")
+        last, kind, length = header & 1, header >> 1 & 3, header >> 3
+        # One byte stands for all of a block of equal bytes.
+        at += 3 + (1 if kind == 1 else length)
+    return at + 4
 
 
 def _header(data: bytes) -> tuple[int, int, int, int]:

@@ -226,8 +226,7 @@ def test_no_home_and_an_unknown_user(cloud, open_folder, home):
         pytest.skip("needs root and setpriv")
     # What the stripes and the reports load, with caches of their own.
     loading = (
-        "from jaxscan.cli.process import quiet; quiet.choose_caches(); import jaxscan.stripes.search.native_loops; "
-        "import matplotlib.pyplot"
+        "from jaxscan.cli.process import quiet; quiet.choose_caches(); import jaxscan.stripes; import matplotlib.pyplot"
     )
     clean = f"env -i PATH=$PATH PYTHONPATH=$PYTHONPATH TMPDIR={open_folder}/tmp {home}"
     ran = shell(

@@ -23,7 +23,7 @@ def told_by_worker(dask_worker):
     threads = {frozenset(os.sched_getaffinity(int(thread))) for thread in os.listdir("/proc/self/task")}
     limit = dask_worker.memory_manager.memory_limit
     told = os.environ["JAXSCAN_TEST_WORD"], jax.config.jax_compilation_cache_dir
-    return os.getpid(), threads, told, limit, os.environ["NUMBA_NUM_THREADS"]
+    return os.getpid(), threads, told, limit, os.environ["OMP_NUM_THREADS"]
 
 
 def addresses(client):
@@ -53,11 +53,11 @@ def test_a_worker_has_its_share_of_cores_memory_and_environment(client):
     assert set(told) == {0, 1}
     cache = os.environ.get("JAX_COMPILATION_CACHE_DIR") or jax.config.jax_compilation_cache_dir
     assert cache
-    for name, (_, threads, words, limit, numba) in told.items():
+    for name, (_, threads, words, limit, share) in told.items():
         assert threads == {frozenset(share_of(name, 2, mine))}
         assert words == ("from the caller", cache)
         assert limit == GIB // 2
-        assert int(numba) == -(-cores() // 2)
+        assert int(share) == -(-cores() // 2)
 
 
 def test_ctrl_c_at_the_terminal_is_for_the_caller_alone(client):

@@ -111,7 +111,6 @@ def _start(corpus: Path, folder: Path, canary: Canary) -> subprocess.Popen:
         CANARY: canary.url,
         "JAX_COMPILATION_CACHE_DIR": str(corpus.with_name(corpus.name + "-compiled")),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-        "NUMBA_CACHE_DIR": str(corpus.with_name(corpus.name + "-compiled") / "numba"),
         "XDG_CACHE_HOME": str(corpus.with_name(corpus.name + "-compiled")),
     }
     command = [sys.executable, "-m", "tests.fuzz.worker", str(corpus), str(folder)]

@@ -9,6 +9,8 @@ import pytest
 
 from jaxscan.errors import CloudError
 from jaxscan.photographs import Photograph, Photographs, colour_points, make_occluder, surface_samples
+from jaxscan.photographs.blend import Tally, add, conclude
+from jaxscan.photographs.photograph import read_image
 from tests.photographs.rendered import WALL_X
 
 
@@ -85,6 +87,49 @@ def test_exposures_are_equalised(world, occluder):
     apart = np.abs(rgb.astype(int) - expected)[seen]
     assert np.percentile(apart, 99) <= 2
     assert np.mean(apart) < 0.6  # Both are rounded.
+
+
+def test_colours_that_disagree_are_kept_apart_and_the_heaviest_wins():
+    tally = Tally(np.zeros((3, 3), np.float32), np.zeros(3, np.float32))
+    grey = np.ones(3, np.float32)
+
+    def more(level, weight):
+        nonlocal tally
+        tally = add(tally, level * grey, np.asarray(weight, np.float32), 20.0)
+        return sorted((round(float(w), 3), round(float(t[0] / w))) for t, w in zip(*tally, strict=True) if w > 0)
+
+    assert more(100, 0.0) == []
+    assert more(100, 0.5) == [(0.5, 100)]
+    # A difference of the tolerance is the same colour, and the mean of both counts from then on.
+    assert more(120, 0.5) == [(1.0, 110)]
+    assert more(131, 0.25) == [(0.25, 131), (1.0, 110)]
+    assert more(10, 0.5) == [(0.25, 131), (0.5, 10), (1.0, 110)]
+    # No room is left: a lighter one is forgotten, a heavier one takes the place of the lightest.
+    assert more(200, 0.25) == [(0.25, 131), (0.5, 10), (1.0, 110)]
+    assert more(200, 0.3) == [(0.3, 200), (0.5, 10), (1.0, 110)]
+    assert conclude(Tally(*(np.asarray(field)[None] for field in tally)), 20.0).tolist() == [[110, 110, 110]]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_between_pixels_a_colour_is_the_cubic_of_its_neighbours(seed):
+    rng = np.random.default_rng(seed)
+    image = rng.integers(0, 256, (9, 11, 3), np.uint8)
+    u, v = q = rng.uniform([-3, -3], [13, 11]).astype(np.float32)
+    # Keys' kernel with a = -1/2, of all pixels of an image whose border goes on.
+    wide = np.pad(image, ((9, 9), (9, 9), (0, 0)), "edge").astype(np.float64)
+
+    def weights(place, size):
+        t = np.abs(np.arange(-9, size + 9) - float(place))
+        return np.where(t < 1, 1.5 * t**3 - 2.5 * t**2 + 1, np.where(t < 2, -(t**3) / 2 + 2.5 * t**2 - 4 * t + 2, 0))
+
+    across, down = weights(u, 11), weights(v, 9)
+    near = wide[np.abs(np.arange(-9, 18) - np.floor(v) - 0.5) < 2][:, np.abs(np.arange(-9, 20) - np.floor(u) - 0.5) < 2]
+    expected = np.clip(np.einsum("r,c,rck->k", down, across, wide), near.min((0, 1)), near.max((0, 1)))
+    with jax.enable_x64(False):
+        colour, brightest = read_image(image, q)
+    # Some roundings of float32 at 255.
+    np.testing.assert_allclose(np.asarray(colour), expected, atol=1e-3)
+    assert float(brightest) == near.max()
 
 
 def test_photographs_are_not_kept(world, occluder):

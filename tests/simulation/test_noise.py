@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscan.simulation.camera.noise import gaussian
-from jaxscan.simulation.native_loops import between_cells
+from jaxscan.simulation.printing import between_cells
 
 
 def _rng(seed: int) -> np.random.Generator:
@@ -51,8 +51,7 @@ def test_spline_is_that_of_its_formula():
     cells = rng.random((9, 12), np.float32)
     # Beyond the last cells but one too.
     row, column = (rng.uniform(-2, size + 2, 500).astype(np.float32) for size in cells.shape)
-    out = np.empty(500, np.float32)
-    between_cells(cells, row, column, out)
+    out = between_cells(cells, row, column)
 
     def weights(places: np.ndarray, size: int) -> np.ndarray:
         """Of all cells: the quadratic B-spline of the distance from each."""
@@ -67,6 +66,5 @@ def test_spline_is_that_of_its_formula():
 def test_no_place_leads_out_of_the_picture():
     strange = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30], np.float32)
     row, column = (part.ravel() for part in np.meshgrid(strange, strange))
-    out = np.empty(row.size, np.float32)
-    between_cells(np.full((4, 5), 0.5, np.float32), row, column, out)
+    out = between_cells(np.full((4, 5), 0.5, np.float32), row, column)
     np.testing.assert_allclose(out, 0.5)

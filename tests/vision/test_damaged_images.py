@@ -46,9 +46,9 @@ def decode(data, rank=2, size=(COLUMNS, ROWS)):
     return decode_image(data, name="on/7.png", rank=rank, size=size)
 
 
-def refused(data, capfd, rank=2):
+def refused(data, capfd, rank=2, size=(COLUMNS, ROWS)):
     with pytest.raises(CaptureError, match=r"^on/7\.png: .*\.$") as caught:
-        decode(data, rank)
+        decode(data, rank, size)
     assert "\n" not in str(caught.value)
     assert capfd.readouterr() == ("", "")
 
@@ -186,6 +186,31 @@ def test_damage_anywhere_in_a_png_is_noticed(rank, mended, part, capfd):
     refused(with_checksums(bytes(data)) if mended else bytes(data), capfd, rank)
 
 
+def lzw(*codes, size=(COLUMNS, ROWS)):
+    """A TIFF whose one strip has these codes of 9 bits."""
+    strip = np.packbits([code >> place & 1 for code in codes for place in range(8, -1, -1)]).tobytes()
+    fields = ((256, size[0]), (257, size[1]), (258, 8), (259, 5), (262, 1), (273, 8), (277, 1), (278, size[1]))
+    entries = [struct.pack("<HHII", tag, 4, 1, value) for tag, value in (*fields, (279, len(strip)))]
+    directory = struct.pack("<H", len(entries)) + b"".join(entries) + bytes(4)
+    return b"II*\0" + struct.pack("<I", 8 + len(strip)) + strip + directory
+
+
+def test_codes_of_lzw_that_the_table_does_not_hold_are_refused(capfd):
+    # 258 is the string that it adds itself: two bytes, then three, and so on.
+    codes, size = range(258, 258 + 194), (130, 147)
+    assert 1 + sum(range(2, 196)) == 130 * 147
+    assert not decode(lzw(256, 0, *codes, 257, size=size), size=size).any()
+    assert not decode(lzw(256, 0, *codes, size=size), size=size).any()
+    for wrong in ((0, *codes, 0), (0, *codes[:-1]), (0, 259, *codes), (258, *codes), (0, *codes[:-2], 453, 453)):
+        refused(lzw(256, *wrong, 257, size=size), capfd, size=size)
+
+
+def test_a_table_that_is_cleared_all_the_time_is_refused(capfd):
+    """It would take minutes to follow: each table has its costs."""
+    refused(lzw(*[256] * 100_000), capfd)
+    refused(lzw(*[256, 0] * (ROWS * COLUMNS), 257), capfd)
+
+
 def png(rows, *, width=COLUMNS, height=ROWS, depth=8, colour=0, interlaced=0):
     def chunk(kind, data):
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
@@ -202,6 +227,24 @@ def test_a_png_has_as_many_bytes_as_its_header_says(capfd):
     refused(png(whole, interlaced=1), capfd)
     refused(png(whole, depth=3), capfd)
     refused(png(whole, colour=1), capfd)
+
+
+@pytest.mark.parametrize("depth", [1, 2, 4, 8])
+def test_a_palette_has_all_colours_of_its_pixels(depth, capfd):
+    colours = bytes(value % 256 for value in range(3, 3 << depth))
+
+    def with_palette(numbers):
+        bits = [number >> place & 1 for number in numbers for place in range(depth - 1, -1, -1)]
+        data = png(b"\0" + np.packbits(bits).tobytes(), width=len(numbers), height=1, depth=depth, colour=3)
+        chunk = b"PLTE" + colours
+        chunk = struct.pack(">I", len(colours)) + chunk + struct.pack(">I", zlib.crc32(chunk))
+        return data[:33] + chunk + data[33:]
+
+    last = (1 << depth) - 2
+    found = decode(with_palette([0, last, 0]), 3, (3, 1))
+    assert found.tolist() == [[[3, 4, 5], list(colours[-3:]), [3, 4, 5]]]
+    with pytest.raises(CaptureError, match="not in its palette"):
+        decode(with_palette([0, last + 1, 0]), 3, (3, 1))
 
 
 def test_an_interlaced_png_is_checked_too(capfd):

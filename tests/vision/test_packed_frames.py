@@ -87,6 +87,18 @@ def test_frames_come_back_into_the_memory_that_is_given(image):
     assert np.array_equal(image, before)
 
 
+@pytest.mark.parametrize("step", [0, 1, 2])
+@pytest.mark.parametrize("rows", [1, 2, 3, 31, 32, 33, 63, 64, 65, 129, 200])
+def test_differences_are_undone_in_images_of_any_height(rows, step):
+    image = np.random.default_rng(rows).integers(0, 256, (rows, COLUMNS), np.uint8)
+    differences = image.copy()
+    if step:
+        differences[step:] -= image[:-step]
+    packed = zstandard.ZstdCompressor(write_checksum=True).compress(differences)
+    data = with_fields(bytes(HEADER) + packed, COLUMNS, rows, 1, step, len(packed))
+    assert np.array_equal(decode(data, 2, (COLUMNS, rows)), image)
+
+
 def test_the_rows_to_subtract_are_those_that_are_alike():
     assert step_of(encode_zstd(picture())) == 1 and step_of(encode_zstd(mosaic())) == 2
     # Mostly zeros: differences would have twice as many other values.

@@ -1,9 +1,6 @@
-"""Work of the demo in processes of their own: compiling the reconstruction, and rendering the sweep.
+"""Rendering the demo's sweep in a process of its own: NumPy holds Python's lock between its many small steps.
 
-Numba holds Python's lock while it compiles, and NumPy between its many small steps; another process has its own.
-
-    python -P -m jaxscan.cli.process.apart rehearse '{"image_size": [640, 512], ...}'
-    python -P -m jaxscan.cli.process.apart sweep '{"folder": ..., "config": {...}}'
+python -P -m jaxscan.cli.process.apart '{"folder": ..., "config": {...}}'
 """
 
 import contextlib
@@ -14,17 +11,13 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TextIO, cast
 
 from jaxscan.api import simulate_sweep
-from jaxscan.api.kept_code import cache_on_disk, is_kept, remember
-from jaxscan.api.sweep_rehearsal import ExpectedSweep, rehearse_reconstruction
 from jaxscan.errors import CaptureError, JaxscanError
 from jaxscan.observation import Progress
 from jaxscan.simulation import SimulationConfig
-from jaxscan.stripes import LaserLine
 
 
 _REFUSED = 3
@@ -34,23 +27,6 @@ _PROGRESS = re.compile(r"(\d+) of (\d+)\n")
 
 running: list["subprocess.Popen[str]"] = []
 """The processes that this one has started and not ended yet."""
-
-
-def rehearse_apart(expected: ExpectedSweep) -> None:
-    """Compile what `rehearse_reconstruction` compiles, and wait for it; nothing where that is on disk already.
-
-    Where code is not kept on disk it is compiled by this process, or it would be lost.
-    """
-    kind, cache = ("reconstruction", expected, os.cpu_count()), cache_on_disk()
-    if is_kept(kind):
-        return
-    if cache is None or not sys.executable:
-        rehearse_reconstruction(expected)
-        return
-    kept = {"JAX_COMPILATION_CACHE_DIR": cache, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
-    with _started("rehearse", expected._asdict() | {"line": asdict(expected.line)}, kept) as process:
-        if process.wait() == 0:
-            remember(kind)
 
 
 @contextlib.contextmanager
@@ -63,7 +39,7 @@ def sweep_apart(config: SimulationConfig, folder: Path) -> Iterator[Callable[[Pr
     Raises:
         CaptureError: When it is waited for, if the sweep cannot be rendered or written.
     """
-    with _started("sweep", {"folder": str(folder), "config": config.model_dump(mode="json")}, {}) as process:
+    with _started({"folder": str(folder), "config": config.model_dump(mode="json")}) as process:
 
         def wait(progress: Progress) -> None:
             last = ""
@@ -86,14 +62,12 @@ def end_processes() -> None:
 
 
 @contextlib.contextmanager
-def _started(kind: str, fields: Mapping[str, Any], environment: Mapping[str, str]) -> Iterator["subprocess.Popen[str]"]:
+def _started(fields: Mapping[str, Any]) -> Iterator["subprocess.Popen[str]"]:
     """A process that ends with `with`, and when this one does: its standard input is closed then."""
     # Without the current folder, which may hold anything, on the path of modules.
-    words = [sys.executable or "python3", "-P", "-m", __spec__.name, kind, json.dumps(fields)]
+    words = [sys.executable or "python3", "-P", "-m", __spec__.name, json.dumps(fields)]
     pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
-    with subprocess.Popen(
-        words, stdin=pipe, stdout=pipe, stderr=nowhere, text=True, env={**os.environ, **environment}
-    ) as process:
+    with subprocess.Popen(words, stdin=pipe, stdout=pipe, stderr=nowhere, text=True) as process:
         running.append(process)
         try:
             yield process
@@ -104,17 +78,13 @@ def _started(kind: str, fields: Mapping[str, Any], environment: Mapping[str, str
 
 
 def main() -> None:
-    """Do the work that the first word names."""
+    """Render the sweep that the first word describes."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    kind, fields = sys.argv[1], json.loads(sys.argv[2])
+    fields = json.loads(sys.argv[1])
     code = 1
     try:
-        if kind == "rehearse":
-            line = LaserLine(**fields.pop("line"))
-            rehearse_reconstruction(ExpectedSweep(**fields | {"image_size": tuple(fields["image_size"]), "line": line}))
-        else:
-            config = SimulationConfig.model_validate_json(json.dumps(fields["config"]))
-            simulate_sweep(config, Path(fields["folder"]), progress=_print_progress)
+        config = SimulationConfig.model_validate_json(json.dumps(fields["config"]))
+        simulate_sweep(config, Path(fields["folder"]), progress=_print_progress)
         code = 0
     except (JaxscanError, OSError) as problem:
         print("", *str(problem).split(), flush=True)

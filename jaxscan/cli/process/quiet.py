@@ -33,10 +33,9 @@ def hush_libraries() -> None:
 
 
 def choose_caches() -> None:
-    """Before they are loaded: where there is no home to write to, libraries keep their files in `cache_folder` too."""
+    """Before it is loaded: where there is no home to write to, Matplotlib keeps its files in `cache_folder` too."""
     cache = cache_folder()
     if cache is not None and cache != _home_cache():
-        os.environ.setdefault("NUMBA_CACHE_DIR", str(cache / "numba"))
         os.environ.setdefault("MPLCONFIGDIR", str(cache / "matplotlib"))
 
 

@@ -74,7 +74,7 @@ def _settings(workers: int) -> dict[str, Any]:
     # Libraries read these when they are loaded, which may be before the worker has its cores, so they are there before
     # its process. Products of small matrices are done in the calling thread, as on the command line.
     share = math.ceil(cores() / workers)
-    threads = {"OMP_NUM_THREADS": share, "NUMBA_NUM_THREADS": share, "OPENBLAS_NUM_THREADS": 1, "MKL_NUM_THREADS": 1}
+    threads = {"OMP_NUM_THREADS": share, "OPENBLAS_NUM_THREADS": 1, "MKL_NUM_THREADS": 1}
     variables = {**threads, WORKERS: workers, **_compiled_code()}
     return {**OURS, "distributed.nanny.pre-spawn-environ": variables}
 
