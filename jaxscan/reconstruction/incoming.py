@@ -163,7 +163,7 @@ class IncomingStripes:
             self._stripes.store(numbers, found, rgb)
             self.points[numbers] = np.count_nonzero(valid, axis=1)
             if self._show is not None:
-                self._show(points.xyz[valid], rgb[valid])
+                self._show(np.asarray(points.xyz)[valid], rgb[valid])
 
     def are_of(self, sweep: SweepSource, numbers: Sequence[int]) -> bool:
         """Whether a finished sweep would learn the same from its first records.

@@ -150,7 +150,7 @@ def _from_stripes(
             if stripes.rgb is None
             else np.asarray(stripes.rgb)[rows]
         )
-        return rows, points, rgb, {} if along is None else along.beside(points.sigma_random)
+        return rows, points, rgb, {} if along is None else along.beside(np.asarray(points.sigma_random))
 
     if stripes.rgb is not None:
         items: Iterator[tuple[np.ndarray, Array | None]] = ((profiles, None) for profiles in _blocks(plan))

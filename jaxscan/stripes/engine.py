@@ -255,20 +255,20 @@ def _bytes_around(frames: Array, records: int) -> _Stack | None:
     first -= (owner.ctypes.data + first) % _ALIGNED
     if first < 0 or first + size < at + frames.nbytes:
         return None
-    return _Stack(owner.reshape(-1)[first : first + size], np.int32(at - first))
+    return _Stack(owner.reshape(-1)[first : first + size], np.asarray(at - first, np.int32))
 
 
 def _copied(frames: Array, records: int) -> _Stack:
     """The bytes of frames in memory of their own, with room for so many records."""
     if not isinstance(frames, np.ndarray):
         size = (records - len(frames)) * int(np.prod(frames.shape[1:])) + _BEFORE
-        return _Stack(jnp.pad(jnp.asarray(frames).reshape(-1), (0, size)), np.int32(0))
+        return _Stack(jnp.pad(jnp.asarray(frames).reshape(-1), (0, size)), np.asarray(0, np.int32))
     size = records * (frames.nbytes // len(frames)) + _BEFORE
     # Memory that is not touched costs nothing.
     memory = np.zeros(size + _ALIGNED, np.uint8)
     first = -memory.ctypes.data % _ALIGNED
     memory[first : first + frames.nbytes] = frames.reshape(-1)
-    return _Stack(memory[first : first + size], np.int32(0))
+    return _Stack(memory[first : first + size], np.asarray(0, np.int32))
 
 
 @functools.partial(jax.jit, static_argnames=("kind", "frames"))
@@ -282,13 +282,13 @@ def _extracted(on: _Stack, off: _Stack | None, count: Array, search: Search, kin
     split, everywhere = PartitionSpec("frames"), PartitionSpec()
 
     def part(on: Array, off: Array | None, count: Array, search: Search) -> ChunkStripes:
-        stacks = [None if stack is None else _Stack(stack, jnp.int32(0)) for stack in (on, off)]
-        return _of_stack(*stacks, count - share * lax.axis_index("frames"), search, kind, share)
+        lit, dark = _Stack(on, jnp.int32(0)), None if off is None else _Stack(off, jnp.int32(0))
+        return _of_stack(lit, dark, count - share * lax.axis_index("frames"), search, kind, share)
 
-    cut = lambda stack: None if stack is None else lax.dynamic_slice(stack.bytes, (stack.start,), (frames * size,))
+    cut = lambda stack: lax.dynamic_slice(stack.bytes, (stack.start,), (frames * size,))
     specs = (split, split, everywhere, everywhere)
     call = jax.shard_map(part, mesh=mesh, in_specs=specs, out_specs=split, check_vma=False)
-    return call(cut(on), cut(off), count, search)
+    return call(cut(on), None if off is None else cut(off), count, search)
 
 
 def _of_stack(on: _Stack, off: _Stack | None, count: Array, search: Search, kind: _Kind, frames: int) -> ChunkStripes:
@@ -383,5 +383,7 @@ def stripes_of_frames(engine: StripeEngine, on: UInt8[Array, "frames ..."], off:
         off: Laser-off frames of the same shape, or None.
     """
     kind = _Kind.of(engine.setup, on.shape[1:])
-    stacks = [None if frames is None else _Stack(frames.reshape(-1), jnp.int32(0)) for frames in (on, off)]
-    return _of_stack(*stacks, jnp.int32(len(on)), engine.search, kind, len(on)).stripes
+    stack = lambda frames: _Stack(frames.reshape(-1), jnp.int32(0))
+    return _of_stack(
+        stack(on), None if off is None else stack(off), jnp.int32(len(on)), engine.search, kind, len(on)
+    ).stripes

@@ -162,7 +162,7 @@ def fit_peaks(
     """
     places, total, number = packed(peaks.exists.reshape(-1), _BLOCK)
     lines, blocks = on.samples.shape[0], len(places) // _BLOCK
-    flat = [field.reshape(-1) for field in (peaks.at, peaks.extent, peaks.first, peaks.bins)]
+    flat = [jnp.asarray(field).reshape(-1) for field in (peaks.at, peaks.extent, peaks.first, peaks.bins)]
 
     def block(k, found):
         some = lax.dynamic_slice_in_dim(places, k * _BLOCK, _BLOCK)
@@ -178,7 +178,7 @@ def fit_peaks(
     back = jnp.maximum(number, 0)
 
     def unpacked(field: Array) -> Array:
-        found = field.at[back].get(mode="promise_in_bounds").reshape(peaks.exists.shape)
+        found = jnp.asarray(field).at[back].get(mode="promise_in_bounds").reshape(peaks.exists.shape)
         return jnp.where(peaks.exists, found, jnp.zeros((), field.dtype))
 
     return jax.tree.map(unpacked, found)

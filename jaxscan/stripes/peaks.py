@@ -98,11 +98,13 @@ def find_peaks(
     def measured(at):
         """Whether a maximum stands out, its extent to both sides and its zone, of every line."""
         around = _around(lattice, at)
+        base: Array | None = None
         if off is None:
+            assert ground is not None
             base = jnp.take_along_axis(ground, at[:, None], 1)[:, 0]
             mean = base // (8 * each)
         else:
-            base, mean = None, _level(off, each * at)
+            mean = jnp.asarray(_level(off, each * at))
         threshold = jnp.asarray(thresholds)[mean]
         count = len(around) - 2 * _MARGIN
         fine, response = _filters(
@@ -197,8 +199,10 @@ def _combed(lattice: Int16[Array, "lines points"], ground: Array | None) -> tupl
     teeth = (points - 2 * _MARGIN) // width
     if teeth == 0:
         return None, _border(lattice, ground, 0, points)
-    cut = lambda field: None if field is None else field[:, : width * teeth + 2 * _MARGIN]
-    half = jnp.clip(_respond(cut(lattice), cut(ground)) >> 1, 0, 4095).astype(jnp.uint16)
+    inner = np.s_[:, : width * teeth + 2 * _MARGIN]
+    half = jnp.clip(_respond(lattice[inner], None if ground is None else ground[inner]) >> 1, 0, 4095).astype(
+        jnp.uint16
+    )
     keys = [(half[:, i * width : (i + 1) * width] << 4) | jnp.uint16(_TEETH - 1 - i) for i in range(teeth)]
     ranked: list[tuple[Array, Array | None]] = [(key, None) for key in keys]
     while len(ranked) > 1:
@@ -233,8 +237,8 @@ def _border(lattice: Array, ground: Array | None, first: int, last: int) -> Int[
     points = lattice.shape[1]
     before, behind = max(first - _MARGIN, 0), min(last + _MARGIN, points)
     room = ((0, 0), (_MARGIN - (first - before), _MARGIN - (behind - last)))
-    part, base = (None if field is None else jnp.pad(field[:, before:behind], room) for field in (lattice, ground))
-    half = jnp.clip(_respond(part, base) >> 1, 0, 4095).astype(jnp.int32)
+    cut = lambda field: jnp.pad(field[:, before:behind], room)
+    half = jnp.clip(_respond(cut(lattice), None if ground is None else cut(ground)) >> 1, 0, 4095).astype(jnp.int32)
     return _key(half, jnp.arange(first, last, dtype=jnp.int32)[None])
 
 
@@ -249,7 +253,7 @@ def _around(lattice: Int16[Array, "lines points"], at: Int[Array, " lines"]) -> 
     lines, points = lattice.shape
     place = at[None] + np.arange(-_ZONE_SPAN - 1 - _MARGIN, _ZONE_SPAN + 2 + _MARGIN, dtype=np.int32)[:, None]
     flat = points * jnp.arange(lines, dtype=jnp.int32)[None] + jnp.clip(place, 0, points - 1)
-    found = lattice.reshape(-1).at[flat].get(mode="promise_in_bounds")
+    found = jnp.asarray(lattice).reshape(-1).at[flat].get(mode="promise_in_bounds")
     return jnp.where((place >= 0) & (place < points), found, jnp.int16(0))
 
 

@@ -32,7 +32,7 @@ class Plane(NamedTuple):
     def at(self, line: Int[Array, "*#n"], sample: Int[Array, "*n"]) -> UInt8[Array, "*n"]:
         """Samples within the plane."""
         place = jnp.asarray(self.first)[line] + self.step * sample
-        return self.stack.at[place].get(mode="promise_in_bounds")
+        return jnp.asarray(self.stack).at[place].get(mode="promise_in_bounds")
 
 
 def plane_of(

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy.ndimage
+import scipy.ndimage  # type: ignore[import-untyped]
 from jaxtyping import Bool, Float, Int16, UInt8
 
 from jaxscan.geometry import Array
@@ -213,7 +213,7 @@ def warped(
     """
     lines, samples = planes.shape[1:]
     i, j = (np.arange(size) // pitch for size in (lines, samples))
-    down, right = (np.float32(np.arange(size) % pitch) / np.float32(pitch) for size in (lines, samples))
+    down, right = ((np.arange(size) % pitch).astype(np.float32) / np.float32(pitch) for size in (lines, samples))
     along = where[i] + down[:, None, None] * (where[i + 1] - where[i])
     places = along[:, j] + right[None, :, None] * (along[:, j + 1] - along[:, j])
     at = np.moveaxis(places, -1, 0)

@@ -197,8 +197,12 @@ def _strays(rows: _Rows) -> Bool[Array, "profiles rows"]:
     d = [_shifted(rows.x, k) - rows.x for k in away]
     v = [_shifted(rows.y, k) - rows.y for k in away]
     w = [_shifted(rows.own, k) for k in away]
-    total = lambda *factors: sum(functools.reduce(operator.mul, each) for each in zip(*factors, strict=True))
-    s0, s1, s2 = sum(w), total(w, d), total(w, d, d)
+
+    def total(*factors: list[Array]) -> Array:
+        products = [functools.reduce(operator.mul, each) for each in zip(*factors, strict=True)]
+        return functools.reduce(operator.add, products)
+
+    s0, s1, s2 = total(w), total(w, d), total(w, d, d)
     t0, t1, q = total(w, v), total(w, d, v), total(w, v, v)
     value, slope, variance = _line(s0, s1, s2, t0, t1)
     # Four of them, none beyond the ends, and near.
@@ -232,7 +236,9 @@ def _summed(rows: _Rows) -> _Running:
         more = w, wx, wxx, wxx * x, wxx * x * x, wy, wx * y, wxx * y, wy * y, (w > 0).astype(w.dtype)
         return tuple(a + b for a, b in zip(total, more, strict=True)), total
 
-    nothing = (jnp.zeros(x0.shape, x.dtype),) * 10
+    nothing = tuple(jnp.zeros(x0.shape, x.dtype) for _ in range(10))
+    last: tuple[Array, ...]
+    before: tuple[Array, ...]
     last, before = lax.scan(add, nothing, (x, y, w))
     sums = jnp.stack([jnp.concatenate([b, a[None]]).reshape(-1) for b, a in zip(before, last, strict=True)])
     block, row = np.divmod(np.arange(count), _BLOCK)
@@ -348,7 +354,8 @@ def _fitted(running: _Running, ends: tuple[Array, Array], size: Array | int) -> 
 def _chosen(weight: Array, ends: tuple[Array, Array], fits: list[tuple[Array, ...]]) -> tuple[Array, ...]:
     alone = 1.0 / jnp.where(weight > 0, weight, 1.0)
     zero = jnp.zeros(weight.shape, jnp.int32)
-    state, goes_on = (jnp.zeros_like(alone), alone, alone, zero, zero), jnp.ones(alone.shape, jnp.bool_)
+    state: tuple[Array, ...] = jnp.zeros_like(alone), alone, alone, zero, zero
+    goes_on = jnp.ones(alone.shape, jnp.bool_)
     for size, (found, own, chi2, total, used) in zip(_SIZES, fits, strict=True):
         value, variance, _, low, high = state
         told = (used >= 5.0) & (own >= 0)
