@@ -99,7 +99,7 @@ def project_case(draft: Draft) -> Case:
         "init": ["project", "init", str(folder)],
         "view": ["view", str(file), "--no-open", "--web-port", "0"],
     }[verb]
-    if verb == "init" and rng.random() < 0.7:
+    if verb == "init" and rng.random() < 0.7 and (file.is_symlink() or not file.is_dir()):
         file.unlink(missing_ok=True)
     # What only looks makes nothing; `init` writes the file.
     allowed = frozenset({"network"}) if verb == "view" or "postgresql" in file_text(file) else frozenset[str]()

@@ -58,6 +58,19 @@ def test_more_frames_than_a_chunk(render):
     np.testing.assert_array_equal(np.asarray(stripes.record), np.arange(19))
 
 
+@pytest.mark.parametrize("first", [0, 1, 3, 11, 18])
+def test_frames_inside_of_a_larger_array_are_those_frames(first, render):
+    # They go to the compiled function without a copy, with bytes of other frames around them.
+    scene = render(1.5, 80.0, rows=64)
+    on, off = (np.concatenate([np.roll(frames, i, 1) for i in range(19)]) for frames in (scene.on, scene.off))
+    setup = ExtractionSetup((96, 64), FrameFormat(), LaserLine(), StripeSettings())
+    (engine,) = prepare_engines(on, off, [setup], noise=KNOWN)
+    inside = engine.extract(on[first:], off[first:], 16).stripes
+    apart = engine.extract(on[first:].copy(), off[first:].copy(), 16).stripes
+    for one, other in zip(inside, apart, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 @pytest.mark.parametrize(
     ("u", "share"), [(0.3, 0.3), (3.0, 0.95), (6.0, 0.99), (89.2, 0.99), (92.0, 0.95), (94.7, 0.3)]
 )
