@@ -285,7 +285,10 @@ def _extracted(on: _Stack, off: _Stack | None, count: Array, search: Search, kin
         lit, dark = _Stack(on, jnp.int32(0)), None if off is None else _Stack(off, jnp.int32(0))
         return _of_stack(lit, dark, count - share * lax.axis_index("frames"), search, kind, share)
 
-    cut = lambda stack: lax.dynamic_slice(stack.bytes, (stack.start,), (frames * size,))
+    def cut(stack: _Stack) -> Array:
+        # The frames that are counted may be the last of the stack; behind them is nothing.
+        return lax.dynamic_slice(jnp.pad(stack.bytes, (0, frames * size)), (stack.start,), (frames * size,))
+
     specs = (split, split, everywhere, everywhere)
     call = jax.shard_map(part, mesh=mesh, in_specs=specs, out_specs=split, check_vma=False)
     return call(cut(on), None if off is None else cut(off), count, search)

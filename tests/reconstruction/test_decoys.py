@@ -68,20 +68,20 @@ def _bright_lines(batch):
     """Every line has a stripe as wide as it is bright."""
     light = np.asarray(batch.on, np.float32).mean(2)
     stripes = stripes_of_zeros(light.shape)
-    return ChunkStripes(stripes._replace(width=light, sigma=stripes.sigma + 1, valid=light > 0), None, None)
+    return ChunkStripes(stripes._replace(width=light, sigma=stripes.sigma + 1, valid=light > 0), None)
 
 
-def test_decoys_are_the_same_whether_searched_at_once_or_at_the_end():
+def test_decoys_are_the_same_in_batches_of_any_size():
     rng, records, lines = np.random.default_rng(5), 40, 100
     on, off = rng.integers(1, 20, (2, records, lines, 4)).astype(np.uint8)
     on[:, lines // 10 :] += 100
-    at_once, at_end = (DecoyWatch(records, predicted=False) for _ in range(2))
+    watches = [DecoyWatch(records, predicted=False) for _ in range(2)]
     for start in range(0, records, 8):
         batch = Batch(np.arange(start, start + 8), 0, on[start : start + 8], off[start : start + 8])
-        at_once.look(batch, _bright_lines(batch), _bright_lines)
-        at_end.look(batch, _bright_lines(batch))
-    found = at_once.judge(lambda _: pytest.fail("searched again"), 3)
-    assert found == at_end.judge(_bright_lines, 3)
+        for watch in watches:
+            watch.look(batch, _bright_lines(batch))
+    found, other = (watch.judge(_bright_lines, size) for watch, size in zip(watches, (3, 32), strict=True))
+    assert found == other
     # A tenth of the lines is chance, and no clearer than 19 / 1.
     assert 5 < found.least < 20 and found.note is not None
 
