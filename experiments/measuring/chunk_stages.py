@@ -107,7 +107,7 @@ def to_points(job: Job, chunk: Chunk, given: FrameStripes) -> Finished:
 
 def smooth(stripes: FrameStripes) -> Smoothed:
     """Smooth the centres along the stripe, as a reconstruction does before it triangulates; NumPy arrays."""
-    return smooth_profiles(*(np.asarray(field) for field in (stripes.u, stripes.sigma, stripes.valid)))
+    return smooth_profiles(np.asarray(stripes.u), np.asarray(stripes.sigma), np.asarray(stripes.valid))
 
 
 STAGES: dict[str, Callable[..., Any]] = {
