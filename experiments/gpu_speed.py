@@ -5,13 +5,14 @@ one way: bytes read over time. The speed of the stages is the bytes of the frame
 The choice of a path over the rows is sequential and reported separately. Compilation is not timed.
 
 A stage's time includes handing its result over through memory; the function of all stages has no
-such step. Its results are compared, field by field, with those of the CPU, whose search
-is native, with those of the stages, and with the cloud of `reconstruct` as called on this machine.
+such step. Smoothing starts and ends in the host's memory, as in a reconstruction. The results of the
+function are compared, field by field, with those of the same function on the CPU, with those of the
+stages, and with the cloud of `reconstruct` as called on this machine.
 
     python experiments/gpu_speed.py [--dry] [--pairs 1024] [--chunk 128] [--json FILE]
 
 Without an accelerator --dry runs everything on the CPU with few pairs, to see that it works: the
-times then mean nothing; the differences are those between XLA's search and the native one.
+times then mean nothing, and both sides of a difference are computed there.
 """
 
 import argparse
@@ -25,13 +26,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from measuring.gpu_stages import STAGES, Chunk, Finished, Job, all_of_it, natively, prepare
+from measuring.chunk_stages import STAGES, Chunk, Finished, Job, all_of_it, prepare, smooth
 from measuring.speed_times import Figure
 from worlds.speed_scene import DISTINCT, ELECTRONS_PER_DN, READ_DN, make_angles, make_frames, make_scanner
 
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
-from jaxscan.stripes import NoiseModel
+from jaxscan.reconstruction.points import stripe_colours
+from jaxscan.stripes import FrameFormat, FrameStripes, NoiseModel
 
 
 NOISE = NoiseModel(READ_DN, ELECTRONS_PER_DN)
@@ -108,7 +110,10 @@ def differences(name: str, found: dict[str, Any], expected: dict[str, Any]) -> l
 def fields_of(result: Finished) -> dict[str, Any]:
     """The fields of a stripe and of its point by their names; `valid` is the point's."""
     points = {key: field for key, field in result.points._asdict().items() if key != "centre"}
-    return {**result.stripes._asdict(), **points, "rgb": result.rgb, "intensity": result.stripes.amplitude}
+    stripes = jax.tree.map(np.asarray, result.stripes)
+    # A mono camera's fit knows the grey level already.
+    rgb = stripe_colours(stripes, None, FrameFormat(), "rows")
+    return {**stripes._asdict(), **points, "rgb": rgb, "intensity": stripes.amplitude}
 
 
 def measure(device: jax.Device, chunks: int, size: int, copied: int, repeats: int, *, dry: bool) -> list[Figure]:
@@ -129,8 +134,9 @@ def measure(device: jax.Device, chunks: int, size: int, copied: int, repeats: in
 
     total_without_path = 0.0
     inputs: list[Any] = [None] * chunks
-    for stage in STAGES:
-        compiled = jax.jit(stage.run)
+    rows: list[FrameStripes] = []
+    for name, stage in STAGES.items():
+        compiled = jax.jit(stage)
         arguments = list(zip(stacks, inputs, strict=True))
 
         def run(compiled=compiled, arguments=arguments) -> list[Any]:
@@ -138,28 +144,40 @@ def measure(device: jax.Device, chunks: int, size: int, copied: int, repeats: in
 
         taken = seconds(run, repeats)
         inputs = run()
-        total_without_path += 0.0 if stage.is_path else taken
-        add(stage.name, taken)
-    # On a CPU the copy says little about a search that XLA computes there.
+        add(name, taken)
+        if name == "path over the rows":
+            rows = jax.device_get(inputs)
+        else:
+            total_without_path += taken
+    add("smooth", seconds(lambda: [smooth(stripes) for stripes in rows], repeats))
+    # On a CPU the copy says little about what XLA computes there.
     add("all but the path", total_without_path, None if dry else ASKED_SHARE)
     whole = jax.jit(all_of_it)
     add("all in one function", seconds(lambda: [whole(job, chunk) for chunk in stacks], repeats))
     staged = jax.tree.map(lambda leaf: np.asarray(leaf)[:DISTINCT], inputs[0])
     here = fields_of(jax.device_get(whole(job, jax.device_put(first, device))))
-    return figures + compare(here, fields_of(staged), first, scanner, on_host)
+    figures += compare(here, fields_of(staged), first, scanner, on_host)
+    return figures + differences("smooth - CPU", smoothed(rows[0], device), smoothed(rows[0], jax.devices("cpu")[0]))
+
+
+def smoothed(stripes: FrameStripes, device: jax.Device) -> dict[str, Any]:
+    """The fields of smoothed centres by their names."""
+    with jax.default_device(device):
+        return {**smooth(stripes)._asdict(), "valid": stripes.valid}
 
 
 def compare(here: dict[str, Any], staged: dict[str, Any], first: Chunk, scanner: Scanner, on_host: Job) -> list[Figure]:
-    """The first pairs by all ways: one function, the stages, the CPU's native search, and the public call."""
-    there = fields_of(natively(on_host, first))
+    """The first pairs by all ways: one function, the stages, the same function on the CPU, and the public call."""
+    with jax.default_device(jax.devices("cpu")[0]):
+        there = fields_of(jax.device_get(jax.jit(all_of_it)(on_host, first)))
     sweep = Sweep(first.on, first.off, first.phi.astype(np.float64))
-    settings = ReconstructSettings(chunk_records=len(first.on))
+    settings = ReconstructSettings(chunk_records=len(first.on), smooth="off")
     cloud = vars(reconstruct(sweep, scanner, settings=settings, noise=NOISE))
     same = {key: cloud[key] for key in ("xyz", "rgb", "intensity", "sigma_random", "sigma_systematic", "valid")}
     return [
-        *differences("one function - native", here, there),
+        *differences("one function - CPU", here, there),
         *differences("one function - stages", here, staged),
-        *differences("reconstruct - native", same, there),
+        *differences("reconstruct - CPU", same, there),
     ]
 
 

@@ -1,7 +1,6 @@
 """Our reconstruction stage by stage on stacks in memory: time, memory traffic and bound of each stage.
 
-Each stage of a chunk is timed alone in one thread; a whole reconstruction computes a chunk on
-every core.
+Each stage of a chunk is called in one thread; a whole reconstruction computes a chunk on every core.
 """
 
 import functools
@@ -9,23 +8,22 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from measuring.chunk_stages import STAGES, Chunk, prepare, smooth
 from measuring.speed_times import Times, take_turns
 from worlds.speed_scene import ELECTRONS_PER_DN, HEIGHT, READ_DN, WIDTH, Frames, make_angles
 
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import ReconstructSettings, Sweep, extract_sweep, reconstruct
-from jaxscan.reconstruction.plan import NOISE_RECORDS, make_plan
-from jaxscan.reconstruction.points.locate import Centres, points_alone
+from jaxscan.reconstruction.plan import NOISE_RECORDS
 from jaxscan.stripes import NoiseModel, estimate_noise
-from jaxscan.stripes.choosing.native import ChosenLines
-from jaxscan.stripes.fitting.native import NativeFitter
-from jaxscan.stripes.search.native import NativeLocator
-from jaxscan.stripes.search.planes import host_planes
+from jaxscan.stripes.peaks import CANDIDATES, WINDOW
 
 
 FRAME = WIDTH * HEIGHT
 """Bytes of a frame."""
 CHUNK = 32
+PEAK, STRIPE = 17, 34
+"""Bytes of a candidate, and of a fitted one."""
 
 
 class Stage(NamedTuple):
@@ -48,8 +46,7 @@ def stages(frames: Frames, scanner: Scanner, repeats: int) -> list[Stage]:
     found = extract_sweep(sweep, scanner, noise=noise)
     first = slice(0, NOISE_RECORDS)
     runs: dict[str, Any] = {"noise, once": lambda: estimate_noise(frames.on[first], frames.off[first])}
-    with jax.enable_x64(False):
-        parts, candidates = chunk_stages(frames, sweep, scanner, noise)
+    parts, candidates = chunk_stages(frames, scanner, noise)
     runs |= parts
     runs |= {
         "points, whole sweep": lambda: reconstruct(
@@ -57,49 +54,30 @@ def stages(frames: Frames, scanner: Scanner, repeats: int) -> list[Stage]:
         ),
         "points and normals, whole sweep": lambda: reconstruct(sweep, scanner, stripes=found),
     }
-    # Two windows of float32, of 16 samples for nearly all candidates.
-    windows = candidates * 2 * 16 * 4
+    windows, slots = 2.0 * WINDOW * candidates, CANDIDATES * HEIGHT
     touched = {
         "noise, once": (2.0 * FRAME * NOISE_RECORDS / pairs, "a fixed time per sweep, here by its pairs"),
-        "locate (native, one thread)": (2.0 * FRAME + windows, "integer arithmetic and branches per candidate"),
-        "fit (one thread)": (windows + 40 * candidates, "exponentials and sums of the fit"),
-        "path over the rows (one thread)": (3 * 16.0 * HEIGHT, "one small step after the other, a loop over the rows"),
-        "all three (one thread)": (2.0 * FRAME + 100.0 * HEIGHT, "the search"),
+        "locate (one thread)": (2.0 * FRAME + PEAK * slots, "elementwise arithmetic over the frame"),
+        "fit (one thread)": (windows + (PEAK + STRIPE) * slots, "exponentials and sums of the fit"),
+        "path over the rows (one thread)": (
+            STRIPE * (slots + HEIGHT),
+            "one small step after the other, a loop over the rows",
+        ),
+        "all three (one thread)": (2.0 * FRAME + windows + STRIPE * HEIGHT, "the search and the fit"),
+        "smooth (one thread)": (21.0 * HEIGHT, "sums of moments in double precision"),
         "triangulate (one thread)": (40.0 * HEIGHT, "Newton's steps of the lens"),
-        "points, whole sweep": (80.0 * HEIGHT, "Newton's steps of the lens"),
-        "points and normals, whole sweep": (140.0 * HEIGHT, "arithmetic of the slopes"),
+        "points, whole sweep": (100.0 * HEIGHT, "the smoothing"),
+        "points and normals, whole sweep": (160.0 * HEIGHT, "the smoothing"),
     }
     times = take_turns(runs, repeats)
     each = {name: CHUNK if name in parts else pairs for name in runs}
     return [Stage(name, Times(*(t / each[name] for t in times[name])), *touched[name]) for name in runs]
 
 
-def chunk_stages(frames: Frames, sweep: Sweep, scanner: Scanner, noise: NoiseModel) -> tuple[dict[str, Any], float]:
+def chunk_stages(frames: Frames, scanner: Scanner, noise: NoiseModel) -> tuple[dict[str, Any], float]:
     """The stages of one chunk, as functions; and the candidates of a pair."""
-    plan = make_plan(sweep, scanner, ReconstructSettings(chunk_records=CHUNK))
-    engine = plan.engines(noise)[0]
-    setup, search, estimator = engine.setup, engine.search, engine.estimator
-    on, off = frames.on[:CHUNK], frames.off[:CHUNK]
-
-    locator, fitter = NativeLocator(), NativeFitter()
-
-    def locate():
-        planes = host_planes(on, off, search, setup)
-        return locator.locate(planes, search, pitch=setup.sites.pitch, saturation=setup.settings.saturation)
-
-    def choose():
-        chosen = ChosenLines(CHUNK, estimator.candidates, search, setup)
-        chosen.put(0, fits)
-        return chosen.stripes
-
-    def every_step():
-        return estimator.find_natively(host_planes(on, off, search, setup), search, setup).stripes
-
-    ratio = np.asarray(host_planes(on, off, search, setup).lamp_ratio)
-    located, found = locate(), every_step()
-    fits = fitter.fit(located, ratio, search, setup)
-    centres = Centres(found.u, found.sigma, found.valid)
-    points = functools.partial(points_alone, stripe_axis=setup.line.stripe_axis)
+    chunk = Chunk(frames.on[:CHUNK], frames.off[:CHUNK], make_angles(CHUNK).astype(np.float32))
+    job = prepare(chunk, scanner, noise)
 
     def single(function, *arguments):
         def run():
@@ -108,11 +86,13 @@ def chunk_stages(frames: Frames, sweep: Sweep, scanner: Scanner, noise: NoiseMod
 
         return run
 
-    runs = {
-        "locate (native, one thread)": single(locate),
-        "fit (one thread)": single(fitter.fit, located, ratio, search, setup),
-        "path over the rows (one thread)": single(choose),
-        "all three (one thread)": single(every_step),
-        "triangulate (one thread)": single(points, plan.aim(0), centres, np.zeros(CHUNK, np.float32)),
-    }
-    return runs, sum(int(one.total) for one in located.lists) / CHUNK
+    runs, results, given = {}, {}, None
+    resident = jax.device_put((job, chunk))
+    for name, stage in STAGES.items():
+        runs[name] = single(jax.jit(stage), *resident, given)
+        given = results[name] = runs[name]()
+    runs["all three"] = single(functools.partial(job.engine.extract, chunk.on, chunk.off))
+    runs["smooth"] = single(smooth, jax.tree.map(np.asarray, results["path over the rows"]))
+    candidates = float(np.count_nonzero(results["locate"].peaks.exists)) / CHUNK
+    order = ("locate", "fit", "path over the rows", "all three", "smooth", "triangulate")
+    return {f"{name} (one thread)": runs[name] for name in order}, candidates

@@ -224,10 +224,8 @@ def test_no_home_and_an_unknown_user(cloud, open_folder, home):
     """As in `docker run -u 54321`: not in the list of users, and nothing of the installation may be written."""
     if os.getuid() != 0 or shell(f"{BECOME} true", cloud).returncode:
         pytest.skip("needs root and setpriv")
-    # What the stripes and the reports load, with caches of their own.
-    loading = (
-        "from jaxscan.cli.process import quiet; quiet.choose_caches(); import jaxscan.stripes; import matplotlib.pyplot"
-    )
+    # What the reports load, with a cache of its own.
+    loading = "from jaxscan.cli.process import quiet; quiet.choose_caches(); import matplotlib.pyplot"
     clean = f"env -i PATH=$PATH PYTHONPATH=$PYTHONPATH TMPDIR={open_folder}/tmp {home}"
     ran = shell(
         f'cd {open_folder}/free; P="{BECOME} {clean}"; $P $J convert $A b.npz; echo $?; '

@@ -57,7 +57,7 @@ def main(path, *kinds):
 # A bracket goes all the ways that a plain sweep does: frames shared out, angles with their frames.
 @pytest.mark.parametrize("kinds", [KINDS[:1], pytest.param(KINDS[1:], marks=pytest.mark.slow)], ids=",".join)
 def test_two_devices_give_what_one_gives(tmp_path, kinds):
-    """One device searches natively on a CPU, two with the reference on XLA, their frames shared out."""
+    """One device takes all frames of a chunk, two share them."""
     folder = Path(__file__).resolve().parent
     # The folder is a package to the process, as it is to pytest, so that relative imports work.
     code = (

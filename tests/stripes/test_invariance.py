@@ -119,11 +119,10 @@ def test_numpy_and_jax_frames(render):
 SETUP = ExtractionSetup((96, 64), FrameFormat(), LaserLine(), StripeSettings())
 
 
-def test_the_native_search_gives_what_the_pure_function_does_inside_a_larger_jit(render):
-    # An accelerator takes all frames of a chunk at once, and the reference's search.
+def test_extraction_gives_what_the_pure_function_does_inside_a_larger_jit(render):
     scene = render(1.5, 80.0, rows=64)
     on, off = (np.concatenate([frame, frame[:, ::-1]]) for frame in (scene.on, scene.off))
-    native = extract_stripes(on, off, noise=KNOWN)
+    extracted = extract_stripes(on, off, noise=KNOWN)
     (engine,) = prepare_engines(on, off, [SETUP], noise=KNOWN)
 
     @jax.jit
@@ -134,10 +133,10 @@ def test_the_native_search_gives_what_the_pure_function_does_inside_a_larger_jit
 
     with jax.enable_x64(False):
         learned = StripeEngine(engine.setup, learn_search(engine.search, compute(engine, on, off)[0], engine.setup))
-        reference, mean_centre = compute(learned, on, off)
+        traced, mean_centre = compute(learned, on, off)
     for name in FIELDS:
-        a, b = np.asarray(getattr(native, name)), np.asarray(getattr(reference, name))
+        a, b = np.asarray(getattr(extracted, name)), np.asarray(getattr(traced, name))
         # The order of float32 sums may differ.
         np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4, err_msg=name)
     # A float32 mean over 128 centres near 48 px.
-    assert abs(float(mean_centre) - np.asarray(native.u)[np.asarray(native.valid)].mean()) < 1e-3
+    assert abs(float(mean_centre) - np.asarray(extracted.u)[np.asarray(extracted.valid)].mean()) < 1e-3
