@@ -12,8 +12,8 @@ from jaxscan.stripes.stripes import KEPT_FIELDS, NoiseModel, Stripes, StripeSett
 
 
 _LINE, _SETTINGS = LaserLine(), StripeSettings()
-_CHUNK = 16
-"""Frames per call of the compiled function."""
+_CHUNK, _BYTES = 16, 2e8
+"""Frames per call of the compiled function, and bytes of them at most."""
 
 
 def extract_stripes(
@@ -59,8 +59,8 @@ def extract_stripes(
     (engine,) = prepare_engines(on, off, [ExtractionSetup(size, frames, line, settings)], noise=noise)
     if predicted:
         engine = engine.own_channel()
-    chunks = [slice(start, start + _CHUNK) for start in range(0, len(on), _CHUNK)]
-    records = min(_CHUNK, len(on))
+    records = max(1, min(_CHUNK, len(on), int(_BYTES / on[0].nbytes)))
+    chunks = [slice(start, start + records) for start in range(0, len(on), records)]
     frames_of = lambda part: (on[part], None if off is None else off[part], records)
     engine = engine.learn(*frames_of(chunks[0]))
     found = [engine.extract(*frames_of(part)).stripes for part in chunks]

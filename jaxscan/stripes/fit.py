@@ -21,7 +21,6 @@ from jax import lax
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.packing import packed
 from jaxscan.stripes.peaks import WINDOW, Peaks
 from jaxscan.stripes.planes import Plane
 from jaxscan.stripes.search import Search
@@ -49,6 +48,8 @@ _PIXEL = 1.0 / 12.0
 """Addition of a pixel's aperture to the square of a stripe's width [px^2]."""
 _BLOCK = 256
 """Candidates that are fitted together, until the last of them is at rest."""
+_ROW = 64
+"""Candidates that one row of a product counts."""
 
 
 class Window(NamedTuple):
@@ -160,7 +161,7 @@ def fit_peaks(
     Returns:
         Fields [candidates, lines]; zero where no stripe is believed.
     """
-    places, total, number = packed(peaks.exists.reshape(-1), _BLOCK)
+    places, total, number = _packed(peaks.exists.reshape(-1), _BLOCK)
     lines, blocks = on.samples.shape[0], len(places) // _BLOCK
     flat = [jnp.asarray(field).reshape(-1) for field in (peaks.at, peaks.extent, peaks.first, peaks.bins)]
 
@@ -193,6 +194,21 @@ class _Cut(NamedTuple):
     first: Array
     bins: Array
     real: Array
+
+
+def _packed(exists: Bool[Array, " n"], block: int) -> tuple[Int[Array, " m"], Int[Array, ""], Int[Array, " n"]]:
+    """Places of those that exist one after the other, filled up to whole blocks with the first place; their number; and
+    for every place where it went, -1 for none. Counting begins with a small product in place of a long sum."""
+    count = exists.size
+    room = -(-count // block) * block
+    whole = jnp.pad(exists, (0, -count % _ROW)).reshape(-1, _ROW).astype(jnp.float32)
+    within = whole @ jnp.asarray(np.triu(np.ones((_ROW, _ROW), np.float32), 1))
+    rows = jnp.sum(whole, 1)
+    before = jnp.cumsum(rows) - rows
+    number = (within + before[:, None]).reshape(-1)[:count].astype(jnp.int32)
+    places = jnp.zeros(room, jnp.int32)
+    places = places.at[jnp.where(exists, number, room)].set(jnp.arange(count, dtype=jnp.int32), mode="drop")
+    return places, jnp.sum(rows).astype(jnp.int32), jnp.where(exists, number, -1)
 
 
 def _fit_block(

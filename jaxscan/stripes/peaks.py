@@ -79,11 +79,16 @@ def find_peaks(
         lamp_ratio: Factor by which the light of the laser-off frame is multiplied [1].
         low: First sample of each line that may hold the stripe.
         high: The sample behind the last one; a line whose `high` is not above `low` has no candidate.
-        thresholds: Smallest response of a candidate by the mean level of its line.
+        thresholds: Smallest response of a candidate by the level of the room around it.
         pitch: Distance between samples [px], 1 or 2.
+
+    Raises:
+        ValueError: If a line has more samples than the search can count.
     """
     each = LATTICE_PX // pitch
     points = on.samples.shape[1] // each
+    if points > _LAST:
+        raise ValueError(f"A line may have up to {_LAST * each} samples, got {on.samples.shape[1]}.")
     begin, end = low // each, jnp.minimum(-(-high // each), points)
     point = jnp.arange(points, dtype=jnp.int16)[None]
     inside = (point >= begin.astype(jnp.int16)[:, None]) & (point < end.astype(jnp.int16)[:, None])

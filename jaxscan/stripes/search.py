@@ -77,7 +77,7 @@ class Search(NamedTuple):
     high: Int[Array, " lines"]
     """The sample behind the last one."""
     thresholds: Int16[Array, "256"]
-    """Smallest response of a candidate, by the mean level of its line."""
+    """Smallest response of a candidate, by the level of the room around it."""
     levels: Float[Array, "256"]
     """Linear level of each code [DN]."""
     rounding: Float[Array, "256"]
