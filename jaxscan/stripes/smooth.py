@@ -251,6 +251,7 @@ def _summed(rows: _Rows) -> _Running:
     return _Running(sums, own(x), own(y), jnp.asarray(at.astype(np.int32)))
 
 
+@jax.jit
 def _between(running: _Running, first: Array, last: Array) -> list[Array]:
     """The sums from the `first`-th row before each to the `last`-th behind it, about the row's own line and centre.
 
@@ -272,32 +273,42 @@ def _between(running: _Running, first: Array, last: Array) -> list[Array]:
 def _gaps(rows: _Rows) -> tuple[Bool[Array, "profiles rows"], Float[Array, "profiles rows"]]:
     """Rows that a gap parts from the next one; and doubts about the others, none as yet."""
     following = _shifted(rows.own, 1) > 0
-    return ~following | (_shifted(rows.x, 1) - rows.x > _GAP), jnp.zeros_like(rows.y)
+    return ~following | (_shifted(rows.x, 1) - rows.x > _GAP), jnp.zeros(rows.y.shape, jnp.float32)
 
 
 @jax.jit
 def _ends(rows: _Rows, edge: Bool[Array, "profiles rows"]) -> tuple[Array, Array]:
     """Rows before and behind each that no edge parts from it and that are not farther away than a window reaches."""
-    free = ~edge
+    free, x = ~edge, rows.x.astype(jnp.int32)
     left, right = jnp.zeros(edge.shape, jnp.int32), jnp.zeros(edge.shape, jnp.int32)
     goes_left, goes_right = jnp.ones(edge.shape, jnp.bool_), jnp.ones(edge.shape, jnp.bool_)
     for k in range(1, _REACH + 1):
-        goes_left &= _shifted(free, -k) & (rows.x - _shifted(rows.x, -k) <= _REACH)
-        goes_right &= _shifted(free, k - 1) & (_shifted(rows.x, k) - rows.x <= _REACH)
+        goes_left &= _shifted(free, -k) & (x - _shifted(x, -k) <= _REACH)
+        goes_right &= _shifted(free, k - 1) & (_shifted(x, k) - x <= _REACH)
         left, right = left + goes_left.astype(jnp.int32), right + goes_right.astype(jnp.int32)
     return left, right
 
 
-@jax.jit
 def _compared(rows: _Rows, running: _Running, edge: Array, left: Array, right: Array, size: Array | int) -> Array:
     """Chi-squared by which straight lines on both sides of a place behind each row are better than one parabola."""
-    before, behind = jnp.minimum(left, size - 1), jnp.minimum(_shifted(right, 1), size - 1)
-    one = _between(running, before, jnp.zeros_like(before))
-    other = _between(running, -jnp.ones_like(before), behind + 1)
+    before, here, after, behind = _sides(left, right, size)
+    return _better(rows, edge, _between(running, before, here), _between(running, after, behind))
+
+
+@jax.jit
+def _sides(left: Array, right: Array, size: Array | int) -> tuple[Array, Array, Array, Array]:
+    """The rows before a place behind each row, and those behind it, as `_between` takes them."""
+    here = jnp.zeros_like(left)
+    return jnp.minimum(left, size - 1), here, here - 1, jnp.minimum(_shifted(right, 1), size - 1) + 1
+
+
+@jax.jit
+def _better(rows: _Rows, edge: Array, one: list[Array], other: list[Array]) -> Array:
     both = [a + b for a, b in zip(one, other, strict=True)]
     lines, known = zip(*(_line_explains(side) for side in (one, other)), strict=True)
     curved, whole = _parabola_explains(both, 0.25 * (rows.weight + _shifted(rows.weight, 1)) * _STRAIGHT)
-    return jnp.where(known[0] & known[1] & whole & ~edge, lines[0] + lines[1] - curved, 0.0)
+    better = jnp.where(known[0] & known[1] & whole & ~edge, lines[0] + lines[1] - curved, 0.0)
+    return better.astype(jnp.float32)
 
 
 @jax.jit
@@ -335,6 +346,7 @@ def _windows(rows: _Rows, running: _Running, ends: tuple[Array, Array]) -> tuple
     return _chosen(rows.weight, ends, [_fitted(running, ends, size) for size in _SIZES])
 
 
+@jax.jit
 def _reach(ends: tuple[Array, Array], size: Array | int) -> tuple[Array, Array]:
     """Rows of a window to both sides. A side that ends early is made up for on the other."""
     left, right = ends
@@ -342,12 +354,10 @@ def _reach(ends: tuple[Array, Array], size: Array | int) -> tuple[Array, Array]:
     return first, jnp.minimum(right, 2 * size - jnp.minimum(left, size))
 
 
-@jax.jit
 def _fitted(running: _Running, ends: tuple[Array, Array], size: Array | int) -> tuple[Array, ...]:
     """Value of the parabola in a window, its variance, chi-squared, sum of the weights, and rows."""
     sums = _between(running, *_reach(ends, size))
-    value, variance, explained = _parabola(sums)
-    return value, variance, sums[8] - explained, sums[0], sums[9]
+    return *_parabola(sums), sums[0], sums[9]
 
 
 @jax.jit
@@ -383,7 +393,7 @@ def _mixed(
     row = jnp.arange(count, dtype=jnp.int32)[None]
     line = lambda at: jnp.take_along_axis(rows.x, jnp.clip(at, 0, count - 1), 1)
     shared = spread * (line(row + high) - line(row - low) + 1.0)
-    share = jnp.where(most > 0, 1.0 / (1.0 + jnp.exp(0.5 * (_EVEN - most))), 0.0)
+    share = jnp.where(most > 0, 1.0 / (1.0 + jnp.exp(0.5 * (_EVEN - most))), 0.0).astype(value.dtype)
     apart = other[0] - value
     value, variance = value + share * apart, variance + share * (other[1] - variance + (1.0 - share) * apart**2)
     alone = 1.0 / jnp.where(rows.own > 0, rows.own, 1.0)
@@ -433,9 +443,11 @@ def _parabola_explains(sums: list[Array], straight: Array) -> tuple[Array, Array
     return (square + 2.0 * (c01 * t0 * t1 + c02 * t0 * t2 + c12 * t1 * t2)) * part, known
 
 
+@jax.jit
 def _parabola(sums: list[Array]) -> tuple[Array, Array, Array]:
-    """Value of a parabola at 0, the value's variance (-1 without a parabola), and what it explains."""
+    """Value of a parabola at 0, the value's variance (-1 without a parabola), and chi-squared."""
     s0, s1, s2, s3, s4, t0, t1, t2 = sums[:8]
     (c00, c01, c02, c11, c12, c22), part, known = _cofactors(s0, s1, s2, s3, s4)
     a0, a1, a2 = c00 * t0 + c01 * t1 + c02 * t2, c01 * t0 + c11 * t1 + c12 * t2, c02 * t0 + c12 * t1 + c22 * t2
-    return a0 * part, jnp.where(known, c00 * part, -1.0), (a0 * t0 + a1 * t1 + a2 * t2) * part
+    chi2 = sums[8] - (a0 * t0 + a1 * t1 + a2 * t2) * part
+    return a0 * part, jnp.where(known, c00 * part, -1.0), chi2
