@@ -154,7 +154,8 @@ def _smoothed(u: Array, sigma: Array, valid: Array) -> tuple[Array, Array, Array
     running = _summed(rows)
     edge, doubt = _gaps(rows)
     for size in _SIZES:
-        height = _compared(rows, running, edge, *_ends(rows, edge), size)
+        left, right = _ends(rows, edge)
+        height = _compared(rows, running, edge, left, right, size)
         edge, doubt = _marked(height, edge, doubt, size)
     ends = _ends(rows, edge)
     first = _windows(rows, running, ends)
