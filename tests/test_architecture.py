@@ -87,7 +87,7 @@ HOME_OF = {
     "numba": set(),
     "isal": {"vision"},
     "simplejpeg": {"vision"},
-    "scipy": {"measurement", "calibration/chi_squared.py", "geometry/rigid.py"},
+    "scipy": {"measurement", "calibration/chi_squared.py", "geometry/rigid.py", "stripes/predict.py"},
     "matplotlib": {"report"},
     "rich": {"cli"},
     "tyro": {"cli"},

@@ -83,10 +83,9 @@ def choose_stripes(
     offsets = jnp.asarray(sites.offsets, jnp.float32)[jnp.arange(lines) % len(sites.offsets)]
     measured = measured._replace(u=jnp.where(measured.valid, measured.u + offsets[None, None], 0.0))
     number = None if choice == "all" else _chosen(measured, search, choice)
-    if several:
+    if several or number is None:
         stripes = jax.tree.map(lambda field: field.reshape(frames * count, lines), measured)
     else:
-        assert number is not None
 
         def taken(field):
             found = jnp.zeros_like(field[:, 0])

@@ -92,25 +92,19 @@ def find_peaks(
     begin, end = low // each, jnp.minimum(-(-high // each), points)
     point = jnp.arange(points, dtype=jnp.int16)[None]
     inside = (point >= begin.astype(jnp.int16)[:, None]) & (point < end.astype(jnp.int16)[:, None])
-    level = _lattice(on.samples, pitch)
+    level, level_at = _lattice(on.samples, pitch), functools.partial(_level, on if off is None else off, each)
     if off is not None:
         room = _lattice(off.samples, pitch)
         level = level - room - _brighter(room, lamp_ratio)
     lattice = jnp.where(inside, level, jnp.int16(0))
-    ground = None if off is not None else _surround(lattice)
+    ground = _surround(lattice) if off is None else None
     least = jnp.min(jnp.asarray(thresholds)).astype(jnp.int32)
 
     def measured(at):
         """Whether a maximum stands out, its extent to both sides and its zone, of every line."""
         around = _around(lattice, at)
-        base: Array | None = None
-        if off is None:
-            assert ground is not None
-            base = jnp.take_along_axis(ground, at[:, None], 1)[:, 0]
-            mean = base // (8 * each)
-        else:
-            mean = jnp.asarray(_level(off, each * at))
-        threshold = jnp.asarray(thresholds)[mean]
+        base = None if ground is None else jnp.take_along_axis(ground, at[:, None], 1)[:, 0]
+        threshold = jnp.asarray(thresholds)[level_at(at) if base is None else base // (8 * each)]
         count = len(around) - 2 * _MARGIN
         fine, response = _filters(
             lambda k: around[_MARGIN + k : _MARGIN + k + count], None if base is None else base[None]
@@ -247,9 +241,9 @@ def _border(lattice: Array, ground: Array | None, first: int, last: int) -> Int[
     return _key(half, jnp.arange(first, last, dtype=jnp.int32)[None])
 
 
-def _level(off: Plane, at: Int[Array, " lines"]) -> Int[Array, " lines"]:
-    """Mean level around a sample of every line."""
-    place = jnp.clip(at[None] + np.arange(-8, 9, 2, dtype=np.int32)[:, None], 0, off.samples.shape[1] - 1)
+def _level(off: Plane, each: int, at: Int[Array, " lines"]) -> Int[Array, " lines"]:
+    """Mean level around a lattice point of every line."""
+    place = jnp.clip(each * at[None] + np.arange(-8, 9, 2, dtype=np.int32)[:, None], 0, off.samples.shape[1] - 1)
     return jnp.sum(off.at(jnp.arange(len(at), dtype=jnp.int32)[None], place).astype(jnp.int32), 0) // 9
 
 
