@@ -7,7 +7,7 @@ candidates are the highest maxima of the larger of the two, each with the zone a
 
 It is written for XLA, which makes fast code of elementwise operations over long rows and of nothing else: two samples
 are added inside the 16-bit word that they share; the maximum along a line is folded, slice onto slice of it, where the
-best two of every 16 points, a comb with wide gaps, are kept; and the lattice at the borders, which filters reach
+best two of up to 16 points, a comb with wide gaps, are kept; and the lattice at the borders, which filters reach
 beyond, is a small array of its own, so that no padding copies the frame.
 """
 
@@ -29,8 +29,8 @@ LATTICE_PX = 2
 """Spacing of the points on which candidates are searched [px]."""
 WINDOW = 24
 """Samples of a fit's window."""
-FINE_NORM, COARSE_NORM = np.sqrt(6.0), np.sqrt(22.0)
-"""Root sums of squares of the two filters' weights on the lattice."""
+COARSE_NORM = np.sqrt(22.0)
+"""Root sum of squares of the wide filter's weights on the lattice."""
 _FINE_SHIFT = 3
 """2 - 1 / 8 brings the fine filter's response to the noise of the coarse one's, within 2 %."""
 _HALF_SPAN = 12

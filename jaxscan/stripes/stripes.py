@@ -59,12 +59,6 @@ class FrameStripes(NamedTuple):
     valid: Bool[Array, "*n"]
 
 
-def stripes_of_zeros(shape: tuple[int, ...]) -> FrameStripes:
-    """NumPy arrays to be filled."""
-    types: dict[str, type] = {"saturated": np.uint8, "valid": np.bool_}
-    return FrameStripes(*(np.zeros(shape, types.get(name, np.float32)) for name in FrameStripes._fields))
-
-
 KEPT_FIELDS = tuple(name for name in FrameStripes._fields if name not in ("snr", "grey"))
 """Fields of `FrameStripes` that `Stripes` has too."""
 

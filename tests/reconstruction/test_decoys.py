@@ -9,8 +9,7 @@ from jaxscan.errors import CaptureError
 from jaxscan.reconstruction import ReconstructSettings, Sweep, make_plan, stripes_of_plan
 from jaxscan.reconstruction.decoys import DecoyWatch, judge
 from jaxscan.reconstruction.streaming import Batch
-from jaxscan.stripes import ChunkStripes
-from jaxscan.stripes.stripes import stripes_of_zeros
+from jaxscan.stripes import ChunkStripes, FrameStripes
 
 from .rooms import HEIGHT, STEPS, moving_light, room
 
@@ -67,7 +66,8 @@ def _clear(rng, count, scale):
 def _bright_lines(batch):
     """Every line has a stripe as wide as it is bright."""
     light = np.asarray(batch.on, np.float32).mean(2)
-    stripes = stripes_of_zeros(light.shape)
+    types = {"saturated": np.uint8, "valid": np.bool_}
+    stripes = FrameStripes(*(np.zeros(light.shape, types.get(name, np.float32)) for name in FrameStripes._fields))
     return ChunkStripes(stripes._replace(width=light, sigma=stripes.sigma + 1, valid=light > 0), None)
 
 
