@@ -18,7 +18,7 @@ from jaxscan.cli.scanning.live import LiveCloud
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.files.capture import Capture, open_capture
 from jaxscan.files.recording import resume_capture
-from jaxscan.reconstruction.incoming import IncomingStripes
+from jaxscan.reconstruction import IncomingStripes
 from jaxscan.stripes import learn_noise
 
 
@@ -90,7 +90,7 @@ def test_noise_and_doubts_are_told_as_by_reconstruct(live, folder, scanner, monk
     def doubtful(*frames, **words):
         return learn_noise(*frames, **words)._replace(doubts=("the images look odd",))
 
-    monkeypatch.setattr("jaxscan.reconstruction.plan.learn_noise", doubtful)
+    monkeypatch.setattr("jaxscan.reconstruction.extraction.learn_noise", doubtful)
     capture = open_capture(folder)
     feed(live, capture, range(60))
     wait(lambda: live.status().records >= 8)

@@ -1,30 +1,18 @@
-"""Stripes of a sweep while it is being taken, as `extract_sweep` finds them in the finished one.
-
-The engine learns from the first records; after that a frame's stripes depend on nothing but the
-frame. So they are the same whenever they are found, and in whatever chunk.
-"""
+"""The stripes of a sweep while it is being taken, as `extract` finds them in the finished one."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction.colours import NOISE_RECORDS
-from jaxscan.reconstruction.plan import make_plan
-from jaxscan.reconstruction.points import Centres, points_alone, stripe_colours
+from jaxscan.reconstruction.extraction import LEARNED_RECORDS, Learned, empty_stripes, learn
+from jaxscan.reconstruction.plan import chunk_records, plan_sweep
+from jaxscan.reconstruction.points import Aim, Centres, empty_points, fill_points
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
-from jaxscan.reconstruction.streaming import GrowingStripes, chunk_records
-from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
-from jaxscan.stripes import (
-    LEARNED_FRAMES,
-    LaserLine,
-    PixelFormat,
-    Response,
-    StripeEngine,
-    Stripes,
-)
+from jaxscan.reconstruction.sweep import Batch, FrameChunk, SweepSource
+from jaxscan.stripes import LEARNED_FRAMES, LaserLine, PixelFormat, Response, Stripes
 
 
 Show = Callable[[np.ndarray, np.ndarray], None]
@@ -42,7 +30,7 @@ class RecordedPair(NamedTuple):
     off: np.ndarray
 
 
-@dataclass
+@dataclass(frozen=True)
 class PlannedSweep:
     """A sweep of one laser that is to come: a `SweepSource` of which the first frames alone are at hand."""
 
@@ -60,9 +48,9 @@ class PlannedSweep:
     laser: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        self.angles = np.zeros(self.steps)
-        self.record = np.arange(self.steps, dtype=np.int32)
-        self.laser = np.zeros(self.steps, np.int32)
+        record = np.arange(self.steps, dtype=np.int32)
+        for name, values in (("angles", np.zeros(self.steps)), ("record", record), ("laser", np.zeros_like(record))):
+            object.__setattr__(self, name, values)
 
     def __len__(self) -> int:
         return self.steps
@@ -98,10 +86,10 @@ class IncomingStripes:
         """
         if settings.check_steps or settings.stripes.choice == "all":
             raise ValueError("Stripes are found one record at a time: neither `check_steps` nor every candidate.")
-        self._sweep, self._show = sweep, show
-        self._plan = make_plan(sweep, scanner, settings)
-        self._engine: StripeEngine | None = None
-        self._stripes = GrowingStripes(len(sweep), self._plan.lines)
+        self._sweep, self._plan, self._show = sweep, plan_sweep(sweep, scanner, settings), show
+        self._aim = Aim.of(scanner, settings, self._plan.stripe_axis)._replace(laser=self._plan.sheet[0])
+        self._learned: Learned | None = None
+        self._stripes = empty_stripes(len(sweep), self._plan.lines)
         self.points = np.full(len(sweep), -1, np.int64)
         """Points of each record; -1 where its stripes are not known."""
 
@@ -113,22 +101,22 @@ class IncomingStripes:
     @property
     def needed(self) -> int:
         """Records at the start of the sweep from which is learned."""
-        return min(len(self._sweep), NOISE_RECORDS)
+        return min(len(self.points), LEARNED_RECORDS)
 
     @property
     def learned(self) -> bool:
         """Whether stripes can be found."""
-        return self._engine is not None
+        return self._learned is not None
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes on the frames, a sentence each, once it is learned."""
-        return tuple(self._plan.notes)
+        return () if self._learned is None else self._learned.notes
 
     @property
     def noise(self) -> str:
         """A line on the noise, once it is learned."""
-        return self._plan.noise
+        return "" if self._learned is None else self._learned.noise
 
     def learn(self, pairs: Sequence[RecordedPair]) -> None:
         """Prepare the search from the first `needed` records, in their order.
@@ -136,11 +124,10 @@ class IncomingStripes:
         Raises:
             CaptureError: If they do not tell the laser's colour.
         """
-        self._sweep.first = FrameChunk(np.stack([pair.on for pair in pairs]), np.stack([pair.off for pair in pairs]))
-        (engine,) = self._plan.engines().values()
-        self._engine = engine.learn(*_frames(pairs[: self.size]), self.size)
-        self._plan.tell_noise(0, self._engine)
-        self._sweep.first = None
+        first = _batch(pairs)
+        chunk = FrameChunk(first.on, first.off)
+        plan = replace(self._plan, sweep=replace(self._sweep, first=chunk))
+        self._learned = replace(learn(plan, chunk).taught_by(_batch(pairs[: self.size])), plan=self._plan)
 
     def compute(self, pairs: Sequence[RecordedPair]) -> None:
         """Find the stripes of some records, and count their points.
@@ -148,22 +135,26 @@ class IncomingStripes:
         Raises:
             ValueError: If nothing was learned yet.
         """
-        if self._engine is None:
+        if self._learned is None:
             raise ValueError("`learn` comes before `compute`.")
-        plan = self._plan
         ordered = sorted(pairs, key=lambda pair: pair.number)
         for start in range(0, len(ordered), self.size):
             some = ordered[start : start + self.size]
-            numbers, (on, off) = np.array([pair.number for pair in some]), _frames(some)
-            phi = np.array([pair.angle for pair in some], np.float32)
-            found = self._engine.extract(on, off, self.size).stripes
-            rgb = stripe_colours(found, off, plan.frames, plan.stripe_axis)
-            points = points_alone(plan.aim(0), Centres.of(found), phi, self.size, stripe_axis=plan.stripe_axis)
-            valid = np.asarray(points.valid)
-            self._stripes.store(numbers, found, rgb)
-            self.points[numbers] = np.count_nonzero(valid, axis=1)
+            batch, phi = _batch(some), np.array([pair.angle for pair in some], np.float32)
+            found = self._learned.find(batch)
+            stripes = found.stripes._asdict() | {"rgb": self._learned.colours(batch, found)}
+            for name, to in self._stripes.items():
+                to[batch.profiles] = stripes[name]
+            points = self._points(Centres(*(stripes[name] for name in Centres._fields)), phi)
+            valid = points["valid"]
+            self.points[batch.profiles] = np.count_nonzero(valid, axis=1)
             if self._show is not None:
-                self._show(np.asarray(points.xyz)[valid], rgb[valid])
+                self._show(points["xyz"][valid], stripes["rgb"][valid])
+
+    def _points(self, centres: Centres, phi: np.ndarray) -> dict[str, np.ndarray]:
+        fields = empty_points(np.shape(centres.u))
+        fill_points(fields, np.arange(len(phi)), self._aim, centres, phi, stripe_axis=self._plan.stripe_axis)
+        return fields
 
     def are_of(self, sweep: SweepSource, numbers: Sequence[int]) -> bool:
         """Whether a finished sweep would learn the same from its first records.
@@ -181,10 +172,10 @@ class IncomingStripes:
     def finish(self, numbers: Sequence[int]) -> Stripes:
         """Stripes of some records, one profile each, numbered anew from 0."""
         rows, count = np.asarray(numbers), len(numbers)
-        fields = {name: values[rows] for name, values in self._stripes.fields.items()}
-        record, laser = np.arange(count, dtype=np.int32), np.zeros(count, np.int32)
-        return Stripes(**fields, record=record, laser=laser)
+        fields = {name: values[rows] for name, values in self._stripes.items()}
+        return Stripes(**fields, record=np.arange(count, dtype=np.int32), laser=np.zeros(count, np.int32))
 
 
-def _frames(pairs: Sequence[RecordedPair]) -> tuple[np.ndarray, np.ndarray]:
-    return np.stack([pair.on for pair in pairs]), np.stack([pair.off for pair in pairs])
+def _batch(pairs: Sequence[RecordedPair]) -> Batch:
+    on, off = np.stack([pair.on for pair in pairs]), np.stack([pair.off for pair in pairs])
+    return Batch(np.array([pair.number for pair in pairs]), 0, on, off)
