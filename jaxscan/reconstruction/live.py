@@ -1,5 +1,6 @@
 """The stripes of a sweep while it is being taken, as `extract` finds them in the finished one."""
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -11,7 +12,7 @@ from jaxscan.reconstruction.extraction import LEARNED_RECORDS, Learned, empty_st
 from jaxscan.reconstruction.plan import chunk_records, plan_sweep
 from jaxscan.reconstruction.points import Aim, Centres, empty_points, fill_points
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
-from jaxscan.reconstruction.sweep import Batch, FrameChunk, SweepSource
+from jaxscan.reconstruction.sweep import Batch, FrameChunk, SweepSource, batches
 from jaxscan.stripes import LEARNED_FRAMES, LaserLine, PixelFormat, Response, Stripes
 
 
@@ -32,7 +33,7 @@ class RecordedPair(NamedTuple):
 
 @dataclass(frozen=True)
 class PlannedSweep:
-    """A sweep of one laser that is to come: a `SweepSource` of which the first frames alone are at hand."""
+    """A sweep to come whose lasers take turns: a `SweepSource` of which the first frames alone are at hand."""
 
     pixel_format: PixelFormat
     response: Response
@@ -49,7 +50,8 @@ class PlannedSweep:
 
     def __post_init__(self) -> None:
         record = np.arange(self.steps, dtype=np.int32)
-        for name, values in (("angles", np.zeros(self.steps)), ("record", record), ("laser", np.zeros_like(record))):
+        laser = record % max(len(self.lasers), 1)
+        for name, values in (("angles", np.zeros(self.steps)), ("record", record), ("laser", laser)):
             object.__setattr__(self, name, values)
 
     def __len__(self) -> int:
@@ -87,7 +89,7 @@ class IncomingStripes:
         if settings.check_steps or settings.stripes.choice == "all":
             raise ValueError("Stripes are found one record at a time: neither `check_steps` nor every candidate.")
         self._sweep, self._plan, self._show = sweep, plan_sweep(sweep, scanner, settings), show
-        self._aim = Aim.of(scanner, settings, self._plan.stripe_axis)._replace(laser=self._plan.sheet[0])
+        self._aim = Aim.of(scanner, settings, self._plan.stripe_axis)
         self._learned: Learned | None = None
         self._stripes = empty_stripes(len(sweep), self._plan.lines)
         self.points = np.full(len(sweep), -1, np.int64)
@@ -101,7 +103,12 @@ class IncomingStripes:
     @property
     def needed(self) -> int:
         """Records at the start of the sweep from which is learned."""
-        return min(len(self.points), LEARNED_RECORDS)
+        return min(len(self.points), max(LEARNED_RECORDS, min(self.size, self._teaching)))
+
+    @property
+    def _teaching(self) -> int:
+        """Records in which every laser shows the frames that teach its width and speckle."""
+        return LEARNED_FRAMES * len(self._sweep.lasers)
 
     @property
     def learned(self) -> bool:
@@ -124,10 +131,12 @@ class IncomingStripes:
         Raises:
             CaptureError: If they do not tell the laser's colour.
         """
-        first = _batch(pairs)
-        chunk = FrameChunk(first.on, first.off)
-        plan = replace(self._plan, sweep=replace(self._sweep, first=chunk))
-        self._learned = replace(learn(plan, chunk).taught_by(_batch(pairs[: self.size])), plan=self._plan)
+        on, off = (np.stack([getattr(pair, name) for pair in pairs]) for name in ("on", "off"))
+        first = FrameChunk(on[:LEARNED_RECORDS], off[:LEARNED_RECORDS])
+        learned = learn(replace(self._plan, sweep=replace(self._sweep, first=FrameChunk(on, off))), first)
+        for batch in batches(self._sweep, self.size, [FrameChunk(on[: self.size], off[: self.size])]):
+            learned = learned.taught_by(batch)
+        self._learned = replace(learned, plan=self._plan)
 
     def compute(self, pairs: Sequence[RecordedPair]) -> None:
         """Find the stripes of some records, and count their points.
@@ -137,24 +146,29 @@ class IncomingStripes:
         """
         if self._learned is None:
             raise ValueError("`learn` comes before `compute`.")
-        ordered = sorted(pairs, key=lambda pair: pair.number)
-        for start in range(0, len(ordered), self.size):
-            some = ordered[start : start + self.size]
-            batch, phi = _batch(some), np.array([pair.angle for pair in some], np.float32)
-            found = self._learned.find(batch)
-            stripes = found.stripes._asdict() | {"rgb": self._learned.colours(batch, found)}
-            for name, to in self._stripes.items():
-                to[batch.profiles] = stripes[name]
-            points = self._points(Centres(*(stripes[name] for name in Centres._fields)), phi)
-            valid = points["valid"]
-            self.points[batch.profiles] = np.count_nonzero(valid, axis=1)
-            if self._show is not None:
-                self._show(points["xyz"][valid], stripes["rgb"][valid])
-
-    def _points(self, centres: Centres, phi: np.ndarray) -> dict[str, np.ndarray]:
-        fields = empty_points(np.shape(centres.u))
-        fill_points(fields, np.arange(len(phi)), self._aim, centres, phi, stripe_axis=self._plan.stripe_axis)
-        return fields
+        axis, laser = self._plan.stripe_axis, self._sweep.laser
+        ordered = sorted(pairs, key=lambda pair: (laser[pair.number], pair.number))
+        for one, mine in itertools.groupby(ordered, key=lambda pair: int(laser[pair.number])):
+            group = list(mine)
+            for start in range(0, len(group), self.size):
+                some = group[start : start + self.size]
+                numbers, on, off = (
+                    np.array([getattr(pair, name) for pair in some]) for name in ("number", "on", "off")
+                )
+                batch = Batch(numbers, one, on, off)
+                found = self._learned.find(batch)
+                stripes = found.stripes._asdict() | {"rgb": self._learned.colours(batch, found)}
+                for name, to in self._stripes.items():
+                    to[batch.profiles] = stripes[name]
+                points, aim = empty_points(np.shape(found.stripes.u)), self._aim
+                aim = aim._replace(laser=np.asarray(self._plan.sheet[batch.profiles[0]], np.int32))
+                centres = Centres(*(stripes[name] for name in Centres._fields))
+                phi = np.array([pair.angle for pair in some], np.float32)
+                fill_points(points, np.arange(len(some)), aim, centres, phi, stripe_axis=axis)
+                valid = points["valid"]
+                self.points[batch.profiles] = np.count_nonzero(valid, axis=1)
+                if self._show is not None:
+                    self._show(points["xyz"][valid], stripes["rgb"][valid])
 
     def are_of(self, sweep: SweepSource, numbers: Sequence[int]) -> bool:
         """Whether a finished sweep would learn the same from its first records.
@@ -164,18 +178,14 @@ class IncomingStripes:
             numbers: Of its records, ascending.
         """
         # A shorter sweep may be computed in smaller chunks, of which the first teaches the width.
-        taught = min(self.size, LEARNED_FRAMES, self.needed)
-        same = min(chunk_records(sweep, self._plan.settings), LEARNED_FRAMES, len(numbers)) == taught
+        taught = min(self.size, self._teaching, self.needed)
+        same = min(chunk_records(sweep, self._plan.settings), self._teaching, len(numbers)) == taught
         begins = list(numbers[: self.needed]) == list(range(self.needed))
-        return self.learned and same and begins and numbers[-1] < len(self.points)
+        fits = self.learned and same and begins and numbers[-1] < len(self.points)
+        return fits and np.array_equal(sweep.laser, self._sweep.laser[list(numbers)])
 
     def finish(self, numbers: Sequence[int]) -> Stripes:
         """Stripes of some records, one profile each, numbered anew from 0."""
-        rows, count = np.asarray(numbers), len(numbers)
+        rows = np.asarray(numbers)
         fields = {name: values[rows] for name, values in self._stripes.items()}
-        return Stripes(**fields, record=np.arange(count, dtype=np.int32), laser=np.zeros(count, np.int32))
-
-
-def _batch(pairs: Sequence[RecordedPair]) -> Batch:
-    on, off = np.stack([pair.on for pair in pairs]), np.stack([pair.off for pair in pairs])
-    return Batch(np.array([pair.number for pair in pairs]), 0, on, off)
+        return Stripes(**fields, record=np.arange(len(rows), dtype=np.int32), laser=self._sweep.laser[rows])
