@@ -19,7 +19,7 @@ from jaxscan.reconstruction.decoys import Chance, DecoyWatch, judge
 from jaxscan.reconstruction.plan import Plan, plan_sweep
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.sweep import Batch, FrameChunk, SweepSource, batches, place, rows_of
-from jaxscan.reconstruction.without_off import can_predict
+from jaxscan.reconstruction.without_off import predicts, with_off
 from jaxscan.stripes import (
     KEPT_FIELDS,
     BlackLevelError,
@@ -112,11 +112,6 @@ def can_be_split(plan: Plan) -> bool:
     return one_each and len(shown) == len(np.unique(sweep.laser)) and not predicts(sweep)
 
 
-def predicts(sweep: SweepSource) -> bool:
-    """Whether laser-off frames are predicted, as the first record says."""
-    return can_predict(sweep) and next(sweep.chunks(1)).off is None
-
-
 def extract_part(
     plan: Plan,
     part: SweepSource | None = None,
@@ -134,7 +129,7 @@ def extract_part(
         noise: Noise of a frame; learned where not given.
         progress: Called with (records done, records of the part) after every chunk.
     """
-    coming = plan.chunks()
+    coming = with_off(plan)
     ahead = [next(coming)]
     while sum(len(chunk.on) for chunk in ahead) < min(LEARNED_RECORDS, len(plan.sweep)):
         ahead.append(next(coming))
@@ -146,7 +141,7 @@ def extract_part(
             if learned.ready:
                 break
         plan = dataclasses.replace(plan_sweep(part, plan.scanner, plan.settings), size=plan.size)
-        frames = plan.chunks()
+        frames = with_off(plan)
     sweep, watch = plan.sweep, DecoyWatch(profiles, predicted=learned.predicted, first=before)
     each, settings = learned.profiles_per_record, plan.settings
     fields = empty_stripes(each * len(sweep.record), plan.lines)
@@ -193,6 +188,8 @@ def join_parts(plan: Plan, parts: Sequence[StripePart]) -> Extraction:
         chance = judge(clear, decoys, per_profile=sum(part.found for part in parts) / len(sweep.record))
     if chance.least > 0.0:
         doubtful = fields["width"] < np.float32(chance.least) * np.maximum(fields["sigma"], np.float32(1e-4))
+        # The parts are the caller's.
+        fields = {name: field.copy() for name, field in fields.items()}
         for field in fields.values():
             field[doubtful] = 0
     profile = np.arange(len(fields["u"])) // (len(fields["u"]) // len(sweep.record))

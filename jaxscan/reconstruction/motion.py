@@ -9,6 +9,7 @@ from jaxscan.errors import CaptureError
 from jaxscan.geometry import Array, Rig, Scanner, Turntable, invert, poses, transform
 from jaxscan.reconstruction.cloud import PointCloud
 from jaxscan.reconstruction.sweep import SweepSource
+from jaxscan.stripes import box_mean
 
 
 _SIZE_PX = 320
@@ -202,18 +203,10 @@ def _reduced(frame: Array, factor: int, bracket: bool) -> np.ndarray:
     rows, columns = (size // factor for size in frame.shape)
     lines = frame[: rows * factor, : columns * factor].reshape(rows, factor, -1).sum(1, dtype=np.uint32)
     small = lines.reshape(rows, columns, factor).sum(2).astype(np.float32) / factor**2
-    small = small - _box(_box(small).T).T
+    small = small - box_mean(small[None], _FLAT_PX, _FLAT_PX)[0]
     # One bright edge is not worth more than many of a texture.
     most = float(np.quantile(np.abs(small), 0.98))
     return np.clip(small, -most, most)
-
-
-def _box(image: np.ndarray) -> np.ndarray:
-    """Means along the columns of a row."""
-    at = np.arange(image.shape[1])
-    first, stop = np.maximum(at - _FLAT_PX, 0), np.minimum(at + _FLAT_PX + 1, image.shape[1])
-    sums = np.pad(np.cumsum(image, 1, dtype=np.float64), ((0, 0), (1, 0)))
-    return ((sums[:, stop] - sums[:, first]) / (stop - first)).astype(np.float32)
 
 
 def _ways(rig: Rig, points: np.ndarray, factor: int, reach: int) -> _Ways:

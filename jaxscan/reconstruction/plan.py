@@ -1,7 +1,6 @@
 """The plan of a reconstruction: a sweep and a scanner that fit together. It is made once and reads no frame."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,9 +12,8 @@ from jaxscan.geometry import Scanner, StripeAxis, across_and_along
 from jaxscan.reconstruction.ahead import workers
 from jaxscan.reconstruction.gate import line_gate
 from jaxscan.reconstruction.settings import ReconstructSettings
-from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
-from jaxscan.reconstruction.without_off import with_off
-from jaxscan.stripes import FrameFormat, LineGate, Stripes
+from jaxscan.reconstruction.sweep import SweepSource
+from jaxscan.stripes import FrameFormat, LineGate
 
 
 GATE_MARGIN_PX = 40.0
@@ -77,10 +75,6 @@ class Plan:
             )
             for laser, profile in zip(lasers, first, strict=True)
         }
-
-    def chunks(self) -> Iterator[FrameChunk]:
-        """All frames in order, `size` records at a time; missing laser-off frames are predicted."""
-        return with_off(self.sweep, self.scanner, self.settings, self.size)
 
 
 def plan_sweep(sweep: SweepSource, scanner: Scanner, settings: ReconstructSettings) -> Plan:
@@ -169,15 +163,4 @@ def _check_motion(sweep: SweepSource, scanner: Scanner) -> None:
         raise CalibrationError(
             f'The sweep says carries = "{sweep.carries}", the calibration "{known}"; use a calibration made in the '
             "same arrangement."
-        )
-
-
-def check_stripes(plan: Plan, stripes: Stripes) -> None:
-    """Refuse stripes of another sweep; several profiles of each of its own are welcome."""
-    profiles, lines = np.shape(stripes.u)
-    expected = len(plan.sweep.record)
-    if lines != plan.lines or profiles == 0 or profiles % expected:
-        raise CaptureError(
-            f"The stripes have {profiles} profiles of {lines} lines, the sweep has {expected} records of "
-            f"{plan.lines} lines; pass the stripes of this sweep."
         )

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from jaxscan.geometry import Scanner, StripeAxis, pixels, poses, rays, stripe_pixel, transform
 from jaxscan.reconstruction.ahead import workers
-from jaxscan.reconstruction.settings import ReconstructSettings
+from jaxscan.reconstruction.plan import Plan
 from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
 from jaxscan.stripes import Channels, Sites, box_mean, laser_sites, predict_off, read_channels, warped
 
@@ -40,18 +40,22 @@ _AROUND = (8, 4)
 """Samples and lines on either side whose residuals choose the distance."""
 
 
-def can_predict(sweep: SweepSource) -> bool:
-    """Whether missing laser-off frames can be predicted: a laser whose colour is to be learned needs true ones."""
+def predicts(sweep: SweepSource) -> bool:
+    """Whether laser-off frames are predicted, as the first record says."""
+    return _can_predict(sweep) and next(sweep.chunks(1)).off is None
+
+
+def _can_predict(sweep: SweepSource) -> bool:
+    """A laser whose colour is to be learned needs true laser-off frames."""
     return sweep.pixel_format == "mono8" or all(line.colour != "auto" for line in sweep.lasers)
 
 
-def with_off(sweep: SweepSource, scanner: Scanner, settings: ReconstructSettings, size: int) -> Iterator[FrameChunk]:
+def with_off(plan: Plan) -> Iterator[FrameChunk]:
     """The chunks of a sweep; of one without laser-off frames, with predicted ones."""
-    if not can_predict(sweep):
+    sweep, size = plan.sweep, plan.size
+    if not _can_predict(sweep):
         yield from sweep.chunks(size)
         return
-    near, far = max(settings.min_range_m, _NEAREST_M), min(settings.max_range_m, _FARTHEST_M)
-    ranges = 1.0 / np.linspace(1.0 / min(near, far), 1.0 / max(near, far), _RANGES)
     kept: list[np.ndarray] = []
     first, done = 0, 0
     with ThreadPoolExecutor(workers()) as pool:
@@ -64,7 +68,7 @@ def with_off(sweep: SweepSource, scanner: Scanner, settings: ReconstructSettings
             while done < len(sweep) and (last or done + size + _FARTHEST <= first + len(kept)):
                 records = range(done, min(done + size, len(sweep)))
                 known = {first + k: frame for k, frame in enumerate(kept)}
-                off = pool.map(lambda k, known=known: _off(sweep, scanner, ranges, k, known), records)
+                off = pool.map(lambda k, known=known: _off(plan, k, known), records)
                 on = np.stack(kept[done - first : records.stop - first])
                 yield FrameChunk(on, np.stack(list(off)))
                 done = records.stop
@@ -72,38 +76,39 @@ def with_off(sweep: SweepSource, scanner: Scanner, settings: ReconstructSettings
                 first, kept = first + passed, kept[passed:]
 
 
-def _off(
-    sweep: SweepSource, scanner: Scanner, ranges: np.ndarray, record: int, frames: dict[int, np.ndarray]
-) -> np.ndarray:
+def _off(plan: Plan, record: int, frames: dict[int, np.ndarray]) -> np.ndarray:
     """The laser-off frames of a record, of all its exposures."""
-    bracket = len(sweep.exposures) > 1
+    bracket = len(plan.sweep.exposures) > 1
     stacks = {k: frame if bracket else frame[None] for k, frame in frames.items()}
     parts = [
-        _predicted(sweep, scanner, ranges, record, {k: stack[e : e + 1] for k, stack in stacks.items()})
+        _predicted(plan, record, {k: stack[e : e + 1] for k, stack in stacks.items()})
         for e in range(len(stacks[record]))
     ]
     return np.concatenate(parts) if bracket else parts[0][0]
 
 
-def _predicted(
-    sweep: SweepSource, scanner: Scanner, ranges: np.ndarray, record: int, frames: dict[int, np.ndarray]
-) -> np.ndarray:
+def _predicted(plan: Plan, record: int, frames: dict[int, np.ndarray]) -> np.ndarray:
+    sweep, own = plan.sweep, frames[record]
     (laser, *_) = sweep.laser[sweep.record == record].tolist() or [0]
-    own, line = frames[record], dataclasses.replace(sweep.lasers[laser], name="laser")
-    neighbours, sites = _neighbours(sweep, scanner, record, frames), laser_sites(sweep.pixel_format, line)
+    line = dataclasses.replace(sweep.lasers[laser], name="laser")
+    neighbours, sites = _neighbours(plan, record, frames), laser_sites(sweep.pixel_format, line)
     if not neighbours or len(sites.offsets) > 1:
         return predict_off(own, sweep.pixel_format, line)
     seen, *others = (read_channels(frames[k], sweep.pixel_format, line) for k in (record, *neighbours))
+    near, far = max(plan.settings.min_range_m, _NEAREST_M), min(plan.settings.max_range_m, _FARTHEST_M)
+    ranges = 1.0 / np.linspace(1.0 / min(near, far), 1.0 / max(near, far), _RANGES)
     lattice = Lattice.of(seen.laser.shape[1:], sites)
     where = [
-        places(scanner, (sweep.angles[record], sweep.angles[k]), ranges, lattice, line.stripe_axis) for k in neighbours
+        places(plan.scanner, (sweep.angles[record], sweep.angles[k]), ranges, lattice, line.stripe_axis)
+        for k in neighbours
     ]
     elsewhere = moved(seen, (others[0], others[1]), (where[0], where[1]))
     return predict_off(own, sweep.pixel_format, line, elsewhere=elsewhere)
 
 
-def _neighbours(sweep: SweepSource, scanner: Scanner, record: int, frames: dict[int, np.ndarray]) -> list[int]:
+def _neighbours(plan: Plan, record: int, frames: dict[int, np.ndarray]) -> list[int]:
     """Two steps in which the camera has turned far enough and not too far, if possible before and after."""
+    sweep, scanner = plan.sweep, plan.scanner
     if scanner.turntable.carries != "scanner":
         return []
     focal = float(max(np.asarray(scanner.camera.fx), np.asarray(scanner.camera.fy)))
