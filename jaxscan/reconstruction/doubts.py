@@ -83,8 +83,7 @@ def sweep_doubts(
         cloud: Its cloud.
         seen: Statistics of its frames.
         numbers: The name of each record.
-        off_images: A number for each record's laser-off image, int [records], the same where records name the same
-            image; None if each record has its own.
+        off_images: As of `repeated_frames`.
     """
     number = np.asarray(numbers)
     doubts = repeated_frames(seen, number, off_images) + exchanged_frames(seen, number)
@@ -228,7 +227,7 @@ def repeated_frames(seen: Seen, numbers: np.ndarray, off_images: np.ndarray | No
 
     Args:
         seen: Of all records.
-        numbers: Of all records.
+        numbers: Their names.
         off_images: A number for each record's laser-off image, int [records]; records that name the same image, as two
             lasers at one angle may, have the same. None if each record has its own.
     """
@@ -277,10 +276,7 @@ def exchanged_frames(seen: Seen, numbers: np.ndarray) -> list[str]:
 def strange_frames(seen: Seen, numbers: np.ndarray, own: np.ndarray) -> list[str]:
     """Records whose frames are not like those before and after: brighter, rougher, or of two different places.
 
-    Args:
-        seen: Of all records.
-        numbers: Of all records.
-        own: The records of one laser.
+    `own` are the records of one laser.
     """
     if len(own) < _FEW_FRAMES:
         return []
@@ -317,8 +313,7 @@ def strange_frames(seen: Seen, numbers: np.ndarray, own: np.ndarray) -> list[str
 def _far_off(lost: np.ndarray) -> np.ndarray:
     """Records at one of whose places something is far above the same of the sweep and of the records around.
 
-    Args:
-        lost: As in `Seen`, of one laser, [records, places].
+    `lost` is as in `Seen`, of one laser.
     """
     wrong: set[int] = set()
     for place in lost.T:
@@ -344,12 +339,7 @@ class Motion(NamedTuple):
 def turning_doubts(seen: Seen, numbers: np.ndarray, angles: np.ndarray, own: np.ndarray, scanner: Scanner) -> list[str]:
     """Records of one laser that show another place than their angle says, and an axis that lies in the image.
 
-    Args:
-        seen: Of all records.
-        numbers: Of all records.
-        angles: Of all records [rad].
-        own: The records of one laser.
-        scanner: The calibrated rig.
+    `own` are the records of one laser; angles [rad].
     """
     if len(own) < _FEW_FRAMES or not seen.trace[own].any() or not isinstance(scanner.turntable, Turntable):
         return []
@@ -453,12 +443,7 @@ def _lying_axis(rate: float, turned: float, scanner: Scanner) -> list[str]:
 
 
 def profile_doubts(cloud: PointCloud, numbers: np.ndarray) -> list[str]:
-    """Records whose points lie far from those before and after, or are missing; distances do not depend on the angle.
-
-    Args:
-        cloud: The cloud.
-        numbers: Of the records.
-    """
+    """Records whose points lie far from those around, or are missing; distances do not depend on the angle."""
     far: list[int] = []
     few: list[int] = []
     record, laser = np.asarray(cloud.record), np.asarray(cloud.laser)
