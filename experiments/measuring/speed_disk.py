@@ -22,7 +22,7 @@ from worlds.speed_scene import HEIGHT, WIDTH, Frames, make_scanner
 
 from jaxscan.files.capture import Capture, cache_path, cached_stripes, frames_key, open_capture, save_stripes
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction import PointCloud, extract_sweep, reconstruct
+from jaxscan.reconstruction import PointCloud, extract, reconstruct
 from jaxscan.stripes import Stripes
 from jaxscan.vision import decode_image, encode_png, encode_zstd
 
@@ -145,7 +145,7 @@ def _child(folder: Path, counts: list[int], repeats: int) -> None:
                 points = float(cloud.valid.mean())
                 del cloud
     result |= {"walls": walls, "peak_bytes": watch.peak, "points": points}
-    stripes = extract_sweep(capture, scanner)
+    stripes = extract(capture, scanner).stripes
     with Watch() as watch:
         runs = _timed(lambda: reconstruct(capture, scanner, stripes=stripes), repeats + 1)[1:]
     result |= {"again": summary(*zip(*runs, strict=True)), "again_peak_bytes": watch.peak}
