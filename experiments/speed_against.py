@@ -183,7 +183,9 @@ def main() -> int:
                     for (key, unit), value in figures(part, found, size).items():
                         row = rows.setdefault((key, unit), Row(key, unit, [], []))
                         (row.own if tree == OWN else row.other).append(value)
-                print(f"{part}, round {turn + 1} of {options.rounds}", file=sys.stderr, flush=True)
+                print(f"{part}, round {turn + 1} of {options.rounds}", file=sys.stderr)
+                # What is cut off in a later part leaves these.
+                print(*(row.line() for row in rows.values()), sep="\n", file=sys.stderr, flush=True)
     finally:
         shutil.rmtree(scratch)
     about |= {"load_at_end": load()}
