@@ -33,8 +33,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import Bool, Float, Int
 
+from jaxscan.compiling import compile_wide
 from jaxscan.geometry import Array
 from jaxscan.stripes.frames import Sites
+from jaxscan.stripes.memory import kept
 
 
 _SIZES = (3, 6, 10)
@@ -149,27 +151,21 @@ class _Sums(NamedTuple):
     """Number of rows with a weight."""
 
 
-@jax.jit
+@compile_wide
 def _smooth(u: Array, sigma: Array, valid: Array) -> tuple[Array, Array, Array]:
     """Of the profiles of one laser, as `Smoothed`."""
-    any_valid = jnp.any(valid)
-
-    def kept(make: Callable, *fields: Any) -> Any:
-        # What comes out of a branch is kept; else XLA's code for a CPU would compute it again for each neighbour that
-        # looks at it, and for each of several results.
-        nothing = jax.tree.map(lambda field: jnp.zeros(field.shape, field.dtype), jax.eval_shape(make, *fields))
-        return lax.cond(any_valid, make, lambda *_: nothing, *fields)
+    keep = functools.partial(kept, jnp.any(valid))
 
     def padded(make: Callable, *fields: Any) -> Any:
-        return kept(lambda field: jnp.pad(field, ((0, 0), (_MARGIN, _MARGIN))), kept(make, *fields))
+        return keep(lambda field: jnp.pad(field, ((0, 0), (_MARGIN, _MARGIN))), keep(make, *fields))
 
     def pair(make: Callable, *fields: Any) -> tuple[Array, Array]:
         # A complex number holds two results: of two arrays everything before them would be computed twice.
-        both = kept(lambda *given: lax.complex(*(part.astype(jnp.float32) for part in make(*given))), *fields)
+        both = keep(lambda *given: lax.complex(*(part.astype(jnp.float32) for part in make(*given))), *fields)
         return both.real, both.imag
 
-    number, x, y, own = kept(_packed, u, sigma, valid)
-    gap, near = padded(_gaps, x, own), kept(_near, x)
+    number, x, y, own = keep(_packed, u, sigma, valid)
+    gap, near = padded(_gaps, x, own), keep(_near, x)
     ground, slope = pair(_grounds, x, y, own, gap)
     weight = padded(lambda own, y: jnp.where(_shifted(y) == ground, _shifted(own), 0.0), own, y)
     rows = _Rows(x, y, own, weight, ground, slope)
@@ -192,9 +188,9 @@ def _smooth(u: Array, sigma: Array, valid: Array) -> tuple[Array, Array, Array]:
 
     # At first with all windows, then with windows that end at the most doubtful edge in them.
     nothing = jnp.zeros_like(rows.slope)
-    start = kept(_ends, gap, near, doubt), nothing, nothing
+    start = keep(_ends, gap, near, doubt), nothing, nothing
     (_, shared, most), found = lax.scan(fit, start, np.array([False, True]))
-    found = kept(_mixed, rows, found, shared, most)
+    found = keep(_mixed, rows, found, shared, most)
     back = jnp.minimum(number, valid.shape[1] - 1)
     on_lines = lambda field: jnp.where(valid, jnp.take_along_axis(field, back, 1), 0.0)
     return on_lines(found[0]), on_lines(found[1]), on_lines(found[2])
