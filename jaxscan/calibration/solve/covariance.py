@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.calibration.parameters import is_mode
-from jaxscan.calibration.solve.linearised import Linearised
+from jaxscan.calibration.solve.joint import Linearised
 
 
 # Directions of which the priors know less than this share are the data's alone.

@@ -16,7 +16,7 @@ from jaxscan.calibration import CalibrationSettings
 from jaxscan.calibration.seed import average_placements, seed_poses
 from jaxscan.calibration.solve import Adjustment, Prepared, make_problem, prepare
 from jaxscan.calibration.solve import adjust as solve_boards
-from jaxscan.calibration.solve.linearised import linearise
+from jaxscan.calibration.solve.joint import linearise
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Rig, Scanner
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
@@ -87,7 +87,7 @@ def board_equations(rig: Rig, data: Prepared, before: BoardEquations | None) -> 
     scales[: len(names)] = [turned if name in ANGLE_PARAMETERS else 1.0 for name in names]
     free = linearise(replace(result.problem, scales=scales))
     # Poses are at their minimum.
-    information, gradient = np.array(free.reduced), free.blocks.shared_gradient
+    information, gradient = np.array(free.reduced), np.asarray(free.arrow.shared_gradient)
     empty = free.known_poses == 0
     information[empty], information[:, empty] = 0.0, 0.0
     count = len(names)

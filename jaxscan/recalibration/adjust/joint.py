@@ -6,9 +6,9 @@ from dataclasses import replace
 import jax
 import numpy as np
 
-from jaxscan.calibration.solve import keep_inliers, robust_noise
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
+from jaxscan.leastsq import keep_inliers, robust_noise
 from jaxscan.recalibration.adjust.boards import board_equations, prepare_boards, with_boards
 from jaxscan.recalibration.adjust.conclude import conclude
 from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise, cauchy_weights, learn_noise, shared_by_profiles

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.calibration.solve import Prepared as BoardData
-from jaxscan.calibration.solve import noise_component
+from jaxscan.leastsq import noise_component
 from jaxscan.recalibration.adjust.blocks import Blocks
 from jaxscan.recalibration.adjust.boards import BoardEquations
 from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise
