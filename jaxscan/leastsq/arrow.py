@@ -18,6 +18,9 @@ from jaxscan.geometry import Array, namespace
 
 # Shared unknowns from which the time of an inverse counts.
 _MANY = 500
+# Eigenvalue of the information, scaled to a unit diagonal, that is rounding error: sums of some ten
+# thousand squares lose three digits, and inverting costs some more.
+_SINGULAR = 1e-11
 
 
 class Arrow(NamedTuple):
@@ -114,6 +117,22 @@ def covariance_of(arrow: Arrow) -> Covariance:
     information, _, coupling, _ = map(np.asarray, reduce_arrow(arrow))
     alone = np.linalg.inv(_damped(np, arrow.local, 0.0))
     return Covariance(information, _inverse(information), coupling, alone)
+
+
+def undetermined(arrow: Arrow, among: Int[np.ndarray, " some"]) -> Float[np.ndarray, " some"]:
+    """Length of each of some shared unknowns' part in the null space of their information, 0 ... 1; on the host.
+
+    All 0 where the information is regular. The whole null space counts: which of its vectors come
+    out of a decomposition is a matter of rounding.
+    """
+    # The information after the blocks are eliminated is compared with that before: where nothing
+    # is left, rounding error remains.
+    known = np.sqrt(np.diagonal(arrow.shared)[among])
+    if np.any(known == 0):
+        return (known == 0).astype(float)
+    information = np.asarray(reduce_arrow(arrow).information)[np.ix_(among, among)]
+    values, vectors = np.linalg.eigh(information / np.outer(known, known))
+    return np.asarray(np.linalg.norm(vectors[:, values <= _SINGULAR], axis=1))
 
 
 def _inverse(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:

@@ -1,13 +1,11 @@
-r"""A least-squares problem of shared unknowns, blocks of their own, groups of residuals, and a prior.
+"""What the solver asks of a problem: residuals, and the normal equations that belong to them.
 
-$$\min_{x, b} \; \sum_g \sum_i \rho_g(r_{g,i}(x, b_i) / \sigma_{g,i}) + \tfrac12 \|R\,(x - \bar x)\|^2$$
-
-Shared unknowns x (a camera, a scanner) may meet every residual; an owner of residuals (a view, a point on a plane)
-meets one block b (the pose of a board, the plane) beside them, or none.
+Shared unknowns (a camera, a scanner) may meet every residual; an owner of residuals (a view, a point on a plane)
+meets one block (the pose of a board, the plane) beside them, or none.
 """
 
 import abc
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,7 +14,6 @@ from jaxtyping import Float, Int
 
 from jaxscan.geometry import Array
 from jaxscan.leastsq.arrow import Arrow
-from jaxscan.leastsq.robust import Loss
 
 
 class Unknowns(NamedTuple):
@@ -88,28 +85,3 @@ def sum_arrow(parts: Sequence[Normal], shared: int, blocks: tuple[int, int]) -> 
         gradient + right[:, :shared].sum(0),
         right[:, shared:],
     )
-
-
-class Group(eqx.Module):
-    """Residuals of one kind: those of every owner are a function of the shared unknowns, its block, and its data."""
-
-    residual: Callable[[Any, Any, Any], Any] = eqx.field(static=True)
-    """`residual(shared, own, data)` of one owner: a number or an array; written in `jax.numpy`. `own` is the owner's
-    block, None in a group without blocks. A function at the top of a module is compiled once, a lambda at each call."""
-    data: Any
-    """A tree of arrays; lead with the axis of the owners."""
-    sigma: Float[Array, "..."] | float
-    """Standard deviations, in the residuals' unit; any shape that broadcasts against [owners, ...]."""
-    block: Int[Array, " owners"] | None = None
-    """The block that each owner meets."""
-    loss: Loss | None = eqx.field(static=True, default=None)
-    """A robust loss; None: least squares."""
-
-
-class Prior(NamedTuple):
-    """What is known of the shared unknowns beforehand: normal about a mean."""
-
-    mean: Any
-    """A tree like the shared unknowns."""
-    information: Float[Array, "shared shared"]
-    """The inverse of its covariance; 0 in rows of which nothing is known."""

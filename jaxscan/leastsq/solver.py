@@ -31,7 +31,7 @@ class Minimum(NamedTuple):
     linear: Linear
     """The problem to first order there."""
     steps: Int[Array, ""]
-    """Points at which residuals were evaluated, the first one included."""
+    """Points at which residuals were evaluated, the first one included; 0 if that was not finite, and nothing holds."""
     converged: Bool[Array, ""]
     """False where it stopped after its last step."""
 

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from jaxscan.calibration.solve.problem import Problem, camera_from_board, move, shared_values, zero_step
 from jaxscan.calibration.solve.rows import Chains, Rows, chains, corner_rows, stripe_rows
 from jaxscan.compiling import compile_sooner
+from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array
 from jaxscan.leastsq import (
     AbstractProblem,
@@ -266,9 +267,14 @@ def solve(problem: Problem, damping: float, tolerance: float, max_steps: int) ->
         tolerance: Root mean square change of scaled unknowns and of whitened residuals at which
             to stop [1].
         max_steps: Linearisations at most, the first one included.
+
+    Raises:
+        CalibrationError: If the point to begin with is not finite.
     """
     found = _solved(problem, np.float64(damping), np.float64(tolerance), np.int32(max_steps))
     found = jax.tree.map(np.asarray, found)
+    if not found.steps:
+        raise CalibrationError("The solve left the range of numbers: the observations contradict each other.")
     end = Linearised(_at(problem, found.end.moved), found.residuals, *found.linear)
     return Solution(end, found.end.shared, int(found.steps), bool(found.converged))
 
