@@ -68,7 +68,7 @@ class _Problem(AbstractProblem):
 
     def linearise(self, y: Unknowns) -> tuple[Any, Linear]:
         """Derivatives by forward mode, of each owner by what it meets."""
-        count, blocks = len(y.shared), y.local.shape
+        count, (blocks, own) = len(y.shared), y.local.shape
         residuals, slopes, parts = [], [], []
         for group in self.groups:
             value, by = self._rows(group, y)
@@ -80,7 +80,7 @@ class _Problem(AbstractProblem):
         parts.append(Normal(self.information[None], (self.information @ away)[None]))
         # The prior has no residuals of its own, but its part of the cost.
         prior = jnp.sqrt(jnp.maximum(away @ self.information @ away, 0.0))
-        return (tuple(residuals), prior), Linear(sum_arrow(parts, count, blocks), tuple(slopes))
+        return (tuple(residuals), prior), Linear(sum_arrow(parts, count, (blocks, own)), tuple(slopes))
 
     def move(self, y: Unknowns, step: Unknowns) -> Unknowns:
         """Point and step are vectors."""
@@ -188,10 +188,11 @@ def fit(
         tree = jax.tree.map(double, shared)
         flat, shaped = ravel_pytree(tree)
         local = np.zeros((0, 0)) if blocks is None else double(blocks)
-        mean, information = np.zeros_like(flat), np.zeros((len(flat), len(flat)))
+        mean, information = np.zeros(len(flat)), np.zeros((len(flat), len(flat)))
         if prior is not None:
-            mean, information = ravel_pytree(jax.tree.map(double, prior.mean))[0], double(prior.information)
-        problem = _Problem(tuple(groups), np.asarray(mean), information, tree)
+            mean = np.asarray(ravel_pytree(jax.tree.map(double, prior.mean))[0])
+            information = double(prior.information)
+        problem = _Problem(tuple(groups), mean, information, tree)
         start, limits = Unknowns(np.asarray(flat), local), (np.float64(tolerance), np.int32(max_steps))
         found = jax.tree.map(np.asarray, _compiled()(problem, start, np.float64(_DAMPING), *limits))
         residuals, _ = found.residuals
