@@ -90,7 +90,7 @@ HOME_OF = {
     "isal": {"vision"},
     "simplejpeg": {"vision"},
     "scipy": {"measurement", "calibration/chi_squared.py", "geometry/rigid.py", "stripes/predict.py"},
-    "optimistix": {"leastsq/solver.py", "recalibration/adjust/solver.py"},
+    "optimistix": {"leastsq/solver.py"},
     "lineax": {"leastsq/solver.py"},
     "matplotlib": {"report"},
     "rich": {"cli"},
