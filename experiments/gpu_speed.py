@@ -32,7 +32,7 @@ from worlds.speed_scene import DISTINCT, ELECTRONS_PER_DN, READ_DN, make_angles,
 
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
-from jaxscan.reconstruction.points import stripe_colours
+from jaxscan.reconstruction.colours import stripe_colours
 from jaxscan.stripes import FrameFormat, FrameStripes, NoiseModel
 
 
@@ -109,7 +109,7 @@ def differences(name: str, found: dict[str, Any], expected: dict[str, Any]) -> l
 
 def fields_of(result: Finished) -> dict[str, Any]:
     """The fields of a stripe and of its point by their names; `valid` is the point's."""
-    points = {key: field for key, field in result.points._asdict().items() if key != "centre"}
+    points = result.points._asdict()
     stripes = jax.tree.map(np.asarray, result.stripes)
     # A mono camera's fit knows the grey level already.
     rgb = stripe_colours(stripes, None, FrameFormat(), "rows")

@@ -14,6 +14,11 @@ Without --only and --quick a table and a plot are written to experiments/results
 1 if a figure misses its limit.
 
     python experiments/stripe_accuracy.py [--only SECTION] [--quick] [--json FILE] [--results DIR]
+    python experiments/stripe_accuracy.py --against BEFORE [--now NOW]
+
+With --against the figures are compared with those of a file that --json has written, by this or another version of the
+code; with --now those of a second file are, and nothing is measured. The exit code is then 1 if a figure is worse by
+more than 2 % of itself.
 """
 
 import argparse
@@ -30,7 +35,17 @@ from pathlib import Path
 import numpy as np
 from measuring import stripe_reflections as reflections
 from measuring.stripe_speckle import measure_speckle
-from tables.stripe_table import Cell, Figure, cell_figures, cell_lines, draw, figure_lines, processor
+from tables.stripe_table import (
+    WORSE,
+    Cell,
+    Figure,
+    against_lines,
+    cell_figures,
+    cell_lines,
+    draw,
+    figure_lines,
+    processor,
+)
 from worlds.stripe_world import Sensor, centre_bound, curved_course, expose_evenly, render, scattered_course
 
 import jaxscan
@@ -216,6 +231,21 @@ def measure(section: str, *, quick: bool, seed: int) -> tuple[list[str], list[Fi
     return figure_lines(figures), figures, []
 
 
+def read_figures(path: Path) -> list[Figure]:
+    """The figures of a file that --json has written."""
+    metrics = json.loads(path.read_text())["metrics"]
+    return [Figure(**{name: one[name] for name in Figure._fields}) for one in metrics]
+
+
+def print_against(path: Path, figures: list[Figure]) -> int:
+    """Prints the figures that differ from those of an earlier run; 1 if one is worse."""
+    before = {figure.key: figure.value for figure in read_figures(path)}
+    lines, worse = against_lines(figures, before)
+    common = sum(figure.key in before for figure in figures)
+    print(*lines, "", f"{len(worse)} of {common} figures are worse by more than {100 * WORSE:g} %.", sep="\n")
+    return 1 if worse else 0
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=SECTIONS, action="append", help="a section; may be given several times")
@@ -223,7 +253,11 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", metavar="FILE", help="write the figures to a file (- for standard output)")
     parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results", help="folder of the table")
+    parser.add_argument("--against", type=Path, metavar="FILE", help="compare with the figures of an earlier run")
+    parser.add_argument("--now", type=Path, metavar="FILE", help="with --against: these figures, nothing is measured")
     arguments = parser.parse_args()
+    if arguments.against and arguments.now:
+        return print_against(arguments.against, read_figures(arguments.now))
     start, lines, figures, cells = time.perf_counter(), [], [], []
     for section in arguments.only or SECTIONS:
         found, own, own_cells = measure(section, quick=arguments.quick, seed=arguments.seed)
@@ -264,6 +298,8 @@ def main() -> int:
             print(text)
         else:
             Path(arguments.json).write_text(text + "\n")
+    if arguments.against:
+        return print_against(arguments.against, figures)
     return 1 if missed and not arguments.quick else 0
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 import jaxscan
 from jaxscan.errors import CaptureError
-from jaxscan.reconstruction import ReconstructSettings, Sweep, make_plan, stripes_of_plan
+from jaxscan.reconstruction import ReconstructSettings, Sweep, extract
 from jaxscan.simulation import SimulationConfig, develop, expect_sweep, expose, true_scanner
 
 
@@ -33,12 +33,11 @@ NEAR_PX = 1.5
 
 def found_in(sweep: Sweep, scanner: jaxscan.Scanner) -> tuple[np.ndarray, np.ndarray, str]:
     """Centres, which of them exist, and the note or refusal."""
-    plan = make_plan(sweep, scanner, SETTINGS)
     try:
-        stripes = stripes_of_plan(plan)
+        stripes, notes, _ = extract(sweep, scanner, settings=SETTINGS)
     except CaptureError:
         return np.zeros(0), np.zeros(0, bool), "refused"
-    return np.asarray(stripes.u), np.asarray(stripes.valid), "doubtful" if plan.notes else "accepted"
+    return np.asarray(stripes.u), np.asarray(stripes.valid), "doubtful" if notes else "accepted"
 
 
 def room_rows(pixel_format: str, peak_dn: float, steps: int) -> list[str]:

@@ -99,10 +99,11 @@ from jaxscan.recalibration import KnownSphere as KnownSphere
 from jaxscan.recalibration import MeasuredLength as MeasuredLength
 from jaxscan.recalibration import Recalibration as Recalibration
 from jaxscan.recalibration import RecalibrationSettings as RecalibrationSettings
+from jaxscan.reconstruction import Extraction as Extraction
 from jaxscan.reconstruction import PointCloud as PointCloud
 from jaxscan.reconstruction import ReconstructSettings as ReconstructSettings
 from jaxscan.reconstruction import Sweep as Sweep
-from jaxscan.reconstruction import extract_sweep as extract_sweep
+from jaxscan.reconstruction import extract as extract
 from jaxscan.reconstruction import reconstruct as reconstruct
 from jaxscan.simulation import SimulationConfig as SimulationConfig
 from jaxscan.stripes import FrameFormat as FrameFormat

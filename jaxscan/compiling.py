@@ -1,7 +1,7 @@
-"""Compiles in less time the functions that run a few times, where compiling would be most of the time."""
+"""How functions are compiled on a CPU: sooner where they run a few times, for wide vectors where they run often."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ParamSpec, TypeVar
 
 import jax
@@ -27,11 +27,24 @@ def compile_sooner(function: Callable[_P, _R]) -> Callable[_P, _R]:
     return _compile(function, {"xla_cpu_use_fusion_emitters": False})
 
 
-def _compile(function: Callable[_P, _R], options: dict[str, Any]) -> Callable[_P, _R]:
+def compile_wide(function: Callable[_P, _R], *, static: Sequence[str] = (), sooner: bool = False) -> Callable[_P, _R]:
+    """As `jax.jit`, but with vectors as wide as the CPU has them: XLA takes half of AVX-512 by itself.
+
+    Args:
+        function: It runs often, on long arrays.
+        static: Names of its static arguments.
+        sooner: Whether it is compiled in two thirds of the time, to code that takes a twentieth longer.
+    """
+    options = {"xla_cpu_prefer_vector_width": 512, **({"xla_cpu_use_fusion_emitters": False} if sooner else {})}
+    return _compile(function, options, static)
+
+
+def _compile(function: Callable[_P, _R], options: dict[str, Any], static: Sequence[str] = ()) -> Callable[_P, _R]:
     @functools.cache
     def compiled() -> Callable[_P, _R]:
         # Asked at the first call: asking chooses the device, which is not for an import to do.
-        return jax.jit(function, compiler_options=options if jax.default_backend() == "cpu" else None)
+        on_cpu = jax.default_backend() == "cpu"
+        return jax.jit(function, static_argnames=tuple(static), compiler_options=options if on_cpu else None)
 
     @functools.wraps(function)
     def call(*arguments: _P.args, **keywords: _P.kwargs) -> _R:

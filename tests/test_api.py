@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PUBLIC = sorted(name for name in jaxscan.__all__ if not name.startswith("_"))
 FUNCTIONS = [name for name in PUBLIC if inspect.isfunction(getattr(jaxscan, name))]
 VERBS = {
-    *("calibrate", "recalibrate", "reconstruct", "reconstruct_capture", "extract_stripes", "extract_sweep"),
+    *("calibrate", "recalibrate", "reconstruct", "reconstruct_capture", "extract_stripes", "extract"),
     *("simulate", "open_capture"),
     *("load_calibration", "save_calibration", "load_scanner", "load_cloud", "save_cloud"),
     *("fit_plane", "fit_axis", "measure_room", "measure_distance", "measure_plane", "compare_clouds"),
@@ -35,7 +35,7 @@ SUBJECTS = {
     "observe_boards": ["captures"],
     "reconstruct": ["sweep", "scanner"],
     "reconstruct_capture": ["capture", "scanner"],
-    "extract_sweep": ["sweep", "scanner"],
+    "extract": ["sweep", "scanner"],
     "extract_stripes": ["on", "off"],
     "simulate": ["config", "folder"],
 }
@@ -184,7 +184,7 @@ def test_python_gives_what_the_command_line_gives(tiny, in_memory):
 
 def test_stripes_of_a_whole_sweep_serve_again(tiny, in_memory):
     scanner = jaxscan.load_scanner(tiny.calibration)
-    stripes = jaxscan.extract_sweep(in_memory, scanner)
+    stripes = jaxscan.extract(in_memory, scanner).stripes
     assert stripes.rgb is not None and stripes.valid.dtype == bool
     whole = jaxscan.reconstruct(in_memory, scanner)
     unread = jaxscan.Sweep(

@@ -14,9 +14,10 @@ from jax import lax
 from jaxtyping import Float, UInt8
 
 from jaxscan.geometry import Array, Scanner
-from jaxscan.reconstruction import ReconstructSettings, Sweep
-from jaxscan.reconstruction.plan import make_plan
-from jaxscan.reconstruction.points.locate import Aim, Centres, Points, locate_points
+from jaxscan.reconstruction import FrameChunk, ReconstructSettings, Sweep, plan_sweep
+from jaxscan.reconstruction.extraction import LEARNED_RECORDS, learn
+from jaxscan.reconstruction.points import Aim, Centres, Points, locate_points
+from jaxscan.reconstruction.sweep import Batch
 from jaxscan.stripes import FrameStripes, NoiseModel, Smoothed, StripeEngine, smooth_profiles, stripes_of_frames
 from jaxscan.stripes.choose import choose_stripes
 from jaxscan.stripes.engine import sample_pair
@@ -63,9 +64,11 @@ def prepare(first: Chunk, scanner: Scanner, noise: NoiseModel) -> Job:
     """The engine and aim of a reconstruction of a sweep that starts with these pairs; computed on the CPU."""
     chunk = jax.tree.map(np.asarray, first)
     sweep = Sweep(chunk.on, chunk.off, chunk.phi.astype(np.float64))
-    plan = make_plan(sweep, scanner, ReconstructSettings(chunk_records=len(chunk.on)))
+    plan = plan_sweep(sweep, scanner, ReconstructSettings(chunk_records=len(chunk.on)))
+    start, whole = FrameChunk(*(frames[:LEARNED_RECORDS] for frames in chunk[:2])), np.arange(len(chunk.on))
     with jax.default_device(jax.devices("cpu")[0]):
-        return Job(plan.engines(noise)[0].learn(chunk.on, chunk.off), plan.aim(0))
+        learned = learn(plan, start, noise=noise).taught_by(Batch(whole, 0, chunk.on, chunk.off))
+        return Job(learned.engines[0], Aim.of(scanner, plan.settings, plan.stripe_axis))
 
 
 def to_peaks(job: Job, chunk: Chunk, given: None) -> Found:
@@ -102,7 +105,8 @@ def to_path(job: Job, chunk: Chunk, given: FrameStripes) -> FrameStripes:
 def to_points(job: Job, chunk: Chunk, given: FrameStripes) -> Finished:
     """Triangulate the stripes."""
     axis = job.engine.setup.line.stripe_axis
-    return Finished(given, locate_points(job.aim, Centres.of(given), chunk.phi, stripe_axis=axis))
+    centres = Centres(given.u, given.sigma, given.valid)
+    return Finished(given, locate_points(job.aim, centres, chunk.phi, stripe_axis=axis)[0])
 
 
 def smooth(stripes: FrameStripes) -> Smoothed:

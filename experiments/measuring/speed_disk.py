@@ -18,13 +18,14 @@ from typing import Any
 import numpy as np
 from measuring.speed_peers import THREADS, read
 from measuring.speed_times import Watch, summary, take_turns
+from measuring.tree_jobs import decode_alone
 from worlds.speed_scene import HEIGHT, WIDTH, Frames, make_scanner
 
 from jaxscan.files.capture import Capture, cache_path, cached_stripes, frames_key, open_capture, save_stripes
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction import PointCloud, extract_sweep, reconstruct
+from jaxscan.reconstruction import PointCloud, extract, reconstruct
 from jaxscan.stripes import Stripes
-from jaxscan.vision import decode_image, encode_png, encode_zstd
+from jaxscan.vision import encode_png, encode_zstd
 
 
 HEADER = f"""format = "jaxscan-capture/1"
@@ -79,22 +80,6 @@ def _write_text(folder: Path, records: int, images: Callable[[int], dict[str, st
             journal.write(json.dumps({"i": i, "angle_deg": 360.0 * i / records, **images(i)}) + "\n")
 
 
-def decode_alone(capture: Capture) -> Callable[[], object]:
-    """Read and decode every image of a capture of files and drop it, on all cores."""
-    size = capture.image_size
-    names = [capture.path / ref.path for record in capture.records for ref in (*record.on, *record.off)]
-
-    def one(path: Path) -> None:
-        decode_image(path.read_bytes(), name=path.name, rank=2, size=size)
-
-    def run() -> None:
-        with ThreadPoolExecutor(THREADS) as pool:
-            for _ in pool.map(one, names):
-                pass
-
-    return run
-
-
 def chunks_alone(capture: Capture) -> Callable[[], object]:
     """Let the capture hand out its chunks, and read their bytes, which may still lie in the file."""
 
@@ -145,7 +130,7 @@ def _child(folder: Path, counts: list[int], repeats: int) -> None:
                 points = float(cloud.valid.mean())
                 del cloud
     result |= {"walls": walls, "peak_bytes": watch.peak, "points": points}
-    stripes = extract_sweep(capture, scanner)
+    stripes = extract(capture, scanner).stripes
     with Watch() as watch:
         runs = _timed(lambda: reconstruct(capture, scanner, stripes=stripes), repeats + 1)[1:]
     result |= {"again": summary(*zip(*runs, strict=True)), "again_peak_bytes": watch.peak}

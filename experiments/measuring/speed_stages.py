@@ -13,8 +13,8 @@ from measuring.speed_times import Times, take_turns
 from worlds.speed_scene import ELECTRONS_PER_DN, HEIGHT, READ_DN, WIDTH, Frames, make_angles
 
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction import ReconstructSettings, Sweep, extract_sweep, reconstruct
-from jaxscan.reconstruction.plan import NOISE_RECORDS
+from jaxscan.reconstruction import ReconstructSettings, Sweep, extract, reconstruct
+from jaxscan.reconstruction.extraction import LEARNED_RECORDS
 from jaxscan.stripes import NoiseModel, estimate_noise
 from jaxscan.stripes.peaks import CANDIDATES, WINDOW
 
@@ -43,8 +43,8 @@ def stages(frames: Frames, scanner: Scanner, repeats: int) -> list[Stage]:
     pairs = len(frames.on)
     sweep = Sweep(frames.on, frames.off, make_angles(pairs))
     noise = NoiseModel(READ_DN, ELECTRONS_PER_DN)
-    found = extract_sweep(sweep, scanner, noise=noise)
-    first = slice(0, NOISE_RECORDS)
+    found = extract(sweep, scanner, noise=noise).stripes
+    first = slice(0, LEARNED_RECORDS)
     runs: dict[str, Any] = {"noise, once": lambda: estimate_noise(frames.on[first], frames.off[first])}
     parts, candidates = chunk_stages(frames, scanner, noise)
     runs |= parts
@@ -56,7 +56,7 @@ def stages(frames: Frames, scanner: Scanner, repeats: int) -> list[Stage]:
     }
     windows, slots = 2.0 * WINDOW * candidates, CANDIDATES * HEIGHT
     touched = {
-        "noise, once": (2.0 * FRAME * NOISE_RECORDS / pairs, "a fixed time per sweep, here by its pairs"),
+        "noise, once": (2.0 * FRAME * LEARNED_RECORDS / pairs, "a fixed time per sweep, here by its pairs"),
         "locate (one thread)": (2.0 * FRAME + PEAK * slots, "elementwise arithmetic over the frame"),
         "fit (one thread)": (windows + (PEAK + STRIPE) * slots, "exponentials and sums of the fit"),
         "path over the rows (one thread)": (

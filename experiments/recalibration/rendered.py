@@ -89,7 +89,7 @@ def stripes_of(folder: Path, stored: Calibration, kept: Path) -> SweepStripes:
         scanner = stored.scanner
         assert isinstance(scanner, Scanner)
         capture = jaxscan.open_capture(folder / "sweep")
-        found = jaxscan.extract_sweep(capture, scanner)
+        found = jaxscan.extract(capture, scanner).stripes
         along = smooth_sweep(found)
         valid = np.asarray(found.valid) & (along.sigma > 0)
         np.savez_compressed(

@@ -29,6 +29,44 @@ class Figure(NamedTuple):
         return at_least and (self.high is None or self.value <= self.high)
 
 
+MORE = ("_valid", "_within_1px", "_right", "_right_of_all", "_found_on_clean_frames")
+"""Ends of the keys of figures that are better where they are larger; of most others less is better."""
+SCENE = ("_bound", "_at_the_bound", "_limit", "_rows", "_affected")
+"""Ends of the keys of figures of the frames, which no code changes; those "over" one of them are of the code."""
+WORSE = 0.02
+"""Part of itself by which a figure may be worse."""
+
+
+def change(key: str, before: float, now: float) -> float:
+    """How much worse a figure is than it was, as a part of what it was; negative: better; infinite: was zero.
+
+    The sigma over the error is worse where it is farther from 1.
+    """
+    if (key.endswith(SCENE) and "_over_" not in key) or now == before:
+        return 0.0
+    if "_sigma_over_error" in key:
+        return (abs(now - 1.0) - abs(before - 1.0)) / before
+    worse = before - now if key.endswith(MORE) else now - before
+    return worse / before if before > 0 else float(np.sign(worse)) * np.inf
+
+
+def against_lines(figures: list[Figure], before: dict[str, float]) -> tuple[list[str], list[str]]:
+    """A Markdown table of the figures that changed by more than `WORSE`, and the keys of those that are worse."""
+    out = ["| figure | before | now | worse by | |", "|---|---:|---:|---:|---|"]
+    worse = []
+    for figure in figures:
+        if figure.key not in before:
+            continue
+        by = change(figure.key, before[figure.key], figure.value)
+        if not abs(by) <= WORSE:
+            worse += [figure.key] if not by <= WORSE else []
+            out.append(
+                f"| {figure.key} | {before[figure.key]:.5g} | {figure.value:.5g} | {100 * by:+.1f} % | "
+                f"{'' if by <= WORSE else 'WORSE'} |"
+            )
+    return out, worse
+
+
 class Cell(NamedTuple):
     """One width and amplitude, with one kind of noise model."""
 

@@ -78,7 +78,7 @@ def estimate(folder: str, truth: Truth) -> tuple[Estimate, dict[str, object]]:
     scanner = calibration.scanner
     assert scanner is not None
     sweep = jaxscan.open_capture(f"{folder}/sweep")
-    stripes = jaxscan.extract_sweep(sweep, scanner)
+    stripes = jaxscan.extract(sweep, scanner).stripes
     cloud = jaxscan.reconstruct(sweep, scanner, stripes=stripes)
     seconds = passed(start, calibrated, clocks())
     rows = Rows(*(np.asarray(part) for part in (stripes.u, stripes.sigma, stripes.valid)))

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxscan.api.stripes import plan_watched
-from jaxscan.api.sweeps import Reconstruction
+from jaxscan.api.sweeps import Reconstruction, doubts_of, numbers_of, watch_of
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import Capture, code_digest
 from jaxscan.geometry import Scanner
@@ -20,15 +19,12 @@ from jaxscan.reconstruction import (
     Seen,
     StripePart,
     can_be_split,
-    cloud_of_plan,
-    cloud_points,
+    extract_part,
     extraction_key,
-    make_plan,
+    join_parts,
     pair_notes,
-    refuse_other_motion,
-    stripes_of_part,
-    stripes_of_parts,
-    sweep_doubts,
+    plan_sweep,
+    reconstruct,
 )
 
 
@@ -70,15 +66,15 @@ def stripes_of_range(
         CalibrationError: If the scanner is not that of the sweep.
     """
     first, stop = records
-    plan = make_plan(capture, scanner, settings)
+    plan = plan_sweep(capture, scanner, settings)
     if not can_be_split(plan):
         raise CaptureError(f"{capture.path}: its stripes cannot be found in parts; reconstruct it in one.")
-    watched = plan_watched(dataclasses.replace(capture, records=capture.records[first:stop]), scanner, settings)
-    before = int(np.searchsorted(capture.record, first))
-    found = stripes_of_part(plan, watched.plan, before, progress=progress)
+    part = dataclasses.replace(capture, records=capture.records[first:stop])
+    watch, before = watch_of(part, scanner), int(np.searchsorted(capture.record, first))
+    found = extract_part(plan, part.watched(watch.look), before, progress=progress)
     about = {"key": _key(capture, settings), "records": [first, stop], "found": found.found}
-    about |= {"notes": plan.notes, "noise": plan.noise}
-    arrays = {_STRIPE + name: field for name, field in found.fields.items()} | watched.watch.seen.arrays()
+    about |= {"notes": found.notes, "noise": found.noise}
+    arrays = {_STRIPE + name: field for name, field in found.fields.items()} | watch.seen.arrays()
     text = np.frombuffer(json.dumps(about, allow_nan=False).encode(), np.uint8)
     return arrays | {_CLEAR: found.clear, _DECOYS: found.decoys, _ABOUT: text}
 
@@ -103,22 +99,21 @@ def cloud_of_ranges(
     """
     told = sorted((_about(part, capture) for part in parts), key=lambda one: one[0]["records"])
     _check(told, capture, settings)
-    watched = plan_watched(capture, scanner, settings)
-    plan, first = watched.plan, told[0][0]
-    plan.notes.extend(first["notes"])
-    plan.noise = first["noise"]
-    stripes = stripes_of_parts(plan, [_stripes(about, part) for about, part in told])
+    found = join_parts(plan_sweep(capture, scanner, settings), [_part(about, part) for about, part in told])
     seen = _seen([part for _, part in told], len(capture))
-    notes = pair_notes(plan, capture.frames, watched.numbers)
-    cloud = cloud_of_plan(plan, stripes=stripes)
-    refuse_other_motion(plan, cloud_points(plan, cloud), capture.off_frame, str(capture.path))
-    doubts = sweep_doubts(plan, cloud, seen, watched.numbers, watched.off_images)
-    return Reconstruction(cloud, notes=(*plan.notes, *notes, *doubts), noise=plan.noise)
+    pairs = pair_notes(capture, found.stripes, capture.frames, numbers_of(capture))
+    cloud = reconstruct(capture, scanner, stripes=found.stripes, settings=settings)
+    notes = (*found.notes, *pairs, *doubts_of(capture, scanner, cloud, seen))
+    return Reconstruction(cloud, notes=notes, noise=found.noise)
 
 
 def _key(capture: Capture, settings: ReconstructSettings) -> dict[str, Any]:
-    numbers = [record.i for record in capture.records]
-    key = {"capture": capture.digest(), "numbers": numbers, "code": code_digest(), **extraction_key(settings, None)}
+    key = {
+        "capture": capture.digest(),
+        "numbers": numbers_of(capture),
+        "code": code_digest(),
+        **extraction_key(settings, None),
+    }
     return dict(json.loads(json.dumps(key)))
 
 
@@ -142,9 +137,11 @@ def _check(told: Sequence[tuple[dict[str, Any], Part]], capture: Capture, settin
         raise CaptureError(f"{capture.path}: found stripes of records {listed}, expected 0-{len(capture)}, each once.")
 
 
-def _stripes(about: dict[str, Any], part: Part) -> StripePart:
+def _part(about: dict[str, Any], part: Part) -> StripePart:
     fields = {name.removeprefix(_STRIPE): field for name, field in part.items() if name.startswith(_STRIPE)}
-    return StripePart(fields, part[_CLEAR], part[_DECOYS], about["found"])
+    return StripePart(
+        fields, part[_CLEAR], part[_DECOYS], about["found"], notes=tuple(about["notes"]), noise=about["noise"]
+    )
 
 
 def _seen(parts: Sequence[Part], records: int) -> Seen:

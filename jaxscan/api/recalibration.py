@@ -9,8 +9,7 @@ import numpy as np
 
 from jaxscan import recalibration
 from jaxscan.api.calibration import observe_boards, versions
-from jaxscan.api.stripes import find_stripes, plan_watched
-from jaxscan.api.sweeps import reconstruct_capture
+from jaxscan.api.sweeps import find_stripes, reconstruct_capture
 from jaxscan.calibration import Calibration
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.files.calibration import calibration_digest, load_calibration
@@ -18,7 +17,7 @@ from jaxscan.files.capture import Capture, common_board, refuse_copies
 from jaxscan.files.clouds import save_cloud, save_clouds
 from jaxscan.observation import Observations, Progress
 from jaxscan.recalibration import FeatureEyes, Given, Recalibration, RecalibrationSettings, SweepStripes
-from jaxscan.reconstruction import refuse_other_motion, smooth_stripes
+from jaxscan.reconstruction import plan_sweep, refuse_other_motion, smooth_stripes
 
 
 def recalibrate(
@@ -61,12 +60,12 @@ def recalibrate(
     _check_captures(captures, boards, scanner.camera.width, scanner.camera.height)
     recalibration.refuse_used([(str(one.path), one.digest()) for one in (*captures, *boards)], stored.provenance, named)
     # Everything that is wrong with a header or a journal is said before an image is read.
-    watched = [_named(capture, plan_watched, capture, scanner, settings.stripes) for capture in captures]
+    plans = [_named(capture, plan_sweep, capture, scanner, settings.stripes) for capture in captures]
     share = _Share(progress, [*(len(capture) for capture in captures), sum(map(len, boards))])
     sweeps, notes = [], []
-    for number, (capture, one) in enumerate(zip(captures, watched, strict=True)):
-        found = find_stripes(capture, one, progress=share.part(number))
-        along = smooth_stripes(one.plan, found.stripes)
+    for number, (capture, plan) in enumerate(zip(captures, plans, strict=True)):
+        found = find_stripes(capture, scanner, settings.stripes, progress=share.part(number))
+        along = smooth_stripes(capture, found.stripes)
         valid = np.asarray(found.stripes.valid) & (along.sigma > 0)
         sweeps.append(
             SweepStripes(
@@ -76,15 +75,15 @@ def recalibrate(
                 shared_lines=along.shared_lines,
                 valid=valid,
                 record=np.asarray(found.stripes.record),
-                laser=np.asarray(one.plan.sheet),
+                laser=np.asarray(plan.sheet),
                 angle=capture.angles,
-                stripe_axis=one.plan.stripe_axis,
+                stripe_axis=plan.stripe_axis,
                 station=number if settings.stations else 0,
             )
         )
         shown = recalibration.points_of_records(scanner, sweeps[-1])
-        refuse_other_motion(one.plan, shown, capture.off_frame, str(capture.path))
-        notes += [f"{capture.path}: {note}" for note in (*capture.notes, *one.plan.notes, *found.notes)]
+        refuse_other_motion(capture, scanner, shown, capture.off_frame, str(capture.path))
+        notes += [f"{capture.path}: {note}" for note in (*capture.notes, *found.notes)]
     if boards:
         given = replace(given, boards=_observed(boards, scanner.laser_names, share.part(len(captures))))
     if given.tracks is None:

@@ -1,22 +1,32 @@
-"""Captured sweeps to clouds, with the stripes kept beside the capture for the next time."""
+"""Captured sweeps to stripes and clouds, with the stripes kept beside the capture for the next time."""
 
+from collections.abc import Hashable
 from typing import NamedTuple
 
-from jaxscan.api.stripes import find_stripes, plan_watched
-from jaxscan.files.capture import Capture
+import numpy as np
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture import Capture, cache_path, cached_stripes, code_digest, frames_key, save_stripes
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import (
     DEFAULTS,
+    FrameWatch,
     PointCloud,
     Progress,
     ReconstructSettings,
-    cloud_of_plan,
+    Seen,
     cloud_points,
+    extract,
+    extraction_key,
+    kept_arrays,
     pair_notes,
+    plan_sweep,
+    reconstruct,
     refuse_other_motion,
     sweep_doubts,
+    usable_stripes,
 )
-from jaxscan.stripes import NoiseModel
+from jaxscan.stripes import NoiseModel, Stripes
 
 
 class Reconstruction(NamedTuple):
@@ -33,6 +43,22 @@ class Reconstruction(NamedTuple):
     noise: str = ""
     """Noise of a frame and speckle as they were learned, and the part that was not, in a line; empty where the noise
     was given."""
+
+
+class FoundStripes(NamedTuple):
+    """The stripes of a captured sweep, and where they are from."""
+
+    stripes: Stripes
+    seen: Seen
+    """Of the frames, by which doubts on them are raised."""
+    from_cache: bool
+    """Whether they had been kept before, and no frame was read."""
+    kept: bool
+    """Whether they are kept now."""
+    notes: tuple[str, ...]
+    """On stripes and pairs of frames, and on a folder that cannot be written; a sentence each."""
+    noise: str
+    """As of `Reconstruction`."""
 
 
 def reconstruct_capture(
@@ -54,8 +80,7 @@ def reconstruct_capture(
         settings: Range limits, and how stripes are found.
         noise: Noise of a frame; estimated from the start of the sweep where not given.
         progress: Called with (records done, records in all); from frames, of finding the stripes.
-        cache: Whether stripes are looked for in the capture's folder and kept there. Without, and with
-            `smooth` "off", they are not held in memory either.
+        cache: Whether stripes are looked for in the capture's folder and kept there.
 
     Returns:
         The cloud, and where its stripes are from. A folder that cannot be written gives a note.
@@ -65,17 +90,80 @@ def reconstruct_capture(
             than the angles say.
         CalibrationError: If the scanner is not that of the sweep, or no point is in range.
     """
-    watched = plan_watched(capture, scanner, settings)
-    plan = watched.plan
-    if not cache:
-        cloud = cloud_of_plan(plan, noise=noise, progress=progress)
-        refuse_other_motion(plan, cloud_points(plan, cloud), capture.off_frame, str(capture.path))
-        doubts = sweep_doubts(plan, cloud, watched.watch.seen, watched.numbers, watched.off_images)
-        notes = (*plan.notes, *pair_notes(plan, capture.frames, watched.numbers), *doubts)
-        return Reconstruction(cloud, notes=notes, noise=plan.noise)
-    found = find_stripes(capture, watched, noise=noise, progress=progress)
-    cloud = cloud_of_plan(plan, stripes=found.stripes, progress=progress if found.from_cache else None)
-    refuse_other_motion(plan, cloud_points(plan, cloud), capture.off_frame, str(capture.path))
-    doubts = sweep_doubts(plan, cloud, found.seen, watched.numbers, watched.off_images)
-    notes = (*plan.notes, *found.notes, *doubts)
-    return Reconstruction(cloud, from_cache=found.from_cache, kept=found.kept, notes=notes, noise=plan.noise)
+    found = find_stripes(capture, scanner, settings, noise=noise, progress=progress, cache=cache)
+    again = progress if found.from_cache else None
+    cloud = reconstruct(capture, scanner, stripes=found.stripes, settings=settings, progress=again)
+    notes = (*found.notes, *doubts_of(capture, scanner, cloud, found.seen))
+    return Reconstruction(cloud, found.from_cache, found.kept, notes, found.noise)
+
+
+def find_stripes(
+    capture: Capture,
+    scanner: Scanner,
+    settings: ReconstructSettings,
+    *,
+    noise: NoiseModel | None = None,
+    progress: Progress = None,
+    cache: bool = True,
+) -> FoundStripes:
+    """The stripes of a sweep: those kept beside it if they are still good, else found now and kept.
+
+    Stripes are kept in `stripes.npz` beside the journal. They serve again if frames, settings and
+    the code that finds stripes are the same, with this calibration or with another one that looks
+    for stripes at the same places (`usable_stripes`).
+
+    Args:
+        capture: The sweep.
+        scanner: The calibrated rig.
+        settings: Range limits, and how stripes are found.
+        noise: Noise of a frame; estimated from the start of the sweep where not given.
+        progress: Called with (records done, records in all) while frames are read.
+        cache: Whether stripes are looked for in the capture's folder and kept there.
+
+    Raises:
+        CaptureError: If the sweep has no records or contradicts itself, or a frame cannot be read.
+        CalibrationError: If the scanner is not that of the sweep.
+    """
+    plan = plan_sweep(capture, scanner, settings)
+    path, key = cache_path(capture), dict[str, object]()
+    if cache:
+        key = {"frames": frames_key(capture), "code": code_digest(), **extraction_key(settings, noise)}
+        arrays = cached_stripes(path, key)
+        seen = None if arrays is None else Seen.taken_from(arrays, len(capture))
+        known = None if arrays is None or seen is None else usable_stripes(arrays, plan)
+        if known is not None and seen is not None:
+            return FoundStripes(known.stripes, seen, from_cache=True, kept=True, notes=known.notes, noise=known.noise)
+    watch = watch_of(capture, scanner)
+    found = extract(capture.watched(watch.look), scanner, settings=settings, noise=noise, progress=progress)
+    notes, kept = (*found.notes, *pair_notes(capture, found.stripes, capture.frames, numbers_of(capture))), False
+    if cache:
+        try:
+            save_stripes(path, kept_arrays(found, plan) | watch.seen.arrays(), key)
+            kept = True
+        except CaptureError as problem:
+            notes = (*notes, f"the stripes are not kept for next time: {problem}")
+    return FoundStripes(found.stripes, watch.seen, from_cache=False, kept=kept, notes=notes, noise=found.noise)
+
+
+def doubts_of(capture: Capture, scanner: Scanner, cloud: PointCloud, seen: Seen) -> tuple[str, ...]:
+    """Doubts on the frames, the angles and the header of a sweep whose cloud is known, a sentence each.
+
+    Raises:
+        CaptureError: If the images turn otherwise than the angles say.
+    """
+    refuse_other_motion(capture, scanner, cloud_points(cloud, scanner), capture.off_frame, str(capture.path))
+    known: dict[Hashable, int] = {}
+    # Records that name the same image have the same number.
+    off_images = np.array([known.setdefault(record.off, len(known)) for record in capture.records], int)
+    return sweep_doubts(capture, scanner, cloud, seen, numbers_of(capture), off_images)
+
+
+def watch_of(capture: Capture, scanner: Scanner) -> FrameWatch:
+    """The watch over the frames of a sweep while they are read."""
+    upright, coloured = scanner.up in ("-v", "+v"), capture.pixel_format == "rgb8"
+    return FrameWatch(len(capture), upright=upright, brackets=len(capture.exposures) > 1, colours=coloured)
+
+
+def numbers_of(capture: Capture) -> list[int]:
+    """The numbers of the records in the journal."""
+    return [record.i for record in capture.records]

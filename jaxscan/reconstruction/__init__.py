@@ -1,33 +1,26 @@
-"""Stripes to a coloured cloud."""
+"""Frames to stripes (`extract`), and stripes to a coloured cloud (`reconstruct`)."""
 
-from jaxscan.reconstruction.cloud import SMOOTHED, CloudPoints, PointCloud, Stations, some_points
-from jaxscan.reconstruction.doubts import (
-    FrameWatch,
-    Seen,
-    cloud_points,
-    journal_doubts,
-    profile_doubts,
-    refuse_other_motion,
-    sweep_doubts,
+from jaxscan.reconstruction.ahead import Progress
+from jaxscan.reconstruction.along import smooth_sweep
+from jaxscan.reconstruction.cloud import (
+    SMOOTHED,
+    CloudPoints,
+    PointCloud,
+    Stations,
+    in_scanner_frame,
+    join_clouds,
+    of_station,
+    some_points,
+    stack_placed,
 )
-from jaxscan.reconstruction.extraction import (
-    Progress,
-    StripePart,
-    can_be_split,
-    stripes_of_part,
-    stripes_of_parts,
-    stripes_of_plan,
-)
-from jaxscan.reconstruction.incoming import IncomingStripes, PlannedSweep, RecordedPair, Show
-from jaxscan.reconstruction.joining import in_scanner_frame, join_clouds, of_station, stack_placed
+from jaxscan.reconstruction.doubts import journal_doubts, pair_notes, profile_doubts, sweep_doubts
+from jaxscan.reconstruction.extraction import Extraction, StripePart, can_be_split, extract, extract_part, join_parts
 from jaxscan.reconstruction.kept import extraction_key, kept_arrays, usable_stripes
-from jaxscan.reconstruction.pair_notes import pair_notes
-from jaxscan.reconstruction.plan import Plan, make_plan
-from jaxscan.reconstruction.reconstruct import (
-    cloud_of_plan,
-    extract_sweep,
-    reconstruct,
-    smooth_stripes,
-)
+from jaxscan.reconstruction.live import IncomingStripes, PlannedSweep, RecordedPair, Show
+from jaxscan.reconstruction.motion import cloud_points, refuse_other_motion
+from jaxscan.reconstruction.plan import Plan, plan_sweep
+from jaxscan.reconstruction.points import grid_normals
+from jaxscan.reconstruction.reconstruct import reconstruct, smooth_stripes
+from jaxscan.reconstruction.seen import FrameWatch, Seen
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings, Smooth
 from jaxscan.reconstruction.sweep import FrameChunk, Sweep, SweepSource

@@ -12,6 +12,8 @@ import jax
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Progress = Callable[[int, int], None] | None
+"""Called with (records done, records in all)."""
 
 
 def workers() -> int:

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxscan.reconstruction.ahead import map_ahead, workers
+from jaxscan.reconstruction.ahead import Progress, map_ahead, workers
+from jaxscan.reconstruction.sweep import place
 from jaxscan.stripes import ProfileRows, ScatterLaw, Sites, Stripes, scatter_law, smooth_profiles
 
 
@@ -19,7 +20,7 @@ _COMMON_LINES = 10
 
 
 class SmoothedSweep(NamedTuple):
-    """Centres of a sweep that use their neighbours, and those of the rows; grid [profiles, lines]."""
+    """Centres of a sweep that use their neighbours, and those of the rows; float32 on the grid [profiles, lines]."""
 
     u: Float[np.ndarray, "profiles lines"]
     """Smoothed centre [px]."""
@@ -33,73 +34,39 @@ class SmoothedSweep(NamedTuple):
     shared_lines: Float[np.ndarray, "profiles lines"]
     """As of `Smoothed`."""
 
-    def beside(self, sigma_random: Float[np.ndarray, "profiles lines"]) -> dict[str, np.ndarray]:
-        """The fields that a cloud has beside its points.
 
-        Args:
-            sigma_random: Of the points, along the ray [m]; 0 where there is none.
-        """
-        exists = sigma_random > 0
-        # The same factor turns both sigmas from px into m.
-        ratio = self.sigma_row / np.where(exists, self.sigma, 1)
-        shift, shared = (np.where(exists, field, 0) for field in (self.shift, self.shared_lines))
-        return {"sigma_row": sigma_random * ratio, "shift_px": shift, "shared_lines": shared}
-
-
-class SweepSmoother:
-    """Smooths profiles of a sweep, by what all its rows tell about their scatter; in threads and in any order."""
-
-    def __init__(self, stripes: Stripes, sites: Mapping[int, Sites] = _ALL_LINES) -> None:
-        """
-        Args:
-            stripes: One centre of a line at most.
-            sites: Where the colour of each laser is seen; on all lines where not given.
-        """
-        self._rows = ProfileRows(
-            np.asarray(stripes.u, np.float32),
-            np.asarray(stripes.sigma, np.float32),
-            np.asarray(stripes.valid),
-            np.asarray(stripes.amplitude, np.float32),
-        )
-        laser = np.asarray(stripes.laser)
-        numbers = [int(number) for number in np.unique(laser)]
-        self._sites = {number: sites.get(number, Sites()) for number in numbers}
-        # Noise and colour are those of a laser.
-        self._laws = {
-            number: scatter_law(self._of(np.flatnonzero(laser == number)), self._sites[number].line_step)
-            for number in numbers
-        }
-
-    def smooth(self, laser: int, profiles: np.ndarray) -> SmoothedSweep:
-        """Some profiles of a laser."""
-        return _smooth(self._of(profiles), self._laws[laser], self._sites[laser])
-
-    def _of(self, profiles: np.ndarray) -> ProfileRows:
-        consecutive = len(profiles) > 0 and profiles[-1] - profiles[0] + 1 == len(profiles)
-        part = slice(profiles[0], profiles[-1] + 1) if consecutive else profiles
-        return ProfileRows(*(field[part] for field in self._rows))
-
-
-def smooth_sweep(stripes: Stripes, sites: Mapping[int, Sites] = _ALL_LINES) -> SmoothedSweep:
+def smooth_sweep(stripes: Stripes, sites: Mapping[int, Sites] = _ALL_LINES, progress: Progress = None) -> SmoothedSweep:
     """Smooth the centres of all profiles, with sigmas that the scatter of neighbouring rows confirms.
 
     Args:
         stripes: One centre of a line at most.
         sites: Where the colour of each laser is seen; on all lines where not given.
-
-    Returns:
-        Centres and sigmas, float32.
+        progress: Called with (profiles done, profiles in all).
     """
-    smoother, laser = SweepSmoother(stripes, sites), np.asarray(stripes.laser)
-    found = SmoothedSweep(*(np.zeros(np.shape(stripes.u), np.float32) for _ in SmoothedSweep._fields))
-    blocks = []
-    for number in np.unique(laser):
-        own = np.flatnonzero(laser == number)
-        blocks += [(int(number), own[start : start + _PROFILES]) for start in range(0, len(own), _PROFILES)]
-    for (_, own), part in zip(blocks, map_ahead(lambda block: smoother.smooth(*block), blocks, workers()), strict=True):
-        for to, field in zip(found, part, strict=True):
-            to[own] = field
+    rows = ProfileRows(
+        np.asarray(stripes.u, np.float32),
+        np.asarray(stripes.sigma, np.float32),
+        np.asarray(stripes.valid),
+        np.asarray(stripes.amplitude, np.float32),
+    )
+    found, done = SmoothedSweep(*(np.zeros(rows.u.shape, np.float32) for _ in SmoothedSweep._fields)), 0
+    for laser in np.unique(np.asarray(stripes.laser)).tolist():
+        # Noise and colour are those of a laser.
+        own, seen = np.flatnonzero(np.asarray(stripes.laser) == laser), sites.get(laser, Sites())
+        law = scatter_law(_taken(rows, own), seen.line_step)
+        blocks = [own[start : start + _PROFILES] for start in range(0, len(own), _PROFILES)]
+        smooth = lambda block, law=law, seen=seen: _smooth(_taken(rows, block), law, seen)
+        for block, part in zip(blocks, map_ahead(smooth, blocks, workers()), strict=True):
+            for to, field in zip(found, part, strict=True):
+                to[place(block)] = field
+            done += len(block)
+            if progress is not None:
+                progress(done, len(rows.u))
     return found
+
+
+def _taken(rows: ProfileRows, profiles: np.ndarray) -> ProfileRows:
+    return ProfileRows(*(field[place(profiles)] for field in rows))
 
 
 def _smooth(rows: ProfileRows, law: ScatterLaw, sites: Sites) -> SmoothedSweep:

@@ -1,16 +1,20 @@
-"""The organised point cloud."""
+"""The organised point cloud; clouds of several stations as one in the frame of the room, and one of them again."""
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
+from jaxscan.errors import CloudError
 from jaxscan.geometry import Array
 
 
 SMOOTHED = ("sigma_row", "shift_px", "shared_lines")
 """Fields that a cloud has where its points use their neighbours, and not otherwise."""
+_AT_ONCE, _POINTS_AT_ONCE = 1 << 20, 1 << 17
+"""Cells that are looked at, and points that are turned, at a time."""
 
 
 class CloudPoints(NamedTuple):
@@ -119,9 +123,6 @@ class PointCloud(eqx.Module):
         )
 
 
-_AT_ONCE = 1 << 20
-
-
 def some_points(cloud: PointCloud, wanted: int) -> np.ndarray:
     """Every k-th valid point, float64 [n, 3], so that it is `wanted` to twice as many of a cloud with more."""
     xyz, valid = _flat(cloud.xyz), _flat(cloud.valid)
@@ -138,3 +139,139 @@ def _flat(field: Array) -> np.ndarray:
     """A field of cells in a row."""
     values = np.asarray(field)
     return values.reshape(-1, *values.shape[2:])
+
+
+def join_clouds(
+    clouds: Sequence[PointCloud], poses: Sequence[np.ndarray], covariances: Sequence[np.ndarray]
+) -> PointCloud:
+    r"""One cloud in the frame of the room; its profiles are those of all stations, one after the other.
+
+    The systematic variance of a point p grows by that of its station's pose, in the direction in which that is
+    largest: a turn moves points across their rays. It is the largest eigenvalue of $J C J^T$ with
+    $J = (I,\; -[p]_\times)$, p in the scanner frame of the station.
+
+    Args:
+        clouds: Of each station, in its own scanner frame; all of one camera.
+        poses: T_room_scanner of each [4, 4].
+        covariances: Of a step (translation [m], rotation [rad]) in each station's own frame [6, 6]; the part that
+            a pose shares with the calibration is not counted.
+
+    Returns:
+        The joined cloud, NumPy arrays.
+
+    Raises:
+        CloudError: If there is none, a cloud is a joined one already, or the clouds differ in the number of lines.
+    """
+    if not clouds or len({len(cloud.valid[0]) for cloud in clouds}) > 1:
+        raise CloudError("join: expected clouds of one camera, with the same number of lines.")
+    if any(cloud.stations is not None for cloud in clouds):
+        raise CloudError("join: found a cloud that is joined already; join the clouds of its stations.")
+    smoothed = any(cloud.sigma_row is not None for cloud in clouds)
+    moved = [
+        _moved(cloud, np.asarray(pose, np.float64), np.asarray(covariance, np.float64), smoothed=smoothed)
+        for cloud, pose, covariance in zip(clouds, poses, covariances, strict=True)
+    ]
+    numbers = np.repeat(np.arange(len(clouds), dtype=np.int32), [len(cloud.valid) for cloud in clouds])
+    names = [name for name in moved[0] if moved[0][name] is not None]
+    return PointCloud(
+        **{name: np.concatenate([fields[name] for fields in moved]) for name in names},
+        stations=Stations(numbers, np.array(poses, np.float64), np.array(covariances, np.float64)),
+    )
+
+
+def stack_placed(clouds: Sequence[PointCloud], *, every: int = 1) -> PointCloud:
+    """One cloud of clouds that are in the frame of the room already, as `join_clouds` placed each.
+
+    Args:
+        clouds: Each with its stations; all of one camera.
+        every: Only every n-th profile of each.
+
+    Raises:
+        CloudError: If there is none, one was not placed, or the clouds differ in the number of lines.
+    """
+    if not clouds or len({len(cloud.valid[0]) for cloud in clouds}) > 1:
+        raise CloudError("join: expected clouds of one camera, with the same number of lines.")
+    placed = [cloud.stations for cloud in clouds if cloud.stations is not None]
+    if len(placed) < len(clouds):
+        raise CloudError("join: found a cloud without the place of its station, expected clouds of one frame.")
+    thinned = [{name: None if value is None else value[::every] for name, value in _fields(c).items()} for c in clouds]
+    names = [name for name in thinned[0] if all(fields[name] is not None for fields in thinned)]
+    before = np.cumsum([0, *(len(stations.pose) for stations in placed)])
+    numbers = [np.asarray(one.number)[::every] + first for one, first in zip(placed, before, strict=False)]
+    return PointCloud(
+        **{name: np.concatenate([fields[name] for fields in thinned]) for name in names},
+        stations=Stations(
+            np.concatenate(numbers).astype(np.int32),
+            np.concatenate([np.asarray(one.pose, np.float64) for one in placed]),
+            np.concatenate([np.asarray(one.covariance, np.float64) for one in placed]),
+        ),
+    )
+
+
+def of_station(cloud: PointCloud, number: int) -> PointCloud:
+    """The cloud of one station of a joined cloud, in its own scanner frame; its sigmas keep the part of the pose."""
+    if cloud.stations is None:
+        return cloud
+    mine = np.asarray(cloud.stations.number) == number
+    pose = np.linalg.inv(np.asarray(cloud.stations.pose[number], np.float64))
+    fields = {name: value[mine] for name, value in _fields(cloud).items() if value is not None}
+    return PointCloud(**(fields | _turned(fields["xyz"], fields["normals"], fields["valid"], pose)))
+
+
+def in_scanner_frame(cloud: PointCloud) -> tuple[PointCloud, np.ndarray]:
+    """The cloud of one station in its scanner frame, and T_room_scanner [4, 4]; of a cloud that was not moved, itself.
+
+    Raises:
+        CloudError: If it is joined of several stations.
+    """
+    if cloud.stations is None:
+        return cloud, np.eye(4)
+    if len(cloud.stations.pose) > 1:
+        raise CloudError("the cloud is joined of several stations; take the cloud of one.")
+    return of_station(cloud, 0), np.asarray(cloud.stations.pose, np.float64)[0]
+
+
+def _fields(cloud: PointCloud) -> dict[str, Any]:
+    """All but the stations, on the host."""
+    names = ("xyz", "rgb", "intensity", "normals", "sigma_random", "sigma_systematic", "valid", "record", "laser")
+    values = {name: getattr(cloud, name) for name in (*names, "angle", *SMOOTHED)}
+    return {name: None if value is None else np.asarray(value) for name, value in values.items()}
+
+
+def _turned(xyz: np.ndarray, normals: np.ndarray, valid: np.ndarray, pose: np.ndarray) -> dict[str, np.ndarray]:
+    """Points and normals carried along, in their own precision; zero where they are not valid."""
+    found = {"xyz": np.zeros_like(xyz), "normals": np.zeros_like(normals)}
+    shift = {"xyz": pose[:3, 3], "normals": np.zeros(3)}
+    for name, field in (("xyz", xyz), ("normals", normals)):
+        flat, target = field.reshape(-1, 3), found[name].reshape(-1, 3)
+        for start in range(0, len(flat), _POINTS_AT_ONCE):
+            part = slice(start, start + _POINTS_AT_ONCE)
+            moved = flat[part].astype(np.float64) @ pose[:3, :3].T + shift[name]
+            target[part] = np.where(valid.reshape(-1)[part, None], moved, 0)
+    return found
+
+
+def _moved(cloud: PointCloud, pose: np.ndarray, covariance: np.ndarray, *, smoothed: bool) -> dict[str, Any]:
+    """The fields of a cloud in the frame of the room, with the sigma of the pose."""
+    fields = _fields(cloud)
+    if smoothed and fields["sigma_row"] is None:
+        # Rows by themselves, in the words of smoothed ones.
+        zero = np.zeros_like(fields["sigma_random"])
+        fields |= {"sigma_row": fields["sigma_random"], "shift_px": zero, "shared_lines": zero + zero.dtype.type(1)}
+    own = fields["sigma_systematic"]
+    # Profile by profile: matrices of all points at once would take ten times the memory of the cloud.
+    variance = np.array([largest_variance(profile, covariance) for profile in fields["xyz"].astype(np.float64)])
+    total = np.sqrt(own.astype(np.float64) ** 2 + variance)
+    fields["sigma_systematic"] = np.where(fields["valid"], total, 0).astype(own.dtype)
+    return fields | _turned(fields["xyz"], fields["normals"], fields["valid"], pose)
+
+
+def largest_variance(p: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Variance [n], m^2, of points [n, 3] by a step (translation, rotation) of their frame, along its largest axis."""
+    if not covariance.any():
+        return np.zeros(len(p))
+    by_turn = np.zeros((len(p), 3, 3))
+    by_turn[:, [2, 0, 1], [1, 2, 0]] = -p
+    by_turn[:, [1, 2, 0], [2, 0, 1]] = p
+    J = np.concatenate([np.broadcast_to(np.eye(3), by_turn.shape), by_turn], -1)
+    return np.maximum(np.linalg.eigvalsh(J @ covariance @ J.swapaxes(1, 2))[:, -1], 0)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.errors import CaptureError
-from jaxscan.reconstruction.streaming import Batch
+from jaxscan.reconstruction.sweep import Batch
 from jaxscan.stripes import ChunkStripes, FrameStripes, chosen_of
 
 
@@ -82,19 +82,6 @@ class DecoyWatch:
             if rows:
                 on, off = (np.asarray(frames)[rows] for frames in (batch.on, batch.off))
                 self._kept.append((Batch(batch.profiles[rows], batch.laser, on, off), stripes[rows]))
-
-    def judge(self, search: Callable[[Batch], ChunkStripes], size: int) -> Chance:
-        """Search what is kept for decoys, and compare.
-
-        Args:
-            search: Finds the stripes of a batch of `size` frames at most.
-            size: Frames of a batch at most.
-
-        Raises:
-            CaptureError: If the stripes are not more, or not clearer, than those of chance.
-        """
-        stripes, decoys = self.compared(search, size)
-        return judge(stripes, decoys, per_profile=self.found / self._profiles) if stripes.size else Chance()
 
     def compared(
         self, search: Callable[[Batch], ChunkStripes], size: int

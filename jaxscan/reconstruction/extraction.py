@@ -1,61 +1,103 @@
-"""The stripes of a sweep, found chunk by chunk: of all its records, or of a part of them in a process of its own.
+"""The stripes of a sweep, found chunk by chunk: of all its records, of a part of them, or while they are taken.
 
 What is learned is learned from the first records; after that the stripes of a frame depend on nothing but the frame. So
-parts that were found apart are together what the whole would have given.
+they are the same whenever and wherever they are found, and in whatever chunk.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+import dataclasses
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxscan.reconstruction.ahead import map_ahead, workers
+from jaxscan.errors import CaptureError
+from jaxscan.geometry import Array, Scanner
+from jaxscan.reconstruction.ahead import Progress, map_ahead, workers
+from jaxscan.reconstruction.colours import stripe_colours
 from jaxscan.reconstruction.decoys import Chance, DecoyWatch, judge
-from jaxscan.reconstruction.plan import Plan
-from jaxscan.reconstruction.points import stripe_colours
-from jaxscan.reconstruction.streaming import Batch, GrowingStripes, batches
-from jaxscan.reconstruction.sweep import FrameChunk
-from jaxscan.stripes import ChunkStripes, NoiseModel, StripeEngine, Stripes, pick_by_steps
+from jaxscan.reconstruction.plan import Plan, plan_sweep
+from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
+from jaxscan.reconstruction.sweep import Batch, FrameChunk, SweepSource, batches, place, rows_of
+from jaxscan.reconstruction.without_off import predicts, with_off
+from jaxscan.stripes import (
+    KEPT_FIELDS,
+    BlackLevelError,
+    ChunkStripes,
+    ExtractionSetup,
+    LaserLine,
+    LearnedNoise,
+    LineGate,
+    NoiseModel,
+    StripeEngine,
+    Stripes,
+    learn_noise,
+    pick_by_steps,
+    prepare_engines,
+    speckle_words,
+    whole_lines,
+    with_colour,
+)
 
 
-Progress = Callable[[int, int], None] | None
+LEARNED_RECORDS = 8
+"""Records at the start of a sweep from which noise and colours are learned where they are not given."""
 
 
-def stripes_of_plan(plan: Plan, *, noise: NoiseModel | None = None, progress: Progress = None) -> Stripes:
-    """`extract` by a plan that is made."""
-    sweep = plan.sweep
-    profiles = len(sweep.record)
-    frames = _Ahead(plan)
-    engines = plan.engines(noise, frames.first(plan.learned_from))
-    search = _Search(plan, engines, DecoyWatch(profiles, predicted=plan.predicts))
-    each = search.each
-    stripes = GrowingStripes(each * profiles, plan.lines)
-    chosen = np.full((profiles, plan.lines), -1, np.int8)
-    for batch, found, rgb in search.results(frames.chunks(), progress):
-        stripes.store(rows_of(batch.profiles, each), found.stripes, rgb)
-        if found.chosen is not None:
-            chosen[batch.profiles] = found.chosen
-    if plan.settings.check_steps:
-        stripes.fields = pick_by_steps(stripes.fields, chosen, sweep.laser, sweep.angles[sweep.record])
-        each = 1
-    chance = search.decoys.judge(search.find, plan.size)
-    plan.notes.extend([chance.note] if chance.note else [])
-    stripes.keep_clear(chance.least)
-    profile = np.arange(each * profiles) // each
-    return stripes.finish(sweep.record[profile], sweep.laser[profile])
+class Extraction(NamedTuple):
+    """The stripes of a sweep, and what was learned of its frames."""
+
+    stripes: Stripes
+    """A profile per laser in a record, with colours; NumPy arrays, float32. `record` and `laser` are those of the
+    sweep."""
+    notes: tuple[str, ...] = ()
+    """Doubts about noise and stripes, a sentence each."""
+    noise: str = ""
+    """Noise of a frame and speckle as they were learned, in a line; empty where the noise was given."""
+
+
+def extract(
+    sweep: SweepSource,
+    scanner: Scanner,
+    *,
+    settings: ReconstructSettings = DEFAULTS,
+    noise: NoiseModel | None = None,
+    progress: Progress = None,
+) -> Extraction:
+    """Find the stripes of a whole sweep; `reconstruct` takes them instead of frames.
+
+    Args:
+        sweep: Frames at known angles, in memory or on disk.
+        scanner: The calibrated rig; it only says where on a line stripes can lie.
+        settings: Range limits, and how stripes are found.
+        noise: Noise of a frame; estimated from the start of the sweep where not given.
+        progress: Called with (records done, records in all) after every chunk.
+
+    Returns:
+        The stripes, with what was learned.
+
+    Raises:
+        CaptureError: If the sweep has no records or cannot be read, or its stripes are not told from chance.
+        CalibrationError: If the scanner is not that of the sweep.
+    """
+    plan = plan_sweep(sweep, scanner, settings)
+    return join_parts(plan, [extract_part(plan, noise=noise, progress=progress)])
 
 
 class StripePart(NamedTuple):
     """The stripes of some neighbouring records of a sweep, before the decoys of all have judged them."""
 
     fields: dict[str, np.ndarray]
-    """As of `GrowingStripes`, a profile for each laser in a record."""
+    """As of `Stripes`, a profile for each laser in a record."""
     clear: np.ndarray
     """Clearness of the stripes [1] in profiles that were searched for decoys, float32 [searched, lines]."""
     decoys: np.ndarray
     """The same of the decoys."""
     found: int
     """Stripes, before any is left out."""
+    notes: tuple[str, ...]
+    """As of `Extraction`, of what was learned."""
+    noise: str
 
 
 def can_be_split(plan: Plan) -> bool:
@@ -67,130 +109,267 @@ def can_be_split(plan: Plan) -> bool:
     sweep, settings = plan.sweep, plan.settings
     shown = np.unique(sweep.laser[sweep.record < plan.size])
     one_each = not settings.check_steps and settings.stripes.choice != "all"
-    return one_each and not plan.predicts and len(shown) == len(np.unique(sweep.laser))
+    return one_each and len(shown) == len(np.unique(sweep.laser)) and not predicts(sweep)
 
 
-def stripes_of_part(
-    plan: Plan, part: Plan, first: int, *, noise: NoiseModel | None = None, progress: Progress = None
+def extract_part(
+    plan: Plan,
+    part: SweepSource | None = None,
+    before: int = 0,
+    *,
+    noise: NoiseModel | None = None,
+    progress: Progress = None,
 ) -> StripePart:
-    """The stripes of some neighbouring records.
+    """The stripes of a sweep, or of some neighbouring records of one that `can_be_split`.
 
     Args:
-        plan: Of the whole sweep, that `can_be_split`; its first chunk is read to learn from.
-        part: Of those records alone.
-        first: Number of profiles of the sweep before them.
+        plan: Of the whole sweep; its first chunk is read to learn from.
+        part: The records; all where not given.
+        before: Number of profiles of the sweep before them.
         noise: Noise of a frame; learned where not given.
         progress: Called with (records done, records of the part) after every chunk.
     """
-    part.size = plan.size
-    decoys = DecoyWatch(len(plan.sweep.record), predicted=False, first=first)
-    search = _Search(part, _learned(plan, noise), decoys, learned=True)
-    stripes = GrowingStripes(len(part.sweep.record), part.lines)
-    for batch, found, rgb in search.results(part.sweep.chunks(part.size), progress):
-        stripes.store(batch.profiles, found.stripes, rgb)
-    clear, lost = decoys.compared(search.find, part.size)
-    return StripePart(stripes.fields, clear, lost, decoys.found)
+    coming = with_off(plan)
+    ahead = [next(coming)]
+    while sum(len(chunk.on) for chunk in ahead) < min(LEARNED_RECORDS, len(plan.sweep)):
+        ahead.append(next(coming))
+    learned, profiles = learn(plan, _first(ahead), noise=noise), len(plan.sweep.record)
+    frames = _replayed(ahead, coming)
+    if part is not None:
+        for batch in batches(plan.sweep, plan.size, frames):
+            learned = learned.taught_by(batch)
+            if learned.ready:
+                break
+        plan = dataclasses.replace(plan_sweep(part, plan.scanner, plan.settings), size=plan.size)
+        frames = with_off(plan)
+    sweep, watch = plan.sweep, DecoyWatch(profiles, predicted=learned.predicted, first=before)
+    each, settings = learned.profiles_per_record, plan.settings
+    fields = empty_stripes(each * len(sweep.record), plan.lines)
+    chosen = np.full((len(sweep.record), plan.lines), -1, np.int8)
+
+    def taught() -> Iterator[tuple[Learned, Batch]]:
+        nonlocal learned
+        for batch in batches(sweep, plan.size, frames):
+            learned = learned.taught_by(batch)
+            yield learned, batch
+
+    def compute(item: tuple[Learned, Batch]) -> tuple[Batch, ChunkStripes, np.ndarray]:
+        known, batch = item
+        found = known.find(batch)
+        watch.look(batch, found)
+        return batch, found, known.colours(batch, found)
+
+    for batch, found, rgb in map_ahead(compute, taught(), workers(), compiled=learned.compiles):
+        rows = place(rows_of(batch.profiles, each))
+        for name, field in fields.items():
+            field[rows] = rgb if name == "rgb" else np.asarray(getattr(found.stripes, name))
+        if found.chosen is not None:
+            chosen[batch.profiles] = found.chosen
+        if progress is not None:
+            progress(int(sweep.record[batch.profiles[-1]]) + 1, len(sweep))
+    if settings.check_steps:
+        fields = pick_by_steps(fields, chosen, sweep.laser, sweep.angles[sweep.record])
+    clear, decoys = watch.compared(learned.find, plan.size)
+    return StripePart(fields, clear, decoys, watch.found, learned.notes, learned.noise)
 
 
-def stripes_of_parts(plan: Plan, parts: Sequence[StripePart]) -> Stripes:
-    """The stripes of a sweep from those of all its records, in their order.
+def join_parts(plan: Plan, parts: Sequence[StripePart]) -> Extraction:
+    """The stripes of a sweep from those of all its records, in their order; no frame is read.
 
-    Args:
-        plan: Of the whole sweep; no frame is read.
-        parts: Together all its profiles.
+    Raises:
+        CaptureError: If the stripes are not more, or not clearer, than those of chance.
     """
     sweep = plan.sweep
-    stripes = GrowingStripes(0, plan.lines)
-    stripes.fields = {name: np.concatenate([part.fields[name] for part in parts]) for name in stripes.fields}
+    fields = {name: _joined([part.fields[name] for part in parts]) for name in parts[0].fields}
     searched = [part for part in parts if part.clear.size]
-    found = Chance()
+    chance = Chance()
     if searched:
         clear, decoys = (np.concatenate([getattr(part, name) for part in searched]) for name in ("clear", "decoys"))
-        found = judge(clear, decoys, per_profile=sum(part.found for part in parts) / len(sweep.record))
-    plan.notes.extend([found.note] if found.note else [])
-    stripes.keep_clear(found.least)
-    return stripes.finish(sweep.record, sweep.laser)
+        chance = judge(clear, decoys, per_profile=sum(part.found for part in parts) / len(sweep.record))
+    if chance.least > 0.0:
+        doubtful = fields["width"] < np.float32(chance.least) * np.maximum(fields["sigma"], np.float32(1e-4))
+        # The parts are the caller's.
+        fields = {name: field.copy() for name, field in fields.items()}
+        for field in fields.values():
+            field[doubtful] = 0
+    profile = np.arange(len(fields["u"])) // (len(fields["u"]) // len(sweep.record))
+    stripes = Stripes(**fields, record=sweep.record[profile], laser=sweep.laser[profile])
+    return Extraction(stripes, (*parts[0].notes, *([chance.note] if chance.note else [])), parts[0].noise)
 
 
-def _learned(plan: Plan, noise: NoiseModel | None) -> dict[int, StripeEngine]:
-    """The engines, with what they learn from each laser's first batch."""
-    frames = _Ahead(plan)
-    search = _Search(plan, plan.engines(noise, frames.first(plan.learned_from)), None)
-    for batch in batches(plan.sweep, plan.size, frames.chunks()):
-        search.learn(batch)
-        if len(search.learned) == len(search.engines):
-            break
-    return search.engines
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """What the first records of a sweep tell, by which the stripes of any of its frames are found."""
 
+    plan: Plan
+    lasers: tuple[LaserLine, ...]
+    """With their colours."""
+    engines: dict[int, StripeEngine]
+    """Of each laser of the sweep."""
+    predicted: bool
+    """Whether laser-off frames are predicted."""
+    taught: frozenset[int] = frozenset()
+    """Lasers whose width and speckle are known."""
+    of_frame: LearnedNoise | None = None
+    """Noise of a frame, where it was not given."""
+    notes: tuple[str, ...] = ()
+    noise: str = ""
+    """As of `Extraction`."""
 
-def rows_of(profiles: np.ndarray, each: int) -> np.ndarray:
-    """Rows of the grid of so many profiles for each of some profiles of the sweep."""
-    return (each * profiles[:, None] + np.arange(each)[None, :]).reshape(-1)
+    @property
+    def ready(self) -> bool:
+        """Whether all lasers are known."""
+        return self.taught >= self.engines.keys()
 
+    @property
+    def compiles(self) -> bool:
+        """Whether learning runs, and so compiles, the function that finds stripes."""
+        return next(iter(self.engines.values())).learns
 
-class _Ahead:
-    """The chunks of a sweep, of which the first are looked at before they are searched."""
+    @property
+    def profiles_per_record(self) -> int:
+        return next(iter(self.engines.values())).profiles_per_record
 
-    def __init__(self, plan: Plan) -> None:
-        self._coming, self._seen = plan.sweep.chunks(plan.size), list[FrameChunk]()
-
-    def first(self, count: int) -> FrameChunk:
-        """The first records, of which there are at least so many, in whatever chunks they lie."""
-        while sum(len(chunk.on) for chunk in self._seen) < count:
-            self._seen.append(next(self._coming))
-        on = [chunk.on for chunk in self._seen]
-        off = [chunk.off for chunk in self._seen if chunk.off is not None]
-        joined = [frames[0] if len(frames) == 1 else np.concatenate(frames) for frames in (on, off) if frames]
-        return FrameChunk(*(frames[:count] for frames in joined), *([None] if not off else []))
-
-    def chunks(self) -> Iterator[FrameChunk]:
-        """All of them, once."""
-        while self._seen:
-            yield self._seen.pop(0)
-        yield from self._coming
-
-
-class _Search:
-    """Finds the stripes of batches of frames, in threads."""
-
-    def __init__(
-        self, plan: Plan, engines: dict[int, StripeEngine], decoys: DecoyWatch | None, *, learned: bool = False
-    ) -> None:
-        self.plan, self.engines = plan, engines
-        self.decoys = decoys if decoys is not None else DecoyWatch(1, predicted=False)
-        self.learned = set(engines) if learned else set[int]()
-        self.each = next(iter(engines.values())).profiles_per_record
-        """Profiles of a record."""
+    def taught_by(self, batch: Batch) -> "Learned":
+        """With width and speckle of the batch's laser, if this is its first one."""
+        laser = batch.laser
+        if laser in self.taught:
+            return self
+        engine = self.engines[laser].learn(batch.on, batch.off, self.plan.size)
+        noise, known = self.noise, self.of_frame
+        if known is not None:
+            reason = engine.speckle_reason
+            words = speckle_words(engine.noise.speckle, reason) if noise else known.words(engine.noise, reason)
+            name = f'laser "{self.lasers[laser].name}": ' if len(self.engines) > 1 else ""
+            noise = "; ".join(part for part in (noise, name + words) if part)
+        return dataclasses.replace(
+            self, engines=self.engines | {laser: engine}, taught=self.taught | {laser}, noise=noise
+        )
 
     def find(self, batch: Batch) -> ChunkStripes:
+        """The stripes of a batch of frames."""
         return self.engines[batch.laser].extract(batch.on, batch.off, self.plan.size)
 
-    def learn(self, batch: Batch) -> None:
-        """Each laser's first batch says how wide the stripes are."""
-        if batch.laser not in self.learned:
-            self.learned.add(batch.laser)
-            self.engines[batch.laser] = self.engines[batch.laser].learn(batch.on, batch.off, self.plan.size)
-            self.plan.tell_noise(batch.laser, self.engines[batch.laser])
+    def colours(self, batch: Batch, found: ChunkStripes) -> np.ndarray:
+        """The colours of the stripes of a batch."""
+        off = batch.off if batch.off is None or len(self.plan.sweep.exposures) == 1 else batch.off[:, -1]
+        return stripe_colours(found.stripes, off, self.plan.frames, self.plan.stripe_axis)
 
-    def results(
-        self, chunks: Iterator[FrameChunk], progress: Progress
-    ) -> Iterator[tuple[Batch, ChunkStripes, np.ndarray]]:
-        """Stripes and colours of all batches in order; `progress` is called with (records done, records in all)."""
-        sweep = self.plan.sweep
 
-        def compute(batch: Batch) -> tuple[Batch, ChunkStripes, np.ndarray]:
-            found = self.find(batch)
-            self.decoys.look(batch, found)
-            off = batch.off if batch.off is None or len(sweep.exposures) == 1 else batch.off[:, -1]
-            return batch, found, stripe_colours(found.stripes, off, self.plan.frames, self.plan.stripe_axis)
+def learn(plan: Plan, first: FrameChunk, *, noise: NoiseModel | None = None) -> Learned:
+    """Learn noise and colours, and where stripes are looked for.
 
-        def ready() -> Iterator[Batch]:
-            for batch in batches(sweep, self.plan.size, chunks):
-                self.learn(batch)
-                yield batch
+    Args:
+        plan: The sweep.
+        first: Its first `LEARNED_RECORDS`: a fixed number, so that the result does not depend on the size of chunks.
+        noise: Noise of a frame; learned where not given.
 
-        compiled = next(iter(self.engines.values())).learns
-        for batch, found, rgb in map_ahead(compute, ready(), workers(), compiled=compiled):
-            yield batch, found, rgb
-            if progress is not None:
-                progress(int(sweep.record[batch.profiles[-1]]) + 1, len(sweep))
+    Raises:
+        CaptureError: If a colour cannot be learned, the black level is above the picture, or stripes of two
+            lasers in one record could be mistaken for each other.
+    """
+    sweep, settings, gates = plan.sweep, plan.settings, plan.gates
+    lasers, of_frame = learned_lasers(sweep), None
+    if noise is None:
+        # In the colour of the first laser and the shortest exposure.
+        one = slice(None) if len(sweep.exposures) == 1 else np.s_[:, 0]
+        on, off = first.on[one], None if first.off is None else first.off[one]
+        line, compressed = lasers[int(sweep.laser.min())], sweep.compression is not None
+        of_frame = learn_noise(on, off, frames=plan.frames, line=line, compressed=compressed)
+        noise = of_frame.noise
+    if plan.lit_together:
+        _check_apart(list(gates.values()))
+    setups = [
+        ExtractionSetup(
+            sweep.image_size,
+            plan.frames,
+            lasers[laser],
+            settings.stripes,
+            tuple(sweep.exposures),
+            all_candidates=settings.check_steps,
+        )
+        for laser in gates
+    ]
+    searched = [
+        gate if settings.gate or plan.lit_together else whole_lines(setup, gate.near_side)
+        for setup, gate in zip(setups, gates.values(), strict=True)
+    ]
+    try:
+        engines = prepare_engines(first.on, first.off, setups, noise=noise, gates=searched)
+    except BlackLevelError as problem:
+        raise CaptureError(str(problem)) from problem
+    predicted = predicts(sweep)
+    if predicted:
+        engines = [engine.own_channel() for engine in engines]
+    notes = () if of_frame is None else of_frame.doubts
+    return Learned(plan, lasers, dict(zip(gates, engines, strict=True)), predicted, of_frame=of_frame, notes=notes)
+
+
+def learned_lasers(sweep: SweepSource) -> tuple[LaserLine, ...]:
+    """The lasers of a sweep, an "auto" colour learned from the first records that show the laser alone.
+
+    Raises:
+        CaptureError: If a colour cannot be learned.
+    """
+    lasers = list(sweep.lasers)
+    for laser in np.unique(sweep.laser):
+        if lasers[laser].colour == "auto":
+            lasers[laser] = _with_learned_colour(sweep, int(laser))
+    return tuple(lasers)
+
+
+def _with_learned_colour(sweep: SweepSource, laser: int) -> LaserLine:
+    line, problem = sweep.lasers[laser], "it is never lit alone."
+    if sweep.pixel_format == "mono8":
+        return dataclasses.replace(line, colour="red")
+    alone = np.bincount(sweep.record, minlength=len(sweep)) == 1
+    for batch in batches(sweep, LEARNED_RECORDS, sweep.chunks(min(LEARNED_RECORDS, len(sweep)))):
+        rows = np.flatnonzero(alone[sweep.record[batch.profiles]])
+        if batch.laser != laser or not len(rows):
+            continue
+        on, off = np.asarray(batch.on)[rows], None if batch.off is None else np.asarray(batch.off)[rows]
+        if len(sweep.exposures) > 1:
+            on, off = on.reshape(-1, *on.shape[2:]), None if off is None else off.reshape(-1, *off.shape[2:])
+        try:
+            return with_colour(line, on, off, sweep.pixel_format)
+        except ValueError as error:
+            problem = str(error)
+    raise CaptureError(f'The colour of the laser "{line.name}" is "auto" and cannot be learned: {problem}')
+
+
+def empty_stripes(profiles: int, lines: int) -> dict[str, np.ndarray]:
+    """The fields of `Stripes` of a grid, to be filled."""
+    types = {"saturated": np.uint8, "valid": np.bool_}
+    fields: dict[str, np.ndarray] = {
+        name: np.zeros((profiles, lines), types.get(name, np.float32)) for name in KEPT_FIELDS
+    }
+    return fields | {"rgb": np.zeros((profiles, lines, 3), np.uint8)}
+
+
+def _first(chunks: Sequence[FrameChunk]) -> FrameChunk:
+    """The first `LEARNED_RECORDS`, in whatever chunks they lie."""
+    on, off = _joined([chunk.on for chunk in chunks]), [chunk.off for chunk in chunks if chunk.off is not None]
+    return FrameChunk(on[:LEARNED_RECORDS], _joined(off)[:LEARNED_RECORDS] if off else None)
+
+
+def _joined(arrays: Sequence[Array]) -> Array:
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+
+
+def _replayed(ahead: list[FrameChunk], coming: Iterator[FrameChunk]) -> Iterator[FrameChunk]:
+    """Chunks that were looked at, which are not kept longer than needed, and those that follow."""
+    while ahead:
+        yield ahead.pop(0)
+    yield from coming
+
+
+def _check_apart(gates: Sequence[LineGate]) -> None:
+    """Lasers that are lit together are told apart by where they can be seen, and only so."""
+    for i, one in enumerate(gates):
+        for other in gates[i + 1 :]:
+            shared = np.minimum(one.high, other.high) - np.maximum(one.low, other.low)
+            if np.any(shared > 0):
+                raise CaptureError(
+                    f"Two lasers that are lit in one record can be seen at the same places (up to {shared.max()} px of "
+                    f"a line); narrow min_range_m and max_range_m, or capture a record for each laser."
+                )

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from jaxscan.reconstruction.extraction import Extraction, empty_stripes
 from jaxscan.reconstruction.plan import Plan
 from jaxscan.reconstruction.settings import ReconstructSettings
-from jaxscan.reconstruction.streaming import GrowingStripes
 from jaxscan.stripes import LineGate, NoiseModel, Stripes
 
 
@@ -23,15 +23,14 @@ def extraction_key(settings: ReconstructSettings, noise: NoiseModel | None) -> d
     }
 
 
-def kept_arrays(stripes: Stripes, plan: Plan) -> dict[str, np.ndarray]:
+def kept_arrays(found: Extraction, plan: Plan) -> dict[str, np.ndarray]:
     """The stripes, notes on them and, of each laser, the searched part of lines and the near side."""
-    fields = {name: np.asarray(field) for name, field in vars(stripes).items() if field is not None}
-    notes = np.frombuffer("\n".join(plan.notes).encode(), np.uint8)
-    noise = np.frombuffer(plan.noise.encode(), np.uint8)
-    return fields | _searched(plan.gates) | {"notes": notes, "noise": noise}
+    fields = {name: np.asarray(field) for name, field in vars(found.stripes).items() if field is not None}
+    texts = {"notes": "\n".join(found.notes), "noise": found.noise}
+    return fields | _searched(plan.gates) | {name: np.frombuffer(t.encode(), np.uint8) for name, t in texts.items()}
 
 
-def usable_stripes(arrays: dict[str, np.ndarray], plan: Plan) -> Stripes | None:
+def usable_stripes(arrays: dict[str, np.ndarray], plan: Plan) -> Extraction | None:
     """The kept stripes, if a search by this plan could find no others; else None.
 
     The search reaches `GATE_MARGIN_PX` beyond the range limits. As long as the limits as the plan's calibration
@@ -52,22 +51,21 @@ def usable_stripes(arrays: dict[str, np.ndarray], plan: Plan) -> Stripes | None:
     texts = [fields.pop(name, np.zeros(0)) for name in ("notes", "noise")]
     if any(text.dtype != np.uint8 for text in texts) or not _fit(fields, plan):
         return None
-    notes, plan.noise = (text.tobytes().decode(errors="replace") for text in texts)
-    plan.notes.extend(notes.splitlines())
-    return Stripes(**fields)
+    notes, noise = (text.tobytes().decode(errors="replace") for text in texts)
+    return Extraction(Stripes(**fields), tuple(notes.splitlines()), noise)
 
 
 def _fit(fields: dict[str, np.ndarray], plan: Plan) -> bool:
     """Whether arrays are the stripes of a plan by their names, types and shapes."""
     grid = len(np.atleast_1d(fields.get("record", ()))), plan.lines
-    expected = GrowingStripes(0, plan.lines).finish(plan.sweep.record[:0], plan.sweep.laser[:0])
+    expected = empty_stripes(0, plan.lines) | {"record": plan.sweep.record, "laser": plan.sweep.laser}
     shapes = {"record": grid[:1], "laser": grid[:1], "rgb": (*grid, 3)}
     whole = grid[0] > 0 and grid[0] % len(plan.sweep.record) == 0
     return (
         whole
-        and fields.keys() == vars(expected).keys()
+        and fields.keys() == expected.keys()
         and all(array.shape == shapes.get(name, grid) for name, array in fields.items())
-        and all(array.dtype == np.asarray(getattr(expected, name)).dtype for name, array in fields.items())
+        and all(array.dtype == expected[name].dtype for name, array in fields.items())
     )
 
 

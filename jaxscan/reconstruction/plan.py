@@ -1,44 +1,33 @@
-"""The plan of a reconstruction, which all its chunks share: made once, it learns and computes each thing once."""
+"""The plan of a reconstruction: a sweep and a scanner that fit together. It is made once and reads no frame."""
 
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass
 from functools import cached_property
 
+import jax
 import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.geometry import Array, Scanner, StripeAxis, across_and_along
-from jaxscan.reconstruction.colours import NOISE_RECORDS, with_learned_colour
-from jaxscan.reconstruction.points import Aim, line_gate
+from jaxscan.geometry import Scanner, StripeAxis, across_and_along
+from jaxscan.reconstruction.ahead import workers
+from jaxscan.reconstruction.gate import line_gate
 from jaxscan.reconstruction.settings import ReconstructSettings
-from jaxscan.reconstruction.streaming import chunk_records
-from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
-from jaxscan.reconstruction.without_off import PredictedPairs, with_off
-from jaxscan.stripes import (
-    BlackLevelError,
-    ExtractionSetup,
-    FrameFormat,
-    LaserLine,
-    LearnedNoise,
-    LineGate,
-    NoiseModel,
-    StripeEngine,
-    Stripes,
-    learn_noise,
-    prepare_engines,
-    speckle_words,
-    whole_lines,
-)
+from jaxscan.reconstruction.sweep import SweepSource
+from jaxscan.stripes import FrameFormat, LineGate
 
 
 GATE_MARGIN_PX = 40.0
 """How far beyond the range limits a line is searched [px]: a stripe at a limit is seen whole, and
 a slightly different calibration finds its stripes among those of this one."""
+_RECORDS = 32
+"""Records of a chunk: the path over the lines is one long loop for all of them."""
+_BYTES = 100e6
+"""Frames of a chunk at most."""
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class Plan:
-    """A sweep and a scanner that fit together, and all that is learned of the frames."""
+    """A sweep and a scanner that fit together."""
 
     sweep: SweepSource
     scanner: Scanner
@@ -48,12 +37,6 @@ class Plan:
     """The scanner's laser of each profile of the sweep."""
     size: int
     """Records computed at a time."""
-    notes: list[str] = field(default_factory=list)
-    """Notes on the stripes, once they are found; a sentence each."""
-    learned: LearnedNoise | None = None
-    """Noise of a frame, once it is learned."""
-    noise: str = ""
-    """A line on it, with the speckle that the stripes told."""
 
     @property
     def lines(self) -> int:
@@ -66,27 +49,9 @@ class Plan:
         return FrameFormat(self.sweep.pixel_format, self.sweep.response)
 
     @property
-    def predicts(self) -> bool:
-        """Whether the sweep has no laser-off frames, so that they are predicted."""
-        return isinstance(self.sweep, PredictedPairs) and self.sweep.predicts
-
-    @property
     def lit_together(self) -> bool:
         """Whether a record has several lasers lit."""
         return len(np.unique(self.sweep.record)) < len(self.sweep.record)
-
-    @cached_property
-    def lasers(self) -> tuple[LaserLine, ...]:
-        """The lasers, an "auto" colour learned from the first records that show the laser alone.
-
-        Raises:
-            CaptureError: If a colour cannot be learned.
-        """
-        lasers = list(self.sweep.lasers)
-        for laser in np.unique(self.sweep.laser):
-            if lasers[laser].colour == "auto":
-                lasers[laser] = with_learned_colour(self.sweep, int(laser))
-        return tuple(lasers)
 
     @cached_property
     def gates(self) -> dict[int, LineGate]:
@@ -98,95 +63,21 @@ class Plan:
 
     def gates_beyond(self, margin_px: float) -> dict[int, LineGate]:
         """Where the stripes of each laser can lie, and so much further [px]."""
-        gates = {}
-        for laser in np.unique(self.sweep.laser):
-            (sheet,) = np.unique(self.sheet[self.sweep.laser == laser])
-            gates[int(laser)] = line_gate(
+        lasers, first = np.unique(self.sweep.laser, return_index=True)
+        return {
+            int(laser): line_gate(
                 self.scanner,
-                int(sheet),
+                int(self.sheet[profile]),
                 stripe_axis=self.stripe_axis,
                 min_range_m=self.settings.min_range_m,
                 max_range_m=self.settings.max_range_m,
                 margin_px=margin_px,
             )
-        return gates
-
-    @cached_property
-    def _aim(self) -> Aim:
-        return Aim.of(self.scanner, self.settings, self.stripe_axis)
-
-    def aim(self, profile: int) -> Aim:
-        """Where the points of a profile, and of others of the same laser, go."""
-        return self._aim._replace(laser=np.asarray(self.sheet[profile], np.int32))
-
-    @property
-    def learned_from(self) -> int:
-        """Records from which the engines learn."""
-        return min(NOISE_RECORDS, len(self.sweep))
-
-    def engines(self, noise: NoiseModel | None = None, first: FrameChunk | None = None) -> dict[int, StripeEngine]:
-        """The engine of each laser of the sweep.
-
-        Args:
-            noise: Noise of a frame; learned from the start of the sweep where not given.
-            first: The first `learned_from` records, where they are read already.
-
-        Raises:
-            CaptureError: If a colour cannot be learned, the black level is above the picture, or stripes of two
-                lasers in one record could be mistaken for each other.
-        """
-        sweep, settings = self.sweep, self.settings
-        with ThreadPoolExecutor(1) as pool:
-            gates_to_come = pool.submit(lambda: self.gates)
-            # A fixed number of records, so that the result does not depend on the size of the chunks.
-            on, off = next(iter(sweep.chunks(self.learned_from))) if first is None else first
-            if noise is None:
-                noise = self._learn_noise(on, off)
-            gates_to_come.result()
-        gated = settings.gate or self.lit_together
-        if self.lit_together:
-            _check_apart(list(self.gates.values()))
-        setups, gates = [], []
-        for laser, gate in self.gates.items():
-            setup = ExtractionSetup(
-                sweep.image_size,
-                self.frames,
-                self.lasers[laser],
-                settings.stripes,
-                tuple(sweep.exposures),
-                all_candidates=settings.check_steps,
-            )
-            setups.append(setup)
-            gates.append(gate if gated else whole_lines(setup, gate.near_side))
-        try:
-            engines = prepare_engines(on, off, setups, noise=noise, gates=gates)
-        except BlackLevelError as problem:
-            raise CaptureError(str(problem)) from problem
-        if self.predicts:
-            engines = [engine.own_channel() for engine in engines]
-        return dict(zip(self.gates, engines, strict=True))
-
-    def _learn_noise(self, on: Array, off: Array | None) -> NoiseModel:
-        """The noise of the first frames, in the colour of the first laser and the shortest exposure."""
-        if len(self.sweep.exposures) > 1:
-            on, off = on[:, 0], None if off is None else off[:, 0]
-        compressed = self.sweep.compression is not None
-        first = self.lasers[int(self.sweep.laser.min())]
-        self.learned = learn_noise(on, off, frames=self.frames, line=first, compressed=compressed)
-        self.notes.extend(self.learned.doubts)
-        return self.learned.noise
-
-    def tell_noise(self, laser: int, engine: StripeEngine) -> None:
-        """Add the speckle of a laser to the line on the noise."""
-        if self.learned is None:
-            return
-        found, reason = engine.noise, engine.speckle_reason
-        words = speckle_words(found.speckle, reason) if self.noise else self.learned.words(found, reason)
-        name = f'laser "{self.lasers[laser].name}": ' if len(self.gates) > 1 else ""
-        self.noise = "; ".join(part for part in (self.noise, name + words) if part)
+            for laser, profile in zip(lasers, first, strict=True)
+        }
 
 
-def make_plan(sweep: SweepSource, scanner: Scanner, settings: ReconstructSettings) -> Plan:
+def plan_sweep(sweep: SweepSource, scanner: Scanner, settings: ReconstructSettings) -> Plan:
     """Refuse a sweep and a scanner that do not fit together; else plan the sweep.
 
     Raises:
@@ -233,8 +124,21 @@ def make_plan(sweep: SweepSource, scanner: Scanner, settings: ReconstructSetting
     by_name = all(name in known for name in names) and len(set(names)) == len(names)
     of_scanner = [known.index(name) if by_name else i for i, name in enumerate(names)]
     sheet = np.asarray(of_scanner, np.int32)[sweep.laser]
-    paired = with_off(sweep, scanner, settings)
-    return Plan(paired, scanner, settings, stripe_axis, sheet, chunk_records(sweep, settings))
+    return Plan(sweep, scanner, settings, stripe_axis, sheet, chunk_records(sweep, settings))
+
+
+def chunk_records(sweep: SweepSource, settings: ReconstructSettings) -> int:
+    """Records that are computed at a time."""
+    devices = len(jax.local_devices())
+    if settings.chunk_records is not None:
+        return -(-min(settings.chunk_records, len(sweep)) // devices) * devices
+    width, height = sweep.image_size
+    pair = 2 * width * height * (3 if sweep.pixel_format == "rgb8" else 1) * len(sweep.exposures)
+    # A short sweep still has something to do for every core, and for every device.
+    share = -(-len(sweep) // max(workers(), 1))
+    # Powers of two, so that short sweeps of all lengths share a few compiled functions.
+    size = 1 << max(0, math.ceil(math.log2(min(_RECORDS, max(1, _BYTES / pair), share))))
+    return -(-size // devices) * devices
 
 
 def _check_motion(sweep: SweepSource, scanner: Scanner) -> None:
@@ -260,26 +164,3 @@ def _check_motion(sweep: SweepSource, scanner: Scanner) -> None:
             f'The sweep says carries = "{sweep.carries}", the calibration "{known}"; use a calibration made in the '
             "same arrangement."
         )
-
-
-def check_stripes(plan: Plan, stripes: Stripes) -> None:
-    """Refuse stripes of another sweep; several profiles of each of its own are welcome."""
-    profiles, lines = np.shape(stripes.u)
-    expected = len(plan.sweep.record)
-    if lines != plan.lines or profiles == 0 or profiles % expected:
-        raise CaptureError(
-            f"The stripes have {profiles} profiles of {lines} lines, the sweep has {expected} records of "
-            f"{plan.lines} lines; pass the stripes of this sweep."
-        )
-
-
-def _check_apart(gates: list) -> None:
-    """Lasers that are lit together are told apart by where they can be seen, and only so."""
-    for i, one in enumerate(gates):
-        for other in gates[i + 1 :]:
-            shared = np.minimum(one.high, other.high) - np.maximum(one.low, other.low)
-            if np.any(shared > 0):
-                raise CaptureError(
-                    f"Two lasers that are lit in one record can be seen at the same places (up to {shared.max()} px of "
-                    f"a line); narrow min_range_m and max_range_m, or capture a record for each laser."
-                )

@@ -1,27 +1,24 @@
-"""A whole sweep to one coloured cloud, streamed through one compiled function."""
+"""A whole sweep to one coloured cloud."""
 
-from collections.abc import Iterator
-
-import jax
 import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.geometry import Array, Scanner
-from jaxscan.reconstruction.ahead import map_ahead, workers
-from jaxscan.reconstruction.along import SmoothedSweep, SweepSmoother, smooth_sweep
+from jaxscan.geometry import Scanner, lit_points, stripe_pixel
+from jaxscan.reconstruction.ahead import Progress
+from jaxscan.reconstruction.along import SmoothedSweep, smooth_sweep
 from jaxscan.reconstruction.cloud import PointCloud
-from jaxscan.reconstruction.extraction import Progress, rows_of, stripes_of_plan
-from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan
-from jaxscan.reconstruction.points import Centres, Points, colours_at, line_step, points_alone
+from jaxscan.reconstruction.colours import colours_at
+from jaxscan.reconstruction.extraction import extract, learned_lasers
+from jaxscan.reconstruction.plan import Plan, plan_sweep
+from jaxscan.reconstruction.points import Aim, Centres, Window, empty_points, fill_points, line_step
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
-from jaxscan.reconstruction.streaming import GrowingCloud, batches
-from jaxscan.reconstruction.sweep import SweepSource
-from jaxscan.stripes import (
-    NoiseModel,
-    Sites,
-    Stripes,
-    laser_sites,
-)
+from jaxscan.reconstruction.sweep import SweepSource, batches, place, rows_of
+from jaxscan.reconstruction.without_off import with_off
+from jaxscan.stripes import NoiseModel, Stripes, laser_sites
+
+
+_RANGES = 20_000
+"""Points from which the usual distance is taken, about."""
 
 
 def reconstruct(
@@ -35,15 +32,15 @@ def reconstruct(
 ) -> PointCloud:
     """Reconstruct a sweep in one call.
 
-    Frames are read and computed in chunks of one size, so memory does not grow with the sweep beyond its cloud, and
-    the result does not depend on the size of the chunks. Where points use their neighbours (`smooth`), the stripes of
-    the whole sweep are in memory too: about 30 bytes for each line of a profile.
+    Frames are read and computed in chunks of one size, so memory does not grow with the sweep beyond its stripes and
+    its cloud (about 30 and 60 bytes for each line of a profile), and the result does not depend on the size of the
+    chunks.
 
     Args:
         sweep: Frames at known angles, in memory or on disk.
         scanner: The calibrated rig. Its lasers are found by name where it knows all names of the
             sweep, and by number otherwise.
-        stripes: Stripe centres of this sweep where they are known already (`extract_sweep`);
+        stripes: Stripe centres of this sweep where they are known already (`extract`);
             frames are then read for the colour only, and not at all if the stripes have it.
         settings: Range limits, and how stripes are found.
         noise: Noise of a frame; estimated from the start of the sweep where not given.
@@ -58,128 +55,118 @@ def reconstruct(
 
     Source: the paper, equations (1)-(4) and (9)-(12).
     """
-    return cloud_of_plan(make_plan(sweep, scanner, settings), stripes=stripes, noise=noise, progress=progress)
-
-
-def extract_sweep(
-    sweep: SweepSource,
-    scanner: Scanner,
-    *,
-    settings: ReconstructSettings = DEFAULTS,
-    noise: NoiseModel | None = None,
-    progress: Progress = None,
-) -> Stripes:
-    """Stripes of a whole sweep, with their colours; `reconstruct` takes them instead of frames.
-
-    Args:
-        sweep: Frames at known angles, in memory or on disk.
-        scanner: The calibrated rig; it only says where on a line stripes can lie.
-        settings: Range limits, and how stripes are found.
-        noise: Noise of a frame; estimated from the start of the sweep where not given.
-        progress: Called with (records done, records in all) after every chunk.
-
-    Raises:
-        CaptureError: If the sweep has no records, or cannot be read.
-        CalibrationError: If the scanner is not that of the sweep.
-
-    Returns:
-        Stripes, a profile per laser in a record; NumPy arrays, float32. `record` and `laser` are
-        those of the sweep.
-    """
-    return stripes_of_plan(make_plan(sweep, scanner, settings), noise=noise, progress=progress)
-
-
-def cloud_of_plan(
-    plan: Plan, *, stripes: Stripes | None = None, noise: NoiseModel | None = None, progress: Progress = None
-) -> PointCloud:
-    """`reconstruct` by a plan that is made."""
-    sweep, settings = plan.sweep, plan.settings
+    plan = plan_sweep(sweep, scanner, settings)
     if stripes is None:
-        stripes = stripes_of_plan(plan, noise=noise, progress=progress)
+        stripes = extract(sweep, scanner, settings=settings, noise=noise, progress=progress).stripes
         # All frames are read; the rest takes no time.
         progress = None
-    check_stripes(plan, stripes)
-    each = len(stripes.u) // len(sweep.record)
-    # Before threads ask for it.
-    plan.aim(0)
-    carries = plan.scanner.turntable.carries
-    cloud = GrowingCloud(each * len(sweep.record), plan.lines, travels=carries == "linear")
-    for part in _from_stripes(plan, stripes, each, progress):
-        cloud.store(*part)
-    _check_result(cloud, settings)
-    # Profiles of a scanner that stands still are no neighbours.
-    normals = settings.normals and carries != "nothing"
-    with jax.enable_x64(False):
-        between_lines = line_step(plan.scanner, plan.stripe_axis) if normals else None
-        profile, rank = np.divmod(np.arange(each * len(sweep.record)), each)
-        record = sweep.record[profile]
-        return cloud.finish(record, plan.sheet[profile], sweep.angles[record], rank, between_lines)
-
-
-def smooth_stripes(plan: Plan, stripes: Stripes) -> SmoothedSweep:
-    """`smooth_sweep` of the stripes of a plan, one centre of a line at most."""
-    return smooth_sweep(stripes, _sites(plan))
-
-
-def _sites(plan: Plan) -> dict[int, Sites]:
-    """Where the colour of each laser is seen."""
-    return {int(k): laser_sites(plan.sweep.pixel_format, plan.lasers[k]) for k in np.unique(plan.sweep.laser)}
-
-
-def _from_stripes(
-    plan: Plan, stripes: Stripes, each: int, progress: Progress
-) -> Iterator[tuple[np.ndarray, Points, np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]]:
-    """The arguments of `GrowingCloud.store`, chunk by chunk, of known stripes."""
-    sweep, size, axis = plan.sweep, plan.size, plan.stripe_axis
-    angles = sweep.angles.astype(np.float32)
-    # Several candidates of a line are no neighbours of those of the next one.
-    smoother = SweepSmoother(stripes, _sites(plan)) if plan.settings.smooths and each == 1 else None
-
-    def compute(item: tuple[np.ndarray, Array | None]) -> tuple[np.ndarray, Points, np.ndarray, dict[str, np.ndarray]]:
-        profiles, off = item
-        rows = rows_of(profiles, each)
-        u, sigma, valid = (np.asarray(field)[rows] for field in (stripes.u, stripes.sigma, stripes.valid))
-        along = None if smoother is None else smoother.smooth(int(stripes.laser[rows[0]]), rows)
-        if along is not None:
-            u, sigma = along.u, along.sigma
-        centres = Centres(u.astype(np.float32), sigma.astype(np.float32), valid)
-        phi = np.repeat(angles[sweep.record[profiles]], each)
-        points = points_alone(plan.aim(int(profiles[0])), centres, phi, size * each, stripe_axis=axis)
-        rgb = (
-            colours_at(u, valid, off, sweep.pixel_format, axis)
-            if stripes.rgb is None
-            else np.asarray(stripes.rgb)[rows]
+    profiles, lines = np.shape(stripes.u)
+    each, rest = divmod(profiles, len(sweep.record))
+    if lines != plan.lines or each == 0 or rest:
+        raise CaptureError(
+            f"The stripes have {profiles} profiles of {lines} lines, the sweep has {len(sweep.record)} records of "
+            f"{plan.lines} lines; pass the stripes of this sweep."
         )
-        return rows, points, rgb, {} if along is None else along.beside(np.asarray(points.sigma_random))
-
-    if stripes.rgb is not None:
-        items: Iterator[tuple[np.ndarray, Array | None]] = ((profiles, None) for profiles in _blocks(plan))
-    else:
-        one = slice(None) if len(sweep.exposures) == 1 else np.s_[:, -1]
-        frames = ((batch.profiles, batch.off) for batch in batches(sweep, size))
-        items = ((profiles, None if off is None else off[one]) for profiles, off in frames)
-    for rows, points, rgb, beside in map_ahead(compute, items, workers()):
-        amplitude, valid = (np.asarray(field)[rows] for field in (stripes.amplitude, stripes.valid))
-        yield rows, points, amplitude, rgb, valid, beside
-        if progress is not None:
-            progress(int(sweep.record[rows[-1] // each]) + 1, len(sweep))
-
-
-def _blocks(plan: Plan) -> Iterator[np.ndarray]:
-    """Profiles of one laser each, as many as a chunk has records."""
-    for laser in np.unique(plan.sweep.laser):
-        profiles = np.flatnonzero(plan.sweep.laser == laser)
-        yield from (profiles[start : start + plan.size] for start in range(0, len(profiles), plan.size))
-
-
-def _check_result(cloud: GrowingCloud, settings: ReconstructSettings) -> None:
-    if cloud.stripes == 0:
+    valid = np.asarray(stripes.valid)
+    if not valid.any():
         raise CaptureError(
             "No stripe was found in any record of the sweep; check that the laser was lit in the on images, "
             "the exposure, and the laser's colour in the capture."
         )
-    if not cloud.fields["valid"].any():
+    along, centres = None, Centres(np.asarray(stripes.u), np.asarray(stripes.sigma), valid)
+    # Several candidates of a line are no neighbours of those of the next one.
+    if settings.smooths and each == 1:
+        along = smooth_stripes(sweep, stripes, progress if stripes.rgb is not None else None)
+        centres = Centres(along.u, along.sigma, valid)
+    fields = _points(plan, centres, each)
+    there = fields["valid"]
+    if not there.any():
         raise CalibrationError(
-            f"{cloud.stripes} stripe centres were found, but none gives a point between {settings.min_range_m} m "
-            f"and {settings.max_range_m} m; check that the calibration belongs to this rig."
+            f"{np.count_nonzero(valid)} stripe centres were found, but none gives a point between "
+            f"{settings.min_range_m} m and {settings.max_range_m} m; check that the calibration belongs to this rig."
         )
+    rgb = _colours(plan, centres, each, progress) if stripes.rgb is None else np.asarray(stripes.rgb)
+    fields["rgb"] = np.where(there[:, :, None], rgb, np.uint8(0))
+    fields["intensity"] = np.where(there, np.asarray(stripes.amplitude, np.float32), np.float32(0))
+    if along is not None:
+        fields |= _beside(along, fields["sigma_random"])
+    elif progress is not None and stripes.rgb is not None:
+        progress(len(sweep), len(sweep))
+    profile = np.arange(profiles) // each
+    record = sweep.record[profile]
+    return PointCloud(**fields, record=record, laser=plan.sheet[profile], angle=sweep.angles[record], stations=None)
+
+
+def smooth_stripes(sweep: SweepSource, stripes: Stripes, progress: Progress = None) -> SmoothedSweep:
+    """`smooth_sweep` of the stripes of a sweep, one centre of a line at most."""
+    tell = None if progress is None else lambda done, total: progress(len(sweep) * done // total, len(sweep))
+    if not sweep.pixel_format.startswith("bayer"):
+        return smooth_sweep(stripes, progress=tell)
+    lasers = learned_lasers(sweep)
+    sites = {int(k): laser_sites(sweep.pixel_format, lasers[k]) for k in np.unique(sweep.laser)}
+    return smooth_sweep(stripes, sites, tell)
+
+
+def _points(plan: Plan, centres: Centres, each: int) -> dict[str, np.ndarray]:
+    """The fields of the cloud that are made of centres; neighbours are profiles of one laser, in the order of angles.
+
+    Args:
+        plan: The sweep.
+        centres: Stripe centres.
+        each: Profiles of the cloud for each of the sweep.
+    """
+    carries, fields = plan.scanner.turntable.carries, empty_points(np.shape(centres.u))
+    profile, rank = np.divmod(np.arange(len(centres.u)), each)
+    angle, sheet = plan.sweep.angles[plan.sweep.record[profile]], plan.sheet[profile]
+    aim = Aim.of(plan.scanner, plan.settings, plan.stripe_axis)
+    between, travel = line_step(plan.scanner, plan.stripe_axis), 1.0
+    if carries == "linear":
+        # Profiles differ by metres, not by an angle.
+        travel = _usual_range(plan, centres, sheet)
+    for laser, number in np.unique(np.stack([sheet, rank], 1), axis=0):
+        rows = np.flatnonzero((sheet == laser) & (rank == number))
+        rows = rows[np.argsort(angle[rows], kind="stable")]
+        step = float(np.median(np.diff(angle[rows]))) / travel if len(rows) > 1 else np.inf
+        # Profiles of a scanner that stands still are no neighbours.
+        window = None if carries == "nothing" else Window.of(between, step)
+        mine = aim._replace(laser=np.asarray(laser, np.int32))
+        fill_points(fields, rows, mine, centres, angle.astype(np.float32), window, stripe_axis=plan.stripe_axis)
+    if not plan.settings.normals:
+        # Computing them takes less time than compiling a function without them.
+        fields["normals"] = np.zeros_like(fields["normals"])
+    return fields
+
+
+def _usual_range(plan: Plan, centres: Centres, sheet: np.ndarray) -> float:
+    """Median distance of some of the points from the camera [m]."""
+    lines, settings = plan.lines, plan.settings
+    # An odd number, so that it is not always the same lines.
+    every = np.count_nonzero(centres.valid) // _RANGES | 1
+    cells = every * np.flatnonzero(centres.valid.reshape(-1)[::every])
+    u, (row, line) = centres.u.reshape(-1)[cells].astype(np.float64), np.divmod(cells, lines)
+    p, _ = lit_points(plan.scanner.rig, stripe_pixel(u, line.astype(np.float64), plan.stripe_axis), sheet[row])
+    away = np.linalg.norm(p, axis=-1)
+    away = away[(away > 0) & (away >= settings.min_range_m) & (away <= settings.max_range_m)]
+    return float(np.median(away)) if len(away) else 1.0
+
+
+def _colours(plan: Plan, centres: Centres, each: int, progress: Progress) -> np.ndarray:
+    """The colours at the centres, of frames that are read again."""
+    sweep, rgb = plan.sweep, np.zeros((*np.shape(centres.u), 3), np.uint8)
+    one = slice(None) if len(sweep.exposures) == 1 else np.s_[:, -1]
+    for batch in batches(sweep, plan.size, with_off(plan)):
+        rows, off = place(rows_of(batch.profiles, each)), None if batch.off is None else batch.off[one]
+        rgb[rows] = colours_at(centres.u[rows], centres.valid[rows], off, sweep.pixel_format, plan.stripe_axis)
+        if progress is not None:
+            progress(int(sweep.record[batch.profiles[-1]]) + 1, len(sweep))
+    return rgb
+
+
+def _beside(along: SmoothedSweep, sigma_random: np.ndarray) -> dict[str, np.ndarray]:
+    """The fields that a cloud has where its points use their neighbours."""
+    # In place: of a large sweep each field is large. The same factor turns both sigmas from px into m.
+    missing, sigma_row = ~(sigma_random > 0), along.sigma_row
+    sigma_row /= np.where(missing, np.float32(1), along.sigma)
+    sigma_row *= sigma_random
+    along.shift[missing] = along.shared_lines[missing] = 0
+    return {"sigma_row": sigma_row, "shift_px": along.shift, "shared_lines": along.shared_lines}

@@ -1,6 +1,6 @@
-"""A sweep: pairs of frames at known table angles, in memory or from anywhere else."""
+"""A sweep: pairs of frames at known table angles, in memory or from anywhere else; and its frames laser by laser."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -135,3 +135,43 @@ class Sweep:
         for start in range(0, len(self), size):
             part = slice(start, start + size)
             yield FrameChunk(self.on[part], None if self.off is None else self.off[part])
+
+
+class Batch(NamedTuple):
+    """Frames of one laser."""
+
+    profiles: np.ndarray
+    """Which profiles of the sweep, int [n]."""
+    laser: int
+    on: Array
+    off: Array | None
+
+
+def batches(sweep: SweepSource, size: int, chunks: Iterable[FrameChunk]) -> Iterator[Batch]:
+    """Chunks of a sweep as batches of at most `size` frames of one laser each."""
+    start = 0
+    for on, off in chunks:
+        here = (sweep.record >= start) & (sweep.record < start + len(on))
+        for laser in np.unique(sweep.laser):
+            profiles = np.flatnonzero(here & (sweep.laser == laser))
+            for first in range(0, len(profiles), size):
+                some = profiles[first : first + size]
+                rows = sweep.record[some] - start
+                yield Batch(some, int(laser), _taken(on, rows), None if off is None else _taken(off, rows))
+        start += len(on)
+
+
+def _taken(frames: Array, rows: np.ndarray) -> Array:
+    whole = len(rows) == len(frames) and bool(np.all(np.diff(rows) == 1))
+    return frames if whole else np.asarray(frames)[rows]
+
+
+def rows_of(profiles: np.ndarray, each: int) -> np.ndarray:
+    """Rows of the grid of so many profiles for each of some profiles of the sweep."""
+    return (each * profiles[:, None] + np.arange(each)[None, :]).reshape(-1)
+
+
+def place(rows: np.ndarray) -> slice | np.ndarray:
+    """The same rows, as a slice where they follow each other: nothing is copied then."""
+    consecutive = len(rows) > 0 and bool(np.all(np.diff(rows) == 1))
+    return slice(rows[0], rows[-1] + 1) if consecutive else rows

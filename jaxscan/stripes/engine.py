@@ -6,7 +6,10 @@ several threads; on an accelerator it takes several frames at a time.
 """
 
 import functools
+import itertools
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -17,6 +20,7 @@ from jax import lax
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Float, Int, Int8, UInt8
 
+from jaxscan.compiling import compile_wide
 from jaxscan.geometry import Array, StripeAxis
 from jaxscan.stripes.channels import doubted, doubts_of, other_channels
 from jaxscan.stripes.choose import choose_stripes, chosen_of
@@ -116,18 +120,18 @@ class StripeEngine(eqx.Module):
         """
         if self.channels:
             engines = [one.learn(on, off, records) for one in (self.own_channel(), *self.channels)]
-            found = [one.extract(on, off, records) for one in engines]
+            found = [one.extract_shared(on, off, records) for one in engines]
             doubts = doubts_of([chosen_of(one.stripes, one.chosen) for one in found], self.setup.sites.line_step)
             return StripeEngine(self.setup, engines[0].search, tuple(engines[1:]), self.responses, doubts)
         if not self.learns:
             return self
         records = max(records, len(on))
         on, off = on[:LEARNED_FRAMES], None if off is None else off[:LEARNED_FRAMES]
-        plain = self.extract(on, off, records)
+        plain = self.extract_shared(on, off, records)
         first = chosen_of(plain.stripes, plain.chosen)
         search = learn_search(self.search, first, self.setup)
         if search.speckle > self.search.speckle:
-            again = StripeEngine(self.setup, search).extract(on, off, records)
+            again = StripeEngine(self.setup, search).extract_shared(on, off, records)
             search = correct_search(search, first, chosen_of(again.stripes, again.chosen), self.setup)
         return StripeEngine(self.setup, search)
 
@@ -164,6 +168,16 @@ class StripeEngine(eqx.Module):
             found = _extracted(*stacks, np.int32(count * exposures), self.search, kind, room * exposures)
             found = jax.tree.map(np.asarray, found)
         return jax.tree.map(lambda field: field[: len(field) // room * count], found)
+
+    def extract_shared(self, on: Array, off: Array | None, records: int = 0) -> ChunkStripes:
+        """As `extract`, with the records shared by a CPU's cores: for a caller who has nothing else for them to do."""
+        cores = min(os.cpu_count() or 1, len(on)) if jax.default_backend() == "cpu" else 1
+        ends = np.linspace(0, len(on), cores + 1).astype(int).tolist()
+        parts = [np.s_[a:b] for a, b in itertools.pairwise(ends)]
+        room = max(records, len(on))
+        with ThreadPoolExecutor(cores) as pool:
+            found = pool.map(lambda k: self.extract(on[k], None if off is None else off[k], room), parts)
+            return jax.tree.map(lambda *fields: np.concatenate(fields), *found)
 
     def lamp_ratios(
         self, on: UInt8[Array, "frames lines samples"], off: UInt8[Array, "frames lines samples"]
@@ -271,7 +285,7 @@ def _copied(frames: Array, records: int) -> _Stack:
     return _Stack(memory[first : first + size], np.asarray(0, np.int32))
 
 
-@functools.partial(jax.jit, static_argnames=("kind", "frames"))
+@functools.partial(compile_wide, static=("kind", "frames"), sooner=True)
 def _extracted(on: _Stack, off: _Stack | None, count: Array, search: Search, kind: _Kind, frames: int) -> ChunkStripes:
     devices = jax.local_devices()
     if len(devices) == 1 or frames % len(devices):

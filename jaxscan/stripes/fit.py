@@ -11,6 +11,7 @@ one long vector.
 """
 
 import math
+import operator
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -21,14 +22,15 @@ from jax import lax
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import Array
+from jaxscan.stripes.memory import folded, in_blocks
 from jaxscan.stripes.peaks import WINDOW, Peaks
 from jaxscan.stripes.planes import Plane
 from jaxscan.stripes.search import Search
 from jaxscan.stripes.stripes import FrameStripes
 
 
-UNUSED_VARIANCE = 1e30
-"""Variance of a sample that does not count [DN^2]."""
+UNUSED_VARIANCE = 1e15
+"""Variance of a sample that does not count [DN^2]; not larger, so that no product with its weight is denormal."""
 MIN_WIDTH_PX = 0.3
 """Below this the width of a stripe cannot be told from its pixel's [px]."""
 REST = 0.05
@@ -44,12 +46,11 @@ _SMALL_STEP = 0.3
 """Relative change of amplitude and width up to which a step is taken as it is [1]."""
 _SMALLEST = 0.25
 """Smallest squared width of a fit, the pixel's own 1/12 and a little for the stripe [samples^2]."""
+_FAR = 40.0
+"""Squared distance from the centre, in widths, from which on a Gaussian is nothing: processors take a hundred times as
+long for the denormal numbers that it and its square would be."""
 _PIXEL = 1.0 / 12.0
 """Addition of a pixel's aperture to the square of a stripe's width [px^2]."""
-_BLOCK = 256
-"""Candidates that are fitted together, until the last of them is at rest."""
-_ROW = 64
-"""Candidates that one row of a product counts."""
 
 
 class Window(NamedTuple):
@@ -161,28 +162,16 @@ def fit_peaks(
     Returns:
         Fields [candidates, lines]; zero where no stripe is believed.
     """
-    places, total, number = _packed(peaks.exists.reshape(-1), _BLOCK)
-    lines, blocks = on.samples.shape[0], len(places) // _BLOCK
+    lines = on.samples.shape[0]
     flat = [jnp.asarray(field).reshape(-1) for field in (peaks.at, peaks.extent, peaks.first, peaks.bins)]
 
-    def block(k, found):
-        some = lax.dynamic_slice_in_dim(places, k * _BLOCK, _BLOCK)
+    def block(some: Array, real: Array) -> FrameStripes:
         at, extent, first, bins = (field.at[some].get(mode="promise_in_bounds") for field in flat)
-        real = k * _BLOCK + jnp.arange(_BLOCK, dtype=jnp.int32) < total
         cut = _Cut(some % lines, at, extent, first, bins, real)
-        part = _fit_block(on, off, lamp_ratio, cut, search, pitch, linear)
-        return jax.tree.map(lambda all, one: lax.dynamic_update_slice_in_dim(all, one, k * _BLOCK, 0), found, part)
+        return _fit_block(on, off, lamp_ratio, cut, search, pitch, linear)
 
-    types = {"saturated": jnp.uint8, "valid": jnp.bool_}
-    nothing = FrameStripes(*(jnp.zeros(blocks * _BLOCK, types.get(n, jnp.float32)) for n in FrameStripes._fields))
-    found = lax.fori_loop(0, -(-total // _BLOCK), block, nothing)
-    back = jnp.maximum(number, 0)
-
-    def unpacked(field: Array) -> Array:
-        found = jnp.asarray(field).at[back].get(mode="promise_in_bounds").reshape(peaks.exists.shape)
-        return jnp.where(peaks.exists, found, jnp.zeros((), field.dtype))
-
-    return jax.tree.map(unpacked, found)
+    found = in_blocks(peaks.exists.reshape(-1), block)
+    return jax.tree.map(lambda field: field.reshape(peaks.exists.shape), found)
 
 
 class _Cut(NamedTuple):
@@ -194,21 +183,6 @@ class _Cut(NamedTuple):
     first: Array
     bins: Array
     real: Array
-
-
-def _packed(exists: Bool[Array, " n"], block: int) -> tuple[Int[Array, " m"], Int[Array, ""], Int[Array, " n"]]:
-    """Places of those that exist one after the other, filled up to whole blocks with the first place; their number; and
-    for every place where it went, -1 for none. Counting begins with a small product in place of a long sum."""
-    count = exists.size
-    room = -(-count // block) * block
-    whole = jnp.pad(exists, (0, -count % _ROW)).reshape(-1, _ROW).astype(jnp.float32)
-    within = whole @ jnp.asarray(np.triu(np.ones((_ROW, _ROW), np.float32), 1))
-    rows = jnp.sum(whole, 1)
-    before = jnp.cumsum(rows) - rows
-    number = (within + before[:, None]).reshape(-1)[:count].astype(jnp.int32)
-    places = jnp.zeros(room, jnp.int32)
-    places = places.at[jnp.where(exists, number, room)].set(jnp.arange(count, dtype=jnp.int32), mode="drop")
-    return places, jnp.sum(rows).astype(jnp.int32), jnp.where(exists, number, -1)
 
 
 def _fit_block(
@@ -226,12 +200,13 @@ def _fit_block(
     near = inside & (jnp.abs(x) <= cut.extent[None] + 1.0)
     top_code = limits.saturation.astype(jnp.uint8)
     clipped = [code >= top_code for code in code_on]
-    saturated = jnp.sum((near & clipped[0]).astype(jnp.float32), 0)
-    saturated += jnp.sum((near & clipped[1] & (cut.bins == 2)[None]).astype(jnp.float32), 0)
+    both = clipped[0].astype(jnp.float32) + (clipped[1] & (cut.bins == 2)[None]).astype(jnp.float32)
+    saturated = folded(operator.add, jnp.where(near, both, 0.0))
     used = near & ~clipped[0] & ~clipped[1]
     level, rounding = _levels(code_on, search, linear)
     frame = search.read_dn**2
-    variance, dark = frame + rounding, None
+    variance: Array | float = frame + rounding
+    dark = None
     if code_off is not None:
         used &= (code_off[0] < top_code) & (code_off[1] < top_code)
         dark, dark_rounding = _levels(code_off, search, linear)
@@ -239,10 +214,10 @@ def _fit_block(
         level = level - ratio * dark
         light = jnp.maximum(dark - search.black_dn, 0.0) / per_dn
         variance = variance + ratio * light + ratio * ratio * (frame + dark_rounding + light)
-    top = jnp.max(jnp.where(used, level, -1e3), 0)
+    top = folded(jnp.maximum, jnp.where(used, level, -1e3))
     background = None
     if dark is None:
-        background = jnp.clip(jnp.min(jnp.where(used, level, 1e3), 0), 0.0, 1e3)
+        background = jnp.clip(folded(jnp.minimum, jnp.where(used, level, 1e3)), 0.0, 1e3)
         variance = variance + jnp.maximum(background - search.black_dn, 0.0)[None] / per_dn
         top = top - background
     # The half-widths at half of the maximum and at the clipped top give width and amplitude of a Gaussian that is cut
@@ -261,9 +236,9 @@ def _fit_block(
     valid, sigma, chi2 = _accept(fit, 0.5 * WINDOW * step, tallest, 3 if background is None else 4, search)
     u = middle + fit.u
     valid &= cut.real & (u >= -0.5) & (u <= pitch * (samples - 1) + 0.5)
-    grey = jnp.zeros_like(u)
+    grey: Array = jnp.zeros_like(u)
     if dark is not None:
-        grey = jnp.sum(jnp.maximum(1.0 - jnp.abs(place - (fit.u / step)[None]), 0.0) * dark, 0)
+        grey = folded(operator.add, jnp.maximum(1.0 - jnp.abs(place - (fit.u / step)[None]), 0.0) * dark)
         # An edge of the surface's reflectance under the stripe may have moved the centre.
         room = (frame + 1 / 12 + jnp.maximum(dark - search.black_dn, 0.0) / per_dn) / step[None]
         edge = albedo_shift(DarkWindow(dark, place * step[None], used, room), fit.u, fit.width, offset=search.black_dn)
@@ -371,7 +346,7 @@ def fit_stripe(
     def modelled(*parameters):
         """Gaussian, residual, weight, and variance without speckle."""
         u, amplitude, squared, base = (parameter[None] for parameter in parameters)
-        s = (place - u) ** 2 * (1.0 / squared)
+        s = jnp.minimum((place - u) ** 2 * (1.0 / squared), _FAR)
         gauss = jnp.exp(-0.5 * s)
         # The fourth cumulant of the pixel, by the Hermite polynomial that belongs to it.
         flatness = -0.05 * (pixel * pixel)[None] / (squared * squared)
@@ -459,7 +434,7 @@ def fit_stripe(
         chi2=chi2,
         skew=skew,
         energy=energy,
-        samples=jnp.sum((window.variance < UNUSED_VARIANCE).astype(dtype), 0),
+        samples=folded(operator.add, (window.variance < UNUSED_VARIANCE).astype(dtype)),
         last_step=jnp.abs(last) * window.step,
     )
 
@@ -538,7 +513,7 @@ def albedo_shift(
     seen = jnp.sqrt(width * width + _PIXEL)
     x, used = dark.x, dark.used
     z = (x - u[None, :]) * (1.0 / seen)[None, :]
-    light = jnp.where(used, jnp.exp(-0.5 * z * z), 0.0)
+    light = jnp.where(used, jnp.exp(-0.5 * jnp.minimum(z * z, _FAR)), 0.0)
     variance = jnp.broadcast_to(jnp.asarray(dark.variance), z.shape)
     level = jnp.maximum(dark.level - offset, FLOOR * jnp.sqrt(variance))
     per_level = 1.0 / level

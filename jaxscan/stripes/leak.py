@@ -2,11 +2,8 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Bool, Float
-
-from jaxscan.geometry import Array
-from jaxscan.stripes.fit import DarkWindow, moments
 
 
 NO_INFORMATION = 1e3
@@ -18,16 +15,31 @@ _CUT = 3.0
 _STEPS = 4
 
 
+class OffWindow(NamedTuple):
+    """The laser-off frame around stripes."""
+
+    level: Float[np.ndarray, "samples n"]
+    """[DN]"""
+    x: Float[np.ndarray, "samples n"]
+    """Coordinates of the samples, evenly spaced and rising [px]."""
+    used: Bool[np.ndarray, "samples n"]
+    """Samples that count."""
+    variance: Float[np.ndarray, "#samples #n"]
+    """Variance of `level` [DN^2]."""
+
+
 class Leak(NamedTuple):
     """Part of the stripe that is in the laser-off frame."""
 
-    ratio: Float[Array, "*n"]
+    ratio: Float[np.ndarray, "*n"]
     """Its amplitude over the stripe's [1]; 0 where it is not known."""
-    sigma: Float[Array, "*n"]
+    sigma: Float[np.ndarray, "*n"]
     """Standard deviation of `ratio` [1]; `NO_INFORMATION` where it is not known."""
 
 
-def leak(dark: DarkWindow, u: Float[Array, " n"], width: Float[Array, " n"], amplitude: Float[Array, " n"]) -> Leak:
+def leak(
+    dark: OffWindow, u: Float[np.ndarray, " n"], width: Float[np.ndarray, " n"], amplitude: Float[np.ndarray, " n"]
+) -> Leak:
     r"""Amplitude of the stripe in the laser-off frame, line by line.
 
     Least squares of $\mathrm{dark}(x) = b_0 + b_1 x + r A h(x)$ with $h$ the Gaussian that was fitted to the
@@ -40,37 +52,36 @@ def leak(dark: DarkWindow, u: Float[Array, " n"], width: Float[Array, " n"], amp
         width: Fitted standard deviation of the stripe [px].
         amplitude: Fitted amplitude of the stripe [DN].
     """
-    seen = jnp.sqrt(width * width + _PIXEL)
+    seen = np.sqrt(width * width + _PIXEL)
     z = (dark.x - u[None, :]) * (1.0 / seen)[None, :]
-    weight = jnp.where(dark.used, 1.0 / jnp.broadcast_to(jnp.asarray(dark.variance), z.shape), 0.0)
-    h = jnp.exp(-0.5 * z * z) * (width / seen)[None, :]
-    weight_h = weight * h
-    count, count_s, count_ss = moments(weight, 3)
-    sum_h, sum_hs = moments(weight_h, 2)
-    (sum_hh,) = moments(weight_h * h, 1)
-    # Levels from about their mean: squares of large numbers would cost the digits of small ones.
-    level = dark.level - jnp.mean(dark.level, 0)[None, :]
-    sum_d, sum_ds = moments(weight * level, 2)
-    (sum_dh,) = moments(weight_h * level, 1)
+    weight = np.where(dark.used, 1.0 / np.broadcast_to(np.asarray(dark.variance), z.shape), 0.0)
+    h = np.exp(-0.5 * z * z) * (width / seen)[None, :]
+    # Samples are counted from the middle, levels from their mean: squares of large numbers would cost the digits of
+    # small ones.
+    s = (np.arange(len(z)) - (len(z) - 1) // 2).astype(z.dtype)[:, None]
+    level, weight_h = dark.level - np.mean(dark.level, 0)[None, :], weight * h
+    count, count_s, count_ss = (np.sum(weight * s**power, 0) for power in range(3))
+    sum_h, sum_hs, sum_hh = np.sum(weight_h, 0), np.sum(weight_h * s, 0), np.sum(weight_h * h, 0)
+    sum_d, sum_ds, sum_dh = np.sum(weight * level, 0), np.sum(weight * level * s, 0), np.sum(weight_h * level, 0)
 
     # The Gaussian, and the levels along it, without their straight lines.
     some = count > 0
-    safe = jnp.where(some, count, 1.0)
+    safe = np.where(some, count, 1.0)
     spread = count_ss - count_s * count_s / safe
     tilt_h, tilt_d = sum_hs - count_s * sum_h / safe, sum_ds - count_s * sum_d / safe
     straight = spread > 1e-4 * count_ss
-    per_spread = jnp.where(straight, 1.0 / jnp.where(straight, spread, 1.0), 0.0)
+    per_spread = np.where(straight, 1.0 / np.where(straight, spread, 1.0), 0.0)
     left = sum_hh - sum_h * sum_h / safe - tilt_h * tilt_h * per_spread
     along = sum_dh - sum_h * sum_d / safe - tilt_h * tilt_d * per_spread
     known = some & straight & (left > 1e-3 * sum_hh) & (amplitude > 0)
-    left, tall = jnp.where(known, left, 1.0), jnp.where(known, amplitude, 1.0)
+    left, tall = np.where(known, left, 1.0), np.where(known, amplitude, 1.0)
     return Leak(
-        ratio=jnp.where(known, along / (left * tall), 0.0),
-        sigma=jnp.where(known, 1.0 / (jnp.sqrt(left) * tall), NO_INFORMATION),
+        ratio=np.where(known, along / (left * tall), 0.0),
+        sigma=np.where(known, 1.0 / (np.sqrt(left) * tall), NO_INFORMATION),
     )
 
 
-def frame_leak(lines: Leak, valid: Bool[Array, "*frames n"]) -> Leak:
+def frame_leak(lines: Leak, valid: Bool[np.ndarray, "*frames n"]) -> Leak:
     """The mean over the lines of a frame, of which texture may have spoilt some.
 
     Lines are weighted by their information; those that lie further from the mean than 3 standard
@@ -84,28 +95,28 @@ def frame_leak(lines: Leak, valid: Bool[Array, "*frames n"]) -> Leak:
         Ratio of each frame, and its standard deviation, from the scatter of the lines where that is
         larger than their noise.
     """
-    information = jnp.where(valid & (lines.sigma < NO_INFORMATION), 1.0 / (lines.sigma * lines.sigma), 0.0)
-    per_sigma = jnp.sqrt(information)
-    known = jnp.sum(information, -1) > 0
-    count = jnp.maximum(jnp.sum((information > 0).astype(information.dtype), -1), 1.0)
+    information = np.where(valid & (lines.sigma < NO_INFORMATION), 1.0 / (lines.sigma * lines.sigma), 0.0)
+    per_sigma = np.sqrt(information)
+    known = np.sum(information, -1) > 0
+    count = np.maximum(np.sum((information > 0).astype(information.dtype), -1), 1.0)
     weight = information
 
     def mean_of(weight):
-        total = jnp.sum(weight, -1)
-        return jnp.sum(weight * lines.ratio, -1) / jnp.where(known, total, 1.0)
+        total = np.sum(weight, -1)
+        return np.sum(weight * lines.ratio, -1) / np.where(known, total, 1.0)
 
     mean = mean_of(weight)
-    scale = jnp.ones_like(mean)
+    scale = np.ones_like(mean)
     for _ in range(_STEPS):
-        residual = jnp.abs(lines.ratio - mean[..., None]) * per_sigma
+        residual = np.abs(lines.ratio - mean[..., None]) * per_sigma
         # The scatter without the lines that the last step found far away.
-        near = jnp.minimum(residual, _CUT * scale[..., None])
-        scale = jnp.maximum(jnp.sqrt(jnp.sum(near * near, -1) / count), 1.0)
+        near = np.minimum(residual, _CUT * scale[..., None])
+        scale = np.maximum(np.sqrt(np.sum(near * near, -1) / count), 1.0)
         far = residual / (_CUT * scale[..., None])
-        weight = information / jnp.maximum(far, 1.0) ** 2
+        weight = information / np.maximum(far, 1.0) ** 2
         mean = mean_of(weight)
-    total = jnp.where(known, jnp.sum(weight, -1), 1.0)
+    total = np.where(known, np.sum(weight, -1), 1.0)
     return Leak(
-        ratio=jnp.where(known, mean, 0.0),
-        sigma=jnp.where(known, scale / jnp.sqrt(total), NO_INFORMATION),
+        ratio=np.where(known, mean, 0.0),
+        sigma=np.where(known, scale / np.sqrt(total), NO_INFORMATION),
     )

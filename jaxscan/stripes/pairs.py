@@ -2,14 +2,11 @@
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.engine import sample_pair
-from jaxscan.stripes.extract import extract_stripes
-from jaxscan.stripes.fit import DarkWindow
 from jaxscan.stripes.frames import (
     FrameFormat,
     LaserLine,
@@ -19,7 +16,8 @@ from jaxscan.stripes.frames import (
     laser_plane,
     laser_sites,
 )
-from jaxscan.stripes.leak import frame_leak, leak
+from jaxscan.stripes.leak import Leak, OffWindow, frame_leak, leak
+from jaxscan.stripes.stripes import Stripes
 
 
 _MONO = FrameFormat()
@@ -38,18 +36,20 @@ class PairQuality(NamedTuple):
     """Difference between the frames beside the laser, over the root mean square of the noise [1]."""
 
 
-def judge_pairs(on: Array, off: Array, *, frames: FrameFormat = _MONO, line: LaserLine) -> PairQuality:
+def judge_pairs(
+    on: Array, off: Array, stripes: Stripes, *, frames: FrameFormat = _MONO, line: LaserLine
+) -> PairQuality:
     """Look at some pairs of frames for laser light in the laser-off frame and for motion between the two.
 
     Args:
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape.
+        stripes: Their stripes, one profile of each.
         frames: How a frame is to be read.
         line: The laser, of which the colour is known.
     """
     pixel_format, response = frames.pixel_format, frames.response
     noise = estimate_noise(on, off, pixel_format=pixel_format, response=response, line=line)
-    stripes = extract_stripes(on, off, pixel_format=frames, line=line, noise=noise)
     sites = laser_sites(pixel_format, line)
     lit, dark = (np.asarray(laser_plane(np.asarray(a), pixel_format=pixel_format, line=line)) for a in (on, off))
     count, lines, samples = dark.shape
@@ -71,13 +71,9 @@ def judge_pairs(on: Array, off: Array, *, frames: FrameFormat = _MONO, line: Las
     def flat(values):
         return np.asarray(values, np.float32).reshape(*values.shape[:-2], -1)
 
-    with jax.enable_x64(False):
-        window = DarkWindow(
-            flat(level), flat(np.broadcast_to(x, index.shape)), used.reshape(len(x), -1), flat(variance)
-        )
-        width = np.where(valid, width / sites.pitch, 1.0)
-        each = leak(window, flat(centre - middle), flat(width), flat(amplitude))
-        of_frame = frame_leak(jax.tree.map(lambda values: values.reshape(count, lines), each), valid)
-        pair = sample_pair(lit, dark)
-        unrest = lamp_ratio(*pair, noise.read_dn, noise.electrons_per_dn).unrest
-        return PairQuality(np.asarray(of_frame.ratio), np.asarray(of_frame.sigma), np.asarray(unrest))
+    window = OffWindow(flat(level), flat(np.broadcast_to(x, index.shape)), used.reshape(len(x), -1), flat(variance))
+    width = np.where(valid, width / sites.pitch, 1.0)
+    each = leak(window, flat(centre - middle), flat(width), flat(amplitude))
+    of_frame = frame_leak(Leak(*(field.reshape(count, lines) for field in each)), valid)
+    unrest = lamp_ratio(*sample_pair(lit, dark), noise.read_dn, noise.electrons_per_dn).unrest
+    return PairQuality(of_frame.ratio, of_frame.sigma, np.asarray(unrest))

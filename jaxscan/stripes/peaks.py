@@ -5,13 +5,14 @@ apart. A triangle over three lattice points (weights 1, 2, 1) is within a few pe
 between 1 and 2 px; the sum of three triangles is within a few per cent of those between 2.5 and 6 px. A line's
 candidates are the highest maxima of the larger of the two, each with the zone around it that belongs to it.
 
-It is written for XLA, which makes fast code of elementwise operations over long rows and of nothing else: two samples
-are added inside the 16-bit word that they share; the maximum along a line is folded, slice onto slice of it, where the
-best two of up to 16 points, a comb with wide gaps, are kept; and the lattice at the borders, which filters reach
-beyond, is a small array of its own, so that no padding copies the frame.
+It is written for XLA, which makes fast code of elementwise operations over long rows and of nothing else, not even of
+reductions: two samples are added inside the 16-bit word that they share; the maximum along a line is folded, slice onto
+slice of it, where the best two of up to 16 points, a comb with wide gaps, are kept; and the lattice at the borders,
+which filters reach beyond, is a small array of its own, so that no padding copies the frame.
 """
 
 import functools
+import operator
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -20,6 +21,7 @@ from jax import lax
 from jaxtyping import Bool, Float, Int, Int16, UInt8
 
 from jaxscan.geometry import Array
+from jaxscan.stripes.memory import folded, in_blocks, kept
 from jaxscan.stripes.planes import Plane
 
 
@@ -92,54 +94,48 @@ def find_peaks(
     begin, end = low // each, jnp.minimum(-(-high // each), points)
     point = jnp.arange(points, dtype=jnp.int16)[None]
     inside = (point >= begin.astype(jnp.int16)[:, None]) & (point < end.astype(jnp.int16)[:, None])
-    level, level_at = _lattice(on.samples, pitch), functools.partial(_level, on if off is None else off, each)
+    level = _lattice(on.samples, pitch)
     if off is not None:
         room = _lattice(off.samples, pitch)
         level = level - room - _brighter(room, lamp_ratio)
     lattice = jnp.where(inside, level, jnp.int16(0))
     ground = _surround(lattice) if off is None else None
-    least = jnp.min(jnp.asarray(thresholds)).astype(jnp.int32)
+    some = jnp.any(jnp.asarray(high) > 0)
 
-    def measured(at):
-        """Whether a maximum stands out, its extent to both sides and its zone, of every line."""
-        around = _around(lattice, at)
-        base = None if ground is None else jnp.take_along_axis(ground, at[:, None], 1)[:, 0]
-        threshold = jnp.asarray(thresholds)[level_at(at) if base is None else base // (8 * each)]
+    def bases(at: Array) -> tuple[Array, Array]:
+        """The ground under a point of every line, and the threshold there."""
+        if off is not None:
+            return jnp.zeros(()), jnp.asarray(thresholds)[_level(off, each, at)]
+        base = jnp.take_along_axis(jnp.asarray(ground), at[:, None], 1)[:, 0]
+        return base, jnp.asarray(thresholds)[base // (8 * each)]
+
+    def measured(line: Array, at: Array, base: Array, threshold: Array) -> tuple[Array, ...]:
+        """Whether a maximum stands out, its extent to both sides and the ends of its zone."""
+        around = kept(some, _around, lattice, line, at)
         count = len(around) - 2 * _MARGIN
         fine, response = _filters(
-            lambda k: around[_MARGIN + k : _MARGIN + k + count], None if base is None else base[None]
+            lambda k: around[_MARGIN + k : _MARGIN + k + count], None if off is not None else base[None]
         )
         half = [_half_distance(fine, side) for side in (-1, 1)]
         zone = [_zone_steps(response, threshold, side) for side in (-1, 1)]
         exists = response[_ZONE_SPAN + 1] >= threshold
-        return jnp.stack([exists.astype(jnp.float32), *half]), jnp.stack([at - zone[0], at + zone[1]])
+        return exists, *half, at - zone[0], at + zone[1]
 
-    def rank(state, _):
+    def rank(keys, _):
         """The highest maximum that is left on every line, and what is left without its zone."""
-        combs, borders = state
-        key = jnp.max(borders, 1)
-        if combs is not None:
-            key = jnp.maximum(key, jnp.max(_decoded(combs >> 16), 1))
+        key = folded(jnp.maximum, keys)
         at = _LAST - (key & _LAST)
-        # A branch, because what comes out of it is kept: else XLA walks through a zone again for each point of a line.
-        nothing = jnp.zeros((3, len(at)), jnp.float32), jnp.full((2, len(at)), -1, jnp.int32)
-        may = 2 * (key >> _INDEX_BITS) + 1 >= least
-        (exists, before, after), (first, last) = lax.cond(jnp.any(may), measured, lambda _: nothing, at)
-
-        def outside(keys):
-            place = _LAST - (keys & _LAST)
-            return (place <= first[:, None]) | (place >= last[:, None])
-
-        if combs is not None:
-            best, second = outside(_decoded(combs >> 16)), outside(_decoded(combs & 0xFFFF))
-            second = jnp.where(second, combs & 0xFFFF, 0)
-            combs = jnp.where(best, combs & ~0xFFFF | second, second << 16)
+        base, threshold = kept(some, bases, at)
+        may = 2 * (key >> _INDEX_BITS) + 1 >= threshold
+        of = lambda line: (at[line], base if base.ndim == 0 else base[line], threshold[line])
+        exists, before, after, first, last = in_blocks(may, lambda line, _: measured(line, *of(line)))
+        place = _LAST - (keys & _LAST)
+        # What may not be a candidate has no zone, and all that is left on its line is lower still.
+        left = jnp.where((place <= first) | (place >= last), keys, 0)
         centre = LATTICE_PX * (at.astype(jnp.float32) + 0.5 * (after - before)) + (0.5 if pitch == 1 else 0.0)
-        state = combs, jnp.where(outside(borders), borders, 0)
-        return state, (may & (exists > 0), centre, LATTICE_PX * (before + after))
+        return left, (exists, centre, LATTICE_PX * (before + after))
 
-    # What the loop changes is kept: else XLA would go over the frame once for the best points and once for the second.
-    _, (exists, at, extent) = lax.scan(rank, _combed(lattice, ground), length=CANDIDATES)
+    _, (exists, at, extent) = lax.scan(rank, _keys(lattice, ground, some), length=CANDIDATES)
     bins = jnp.where((extent > _BIN_EXTENT_PX) & (pitch == 1), 2, 1).astype(jnp.int32)
     first = jnp.floor(at / pitch + 0.5).astype(jnp.int32) - bins * (WINDOW // 2)
     return Peaks(exists, at, extent, first, bins)
@@ -188,33 +184,38 @@ def _respond(lattice: Int16[Array, "lines points"], ground: Array | None) -> Int
     return _filters(lambda k: lattice[:, _MARGIN + k : _MARGIN + k + count], level)[1]
 
 
-def _combed(lattice: Int16[Array, "lines points"], ground: Array | None) -> tuple[Array | None, Array]:
-    """The best two points of every comb, in one word so that one loop over the frame makes them; and the keys of all
-    points near the borders, which the combs leave out."""
+def _keys(
+    lattice: Int16[Array, "lines points"], ground: Array | None, some: Bool[Array, ""]
+) -> Int[Array, "keys lines"]:
+    """Keys of the best two points of every comb, and of all points near the borders, which the combs leave out."""
     points = lattice.shape[1]
     # A multiple of 16 columns, or vectors do not fill: a third slower; and so wide that one stripe's zone has no two
     # points of a comb.
     width = max(2 * _ZONE_SPAN, 16 * -(-(points - 2 * _MARGIN) // (16 * _TEETH)))
     teeth = (points - 2 * _MARGIN) // width
     if teeth == 0:
-        return None, _border(lattice, ground, 0, points)
+        return _border(lattice, ground, 0, points).T
     inner = np.s_[:, : width * teeth + 2 * _MARGIN]
     half = jnp.clip(_respond(lattice[inner], None if ground is None else ground[inner]) >> 1, 0, 4095).astype(
         jnp.uint16
     )
-    keys = [(half[:, i * width : (i + 1) * width] << 4) | jnp.uint16(_TEETH - 1 - i) for i in range(teeth)]
-    ranked: list[tuple[Array, Array | None]] = [(key, None) for key in keys]
+    numbered = [(half[:, i * width : (i + 1) * width] << 4) | jnp.uint16(_TEETH - 1 - i) for i in range(teeth)]
+    ranked: list[tuple[Array, Array | None]] = [(key, None) for key in numbered]
     while len(ranked) > 1:
         ranked = [_best_two(*ranked[i : i + 2]) for i in range(0, len(ranked), 2)]
+    # In one word, so that one loop over the frame makes both.
     best, second = (jnp.zeros((), jnp.int32) if key is None else key.astype(jnp.int32) for key in ranked[0])
     borders = [_border(lattice, ground, 0, 16), _border(lattice, ground, width * teeth + _MARGIN, points)]
-    return best << 16 | second, jnp.concatenate(borders, 1)
+    # Lines last: a maximum over the leading axis is fast code.
+    turned = lambda fields: tuple(field.T for field in fields)
+    together = lambda fields: jnp.concatenate([_decoded(fields[0] >> 16), _decoded(fields[0] & 0xFFFF), *fields[1:]])
+    return kept(some, together, kept(some, turned, (best << 16 | second, *borders)))
 
 
-def _decoded(comb: Int[Array, "lines columns"]) -> Int[Array, "lines columns"]:
+def _decoded(comb: Int[Array, "columns lines"]) -> Int[Array, "columns lines"]:
     """The keys of points of combs."""
-    width = comb.shape[1]
-    column = jnp.arange(width, dtype=jnp.int32)[None]
+    width = comb.shape[0]
+    column = jnp.arange(width, dtype=jnp.int32)[:, None]
     tooth = _TEETH - 1 - (comb & (_TEETH - 1))
     return _key((comb >> 4) & 0xFFF, _MARGIN + tooth * width + column)
 
@@ -243,15 +244,19 @@ def _border(lattice: Array, ground: Array | None, first: int, last: int) -> Int[
 
 def _level(off: Plane, each: int, at: Int[Array, " lines"]) -> Int[Array, " lines"]:
     """Mean level around a lattice point of every line."""
-    place = jnp.clip(each * at[None] + np.arange(-8, 9, 2, dtype=np.int32)[:, None], 0, off.samples.shape[1] - 1)
-    return jnp.sum(off.at(jnp.arange(len(at), dtype=jnp.int32)[None], place).astype(jnp.int32), 0) // 9
+    line = jnp.arange(len(at), dtype=jnp.int32)
+    away = range(-8, 9, 2)
+    levels = [off.at(line, jnp.clip(each * at + k, 0, off.samples.shape[1] - 1)).astype(jnp.int32) for k in away]
+    return functools.reduce(operator.add, levels) // len(away)
 
 
-def _around(lattice: Int16[Array, "lines points"], at: Int[Array, " lines"]) -> Int16[Array, "around lines"]:
-    """The lattice around a point of every line; 0 beyond it, as it is beyond what is searched."""
-    lines, points = lattice.shape
+def _around(
+    lattice: Int16[Array, "lines points"], line: Int[Array, " n"], at: Int[Array, " n"]
+) -> Int16[Array, "around n"]:
+    """The lattice around points of some lines; 0 beyond it, as it is beyond what is searched."""
+    points = lattice.shape[1]
     place = at[None] + np.arange(-_ZONE_SPAN - 1 - _MARGIN, _ZONE_SPAN + 2 + _MARGIN, dtype=np.int32)[:, None]
-    flat = points * jnp.arange(lines, dtype=jnp.int32)[None] + jnp.clip(place, 0, points - 1)
+    flat = points * line[None] + jnp.clip(place, 0, points - 1)
     found = jnp.asarray(lattice).reshape(-1).at[flat].get(mode="promise_in_bounds")
     return jnp.where((place >= 0) & (place < points), found, jnp.int16(0))
 

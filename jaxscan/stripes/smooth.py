@@ -14,9 +14,8 @@ Where an edge is in doubt, the values with and without it count by their odds, a
 A centre off the line on which its four neighbours agree, a reflection or a wrong candidate, stays as it is and has no
 part in others.
 
-All windows are sums of moments between two rows. They are differences of running sums over blocks of rows, in double
-precision about each block's middle, so that no window costs more than a small one and faint rows lose no digits beside
-bright ones.
+A row adds up the moments of its own window, neighbour by neighbour, about its own line, centre and slope: the numbers
+stay small, so that single precision is enough, and everything is elementwise over long rows.
 
 Source: A. Savitzky, M. J. E. Golay, Smoothing and differentiation of data by simplified least squares procedures,
 Anal. Chem. 36, 1964; windows of their own for every point: V. Katkovnik, A new method for varying adaptive bandwidth
@@ -25,7 +24,8 @@ selection, IEEE Trans. Signal Processing 47, 1999.
 
 import functools
 import operator
-from typing import NamedTuple
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,8 +33,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import Bool, Float, Int
 
+from jaxscan.compiling import compile_wide
 from jaxscan.geometry import Array
 from jaxscan.stripes.frames import Sites
+from jaxscan.stripes.memory import kept
 
 
 _SIZES = (3, 6, 10)
@@ -42,6 +44,8 @@ _SIZES = (3, 6, 10)
 the surface itself would be smoothed."""
 _REACH = 20
 """Rows and lines that a window reaches to one side at most."""
+_MARGIN = 32
+"""Rows without weight on either side of a profile, so that neighbours are slices."""
 _GAP = 4.0
 """Largest distance of neighbouring lines on one surface."""
 _STRAIGHT = 4500.0
@@ -59,10 +63,10 @@ differ from that of the smaller window. The first of each is for the smallest wi
 scatter further; and the row itself is not better than that window unless a jump is plain."""
 _LEAST_PX = 1e-4
 """Smallest standard deviation of a centre that is believed."""
+_SINGULAR = 1e-5
+"""Determinant of normal equations, in the product of their diagonal, below which they determine nothing."""
 _PROFILES, _FEW = 32, 8
 """Profiles that are smoothed at a time, and where there are only a few."""
-_BLOCK, _MARGIN = 64, 24
-"""Rows of a block of running sums, and those beside it that its windows reach."""
 _EVERY_LINE = Sites()
 
 
@@ -99,14 +103,14 @@ def smooth_profiles(
     whole = [np.asarray(field) for field in (u, sigma, valid)]
     fields = [field[lines] for field in whole]
     found = [np.zeros(fields[0].shape, np.float32) for _ in Smoothed._fields]
-    with jax.enable_x64(True):
+    with jax.enable_x64(False):
         for first in range(0, len(fields[0]) if fields[0].size else 0, _PROFILES):
             part = [field[first : first + _PROFILES] for field in fields]
             count = len(part[0])
             # Few sizes, so that little is compiled.
             room = _PROFILES if len(fields[0]) > _FEW else _FEW if count > 1 else 1
             part = [np.pad(field, ((0, max(room - count, 0)), (0, 0))) for field in part]
-            for to, field in zip(found, _smoothed(*part), strict=True):
+            for to, field in zip(found, _smooth(*part), strict=True):
                 to[first : first + count] = np.asarray(field)[:count]
     if sites == _EVERY_LINE:
         return Smoothed(*found)
@@ -128,327 +132,321 @@ class _Rows(NamedTuple):
     """Information of the row itself [1/px^2]."""
     weight: Float[Array, "profiles rows"]
     """The same, 0 for strays."""
+    ground: Float[Array, "profiles rows"]
+    """Centre from which a row counts those of its neighbours; its own but of strays [px]."""
+    slope: Float[Array, "profiles rows"]
+    """The same for the slope [px/line]."""
 
 
-class _Running(NamedTuple):
-    """Sums of moments up to each row of a block, about the block's middle."""
+class _Sums(NamedTuple):
+    """Moments of a window about the row's own line, centre and slope."""
 
-    sums: Float[Array, "10 sums"]
-    """Weights times the line to the power of 0 to 4, times the centre and the line to the power of 0 to 2, times the
-    square of the centre; and rows. Of all blocks, one more than a block and its margins have rows."""
-    x: Float[Array, "profiles rows"]
-    """Lines about the middle of the row's block."""
-    y: Float[Array, "profiles rows"]
-    """Centres about one of the row's block [px]."""
-    at: Int[Array, "profiles rows"]
-    """Where in `sums` those up to before each row are."""
-
-
-def _smoothed(u: Array, sigma: Array, valid: Array) -> tuple[Array, Array, Array]:
-    """Of the profiles of one laser, as `Smoothed`.
-
-    Each step is compiled by itself, so that what it gives is kept: inside of one function XLA's code for a CPU would
-    compute it again for each neighbour that looks at it.
-    """
-    rows, number = _gathered(u, sigma, valid)
-    running = _summed(rows)
-    edge, doubt = _gaps(rows)
-    for size in _SIZES:
-        left, right = _ends(rows, edge)
-        height = _compared(rows, running, edge, left, right, size)
-        edge, doubt = _marked(height, edge, doubt, size)
-    ends = _ends(rows, edge)
-    first = _windows(rows, running, ends)
-    most, at = _most_doubtful(doubt, first[3], first[4])
-    # The same with windows that end at the most doubtful edge in them.
-    other = _windows(rows, running, _cut_short(ends, most, at))
-    return _mixed(rows, first, other, most, number, valid)
+    s: tuple[Array, ...]
+    """Weights times the line to the power of 0 to 4."""
+    t: tuple[Array, ...]
+    """Weights times the centre and the line to the power of 0 to 2."""
+    q: Array
+    """Weights times the square of the centre."""
+    rows: Array
+    """Number of rows with a weight."""
 
 
-@jax.jit
-def _gathered(u: Array, sigma: Array, valid: Array) -> tuple[_Rows, Int[Array, "profiles lines"]]:
-    """The valid rows of every profile, and which of them each line is."""
+@compile_wide
+def _smooth(u: Array, sigma: Array, valid: Array) -> tuple[Array, Array, Array]:
+    """Of the profiles of one laser, as `Smoothed`."""
+    keep = functools.partial(kept, jnp.any(valid))
+
+    def padded(make: Callable, *fields: Any) -> Any:
+        return keep(lambda field: jnp.pad(field, ((0, 0), (_MARGIN, _MARGIN))), keep(make, *fields))
+
+    def pair(make: Callable, *fields: Any) -> tuple[Array, Array]:
+        # A complex number holds two results: of two arrays everything before them would be computed twice.
+        both = keep(lambda *given: lax.complex(*(part.astype(jnp.float32) for part in make(*given))), *fields)
+        return both.real, both.imag
+
+    number, x, y, own = keep(_packed, u, sigma, valid)
+    gap, near = padded(_gaps, x, own), keep(_near, x)
+    ground, slope = pair(_grounds, x, y, own, gap)
+    weight = padded(lambda own, y: jnp.where(_shifted(y) == ground, _shifted(own), 0.0), own, y)
+    rows = _Rows(x, y, own, weight, ground, slope)
+
+    def look_for_edges(doubt, size):
+        ends = padded(_ends, gap, near, doubt)
+        height = padded(_edge_heights, rows, ends, size)
+        return padded(_doubts, doubt, height, size), None
+
+    doubt, _ = lax.scan(look_for_edges, jnp.zeros_like(x), jnp.asarray(_SIZES, jnp.int32))
+
+    def fit(state, again):
+        def first(rows: _Rows, ends: Array) -> tuple[Array, ...]:
+            shared, window = pair(lambda *given: _windows(*given)[2:], rows, ends)
+            most, at = pair(_most_doubtful, doubt, window.astype(jnp.int32))
+            return _cut_short(ends, most, at.astype(jnp.int32)), shared, most
+
+        found = pair(lambda *given: _windows(*given)[:2], rows, state[0])
+        return lax.cond(again, lambda *_: state, first, rows, state[0]), found
+
+    # At first with all windows, then with windows that end at the most doubtful edge in them.
+    nothing = jnp.zeros_like(rows.slope)
+    start = keep(_ends, gap, near, doubt), nothing, nothing
+    (_, shared, most), found = lax.scan(fit, start, np.array([False, True]))
+    found = keep(_mixed, rows, found, shared, most)
+    back = jnp.minimum(number, valid.shape[1] - 1)
+    on_lines = lambda field: jnp.where(valid, jnp.take_along_axis(field, back, 1), 0.0)
+    return on_lines(found[0]), on_lines(found[1]), on_lines(found[2])
+
+
+def _packed(u: Array, sigma: Array, valid: Array) -> tuple[Array, Array, Array, Array]:
+    """Which valid row of its profile each line is; and the rows' lines, centres and information, with a margin."""
     profiles, lines = u.shape
-    number = jnp.where(valid, jnp.cumsum(valid, 1, dtype=jnp.int32) - 1, lines)
+    number = jnp.where(valid, jnp.cumsum(valid, 1, dtype=jnp.int32) - 1, lines + _MARGIN)
     profile = jnp.arange(profiles, dtype=jnp.int32)[:, None]
-    line = jnp.zeros((profiles, lines), jnp.int32)
-    line = line.at[profile, number].set(jnp.arange(lines, dtype=jnp.int32)[None], mode="drop")
-    real = jnp.arange(lines, dtype=jnp.int32)[None] < jnp.sum(valid, 1, dtype=jnp.int32)[:, None]
-
-    def packed(field: Array) -> Array:
-        return jnp.take_along_axis(field.astype(jnp.float64), line, 1)
-
-    own = jnp.where(real, 1.0 / jnp.maximum(packed(sigma), _LEAST_PX) ** 2, 0.0)
-    rows = _Rows(jnp.where(real, line, lines + 100).astype(jnp.float64), jnp.where(real, packed(u), 0.0), own, own)
-    return rows._replace(weight=jnp.where(_strays(rows), 0.0, own)), number
+    line = jnp.zeros((profiles, lines + 2 * _MARGIN), jnp.int32)
+    line = line.at[profile, number + _MARGIN].set(jnp.arange(lines, dtype=jnp.int32)[None], mode="drop")
+    row = jnp.arange(-_MARGIN, lines + _MARGIN, dtype=jnp.int32)[None]
+    real = (row >= 0) & (row < jnp.sum(valid, 1, dtype=jnp.int32)[:, None])
+    information = 1.0 / jnp.maximum(jnp.take_along_axis(sigma, line, 1), _LEAST_PX) ** 2
+    # Behind the last row and before the first there is a gap.
+    x = jnp.where(real, line, jnp.where(row < 0, -100, lines + 100)).astype(jnp.float32)
+    return number, x, jnp.where(real, jnp.take_along_axis(u, line, 1), 0.0), jnp.where(real, information, 0.0)
 
 
-def _shifted(field: Array, by: int) -> Array:
-    """The value so many rows further on; 0 beyond the profile."""
-    if by == 0:
-        return field
-    rows = field.shape[1]
-    part = field[:, by:] if by > 0 else field[:, : max(rows + by, 0)]
-    return jnp.pad(part, ((0, 0), (min(max(-by, 0), rows), min(max(by, 0), rows))))
+def _shifted(field: Array, by: int = 0) -> Array:
+    """Of a field with a margin the value so many rows further on."""
+    return field[:, _MARGIN + by : field.shape[1] - _MARGIN + by]
 
 
-def _strays(rows: _Rows) -> Bool[Array, "profiles rows"]:
-    """Centres that lie off a straight line on which two neighbours on either side agree."""
-    away = (-2, -1, 1, 2)
-    d = [_shifted(rows.x, k) - rows.x for k in away]
-    v = [_shifted(rows.y, k) - rows.y for k in away]
-    w = [_shifted(rows.own, k) for k in away]
+def _grounds(x: Array, y: Array, own: Array, gap: Array) -> tuple[Array, Array]:
+    """The centre and the slope from which each row counts those of its neighbours [px, px/line].
 
-    def total(*factors: list[Array]) -> Array:
-        products = [functools.reduce(operator.mul, each) for each in zip(*factors, strict=True)]
-        return functools.reduce(operator.add, products)
-
-    s0, s1, s2 = total(w), total(w, d), total(w, d, d)
-    t0, t1, q = total(w, v), total(w, d, v), total(w, v, v)
-    value, slope, variance = _line(s0, s1, s2, t0, t1)
-    # Four of them, none beyond the ends, and near.
-    whole = (w[0] * w[1] * w[2] * w[3] > 0) & (d[3] - d[0] <= 4.0 + _GAP) & (variance > 0)
-    off = value * value > _STRAY**2 * (variance + 1.0 / jnp.where(rows.own > 0, rows.own, 1.0))
-    return whole & (q - value * t0 - slope * t1 < _AGREE) & off
-
-
-@jax.jit
-def _summed(rows: _Rows) -> _Running:
-    profiles, count = rows.x.shape
-    blocks, width = -(-count // _BLOCK), _BLOCK + 2 * _MARGIN
-    room = blocks * _BLOCK - count
-
-    def cut(field: Array) -> Array:
-        """[rows of a block, profiles, blocks]: sums go on along the leading axis, one addition for all blocks."""
-        wide = jnp.pad(field, ((0, 0), (_MARGIN, _MARGIN + room)))
-        return jnp.stack([wide[:, k * _BLOCK : k * _BLOCK + width] for k in range(blocks)], 2).swapaxes(0, 1)
-
-    x, y, w = cut(rows.x), cut(rows.y), cut(rows.weight)
-    x0, y0 = x[width // 2], y[width // 2]
-    # Beyond a gap nothing belongs to a window: there any number will do that costs no digits.
-    x = jnp.clip(x - x0[None], -2.0 * width, 2.0 * width)
-    y = y - y0[None]
-
-    def add(total: tuple[Array, ...], row: tuple[Array, Array, Array]) -> tuple:
-        x, y, w = row
-        y = jnp.where(w > 0, y, 0.0)
-        wx, wy = w * x, w * y
-        wxx = wx * x
-        more = w, wx, wxx, wxx * x, wxx * x * x, wy, wx * y, wxx * y, wy * y, (w > 0).astype(w.dtype)
-        return tuple(a + b for a, b in zip(total, more, strict=True)), total
-
-    nothing = tuple(jnp.zeros(x0.shape, x.dtype) for _ in range(10))
-    last: tuple[Array, ...]
-    before: tuple[Array, ...]
-    last, before = lax.scan(add, nothing, (x, y, w))
-    sums = jnp.stack([jnp.concatenate([b, a[None]]).reshape(-1) for b, a in zip(before, last, strict=True)])
-    block, row = np.divmod(np.arange(count), _BLOCK)
-    at = ((_MARGIN + row) * profiles + np.arange(profiles)[:, None]) * blocks + block
-
-    def own(field: Array) -> Array:
-        inner = field[_MARGIN : _MARGIN + _BLOCK]
-        return jnp.transpose(inner, (1, 2, 0)).reshape(profiles, -1)[:, :count]
-
-    return _Running(sums, own(x), own(y), jnp.asarray(at.astype(np.int32)))
-
-
-@jax.jit
-def _between(running: _Running, first: Array, last: Array) -> list[Array]:
-    """The sums from the `first`-th row before each to the `last`-th behind it, about the row's own line and centre.
-
-    About the block's middle a window far from it would be an ill-conditioned parabola of large numbers.
+    The centre is the row's own, but of a stray one, that lies off the straight line on which two neighbours on either
+    side agree: there it is that line's. The slope is that line's, or where there is none the one to the next row or
+    from the one before, whichever is less steep: the other may lead over an edge.
     """
-    step = running.sums.shape[1] // (_BLOCK + 2 * _MARGIN + 1)
-    high, low = running.at + step * (last + 1), running.at - step * first
-    m = [s.at[high].get(mode="promise_in_bounds") - s.at[low].get(mode="promise_in_bounds") for s in running.sums]
-    s0, m1, m2, m3, m4, n0, n1, n2, q, rows = m
-    x, y = running.x, running.y
-    s1, s2 = m1 - x * s0, m2 - x * (2 * m1 - x * s0)
-    s3 = m3 - x * (3 * m2 - x * (3 * m1 - x * s0))
-    s4 = m4 - x * (4 * m3 - x * (6 * m2 - x * (4 * m1 - x * s0)))
-    t1, t2 = n1 - x * n0 - y * s1, n2 - x * (2 * n1 - x * n0) - y * s2
-    return [s0, s1, s2, s3, s4, n0 - y * s0, t1, t2, q - y * (2 * n0 - y * s0), rows]
+    near = [(_shifted(own, k), _shifted(x, k) - _shifted(x), _shifted(y, k) - _shifted(y)) for k in (-2, -1, 1, 2)]
+    sums = _added(near)
+    line = _solved(sums, 2)
+    (p0, p1), (r0, r1), l10 = line.pivots, line.rest, line.lower[1][0]
+    slope = r1 / p1
+    value, variance = r0 / p0 - l10 * slope, 1.0 / p0 + l10 * l10 / p1
+    # Four of them, none beyond the ends, and near.
+    agree = line.known & (sums.rows == 4.0) & (near[3][1] - near[0][1] <= 4.0 + _GAP)
+    agree &= sums.q - line.explained < _AGREE
+    stray = agree & (value * value > _STRAY**2 * (variance + 1.0 / jnp.where(_shifted(own) > 0, _shifted(own), 1.0)))
+    sides = []
+    for k, (_, over, rise) in zip((-1, 0), near[1:3], strict=True):
+        apart = _shifted(gap, k)
+        sides.append(jnp.where(apart, jnp.inf, rise / jnp.where(apart, 1.0, over)))
+    flatter = jnp.where(jnp.abs(sides[0]) < jnp.abs(sides[1]), sides[0], sides[1])
+    flatter = jnp.where(jnp.isfinite(flatter), flatter, 0.0)
+    agree &= ~(_shifted(gap, -2) | _shifted(gap, -1) | _shifted(gap, 0) | _shifted(gap, 1))
+    return jnp.where(stray, _shifted(y) + value, _shifted(y)), jnp.where(agree, slope, flatter)
 
 
-@jax.jit
-def _gaps(rows: _Rows) -> tuple[Bool[Array, "profiles rows"], Float[Array, "profiles rows"]]:
-    """Rows that a gap parts from the next one; and doubts about the others, none as yet."""
-    following = _shifted(rows.own, 1) > 0
-    return ~following | (_shifted(rows.x, 1) - rows.x > _GAP), jnp.zeros(rows.y.shape, jnp.float32)
+def _gaps(x: Array, own: Array) -> Bool[Array, "profiles rows"]:
+    """Rows that a gap parts from the next one."""
+    return (_shifted(own, 1) <= 0) | (_shifted(x, 1) - _shifted(x) > _GAP)
 
 
-@jax.jit
-def _ends(rows: _Rows, edge: Bool[Array, "profiles rows"]) -> tuple[Array, Array]:
-    """Rows before and behind each that no edge parts from it and that are not farther away than a window reaches."""
-    free, x = ~edge, rows.x.astype(jnp.int32)
-    left, right = jnp.zeros(edge.shape, jnp.int32), jnp.zeros(edge.shape, jnp.int32)
-    goes_left, goes_right = jnp.ones(edge.shape, jnp.bool_), jnp.ones(edge.shape, jnp.bool_)
+def _near(x: Array) -> Int[Array, "profiles rows"]:
+    """Rows before and behind each that lie within the reach of a window."""
+    found = [jnp.zeros(_shifted(x).shape, jnp.int32) for _ in range(2)]
     for k in range(1, _REACH + 1):
-        goes_left &= _shifted(free, -k) & (x - _shifted(x, -k) <= _REACH)
-        goes_right &= _shifted(free, k - 1) & (_shifted(x, k) - x <= _REACH)
-        left, right = left + goes_left.astype(jnp.int32), right + goes_right.astype(jnp.int32)
-    return left, right
+        for side, sign in enumerate((-1, 1)):
+            found[side] += (jnp.abs(_shifted(x, sign * k) - _shifted(x)) <= _REACH).astype(jnp.int32)
+    return _word(*found)
 
 
-def _compared(rows: _Rows, running: _Running, edge: Array, left: Array, right: Array, size: Array | int) -> Array:
+def _ends(gap: Array, near: Array, doubt: Array) -> Int[Array, "profiles rows"]:
+    """Rows before and behind each that a window can have, and whether an edge parts it from the next one."""
+    edge = gap | (doubt > _EDGE)
+    left, right = _sides(near)
+    for k in reversed(range(_REACH)):
+        left = jnp.where(_shifted(edge, -k - 1), jnp.minimum(left, k), left)
+        right = jnp.where(_shifted(edge, k), jnp.minimum(right, k), right)
+    return _word(left, right) | _shifted(edge).astype(jnp.int32) << 16
+
+
+def _word(left: Array, right: Array) -> Array:
+    """Rows on either side."""
+    return left << 8 | right
+
+
+def _sides(word: Array) -> tuple[Array, Array]:
+    return (word >> 8) & 255, word & 255
+
+
+def _neighbours(rows: _Rows, low: Array, high: Array, reach: tuple[int, int]) -> Iterable[tuple[Array, Array, Array]]:
+    """Of each row in a window the weight, the line and the centre, as `_added` takes them.
+
+    Args:
+        rows: All of them.
+        low: Rows from the first of the window to the row itself; negative where it begins behind it.
+        high: Rows from the row itself to the last of the window; negative where it ends before it.
+        reach: The most that `low` and `high` can be.
+    """
+    for k in range(-reach[0], reach[1] + 1):
+        inside = -k <= low if k < 0 else k <= high
+        w = jnp.where(inside, _shifted(rows.weight, k), 0.0)
+        d = _shifted(rows.x, k) - _shifted(rows.x)
+        yield w, d, _shifted(rows.y, k) - rows.ground - rows.slope * d
+
+
+def _added(neighbours: Iterable[tuple[Array, Array, Array]]) -> _Sums:
+    total: list[Array] = []
+    for w, d, v in neighbours:
+        wd, wv = w * d, w * v
+        wdd, wdv = wd * d, wv * d
+        wddd = wdd * d
+        more = [w, wd, wdd, wddd, wddd * d, wv, wdv, wdv * d, wv * v, (w > 0).astype(w.dtype)]
+        total = [a + b for a, b in zip(total, more, strict=True)] if total else more
+    return _Sums(tuple(total[:5]), tuple(total[5:8]), *total[8:])
+
+
+def _edge_heights(rows: _Rows, ends: Array, size: Array) -> Array:
     """Chi-squared by which straight lines on both sides of a place behind each row are better than one parabola."""
-    before, here, after, behind = _sides(left, right, size)
-    return _better(rows, edge, _between(running, before, here), _between(running, after, behind))
-
-
-@jax.jit
-def _sides(left: Array, right: Array, size: Array | int) -> tuple[Array, Array, Array, Array]:
-    """The rows before a place behind each row, and those behind it, as `_between` takes them."""
+    left, right = _sides(_shifted(ends))[0], _sides(_shifted(ends, 1))[1]
     here = jnp.zeros_like(left)
-    return jnp.minimum(left, size - 1), here, here - 1, jnp.minimum(_shifted(right, 1), size - 1) + 1
+    sides = (
+        _added(_neighbours(rows, jnp.minimum(left, size - 1), here, (_SIZES[-1] - 1, 0))),
+        _added(_neighbours(rows, here - 1, jnp.minimum(right, size - 1) + 1, (-1, _SIZES[-1]))),
+    )
+    both = jax.tree.map(jnp.add, *sides)
+    one, other = (_solved(side, 2) for side in sides)
+    curved = _solved(both, 3, 0.25 * (_shifted(rows.weight) + _shifted(rows.weight, 1)) * _STRAIGHT)
+    free = _shifted(ends) >> 16 == 0
+    better = one.explained + other.explained - curved.explained
+    return jnp.where(one.known & other.known & curved.known & free, better, 0.0)
 
 
-@jax.jit
-def _better(rows: _Rows, edge: Array, one: list[Array], other: list[Array]) -> Array:
-    both = [a + b for a, b in zip(one, other, strict=True)]
-    lines, known = zip(*(_line_explains(side) for side in (one, other)), strict=True)
-    curved, whole = _parabola_explains(both, 0.25 * (rows.weight + _shifted(rows.weight, 1)) * _STRAIGHT)
-    better = jnp.where(known[0] & known[1] & whole & ~edge, lines[0] + lines[1] - curved, 0.0)
-    return better.astype(jnp.float32)
-
-
-@jax.jit
-def _marked(height: Array, edge: Array, doubt: Array, size: Array | int) -> tuple[Array, Array]:
-    """The edges with those of a size, and the chi-squared of places that may be edges."""
-    # Those beside an edge look across it.
+def _doubts(doubt: Array, height: Array, size: Array) -> Array:
+    """Chi-squared of the places that may be edges, with those of a size; from `_EDGE` on they are."""
     beside = [jnp.where(abs(k) < size, _shifted(height, k), 0.0) for k in range(1 - _SIZES[-1], _SIZES[-1])]
-    marked = (height > _DOUBT) & (height >= functools.reduce(jnp.maximum, beside))
-    return edge | (marked & (height > _EDGE)), jnp.where(marked, jnp.maximum(doubt, height), doubt)
+    own, before = _shifted(height), _shifted(doubt)
+    marked = (own > _DOUBT) & (own >= functools.reduce(jnp.maximum, beside))
+    return jnp.where(marked, jnp.maximum(before, own), before)
 
 
-@jax.jit
-def _most_doubtful(doubt: Array, low: Array, high: Array) -> tuple[Array, Array]:
+def _most_doubtful(doubt: Array, window: Array) -> tuple[Array, Array]:
     """The most doubtful edge in the window of each row, and how many rows on the row before it is."""
-    most, at = jnp.zeros_like(doubt), jnp.full(doubt.shape, _REACH, jnp.int32)
+    low, high = _sides(window)
+    most, at = jnp.zeros(low.shape, doubt.dtype), jnp.full(low.shape, _REACH, jnp.int32)
     for k in range(-_REACH, _REACH):
         there = jnp.where((k >= -low) & (k < high), _shifted(doubt, k), 0.0)
         at, most = jnp.where(there > most, k, at), jnp.maximum(there, most)
     return most, at
 
 
-@jax.jit
-def _cut_short(ends: tuple[Array, Array], most: Array, at: Array) -> tuple[Array, Array]:
-    left, right = ends
-    return jnp.where((most > 0) & (at < 0), -at - 1, left), jnp.where((most > 0) & (at >= 0), at, right)
+def _cut_short(ends: Array, most: Array, at: Array) -> Array:
+    """The ends of windows that the most doubtful edge in them ends."""
+    left, right = _sides(ends)
+    return _word(jnp.where((most > 0) & (at < 0), -at - 1, left), jnp.where((most > 0) & (at >= 0), at, right))
 
 
-def _windows(rows: _Rows, running: _Running, ends: tuple[Array, Array]) -> tuple[Array, ...]:
+def _windows(rows: _Rows, ends: Array) -> tuple[Array, ...]:
     """For every row a parabola in the largest window that it fits and whose value agrees with those of smaller ones.
 
     Returns:
-        Centre minus that of the row, its variance, that of the window's lines over their number, and the rows of the
-        window on either side.
+        Centre minus that of the row, its variance, the lines over which its noise is shared times that variance, and
+        the rows of the window on either side in one word.
     """
-    return _chosen(rows.weight, ends, [_fitted(running, ends, size) for size in _SIZES])
-
-
-@jax.jit
-def _reach(ends: tuple[Array, Array], size: Array | int) -> tuple[Array, Array]:
-    """Rows of a window to both sides. A side that ends early is made up for on the other."""
-    left, right = ends
-    first = jnp.minimum(left, 2 * size - jnp.minimum(right, size))
-    return first, jnp.minimum(right, 2 * size - jnp.minimum(left, size))
-
-
-def _fitted(running: _Running, ends: tuple[Array, Array], size: Array | int) -> tuple[Array, ...]:
-    """Value of the parabola in a window, its variance, chi-squared, sum of the weights, and rows."""
-    sums = _between(running, *_reach(ends, size))
-    return *_parabola(sums), sums[0], sums[9]
-
-
-@jax.jit
-def _chosen(weight: Array, ends: tuple[Array, Array], fits: list[tuple[Array, ...]]) -> tuple[Array, ...]:
+    left, right = _sides(ends)
+    weight = _shifted(rows.weight)
     alone = 1.0 / jnp.where(weight > 0, weight, 1.0)
-    zero = jnp.zeros(weight.shape, jnp.int32)
-    state: tuple[Array, ...] = jnp.zeros_like(alone), alone, alone, zero, zero
+    state: tuple[Array, ...] = jnp.zeros_like(alone), alone, alone, jnp.zeros_like(ends)
     goes_on = jnp.ones(alone.shape, jnp.bool_)
-    for size, (found, own, chi2, total, used) in zip(_SIZES, fits, strict=True):
-        value, variance, _, low, high = state
-        told = (used >= 5.0) & (own >= 0)
-        freedom = jnp.where(told, used - 3.0, 2.0)
-        single = (low == 0) & (high == 0)
+    for size in _SIZES:
+        # A side that ends early is made up for on the other.
+        low = jnp.minimum(left, 2 * size - jnp.minimum(right, size))
+        high = jnp.minimum(right, 2 * size - jnp.minimum(left, size))
+        neighbours = list(_neighbours(rows, low, high, (2 * size, 2 * size)))
+        sums = _added(neighbours)
+        found, own, chi2 = _parabola(sums)
+        lines = [jnp.where(k <= high, d, 0.0) for k, (_, d, _) in enumerate(neighbours[2 * size :])]
+        lines += [jnp.where(k <= low, -d, 0.0) for k, (_, d, _) in enumerate(neighbours[2 * size :: -1])]
+        value, variance, _, window = state
+        told = (sums.rows >= 5.0) & (own >= 0)
+        freedom = jnp.where(told, sums.rows - 3.0, 2.0)
+        single = window == 0
         most, far = jnp.where(single, _MISFIT[0], _MISFIT[1]), jnp.where(single, _APART[0], _APART[1])
         fits_it = chi2 <= freedom + most * jnp.sqrt(2.0 * freedom)
         fits_it &= jnp.abs(found - value) <= far * jnp.sqrt(jnp.maximum(variance - own, 0.0))
         # Residuals of the parabola beyond the noise count as noise.
         excess = jnp.maximum(chi2 / freedom, 1.0)
         better = goes_on & told & fits_it & (excess * own < variance)
-        new = found, excess * own, excess / jnp.where(total > 0, total, 1.0), *_reach(ends, size)
+        length = functools.reduce(jnp.maximum, lines[: 2 * size + 1]) + functools.reduce(
+            jnp.maximum, lines[2 * size + 1 :]
+        )
+        total = jnp.where(sums.s[0] > 0, sums.s[0], 1.0)
+        new = found, excess * own, excess / total * (length + 1.0), _word(low, high)
         state = tuple(jnp.where(better, a, b) for a, b in zip(new, state, strict=True))
         goes_on &= fits_it | ~told
     return state
 
 
-@jax.jit
-def _mixed(
-    rows: _Rows, first: tuple[Array, ...], other: tuple[Array, ...], most: Array, number: Array, valid: Array
-) -> tuple[Array, Array, Array]:
-    """On the lines of the profiles: where an edge is in doubt, the answers with and without it count by their odds."""
-    value, variance, spread, low, high = first
-    count = rows.x.shape[1]
-    row = jnp.arange(count, dtype=jnp.int32)[None]
-    line = lambda at: jnp.take_along_axis(rows.x, jnp.clip(at, 0, count - 1), 1)
-    shared = spread * (line(row + high) - line(row - low) + 1.0)
-    share = jnp.where(most > 0, 1.0 / (1.0 + jnp.exp(0.5 * (_EVEN - most))), 0.0).astype(value.dtype)
-    apart = other[0] - value
-    value, variance = value + share * apart, variance + share * (other[1] - variance + (1.0 - share) * apart**2)
-    alone = 1.0 / jnp.where(rows.own > 0, rows.own, 1.0)
-    used = rows.weight > 0
+def _mixed(rows: _Rows, found: tuple[Array, Array], shared: Array, most: Array) -> tuple[Array, Array, Array]:
+    """Where an edge is in doubt, the answers with and without it count by their odds."""
+    (value, other), (variance, other_variance) = found
+    share = jnp.where(most > 0, 1.0 / (1.0 + jnp.exp(0.5 * (_EVEN - most))), 0.0)
+    apart = other - value
+    value, variance = value + share * apart, variance + share * (other_variance - variance + (1.0 - share) * apart**2)
+    own, used = _shifted(rows.own), _shifted(rows.weight) > 0
+    alone = 1.0 / jnp.where(own > 0, own, 1.0)
     # So an average of smoothed centres is stated as good as that of the rows.
     best = jnp.where(used, jnp.minimum(variance, alone), alone)
-    share = jnp.where(used, jnp.maximum(shared / best, 1.0), 1.0)
-    found = rows.y + jnp.where(used, value, 0.0), jnp.sqrt(best), share
-    back = jnp.minimum(number, count - 1)
-    spread_out = lambda field: jnp.where(valid, jnp.take_along_axis(field, back, 1), 0.0).astype(jnp.float32)
-    return spread_out(found[0]), spread_out(found[1]), spread_out(found[2])
+    lines = jnp.where(used, jnp.maximum(shared / best, 1.0), 1.0)
+    return _shifted(rows.y) + jnp.where(used, value, 0.0), jnp.sqrt(best), lines
 
 
-def _line(s0: Array, s1: Array, s2: Array, t0: Array, t1: Array) -> tuple[Array, Array, Array]:
-    """Of a weighted straight line at 0: value, slope, variance; no variance (-1) without a line."""
-    det = s0 * s2 - s1 * s1
-    known = det > 1e-9 * s0 * s2
-    part = 1.0 / jnp.where(known, det, 1.0)
-    value, slope = (s2 * t0 - s1 * t1) * part, (s0 * t1 - s1 * t0) * part
-    return value, slope, jnp.where(known, s2 * part, -1.0)
+class _Solved(NamedTuple):
+    """Normal equations of a polynomial about the row, by elimination: what is added up has one sign, so that single
+    precision is enough."""
+
+    pivots: list[Array]
+    """Information of each coefficient with those before it unknown."""
+    rest: list[Array]
+    """The right sides after elimination."""
+    lower: list[list[Array]]
+    """Factors of elimination; `lower[i][j]` takes coefficient j out of equation i."""
+    known: Bool[Array, "profiles rows"]
+    """Whether all coefficients are determined."""
+
+    @property
+    def explained(self) -> Array:
+        """Part of the square sum that the polynomial explains."""
+        return functools.reduce(operator.add, (r * r / p for r, p in zip(self.rest, self.pivots, strict=True)))
 
 
-def _line_explains(sums: list[Array]) -> tuple[Array, Array]:
-    """Part of the square sum that a straight line explains, and whether there is one."""
-    s0, s1, s2, t0, t1 = sums[0], sums[1], sums[2], sums[5], sums[6]
-    det = s0 * s2 - s1 * s1
-    # The number of rows has no rounding error, a determinant of one row has.
-    known = (det > 1e-9 * s0 * s2) & (sums[9] >= 2.0)
-    return (s2 * t0 * t0 - 2.0 * s1 * t0 * t1 + s0 * t1 * t1) / jnp.where(known, det, 1.0), known
+def _solved(sums: _Sums, size: int, straight: Array | float = 0.0) -> _Solved:
+    """Eliminate the coefficients of a line (2) or a parabola (3), of whose curvature a prior has some information."""
+    diagonal = sums.s[0], sums.s[2], sums.s[4] + straight
+    pivots: list[Array] = []
+    rest: list[Array] = []
+    lower: list[list[Array]] = []
+    known = sums.rows >= size
+    for i in range(size):
+        pivot, right, factors = diagonal[i], sums.t[i], list[Array]()
+        for j in range(i):
+            entry = sums.s[i + j]
+            for k in range(j):
+                entry = entry - factors[k] * lower[j][k] * pivots[k]
+            factors.append(entry / pivots[j])
+            pivot, right = pivot - factors[j] * entry, right - factors[j] * rest[j]
+        determined = pivot > _SINGULAR * diagonal[i]
+        known &= determined
+        pivots.append(jnp.where(determined, pivot, 1.0))
+        rest.append(right)
+        lower.append(factors)
+    return _Solved(pivots, rest, lower, known)
 
 
-def _cofactors(s0: Array, s1: Array, s2: Array, s3: Array, s4: Array) -> tuple[tuple[Array, ...], Array, Array]:
-    """Of the normal matrix of a parabola: its inverse (00, 01, 02, 11, 12, 22) times the determinant, one over that,
-    and whether it has one."""
-    c00, c01, c02 = s2 * s4 - s3 * s3, s2 * s3 - s1 * s4, s1 * s3 - s2 * s2
-    det = s0 * c00 + s1 * c01 + s2 * c02
-    known = det > 1e-9 * s0 * s2 * s4
-    rest = s0 * s4 - s2 * s2, s1 * s2 - s0 * s3, s0 * s2 - s1 * s1
-    return (c00, c01, c02, *rest), 1.0 / jnp.where(known, det, 1.0), known
-
-
-def _parabola_explains(sums: list[Array], straight: Array) -> tuple[Array, Array]:
-    """Part of the square sum that a parabola explains, of whose curvature a prior has some information."""
-    s0, s1, s2, s3, s4, t0, t1, t2 = sums[:8]
-    (c00, c01, c02, c11, c12, c22), part, known = _cofactors(s0, s1, s2, s3, s4 + straight)
-    square = c00 * t0 * t0 + c11 * t1 * t1 + c22 * t2 * t2
-    return (square + 2.0 * (c01 * t0 * t1 + c02 * t0 * t2 + c12 * t1 * t2)) * part, known
-
-
-@jax.jit
-def _parabola(sums: list[Array]) -> tuple[Array, Array, Array]:
+def _parabola(sums: _Sums) -> tuple[Array, Array, Array]:
     """Value of a parabola at 0, the value's variance (-1 without a parabola), and chi-squared."""
-    s0, s1, s2, s3, s4, t0, t1, t2 = sums[:8]
-    (c00, c01, c02, c11, c12, c22), part, known = _cofactors(s0, s1, s2, s3, s4)
-    a0, a1, a2 = c00 * t0 + c01 * t1 + c02 * t2, c01 * t0 + c11 * t1 + c12 * t2, c02 * t0 + c12 * t1 + c22 * t2
-    chi2 = sums[8] - (a0 * t0 + a1 * t1 + a2 * t2) * part
-    return a0 * part, jnp.where(known, c00 * part, -1.0), chi2
+    solved = _solved(sums, 3)
+    (p0, p1, p2), (r0, r1, r2) = solved.pivots, solved.rest
+    _, (l10,), (l20, l21) = solved.lower
+    # What each pivot's equation adds to the value at 0.
+    by_1, by_2 = -l10, l10 * l21 - l20
+    value = r0 / p0 + by_1 * (r1 / p1) + by_2 * (r2 / p2)
+    variance = 1.0 / p0 + by_1 * by_1 / p1 + by_2 * by_2 / p2
+    return value, jnp.where(solved.known, variance, -1.0), sums.q - solved.explained

@@ -3,8 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.reconstruction import PointCloud
-from jaxscan.reconstruction.points.normals import grid_normals
+from jaxscan.reconstruction import PointCloud, grid_normals
 
 
 _LEAST = 3

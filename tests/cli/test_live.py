@@ -10,15 +10,17 @@ import shutil
 import threading
 import time
 
+import jax
 import numpy as np
 import pytest
 
 from jaxscan import api
 from jaxscan.cli.scanning.live import LiveCloud
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.files.capture import Capture, open_capture
-from jaxscan.files.recording import resume_capture
-from jaxscan.reconstruction.incoming import IncomingStripes
+from jaxscan.files.capture import Capture, CaptureHeader, open_capture
+from jaxscan.files.recording import create_capture, resume_capture
+from jaxscan.geometry import Scanner, stack_lasers
+from jaxscan.reconstruction import IncomingStripes
 from jaxscan.stripes import learn_noise
 
 
@@ -90,7 +92,7 @@ def test_noise_and_doubts_are_told_as_by_reconstruct(live, folder, scanner, monk
     def doubtful(*frames, **words):
         return learn_noise(*frames, **words)._replace(doubts=("the images look odd",))
 
-    monkeypatch.setattr("jaxscan.reconstruction.plan.learn_noise", doubtful)
+    monkeypatch.setattr("jaxscan.reconstruction.extraction.learn_noise", doubtful)
     capture = open_capture(folder)
     feed(live, capture, range(60))
     wait(lambda: live.status().records >= 8)
@@ -98,6 +100,27 @@ def test_noise_and_doubts_are_told_as_by_reconstruct(live, folder, scanner, monk
     assert done.live and done.notes == ("the images look odd",)
     known = api.reconstruct_capture(capture, scanner, cache=False)
     assert "read noise" in done.noise and done.noise == known.noise
+
+
+def test_lasers_that_take_turns(folder, tiny, scanner, tmp_path):
+    """The same frames as of two lasers: of each its own first frames tell the width."""
+    capture, sheet = open_capture(folder), scanner.lasers
+    twice = stack_lasers([sheet.__class__(*(leaf[0] for leaf in jax.tree.leaves(sheet)))] * 2)
+    both = Scanner(scanner.camera, twice, scanner.turntable, laser_names=("left", "right"), up=scanner.up)
+    tables = capture.header.model_dump(exclude_none=True)
+    header = CaptureHeader(**(tables | {"laser": [{"name": name} for name in both.laser_names]}))
+    with create_capture(tmp_path / "two", header) as writer:
+        for n, record in enumerate(capture.records):
+            on, off = capture.frames(n)
+            writer.append(angle_deg=float(np.degrees(record.angle)), on=on, off=off, lasers=[n % 2])
+    two = open_capture(tmp_path / "two")
+    with LiveCloud(tmp_path / "two", two.header, both, steps=60) as live:
+        feed(live, two, range(60))
+        done = live.finish()
+    known = api.reconstruct_capture(two, both, cache=False)
+    assert done.live and done.noise == known.noise and done.noise.count("laser") >= 2
+    assert set(np.unique(done.cloud.laser)) == {0, 1}
+    assert_same(done.cloud, known.cloud)
 
 
 def test_points_are_counted_while_pairs_still_come(live, folder):

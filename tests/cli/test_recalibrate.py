@@ -399,7 +399,7 @@ class TestWholeWay:
             assert_same(again, inputs)
             return solution
 
-        monkeypatch.setattr("jaxscan.api.stripes.stripes_of_plan", None)
+        monkeypatch.setattr("jaxscan.api.sweeps.extract", None)
         monkeypatch.setattr(recalibration, "recalibrate", known)
         result = jaxscan.recalibrate(jaxscan.open_capture(folder / "sweep"), tiny.calibration)
         new = jaxscan.load_calibration(folder / "new.json")

@@ -9,7 +9,7 @@ import pytest
 from jaxscan.api import reconstruct_capture
 from jaxscan.files.capture import Capture, load_stripes
 from jaxscan.geometry.rigid import invert, transform
-from jaxscan.reconstruction import SMOOTHED, ReconstructSettings, Sweep, extract_sweep, reconstruct
+from jaxscan.reconstruction import SMOOTHED, ReconstructSettings, Sweep, extract, reconstruct
 from jaxscan.stripes import StripeSettings
 
 from .rendered import pairs, stripe
@@ -43,7 +43,7 @@ def sweep(truth):
 
 @pytest.fixture(scope="module")
 def stripes(sweep, scanner):
-    return extract_sweep(sweep, scanner, settings=EDGE)
+    return extract(sweep, scanner, settings=EDGE).stripes
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxscan.reconstruction import ReconstructSettings, Sweep, extract_sweep, reconstruct
+from jaxscan.reconstruction import ReconstructSettings, Sweep, extract, reconstruct
 from jaxscan.stripes import NoiseModel
 
 from .rendered import ELECTRONS_PER_DN, READ_DN, expose, stripe
@@ -47,7 +47,7 @@ def alone(sweep, which):
 
 @pytest.fixture(scope="module")
 def stripes(sweep, scanner):
-    return extract_sweep(sweep, scanner, noise=NOISE)
+    return extract(sweep, scanner, noise=NOISE).stripes
 
 
 def test_bright_and_faint_parts_both_give_points(sweep, scanner, stripes):
@@ -64,7 +64,7 @@ def test_bright_and_faint_parts_both_give_points(sweep, scanner, stripes):
 
 
 def test_each_exposure_alone_misses_what_the_other_has(sweep, scanner, stripes):
-    short, long = (extract_sweep(alone(sweep, which), scanner, noise=NOISE) for which in (0, 1))
+    short, long = (extract(alone(sweep, which), scanner, noise=NOISE).stripes for which in (0, 1))
     assert stripes.valid.mean() > 0.99
     assert short.valid[:, BRIGHT].mean() > 0.99 and short.valid[:, ~BRIGHT].mean() < 0.2
     assert long.valid[:, ~BRIGHT].mean() > 0.99 and long.valid[:, BRIGHT].mean() < 0.2
@@ -73,7 +73,7 @@ def test_each_exposure_alone_misses_what_the_other_has(sweep, scanner, stripes):
 def test_candidates_of_the_better_exposure_are_compared_over_the_steps(sweep, scanner, stripes):
     """Nothing is wrong with this sweep, so nothing changes."""
     plain = stripes
-    checked = extract_sweep(sweep, scanner, settings=ReconstructSettings(check_steps=True), noise=NOISE)
+    checked = extract(sweep, scanner, settings=ReconstructSettings(check_steps=True), noise=NOISE).stripes
     np.testing.assert_array_equal(checked.valid, plain.valid)
     for name in ("u", "sigma", "amplitude"):
         # Two compiled functions may round otherwise: a few units in the last place of float32.

@@ -10,7 +10,7 @@ from jaxscan.api import reconstruct_capture
 from jaxscan.files.capture import Capture, CaptureHeader, cache_path, load_stripes, open_capture, save_stripes
 from jaxscan.files.recording import create_capture
 from jaxscan.geometry import LaserSheet, Scanner, stack_lasers
-from jaxscan.reconstruction import ReconstructSettings, Sweep, extract_sweep, reconstruct
+from jaxscan.reconstruction import Extraction, ReconstructSettings, Sweep, extract, reconstruct
 from jaxscan.stripes import KEPT_FIELDS as KEPT
 from jaxscan.stripes import NoiseModel, StripeSettings
 from jaxscan.vision import encode_png
@@ -53,7 +53,7 @@ def capture(frames, tmp_path):
 @pytest.fixture(scope="module")
 def stripes(frames, scanner):
     sweep = Sweep(*frames, np.radians(np.arange(RECORDS, dtype=float)))
-    return extract_sweep(sweep, scanner, settings=SETTINGS)
+    return extract(sweep, scanner, settings=SETTINGS).stripes
 
 
 def moved(scanner, distance):
@@ -110,12 +110,12 @@ def test_other_settings_find_other_stripes(capture, scanner, stripes, monkeypatc
     reconstruct_capture(capture, scanner, settings=SETTINGS)
     searched = []
 
-    def search(plan, *, noise, progress):
-        searched.append((plan.settings, noise))
-        return stripes
+    def search(sweep, scanner, *, settings, noise, progress):
+        searched.append((settings, noise))
+        return Extraction(stripes)
 
     # What matters is whether it searches; every search with other settings would be compiled anew.
-    monkeypatch.setattr("jaxscan.api.stripes.stripes_of_plan", search)
+    monkeypatch.setattr("jaxscan.api.sweeps.extract", search)
     assert not reconstruct_capture(capture, scanner, **change).from_cache
     assert searched == [(change["settings"], change.get("noise"))]
     assert reconstruct_capture(capture, scanner, **change).from_cache
@@ -156,7 +156,7 @@ def test_a_calibration_that_looks_elsewhere_searches_again(capture, scanner, mon
     def search(*args, **kwargs):
         raise Searched
 
-    monkeypatch.setattr("jaxscan.api.stripes.stripes_of_plan", search)
+    monkeypatch.setattr("jaxscan.api.sweeps.extract", search)
     assert reconstruct_capture(capture, moved(scanner, 0.205), settings=SETTINGS).from_cache
     # The limits then lie beyond the margin of 40 px.
     with pytest.raises(Searched):
@@ -193,7 +193,7 @@ def test_without_the_cache_nothing_is_kept(capture, scanner):
 
 def test_better_code_finds_stripes_anew(capture, scanner, monkeypatch):
     reconstruct_capture(capture, scanner, settings=SETTINGS)
-    monkeypatch.setattr("jaxscan.api.stripes.code_digest", lambda: "sha256:another")
+    monkeypatch.setattr("jaxscan.api.sweeps.code_digest", lambda: "sha256:another")
     assert not reconstruct_capture(capture, scanner, settings=SETTINGS).from_cache
 
 

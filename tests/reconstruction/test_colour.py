@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxscan.reconstruction.points.colour import sample_colours
+from jaxscan.reconstruction.colours import sample_colours
 
 
 ROWS, COLUMNS = 12, 16

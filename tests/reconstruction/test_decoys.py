@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
-from jaxscan.reconstruction import ReconstructSettings, Sweep, make_plan, stripes_of_plan
+from jaxscan.reconstruction import ReconstructSettings, Sweep, extract
 from jaxscan.reconstruction.decoys import DecoyWatch, judge
-from jaxscan.reconstruction.streaming import Batch
+from jaxscan.reconstruction.sweep import Batch
 from jaxscan.stripes import ChunkStripes, FrameStripes
 
 from .rooms import HEIGHT, STEPS, moving_light, room
@@ -38,7 +38,7 @@ FAST = 2
 def test_with_a_stripe_and_without(pixel_format, peak_dn, has_off, seed, yaw_deg):
     world = room(pixel_format, peak_dn, seed=seed, yaw_deg=yaw_deg)
     sweep = Sweep(world.on, world.off if has_off else None, world.angles, pixel_format=pixel_format)
-    stripes = stripes_of_plan(make_plan(sweep, world.scanner, SETTINGS))
+    stripes = extract(sweep, world.scanner, settings=SETTINGS).stripes
     valid = np.asarray(stripes.valid)
     good = world.lit(np.asarray(stripes.u), valid)
     # A Bayer mosaic has red on every other line.
@@ -46,14 +46,14 @@ def test_with_a_stripe_and_without(pixel_format, peak_dn, has_off, seed, yaw_deg
     assert np.count_nonzero(good) > (0.9 if has_off else 0.6) * lines
     assert np.count_nonzero(valid & ~good) <= 0.005 * np.count_nonzero(valid)
 
-    plan = make_plan(replace(sweep, on=moving_light(world.dark, seed)), world.scanner, SETTINGS)
     try:
-        left = np.count_nonzero(np.asarray(stripes_of_plan(plan).valid))
+        found = extract(replace(sweep, on=moving_light(world.dark, seed)), world.scanner, settings=SETTINGS)
     except CaptureError as refusal:
         assert "not told from chance" in str(refusal)
     else:
         # Too few to be counted: said, and none or hardly any is given.
-        assert left == 0 or any("hardly any record shows a stripe" in note for note in plan.notes)
+        left = np.count_nonzero(np.asarray(found.stripes.valid))
+        assert left == 0 or any("hardly any record shows a stripe" in note for note in found.notes)
         assert left < 2 * STEPS
 
 
@@ -80,7 +80,8 @@ def test_decoys_are_the_same_in_batches_of_any_size():
         batch = Batch(np.arange(start, start + 8), 0, on[start : start + 8], off[start : start + 8])
         for watch in watches:
             watch.look(batch, _bright_lines(batch))
-    found, other = (watch.judge(_bright_lines, size) for watch, size in zip(watches, (3, 32), strict=True))
+    compared = [watch.compared(_bright_lines, size) for watch, size in zip(watches, (3, 32), strict=True)]
+    found, other = (judge(*both, per_profile=float(lines)) for both in compared)
     assert found == other
     # A tenth of the lines is chance, and no clearer than 19 / 1.
     assert 5 < found.least < 20 and found.note is not None

@@ -8,9 +8,14 @@ import pytest
 
 from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
 from jaxscan.reconstruction import FrameWatch, journal_doubts
-from jaxscan.reconstruction.doubts.frames import blank_frames, exchanged_frames, repeated_frames, strange_frames
-from jaxscan.reconstruction.doubts.header import header_doubts
-from jaxscan.reconstruction.doubts.turning import turning_doubts
+from jaxscan.reconstruction.doubts import (
+    blank_frames,
+    exchanged_frames,
+    header_doubts,
+    repeated_frames,
+    strange_frames,
+    turning_doubts,
+)
 from jaxscan.reconstruction.sweep import Sweep
 from jaxscan.stripes import LaserLine
 

@@ -7,7 +7,7 @@ import pytest
 
 from jaxscan.geometry import Fisheye, LaserSheet, Scanner, Turntable, stack_lasers
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
-from jaxscan.reconstruction.points.uncertainty import range_table
+from jaxscan.reconstruction.points import range_table
 
 from .exact_sigma import range_sigma
 

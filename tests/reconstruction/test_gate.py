@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxscan.geometry import Fisheye, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.reconstruction.gate import line_gate
 from jaxscan.reconstruction.points import Limits, triangulate
-from jaxscan.reconstruction.points.gate import line_gate
 from jaxscan.reconstruction.settings import ReconstructSettings
 
 

@@ -13,7 +13,7 @@ from jaxscan.api import reconstruct_capture
 from jaxscan.errors import CaptureError
 from jaxscan.geometry import LaserSheet, LinearStage, Pinhole, Scanner, Turntable, stack_lasers
 from jaxscan.geometry.cameras import CAMERAS
-from jaxscan.reconstruction import ReconstructSettings, Sweep, make_plan, refuse_other_motion
+from jaxscan.reconstruction import Sweep, refuse_other_motion
 
 
 WIDTH, HEIGHT, COUNT = 320, 96, 24
@@ -74,8 +74,7 @@ def points_of(scanner):
 
 def refuse(scanner, off, angles, points=None):
     sweep = Sweep(off, off, np.asarray(angles))
-    plan = make_plan(sweep, scanner, ReconstructSettings())
-    refuse_other_motion(plan, points or points_of(scanner), lambda record: off[record], "sweep")
+    refuse_other_motion(sweep, scanner, points or points_of(scanner), lambda record: off[record], "sweep")
 
 
 CASES = {
@@ -144,8 +143,8 @@ def test_a_texture_that_repeats_is_no_contradiction(period):
 def test_a_linear_stage_is_not_asked():
     off = frames(ROOM_SCANNER, blobs)
     stage = Scanner(CAMERA, SHEET, LinearStage.from_direction([1.0, 0.0, 0.0]))
-    plan = make_plan(Sweep(off, off, 0.1 * TURN, carries="linear"), stage, ReconstructSettings())
-    refuse_other_motion(plan, points_of(ROOM_SCANNER), lambda record: off[record], "sweep")
+    sweep = Sweep(off, off, 0.1 * TURN, carries="linear")
+    refuse_other_motion(sweep, stage, points_of(ROOM_SCANNER), lambda record: off[record], "sweep")
 
 
 @pytest.mark.parametrize("name", CAMERAS)
@@ -167,10 +166,10 @@ def test_numpy_projects_as_jax_does(name):
 
 def test_nothing_is_compiled():
     off = frames(ROOM_SCANNER, blobs)
-    plan = make_plan(Sweep(off, off, TURN), ROOM_SCANNER, ReconstructSettings())
+    sweep = Sweep(off, off, TURN)
     compiled = []
     jax.monitoring.register_event_duration_secs_listener(lambda name, *_, **__: compiled.append(name))
-    refuse_other_motion(plan, points_of(ROOM_SCANNER), lambda record: off[record], "sweep")
+    refuse_other_motion(sweep, ROOM_SCANNER, points_of(ROOM_SCANNER), lambda record: off[record], "sweep")
     assert [name for name in compiled if "compile" in name] == []
 
 

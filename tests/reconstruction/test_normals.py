@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxscan.reconstruction.points.normals import grid_normals
+from jaxscan.reconstruction import grid_normals
 
 
 STEPS = {"line_step": 1e-3, "profile_step": 2e-3}

@@ -257,8 +257,8 @@ def test_points_are_the_valid_ones_in_the_order_of_the_grid(small_scanner):
 def test_what_is_no_sweep_is_refused_in_one_line():
     # A process of its own: the annotations that tests check would refuse it before.
     code = (
-        "import numpy as np\nfrom jaxscan.reconstruction import make_plan\n"
-        "try:\n    make_plan(np.zeros((2, 3, 4)), None, None)\nexcept TypeError as problem:\n    print(problem)"
+        "import numpy as np\nfrom jaxscan.reconstruction import plan_sweep\n"
+        "try:\n    plan_sweep(np.zeros((2, 3, 4)), None, None)\nexcept TypeError as problem:\n    print(problem)"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.startswith("Expected a sweep, got ndarray;") and run.stdout.count("\n") == 1

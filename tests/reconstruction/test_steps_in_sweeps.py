@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxscan.reconstruction import ReconstructSettings, Sweep, extract_sweep, reconstruct
+from jaxscan.reconstruction import ReconstructSettings, Sweep, extract, reconstruct
 from jaxscan.stripes import LaserLine, NoiseModel, StripeSettings
 
 from .rendered import ELECTRONS_PER_DN, READ_DN, pairs, stripe
@@ -85,7 +85,7 @@ def test_the_steps_of_each_laser_are_its_own(scanner):
 def test_bayer_lines_that_hold_no_site_hold_no_stripe(scanner, sweep):
     """On a mosaic the choice, like the stripes, lives on the lines of the laser's colour."""
     mosaic = Sweep(sweep.on, sweep.off, sweep.angles, pixel_format="bayer_rggb8", lasers=sweep.lasers)
-    checked = extract_sweep(mosaic, scanner, settings=CHECKED, noise=NOISE)
+    checked = extract(mosaic, scanner, settings=CHECKED, noise=NOISE).stripes
     assert not checked.valid[:, 1::2].any() and checked.valid[:HIDING, ::2].mean() > 0.95
 
 

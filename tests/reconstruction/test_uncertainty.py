@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscan.reconstruction.points.uncertainty import range_table
+from jaxscan.reconstruction.points import range_table
 
 from .exact_sigma import range_sigma
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxscan.stripes import LaserLine
+from jaxscan.stripes import LaserLine, extract_stripes
 from jaxscan.stripes.pairs import judge_pairs
 
 
@@ -22,9 +22,13 @@ def _pair(profile, sensor, leaking=0.0, moved=0):
     return on, off
 
 
+def judged(on, off):
+    return judge_pairs(on, off, extract_stripes(on, off), line=LaserLine())
+
+
 @pytest.mark.parametrize("leaking", [0.0, 0.05, 0.2])
 def test_what_leaks_is_measured(profile, sensor, leaking):
-    found = judge_pairs(*_pair(profile, sensor, leaking), line=LaserLine())
+    found = judged(*_pair(profile, sensor, leaking))
     # Relative to what the difference keeps of the stripe.
     expected = leaking / (1.0 - leaking)
     # A wave of the texture, 8 stripe widths long, is not all a straight line: 1 % of the stripe.
@@ -34,5 +38,5 @@ def test_what_leaks_is_measured(profile, sensor, leaking):
 
 
 def test_motion_is_seen(profile, sensor):
-    found = judge_pairs(*_pair(profile, sensor, moved=6), line=LaserLine())
+    found = judged(*_pair(profile, sensor, moved=6))
     assert np.all(found.unrest > 2.0)

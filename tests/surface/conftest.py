@@ -5,8 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jaxscan.reconstruction import PointCloud
-from jaxscan.reconstruction.points import grid_normals
+from jaxscan.reconstruction import PointCloud, grid_normals
 
 
 ROOM = ((-2.5, -2.0, -1.2), (2.5, 2.0, 1.4))

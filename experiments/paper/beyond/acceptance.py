@@ -111,7 +111,7 @@ def _scan(stage: Stage, hall: Hall, scanners: list[jaxscan.Scanner]) -> list[Sam
         window = windowed(config, part.first, part.stop)
         sweep = _HallSweep(window, part.angles, seed=config.seed + 40 + number)
         sweep.hall = hall
-        stripes = jaxscan.extract_sweep(sweep, _cut(scanners[0], part), settings=_SETTINGS)
+        stripes = jaxscan.extract(sweep, _cut(scanners[0], part), settings=_SETTINGS).stripes
         stage.say(f"acceptance: {len(sweep)} records of {part.stop - part.first} columns")
         for cloud, scanner in zip(clouds, scanners, strict=True):
             points = jaxscan.reconstruct(sweep, _cut(scanner, part), stripes=stripes, settings=_SETTINGS)

@@ -66,7 +66,7 @@ def run(stage: Stage) -> list[Metric]:
     kept = Kept(int(REPEATED * len(place.angles)), partial(_watch, plain))
     sweep = place.sweep(place.angles, seed=_SEED, watch=kept)
     noise = _noise_of(place, sweep)
-    stripes = jaxscan.extract_sweep(sweep, parts[0], noise=noise)
+    stripes = jaxscan.extract(sweep, parts[0], noise=noise).stripes
     stage.say(f"figure 7: {len(place.angles)} records of the wall")
     clouds = [jaxscan.reconstruct(sweep, part, stripes=stripes) for part in parts]
     ours = [measure_ours(cloud, part, noise) for cloud, part in zip(clouds, parts, strict=True)]

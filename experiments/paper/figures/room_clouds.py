@@ -10,7 +10,7 @@ from experiments.paper.products.room import PlainStripes, Room, room_sweep
 from experiments.paper.stage import Stage
 from jaxscan import recalibration
 from jaxscan.measurement.room import RoomBox
-from jaxscan.reconstruction import make_plan, smooth_stripes
+from jaxscan.reconstruction import plan_sweep, smooth_stripes
 
 
 PROFILES, ROWS = 360, 200
@@ -103,8 +103,8 @@ def recalibrated(stage: Stage, room: Room, path: str) -> jaxscan.Recalibration:
     Features of the laser-off images could help too; here the stripes serve alone.
     """
     stored = jaxscan.load_calibration(path)
-    plan = make_plan(room_sweep(stage, room.angles), stored.scanner, jaxscan.ReconstructSettings())
-    along = smooth_stripes(plan, room.stripes)
+    plan = plan_sweep(room_sweep(stage, room.angles), stored.scanner, jaxscan.ReconstructSettings())
+    along = smooth_stripes(plan.sweep, room.stripes)
     sweep = recalibration.SweepStripes(
         name="room",
         centre=along.u,

@@ -127,6 +127,7 @@ def _sweep(stage: Stage) -> Room:
 
     sweep = RenderedSweep(windowed(config, first, stop), angles, seed=config.seed, watch=watch)
     settings = jaxscan.ReconstructSettings(min_range_m=NEAR_M - 0.1, max_range_m=FAR_M + 0.3)
-    found = jaxscan.extract_sweep(sweep, windowed_scanner(scanner, first, stop), settings=settings, progress=tell)
+    part = windowed_scanner(scanner, first, stop)
+    found = jaxscan.extract(sweep, part, settings=settings, progress=tell).stripes
     fields = vars(found) | {"u": np.where(found.valid, found.u + first, 0).astype(np.float32)}
     return Room(jaxscan.Stripes(**fields), plain, angles, (first, stop))

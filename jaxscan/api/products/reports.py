@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxscan.api.stripes import find_stripes, plan_watched
+from jaxscan.api.sweeps import doubts_of, find_stripes
 from jaxscan.calibration import Calibration
 from jaxscan.errors import CaptureError, MeasurementError, OutputError
 from jaxscan.files import load_calibration, load_scanner
@@ -15,15 +15,7 @@ from jaxscan.files.clouds import read_cloud
 from jaxscan.files.disk import write_atomically
 from jaxscan.geometry import Scanner
 from jaxscan.measurement import RoomBox, measure_room
-from jaxscan.reconstruction import (
-    DEFAULTS,
-    PointCloud,
-    Progress,
-    cloud_of_plan,
-    cloud_points,
-    refuse_other_motion,
-    sweep_doubts,
-)
+from jaxscan.reconstruction import DEFAULTS, PointCloud, Progress, reconstruct
 from jaxscan.report import Beside, Facts, calibration_date, cloud_page, drawn_records, facts_of, thumbnail
 
 
@@ -116,11 +108,9 @@ def look_again(capture: Capture, scanner: Scanner, progress: Progress = None) ->
             than the angles say.
         CalibrationError: If the scanner is not that of the sweep.
     """
-    watched = plan_watched(capture, scanner, DEFAULTS)
-    found = find_stripes(capture, watched, progress=progress)
-    cloud = cloud_of_plan(watched.plan, stripes=found.stripes)
-    refuse_other_motion(watched.plan, cloud_points(watched.plan, cloud), capture.off_frame, str(capture.path))
-    doubts = sweep_doubts(watched.plan, cloud, found.seen, watched.numbers, watched.off_images)
+    found = find_stripes(capture, scanner, DEFAULTS, progress=progress)
+    cloud = reconstruct(capture, scanner, stripes=found.stripes)
+    doubts = doubts_of(capture, scanner, cloud, found.seen)
     stripes, points = int(np.asarray(found.stripes.valid).sum()), int(np.asarray(cloud.valid).sum())
     sentence = (
         f"Of {stripes} stripe centres in the frames, {stripes - points} gave no point, because their light would be "

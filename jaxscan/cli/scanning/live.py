@@ -9,11 +9,18 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan import api
-from jaxscan.cli.scanning.turns import LasersInTurn, stripes_to_come
 from jaxscan.errors import CaptureError, JaxscanError
 from jaxscan.files.capture import Capture, CaptureHeader, open_capture
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction import DEFAULTS, IncomingStripes, Progress, ReconstructSettings, RecordedPair, Show
+from jaxscan.reconstruction import (
+    DEFAULTS,
+    IncomingStripes,
+    PlannedSweep,
+    Progress,
+    ReconstructSettings,
+    RecordedPair,
+    Show,
+)
 
 
 _PATIENCE_S = 5.0
@@ -77,7 +84,12 @@ class LiveCloud:
         Raises:
             CalibrationError: If the sweep does not fit the scanner.
         """
-        self._stripes = stripes_to_come(header, scanner, steps, settings, show)
+        camera, size = header.camera, (header.camera.width, header.camera.height)
+        carries = None if header.turntable is None else header.turntable.carries
+        sweep = PlannedSweep(
+            camera.pixel_format, camera.response, header.lasers, size, carries, steps, compression=camera.compression
+        )
+        self._stripes = IncomingStripes(sweep, scanner, settings, show)
         self._folder, self._scanner, self._settings, self._steps = folder, scanner, settings, steps
         self._first: dict[int, RecordedPair] = {}
         self._given: set[int] = set()
@@ -191,8 +203,6 @@ class LiveCloud:
             return f"the live cloud stopped ({' '.join(str(self._problem).split())}); reconstructed from the disk"
         if self._problem is not None:
             raise self._problem
-        if isinstance(self._stripes, LasersInTurn):
-            return "with several lasers the cloud is reconstructed from the disk"
         if self._learned_again or not self._stripes.are_of(capture, numbers):
             return "the first records have changed since the scan began; reconstructed from the disk"
         return self._stripes

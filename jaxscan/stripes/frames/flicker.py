@@ -4,14 +4,12 @@ Lamps on alternating current flicker; where an exposure is no whole number of th
 frames of a pair differ by a factor, and the difference is no longer the laser alone.
 """
 
-import functools
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float, UInt8
 
-from jaxscan.geometry import Array
+from jaxscan.geometry import Array, namespace
 
 
 NO_INFORMATION = 1.0
@@ -55,7 +53,6 @@ class LampRatio(NamedTuple):
     1 where all is still; 0 where nothing is known."""
 
 
-@functools.partial(jax.jit, static_argnames="saturation")
 def lamp_ratio(
     on: UInt8[Array, "frames n"],
     off: UInt8[Array, "frames n"],
@@ -85,27 +82,29 @@ def lamp_ratio(
         saturation: Level from which a pixel does not count [DN].
 
     Returns:
-        Ratio, its standard deviation and the unrest of each pair; ratios between 0.6 and 1.5 are found.
+        Ratio, its standard deviation and the unrest of each pair; ratios between 0.6 and 1.5 are found. Of NumPy arrays
+            in NumPy, which compiles nothing.
 
     Source:
         A. E. Beaton and J. W. Tukey, The fitting of power series, Technometrics 16, 1974 (the weight);
         W. A. Fuller, Measurement Error Models, 1987, section 1.4 (the instrument).
     """
+    xp = namespace(on, off, read_dn, electrons_per_dn)
     frames, count = on.shape
-    floor = jnp.asarray(read_dn, jnp.float32) ** 2 + 1.0 / 12
-    per_dn = 1.0 / jnp.asarray(electrons_per_dn, jnp.float32)
+    floor = xp.asarray(read_dn, np.float32) ** 2 + 1.0 / 12
+    per_dn = 1.0 / xp.asarray(electrons_per_dn, np.float32)
     # A sum of two levels below this may have lost its lower part to the cut at zero.
-    dark = 6.0 * jnp.sqrt(floor)
+    dark = 6.0 * xp.sqrt(floor)
     # Sums along a leading axis compile to vector instructions, sums along the last do not.
     padding = -count % (_LANES * _EVERY)
-    on, off = (jnp.pad(jnp.asarray(a), ((0, 0), (0, padding))).reshape(frames, -1, _LANES) for a in (on, off))
+    on, off = (xp.pad(xp.asarray(a), ((0, 0), (0, padding))).reshape(frames, -1, _LANES) for a in (on, off))
 
     def total(values: Float[Array, "frames m lanes"]) -> Float[Array, " frames"]:
-        return jnp.sum(jnp.sum(values, 1), 1)
+        return xp.sum(xp.sum(values, 1), 1)
 
     def levels(stride: int) -> tuple[Array, Array, Array]:
-        a, b = (frame[:, ::stride].astype(jnp.float32) for frame in (on, off))
-        usable = (a + b > dark) & (jnp.maximum(a, b) < saturation)
+        a, b = (frame[:, ::stride].astype(np.float32) for frame in (on, off))
+        usable = (a + b > dark) & (xp.maximum(a, b) < saturation)
         return a, b, usable
 
     def step(pixels, ratio, widened):
@@ -116,16 +115,16 @@ def lamp_ratio(
         residual = a - g * b
         per_variance = 1.0 / variance
         square = residual * residual * per_variance
-        weight = jnp.maximum(1.0 - square * (1.0 / _CUT**2), 0.0)
-        weight = jnp.where(usable, weight * weight * x * per_variance, 0.0)
+        weight = xp.maximum(1.0 - square * (1.0 / _CUT**2), 0.0)
+        weight = xp.where(usable, weight * weight * x * per_variance, 0.0)
         return a, b, x, residual, square, weight
 
     few = levels(_EVERY)
     a, b, usable = few
-    slack = 3.0 * jnp.sqrt(floor)
-    voted = jnp.clip(a, _START[0] * b - slack, _START[1] * b + slack)
-    first = total(jnp.where(usable, voted, 0.0)), total(jnp.where(usable, b, 0.0))
-    ratio = _towards(jnp.ones(frames, jnp.float32), *first, haste=1.0)
+    slack = 3.0 * xp.sqrt(floor)
+    voted = xp.clip(a, _START[0] * b - slack, _START[1] * b + slack)
+    first = total(xp.where(usable, voted, 0.0)), total(xp.where(usable, b, 0.0))
+    ratio = _towards(xp.ones(frames, np.float32), *first, haste=1.0)
     for widened in _WIDENED:
         a, b, _, _, _, weight = step(few, ratio, widened)
         ratio = _towards(ratio, total(weight * a), total(weight * b))
@@ -133,17 +132,17 @@ def lamp_ratio(
     a, b, x, residual, square, weight = step(every, ratio, 0.0)
     darker = every[2] & (residual < 0.0)
     information = total(weight * x)
-    spread = total(jnp.where(darker, jnp.minimum(square, _CLIPPED**2), 0.0))
-    number = total(darker.astype(jnp.float32))
+    spread = total(xp.where(darker, xp.minimum(square, _CLIPPED**2), 0.0))
+    number = total(darker.astype(np.float32))
     ratio = _towards(ratio, total(weight * a), total(weight * b))
     information = _EFFICIENCY * information
     known = (information * NO_INFORMATION**2 > 1.0) & (number > 0)
-    unrest = jnp.sqrt(jnp.where(known, spread / jnp.maximum(number, 1.0), 0.0))
+    unrest = xp.sqrt(xp.where(known, spread / xp.maximum(number, 1.0), 0.0))
     glow = 2.0 * _GLOW**2 * number
-    sigma = jnp.sqrt((jnp.maximum(unrest, 1.0) ** 2 + glow) / jnp.where(known, information, 1.0))
+    sigma = xp.sqrt((xp.maximum(unrest, 1.0) ** 2 + glow) / xp.where(known, information, 1.0))
     return LampRatio(
-        ratio=jnp.where(known, ratio, 1.0),
-        sigma=jnp.where(known, jnp.minimum(sigma, NO_INFORMATION), NO_INFORMATION),
+        ratio=xp.where(known, ratio, 1.0),
+        sigma=xp.where(known, xp.minimum(sigma, NO_INFORMATION), NO_INFORMATION),
         unrest=unrest,
     )
 
@@ -155,14 +154,15 @@ def applied_ratio(pair: LampRatio) -> Float[Array, " frames"]:
         The ratio where it differs from 1 by more than 4 of its standard deviations and 0.005;
         elsewhere exactly 1, so that frames under steady light stay as they are.
     """
-    change = jnp.abs(pair.ratio - 1.0)
-    return jnp.where(change > jnp.maximum(SMALLEST_CHANGE, _CERTAIN * pair.sigma), pair.ratio, 1.0)
+    xp = namespace(pair)
+    change = abs(pair.ratio - 1.0)
+    return xp.where(change > xp.maximum(SMALLEST_CHANGE, _CERTAIN * pair.sigma), pair.ratio, 1.0)
 
 
 def _towards(
     ratio: Float[Array, " frames"], top: Float[Array, " frames"], bottom: Float[Array, " frames"], haste: float = _HASTE
 ) -> Float[Array, " frames"]:
     """The ratio moved towards that of two sums, within bounds; as it was where nothing counted."""
-    some = bottom > 0
-    step = top / jnp.where(some, bottom, 1.0) - ratio
-    return jnp.clip(ratio + jnp.where(some, haste * step, 0.0), 0.5, 2.0)
+    xp, some = namespace(ratio, top), bottom > 0
+    step = top / xp.where(some, bottom, 1.0) - ratio
+    return xp.clip(ratio + xp.where(some, haste * step, 0.0), 0.5, 2.0)

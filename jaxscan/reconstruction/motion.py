@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.geometry import Array, Rig, Turntable, invert, poses, transform
+from jaxscan.geometry import Array, Rig, Scanner, Turntable, invert, poses, transform
 from jaxscan.reconstruction.cloud import PointCloud
-from jaxscan.reconstruction.plan import Plan
+from jaxscan.reconstruction.sweep import SweepSource
+from jaxscan.stripes import box_mean
 
 
 _SIZE_PX = 320
@@ -64,22 +65,25 @@ class _Turn(NamedTuple):
         return self.seen / self.said
 
 
-def cloud_points(plan: Plan, cloud: PointCloud) -> Points:
+def cloud_points(cloud: PointCloud, scanner: Scanner) -> Points:
     """The points of each record of a cloud, turned back to angle 0."""
-    record = np.asarray(cloud.record)
+    record, rig = np.asarray(cloud.record), scanner.rig
 
     def points(one: int) -> np.ndarray | None:
-        profiles, table = np.flatnonzero(record == one), plan.scanner.turntable
-        if not len(profiles) or not isinstance(table, Turntable):
+        profiles = np.flatnonzero(record == one)
+        if not len(profiles) or not isinstance(scanner.turntable, Turntable):
             return None
-        found = np.asarray(cloud.xyz[profiles[0]], np.float64)[np.asarray(cloud.valid[profiles[0]])]
-        rig = plan.scanner.rig
-        return np.asarray(transform(poses(rig, 0.0), transform(invert(poses(rig, plan.sweep.angles[one])), found)))
+        first = int(profiles[0])
+        found = np.asarray(cloud.xyz[first], np.float64)[np.asarray(cloud.valid[first])]
+        turned = poses(rig, float(cloud.angle[first]))
+        return np.asarray(transform(poses(rig, 0.0), transform(invert(turned), found)))
 
     return points
 
 
-def refuse_other_motion(plan: Plan, points: Points, off_frame: Callable[[int], Array | None], name: str) -> None:
+def refuse_other_motion(
+    sweep: SweepSource, scanner: Scanner, points: Points, off_frame: Callable[[int], Array | None], name: str
+) -> None:
     """Refuse a sweep whose images move otherwise than its angles say.
 
     The laser gives the distance of points in a record, so calibration and angle say where each must be seen in the
@@ -87,7 +91,8 @@ def refuse_other_motion(plan: Plan, points: Points, off_frame: Callable[[int], A
     places alike, tell nothing. Only NumPy computes, on a few reduced images.
 
     Args:
-        plan: The sweep and its scanner.
+        sweep: The sweep.
+        scanner: Its scanner.
         points: Of its records, in the order along the stripe.
         off_frame: The laser-off image of a record.
         name: Of the capture, for the message.
@@ -95,10 +100,10 @@ def refuse_other_motion(plan: Plan, points: Points, off_frame: Callable[[int], A
     Raises:
         CaptureError: If nearly all pairs of records that tell anything agree on another turn, by more than ten sigmas.
     """
-    table = plan.scanner.turntable
+    table = scanner.turntable
     if not isinstance(table, Turntable):
         return
-    found = [turn for turn in _turns(plan, points, table, off_frame) if turn.px >= _LEAST_PX]
+    found = [turn for turn in _turns(sweep, scanner, points, off_frame) if turn.px >= _LEAST_PX]
     if len(found) < _FEW:
         return
     ratio = float(np.median([turn.ratio for turn in found]))
@@ -110,7 +115,7 @@ def refuse_other_motion(plan: Plan, points: Points, off_frame: Callable[[int], A
     if abs(ratio - 1.0) <= max(_SIGMAS * sigma, _SCALE * max(1.0, abs(ratio))):
         return
     # Dirt on the lens stands still, and so does what is behind an object that turns.
-    if abs(ratio) < _NEAR and (table.carries == "object" or not _same_stripes(points, len(plan.sweep))):
+    if abs(ratio) < _NEAR and (table.carries == "object" or not _same_stripes(points, len(sweep))):
         return
     first = agreed[0]
     raise CaptureError(
@@ -145,9 +150,10 @@ def _same_stripes(points: Points, count: int) -> bool:
     return len(whole) > 1 and float(np.median(np.linalg.norm(np.ptp(whole, 0), axis=-1))) < _STILL_M
 
 
-def _turns(plan: Plan, points: Points, table: Turntable, off_frame: Callable[[int], Array | None]) -> list[_Turn]:
-    sweep, count = plan.sweep, len(plan.sweep)
-    camera = plan.scanner.camera
+def _turns(
+    sweep: SweepSource, scanner: Scanner, points: Points, off_frame: Callable[[int], Array | None]
+) -> list[_Turn]:
+    camera, count = scanner.camera, len(sweep)
     factor = max(2, -(-max(camera.width, camera.height) // _SIZE_PX))
     images: dict[int, np.ndarray | None] = {}
 
@@ -162,7 +168,7 @@ def _turns(plan: Plan, points: Points, table: Turntable, off_frame: Callable[[in
         stripe = points(one)
         if stripe is None or len(stripe) < _POINTS:
             continue
-        ways = _ways(plan.scanner.rig, _some(stripe), factor, max(camera.width, camera.height) // factor)
+        ways = _ways(scanner.rig, _some(stripe), factor, max(camera.width, camera.height) // factor)
         seen = image(one)
         if seen is None:
             continue
@@ -173,7 +179,7 @@ def _turns(plan: Plan, points: Points, table: Turntable, off_frame: Callable[[in
             if turned is not None:
                 alike, at_stripe = _correlation(strips, _strips(turned, ways.pixels))
                 # Beside the stripe on a thing that turns may be what does not.
-                alike = alike if table.carries == "scanner" else at_stripe
+                alike = alike if scanner.turntable.carries == "scanner" else at_stripe
                 turn = _judged(alike, at_stripe, ways.turns, float(said))
                 found += [] if turn is None else [turn]
     return found
@@ -197,18 +203,10 @@ def _reduced(frame: Array, factor: int, bracket: bool) -> np.ndarray:
     rows, columns = (size // factor for size in frame.shape)
     lines = frame[: rows * factor, : columns * factor].reshape(rows, factor, -1).sum(1, dtype=np.uint32)
     small = lines.reshape(rows, columns, factor).sum(2).astype(np.float32) / factor**2
-    small = small - _box(_box(small).T).T
+    small = small - box_mean(small[None], _FLAT_PX, _FLAT_PX)[0]
     # One bright edge is not worth more than many of a texture.
     most = float(np.quantile(np.abs(small), 0.98))
     return np.clip(small, -most, most)
-
-
-def _box(image: np.ndarray) -> np.ndarray:
-    """Means along the columns of a row."""
-    at = np.arange(image.shape[1])
-    first, stop = np.maximum(at - _FLAT_PX, 0), np.minimum(at + _FLAT_PX + 1, image.shape[1])
-    sums = np.pad(np.cumsum(image, 1, dtype=np.float64), ((0, 0), (1, 0)))
-    return ((sums[:, stop] - sums[:, first]) / (stop - first)).astype(np.float32)
 
 
 def _ways(rig: Rig, points: np.ndarray, factor: int, reach: int) -> _Ways:
