@@ -169,7 +169,7 @@ def extract_part(
             progress(int(sweep.record[batch.profiles[-1]]) + 1, len(sweep))
     if settings.check_steps:
         fields = pick_by_steps(fields, chosen, sweep.laser, sweep.angles[sweep.record])
-    clear, decoys = watch.compared(learned.find, plan.size)
+    clear, decoys = watch.compared(learned.find_shared, plan.size)
     return StripePart(fields, clear, decoys, watch.found, learned.notes, learned.noise)
 
 
@@ -249,6 +249,10 @@ class Learned:
     def find(self, batch: Batch) -> ChunkStripes:
         """The stripes of a batch of frames."""
         return self.engines[batch.laser].extract(batch.on, batch.off, self.plan.size)
+
+    def find_shared(self, batch: Batch) -> ChunkStripes:
+        """The same by all cores together."""
+        return self.engines[batch.laser].extract_shared(batch.on, batch.off, self.plan.size)
 
     def colours(self, batch: Batch, found: ChunkStripes) -> np.ndarray:
         """The colours of the stripes of a batch."""

@@ -381,7 +381,7 @@ def fit_stripe(
         return delta, pivot, explained, (about, first)
 
     def step(state):
-        number, moving, u, amplitude, squared, base, _ = state
+        number, moving, u, amplitude, squared, base, *_ = state
         delta, pivot, _, _ = solved(u, amplitude, squared, base, 3)
         width = jnp.sqrt(squared)
         by_u, by_w = delta[-1] / amplitude, delta[-2] / amplitude
@@ -401,6 +401,7 @@ def fit_stripe(
             jnp.clip(wider, _SMALLEST, most),
             base + delta[0] if free else base,
             width * by_u,
+            taller * taller * pivot / squared,
         )
         # A candidate at rest stays as it is, so that none depends on its neighbours.
         return number + 1, *jax.tree.map(lambda new, old: jnp.where(moving, new, old), after, state[1:])
@@ -409,11 +410,15 @@ def fit_stripe(
     squared = jnp.clip((start.width / window.step) ** 2 + pixel, _SMALLEST, most)
     # Integration over a pixel keeps the area.
     lower = start.amplitude * start.width / window.step / jnp.sqrt(squared)
-    first = (jnp.int32(0), moving, start.u / window.step, lower, squared, base, jnp.zeros_like(start.u))
+    first = (jnp.int32(0), moving, start.u / window.step, lower, squared, base, *(jnp.zeros_like(start.u),) * 2)
     # GPUs may multiply float32 matrices with 10 bits otherwise.
     with jax.default_matmul_precision("highest"):
-        _, _, u, amplitude, squared, base, last = lax.while_loop(lambda state: jnp.any(state[1]), step, first)
-        _, pivot, explained, (about, moments_of) = solved(u, amplitude, squared, base, 4)
+        # The information is that of the last step: about the fitted width, which noise makes too narrow as often as too
+        # wide, the sigmas of faint stripes would be too small.
+        _, _, u, amplitude, squared, base, last, information = lax.while_loop(
+            lambda state: jnp.any(state[1]), step, first
+        )
+        _, _, explained, (about, moments_of) = solved(u, amplitude, squared, base, 4)
         gauss, residual, weight, spread = modelled(u, amplitude, squared, base)
         # Where steps are not at their end, what the next would explain is no misfit.
         chi2 = jnp.maximum(powers[0] @ (weight * residual * residual) - explained, 0.0)
@@ -423,7 +428,6 @@ def fit_stripe(
     shifted = (about[4] - 3.0 * about[2]) ** 2 / jnp.maximum(about[2], 1e-12)
     cubic = about[6] - 6.0 * about[4] + 9.0 * about[2] - shifted
     skew = 6.0 * (moments_of[3] - 3.0 * moments_of[1]) / jnp.maximum(amplitude * cubic, 1e-12)
-    information = amplitude * amplitude * pivot / squared
     determined = information > 0
     width = jnp.sqrt(jnp.maximum(squared - pixel, (MIN_WIDTH_PX / window.step) ** 2))
     return Fit(

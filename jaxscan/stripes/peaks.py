@@ -126,12 +126,12 @@ def find_peaks(
         key = folded(jnp.maximum, keys)
         at = _LAST - (key & _LAST)
         base, threshold = kept(some, bases, at)
-        may = 2 * (key >> _INDEX_BITS) + 1 >= threshold
+        may = 2 * (key >> _INDEX_BITS) + 1 >= threshold.astype(jnp.int32)
         of = lambda line: (at[line], base if base.ndim == 0 else base[line], threshold[line])
         exists, before, after, first, last = in_blocks(may, lambda line, _: measured(line, *of(line)))
         place = _LAST - (keys & _LAST)
         # What may not be a candidate has no zone, and all that is left on its line is lower still.
-        left = jnp.where((place <= first) | (place >= last), keys, 0)
+        left = jnp.where((place <= first[None]) | (place >= last[None]), keys, 0)
         centre = LATTICE_PX * (at.astype(jnp.float32) + 0.5 * (after - before)) + (0.5 if pitch == 1 else 0.0)
         return left, (exists, centre, LATTICE_PX * (before + after))
 
