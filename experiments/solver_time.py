@@ -30,10 +30,12 @@ from worlds.ideal_boards import PosePlan, add_noise, draw_poses, ideal_boards
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
 from jaxscan.calibration.seed import average_placements
 from jaxscan.calibration.solve.assemble import make_problem
-from jaxscan.calibration.solve.levenberg_marquardt import solve
+from jaxscan.calibration.solve.joint import priors, solve
 from jaxscan.calibration.solve.prepare import prepare
-from jaxscan.calibration.solve.problem import Problem, Step, move, zero_step
-from jaxscan.calibration.solve.residuals import residuals
+from jaxscan.calibration.solve.problem import Problem, camera_from_board, move, zero_step
+from jaxscan.calibration.solve.rows import corner_rows, stripe_rows
+from jaxscan.geometry import Array, invert
+from jaxscan.leastsq import Unknowns
 
 
 TOLERANCE, MAX_STEPS, DAMPING = 1e-8, 60, 1e-4
@@ -76,8 +78,31 @@ def joint_problem() -> Problem:
     stripe = observed.stripes.valid / (trials.STRIPE_PX * 1.5e-3)
     problem = eqx.tree_at(lambda p: (p.corner_weight, p.stripe_weight), problem, (corner, stripe))
     random, step = np.random.default_rng(1), zero_step(problem)
-    off = Step(SHARED_OFF * random.normal(size=step.shared.shape), LOCAL_OFF * random.normal(size=step.local.shape))
+    off = Unknowns(SHARED_OFF * random.normal(size=step.shared.shape), LOCAL_OFF * random.normal(size=step.local.shape))
     return move(jax.tree.map(jnp.asarray, off), jax.tree.map(jnp.asarray, problem))
+
+
+def residuals(step: Unknowns, problem: Problem) -> tuple[Array, Array, Array]:
+    """Whitened residuals of corners, stripes and priors as any solver may differentiate them by a step.
+
+    As in the solve, derivatives are formed once per point, by the few departures of its view.
+    """
+    moved = move(step, problem)
+    fixed = jax.lax.stop_gradient(moved)
+    corners, (stripes, _) = corner_rows(fixed), stripe_rows(fixed)
+    turn = jnp.matmul(jax.vmap(invert)(camera_from_board(fixed)), camera_from_board(moved))
+    twist = jnp.stack([turn[:, 0, 3], turn[:, 1, 3], turn[:, 2, 3], turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], 1)
+    twist = twist - jax.lax.stop_gradient(twist)
+    camera, board = moved.camera.parameters() - fixed.camera.parameters(), moved.shape - fixed.shape
+    numbers = lambda p: jnp.concatenate([p.lasers.normal, p.lasers.distance[:, None], p.lasers.bow], axis=1)
+    sheet = (numbers(moved) - numbers(fixed))[problem.stripe_laser]
+    spread = lambda values, like: jnp.broadcast_to(values, (len(like), len(values)))
+    corner = jnp.concatenate([spread(camera, twist), twist, spread(board, twist)], axis=1)
+    stripe = twist[problem.stripe_view]
+    stripe = jnp.concatenate([spread(camera, sheet), stripe, spread(board[:2], sheet), sheet], axis=1)
+    linear = lambda rows, away: rows.value + jnp.einsum("ord,od->or", rows.slopes, away)
+    weight = jnp.repeat(problem.corner_weight, 2, axis=1)
+    return linear(corners, corner) * weight, linear(stripes, stripe) * problem.stripe_weight, priors(moved)
 
 
 @eqx.filter_jit
@@ -89,12 +114,12 @@ def by_optimistix(problem: Problem, linear: lx.AbstractLinearSolver) -> tuple[Pr
 
 
 def by_block_arrow(problem: Problem) -> tuple[Problem, Any, Any]:
-    """Ours, a loop on the host."""
+    """Ours: optimistix' loop and trust region, with the step of a block arrow."""
     found = solve(problem, DAMPING, TOLERANCE, MAX_STEPS)
     return found.problem, found.steps, found.converged
 
 
-def step_to(end: Problem, problem: Problem) -> Step:
+def step_to(end: Problem, problem: Problem) -> Unknowns:
     """The one step from the start to an end that many steps may have led to; directions do not simply add."""
     flat, shaped = ravel_pytree(zero_step(problem))
     parts = lambda p: ravel_pytree((p.camera, p.lasers, p.turntable, p.poses, p.shape))[0]
@@ -134,7 +159,7 @@ def joint(solver: str, file: str, repeats: int) -> dict[str, Any]:
         step = step_to(end, problem)
         left = residuals(step, problem)
         start = residuals(zero_step(problem), problem)
-        error = np.asarray(start.corner) / trials.CORNER_PX**-1
+        error = np.asarray(start[0]) / trials.CORNER_PX**-1
         return {
             "seconds": min(times),
             "first_s": first,

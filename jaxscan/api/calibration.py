@@ -6,7 +6,7 @@ from dataclasses import replace
 from importlib import metadata
 
 from jaxscan.api.ahead import Ahead, tell
-from jaxscan.api.rehearsal import JUDGE, SOLVE, rehearsal
+from jaxscan.api.rehearsal import SOLVE, rehearsal
 from jaxscan.calibration import (
     NOTHING_KNOWN,
     Calibration,
@@ -106,7 +106,7 @@ def calibrate(
     stripes = bool(plan_calibration(captures, settings=settings, known=known).lasers)
     board, eyes, looks = common_board(captures, single_lasers=stripes), _eyes(), 2 if redetect else 1
     _part(progress, 0, looks)(0, sum(len(capture) for capture in captures))
-    jobs = rehearsal(captures, board, settings, stripes=stripes, again=redetect) if known == NOTHING_KNOWN else []
+    jobs = rehearsal(captures, board, settings, stripes=stripes) if known == NOTHING_KNOWN else []
     with Ahead(jobs) as ahead:
         tell(progress, "finding corners and stripes" if stripes else "finding corners")
         seen = look_at_boards(captures, board, eyes, with_stripes=stripes, progress=_part(progress, 0, looks))
@@ -119,7 +119,6 @@ def calibrate(
         if redetect and result.quality.converged:
             tell(progress, "looking again at predicted places")
             again = look_again(captures, seen, solved_rig(result), eyes, progress=_part(progress, 1, looks))
-            ahead.wait(JUDGE, progress)
             tell(progress, "solving again, with a verdict")
             second = calibrate_observations(to_observations(captures, again), settings=settings, known=known)
             result, gains = choose(result, second)

@@ -4,7 +4,6 @@ The code depends on the number of records, the board and the rig, which header a
 """
 
 import contextlib
-import functools
 import hashlib
 import threading
 from collections.abc import Callable, Hashable, Sequence
@@ -16,7 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxscan.calibration import CalibrationSettings, calibrate_observations
+from jaxscan.calibration import CalibrationSettings, calibrate_observations, rounded_sizes
 from jaxscan.errors import OutputError
 from jaxscan.files.capture import Capture
 from jaxscan.files.disk import write_atomically
@@ -25,8 +24,8 @@ from jaxscan.geometry.scanner import UP_VECTORS
 from jaxscan.observation import BoardViews, Observations, StripeViews
 
 
-SOLVE, JUDGE = "solver", "verdict"
-"""Names of the jobs, in their order."""
+SOLVE = "solver"
+"""Name of the job."""
 _NOISE_PX = 0.05
 _TILT_RAD = 0.45
 # A board fills about half of the image, seen by a lens of this focal length in widths of the image.
@@ -41,43 +40,34 @@ _one_at_a_time = threading.Lock()
 
 
 def rehearsal(
-    captures: Sequence[Capture], board: AbstractBoard, settings: CalibrationSettings, *, stripes: bool, again: bool
+    captures: Sequence[Capture], board: AbstractBoard, settings: CalibrationSettings, *, stripes: bool
 ) -> list[tuple[str, Callable[[], Any]]]:
-    """The jobs that compile the code of a calibration; none where it is compiled: for the second calibration of its
-    kind in a process, or with a cache of compiled code on disk.
+    """The job that compiles the code of a calibration; none where it is compiled: for the second calibration of its
+    kind in a process, or with a cache of compiled code on disk. A verdict compiles nothing.
 
     Args:
         captures: Captures of a board by a still rig or one with a turntable; for others there are no jobs.
         board: That board.
         settings: Settings of the solve.
         stripes: Whether stripes are looked for.
-        again: Whether there is a second look.
     """
     first, count = captures[0], sum(len(capture) for capture in captures)
     if first.carries == "linear" or count < 3:
         return []
     # The code knows rounded numbers of views and corners, and no size of images.
-    sizes = count.bit_length(), len(board.corners()).bit_length(), len(first.lasers), first.carries
-    key = ("calibration", *sizes, settings.camera, settings.free, settings.only, settings.judge, stripes, again)
+    sizes = rounded_sizes(count, len(board.corners())), len(first.lasers), first.carries
+    key = ("calibration", *sizes, settings.camera, settings.free, settings.only, stripes)
     with _one_at_a_time:
         if key in _rehearsed or _is_kept(key):
             return []
         _rehearsed.add(key)
-    made_up = functools.cache(lambda: _observations(captures, board, stripes=stripes))
 
     def solve() -> None:
-        calibrate_observations(made_up(), settings=replace(settings, judge=settings.judge and not again))
-
-    def judge() -> None:
-        calibrate_observations(made_up(), settings=settings)
-
-    *jobs, (name, last) = [(SOLVE, solve), (JUDGE, judge)] if again else [(SOLVE, solve)]
-
-    def end() -> None:
-        last()
+        made_up = _observations(captures, board, stripes=stripes)
+        calibrate_observations(made_up, settings=replace(settings, judge=False))
         _remember(key)
 
-    return [*jobs, (name, end)]
+    return [(SOLVE, solve)]
 
 
 def _is_kept(kind: Hashable) -> bool:

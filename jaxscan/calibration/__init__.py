@@ -9,4 +9,5 @@ from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rigs import Rig, planned_rig
 from jaxscan.calibration.second_look import choose, solved_rig
 from jaxscan.calibration.settings import CalibrationSettings
+from jaxscan.calibration.solve import rounded_sizes
 from jaxscan.calibration.verdict import Missed, ModelTest, Quality, SecondLook, Verdict, ViewQuality

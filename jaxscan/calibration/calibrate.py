@@ -24,7 +24,6 @@ from jaxscan.calibration.seed import (
 )
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve import Adjustment, Prepared, adjust, make_problem, not_converged, prepare
-from jaxscan.calibration.solve.noise import huber_weights
 from jaxscan.calibration.solve.problem import Problem
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import (
@@ -38,6 +37,7 @@ from jaxscan.geometry import (
     stack_lasers,
 )
 from jaxscan.geometry.scanner import UP_VECTORS
+from jaxscan.leastsq import Huber
 from jaxscan.observation import Observations, with_lasers
 
 
@@ -213,7 +213,7 @@ def _lowest(starts: list[Problem], data: Prepared, settings: CalibrationSettings
 
     def cost(found: Adjustment) -> float:
         size = np.linalg.norm(found.corner_error, axis=-1)[data.corner_valid] / data.corner_sigma[data.corner_valid]
-        return float(np.sum(huber_weights(size, settings.huber) ** 2 * size**2))
+        return float(np.sum((Huber(settings.huber).weights(size) * size) ** 2))
 
     return min((adjust(start, data, settings, rejection=False) for start in starts), key=cost)
 

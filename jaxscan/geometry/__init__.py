@@ -4,7 +4,7 @@ from jaxscan.geometry.arrays import MAX_PIXELS, Array, namespace
 from jaxscan.geometry.board import AbstractBoard, BowedBoard, Charuco, Chessboard, bend_functions, corner_frame
 from jaxscan.geometry.boards import DICTIONARIES, AprilGrid, BoardPicture, Circles, check_board, known_dictionary
 from jaxscan.geometry.cameras import CAMERAS, AbstractCamera, CameraModel, DoubleSphere, Fisheye, Pinhole
-from jaxscan.geometry.covariance import root_of
+from jaxscan.geometry.covariance import root_of, square_root
 from jaxscan.geometry.fit import AxisFit, PlaneFit, fit_axis, fit_plane, plane_sigma
 from jaxscan.geometry.homography import apply_homography, direct_homography, fixes_plane
 from jaxscan.geometry.kinematics import lit_points, lit_slopes, pixels, points, poses, rays, slopes

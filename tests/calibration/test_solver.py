@@ -12,15 +12,22 @@ import pytest
 from jaxscan.calibration import CalibrationSettings
 from jaxscan.calibration.parameters import BLOCKS, board_blocks
 from jaxscan.calibration.solve.assemble import parameter_scales, prior_weights
-from jaxscan.calibration.solve.blocks import schur_step
-from jaxscan.calibration.solve.evaluate import moved
-from jaxscan.calibration.solve.linearised import linearise
+from jaxscan.calibration.solve.joint import linearise, priors, solve
 from jaxscan.calibration.solve.noise import noise_by_class
 from jaxscan.calibration.solve.prepare import prepare
-from jaxscan.calibration.solve.problem import BoardModes, Problem, Step, camera_from_board, move, zero_step
-from jaxscan.calibration.solve.residuals import residuals
+from jaxscan.calibration.solve.problem import (
+    BoardModes,
+    Problem,
+    board_surface,
+    camera_from_board,
+    corner_pixels,
+    move,
+    shared_values,
+    zero_step,
+)
 from jaxscan.calibration.solve.rows import stripe_rows
 from jaxscan.geometry import LaserSheet, Pinhole, Turntable, exponential, make_layout, stack_lasers
+from jaxscan.leastsq import Unknowns, solve_arrow
 
 
 LAYOUT = make_layout(
@@ -78,13 +85,41 @@ def problem(world):
     )
 
 
+def residuals(step, problem):
+    """All whitened residuals, as they are defined; a function that can be differentiated."""
+    there = move(step, problem)
+    corner = (corner_pixels(there) - there.corner_q) * jnp.asarray(there.corner_weight)[..., None]
+    poses = camera_from_board(there)[there.stripe_view]
+    rays = there.camera.unproject(jnp.asarray(there.stripe_q))
+    # Stripes say nothing of the pitch: see `stripe_rows`.
+    board = board_surface(eqx.tree_at(lambda p: p.shape, there, jnp.asarray(there.shape).at[2].set(0.0)))
+    along, _ = board.meet(poses[:, None], rays)
+    sheet = jax.tree.map(lambda leaf: leaf[0], there.lasers)
+    return corner, sheet.offset(along[..., None] * rays) * there.stripe_weight, priors(there)
+
+
+def dense_jacobian(ours):
+    """Of all residuals by the shared unknowns, then the poses of all placements."""
+    problem, shared = ours.problem, len(LAYOUT.names)
+    rows, count = [], shared + 6 * len(problem.poses)
+    for slopes, chain, owner in (
+        (ours.corner_slopes, ours.corner_chain, problem.placement),
+        (ours.stripe_slopes, ours.stripe_chain, problem.stripe_placement()),
+    ):
+        for own, placement in zip(slopes @ chain, owner, strict=True):
+            row = np.zeros((len(own), count))
+            row[:, :shared], row[:, shared + 6 * placement :][:, :6] = own[:, :shared], own[:, shared:]
+            rows.append(row)
+    rows.append(np.pad(ours.seen.priors, ((0, 0), (0, count - shared))))
+    return np.concatenate(rows)
+
+
 @pytest.fixture(scope="module")
 def dense(problem):
-    """Residual vector and dense Jacobian [residuals, shared + local]."""
-    start = zero_step(problem)
-    flat, unravel = jax.flatten_util.ravel_pytree(start)
+    """Residual vector as it is defined, and our dense Jacobian [residuals, shared + local]."""
+    flat, unravel = jax.flatten_util.ravel_pytree(zero_step(problem))
     vector = jax.jit(lambda y: jax.flatten_util.ravel_pytree(residuals(unravel(y), problem))[0])
-    return vector, np.asarray(jax.jit(jax.jacfwd(vector))(flat)), np.asarray(flat)
+    return vector, dense_jacobian(linearise(problem)), np.asarray(flat)
 
 
 def test_derivatives_are_those_of_finite_differences(dense):
@@ -105,9 +140,9 @@ def test_derivatives_are_those_of_finite_differences(dense):
 
 def test_the_step_is_that_of_dense_least_squares(problem, dense):
     vector, jacobian, flat = dense
-    blocks = linearise(problem).blocks
+    arrow = jax.tree.map(jnp.asarray, linearise(problem).arrow)
     for damping in (0.0, 1e-3, 1.0):
-        shared, local = schur_step(blocks, damping)
+        shared, local = jax.jit(solve_arrow)(arrow, damping)
         ours = np.concatenate([shared, local.ravel()])
         damped = np.sqrt(damping) * np.diag(np.sqrt(np.sum(jacobian**2, axis=0)))
         system = np.concatenate([jacobian, damped])
@@ -134,9 +169,50 @@ def test_information_and_leverages_are_those_of_the_dense_jacobian(problem, dens
     covariance = inverse / np.outer(size, size)
     shared = covariance[: len(LAYOUT.names), : len(LAYOUT.names)]
     sigma = np.sqrt(np.diag(shared))
-    np.testing.assert_allclose(
-        np.linalg.inv(ours.reduced) / np.outer(sigma, sigma), shared / np.outer(sigma, sigma), atol=1e-6
+    for ours_too in (np.linalg.inv(ours.reduced), ours.covariance.shared):
+        np.testing.assert_allclose(ours_too / np.outer(sigma, sigma), shared / np.outer(sigma, sigma), atol=1e-6)
+
+
+def test_the_minimum_is_that_of_dense_least_squares(problem):
+    # Observations of the problem's own rig, with noise, seen from a start that is tens of pixels off.
+    random, few = np.random.default_rng(0), ("focal", "centre", "laser", "axis", "warp")
+    stripe_q = np.asarray(problem.stripe_q)
+    for _ in range(4):
+        near = linearise(replace(problem, stripe_q=stripe_q))
+        stripe_q = stripe_q - near.by_q * (near.offset / np.maximum(near.slope, 1e-9) ** 2)[..., None]
+    corner_q = corner_pixels(problem) + 0.1 * random.normal(size=problem.corner_q.shape)
+    true = replace(
+        problem,
+        corner_q=corner_q,
+        stripe_q=stripe_q + 0.1 * random.normal(size=stripe_q.shape),
+        scales=parameter_scales(LAYOUT, few),
+        expected=np.asarray(shared_values(problem)),
+        prior_weight=prior_weights(LAYOUT, CalibrationSettings(free=few)),
     )
+    off = Unknowns(random.normal(size=len(LAYOUT.names)), 0.3 * random.normal(size=(len(problem.poses), 6)))
+    begin = move(off, true)
+    ours = solve(begin, 1e-4, 1e-9, 100)
+    assert ours.converged
+    assert np.sqrt(np.mean(linearise(begin).corner_error ** 2)) > 5.0
+    # Gauss' and Newton's steps by dense linear algebra, from the truth.
+    theirs, free = true, np.flatnonzero(np.append(true.scales, np.ones(6 * len(true.poses))))
+    for _ in range(20):
+        at = linearise(theirs)
+        jacobian = dense_jacobian(at)[:, free]
+        size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+        step = np.zeros(len(true.scales) + 6 * len(true.poses))
+        step[free] = (
+            -np.linalg.lstsq(jacobian / size, np.concatenate([part.ravel() for part in at.residuals]))[0] / size
+        )
+        theirs = move(Unknowns(step[: len(true.scales)], step[len(true.scales) :].reshape(-1, 6)), theirs)
+    seen = lambda at: np.concatenate([part.ravel() for part in at.residuals])
+    np.testing.assert_allclose(seen(ours.linearised), seen(linearise(theirs)), atol=1e-9)
+    # Frames of tangents depend on the way.
+    parts = lambda p: (p.camera, p.lasers.normal, p.lasers.distance, p.turntable.twist(), p.poses, p.shape)
+    ours_too, same = (
+        np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(parts(p))]) for p in (ours.problem, theirs)
+    )
+    np.testing.assert_allclose(ours_too, same, rtol=1e-9, atol=1e-9)
 
 
 def test_stripe_rows_are_the_distance_of_the_lifted_point_from_the_sheet(problem):
@@ -171,7 +247,7 @@ def test_stripe_rows_are_the_distance_of_the_lifted_point_from_the_sheet(problem
 
 def test_held_parameters_do_not_move(problem):
     held = eqx.tree_at(lambda p: p.scales, problem, parameter_scales(LAYOUT, ("focal", "laser")))
-    shared, _ = schur_step(linearise(held).blocks, 1e-3)
+    shared, _ = solve_arrow(linearise(held).arrow, 1e-3)
     free = {name for name, value in zip(LAYOUT.names, shared, strict=True) if value != 0}
     assert free == {"fx", "fy", "laser.0.n1", "laser.0.n2", "laser.0.d"}
 
@@ -184,19 +260,20 @@ def test_padding_changes_no_sum_and_has_no_error(problem):
         values = getattr(problem, name)
         return np.concatenate([values, np.zeros((9, *values.shape[1:]), values.dtype)])
 
+    cost = lambda at: sum(np.sum(part**2) for part in at.residuals)
     padded, ours = linearise(replace(problem, **{name: more(name) for name in fields})), linearise(problem)
-    assert padded.cost == pytest.approx(ours.cost, rel=1e-12)
-    for one, other in zip(padded.blocks, ours.blocks, strict=True):
+    assert cost(padded) == pytest.approx(cost(ours), rel=1e-12)
+    for one, other in zip(padded.arrow, ours.arrow, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12 * np.abs(other).max())
     np.testing.assert_allclose(padded.stripe_leverage[:4], ours.stripe_leverage, rtol=1e-9, atol=1e-12)
     assert not padded.corner_error[5:].any() and not padded.offset[4:].any()
 
 
-def test_poses_move_alike_in_parts_and_at_once(problem):
+def test_a_step_is_the_same_in_numpy_and_in_jax(problem):
     random = np.random.default_rng(0)
     many = replace(problem, poses=np.tile(problem.poses, (20, 1, 1)))
-    step = Step(1e-3 * random.normal(size=len(LAYOUT.names)), 1e-2 * random.normal(size=(80, 6)))
-    apart, at_once = moved(step, many), jax.jit(move)(step, many)
+    step = Unknowns(1e-3 * random.normal(size=len(LAYOUT.names)), 1e-2 * random.normal(size=(80, 6)))
+    apart, at_once = move(step, many), jax.jit(move)(step, many)
     np.testing.assert_allclose(apart.poses, at_once.poses, atol=1e-15)
     np.testing.assert_allclose(apart.camera.distortion, at_once.camera.distortion, atol=1e-15)
 
@@ -204,7 +281,7 @@ def test_poses_move_alike_in_parts_and_at_once(problem):
 def test_a_step_moves_the_camera_as_it_says(problem):
     step = np.zeros(len(LAYOUT.names))
     step[LAYOUT.names.index("cx")] = 1.0
-    moved = jax.jit(move)(Step(jnp.asarray(step), jnp.zeros((4, 6))), problem)
+    moved = jax.jit(move)(Unknowns(jnp.asarray(step), jnp.zeros((4, 6))), problem)
     assert float(moved.camera.cx) == pytest.approx(640.0 + problem.scales[LAYOUT.names.index("cx")])
     np.testing.assert_allclose(moved.poses, problem.poses, atol=1e-15)
 

@@ -99,7 +99,7 @@ def test_code_that_is_kept_on_disk_is_not_rehearsed_again(tiny, kept, monkeypatc
     def rehearse(*, in_another_process):
         if in_another_process:
             monkeypatch.setattr(rehearsals, "_rehearsed", set())
-        return rehearsals.rehearsal(captures, board, CalibrationSettings(), stripes=True, again=False)
+        return rehearsals.rehearsal(captures, board, CalibrationSettings(), stripes=True)
 
     ((_, job),) = rehearse(in_another_process=True)
     assert rehearse(in_another_process=False) == []

@@ -6,13 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxscan.leastsq import covariance_of, solve_arrow
 from jaxscan.recalibration import KnownLength, RecalibrationSettings, Start, Tracks
 from jaxscan.recalibration.adjust import triangulate_points
-from jaxscan.recalibration.adjust.blocks import solve_blocks
+from jaxscan.recalibration.adjust.blocks import unknowns_of
 from jaxscan.recalibration.adjust.prepare import prepare
 from jaxscan.recalibration.adjust.room import ANGLE_SCALE
 from jaxscan.recalibration.adjust.rows import length_values
-from jaxscan.recalibration.adjust.solver import covariance_of, linearise, step_of
+from jaxscan.recalibration.adjust.solver import linearise, step_of
 from tests.recalibration.small_room import SIGMA, exact_sweep, observe, stored, truth_scanner, with_covariance
 
 
@@ -134,17 +135,18 @@ def test_step_and_covariance_are_those_of_a_dense_least_squares(everything):
     assert used.sum() > 21 + 6 + 90 + 12
     size = np.linalg.norm(jacobian[:, used], axis=0)
     expected = np.linalg.lstsq(jacobian[:, used] / size, residual, rcond=None)[0]
-    covariance = covariance_of(at.blocks)
-    found = step_of(room, at.blocks, covariance)
+    covariance = covariance_of(at.arrow)
+    found = step_of(room, at.arrow, covariance)
     found = np.concatenate([np.ravel(part) for part in found])[used] * size
     # Normal equations of a condition of 1e10 lose as many digits.
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
-    jitted = np.concatenate([np.ravel(part) for part in solve_blocks(room, y, at.blocks, jnp.zeros(()))])
+    in_jax = jax.jit(solve_arrow)(jax.tree.map(jnp.asarray, at.arrow))
+    jitted = np.concatenate([np.ravel(part) for part in unknowns_of(room, *in_jax)])
     np.testing.assert_allclose(jitted[used] * size, expected, atol=1e-4 * np.abs(expected).max())
     inverse = np.linalg.inv((jacobian[:, used] / size).T @ (jacobian[:, used] / size)) / np.outer(size, size)
     free = np.flatnonzero(used[: len(y.scanner)])
     own = inverse[: len(free), : len(free)]
-    np.testing.assert_allclose(covariance.dense[np.ix_(free, free)], own, rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(covariance.shared[np.ix_(free, free)], own, rtol=1e-3, atol=1e-6)
 
 
 def test_four_upright_walls_leave_three_directions_to_the_prior():
@@ -160,7 +162,7 @@ def test_four_upright_walls_leave_three_directions_to_the_prior():
         weight[: len(observations.points.q)] = 1e4
         room = eqx.tree_at(lambda r: r.point_weight, prepared.room, weight)
         at = jax.tree.map(np.asarray, linearise(room, prepared.y))
-    information = covariance_of(at.blocks).information
+    information = covariance_of(at.arrow).information
     free = np.flatnonzero(np.abs(prepared.room.root).max(0) > 0)
     values = np.linalg.eigvalsh(information[np.ix_(free, free)])
     assert len(values) == 21

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration.solve.adjustment import Adjustment
-from jaxscan.calibration.solve.linearised import used_length
+from jaxscan.calibration.solve.joint import used_length
 from jaxscan.calibration.solve.problem import BoardModes
 from jaxscan.geometry import bend_functions
 
@@ -163,8 +163,11 @@ def _lifted(twist: np.ndarray, extra: BoardModes, frame: np.ndarray) -> Float[np
     along = twist[..., 2]
     safe = np.where(along == 0, 1.0, along)
     place = np.stack([-twist[..., 4] / safe, twist[..., 3] / safe], axis=-1)
-    functions = np.stack(bend_functions((place - frame[:2]) / frame[2:]), axis=-1)
-    return np.asarray(along[..., None] * (functions @ extra.height.T))
+    lifted = np.zeros((*along.shape, len(extra.height)))
+    # Stripe by stripe, so that the functions of its thousand points stay in the processor's cache.
+    for own, where, rise in zip(lifted, (place - frame[:2]) / frame[2:], along, strict=True):
+        own[...] = (extra.height @ np.stack(bend_functions(where)) * rise).T
+    return lifted
 
 
 def _regular(information: np.ndarray) -> np.ndarray:

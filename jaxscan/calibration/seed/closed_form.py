@@ -11,6 +11,7 @@ from jaxscan.geometry import (
     fit_plane,
     nearest_rotation,
 )
+from jaxscan.leastsq import MEDIAN_TO_SIGMA
 
 
 # Boards whose normals differ by less show the camera one vanishing line: focal length and
@@ -104,7 +105,7 @@ def seed_plane(points: np.ndarray, name: str) -> LaserSheet:
     for _ in range(5):
         plane = fit_plane(points)
         distance = np.abs(points @ plane.normal - plane.distance)
-        keep = distance <= 3.5 * 1.4826 * np.median(distance) + 1e-9
+        keep = distance <= 3.5 * MEDIAN_TO_SIGMA * np.median(distance) + 1e-9
         if keep.all():
             break
         points = points[keep]

@@ -4,6 +4,5 @@ from jaxscan.calibration.solve.adjust import adjust, adjust_further, not_converg
 from jaxscan.calibration.solve.adjustment import Adjustment
 from jaxscan.calibration.solve.assemble import make_problem, with_modes
 from jaxscan.calibration.solve.covariance import Determination, determine, undetermined_shares
-from jaxscan.calibration.solve.noise import keep_inliers, noise_component, robust_noise
-from jaxscan.calibration.solve.prepare import Prepared, prepare
+from jaxscan.calibration.solve.prepare import Prepared, prepare, rounded_sizes
 from jaxscan.calibration.solve.problem import bend_of

@@ -7,18 +7,13 @@ import numpy as np
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjustment import Adjustment, Errors
 from jaxscan.calibration.solve.covariance import undetermined_shares
-from jaxscan.calibration.solve.levenberg_marquardt import Solution, solve
-from jaxscan.calibration.solve.linearised import Linearised, linearise
-from jaxscan.calibration.solve.noise import (
-    correlation_along,
-    huber_weights,
-    keep_inliers,
-    robust_noise,
-)
+from jaxscan.calibration.solve.joint import Linearised, Solution, linearise, solve
+from jaxscan.calibration.solve.noise import correlation_along
 from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.calibration.solve.problem import Problem
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array
+from jaxscan.leastsq import Huber, keep_inliers, robust_noise
 from jaxscan.observation import CONTRAST_CLASSES
 
 
@@ -58,8 +53,8 @@ def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, r
         corner, stripe = state.errors.corner, state.errors.stripe
         noise = robust_noise(corner[data.corner_valid]), state.robust_stripe_noise()
         damp = (
-            huber_weights(np.abs(corner).max(-1) / noise[0], settings.huber),
-            huber_weights(np.abs(stripe) / noise[1][data.stripe_contrast], settings.huber),
+            Huber(settings.huber).weights(np.abs(corner).max(-1) / noise[0]),
+            Huber(settings.huber).weights(np.abs(stripe) / noise[1][data.stripe_contrast]),
         )
         state = _solved(replace(state, corner_noise=noise[0], stripe_noise=noise[1]), settings, _ROUGH, damp)
         # Without outliers there is nothing to be robust against.
@@ -197,7 +192,7 @@ def _solved(
     stripe = stripe / np.sqrt(state.stripe_correlation)
     weighted = replace(state.problem, corner_weight=corner, stripe_weight=stripe)
     damping = _SEED_DAMPING if state.steps == 0 else _NEAR_DAMPING
-    solution = solve(weighted, damping, tolerance, settings.max_steps, at=state.linearised.at)
+    solution = solve(weighted, damping, tolerance, settings.max_steps)
     return replace(
         state,
         linearised=solution.linearised,

@@ -5,10 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxscan.calibration.solve.linearised import Linearised
-from jaxscan.calibration.solve.noise import noise_by_class, noise_component, robust_noise
+from jaxscan.calibration.solve.joint import Linearised
+from jaxscan.calibration.solve.noise import noise_by_class
 from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.calibration.solve.problem import Problem
+from jaxscan.leastsq import noise_component, robust_noise
 from jaxscan.observation import CONTRAST_CLASSES
 
 

@@ -5,14 +5,12 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.calibration.parameters import is_mode
-from jaxscan.calibration.solve.linearised import Linearised
+from jaxscan.calibration.solve.joint import Linearised
+from jaxscan.leastsq import undetermined
 
 
 # Directions of which the priors know less than this share are the data's alone.
 _LEAST_SHARE = 1e-6
-# Eigenvalue of the information, scaled to a unit diagonal, that is rounding error: sums of some ten
-# thousand squares lose three digits, and inverting costs some more.
-_SINGULAR = 1e-11
 
 
 class Determination(NamedTuple):
@@ -30,21 +28,9 @@ class Determination(NamedTuple):
 
 
 def undetermined_shares(linearised: Linearised, scales: np.ndarray) -> np.ndarray:
-    """Length of each shared unknown's part in the null space of the information [shared], 0 ... 1.
-
-    All 0 where the information is regular. The whole null space counts: which of its vectors come
-    out of a decomposition is a matter of rounding.
-    """
-    free = np.flatnonzero(scales)
-    # The information after the poses are eliminated is compared with that before: where nothing
-    # is left, rounding error remains.
-    known = np.sqrt(linearised.known_poses[free])
-    shares = np.zeros(len(scales))
-    if np.any(known == 0):
-        shares[free] = known == 0
-        return shares
-    values, vectors = np.linalg.eigh(linearised.reduced[np.ix_(free, free)] / np.outer(known, known))
-    shares[free] = np.linalg.norm(vectors[:, values <= _SINGULAR], axis=1)
+    """How much of each shared unknown is undetermined [shared], 0 ... 1; see `undetermined`."""
+    free, shares = np.flatnonzero(scales), np.zeros(len(scales))
+    shares[free] = undetermined(linearised.arrow, free)
     return shares
 
 

@@ -1,4 +1,4 @@
-"""Size of the noise, its correlation along a stripe, and residuals too large to be noise."""
+"""Noise of classes of stripe points, and its correlation along a stripe."""
 
 from collections.abc import Callable
 
@@ -9,40 +9,9 @@ from jaxscan.observation import CONTRAST_CLASSES
 
 # A class with fewer points than this shows no noise of its own.
 _CLASS_POINTS = 60
-# The noise of data without any is taken as this share of the given sigma, so that weights stay finite.
-_MIN_NOISE = 1e-3
 # The correlation along a stripe is summed up to the lag where it is lost in its own noise, at most here.
 _MAX_LAG = 128
 _MAX_CORRELATION = 64.0
-
-
-def robust_noise(values: np.ndarray) -> float:
-    """Standard deviation by the median, which outliers do not move."""
-    return max(1.4826 * float(np.median(np.abs(values))), _MIN_NOISE) if values.size else 1.0
-
-
-def noise_component(residual: np.ndarray, leverage: np.ndarray, correlation: float = 1.0) -> float:
-    """Root of a group's variance component: squares over redundancy.
-
-    The redundancy is the count less the leverages; of rows that share errors, the fit takes up
-    `correlation` times as much.
-
-    Args:
-        residual: Whitened residuals [n].
-        leverage: Their shares taken up by the fit [n].
-        correlation: How many neighbours share one error [1].
-
-    Returns:
-        The noise in units of the sigma that the residuals were whitened with; 1 where the data
-        cannot say.
-
-    Source: Förstner's estimate of variance components; research of bundle adjustment (Triggs et
-    al., Bundle adjustment: a modern synthesis, 2000).
-    """
-    redundancy = len(residual) - correlation * leverage.sum()
-    if redundancy < 1.0:
-        return 1.0
-    return max(float(np.sqrt(np.sum(residual**2) / redundancy)), _MIN_NOISE)
 
 
 def noise_by_class(size: Callable[[np.ndarray], float], contrast: np.ndarray, count: np.ndarray) -> np.ndarray:
@@ -96,29 +65,3 @@ def correlation_along(residual: np.ndarray, keep: np.ndarray) -> float:
             break
         total += 2.0 * correlation
     return min(total, _MAX_CORRELATION)
-
-
-def huber_weights(size: np.ndarray, threshold: float) -> np.ndarray:
-    """Roots of the weights of Huber's estimate, for residuals of a size in standard deviations."""
-    return np.sqrt(np.minimum(1.0, threshold / np.maximum(size, threshold)))
-
-
-def keep_inliers(
-    size: np.ndarray, valid: np.ndarray, kept: np.ndarray, *, reject_any: float, reject_all: float
-) -> np.ndarray:
-    """Which observations stay: none goes unless one is plainly wrong, then all large ones do.
-
-    Honest data with its few values of 4 standard deviations is left whole.
-
-    Args:
-        size: Standardised residuals, at least 0.
-        valid: Which count at all.
-        kept: Those kept so far.
-        reject_any: Size from which one is plainly wrong.
-        reject_all: Size beyond which all go then.
-
-    Source: mrcal, `markOutliers`.
-    """
-    if not np.any(valid & kept & (size > reject_any)) and kept[valid].all():
-        return kept
-    return valid & (size <= reject_all)

@@ -1,9 +1,6 @@
 """The joint problem: unknowns, observations and their weights."""
 
-from typing import NamedTuple
-
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -21,7 +18,9 @@ from jaxscan.geometry import (
     invert,
     make_layout,
     namespace,
+    transform,
 )
+from jaxscan.leastsq import Unknowns
 
 
 class BoardModes(eqx.Module):
@@ -91,22 +90,20 @@ def problem_layout(camera: AbstractCamera, lasers: LaserSheet, motion: AbstractM
     return make_layout(camera, names, motion=motion.blocks, board=board_blocks(modes))
 
 
-class Step(NamedTuple):
-    """A step from the point that `Problem` holds, in scaled units."""
-
-    shared: Float[Array, " shared"]
-    local: Float[Array, "placements 6"]
+def layout_of(problem: Problem) -> Layout:
+    """Where the shared unknowns of a problem stand."""
+    return problem_layout(problem.camera, problem.lasers, problem.turntable, problem.modes.corner.shape[-1])
 
 
-def zero_step(problem: Problem) -> Step:
+def zero_step(problem: Problem) -> Unknowns:
     """No step, in the shapes of the problem."""
-    return Step(jnp.zeros_like(problem.scales), jnp.zeros((problem.poses.shape[0], 6), problem.scales.dtype))
+    return Unknowns(jnp.zeros_like(problem.scales), jnp.zeros((problem.poses.shape[0], 6), problem.scales.dtype))
 
 
-def move(step: Step, problem: Problem) -> Problem:
-    """The same problem seen from the point that `step` leads to."""
+def move(step: Unknowns, problem: Problem) -> Problem:
+    """The same problem seen from the point that a step in scaled units leads to, poses in the boards' own frames."""
     shared = step.shared * problem.scales
-    layout = problem_layout(problem.camera, problem.lasers, problem.turntable, problem.modes.corner.shape[-1])
+    layout = layout_of(problem)
     moved = (
         problem.camera.retract(shared[layout.camera]),
         problem.lasers.retract(shared[layout.lasers].reshape(-1, 5)),
@@ -125,9 +122,16 @@ def camera_from_board(problem: Problem) -> Float[Array, "views 4 4"]:
 
 def board_points(problem: Problem) -> Float[Array, "corners 3"]:
     """Corners of the board as it is: of its true pitch, bowed, and shaped by its modes [m]."""
+    xp = namespace(problem)
     parabola = BowedBoard(problem.frame, problem.shape[:3])
-    points = jax.vmap(parabola.point)(jnp.asarray(problem.board)[:, :2])
-    return points + jnp.asarray(problem.modes.corner) @ jnp.asarray(problem.shape[3:])
+    points = parabola.point(xp.asarray(problem.board)[:, :2])
+    return points + xp.asarray(problem.modes.corner) @ xp.asarray(problem.shape[3:])
+
+
+def corner_pixels(problem: Problem) -> Float[Array, "views corners 2"]:
+    """Where all corners should be seen [px]; of an array at the place of a view without corners nothing is promised."""
+    points, poses = board_points(problem), camera_from_board(problem)
+    return problem.camera.project(transform(poses[:, None], points[None]))
 
 
 def bend_of(problem: Problem) -> tuple[np.ndarray, np.ndarray]:

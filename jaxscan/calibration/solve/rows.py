@@ -5,15 +5,29 @@ one board shape: the *departures* of a view. Derivatives by these are formed onc
 departures follow from the unknowns of the joint solve is a small matrix per view.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from jaxscan.calibration.solve.problem import Problem, Step, board_points, board_surface, camera_from_board, move
+from jaxscan.calibration.parameters import LOCAL_SCALE
+from jaxscan.calibration.solve.problem import (
+    Problem,
+    board_points,
+    board_surface,
+    camera_from_board,
+    layout_of,
+    move,
+    zero_step,
+)
 from jaxscan.geometry import AbstractCamera, Array, BowedBoard, LaserSheet, invert, transform
+
+
+# Stripes and views that are evaluated at once; of padding nothing is.
+_STRIPES, _VIEWS = 8, 24
 
 
 class Rows(NamedTuple):
@@ -21,36 +35,51 @@ class Rows(NamedTuple):
 
     value: Float[Array, "owners rows"]
     slopes: Float[Array, "owners rows departures"]
+    square: Float[Array, "owners departures departures"]
+    """S'S of the slopes over the standard deviations of their rows."""
+    gradient: Float[Array, "owners departures"]
+    """S'r of these and of the errors over the same."""
 
 
-class Departures(NamedTuple):
-    """First-order departures from a point: zero in value, right in derivative."""
+class Chains(NamedTuple):
+    """Derivatives of the departures of every view and stripe by the shared scaled unknowns, then the board's pose."""
 
-    corner: Float[Array, "views departures"]
+    corner: Float[Array, "views departures unknowns"]
     """Camera, pose of the board in the camera frame (translation, rotation; in board axes), board."""
-    stripe: Float[Array, "stripes departures"]
+    stripe: Float[Array, "stripes departures unknowns"]
     """The same with the board's heights alone; then normal, distance and bow of the sheet."""
 
 
-def departures(step: Step, problem: Problem) -> Departures:
-    """How the departures of every view and stripe follow from a step of the unknowns."""
-    moved = move(step, problem)
-    fixed = jax.lax.stop_gradient(moved)
-    camera = moved.camera.parameters() - fixed.camera.parameters()
-    board = moved.shape - fixed.shape
-    poses = camera_from_board(moved)
-    turn = jnp.matmul(jax.vmap(invert)(jax.lax.stop_gradient(poses)), poses)
-    # Of a motion next to the identity, the twist is read off the matrix.
-    twist = jnp.stack([turn[:, 0, 3], turn[:, 1, 3], turn[:, 2, 3], turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], 1)
-    twist = twist - jax.lax.stop_gradient(twist)
-    spread = lambda values, count: jnp.broadcast_to(values[None], (count, values.shape[0]))
+def chains(problem: Problem) -> Chains:
+    """How the departures follow the unknowns, in the frames of the point that the problem holds."""
+    start = jnp.zeros_like(problem.scales)
+    layout = layout_of(problem)
+
+    def numbers(shared):
+        moved = move(zero_step(problem)._replace(shared=shared), problem)
+        return moved.camera.parameters(), moved.shape, _sheet_numbers(moved.lasers)
+
+    def twist(shared):
+        # Of a motion next to the identity, the twist is read off the matrix.
+        moved = eqx.tree_at(
+            lambda p: p.turntable, problem, problem.turntable.retract(shared * problem.scales[layout.turntable])
+        )
+        turn = jnp.matmul(jax.lax.stop_gradient(jax.vmap(invert)(camera_from_board(problem))), camera_from_board(moved))
+        return jnp.stack([turn[:, 0, 3], turn[:, 1, 3], turn[:, 2, 3], turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], 1)
+
+    camera, board, sheets = (
+        jnp.pad(leaf, [(0, 0)] * (leaf.ndim - 1) + [(0, 6)]) for leaf in jax.jacfwd(numbers)(start)
+    )
     views, stripes = len(problem.corner_q), len(problem.stripe_q)
-    corner = jnp.concatenate([spread(camera, views), twist, spread(board, views)], axis=1)
-    sheets = _sheet_numbers(moved.lasers) - _sheet_numbers(fixed.lasers)
-    sheet = sheets[problem.stripe_laser] if len(sheets) else jnp.zeros((stripes, 6), twist.dtype)
+    # The board's pose moves in its own frame.
+    pose = jnp.zeros((views, 6, len(start) + 6), start.dtype).at[:, :, -6:].set(LOCAL_SCALE * jnp.eye(6))
+    pose = pose.at[:, :, layout.turntable].set(jax.jacfwd(twist)(start[layout.turntable]))
+    spread = lambda values, count: jnp.broadcast_to(values[None], (count, *values.shape))
+    corner = jnp.concatenate([spread(camera, views), pose, spread(board, views)], axis=1)
     heights = jnp.concatenate([board[:2], board[3 : 3 + len(problem.modes.height)]])
-    stripe = jnp.concatenate([spread(camera, stripes), twist[problem.stripe_view], spread(heights, stripes), sheet], 1)
-    return Departures(corner, stripe)
+    sheet = sheets[problem.stripe_laser] if len(sheets) else jnp.zeros((stripes, 6, len(start) + 6), start.dtype)
+    parts = spread(camera, stripes), pose[problem.stripe_view], spread(heights, stripes), sheet
+    return Chains(corner, jnp.concatenate(parts, axis=1))
 
 
 def _sheet_numbers(sheets: LaserSheet) -> Float[Array, "lasers 6"]:
@@ -82,11 +111,17 @@ def corner_rows(problem: Problem) -> Rows:
             [by_camera, turned, -turned @ _cross_matrix(point), turned @ by_shape_point], axis=1
         )
 
-    predicted, slopes = jax.vmap(lambda pose: jax.vmap(lambda x, b: corner(pose, x, b))(points, by_shape_points))(
-        camera_from_board(problem)
-    )
-    views = len(problem.corner_q)
-    return Rows((predicted - problem.corner_q).reshape(views, -1), slopes.reshape(views, -1, slopes.shape[-1]))
+    def view(pose, q, weight):
+        predicted, slopes = jax.vmap(lambda x, b: corner(pose, x, b))(points, by_shape_points)
+        return _rows((predicted - q).ravel(), slopes.reshape(-1, slopes.shape[-1]), jnp.repeat(weight, 2))
+
+    arrays = camera_from_board(problem), jnp.asarray(problem.corner_q), jnp.asarray(problem.corner_weight)
+    return _in_parts(view, problem.seen, arrays, _VIEWS)
+
+
+def _rows(value: Array, slopes: Array, weight: Array) -> Rows:
+    white = weight[:, None] * slopes
+    return Rows(value, slopes, white.T @ white, white.T @ (weight * value))
 
 
 def stripe_rows(problem: Problem) -> tuple[Rows, Float[Array, "stripes points 2"]]:
@@ -102,18 +137,40 @@ def stripe_rows(problem: Problem) -> tuple[Rows, Float[Array, "stripes points 2"
     if len(problem.lasers.distance) == 0:
         numbers = count + 14 + len(problem.modes.height)
         empty = jnp.zeros((*problem.stripe_q.shape[:2], numbers), problem.shape.dtype)
-        return Rows(empty[..., 0], empty), empty[..., :2]
+        square = jnp.zeros((len(empty), numbers, numbers), empty.dtype)
+        return Rows(empty[..., 0], empty, square, square[..., 0]), empty[..., :2]
 
     # Stripes say nothing of the pitch, which moves the bow by less than a thousandth of its height.
     board = board_surface(eqx.tree_at(lambda p: p.shape, problem, jnp.asarray(problem.shape).at[2].set(0.0)))
 
-    def stripe(pose, laser, q):
+    def stripe(pose, laser, q, weight):
         sheet = jax.tree.map(lambda leaf: leaf[laser], problem.lasers)
-        return jax.vmap(lambda q: _stripe_row(problem, board, pose, sheet, q))(q)
+        value, slopes, by_q = jax.vmap(lambda q: _stripe_row(problem, board, pose, sheet, q))(q)
+        return _rows(value, slopes, weight), by_q
 
     poses = camera_from_board(problem)[problem.stripe_view]
-    value, slopes, by_q = jax.vmap(stripe)(poses, problem.stripe_laser, problem.stripe_q)
-    return Rows(value, slopes), by_q
+    arrays = problem.stripe_laser, problem.stripe_q, problem.stripe_weight
+    return _in_parts(stripe, problem.lit, (poses, *map(jnp.asarray, arrays)), _STRIPES)
+
+
+def _in_parts(function: Callable[..., Any], there: Bool[Array, " owners"], arrays: tuple[Array, ...], most: int) -> Any:
+    """A function of every owner, some at a time; 0 for owners that are not there, which cost next to nothing."""
+    size = max((size for size in range(1, most + 1) if len(there) % size == 0), default=1)
+    empty = jax.tree.map(lambda leaf: jnp.zeros((size, *leaf.shape), leaf.dtype), _shape_of_one(function, arrays))
+    if not len(there):
+        return jax.tree.map(lambda leaf: leaf[:0], empty)
+
+    def some(part):
+        there, arrays = part
+        found = jax.lax.cond(jnp.any(there), lambda *arrays: jax.vmap(function)(*arrays), lambda *_: empty, *arrays)
+        return jax.tree.map(lambda leaf: jnp.where(there.reshape(-1, *(1,) * (leaf.ndim - 1)), leaf, 0), found)
+
+    parts = jax.tree.map(lambda leaf: leaf.reshape(-1, size, *leaf.shape[1:]), (jnp.asarray(there), arrays))
+    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), jax.lax.map(some, parts))
+
+
+def _shape_of_one(function: Callable[..., Any], arrays: tuple[Array, ...]) -> Any:
+    return jax.eval_shape(function, *(jax.ShapeDtypeStruct(array.shape[1:], array.dtype) for array in arrays))
 
 
 def _stripe_row(

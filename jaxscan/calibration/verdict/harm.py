@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjustment import Adjustment
-from jaxscan.calibration.solve.problem import problem_layout
+from jaxscan.calibration.solve.problem import layout_of
 from jaxscan.calibration.verdict.extra_terms import extents_of, lens_terms, radial_terms, sheet_terms
 from jaxscan.calibration.verdict.halves import Halves
 from jaxscan.calibration.verdict.judge import Judged, Missing, judge
@@ -69,7 +69,7 @@ def _has_structure(test: ModelTest, judged: Judged) -> bool:
 def _steps_of(result: Adjustment, missing: Missing, places: dict[str, np.ndarray]) -> tuple[np.ndarray, str | None]:
     """The steps of missing terms, and where in the image they tell most."""
     problem, where = result.problem, None
-    layout = problem_layout(problem.camera, problem.lasers, problem.turntable, problem.modes.corner.shape[-1])
+    layout = layout_of(problem)
     steps = [missing.shift * np.asarray(problem.scales)]
     has = lambda name: name in places and np.any(missing.size[places[name]] != 0)
     if has("lens") or has("radial"):

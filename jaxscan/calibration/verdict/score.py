@@ -8,16 +8,14 @@ The derivatives are there from the solve, so this is host arithmetic.
 Source: Rao's score test.
 """
 
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.solve.linearised import Linearised
-from jaxscan.calibration.solve.problem import Problem, Step, move, zero_step
-from jaxscan.calibration.solve.rows import corner_rows
+from jaxscan.calibration.solve.joint import Linearised
+from jaxscan.calibration.solve.problem import Problem, corner_pixels, move
 from jaxscan.calibration.verdict.extra_terms import (
     Extents,
     board_terms,
@@ -26,8 +24,7 @@ from jaxscan.calibration.verdict.extra_terms import (
     radial_terms,
     sheet_terms,
 )
-from jaxscan.compiling import compile_quickly
-from jaxscan.geometry import Array
+from jaxscan.leastsq import Unknowns
 
 
 class Score(NamedTuple):
@@ -216,18 +213,19 @@ def _mean_residual(problem: Problem, system: _System) -> Float[np.ndarray, "view
     follow = (cross @ np.linalg.solve(covariance, root)).T.reshape(count, -1, 6)
     alone = system.inverse[count:, count:] - cross @ np.linalg.solve(covariance, cross.T)
     own = np.stack([np.linalg.cholesky(alone[i : i + 6, i : i + 6]) for i in range(0, len(alone), 6)])
-    steps = Step(np.concatenate([root.T, np.zeros((6, count))]), np.concatenate([follow, np.moveaxis(own, 2, 0)]))
-    return np.asarray(_bend(problem, steps))
+    steps = Unknowns(np.concatenate([root.T, np.zeros((6, count))]), np.concatenate([follow, np.moveaxis(own, 2, 0)]))
+    return _bend(problem, steps)
 
 
-@compile_quickly
-def _bend(problem: Problem, steps: Step) -> Array:
+def _bend(problem: Problem, steps: Unknowns) -> Float[np.ndarray, "views rows"]:
     """Half the sum of second differences of the corner residuals along steps."""
-    errors = lambda step: corner_rows(move(step, problem)).value
-    here = errors(zero_step(problem))
-
-    def add(total, step):
-        back = jax.tree.map(jnp.negative, step)
-        return total + errors(step) + errors(back) - 2.0 * here, None
-
-    return 0.5 * jax.lax.scan(add, jnp.zeros_like(here), steps)[0]
+    seen = np.flatnonzero(problem.seen)
+    fields = ("corner_q", "corner_weight", "angle", "placement", "seen")
+    parts: dict[str, Any] = {name: np.asarray(getattr(problem, name))[seen] for name in fields}
+    some = replace(problem, **parts)
+    here, total = corner_pixels(some), np.zeros(np.shape(problem.corner_q))
+    for step in zip(*steps, strict=True):
+        for sign in (1.0, -1.0):
+            there = corner_pixels(move(Unknowns(*(sign * part for part in step)), some))
+            total[seen] += 0.5 * (there - here)
+    return total.reshape(len(total), -1)

@@ -16,9 +16,9 @@ from jaxscan.calibration import CalibrationSettings
 from jaxscan.calibration.seed import average_placements, seed_poses
 from jaxscan.calibration.solve import Adjustment, Prepared, make_problem, prepare
 from jaxscan.calibration.solve import adjust as solve_boards
-from jaxscan.calibration.solve.linearised import linearise
+from jaxscan.calibration.solve.joint import linearise
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import Rig, Scanner
+from jaxscan.geometry import Rig, Scanner, square_root
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
 from jaxscan.observation import Observations
 from jaxscan.recalibration.adjust.room import Room
@@ -26,7 +26,6 @@ from jaxscan.recalibration.adjust.room import Room
 
 # Unknowns beside the scanner's that boards have; the size of the squares is as the board's maker says.
 _FREE = ("warp",)
-_SINGULAR = 1e-13
 
 
 class BoardEquations(NamedTuple):
@@ -87,28 +86,17 @@ def board_equations(rig: Rig, data: Prepared, before: BoardEquations | None) -> 
     scales[: len(names)] = [turned if name in ANGLE_PARAMETERS else 1.0 for name in names]
     free = linearise(replace(result.problem, scales=scales))
     # Poses are at their minimum.
-    information, gradient = np.array(free.reduced), free.blocks.shared_gradient
+    information, gradient = np.array(free.reduced), np.asarray(free.arrow.shared_gradient)
     empty = free.known_poses == 0
     information[empty], information[:, empty] = 0.0, 0.0
     count = len(names)
     shape = np.flatnonzero(~empty[count:]) + count
     beside = information[:count][:, shape]
     taken = np.linalg.solve(information[np.ix_(shape, shape)], beside.T)
-    rows, value = _square_root(information[:count, :count] - beside @ taken, gradient[:count] - gradient[shape] @ taken)
-    return BoardEquations(rows, value, result)
-
-
-def _square_root(
-    information: Float[np.ndarray, "n n"], gradient: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, " n"]]:
-    """Rows and values whose squares have this second and first derivative: |rows x - value|^2."""
-    size = np.sqrt(np.maximum(np.diag(information), 0.0))
-    unit = np.where(size > 0, size, 1.0)
-    values, axes = np.linalg.eigh(information / np.outer(unit, unit))
-    there = values > _SINGULAR * max(values[-1], 1.0)
-    root = np.sqrt(np.where(there, values, 1.0))
-    rows = np.where(there[:, None], root[:, None] * axes.T, 0.0) * size
-    return rows, np.where(there, -(axes.T @ (gradient / unit)) / root, 0.0)
+    root = square_root(information[:count, :count] - beside @ taken)
+    # |steps x - value|^2 has this second derivative, and this first one at 0.
+    value = -root.inverse.T @ (gradient[:count] - gradient[shape] @ taken)
+    return BoardEquations(root.steps, value, result)
 
 
 def with_boards(room: Room, z: Float[np.ndarray, " params"], equations: BoardEquations) -> Room:

@@ -15,7 +15,7 @@ def conclude(state: State, prior: Scanner, observations: RoomObservations) -> Ad
     """The result of an adjustment; call in 64 bit."""
     room, y = state.prepared.room, state.y
     scanner, stations, angles = room.counts
-    covariance = state.covariance.dense
+    covariance = state.covariance.shared
     departure = np.asarray(room.root @ y.scanner)
     own = room.root @ covariance[:scanner, :scanner] @ room.root.T
     moved = prior.with_rig(state.linearised.rig)

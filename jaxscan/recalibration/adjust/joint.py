@@ -6,15 +6,15 @@ from dataclasses import replace
 import jax
 import numpy as np
 
-from jaxscan.calibration.solve import keep_inliers, robust_noise
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
+from jaxscan.leastsq import Cauchy, Covariance, keep_inliers, robust_noise
 from jaxscan.recalibration.adjust.boards import board_equations, prepare_boards, with_boards
 from jaxscan.recalibration.adjust.conclude import conclude
-from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise, cauchy_weights, learn_noise, shared_by_profiles
+from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise, learn_noise, shared_by_profiles
 from jaxscan.recalibration.adjust.prepare import Prepared, prepare
 from jaxscan.recalibration.adjust.room import Unknowns
-from jaxscan.recalibration.adjust.solver import Covariance, linearise, on_host, solve, step_of
+from jaxscan.recalibration.adjust.solver import linearise, solve, step_of
 from jaxscan.recalibration.adjust.state import State
 from jaxscan.recalibration.adjust.wall_shape import beside_shape, learn_heights
 from jaxscan.recalibration.adjusted import Adjusted, Start
@@ -85,7 +85,7 @@ def _begin(
     prepared: Prepared, observations: RoomObservations, settings: RecalibrationSettings, prior: Scanner
 ) -> State:
     wall = FIRST_WALL_M if settings.wall_m is None else settings.wall_m
-    linearised = on_host(linearise(prepared.room, prepared.y))
+    linearised = linearise(prepared.room, prepared.y)
     data = None if observations.boards is None else prepare_boards(observations.boards, prior)
     seen = prepared.usable, prepared.seen
     return State(prepared, observations, prepared.y, linearised, *seen, Noise(1.0, wall), data, stated_wall_m=wall)
@@ -100,7 +100,8 @@ def _robust(state: State, settings: RecalibrationSettings) -> State:
         if max(scale) > 0.9 * before:
             break
         before = max(scale)
-        damp = cauchy_weights(size / scale[0]) / scale[0], cauchy_weights(seen / scale[1]) / scale[1]
+        weights = Cauchy().weights
+        damp = weights(size / scale[0]) / scale[0], weights(seen / scale[1]) / scale[1]
         state = _solved(_with_boards(state), settings, _ROUGH, damp)
     return state
 
@@ -147,7 +148,7 @@ def _shaped(state: State, settings: RecalibrationSettings) -> State:
     room = state.weighted(1.0, 1.0)
     state = _moved(state, state.prepared._replace(room=room), state.y)
     for _ in range(_SHAPE_STEPS):
-        step = on_host(step_of(room, state.shaped[0], state.covariance))
+        step = step_of(room, state.shaped[0], state.covariance)
         near = np.sqrt(np.mean(step.scanner**2)) < _ROUGH and _settled(step, state.covariance)
         after = _stepped(state, step)
         if near:
@@ -175,7 +176,7 @@ def _stepped(state: State, step: Unknowns) -> State | None:
 def _settled(step: Unknowns, covariance: Covariance) -> bool:
     """Whether the stations moved by a small part of their standard deviations."""
     first = len(step.scanner)
-    sigma = np.sqrt(np.diag(covariance.dense)[first : first + len(step.stations)])
+    sigma = np.sqrt(np.diag(covariance.shared)[first : first + len(step.stations)])
     return bool(np.all(np.abs(step.stations) < _SETTLED * sigma))
 
 
@@ -189,7 +190,7 @@ def _with_boards(state: State) -> State:
 
 
 def _moved(state: State, prepared: Prepared, y: Unknowns) -> State:
-    return replace(state, prepared=prepared, y=y, linearised=on_host(linearise(prepared.room, y)))
+    return replace(state, prepared=prepared, y=y, linearised=linearise(prepared.room, y))
 
 
 def _ratios(after: State, before: State) -> tuple[float, ...]:
@@ -227,10 +228,12 @@ def _solved(
     """The state after one more solve, in which weights are damped by factors of the points and the sightings."""
     room = state.weighted(*damp)
     damping = _FIRST_DAMPING if state.steps == 0 else _NEAR_DAMPING
-    limits = np.asarray(damping), np.asarray(tolerance)
-    solution = solve(room, state.y, limits, settings.max_steps)
-    y = Unknowns(*on_host(solution.y))
-    if not all(np.isfinite(part).all() for part in y):
-        raise CalibrationError("The adjustment left the range of numbers: the captures contradict each other.")
-    moved = _moved(state, state.prepared._replace(room=room), y)
-    return replace(moved, steps=state.steps + int(solution.steps), converged=bool(solution.converged))
+    found = solve(room, state.y, damping, tolerance, settings.max_steps)
+    return replace(
+        state,
+        prepared=state.prepared._replace(room=room),
+        y=found.y,
+        linearised=found.linearised,
+        steps=state.steps + int(found.steps),
+        converged=bool(found.converged),
+    )

@@ -97,8 +97,3 @@ def shared_by_profiles(whitened: Float[np.ndarray, " points"], grid: Int[np.ndar
             pairs += int(there.sum())
     chance = np.sqrt(pairs) * square / len(key)
     return 1.0 + 2.0 * products / square if products > _CERTAIN * chance else 1.0
-
-
-def cauchy_weights(size: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Roots of the weights of Cauchy's loss, for residuals of a size in standard deviations."""
-    return 1.0 / np.sqrt(1.0 + (size / 2.385) ** 2)

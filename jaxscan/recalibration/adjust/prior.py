@@ -7,11 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import Scanner
-
-
-# Eigenvalue of a correlation matrix that is rounding error: its direction is held.
-_SINGULAR = 1e-13
+from jaxscan.geometry import Scanner, square_root
 
 
 def prior_root(
@@ -50,15 +46,8 @@ def prior_root(
         raise CalibrationError(f"loosened: found {unknown[0]!r}, expected one of {', '.join(names)}.")
     added = np.array([loosened.get(name, 0.0) for name in names])
     covariance = (covariance + covariance.T) / 2 + np.diag(added**2)
-    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    free = size > 0
-    unit = np.where(free, size, 1.0)
-    values, axes = np.linalg.eigh(np.where(np.outer(free, free), covariance / np.outer(unit, unit), 0.0))
-    there = values > _SINGULAR * max(values[-1], 1.0)
-    scale = np.sqrt(np.where(there, values, 1.0))
-    root = np.where(there, axes * scale, 0.0) * np.where(free, size, 0.0)[:, None]
-    inverse = np.where(there, axes / scale, 0.0).T / unit[None, :]
-    return root, inverse
+    root = square_root(covariance)
+    return root.steps.T, root.inverse.T
 
 
 def departure(before: Scanner, after: Scanner) -> Float[np.ndarray, " params"]:

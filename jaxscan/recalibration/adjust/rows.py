@@ -198,22 +198,13 @@ class Observed(NamedTuple):
     sightings: Rows
 
 
-def residuals(y: Unknowns, room: Room) -> Residuals:
-    """Residuals of a step; their derivatives are formed once per point, and linear in its unknowns."""
-    return observe(y, room).residuals
-
-
 def observe(y: Unknowns, room: Room) -> Observed:
     """Residuals of a step, with their rows."""
-    fixed = jax.lax.stop_gradient(y)
-    away = jax.tree.map(jnp.subtract, y, fixed)
-    points, sightings = jax.lax.stop_gradient((point_rows(room, fixed), sighting_rows(room, fixed)))
-    of_points = _linear(points.rows, away, room.points, 0, 1)
-    of_sightings = _linear(sightings, away, room.sightings, len(room.places.sphere), 2)
+    points, sightings = point_rows(room, y), sighting_rows(room, y)
     steps, held = angle_residuals(room, y.angles)
     whitened = Residuals(
-        of_points * room.point_weight,
-        of_sightings * twice(room.sighting_weight),
+        points.rows.value * room.point_weight,
+        sightings.value * twice(room.sighting_weight),
         length_values(room, y.locals) * room.lengths.weight,
         y.scanner,
         room.told @ y.scanner - room.told_value,
@@ -232,13 +223,3 @@ def angle_residuals(room: Room, angles: Float[Array, " angles"]) -> tuple[Array,
     """Steps between neighbouring corrections, and the part of them that the scanner's own numbers describe."""
     size = ANGLE_SCALE * angles
     return (jnp.append(size[1:], size[-1:]) - size) * room.smooth, room.held @ size
-
-
-def _linear(rows: Rows, away: Unknowns, sight: Sight, first: int, each: int) -> Float[Array, " rows"]:
-    station, local, angle = (
-        field if each == 1 else twice(field) for field in (sight.station, sight.local, sight.angle)
-    )
-    value = rows.value + rows.scanner @ away.scanner
-    value = value + jnp.sum(rows.station * station_steps(away.stations)[station], axis=1)
-    value = value + jnp.sum(rows.local * away.locals[first + local], axis=1)
-    return value + rows.angle * away.angles[angle] if len(away.angles) else value

@@ -9,13 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.calibration.solve import Prepared as BoardData
-from jaxscan.calibration.solve import noise_component
-from jaxscan.recalibration.adjust.blocks import Blocks
+from jaxscan.leastsq import Arrow, Covariance, covariance_of, noise_component
 from jaxscan.recalibration.adjust.boards import BoardEquations
 from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise
 from jaxscan.recalibration.adjust.prepare import Prepared
 from jaxscan.recalibration.adjust.room import Room, Unknowns
-from jaxscan.recalibration.adjust.solver import Covariance, Linearised, covariance_of
+from jaxscan.recalibration.adjust.solver import Linearised
 from jaxscan.recalibration.adjust.wall_shape import Wall, find_walls, with_shape
 from jaxscan.recalibration.observed import RoomObservations
 
@@ -104,10 +103,10 @@ class State:
         return find_walls(self.prepared.room, self.linearised, self.kept, self.patched)
 
     @cached_property
-    def shaped(self) -> tuple[Blocks, float]:
+    def shaped(self) -> tuple[Arrow, float]:
         """Normal equations in which walls have a shape, and how much less their sum of squares is."""
-        blocks = self.linearised.blocks
-        return with_shape(blocks, self.walls, self.heights) if self.heights.any() else (blocks, 0.0)
+        arrow = self.linearised.arrow
+        return with_shape(arrow, self.walls, self.heights) if self.heights.any() else (arrow, 0.0)
 
     @cached_property
     def covariance(self) -> Covariance:
@@ -130,20 +129,20 @@ class State:
     @cached_property
     def plain_covariance(self) -> Covariance:
         """The same if all errors of points were independent."""
-        return covariance_of(self.linearised.blocks)
+        return covariance_of(self.linearised.arrow)
 
     @property
     def inflation(self) -> float:
         """Mean factor of the variance of the scanner's numbers and the stations by errors that points share [1]."""
         count = len(self.y.scanner) + len(self.y.stations)
-        plain = np.linalg.inv(self.plain_covariance.dense[:count, :count])
-        return float(np.trace(plain @ self.covariance.dense[:count, :count])) / count
+        plain = np.linalg.inv(self.plain_covariance.shared[:count, :count])
+        return float(np.trace(plain @ self.covariance.shared[:count, :count])) / count
 
     @cached_property
     def _free(self) -> float:
         """Dense unknowns that the data determine rather than the priors."""
         count, others = len(self.y.scanner), len(self.y.stations)
-        variance = np.diag(self.covariance.dense)
+        variance = np.diag(self.covariance.shared)
         free = float(np.sum(1.0 - np.clip(variance[:count], 0.0, 1.0))) + others
         if len(self.y.angles):
             room, rows = self.prepared.room, self.linearised.points.rows

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import Array, Rig, Scanner, lit_points, points, poses, transform
-from jaxscan.recalibration.adjust.solver import compiled
 
 
 _BLOCK, _SMALL_BLOCK = 16_384, 1_024
@@ -58,7 +57,7 @@ def point_gradient(
 
 
 # Of every cell of a sweep: worth its optimisation where all else is compiled in haste.
-@partial(compiled, xla_backend_optimization_level=3)
+@partial(jax.jit, compiler_options={"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 3})
 def _gradients(rig: Rig, q: Array, laser: Array, phi: Array) -> Array:
     zero = jnp.zeros(rig.parameter_count(), q.dtype)
     by_step = jax.jacrev(lambda step, *seen: points(rig.retract(step), *seen))

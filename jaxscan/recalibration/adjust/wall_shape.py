@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.recalibration.adjust.blocks import Blocks
+from jaxscan.leastsq import Arrow, Covariance
 from jaxscan.recalibration.adjust.room import Room
-from jaxscan.recalibration.adjust.solver import Covariance, Linearised
+from jaxscan.recalibration.adjust.solver import Linearised
 
 
 # Sizes of the patches [m]: a corner's light reaches some 0.3 m, a wall bows over metres.
@@ -145,8 +145,8 @@ def learn_heights(walls: list[Wall], covariance: Covariance) -> Float[np.ndarray
     added = np.zeros((count, count))
     for wall in walls:
         away = wall.dense - wall.local @ covariance.coupling[wall.on.surface]
-        left = wall.gram - away @ covariance.dense @ away.T
-        left = left - wall.local @ covariance.local[wall.on.surface] @ wall.local.T
+        left = wall.gram - away @ covariance.shared @ away.T
+        left = left - wall.local @ covariance.alone[wall.on.surface] @ wall.local.T
         size = np.diag(wall.gram)
         for number in range(count):
             mine = wall.on.size == number
@@ -184,15 +184,15 @@ def _believed(
     return best
 
 
-def with_shape(blocks: Blocks, walls: list[Wall], height: Float[np.ndarray, " sizes"]) -> tuple[Blocks, float]:
+def with_shape(arrow: Arrow, walls: list[Wall], height: Float[np.ndarray, " sizes"]) -> tuple[Arrow, float]:
     """The normal equations of the generalised least squares, in which patches have heights of their own.
 
     Returns:
-        blocks: J' S^-1 J and J' S^-1 r, with S the covariance of the whitened residuals.
+        arrow: J' S^-1 J and J' S^-1 r, with S the covariance of the whitened residuals.
         less: How much less r' S^-1 r is than the sum of squared residuals.
     """
-    dense, gradient, less = blocks.dense.copy(), blocks.dense_gradient.copy(), 0.0
-    cross, local, by_local = blocks.cross.copy(), blocks.local.copy(), blocks.local_gradient.copy()
+    dense, cross, local, gradient, by_local = map(np.array, arrow)
+    less = 0.0
     for wall in walls:
         free = height[wall.on.size] > 0
         if not free.any():
@@ -207,7 +207,7 @@ def with_shape(blocks: Blocks, walls: list[Wall], height: Float[np.ndarray, " si
         local[wall.on.surface] -= own.T @ own
         by_local[wall.on.surface] -= own.T @ residual
         less += float(residual @ residual)
-    return Blocks(dense, cross, local, gradient, by_local), less
+    return Arrow(dense, cross, local, gradient, by_local), less
 
 
 def beside_shape(

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration.chi_squared import chance_of
-from jaxscan.geometry import Scanner
+from jaxscan.geometry import Scanner, root_of
 from jaxscan.recalibration.judge.compared import Compared
 from jaxscan.recalibration.judge.parts import Part, loosening, parts_of
 
@@ -93,7 +93,7 @@ def explain(departure: Departure, stored: Scanner) -> Explanation:
 
 def rest_of(departure: Departure, added: Float[np.ndarray, "params params"]) -> tuple[float, float]:
     """Chi-squared that moves of this covariance leave, and the chance of a larger one."""
-    left, size, _ = np.linalg.svd(departure.slope @ _root(added), full_matrices=False)
+    left, size, _ = np.linalg.svd(departure.slope @ root_of(added).T, full_matrices=False)
     # Moves that would be lost in the noise explain nothing.
     left = left[:, size > 1.0]
     rest = departure.chi2 - float(np.sum((left.T @ departure.value) ** 2))
@@ -106,7 +106,7 @@ def _size_of(departure: Departure, added: Float[np.ndarray, "params params"]) ->
     A sheet that turned by a twentieth of a degree has not come nearer by millimetres, so the scale of the room keeps
     some of its hold.
     """
-    left, size, _ = np.linalg.svd(departure.slope @ _root(added), full_matrices=False)
+    left, size, _ = np.linalg.svd(departure.slope @ root_of(added).T, full_matrices=False)
     variance = 1.0 + np.outer(_SHARES, size) ** 2
     unlikely = np.sum(np.log(variance) + (left.T @ departure.value) ** 2 / variance, axis=1)
     return min(1.0, 2.0 * float(_SHARES[np.argmin(unlikely)]))
@@ -114,17 +114,9 @@ def _size_of(departure: Departure, added: Float[np.ndarray, "params params"]) ->
 
 def move_of(departure: Departure, added: Float[np.ndarray, "params params"]) -> Float[np.ndarray, " params"]:
     """The likeliest move of this covariance [px, rad, m]."""
-    moves = departure.slope @ _root(added)
-    return _root(added) @ np.linalg.solve(np.eye(moves.shape[1]) + moves.T @ moves, moves.T @ departure.value)
-
-
-def _root(added: Float[np.ndarray, "params params"]) -> Float[np.ndarray, "params moves"]:
-    at = np.flatnonzero(np.diag(added) > 0)
-    unit = np.sqrt(np.diag(added)[at])
-    values, vectors = np.linalg.eigh(added[np.ix_(at, at)] / np.outer(unit, unit))
-    root = np.zeros((len(added), len(at)))
-    root[at] = unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    return root
+    root = root_of(added).T
+    moves = departure.slope @ root
+    return root @ np.linalg.solve(np.eye(moves.shape[1]) + moves.T @ moves, moves.T @ departure.value)
 
 
 def loosened_prior(

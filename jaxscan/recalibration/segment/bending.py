@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxscan.geometry import Scanner
+from jaxscan.geometry import Scanner, root_of
 from jaxscan.recalibration.adjust import point_gradient
 
 
@@ -36,12 +36,8 @@ def likely_steps(scanner: Scanner) -> Float[np.ndarray, "directions params"]:
     covariance = np.diag(loose**2)
     if scanner.covariance is not None:
         covariance = covariance + np.asarray(scanner.covariance, np.float64)
-    # In units of each parameter's own standard deviation, so that pixels and metres compare.
-    unit = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    safe = np.where(unit > 0, unit, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
-    steps = (vectors * np.sqrt(np.maximum(values, 0.0))).T * safe
-    return steps[::-1][:_DIRECTIONS][values[::-1][:_DIRECTIONS] > 1e-12]
+    steps = root_of(covariance)[::-1][:_DIRECTIONS]
+    return steps[steps.any(1)]
 
 
 def bending(

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.geometry import compose, exponential
+from jaxscan.leastsq import MEDIAN_TO_SIGMA
 from jaxscan.recalibration.stations.view import View
 
 
@@ -49,7 +50,7 @@ def settle(one: View, other: View, pose: np.ndarray, *, few: bool = False) -> Se
         at, mean = at[close], one.normals[index[close]] + facing[close]
         normals = mean / np.linalg.norm(mean, axis=1, keepdims=True)
         apart = np.sum(normals * (one.patches[index[close]] - at), 1)
-        scale = max(1.4826 * float(np.median(np.abs(apart))), 1e-3)
+        scale = max(MEDIAN_TO_SIGMA * float(np.median(np.abs(apart))), 1e-3)
         weight = 1 / (1 + (apart / (2 * scale)) ** 2) ** 2
         design = np.column_stack([normals, np.cross(at, normals)])
         equations = (design * weight[:, None]).T @ design
@@ -57,7 +58,7 @@ def settle(one: View, other: View, pose: np.ndarray, *, few: bool = False) -> Se
         equations += 1e-3 * np.trace(equations) / 6 * np.eye(6)
         pose = _moved(pose, np.linalg.solve(equations, (design * weight[:, None]).T @ apart))
     share = np.linalg.eigvalsh(normals.T @ normals / len(normals))[0]
-    return Settled(pose, len(apart), 1.4826 * float(np.median(np.abs(apart))), float(share))
+    return Settled(pose, len(apart), MEDIAN_TO_SIGMA * float(np.median(np.abs(apart))), float(share))
 
 
 def _nearest(one: View, at: np.ndarray, facing: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray]:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from jaxscan.leastsq import MEDIAN_TO_SIGMA
 from jaxscan.recalibration.adjusted import Adjusted
 from jaxscan.recalibration.table.jumps import LEAST_STEP, LEAST_Z, MOST_JUMPS, inflation
 from jaxscan.recalibration.table.names import say_jump
@@ -45,7 +46,7 @@ def jumps_in(
     if count < LEAST_RECORDS or not np.any(sigma > 0):
         return []
     # Neighbours scatter by this, with the median so that steps do not count.
-    scatter = float(np.median(np.abs(np.diff(correction)))) / (0.6745 * np.sqrt(2.0))
+    scatter = MEDIAN_TO_SIGMA * float(np.median(np.abs(np.diff(correction)))) / np.sqrt(2.0)
     scale = np.full(count, max(scatter, 1e-3 * LEAST_STEP))
     waves = [wave(h * angle) for h in range(1, WAVES + 1) for wave in (np.sin, np.cos)]
     nuisance = [np.ones(count), angle, *waves]

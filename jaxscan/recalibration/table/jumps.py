@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
+from jaxscan.leastsq import MEDIAN_TO_SIGMA
 from jaxscan.recalibration.observed import SweepStripes
 from jaxscan.recalibration.table.breaks import propose_steps
 from jaxscan.recalibration.table.place import NEIGHBOURS, place_step
@@ -146,7 +147,7 @@ def inflation(rows: Rows, left: Float[np.ndarray, " rows"], records: int) -> flo
         if np.count_nonzero(pairs) < 8:
             break
         difference = np.diff(angle)[pairs] / np.sqrt(1.0 / known[1:][pairs] + 1.0 / known[:-1][pairs])
-        worst = max(worst, float(np.median(np.abs(difference)) / 0.6745))
+        worst = max(worst, MEDIAN_TO_SIGMA * float(np.median(np.abs(difference))))
     return worst
 
 

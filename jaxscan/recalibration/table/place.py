@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from jaxscan.leastsq import MEDIAN_TO_SIGMA
 from jaxscan.recalibration.observed import SweepStripes
 from jaxscan.recalibration.table.patches import Plane, fit
 from jaxscan.recalibration.table.walls import (
@@ -96,7 +97,7 @@ def _walls_near(sweep: SweepStripes, rig: Rig, record: int, doubt: tuple[int, in
         mine = on & sure if np.count_nonzero(on & sure) >= LEAST_POINTS else on
         plane = fit(x[mine]) if np.count_nonzero(mine) >= LEAST_POINTS else None
         if plane is not None:
-            walls.append((plane, 1.4826 * float(np.median(np.abs(x[mine] @ plane.normal - plane.distance)))))
+            walls.append((plane, MEDIAN_TO_SIGMA * float(np.median(np.abs(x[mine] @ plane.normal - plane.distance)))))
     return walls
 
 

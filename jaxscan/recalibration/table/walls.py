@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxscan.geometry import Scanner
+from jaxscan.leastsq import MEDIAN_TO_SIGMA
 from jaxscan.recalibration.observed import SweepStripes
 from jaxscan.recalibration.table.patches import Grid, find_patches, fit
 from jaxscan.recalibration.table.regression import Prior, Rows, solve
@@ -182,7 +183,7 @@ def wall_equations(
         whitened = error[on] / sigma[on]
         if robust:
             # Things that hang on the wall have little weight; a wall that is bent as a whole keeps its own.
-            limit = ROBUST * max(1.0, float(np.median(np.abs(whitened))) / 0.6745)
+            limit = ROBUST * max(1.0, MEDIAN_TO_SIGMA * float(np.median(np.abs(whitened))))
             sigma[on] *= 1.0 + (whitened / limit) ** 2
         lever[on] = m[1] * x[on, 0] - m[0] * x[on, 1]
         first = np.cross(m, np.eye(3)[np.argmin(np.abs(m))])
