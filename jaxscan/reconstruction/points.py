@@ -353,7 +353,7 @@ def _store(normals: np.ndarray, rows: np.ndarray, components: Vector) -> None:
         normals[place(rows), :, axis] = np.asarray(component)[: len(rows)]
 
 
-@functools.partial(compile_wide, static=("halves", "stripe_axis"), sooner=True)
+@functools.partial(compile_wide, static=("halves", "stripe_axis"))
 def _located(
     aim: Aim,
     centres: Centres,
