@@ -129,8 +129,9 @@ def find_peaks(
         may = 2 * (key >> _INDEX_BITS) + 1 >= threshold.astype(jnp.int32)
         of = lambda line: (at[line], base if base.ndim == 0 else base[line], threshold[line])
         exists, before, after, first, last = in_blocks(may, lambda line, _: measured(line, *of(line)))
+        # A maximum that is too low where it lies may hide a lower one in a darker place; of it the filters' reach goes.
+        first, last = jnp.where(may, first, at - _MARGIN - 1), jnp.where(may, last, at + _MARGIN + 1)
         place = _LAST - (keys & _LAST)
-        # What may not be a candidate has no zone, and all that is left on its line is lower still.
         left = jnp.where((place <= first[None]) | (place >= last[None]), keys, 0)
         centre = LATTICE_PX * (at.astype(jnp.float32) + 0.5 * (after - before)) + (0.5 if pitch == 1 else 0.0)
         return left, (exists, centre, LATTICE_PX * (before + after))

@@ -43,6 +43,27 @@ def test_faint_stripe_is_located(width, render):
     assert near.any(0).mean() > 0.98
 
 
+def test_a_brighter_place_does_not_hide_a_stripe_in_a_darker_one():
+    off = np.full((64, 640), 5, np.uint8)
+    off[:, :320] = 200
+    on = off.copy()
+    # Four maxima in the bright half, each below the threshold there and higher than the stripe in the dark half.
+    for column, height in ((60, 17), (120, 18), (180, 16), (240, 17), (480, 13)):
+        on[:, column - 1 : column + 3] += np.uint8(height)
+    thresholds = np.where(np.arange(256) < 100, 100, 250).astype(np.int16)
+    gate = jnp.zeros(64, jnp.int32), jnp.full(64, 640, jnp.int32), jnp.asarray(thresholds)
+    with jax.enable_x64(False):
+        planes = (Plane.of(jnp.asarray(frame)) for frame in (on, off))
+        alone = find_peaks(*planes, jnp.float32(1.0), *gate, pitch=1)
+        on[:, 100:300] = off[:, 100:300]
+        planes = (Plane.of(jnp.asarray(frame)) for frame in (on, off))
+        beside = find_peaks(*planes, jnp.float32(1.0), *gate, pitch=1)
+    assert not np.asarray(alone.exists).any()
+    at, exists = np.asarray(beside.at), np.asarray(beside.exists)
+    np.testing.assert_array_equal(exists.sum(0), 1)
+    np.testing.assert_allclose(at[exists], 480.5, atol=1.0)
+
+
 def test_empty_rows_hold_no_point(render):
     scene = render(1.0, 0.0, columns=640, rows=2048)
     stripes = extract_stripes(scene.on, scene.off, noise=KNOWN)
