@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxscan.compiling import compile_wide
 from jaxscan.geometry import (
     Array,
     Rig,
@@ -352,7 +353,7 @@ def _store(normals: np.ndarray, rows: np.ndarray, components: Vector) -> None:
         normals[place(rows), :, axis] = np.asarray(component)[: len(rows)]
 
 
-@functools.partial(jax.jit, static_argnames=("halves", "stripe_axis"))
+@functools.partial(compile_wide, static=("halves", "stripe_axis"))
 def _located(
     aim: Aim,
     centres: Centres,

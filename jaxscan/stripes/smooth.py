@@ -179,9 +179,10 @@ def _smooth(u: Array, sigma: Array, valid: Array) -> tuple[Array, Array, Array]:
 
     def fit(state, again):
         def first(rows: _Rows, ends: Array) -> tuple[Array, ...]:
-            shared, window = pair(lambda *given: _windows(*given)[2:], rows, ends)
-            most, at = pair(_most_doubtful, doubt, window.astype(jnp.int32))
-            return _cut_short(ends, most, at.astype(jnp.int32)), shared, most
+            spread, window = pair(lambda *given: _windows(*given)[2:], rows, ends)
+            word = window.astype(jnp.int32)
+            most, at = pair(_most_doubtful, doubt, word)
+            return _cut_short(ends, most, at.astype(jnp.int32)), spread * _lengths(rows.x, word), most
 
         found = pair(lambda *given: _windows(*given)[:2], rows, state[0])
         return lax.cond(again, lambda *_: state, first, rows, state[0]), found
@@ -347,8 +348,8 @@ def _windows(rows: _Rows, ends: Array) -> tuple[Array, ...]:
     """For every row a parabola in the largest window that it fits and whose value agrees with those of smaller ones.
 
     Returns:
-        Centre minus that of the row, its variance, the lines over which its noise is shared times that variance, and
-        the rows of the window on either side in one word.
+        Centre minus that of the row, its variance, that of the window's lines over their number, and the rows of the
+        window on either side in one word.
     """
     left, right = _sides(ends)
     weight = _shifted(rows.weight)
@@ -359,11 +360,8 @@ def _windows(rows: _Rows, ends: Array) -> tuple[Array, ...]:
         # A side that ends early is made up for on the other.
         low = jnp.minimum(left, 2 * size - jnp.minimum(right, size))
         high = jnp.minimum(right, 2 * size - jnp.minimum(left, size))
-        neighbours = list(_neighbours(rows, low, high, (2 * size, 2 * size)))
-        sums = _added(neighbours)
+        sums = _added(_neighbours(rows, low, high, (2 * size, 2 * size)))
         found, own, chi2 = _parabola(sums)
-        lines = [jnp.where(k <= high, d, 0.0) for k, (_, d, _) in enumerate(neighbours[2 * size :])]
-        lines += [jnp.where(k <= low, -d, 0.0) for k, (_, d, _) in enumerate(neighbours[2 * size :: -1])]
         value, variance, _, window = state
         told = (sums.rows >= 5.0) & (own >= 0)
         freedom = jnp.where(told, sums.rows - 3.0, 2.0)
@@ -374,14 +372,18 @@ def _windows(rows: _Rows, ends: Array) -> tuple[Array, ...]:
         # Residuals of the parabola beyond the noise count as noise.
         excess = jnp.maximum(chi2 / freedom, 1.0)
         better = goes_on & told & fits_it & (excess * own < variance)
-        length = functools.reduce(jnp.maximum, lines[: 2 * size + 1]) + functools.reduce(
-            jnp.maximum, lines[2 * size + 1 :]
-        )
         total = jnp.where(sums.s[0] > 0, sums.s[0], 1.0)
-        new = found, excess * own, excess / total * (length + 1.0), _word(low, high)
+        new = found, excess * own, excess / total, _word(low, high)
         state = tuple(jnp.where(better, a, b) for a, b in zip(new, state, strict=True))
         goes_on &= fits_it | ~told
     return state
+
+
+def _lengths(x: Array, window: Array) -> Array:
+    """Lines from the first to the last row of each window."""
+    row = jnp.arange(window.shape[1], dtype=jnp.int32)[None] + _MARGIN
+    low, high = _sides(window)
+    return jnp.take_along_axis(x, row + high, 1) - jnp.take_along_axis(x, row - low, 1) + 1.0
 
 
 def _mixed(rows: _Rows, found: tuple[Array, Array], shared: Array, most: Array) -> tuple[Array, Array, Array]:

@@ -262,3 +262,15 @@ def test_what_is_no_sweep_is_refused_in_one_line():
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.startswith("Expected a sweep, got ndarray;") and run.stdout.count("\n") == 1
+
+
+def test_little_is_compiled(tiny):
+    """A cold reconstruction, with its notes and doubts: stripes, smoothing, points and normals, and one to spare."""
+    code = (
+        "import jax, sys, jaxscan\njax.config.update('jax_log_compiles', True)\n"
+        "jaxscan.reconstruct_capture(jaxscan.open_capture(sys.argv[1]), jaxscan.load_scanner(sys.argv[2]), cache=False)"
+    )
+    command = [sys.executable, "-c", code, str(tiny.sweep), str(tiny.calibration)]
+    run = subprocess.run(command, capture_output=True, text=True, check=True)
+    compiled = [line for line in run.stderr.splitlines() if "Finished XLA compilation" in line]
+    assert 1 < len(compiled) <= 4, compiled
