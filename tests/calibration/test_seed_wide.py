@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration.seed.camera import seed_camera
-from jaxscan.calibration.seed.lift import lift_stripes
+from jaxscan.calibration.seed.sheets import lift_stripes
 from jaxscan.calibration.solve.prepare import prepare
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Fisheye

@@ -11,9 +11,8 @@ import pytest
 
 from jaxscan.calibration import CalibrationSettings
 from jaxscan.calibration.parameters import BLOCKS, board_blocks
-from jaxscan.calibration.solve.assemble import parameter_scales, prior_weights
+from jaxscan.calibration.solve.adjustment import noise_by_class
 from jaxscan.calibration.solve.joint import linearise, priors, solve
-from jaxscan.calibration.solve.noise import noise_by_class
 from jaxscan.calibration.solve.prepare import prepare
 from jaxscan.calibration.solve.problem import (
     BoardModes,
@@ -22,6 +21,8 @@ from jaxscan.calibration.solve.problem import (
     camera_from_board,
     corner_pixels,
     move,
+    parameter_scales,
+    prior_weights,
     shared_values,
     zero_step,
 )

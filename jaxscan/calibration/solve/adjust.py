@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve.adjustment import Adjustment, Errors
+from jaxscan.calibration.solve.adjustment import Adjustment, Errors, correlation_along
 from jaxscan.calibration.solve.covariance import undetermined_shares
 from jaxscan.calibration.solve.joint import Linearised, Solution, linearise, solve
-from jaxscan.calibration.solve.noise import correlation_along
 from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.calibration.solve.problem import Problem
 from jaxscan.errors import CalibrationError

@@ -173,7 +173,7 @@ class Linearised:
 
     @property
     def prior_residual(self) -> Float[np.ndarray, " shared"]:
-        """Chains from expected values, in standard deviations."""
+        """Departures from expected values, in standard deviations."""
         return np.asarray(self.residuals.prior)
 
     @property
@@ -206,11 +206,6 @@ class Linearised:
     def stripe_slopes(self) -> Float[np.ndarray, "stripes points departures"]:
         """The same of stripes."""
         return np.asarray(self.seen.stripes.slopes) * np.asarray(self.problem.stripe_weight)[..., None]
-
-    @property
-    def known_poses(self) -> Float[np.ndarray, " shared"]:
-        """Diagonal of the information that there would be if all poses were known."""
-        return np.asarray(np.diagonal(self.arrow.shared))
 
     @cached_property
     def reduced(self) -> Float[np.ndarray, "shared shared"]:

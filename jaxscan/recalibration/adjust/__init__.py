@@ -1,5 +1,5 @@
 """The joint adjustment of scanner, stations, surfaces, tracked points and angles."""
 
 from jaxscan.recalibration.adjust.joint import adjust
-from jaxscan.recalibration.adjust.prior import departure, prior_root
+from jaxscan.recalibration.adjust.prepare import departure, prior_root
 from jaxscan.recalibration.adjust.triangulate import point_gradient, triangulate_points

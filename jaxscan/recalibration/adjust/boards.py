@@ -87,7 +87,7 @@ def board_equations(rig: Rig, data: Prepared, before: BoardEquations | None) -> 
     free = linearise(replace(result.problem, scales=scales))
     # Poses are at their minimum.
     information, gradient = np.array(free.reduced), np.asarray(free.arrow.shared_gradient)
-    empty = free.known_poses == 0
+    empty = np.diagonal(free.arrow.shared) == 0
     information[empty], information[:, empty] = 0.0, 0.0
     count = len(names)
     shape = np.flatnonzero(~empty[count:]) + count
