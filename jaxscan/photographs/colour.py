@@ -107,13 +107,14 @@ def colour_points(
     if not len(points):
         return np.zeros((0, 3), np.uint8), np.zeros(0, np.bool_)
     points = np.asarray(points, np.float32)
-    lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
-    unit = (np.asarray(normals) / np.maximum(lengths, 1e-12)).astype(np.float32)
     # Single precision throughout, so that the result does not depend on the caller's setting.
     with jax.enable_x64(False), ThreadPoolExecutor(workers()) as pool:
         lens, blocks = Lens.of(photographs.scanner.camera), Blocks.of(points)
         pose_at = pose_finder(photographs.scanner)
-        places = _Places(blocks.gather(points), blocks.gather(unit))
+        facing = blocks.gather(np.asarray(normals, np.float32))
+        # In place: there may be many.
+        facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-12)
+        places = _Places(blocks.gather(points), facing)
         tally = Tally.start(blocks.gather(np.zeros((len(points), 3), np.uint8) if start is None else start))
         seen = np.zeros((len(tally.weight), 1, blocks.size), np.bool_)
 
