@@ -16,7 +16,6 @@ from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjustment import Adjustment
 from jaxscan.calibration.solve.problem import layout_of
 from jaxscan.calibration.verdict.extra_terms import extents_of, lens_terms, radial_terms, sheet_terms
-from jaxscan.calibration.verdict.halves import Halves
 from jaxscan.calibration.verdict.judge import Judged, Missing, judge
 from jaxscan.calibration.verdict.lengths import TRAVEL_M
 from jaxscan.calibration.verdict.limits import result_of_test
@@ -50,14 +49,14 @@ def find_harm(result: Adjustment, settings: CalibrationSettings) -> list[Harm]:
     judged = judge(result, settings)
     scales = np.asarray(result.problem.scales)
     found: list[Harm] = []
-    # The halves come last: they count for the part that the others do not cover.
+    # Cross-validations come last: they count for the part that the others do not cover.
     for test in judged.tests:
         steps, where = np.zeros((0, len(scales))), None
         if test.name in judged.missing:
             steps, where = _steps_of(result, judged.missing[test.name], judged.places)
-        elif test.name == "halves" and judged.halves and _has_structure(test, judged):
+        elif test.name in judged.splits and _has_structure(test, judged):
             before = np.concatenate([steps, *(harm.steps for harm in found)])
-            steps = _of_halves(judged.halves, scales, before.T @ before)
+            steps = judged.splits[test.name].beyond(before.T @ before, scales)[None]
         found.append(Harm(replace(test, where=where), steps))
     return found
 
@@ -83,19 +82,6 @@ def _steps_of(result: Adjustment, missing: Missing, places: dict[str, np.ndarray
     if has("table") or has("axis"):
         steps += _of_motion(result, layout, missing, places)
     return np.stack(steps), where
-
-
-def _of_halves(halves: Halves, scales: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """The part of the halves' difference that neither noise nor the other findings cover.
-
-    Half of the difference of two independent halves is as large as the error of their mean.
-    """
-    unit = scales[halves.free]
-    covered = before[np.ix_(halves.free, halves.free)] / np.outer(unit, unit)
-    share = min(halves.dof / max(halves.distance(covered), 1e-300), 1.0)
-    step = np.zeros(len(scales))
-    step[halves.free] = 0.5 * np.sqrt(1.0 - share) * halves.difference * unit
-    return step[None]
 
 
 def _of_lens(
