@@ -1,18 +1,26 @@
 """Cross-validation: parts of the observations, solved apart, must give the same rig.
 
 Two halves of the records judge all models together. The middle of the image judges the lens where no corner was seen:
-a model that is right is the same in the middle as in the whole, and one that is not goes astray beyond its data.
+a model that is right is the same in the middle as in the whole, and one that is not goes astray beyond its data. The
+lines on boards that were left out are put back: the sheet should stay where it is.
 """
 
 from dataclasses import replace
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
+from jaxscan.calibration.seed.sheets import Lifted, lift_stripes
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjust import solve_again
 from jaxscan.calibration.solve.adjustment import Adjustment
 from jaxscan.calibration.solve.joint import Linearised
+from jaxscan.calibration.solve.prepare import prepare
+from jaxscan.calibration.solve.problem import layout_of
+from jaxscan.geometry import LaserSheet
+from jaxscan.leastsq import MEDIAN_TO_SIGMA, Huber
+from jaxscan.observation import Observations
 
 
 # Directions of which a part knows less than this share beyond the priors, or beyond the whole.
@@ -23,6 +31,8 @@ _MIDDLE = (0.6, 0.9)
 _FARTHEST = 0.995
 # Where corners reach this share of the way to the corners of the image, no lens is asked beyond them.
 _REACHED = 0.95
+# Rounds of weights and solves of a sheet, and its directions that lines all but leave open [share of the largest].
+_LINE_ROUNDS, _LINE_RCOND = 10, 1e-6
 # Corners of a view in the middle of the image that still fix its pose well.
 _LEAST_CORNERS = 8
 
@@ -125,6 +135,58 @@ def compare_regions(result: Adjustment, settings: CalibrationSettings) -> Split 
     # An estimate from a part differs from the best one by what the part knows less (Hausman).
     root = np.linalg.cholesky(middle.covariance)
     return _split(result, middle.step, root, middle.covariance - whole, 1.0)
+
+
+def put_back_lines(result: Adjustment, given: Observations) -> list[np.ndarray]:
+    """How far each sheet goes where the lines count that were left out, as steps [shared]; none without such lines.
+
+    Lines are compared as wholes, each with one voice, and one that is far off counts less (Huber): a reflection on one
+    board moves nothing, but where half of the boards say otherwise the sheet is in doubt by as much.
+
+    Args:
+        result: Of a solve of the lines that agree on a sheet.
+        given: The observations before others were left out.
+    """
+    data, problem, steps = prepare(given), result.problem, []
+    agreed = result.stripe_kept.any(1)
+    q = np.where(agreed[:, None, None], result.data.stripe_q, data.stripe_q)
+    data = data._replace(stripe_q=q, stripe_valid=np.where(agreed[:, None], result.stripe_kept, data.stripe_valid))
+    lifted = lift_stripes(data, problem.camera, result.linearised.view_poses)
+    layout, scales = layout_of(problem), np.asarray(problem.scales)
+    for laser in range(len(problem.lasers.distance)):
+        sheet = jax.tree.map(lambda leaf, laser=laser: np.asarray(leaf)[laser], problem.lasers)
+        rows = np.flatnonzero(lifted.valid.any(1) & (data.stripe_laser == laser))
+        # The plane alone: lines of two sheets would be explained by a bow that none has.
+        own = slice(layout.lasers.start + 5 * laser, layout.lasers.start + 5 * laser + 3)
+        if agreed[rows].all() or not agreed[rows].any() or not scales[own].any():
+            continue
+        parts = [_line(sheet, lifted, row, scales[own]) for row in rows]
+        step = np.zeros(len(scales))
+        step[own] = (_robust_step(parts) - _robust_step([parts[k] for k in np.flatnonzero(agreed[rows])])) * scales[own]
+        steps.append(step)
+    return steps
+
+
+def _line(sheet: LaserSheet, lifted: Lifted, row: int, scales: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances of a line's points from a sheet in the image [points], px, and their derivatives by n1, n2, d."""
+    places = np.flatnonzero(lifted.valid[row])
+    points, slopes = lifted.points[row, places], lifted.slopes(np.array([row]), places[None])[0]
+    per_pixel = np.linalg.norm(np.einsum("psk,ps->pk", slopes, np.asarray(sheet.slope(points))), axis=1)
+    by_plane = np.column_stack([points @ np.asarray(sheet.basis).T, -np.ones(len(points))]) * scales
+    return np.asarray(sheet.offset(points)) / per_pixel, by_plane / per_pixel[:, None]
+
+
+def _robust_step(lines: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """The step of a sheet [scaled units] to the lines, each with one voice."""
+    step, weight = np.zeros(lines[0][1].shape[1]), np.ones(len(lines))
+    for _ in range(_LINE_ROUNDS):
+        root = [np.sqrt(one / len(offset)) for one, (offset, _) in zip(weight, lines, strict=True)]
+        slopes = np.concatenate([one * slope for one, (_, slope) in zip(root, lines, strict=True)])
+        offsets = np.concatenate([one * offset for one, (offset, _) in zip(root, lines, strict=True)])
+        step = -np.linalg.lstsq(slopes, offsets, rcond=_LINE_RCOND)[0]
+        size = np.array([np.sqrt(np.mean((offset + slope @ step) ** 2)) for offset, slope in lines])
+        weight = Huber(1.345).weights(size / max(MEDIAN_TO_SIGMA * float(np.median(size)), 1e-12)) ** 2
+    return step
 
 
 def deal_halves(placement: np.ndarray, used: np.ndarray) -> np.ndarray:

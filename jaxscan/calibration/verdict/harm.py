@@ -12,9 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxscan.calibration.chi_squared import chance_of
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjustment import Adjustment
 from jaxscan.calibration.solve.problem import layout_of
+from jaxscan.calibration.verdict.cross_validation import put_back_lines
 from jaxscan.calibration.verdict.extra_terms import extents_of, lens_terms, radial_terms, sheet_terms
 from jaxscan.calibration.verdict.judge import Judged, Missing, judge
 from jaxscan.calibration.verdict.lengths import TRAVEL_M
@@ -22,6 +24,7 @@ from jaxscan.calibration.verdict.limits import result_of_test
 from jaxscan.calibration.verdict.quality import ModelTest
 from jaxscan.calibration.verdict.score import repeated_views
 from jaxscan.geometry import Layout, LinearStage
+from jaxscan.observation import Observations
 
 
 # Zones of the image by the place in it, -1 ... 1: corners where both coordinates are beyond this, edges where one is,
@@ -39,12 +42,13 @@ class Harm(NamedTuple):
     """[steps, shared], in px, rad, m: at most one for each parameter of the rig; none without structure."""
 
 
-def find_harm(result: Adjustment, settings: CalibrationSettings) -> list[Harm]:
+def find_harm(result: Adjustment, settings: CalibrationSettings, given: Observations) -> list[Harm]:
     """Test the models of a finished solve, and find the error that the structure in its residuals does.
 
     Args:
         result: Of `adjust`, converged; call in 64 bit.
         settings: Of the solve.
+        given: The observations before any was left out.
     """
     judged = judge(result, settings)
     scales = np.asarray(result.problem.scales)
@@ -58,7 +62,19 @@ def find_harm(result: Adjustment, settings: CalibrationSettings) -> list[Harm]:
             before = np.concatenate([steps, *(harm.steps for harm in found)])
             steps = judged.splits[test.name].beyond(before.T @ before, scales)[None]
         found.append(Harm(replace(test, where=where), steps))
-    return found
+    lines = put_back_lines(result, given) if len(np.asarray(given.stripes.view)) else []
+    return [*found, Harm(_lines_test(result, lines), np.stack(lines))] if lines else found
+
+
+def _lines_test(result: Adjustment, steps: list[np.ndarray]) -> ModelTest:
+    """The steps of sheets by lines that were left out, against the covariance of noise."""
+    scales = np.asarray(result.problem.scales)
+    moved = np.array([step != 0 for step in steps]).any(0)
+    step = sum(steps)[moved] / scales[moved]
+    covariance = np.linalg.inv(result.linearised.reduced)[np.ix_(moved, moved)]
+    statistic, dof = float(step @ np.linalg.solve(covariance, step)), int(moved.sum())
+    p = chance_of(statistic, dof)
+    return ModelTest("lines", statistic, dof, p, p)
 
 
 def _has_structure(test: ModelTest, judged: Judged) -> bool:
