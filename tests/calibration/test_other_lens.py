@@ -49,6 +49,18 @@ def test_a_fisheye_that_was_taken_for_a_pinhole(mistaken):
     assert settled.quality.verdict.good_to.sigma_px < 0.5
 
 
+def test_a_wrong_lens_knows_by_itself_how_far_it_goes_astray(mistaken):
+    """The middle of the image alone says so: of the corners it explains most, beyond them it is off by far."""
+    seen, found = mistaken
+    true = calibrate_camera(seen, settings=replace(PINHOLE, camera="fisheye"))
+    off = ray_difference(true.camera, found.camera)
+    assert found.quality.corner_rms_px < 0.01 * off
+    verdict = found.quality.verdict
+    assert off / 1.5 < verdict.good_to.sigma_px < 1.5 * off
+    assert max(verdict.tests, key=lambda test: test.effect_px or 0.0).name == "regions"
+    assert all(test.effect_px is None for test in true.quality.verdict.tests if test.name == "regions")
+
+
 def test_a_pinhole_that_was_asked_for_is_as_far_off_as_it_is(mistaken):
     """The advice comes first, and the verdict says the distance of its rays from those of the true model."""
     seen, found = mistaken
