@@ -12,7 +12,7 @@ from jaxscan.calibration.known import KnownParts
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.verdict import GoodTo, Verdict, is_named, refusal
-from jaxscan.calibration.verdict.good_to import image_places
+from jaxscan.calibration.verdict.propagate import image_places
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import CAMERAS, AbstractCamera, exponential
 from jaxscan.observation import Observations
