@@ -52,7 +52,7 @@ class OtherLens(NamedTuple):
         """Why it was taken."""
         return (
             f"the lens was solved as `{self.option}`, which brings the residuals of the corners from "
-            f"{self.before_px:.2g} to {self.rms_px:.2g} px; without it rays are {self.off_px:.2g} px off over the image"
+            f"{self.before_px:.2g} to {self.rms_px:.2g} px; without it rays are {self.off_px:.3g} px off over the image"
         )
 
 

@@ -69,7 +69,7 @@ def find_harm(result: Adjustment, settings: CalibrationSettings, given: Observat
             before = np.concatenate([steps, *(harm.steps for harm in found)])
             steps = judged.splits[test.name].beyond(before.T @ before, scales)[None]
         found.append(Harm(replace(test, where=where), steps))
-    lines = put_back_lines(result, given) if len(np.asarray(given.stripes.view)) else []
+    lines = put_back_lines(result, given) if len(result.problem.lasers.distance) else []
     return [*found, Harm(_lines_test(result, lines), np.stack(lines))] if lines else found
 
 
