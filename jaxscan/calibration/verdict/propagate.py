@@ -486,7 +486,7 @@ def focal_share(camera: AbstractCamera, steps: Float[np.ndarray, "steps params"]
     """
     scale = lambda moved: np.trace(np.asarray(moved.slopes(np.array([0.0, 0.0, 1.0])))[:, :2])
     changes = spread(camera, _SMALL * steps[:, : len(camera.parameter_names())], scale) / _SMALL
-    return float(_sigma(changes) / scale(camera))
+    return float(np.linalg.norm(changes) / scale(camera))
 
 
 def refusal(
