@@ -14,10 +14,10 @@ from jaxscan.calibration import (
     KnownParts,
     Missed,
     Rig,
-    advise_lens,
     calibrate_observations,
     choose,
     planned_rig,
+    settle_lens,
     solved_rig,
 )
 from jaxscan.errors import CaptureError
@@ -127,7 +127,7 @@ def calibrate(
             else:
                 result = calibrate_observations(to_observations(captures, seen), settings=settings, known=known)
             result = replace(result, quality=replace(result.quality, redetected=gains))
-    result = advise_lens(result, settings)
+    result = settle_lens(result, settings, to_observations(captures, seen), known)
     missed = tuple(Missed(*record) for record in seen.missed())
     warnings = (*result.quality.warnings, *seen.doubts(captures))
     quality = replace(result.quality, records=len(seen.records), missed=missed, warnings=warnings)

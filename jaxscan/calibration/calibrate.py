@@ -98,6 +98,7 @@ def calibrate_observations(
         starts = [make_problem(camera, *stand_ins, poses, apart, held) for camera in cameras]
         first = _lowest(starts, apart, settings)
         camera, poses = _named(first.problem.camera, observations, settings), np.asarray(first.problem.poses)
+        given = observations
         try:
             motion = known.motion if rig.moves else Still()
             if motion is None:
@@ -114,12 +115,13 @@ def calibrate_observations(
             solved = tuple(name for name in rig.lasers if name not in reasons)
             rig = replace(rig, lasers=solved, missing=(*rig.missing, *reasons.values()))
             data = prepare(observations) if solved else _without_stripes(data)
+            given = with_lasers(given, solved) if solved else observations
         # Without a motion that is known, every view has a pose of its own.
         data = data if rig.moves else _apart(data)
         placements = average_placements(poses, data, motion)
         problem = make_problem(first.problem.camera, stack_lasers(lasers), motion, placements, data, settings)
         result = _pointed_up(adjust(problem, data, settings), observations, settings)
-        return _concluded(result, observations, settings, started, rig, known)
+        return _concluded(result, observations, settings, started, rig, known, given)
 
 
 def calibrate_camera(observations: Observations, *, settings: CalibrationSettings | None = None) -> Calibration:
@@ -266,9 +268,11 @@ def _concluded(
     started: float,
     rig: Rig,
     known: KnownParts,
+    given: Observations | None = None,
 ) -> Calibration:
     result, choice = choose_shape(result, observations, settings)
-    calibration = conclude(result, _named(result.problem.camera, observations, settings), observations, settings)
+    camera = _named(result.problem.camera, observations, settings)
+    calibration = conclude(result, camera, observations, settings, given)
     board = describe_board(result, observations, calibration, choice)
     quality = replace(calibration.quality, board=board, seconds=time.perf_counter() - started)
     provenance = {**calibration.provenance, "held": list(known.held())} if known.held() else calibration.provenance

@@ -7,7 +7,8 @@ from jaxscan.calibration.verdict import SecondLook
 from jaxscan.observation import Observations, SolvedRig
 
 
-# The second solve may whiten worse by this factor: corners at the rim of the image are harder to explain.
+# The second solve may whiten worse by this factor: corners at the rim of the image are harder to explain. What is no
+# larger than the detectors promise is explained: a first look may hide an error of its own that the solve takes up.
 _NOT_WORSE = 1.05
 # Share of the boards with a line that must agree with a sheet, so that stripes are looked for near it only.
 _BELIEVED = 0.5
@@ -50,7 +51,9 @@ def choose(first: Calibration, second: Calibration) -> tuple[Calibration, Second
     # A look that loses a part of the rig would explain the rest of its observations well.
     whole = set(first.order) <= set(second.order)
     kept = (
-        whole and bool(second.quality.converged) and all(after[name] <= _NOT_WORSE * before[name] for name in names[:2])
+        whole
+        and bool(second.quality.converged)
+        and all(after[name] <= _NOT_WORSE * max(before[name], 1.0) for name in names[:2])
     )
     look = SecondLook(
         kept,
