@@ -42,7 +42,12 @@ def redetect_corners(
     look = np.flatnonzero(predicted.visible & (predicted.size >= _SMALLEST_PX))
     start, size = predicted.q[look], predicted.size[look]
     fit = fit_corners(
-        image, start, predicted.edges[look], window_share(board) * size, clear=clear_of_markers(board, size)
+        image,
+        start,
+        predicted.edges[look],
+        window_share(board) * size,
+        clear=clear_of_markers(board, size),
+        bend=predicted.bend[look],
     )
     near = fit.valid & (np.hypot(*(fit.q - start).T) <= reach)
     q, sigma, valid = np.zeros((count, 2)), np.ones(count), np.zeros(count, bool)

@@ -177,7 +177,7 @@ def look(picture, board, homography, *, off=(0.3, -0.2), reach=1.0, first=None):
     edges, _ = edge_directions(truth, np.ones(len(truth), bool), board)
     limit = np.array(picture.shape[::-1]) - 1.0
     visible = ((truth >= 0) & (truth <= limit)).all(1)
-    predicted = PredictedCorners(truth + off, edges, size, visible)
+    predicted = PredictedCorners(truth + off, edges, np.zeros((len(truth), 2)), size, visible)
     return truth, visible, redetect_corners(picture, board, predicted, reach=reach, first=first)
 
 
