@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractBoard
-from jaxscan.observation.board_stripes import BATCH_RECORDS, find_stripes, learn_colours
+from jaxscan.observation.board_stripes import BATCH_RECORDS, LearnedFrames, find_stripes, learn_colours
 from jaxscan.observation.corners import FoundCorners
 from jaxscan.observation.missed import MissedRecord, count_reasons, measure_light, missed_records
 from jaxscan.observation.prediction import SolvedRig
@@ -51,6 +51,8 @@ class Look(NamedTuple):
     records: list[SeenRecord]
     lines: tuple[tuple[LaserLine, ...], ...] | None
     """The lasers of each capture, their colours learned; None where stripes were not looked for."""
+    learned: LearnedFrames
+    """What their frames have told."""
 
     def missed(self) -> tuple[MissedRecord, ...]:
         """The records in which the board was not found, with the likely reasons."""
@@ -58,11 +60,13 @@ class Look(NamedTuple):
         return missed_records(seen, len(self.board.corners()))
 
     def doubts(self, captures: Sequence[BoardSource]) -> tuple[str, ...]:
-        """Signs that codes are no levels of a sensor, of each capture those in the first records that have some."""
+        """Signs that codes are no levels of a sensor, a sentence each; of each capture those of its first laser that
+        has some.
+        """
         first: dict[int, tuple[str, ...]] = {}
-        for view in self.records:
-            if view.doubts:
-                first.setdefault(view.capture, view.doubts)
+        for (number, _, _), (_, doubts) in sorted(self.learned.items(), key=lambda item: item[0]):
+            if doubts:
+                first.setdefault(number, doubts)
         return tuple(f"{captures[number].path}: {doubt}" for number, doubts in first.items() for doubt in doubts)
 
 
@@ -99,7 +103,7 @@ def look_at_boards(
         corners = eyes.find_corners(view.grey, board)
         return view._replace(corners=corners, light=measure_light(view.grey, crossings=corners is None))
 
-    seen = go_through(captures, look, Look(board, [], lines), progress=progress)
+    seen = go_through(captures, look, Look(board, [], lines, {}), progress=progress)
     if all(view.corners is None for view in seen.records):
         raise CalibrationError(_not_found(captures, seen, eyes))
     if lines is not None:
@@ -136,7 +140,7 @@ def _refuse_exchanged(
         for index, view in dark[:BATCH_RECORDS]:
             read = SeenRecord.read(captures, number, index, to_grey)
             views.append(read._replace(on=read.off, off=read.on, corners=view.corners))
-        found = find_stripes(views, capture, lines[number], seen.board)
+        found = find_stripes(views, capture, lines[number], seen.board, {})
         some = sum(bool(view.stripes) for view in found)
         if some >= _EXCHANGED and _points(found) > _TIMES * _points([view for _, view in pairs]):
             raise CalibrationError(
@@ -190,7 +194,8 @@ def go_through(
     Args:
         captures: The captures.
         look: Reads a record and finds its corners.
-        like: The board, and the lasers whose stripes are looked for; its records are not used.
+        like: The board, the lasers whose stripes are looked for, and what is known of their frames; its records are
+            not used.
         rig: As in `find_stripes`.
         progress: Called with (records done, records in all).
     """
@@ -210,7 +215,7 @@ def go_through(
                 coming = [pool.submit(look, *one) for one in following]
                 number = batch[0][0]
                 if like.lines is not None:
-                    seen = find_stripes(seen, captures[number], like.lines[number], like.board, rig)
+                    seen = find_stripes(seen, captures[number], like.lines[number], like.board, like.learned, rig)
                 # Frames are dropped at once: a capture may be larger than the memory.
                 views += [view._replace(on=None, off=None, grey=None) for view in seen]
                 if progress is not None:

@@ -54,9 +54,7 @@ def look_again(
         at = starts[number] + index
         before, pose = first.records[at], poses[at]
         view = SeenRecord.read(captures, number, index, eyes.to_grey)
-        view = view._replace(
-            corners=before.corners, noise=before.noise, doubts=before.doubts, pose=pose, light=before.light
-        )
+        view = view._replace(corners=before.corners, pose=pose, light=before.light)
         if pose is None or view.grey is None:
             return view
         reach = _REACH_SIGMA * rig.corner_rms_px + (_REACH_UNSEEN_PX if before.corners is None else _REACH_PX)
