@@ -12,11 +12,11 @@ from jaxscan.calibration import (
     KnownParts,
     Missed,
     Rig,
-    advise_lens,
     choose,
     estimate,
     judge,
     planned_rig,
+    settle_lens,
     solved_rig,
 )
 from jaxscan.errors import CaptureError
@@ -119,7 +119,8 @@ def calibrate(
         found, gains = choose(found, second)
         seen = again if gains.kept else seen
     doing("judging")
-    result = advise_lens(judge(found, settings=settings, known=known), settings)
+    result = judge(found, settings=settings, known=known)
+    result = settle_lens(result, settings, to_observations(captures, seen), known)
     missed = tuple(Missed(*record) for record in seen.missed())
     warnings = (*result.quality.warnings, *seen.doubts(captures))
     quality = replace(result.quality, redetected=gains, records=len(seen.records), missed=missed, warnings=warnings)

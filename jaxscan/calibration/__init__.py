@@ -4,7 +4,7 @@ from jaxscan.calibration.calibrate import Estimate, calibrate_camera, calibrate_
 from jaxscan.calibration.departure import largest_departure
 from jaxscan.calibration.fit import Fit
 from jaxscan.calibration.known import NOTHING_KNOWN, KnownParts, Part
-from jaxscan.calibration.other_lens import advise_lens
+from jaxscan.calibration.other_lens import settle_lens
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rigs import Rig, planned_rig
 from jaxscan.calibration.second_look import choose, solved_rig

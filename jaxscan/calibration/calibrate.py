@@ -63,6 +63,8 @@ class Estimate:
     """The shape of the board that was freed in it."""
     observations: Observations
     """With those lines alone on the boards that were taken for the lasers'."""
+    given: Observations
+    """Of the same lasers, before lines were left out."""
     rig: Rig
     camera: AbstractCamera
     """With its size, and without coefficients that nobody asked for."""
@@ -122,6 +124,7 @@ def estimate(
         data = prepare(observations)
         rig = _rig(data, observations, settings, known)
         observations, data = _of_rig(observations, data, rig)
+        given = observations
         camera, poses, converged = _first_camera(data, observations, rig, settings, known, before)
         try:
             motion = known.motion if rig.moves else Still()
@@ -140,6 +143,7 @@ def estimate(
             solved = tuple(name for name in rig.lasers if name not in reasons)
             rig = replace(rig, lasers=solved, missing=(*rig.missing, *reasons.values()))
             data = prepare(observations) if solved else _without_stripes(data)
+            given = with_lasers(given, solved) if solved else observations
         # Without a motion that is known, every view has a pose of its own.
         data = data if rig.moves else _apart(data)
         placements = average_placements(poses, data, motion)
@@ -147,7 +151,7 @@ def estimate(
         result = _pointed_up(adjust(problem, data, settings), observations, settings)
         result, shape = choose_shape(result, observations, settings)
         named = _named(result.problem.camera, observations, settings)
-    return Estimate(result, shape, observations, rig, named, time.perf_counter() - started)
+    return Estimate(result, shape, observations, given, rig, named, time.perf_counter() - started)
 
 
 def judge(found: Estimate, *, settings: CalibrationSettings, known: KnownParts = NOTHING_KNOWN) -> Calibration:
@@ -163,7 +167,7 @@ def judge(found: Estimate, *, settings: CalibrationSettings, known: KnownParts =
     """
     started, settings = time.perf_counter(), replace(settings, free=known.free(settings))
     with jax.enable_x64(True), _contradictions():
-        calibration = conclude(found.adjustment, found.camera, found.observations, settings)
+        calibration = conclude(found.adjustment, found.camera, found.observations, settings, found.given)
         board = describe_board(found.adjustment, found.observations, calibration, found.shape)
     seconds = found.seconds + time.perf_counter() - started
     quality = replace(calibration.quality, board=board, seconds=seconds)

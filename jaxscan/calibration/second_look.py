@@ -9,7 +9,8 @@ from jaxscan.geometry import Scanner
 from jaxscan.observation import Observations, SolvedRig
 
 
-# The second solve may whiten worse by this factor: corners at the rim of the image are harder to explain.
+# The second solve may whiten worse by this factor: corners at the rim of the image are harder to explain. What is no
+# larger than the detectors promise is explained: a first look may hide an error of its own that the solve takes up.
 _NOT_WORSE = 1.05
 # Share of the boards with a line that must agree with a sheet, so that stripes are looked for near it only.
 _BELIEVED = 0.5
@@ -57,7 +58,8 @@ def choose(first: Estimate, second: Estimate) -> tuple[Estimate, SecondLook]:
     before, after = (_explained(one) for one in (first, second))
     # A look that loses a part of the rig would explain the rest of its observations well.
     whole = set(first.rig.lasers) <= set(second.rig.lasers) and (second.rig.moves or not first.rig.moves)
-    explains = all(after[name] <= _NOT_WORSE * before[name] for name in ("corner_rms_whitened", "stripe_rms_whitened"))
+    names = "corner_rms_whitened", "stripe_rms_whitened"
+    explains = all(after[name] <= _NOT_WORSE * max(before[name], 1.0) for name in names)
     kept = whole and second.adjustment.converged and explains
     look = SecondLook(
         kept,

@@ -19,6 +19,8 @@ class CalibrationSettings:
 
     camera: CameraModel = "pinhole"
     """Model of the camera, of `CAMERAS`."""
+    choose_lens: bool = True
+    """Take another model of the lens where it explains the corners better by far (`settle_lens`)."""
     only: RigKind | None = None
     """A smaller rig on purpose; None: the largest that the captures determine."""
     free: tuple[Block, ...] = USUALLY_FREE

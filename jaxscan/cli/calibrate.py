@@ -34,7 +34,7 @@ def calibrate(
     sheet: tuple[str, ...] = (),
     axis: tuple[str, ...] = (),
     refine: tuple[Part, ...] = (),
-    lens: CameraModel = "pinhole",
+    lens: CameraModel | None = None,
     free: tuple[Block, ...] = (),
     hold: tuple[Block, ...] = (),
     redetect: bool = True,
@@ -64,7 +64,8 @@ def calibrate(
         axis: Axis that is known: a point, in metres, and a direction; for a linear stage its direction; or a
             calibration (.json).
         refine: Known parts to estimate from there: `camera`, `sheet`, `axis`.
-        lens: Camera model; `fisheye` and `double_sphere` are for wide-angle lenses.
+        lens: Camera model; `fisheye` and `double_sphere` are for wide-angle lenses. `pinhole` if not given, or another
+            one that explains the corners better by far.
         free: Blocks of parameters to estimate in addition to the usual ones.
         hold: Blocks of parameters not to estimate.
         redetect: Take a second look at the images, where the first solve predicts corners and stripes.
@@ -84,14 +85,14 @@ def calibrate(
     check_json(json)
     if report is not None:
         check_writable(report)
-    settings = replace(calibration_settings(lens, free, hold), only=only)
+    settings = replace(calibration_settings(lens or "pinhole", free, hold), only=only, choose_lens=lens is None)
     settings = replace(settings, limit_mm=limit_mm, at_m=at_m, limit_px=limit_px)
     opened = [api.open_capture(path) for path in captures]
     out = console(json)
     for capture in opened:
         for note in capture.notes:
             out.print(f"note: {capture.path}: {note}")
-    known = known_parts(opened[0], camera, sheet, axis, refine, lens) if opened else KnownParts()
+    known = known_parts(opened[0], camera, sheet, axis, refine, lens or "pinhole") if opened else KnownParts()
     for note in motion_notes(opened[0], axis) if opened else []:
         out.print(f"note: {note}")
     plan = api.plan_calibration(opened, settings=settings, known=known)

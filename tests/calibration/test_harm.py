@@ -112,7 +112,11 @@ def test_the_cause_is_named_first(trials):
     for _, one, _ in found:
         effects = {test.name: test.effect_mm for test in one.quality.verdict.tests if test.effect_mm is not None}
         assert max(effects, key=effects.get) == name
-        advice = {"board": "free the board's shape", "axis": "can move while the table turns", "sheet": "`--free bow`"}
+        advice = {
+            "board": "free the board's shape",
+            "axis": "can move while the table turns",
+            "sheet": "on a flat wall",
+        }
         if effects[name] > 0.5 * one.quality.verdict.good_to.sigma_mm and name in advice:
             assert advice[name] in one.quality.verdict.advice[0]
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
+from jaxscan.calibration.verdict.cross_validation import deal_halves
 from jaxscan.calibration.verdict.extra_terms import moving_twist
-from jaxscan.calibration.verdict.halves import deal_halves
 from jaxscan.calibration.verdict.limits import chance
 from jaxscan.geometry import exponential, invert
 
@@ -35,7 +35,7 @@ def test_clean_data_have_no_structure(clean):
     judged, tests = verdict(clean)
     assert judged.usable and judged.refused is None and judged.p > 0.01
     assert {judged.result(test) for test in tests.values()} == {"passes"}
-    assert set(tests) == {"lens", "board", "table", "axis", "sheet", "halves"}
+    assert set(tests) == {"lens", "board", "table", "axis", "sheet", "halves", "regions"}
     # The statistics are chi-squared: their degrees of freedom, within five standard deviations.
     for test in tests.values():
         assert abs(test.statistic - test.dof) < 5.0 * np.sqrt(2.0 * test.dof) or test.dof <= 2

@@ -2,7 +2,7 @@
 
 from jaxscan.calibration.verdict.advice import advise, cure_causes, cures
 from jaxscan.calibration.verdict.describe import describe_quality, warn
-from jaxscan.calibration.verdict.good_to import measure_good_to, refusal
+from jaxscan.calibration.verdict.good_to import focal_share, measure_good_to, refusal
 from jaxscan.calibration.verdict.harm import Harm, find_harm
 from jaxscan.calibration.verdict.lengths import (
     Length,

@@ -55,10 +55,28 @@ def measure_good_to(
     return GoodTo(whole(mm), mm[0] if mm else None, depth, whole(px), px[0]), tuple(tests)
 
 
+def focal_share(camera: AbstractCamera, steps: Float[np.ndarray, "steps params"]) -> float:
+    """Standard deviation of the focal length over it [1]: of the scale in the middle of the image, of any model.
+
+    Args:
+        camera: The calibrated camera.
+        steps: In the minimal coordinates, those of the camera first; each counts as one standard deviation.
+    """
+    own = steps[:, : len(camera.parameter_names())]
+    scale = lambda step: float(np.trace(np.asarray(camera.retract(step).slopes(np.array([0.0, 0.0, 1.0])))[:, :2]))
+    changes = [scale(_STEP * step) - scale(-_STEP * step) for step in own]
+    return float(np.linalg.norm(changes)) / (2.0 * _STEP * scale(np.zeros(own.shape[1])))
+
+
 def refusal(
-    good_to: GoodTo, camera: AbstractCamera, settings: CalibrationSettings, *, has_sheets: bool = True
+    good_to: GoodTo,
+    camera: AbstractCamera,
+    settings: CalibrationSettings,
+    *,
+    has_sheets: bool = True,
+    focal: float = 0.0,
 ) -> str | None:
-    """Why a calibration cannot be used; None where it can."""
+    """Why a calibration cannot be used, its focal length known to a share of it; None where it can."""
     mm, px, at_m = good_to.sigma_mm, good_to.sigma_px, good_to.at_m
     if mm is None and settings.limit_mm is not None:
         if not has_sheets:
@@ -69,22 +87,22 @@ def refusal(
         return f"{settings.limit_mm:g} mm were asked"
     if px is not None and settings.limit_px is not None and px > settings.limit_px:
         return f"{settings.limit_px:g} px were asked, and its rays are good to {px:.2g} px"
+    if focal > limits.UNKNOWN_FOCAL:
+        return (
+            f"its focal length is known to {100 * focal:.2g} % only, which makes no camera: tilt the board by 20 to "
+            "45 degrees in different directions"
+        )
     share = f"{100 * limits.USELESS_SHARE:.0f} %"
     if mm is not None and at_m is not None and mm > 1e3 * limits.USELESS_SHARE * at_m:
         return f"points that are off by more than {share} of their distance are of no use"
-    focal = 0.5 * (float(camera.fx) + float(camera.fy))
-    if px is not None and px > limits.USELESS_SHARE * focal:
+    if px is not None and px > limits.USELESS_SHARE * 0.5 * (float(camera.fx) + float(camera.fy)):
         return f"rays that are off by more than {share} of the focal length are of no use"
     return None
 
 
 def ray_slopes(camera: AbstractCamera) -> Float[np.ndarray, "places 2 params"]:
     """Motion of the image by the camera's parameters at places all over it, after the best rotation [px]."""
-    u, v = (
-        (np.arange(count) + 0.5) / count * size - 0.5
-        for count, size in zip(_GRID, (camera.width, camera.height), strict=True)
-    )
-    q = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    q = image_places(camera)
     ray = np.asarray(camera.unproject(q))
     back = np.asarray(camera.project(ray))
     turns = np.asarray(camera.slopes(ray)) @ np.stack([np.cross(axis, ray) for axis in np.eye(3)], -1)
@@ -97,6 +115,15 @@ def ray_slopes(camera: AbstractCamera) -> Float[np.ndarray, "places 2 params"]:
     slopes, turns = slopes[reached].reshape(-1, slopes.shape[-1]), turns[reached].reshape(-1, 3)
     taken, _, _, _ = np.linalg.lstsq(turns, slopes, rcond=None)
     return (slopes - turns @ taken).reshape(-1, 2, slopes.shape[-1])
+
+
+def image_places(camera: AbstractCamera) -> Float[np.ndarray, "places 2"]:
+    """Pixels all over the image."""
+    u, v = (
+        (np.arange(count) + 0.5) / count * size - 0.5
+        for count, size in zip(_GRID, (camera.width, camera.height), strict=True)
+    )
+    return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
 
 
 def _at_work(

@@ -7,8 +7,8 @@ terms, all whitened, and $g = E^T r$,
 $$T = g^T V^{-1} g, \qquad V = E^T E - E^T J (J^T J)^{-1} J^T E$$
 
 is chi-squared with as many degrees of freedom as terms that the unknowns cannot imitate. Nothing
-is solved again, and the failing model is named. A cross-validation, two halves of the records
-solved apart, asks the same of all models together.
+is solved again, and the failing model is named. Cross-validations, by two halves of the records and by
+the middle of the image, ask the same of all models together, and of the lens where no corner was seen.
 """
 
 from collections.abc import Sequence
@@ -20,8 +20,8 @@ import numpy as np
 from jaxscan.calibration.chi_squared import chance_of
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjustment import Adjustment
+from jaxscan.calibration.verdict.cross_validation import Split, compare_halves, compare_regions
 from jaxscan.calibration.verdict.extra_terms import extents_of
-from jaxscan.calibration.verdict.halves import Halves, compare_halves
 from jaxscan.calibration.verdict.limits import result_of_test
 from jaxscan.calibration.verdict.quality import ModelTest
 from jaxscan.calibration.verdict.score import Score, score_models
@@ -56,14 +56,15 @@ class Judged(NamedTuple):
     """The tests of the models, and the terms that explain the structure in the residuals."""
 
     tests: tuple[ModelTest, ...]
-    """"lens", "board", "table" (its angles), "axis" (whether it stands still), "sheet" and "halves", those that the
-    data allow."""
+    """"lens", "board", "table" (its angles), "axis" (whether it stands still), "sheet", "halves" and "regions", those
+    that the data allow."""
     missing: dict[str, Missing]
     """By the name of the test. The same residuals may fail several tests: models that add nothing to others are not
     here."""
     places: dict[str, np.ndarray]
     """Positions of the terms of each model in `Missing`."""
-    halves: Halves | None
+    splits: dict[str, Split]
+    """The cross-validations that the data allow, by the names of their tests."""
 
 
 class _Seen(NamedTuple):
@@ -121,9 +122,13 @@ def judge(result: Adjustment, settings: CalibrationSettings) -> Judged:
             given = compare_halves(result, settings, (corner_noise, result.stripe_point_noise)) or halves
         p, p_structure = chance_of(given.distance(), given.dof), chance_of(halves.distance(), halves.dof)
         tests.append(ModelTest("halves", given.distance(), given.dof, p, p_structure))
+    regions = compare_regions(result, settings)
+    if regions is not None and regions.dof:
+        tests.append(_tested("regions", regions.distance(), regions.dof, corner_noise))
+    splits = {name: split for name, split in (("halves", halves), ("regions", regions)) if split is not None}
     failed = {test.name for test in tests if result_of_test(test.p, test.p_structure, len(tests)) == "structure"}
     suspects = [name for name in seen if ("lens" if name == "radial" else name) in failed]
-    return Judged(tuple(tests), _explain(score, suspects, len(tests)), score.places, halves)
+    return Judged(tuple(tests), _explain(score, suspects, len(tests)), score.places, splits)
 
 
 def _tested(name: str, statistic: float, dof: int, noise: float) -> ModelTest:
