@@ -147,6 +147,6 @@ def _part(progress: Progress | None, look: int, looks: int) -> Progress:
 
 def _eyes() -> Eyes:
     # Imported here, so that `import jaxscan` does not load OpenCV.
-    from jaxscan.vision import draw_print, find_corners, name_other_board, to_grey
+    from jaxscan.vision import draw_print, find_corners, name_other_board, refit_corners, to_grey
 
-    return Eyes(to_grey, find_corners, draw_print, name_other_board)
+    return Eyes(to_grey, find_corners, refit_corners, draw_print, name_other_board)

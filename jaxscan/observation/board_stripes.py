@@ -10,8 +10,7 @@ import numpy as np
 from jaxscan.errors import CaptureError
 from jaxscan.geometry import AbstractBoard, across_and_along
 from jaxscan.observation.board_lines import Candidates, find_lines
-from jaxscan.observation.board_map import BoardMap, is_on_print
-from jaxscan.observation.corners import FoundCorners
+from jaxscan.observation.board_map import BoardMap, FoundCorners, is_on_print
 from jaxscan.observation.prediction import SolvedRig, lift_to_board, predict_stripe
 from jaxscan.observation.printed import Sight, fit_on_print
 from jaxscan.observation.records import BoardSource, SeenRecord

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxscan.geometry.motions import Carries
 from jaxscan.geometry.scanner import Up
-from jaxscan.observation.corners import FoundCorners
+from jaxscan.observation.board_map import FoundCorners
 from jaxscan.observation.missed import Light
 from jaxscan.observation.stripes_on_board import BoardStripe
 from jaxscan.stripes import LaserLine, PixelFormat, Response
@@ -90,7 +90,7 @@ class SeenRecord(NamedTuple):
     """Index of its capture."""
     record: BoardRecord
     on: np.ndarray | None = None
-    """Laser-on frame; frames are dropped after use, since a capture may be larger than the memory."""
+    """Laser-on frame; those of large captures are dropped after use, to save memory."""
     off: np.ndarray | None = None
     """Laser-off frame."""
     grey: np.ndarray | None = None

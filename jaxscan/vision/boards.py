@@ -7,16 +7,16 @@ import cv2
 import numpy as np
 
 from jaxscan.geometry import AbstractBoard, AprilGrid, Charuco, Chessboard, Circles, known_dictionary
-from jaxscan.observation.corners import (
+from jaxscan.observation import FoundCorners
+from jaxscan.vision.april_grid import april_grid_texture, find_april_grid
+from jaxscan.vision.circles import circles_texture, find_circles
+from jaxscan.vision.corners import (
     SMALL_SQUARE_PX,
-    FoundCorners,
     fit_found_corners,
     is_enough,
     marker_gap,
     square_sizes,
 )
-from jaxscan.vision.april_grid import april_grid_texture, find_april_grid
-from jaxscan.vision.circles import circles_texture, find_circles
 
 
 Detector = Literal["auto", "sb", "classic"]

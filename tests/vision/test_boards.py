@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from jaxscan.geometry import DICTIONARIES, Charuco, Chessboard
-from jaxscan.observation.corners import edge_directions
 from jaxscan.observation.prediction import PredictedCorners
-from jaxscan.observation.redetect import redetect_corners
 from jaxscan.vision import board_texture, boards, find_corners
+from jaxscan.vision.corners import edge_directions, refit_corners
 
 
 CHESS = Chessboard(8, 5, 0.03)
@@ -178,7 +177,7 @@ def look(picture, board, homography, *, off=(0.3, -0.2), reach=1.0, first=None):
     limit = np.array(picture.shape[::-1]) - 1.0
     visible = ((truth >= 0) & (truth <= limit)).all(1)
     predicted = PredictedCorners(truth + off, edges, np.zeros((len(truth), 2)), size, visible)
-    return truth, visible, redetect_corners(picture, board, predicted, reach=reach, first=first)
+    return truth, visible, refit_corners(picture, board, predicted, reach=reach, first=first)
 
 
 @pytest.mark.parametrize("board", [CHESS, CHARUCO])
