@@ -1,17 +1,25 @@
 """Where a board and the stripe on it will be seen, against a forward model written apart."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from jaxscan.calibration import CalibrationSettings, estimate, solved_rig
+from jaxscan.calibration import CalibrationSettings, choose, estimate, solved_rig
 from jaxscan.observation.prediction import lift_to_board, predict_corners, predict_stripe, turn_boards
 
 
 @pytest.fixture(scope="module")
-def solved(world):
+def estimated(world):
     rig = world.Rig(lens=(-0.2, 0.05, 4e-4, -3e-4, 0.0), warp=(4e-4, -3e-4), gain=1.0005)
     observed = world.observe(rig)
-    return rig, observed, solved_rig(estimate(observed, settings=CalibrationSettings()))
+    return rig, observed, estimate(observed, settings=CalibrationSettings())
+
+
+@pytest.fixture(scope="module")
+def solved(estimated):
+    rig, observed, found = estimated
+    return rig, observed, solved_rig(found)
 
 
 def test_corners_are_where_they_were_seen(solved):
@@ -95,3 +103,23 @@ def test_a_camera_alone_predicts_no_stripe(solved):
 
 def test_a_solve_that_did_not_converge_predicts_nothing(solved):
     assert solved_rig(estimate(solved[1], settings=CalibrationSettings(max_steps=1, only="camera"))) is None
+
+
+def test_a_second_estimate_begins_from_the_camera_of_the_first_and_ends_where_it_did(estimated):
+    _, observed, found = estimated
+    again = estimate(observed, settings=CalibrationSettings(), before=found)
+    assert again.adjustment.steps < found.adjustment.steps
+    np.testing.assert_allclose(again.camera.parameters(), found.camera.parameters(), rtol=1e-9, atol=1e-9)
+
+
+def test_a_second_estimate_is_kept_unless_it_explains_less(estimated):
+    first = estimated[2]
+    second = replace(first, seconds=first.seconds + 1.0)
+    kept, look = choose(first, second)
+    assert kept is second and look.kept and look.corners_gained == 0
+    astray = replace(first, adjustment=replace(first.adjustment, converged=False))
+    without_motion = replace(first, rig=replace(first.rig, moves=False))
+    without_sheet = replace(first, rig=replace(first.rig, lasers=()))
+    for worse in (astray, without_motion, without_sheet):
+        kept, look = choose(first, worse)
+        assert kept is first and not look.kept

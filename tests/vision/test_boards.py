@@ -91,6 +91,32 @@ def test_a_board_upside_down_is_known_by_its_black_corner(detector):
     assert np.abs(back - upright.q).max() < 0.1
 
 
+def test_a_large_image_is_looked_at_in_a_smaller_copy(monkeypatch):
+    homography = pose(size=3600.0, shift=(420.0, 420.0))
+    picture = drawn(CHESS, tuple(homography.ravel()), (2000, 1500), oversampling=4)
+    # Where the copy is not mapped back well, the windows of the fit miss the corners.
+    monkeypatch.setattr(boards, "_find_sectors", lambda *_, **__: pytest.fail("not found in the copy"))
+    found = find_corners(picture, CHESS)
+    assert np.hypot(*(found.q - expected(CHESS, homography)).T).max() < 0.05
+
+
+def test_an_uneven_grid_is_looked_for_again(monkeypatch):
+    homography, first = pose(), cv2.findChessboardCorners
+    tried = []
+
+    def one_square_off(*arguments, **keywords):
+        found, corners = first(*arguments, **keywords)
+        shape, corners = corners.shape, corners.reshape(-1, 2).copy()
+        corners[0] += corners[1] - corners[2]
+        tried.append(found)
+        return found, corners.reshape(shape)
+
+    monkeypatch.setattr(cv2, "findChessboardCorners", one_square_off)
+    found = find_corners(seen(CHESS, homography), CHESS)
+    assert tried == [True]
+    assert np.hypot(*(found.q - expected(CHESS, homography)).T).max() < 0.05
+
+
 @pytest.mark.parametrize("detector", ["sb", "classic"])
 def test_order_of_an_ambiguous_board_is_right_handed_and_points_right(detector):
     board = Chessboard(7, 5, 0.03)
