@@ -78,11 +78,6 @@ def prepare(observations: Observations) -> Prepared:
     )
 
 
-def rounded_sizes(views: int, corners: int) -> tuple[int, int]:
-    """So many views and corners of a board as the solver sees them, padding included."""
-    return _bucket(views, _VIEWS), _bucket(corners, _CORNERS)
-
-
 def _clean(q: Array, sigma: Array, valid: Array, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     pixel, noise = np.asarray(q, np.float64), np.asarray(sigma, np.float64)
     good = np.asarray(valid, bool) & np.isfinite(pixel).all(-1) & np.isfinite(noise) & (noise > 0)

@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxscan.observation import FoundCorners
+
 
 # Smallest and largest half side of the window [px]: fewer pixels do not hold the nine unknowns, and
 # farther out edges are bent by more than a curvature.
@@ -32,17 +34,6 @@ _SAMPLE = 16
 _MOST_SHARED = 8.0
 # Error of the model itself [px]: bent edges, quantised images.
 _FLOOR_PX = 2e-3
-
-
-class FoundCorners(NamedTuple):
-    """Corners of one board in one image, in the order of `board.corners()`."""
-
-    q: np.ndarray
-    """float64 [corners, 2]: (u, v) [px]; without meaning where not valid."""
-    sigma: np.ndarray
-    """float64 [corners]: standard deviation of each coordinate [px]; 1 where not valid."""
-    valid: np.ndarray
-    """bool [corners]."""
 
 
 def fit_corners(
