@@ -12,10 +12,10 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxscan.calibration.solve.joint import Linearised
-from jaxscan.calibration.solve.problem import Problem, corner_pixels, move
+from jaxscan.calibration.solve.problem import Problem, corner_pixels, move, used_stops
 from jaxscan.calibration.verdict.extra_terms import (
     Extents,
     board_terms,
@@ -49,6 +49,12 @@ class _System(NamedTuple):
     stripe_owner: np.ndarray
     inverse: Float[np.ndarray, "all all"]
     shared: int
+    own: Int[np.ndarray, "placements own"]
+    """Where the pose and the stops of each placement stand among all unknowns; the last one stands for none."""
+
+    def unknowns(self, placement: int | np.integer) -> Int[np.ndarray, " unknowns"]:
+        """Where all that a placement meets stands."""
+        return np.append(np.arange(self.shared), self.own[placement])
 
 
 def score_models(problem: Problem, linearised: Linearised, extents: Extents) -> Score:
@@ -158,29 +164,32 @@ def _system(problem: Problem, linearised: Linearised) -> _System:
     view_owner = np.asarray(problem.placement)
     stripe_owner = view_owner[np.asarray(problem.stripe_view)]
     shared, placements = len(problem.scales), len(problem.poses)
-    whole = np.zeros((shared + 6 * placements,) * 2)
+    used = used_stops(problem)
+    own = np.full((placements, problem.own), -1)
+    own[:, :6] = shared + np.arange(6 * placements).reshape(placements, 6)
+    own[:, 6:][used] = shared + 6 * placements + np.arange(used.sum())
+    whole = np.zeros((shared + 6 * placements + int(used.sum()) + 1,) * 2)
     whole[:shared, :shared] = linearised.prior
+    # The records' positions are residuals of the stops.
+    stops = own[:, 6:][used]
+    whole[stops, stops] = 1.0
+    system = _System(corner, stripe, view_owner, stripe_owner, whole, shared, own)
     for values, owner in ((corner, view_owner), (stripe, stripe_owner)):
         for gram, number in zip(np.swapaxes(values, 1, 2) @ values, owner, strict=True):
-            met = _unknowns(shared, number)
+            met = system.unknowns(number)
             whole[np.ix_(met, met)] += gram
     # Held unknowns and padding meet nothing.
     size = np.sqrt(np.where(np.diag(whole) > 0, np.diag(whole), 1.0))
     whole[np.diag_indices(len(whole))] = np.where(np.diag(whole) > 0, np.diag(whole), 1.0)
     inverse = np.linalg.inv(whole / np.outer(size, size)) / np.outer(size, size)
-    return _System(corner, stripe, view_owner, stripe_owner, inverse, shared)
-
-
-def _unknowns(shared: int, placement: int | np.integer) -> np.ndarray:
-    """Where the shared unknowns and the pose of a placement stand among all unknowns."""
-    return np.concatenate([np.arange(shared), shared + 6 * placement + np.arange(6)])
+    return system._replace(inverse=inverse)
 
 
 def _shared(system: _System, extra: np.ndarray, residual: np.ndarray, rows: np.ndarray, owner: np.ndarray) -> _Terms:
     """Of terms that every view or stripe has in common."""
     met = np.zeros((extra.shape[-1], len(system.inverse)))
     for own, number in zip(np.swapaxes(extra, 1, 2) @ rows, owner, strict=True):
-        met[:, _unknowns(system.shared, number)] += own
+        met[:, system.unknowns(number)] += own
     gradient = extra.reshape(-1, extra.shape[-1]).T @ residual.ravel()
     return _Terms(gradient, met, extra, striped=rows is system.stripe)
 
@@ -191,7 +200,7 @@ def _by_view(system: _System, extra: np.ndarray, residual: np.ndarray, views: np
     met = np.zeros((count * terms, len(system.inverse)))
     for index, view in enumerate(views):
         here = slice(index * terms, (index + 1) * terms)
-        met[here, _unknowns(system.shared, system.view_owner[view])] = extra[index].T @ system.corner[view]
+        met[here, system.unknowns(system.view_owner[view])] = extra[index].T @ system.corner[view]
     gradient = np.einsum("vrm,vr->vm", extra, residual[views]).ravel()
     return _Terms(gradient, met, extra, striped=False, views=views)
 
@@ -205,22 +214,25 @@ def _mean_residual(problem: Problem, system: _System) -> Float[np.ndarray, "view
 
     Source: Box, Bias in nonlinear estimation (1971).
     """
-    count = system.shared
-    covariance, cross = system.inverse[:count, :count], system.inverse[count:, :count]
+    count, (blocks, size) = system.shared, system.own.shape
+    covariance, cross = system.inverse[:count, :count], system.inverse[system.own, :count]
     # Any root of C will do: shared unknowns with the poses that follow them, then the poses alone, of
     # which those of different placements meet different views.
     root = np.linalg.cholesky(covariance)
-    follow = (cross @ np.linalg.solve(covariance, root)).T.reshape(count, -1, 6)
-    alone = system.inverse[count:, count:] - cross @ np.linalg.solve(covariance, cross.T)
-    own = np.stack([np.linalg.cholesky(alone[i : i + 6, i : i + 6]) for i in range(0, len(alone), 6)])
-    steps = Unknowns(np.concatenate([root.T, np.zeros((6, count))]), np.concatenate([follow, np.moveaxis(own, 2, 0)]))
+    follow = np.moveaxis(cross @ np.linalg.solve(covariance, root), 2, 0)
+    alone = system.inverse[system.own[:, :, None], system.own[:, None]]
+    alone = alone - cross @ np.linalg.solve(covariance, np.moveaxis(cross, 1, 2))
+    # Stops that are none stand beside each other in one place.
+    none = (system.own < 0)[:, :, None] | (system.own < 0)[:, None]
+    own = np.linalg.cholesky(np.where(none, np.eye(size), alone))
+    steps = Unknowns(np.concatenate([root.T, np.zeros((size, count))]), np.concatenate([follow, np.moveaxis(own, 2, 0)]))
     return _bend(problem, steps)
 
 
 def _bend(problem: Problem, steps: Unknowns) -> Float[np.ndarray, "views rows"]:
     """Half the sum of second differences of the corner residuals along steps."""
     seen = np.flatnonzero(problem.seen)
-    fields = ("corner_q", "corner_weight", "angle", "placement", "seen")
+    fields = ("corner_q", "corner_weight", "angle", "stop", "placement", "seen")
     parts: dict[str, Any] = {name: np.asarray(getattr(problem, name))[seen] for name in fields}
     some = replace(problem, **parts)
     here, total = corner_pixels(some), np.zeros(np.shape(problem.corner_q))
