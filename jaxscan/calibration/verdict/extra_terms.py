@@ -3,10 +3,11 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxscan.calibration.solve.prepare import Prepared
-from jaxscan.calibration.solve.problem import Problem
+from jaxscan.calibration.solve.problem import LEAST_STOP_SIGMA, Problem
+from jaxscan.calibration.solve.stops import faults_of_motion
 from jaxscan.geometry import AbstractMotion
 
 
@@ -90,6 +91,17 @@ def _polynomials(where: Float[np.ndarray, "... 2"], degree: int) -> Float[np.nda
 
     x, y = chebyshev(where[..., 0]), chebyshev(where[..., 1])
     return np.stack([x[i] * y[j] for i in range(degree + 1) for j in range(degree + 1 - i)], axis=-1)
+
+
+def turn_terms(problem: Problem, views: Int[np.ndarray, " views"]) -> Float[np.ndarray, "views terms"]:
+    """Errors of the motion's positions at some views [rad or m].
+
+    One of each view's own where stops are exact. Where they err by chance, those that chance does not make.
+    """
+    if float(problem.stop_sigma) <= LEAST_STOP_SIGMA:
+        return np.eye(len(views))
+    faults, stop = faults_of_motion(problem), np.asarray(problem.stop)[views]
+    return np.einsum("vs,vst->vt", stop, faults[np.asarray(problem.placement)[views]])
 
 
 def moving_twist(pose: Float[np.ndarray, "... 4 4"], motion: AbstractMotion) -> Float[np.ndarray, "... 6"]:

@@ -32,6 +32,8 @@ from jaxscan.calibration.verdict.score import Score, score_models
 # powers of the radius little else remains, and only their mean by second order is taken off.
 _IMITATED = 1e-2
 _RADIAL_IMITATED = 1e-3
+# Stops that err by chance imitate a fault of the table but for the part that chance makes unlikely.
+_TURN_IMITATED = 1e-6
 _ORDER = ("lens", "board", "table", "axis", "sheet")
 _REPEATED = 0.05
 # Square of what noise alone gives a direction, at two standard deviations.
@@ -101,7 +103,7 @@ def judge(result: Adjustment, settings: CalibrationSettings) -> Judged:
     for name in (name for name in _ORDER if name in seen):
         noise = stripe_noise if name == "sheet" else corner_noise
         statistic, dof = seen[name].statistic, len(seen[name].parts)
-        if name == "axis":
+        if name == "axis" and not result.angle_sigma:
             # Less the part that a wrong angle at every stop would explain.
             statistic, dof = max(statistic - seen["table"].statistic, 0.0), dof - len(seen["table"].parts)
         test = _tested(name, statistic, dof, noise)
@@ -146,7 +148,7 @@ def _look(score: Score, name: str, known: _Seen | None = None) -> _Seen:
         gradient, variance = gradient - alike @ known.parts, variance - alike @ alike.T
     unit = np.sqrt(score.own[places])
     values, vectors = np.linalg.eigh(variance / np.outer(unit, unit))
-    kept = values > (_RADIAL_IMITATED if name == "radial" else _IMITATED)
+    kept = values > {"radial": _RADIAL_IMITATED, "table": _TURN_IMITATED}.get(name, _IMITATED)
     own = vectors[:, kept] / np.sqrt(values[kept]) / unit[:, None]
     root = np.zeros((len(score.own), own.shape[1]))
     root[places] = own

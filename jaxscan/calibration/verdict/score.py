@@ -23,6 +23,7 @@ from jaxscan.calibration.verdict.extra_terms import (
     moving_twist,
     radial_terms,
     sheet_terms,
+    turn_terms,
 )
 from jaxscan.leastsq import Unknowns
 
@@ -58,7 +59,8 @@ class _System(NamedTuple):
 
 
 def score_models(problem: Problem, linearised: Linearised, extents: Extents) -> Score:
-    """Score of every model; those of "table" and "axis" have as many terms a view, of `repeated_views`.
+    """Score of every model; those of "axis", and of "table" where stops are exact, have as many terms a view, of
+    `repeated_views`.
 
     Args:
         problem: At its minimum, with its weights.
@@ -90,7 +92,13 @@ def score_models(problem: Problem, linearised: Linearised, extents: Extents) -> 
     if problem.turntable.blocks and len(views := repeated_views(problem)):
         twist = twist[views]
         turn = moving_twist(linearised.view_poses[views], problem.turntable)
-        groups["table"] = _by_view(system, np.einsum("vrd,vd->vr", twist, turn)[..., None], corner_residual, views)
+        turned, terms = np.einsum("vrd,vd->vr", twist, turn)[..., None], turn_terms(problem, views)
+        if terms.shape[1] == len(views):
+            groups["table"] = _by_view(system, turned, corner_residual, views)
+        else:
+            extra = np.zeros((*corner_residual.shape, terms.shape[1]))
+            extra[views] = turned * terms[:, None]
+            groups["table"] = _shared(system, extra, corner_residual, system.corner, system.view_owner)
         groups["axis"] = _by_view(system, twist, corner_residual, views)
     if len(problem.lasers.distance):
         by_q = linearised.by_q
@@ -225,7 +233,9 @@ def _mean_residual(problem: Problem, system: _System) -> Float[np.ndarray, "view
     # Stops that are none stand beside each other in one place.
     none = (system.own < 0)[:, :, None] | (system.own < 0)[:, None]
     own = np.linalg.cholesky(np.where(none, np.eye(size), alone))
-    steps = Unknowns(np.concatenate([root.T, np.zeros((size, count))]), np.concatenate([follow, np.moveaxis(own, 2, 0)]))
+    steps = Unknowns(
+        np.concatenate([root.T, np.zeros((size, count))]), np.concatenate([follow, np.moveaxis(own, 2, 0)])
+    )
     return _bend(problem, steps)
 
 
