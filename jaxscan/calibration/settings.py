@@ -62,7 +62,7 @@ class CalibrationSettings:
     def __post_init__(self) -> None:
         if self.angle_sigma is not None and not 0 <= self.angle_sigma < 1:
             raise CalibrationError(
-                f"CalibrationSettings.angle_sigma: found {self.angle_sigma:g}, expected 0 or a small number of rad or m."
+                f"CalibrationSettings.angle_sigma: found {self.angle_sigma:g}, expected 0 to 1 rad or m."
             )
         _check_known("camera", [self.camera], CAMERAS)
         _check_known("only", [] if self.only is None else [self.only], get_args(RigKind))

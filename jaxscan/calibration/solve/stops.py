@@ -14,7 +14,7 @@ from jaxscan.geometry import LinearStage
 
 # Twice the gain in log-likelihood from which stops are believed to err: by chance one calibration in 40 has it.
 _BELIEVED = 4.0
-# What errs by more is no stop but another fault: a lost step, a slipping belt, a model of the table that is wrong [rad or m].
+# What errs by more is no stop but another fault: a lost step, a slipping belt, a wrong model of the table [rad or m].
 _MOST = 1e-3
 # Share of the largest information that is rounding error.
 _ROUNDING = 1e-9

@@ -222,7 +222,7 @@ def _mean_residual(problem: Problem, system: _System) -> Float[np.ndarray, "view
 
     Source: Box, Bias in nonlinear estimation (1971).
     """
-    count, (blocks, size) = system.shared, system.own.shape
+    count, size = system.shared, system.own.shape[1]
     covariance, cross = system.inverse[:count, :count], system.inverse[system.own, :count]
     # Any root of C will do: shared unknowns with the poses that follow them, then the poses alone, of
     # which those of different placements meet different views.
@@ -233,9 +233,8 @@ def _mean_residual(problem: Problem, system: _System) -> Float[np.ndarray, "view
     # Stops that are none stand beside each other in one place.
     none = (system.own < 0)[:, :, None] | (system.own < 0)[:, None]
     own = np.linalg.cholesky(np.where(none, np.eye(size), alone))
-    steps = Unknowns(
-        np.concatenate([root.T, np.zeros((size, count))]), np.concatenate([follow, np.moveaxis(own, 2, 0)])
-    )
+    shared = np.concatenate([root.T, np.zeros((size, count))])
+    steps = Unknowns(shared, np.concatenate([follow, np.moveaxis(own, 2, 0)]))
     return _bend(problem, steps)
 
 
