@@ -65,5 +65,7 @@ class Adjusted:
     """Residuals on the boards, where there were any."""
     uneven_m: float = 0.0
     """Standard deviation of the walls' shape, which neighbouring points share [m]."""
+    stop_sigma: float = 0.0
+    """Standard deviation of the table's stops about its angles [rad]; 0 where walls do not show it."""
     misfit: float = 1.0
     """Mean square of the kept points' errors over the variances that were stated before any was learned [1]."""

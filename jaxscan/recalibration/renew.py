@@ -42,6 +42,7 @@ def _quality(result: Recalibration, scanner: Scanner, lengths: Lengths) -> Quali
     return Quality(
         converged=result.adjusted.converged,
         steps=result.adjusted.steps,
+        angle_sigma=result.adjusted.stop_sigma,
         lengths=lengths,
         verdict=Verdict(refused is None, good_to, refused),
     )

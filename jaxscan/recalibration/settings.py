@@ -21,6 +21,8 @@ class RecalibrationSettings:
     angles: Literal["model", "steps"] = "model"
     """Errors of the table's angles: `model`, its gain and errors once and twice per turn; `steps`, one angle per
     step as well, smooth but for lost steps."""
+    angle_sigma: float | None = None
+    """Standard deviation of where the table stops about the angle of its record [rad]; None: learned from the walls."""
     features: bool | None = None
     """Whether features of the laser-off images are tracked from step to step; None: where they have texture."""
     marker_dictionary: str | None = None

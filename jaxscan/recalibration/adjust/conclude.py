@@ -7,6 +7,7 @@ from jaxtyping import Float
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration.adjust.room import ANGLE_SCALE, LOCAL_SCALE, STATION_SCALE
 from jaxscan.recalibration.adjust.state import State
+from jaxscan.recalibration.adjust.wall_shape import STOPS
 from jaxscan.recalibration.adjusted import Adjusted
 from jaxscan.recalibration.observed import RoomObservations, Surfaces
 
@@ -49,7 +50,8 @@ def conclude(state: State, prior: Scanner, observations: RoomObservations) -> Ad
         freedom=rows - 3 * places - stations,
         converged=state.converged,
         steps=state.steps,
-        uneven_m=float(np.sqrt(np.sum(state.heights**2))),
+        uneven_m=float(np.sqrt(np.sum(state.heights[:STOPS] ** 2))),
+        stop_sigma=float(state.heights[STOPS]),
         misfit=state.misfit,
     )
 

@@ -15,7 +15,7 @@ from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise
 from jaxscan.recalibration.adjust.prepare import Prepared
 from jaxscan.recalibration.adjust.room import Room, Unknowns
 from jaxscan.recalibration.adjust.solver import Linearised
-from jaxscan.recalibration.adjust.wall_shape import Wall, find_walls, with_shape
+from jaxscan.recalibration.adjust.wall_shape import STOPS, Wall, find_walls, with_shape
 from jaxscan.recalibration.observed import RoomObservations
 
 
@@ -33,8 +33,8 @@ class State:
     board_data: BoardData | None = None
     sighting_noise: float = 1.0
     """Over the given sigmas [1]."""
-    heights: Float[np.ndarray, " sizes"] = field(default_factory=lambda: np.zeros(4))
-    """Standard deviation of the heights of patches of each size [m]."""
+    heights: Float[np.ndarray, " sizes"] = field(default_factory=lambda: np.zeros(STOPS + 1))
+    """Standard deviation of the heights of patches of each size [m], and of the table's stops [rad]."""
     patched: Sequence[Wall] = ()
     """Walls whose patches are kept; without any, patches follow the places of the points."""
     stated_wall_m: float = FIRST_WALL_M
@@ -100,7 +100,9 @@ class State:
     @cached_property
     def walls(self) -> list[Wall]:
         """All walls and their patches."""
-        return find_walls(self.prepared.room, self.linearised, self.kept, self.patched)
+        points = self.observations.points
+        stop = self.prepared.angles.first[points.sweep] + points.record
+        return find_walls(self.prepared.room, self.linearised, self.kept, stop, self.patched)
 
     @cached_property
     def shaped(self) -> tuple[Arrow, float]:

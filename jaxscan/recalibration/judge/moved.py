@@ -11,7 +11,7 @@ from jaxscan.recalibration.result import Moved
 
 
 # A change whose chance variance is a smaller share of the prior's says nothing.
-_LEARNED = 1e-6
+_TOLD = 1e-6
 
 
 def moved_parameters(
@@ -40,7 +40,7 @@ def moved_parameters(
     for i, name in enumerate(stored.parameter_names()):
         if sigma[i] > 0:
             own = max(float(chance[i, i]), 0.0)
-            size = float(step[i]) / np.sqrt(own) if own > _LEARNED * sigma[i] ** 2 else 0.0
+            size = float(step[i]) / np.sqrt(own) if own > _TOLD * sigma[i] ** 2 else 0.0
             value = float(before[i])
             told = (float(sigma[i]), float(after[i]), float(size), *unit_of(name))
             found.append(Moved(name, value, value + float(step[i]), *told))
