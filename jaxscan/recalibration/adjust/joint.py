@@ -10,16 +10,15 @@ from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
 from jaxscan.leastsq import Cauchy, Covariance, keep_inliers, robust_noise
 from jaxscan.recalibration.adjust.boards import board_equations, prepare_boards, with_boards
-from jaxscan.recalibration.adjust.conclude import conclude
 from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise, learn_noise, shared_by_profiles
 from jaxscan.recalibration.adjust.prepare import Prepared, prepare
 from jaxscan.recalibration.adjust.room import ANGLE_SCALE, Unknowns
 from jaxscan.recalibration.adjust.solver import linearise, solve, step_of
-from jaxscan.recalibration.adjust.state import State
+from jaxscan.recalibration.adjust.state import State, conclude
 from jaxscan.recalibration.adjust.wall_shape import STOPS, beside_shape, learn_heights
-from jaxscan.recalibration.adjusted import Adjusted, Start
+from jaxscan.recalibration.given import RecalibrationSettings
 from jaxscan.recalibration.observed import RoomObservations
-from jaxscan.recalibration.settings import RecalibrationSettings
+from jaxscan.recalibration.result import Adjusted, Start
 
 
 # Damping at the start of a solve, relative to J'J: cautious from a poor calibration, a plain Gauss-Newton step
