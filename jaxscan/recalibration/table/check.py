@@ -90,6 +90,8 @@ COARSEST = np.deg2rad(1.75)
 """Distance of records up to which faults are sought [rad]: between farther ones furniture looks like a lost step."""
 ALIKE, FEW_STEPS, AS_GOOD = 0.3, 3, 0.2
 """Factors so near to 1 [1] are compared with so few lost steps, by the truncated cost of a point [1]."""
+BESIDE = 0.22
+"""A factor so near to a power of two is compared with that [1]."""
 
 
 def check_angles(
@@ -138,6 +140,7 @@ def _faults(sweep: SweepStripes, scanner: Scanner, table: Turntable) -> tuple[fl
     own = np.asarray(table.angle(sweep.angle))
     factor = find_factor(sweep, start_rig(scanner, own))
     if abs(factor - 1.0) >= ALIKE:
+        factor = _usual(sweep, scanner, table, factor)
         rig = find_steps(sweep, _settled(sweep, scanner, table, factor))
     else:
         factor, rig = _steps_or_factor(sweep, scanner, table, factor)
@@ -153,6 +156,15 @@ def _faults(sweep: SweepStripes, scanner: Scanner, table: Turntable) -> tuple[fl
         return 1.0, steps
     pair = usual_ratio(precise)
     return (precise if pair is None else pair[0] / pair[1]), steps
+
+
+def _usual(sweep: SweepStripes, scanner: Scanner, table: Turntable, factor: float) -> float:
+    """A factor, or the power of two beside it where that explains the walls as well: a bent rig imitates the rest."""
+    power = 2.0 ** round(float(np.log2(factor)))
+    if abs(factor / power - 1.0) > BESIDE:
+        return factor
+    found, usual = (truncated_cost(sweep, _settled(sweep, scanner, table, one)) for one in (factor, power))
+    return power if usual[0] < found[0] + AS_GOOD * found[1] else factor
 
 
 def _steps_or_factor(sweep: SweepStripes, scanner: Scanner, table: Turntable, factor: float) -> tuple[float, Rig]:
