@@ -294,6 +294,7 @@ def _apart(data: Prepared) -> Prepared:
     return data._replace(
         placement=np.where(data.usable, np.arange(len(data.usable)), 0).astype(np.int32),
         angle=np.zeros_like(data.angle),
+        stop=np.zeros_like(data.stop),
     )
 
 

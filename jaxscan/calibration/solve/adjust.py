@@ -9,7 +9,8 @@ from jaxscan.calibration.solve.adjustment import Adjustment, Errors, correlation
 from jaxscan.calibration.solve.covariance import undetermined_shares
 from jaxscan.calibration.solve.joint import Linearised, Solution, linearise, solve
 from jaxscan.calibration.solve.prepare import Prepared
-from jaxscan.calibration.solve.problem import Problem
+from jaxscan.calibration.solve.problem import Problem, with_stop_sigma
+from jaxscan.calibration.solve.stops import learn_stop_sigma
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array
 from jaxscan.leastsq import Huber, keep_inliers, robust_noise
@@ -115,11 +116,15 @@ def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
             correlation = correlation_along(errors.stripe / noise[1][data.stripe_contrast], stripe_kept)
             # Their correlation counts what neighbours share; whole lines may scatter by more.
             correlation = max(correlation, cleaned.line_scatter() * state.stripe_correlation)
+        stop_sigma = before = float(state.problem.stop_sigma)
+        if settings.angle_sigma is None:
+            stop_sigma = learn_stop_sigma(state.linearised)
         same = np.array_equal(corner_kept, state.corner_kept) and np.array_equal(stripe_kept, state.stripe_kept)
         ratios = (
             noise[0] / state.corner_noise,
             *(noise[1] / state.stripe_noise),
             correlation / state.stripe_correlation,
+            stop_sigma / before,
         )
         settled = same and max(abs(ratio - 1.0) for ratio in ratios) < _SETTLED
         if settled and round_number > 0:
@@ -131,7 +136,7 @@ def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
             stripe_noise=noise[1],
             stripe_correlation=correlation,
         )
-        state = _solved(cleaned, settings, _FINE)
+        state = _solved(cleaned, settings, _FINE, stop_sigma=stop_sigma)
     return state
 
 
@@ -185,6 +190,7 @@ def _solved(
     settings: CalibrationSettings,
     tolerance: float,
     damp: tuple[np.ndarray | float, np.ndarray | float] = (1.0, 1.0),
+    stop_sigma: float | None = None,
 ) -> Adjustment:
     """The state after one more solve, in which weights are damped by factors of the corners and the stripes."""
     data = state.data
@@ -192,6 +198,8 @@ def _solved(
     stripe = state.stripe_kept * damp[1] / (state.stripe_sigma * state.errors.slope)
     stripe = stripe / np.sqrt(state.stripe_correlation)
     weighted = replace(state.problem, corner_weight=corner, stripe_weight=stripe)
+    if stop_sigma is not None:
+        weighted = with_stop_sigma(weighted, stop_sigma)
     damping = _SEED_DAMPING if state.steps == 0 else _NEAR_DAMPING
     solution = solve(weighted, damping, tolerance, settings.max_steps)
     return replace(

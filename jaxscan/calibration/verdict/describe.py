@@ -54,6 +54,7 @@ def describe_quality(
         stripe_noise_over_sigma=result.stripe_noise_rms,
         stripe_noise_by_contrast=_noise_by_contrast(result),
         stripe_correlation=result.stripe_correlation,
+        angle_sigma=result.angle_sigma,
         views=len(per_view),
         views_without_board=len(np.asarray(observations.corners.angle)) - len(per_view),
         views_dropped=tuple(view.record for view in per_view if view.dropped),

@@ -29,6 +29,7 @@ from jaxscan.calibration.verdict.structure import (
     radial_terms,
     repeated_views,
     sheet_terms,
+    turn_terms,
 )
 from jaxscan.geometry import Layout, LinearStage
 from jaxscan.observation import Observations
@@ -186,8 +187,9 @@ def _of_sheets(result: Adjustment, layout: Layout, size: np.ndarray, imitation: 
 
 def _of_motion(result: Adjustment, layout: Layout, missing: Missing, places: dict[str, np.ndarray]) -> list[np.ndarray]:
     """Steps of a motion that does not go where its model says: along it, and any other way."""
-    along, aside = (missing.size[places[name]] for name in ("table", "axis"))
-    error = np.sqrt(max(np.mean(along**2) - np.mean(np.sum(missing.noise[places["table"]] ** 2, axis=1)), 0.0))
+    aside, turns = missing.size[places["axis"]], turn_terms(result.problem, repeated_views(result.problem))
+    along, chance = (turns @ part[places["table"]] for part in (missing.size, missing.noise))
+    error = np.sqrt(max(np.mean(along**2) - np.mean(np.sum(chance**2, axis=1)), 0.0))
     shift, distance = _shift_aside(result, aside, missing.noise[places["axis"]])
     if isinstance(result.problem.turntable, LinearStage):
         # Errors of places count over a usual travel.

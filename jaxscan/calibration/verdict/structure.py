@@ -17,14 +17,15 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxscan.calibration.chi_squared import chance_of
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjustment import Adjustment
 from jaxscan.calibration.solve.joint import Linearised
 from jaxscan.calibration.solve.prepare import Prepared
-from jaxscan.calibration.solve.problem import Problem, corner_pixels, move
+from jaxscan.calibration.solve.problem import LEAST_STOP_SIGMA, Problem, corner_pixels, move, used_stops
+from jaxscan.calibration.solve.stops import faults_of_motion
 from jaxscan.calibration.verdict.cross_validation import Split, compare_halves, compare_regions
 from jaxscan.calibration.verdict.limits import result_of_test
 from jaxscan.calibration.verdict.quality import ModelTest
@@ -37,6 +38,8 @@ from jaxscan.leastsq import Unknowns
 # powers of the radius little else remains, and only their mean by second order is taken off.
 _IMITATED = 1e-2
 _RADIAL_IMITATED = 1e-3
+# Stops that err by chance imitate a fault of the table but for the part that chance makes unlikely.
+_TURN_IMITATED = 1e-6
 _ORDER = ("lens", "board", "table", "axis", "sheet")
 _REPEATED = 0.05
 # Square of what noise alone gives a direction, at two standard deviations.
@@ -133,7 +136,7 @@ def judge(result: Adjustment, settings: CalibrationSettings) -> Judged:
     for name in (name for name in _ORDER if name in seen):
         noise = stripe_noise if name == "sheet" else corner_noise
         statistic, dof = seen[name].statistic, len(seen[name].parts)
-        if name == "axis":
+        if name == "axis" and not result.angle_sigma:
             # Less the part that a wrong angle at every stop would explain.
             statistic, dof = max(statistic - seen["table"].statistic, 0.0), dof - len(seen["table"].parts)
         test = _tested(name, statistic, dof, noise)
@@ -182,7 +185,7 @@ def _look(score: Score, name: str, known: _Seen | None = None) -> _Seen:
         gradient, variance = gradient - alike @ known.parts, variance - alike @ alike.T
     unit = np.sqrt(score.own[places])
     values, vectors = np.linalg.eigh(variance / np.outer(unit, unit))
-    kept = values > (_RADIAL_IMITATED if name == "radial" else _IMITATED)
+    kept = values > {"radial": _RADIAL_IMITATED, "table": _TURN_IMITATED}.get(name, _IMITATED)
     own = vectors[:, kept] / np.sqrt(values[kept]) / unit[:, None]
     root = np.zeros((len(score.own), own.shape[1]))
     root[places] = own
@@ -220,10 +223,17 @@ class _System(NamedTuple):
     stripe_owner: np.ndarray
     inverse: Float[np.ndarray, "all all"]
     shared: int
+    own: Int[np.ndarray, "placements own"]
+    """Where the pose and the stops of each placement stand among all unknowns; the last one stands for none."""
+
+    def unknowns(self, placement: int | np.integer) -> Int[np.ndarray, " unknowns"]:
+        """Where all that a placement meets stands."""
+        return np.append(np.arange(self.shared), self.own[placement])
 
 
 def score_models(problem: Problem, linearised: Linearised, extents: Extents) -> Score:
-    """Score of every model; those of "table" and "axis" have as many terms a view, of `repeated_views`.
+    """Score of every model; those of "axis", and of "table" where stops are exact, have as many terms a view, of
+    `repeated_views`.
 
     Args:
         problem: At its minimum, with its weights.
@@ -255,7 +265,13 @@ def score_models(problem: Problem, linearised: Linearised, extents: Extents) -> 
     if problem.turntable.blocks and len(views := repeated_views(problem)):
         twist = twist[views]
         turn = moving_twist(linearised.view_poses[views], problem.turntable)
-        groups["table"] = _by_view(system, np.einsum("vrd,vd->vr", twist, turn)[..., None], corner_residual, views)
+        turned, terms = np.einsum("vrd,vd->vr", twist, turn)[..., None], turn_terms(problem, views)
+        if terms.shape[1] == len(views):
+            groups["table"] = _by_view(system, turned, corner_residual, views)
+        else:
+            extra = np.zeros((*corner_residual.shape, terms.shape[1]))
+            extra[views] = turned * terms[:, None]
+            groups["table"] = _shared(system, extra, corner_residual, system.corner, system.view_owner)
         groups["axis"] = _by_view(system, twist, corner_residual, views)
     if len(problem.lasers.distance):
         by_q = linearised.by_q
@@ -329,29 +345,32 @@ def _system(problem: Problem, linearised: Linearised) -> _System:
     view_owner = np.asarray(problem.placement)
     stripe_owner = view_owner[np.asarray(problem.stripe_view)]
     shared, placements = len(problem.scales), len(problem.poses)
-    whole = np.zeros((shared + 6 * placements,) * 2)
+    used = used_stops(problem)
+    own = np.full((placements, problem.own), -1)
+    own[:, :6] = shared + np.arange(6 * placements).reshape(placements, 6)
+    own[:, 6:][used] = shared + 6 * placements + np.arange(used.sum())
+    whole = np.zeros((shared + 6 * placements + int(used.sum()) + 1,) * 2)
     whole[:shared, :shared] = linearised.prior
+    # The records' positions are residuals of the stops.
+    stops = own[:, 6:][used]
+    whole[stops, stops] = 1.0
+    system = _System(corner, stripe, view_owner, stripe_owner, whole, shared, own)
     for values, owner in ((corner, view_owner), (stripe, stripe_owner)):
         for gram, number in zip(np.swapaxes(values, 1, 2) @ values, owner, strict=True):
-            met = _unknowns(shared, number)
+            met = system.unknowns(number)
             whole[np.ix_(met, met)] += gram
     # Held unknowns and padding meet nothing.
     size = np.sqrt(np.where(np.diag(whole) > 0, np.diag(whole), 1.0))
     whole[np.diag_indices(len(whole))] = np.where(np.diag(whole) > 0, np.diag(whole), 1.0)
     inverse = np.linalg.inv(whole / np.outer(size, size)) / np.outer(size, size)
-    return _System(corner, stripe, view_owner, stripe_owner, inverse, shared)
-
-
-def _unknowns(shared: int, placement: int | np.integer) -> np.ndarray:
-    """Where the shared unknowns and the pose of a placement stand among all unknowns."""
-    return np.concatenate([np.arange(shared), shared + 6 * placement + np.arange(6)])
+    return system._replace(inverse=inverse)
 
 
 def _shared(system: _System, extra: np.ndarray, residual: np.ndarray, rows: np.ndarray, owner: np.ndarray) -> _Terms:
     """Of terms that every view or stripe has in common."""
     met = np.zeros((extra.shape[-1], len(system.inverse)))
     for own, number in zip(np.swapaxes(extra, 1, 2) @ rows, owner, strict=True):
-        met[:, _unknowns(system.shared, number)] += own
+        met[:, system.unknowns(number)] += own
     gradient = extra.reshape(-1, extra.shape[-1]).T @ residual.ravel()
     return _Terms(gradient, met, extra, striped=rows is system.stripe)
 
@@ -362,7 +381,7 @@ def _by_view(system: _System, extra: np.ndarray, residual: np.ndarray, views: np
     met = np.zeros((count * terms, len(system.inverse)))
     for index, view in enumerate(views):
         here = slice(index * terms, (index + 1) * terms)
-        met[here, _unknowns(system.shared, system.view_owner[view])] = extra[index].T @ system.corner[view]
+        met[here, system.unknowns(system.view_owner[view])] = extra[index].T @ system.corner[view]
     gradient = np.einsum("vrm,vr->vm", extra, residual[views]).ravel()
     return _Terms(gradient, met, extra, striped=False, views=views)
 
@@ -376,22 +395,26 @@ def _mean_residual(problem: Problem, system: _System) -> Float[np.ndarray, "view
 
     Source: Box, Bias in nonlinear estimation (1971).
     """
-    count = system.shared
-    covariance, cross = system.inverse[:count, :count], system.inverse[count:, :count]
+    count, size = system.shared, system.own.shape[1]
+    covariance, cross = system.inverse[:count, :count], system.inverse[system.own, :count]
     # Any root of C will do: shared unknowns with the poses that follow them, then the poses alone, of
     # which those of different placements meet different views.
     root = np.linalg.cholesky(covariance)
-    follow = (cross @ np.linalg.solve(covariance, root)).T.reshape(count, -1, 6)
-    alone = system.inverse[count:, count:] - cross @ np.linalg.solve(covariance, cross.T)
-    own = np.stack([np.linalg.cholesky(alone[i : i + 6, i : i + 6]) for i in range(0, len(alone), 6)])
-    steps = Unknowns(np.concatenate([root.T, np.zeros((6, count))]), np.concatenate([follow, np.moveaxis(own, 2, 0)]))
+    follow = np.moveaxis(cross @ np.linalg.solve(covariance, root), 2, 0)
+    alone = system.inverse[system.own[:, :, None], system.own[:, None]]
+    alone = alone - cross @ np.linalg.solve(covariance, np.moveaxis(cross, 1, 2))
+    # Stops that are none stand beside each other in one place.
+    none = (system.own < 0)[:, :, None] | (system.own < 0)[:, None]
+    own = np.linalg.cholesky(np.where(none, np.eye(size), alone))
+    shared = np.concatenate([root.T, np.zeros((size, count))])
+    steps = Unknowns(shared, np.concatenate([follow, np.moveaxis(own, 2, 0)]))
     return _bend(problem, steps)
 
 
 def _bend(problem: Problem, steps: Unknowns) -> Float[np.ndarray, "views rows"]:
     """Half the sum of second differences of the corner residuals along steps."""
     seen = np.flatnonzero(problem.seen)
-    fields = ("corner_q", "corner_weight", "angle", "placement", "seen")
+    fields = ("corner_q", "corner_weight", "angle", "stop", "placement", "seen")
     parts: dict[str, Any] = {name: np.asarray(getattr(problem, name))[seen] for name in fields}
     some = replace(problem, **parts)
     here, total = corner_pixels(some), np.zeros(np.shape(problem.corner_q))
@@ -467,6 +490,17 @@ def _polynomials(where: Float[np.ndarray, "... 2"], degree: int) -> Float[np.nda
 
     x, y = chebyshev(where[..., 0]), chebyshev(where[..., 1])
     return np.stack([x[i] * y[j] for i in range(degree + 1) for j in range(degree + 1 - i)], axis=-1)
+
+
+def turn_terms(problem: Problem, views: Int[np.ndarray, " views"]) -> Float[np.ndarray, "views terms"]:
+    """Errors of the motion's positions at some views [rad or m].
+
+    One of each view's own where stops are exact. Where they err by chance, those that chance does not make.
+    """
+    if float(problem.stop_sigma) <= LEAST_STOP_SIGMA:
+        return np.eye(len(views))
+    faults, stop = faults_of_motion(problem), np.asarray(problem.stop)[views]
+    return np.einsum("vs,vst->vt", stop, faults[np.asarray(problem.placement)[views]])
 
 
 def moving_twist(pose: Float[np.ndarray, "... 4 4"], motion: AbstractMotion) -> Float[np.ndarray, "... 6"]:
