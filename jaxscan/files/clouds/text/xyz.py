@@ -17,6 +17,7 @@ from jaxscan.errors import CloudError
 from jaxscan.files.clouds.about import About, StoredCloud
 from jaxscan.files.clouds.columns import (
     AXES,
+    COLOURS,
     Columns,
     Extent,
     Reading,
@@ -213,6 +214,8 @@ class _Table(NamedTuple):
             words = re.split(r"[\s;,]+", line.strip())
             if sum(map(_is_number, words)) >= 3 and not _COMMENT.match(line):
                 break
+            if len(words) == 2 and all(map(_is_number, words)):
+                raise CloudError(f"{path}: found 2 numbers a line, expected x, y and z at least.")
             if not line or len(before) == _TITLE_LINES:
                 raise CloudError(f"{path}: not a table of numbers: the first {_TITLE_LINES} lines hold none.")
             if len(words) == 1 and words[0].isascii() and words[0].isdigit() and len(words[0]) < 12:
@@ -353,8 +356,8 @@ def _columns_of(table: _Table, seen: _Seen, reading: Reading, path: Path) -> tup
 
 def _used(table: _Table, columns: Columns, count: int) -> tuple[np.dtype, int, "_Read"]:
     """Type, number and reader of the points with the columns that a cloud uses."""
-    # Singles are exact for colours, and as good as any scanner's intensity.
-    kinds = np.dtype([(name, "f8" if name in AXES else "f4") for name in columns.places])
+    # Singles are exact for colours.
+    kinds = np.dtype([(name, "f4" if name in COLOURS else "f8") for name in columns.places])
     return kinds, count, _Read(table, columns, kinds)
 
 
