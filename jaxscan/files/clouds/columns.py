@@ -96,8 +96,7 @@ _UNIT_AT_END = re.compile(r"(?<=[xyz])_(mm|cm|m|ft|in)$")
 def _bare(name: str) -> str:
     """A name without prefix, unit, and what programs put between words."""
     name = name.strip().strip("\"'").lower().removeprefix("scalar_")
-    unit = _UNIT_OF_NAME.search(name)
-    name = name[: unit.start()] if unit and unit_of(unit[1]) else _UNIT_AT_END.sub("", name)
+    name = _UNIT_AT_END.sub("", _UNIT_OF_NAME.sub("", name) or name)
     return re.sub(r"[\W_]", "", name) or name
 
 
