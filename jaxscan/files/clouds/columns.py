@@ -290,6 +290,9 @@ def guessed(extent: Extent, path: str, *, points: int, counted: bool) -> Columns
     ways = [way for way in ways if len(way) == most]
     if counted and len(ways) > 1:
         ways = [way for way in ways if [piece for piece, _ in way][:2] == ["i", "c"]] or ways
+    opaque = [way for way in ways if [piece for piece, _ in way[-2:]] == ["c", "i"] and _is_opaque(way[-1][1], extent)]
+    if len(ways) > 1 and opaque:
+        ways = [opaque[0][:-1]]
     if len(ways) > 1:
         texts = [",".join(_short(way, start)) for way in ways[:2]]
         raise CloudError(
@@ -301,6 +304,11 @@ def guessed(extent: Extent, path: str, *, points: int, counted: bool) -> Columns
         places |= {name: begin + k for k, name in enumerate(_PIECES[piece])}
     unused = tuple(f"column {k + 1}" for k in range(width) if k not in places.values())
     return Columns(places, unused)
+
+
+def _is_opaque(at: int, extent: Extent) -> bool:
+    """Whether a column behind a colour is what programs write that know how much shines through: 255 throughout."""
+    return bool(extent.least[at] == extent.most[at] == 255)
 
 
 def _fits(piece: str, at: int, extent: Extent) -> bool:
@@ -488,7 +496,7 @@ def decide(
         columns = listed(names, reading, path) if reading.columns else assign(names, path, ours=ours)
         by = "--columns" if reading.columns else by
     places = dict(columns.places)
-    words = [f"{', '.join(places)} by {by}"]
+    words = [f"{', '.join((*AXES, *(name for name in places if name not in AXES)))} by {by}"]
     left = [name for name in columns.unused if name not in USED and name != "sigma"]
     if left:
         words.append(f"not used: {', '.join(left)[:80]}")
