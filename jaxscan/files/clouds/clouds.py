@@ -176,7 +176,10 @@ def read_cloud(path: str | Path, reading: Reading | None = None) -> StoredCloud:
     if reader is None:
         raise CloudError(f'{path}: cannot read "{path.suffix}", known are {", ".join((*READERS, *TEXTS))}.')
     # Numbers that are too large for their column become infinite, and are refused below.
-    with np.errstate(over="ignore", invalid="ignore"):
-        stored = reader(path, reading)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            stored = reader(path, reading)
+    except OSError as problem:
+        raise CloudError(f"{path}: cannot be read: {problem.strerror or problem}.") from problem
     check_cloud(stored.cloud, str(path))
     return stored

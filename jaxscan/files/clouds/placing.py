@@ -9,6 +9,7 @@ from jaxscan.errors import CloudError
 from jaxscan.files.clouds.about import StoredCloud
 from jaxscan.files.clouds.columns import METRES, UNIT_WORDS, Unit
 from jaxscan.geometry import Array
+from jaxscan.printable import printable
 from jaxscan.reconstruction import PointCloud, Stations, some_points
 
 
@@ -63,7 +64,8 @@ def in_metres(stored: StoredCloud, unit: Unit | None = None) -> tuple[PointCloud
         factors = (METRES[guess],) * 3
         words.append(f"{about.unit_by or 'the file does not say its unit'}; {said} (--unit)")
     cloud = cloud if factors == (1.0, 1.0, 1.0) else _scaled(cloud, factors)
-    notes = [f"{'; '.join(words)}."] if words else []
+    # Names of columns and comments are another program's words.
+    notes = [printable(f"{'; '.join(words)}.")] if words else []
     return cloud, notes + _size_notes(cloud, factors[0])
 
 

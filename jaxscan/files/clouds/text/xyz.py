@@ -344,8 +344,9 @@ def _columns_of(table: _Table, seen: _Seen, reading: Reading, path: Path) -> tup
     if reading.columns:
         found, by = listed(table.titles or numbered, reading, str(path)), "--columns"
     elif table.titles:
-        found = assign(table.titles, str(path), what=f'the names of the line "{table.title:.60}"')
-        by = f'the line "{table.title:.60}"'
+        shown = f"{' '.join(table.title.split()):.60}"
+        found = assign(table.titles, str(path), what=f'the names of the line "{shown}"')
+        by = f'the line "{shown}"'
     else:
         found = guessed(seen.extent, str(path), points=seen.points, counted=table.stated is not None)
         by = "their numbers" if len(found.places) > len(AXES) or found.unused else "their place"
