@@ -133,6 +133,14 @@ def e57(*, xyz=XYZ, places=None, colours=RGB, limit=255, kind=None, level=None, 
     return write
 
 
+def _limits(e57, image, scan):
+    limits = e57.StructureNode(image)
+    for name in ("Red", "Green", "Blue"):
+        limits.set(f"color{name}Minimum", e57.IntegerNode(image, 0))
+        limits.set(f"color{name}Maximum", e57.IntegerNode(image, 255))
+    scan.set("colorLimits", limits)
+
+
 def spherical(path):
     distance = np.linalg.norm(XYZ, axis=1)
     columns = [
@@ -244,7 +252,7 @@ STRANGERS = [
         ".xyz",
         text(rows(XYZ, WHOLE, RGB)),
         refused=True,
-        says="--columns x,y,z,",
+        says="jaxscan convert --columns x,y,z,",
     ),
     Stranger(
         "irgb listed",
@@ -297,6 +305,45 @@ STRANGERS = [
         text(rows(np.abs(XYZ) % 1 + 1.0001, sep=",", comma=True)),
         refused=True,
         says="commas are both decimal and between columns",
+    ),
+    Stranger(
+        "comma and comma with colours",
+        "commas for both",
+        ".csv",
+        text([line.replace(";", ",") for line in rows(XYZ, RGB, sep=";", comma=True)]),
+        refused=True,
+        says="commas are both decimal and between columns",
+    ),
+    Stranger(
+        "comma and comma with a blank",
+        "commas for both, blanks between columns",
+        ".txt",
+        text([line.replace(";", ", ") for line in rows(XYZ, RGB, sep=";", comma=True)]),
+        says="commas are decimal",
+    ),
+    Stranger(
+        "thousands",
+        "points between thousands",
+        ".txt",
+        text(["1.234,5;2.345,6;3.456,7"] * 5),
+        refused=True,
+        says="group thousands",
+    ),
+    Stranger(
+        "scans behind headings",
+        "heading before each scan",
+        ".txt",
+        text(*[["X Y Z R G B", "100", *rows(XYZ, RGB)[k : k + 100]] for k in range(0, COUNT, 100)]),
+        says="4 scans",
+    ),
+    Stranger(
+        "whole millimetres",
+        "whole numbers and commas",
+        ".csv",
+        text("x_mm,y_mm,z_mm", rows(np.round(XYZ * 1e4).astype(int), sep=",")),
+        coloured=False,
+        unit=1e-3,
+        offset=(np.nan, np.nan, np.nan),
     ),
     Stranger(
         "pnezd",
@@ -524,6 +571,14 @@ STRANGERS = [
         e57(limit=65535),
         unit=1.0,
         says="colours 0 to 255 by the largest, 240, not the 65535",
+    ),
+    Stranger(
+        "e57 limits of 8 bits",
+        "limits of 8 bits, colours of 16",
+        ".e57",
+        e57(colours=RGB * 257, limit=65535, structure=_limits),
+        unit=1.0,
+        says="not the 255 that the file states",
     ),
     Stranger("e57 floats", "colours of 0 to 1", ".e57", e57(colours=RGB / 255.0, kind=lambda: _floats), unit=1.0),
     Stranger(

@@ -155,7 +155,8 @@ def assign(names: Sequence[str], path: str, *, what: str = "the columns", ours: 
                 "onto a map first."
             )
         raise CloudError(
-            f"{path}: {what} ({found:.60}) are no x, y and z; name them in their order with --columns x,y,z,i,r,g,b."
+            f"{path}: {what} ({found:.60}) are no x, y and z; name them in their order with jaxscan convert --columns "
+            "x,y,z,i,r,g,b."
         )
     if not ours:
         _complete(places)
@@ -296,8 +297,8 @@ def guessed(extent: Extent, path: str, *, points: int, counted: bool) -> Columns
     if len(ways) > 1:
         texts = [",".join(_short(way, start)) for way in ways[:2]]
         raise CloudError(
-            f"{path}: its {width} columns have no names, and several ways to read them fit; say it with --columns "
-            f"{texts[0]} or --columns {texts[1]}."
+            f"{path}: its {width} columns have no names, and several ways to read them fit; say it with jaxscan "
+            f"convert --columns {texts[0]} or {texts[1]}."
         )
     places = {axis: start + k for k, axis in enumerate(AXES)}
     for piece, begin in ways[0]:
@@ -363,7 +364,8 @@ def range_of(
     if reading is not None and reading.brightest is not None:
         return Range(reading.brightest, "--colours")
     # Limits of 16 bits, of which 8 are used: the cloud would be black. Of 10 or 12 bits it may be dark.
-    if stated is not None and not (stated > _TOO_BRIGHT and 1 < most <= 255):
+    black, white = (stated or 0) > _TOO_BRIGHT and 1 < most <= 255, most > 1.01 * (stated or 0)
+    if stated is not None and not (black or white):
         return Range(stated, "the file's limits")
     if kind.itemsize == 1:
         return Range(255.0, "their type")
@@ -375,7 +377,9 @@ def range_of(
         why = f"the largest, {most:.4g}" + (f", not the {stated:g} that the file states" if stated else "")
         return Range(255.0, why)
     if most <= 65535:
-        return Range(65535.0, f"the largest, {most:.5g}")
+        return Range(
+            65535.0, f"the largest, {most:.5g}" + (f", not the {stated:g} that the file states" if stated else "")
+        )
     return Range(0.0, f"they reach {most:.4g} (--colours)")
 
 
@@ -433,7 +437,8 @@ def stated_unit(lines: Iterable[str]) -> tuple[Unit | None, str]:
     for line in lines:
         for match in _STATED.finditer(line[:1000]):
             unit = unit_of(match[1])
-            if unit is not None:
+            # "in" before a word is no inch.
+            if unit is not None and not (match[1].lower() == "in" and re.match(r"\s+\w", line[match.end() :])):
                 found.setdefault(unit, line.strip()[:40])
     if len(found) > 1:
         return None, f"its comments name several units: {', '.join(UNIT_WORDS[unit] for unit in found)}"

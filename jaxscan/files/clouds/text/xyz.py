@@ -44,6 +44,7 @@ _BLOCK_LINES = 1 << 15
 """Lines at a time: as words and numbers of Python each takes ten times the memory."""
 _COMMENT = re.compile(r"\s*(?://|#|%|!)+\s*")
 _COMMA_NUMBER = re.compile(r"[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?\Z")
+_BETWEEN, _WITHIN = re.compile(r",[ ]"), re.compile(r"\d,\d")
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:\.\d{3})+,\d+\Z")
 
 
@@ -114,10 +115,10 @@ class _Dialect(NamedTuple):
 
     def plain(self, line: str) -> str:
         """The same numbers with blanks between them and decimal points."""
-        if self.comma:
-            line = line.replace(",", ".")
         if self.separator is not None:
             line = line.replace(self.separator, " ")
+        if self.comma:
+            line = line.replace(",", ".")
         return line.replace('"', " ") if '"' in line else line
 
     def number(self, cell: str) -> str:
@@ -145,6 +146,10 @@ def _dialect_of(lines: list[str]) -> _Dialect:
         else:
             separator = ","
     cells = [cell.strip().strip("\"'") for line in lines for cell in line.strip().split(separator)]
+    if separator == "," and _BETWEEN.search(text) and _WITHIN.search(text):
+        # A blank follows those between columns, and none those within numbers.
+        if all(_COMMA_NUMBER.match(cell) for line in lines for cell in line.strip().split(", ")):
+            return _Dialect(", ", comma=True)
     if separator == ",":
         _check_commas(lines)
         return _Dialect(separator, comma=False)
@@ -157,9 +162,8 @@ def _dialect_of(lines: list[str]) -> _Dialect:
 def _check_commas(lines: list[str]) -> None:
     """Refuse commas that are both decimal and between columns: fractions begin with zeros, whole numbers do not."""
     rows = [[cell.strip() for cell in line.strip().split(",")] for line in lines]
-    if any("." in cell or " " in cell for row in rows for cell in row):
-        return
-    if len(rows[0]) % 2 == 0 and any(len(cell) > 1 and cell[0] == "0" for row in rows for cell in row[1::2]):
+    numbers = [cell for row in rows for cell in row[1:] if cell.isdigit()]
+    if not any("." in cell for row in rows for cell in row) and any(len(one) > 1 and one[0] == "0" for one in numbers):
         raise ValueError("commas are both decimal and between columns; write ; between them")
 
 
@@ -260,12 +264,14 @@ class _Table(NamedTuple):
             text = line.strip()
             if not text or text[0] in "#%!" or text.startswith("//"):
                 continue
-            if len(text) < 12 and text.isascii() and text.isdigit():
+            counted = len(text) < 12 and text.isascii() and text.isdigit()
+            if counted or text == self.title:
+                # Another scan; it may have both.
                 yield from taken()
-                _check_count(stated, found, scan)
-                scan, stated, found = scan + 1, int(text), 0
-                continue
-            if text == self.title:
+                if found:
+                    _check_count(stated, found, scan)
+                    scan, stated, found = scan + 1, None, 0
+                stated = int(text) if counted else stated
                 continue
             plain.append(self._without_words(text) if self.texts else dialect.plain(text))
             if len(plain) == _BLOCK_LINES:
@@ -310,7 +316,7 @@ def _with_blanks(words: list[str], width: int, line: str, path: Path) -> list[st
     if len(words) < width or left + right > width or left < 3:
         raise CloudError(
             f'{path}: the line "{line:.60}" names {len(words)} columns, and the table has {width}; say what they are '
-            "with --columns."
+            "with jaxscan convert --columns."
         )
     between = width - left - right
     middle = " ".join(words[left : len(words) - right])
@@ -351,7 +357,10 @@ def _columns_of(table: _Table, seen: _Seen, reading: Reading, path: Path) -> tup
         found = guessed(seen.extent, str(path), points=seen.points, counted=table.stated is not None)
         by = "their numbers" if len(found.places) > len(AXES) or found.unused else "their place"
     if wrong := [name for name in AXES if found.places[name] in table.texts]:
-        raise CloudError(f"{path}: the column of {wrong[0]} holds words, expected numbers; say which with --columns.")
+        raise CloudError(
+            f"{path}: the column of {wrong[0]} holds words, expected numbers; choose others with "
+            "jaxscan convert --columns."
+        )
     return found._replace(places={name: k for name, k in found.places.items() if k not in table.texts}), by
 
 
