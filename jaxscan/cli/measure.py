@@ -177,7 +177,7 @@ def in_metres(path: Path, unit: "Unit | None") -> tuple["PointCloud", list[str]]
     from jaxscan.files import clouds
 
     cloud, notes = clouds.in_metres(clouds.read_cloud(path), unit)
-    return cloud, [f"{path}: {note}" for note in notes]
+    return cloud, [f"{path}: {note}" for note in (*notes, *_sigma_notes(cloud))]
 
 
 def upright(path: Path, unit: "Unit | None", up: "Up | None") -> tuple["PointCloud", list[str]]:
@@ -187,7 +187,22 @@ def upright(path: Path, unit: "Unit | None", up: "Up | None") -> tuple["PointClo
     stored = clouds.read_cloud(path)
     cloud, notes = clouds.in_metres(stored, unit)
     cloud, more = clouds.with_z_up(stored, cloud, up)
-    return cloud, [f"{path}: {note}" for note in (*notes, *more)]
+    return cloud, [f"{path}: {note}" for note in (*notes, *more, *_sigma_notes(cloud))]
+
+
+def _sigma_notes(cloud: "PointCloud") -> list[str]:
+    """A note where the points have no uncertainty of their own."""
+    from jaxscan.measurement import SIGMA_FLOOR_M
+
+    lost = [name for name in ("sigma_random", "sigma_systematic") if name in cloud.lacks]
+    if "sigma_random" in lost:
+        return [
+            f"the cloud has no sigmas: {1e3 * SIGMA_FLOOR_M:g} mm of noise a point is assumed, more where a plane "
+            "shows it, and what all points share is not known; a sigma of a result is a lower limit."
+        ]
+    if lost:
+        return ["the cloud has no systematic sigmas: what all points share is not known, and in no sigma of a result."]
+    return []
 
 
 def finite(result: dict[str, Any]) -> dict[str, Any]:

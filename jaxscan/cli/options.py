@@ -14,8 +14,20 @@ CloudPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CLOUD")
 ConfigPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONFIG")]
 OutputPath = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
 CloudUnit = Annotated[
-    Literal["m", "cm", "mm", "inch", "foot"] | None,
+    Literal["m", "cm", "mm", "inch", "foot", "us-foot"] | None,
     tyro.conf.arg(help="Unit of a cloud of another program; without, it is guessed where the file does not say it."),
+]
+CloudColumns = Annotated[
+    str | None,
+    tyro.conf.arg(
+        metavar="X,Y,Z,...",
+        help="Columns of a text, PLY or PCD of another program in their order: x, y, z, i (intensity), r, g, b, nx, "
+        "ny, nz, sigma_random, and - for one to leave out.",
+    ),
+]
+CloudColours = Annotated[
+    Literal["1", "255", "1023", "4095", "65535", "none"] | None,
+    tyro.conf.arg(help="Number of full brightness in a cloud of another program; none leaves its colours out."),
 ]
 CloudUp = Annotated[
     Literal["x", "-x", "y", "-y", "z", "-z"] | None,

@@ -15,5 +15,5 @@ from jaxscan.measurement.outline import (
 from jaxscan.measurement.planes import PlaneMeasurement, measure_plane
 from jaxscan.measurement.points import PointDistance, measure_points
 from jaxscan.measurement.room import Dimension, RoomBox, measure_room
-from jaxscan.measurement.samples import camera_centres
+from jaxscan.measurement.samples import SIGMA_FLOOR_M, camera_centres
 from jaxscan.measurement.spheres import SphereMeasurement, measure_sphere

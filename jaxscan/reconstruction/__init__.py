@@ -3,6 +3,7 @@
 from jaxscan.reconstruction.ahead import Progress
 from jaxscan.reconstruction.along import smooth_sweep
 from jaxscan.reconstruction.cloud import (
+    MAY_LACK,
     SMOOTHED,
     CloudPoints,
     PointCloud,

@@ -13,6 +13,8 @@ from jaxscan.geometry import Array
 
 SMOOTHED = ("sigma_row", "shift_px", "shared_lines")
 """Fields that a cloud has where its points use their neighbours, and not otherwise."""
+MAY_LACK = ("rgb", "intensity", "normals", "sigma_random", "sigma_systematic", "grid")
+"""What the cloud of another program may not have; "grid" is its profiles and lines, with lasers, angles and records."""
 _AT_ONCE, _POINTS_AT_ONCE = 1 << 20, 1 << 17
 """Cells that are looked at, and points that are turned, at a time."""
 
@@ -90,6 +92,8 @@ class PointCloud(eqx.Module):
     1 - k / shared_lines. Points share noise with no other profile."""
     stations: Stations | None = None
     """Where each profile was taken from; None for the cloud of one station, which is in its scanner frame."""
+    lacks: tuple[str, ...] = eqx.field(static=True, default=())
+    """Of `MAY_LACK` what the cloud's file did not have: zero here, and not known. It is not written either."""
 
     def points(self, start: int = 0, stop: int | None = None) -> CloudPoints:
         """The valid points as a flat list, of all profiles or of those from `start` to before `stop`."""
@@ -176,7 +180,14 @@ def join_clouds(
     return PointCloud(
         **{name: np.concatenate([fields[name] for fields in moved]) for name in names},
         stations=Stations(numbers, np.array(poses, np.float64), np.array(covariances, np.float64)),
+        lacks=_together_lack(clouds),
     )
+
+
+def _together_lack(clouds: Sequence[PointCloud]) -> tuple[str, ...]:
+    """What clouds lack together: what none has, and sigmas that one of them lacks, whose points would seem perfect."""
+    every, some = (how(*(set(cloud.lacks) for cloud in clouds)) for how in (set.intersection, set.union))
+    return tuple(name for name in MAY_LACK if name in every or (name in some and name.startswith("sigma")))
 
 
 def stack_placed(clouds: Sequence[PointCloud], *, every: int = 1) -> PointCloud:
@@ -205,6 +216,7 @@ def stack_placed(clouds: Sequence[PointCloud], *, every: int = 1) -> PointCloud:
             np.concatenate([np.asarray(one.pose, np.float64) for one in placed]),
             np.concatenate([np.asarray(one.covariance, np.float64) for one in placed]),
         ),
+        lacks=_together_lack(clouds),
     )
 
 
@@ -215,7 +227,8 @@ def of_station(cloud: PointCloud, number: int) -> PointCloud:
     mine = np.asarray(cloud.stations.number) == number
     pose = np.linalg.inv(np.asarray(cloud.stations.pose[number], np.float64))
     fields = {name: value[mine] for name, value in _fields(cloud).items() if value is not None}
-    return PointCloud(**(fields | _turned(fields["xyz"], fields["normals"], fields["valid"], pose)))
+    placed = _turned(fields["xyz"], fields["normals"], fields["valid"], pose)
+    return PointCloud(**(fields | placed), lacks=cloud.lacks)
 
 
 def in_scanner_frame(cloud: PointCloud) -> tuple[PointCloud, np.ndarray]:

@@ -94,7 +94,8 @@ def reconstruct(
         progress(len(sweep), len(sweep))
     profile = np.arange(profiles) // each
     record = sweep.record[profile]
-    return PointCloud(**fields, record=record, laser=plan.sheet[profile], angle=sweep.angles[record], stations=None)
+    angle = sweep.angles[record]
+    return PointCloud(**fields, record=record, laser=plan.sheet[profile], angle=angle, stations=None, lacks=())
 
 
 def smooth_stripes(sweep: SweepSource, stripes: Stripes, progress: Progress = None) -> SmoothedSweep:

@@ -135,7 +135,7 @@ def test_ours_without_the_profiles(tmp_path):
         (b"element vertex ", b"element vertex 9999999999", "the file ends before"),
         (b"element vertex ", b"element vertex -", 'found "element vertex -'),
         (b"element profile 6", b"element profile 7", "announces 7 of profile, but the file ends before"),
-        (b"property float x", b"property list uchar float x", "no vertices that can be read"),
+        (b"property float x", b"property list uchar float x", "items is longer than the file"),
         (b"property float x", b"property half x", 'found "property half x"'),
         (b"property float y", b"property float x", "the header is wrong"),
         (b"property float x", b"property float q", "no x, y and z"),
@@ -296,11 +296,12 @@ def test_doubles_are_written_as_doubles(tmp_path, national, suffix, error_m):
         pye57 = pytest.importorskip("pye57", reason="the extra `export` is not installed")
         scan = pye57.E57(str(path)).read_scan_raw(0, ignore_unsupported_fields=True)
         found = np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], -1)
-        assert scan["rowIndex"].tolist() == list(range(50))
+        # The file that was read has no rows, and none are made up.
+        assert not {"rowIndex", "intensity", "colorRed"} & set(scan)
     elif suffix == ".pcd":
         head, body = unsealed(path).split(b"DATA binary\n")
-        assert b"SIZE 8 8 8 4 4 4 4 4 4 4 4 4 4 1 8 4\n" in head
-        found = np.frombuffer(body, [("xyz", "<f8", 3), ("rest", "V53")])["xyz"]
+        assert b"FIELDS x y z\nSIZE 8 8 8\n" in head
+        found = np.frombuffer(body, "<f8").reshape(-1, 3)
     else:
         found = np.loadtxt(path, skiprows=10 if suffix == ".ptx" else 0)[:: -1 if suffix == ".ptx" else 1, :3]
     # Doubles of 4.5e6 are a nanometre apart.
@@ -343,7 +344,8 @@ def test_rows_beyond_65535_keep_their_number_in_e57(tmp_path):
     pye57 = pytest.importorskip("pye57", reason="the extra `export` is not installed")
     points = np.random.default_rng(0).uniform(-1, 1, (70000, 3)).astype(np.float32)
     path = ply(["format binary_little_endian 1.0", *vertex(count=70000)], points.tobytes(), tmp_path / "n.ply")
-    save_cloud(load_cloud(path), tmp_path / "b.e57")
+    # As a cloud of one long profile, which has rows.
+    save_cloud(dataclasses.replace(load_cloud(path), lacks=()), tmp_path / "b.e57")
     file = pye57.E57(str(tmp_path / "b.e57"))
     bounds = file.get_header(0).node["indexBounds"]
     # pye57's reader has 16 bits for a row; the bounds are written apart from the points.

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from .archives import change_npz
-from .cloud_cases import align_targets, convert_cloud, make_product, measure_cloud, mirrored_cloud
+from .cloud_cases import align_targets, convert_cloud, make_product, measure_cloud, mirrored_cloud, stranger_cloud
 from .draft import IN, OUT, VICTIM, Case, Draft, changed_capture
 from .nasty import nasty_number
 from .pictures import change_image
@@ -197,6 +197,7 @@ KINDS: dict[Callable[[Draft], Case], float] = {
     _report: 1,
     convert_cloud: 24,
     measure_cloud: 12,
+    stranger_cloud: 16,
     make_product: 6,
     mirrored_cloud: 0.5,
     align_targets: 2,

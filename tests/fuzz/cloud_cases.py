@@ -6,7 +6,7 @@ from .archives import change_npz
 from .draft import OUT, Case, Draft, changed_capture
 from .nasty import nasty_number
 from .scans import change_e57, change_las, change_pcd, change_ptx, change_xyz, mirror_las
-from .texts import change_bytes, change_json, change_ply_header, change_toml
+from .texts import change_bytes, change_json, change_lines, change_ply_header, change_toml
 
 
 CLOUDS = (".ply", ".npz", ".e57", ".las", ".laz", ".pcd", ".xyz", ".ptx")
@@ -19,6 +19,9 @@ _CHANGES = {
     ".xyz": change_xyz,
     ".ptx": change_ptx,
 }
+
+
+_TEXT_CHANGES = (change_xyz, change_lines, change_bytes)
 
 
 def _changed_cloud(draft: Draft) -> Path:
@@ -38,6 +41,31 @@ def convert_cloud(draft: Draft) -> Case:
         numbers = [str(draft.rng.choice((500_000.0, nasty_number(draft.rng)))) for _ in range(3)]
         words += draft.rng.choice((["--epsg", numbers[0]], ["--offset", *numbers], ["--unit", "foot"], ["--up", "-y"]))
     return Case(f"convert {cloud.suffix} to {suffix}", words, {f"{OUT}/cloud{suffix}"})
+
+
+_READINGS = {
+    "--columns": (
+        *("x,y,z", "x,y,z,i,r,g,b", "-,x,y,z", "x,y,z,nx,ny,nz", "x,y", "x,y,z,x", "x,y,z,,,,", "i,r,g,b,z,y,x"),
+        "x,y,z" + ",-" * 300,
+    ),
+    "--colours": ("1", "255", "1023", "65535", "none"),
+    "--unit": ("mm", "foot", "us-foot"),
+}
+
+
+def stranger_cloud(draft: Draft) -> Case:
+    """A cloud of another program, changed or not, perhaps read as somebody says."""
+    rng = draft.rng
+    names = sorted(path.name for path in draft.corpus.glob("stranger-*"))
+    cloud, target = draft.take(rng.choice(names)), "cloud" + rng.choice(CLOUDS)
+    if rng.random() < 0.85:
+        ply = (change_ply_header, change_ply_header, change_bytes)
+        draft.change(cloud, _CHANGES.get(cloud.suffix, rng.choice(ply if cloud.suffix == ".ply" else _TEXT_CHANGES)))
+    words = ["convert", str(cloud), draft.output(target)]
+    for option, values in _READINGS.items():
+        if rng.random() < 0.15:
+            words += [option, rng.choice(values)]
+    return Case(f"stranger {cloud.suffix}", words, {f"{OUT}/{target}"})
 
 
 def mirrored_cloud(draft: Draft) -> Case:

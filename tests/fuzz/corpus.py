@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..files.strangers import STRANGERS
 from .project_cases import KNOWN, TARGETS
 
 
@@ -97,6 +98,8 @@ def make_corpus(tiny: Path, folder: Path, configs: Path) -> None:
     assert json.loads((folder / "reconstruct.json").read_text())["notes"] == []
     (folder / "unsealed" / "stripes.npz").rename(folder / "stripes.npz")
     (folder / "foreign.ply").write_text(FOREIGN_PLY)
+    for number, stranger in enumerate(STRANGERS):
+        stranger.write(folder / f"stranger-{number:02d}{stranger.suffix}")
     (folder / "rig.toml").write_text(RIG)
     (folder / "targets.toml").write_text(TARGETS)
     (folder / "known.toml").write_text(KNOWN)

@@ -1,5 +1,6 @@
 """The table of docs/programs.md: what of a cloud arrives in the programs that users open next."""
 
+import itertools
 import os
 from pathlib import Path
 
@@ -7,25 +8,30 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from jaxscan.files.clouds import WRITERS, load_cloud, save_cloud, shifted
+from jaxscan.errors import CloudError
+from jaxscan.files.clouds import WRITERS, in_metres, load_cloud, read_cloud, save_cloud, shifted
 from jaxscan.reconstruction import SMOOTHED, join_clouds
 
 from ..files.clouds import make_cloud
 from ..files.test_joined_clouds import COVARIANCE, SECOND
 from .programs import PROGRAMS
+from .writers import WRITERS as OTHERS
+from .writers import given
 
 
+BACK = ("reads", "points", "colours", "normals", "intensity")
 PAGE = Path(__file__).parents[2] / "docs" / "programs.md"
 CELLS = ("opens", "points", "colours", "normals", "sigmas", "grid", "pose", "frame")
 EPSG = 25832
 REQUIRED = "JAXSCAN_REQUIRE_PROGRAMS"
 
 
-def rows():
-    """(program, format, cells) of every row of the table."""
+def rows(columns=CELLS):
+    """(program, format, cells) of every row of the table with these columns."""
     lines = [line.strip("| \n").split(" | ") for line in PAGE.read_text().splitlines() if line.startswith("| ")]
-    start = next(k for k, line in enumerate(lines) if tuple(line) == ("program", "format", *CELLS))
-    return [(line[0], line[1], line[2:]) for line in lines[start + 1 :] if line[0] in PROGRAMS]
+    start = next(k for k, line in enumerate(lines) if tuple(line) == ("program", "format", *columns))
+    table = itertools.takewhile(lambda line: line[0] != "program", lines[start + 1 :])
+    return [(line[0], line[1], line[2:]) for line in table if line[0] in PROGRAMS]
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +98,61 @@ def test_the_table_has_every_program_and_format():
     assert {program for program, _, _ in listed} == set(PROGRAMS)
     # NPZ is NumPy's.
     assert {f".{suffix.lower()}" for _, suffix, _ in listed} == set(WRITERS) - {".npz"}
+
+
+def cells_back(program, path, folder):
+    """What of a cloud that the program wrote with its own code is read, in the words of the table."""
+    cloud = given()
+    OTHERS[program](path, cloud, folder)
+    stored = read_cloud(path)
+    found, notes = in_metres(stored)
+    # Nothing is read without saying what as.
+    assert notes[0].startswith("x, y, z")
+    points = found.points()
+    distance, index = cKDTree(points.xyz).query(cloud.xyz)
+    whole = len(points.xyz) == len(cloud.xyz) and distance.max() <= 1.1e-4
+    level = points.intensity[index] / max(points.intensity.max(), 1e-9) * cloud.intensity.max()
+    arrived = (
+        True,
+        whole,
+        whole and np.array_equal(points.rgb[index], cloud.rgb),
+        # MeshLab packs a normal into text of six digits, CloudCompare into 2 bytes.
+        whole and np.abs(points.normals[index] - cloud.normals).max() <= 0.02,
+        # In the numbers of the format; of laspy thousandths.
+        whole and np.abs(level - cloud.intensity).max() <= 1e-3,
+    )
+    # What does not arrive is known to be missing, and not made up.
+    for name, there in zip(("rgb", "normals", "intensity"), arrived[2:], strict=True):
+        assert (name in found.lacks) == (not there), name
+    return ["yes" if one else "no" for one in arrived]
+
+
+@pytest.mark.parametrize(
+    ("program", "suffix", "cells"), rows(BACK), ids=lambda one: one if isinstance(one, str) else ""
+)
+def test_the_table_tells_what_comes_back(tmp_path, program, suffix, cells):
+    try:
+        found = cells_back(program, tmp_path / f"room.{suffix.lower()}", tmp_path)
+    except pytest.skip.Exception as skipped:
+        if os.environ.get(REQUIRED):
+            pytest.fail(f"{REQUIRED} is set, but: {skipped}")
+        raise
+    assert dict(zip(BACK, found, strict=True)) == dict(zip(BACK, cells, strict=True))
+
+
+@pytest.mark.parametrize(("program", "suffix", "cells"), rows(), ids=lambda one: one if isinstance(one, str) else "")
+def test_a_format_that_is_not_in_the_table_of_writers_is_not_written(tmp_path, program, suffix, cells):
+    """Programs choose another format, raise, or write nothing; what they write under a wrong name is refused."""
+    if (program, suffix) in {(one, kind) for one, kind, _ in rows(BACK)}:
+        return
+    path = tmp_path / f"room.{suffix.lower()}"
+    try:
+        OTHERS[program](path, given(), tmp_path)
+    except Exception:  # Each program has its own error for a format that it does not know.
+        return
+    if path.exists():
+        with pytest.raises(CloudError):
+            read_cloud(path)
 
 
 def test_what_cloudcompare_saves_is_read_back_on_its_grid(tmp_path):

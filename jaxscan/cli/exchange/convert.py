@@ -7,13 +7,13 @@ import numpy as np
 import tyro
 
 from jaxscan import api
-from jaxscan.cli.options import CLOUD_SUFFIXES, CloudUnit, CloudUp, coordinates
+from jaxscan.cli.options import CLOUD_SUFFIXES, CloudColours, CloudColumns, CloudUnit, CloudUp, coordinates
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import OptionError
 from jaxscan.files.calibration import CameraFormat, calibration_notes, check_camera_path, export_camera
-from jaxscan.files.clouds import check_cloud_path, in_metres, shifted, with_z_up
+from jaxscan.files.clouds import METRE, Reading, check_cloud_path, in_metres, parse_columns, shifted, with_z_up
 from jaxscan.files.recording import STORAGES, Storage, check_new_folder, repack_capture
 
 
@@ -30,6 +30,8 @@ def convert(
     *,
     format: CameraFormat | None = None,
     storage: Storage | None = None,
+    columns: CloudColumns = None,
+    colours: CloudColours = None,
     unit: CloudUnit = None,
     up: CloudUp = None,
     epsg: int | None = None,
@@ -53,7 +55,7 @@ def convert(
     """
     writes = [*file_at("OUTPUT", target), *file_at("--json", json)]
     check_paths(file_at("INPUT", source), writes)
-    given = {"--unit": unit, "--up": up, "--epsg": epsg, "--offset": offset}
+    given = {"--columns": columns, "--colours": colours, "--unit": unit, "--up": up, "--epsg": epsg, "--offset": offset}
     if source.is_dir() or source.suffix.lower() == ".json":
         for option in (option for option, value in given.items() if value is not None):
             raise OptionError(f"{option}: is for clouds, and {source} is none.")
@@ -73,7 +75,7 @@ def convert(
     check_json(json)
     if offset is not None:
         coordinates("--offset", offset)
-    stored = api.read_cloud(source)
+    stored = api.read_cloud(source, _reading(columns, colours))
     cloud, notes = in_metres(stored, unit)
     if up is not None:
         cloud, _ = with_z_up(stored, cloud, up)
@@ -81,7 +83,13 @@ def convert(
         notes.append("the file does not say what is up; z is, in what is written (--up).")
     if offset is not None:
         cloud = shifted(cloud, offset)
-    code = stored.about.epsg if epsg is None else epsg
+    code = epsg
+    if code is None and stored.about.epsg is not None:
+        # The code of a map in feet is not that of the same map in metres.
+        if stored.about.metres in (None, METRE) and unit in (None, "m"):
+            code = stored.about.epsg
+        else:
+            notes.append(f"EPSG:{stored.about.epsg} is of the coordinates before they became metres; it is left out.")
     api.save_cloud(cloud, target, calibration_digest=stored.about.calibration, epsg=code)
     points = int(np.asarray(cloud.valid).sum())
     out = console(json)
@@ -89,6 +97,14 @@ def convert(
         out.print(f"note: {note}")
     out.print(f"written: {target} ({points:,} points)")
     emit_json(json, "convert", {"source": str(source), "cloud": str(target), "points": points, "notes": notes})
+
+
+def _reading(columns: str | None, colours: str | None) -> Reading:
+    try:
+        listed = None if columns is None else parse_columns(columns)
+    except ValueError as problem:
+        raise OptionError(f"--columns: {problem}.") from problem
+    return Reading(listed, None if colours is None else 0.0 if colours == "none" else float(colours))
 
 
 def _convert_calibration(source: Path, target: Path, camera_format: CameraFormat | None, json: JsonTarget) -> None:

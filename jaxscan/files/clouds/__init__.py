@@ -1,6 +1,6 @@
 """Point clouds on disk."""
 
-from jaxscan.files.clouds.about import About, StoredCloud
+from jaxscan.files.clouds.about import METRE, About, StoredCloud
 from jaxscan.files.clouds.clouds import (
     READERS,
     WRITERS,
@@ -12,6 +12,7 @@ from jaxscan.files.clouds.clouds import (
     save_clouds,
     save_stations,
 )
+from jaxscan.files.clouds.columns import Reading, Unit, parse_columns
 from jaxscan.files.clouds.e57 import FlatPicture, RoundPicture, Surroundings
-from jaxscan.files.clouds.placing import Unit, Up, in_metres, shifted, with_z_up
+from jaxscan.files.clouds.placing import Up, in_metres, shifted, with_z_up
 from jaxscan.files.clouds.rerun import load_rerun, save_rerun

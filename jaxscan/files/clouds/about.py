@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds.stations import station_lines
-from jaxscan.reconstruction import PointCloud, Stations
+from jaxscan.reconstruction import MAY_LACK, PointCloud, Stations
 
 
 CLOUD_FORMAT, JOINED_FORMAT = "jaxscan-cloud/1", "jaxscan-cloud/2"
@@ -16,6 +16,10 @@ _FORMAT_WORD = "jaxscan-cloud/"
 _CRS = re.compile(r"EPSG:(\d{1,6})\Z")
 
 
+METRE = (1.0, 1.0, 1.0)
+"""Unit of x, y and z of all our files."""
+
+
 class About(NamedTuple):
     """The statements of a cloud's file beside its points."""
 
@@ -23,10 +27,19 @@ class About(NamedTuple):
     """Digest of the calibration file that the cloud was made with; empty where it is not known."""
     epsg: int | None = None
     """Code of the coordinate reference system; None where the frame is that of a scanner or a room."""
-    in_metres: bool = False
-    """Whether the file, or its format, says that its unit is the metre."""
+    metres: tuple[float, float, float] | None = None
+    """Metres that a unit of x, y and z is, where the file or its format says it."""
+    unit_by: str = ""
+    """What says it, or why nothing does."""
+    in_degrees: bool = False
+    """Whether the file says that x and y are degrees of longitude and latitude."""
     upright: bool = False
     """Whether the file, or its format, says that z is up."""
+
+    @property
+    def in_metres(self) -> bool:
+        """Whether the file, or its format, says that its unit is the metre."""
+        return self.metres == METRE
 
 
 class StoredCloud(NamedTuple):
@@ -34,18 +47,23 @@ class StoredCloud(NamedTuple):
 
     cloud: PointCloud
     about: About
+    words: tuple[str, ...] = ()
+    """What was decided about the columns of another program's file, with its evidence."""
 
 
 def header_lines(cloud: PointCloud, about: About) -> list[str]:
     """The lines with which our files begin: format, unit, frame, grid, and where known calibration, CRS, stations."""
     profiles, lines = cloud.valid.shape
-    return lines_of_grid((profiles, lines), cloud.stations, about)
+    return lines_of_grid((profiles, lines), cloud.stations, about, cloud.lacks)
 
 
-def lines_of_grid(grid: tuple[int, int], stations: Stations | None, about: About) -> list[str]:
+def lines_of_grid(
+    grid: tuple[int, int], stations: Stations | None, about: About, lacks: tuple[str, ...] = ()
+) -> list[str]:
     """The same of a cloud that is not in memory: of its profiles and lines, and its stations."""
     version, frame = (CLOUD_FORMAT, "scanner") if stations is None else (JOINED_FORMAT, "room")
     found = [version, "unit metre", f"frame {frame}", f"grid {grid[0]} {grid[1]}"]
+    found += [f"lacks {' '.join(lacks)}"] if lacks else []
     found += [f"calibration {about.calibration}"] if about.calibration else []
     found += [f"crs EPSG:{about.epsg}"] if about.epsg is not None else []
     return found + ([] if stations is None else station_lines(stations))
@@ -76,6 +94,12 @@ def version_of(lines: Iterable[str], name: str) -> str:
     return found
 
 
+def lacking(lines: Iterable[str]) -> tuple[str, ...]:
+    """What the lines of one of our files say that its cloud does not have."""
+    words = next((line.split()[1:] for line in lines if line.startswith("lacks ")), [])
+    return tuple(name for name in MAY_LACK if name in words)
+
+
 def about_of(lines: Iterable[str]) -> About:
     """What the lines of a file say; nothing where they are not ours."""
     words = {line.partition(" ")[0]: line.partition(" ")[2] for line in lines}
@@ -87,6 +111,6 @@ def about_of(lines: Iterable[str]) -> About:
     return About(
         calibration=digest if digest.isascii() and digest.isprintable() else "",
         epsg=int(crs[1]) if crs else None,
-        in_metres=words.get("unit") == "metre",
+        metres=METRE if words.get("unit") == "metre" else None,
         upright=True,
     )

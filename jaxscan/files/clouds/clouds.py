@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds.about import About, StoredCloud
+from jaxscan.files.clouds.columns import Reading
 from jaxscan.files.clouds.e57 import Surroundings, read_e57, write_e57, write_e57_stations
 from jaxscan.files.clouds.las import read_las, write_las
 from jaxscan.files.clouds.npz import read_npz, write_npz
@@ -20,9 +21,9 @@ from jaxscan.reconstruction import PointCloud, join_clouds
 
 
 Writer = Callable[[PointCloud, Part, About], None]
-Reader = Callable[[Path], StoredCloud]
+Reader = Callable[[Path, Reading | None], StoredCloud]
 
-# To add a format: a function (cloud, path, about) and one (path), a line in each table.
+# To add a format: a function (cloud, path, about) and one (path, reading), a line in each table.
 WRITERS: dict[str, Writer] = {
     ".ply": write_ply,
     ".npz": write_npz,
@@ -43,6 +44,8 @@ READERS: dict[str, Reader] = {
     ".xyz": read_xyz,
     ".ptx": read_ptx,
 }
+TEXTS = (".txt", ".csv", ".asc", ".pts")
+"""Suffixes that other programs give to tables of points: they are read as .xyz."""
 
 
 def check_cloud_path(path: Path) -> None:
@@ -142,11 +145,12 @@ def load_cloud(path: str | Path) -> PointCloud:
     """Read a cloud, of this library or of another program.
 
     Args:
-        path: Its suffix is one of `READERS`.
+        path: Its suffix is one of `READERS` or `TEXTS`.
 
     Returns:
         The cloud on its grid, NumPy arrays. A cloud of another program has one profile unless its format has a grid,
-        in its own unit and frame; values that it lacks are zero. Coordinates are float64 where the file holds doubles.
+        in its own unit and frame; what it lacks is zero, and named by `lacks`. Coordinates are float64
+        where the file holds doubles.
 
     Raises:
         CloudError: If the suffix is unknown, or the file is missing or damaged.
@@ -155,14 +159,27 @@ def load_cloud(path: str | Path) -> PointCloud:
     return read_cloud(path).cloud
 
 
-def read_cloud(path: str | Path) -> StoredCloud:
-    """Read a cloud as `load_cloud` does, and what its file says beside the points."""
+def read_cloud(path: str | Path, reading: Reading | None = None) -> StoredCloud:
+    """Read a cloud as `load_cloud` does, and what its file says beside the points.
+
+    Args:
+        path: As in `load_cloud`.
+        reading: What a person says of the columns and colours of another program's file.
+
+    Raises:
+        CloudError: As in `load_cloud`, or if the columns are not those of the file.
+        DependencyError: As in `load_cloud`.
+    """
     path = Path(path)
-    reader = READERS.get(path.suffix.lower())
+    suffix = path.suffix.lower()
+    reader = READERS.get(".xyz" if suffix in TEXTS else suffix)
     if reader is None:
-        raise CloudError(f'{path}: cannot read "{path.suffix}", known are {", ".join(READERS)}.')
+        raise CloudError(f'{path}: cannot read "{path.suffix}", known are {", ".join((*READERS, *TEXTS))}.')
     # Numbers that are too large for their column become infinite, and are refused below.
-    with np.errstate(over="ignore", invalid="ignore"):
-        stored = reader(path)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            stored = reader(path, reading)
+    except OSError as problem:
+        raise CloudError(f"{path}: cannot be read: {problem.strerror or problem}.") from problem
     check_cloud(stored.cloud, str(path))
     return stored

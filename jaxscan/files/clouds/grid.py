@@ -1,15 +1,16 @@
 """Clouds from the columns of a file: on their grid, or as a single row of points."""
 
+import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import points as sizes
-from jaxscan.files.clouds.about import JOINED_FORMAT, version_of
-from jaxscan.files.clouds.points import POINT
+from jaxscan.files.clouds.about import JOINED_FORMAT, lacking, version_of
+from jaxscan.files.clouds.points import PARTS, POINT
 from jaxscan.files.clouds.stations import read_stations
-from jaxscan.reconstruction import SMOOTHED, PointCloud, Stations
+from jaxscan.reconstruction import MAY_LACK, SMOOTHED, PointCloud, Stations
 
 
 MAX_CELLS = 1 << 28
@@ -46,7 +47,8 @@ class Records:
         """Nothing is read yet.
 
         Args:
-            dtype: Fields of `POINT`, of smoothed points and of stations, as far as there; others are not used.
+            dtype: Fields of `POINT`, of smoothed points and of stations, as far as there; others are not used. Colours
+                are bytes: `columns.decide` makes them so.
             count: Number of points.
             read: Gives the points from the first to the last, structured arrays with fields of these names.
         """
@@ -105,13 +107,21 @@ def cloud_of(
         raise CloudError(f"{name}: the points have no x, y and z.")
     # Another program may have kept the header but dropped columns.
     smoothed = len(names & set(SMOOTHED)) in (0, len(SMOOTHED))
+    stated = lacking(lines)
     wanted = _NEEDED | ({"station"} if version == JOINED_FORMAT else set())
+    wanted -= {part for field in stated if field != "grid" for part in PARTS[field]}
     if version and smoothed and names >= wanted:
         return _organised(points, lines, profiles, name, joined=version == JOINED_FORMAT)
     if not version and smoothed and names >= set(_REGAINED) and (grid := _regained_grid(points)):
         return on_grid(points, grid, None, name)
     # Of ours, a column is lost; of others, these columns make them ours.
-    return _unorganised(points, name, ours=bool(version) or bool(names & set(SMOOTHED)))
+    ours = bool(version) or bool(names & set(SMOOTHED))
+    cloud = _unorganised(points, name, ours=ours, lacks=stated)
+    placed = [line for line in lines if line.startswith("station")] if version == JOINED_FORMAT else []
+    if not placed or "station 1" in " ".join(line[:9] for line in placed):
+        return cloud
+    # Of one station, all points are from there, grid or not.
+    return dataclasses.replace(cloud, stations=read_stations(lines, np.zeros(1, np.int32), name))
 
 
 def _organised(
@@ -240,10 +250,17 @@ def on_grid(
         raise CloudError(f"{name}: two points have the same step and row.")
     return PointCloud(
         valid=valid,
+        lacks=_lacks(points.names),
         stations=None if stations is None or number is None else stations._replace(number=number),
         **fields,
         **per_profile.found(),
     )
+
+
+def _lacks(names: frozenset[str]) -> tuple[str, ...]:
+    """What the columns of a file do not have, of points on their grid."""
+    needed = {field: set(PARTS[field][: 3 if field in ("rgb", "normals") else 1]) for field in MAY_LACK}
+    return tuple(field for field in MAY_LACK if field != "grid" and not needed[field] <= names)
 
 
 class _Profiles:
@@ -296,8 +313,14 @@ def _coordinates(points: Records) -> type:
 _COLOURS = {"red", "green", "blue"}
 
 
-def _unorganised(points: Records, name: str, *, ours: bool) -> PointCloud:
-    """The points as a single profile; values that they lack are zero.
+def _unorganised(points: Records, name: str, *, ours: bool, lacks: tuple[str, ...] = ()) -> PointCloud:
+    """The points as a single profile; what they lack is zero, and said.
+
+    Args:
+        points: The points.
+        name: Name of the file, for messages.
+        ours: Whether this library wrote the file or the one before it.
+        lacks: What it says that it lacks.
 
     Raises:
         CloudError: If no point is finite.
@@ -310,7 +333,8 @@ def _unorganised(points: Records, name: str, *, ours: bool) -> PointCloud:
     own = "sigma_row" if "sigma_row" in names else "sigma_random"
     shared = own == "sigma_random" and set(SMOOTHED) & names
     # Ours have all. With one lost another would be taken for all of the uncertainty.
-    lost = ours and bool(shared or not {"sigma_random", "sigma_systematic"} <= names)
+    sigmas = {"sigma_random", "sigma_systematic"} - set(lacks)
+    lost = ours and bool(shared or not sigmas <= names)
     scalars = {"intensity": "intensity"} | (
         {} if lost else {"sigma_random": own, "sigma_systematic": "sigma_systematic"}
     )
@@ -356,13 +380,16 @@ def _unorganised(points: Records, name: str, *, ours: bool) -> PointCloud:
         intensity=fields["intensity"],
         sigma_random=fields["sigma_random"],
         sigma_systematic=fields["sigma_systematic"],
+        lacks=tuple(
+            field
+            for field in MAY_LACK
+            if field == "grid"
+            or (field == "rgb" and not _COLOURS <= names)
+            or (field == "normals" and not normals_whole)
+            or (field in fields and scalars.get(field) not in names)
+        ),
     )
 
 
 def _colours(points: np.ndarray) -> np.ndarray:
-    colours = np.stack([points[name] for name in ("red", "green", "blue")], -1)
-    if colours.dtype == np.uint8:
-        return colours
-    if colours.dtype.kind == "f":
-        return (np.clip(np.nan_to_num(colours), 0, 1) * 255 + 0.5).astype(np.uint8)
-    return (colours >> 8 if colours.dtype.itemsize == 2 else np.clip(colours, 0, 255)).astype(np.uint8)
+    return np.stack([points[name] for name in ("red", "green", "blue")], -1)

@@ -5,14 +5,15 @@ from typing import Any, Literal
 
 import numpy as np
 
+from jaxscan.errors import CloudError
 from jaxscan.files.clouds.about import StoredCloud
+from jaxscan.files.clouds.columns import METRES, UNIT_WORDS, Unit
+from jaxscan.geometry import Array
+from jaxscan.printable import printable
 from jaxscan.reconstruction import PointCloud, Stations, some_points
 
 
-Unit = Literal["m", "cm", "mm", "inch", "foot"]
 Up = Literal["x", "-x", "y", "-y", "z", "-z"]
-_METRES: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0.3048}
-_WORDS = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
 _TURNS: dict[Up, list[list[int]]] = {
     "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
     "-z": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
@@ -29,22 +30,65 @@ FAR_AWAY = 10.0
 """A cloud so many times its extent from the origin is one of a map, which is in metres."""
 SMALLEST_M, LARGEST_M = 0.005, 1000.0
 """Extents of things on a table and of places: others are in another unit, whatever the file says."""
+_COMMON: tuple[Unit, ...] = ("m", "cm", "mm", "foot")
+_SMALL_M = 0.02
+"""Extent of a thing that somebody scans."""
 LOW = 0.75
 """Rooms are lower than wide: an extent of less than this share of z's is taken for the height."""
 
 
 def in_metres(stored: StoredCloud, unit: Unit | None = None) -> tuple[PointCloud, list[str]]:
-    """The cloud in metres, and a note where its file does not say its unit and none is given."""
-    cloud, notes = stored.cloud, []
-    if unit is None and not stored.about.in_metres:
-        extent, away = float(np.linalg.norm(_extents(cloud))), float(np.linalg.norm(_middle(cloud)))
-        unit = "m"
-        if away < FAR_AWAY * extent and extent >= CENTIMETRES_FROM:
-            unit = "mm" if extent >= MILLIMETRES_FROM else "cm"
-        notes = [f"the file does not say its unit; an extent of {extent:.4g} is taken as {_WORDS[unit]} (--unit)."]
-    factor = _METRES[unit or "m"]
-    cloud = cloud if factor == 1.0 else _scaled(cloud, factor)
-    return cloud, notes + _size_notes(cloud, factor)
+    """The cloud in metres, and a note of what its columns, colours and unit were taken for, and why.
+
+    Nothing is said of our own files, which say all that themselves.
+
+    Raises:
+        CloudError: If the file says that its coordinates are degrees, and no unit is given.
+    """
+    cloud, about = stored.cloud, stored.about
+    if about.in_degrees and unit is None:
+        raise CloudError(
+            f"the coordinates are degrees of longitude and latitude by {about.unit_by}, expected lengths; project them "
+            "onto a map first, or say --unit if they are none."
+        )
+    words = list(stored.words)
+    factors: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    if unit is not None:
+        factors = (METRES[unit],) * 3
+        words += [f"{UNIT_WORDS[unit]} by --unit"] if words else []
+    elif about.metres is not None:
+        factors = about.metres
+        words += [f"{_unit_words(factors)} by {about.unit_by}"] if words else []
+    else:
+        guess, said = _guessed_unit(cloud)
+        factors = (METRES[guess],) * 3
+        words.append(f"{about.unit_by or 'the file does not say its unit'}; {said} (--unit)")
+    cloud = cloud if factors == (1.0, 1.0, 1.0) else _scaled(cloud, factors)
+    # Names of columns and comments are another program's words.
+    notes = [printable(f"{'; '.join(words)}.")] if words else []
+    return cloud, notes + _size_notes(cloud, factors[0])
+
+
+def _unit_words(factors: tuple[float, float, float]) -> str:
+    """A unit as people read it; that of the heights may be another one."""
+    across, along, up = (
+        next((UNIT_WORDS[unit] for unit, metres in METRES.items() if abs(metres - one) < 1e-9), f"units of {one:g} m")
+        for one in factors
+    )
+    return across if across == along == up else f"{across}, heights in {up}"
+
+
+def _guessed_unit(cloud: PointCloud) -> tuple[Unit, str]:
+    """The unit that a cloud's extent has most likely, and what it would be in others."""
+    extent, away = float(np.linalg.norm(_extents(cloud))), float(np.linalg.norm(_middle(cloud)))
+    unit: Unit = "m"
+    if away < FAR_AWAY * extent and extent >= CENTIMETRES_FROM:
+        unit = "mm" if extent >= MILLIMETRES_FROM else "cm"
+    # A thing on a table is as large in millimetres as a place in metres.
+    sizes = {other: METRES[other] * extent for other in _COMMON if other != unit and away < FAR_AWAY * extent}
+    others = [f"in {UNIT_WORDS[other]} {size:.3g} m" for other, size in sizes.items() if _SMALL_M <= size <= LARGEST_M]
+    would = f"; {', '.join(others)}" if others else ""
+    return unit, f"an extent of {extent:.4g} is taken as {UNIT_WORDS[unit]}, {METRES[unit] * extent:.3g} m{would}"
 
 
 def _size_notes(cloud: PointCloud, factor: float) -> list[str]:
@@ -59,8 +103,8 @@ def _size_notes(cloud: PointCloud, factor: float) -> list[str]:
         return []
     number = extent / factor
     unit: Unit = "mm" if number >= MILLIMETRES_FROM else "cm" if number >= CENTIMETRES_FROM else "m"
-    fitting = _METRES[unit] * number
-    fits = f"in {_WORDS[unit]} it would be {fitting:.4g} m (--unit {unit})"
+    fitting = METRES[unit] * number
+    fits = f"in {UNIT_WORDS[unit]} it would be {fitting:.4g} m (--unit {unit})"
     return [
         f"the cloud is {extent:.4g} m large, which no room and no thing on a table is; "
         + (fits if SMALLEST_M <= fitting <= LARGEST_M else "check its unit.")
@@ -108,17 +152,20 @@ def _middle(cloud: PointCloud) -> np.ndarray:
     return np.asarray(np.median(some_points(cloud, 100_000), axis=0))
 
 
-def _scaled(cloud: PointCloud, factor: float) -> PointCloud:
-    def times(field: np.ndarray | None) -> np.ndarray | None:
-        return None if field is None else np.asarray(field) * np.asarray(factor, np.asarray(field).dtype)
+def _scaled(cloud: PointCloud, factors: tuple[float, float, float]) -> PointCloud:
+    """The cloud with each axis in another unit; sigmas, whose ray may go anywhere, in the largest of them."""
+
+    def times(field: Array | None, by: float | tuple[float, float, float]) -> np.ndarray | None:
+        return None if field is None else np.asarray(field) * np.asarray(by, np.asarray(field).dtype)
 
     stations = cloud.stations
     if stations is not None:
         pose = np.array(stations.pose, np.float64)
-        pose[:, :3, 3] *= factor
+        pose[:, :3, 3] *= factors
         stations = stations._replace(pose=pose)
-    lengths = ("xyz", "sigma_random", "sigma_systematic", "sigma_row")
-    fields: dict[str, Any] = {name: times(getattr(cloud, name)) for name in lengths}
+    sigmas = ("sigma_random", "sigma_systematic", "sigma_row")
+    fields: dict[str, Any] = {name: times(getattr(cloud, name), max(factors)) for name in sigmas}
+    fields["xyz"] = times(cloud.xyz, factors)
     return dataclasses.replace(cloud, **fields, stations=stations)
 
 

@@ -31,7 +31,6 @@ POINT = np.dtype(
 """Values of a point as files hold them: `step` is the profile, `row` the line; angle [rad from home] and record
 are those of the profile."""
 
-_PLAIN = {*(POINT.names or ()), *SMOOTHED, "station"}
 _LONG_NAMES = {"normal_x": "nx", "normal_y": "ny", "normal_z": "nz"}
 
 
@@ -69,21 +68,21 @@ def columns(points: CloudPoints, cloud: PointCloud) -> dict[str, np.ndarray]:
     }
 
 
-def plain_names(names: Iterable[str]) -> list[str]:
-    """The names of a file's columns as `POINT` has them: other programs add a prefix, or write capital letters.
+PARTS = {
+    "rgb": ("red", "green", "blue", "rgb"),
+    "intensity": ("intensity", "amplitude"),
+    "normals": ("nx", "ny", "nz", "normal_x", "normal_y", "normal_z"),
+    "sigma_random": ("sigma_random", "sigma"),
+    "sigma_systematic": ("sigma_systematic", "sigma"),
+    "grid": ("step", "row", "laser", "angle", "record"),
+}
+"""Columns that a file does not have where its cloud lacks something, by their names in all formats."""
 
-    A column whose plain name another one has keeps its own.
-    """
-    given = list(names)
-    taken = {name for name in given if name in _PLAIN}
-    found = []
-    for name in given:
-        plain = name.lower().removeprefix("scalar_")
-        plain = _LONG_NAMES.get(plain, plain)
-        fits = name not in _PLAIN and plain in _PLAIN and plain not in taken
-        taken |= {plain} if fits else set()
-        found.append(plain if fits else name)
-    return found
+
+def known_names(names: Iterable[str], cloud: PointCloud) -> list[str]:
+    """The columns of a format without those that a cloud lacks."""
+    lacked = {part for name in cloud.lacks for part in PARTS[name]}
+    return [name for name in names if name not in lacked]
 
 
 def smoothed_names(cloud: PointCloud | CloudPoints) -> tuple[str, ...]:
@@ -94,10 +93,14 @@ def smoothed_names(cloud: PointCloud | CloudPoints) -> tuple[str, ...]:
 def record_of(dtype: np.dtype, cloud: PointCloud) -> np.dtype:
     """The fields of a format's record: those of smoothed points and of stations too, and doubles where the cloud has.
 
+    What the cloud lacks is left out.
+
     A single has 24 bits: half a metre in a national grid.
     """
     coordinate = "<f8" if np.dtype(cloud.xyz.dtype) == np.float64 else "<f4"
-    fields = [(name, coordinate if name in ("x", "y", "z") else dtype[name]) for name in dtype.names or ()]
+    fields = [
+        (name, coordinate if name in ("x", "y", "z") else dtype[name]) for name in known_names(dtype.names or (), cloud)
+    ]
     station = [] if cloud.stations is None else [("station", "u1")]
     return np.dtype(fields + [(name, "<f4") for name in smoothed_names(cloud)] + station)
 

@@ -73,4 +73,5 @@ def _cloud(rows: Shaped[np.ndarray, " n"]) -> PointCloud:
     fields = {name: np.ascontiguousarray(rows[name])[None] for name in _ROW.fields or () if name != "xyz"}
     xyz = rows["xyz"].astype(np.float32)[None]
     valid = np.ones((1, len(rows)), np.bool_)
-    return PointCloud(xyz=xyz, valid=valid, **fields, record=zero, laser=zero, angle=np.zeros(1), stations=None)
+    angle = np.zeros(1)
+    return PointCloud(xyz=xyz, valid=valid, **fields, record=zero, laser=zero, angle=angle, stations=None, lacks=())

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.files.clouds.about import StoredCloud, about_of, version_of
+from jaxscan.files.clouds.about import METRE, StoredCloud, about_of, version_of
+from jaxscan.files.clouds.columns import Reading, as_bytes, range_of
 from jaxscan.files.clouds.crs import epsg_of
 from jaxscan.files.clouds.e57.library import COLUMNS, OWN
 from jaxscan.files.clouds.e57.packets import Field, read_blocks
@@ -38,12 +39,15 @@ _OWN_COLUMNS = {
 }
 
 
-def read_e57(path: Path) -> StoredCloud:
+def read_e57(path: Path, reading: Reading | None = None) -> StoredCloud:
     """A cloud of all scans of an E57 file, in the frame of the file.
 
     Raises:
         CloudError: If it is damaged or has no points.
     """
+    reading = reading or Reading()
+    if reading.columns:
+        raise CloudError(f"{path}: the columns of E57 are named by the format; leave --columns out.")
     with open_regular(path, error=CloudError) as file:
         size = os.fstat(file.fileno()).st_size
         place, length = _places(file.read(48), size, path)
@@ -51,7 +55,7 @@ def read_e57(path: Path) -> StoredCloud:
         try:
             text = pages.read(without_checksums(place), length)
             root = parse_xml(text, name=str(path), error=CloudError, limit=MAX_XML_BYTES)
-            scans = list(_scans(pages, root, size, path))
+            scans = list(_scans(pages, root, size, path, reading))
             if sum(scan.points for scan in scans) == 0:
                 raise CloudError(f"{path}: holds no points.")
             lines = scans[0].lines
@@ -63,7 +67,23 @@ def read_e57(path: Path) -> StoredCloud:
     frame = root.find("coordinateMetadata")
     epsg = about.epsg if about.epsg is not None or frame is None else epsg_of(frame.text)
     # The standard knows no other unit, and z up in the frame of a levelled scanner.
-    return StoredCloud(cloud, about._replace(epsg=epsg, in_metres=True, upright=True))
+    about = about._replace(epsg=epsg, metres=METRE, unit_by="the format", upright=True)
+    return StoredCloud(cloud, about, () if lines else _words(scans))
+
+
+def _words(scans: list[Scan]) -> tuple[str, ...]:
+    """What was decided, as people read it."""
+    filled = [scan for scan in scans if scan.points]
+    known = {*COLUMNS.values(), *_SPHERICAL.values()}
+    columns = dict.fromkeys(name for scan in filled for name in scan.types if name in known)
+    unused = dict.fromkeys(name for scan in filled for name in scan.unused)
+    ranges = dict.fromkeys(scan.colours for scan in filled if scan.colours)
+    return (
+        f"{', '.join(columns)} by the format",
+        *([f"not used: {', '.join(unused)[:80]}"] if unused else []),
+        *ranges,
+        *([f"{len(filled)} scans in one frame"] if len(filled) > 1 else []),
+    )
 
 
 def _places(head: bytes, size: int, path: Path) -> tuple[int, int]:
@@ -79,7 +99,7 @@ def _places(head: bytes, size: int, path: Path) -> tuple[int, int]:
     return place, xml
 
 
-def _scans(pages: Pages, root: Element, size: int, path: Path) -> Iterator[Scan]:
+def _scans(pages: Pages, root: Element, size: int, path: Path, reading: Reading) -> Iterator[Scan]:
     listed = root.find("data3D")
     scans = [] if listed is None else listed.children
     if len(scans) > MAX_SCANS:
@@ -96,7 +116,8 @@ def _scans(pages: Pages, root: Element, size: int, path: Path) -> Iterator[Scan]
         if count < 0 or left < 0:
             raise CloudError(f"{path}: announces {count} points, which the file cannot hold; it is damaged.")
         header = scan.find(f"{OWN}header")
-        yield _scan(pages, scan, points, count, fields, [] if header is None else header.text.splitlines())
+        lines = [] if header is None else header.text.splitlines()
+        yield _scan(pages, scan, points, count, fields, lines, reading)
 
 
 def _fields_of(prototype: Element | None) -> list[Field]:
@@ -149,7 +170,15 @@ def _wanted(fields: list[Field]) -> dict[str, str]:
     return {name: column for name, column in known.items() if name in names}
 
 
-def _scan(pages: Pages, scan: Element, points: Element, count: int, fields: list[Field], lines: list[str]) -> Scan:
+def _scan(
+    pages: Pages,
+    scan: Element,
+    points: Element,
+    count: int,
+    fields: list[Field],
+    lines: list[str],
+    reading: Reading,
+) -> Scan:
     """A scan with all columns that a cloud can use."""
     wanted = _wanted(fields)
     place = int(points.attributes.get("fileOffset", "0"))
@@ -160,29 +189,33 @@ def _scan(pages: Pages, scan: Element, points: Element, count: int, fields: list
         for values in read_blocks(pages, place, count, fields, [numbers[name] for name in names]):
             yield dict(zip(names, values, strict=True))
 
-    full = {colour: one for colour, one in _full_brightness(scan, fields).items() if colour in numbers}
-    unlimited = [colour for colour, one in full.items() if one is None]
-    if unlimited and count:
-        # Colours without limits: by what they reach together.
-        reached = max(float(np.nan_to_num(values).max()) for block in read(unlimited) for values in block.values())
-        floats = fields[numbers[unlimited[0]]].type[0] == "f"
-        full |= dict.fromkeys(unlimited, 1.0 if floats and reached <= 1 else 255.0 if reached <= 255 else 65535.0)
+    stated = _full_brightness(scan, fields)
+    full: dict[str, float] = {}
+    words = ""
+    if count and numbers.keys() >= stated.keys():
+        # By what they reach together: limits are not always true, and often not there.
+        kind = np.result_type(*(np.dtype(fields[numbers[colour]].type) for colour in stated))
+        most, whole = 0.0, True
+        for block in () if kind == np.uint8 else read(stated):
+            for values in map(np.nan_to_num, block.values()):
+                most, whole = max(most, float(values.max())), whole and bool((values == np.floor(values)).all())
+        found = [range_of(kind, most, whole=whole, stated=limit, reading=reading) for limit in stated.values()]
+        full = {colour: one.brightest for colour, one in zip(stated, found, strict=True)}
+        words = found[0].words
+    if not all(full.values()):
+        full = {}
+    numbers = {name: k for name, k in numbers.items() if name in full or name not in stated}
     types = {name: "u1" if name in full else _stored(fields[k], name) for name, k in numbers.items()}
 
     def blocks(columns: Iterable[str]) -> Iterator[dict[str, np.ndarray]]:
         for block in read(columns):
             for colour in full.keys() & block.keys():
-                block[colour] = _byte(block[colour], full[colour] or 255.0)
+                block[colour] = as_bytes(block[colour], full[colour])
             yield block
 
-    return Scan(count, types, blocks, _pose(scan), lines)
-
-
-def _byte(values: np.ndarray, brightest: float) -> np.ndarray:
-    """Colours in 8 bits."""
-    if brightest != 255 or values.dtype.kind == "f":
-        values = np.round(np.nan_to_num(values) * (255 / brightest))
-    return np.clip(values, 0, 255).astype(np.uint8)
+    used = {*wanted, "cartesianInvalidState", "sphericalInvalidState"}
+    unused = tuple(field.name for field in fields if field.name not in used and not field.name.startswith("spherical"))
+    return Scan(count, types, blocks, _pose(scan), lines, unused, words)
 
 
 def _stored(field: Field, column: str) -> str:

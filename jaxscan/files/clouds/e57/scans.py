@@ -32,6 +32,10 @@ class Scan(NamedTuple):
     """T_file_scan [4, 4]."""
     lines: list[str]
     """The lines of our header; none where another program wrote it."""
+    unused: tuple[str, ...] = ()
+    """Columns that a cloud has no place for."""
+    colours: str = ""
+    """What was decided about the range of its colours."""
 
 
 def joined(scans: list[Scan], name: str) -> PointCloud:
@@ -100,7 +104,7 @@ def _in_file_frame(scan: Scan, name: str) -> Scan:
             reach = max(reach, float(np.max(places, where=np.isfinite(places), initial=0.0)))
         single = single and (not turns or reach <= _SINGLE_M)
     types = dict.fromkeys(_AXES, "f4" if single else "f8") | {field: scan.types[field] for field in kept}
-    return Scan(count, types, blocks, np.eye(4), scan.lines)
+    return scan._replace(points=count, types=types, blocks=blocks, pose=np.eye(4))
 
 
 def _turned(block: Block, names: tuple[str, ...], turn: np.ndarray, shift: np.ndarray) -> Block:

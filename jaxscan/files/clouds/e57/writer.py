@@ -14,7 +14,7 @@ from jaxscan.files.clouds.about import About, header_lines, lines_of_grid
 from jaxscan.files.clouds.crs import wkt_of
 from jaxscan.files.clouds.e57.library import COLUMNS, NORMALS_URI, OWN, OWN_URI, load_libe57
 from jaxscan.files.clouds.e57.pictures import Surroundings, append_panorama, append_photograph
-from jaxscan.files.clouds.points import blocks, columns, smoothed_names
+from jaxscan.files.clouds.points import blocks, columns, known_names, smoothed_names
 from jaxscan.files.clouds.stations import covariance_text
 from jaxscan.files.disk import Part
 from jaxscan.geometry import quaternion
@@ -194,13 +194,15 @@ def _columns(cloud: PointCloud, profile: np.ndarray | None, station: int) -> Ite
         values = columns(points, cloud)
         if profile is not None:
             values |= {"profile": profile[points.step], "station": np.full(len(points.step), station)}
-        yield _fields(values, smoothed_names(cloud))
+        kept = set(known_names(values, cloud))
+        yield _fields({name: value for name, value in values.items() if name in kept}, smoothed_names(cloud))
 
 
 def _fields(values: Mapping[str, np.ndarray], smoothed: tuple[str, ...]) -> dict[str, np.ndarray]:
     """Columns by the names of the format, in types that the binding takes."""
     own = (*_OURS, *smoothed, *(name for name in ("profile", "station") if name in values))
     named = COLUMNS | {f"{OWN}{name}": name for name in own}
+    named = {key: name for key, name in named.items() if name in values}
     fields: dict[str, np.ndarray] = {
         key: np.ascontiguousarray(values[name], _type_of(key, values[name])) for key, name in named.items()
     }
@@ -221,7 +223,7 @@ def _write_scan(e57: Any, image: Any, scans: Any, written: _Scan) -> None:
     most_of: dict[str, np.ndarray] = {}
     largest = 0
     for block in written.points():
-        largest = max(largest, len(block["rowIndex"]))
+        largest = max(largest, len(block["cartesianX"]))
         for key, values in block.items():
             least_of[key] = np.minimum(values.min(), least_of.get(key, values.min()))
             most_of[key] = np.maximum(values.max(), most_of.get(key, values.max()))
@@ -249,9 +251,12 @@ def _write_scan(e57: Any, image: Any, scans: Any, written: _Scan) -> None:
     scan.set("name", e57.StringNode(image, written.name))
     scan.set("description", e57.StringNode(image, written.description))
     scan.set(f"{OWN}header", e57.StringNode(image, written.header))
-    scan.set("indexBounds", bounds({"row": "rowIndex", "column": "columnIndex"}))
-    scan.set("intensityLimits", bounds({"intensity": "intensity"}))
-    scan.set("colorLimits", structure({f"{key}{end}": k * 255 for key in _COLOURS for k, end in _ENDS}))
+    if "rowIndex" in least_of:
+        scan.set("indexBounds", bounds({"row": "rowIndex", "column": "columnIndex"}))
+    if "intensity" in least_of:
+        scan.set("intensityLimits", bounds({"intensity": "intensity"}))
+    if set(_COLOURS) <= least_of.keys():
+        scan.set("colorLimits", structure({f"{key}{end}": k * 255 for key in _COLOURS for k, end in _ENDS}))
     scan.set("cartesianBounds", bounds({axis: f"cartesian{axis.upper()}" for axis in "xyz"}))
     scan.set("pose", pose)
     pose.set("rotation", structure(dict(zip("wxyz", written.rotation, strict=True))))
@@ -273,7 +278,7 @@ def _write_scan(e57: Any, image: Any, scans: Any, written: _Scan) -> None:
     scans.append(scan)
     with contextlib.closing(points.writer(buffers)) as writer:
         for block in written.points():
-            count = len(block["rowIndex"])
+            count = len(block["cartesianX"])
             for key, values in block.items():
                 buffer[key][:count] = values
             writer.write(count)

@@ -4,19 +4,19 @@ import os
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import points as sizes
 from jaxscan.files.clouds.about import StoredCloud, about_of
-from jaxscan.files.clouds.crs import epsg_of, is_in_metres
+from jaxscan.files.clouds.columns import COLOURS, Reading, decide
+from jaxscan.files.clouds.crs import Frame, epsg_of, epsg_of_keys, frame_of_keys, frame_of_wkt
 from jaxscan.files.clouds.grid import Records, cloud_of
 from jaxscan.files.clouds.las.compressed import Sizes, check_compressed
 from jaxscan.files.clouds.las.library import load_laspy
 from jaxscan.files.clouds.las.writer import HEADER_RECORD
-from jaxscan.files.clouds.points import plain_names
 from jaxscan.files.disk import open_regular
 
 
@@ -26,19 +26,25 @@ _SINGLE_M = 1e6
 _LARGEST_STEP_M = 1.0
 """Of a coordinate; no program writes a coarser one."""
 _COMPRESSED = 0x80
+_DOUBLES = 34736
+"""Number of the record that holds the values of keys that are not whole."""
+_MOST_BEHIND, _LONGEST_WKT = 1000, 1 << 20
 _DAMAGE = (
     *(ValueError, TypeError, LookupError, AttributeError, ArithmeticError, EOFError, MemoryError, OSError),
     *(RuntimeError, struct.error),
 )
 
 
-def read_las(path: Path) -> StoredCloud:
+def read_las(path: Path, reading: Reading | None = None) -> StoredCloud:
     """A cloud from a LAS or LAZ file of version 1.0 to 1.4.
 
     Raises:
         CloudError: If it is damaged, has no points, or would take far more memory than its size.
         DependencyError: If laspy, or lazrs for a compressed file, is not installed.
     """
+    reading = reading or Reading()
+    if reading.columns:
+        raise CloudError(f"{path}: the columns of LAS are named by the format; leave --columns out.")
     with open_regular(path, error=CloudError) as file:
         size = os.fstat(file.fileno()).st_size
         given = _sizes_of(file, path)
@@ -47,8 +53,11 @@ def read_las(path: Path) -> StoredCloud:
         _check(file, given, size, path)
         try:
             with _opened(laspy, file, compressed) as reader:
-                lines, wkt = _lines_of(reader.header), _wkt_of(reader.header)
-            cloud = cloud_of(_points_of(laspy, file, given), lines, str(path))
+                lines = _lines_of(reader.header)
+                wkt, keys = _wkt_of(reader.header) or _wkt_behind(file, size), _keys_of(reader.header)
+            points, reached = _points_of(laspy, file, given)
+            decided = decide(points, str(path), ours=bool(lines), reading=reading, reached=reached, by="the format")
+            cloud = cloud_of(decided.points, lines, str(path))
         except (laspy.errors.LaspyException, *_DAMAGE) as problem:
             raise CloudError(
                 f"{path}: not a readable LAS file: {(str(problem).splitlines() or [type(problem).__name__])[0]:.100}."
@@ -58,11 +67,16 @@ def read_las(path: Path) -> StoredCloud:
             if type(problem).__name__ != "PanicException":
                 raise
             raise CloudError(f"{path}: the compressed points are damaged.") from problem
-    about = about_of(lines)
+    about = about_of(lines)._replace(upright=True)
     if about.epsg is None:
-        about = about._replace(epsg=epsg_of(wkt))
-    about = about._replace(in_metres=about.in_metres or is_in_metres(wkt), upright=True)
-    return StoredCloud(cloud, about)
+        about = about._replace(epsg=epsg_of(wkt) or epsg_of_keys(keys.whole))
+    if lines and about.metres is not None:
+        return StoredCloud(cloud, about)
+    stated = [(frame_of_wkt(wkt), "WKT"), (frame_of_keys(*keys), "GeoKeys")]
+    frame, why = next((one for one in stated if one[0] != Frame()), (Frame(), ""))
+    why = f"the {why} of {path.name}" if frame.in_degrees else f"its {why}" if why else ""
+    about = about._replace(metres=frame.metres, in_degrees=frame.in_degrees, unit_by=why)
+    return StoredCloud(cloud, about, () if lines else decided.words)
 
 
 def _opened(laspy: Any, file: BinaryIO, compressed: bool, only: Any = None) -> Any:
@@ -103,8 +117,8 @@ def _check(file: BinaryIO, sizes: Sizes, size: int, path: Path) -> None:
         )
 
 
-def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> Records:
-    """The columns that a cloud has, as records."""
+def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> tuple[Records, tuple[float, bool]]:
+    """All columns that a cloud may use, and the largest colour; without those of the format that are 0 throughout."""
     compressed = bool(given.kind & _COMPRESSED)
     with _opened(laspy, file, compressed) as reader:
         header = reader.header
@@ -115,25 +129,23 @@ def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> Records:
         words = ", ".join(f"{one:g}" for one in scales)
         raise ValueError(f"steps of {words} m mirror or squash it, expected above 0 and up to {_LARGEST_STEP_M:g} m")
     names, extra = set(header.point_format.dimension_names), list(header.point_format.extra_dimension_names)
-    single, brightest = _looked_through(laspy, file, given, "red" in names)
+    single, brightest, loudest = _looked_through(laspy, file, given, "red" in names)
 
     def columns(chunk: Any) -> dict[str, np.ndarray]:
-        plain = dict(zip(plain_names(extra), extra, strict=True))
-        values = {name: np.asarray(chunk[stored]) for name, stored in plain.items()}
+        values = {name: np.asarray(chunk[name]) for name in extra if name not in "xyz"}
         values = {name: value for name, value in values.items() if value.ndim == 1}
-        # Before our extra bytes held the amplitude, it was in the 16 bits alone.
-        values["intensity"] = values.get("amplitude", np.asarray(chunk["intensity"]).astype(np.float32))
+        if "amplitude" in values:
+            values["intensity"] = values.pop("amplitude")
+        elif loudest:
+            # Before our extra bytes held the amplitude, it was in the 16 bits alone.
+            scale = np.float32(257 if "step" in values else 1)
+            values["intensity"] = np.asarray(chunk["intensity"]).astype(np.float32) / scale
         if "step" in values:
             values["laser"] = np.asarray(chunk["user_data"])
-            if "amplitude" not in values:
-                values["intensity"] = values["intensity"] / np.float32(257)
         xyz = np.stack([np.asarray(chunk[axis]) for axis in "XYZ"], -1) * scales + offsets
         values |= dict(zip("xyz", (xyz.astype(np.float32) if single else xyz).T, strict=True))
-        if {"red", "green", "blue"} <= names:
-            colours = np.stack([np.asarray(chunk[name]) for name in ("red", "green", "blue")])
-            # Some programs write 8 bits into the 16.
-            colours = colours if brightest < 256 else colours >> 8
-            values |= dict(zip(("red", "green", "blue"), colours.astype(np.uint8), strict=True))
+        if set(COLOURS) <= names and brightest:
+            values |= {name: np.asarray(chunk[name]) for name in COLOURS}
         return values
 
     def typed(values: dict[str, np.ndarray]) -> np.dtype:
@@ -149,29 +161,31 @@ def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> Records:
                 yield points
 
     none = laspy.ScaleAwarePointRecord.zeros(0, header=header)
-    return Records(typed(columns(none)), given.points, read)
+    return Records(typed(columns(none)), given.points, read), (float(brightest), True)
 
 
-def _looked_through(laspy: Any, file: BinaryIO, given: Sizes, coloured: bool) -> tuple[bool, int]:
-    """Whether singles hold the coordinates as finely as the file does, and its largest colour.
+def _looked_through(laspy: Any, file: BinaryIO, given: Sizes, coloured: bool) -> tuple[bool, int, int]:
+    """Whether singles hold the coordinates as finely as the file does, and its largest colour and intensity.
 
     Raises:
         ValueError: If the file has another number of points than its header says.
     """
     compressed = bool(given.kind & _COMPRESSED)
     parts = laspy.DecompressionSelection
-    largest, brightest, found = np.zeros(3), 0, 0
-    with _opened(laspy, file, compressed, parts.XY_RETURNS_CHANNEL | parts.Z | parts.RGB) as reader:
+    largest, brightest, loudest, found = np.zeros(3), 0, 0, 0
+    wanted = parts.XY_RETURNS_CHANNEL | parts.Z | parts.RGB | parts.INTENSITY
+    with _opened(laspy, file, compressed, wanted) as reader:
         scales, offsets = np.array(reader.header.scales), np.array(reader.header.offsets)
         for chunk in reader.chunk_iterator(sizes.BLOCK_POINTS):
             xyz = np.stack([np.asarray(chunk[axis]) for axis in "XYZ"], -1) * scales + offsets
             largest = np.maximum(largest, np.abs(xyz).max(0))
             if coloured:
                 brightest = max(brightest, *(int(np.max(chunk[name])) for name in ("red", "green", "blue")))
+            loudest = max(loudest, int(np.max(chunk["intensity"])))
             found += len(chunk)
     if found != given.points:
         raise ValueError(f"found {found} points of {given.points}")
-    return bool((largest <= np.minimum(scales * _SINGLE_STEPS, _SINGLE_M)).all()), brightest
+    return bool((largest <= np.minimum(scales * _SINGLE_STEPS, _SINGLE_M)).all()), brightest, loudest
 
 
 def _lines_of(header: Any) -> list[str]:
@@ -180,6 +194,42 @@ def _lines_of(header: Any) -> list[str]:
             data = record.record_data_bytes()
             return [line[:4096] for line in data.decode("latin-1").splitlines()]
     return []
+
+
+class _Keys(NamedTuple):
+    """The keys of a GeoTIFF."""
+
+    whole: dict[int, int]
+    sizes: dict[int, float]
+
+
+def _keys_of(header: Any) -> _Keys:
+    found, doubles = header.vlrs.get("GeoKeyDirectoryVlr"), header.vlrs.get("GeoDoubleParamsVlr")
+    keys = _Keys({}, {})
+    for key in found[0].geo_keys if found else ():
+        if key.tiff_tag_location == 0:
+            keys.whole[int(key.id)] = int(key.value_offset)
+        elif doubles and key.tiff_tag_location == _DOUBLES and key.value_offset < len(doubles[0].doubles):
+            keys.sizes[int(key.id)] = float(doubles[0].doubles[key.value_offset])
+    return keys
+
+
+def _wkt_behind(file: BinaryIO, size: int) -> str:
+    """The WKT in a record behind the points, where LAS 1.4 may have it."""
+    file.seek(24)
+    head = file.read(351)
+    if len(head) < 351 or (head[0], head[1]) < (1, 4):
+        return ""
+    at, count = struct.unpack_from("<QI", head, 235 - 24)
+    for _ in range(min(count, _MOST_BEHIND)):
+        if not 0 < at <= size - 60:
+            return ""
+        file.seek(at)
+        user, number, length = struct.unpack("<2x16sHQ32x", file.read(60))
+        if (user.rstrip(b"\0"), number) == (b"LASF_Projection", 2112) and length <= min(_LONGEST_WKT, size - at - 60):
+            return file.read(length).decode("latin-1").strip("\0")
+        at += 60 + length
+    return ""
 
 
 def _wkt_of(header: Any) -> str:

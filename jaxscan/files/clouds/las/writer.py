@@ -9,7 +9,7 @@ from jaxscan.errors import CloudError
 from jaxscan.files.clouds.about import About, frame_of, header_lines
 from jaxscan.files.clouds.crs import LOCAL_WKT, wkt_of
 from jaxscan.files.clouds.las.library import load_laspy
-from jaxscan.files.clouds.points import blocks, columns, smoothed_names
+from jaxscan.files.clouds.points import blocks, columns, known_names, smoothed_names
 from jaxscan.files.disk import Part
 from jaxscan.reconstruction import CloudPoints, PointCloud
 
@@ -56,7 +56,8 @@ def write_las(cloud: PointCloud, path: Part, about: About) -> None:
         DependencyError: If laspy, or lazrs for `.laz`, or pyproj for a code, is not installed.
     """
     laspy = load_laspy(compressed=path.suffix.lower() == ".laz")
-    header = laspy.LasHeader(point_format=7, version="1.4")
+    # Without colours, point format 6.
+    header = laspy.LasHeader(point_format=6 if "rgb" in cloud.lacks else 7, version="1.4")
     header.offsets, header.scales = _placed(cloud)
     header.generating_software = "jaxscan"
     # Point formats 6 to 10 have their frame as WKT.
@@ -65,12 +66,16 @@ def write_las(cloud: PointCloud, path: Part, about: About) -> None:
     header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
     text = "\n".join(header_lines(cloud, about)).encode("ascii")
     header.vlrs.append(laspy.VLR(*HEADER_RECORD, "header of the cloud", text))
-    extra = _EXTRA | {name: _SMOOTHED_EXTRA[name] for name in smoothed_names(cloud)}
+    extra = {name: _EXTRA[name] for name in known_names(_EXTRA, cloud)} | {
+        name: _SMOOTHED_EXTRA[name] for name in smoothed_names(cloud)
+    }
     extra |= {} if cloud.stations is None else _STATION_EXTRA
     header.add_extra_dims(
         [laspy.ExtraBytesParams(name, _TYPES.get(name, np.float32), description) for name, description in extra.items()]
     )
-    brightest = float(np.max(cloud.intensity, where=cloud.valid, initial=-np.inf))
+    brightest = (
+        0.0 if "intensity" in cloud.lacks else float(np.max(cloud.intensity, where=cloud.valid, initial=-np.inf))
+    )
     scale = 257.0 if brightest <= 255 else 65535 / brightest
     try:
         # Opened here, for the writer leaves its file open where the disk is full.
@@ -94,8 +99,11 @@ def _record(laspy: Any, header: Any, points: CloudPoints, cloud: PointCloud, ext
     record = laspy.ScaleAwarePointRecord.zeros(len(points.step), header=header)
     for axis, places in zip("xyz", points.xyz.astype(np.float64).T, strict=True):
         record[axis] = places
-    for name, colours in zip(("red", "green", "blue"), points.rgb.astype(np.uint16).T * np.uint16(257), strict=True):
-        record[name] = colours
+    if "rgb" not in cloud.lacks:
+        for name, colours in zip(
+            ("red", "green", "blue"), points.rgb.astype(np.uint16).T * np.uint16(257), strict=True
+        ):
+            record[name] = colours
     record["intensity"] = np.clip(np.round(points.intensity.astype(np.float64) * scale), 0, 65535).astype(np.uint16)
     record["return_number"] = record["number_of_returns"] = np.ones(len(points.step), np.uint8)
     record["user_data"] = points.laser

@@ -9,10 +9,10 @@ import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import points as sizes
-from jaxscan.files.clouds.about import StoredCloud, about_of
+from jaxscan.files.clouds.about import StoredCloud, about_of, version_of
+from jaxscan.files.clouds.columns import COLOURS, Reading, decide, plain_names, unit_of_text
 from jaxscan.files.clouds.grid import Records, cloud_of
 from jaxscan.files.clouds.pcd.lzf import unpack
-from jaxscan.files.clouds.points import plain_names
 from jaxscan.files.clouds.seal import check_seal
 from jaxscan.files.clouds.tables import numbers_of, text_lines
 from jaxscan.files.disk import open_regular
@@ -39,7 +39,7 @@ class _Header(NamedTuple):
     """Bytes before the data."""
 
 
-def read_pcd(path: Path) -> StoredCloud:
+def read_pcd(path: Path, reading: Reading | None = None) -> StoredCloud:
     """A cloud from a PCD file: text, binary, or packed.
 
     Raises:
@@ -56,12 +56,18 @@ def read_pcd(path: Path) -> StoredCloud:
             if count == 0:
                 raise CloudError(f"{path}: holds no finite point.")
             points = Records(_unpacked_type(header.dtype), count, read)
-            cloud = cloud_of(points, header.comments, str(path))
+            ours = bool(version_of(header.comments, str(path)))
+            decided = decide(points, str(path), ours=ours, reading=reading)
+            cloud = cloud_of(decided.points, header.comments, str(path))
     except ValueError as problem:
         raise CloudError(f"{path}: the points cannot be read: {str(problem)[:60]}.") from problem
     except (OSError, EOFError) as problem:
         raise CloudError(f"{path}: cannot be read: {getattr(problem, 'strerror', None) or problem}.") from problem
-    return StoredCloud(cloud, about_of(header.comments))
+    about = about_of(header.comments)
+    if ours:
+        return StoredCloud(cloud, about)
+    metres, why = unit_of_text(decided.unit, header.comments)
+    return StoredCloud(cloud, about._replace(metres=metres, unit_by=why), decided.words)
 
 
 def _read_header(file: BinaryIO, path: Path) -> _Header:
@@ -200,8 +206,8 @@ def _unpacked_type(dtype: np.dtype) -> np.dtype:
     """The plain numbers of a record alone, and colours in fields of their own."""
     names = [name for name in dtype.names or () if not dtype[name].shape]
     kept = [(name, dtype[name].str) for name in names if name not in ("rgb", "rgba")]
-    missing = _colour_of(dtype) is not None and not {"red", "green", "blue"} & set(names)
-    return np.dtype(kept + [(name, "u1") for name in (("red", "green", "blue") if missing else ())])
+    missing = _colour_of(dtype) is not None and not set(COLOURS) & set(names)
+    return np.dtype(kept + [(name, "u1") for name in (COLOURS if missing else ())])
 
 
 def _unpacked_colours(table: np.ndarray) -> np.ndarray:
@@ -211,8 +217,13 @@ def _unpacked_colours(table: np.ndarray) -> np.ndarray:
     for name in points.dtype.names or ():
         if name in names:
             points[name] = table[name]
-    if colour is not None and not {"red", "green", "blue"} & names:
-        bits = np.ascontiguousarray(table[colour]).view(np.uint32)
-        for name, shift in zip(("red", "green", "blue"), (16, 8, 0), strict=False):
+    if colour is not None and not set(COLOURS) & names:
+        packed = np.ascontiguousarray(table[colour])
+        bits = packed.view(np.uint32)
+        if packed.dtype.kind == "f":
+            # Some programs write the packed number itself; as bits it is smaller than any number that a person writes.
+            numbers = (packed >= 1) & (packed < 1 << 24)
+            bits = np.where(numbers, np.where(numbers, packed, 0).astype(np.uint32), bits)
+        for name, shift in zip(COLOURS, (16, 8, 0), strict=True):
             points[name] = (bits >> np.uint32(shift)) & np.uint32(255)
     return points

@@ -9,9 +9,9 @@ import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import points as sizes
-from jaxscan.files.clouds.about import StoredCloud, about_of
+from jaxscan.files.clouds.about import StoredCloud, about_of, version_of
+from jaxscan.files.clouds.columns import Reading, decide, unit_of_text
 from jaxscan.files.clouds.grid import Records, cloud_of
-from jaxscan.files.clouds.points import plain_names
 from jaxscan.files.clouds.seal import check_seal
 from jaxscan.files.clouds.tables import numbers_of, text_lines
 from jaxscan.files.disk import open_regular
@@ -27,13 +27,46 @@ _TYPES = {
 }
 _BLOCK = 1 << 16
 _ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
+_ALIKE = 1 << 14
+"""Rows with lists of equal lengths that are tried at a time."""
+
+
+class _Property(NamedTuple):
+    name: str
+    item: np.dtype
+    length: np.dtype | None = None
+    """Type of the number of its items; None where it has one."""
 
 
 class _Element(NamedTuple):
     name: str
     rows: int
-    dtype: np.dtype | None
-    """None where a property is a list."""
+    properties: tuple[_Property, ...]
+
+    @property
+    def dtype(self) -> np.dtype:
+        """The numbers of a row that are in no list."""
+        return np.dtype([(each.name, each.item) for each in self.properties if each.length is None])
+
+    @property
+    def has_lists(self) -> bool:
+        """Whether rows have several lengths."""
+        return any(each.length is not None for each in self.properties)
+
+    @property
+    def shortest(self) -> np.dtype:
+        """A row whose lists are empty."""
+        return self.with_lists([0] * len(self.properties))
+
+    def with_lists(self, lengths: list[int]) -> np.dtype:
+        """A row with lists of these lengths, of each property; names of what is not asked for are numbers."""
+        fields: list[tuple[str, np.dtype] | tuple[str, np.dtype, tuple[int]]] = []
+        for k, (each, length) in enumerate(zip(self.properties, lengths, strict=True)):
+            if each.length is None:
+                fields.append((each.name, each.item))
+            else:
+                fields += [(f"count of {k}", each.length), (f"items of {k}", each.item, (length,))]
+        return np.dtype(fields)
 
 
 class _Header(NamedTuple):
@@ -44,12 +77,12 @@ class _Header(NamedTuple):
     """Bytes before the data."""
 
 
-def read_ply(path: Path) -> StoredCloud:
+def read_ply(path: Path, reading: Reading | None = None) -> StoredCloud:
     """A cloud from a PLY file, ASCII or binary.
 
     A file of this library is read onto its grid, unless its points are too few for so large a one. Of other
     files, `x y z` and, where present, colours, normals, intensity and sigmas are read, as a single profile, or on the
-    grid where they have kept step and row.
+    grid where they have kept step and row. Lists in the vertices or before them are passed over.
 
     Raises:
         CloudError: If it is damaged, has changed since this library wrote it, or has no points.
@@ -60,12 +93,18 @@ def read_ply(path: Path) -> StoredCloud:
             header = _read_header(file, path)
             size = os.fstat(file.fileno()).st_size
             vertices, profiles = _read_tables(file, header, size, path)
-            cloud = cloud_of(vertices, header.comments, str(path), profiles=profiles)
+            ours = bool(version_of(header.comments, str(path)))
+            decided = decide(vertices, str(path), ours=ours, reading=reading)
+            cloud = cloud_of(decided.points, header.comments, str(path), profiles=profiles)
     except ValueError as problem:
         raise CloudError(f"{path}: vertex: not a table of numbers: {str(problem)[:60]}.") from problem
     except (OSError, EOFError) as problem:
         raise CloudError(f"{path}: cannot be read: {getattr(problem, 'strerror', None) or problem}.") from problem
-    return StoredCloud(cloud, about_of(header.comments))
+    about = about_of(header.comments)
+    if ours:
+        return StoredCloud(cloud, about)
+    metres, why = unit_of_text(decided.unit, header.comments)
+    return StoredCloud(cloud, about._replace(metres=metres, unit_by=why), decided.words)
 
 
 def _read_header(file: BinaryIO, path: Path) -> _Header:
@@ -76,7 +115,7 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
         raise CloudError(f"{path}: not a PLY file, or its header does not end within {MAX_HEADER_BYTES >> 10} KiB.")
     encoding = ""
     comments: list[str] = []
-    elements: list[tuple[str, int, list[tuple[str, str]] | None]] = []
+    elements: list[tuple[str, int, list[tuple[str, str, str]]]] = []
     for line in data[:end].decode("latin-1").splitlines()[1:]:
         words = line.split()
         match words:
@@ -88,20 +127,32 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
                 pass
             case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 16:
                 elements.append((name, int(count), []))
-            case ["property", "list", *_] if elements:
-                elements[-1] = (*elements[-1][:2], None)
+            case ["property", "list", count, kind, name] if elements and count in _TYPES and kind in _TYPES:
+                elements[-1][2].append((name, _TYPES[kind], _TYPES[count]))
             case ["property", kind, name] if elements and kind in _TYPES:
-                # After a list the size of an item is unknown, so its other properties are not used.
-                if (fields := elements[-1][2]) is not None:
-                    fields.append((name, _ORDERS.get(encoding, "=") + _TYPES[kind]))
+                elements[-1][2].append((name, _TYPES[kind], ""))
             case _:
                 raise CloudError(f'{path}: found "{line[:60]}" in the header, which PLY does not know.')
     if not encoding:
         raise CloudError(f"{path}: the header names no known format.")
-    try:
-        parsed = tuple(_Element(name, n, None if parts is None else np.dtype(parts)) for name, n, parts in elements)
-    except ValueError as problem:
-        raise CloudError(f"{path}: the header is wrong: {str(problem)[:60]}.") from problem
+    order = _ORDERS[encoding]
+    parsed = tuple(
+        _Element(
+            name,
+            rows,
+            tuple(
+                _Property(given, np.dtype(order + kind), np.dtype(order + count) if count else None)
+                for given, kind, count in properties
+            ),
+        )
+        for name, rows, properties in elements
+    )
+    for element in parsed:
+        names = [each.name for each in element.properties]
+        if any(each.length is not None and each.length.kind == "f" for each in element.properties):
+            raise CloudError(f"{path}: the header is wrong: a list has a number of items that is not whole.")
+        if len(set(names)) < len(names):
+            raise CloudError(f"{path}: the header is wrong: {element.name[:40]} has two properties of one name.")
     return _Header(encoding, tuple(comments), parsed, length)
 
 
@@ -112,7 +163,8 @@ def _read_tables(file: BinaryIO, header: _Header, size: int, path: Path) -> tupl
     text = header.encoding == "ascii"
     file.seek(header.length)
     for element in header.elements:
-        if element.dtype is None:
+        # After the vertices nothing with lists is of use: the profiles are numbers, and follow at once.
+        if vertices is not None and element.has_lists:
             break
         _check_length(file, element, text, size, path)
         if element.name == "vertex":
@@ -122,19 +174,27 @@ def _read_tables(file: BinaryIO, header: _Header, size: int, path: Path) -> tupl
                 profiles = np.concatenate([np.empty(0, element.dtype), *_blocks(file, element, text)])
             except ValueError as problem:
                 raise CloudError(f"{path}: profile: not a table of numbers: {str(problem)[:60]}.") from problem
-        elif text:
-            for _ in text_lines(file, element.rows if element.dtype.names else 0):
-                pass
         else:
-            file.seek(element.rows * element.dtype.itemsize, os.SEEK_CUR)
+            _pass_over(file, element, text)
     # The length of a list is in the list alone; without lists the header says where the file ends.
-    if all(element.dtype is not None for element in header.elements) and _has_more(file):
+    if not any(element.has_lists for element in header.elements) and _has_more(file):
         raise CloudError(f"{path}: the file goes on after the data that its header announces; it is damaged.")
     if vertices is None:
-        raise CloudError(f"{path}: has no vertices that can be read; lists in or before them are not supported.")
+        raise CloudError(f"{path}: has no vertices that can be read.")
     if len(vertices) == 0:
         raise CloudError(f"{path}: holds no points.")
     return vertices, profiles
+
+
+def _pass_over(file: BinaryIO, element: _Element, text: bool) -> None:
+    if text:
+        for _ in text_lines(file, element.rows if element.properties else 0):
+            pass
+    elif element.has_lists:
+        for _ in _blocks(file, element, text):
+            pass
+    else:
+        file.seek(element.rows * element.dtype.itemsize, os.SEEK_CUR)
 
 
 def _has_more(file: BinaryIO) -> bool:
@@ -147,9 +207,9 @@ def _has_more(file: BinaryIO) -> bool:
 
 def _check_length(file: BinaryIO, element: _Element, text: bool, size: int, path: Path) -> None:
     """Compare what the header announces with what is left of the file, before memory is taken."""
-    dtype, count = element.dtype or np.dtype([]), element.rows
-    # As text, a number takes a digit and a separator.
-    needed = count * (2 * len(dtype.names or ()) if text else dtype.itemsize) - (1 if text and count else 0)
+    count = element.rows
+    # As text, a number takes a digit and a separator; an empty list is its number of items.
+    needed = count * (2 * len(element.properties) if text else element.shortest.itemsize) - (1 if text and count else 0)
     if needed > size - file.tell():
         raise CloudError(
             f"{path}: announces {count} of {element.name[:60]}, but the file ends before; it is damaged or cut short."
@@ -157,31 +217,101 @@ def _check_length(file: BinaryIO, element: _Element, text: bool, size: int, path
 
 
 def _vertices(file: BinaryIO, element: _Element, text: bool) -> Records:
-    """The vertices from where the file is, with the names that this library gives to their columns."""
-    start, dtype = file.tell(), element.dtype or np.dtype([])
-    plain = np.dtype(
-        [(name, dtype[given]) for name, given in zip(plain_names(dtype.names or ()), dtype.names or (), strict=True)]
-    )
+    """The vertices from where the file is."""
+    start = file.tell()
 
     def read() -> Iterator[np.ndarray]:
         file.seek(start)
-        return (block.view(plain) for block in _blocks(file, element, text))
+        return _blocks(file, element, text)
 
-    return Records(plain, element.rows if dtype.names else 0, read)
+    return Records(element.dtype, element.rows if element.dtype.names else 0, read)
 
 
 def _blocks(file: BinaryIO, element: _Element, text: bool) -> Iterator[np.ndarray]:
-    """The rows of a table from where the file is.
+    """The rows of a table from where the file is, without their lists.
 
     Raises:
         ValueError: If they are no rows of numbers, or the file has fewer.
     """
-    dtype, left = element.dtype or np.dtype([]), element.rows if element.dtype is not None else 0
+    dtype, left = element.dtype, element.rows
+    if element.has_lists and not text:
+        yield from _rows_with_lists(file, element)
+        return
     while left and dtype.names:
         count = min(left, sizes.BLOCK_POINTS)
-        block = numbers_of(text_lines(file, count), dtype) if text else np.fromfile(file, dtype, count)
+        lines = text_lines(file, count)
+        if text:
+            block = numbers_of((_without_lists(line, element) for line in lines) if element.has_lists else lines, dtype)
+        else:
+            block = np.fromfile(file, dtype, count)
         if len(block) != count:
             rows, columns = element.rows - left + len(block), len(dtype.names)
             raise ValueError(f"found {(rows, columns)}, expected {(element.rows, columns)}")
         yield block
         left -= count
+
+
+def _without_lists(line: str, element: _Element) -> str:
+    """The numbers of a row that are in no list."""
+    words, at, kept = line.split(), 0, []
+    for each in element.properties:
+        if at >= len(words):
+            raise ValueError("a row ends before its last property")
+        if each.length is None:
+            kept.append(words[at])
+            at += 1
+        else:
+            length = int(words[at])
+            if length < 0:
+                raise ValueError("a list has fewer than no items")
+            at += 1 + length
+    if at != len(words):
+        raise ValueError(f"a row has {len(words)} words, and its properties {at}")
+    return " ".join(kept)
+
+
+def _rows_with_lists(file: BinaryIO, element: _Element) -> Iterator[np.ndarray]:
+    """The same of binary rows: as many at a time as have lists of the lengths of the first of them.
+
+    Raises:
+        ValueError: If a list is longer than the file, or the file has fewer rows.
+    """
+    left, tried, kept = element.rows, 1, element.dtype
+    end = os.fstat(file.fileno()).st_size
+    while left:
+        start = file.tell()
+        row = element.with_lists(_lengths(file, element, end))
+        file.seek(start)
+        wanted = min(left, tried, max((end - start) // row.itemsize, 1))
+        rows = np.frombuffer(file.read(wanted * row.itemsize), row)
+        if len(rows) != wanted:
+            raise ValueError(f"found {element.rows - left} rows, expected {element.rows}")
+        alike = np.ones(wanted, bool)
+        for name in row.names or ():
+            if name.startswith("count of "):
+                alike &= rows[name] == rows[name][0]
+        whole = wanted if alike.all() else int(np.argmin(alike))
+        file.seek(start + whole * row.itemsize)
+        block = np.empty(whole, kept)
+        for name in kept.names or ():
+            block[name] = rows[name][:whole]
+        yield block
+        left -= whole
+        tried = min(2 * tried, _ALIKE) if whole == wanted else 1
+
+
+def _lengths(file: BinaryIO, element: _Element, end: int) -> list[int]:
+    """Number of items of each property of the row where the file is."""
+    lengths = []
+    for each in element.properties:
+        length = 1
+        if each.length is not None:
+            data = file.read(each.length.itemsize)
+            if len(data) < each.length.itemsize:
+                raise ValueError("the file ends within a list")
+            length = int(np.frombuffer(data, each.length)[0])
+        if not 0 <= length * each.item.itemsize <= end - file.tell():
+            raise ValueError(f"a list of {length} items is longer than the file")
+        file.seek(length * each.item.itemsize, os.SEEK_CUR)
+        lengths.append(length)
+    return lengths

@@ -35,7 +35,8 @@ def write_ply(cloud: PointCloud, path: Part, about: About) -> None:
     header += [f"comment {line}" for line in (*header_lines(cloud, about), SEAL_LINE)]
     header += _element("vertex", int(np.count_nonzero(cloud.valid)), vertex)
     profile = PROFILE if cloud.stations is None else JOINED_PROFILE
-    header += _element("profile", profiles, profile, plain=True)
+    gridded = "grid" not in cloud.lacks
+    header += _element("profile", profiles, profile, plain=True) if gridded else []
     per_profile = np.empty(profiles, profile)
     if cloud.stations is not None:
         per_profile["station"] = cloud.stations.number
@@ -44,7 +45,8 @@ def write_ply(cloud: PointCloud, path: Part, about: About) -> None:
         file.write("\n".join([*header, "end_header", ""]).encode("ascii"))
         for points in blocks(cloud):
             file.write(table(columns(points, cloud), vertex).data)
-        file.write(per_profile.data)
+        if gridded:
+            file.write(per_profile.data)
     seal(path)
 
 

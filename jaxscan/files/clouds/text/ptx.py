@@ -8,14 +8,18 @@ from jaxscan.reconstruction import PointCloud, of_station
 
 
 # A micrometre is far below any scanner's noise, and near the resolution of float32.
-_LINE = "%.6f %.6f %.6f %.6f %d %d %d\n"
-_HOLE = "0 0 0 0.500000 0 0 0\n"
+_LINE, _COLOUR = "%.6f %.6f %.6f %.6f", " %d %d %d"
+_HOLE = "0 0 0 0.500000"
+_UNKNOWN = 0.5
+"""Intensity of points that have none, as other scanners write it: the format has no line without."""
 _SAMPLES = 200_000
 _AT_ONCE = 1 << 15
 
 
 def write_ptx(cloud: PointCloud, path: Part, about: About) -> None:
     """Write the whole grid, a block per station and laser: `x y z intensity r g b`, holes as zeros.
+
+    Without colours it is `x y z intensity`; without intensity that is 0.5.
 
     Columns are profiles. As in files of other scanners a column runs upwards, and columns follow one another to the
     right as seen from the scanner: programs take the side of a surface from that. Points are in the scanner frame of
@@ -76,5 +80,10 @@ def _column(cloud: PointCloud, profile: int, part: slice, brightest: float) -> l
     seen_of, places, levels, colours = (
         np.asarray(field[profile, part]) for field in (cloud.valid, cloud.xyz, cloud.intensity, cloud.rgb)
     )
-    rows = zip(*(field.tolist() for field in (seen_of, places, levels / brightest, colours)), strict=True)
-    return [_LINE % (*xyz, min(max(level, 0.0), 1.0), *rgb) if seen else _HOLE for seen, xyz, level, rgb in rows]
+    levels = np.full(levels.shape, _UNKNOWN) if "intensity" in cloud.lacks else np.clip(levels / brightest, 0.0, 1.0)
+    rows = zip(*(field.tolist() for field in (seen_of, places, levels, colours)), strict=True)
+    if "rgb" in cloud.lacks:
+        line, hole = f"{_LINE}\n", f"{_HOLE}\n"
+        return [line % (*xyz, level) if seen else hole for seen, xyz, level, _ in rows]
+    line, hole = f"{_LINE}{_COLOUR}\n", f"{_HOLE} 0 0 0\n"
+    return [line % (*xyz, level, *rgb) if seen else hole for seen, xyz, level, rgb in rows]

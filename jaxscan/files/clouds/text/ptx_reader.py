@@ -8,7 +8,8 @@ import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import points as sizes
-from jaxscan.files.clouds.about import About, StoredCloud
+from jaxscan.files.clouds.about import METRE, About, StoredCloud
+from jaxscan.files.clouds.columns import COLOURS, Range, Reading, as_bytes, range_of
 from jaxscan.files.clouds.grid import MAX_CELLS, Records, cloud_of, on_grid
 from jaxscan.files.clouds.points import MAX_STATIONS
 from jaxscan.files.clouds.tables import LONGEST_LINE, numbers_of, text_lines
@@ -20,7 +21,7 @@ _COLUMNS = ("x", "y", "z", "intensity", "red", "green", "blue")
 _POINT = np.dtype(
     [(axis, "f8") for axis in "xyz"]
     + [("intensity", "f4")]
-    + [(name, "u1") for name in ("red", "green", "blue")]
+    + [(name, "u1") for name in COLOURS]
     + [(name, "i4") for name in ("step", "row", "laser")],
 )
 _POINT_IN_SINGLES = np.dtype([(name, "f4" if name in "xyz" else _POINT[name]) for name in _POINT.names or ()])
@@ -28,8 +29,30 @@ _SINGLE_M = 128.0
 """Coordinates up to which a single is good to 8 um."""
 _ROUNDED, _EXACT = 1e-3, 1e-9
 """By how much the axes of a pose may differ from unit length, as it is written: with few digits, or with all."""
+_NO_INTENSITY = 127.5
+"""One half, in the numbers of a cloud."""
 _SHORTEST_CELL = 8
 """Bytes of a cell: four numbers."""
+
+
+class _Colours(NamedTuple):
+    """What is known of the colours of some points."""
+
+    there: bool = False
+    most: float = 0.0
+    whole: bool = True
+
+    @staticmethod
+    def of(cells: np.ndarray) -> "_Colours":
+        """Those of some cells."""
+        if not set(COLOURS) <= set(cells.dtype.names or ()):
+            return _Colours()
+        values = np.nan_to_num(np.stack([cells[name] for name in COLOURS]))
+        return _Colours(True, float(values.max(initial=0.0)), bool((values == np.floor(values)).all()))
+
+    def with_more(self, other: "_Colours") -> "_Colours":
+        """What is known of both."""
+        return _Colours(self.there or other.there, max(self.most, other.most), self.whole and other.whole)
 
 
 class _Block(NamedTuple):
@@ -39,9 +62,10 @@ class _Block(NamedTuple):
     """T_file_block [4, 4]."""
     parts: list[np.ndarray]
     """The points that were seen, structured arrays in the frame of the file; `step` counts columns of the block."""
+    colours: _Colours
 
 
-def read_ptx(path: Path) -> StoredCloud:
+def read_ptx(path: Path, reading: Reading | None = None) -> StoredCloud:
     """A cloud on its grid, in the frame of the file; blocks with one pose are one station.
 
     The lowest cell of a column becomes the last line, and its intensity of 0 to 1 an amplitude of 0 to 255.
@@ -49,24 +73,52 @@ def read_ptx(path: Path) -> StoredCloud:
     Raises:
         CloudError: If it is damaged or has no points.
     """
-    blocks: list[_Block] = []
+    reading = reading or Reading()
+    if reading.columns:
+        raise CloudError(f"{path}: the columns of PTX are x, y, z, intensity and colours always; leave --columns out.")
+    usual = 255.0 if reading.brightest is None else reading.brightest
     with open_regular(path, error=CloudError) as file:
-        size, cells = os.fstat(file.fileno()).st_size, 0
-        try:
-            while line := file.readline(LONGEST_LINE):
-                if not line.strip():
-                    continue
-                block = _read_block(file, line, min(size - file.tell(), _SHORTEST_CELL * (MAX_CELLS - cells)))
-                blocks.append(block)
-                cells += block.columns * block.rows
-        except ValueError as problem:
-            raise CloudError(f"{path}: block {len(blocks)}: not a PTX file: {str(problem)[:90]}.") from problem
+        blocks = _read_blocks(file, usual, path)
+        seen = _Colours()
+        for block in blocks:
+            seen = seen.with_more(block.colours)
+        # Text holds singles and numbers of 16 bits too, though no scanner's own program writes them.
+        found = range_of(np.dtype("f8"), seen.most, whole=seen.whole, reading=reading)
+        if found.brightest != usual and not (seen.whole and seen.most <= 1):
+            file.seek(0)
+            blocks = _read_blocks(file, found.brightest, path)
     if not any(block.parts for block in blocks):
         raise CloudError(f"{path}: holds no points.")
-    return StoredCloud(_joined(blocks, str(path)), About(in_metres=True, upright=True))
+    # One half is what scanners write that do not measure the intensity.
+    bright = any((part["intensity"] != _NO_INTENSITY).any() for block in blocks for part in block.parts)
+    left = (() if bright else ("intensity",)) + (() if seen.there and found.brightest else COLOURS)
+    words = _words(left, found if seen.there else None)
+    return StoredCloud(_joined(blocks, str(path), left), About(metres=METRE, unit_by="the format", upright=True), words)
 
 
-def _read_block(file: BinaryIO, first: bytes, rest: int) -> _Block:
+def _words(left: tuple[str, ...], colours: Range | None) -> tuple[str, ...]:
+    """What was decided, as people read it."""
+    columns = f"{', '.join(name for name in _COLUMNS if name not in left)} by the format"
+    return (columns, colours.words) if colours is not None else (columns,)
+
+
+def _read_blocks(file: BinaryIO, brightest: float, path: Path) -> list[_Block]:
+    size, cells = os.fstat(file.fileno()).st_size, 0
+    blocks: list[_Block] = []
+    try:
+        while line := file.readline(LONGEST_LINE):
+            if not line.strip():
+                continue
+            rest = min(size - file.tell(), _SHORTEST_CELL * (MAX_CELLS - cells))
+            block = _read_block(file, line, rest, brightest)
+            blocks.append(block)
+            cells += block.columns * block.rows
+    except ValueError as problem:
+        raise CloudError(f"{path}: block {len(blocks)}: not a PTX file: {str(problem)[:90]}.") from problem
+    return blocks
+
+
+def _read_block(file: BinaryIO, first: bytes, rest: int, brightest: float) -> _Block:
     counts = [text.split() for text in (first.decode("latin-1"), *text_lines(file, 1))]
     if len(counts) < 2 or any(len(one) != 1 or not one[0].isascii() or not one[0].isdigit() for one in counts):
         raise ValueError("expected the numbers of columns and of rows, a line each")
@@ -86,7 +138,7 @@ def _read_block(file: BinaryIO, first: bytes, rest: int) -> _Block:
         raise ValueError(f"found {width} numbers in a line, expected 4 or 7")
     file.seek(start)
     types = [(name, "f8" if name in "xyz" else "f4") for name in _COLUMNS[:width]]
-    kind, parts = np.dtype(types), []
+    kind, parts, colours = np.dtype(types), [], _Colours()
     for begin in range(0, columns * rows, sizes.BLOCK_POINTS):
         count = min(sizes.BLOCK_POINTS, columns * rows - begin)
         cells = numbers_of(text_lines(file, count), kind)
@@ -94,8 +146,9 @@ def _read_block(file: BinaryIO, first: bytes, rest: int) -> _Block:
             raise ValueError(f"found {begin + len(cells)} points, expected {columns} x {rows}")
         seen = np.flatnonzero(np.any([cells[axis] != 0 for axis in "xyz"], axis=0))
         if len(seen):
-            parts.append(_points_of(cells[seen], begin + seen, rows, pose))
-    return _Block(columns, rows, pose, parts)
+            colours = colours.with_more(_Colours.of(cells[seen]))
+            parts.append(_points_of(cells[seen], begin + seen, rows, pose, brightest))
+    return _Block(columns, rows, pose, parts, colours)
 
 
 def _rigid(pose: np.ndarray) -> np.ndarray:
@@ -114,7 +167,7 @@ def _rigid(pose: np.ndarray) -> np.ndarray:
     return pose if exact else np.block([[u @ v, pose[:3, 3:]], [np.eye(4)[3:]]])
 
 
-def _joined(blocks: list[_Block], name: str) -> PointCloud:
+def _joined(blocks: list[_Block], name: str, left: tuple[str, ...]) -> PointCloud:
     poses: list[np.ndarray] = []
     parts: list[np.ndarray] = []
     numbers: list[int] = []
@@ -132,8 +185,9 @@ def _joined(blocks: list[_Block], name: str) -> PointCloud:
         parts += block.parts
         start += block.columns
     single = max(np.abs(part[axis]).max() for part in parts for axis in "xyz") <= _SINGLE_M
-    kind = _POINT_IN_SINGLES if single else _POINT
-    points = Records(kind, sum(map(len, parts)), lambda: (part.astype(kind) for part in parts))
+    whole = _POINT_IN_SINGLES if single else _POINT
+    kind = np.dtype([(name, whole[name]) for name in whole.names or () if name not in left])
+    points = Records(kind, sum(map(len, parts)), lambda: (part[list(kind.names or ())].astype(kind) for part in parts))
     lines = {block.rows for block in blocks}
     if len(lines) > 1 or len(poses) > MAX_STATIONS or max(part["laser"].max() for part in parts) > 255:
         return cloud_of(points, [], name)
@@ -144,7 +198,7 @@ def _joined(blocks: list[_Block], name: str) -> PointCloud:
     return on_grid(points, (start, lines.pop()), None, name, stations=stations)
 
 
-def _points_of(cells: np.ndarray, numbers: np.ndarray, rows: int, pose: np.ndarray) -> np.ndarray:
+def _points_of(cells: np.ndarray, numbers: np.ndarray, rows: int, pose: np.ndarray, brightest: float) -> np.ndarray:
     """Cells of a block with a point, by their numbers in the block, as points in the frame of the file."""
     points = np.zeros(len(cells), _POINT)
     local = np.stack([cells[axis] for axis in "xyz"], -1)
@@ -154,7 +208,7 @@ def _points_of(cells: np.ndarray, numbers: np.ndarray, rows: int, pose: np.ndarr
     points["intensity"] = np.nan_to_num(cells["intensity"]) * 255
     for name in ("red", "green", "blue"):
         if name in (cells.dtype.names or ()):
-            points[name] = np.clip(np.nan_to_num(cells[name]), 0, 255)
+            points[name] = as_bytes(cells[name], brightest)
     points["step"] = numbers // rows
     points["row"] = rows - 1 - numbers % rows
     return points

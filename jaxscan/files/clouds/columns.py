@@ -1,0 +1,563 @@
+"""What the columns of a cloud's file are, which number is full brightness, and which unit is stated: for every format.
+
+A table of this library says all that by its names. In those of other programs the same things have many names, colours
+have many ranges, and text often has no names at all. What is decided is said with its evidence, and a `Reading`, which
+a person gives, overrules it. What cannot be decided is refused with the columns that were found.
+"""
+
+import itertools
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from jaxscan.errors import CloudError
+from jaxscan.files.clouds.grid import USED, Records
+
+
+AXES, COLOURS, NORMALS = ("x", "y", "z"), ("red", "green", "blue"), ("nx", "ny", "nz")
+Unit = Literal["m", "cm", "mm", "inch", "foot", "us-foot"]
+METRES: dict[Unit, float] = {
+    "m": 1.0,
+    "cm": 0.01,
+    "mm": 0.001,
+    "inch": 0.0254,
+    "foot": 0.3048,
+    "us-foot": 1200 / 3937,
+}
+UNIT_WORDS: dict[Unit, str] = {
+    "m": "metres",
+    "cm": "centimetres",
+    "mm": "millimetres",
+    "inch": "inches",
+    "foot": "feet",
+    "us-foot": "US survey feet",
+}
+SHORT_NAMES = {"i": "intensity", "r": "red", "g": "green", "b": "blue"}
+"""Of columns that a person lists."""
+UNUSED = "-"
+"""A column that a person leaves out."""
+
+
+class Reading(NamedTuple):
+    """What a person says of a file."""
+
+    columns: tuple[str, ...] | None = None
+    """Names of its columns from the first on, of `USED` or `UNUSED`."""
+    brightest: float | None = None
+    """The number of full brightness of its colours; 0 where they are none."""
+
+
+def parse_columns(text: str) -> tuple[str, ...]:
+    """Names of columns as a person lists them, such as `x,y,z,i,r,g,b`.
+
+    Raises:
+        ValueError: If a name is unknown or there twice, or x, y or z is missing.
+    """
+    names = [word.strip().lower() for word in text.split(",")]
+    found = [UNUSED if name in ("", UNUSED, "_") else SHORT_NAMES.get(name, name) for name in names]
+    named = [name for name in found if name != UNUSED]
+    known = (*AXES, "i", "r", "g", "b", *NORMALS, "sigma_random", "sigma_systematic")
+    if unknown := next((name for name in named if name not in USED), None):
+        raise ValueError(f'found "{unknown}", expected names of {", ".join(known)}, and - for a column to leave out')
+    if len(set(named)) < len(named) or not set(AXES) <= set(named):
+        raise ValueError("expected x, y and z, and no name twice")
+    return tuple(found)
+
+
+# --- names
+
+_NAMES: dict[str, tuple[str, ...]] = {
+    "x": ("x", "coordx", "xcoord", "xcoordinate", "coordinatex", "posx", "positionx", "xpos", "pointx", "cartesianx"),
+    "red": ("red", "r", "rf", "diffusered", "colorred", "colourred", "redcolor", "rot", "rouge", "vertexred"),
+    "green": ("green", "g", "gf", "diffusegreen", "colorgreen", "colourgreen", "greencolor", "grün", "vert"),
+    "blue": ("blue", "b", "bf", "diffuseblue", "colorblue", "colourblue", "bluecolor", "blau", "bleu", "vertexblue"),
+    "intensity": ("intensity", "i", "reflectance", "reflectivity", "amplitude", "intensität", "intensité", "remission"),
+    "nx": ("nx", "normalx", "normx", "xnormal", "nxx"),
+    "sigma": ("sigma", "stddev", "standarddeviation"),
+}
+_NAMES |= {axis: tuple(name.replace("x", axis) for name in _NAMES["x"]) for axis in "yz"} | {
+    f"n{axis}": (f"n{axis}", f"normal{axis}", f"norm{axis}", f"{axis}normal", f"n{axis}{axis}") for axis in "yz"
+}
+_MAP_NAMES: dict[str, tuple[str, ...]] = {
+    "x": ("easting", "east", "eastings", "e", "rechtswert", "ostwert", "eastingx", "xeasting"),
+    "y": ("northing", "north", "northings", "n", "hochwert", "nordwert", "northingy", "ynorthing"),
+    "z": ("elevation", "elev", "height", "h", "altitude", "alt", "höhe", "hoehe", "zelevation", "quota", "level"),
+}
+"""Names of surveys, where a file has no x, y or z."""
+_PLAIN = {name: plain for plain, names in _NAMES.items() for name in names}
+_ON_MAP = {name: plain for plain, names in _MAP_NAMES.items() for name in names}
+_GLOBE = {"latitude", "lat", "longitude", "lon", "long", "lng", "breite", "länge"}
+_UNIT_OF_NAME = re.compile(r"\s*[\[(]\s*([^\])]{1,12})\s*[\])]\s*$")
+_UNIT_AT_END = re.compile(r"(?<=[xyz])_(mm|cm|m|ft|in)$")
+
+
+def _bare(name: str) -> str:
+    """A name without prefix, unit, and what programs put between words."""
+    name = name.strip().strip("\"'").lower().removeprefix("scalar_")
+    name = _UNIT_AT_END.sub("", _UNIT_OF_NAME.sub("", name) or name)
+    return re.sub(r"[\W_]", "", name) or name
+
+
+def plain_of(name: str) -> str | None:
+    """The name of a column as a cloud has it; None where it is not known."""
+    if name in USED or name == "sigma":
+        return name
+    bare = name.strip().lower().removeprefix("scalar_")
+    return bare if bare in USED else _PLAIN.get(_bare(name))
+
+
+def is_known(name: str) -> bool:
+    """Whether a word is the name of a column in any program."""
+    return plain_of(name) is not None or _bare(name) in _ON_MAP or _bare(name) in _GLOBE
+
+
+class Columns(NamedTuple):
+    """Which column of a table is which."""
+
+    places: dict[str, int]
+    """Places of the columns of a cloud, by their names in `USED`."""
+    unused: tuple[str, ...]
+    """Names of the others."""
+    unit: Unit | None = None
+    """The unit that the names of x, y and z state."""
+
+
+def assign(names: Sequence[str], path: str, *, what: str = "the columns", ours: bool = False) -> Columns:
+    """Find the columns of a cloud by their names.
+
+    Args:
+        names: The columns of the file in their order; empty where one has no name.
+        path: For messages.
+        what: What has the names, for messages.
+        ours: Whether this library wrote the file.
+
+    Raises:
+        CloudError: If there is no x, y and z.
+    """
+    places: dict[str, int] = {}
+    # A column that has its name to the letter comes before one that has it in other words.
+    for exact in (True, False):
+        for k, name in enumerate(names):
+            plain = plain_of(name)
+            if plain is not None and plain not in places and k not in places.values() and (plain == name) >= exact:
+                places[plain] = k
+    for plain in AXES:
+        for k, name in enumerate(names):
+            if plain not in places and k not in places.values() and _ON_MAP.get(_bare(name)) == plain:
+                places[plain] = k
+    if not set(AXES) <= places.keys():
+        found = ", ".join(name or "?" for name in names)
+        if {_bare(name) for name in names} & _GLOBE:
+            raise CloudError(
+                f"{path}: {what} are degrees of latitude and longitude ({found:.60}), expected lengths; project them "
+                "onto a map first."
+            )
+        raise CloudError(
+            f"{path}: {what} ({found:.60}) are no x, y and z; name them in their order with jaxscan convert --columns "
+            "x,y,z,i,r,g,b."
+        )
+    if not ours:
+        _complete(places)
+    unused = tuple(name for k, name in enumerate(names) if k not in places.values())
+    units = {stated_of(names[places[axis]]) for axis in AXES}
+    return Columns(places, unused, units.pop() if len(units) == 1 else None)
+
+
+def _complete(places: dict[str, int]) -> None:
+    """Leave out parts of colours and normals, and take one sigma for that of the noise."""
+    for parts in (COLOURS, NORMALS):
+        if not set(parts) <= places.keys():
+            for part in parts:
+                places.pop(part, None)
+    sigma = places.pop("sigma", None)
+    if sigma is not None and not {"sigma_random", "sigma_systematic"} & places.keys():
+        places["sigma_random"] = sigma
+
+
+def listed(names: Sequence[str], reading: Reading, path: str) -> Columns:
+    """The columns as a person lists them.
+
+    Args:
+        names: The columns of the file in their order.
+        reading: Has columns.
+        path: For messages.
+
+    Raises:
+        CloudError: If the file has fewer.
+    """
+    wanted = reading.columns or ()
+    if len(wanted) > len(names):
+        raise CloudError(f"{path}: has {len(names)} columns, and --columns lists {len(wanted)}.")
+    places = {name: k for k, name in enumerate(wanted) if name != UNUSED}
+    _complete(places)
+    return Columns(places, tuple(name for k, name in enumerate(names) if k not in places.values()))
+
+
+def plain_names(names: Iterable[str]) -> list[str]:
+    """The names of columns as a cloud has them, each once; those that are not known stay."""
+    given = list(names)
+    taken = {name for name in given if name in USED or name == "sigma"}
+    found = []
+    for name in given:
+        plain = plain_of(name)
+        fits = plain is not None and plain != name and plain not in taken
+        taken |= {plain} if fits and plain else set()
+        found.append(plain if fits and plain else name)
+    return found
+
+
+# --- tables without names
+
+
+class Extent(NamedTuple):
+    """What is known of the numbers of each column of a table [width], when all were seen."""
+
+    least: np.ndarray
+    most: np.ndarray
+    whole: np.ndarray
+    """Whether all are whole numbers."""
+    unit: np.ndarray
+    """Whether the column and the two after it are unit vectors in all rows."""
+    counts: bool
+    """Whether the first column counts the rows."""
+
+    @staticmethod
+    def of(table: np.ndarray) -> "Extent":
+        """That of some rows [n, width]."""
+        width = table.shape[1]
+        unit = np.zeros(width, bool)
+        squares = table**2
+        for k in range(3, width - 2):
+            unit[k] = bool((np.abs(np.sqrt(squares[:, k : k + 3].sum(1)) - 1) < 0.01).all())
+        whole = ((table == np.floor(table)) | np.isnan(table)).all(0)
+        counts = bool((np.diff(table[:, 0]) == 1).all())
+        return Extent(np.fmin.reduce(table), np.fmax.reduce(table), whole, unit, counts)
+
+    def colours(self, columns: Columns) -> tuple[float, bool] | None:
+        """The largest colour, and whether all are whole numbers; None without colours."""
+        if not set(COLOURS) <= columns.places.keys():
+            return None
+        at = [columns.places[name] for name in COLOURS]
+        return float(np.nan_to_num(self.most[at]).max()), bool(self.whole[at].all())
+
+    def with_more(self, other: "Extent") -> "Extent":
+        """That of the rows of both, where the first of the other follow the last of this."""
+        follows = self.counts and other.counts and other.least[0] == self.most[0] + 1
+        return Extent(
+            np.fmin(self.least, other.least),
+            np.fmax(self.most, other.most),
+            self.whole & other.whole,
+            self.unit & other.unit,
+            bool(follows),
+        )
+
+
+_PIECES = {"c": COLOURS, "n": NORMALS, "i": ("intensity",)}
+
+
+def guessed(extent: Extent, path: str, *, points: int, counted: bool) -> Columns:
+    """Find the columns of a table without names by their numbers.
+
+    x, y and z come first, or after numbers that count the points. Three whole numbers of 0 to 255, or three of 0 to 1,
+    are a colour; three that are a unit vector a normal; and one that is left over is the intensity.
+
+    Args:
+        extent: Of the columns.
+        path: For messages.
+        points: Number of points.
+        counted: Whether their number stands before them, as in a file of Leica's, where intensity comes before colours.
+
+    Raises:
+        CloudError: If two ways to read it fit.
+    """
+    width = len(extent.least)
+    start = 1 if width >= 4 and extent.counts and points >= 3 else 0
+    first = start + 3
+    fitting: dict[tuple[tuple[str, int], ...], int] = {}
+    for count in range(4):
+        for order in itertools.permutations("cni", count):
+            at = [first + sum(len(_PIECES[piece]) for piece in order[:k]) for k in range(count)]
+            end = first + sum(len(_PIECES[piece]) for piece in order)
+            if end <= width and all(_fits(piece, k, extent) for piece, k in zip(order, at, strict=True)):
+                # A single number is the intensity where it is the only one that is left.
+                if "i" in order and end < width:
+                    continue
+                fitting[tuple(zip(order, at, strict=True))] = end - first - ("i" in order)
+    best = max(fitting.values())
+    ways = [way for way, covered in fitting.items() if covered == best]
+    most = max(map(len, ways))
+    ways = [way for way in ways if len(way) == most]
+    if counted and len(ways) > 1:
+        ways = [way for way in ways if [piece for piece, _ in way][:2] == ["i", "c"]] or ways
+    opaque = [way for way in ways if [piece for piece, _ in way[-2:]] == ["c", "i"] and _is_opaque(way[-1][1], extent)]
+    if len(ways) > 1 and opaque:
+        ways = [opaque[0][:-1]]
+    if len(ways) > 1:
+        texts = [",".join(_short(way, start)) for way in ways[:2]]
+        raise CloudError(
+            f"{path}: its {width} columns have no names, and several ways to read them fit; say it with jaxscan "
+            f"convert --columns {texts[0]} or {texts[1]}."
+        )
+    places = {axis: start + k for k, axis in enumerate(AXES)}
+    for piece, begin in ways[0]:
+        places |= {name: begin + k for k, name in enumerate(_PIECES[piece])}
+    unused = tuple(f"column {k + 1}" for k in range(width) if k not in places.values())
+    return Columns(places, unused)
+
+
+def _is_opaque(at: int, extent: Extent) -> bool:
+    """Whether a column behind a colour is what programs write that know how much shines through: 255 throughout."""
+    return bool(extent.least[at] == extent.most[at] == 255)
+
+
+def _fits(piece: str, at: int, extent: Extent) -> bool:
+    if piece == "i":
+        return True
+    if piece == "n":
+        return bool(extent.unit[at])
+    least, most, whole = extent.least[at : at + 3], extent.most[at : at + 3], extent.whole[at : at + 3]
+    if not (least >= 0).all():
+        return False
+    return bool((whole.all() and most.max() <= 255) or (most.max() <= 1 and not extent.unit[at]))
+
+
+def _short(way: tuple[tuple[str, int], ...], start: int) -> list[str]:
+    letters = {name: letter for letter, name in SHORT_NAMES.items()}
+    pieces = [letters.get(name, name) for piece, _ in way for name in _PIECES[piece]]
+    return [*([UNUSED] * start), *AXES, *pieces]
+
+
+# --- colours
+
+
+class Range(NamedTuple):
+    """How the colours of a file become bytes."""
+
+    brightest: float
+    """The number of full brightness; 0 where they are no colours."""
+    why: str
+
+    @property
+    def words(self) -> str:
+        """As people read it."""
+        return f"colours 0 to {self.brightest:g} by {self.why}" if self.brightest else f"no colours: {self.why}"
+
+
+_TOO_BRIGHT = 16383
+"""Limits beyond this are those of a type of 16 bits, not of a camera."""
+
+
+def range_of(
+    kind: np.dtype, most: float, *, whole: bool = True, stated: float | None = None, reading: Reading | None = None
+) -> Range:
+    """Which number is full brightness.
+
+    Args:
+        kind: Type of the numbers; one of floating point also where text does not tell.
+        most: The largest of all colours.
+        whole: Whether all are whole numbers.
+        stated: What the file says.
+        reading: What a person says.
+    """
+    if reading is not None and reading.brightest is not None:
+        return Range(reading.brightest, "--colours")
+    # Limits of 16 bits, of which 8 are used: the cloud would be black. Of 10 or 12 bits it may be dark.
+    black, white = (stated or 0) > _TOO_BRIGHT and 1 < most <= 255, most > 1.01 * (stated or 0)
+    if stated is not None and not (black or white):
+        return Range(stated, "the file's limits")
+    if kind.itemsize == 1:
+        return Range(255.0, "their type")
+    is_float = kind.kind == "f"
+    # A little above 1 is a rounding, or light that is brighter than white.
+    if is_float and (most <= 1 or (most <= 2 and not whole)):
+        return Range(1.0, f"the largest, {most:.3g}")
+    if most <= 255:
+        why = f"the largest, {most:.4g}" + (f", not the {stated:g} that the file states" if stated else "")
+        return Range(255.0, why)
+    if most <= 65535:
+        return Range(
+            65535.0, f"the largest, {most:.5g}" + (f", not the {stated:g} that the file states" if stated else "")
+        )
+    return Range(0.0, f"they reach {most:.4g} (--colours)")
+
+
+def as_bytes(values: np.ndarray, brightest: float) -> np.ndarray:
+    """Colours in 8 bits; those that are no number are 0."""
+    if values.dtype.itemsize == 1 and brightest == 255:
+        # A signed byte is one that a program calls so.
+        return values.view(np.uint8)
+    if values.dtype.kind in "iu" and brightest == 65535:
+        # Exact for programs that wrote a byte into the upper half, and for those that repeated it.
+        return (np.clip(values, 0, 65535) >> 8).astype(np.uint8)
+    scaled = np.nan_to_num(values.astype(np.float64)) * (255.0 / brightest if brightest else 0.0)
+    return np.clip(np.floor(scaled + 0.5), 0, 255).astype(np.uint8)
+
+
+# --- units
+
+_WORD_UNITS: dict[str, Unit] = {
+    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres", "millimètres"), "mm"),
+    **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetre", "centimetres", "centimètres"), "cm"),
+    **dict.fromkeys(("m", "meter", "meters", "metre", "metres", "mètre", "mètres", "metros"), "m"),
+    **dict.fromkeys(("in", "inch", "inches", "zoll"), "inch"),
+    **dict.fromkeys(("ft", "foot", "feet", "international foot", "international feet", "fuss", "fuß"), "foot"),
+    **dict.fromkeys(
+        ("us survey foot", "us survey feet", "us-ft", "usft", "ft us", "ftus", "us foot", "us feet", "survey feet"),
+        "us-foot",
+    ),
+}
+_LONGEST_FIRST = "|".join(sorted(map(re.escape, _WORD_UNITS), key=len, reverse=True))
+_STATED = re.compile(
+    rf"(?:\b(?:length[ _]?)?(?:units?|einheit(?:en)?|unit[ée]s?|unidad(?:es)?)\b(?:\s+of\s+\w+)?[\s\"':=]*"
+    rf"(?:(?:is|are|in|ist)\s+)?[\s\"'(\[]*"
+    rf"|\b(?:coordinates|lengths|distances|positions|points|values|dimensions|xyz|koordinaten)\s+"
+    rf"(?:are\s+)?(?:given\s+)?in\s+)({_LONGEST_FIRST})(?![\w²/])",
+    re.IGNORECASE,
+)
+
+
+def unit_of(word: str) -> Unit | None:
+    """The unit that a word names."""
+    word = re.sub(r"[\s_.]+", " ", word.strip().strip("\"'").lower()).strip()
+    return _WORD_UNITS.get(word)
+
+
+def stated_of(name: str) -> Unit | None:
+    """The unit in the name of a column, such as `X [mm]`."""
+    bare = name.strip().strip("\"'").lower()
+    found = _UNIT_OF_NAME.search(bare) or _UNIT_AT_END.search(bare)
+    return unit_of(found[1]) if found else None
+
+
+def stated_unit(lines: Iterable[str]) -> tuple[Unit | None, str]:
+    """The unit that comments state, and the words that do; None where none does, or they contradict each other."""
+    found: dict[Unit, str] = {}
+    for line in lines:
+        for match in _STATED.finditer(line[:1000]):
+            unit = unit_of(match[1])
+            # "in" before a word is no inch.
+            if unit is not None and not (match[1].lower() == "in" and re.match(r"\s+\w", line[match.end() :])):
+                found.setdefault(unit, line.strip()[:40])
+    if len(found) > 1:
+        return None, f"its comments name several units: {', '.join(UNIT_WORDS[unit] for unit in found)}"
+    return next(((unit, f'the comment "{text}"') for unit, text in found.items()), (None, ""))
+
+
+def unit_of_text(unit: Unit | None, lines: Iterable[str]) -> tuple[tuple[float, float, float] | None, str]:
+    """Metres of a unit of x, y and z, and what states it: the names of the columns, or a comment.
+
+    Args:
+        unit: That of the names, where they state one.
+        lines: The comments.
+    """
+    stated, why = (unit, "the names of its columns") if unit else stated_unit(lines)
+    return (None if stated is None else (METRES[stated],) * 3), why
+
+
+# --- tables
+
+
+class Decided(NamedTuple):
+    """The points of a file with the names of a cloud's columns, and colours as bytes."""
+
+    points: Records
+    words: tuple[str, ...]
+    """What was decided, by which evidence."""
+    unit: Unit | None
+    """The unit that the names state."""
+
+
+def decide(
+    points: Records,
+    path: str,
+    *,
+    ours: bool = False,
+    reading: Reading | None = None,
+    columns: Columns | None = None,
+    reached: tuple[float, bool] | None = None,
+    by: str = "their names",
+) -> Decided:
+    """Decide which columns of a file are which, and which number is full brightness.
+
+    Args:
+        points: The records of the file, with its own names.
+        path: For messages.
+        ours: Whether this library wrote the file.
+        reading: What a person says.
+        columns: Where the reader has decided it.
+        reached: The largest colour, and whether all are whole numbers, where the reader knows it; else the colours are
+            looked through.
+        by: The evidence for the columns.
+
+    Raises:
+        CloudError: If there is no x, y and z.
+        ValueError: If the file changes while it is read.
+    """
+    reading = reading or Reading()
+    names = points.dtype.names or ()
+    if columns is None:
+        columns = listed(names, reading, path) if reading.columns else assign(names, path, ours=ours)
+        by = "--columns" if reading.columns else by
+    places = dict(columns.places)
+    words = [f"{', '.join((*AXES, *(name for name in places if name not in AXES)))} by {by}"]
+    left = [name for name in columns.unused if name not in USED and name != "sigma"]
+    if left:
+        words.append(f"not used: {', '.join(left)[:80]}")
+    brightest: float | None = None
+    if set(COLOURS) <= places.keys():
+        kinds = [points.dtype[places[name]] for name in COLOURS]
+        kind = np.result_type(*kinds)
+        if kind == np.uint8 and reading.brightest is None:
+            brightest = 255.0
+        else:
+            most, whole = reached or _reach(points, [names[places[name]] for name in COLOURS])
+            found = range_of(kind, most, whole=whole, reading=reading)
+            brightest = found.brightest
+            words.append(found.words)
+        if not brightest:
+            places = {name: k for name, k in places.items() if name not in COLOURS}
+    return Decided(_renamed(points, places, brightest), tuple(words), columns.unit)
+
+
+def _reach(points: Records, names: list[str]) -> tuple[float, bool]:
+    """The largest colour, and whether all are whole numbers."""
+    most, whole = 0.0, True
+    for block in points:
+        for name in names:
+            values = block[name]
+            if values.dtype.kind == "f":
+                values = np.nan_to_num(values)
+                whole = whole and bool((values == np.floor(values)).all())
+            most = max(most, float(values.max(initial=0)))
+    return most, whole
+
+
+def _renamed(points: Records, places: dict[str, int], brightest: float | None) -> Records:
+    """Records with the columns of a cloud alone; colours are bytes."""
+    given = points.dtype.names or ()
+    kinds = {name: points.dtype[k] for name, k in places.items()}
+    raw = {name for name in COLOURS if name in places and kinds[name] != np.uint8}
+    if not raw and brightest in (None, 255.0):
+        offsets = [points.dtype.fields[given[k]][1] for k in places.values()] if points.dtype.fields else []
+        seen = np.dtype(
+            {
+                "names": list(places),
+                "formats": list(kinds.values()),
+                "offsets": offsets,
+                "itemsize": points.dtype.itemsize,
+            }
+        )
+        return Records(seen, len(points), lambda: (block.view(seen) for block in points))
+    dtype = np.dtype([(name, "u1" if name in raw else kind.str) for name, kind in kinds.items()])
+
+    def read() -> Iterator[np.ndarray]:
+        for block in points:
+            table = np.empty(len(block), dtype)
+            for name, k in places.items():
+                values = block[given[k]]
+                table[name] = as_bytes(values, brightest) if name in COLOURS and brightest else values
+            yield table
+
+    return Records(dtype, len(points), read)

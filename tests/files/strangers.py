@@ -1,0 +1,660 @@
+"""Clouds as other programs write them, from the documentation of their formats: each with what it must become."""
+
+import io
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from .e57s import made
+
+
+COUNT = 400
+_rng = np.random.default_rng(7)
+
+
+def _box():
+    """Points on the walls of a box of 4 x 3 x 2.5 m, with all its sides."""
+    points = _rng.random((COUNT, 3)) * [4.0, 3.0, 2.5]
+    axis, end = np.arange(COUNT) % 3, np.arange(COUNT) // 3 % 2
+    points[np.arange(COUNT), axis] = end * np.array([4.0, 3.0, 2.5])[axis]
+    return np.round(points - [1.5, 1.25, 1.0], 4)
+
+
+XYZ = _box()
+RGB = np.stack([np.where(XYZ[:, 0] > 0, 240, 40), np.full(COUNT, 128), np.where(XYZ[:, 1] > 0, 190, 40)], -1)
+LEVEL = np.round(0.1 + 0.8 * (XYZ[:, 2] + 1) / 2.5, 3)
+NORMAL = np.eye(3)[np.arange(COUNT) % 3] * np.where(np.arange(COUNT) // 3 % 2, -1.0, 1.0)[:, None]
+WHOLE = np.clip(np.round(LEVEL * 200), 0, 255).astype(int)
+
+
+class Stranger(NamedTuple):
+    """A file of another program."""
+
+    name: str
+    program: str
+    suffix: str
+    write: Callable[[Path], None]
+    coloured: bool = True
+    unit: float | None = None
+    """Metres of its unit, where it states one."""
+    says: str = ""
+    """Words of the note, or of the refusal."""
+    refused: bool = False
+    intensity: np.ndarray | None = None
+    normals: bool = False
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    options: tuple[str, ...] = ()
+
+
+def rows(*columns, fmt="%.4f", sep=" ", comma=False):
+    """Columns as lines of text; whole numbers without a point."""
+    parts = []
+    for column in columns:
+        column = np.asarray(column)
+        for one in column.T if column.ndim > 1 else [column]:
+            parts.append([str(x) for x in one] if one.dtype.kind in "iuU" else [fmt % x for x in one])
+    lines = [sep.join(line) for line in zip(*parts, strict=True)]
+    return [line.replace(".", ",") for line in lines] if comma else lines
+
+
+def text(*lines, end="\n", encoding="utf-8"):
+    """A writer of lines."""
+    content = end.join([line for part in lines for line in ([part] if isinstance(part, str) else part)]) + end
+    return lambda path: path.write_bytes(content.encode(encoding))
+
+
+def ply(properties, table, *, comments=(), order="little", before=b"", elements=()):
+    """A writer of a binary PLY with the types of a structured array."""
+    names = {"f4": "float", "f8": "double", "u1": "uchar", "u2": "ushort", "i4": "int", "i1": "char", "u4": "uint"}
+    sign = "<" if order == "little" else ">"
+    packed = table.astype(np.dtype([(name, sign + table.dtype[name].str[1:]) for name in table.dtype.names]))
+    lines = ["ply", f"format binary_{order}_endian 1.0", *(f"comment {one}" for one in comments), *elements]
+    lines += [f"element vertex {len(table)}"]
+    lines += [f"property {names[table.dtype[name].str[1:]]} {shown}" for name, shown in properties.items()]
+    return lambda path: path.write_bytes("\n".join([*lines, "end_header", ""]).encode() + before + packed.tobytes())
+
+
+def table(**columns):
+    """A structured array."""
+    found = np.zeros(COUNT, [(name, np.asarray(value).dtype) for name, value in columns.items()])
+    for name, value in columns.items():
+        found[name] = value
+    return found
+
+
+def axes(kind, xyz=XYZ):
+    return {axis: xyz[:, k].astype(kind) for k, axis in enumerate("xyz")}
+
+
+def plain(names):
+    return {name: name for name in names}
+
+
+def pcd(fields, types, sizes, lines, *, comments=()):
+    head = [*(f"# {one}" for one in comments), "VERSION .7", f"FIELDS {fields}", f"SIZE {sizes}", f"TYPE {types}"]
+    head += ["COUNT " + " ".join("1" for _ in fields.split()), f"WIDTH {COUNT}", "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0"]
+    return text([*head, f"POINTS {COUNT}", "DATA ascii"], lines)
+
+
+def _floats(e57, image):
+    return e57.FloatNode(image, 0.0, e57.E57_DOUBLE)
+
+
+def whole(least, most):
+    return lambda e57, image: e57.IntegerNode(image, least, least, most)
+
+
+def scaled(least, most, scale, offset):
+    return lambda e57, image: e57.ScaledIntegerNode(image, least, least, most, scale, offset)
+
+
+def e57(*, xyz=XYZ, places=None, colours=RGB, limit=255, kind=None, level=None, more=(), structure=None):
+    """A writer of an E57 with one scan, through libE57."""
+
+    # The binding takes NumPy's int64 for 32 bits, not longlong.
+    kinds = {"f": np.float64, "i": np.longlong}
+
+    def write(path):
+        node = kind or (lambda: _floats)
+        columns = [(f"cartesian{a}", places or _floats, np.ascontiguousarray(xyz[:, k])) for k, a in enumerate("XYZ")]
+        if colours is not None:
+            columns += [
+                (f"color{name}", node() if kind else whole(0, limit), colours[:, k].astype(kinds[colours.dtype.kind]))
+                for k, name in enumerate(("Red", "Green", "Blue"))
+            ]
+        if level is not None:
+            columns.append(("intensity", _floats, np.ascontiguousarray(level, np.float64)))
+        made(path, [*columns, *more], structure=structure)
+
+    return write
+
+
+def _limits(e57, image, scan):
+    limits = e57.StructureNode(image)
+    for name in ("Red", "Green", "Blue"):
+        limits.set(f"color{name}Minimum", e57.IntegerNode(image, 0))
+        limits.set(f"color{name}Maximum", e57.IntegerNode(image, 255))
+    scan.set("colorLimits", limits)
+
+
+def spherical(path):
+    distance = np.linalg.norm(XYZ, axis=1)
+    columns = [
+        ("sphericalRange", _floats, distance),
+        ("sphericalAzimuth", _floats, np.arctan2(XYZ[:, 1], XYZ[:, 0])),
+        ("sphericalElevation", _floats, np.arcsin(XYZ[:, 2] / distance)),
+    ]
+    made(path, columns)
+
+
+def invalid(path):
+    """Points that the scanner did not see, at 0, with their state."""
+    xyz = np.concatenate([XYZ, np.zeros((50, 3))])
+    state = np.repeat([0, 2], [COUNT, 50]).astype(np.longlong)
+    columns = [(f"cartesian{a}", _floats, np.ascontiguousarray(xyz[:, k])) for k, a in enumerate("XYZ")]
+    made(path, [*columns, ("cartesianInvalidState", whole(0, 2), state)])
+
+
+def las(path, *, factor=1.0, wkt="", keys=(), doubles=(), colours=RGB * 257, height=None, version="1.4", behind=""):
+    laspy = pytest.importorskip("laspy")
+    header = laspy.LasHeader(point_format=7 if version == "1.4" else 3, version=version)
+    header.scales = np.full(3, 1e-5)
+    if wkt:
+        header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
+    if keys:
+        data = struct.pack("<4H", 1, 1, 0, len(keys)) + b"".join(struct.pack("<4H", *key) for key in keys)
+        header.vlrs.append(laspy.VLR("LASF_Projection", 34735, "", data))
+    if doubles:
+        header.vlrs.append(laspy.VLR("LASF_Projection", 34736, "", struct.pack(f"<{len(doubles)}d", *doubles)))
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y = XYZ[:, 0] / factor, XYZ[:, 1] / factor
+    cloud.z = XYZ[:, 2] / (height or factor)
+    if colours is not None:
+        cloud.red, cloud.green, cloud.blue = colours.T.astype(np.uint16)
+    if behind:
+        cloud.evlrs = laspy.vlrs.vlrlist.VLRList()
+        cloud.evlrs.append(laspy.VLR("LASF_Projection", 2112, "", behind.encode() + b"\0"))
+    stream = io.BytesIO()
+    cloud.write(stream)
+    path.write_bytes(stream.getvalue())
+
+
+def ptx(colours=None, level=LEVEL, blocks=1):
+    """A writer of blocks of 20 columns, of one pose each."""
+
+    def write(path):
+        parts = []
+        for number in range(blocks):
+            some = slice(number * COUNT // blocks, (number + 1) * COUNT // blocks)
+            count = COUNT // blocks
+            shift = np.array([1.0 * number, 0, 0])
+            head = ["20", str(count // 20), " ".join(map(str, shift)), "1 0 0", "0 1 0", "0 0 1"]
+            head += ["1 0 0 0", "0 1 0 0", "0 0 1 0", " ".join(map(str, shift)) + " 1"]
+            columns = [XYZ[some] - shift, level[some], *([] if colours is None else [colours[some]])]
+            parts += [*head, *rows(*columns, fmt="%.6f")]
+        path.write_text("\n".join(parts) + "\n")
+
+    return write
+
+
+FEET_WKT = (
+    'PROJCS["NAD83 / Texas Central (ftUS)",GEOGCS["NAD83",DATUM["North_American_Datum_1983",SPHEROID["GRS 1980",'
+    '6378137,298.257222101]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],PROJECTION["Lambert_Conformal_Conic_2SP"],'
+    'UNIT["US survey foot",0.304800609601219,AUTHORITY["EPSG","9003"]],AXIS["X",EAST],AXIS["Y",NORTH],'
+    'AUTHORITY["EPSG","2277"]]'
+)
+MIXED_WKT = (
+    f'COMPD_CS["map and heights",{FEET_WKT},VERT_CS["NAVD88",VERT_DATUM["NAVD88",2005],UNIT["metre",1],AXIS["Up",UP]]]'
+)
+WKT2 = (
+    'PROJCRS["site",BASEGEOGCRS["WGS 84",DATUM["World Geodetic System 1984",ELLIPSOID["WGS 84",6378137,298.257223563,'
+    'LENGTHUNIT["metre",1]]]],CONVERSION["c",METHOD["Transverse Mercator"]],CS[Cartesian,2],'
+    'AXIS["(E)",east,ORDER[1],LENGTHUNIT["foot",0.3048]],AXIS["(N)",north,ORDER[2],LENGTHUNIT["foot",0.3048]]]'
+)
+US_FOOT = 1200 / 3937
+NUMBER = np.arange(1, COUNT + 1)
+PACKED = (RGB[:, 0] << 16 | RGB[:, 1] << 8 | RGB[:, 2]).astype(np.uint32)
+NAMES = [f"P{k}" for k in NUMBER]
+STRANGERS = [
+    # --- text
+    Stranger("pts", "Leica Cyclone", ".pts", text(str(COUNT), rows(XYZ, WHOLE - 100, RGB)), intensity=WHOLE - 100.0),
+    Stranger(
+        "pts 8 bit",
+        "Leica, intensity of 0 to 255",
+        ".pts",
+        text(str(COUNT), rows(XYZ, WHOLE, RGB)),
+        intensity=WHOLE.astype(float),
+    ),
+    Stranger(
+        "pts of two scans",
+        "Leica Cyclone",
+        ".pts",
+        text("150", rows(XYZ, WHOLE - 100, RGB)[:150], str(COUNT - 150), rows(XYZ, WHOLE - 100, RGB)[150:]),
+        says="2 scans",
+        intensity=WHOLE - 100.0,
+    ),
+    Stranger(
+        "pts cut short",
+        "Leica Cyclone",
+        ".pts",
+        text(str(COUNT), rows(XYZ, WHOLE - 100, RGB)[:-1]),
+        refused=True,
+        says="says that it has 400 points, and has 399",
+    ),
+    Stranger("faro", "FARO Scene, xyz", ".xyz", text(rows(XYZ, RGB)), says="by their numbers"),
+    Stranger(
+        "irgb or rgbi",
+        "four whole numbers",
+        ".xyz",
+        text(rows(XYZ, WHOLE, RGB)),
+        refused=True,
+        says="jaxscan convert --columns x,y,z,",
+    ),
+    Stranger(
+        "irgb listed",
+        "four whole numbers",
+        ".xyz",
+        text(rows(XYZ, WHOLE, RGB)),
+        options=("--columns", "x,y,z,i,r,g,b"),
+        intensity=WHOLE.astype(float),
+        says="by --columns",
+    ),
+    Stranger(
+        "cloudcompare",
+        "CloudCompare ASCII with heading and number of points",
+        ".asc",
+        text(
+            "//X Y Z Rf Gf Bf Original cloud index Nx Ny Nz",
+            str(COUNT),
+            rows(XYZ, RGB / 255, np.zeros(COUNT), NORMAL, fmt="%.6f"),
+        ),
+        says="not used: Original cloud index",
+        normals=True,
+    ),
+    Stranger(
+        "excel",
+        "spreadsheet with quotes and decimal commas",
+        ".csv",
+        text('"X [mm]";"Y [mm]";"Z [mm]";"R";"G";"B"', rows(XYZ * 1000, RGB, sep=";", comma=True), end="\r\n"),
+        unit=1e-3,
+        says="millimetres by the names of its columns",
+    ),
+    Stranger(
+        "tab and comma",
+        "spreadsheet, tabs and decimal commas",
+        ".txt",
+        text(rows(XYZ, sep="\t", comma=True)),
+        coloured=False,
+        says="commas are decimal",
+    ),
+    Stranger(
+        "blank and comma",
+        "blanks and decimal commas",
+        ".txt",
+        text("x y z", rows(XYZ, sep=" ", comma=True)),
+        coloured=False,
+    ),
+    Stranger(
+        "comma and comma",
+        "commas for both",
+        ".csv",
+        text(rows(np.abs(XYZ) % 1 + 1.0001, sep=",", comma=True)),
+        refused=True,
+        says="commas are both decimal and between columns",
+    ),
+    Stranger(
+        "comma and comma with colours",
+        "commas for both",
+        ".csv",
+        text([line.replace(";", ",") for line in rows(XYZ, RGB, sep=";", comma=True)]),
+        refused=True,
+        says="commas are both decimal and between columns",
+    ),
+    Stranger(
+        "comma and comma with a blank",
+        "commas for both, blanks between columns",
+        ".txt",
+        text([line.replace(";", ", ") for line in rows(XYZ, RGB, sep=";", comma=True)]),
+        says="commas are decimal",
+    ),
+    Stranger(
+        "thousands",
+        "points between thousands",
+        ".txt",
+        text(["1.234,5;2.345,6;3.456,7"] * 5),
+        refused=True,
+        says="group thousands",
+    ),
+    Stranger(
+        "scans behind headings",
+        "heading before each scan",
+        ".txt",
+        text(*[["X Y Z R G B", "100", *rows(XYZ, RGB)[k : k + 100]] for k in range(0, COUNT, 100)]),
+        says="4 scans",
+    ),
+    Stranger(
+        "whole millimetres",
+        "whole numbers and commas",
+        ".csv",
+        text("x_mm,y_mm,z_mm", rows(np.round(XYZ * 1e4).astype(int), sep=",")),
+        coloured=False,
+        unit=1e-3,
+        offset=(np.nan, np.nan, np.nan),
+    ),
+    Stranger(
+        "pnezd",
+        "Trimble, point, northing, easting, elevation, code",
+        ".csv",
+        text(
+            "Point,Northing,Easting,Elevation,Code",
+            rows(np.array(NAMES), XYZ[:, [1, 0, 2]], np.array(["WALL"] * COUNT), sep=","),
+        ),
+        coloured=False,
+        says="not used: Point, Code",
+    ),
+    Stranger(
+        "german survey",
+        "heading in German, UTF-8 with mark",
+        ".txt",
+        text("\ufeffPunktnr;Rechtswert;Hochwert;Höhe", rows(NUMBER, XYZ, sep=";", comma=True)),
+        coloured=False,
+        says="not used: Punktnr",
+    ),
+    Stranger(
+        "counted",
+        "point number, no heading",
+        ".txt",
+        text(rows(NUMBER, XYZ, RGB)),
+        says="not used: column 1",
+    ),
+    Stranger(
+        "latitude",
+        "heading of degrees",
+        ".csv",
+        text("Lat,Lon,Height", rows(XYZ, sep=",")),
+        refused=True,
+        says="degrees of latitude and longitude",
+    ),
+    Stranger(
+        "strange heading",
+        "heading that names nothing",
+        ".csv",
+        text("alpha,beta,gamma", rows(XYZ, sep=",")),
+        refused=True,
+        says="--columns",
+    ),
+    Stranger(
+        "realitycapture",
+        "RealityCapture xyz, commas",
+        ".xyz",
+        text("#x,y,z,r,g,b", rows(XYZ, RGB, sep=",")),
+    ),
+    Stranger(
+        "agisoft",
+        "Agisoft Metashape, colours and normals",
+        ".txt",
+        text(rows(XYZ, RGB, NORMAL)),
+        normals=True,
+    ),
+    Stranger("meshlab xyz", "MeshLab, normals", ".xyz", text(rows(XYZ, NORMAL)), coloured=False, normals=True),
+    Stranger(
+        "pointools",
+        "Bentley Pointools, intensity between",
+        ".txt",
+        text("X\tY\tZ\tIntensity\tR\tG\tB", rows(XYZ, LEVEL, RGB, sep="\t")),
+        intensity=LEVEL,
+    ),
+    Stranger(
+        "riegl",
+        "RIEGL RiSCAN, blanks before numbers",
+        ".asc",
+        text("X[m] Y[m] Z[m] Amplitude[dB]", ["  " + line for line in rows(XYZ, LEVEL, sep="   ")]),
+        coloured=False,
+        unit=1.0,
+        intensity=LEVEL,
+    ),
+    Stranger(
+        "units in a comment",
+        "Polyworks",
+        ".txt",
+        text("# PolyWorks points", "# Units: millimeters", rows(XYZ * 1000)),
+        coloured=False,
+        unit=1e-3,
+        says="millimetres by the comment",
+    ),
+    Stranger(
+        "units against each other",
+        "two comments",
+        ".txt",
+        text("# units: mm", "# units: inch", rows(XYZ)),
+        coloured=False,
+        says="its comments name several units",
+    ),
+    Stranger(
+        "utf-16",
+        "text of a Windows program",
+        ".txt",
+        text(rows(XYZ), encoding="utf-16"),
+        refused=True,
+        says="UTF-16",
+    ),
+    # --- PLY
+    Stranger(
+        "ply pdal",
+        "PDAL, ushort of 0 to 255",
+        ".ply",
+        ply(
+            plain(("x", "y", "z", "red", "green", "blue")),
+            table(**axes("f8"), **{n: RGB[:, k].astype("u2") for k, n in enumerate(("red", "green", "blue"))}),
+        ),
+        says="colours 0 to 255 by the largest, 240",
+    ),
+    Stranger(
+        "ply float 255",
+        "floats of 0 to 255",
+        ".ply",
+        ply(
+            plain(("x", "y", "z", "red", "green", "blue")),
+            table(**axes("f4"), **{n: RGB[:, k].astype("f4") for k, n in enumerate(("red", "green", "blue"))}),
+        ),
+        says="colours 0 to 255",
+    ),
+    Stranger(
+        "ply short names",
+        "r, g, b as floats of 0 to 1",
+        ".ply",
+        ply(
+            plain(("x", "y", "z", "r", "g", "b")),
+            table(**axes("f4"), **{n: (RGB[:, k] / 255).astype("f4") for k, n in enumerate("rgb")}),
+            order="big",
+        ),
+        says="colours 0 to 1",
+    ),
+    Stranger(
+        "ply diffuse",
+        "MeshLab of old, diffuse_red",
+        ".ply",
+        ply(
+            {**plain("xyz"), "r": "diffuse_red", "g": "diffuse_green", "b": "diffuse_blue"},
+            table(**axes("f4"), **{n: RGB[:, k].astype("u1") for k, n in enumerate("rgb")}),
+        ),
+    ),
+    Stranger(
+        "ply char",
+        "colours as signed bytes",
+        ".ply",
+        ply(
+            plain(("x", "y", "z", "red", "green", "blue")),
+            table(
+                **axes("f4"),
+                **{n: RGB[:, k].astype("u1").view("i1") for k, n in enumerate(("red", "green", "blue"))},
+            ),
+        ),
+    ),
+    Stranger(
+        "ply in millimetres",
+        "a desk scanner, unit in obj_info",
+        ".ply",
+        ply(plain("xyz"), table(**axes("f4", XYZ * 1000)), comments=("Scanned with X", "unit: millimeter")),
+        coloured=False,
+        unit=1e-3,
+    ),
+    Stranger(
+        "ply sigma",
+        "a field sigma without prefix",
+        ".ply",
+        ply(plain(("x", "y", "z", "sigma")), table(**axes("f4"), sigma=np.full(COUNT, 0.002, "f4"))),
+        coloured=False,
+    ),
+    Stranger(
+        "ply faces first",
+        "faces of several lengths before the vertices",
+        ".ply",
+        ply(
+            plain("xyz"),
+            table(**axes("f4")),
+            elements=("element face 3", "property list uchar int vertex_indices"),
+            before=struct.pack("<B3iB4iB3i", 3, 0, 1, 2, 4, 0, 1, 2, 3, 3, 1, 2, 3),
+        ),
+        coloured=False,
+    ),
+    # --- PCD
+    Stranger(
+        "pcd rgb as bits",
+        "PCL, colour packed into a float",
+        ".pcd",
+        pcd("x y z rgb", "F F F F", "4 4 4 4", rows(XYZ, [f"{x:.9g}" for x in PACKED.view("f4")])),
+    ),
+    Stranger(
+        "pcd rgb as number",
+        "colour as the packed number in a float",
+        ".pcd",
+        pcd("x y z rgb", "F F F F", "4 4 4 4", rows(XYZ, [f"{x}.0" for x in PACKED])),
+    ),
+    Stranger(
+        "pcd rgb whole",
+        "PCL 1.12, colour packed into a whole number",
+        ".pcd",
+        pcd("x y z rgb", "F F F U", "4 4 4 4", rows(XYZ, PACKED)),
+    ),
+    Stranger(
+        "pcd r g b",
+        "three fields",
+        ".pcd",
+        pcd("x y z r g b intensity", "F F F U U U F", "4 4 4 1 1 1 4", rows(XYZ, RGB, LEVEL)),
+        intensity=LEVEL,
+    ),
+    Stranger(
+        "pcd floats",
+        "three floats of 0 to 1",
+        ".pcd",
+        pcd("x y z r g b", "F F F F F F", "4 4 4 4 4 4", rows(XYZ, RGB / 255, fmt="%.6f")),
+        says="colours 0 to 1",
+    ),
+    # --- PTX
+    Stranger("ptx", "Leica, four numbers a line", ".ptx", ptx(), coloured=False, unit=1.0, intensity=255 * LEVEL),
+    Stranger("ptx colours", "Leica", ".ptx", ptx(RGB), unit=1.0, intensity=255 * LEVEL),
+    Stranger("ptx of two scans", "Leica", ".ptx", ptx(RGB, blocks=2), unit=1.0),
+    Stranger("ptx floats", "colours of 0 to 1", ".ptx", ptx(RGB / 255.0), unit=1.0, says="colours 0 to 1"),
+    # --- E57
+    Stranger("e57", "libE57, 8 bits", ".e57", e57(level=LEVEL), unit=1.0, intensity=LEVEL),
+    Stranger("e57 xyz", "libE57, places alone", ".e57", e57(colours=None), coloured=False, unit=1.0),
+    Stranger("e57 16 bits", "colours of 16 bits without limits", ".e57", e57(colours=RGB * 257, limit=65535), unit=1.0),
+    Stranger(
+        "e57 8 in 16 bits",
+        "colours of 8 bits in a field of 16",
+        ".e57",
+        e57(limit=65535),
+        unit=1.0,
+        says="colours 0 to 255 by the largest, 240, not the 65535",
+    ),
+    Stranger(
+        "e57 limits of 8 bits",
+        "limits of 8 bits, colours of 16",
+        ".e57",
+        e57(colours=RGB * 257, limit=65535, structure=_limits),
+        unit=1.0,
+        says="not the 255 that the file states",
+    ),
+    Stranger("e57 floats", "colours of 0 to 1", ".e57", e57(colours=RGB / 255.0, kind=lambda: _floats), unit=1.0),
+    Stranger(
+        "e57 scaled",
+        "Autodesk ReCap, scaled whole numbers with an offset",
+        ".e57",
+        e57(places=scaled(-60_000, 60_000, 1e-4, 1.0)),
+        unit=1.0,
+    ),
+    Stranger("e57 spherical", "FARO, ranges and angles", ".e57", spherical, coloured=False, unit=1.0),
+    Stranger("e57 invalid", "points that were not seen", ".e57", invalid, coloured=False, unit=1.0),
+    Stranger(
+        "e57 grid",
+        "Leica BLK, rows and columns",
+        ".e57",
+        e57(
+            more=[
+                ("rowIndex", whole(0, COUNT), (np.arange(COUNT) % 20).astype(np.longlong)),
+                ("columnIndex", whole(0, COUNT), (np.arange(COUNT) // 20).astype(np.longlong)),
+                ("timeStamp", _floats, np.arange(COUNT, dtype=np.float64)),
+            ]
+        ),
+        unit=1.0,
+        says="not used: timeStamp",
+    ),
+    Stranger(
+        "e57 in millimetres",
+        "a program that writes millimetres",
+        ".e57",
+        e57(xyz=XYZ * 1000, colours=None),
+        coloured=False,
+        unit=1.0,
+        offset=(np.nan, np.nan, np.nan),
+        says="in millimetres it would be",
+    ),
+    # --- LAS
+    Stranger("las", "16 bits", ".las", las, says="the file does not say its unit"),
+    Stranger("las 8 bits", "8 bits in 16", ".las", lambda p: las(p, colours=RGB), says="colours 0 to 255"),
+    Stranger("las without colours", "zeros", ".las", lambda p: las(p, colours=RGB * 0), coloured=False),
+    Stranger("las feet", "WKT in US survey feet", ".las", lambda p: las(p, factor=US_FOOT, wkt=FEET_WKT), unit=US_FOOT),
+    Stranger(
+        "las mixed",
+        "WKT in feet, heights in metres",
+        ".las",
+        lambda p: las(p, factor=US_FOOT, wkt=MIXED_WKT, height=1.0),
+        unit=US_FOOT,
+        says="heights in metres",
+    ),
+    Stranger("las wkt2", "WKT of version 2 in feet", ".las", lambda p: las(p, factor=0.3048, wkt=WKT2), unit=0.3048),
+    Stranger(
+        "las behind",
+        "WKT in a record behind the points",
+        ".las",
+        lambda p: las(p, factor=US_FOOT, behind=FEET_WKT),
+        unit=US_FOOT,
+    ),
+    Stranger(
+        "las keys",
+        "GeoKeys in feet",
+        ".las",
+        lambda p: las(p, factor=0.3048, keys=[(1024, 0, 1, 1), (3076, 0, 1, 9002)], version="1.2"),
+        unit=0.3048,
+    ),
+    Stranger(
+        "las map of keys",
+        "GeoKeys that name a map in US survey feet",
+        ".las",
+        lambda p: las(p, factor=US_FOOT, keys=[(1024, 0, 1, 1), (3072, 0, 1, 2277)], version="1.2"),
+        unit=US_FOOT,
+    ),
+    Stranger(
+        "las degrees",
+        "GeoKeys of degrees",
+        ".las",
+        lambda p: las(p, keys=[(1024, 0, 1, 2), (2048, 0, 1, 4326)], version="1.2"),
+        refused=True,
+        says="degrees of longitude and latitude",
+    ),
+]
