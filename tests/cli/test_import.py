@@ -221,6 +221,8 @@ def test_placements_of_a_board(run, tmp_path):
             {"type": "charuco", "columns": 12, "square_mm": 30.0, "marker_mm": 22.0},
         ),
         ("charuco 5x4 0.03m 20mm DICT_4X4_50", {"square_mm": 30.0, "dictionary": "DICT_4X4_50"}),
+        ("charuco 6x8 35mm 24mm DICT_4X4_250 legacy", {"dictionary": "DICT_4X4_250", "layout": "legacy"}),
+        ("charuco 6x8 35mm 24mm Legacy", {"dictionary": "DICT_5X5_250", "layout": "legacy"}),
         ("circles 4x11 20mm 16mm", {"type": "circles", "rows": 11, "spacing_mm": 20.0, "layout": "asymmetric"}),
         ("circles 7x7 37.5mm 22mm symmetric", {"diameter_mm": 22.0, "layout": "symmetric"}),
         ("aprilgrid 6×6 24mm 7.2mm", {"type": "aprilgrid", "tag_mm": 24.0, "gap_mm": 7.2}),

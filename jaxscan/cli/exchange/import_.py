@@ -72,9 +72,9 @@ def import_(
         off: Names of the laser-off images; one image may serve all steps.
         boards: Names of images of a board without laser.
         board: Board that the images show, for a calibration: "chessboard 11x6 13mm" (inner corners, square),
-            "charuco 12x9 30mm 22mm DICT_5X5_250" (squares, square, marker), "circles 4x11 20mm 16mm" (circles in a
-            row and rows, distance of rows, diameter; with `symmetric` behind where no row is shifted) or "aprilgrid
-            6x6 24mm 7.2mm" (tags, tag, gap).
+            "charuco 12x9 30mm 22mm DICT_5X5_250" (squares, square, marker; with `legacy` behind where OpenCV before 4.6
+            printed it), "circles 4x11 20mm 16mm" (circles in a row and rows, distance of rows, diameter; with
+            `symmetric` behind where no row is shifted) or "aprilgrid 6x6 24mm 7.2mm" (tags, tag, gap).
         step_deg: Angle of the table between two images. With --board, the board stood still meanwhile.
         angles: Text file with the table's angle of each image in degrees, a line each, perhaps after the image's name,
             and for boards perhaps with the number of the placement.
