@@ -145,7 +145,7 @@ def _extract(
     noise, doubts = views[0].noise, views[0].doubts
     if noise is None:
         compressed = capture.compression is not None or not dark
-        noise, _, doubts = learn_noise(on, off, frames=frames, line=line, compressed=compressed)
+        noise, _, doubts, _ = learn_noise(on, off, frames=frames, line=line, compressed=compressed)
     whole = on
     if rig is not None and line.name in rig.believed:
         near = np.stack([_band(view, rig, line) for view in padded])

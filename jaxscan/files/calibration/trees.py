@@ -9,8 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from jaxscan.errors import CalibrationError
-from jaxscan.files.disk import parse_json
-from jaxscan.files.disk.xml import Element, parse_xml
+from jaxscan.files.disk import Element, parse_json, parse_xml
 
 
 Tree = Any
