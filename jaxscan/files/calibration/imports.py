@@ -14,7 +14,7 @@ from jaxscan.files.calibration.calibration import load_parts
 from jaxscan.files.calibration.model import CALIBRATION_FORMAT, CalibrationTable
 from jaxscan.files.calibration.trees import Tree, leaves, numbers, tree_of_json, tree_of_xml, tree_of_yaml
 from jaxscan.files.disk import MEGABYTE, check, read_bounded
-from jaxscan.geometry import CAMERAS, AbstractCamera
+from jaxscan.geometry import CAMERAS, AbstractCamera, camera_doubts
 
 
 MAX_CAMERA_BYTES = 16 * MEGABYTE
@@ -126,7 +126,10 @@ def read_camera(
 def _checked(table: dict[str, Any], note: str, name: str) -> ReadCamera:
     tables = {"format": CALIBRATION_FORMAT, "camera": table}
     camera = check(CalibrationTable, tables, name=name, error=CalibrationError).camera.camera()
-    return ReadCamera(camera, f"{name}: {note}")
+    doubts = camera_doubts(camera)
+    if impossible := [doubt.said for doubt in doubts if doubt.impossible]:
+        raise CalibrationError(f"{name}: {impossible[0]}.")
+    return ReadCamera(camera, " But ".join([f"{name}: {note}", *(f"{doubt.said}." for doubt in doubts)]))
 
 
 def _plain(word: object) -> str:
