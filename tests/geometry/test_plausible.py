@@ -76,6 +76,6 @@ def test_a_wide_lens_sees_far_to_the_sides():
 
 
 def test_a_sheet_behind_the_camera():
-    plane = LaserSheet.from_plane(np.array([0.0, 0.0, -1.0]), 0.5)
+    plane = LaserSheet.from_plane(np.array([0.1, 0.0, -1.0]), 0.5)
     (doubt,) = scanner_doubts(dataclasses.replace(scanner(), lasers=stack_lasers([plane])))
     assert doubt.impossible and "sees none of its plane" in doubt.said
