@@ -190,5 +190,5 @@ def test_settings_that_a_board_does_not_list_are_named_where_they_are():
 def test_a_device_that_answers_otherwise_is_quoted():
     board = Board(answers={"G4 P0": "what?"})
     lines = GrblLines(board, board.clock, greeting="Grbl", reopen=lambda: board)
-    with pytest.raises(RigError, match="no answer from board to 'G4 P0'.*it sent 'what\\?'"):
+    with pytest.raises(RigError, match=r"no answer from board to 'G4 P0'.*it sent 'what\?'"):
         lines.ask("G4 P0")
