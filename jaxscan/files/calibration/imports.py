@@ -218,6 +218,12 @@ def _of_tree(
     keys = _Keys(tree, name)
     model, without = _model(keys, unnamed)
     pixels, lens_within = _pixels(keys)
+    if model != "double_sphere" and (key := keys.of(frozenset(("xi",)), "xi")) is not None:
+        raise CalibrationError(
+            f"{name}: {key}: found xi, which the unified (MEI, omni) and double sphere models have; expected a pinhole, "
+            "a fisheye without it, or Kalibr's ds."
+        )
+    named = model is not None
     if model is None:
         model = "double_sphere" if len(lens_within) == 2 else unnamed
     if (len(lens_within) == 2) != (model == "double_sphere"):
@@ -228,7 +234,10 @@ def _of_tree(
     lens, lens_from = (lens_within, "intrinsics") if lens_within else _lens(keys, model, without=without)
     wide, high = _size(keys, size)
     table = _table(pixels, lens, (wide, high), name, model=model)
-    return table, _note(model, table, lens, lens_from, keys.unused())
+    note = _note(model, table, lens, lens_from, keys.unused())
+    if not named and len(lens) == 4:
+        note += " It names no model: four coefficients may be those of a pinhole or, with --lens fisheye, of a fisheye."
+    return table, note
 
 
 def _note(model: str, table: Mapping[str, Any], lens: Sequence[float], source: str, unused: Sequence[str]) -> str:
