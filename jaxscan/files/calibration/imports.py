@@ -136,12 +136,17 @@ def _plain(word: object) -> str:
     return re.sub(r"[^a-z0-9]", "", str(word).lower())
 
 
+def _one_line(text: str) -> str:
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
 class _Keys:
     """The values of a file, by what they may mean; each is taken once or named as not used."""
 
     def __init__(self, tree: Tree, name: str) -> None:
         self.name = name
-        self._values = {".".join(path): value for path, value in leaves(tree)}
+        # Keys are shown in messages of one line.
+        self._values = {_one_line(".".join(path)): value for path, value in leaves(tree)}
         self.used: set[str] = set()
 
     def of(self, known: frozenset[str], part: str, *, count: int | None = None, listed: bool = False) -> str | None:
@@ -220,8 +225,8 @@ def _of_tree(
     pixels, lens_within = _pixels(keys)
     if model != "double_sphere" and (key := keys.of(frozenset(("xi",)), "xi")) is not None:
         raise CalibrationError(
-            f"{name}: {key}: found xi, which the unified (MEI, omni) and double sphere models have; expected a pinhole, "
-            "a fisheye without it, or Kalibr's ds."
+            f"{name}: {key}: found xi, which the unified (MEI, omni) and double sphere models have; expected a "
+            "pinhole, a fisheye without it, or Kalibr's ds."
         )
     named = model is not None
     if model is None:
