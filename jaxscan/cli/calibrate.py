@@ -10,7 +10,7 @@ from jaxscan import api
 from jaxscan.calibration import CalibrationSettings, KnownParts, Part
 from jaxscan.calibration.parameters import Block
 from jaxscan.calibration.settings import RigKind
-from jaxscan.cli.known import known_files, known_parts, motion_notes
+from jaxscan.cli.known import known_files, known_parts
 from jaxscan.cli.options import OutputPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
@@ -57,7 +57,7 @@ def calibrate(
         report: Report to write: an HTML page by which to judge the calibration.
         only: A smaller rig than the captures determine: `camera` alone; `profile`, camera and sheets; `axis`, camera
             and axis. Without sheets a calibration cannot reconstruct.
-        camera: Camera that is known: a calibration (.json), OpenCV's or ROS' .yaml, or mrcal's .cameramodel. A known
+        camera: Camera that is known: a calibration (.json), or a file of OpenCV, ROS, Kalibr, mrcal or COLMAP. A known
             part is held.
         sheet: Laser sheet that is known: four numbers a b c d of the plane a X + b Y + c Z = d, in metres, of each
             laser; or a calibration (.json).
@@ -92,8 +92,10 @@ def calibrate(
     for capture in opened:
         for note in capture.notes:
             out.print(f"note: {capture.path}: {note}")
-    known = known_parts(opened[0], camera, sheet, axis, refine, lens or "pinhole") if opened else KnownParts()
-    for note in motion_notes(opened[0], axis) if opened else []:
+    known, notes = (
+        known_parts(opened[0], camera, sheet, axis, refine, lens or "pinhole") if opened else (KnownParts(), [])
+    )
+    for note in notes:
         out.print(f"note: {note}")
     plan = api.plan_calibration(opened, settings=settings, known=known)
     out.print(f"solving for {plan.words()}{_held(known)}")

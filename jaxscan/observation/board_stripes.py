@@ -86,7 +86,7 @@ def find_stripes(
             if key not in learned:
                 # From whole frames: outside the band there would be no noise. Of speckle print tells nothing.
                 compressed = capture.compression is not None or not with_off
-                noise, _, doubts = learn_noise(on, off, frames=frames, line=line, compressed=compressed)
+                noise, _, doubts, _ = learn_noise(on, off, frames=frames, line=line, compressed=compressed)
                 learned[key] = noise, doubts
             stripes, sights = _extract(seen, (on, off, frames), line, learned[key][0], rig)
             found = [Candidates.of(stripes, row, line.stripe_axis) for row in range(len(group))]

@@ -81,6 +81,10 @@ def make_occluder(cloud: PointCloud, scanner: Scanner) -> Occluder:
     # Wherever a surface may reach, nothing behind it counts as seen: what stands before a wall does not bleed into it.
     found = [(samples.xyz, samples.rgb) for samples in surface_samples(cloud, scanner, spacing, reach=1.0)]
     xyz, rgb = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    if not len(xyz):
+        # No two points make a face, so each stands alone.
+        there = np.asarray(cloud.valid)
+        xyz, rgb = np.asarray(cloud.xyz)[there], np.asarray(cloud.rgb)[there]
     blocks = Blocks.of(xyz)
     chosen = np.linspace(0, len(xyz) - 1, REFERENCES).astype(int)
     shape = -(-camera.height // cell) + 2, -(-camera.width // cell) + 2

@@ -46,10 +46,11 @@ def describe_cameras(scanner: Scanner, angles: Sequence[float], names: Sequence[
 
 
 def is_describable(camera: AbstractCamera) -> bool:
-    """Whether `transforms.json` has a model for a camera: a fisheye, or a pinhole without skew or rational terms."""
-    if isinstance(camera, Pinhole):
-        return float(camera.skew) == 0 and not np.any(np.asarray(camera.distortion)[5:])
-    return isinstance(camera, Fisheye)
+    """Whether `transforms.json` has a model for a camera: a fisheye or pinhole without skew or rational terms."""
+    if isinstance(camera, Pinhole | Fisheye):
+        rational = isinstance(camera, Pinhole) and np.any(np.asarray(camera.distortion)[5:])
+        return float(camera.skew) == 0 and not rational
+    return False
 
 
 def _intrinsics(camera: AbstractCamera) -> dict[str, Any]:

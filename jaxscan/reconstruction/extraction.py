@@ -18,7 +18,7 @@ from jaxscan.reconstruction.colours import stripe_colours
 from jaxscan.reconstruction.decoys import Chance, DecoyWatch, judge
 from jaxscan.reconstruction.plan import Plan, plan_sweep
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
-from jaxscan.reconstruction.sweep import Batch, FrameChunk, SweepSource, batches, place, rows_of
+from jaxscan.reconstruction.sweep import Batch, FrameChunk, SweepSource, batches, colour_exposure, place, rows_of
 from jaxscan.reconstruction.without_off import predicts, with_off
 from jaxscan.stripes import (
     KEPT_FIELDS,
@@ -256,7 +256,8 @@ class Learned:
 
     def colours(self, batch: Batch, found: ChunkStripes) -> np.ndarray:
         """The colours of the stripes of a batch."""
-        off = batch.off if batch.off is None or len(self.plan.sweep.exposures) == 1 else batch.off[:, -1]
+        off, sweep = batch.off, self.plan.sweep
+        off = off if off is None or len(sweep.exposures) == 1 else off[:, colour_exposure(sweep)]
         return stripe_colours(found.stripes, off, self.plan.frames, self.plan.stripe_axis)
 
 
@@ -275,12 +276,13 @@ def learn(plan: Plan, first: FrameChunk, *, noise: NoiseModel | None = None) -> 
     sweep, settings, gates = plan.sweep, plan.settings, plan.gates
     lasers, of_frame = learned_lasers(sweep), None
     if noise is None:
-        # In the colour of the first laser and the shortest exposure.
-        one = slice(None) if len(sweep.exposures) == 1 else np.s_[:, 0]
+        # In the colour of the first laser and the shortest exposure, or of levels the one of the finest steps.
+        one = slice(None) if len(sweep.exposures) == 1 else np.s_[:, -1 if sweep.bits > 8 else 0]
         on, off = first.on[one], None if first.off is None else first.off[one]
         line, compressed = lasers[int(sweep.laser.min())], sweep.compression is not None
         of_frame = learn_noise(on, off, frames=plan.frames, line=line, compressed=compressed)
-        noise = of_frame.noise
+        # Each level of frames of more than 8 bits has its own.
+        noise = of_frame.noise if sweep.bits == 8 else None
     if plan.lit_together:
         _check_apart(list(gates.values()))
     setups = [
@@ -290,6 +292,7 @@ def learn(plan: Plan, first: FrameChunk, *, noise: NoiseModel | None = None) -> 
             lasers[laser],
             settings.stripes,
             tuple(sweep.exposures),
+            0 if sweep.bits > 8 else None,
             all_candidates=settings.check_steps,
         )
         for laser in gates
@@ -303,7 +306,7 @@ def learn(plan: Plan, first: FrameChunk, *, noise: NoiseModel | None = None) -> 
     except BlackLevelError as problem:
         raise CaptureError(str(problem)) from problem
     predicted = predicts(sweep)
-    if predicted:
+    if predicted and sweep.bits == 8:
         engines = [engine.own_channel() for engine in engines]
     notes = () if of_frame is None else of_frame.doubts
     return Learned(plan, lasers, dict(zip(gates, engines, strict=True)), predicted, of_frame=of_frame, notes=notes)

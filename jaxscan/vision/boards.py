@@ -187,14 +187,19 @@ def _even_brightness(image: np.ndarray, grid: np.ndarray) -> float:
 
 
 def _charuco(board: Charuco) -> "cv2.aruco.CharucoBoard":
-    return opencv_charuco(board.columns, board.rows, board.square, board.marker, known_dictionary(board.dictionary))
+    kind = known_dictionary(board.dictionary)
+    return opencv_charuco(board.columns, board.rows, board.square, board.marker, kind, board.layout == "legacy")
 
 
 @functools.lru_cache(maxsize=8)
-def opencv_charuco(columns: int, rows: int, square: float, marker: float, dictionary: str) -> "cv2.aruco.CharucoBoard":
+def opencv_charuco(
+    columns: int, rows: int, square: float, marker: float, dictionary: str, legacy: bool
+) -> "cv2.aruco.CharucoBoard":
     """OpenCV's board; a large one takes a tenth of a second."""
     markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
-    return cv2.aruco.CharucoBoard((columns, rows), square, marker, markers)
+    board = cv2.aruco.CharucoBoard((columns, rows), square, marker, markers)
+    board.setLegacyPattern(legacy)
+    return board
 
 
 def _find_charuco(image: np.ndarray, board: Charuco, half_window: int | None) -> FoundCorners | None:

@@ -30,7 +30,7 @@ from jaxscan.photographs import (
     panorama_frame,
     undistort,
 )
-from jaxscan.reconstruction import PointCloud, Progress, in_scanner_frame
+from jaxscan.reconstruction import PointCloud, Progress, colour_exposure, in_scanner_frame
 
 
 ENOUGH = 4
@@ -65,7 +65,8 @@ class CapturedPhotographs:
         frame = self.capture.off_frame(record)
         if frame is None:
             raise CaptureError(f"{self.capture.path}: record {self.capture.records[record].i} has no laser-off image.")
-        return as_rgb(frame if len(self.capture.exposures) == 1 else frame[-1], self.capture.pixel_format)
+        one = frame if len(self.capture.exposures) == 1 else frame[colour_exposure(self.capture)]
+        return as_rgb(one, self.capture.pixel_format)
 
 
 def has_photographs(capture: Capture) -> bool:
