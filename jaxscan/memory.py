@@ -7,10 +7,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
+from jax import Array, lax
 from jaxtyping import Bool, Int
-
-from jaxscan.geometry import Array
 
 
 _BLOCK = 256

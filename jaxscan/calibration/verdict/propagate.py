@@ -531,8 +531,9 @@ def _at_work(
     """
     worst: list[float] = []
     worst_depth = None
-    for laser in range(0 if scanner is None else len(scanner.laser_names)):
-        assert scanner is not None
+    if scanner is None:
+        return worst, worst_depth
+    for laser in range(len(scanner.laser_names)):
         depth, table = at_m, scanner.turntable
         if depth is None and (reached := _in_reach(scanner, laser)):
             depth = _middle(reached).depth
