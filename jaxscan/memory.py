@@ -7,10 +7,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import lax
 from jaxtyping import Bool, Int
 
 
+Array = jax.Array | np.ndarray
 _BLOCK = 256
 """Entries that are computed together."""
 _ROW = 64
