@@ -114,8 +114,6 @@ def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
         if settings.stripe_correlation is None:
             # Classes of unlike noise would hide the noise that neighbours share.
             correlation = correlation_along(errors.stripe / noise[1][data.stripe_contrast], stripe_kept)
-            # Their correlation counts what neighbours share; whole lines may scatter by more.
-            correlation = max(correlation, cleaned.line_scatter() * state.stripe_correlation)
         stop_sigma = before = float(state.problem.stop_sigma)
         if settings.angle_sigma is None:
             stop_sigma = learn_stop_sigma(state.linearised)
