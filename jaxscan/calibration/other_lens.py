@@ -12,7 +12,7 @@ from jaxscan.calibration.known import KnownParts
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.verdict import GoodTo, Verdict, is_named, refusal
-from jaxscan.calibration.verdict.good_to import image_places
+from jaxscan.calibration.verdict.propagate import image_places
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import CAMERAS, AbstractCamera, exponential
 from jaxscan.observation import Observations
@@ -52,7 +52,7 @@ class OtherLens(NamedTuple):
         """Why it was taken."""
         return (
             f"the lens was solved as `{self.option}`, which brings the residuals of the corners from "
-            f"{self.before_px:.2g} to {self.rms_px:.2g} px; without it rays are {self.off_px:.2g} px off over the image"
+            f"{self.before_px:.2g} to {self.rms_px:.2g} px; without it rays are {self.off_px:.3g} px off over the image"
         )
 
 

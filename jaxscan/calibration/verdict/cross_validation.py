@@ -148,7 +148,7 @@ def put_back_lines(result: Adjustment, given: Observations) -> list[np.ndarray]:
         given: The observations before others were left out.
     """
     data, problem, steps = prepare(given), result.problem, []
-    agreed = result.stripe_kept.any(1)
+    agreed = np.any(result.stripe_kept, axis=1)
     q = np.where(agreed[:, None, None], result.data.stripe_q, data.stripe_q)
     data = data._replace(stripe_q=q, stripe_valid=np.where(agreed[:, None], result.stripe_kept, data.stripe_valid))
     lifted = lift_stripes(data, problem.camera, result.linearised.view_poses)
@@ -160,7 +160,7 @@ def put_back_lines(result: Adjustment, given: Observations) -> list[np.ndarray]:
         own = slice(layout.lasers.start + 5 * laser, layout.lasers.start + 5 * laser + 3)
         if agreed[rows].all() or not agreed[rows].any() or not scales[own].any():
             continue
-        parts = [_line(sheet, lifted, row, scales[own]) for row in rows]
+        parts = [_line(sheet, lifted, int(row), scales[own]) for row in rows]
         step = np.zeros(len(scales))
         step[own] = (_robust_step(parts) - _robust_step([parts[k] for k in np.flatnonzero(agreed[rows])])) * scales[own]
         steps.append(step)
@@ -217,7 +217,7 @@ def _solved(
     promise: tuple[float, np.ndarray | float],
 ) -> _Part | None:
     """The solve of some corners [views, corners or 1], and of the stripes of their views; None if it says nothing."""
-    views = corners.any(1)
+    views = np.any(corners, axis=1)
     stripes = views[result.data.stripe_view]
     problem = replace(
         result.problem,

@@ -17,12 +17,19 @@ from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjustment import Adjustment
 from jaxscan.calibration.solve.problem import layout_of
 from jaxscan.calibration.verdict.cross_validation import put_back_lines
-from jaxscan.calibration.verdict.extra_terms import extents_of, lens_terms, radial_terms, sheet_terms
-from jaxscan.calibration.verdict.judge import Judged, Missing, judge
-from jaxscan.calibration.verdict.lengths import TRAVEL_M
 from jaxscan.calibration.verdict.limits import result_of_test
+from jaxscan.calibration.verdict.propagate import TRAVEL_M
 from jaxscan.calibration.verdict.quality import ModelTest
-from jaxscan.calibration.verdict.score import repeated_views
+from jaxscan.calibration.verdict.structure import (
+    Judged,
+    Missing,
+    extents_of,
+    judge,
+    lens_terms,
+    radial_terms,
+    repeated_views,
+    sheet_terms,
+)
 from jaxscan.geometry import Layout, LinearStage
 from jaxscan.observation import Observations
 
@@ -62,7 +69,7 @@ def find_harm(result: Adjustment, settings: CalibrationSettings, given: Observat
             before = np.concatenate([steps, *(harm.steps for harm in found)])
             steps = judged.splits[test.name].beyond(before.T @ before, scales)[None]
         found.append(Harm(replace(test, where=where), steps))
-    lines = put_back_lines(result, given) if len(np.asarray(given.stripes.view)) else []
+    lines = put_back_lines(result, given) if len(result.problem.lasers.distance) else []
     return [*found, Harm(_lines_test(result, lines), np.stack(lines))] if lines else found
 
 
@@ -70,7 +77,7 @@ def _lines_test(result: Adjustment, steps: list[np.ndarray]) -> ModelTest:
     """The steps of sheets by lines that were left out, against the covariance of noise."""
     scales = np.asarray(result.problem.scales)
     moved = np.array([step != 0 for step in steps]).any(0)
-    step = sum(steps)[moved] / scales[moved]
+    step = np.sum(steps, axis=0)[moved] / scales[moved]
     covariance = np.linalg.inv(result.linearised.reduced)[np.ix_(moved, moved)]
     statistic, dof = float(step @ np.linalg.solve(covariance, step)), int(moved.sum())
     p = chance_of(statistic, dof)
