@@ -34,7 +34,7 @@ CASES = {
     "lens": ({"lens": (-0.10, 0.06, 6e-3, 0.0, 0.0)}, "tangential"),
     "board": ({"warp": (4e-4, 0.0)}, "warp"),
     "axis": ({"wobble": tuple(map(tuple, 1.5e-3 * np.random.default_rng(3).normal(size=(40, 3)) * [1, 0, 1]))}, None),
-    "sheet": ({}, None),
+    "sheet": ({}, "bow"),
 }
 
 

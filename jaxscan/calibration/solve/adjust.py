@@ -113,8 +113,6 @@ def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
         if settings.stripe_correlation is None:
             # Classes of unlike noise would hide the noise that neighbours share.
             correlation = correlation_along(errors.stripe / noise[1][data.stripe_contrast], stripe_kept)
-            # Their correlation counts what neighbours share; whole lines may scatter by more.
-            correlation = max(correlation, cleaned.line_scatter() * state.stripe_correlation)
         same = np.array_equal(corner_kept, state.corner_kept) and np.array_equal(stripe_kept, state.stripe_kept)
         ratios = (
             noise[0] / state.corner_noise,

@@ -15,8 +15,6 @@ from jaxscan.observation import CONTRAST_CLASSES
 
 # A class with fewer points than this shows no noise of its own.
 _CLASS_POINTS = 60
-# Lines of fewer points say nothing of a whole line, and less redundancy nothing of the scatter of lines.
-_LINE_POINTS, _LINE_REDUNDANCY = 10, 1.0
 # The correlation along a stripe is summed up to the lag where it is lost in its own noise, at most here.
 _MAX_LAG = 128
 _MAX_CORRELATION = 64.0
@@ -154,29 +152,6 @@ class Adjustment:
         """RMS of some stripe points [stripes, points] in units of the given sigmas, per degree of freedom [1]."""
         leverage = self.linearised.stripe_leverage[some]
         return noise_component(self.errors.stripe[some], leverage, self.stripe_correlation)
-
-    def line_scatter(self) -> float:
-        """Variance of what the points of a line share, its offset and its tilt, over what their noise leaves of these.
-
-        A line on a board errs as a whole too: by speckle of long reach, by its ink, by a board that moved a little. A
-        few lines take part of that up in the sheet, so the squares count against the redundancy.
-        """
-        problem, covariance = self.problem, self.linearised.covariance
-        kept = self.stripe_kept & (np.count_nonzero(self.stripe_kept, axis=1) >= _LINE_POINTS)[:, None]
-        rows = np.flatnonzero(kept.any(1))
-        if len(rows) == 0:
-            return 1.0
-        kept = kept[rows]
-        count = np.count_nonzero(kept, axis=1)[:, None]
-        place = np.where(kept, np.cumsum(kept, axis=1) - (count + 1) / 2.0, 0.0)
-        shared = np.stack([kept / np.sqrt(count), place / np.linalg.norm(place, axis=1, keepdims=True)], 1)
-        residual = (self.linearised.offset * np.asarray(problem.stripe_weight))[rows]
-        moved = shared @ self.linearised.stripe_slopes[rows] @ self.linearised.stripe_chain[rows]
-        owner = np.asarray(problem.placement)[np.asarray(problem.stripe_view)[rows]]
-        taken = np.einsum("lki,lij,lkj->lk", moved, covariance.of(owner), moved)
-        squares = np.einsum("lkp,lp->lk", shared, residual) ** 2
-        redundancy = float(np.sum(1.0 - taken))
-        return float(np.sum(squares)) / redundancy if redundancy > _LINE_REDUNDANCY else 1.0
 
     def robust_stripe_noise(self) -> np.ndarray:
         """Noise of each contrast class by the median of its points, in units of the given sigmas [1]."""
