@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxscan.calibration import CalibrationSettings, choose, estimate, solved_rig
+from jaxscan.calibration import CalibrationSettings, calibrate, choose, estimate, solved_rig
 from jaxscan.observation.prediction import lift_to_board, predict_corners, predict_stripe, turn_boards
 
 
@@ -105,10 +105,10 @@ def test_a_solve_that_did_not_converge_predicts_nothing(solved):
     assert solved_rig(estimate(solved[1], settings=CalibrationSettings(max_steps=1, only="camera"))) is None
 
 
-def test_a_second_estimate_begins_from_the_camera_of_the_first_and_ends_where_it_did(estimated):
+def test_a_second_estimate_begins_from_the_camera_of_the_first_and_ends_where_it_did(estimated, monkeypatch):
     _, observed, found = estimated
+    monkeypatch.setattr(calibrate, "seed_camera", lambda *_: pytest.fail("a camera is there"))
     again = estimate(observed, settings=CalibrationSettings(), before=found)
-    assert again.adjustment.steps < found.adjustment.steps
     np.testing.assert_allclose(again.camera.parameters(), found.camera.parameters(), rtol=1e-9, atol=1e-9)
 
 
