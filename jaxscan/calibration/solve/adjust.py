@@ -49,14 +49,17 @@ def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, r
     state = Adjustment(*_at(problem, data), data, *kept)
     if settings.stripe_correlation is not None:
         state = replace(state, stripe_correlation=settings.stripe_correlation)
-    for _ in range(_ROBUST_ROUNDS):
+    for round_number in range(_ROBUST_ROUNDS):
         corner, stripe = state.errors.corner, state.errors.stripe
         noise = robust_noise(corner[data.corner_valid]), state.robust_stripe_noise()
         damp = (
             Huber(settings.huber).weights(np.abs(corner).max(-1) / noise[0]),
             Huber(settings.huber).weights(np.abs(stripe) / noise[1][data.stripe_contrast]),
         )
-        state = _solved(replace(state, corner_noise=noise[0], stripe_noise=noise[1]), settings, _ROUGH, damp)
+        # A view whose stop errs is no outlier; nothing is learned from first values.
+        stop_sigma = _stop_sigma(state, settings) if round_number > 0 else None
+        state = replace(state, corner_noise=noise[0], stripe_noise=noise[1])
+        state = _solved(state, settings, _ROUGH, damp, stop_sigma)
         # Without outliers there is nothing to be robust against.
         largest = max(
             _largest(state.errors.corner, data.corner_valid), _largest(state.errors.stripe, data.stripe_valid)
@@ -114,9 +117,7 @@ def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
         if settings.stripe_correlation is None:
             # Classes of unlike noise would hide the noise that neighbours share.
             correlation = correlation_along(errors.stripe / noise[1][data.stripe_contrast], stripe_kept)
-        stop_sigma = before = float(state.problem.stop_sigma)
-        if settings.angle_sigma is None:
-            stop_sigma = learn_stop_sigma(state.linearised)
+        before, stop_sigma = float(state.problem.stop_sigma), _stop_sigma(state, settings)
         same = np.array_equal(corner_kept, state.corner_kept) and np.array_equal(stripe_kept, state.stripe_kept)
         ratios = (
             noise[0] / state.corner_noise,
@@ -136,6 +137,13 @@ def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
         )
         state = _solved(cleaned, settings, _FINE, stop_sigma=stop_sigma)
     return state
+
+
+def _stop_sigma(state: Adjustment, settings: CalibrationSettings) -> float:
+    scales = np.asarray(state.problem.scales)
+    if settings.angle_sigma is not None or undetermined_shares(state.linearised, scales).any():
+        return float(state.problem.stop_sigma)
+    return learn_stop_sigma(state.linearised)
 
 
 def solve_again(problem: Problem, settings: CalibrationSettings) -> Solution:

@@ -18,6 +18,8 @@ _BELIEVED = 4.0
 _MOST = 1e-3
 # Share of the largest information that is rounding error.
 _ROUNDING = 1e-9
+# Faults that move the images by this share of the plainest are the poses' own: a turn of all stops of a placement.
+_FAINT = 1e-3
 _POWERS, _WAVES = (1, 2, 3, 4), (1, 2)
 
 
@@ -47,7 +49,7 @@ def learn_stop_sigma(linearised: Linearised) -> float:
     part = axes.T @ (whole @ np.asarray(problem.stops)[block, column]) / root
     faults = faults_of_motion(problem)[block, column]
     left, values, _ = np.linalg.svd(root[:, None] * (axes.T @ faults))
-    rank = int(np.sum(values > _ROUNDING * max(float(values[0]), 1e-300))) if len(values) else 0
+    rank = int(np.sum(values > _FAINT * np.max(values, initial=0.0)))
     free = left[:, rank:]
     size, axes = np.linalg.eigh(free.T @ (root[:, None] ** 2 * free))
     square = (axes.T @ (free.T @ part)) ** 2
