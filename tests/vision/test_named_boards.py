@@ -56,7 +56,19 @@ def picture(board):
         (GRID, CHARUCO, "a board with markers of DICT_APRILTAG_36h11, not of DICT_5X5_250"),
         (GRID, CHESS, "an AprilGrid (markers 0 to 15 of DICT_APRILTAG_36h11)"),
     ],
-    ids=["kind", "count", "markers", "columns", "larger", "rows", "dictionary", "legacy", "not legacy", "legacy columns", "tags"]
+    ids=[
+        "kind",
+        "count",
+        "markers",
+        "columns",
+        "larger",
+        "rows",
+        "dictionary",
+        "legacy",
+        "not legacy",
+        "legacy columns",
+        "tags",
+    ]
     + ["tag columns", "more tags", "tags for markers", "tags for squares"],
 )
 def test_the_other_board_is_named(shown, expected, words):
