@@ -27,6 +27,9 @@ _FAR_M = 60.0
 _APART = (50.0, 10.0)
 """Distance of the axis from all light of a laser, in that of this light from the camera, of a table that carries the
 scanner and of one that carries the object [1]."""
+_BESIDE_M = 4.0
+"""Distance of a laser's plane from the camera, from which it is doubtful: that is how large a rig is."""
+_OTHER_UNIT = "lengths of a calibration are metres, and these may be in centimetres"
 _METRES = "lengths of a calibration are metres, and this one may be in millimetres"
 
 
@@ -82,9 +85,14 @@ def scanner_doubts(scanner: Scanner) -> list[Doubt]:
         if near > _FAR_M:
             why = f"the nearest of its light that the camera sees is {near:.4g} m away"
             doubts.append(Doubt(f'laser "{name}": {why}; {_METRES}', impossible=True))
-        elif isinstance(table, Turntable):
-            aside = np.cross(lit - np.asarray(table.point, np.float64), np.asarray(table.direction, np.float64))
-            away = float(np.linalg.norm(aside, axis=-1).min())
+            continue
+        aside = float(scanner.laser(number).distance)
+        if aside > _BESIDE_M:
+            why = f"its plane passes {aside:.4g} m beside the camera"
+            doubts.append(Doubt(f'laser "{name}": {why}; {_OTHER_UNIT}', impossible=False))
+        if isinstance(table, Turntable):
+            apart = np.cross(lit - np.asarray(table.point, np.float64), np.asarray(table.direction, np.float64))
+            away = float(np.linalg.norm(apart, axis=-1).min())
             if away > _APART[table.carries == "object"] * usual:
                 why = f"the axis is {away:.4g} m from all light of laser {name!r}, seen from {near:.3g} m on"
                 doubts.append(Doubt(f"{why}; {_METRES}", impossible=True))

@@ -31,6 +31,7 @@ from jaxscan.stripes import (
     NoiseModel,
     StripeEngine,
     Stripes,
+    clear_level,
     learn_noise,
     pick_by_steps,
     prepare_engines,
@@ -276,8 +277,9 @@ def learn(plan: Plan, first: FrameChunk, *, noise: NoiseModel | None = None) -> 
     sweep, settings, gates = plan.sweep, plan.settings, plan.gates
     lasers, of_frame = learned_lasers(sweep), None
     if noise is None:
-        # In the colour of the first laser and the shortest exposure, or of levels the one of the finest steps.
-        one = slice(None) if len(sweep.exposures) == 1 else np.s_[:, -1 if sweep.bits > 8 else 0]
+        # In the colour of the first laser and the shortest exposure, or of levels the finest that is not clipped.
+        room = np.asarray(first.on if first.off is None else first.off)
+        one = slice(None) if len(sweep.exposures) == 1 else np.s_[:, clear_level(room) if sweep.bits > 8 else 0]
         on, off = first.on[one], None if first.off is None else first.off[one]
         line, compressed = lasers[int(sweep.laser.min())], sweep.compression is not None
         of_frame = learn_noise(on, off, frames=plan.frames, line=line, compressed=compressed)

@@ -23,6 +23,7 @@ from jaxscan.stripes.frames import (
     Response,
     Sites,
     check_frames,
+    clear_level,
     decode_table,
     estimate_noise,
     frame_rank,

@@ -32,6 +32,7 @@ from jaxscan.stripes.frames import (
     PixelFormat,
     applied_ratio,
     check_black,
+    clear_level,
     lamp_ratio,
     laser_sites,
     learn_noise,
@@ -409,7 +410,7 @@ def _engine_of_levels(
     line = with_colour(setup.line, *pairs[0], setup.frames.pixel_format)
     relative = tuple(exposure / setup.exposures[0] for exposure in setup.exposures)
     if noise is None:
-        noises = _noise_of_levels(pairs, relative, setup, line)
+        noises = _noise_of_levels(pairs, relative, setup, line, clear_level(np.asarray(on if off is None else off)))
     else:
         noises = [noise.in_finer_steps(finer) for finer in relative]
     engines: list[StripeEngine] = []
@@ -421,15 +422,19 @@ def _engine_of_levels(
 
 
 def _noise_of_levels(
-    pairs: Sequence[tuple[Array, Array | None]], relative: Sequence[float], setup: ExtractionSetup, line: LaserLine
+    pairs: Sequence[tuple[Array, Array | None]],
+    relative: Sequence[float],
+    setup: ExtractionSetup,
+    line: LaserLine,
+    clear: int,
 ) -> list[NoiseModel]:
-    """The noise of each level.
+    """The noise of each level, of which `clear` is the last that is not clipped.
 
     An exposure has the camera's noise at each of its levels; these have that of the same electrons in other steps. So
     each learns its own; one that does not tell it, for all of it is dark, or clipped, has that of the nearest other.
     """
     learned = [learn_noise(*pair, frames=setup.frames, line=line) for pair in pairs]
-    told = [k for k, one in enumerate(learned) if one.gain_told] or [0]
+    told = [k for k, one in enumerate(learned) if one.gain_told] or [clear]
     # Of two as near the finer one: rounding hides less of its noise.
     nearest = [min((abs(other - k), -other, other) for other in told)[2] for k in range(len(pairs))]
     return [learned[of].noise.in_finer_steps(relative[k] / relative[of]) for k, of in enumerate(nearest)]

@@ -163,6 +163,9 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
         marker = data[at + 1]
         # Start of frame, in all its variants; C4, C8 and CC mean something else.
         if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            if data[at + 4] != 8 or marker > 0xC2:
+                kind = f"{data[at + 4]} bits" if data[at + 4] != 8 else "lossless or arithmetic coding"
+                raise OtherKind(f"found a JPEG of {kind}, expected one of 8 bits in the usual coding; convert it")
             height, width = struct.unpack(">HH", data[at + 5 : at + 9])
             return width, height
         at += 1 if marker == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
@@ -198,8 +201,14 @@ def _decode_png(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
 
 
 def _decode_tiff(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
-    Tiff.of(data).check()
-    return _by_opencv(data)
+    tiff = Tiff.of(data)
+    tiff.check()
+    try:
+        return _by_opencv(data)
+    except ValueError as problem:
+        if tiff.is_known_packing():
+            raise
+        raise OtherKind("found a way of packing that is not read; save it without, or with LZW or Deflate") from problem
 
 
 def _by_opencv(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
@@ -222,6 +231,7 @@ _OTHERS = {
     "PGM or PPM": rb"P[2356]\s",
     "OpenEXR": rb"\x76\x2f\x31\x01",
     "FITS": rb"SIMPLE  =",
+    "BigTIFF": rb"II\+\0|MM\0\+",
     "a raw file of Canon": rb"....ftypcrx",
 }
 """Kinds that are known by their first bytes, and not read."""

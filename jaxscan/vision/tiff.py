@@ -123,6 +123,10 @@ class Tiff(NamedTuple):
         if not fits:
             raise ValueError("its data have another length than its rows")
 
+    def is_known_packing(self) -> bool:
+        """Whether the data are packed in a way of which `check` knows the damage."""
+        return self._one(_COMPRESSION, _NONE) in (_NONE, _LZW, _PACKBITS, *_DEFLATE)
+
     def _one(self, tag: int, default: int | None = None) -> int:
         values = self._all(tag, None if default is None else (default,))
         if len(values) != 1:

@@ -457,11 +457,11 @@ def test_two_scans_in_one_folder(run, refused, tmp_path):
     for scan in ("monday", "tuesday"):
         save(folder, [f"{scan}/{side}_{k}.png" for side in ("laser", "background") for k in range(4)])
     message = refused("import", folder, "-o", tmp_path / "room", "--step-deg", "5")
-    assert "monday (4), tuesday (4)" in message and "expected one scan" in message
+    assert "monday/laser_*.png (4), tuesday/laser_*.png (4)" in message and "expected one scan" in message
     assert run("import", folder / "monday", "-o", tmp_path / "room", "--step-deg", "5").code == 0
     patterns = ("--on", "*/laser_*", "--off", "*/background_*")
     ran = run("import", folder, "-o", tmp_path / "both", "--step-deg", "5", *patterns)
-    assert ran.code == 0 and "monday (4), tuesday (4); is this one scan?" in ran.out
+    assert ran.code == 0 and "tuesday/laser_*.png (4); is this one scan?" in ran.out
 
 
 def test_folders_that_a_camera_fills_one_after_the_other(run, tmp_path):
@@ -469,7 +469,16 @@ def test_folders_that_a_camera_fills_one_after_the_other(run, tmp_path):
         tmp_path / "in", [*(f"100CAM/laser_{k}.png" for k in range(4)), *(f"101CAM/laser_{k}.png" for k in range(4, 8))]
     )
     ran = run("import", tmp_path / "in", "-o", tmp_path / "room", "--step-deg", "5")
-    assert ran.code == 0 and "100CAM (4), 101CAM (4); is this one scan?" in ran.out
+    assert ran.code == 0 and "100CAM/laser_*.png (4), 101CAM/laser_*.png (4); is this one scan?" in ran.out
+
+
+def test_two_scans_by_their_names(run, refused, tmp_path):
+    names = [f"scan{scan}_{side}_{k}.png" for scan in (1, 2) for side in ("laser", "background") for k in range(4)]
+    folder = save(tmp_path / "in", names)
+    message = refused("import", folder, "-o", tmp_path / "room", "--step-deg", "5")
+    assert "scan1_laser_*.png (4), scan2_laser_*.png (4)" in message
+    patterns = ("--on", "scan1_laser_*", "--off", "scan1_background_*")
+    assert run("import", folder, "-o", tmp_path / "room", "--step-deg", "5", *patterns).code == 0
 
 
 @pytest.mark.parametrize(
@@ -493,3 +502,21 @@ def test_more_steps_missing_than_there_are(refused, tmp_path):
     save(tmp_path / "in", [f"laser_{number}.png" for number in (0, 1, 2, 3, 40, 41)])
     message = refused("import", tmp_path / "in", "-o", tmp_path / "room", "--step-deg", "5")
     assert "36 of 42 steps would be missing" in message
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda data: data.replace(b"\xff\xc0\x00\x0b\x08", b"\xff\xc1\x00\x0b\x0c"), "found a JPEG of 12 bits"),
+        (lambda data: data.replace(b"\xff\xc0\x00\x0b\x08", b"\xff\xc3\x00\x0b\x08"), "found a JPEG of lossless"),
+        (lambda data: b"II+\0" + bytes(60), "found BigTIFF"),
+        (lambda data: b"P5 12 10 255\n" + bytes(120), "found PGM or PPM"),
+    ],
+)
+def test_kinds_of_pictures_are_no_damage(refused, tmp_path, change, words):
+    folder = save(tmp_path / "in", ["laser_0.jpg"])
+    data = (folder / "laser_0.jpg").read_bytes()
+    assert change(data) != data
+    (folder / "laser_0.jpg").write_bytes(change(data))
+    message = refused("import", folder, "-o", tmp_path / "room")
+    assert words in message and "damaged" not in message and "convert it" in message

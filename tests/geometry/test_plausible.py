@@ -71,6 +71,11 @@ def test_numbers_that_hardly_are(given, words):
     assert words in doubt.said and not doubt.impossible
 
 
+def test_a_rig_in_centimetres():
+    (doubt,) = scanner_doubts(scanner(sheet=100, axis=100))
+    assert "passes 16.5" in doubt.said and "centimetres" in doubt.said and not doubt.impossible
+
+
 def test_a_wide_lens_sees_far_to_the_sides():
     assert camera_doubts(camera(fx=300, fy=300, kind=Fisheye, lens=4)) == []
 

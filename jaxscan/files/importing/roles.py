@@ -1,7 +1,8 @@
 """The roles of the images: by the user's patterns, by a known program's layout, or by the words in the names."""
 
+import itertools
+import re
 import shlex
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -35,42 +36,41 @@ def find_roles(folder: Path, listing: Listing, request: ImportRequest) -> Roles:
         raise CaptureError(f"{folder}: holds no image and no video, expected PNG, JPEG, TIFF or BMP files; {left}.")
     if request.on or request.off or request.boards:
         roles = _by_patterns(names, request)
-        said = [sentence for _, files in roles.on for sentence in _in_folders(files)]
+        said = [sentence for _, files in roles.on for sentence in _in_rows(files)]
         return _with_frames(folder, roles._replace(said=(*roles.said, *said)), request.every)
     roles = _by_names(folder, names, request)
-    said = [sentence for _, files in roles.on for sentence in _in_folders(files, folder)]
+    said = [sentence for _, files in roles.on for sentence in _in_rows(files, folder)]
     return _with_frames(folder, roles._replace(said=(*roles.said, *said)), request.every)
 
 
-def _in_folders(files: Sequence[Matched], refused_in: Path | None = None) -> list[str]:
-    """A question where the images of one laser lie in several folders: perhaps they are several scans.
+def _in_rows(files: Sequence[Matched], refused_in: Path | None = None) -> list[str]:
+    """A question where the images of one laser are several rows, in folders or by their names: perhaps several scans.
 
     Args:
         files: The images, one after the other.
-        refused_in: The stranger's folder, where images of several folders with the same names are refused, for nobody
-            has named them together.
+        refused_in: The stranger's folder, where rows that count alike are refused, for nobody has named them together.
 
     Raises:
         CaptureError: If they are refused.
     """
     inside: dict[str, list[str]] = {}
     for file in files:
-        above, _, name = file.name.rpartition("/")
-        inside.setdefault(above, []).append(name)
-    # One image in each folder is a layout of steps.
+        # Of `monday/laser_3.png` and `scan1_laser_3.png` the row is all but the last number.
+        row = re.sub(r"[0-9]+(?=[^0-9/]*$)", "*", file.name)
+        inside.setdefault(row, []).append(re.sub(r".*?([0-9]*)[^0-9/]*$", r"\1", file.name))
+    # One image in each row is a layout of steps.
     if len(inside) < 2 or max(map(len, inside.values())) < 2:
         return []
-    listed = ", ".join(f"{above or '.'} ({len(names)})" for above, names in list(inside.items())[:_GROUPS])
+    listed = ", ".join(f"{row} ({len(names)})" for row, names in list(inside.items())[:_GROUPS])
     more = f" and {len(inside) - _GROUPS} more" if len(inside) > _GROUPS else ""
-    counts = Counter(name for names in inside.values() for name in set(names))
-    if refused_in is not None and max(counts.values()) > 1:
-        first = next(iter(inside))
+    rows = [set(names) for names in inside.values() if len(names) > 1]
+    if refused_in is not None and any(one & other for one, other in itertools.combinations(rows[:_GROUPS], 2)):
         raise CaptureError(
-            f"{refused_in}: holds images of the same names in {len(inside)} folders: {listed}{more}; expected one "
-            f"scan. Import each by itself, as {shlex.quote(str(refused_in / first))}, or, if they are one, name them "
-            "by --on and --off."
+            f"{refused_in}: holds {len(inside)} rows of images that count alike: {listed}{more}; expected one scan. "
+            f"Import each by itself, as with --on {shlex.quote(next(iter(inside)))}, or, if they are one, name them by "
+            "--on and --off."
         )
-    return [f"laser-on images lie in {len(inside)} folders, one after the other: {listed}{more}; is this one scan?"]
+    return [f"laser-on images are in {len(inside)} rows, one after the other: {listed}{more}; is this one scan?"]
 
 
 def _by_names(folder: Path, names: Sequence[str], request: ImportRequest) -> Roles:

@@ -12,6 +12,7 @@ from jaxtyping import UInt8, UInt16
 DEEP_BITS = (10, 12, 14, 16)
 """Bits of a sample that can be kept as levels."""
 _STEP_BITS, _MOST = 2, 3
+_TOP = 250
 
 
 def level_shifts(bits: int) -> tuple[int, ...]:
@@ -40,6 +41,12 @@ def split_levels(frame: UInt16[np.ndarray, "rows columns *rgb"], bits: int) -> l
 def to_8_bits(frame: UInt16[np.ndarray, "rows columns *rgb"], bits: int) -> UInt8[np.ndarray, "rows columns *rgb"]:
     """A frame in 8 bits: its first level."""
     return _rounded(frame, bits - 8)
+
+
+def clear_level(frames: UInt8[np.ndarray, "records levels *frame"]) -> int:
+    """The level of the finest steps in which most of the picture is not at the top of its range."""
+    clear = [k for k in range(frames.shape[1]) if np.median(np.asarray(frames[:, k])[..., ::4, ::4]) < _TOP]
+    return max(clear, default=0)
 
 
 def _rounded(frame: np.ndarray, shift: int) -> np.ndarray:

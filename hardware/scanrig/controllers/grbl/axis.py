@@ -119,7 +119,8 @@ class TableAxis:
         """What the board says of its fault."""
         number, name = self._alarm(report), self._lines.dialect.name
         if report.state == "Door":
-            return f"{name} says Door:{report.part}: its safety door, or what is wired to that pin, is open: close it"
+            door = "is open: close it" if report.part else "was open, and is closed again"
+            return f"{name} says Door:{report.part}: its safety door, or what is wired to that pin, {door}"
         if number is not None:
             return f"{name} says ALARM:{number}"
         return f"{name} says {report.state}"
