@@ -15,7 +15,7 @@ from jaxscan.errors import CaptureError
 from jaxscan.geometry import Array, Scanner
 from jaxscan.reconstruction.ahead import Progress, map_ahead, workers
 from jaxscan.reconstruction.colours import stripe_colours
-from jaxscan.reconstruction.decoys import Chance, DecoyWatch, judge
+from jaxscan.reconstruction.decoys import Chance, DecoyWatch, clearness, judge
 from jaxscan.reconstruction.plan import Plan, plan_sweep
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.sweep import Batch, FrameChunk, SweepSource, batches, place, rows_of
@@ -90,7 +90,7 @@ class StripePart(NamedTuple):
     fields: dict[str, np.ndarray]
     """As of `Stripes`, a profile for each laser in a record."""
     clear: np.ndarray
-    """Clearness of the stripes [1] in profiles that were searched for decoys, float32 [searched, lines]."""
+    """Clearness of the stripes in profiles that were searched for decoys, float32 [searched, lines, 2]."""
     decoys: np.ndarray
     """The same of the decoys."""
     found: int
@@ -180,14 +180,14 @@ def join_parts(plan: Plan, parts: Sequence[StripePart]) -> Extraction:
         CaptureError: If the stripes are not more, or not clearer, than those of chance.
     """
     sweep = plan.sweep
-    fields = {name: _joined([part.fields[name] for part in parts]) for name in parts[0].fields}
+    fields = {name: np.asarray(_joined([part.fields[name] for part in parts])) for name in parts[0].fields}
     searched = [part for part in parts if part.clear.size]
     chance = Chance()
     if searched:
         clear, decoys = (np.concatenate([getattr(part, name) for part in searched]) for name in ("clear", "decoys"))
         chance = judge(clear, decoys, per_profile=sum(part.found for part in parts) / len(sweep.record))
     if chance.least > 0.0:
-        doubtful = fields["width"] < np.float32(chance.least) * np.maximum(fields["sigma"], np.float32(1e-4))
+        doubtful = clearness(fields)[..., chance.measure] < np.float32(chance.least)
         # The parts are the caller's.
         fields = {name: field.copy() for name, field in fields.items()}
         for field in fields.values():
