@@ -395,7 +395,7 @@ MAY_WRITE = {
     "jaxscan/project/catalogue.py": {"connect", "create_engine"},
     "jaxscan/fleet/clusters/ssh.py": {".mkdir", ".open"},
     "jaxscan/cli/process/quiet.py": {".mkdir"},
-    "jaxscan/recalibration/judge/parts.py": {"Part"},
+    "jaxscan/recalibration/judge/drift.py": {"Part"},
     "jaxscan/web/opening.py": {".touch", ".write_text"},
 }
 """Places that write by themselves: the door, and what it hands out; the database, whose file is looked at and made
