@@ -5,7 +5,6 @@ An error that comes back at the same position, or follows it smoothly, is a faul
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import minimize_scalar  # type: ignore[import-untyped]
 
 from jaxscan.calibration.solve.joint import Linearised
 from jaxscan.calibration.solve.problem import LEAST_STOP_SIGMA, Problem, used_stops
@@ -20,6 +19,8 @@ _MOST = 1e-3
 _ROUNDING = 1e-9
 # Faults that move the images by this share of the plainest are the poses' own: a turn of all stops of a placement.
 _FAINT = 1e-3
+# Each time the likeliest is sought among thirty times finer ones: the last are a ten-thousandth apart.
+_ZOOMS = 3
 _POWERS, _WAVES = (1, 2, 3, 4), (1, 2)
 
 
@@ -61,12 +62,13 @@ def learn_stop_sigma(linearised: Linearised) -> float:
         return float(np.sum(np.log(larger) + square / larger))
 
     present = float(problem.stop_sigma)
-    start = np.linspace(np.log(LEAST_STOP_SIGMA / present), np.log(_MOST / present), 60)
-    best = int(np.argmin([unlikely(ratio) for ratio in start]))
-    around = start[max(best - 1, 0)], start[min(best + 1, len(start) - 1)]
-    found = minimize_scalar(unlikely, bounds=around, method="bounded")
-    believed = float(np.sum(square)) - found.fun > _BELIEVED
-    return max(present * float(np.exp(found.x)), LEAST_STOP_SIGMA) if believed else LEAST_STOP_SIGMA
+    low, high = np.log(LEAST_STOP_SIGMA / present), np.log(_MOST / present)
+    for _ in range(_ZOOMS):
+        tried = np.linspace(low, high, 60)
+        best = int(np.argmin([unlikely(ratio) for ratio in tried]))
+        low, high = tried[max(best - 1, 0)], tried[min(best + 1, len(tried) - 1)]
+    believed = float(np.sum(square)) - unlikely(tried[best]) > _BELIEVED
+    return max(present * float(np.exp(tried[best])), LEAST_STOP_SIGMA) if believed else LEAST_STOP_SIGMA
 
 
 def faults_of_motion(problem: Problem) -> Float[np.ndarray, "placements stops terms"]:
