@@ -42,26 +42,30 @@ def draw_truth(config: SimulationConfig, seed: int) -> SimulationConfig:
     return config.model_copy(update={"turntable": table, "camera": camera})
 
 
-def observations_of(config: SimulationConfig, kind: Kind, seed: int) -> Observations:
-    """Noisy corners and stripes of boards: 0.1 px and 0.15 px."""
-    ideal = ideal_boards(config, _poses(_plain(config), seed, PLANS[kind]), points=POINTS)
-    return trials.observations(add_noise(ideal, np.random.default_rng([seed, 82])), config)
+def observations_of(config: SimulationConfig, kind: Kind, seed: int, stop_deg: float = 0.0) -> Observations:
+    """Noisy corners and stripes of boards: 0.1 px and 0.15 px; of a table that stops anywhere within `stop_deg`."""
+    poses = _poses(_plain(config), seed, PLANS[kind])
+    beside = np.deg2rad(stop_deg) * np.random.default_rng([seed, 89]).uniform(-0.5, 0.5, len(poses.angle))
+    ideal = ideal_boards(config, poses._replace(angle=poses.angle + beside), points=POINTS)
+    seen = add_noise(ideal, np.random.default_rng([seed, 82]))
+    return trials.observations(seen._replace(angle=poses.angle), config)
 
 
-def calibration_of(config: SimulationConfig, kind: Kind, seed: int) -> Calibration:
+def calibration_of(config: SimulationConfig, kind: Kind, seed: int, stop_deg: float = 0.0) -> Calibration:
     """A calibration of the configuration's rig.
 
     Args:
         config: The true rig.
         kind: "paper-like" or "good".
         seed: Of poses and noise.
+        stop_deg: Width within which the table stops anywhere [deg].
 
     A bow of the sheet is free where the true sheet has one: jaxscan's own calibration would find it.
     """
     bowed = any(any(laser.bow) for laser in config.laser)
     free = (*USUALLY_FREE, "bow") if bowed else USUALLY_FREE
     settings = CalibrationSettings(judge=False, free=free)
-    return calibrate_observations(observations_of(config, kind, seed), settings=settings)
+    return calibrate_observations(observations_of(config, kind, seed, stop_deg), settings=settings)
 
 
 def _plain(config: SimulationConfig) -> SimulationConfig:

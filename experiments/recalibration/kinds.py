@@ -47,6 +47,13 @@ def plain(seed: int, name: str, kind: Kind, how: Sweeping) -> Task:
     return task_of(config, calibration_of(config, kind, seed), seed, how)
 
 
+def stopping(seed: int, kind: Kind) -> Task:
+    """The table stops anywhere within a microstep of 28 800 a turn, before the boards and in the room."""
+    config, width = draw_truth(load("paper"), seed), 360.0 / 28_800
+    how = replace(SWEEPS["paper"], wander_deg=width / np.sqrt(12.0))
+    return task_of(config, calibration_of(config, kind, seed, width), seed, how)
+
+
 def with_features(seed: int, kind: Kind) -> Task:
     """Features are followed in the laser-off images too, round the whole turn."""
     config = draw_truth(load("paper"), seed)
@@ -119,6 +126,8 @@ KINDS: dict[str, Callable[[int], Task]] = {
     "good, rough walls": partial(plain, name="paper", kind="good", how=ROUGH),
     "unkind, paper-like": partial(plain, name="unkind", kind="paper-like", how=UNKIND_SWEEP),
     "unkind, good": partial(plain, name="unkind", kind="good", how=UNKIND_SWEEP),
+    "paper-like, stops": partial(stopping, kind="paper-like"),
+    "good, stops": partial(stopping, kind="good"),
     "laser turned": partial(drifted, part="laser", twice=False),
     "axis shifted": partial(drifted, part="axis", twice=False),
     "laser turned since a recalibration": partial(drifted, part="laser", twice=True),

@@ -17,6 +17,8 @@ TRIALS = {
     "good, rough walls": 30,
     "unkind, paper-like": 30,
     "unkind, good": 30,
+    "paper-like, stops": 10,
+    "good, stops": 10,
     "laser turned": 10,
     "axis shifted": 10,
     "laser turned since a recalibration": 10,
@@ -94,6 +96,11 @@ def better(trials: Trials) -> float:
 def honest(which: int) -> Callable[[Trials], float]:
     """Observed over stated, of a length across half a turn after the recalibration."""
     return lambda trials: rms(half_turns(trials, "after")[:, which] / half_turns(trials, "sigma_after")[:, which])
+
+
+def honest_before(which: int) -> Callable[[Trials], float]:
+    """The same of the stored calibration."""
+    return lambda trials: rms(half_turns(trials, "before")[:, which] / half_turns(trials, "sigma_before")[:, which])
 
 
 def away(trials: Trials) -> float:
@@ -195,6 +202,11 @@ LIMITS = (
     Limit("paper-like, rough walls", "across 180 degrees, old / new", better),
     Limit("good, rough walls", "across 180 degrees, old / new", better, low=1),
     Limit("good, rough walls", "a length moved away by", away, high=2, unit="stated sigmas"),
+    Limit("paper-like, stops", "observed / stated, 3.9 m", honest(0), 0.7, 1.3),
+    Limit("paper-like, stops", "across 180 degrees, old / new", better, low=5),
+    Limit("good, stops", "observed / stated before, 3.9 m", honest_before(0), 0.7, 1.3),
+    Limit("good, stops", "observed / stated, 3.9 m", honest(0), 0.7, 1.3),
+    Limit("good, stops", "a length moved away by", away, high=2, unit="stated sigmas"),
     Limit("laser turned", "largest p", largest_p, high=1e-3),
     Limit("laser turned", "trials in which the laser is named", named("laser"), low=1),
     Limit("laser turned", "sheet, observed / stated", removed(".n1", ".n2", ".d"), high=1.25),

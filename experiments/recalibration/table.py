@@ -29,6 +29,7 @@ Made by `python -m experiments.recalibration.table` from the trials beside it; a
   share, and unstated a correlation of 0.2 between neighbouring profiles, a pull of 0.05 px in corners of the room and
   0.1 % of strays: somewhat worse than stripes of rendered sweeps are.
 - "Features" adds 150 points of the walls, seen in 90 laser-off images with 0.15 px of noise.
+- "Stops": the table stops anywhere within a microstep of 28,800 a turn, at the boards and in the room.
 - "Rendered unkind" are ten rendered sweeps of `configs/unkind.toml`, "path-traced" five of another renderer, each with
   several paper-like calibrations.
 

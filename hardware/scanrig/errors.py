@@ -15,6 +15,9 @@ class Fault(StrEnum):
     HOME_NOT_FOUND = "home switch not found, or stuck"
     ABORTED = "aborted"
     CAMERA_NOT_READY = "the camera was not ready in time"
+    TOOL_CHANGE = "the board waits for a change of tool"
+    ASLEEP = "the board sleeps"
+    HELD = "the board holds its motion"
     LIMIT = "a limit switch was hit, or a motion would leave the limits"
     UNKNOWN = "a fault that this host does not know"
 
@@ -26,6 +29,9 @@ CURES = {
     Fault.HOME_NOT_FOUND: "look at the switch and its wiring, then clear the fault and home",
     Fault.ABORTED: "clear the fault, and home again if the table was moving",
     Fault.CAMERA_NOT_READY: "look at the camera and its ready line, then clear the fault",
+    Fault.TOOL_CHANGE: "end the change at the board (cycle start), and let no command of the configuration ask for one",
+    Fault.ASLEEP: "clear the fault, which wakes it, and home again; a longer sleep timeout of the board avoids it",
+    Fault.HELD: "look at its feed hold button or pin and let go of it, then clear the fault",
     Fault.LIMIT: "look for an obstacle at the table and check the limits, then clear the fault and home",
     Fault.UNKNOWN: "look at the controller",
 }

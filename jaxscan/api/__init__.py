@@ -28,7 +28,7 @@ from jaxscan.api.products import (
     write_sheets,
 )
 from jaxscan.api.recalibration import recalibrate, save_recalibrated_cloud
-from jaxscan.api.simulation import load_simulation, simulate, simulate_boards, simulate_sweep
+from jaxscan.api.simulation import load_simulation, simulate
 from jaxscan.api.sweeps import Reconstruction, reconstruct_capture
 from jaxscan.calibration import Calibration
 from jaxscan.files import (
@@ -43,7 +43,7 @@ from jaxscan.files import (
 )
 from jaxscan.files.clouds import read_cloud
 from jaxscan.files.meshes import check_mesh_path, mesh_paths, save_mesh
-from jaxscan.files.simulated import SimulatedCaptures, new_simulation, simulation_digest
+from jaxscan.files.simulated import SimulatedCaptures, simulation_digest
 from jaxscan.measurement import compare_clouds, measure_distance, measure_plane, measure_room
 from jaxscan.recalibration import Recalibration, RecalibrationSettings
 from jaxscan.reconstruction import PointCloud, ReconstructSettings, reconstruct

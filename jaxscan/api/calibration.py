@@ -5,8 +5,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from importlib import metadata
 
-from jaxscan.api.ahead import Ahead, tell
-from jaxscan.api.rehearsal import SOLVE, rehearsal
 from jaxscan.calibration import (
     NOTHING_KNOWN,
     Calibration,
@@ -14,10 +12,11 @@ from jaxscan.calibration import (
     KnownParts,
     Missed,
     Rig,
-    advise_lens,
-    calibrate_observations,
     choose,
+    estimate,
+    judge,
     planned_rig,
+    settle_lens,
     solved_rig,
 )
 from jaxscan.errors import CaptureError
@@ -106,39 +105,32 @@ def calibrate(
     stripes = bool(plan_calibration(captures, settings=settings, known=known).lasers)
     board, eyes, looks = common_board(captures, single_lasers=stripes), _eyes(), 2 if redetect else 1
     _part(progress, 0, looks)(0, sum(len(capture) for capture in captures))
-    jobs = rehearsal(captures, board, settings, stripes=stripes) if known == NOTHING_KNOWN else []
-    with Ahead(jobs) as ahead:
-        tell(progress, "finding corners and stripes" if stripes else "finding corners")
-        seen = look_at_boards(captures, board, eyes, with_stripes=stripes, progress=_part(progress, 0, looks))
-        # The first of two solves only predicts places; the verdict is for the last one.
-        first = replace(settings, judge=settings.judge and not redetect)
-        ahead.wait(SOLVE, progress)
-        tell(progress, "solving")
-        result = calibrate_observations(to_observations(captures, seen), settings=first, known=known)
-        # A solve that did not converge predicts nothing.
-        if redetect and result.quality.converged:
-            tell(progress, "looking again at predicted places")
-            again = look_again(captures, seen, solved_rig(result), eyes, progress=_part(progress, 1, looks))
-            tell(progress, "solving again, with a verdict")
-            second = calibrate_observations(to_observations(captures, again), settings=settings, known=known)
-            result, gains = choose(result, second)
-            if gains.kept:
-                seen = again
-            else:
-                result = calibrate_observations(to_observations(captures, seen), settings=settings, known=known)
-            result = replace(result, quality=replace(result.quality, redetected=gains))
-    result = advise_lens(result, settings)
+    doing = getattr(progress, "doing", lambda words: None)
+    doing("finding corners and stripes" if stripes else "finding corners")
+    seen = look_at_boards(captures, board, eyes, with_stripes=stripes, progress=_part(progress, 0, looks))
+    doing("solving")
+    found = estimate(to_observations(captures, seen), settings=settings, known=known)
+    predicted, gains = solved_rig(found) if redetect else None, None
+    if predicted is not None:
+        doing("looking again at predicted places")
+        again = look_again(captures, seen, predicted, eyes, progress=_part(progress, 1, looks))
+        doing("solving again")
+        second = estimate(to_observations(captures, again), settings=settings, known=known, before=found)
+        found, gains = choose(found, second)
+        seen = again if gains.kept else seen
+    doing("judging")
+    result = judge(found, settings=settings, known=known)
+    result = settle_lens(result, settings, to_observations(captures, seen), known)
     missed = tuple(Missed(*record) for record in seen.missed())
     warnings = (*result.quality.warnings, *seen.doubts(captures))
-    quality = replace(result.quality, records=len(seen.records), missed=missed, warnings=warnings)
-    result = replace(result, quality=quality)
+    quality = replace(result.quality, redetected=gains, records=len(seen.records), missed=missed, warnings=warnings)
     provenance = {
         **result.provenance,
         "captures": [{"name": capture.path.name, "digest": capture.digest()} for capture in captures],
         "versions": versions(),
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
-    return replace(result, provenance=provenance)
+    return replace(result, quality=quality, provenance=provenance)
 
 
 def versions() -> dict[str, str]:
@@ -155,6 +147,6 @@ def _part(progress: Progress | None, look: int, looks: int) -> Progress:
 
 def _eyes() -> Eyes:
     # Imported here, so that `import jaxscan` does not load OpenCV.
-    from jaxscan.vision import draw_print, find_corners, name_other_board, to_grey
+    from jaxscan.vision import draw_print, find_corners, name_other_board, refit_corners, to_grey
 
-    return Eyes(to_grey, find_corners, draw_print, name_other_board)
+    return Eyes(to_grey, find_corners, refit_corners, draw_print, name_other_board)

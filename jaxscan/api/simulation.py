@@ -38,38 +38,20 @@ def simulate(
         CaptureError: If the folder exists and is not empty, or cannot be written.
         DependencyError: If embreex is missing.
     """
+    # Imported here, so that `import jaxscan` does not load OpenCV.
+    from jaxscan.vision import board_texture
+
     pairs = board_pairs(config) + len(sweep_angles(config, every=every)) * len(config.laser)
 
     def after(before: int) -> Progress | None:
         return None if progress is None else lambda done, _: progress(before + done, pairs)
 
     with new_simulation(Path(folder)) as part:
-        boards = simulate_boards(config, part, seed=seed, progress=after(0))
-        sweep = simulate_sweep(config, part, every=every, seed=seed, progress=after(boards))
+        texture = board_texture(config.boards.board(), TEXTURE_PX)
+        boards = write_boards(config, part, render_boards(config, texture, seed=seed), after(0))
+        swept = render_sweep(config, every=every, seed=seed)
+        sweep = write_sweep(config, part, swept, every=every, progress=after(boards))
     return SimulatedCaptures(Path(folder), boards, sweep)
-
-
-def simulate_boards(
-    config: SimulationConfig, folder: Path, *, seed: int | None = None, progress: Progress | None = None
-) -> int:
-    """The board capture of `simulate` alone, in a folder of `new_simulation`; returns the number of its pairs."""
-    # Imported here, so that `import jaxscan` does not load OpenCV.
-    from jaxscan.vision import board_texture
-
-    records = render_boards(config, board_texture(config.boards.board(), TEXTURE_PX), seed=seed)
-    return write_boards(config, folder, records, progress)
-
-
-def simulate_sweep(
-    config: SimulationConfig,
-    folder: Path,
-    *,
-    every: int = 1,
-    seed: int | None = None,
-    progress: Progress | None = None,
-) -> int:
-    """The sweep of `simulate` alone and the truth, in a folder of `new_simulation`; returns the number of its pairs."""
-    return write_sweep(config, folder, render_sweep(config, every=every, seed=seed), every=every, progress=progress)
 
 
 def load_simulation(path: str | Path) -> SimulationConfig:

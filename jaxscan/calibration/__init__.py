@@ -1,13 +1,12 @@
 """Observations to a scanner."""
 
-from jaxscan.calibration.calibrate import calibrate_camera, calibrate_observations
+from jaxscan.calibration.calibrate import Estimate, calibrate_camera, calibrate_observations, estimate, judge
 from jaxscan.calibration.departure import largest_departure
 from jaxscan.calibration.fit import Fit
 from jaxscan.calibration.known import NOTHING_KNOWN, KnownParts, Part
-from jaxscan.calibration.other_lens import advise_lens
+from jaxscan.calibration.other_lens import settle_lens
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rigs import Rig, planned_rig
 from jaxscan.calibration.second_look import choose, solved_rig
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve import rounded_sizes
 from jaxscan.calibration.verdict import Missed, ModelTest, Quality, SecondLook, Verdict, ViewQuality

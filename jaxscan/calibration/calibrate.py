@@ -1,15 +1,15 @@
-"""Observations to a calibration: seed, joint solve, conclusion."""
+"""Observations to a calibration: first values, joint solve, verdict."""
 
 import contextlib
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
 import numpy as np
 
-from jaxscan.calibration.board_shape import choose_shape, describe_board
+from jaxscan.calibration.board_shape import ShapeChoice, choose_shape, describe_board
 from jaxscan.calibration.conclude import conclude
 from jaxscan.calibration.known import NOTHING_KNOWN, KnownParts
 from jaxscan.calibration.parameters import CAMERA_BLOCKS
@@ -53,6 +53,24 @@ def _contradictions() -> Iterator[None]:
         ) from problem
 
 
+@dataclass(frozen=True)
+class Estimate:
+    """A rig estimated from observations, and not yet judged."""
+
+    adjustment: Adjustment
+    """The solve."""
+    shape: ShapeChoice
+    """The shape of the board that was freed in it."""
+    observations: Observations
+    """With those lines alone on the boards that were taken for the lasers'."""
+    given: Observations
+    """Of the same lasers, before lines were left out."""
+    rig: Rig
+    camera: AbstractCamera
+    """With its size, and without coefficients that nobody asked for."""
+    seconds: float
+
+
 def calibrate_observations(
     observations: Observations, *, settings: CalibrationSettings | None = None, known: KnownParts = NOTHING_KNOWN
 ) -> Calibration:
@@ -78,6 +96,27 @@ def calibrate_observations(
     Source: the paper, equations (1)-(12), solved together.
     """
     settings = settings or CalibrationSettings()
+    return judge(estimate(observations, settings=settings, known=known), settings=settings, known=known)
+
+
+def estimate(
+    observations: Observations,
+    *,
+    settings: CalibrationSettings,
+    known: KnownParts = NOTHING_KNOWN,
+    before: Estimate | None = None,
+) -> Estimate:
+    """Solve for the rig, as `calibrate_observations` does, without judging it.
+
+    Args:
+        observations: As there.
+        settings: As there.
+        known: As there.
+        before: An estimate from a first look at the same boards, from whose camera this one begins.
+
+    Raises:
+        CalibrationError: As there.
+    """
     started = time.perf_counter()
     known.check((observations.width, observations.height), observations.laser_names, observations.carries)
     settings = replace(settings, free=known.free(settings))
@@ -85,41 +124,55 @@ def calibrate_observations(
         data = prepare(observations)
         rig = _rig(data, observations, settings, known)
         observations, data = _of_rig(observations, data, rig)
-        # Each view by itself, without stripes and table: lasers and table are held and meet no
-        # observation, so that both solves are one compiled function.
-        apart = _apart(data)._replace(stripe_valid=np.zeros_like(data.stripe_valid))
-        cameras, poses = _first_cameras(apart, settings, known)
-        free = tuple(block for block in settings.free if block in CAMERA_BLOCKS)
-        held, stand_ins = replace(settings, free=free), _stand_ins(observations, rig)
-        if not rig.lasers and not rig.moves:
-            starts = [make_problem(camera, stack_lasers([]), Still(), poses, apart, settings) for camera in cameras]
-            problem = starts[0] if len(starts) == 1 else _lowest(starts, apart, settings).problem
-            return _concluded(adjust(problem, apart, settings), observations, settings, started, rig, known)
-        starts = [make_problem(camera, *stand_ins, poses, apart, held) for camera in cameras]
-        first = _lowest(starts, apart, settings)
-        camera, poses = _named(first.problem.camera, observations, settings), np.asarray(first.problem.poses)
+        given = observations
+        camera, poses, converged = _first_camera(data, observations, rig, settings, known, before)
         try:
             motion = known.motion if rig.moves else Still()
             if motion is None:
                 motion = seed_motion(poses, data, observations.carries, observations.up)
-            lasers, observations, reasons = _first_sheets(data, camera, poses, observations, rig, known)
+            named = _named(camera, observations, settings)
+            lasers, observations, reasons = _first_sheets(data, named, poses, observations, rig, known)
         except CalibrationError:
-            if first.converged:
+            if converged:
                 raise
             # The diagnosis would be of numbers that mean nothing.
             raise CalibrationError(not_converged(settings)) from None
-        if reasons and not first.converged:
+        if reasons and not converged:
             raise CalibrationError(not_converged(settings))
         if rig.lasers:
             solved = tuple(name for name in rig.lasers if name not in reasons)
             rig = replace(rig, lasers=solved, missing=(*rig.missing, *reasons.values()))
             data = prepare(observations) if solved else _without_stripes(data)
+            given = with_lasers(given, solved) if solved else observations
         # Without a motion that is known, every view has a pose of its own.
         data = data if rig.moves else _apart(data)
         placements = average_placements(poses, data, motion)
-        problem = make_problem(first.problem.camera, stack_lasers(lasers), motion, placements, data, settings)
+        problem = make_problem(camera, stack_lasers(lasers), motion, placements, data, settings)
         result = _pointed_up(adjust(problem, data, settings), observations, settings)
-        return _concluded(result, observations, settings, started, rig, known)
+        result, shape = choose_shape(result, observations, settings)
+        named = _named(result.problem.camera, observations, settings)
+    return Estimate(result, shape, observations, given, rig, named, time.perf_counter() - started)
+
+
+def judge(found: Estimate, *, settings: CalibrationSettings, known: KnownParts = NOTHING_KNOWN) -> Calibration:
+    """The calibration that an estimate gives: covariance, quality, and with `settings.judge` a verdict.
+
+    Args:
+        found: The estimate.
+        settings: It was solved with these.
+        known: As `settings`.
+
+    Raises:
+        CalibrationError: If the observations do not determine the parameters.
+    """
+    started, settings = time.perf_counter(), replace(settings, free=known.free(settings))
+    with jax.enable_x64(True), _contradictions():
+        calibration = conclude(found.adjustment, found.camera, found.observations, settings, found.given)
+        board = describe_board(found.adjustment, found.observations, calibration, found.shape)
+    seconds = found.seconds + time.perf_counter() - started
+    quality = replace(calibration.quality, board=board, seconds=seconds)
+    provenance = {**calibration.provenance, "held": list(known.held())} if known.held() else calibration.provenance
+    return replace(calibration, quality=quality, missing=found.rig.missing, provenance=provenance)
 
 
 def calibrate_camera(observations: Observations, *, settings: CalibrationSettings | None = None) -> Calibration:
@@ -195,17 +248,35 @@ def _first_sheets(
     )
 
 
-def _first_cameras(
-    apart: Prepared, settings: CalibrationSettings, known: KnownParts
-) -> tuple[Sequence[AbstractCamera], np.ndarray]:
-    """First cameras, one or several to try, and the poses of all views before them."""
+def _first_camera(
+    data: Prepared,
+    observations: Observations,
+    rig: Rig,
+    settings: CalibrationSettings,
+    known: KnownParts,
+    before: Estimate | None,
+) -> tuple[AbstractCamera, np.ndarray, bool]:
+    """A camera and the poses of all views [views, 4, 4] by corners alone, and whether the solve for them converged."""
+    # Each view by itself, without stripes and table: lasers and table are held and meet no
+    # observation, so that this solve and the joint one are one compiled function.
+    apart = _apart(data)._replace(stripe_valid=np.zeros_like(data.stripe_valid))
+    if before is not None:
+        camera = before.adjustment.problem.camera
+        return camera, seed_poses(apart, camera), True
     if known.camera is None:
-        return seed_camera(apart, settings.camera)
-    # With all coefficients that the model knows, as first cameras have them.
-    camera, names = known.camera, [name for block in known.camera.lens for name in block.parameters]
-    lens = np.pad(np.asarray(camera.distortion), (0, len(names) - len(camera.distortion)))
-    camera = replace(camera, distortion=lens)
-    return [camera], seed_poses(apart, camera)
+        cameras, poses = seed_camera(apart, settings.camera)
+    else:
+        # With all coefficients that the model knows, as first cameras have them.
+        camera, names = known.camera, [name for block in known.camera.lens for name in block.parameters]
+        lens = np.pad(np.asarray(camera.distortion), (0, len(names) - len(camera.distortion)))
+        camera = replace(camera, distortion=lens)
+        cameras, poses = [camera], seed_poses(apart, camera)
+    if len(cameras) == 1 and not rig.lasers and not rig.moves:
+        return cameras[0], poses, True
+    held = replace(settings, free=tuple(block for block in settings.free if block in CAMERA_BLOCKS))
+    stand_ins = _stand_ins(observations, rig)
+    first = _lowest([make_problem(camera, *stand_ins, poses, apart, held) for camera in cameras], apart, settings)
+    return first.problem.camera, np.asarray(first.problem.poses), first.converged
 
 
 def _lowest(starts: list[Problem], data: Prepared, settings: CalibrationSettings) -> Adjustment:
@@ -223,6 +294,7 @@ def _apart(data: Prepared) -> Prepared:
     return data._replace(
         placement=np.where(data.usable, np.arange(len(data.usable)), 0).astype(np.int32),
         angle=np.zeros_like(data.angle),
+        stop=np.zeros_like(data.stop),
     )
 
 
@@ -257,19 +329,3 @@ def _pointed_up(result: Adjustment, observations: Observations, settings: Calibr
     if table is before:
         return result
     return adjust(eqx.tree_at(lambda p: p.turntable, result.problem, table), result.data, settings)
-
-
-def _concluded(
-    result: Adjustment,
-    observations: Observations,
-    settings: CalibrationSettings,
-    started: float,
-    rig: Rig,
-    known: KnownParts,
-) -> Calibration:
-    result, choice = choose_shape(result, observations, settings)
-    calibration = conclude(result, _named(result.problem.camera, observations, settings), observations, settings)
-    board = describe_board(result, observations, calibration, choice)
-    quality = replace(calibration.quality, board=board, seconds=time.perf_counter() - started)
-    provenance = {**calibration.provenance, "held": list(known.held())} if known.held() else calibration.provenance
-    return replace(calibration, quality=quality, missing=rig.missing, provenance=provenance)

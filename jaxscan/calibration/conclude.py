@@ -25,6 +25,7 @@ from jaxscan.calibration.verdict import (
     cures,
     describe_quality,
     find_harm,
+    focal_share,
     measure_good_to,
     predict_lengths,
     refusal,
@@ -41,7 +42,11 @@ _LEAST_SHARE = 0.1
 
 
 def conclude(
-    result: Adjustment, camera: AbstractCamera, observations: Observations, settings: CalibrationSettings
+    result: Adjustment,
+    camera: AbstractCamera,
+    observations: Observations,
+    settings: CalibrationSettings,
+    given: Observations | None = None,
 ) -> Calibration:
     """The calibration that a solve ended with; call in 64 bit.
 
@@ -50,8 +55,9 @@ def conclude(
     Args:
         result: The solve.
         camera: Its camera, with its size and without coefficients that nobody asked for.
-        observations: As they were given.
+        observations: As they were solved.
         settings: Of the solve.
+        given: The observations before lines were left out; None where none was.
 
     Raises:
         CalibrationError: If the observations do not determine the parameters; it names the captures that are missing.
@@ -74,7 +80,10 @@ def conclude(
     else:
         quality = replace(quality, warnings=warn(quality))
         if settings.judge:
-            harms = [harm._replace(steps=harm.steps[:, kept] * sign) for harm in find_harm(result, settings)]
+            harms = [
+                harm._replace(steps=harm.steps[:, kept] * sign)
+                for harm in find_harm(result, settings, given or observations)
+            ]
             covariance = noise + sum(harm.steps.T @ harm.steps for harm in harms)
     own = np.ascontiguousarray(covariance[:count, :count])
     scanner = None
@@ -87,7 +96,8 @@ def conclude(
             quality = replace(quality, sigma_statistical=dict(zip(every[:count], sigma.tolist(), strict=True)))
         structure = [(harm.test, harm.steps[:, :count]) for harm in harms]
         good_to, tests = measure_good_to(camera, scanner, root_of(noise[:count, :count]), structure, settings.at_m)
-        refused = refusal(good_to, camera, settings, has_sheets=bool(lasers))
+        focal = focal_share(camera, root_of(own))
+        refused = refusal(good_to, camera, settings, has_sheets=bool(lasers), focal=focal)
         quality = replace(
             quality,
             lengths=None if scanner is None else predict_lengths(scanner),

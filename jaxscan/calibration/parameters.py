@@ -33,7 +33,7 @@ LOCAL_SCALE = 1e-2
 
 _OF_CAMERAS = tuple(block for camera in CAMERAS.values() for block in camera.blocks())
 _OF_ALL = _OF_CAMERAS + LASER_BLOCKS + MOTION_BLOCKS + board_blocks(0)
-_HELD = ("bow", "pitch")
+_HELD = ("pitch",)
 
 CAMERA_BLOCKS = tuple(dict.fromkeys(block.name for block in _OF_CAMERAS))
 """Names of the blocks that cameras have."""

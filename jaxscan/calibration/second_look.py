@@ -1,37 +1,47 @@
-"""A first calibration as the second look needs it, and which of two calibrations to keep."""
+"""A first estimate as the second look needs it, and which of two estimates to keep."""
 
 import numpy as np
 
-from jaxscan.calibration.result import Calibration
+from jaxscan.calibration.calibrate import Estimate
+from jaxscan.calibration.solve import bend_of, undetermined_shares
 from jaxscan.calibration.verdict import SecondLook
+from jaxscan.geometry import Scanner
 from jaxscan.observation import Observations, SolvedRig
 
 
-# The second solve may whiten worse by this factor: corners at the rim of the image are harder to explain.
+# The second solve may whiten worse by this factor: corners at the rim of the image are harder to explain. What is no
+# larger than the detectors promise is explained: a first look may hide an error of its own that the solve takes up.
 _NOT_WORSE = 1.05
 # Share of the boards with a line that must agree with a sheet, so that stripes are looked for near it only.
 _BELIEVED = 0.5
 
 
-def solved_rig(calibration: Calibration) -> SolvedRig:
+def solved_rig(found: Estimate) -> SolvedRig | None:
     """The rig and its boards, from which new places of corners and stripes are predicted.
 
-    Raises:
-        ValueError: If the calibration holds no views.
+    None of a solve that did not converge, or leaves parameters undetermined: it predicts nothing.
     """
-    fit, observations = calibration.fit, calibration.observations
-    if fit is None or observations is None:
-        raise ValueError("The calibration holds no views.")
+    result, observations = found.adjustment, found.observations
+    problem = result.problem
+    if not result.converged or undetermined_shares(result.linearised, np.asarray(problem.scales)).any():
+        return None
+    scanner = None
+    if found.rig.lasers or found.rig.moves:
+        motion = problem.turntable.carrying(observations.carries)
+        scanner = Scanner(found.camera, problem.lasers, motion, None, found.rig.lasers, observations.up)
+    views, corners = np.shape(observations.corners.valid)
+    bend, offset = bend_of(problem)
+    squares = np.sum(result.corner_error[result.corner_kept] ** 2, axis=-1)
     return SolvedRig(
-        camera=calibration.camera,
-        scanner=calibration.scanner,
+        camera=found.camera,
+        scanner=scanner,
         board=observations.board,
-        shape=np.array([*fit.warp, fit.pitch]),
-        bend=fit.bend,
-        offset=fit.offset,
-        poses=fit.pose,
-        used=np.any(fit.corner_kept, axis=1),
-        corner_rms_px=calibration.quality.corner_rms_px or 0.0,
+        shape=np.asarray(problem.shape)[:3],
+        bend=bend,
+        offset=offset[:corners],
+        poses=result.linearised.view_poses[:views],
+        used=np.any(result.corner_kept, axis=1)[:views],
+        corner_rms_px=float(np.sqrt(squares.mean())) if squares.size else 0.0,
         believed=_believed(observations),
     )
 
@@ -43,19 +53,33 @@ def _believed(observations: Observations) -> tuple[str, ...]:
     return tuple(name for name, lit in own.items() if lit.sum() > _BELIEVED * len(lit))
 
 
-def choose(first: Calibration, second: Calibration) -> tuple[Calibration, SecondLook]:
-    """The second calibration unless it explains its observations worse, and the gains of the second look."""
-    names = ("corner_rms_whitened", "stripe_rms_whitened", "views", "corners", "stripe_points")
-    before, after = ({name: vars(calibration.quality)[name] for name in names} for calibration in (first, second))
+def choose(first: Estimate, second: Estimate) -> tuple[Estimate, SecondLook]:
+    """The second estimate unless it explains its observations worse, and the gains of the second look."""
+    before, after = (_explained(one) for one in (first, second))
     # A look that loses a part of the rig would explain the rest of its observations well.
-    whole = set(first.order) <= set(second.order)
-    kept = (
-        whole and bool(second.quality.converged) and all(after[name] <= _NOT_WORSE * before[name] for name in names[:2])
-    )
+    whole = set(first.rig.lasers) <= set(second.rig.lasers) and (second.rig.moves or not first.rig.moves)
+    names = "corner_rms_whitened", "stripe_rms_whitened"
+    explains = all(after[name] <= _NOT_WORSE * max(before[name], 1.0) for name in names)
+    kept = whole and second.adjustment.converged and explains
     look = SecondLook(
         kept,
-        **{f"{name}_gained": after[name] - before[name] for name in names[2:]},
-        **{f"{name}_before": before[name] for name in names[:2]},
-        **{f"{name}_after": after[name] for name in names[:2]},
+        views_gained=int(after["views"] - before["views"]),
+        corners_gained=int(after["corners"] - before["corners"]),
+        stripe_points_gained=int(after["stripe_points"] - before["stripe_points"]),
+        corner_rms_whitened_before=before["corner_rms_whitened"],
+        stripe_rms_whitened_before=before["stripe_rms_whitened"],
+        corner_rms_whitened_after=after["corner_rms_whitened"],
+        stripe_rms_whitened_after=after["stripe_rms_whitened"],
     )
     return second if kept else first, look
+
+
+def _explained(found: Estimate) -> dict[str, float]:
+    data, (corner_rms, stripe_rms) = found.adjustment.data, found.adjustment.whitened_rms()
+    return {
+        "corner_rms_whitened": corner_rms,
+        "stripe_rms_whitened": stripe_rms,
+        "views": int(data.usable.sum()),
+        "corners": int(data.corner_valid.sum()),
+        "stripe_points": int(data.stripe_valid.sum()),
+    }

@@ -19,6 +19,8 @@ class CalibrationSettings:
 
     camera: CameraModel = "pinhole"
     """Model of the camera, of `CAMERAS`."""
+    choose_lens: bool = True
+    """Take another model of the lens where it explains the corners better by far (`settle_lens`)."""
     only: RigKind | None = None
     """A smaller rig on purpose; None: the largest that the captures determine."""
     free: tuple[Block, ...] = USUALLY_FREE
@@ -45,6 +47,9 @@ class CalibrationSettings:
     stripe_correlation: float | None = None
     """Neighbouring stripe points that share one error (speckle): each counts as 1 / this [1].
     None: estimated from the residuals."""
+    angle_sigma: float | None = None
+    """Standard deviation of where the table or stage stops about the angle or position of its record: microsteps,
+    backlash [rad or m]. None: learned from boards that were seen from several positions."""
     judge: bool = True
     """Test whether the models suffice, and predict the uncertainty of lengths."""
     limit_mm: float | None = None
@@ -57,6 +62,10 @@ class CalibrationSettings:
     """Steps of one least-squares solve."""
 
     def __post_init__(self) -> None:
+        if self.angle_sigma is not None and not 0 <= self.angle_sigma < 1:
+            raise CalibrationError(
+                f"CalibrationSettings.angle_sigma: found {self.angle_sigma:g}, expected 0 to 1 rad or m."
+            )
         _check_known("camera", [self.camera], CAMERAS)
         _check_known("only", [] if self.only is None else [self.only], get_args(RigKind))
         _check_known("free", self.free, BLOCKS)

@@ -10,7 +10,7 @@ from jaxscan import api
 from jaxscan.calibration import CalibrationSettings, KnownParts, Part
 from jaxscan.calibration.parameters import Block
 from jaxscan.calibration.settings import RigKind
-from jaxscan.cli.known import known_files, known_parts, motion_notes
+from jaxscan.cli.known import known_files, known_parts
 from jaxscan.cli.options import OutputPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
@@ -34,7 +34,7 @@ def calibrate(
     sheet: tuple[str, ...] = (),
     axis: tuple[str, ...] = (),
     refine: tuple[Part, ...] = (),
-    lens: CameraModel = "pinhole",
+    lens: CameraModel | None = None,
     free: tuple[Block, ...] = (),
     hold: tuple[Block, ...] = (),
     redetect: bool = True,
@@ -57,14 +57,15 @@ def calibrate(
         report: Report to write: an HTML page by which to judge the calibration.
         only: A smaller rig than the captures determine: `camera` alone; `profile`, camera and sheets; `axis`, camera
             and axis. Without sheets a calibration cannot reconstruct.
-        camera: Camera that is known: a calibration (.json), OpenCV's or ROS' .yaml, or mrcal's .cameramodel. A known
+        camera: Camera that is known: a calibration (.json), or a file of OpenCV, ROS, Kalibr, mrcal or COLMAP. A known
             part is held.
         sheet: Laser sheet that is known: four numbers a b c d of the plane a X + b Y + c Z = d, in metres, of each
             laser; or a calibration (.json).
         axis: Axis that is known: a point, in metres, and a direction; for a linear stage its direction; or a
             calibration (.json).
         refine: Known parts to estimate from there: `camera`, `sheet`, `axis`.
-        lens: Camera model; `fisheye` and `double_sphere` are for wide-angle lenses.
+        lens: Camera model; `fisheye` and `double_sphere` are for wide-angle lenses. `pinhole` if not given, or another
+            one that explains the corners better by far.
         free: Blocks of parameters to estimate in addition to the usual ones.
         hold: Blocks of parameters not to estimate.
         redetect: Take a second look at the images, where the first solve predicts corners and stripes.
@@ -84,15 +85,17 @@ def calibrate(
     check_json(json)
     if report is not None:
         check_writable(report)
-    settings = replace(calibration_settings(lens, free, hold), only=only)
+    settings = replace(calibration_settings(lens or "pinhole", free, hold), only=only, choose_lens=lens is None)
     settings = replace(settings, limit_mm=limit_mm, at_m=at_m, limit_px=limit_px)
     opened = [api.open_capture(path) for path in captures]
     out = console(json)
     for capture in opened:
         for note in capture.notes:
             out.print(f"note: {capture.path}: {note}")
-    known = known_parts(opened[0], camera, sheet, axis, refine, lens) if opened else KnownParts()
-    for note in motion_notes(opened[0], axis) if opened else []:
+    known, notes = (
+        known_parts(opened[0], camera, sheet, axis, refine, lens or "pinhole") if opened else (KnownParts(), [])
+    )
+    for note in notes:
         out.print(f"note: {note}")
     plan = api.plan_calibration(opened, settings=settings, known=known)
     out.print(f"solving for {plan.words()}{_held(known)}")

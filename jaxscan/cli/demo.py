@@ -13,7 +13,6 @@ import tyro
 from jaxscan import api
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import Place, calibration_at, capture_at, check_paths, file_at
-from jaxscan.cli.process.apart import sweep_apart
 from jaxscan.cli.process.terminal import Terminal, table
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import CaptureError, MeasurementError
@@ -141,44 +140,36 @@ def _true_lengths(path: Path) -> list[tuple[str, np.ndarray, np.ndarray]]:
 def _calibrated(
     config: SimulationConfig, folder: Path, out: Terminal, seconds: dict[str, float]
 ) -> tuple[api.SimulatedCaptures, api.Calibration]:
-    """The captures, from an earlier run of the same configuration or rendered now, and the calibration.
+    """The captures, from an earlier run of the same configuration or rendered now, and the calibration."""
+    made = _captures(config, folder, out, seconds)
+    lap = time.perf_counter()
+    capture = api.open_capture(made.boards)
+    with progress_bar("Calibrating from board images") as progress:
+        calibration = api.calibrate(capture, progress=progress)
+    seconds["calibrate"] = time.perf_counter() - lap
+    out.print(f"calibrated from {len(capture)} board pairs in {seconds['calibrate']:.1f} s")
+    return made, calibration
 
-    The sweep is rendered while the boards are rendered and looked at.
-    """
+
+def _captures(
+    config: SimulationConfig, folder: Path, out: Terminal, seconds: dict[str, float]
+) -> api.SimulatedCaptures:
     if folder.exists():
         if _read_truth(folder / "truth.json").get("configuration") != api.simulation_digest(config):
             raise CaptureError(
                 f"{folder}: holds captures of another configuration; delete it or choose another folder with -o."
             )
-        made = api.SimulatedCaptures.of(folder)
         out.print(f"captures of an earlier run: {folder}")
-        return made, _calibrate(made.boards, out, seconds)
+        return api.SimulatedCaptures.of(folder)
     lap = time.perf_counter()
-    with api.new_simulation(folder) as part, sweep_apart(config, part) as finish_sweep:
-        with progress_bar("Rendering boards before a simulated rig") as progress:
-            boards = api.simulate_boards(config, part, progress=progress)
-        rendered = time.perf_counter() - lap
-        calibration = _calibrate(api.SimulatedCaptures(part, boards, 0).boards, out, seconds)
-        lap = time.perf_counter()
-        with progress_bar("Rendering the sweep") as progress:
-            finish_sweep(progress)
-    made = api.SimulatedCaptures.of(folder)
-    seconds["render"] = rendered + time.perf_counter() - lap
+    with progress_bar("Rendering boards and a sweep of a simulated rig") as progress:
+        made = api.simulate(config, folder, progress=progress)
+    seconds["render"] = time.perf_counter() - lap
     out.print(
-        f"rendered {made.board_pairs} board pairs and, meanwhile, {made.sweep_pairs} sweep pairs of "
-        f"{config.camera.width} x {config.camera.height} in {seconds['render']:.1f} s more"
+        f"rendered {made.board_pairs} board pairs and {made.sweep_pairs} sweep pairs of "
+        f"{config.camera.width} x {config.camera.height} in {seconds['render']:.1f} s"
     )
-    return made, calibration
-
-
-def _calibrate(boards: Path, out: Terminal, seconds: dict[str, float]) -> api.Calibration:
-    lap = time.perf_counter()
-    capture = api.open_capture(boards)
-    with progress_bar("Calibrating from board images") as progress:
-        calibration = api.calibrate(capture, progress=progress)
-    seconds["calibrate"] = time.perf_counter() - lap
-    out.print(f"calibrated from {len(capture)} board pairs in {seconds['calibrate']:.1f} s")
-    return calibration
+    return made
 
 
 def _room_rows(box: RoomBox, config: SimulationConfig) -> list[dict[str, Any]]:

@@ -7,9 +7,9 @@ import numpy as np
 
 from jaxscan.calibration import KnownParts, Part
 from jaxscan.errors import OptionError
-from jaxscan.files.calibration import load_camera, load_parts
+from jaxscan.files.calibration import ReadCamera, load_parts, read_camera
 from jaxscan.files.capture import Capture
-from jaxscan.geometry import AbstractCamera, AbstractMotion, CameraModel, LaserSheet, LinearStage, Still, Turntable
+from jaxscan.geometry import AbstractMotion, CameraModel, LaserSheet, LinearStage, Still, Turntable
 
 
 def known_parts(
@@ -19,8 +19,8 @@ def known_parts(
     axis: Sequence[str],
     refine: Sequence[Part],
     lens: CameraModel = "pinhole",
-) -> KnownParts:
-    """The parts that are given, for the rig of a capture.
+) -> tuple[KnownParts, list[str]]:
+    """The parts that are given, for the rig of a capture, and notes on what they were taken for.
 
     Args:
         capture: Any capture of the rig.
@@ -34,16 +34,18 @@ def known_parts(
         OptionError: If numbers are missing or mean nothing, or a part is to be refined that is not given.
         CalibrationError: If a file is wrong, or lacks the part.
     """
-    given = {"camera": camera, "sheet": sheet, "axis": axis}
+    given, notes = {"camera": camera, "sheet": sheet, "axis": axis}, _motion_notes(capture, axis)
     for part in refine:
         if not given[part]:
             raise OptionError(f"--refine {part}: --{part} is missing, which gives the values to start from.")
-    return KnownParts(
-        camera=None if camera is None else _camera(camera, capture.image_size, lens),
+    read = None if camera is None else _camera(camera, capture.image_size, lens)
+    known = KnownParts(
+        camera=None if read is None else read.camera,
         sheets=_sheets(sheet, [line.name for line in capture.lasers]),
         motion=_motion(axis, capture.carries or "scanner") if axis else None,
         refine=tuple(refine),
     )
+    return known, [note for note in (*notes, "" if read is None else read.note) if note]
 
 
 def known_files(sheet: Sequence[str], axis: Sequence[str]) -> list[tuple[str, Path]]:
@@ -52,7 +54,7 @@ def known_files(sheet: Sequence[str], axis: Sequence[str]) -> list[tuple[str, Pa
     return [(option, Path(words[0])) for option, words in both if _is_file(words)]
 
 
-def motion_notes(capture: Capture, axis: Sequence[str]) -> list[str]:
+def _motion_notes(capture: Capture, axis: Sequence[str]) -> list[str]:
     """A note on the motion that a known axis is taken for, where the capture names none."""
     if not axis or _is_file(axis) or capture.carries is not None:
         return []
@@ -66,11 +68,11 @@ def _is_file(words: Sequence[str]) -> bool:
     return len(words) == 1 and words[0].lower().endswith(".json")
 
 
-def _camera(path: Path, size: tuple[int, int], lens: CameraModel) -> AbstractCamera:
-    found = load_camera(path, size, unnamed="fisheye" if lens == "fisheye" else "pinhole")
-    if lens not in ("pinhole", found.model):
-        raise OptionError(f"--lens {lens}: {path} holds a {found.model} camera; leave out --lens, or --camera.")
-    return found
+def _camera(path: Path, size: tuple[int, int], lens: CameraModel) -> ReadCamera:
+    read = read_camera(path, size, unnamed="fisheye" if lens == "fisheye" else "pinhole")
+    if lens not in ("pinhole", read.camera.model):
+        raise OptionError(f"--lens {lens}: {path} holds a {read.camera.model} camera; leave out --lens, or --camera.")
+    return read
 
 
 def _sheets(words: Sequence[str], names: Sequence[str]) -> tuple[LaserSheet, ...]:

@@ -83,7 +83,7 @@ def reconstruct(
     scanner = api.load_scanner(calibration)
     out = console(json)
     coloured = colour == "photographs" and api.has_photographs(sweep)
-    chosen = api.photograph_notes(sweep, scanner) if coloured else []
+    chosen = api.photograph_notes(sweep, scanner, "points") if coloured else []
     before = [*calibration_notes(calibration), *sweep.notes, *chosen]
     for note in before:
         out.print(f"note: {note}")

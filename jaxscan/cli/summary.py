@@ -9,6 +9,7 @@ from jaxscan.calibration import Calibration
 from jaxscan.cli.process.terminal import Terminal, table
 from jaxscan.files.capture import open_capture
 from jaxscan.files.disk import write_atomically
+from jaxscan.geometry import Still
 from jaxscan.report import calibration_date, calibration_page, outcome_rows, parameters, words
 
 
@@ -50,7 +51,7 @@ def _print_tables(out: Terminal, calibration: Calibration) -> None:
 def next_command(calibration: Calibration, path: Path) -> str:
     """What to type after a calibration that can be used."""
     scanner = calibration.scanner
-    if scanner is None or not scanner.laser_names:
+    if scanner is None or not scanner.laser_names or isinstance(scanner.turntable, Still):
         return shlex.join(["jaxscan", "report", str(path), "-o", str(path.with_suffix(".html"))])
     return shlex.join(["jaxscan", "reconstruct", "captures/room", "-c", str(path), "-o", "room.ply"])
 

@@ -12,6 +12,7 @@ from jaxscan.geometry.laser import LaserSheet, stack_lasers
 from jaxscan.geometry.layout import Layout, make_layout
 from jaxscan.geometry.motions import AbstractMotion, Carries, LinearStage, Still, Turntable
 from jaxscan.geometry.parameters import ParameterBlock
+from jaxscan.geometry.plausible import Doubt, camera_doubts, scanner_doubts
 from jaxscan.geometry.rig import Rig
 from jaxscan.geometry.rigid import (
     compose,

@@ -6,6 +6,7 @@ into the board, so a board seen upright has the camera's axes. Corner k stands a
 """
 
 import abc
+from typing import Literal
 
 import equinox as eqx
 import numpy as np
@@ -91,16 +92,25 @@ class Charuco(AbstractBoard):
     marker: float = eqx.field(static=True)
     """Side of a marker [m]."""
     dictionary: str = eqx.field(static=True, default="DICT_5X5_250")
+    layout: Literal["standard", "legacy"] = eqx.field(static=True, default="standard")
+    """ "legacy": as OpenCV printed boards before version 4.6, and others still do: with an even number of rows, the
+    first square is white."""
 
     def grid(self) -> tuple[int, int]:
         return self.columns - 1, self.rows - 1
+
+    def white(self) -> np.ndarray:
+        """The squares that have markers, numbered along the rows, bool [rows, columns]."""
+        first = self.layout == "legacy" and self.rows % 2 == 0
+        return (np.add.outer(np.arange(self.rows), np.arange(self.columns)) + first) % 2 == 1
 
     def places(self) -> np.ndarray:
         return even_grid(*self.grid()) * self.square + self.square
 
     def describe(self) -> str:
         columns, rows = self.grid()
-        return f"ChArUco board, {columns} x {rows} inner corners, {1e3 * self.square:g} mm"
+        legacy = ", legacy layout" if self.layout == "legacy" else ""
+        return f"ChArUco board, {columns} x {rows} inner corners, {1e3 * self.square:g} mm{legacy}"
 
 
 class BowedBoard(eqx.Module):

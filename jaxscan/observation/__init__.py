@@ -1,6 +1,6 @@
 """Captures of a board to observations: corners and stripes on the board, in a first and a second look."""
 
-from jaxscan.observation.corners import FoundCorners
+from jaxscan.observation.board_map import FoundCorners
 from jaxscan.observation.first_look import Eyes, Look, Progress, look_at_boards
 from jaxscan.observation.observations import (
     BoardViews,
@@ -10,7 +10,7 @@ from jaxscan.observation.observations import (
     to_observations,
     with_lasers,
 )
-from jaxscan.observation.prediction import SolvedRig
+from jaxscan.observation.prediction import PredictedCorners, SolvedRig
 from jaxscan.observation.records import BoardRecord, BoardSource, SeenRecord
 from jaxscan.observation.second_look import look_again
 from jaxscan.observation.stripes_on_board import CONTRAST_CLASSES, BoardStripe, FoundStripe, select_board_stripe

@@ -1,11 +1,10 @@
-"""The map from pixels to a board, fitted to the corners found on it: good before any camera is known."""
+"""Corners found on a board, and the map from pixels to the board that is fitted to them, before any camera is known."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxscan.geometry import AbstractBoard, apply_homography, direct_homography
-from jaxscan.observation.corners import FoundCorners
 
 
 # Margin inside the printed area, and distance from the found corners beyond which the map is a guess, in squares.
@@ -13,6 +12,17 @@ _EDGE_MARGIN = 0.1
 _REACH = 1.2
 # Where there are so many corners, a cubic is fitted to the remainder of the homography.
 _CUBIC_CORNERS = 30
+
+
+class FoundCorners(NamedTuple):
+    """Corners of one board in one image, in the order of `board.corners()`."""
+
+    q: np.ndarray
+    """float64 [corners, 2]: (u, v) [px]; without meaning where not valid."""
+    sigma: np.ndarray
+    """float64 [corners]: standard deviation of each coordinate [px]; 1 where not valid."""
+    valid: np.ndarray
+    """bool [corners]."""
 
 
 class BoardMap(NamedTuple):

@@ -10,8 +10,7 @@ import numpy as np
 from jaxscan.errors import CaptureError
 from jaxscan.geometry import AbstractBoard, across_and_along
 from jaxscan.observation.board_lines import Candidates, find_lines
-from jaxscan.observation.board_map import BoardMap, is_on_print
-from jaxscan.observation.corners import FoundCorners
+from jaxscan.observation.board_map import BoardMap, FoundCorners, is_on_print
 from jaxscan.observation.prediction import SolvedRig, lift_to_board, predict_stripe
 from jaxscan.observation.printed import Sight, fit_on_print
 from jaxscan.observation.records import BoardSource, SeenRecord
@@ -30,6 +29,9 @@ from jaxscan.stripes import (
 )
 
 
+LearnedFrames = dict[tuple[int, int, bool], tuple[NoiseModel, tuple[str, ...]]]
+"""Of each capture and laser, and of records with and without a laser-off frame: the noise of a frame, and signs that
+codes are no levels of a sensor, a sentence each."""
 BATCH_RECORDS = 8
 """Records per batch: enough for all cores, and small in memory."""
 _COLOUR_RECORDS = 8
@@ -55,15 +57,17 @@ def find_stripes(
     capture: BoardSource,
     lines: tuple[LaserLine, ...],
     board: AbstractBoard,
+    learned: LearnedFrames,
     rig: SolvedRig | None = None,
 ) -> list[SeenRecord]:
     """Find the stripes on the boards of one batch of records.
 
     Args:
-        views: At most BATCH_RECORDS records, with frames and corners.
+        views: At most BATCH_RECORDS records of one capture, with frames and corners.
         capture: Their capture.
         lines: Its lasers, their colours learned.
         board: The board in it.
+        learned: What is known of its frames; completed by what these tell where nothing is.
         rig: Result of a first solve: stripes are then looked for near their predictions only, where its
             sheet is believed, and the poses of the records decide which points lie on the print.
     """
@@ -76,13 +80,20 @@ def find_stripes(
             group = [i for i in lit if views[i].laser == laser and (views[i].off is not None) == with_off]
             if not group:
                 continue
-            stripes, sights, (noise, doubts) = _extract([views[i] for i in group], capture, line, rig)
-            found = [Candidates.of(stripes, row, line.stripe_axis) for row in range(len(group))]
             seen = [views[i] for i in group]
+            on, off, frames = _frames_of(seen, capture, line)
+            key = seen[0].capture, laser, with_off
+            if key not in learned:
+                # From whole frames: outside the band there would be no noise. Of speckle print tells nothing.
+                compressed = capture.compression is not None or not with_off
+                noise, _, doubts, _ = learn_noise(on, off, frames=frames, line=line, compressed=compressed)
+                learned[key] = noise, doubts
+            stripes, sights = _extract(seen, (on, off, frames), line, learned[key][0], rig)
+            found = [Candidates.of(stripes, row, line.stripe_axis) for row in range(len(group))]
             with ThreadPoolExecutor(os.cpu_count()) as pool:
                 on_boards = list(pool.map(lambda *one: _lines_of(board, rig, *one), seen, found, sights))
             for i, lines_found in zip(group, on_boards, strict=True):
-                views[i] = views[i]._replace(stripes=lines_found, noise=noise, doubts=doubts)
+                views[i] = views[i]._replace(stripes=lines_found)
     return views
 
 
@@ -128,41 +139,41 @@ def _learn_colour(capture: BoardSource, laser: int) -> LaserLine:
         ) from problem
 
 
-def _extract(
-    views: list[SeenRecord], capture: BoardSource, line: LaserLine, rig: SolvedRig | None
-) -> tuple[ChunkStripes, Sequence[Sight | None], tuple[NoiseModel, tuple[str, ...]]]:
-    """Stripes of one laser, its samples where the print is known, and the noise of frames with doubts about it.
-
-    All records have a laser-off frame, or none has.
-    """
-    # Padded to the batch size, so that the extraction compiles once.
-    padded = [views[min(k, len(views) - 1)] for k in range(BATCH_RECORDS)]
-    on = np.stack([view.on for view in padded if view.on is not None])
-    dark = [view.off for view in padded if view.off is not None]
+def _frames_of(
+    views: list[SeenRecord], capture: BoardSource, line: LaserLine
+) -> tuple[np.ndarray, np.ndarray, FrameFormat]:
+    """Frames of some records, laser on and off. All have a laser-off frame, or none has and it is predicted."""
+    on = np.stack([view.on for view in views if view.on is not None])
+    dark = [view.off for view in views if view.off is not None]
     off = np.stack(dark) if dark else predict_off(on, capture.pixel_format, line)
-    frames = FrameFormat(capture.pixel_format, capture.response)
-    # Learned from whole frames: outside the band there would be no noise. Of speckle print tells nothing.
-    noise, doubts = views[0].noise, views[0].doubts
-    if noise is None:
-        compressed = capture.compression is not None or not dark
-        noise, _, doubts = learn_noise(on, off, frames=frames, line=line, compressed=compressed)
-    whole = on
+    return on, off, FrameFormat(capture.pixel_format, capture.response)
+
+
+def _extract(
+    views: list[SeenRecord],
+    seen: tuple[np.ndarray, np.ndarray, FrameFormat],
+    line: LaserLine,
+    noise: NoiseModel,
+    rig: SolvedRig | None,
+) -> tuple[ChunkStripes, Sequence[Sight | None]]:
+    """Stripes of one laser, and its samples where the print is known."""
+    whole, off, frames = seen
+    on = whole
     if rig is not None and line.name in rig.believed:
-        near = np.stack([_band(view, rig, line) for view in padded])
+        near = np.stack([_band(view, rig, line) for view in views])
         on = np.where(near if on.ndim == 3 else near[..., None], on, off)
     size = int(on.shape[2]), int(on.shape[1])
     setup = ExtractionSetup(size, frames, line, _SETTINGS, all_candidates=True)
     (engine,) = prepare_engines(on, off, [setup], noise=noise)
-    if rig is None or rig.picture is None or not dark:
-        return engine.extract(on, off), [None] * len(views), (noise, doubts)
-    planes = [np.asarray(engine.setup.plane(frames)) for frames in (whole, off)]
-    on_plane, off_plane = planes
-    ratio = engine.lamp_ratios(*planes)
-    sights = [
-        Sight(on_plane[k], off_plane[k], float(ratio[k]), engine.setup.sites, frames, line, noise)
-        for k in range(len(views))
+    stripes = engine.extract_shared(on, off, BATCH_RECORDS)
+    if rig is None or rig.picture is None or views[0].off is None:
+        return stripes, [None] * len(views)
+    on_plane, off_plane = (np.asarray(engine.setup.plane(part)) for part in (whole, off))
+    ratios = engine.lamp_ratios(on_plane, off_plane).tolist()
+    return stripes, [
+        Sight(lit, dark, ratio, engine.setup.sites, frames, line, noise)
+        for lit, dark, ratio in zip(on_plane, off_plane, ratios, strict=True)
     ]
-    return engine.extract(on, off), sights, (noise, doubts)
 
 
 def _band(view: SeenRecord, rig: SolvedRig, line: LaserLine) -> np.ndarray:

@@ -10,14 +10,16 @@ import numpy as np
 
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractBoard
-from jaxscan.observation.board_stripes import BATCH_RECORDS, find_stripes, learn_colours
-from jaxscan.observation.corners import FoundCorners
+from jaxscan.observation.board_map import FoundCorners
+from jaxscan.observation.board_stripes import BATCH_RECORDS, LearnedFrames, find_stripes, learn_colours
 from jaxscan.observation.missed import MissedRecord, count_reasons, measure_light, missed_records
-from jaxscan.observation.prediction import SolvedRig
+from jaxscan.observation.prediction import PredictedCorners, SolvedRig
 from jaxscan.observation.records import BoardSource, SeenRecord, ToGrey
 from jaxscan.stripes import LaserLine
 
 
+# Frames of so many bytes are kept for the second look; of larger captures they are read again.
+_KEPT_BYTES = 2**28
 # Records in which another board is looked for where the expected one is in none.
 _LOOKED_AT = 6
 # Records that show the same other board suffice.
@@ -29,6 +31,10 @@ Progress = Callable[[int, int], None]
 FindCorners = Callable[[np.ndarray, AbstractBoard], FoundCorners | None]
 """Finds the corners of a board in a grey image; None where the board is not found."""
 
+RefitCorners = Callable[[np.ndarray, AbstractBoard, PredictedCorners, float, FoundCorners | None], FoundCorners | None]
+"""Fits the corners of a board in a grey image at predicted places, within a reach [px]; those of the first look are
+kept where the fit fails. None where too few are found."""
+
 DrawPrint = Callable[[AbstractBoard], np.ndarray]
 """The print of a board as a picture, see `BoardPicture.of`."""
 
@@ -38,6 +44,7 @@ class Eyes(NamedTuple):
 
     to_grey: ToGrey
     find_corners: FindCorners
+    refit_corners: RefitCorners
     draw_print: DrawPrint | None = None
     """Without it stripes on boards are fitted without their print."""
     name_other: Callable[[np.ndarray, AbstractBoard], str | None] = lambda image, board: None
@@ -51,6 +58,8 @@ class Look(NamedTuple):
     records: list[SeenRecord]
     lines: tuple[tuple[LaserLine, ...], ...] | None
     """The lasers of each capture, their colours learned; None where stripes were not looked for."""
+    learned: LearnedFrames
+    """What their frames have told."""
 
     def missed(self) -> tuple[MissedRecord, ...]:
         """The records in which the board was not found, with the likely reasons."""
@@ -58,11 +67,13 @@ class Look(NamedTuple):
         return missed_records(seen, len(self.board.corners()))
 
     def doubts(self, captures: Sequence[BoardSource]) -> tuple[str, ...]:
-        """Signs that codes are no levels of a sensor, of each capture those in the first records that have some."""
+        """Signs that codes are no levels of a sensor, a sentence each; of each capture those of its first laser that
+        has some.
+        """
         first: dict[int, tuple[str, ...]] = {}
-        for view in self.records:
-            if view.doubts:
-                first.setdefault(view.capture, view.doubts)
+        for (number, _, _), (_, doubts) in sorted(self.learned.items(), key=lambda item: item[0]):
+            if doubts:
+                first.setdefault(number, doubts)
         return tuple(f"{captures[number].path}: {doubt}" for number, doubts in first.items() for doubt in doubts)
 
 
@@ -99,12 +110,18 @@ def look_at_boards(
         corners = eyes.find_corners(view.grey, board)
         return view._replace(corners=corners, light=measure_light(view.grey, crossings=corners is None))
 
-    seen = go_through(captures, look, Look(board, [], lines), progress=progress)
+    keep = sum(map(_bytes_of, captures)) <= _KEPT_BYTES
+    seen = go_through(captures, look, Look(board, [], lines, {}), keep=keep, progress=progress)
     if all(view.corners is None for view in seen.records):
         raise CalibrationError(_not_found(captures, seen, eyes))
     if lines is not None:
         _refuse_exchanged(captures, seen, lines, eyes.to_grey)
     return seen
+
+
+def _bytes_of(capture: BoardSource) -> int:
+    """Of all frames, decoded."""
+    return 2 * len(capture.records) * int(np.prod(capture.image_size)) * (3 if capture.pixel_format == "rgb8" else 1)
 
 
 def _refuse_exchanged(
@@ -136,7 +153,7 @@ def _refuse_exchanged(
         for index, view in dark[:BATCH_RECORDS]:
             read = SeenRecord.read(captures, number, index, to_grey)
             views.append(read._replace(on=read.off, off=read.on, corners=view.corners))
-        found = find_stripes(views, capture, lines[number], seen.board)
+        found = find_stripes(views, capture, lines[number], seen.board, {})
         some = sum(bool(view.stripes) for view in found)
         if some >= _EXCHANGED and _points(found) > _TIMES * _points([view for _, view in pairs]):
             raise CalibrationError(
@@ -183,6 +200,7 @@ def go_through(
     like: Look,
     *,
     rig: SolvedRig | None = None,
+    keep: bool = False,
     progress: Progress | None = None,
 ) -> Look:
     """All records: `look` at each (capture, index) in threads, then the stripes of a batch of one capture together.
@@ -190,8 +208,10 @@ def go_through(
     Args:
         captures: The captures.
         look: Reads a record and finds its corners.
-        like: The board, and the lasers whose stripes are looked for; its records are not used.
+        like: The board, the lasers whose stripes are looked for, and what is known of their frames; its records are
+            not used.
         rig: As in `find_stripes`.
+        keep: Keep the frames for another look; otherwise they are dropped at once.
         progress: Called with (records done, records in all).
     """
     total = sum(len(capture.records) for capture in captures)
@@ -210,9 +230,8 @@ def go_through(
                 coming = [pool.submit(look, *one) for one in following]
                 number = batch[0][0]
                 if like.lines is not None:
-                    seen = find_stripes(seen, captures[number], like.lines[number], like.board, rig)
-                # Frames are dropped at once: a capture may be larger than the memory.
-                views += [view._replace(on=None, off=None, grey=None) for view in seen]
+                    seen = find_stripes(seen, captures[number], like.lines[number], like.board, like.learned, rig)
+                views += seen if keep else [view._replace(on=None, off=None, grey=None) for view in seen]
                 if progress is not None:
                     progress(len(views), total)
         except BaseException:

@@ -25,6 +25,8 @@ from jaxscan.geometry import (
 
 # Points along the stripe on a board; between them it is straight to much less than its noise.
 _SAMPLES = 128
+# Step of the differences that show how the lens bends an edge, in squares.
+_BEND_SHARE = 0.1
 # Largest angle [rad] between a point and the ray of its pixel; beyond it the lens folds or the point is behind.
 _SAME_RAY = 1e-3
 
@@ -71,6 +73,9 @@ class PredictedCorners(NamedTuple):
     """float64 [..., corners, 2]: (u, v) [px]."""
     edges: np.ndarray
     """float64 [..., corners, 2, 2]: unit vectors in the image along the board's x and y."""
+    bend: np.ndarray
+    """float64 [..., corners, 2]: curvature of these edges by the lens, positive where one along u bends
+    towards v [1 / px]."""
     size: np.ndarray
     """float64 [..., corners]: shorter side of a square [px]."""
     visible: np.ndarray
@@ -121,9 +126,19 @@ def predict_corners(rig: SolvedRig, poses: np.ndarray) -> PredictedCorners:
     by = np.stack([np.einsum("vcij,vcj->vci", by_point, turn(poses[..., :3, :3], along)) for along in tangent], -2)
     (q, same), length = _seen(camera, p), np.linalg.norm(by, axis=-1)
     edges = by / np.maximum(length, 1e-12)[..., None]
+    # By second differences, a small part of a square to either side.
+    step = _BEND_SHARE * rig.board.square
+    sides = [
+        [camera.project(p + sign * step * turn(poses[..., :3, :3], along)) for sign in (1, -1)] for along in tangent
+    ]
+    second = np.stack([np.asarray(ahead + back - 2.0 * q) for ahead, back in sides], -2) / step**2
+    aside = edges[..., 0] * second[..., 1] - edges[..., 1] * second[..., 0]
+    bend = aside / np.maximum(length, 1e-12) ** 2
     limit = np.array([rig.camera.width, rig.camera.height]) - 1.0
     visible = same & np.isfinite(q).all(-1) & ((q >= 0.0) & (q <= limit)).all(-1)
-    return PredictedCorners(q, edges, length.min(-1) * rig.board.square, visible)
+    return PredictedCorners(
+        q, edges, np.where(visible[..., None], bend, 0.0), length.min(-1) * rig.board.square, visible
+    )
 
 
 def predict_stripe(rig: SolvedRig, pose: np.ndarray, laser: int, stripe_axis: StripeAxis = "rows") -> PredictedStripe:

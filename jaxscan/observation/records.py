@@ -7,10 +7,10 @@ import numpy as np
 
 from jaxscan.geometry.motions import Carries
 from jaxscan.geometry.scanner import Up
-from jaxscan.observation.corners import FoundCorners
+from jaxscan.observation.board_map import FoundCorners
 from jaxscan.observation.missed import Light
 from jaxscan.observation.stripes_on_board import BoardStripe
-from jaxscan.stripes import LaserLine, NoiseModel, PixelFormat, Response
+from jaxscan.stripes import LaserLine, PixelFormat, Response
 
 
 ToGrey = Callable[[np.ndarray, PixelFormat], np.ndarray]
@@ -90,7 +90,7 @@ class SeenRecord(NamedTuple):
     """Index of its capture."""
     record: BoardRecord
     on: np.ndarray | None = None
-    """Laser-on frame; frames are dropped after use, since a capture may be larger than the memory."""
+    """Laser-on frame; those of large captures are dropped after use, to save memory."""
     off: np.ndarray | None = None
     """Laser-off frame."""
     grey: np.ndarray | None = None
@@ -98,10 +98,6 @@ class SeenRecord(NamedTuple):
     corners: FoundCorners | None = None
     stripes: tuple[BoardStripe, ...] = ()
     """Straight lines on the board that may be the laser's, the likeliest first."""
-    noise: NoiseModel | None = None
-    """Noise of its frames, known once stripes were looked for."""
-    doubts: tuple[str, ...] = ()
-    """Signs in its frames that their codes are no levels of a sensor, a sentence each; as of `noise`."""
     pose: np.ndarray | None = None
     """T_cam_board [4, 4] from a first solve."""
     light: Light | None = None

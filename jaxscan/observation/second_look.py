@@ -13,7 +13,6 @@ from jaxscan.observation.prediction import (
     turn_boards,
 )
 from jaxscan.observation.records import BoardSource, SeenRecord
-from jaxscan.observation.redetect import redetect_corners
 
 
 # A corner is accepted within this many standard deviations of the first solve's residuals,
@@ -53,15 +52,13 @@ def look_again(
     def look(number: int, index: int) -> SeenRecord:
         at = starts[number] + index
         before, pose = first.records[at], poses[at]
-        view = SeenRecord.read(captures, number, index, eyes.to_grey)
-        view = view._replace(
-            corners=before.corners, noise=before.noise, doubts=before.doubts, pose=pose, light=before.light
-        )
+        view = before if before.grey is not None else SeenRecord.read(captures, number, index, eyes.to_grey)
+        view = view._replace(corners=before.corners, stripes=(), pose=pose, light=before.light)
         if pose is None or view.grey is None:
             return view
         reach = _REACH_SIGMA * rig.corner_rms_px + (_REACH_UNSEEN_PX if before.corners is None else _REACH_PX)
         expected = PredictedCorners(*(part[at] for part in predicted))
-        found = redetect_corners(view.grey, first.board, expected, reach=reach, first=before.corners)
+        found = eyes.refit_corners(view.grey, first.board, expected, reach, before.corners)
         return view._replace(corners=found)
 
     return go_through(captures, look, first, rig=rig, progress=progress)

@@ -5,8 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.geometry import AbstractBoard, StripeAxis, stripe_pixel
-from jaxscan.observation.board_map import BoardMap, is_on_print
-from jaxscan.observation.corners import FoundCorners
+from jaxscan.observation.board_map import BoardMap, FoundCorners, is_on_print
 from jaxscan.observation.ink import ink_shift
 
 

@@ -1,6 +1,6 @@
 """The laser-off images of a sweep as photographs of the room."""
 
-from jaxscan.photographs.choice import choose_evenly, enough_photographs
+from jaxscan.photographs.choice import Use, choose_evenly, enough_photographs
 from jaxscan.photographs.colour import DEFAULT_BLEND, BlendSettings, colour_points
 from jaxscan.photographs.occluder import Occluder, make_occluder
 from jaxscan.photographs.panorama import Frame, Panorama, Projection, draw_distances, make_panorama, panorama_frame

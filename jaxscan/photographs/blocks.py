@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt32
+from jaxtyping import Float, Int, UInt32
 
 
 LARGEST_BLOCK = 1 << 11
@@ -37,34 +37,34 @@ class Blocks:
         return Blocks(order, size, count, centre, radius)
 
     def gather(self, field: np.ndarray) -> np.ndarray:
-        """A field [n, ...] of the points, block by block: [blocks, size, ...]."""
-        return field[self.order].reshape(-1, self.size, *field.shape[1:])
+        """A field [n, components] of the points, block by block: [blocks, components, size]."""
+        return np.ascontiguousarray(np.moveaxis(field[self.order].reshape(-1, self.size, field.shape[1]), 1, 2))
 
     def scatter(self, field: np.ndarray) -> np.ndarray:
-        """The way back of `gather`: a field [blocks, size, ...], in the order of the points."""
-        flat = field.reshape(-1, *field.shape[2:])[: self.count]
+        """The way back of `gather`, in the order of the points."""
+        flat = np.moveaxis(field, 1, 2).reshape(-1, field.shape[1])[: self.count]
         back = np.empty_like(flat)
         back[self.order[: self.count]] = flat
         return back
 
-    @staticmethod
-    def taken(field: np.ndarray, few: Int[np.ndarray, " few"]) -> np.ndarray:
-        """`AT_ONCE` blocks of a field [blocks, size, ...], some again and again where there are fewer: [n, ...].
+    def seen_from(self, pose: Float[np.ndarray, "4 4"], bounds: Float[np.ndarray, "2 3"]) -> list[np.ndarray]:
+        """Numbers of blocks that may reach into a view, `AT_ONCE` at a time.
 
-        Always as many, or each number of them would be compiled.
+        The last of them are given again and again until there are as many, or each number of them would be compiled.
+
+        Args:
+            pose: Of the camera.
+            bounds: Least and largest component of its rays on each of its axes.
         """
-        return field[np.resize(few, AT_ONCE)].reshape(-1, *field.shape[2:])
-
-    def seen_from(self, pose: Float[np.ndarray, "4 4"], least_cosine: float) -> list[Int[np.ndarray, " few"]]:
-        """Blocks that may reach into the cone of a view about the z axis of its pose, `AT_ONCE` at a time."""
         way = self.centre - pose[:3, 3]
-        distance = np.linalg.norm(way, axis=-1)
-        within: Bool[np.ndarray, " blocks"] = distance <= self.radius
-        ratio = self.radius / np.maximum(distance, 1e-9)
-        away = np.arccos(np.clip(way @ pose[:3, 2] / np.maximum(distance, 1e-9), -1, 1))
-        reach = np.arccos(np.clip(least_cosine, -1, 1)) + np.arcsin(np.clip(ratio, 0, 1))
-        seen = np.flatnonzero(within | (away <= reach))
-        return [seen[start : start + AT_ONCE] for start in range(0, len(seen), AT_ONCE)]
+        distance = np.maximum(np.linalg.norm(way, axis=-1), 1e-9)
+        reach = np.arcsin(np.clip(self.radius / distance, 0, 1))[:, None]
+        away = np.arccos(np.clip(way @ pose[:3, :3] / distance[:, None], -1, 1))
+        nearest, farthest = np.arccos(np.clip(bounds[::-1], -1, 1))
+        beside = np.all((away + reach >= nearest) & (away - reach <= farthest), 1)
+        seen = np.flatnonzero((distance <= self.radius) | beside)
+        cuts = (seen[start : start + AT_ONCE] for start in range(0, len(seen), AT_ONCE))
+        return [np.concatenate([few, np.repeat(few[-1:], AT_ONCE - len(few))]) for few in cuts]
 
 
 def _along_curve(points: Float[np.ndarray, "n 3"]) -> UInt32[np.ndarray, " n"]:

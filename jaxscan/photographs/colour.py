@@ -1,19 +1,23 @@
 """Colours of points from all photographs that see them sharply."""
 
+import functools
 import itertools
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int32, UInt8
 
+from jaxscan.compiling import compile_wide
 from jaxscan.geometry import Array
+from jaxscan.memory import kept
 from jaxscan.photographs.blend import Tally, add, conclude
 from jaxscan.photographs.blocks import Blocks
 from jaxscan.photographs.occluder import Distances, Occluder
-from jaxscan.photographs.photograph import Photograph, Photographs, read_image
+from jaxscan.photographs.photograph import Photograph, Photographs, packed, read_image
 from jaxscan.photographs.view import Lens, View, dot, pose_finder, sight
 from jaxscan.reconstruction.ahead import map_ahead, workers
 
@@ -28,8 +32,6 @@ FEATHER = 0.15
 """Share of the image, on each side, over which the weight rises from its border."""
 SATURATED = 254
 """From this code on a pixel says nothing about the colour."""
-POINTS_AT_ONCE = 1 << 11
-"""Points that are looked up in a photograph by one call."""
 
 
 class BlendSettings(NamedTuple):
@@ -43,6 +45,11 @@ class BlendSettings(NamedTuple):
     exposure: bool = True
     """Whether exposures are equalised."""
 
+    @property
+    def weighting(self) -> float | None:
+        """The bearing, or None where it does not count."""
+        return None if self.bearing == np.inf else self.bearing
+
 
 DEFAULT_BLEND = BlendSettings()
 
@@ -50,15 +57,16 @@ DEFAULT_BLEND = BlendSettings()
 class _Places(NamedTuple):
     """Points, and their unit normals; zero where there is none."""
 
-    points: Float[Array, "*n 3"]
-    normals: Float[Array, "*n 3"]
+    points: Float[Array, "..."]
+    normals: Float[Array, "..."]
 
 
 class _Shot(NamedTuple):
     """A photograph, and all that is known about it."""
 
     angle: float
-    image: UInt8[Array, "rows columns 3"]
+    image: Int32[Array, "rows columns"]
+    """`packed`."""
     view: View
     distances: Distances
     gain: Float[Array, "3"]
@@ -99,53 +107,41 @@ def colour_points(
     if not len(points):
         return np.zeros((0, 3), np.uint8), np.zeros(0, np.bool_)
     points = np.asarray(points, np.float32)
-    lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
-    unit = (np.asarray(normals) / np.maximum(lengths, 1e-12)).astype(np.float32)
     # Single precision throughout, so that the result does not depend on the caller's setting.
     with jax.enable_x64(False), ThreadPoolExecutor(workers()) as pool:
         lens, blocks = Lens.of(photographs.scanner.camera), Blocks.of(points)
         pose_at = pose_finder(photographs.scanner)
-        places = _Places(blocks.gather(points), blocks.gather(unit))
+        facing = blocks.gather(np.asarray(normals, np.float32))
+        # In place: there may be many.
+        facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-12)
+        places = _Places(blocks.gather(points), facing)
         tally = Tally.start(blocks.gather(np.zeros((len(points), 3), np.uint8) if start is None else start))
-        tally = Tally(*(field.reshape(-1, *field.shape[2:]) for field in tally))
-        seen = np.zeros(len(tally.weight), np.bool_)
+        seen = np.zeros((len(tally.weight), 1, blocks.size), np.bool_)
 
         def prepare(photograph: Photograph) -> _Shot:
             shot = _prepared(photograph, lens, pose_at(photograph.angle), occluder)
             return shot if occluder is None or not settings.exposure else shot._replace(gain=_gain(shot, occluder))
 
-        def weigh(few: np.ndarray, shot: _Shot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            """Which points of some blocks the photograph may show, where, and with what weight."""
-            here = _Places(*(blocks.taken(np.asarray(field), few) for field in places))
-            q, weight = _weighed(shot, here, settings.bearing)
-            count = np.flatnonzero(weight[: len(few) * blocks.size])
-            return few[count // blocks.size] * blocks.size + count % blocks.size, q[count], weight[count]
-
-        def look(shot: _Shot, which: np.ndarray, q: np.ndarray, weight: np.ndarray) -> None:
-            """Add what the photograph shows of points to their tally."""
-            full = _full(np.arange(len(which)))
-            before = Tally(*(field[which[full]] for field in tally))
+        def look(few: np.ndarray, shot: _Shot) -> None:
+            """Add to the tally of some blocks what the photograph shows of them."""
+            before = (_Places(*(field[few] for field in places)), Tally(*(field[few] for field in tally)))
+            # JAX keeps this setting per thread.
             with jax.enable_x64(False):
-                after, shown = _looked_up(shot.image, shot.gain, q[full], weight[full], before, settings.tolerance_dn)
+                after, shown = _looked_up(shot, settings.weighting, *before, settings.tolerance_dn)
             for field, part in zip(tally, after, strict=True):
-                field[which] = np.asarray(part)[: len(which)]
-            seen[which] |= np.asarray(shown)[: len(which)]
+                field[few] = np.asarray(part)
+            seen[few, 0] |= np.asarray(shown)
 
         def visible(angle: float) -> list[np.ndarray]:
-            return blocks.seen_from(pose_at(angle), float(lens.least_cosine))
+            return blocks.seen_from(pose_at(angle), np.asarray(lens.bounds))
 
         # While points are looked up in one photograph, the next one is prepared.
         shots = photographs.where(lambda angle: len(visible(angle)) > 0)
         for shot in map_ahead(prepare, shots, 1):
-            found = zip(*pool.map(weigh, visible(shot.angle), itertools.repeat(shot)), strict=True)
-            parts = [np.concatenate(part) for part in found]
-            cuts = range(POINTS_AT_ONCE, len(parts[0]), POINTS_AT_ONCE)
-            if len(parts[0]):
-                for _ in pool.map(look, itertools.repeat(shot), *(np.split(part, cuts) for part in parts)):
-                    pass
-        each = (field.reshape(-1, blocks.size, *field.shape[1:]) for field in tally)
-        rgb = pool.map(lambda part: conclude(Tally(*part), settings.tolerance_dn), zip(*each, strict=True))
-        return blocks.scatter(np.stack(list(rgb))), blocks.scatter(seen.reshape(-1, blocks.size))
+            for _ in pool.map(look, visible(shot.angle), itertools.repeat(shot)):
+                pass
+        rgb = pool.map(lambda *block: conclude(Tally(*block), settings.tolerance_dn), *tally)
+        return blocks.scatter(np.stack(list(rgb))), blocks.scatter(seen)[:, 0]
 
 
 def _prepared(photograph: Photograph, lens: Lens, pose: np.ndarray, occluder: Occluder | None) -> _Shot:
@@ -155,8 +151,11 @@ def _prepared(photograph: Photograph, lens: Lens, pose: np.ndarray, occluder: Oc
         # On the device: it is handed to many calls.
         view = jax.device_put(View(lens, pose))
         distances = Distances.of_nothing() if occluder is None else occluder.distances(view)
-        image, distances = jax.device_put((np.ascontiguousarray(photograph.image), distances))
+        image, distances = _packed(np.ascontiguousarray(photograph.image)), jax.device_put(distances)
     return _Shot(photograph.angle, image, view, distances, np.ones(3, np.float32))
+
+
+_packed = jax.jit(packed)
 
 
 LEAST_COMMON = 50
@@ -171,39 +170,21 @@ def _gain(shot: _Shot, occluder: Occluder) -> Float[np.ndarray, "3"]:
 
     The stripes in a photograph are from photographs on both sides of it, so that errors do not add up along a turn.
     """
-    points, rgb = occluder.references
-    q, weight = _weighed(shot, _Places(points, np.zeros_like(points)), np.inf)
-    colour, known = np.zeros_like(points), np.zeros(len(points), np.bool_)
-    count = np.flatnonzero(weight)
-    for start in range(0, len(count), POINTS_AT_ONCE):
-        few = count[start : start + POINTS_AT_ONCE]
-        with jax.enable_x64(False):
-            found, brightest = (np.asarray(part)[: len(few)] for part in _read(shot.image, q[_full(few)]))
-        colour[few], known[few] = found, brightest < SATURATED
-    use = known[:, None] & (colour > LEAST_DN) & (rgb > LEAST_DN) & (rgb < 250.0)
+    points, rgb = (np.ascontiguousarray(field.T)[None] for field in occluder.references)
+    with jax.enable_x64(False):
+        colour, weight = (np.asarray(part)[0] for part in _observed(shot, None, _Places(points, np.zeros_like(points))))
+    use = (weight > 0) & (colour > LEAST_DN) & (rgb[0] > LEAST_DN) & (rgb[0] < 250.0)
     gain = np.ones(3, np.float32)
     for k in range(3):
-        ratio = rgb[use[:, k], k] / colour[use[:, k], k]
+        ratio = rgb[0, k, use[k]] / colour[k, use[k]]
         if len(ratio) >= LEAST_COMMON:
             middle = len(ratio) // 2
             gain[k] = np.clip(np.partition(ratio, middle)[middle], 1 / MOST_GAIN, MOST_GAIN)
     return gain
 
 
-def _full(few: np.ndarray) -> np.ndarray:
-    """Numbers of points, some again and again: always as many, or each number of them would be compiled."""
-    return np.resize(few, POINTS_AT_ONCE)
-
-
-def _weighed(shot: _Shot, places: _Places, bearing: float) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of points in a photograph, and their weights."""
-    with jax.enable_x64(False):
-        q, weight = _weights(shot.view, shot.distances, places, None if bearing == np.inf else bearing)
-        return np.asarray(q), np.asarray(weight)
-
-
 def _weigh(
-    view: View, distances: Distances, place: _Places, bearing: float | Float[Array, ""] | None
+    view: View, distances: Distances, bearing: float | Float[Array, ""] | None, place: _Places
 ) -> tuple[Float[Array, "2"], Float[Array, ""]]:
     """Pixel of a point in a photograph, and its weight: at most 1, and 0 where it shows something else."""
     point, normal = place
@@ -235,24 +216,40 @@ def _rise(place: Float[Array, ""], size: int) -> Float[Array, ""]:
     return t * t * (3.0 - 2.0 * t)
 
 
-_weights = jax.jit(jax.vmap(_weigh, (None, None, 0, None)))
-_read = jax.jit(jax.vmap(read_image, (None, 0)))
+def _observe(
+    shot: _Shot, bearing: float | Float[Array, ""] | None, places: _Places
+) -> tuple[Float[Array, "few 3 size"], Float[Array, "few size"]]:
+    """Colours of points in a photograph as it shows them [DN], and their weights."""
+    weigh = functools.partial(_weigh, shot.view, shot.distances, bearing)
+    # Kept between the steps: XLA would weigh a point again for each of its pixels, and read those for each result.
+    some = shot.view.lens.per_pixel > 0
+    q, weight = kept(some, _each(weigh), places)
+    colour, brightest = kept(some, _each(functools.partial(read_image, shot.image)), q)
+    weight = jnp.where(brightest < SATURATED, weight, 0.0)
+    # The place of a point that is not seen need not be a number.
+    return _each(lambda colour, weight: jnp.where(weight > 0, colour, 0.0))(colour, weight), weight
 
 
-@jax.jit
+def _each(function: Callable[..., Any]) -> Callable[..., Any]:
+    """For points that come last, as components that lie side by side are read together: [few, ..., size]."""
+    return jax.vmap(jax.vmap(function, -1, -1))
+
+
+_observed = compile_wide(_observe, sooner=True)
+
+
+@functools.partial(compile_wide, sooner=True)
 def _looked_up(
-    image: UInt8[Array, "rows columns 3"],
-    gain: Float[Array, "3"],
-    q: Float[Array, "n 2"],
-    weight: Float[Array, " n"],
+    shot: _Shot,
+    bearing: float | Float[Array, ""] | None,
+    places: _Places,
     tally: Tally,
     tolerance: float | Float[Array, ""],
-) -> tuple[Tally, Bool[Array, " n"]]:
+) -> tuple[Tally, Bool[Array, "few size"]]:
     """The tally of points after a photograph, and which of them it shows."""
+    colour, weight = _observe(shot, bearing, places)
 
-    def one(q: Float[Array, "2"], weight: Float[Array, ""], before: Tally) -> tuple[Tally, Bool[Array, ""]]:
-        colour, brightest = read_image(image, q)
-        weight = jnp.where(brightest < SATURATED, weight, 0.0)
-        return add(before, colour * gain, weight, tolerance), weight > 0
+    def one(tally: Tally, colour: Float[Array, "3"], weight: Float[Array, ""]) -> Tally:
+        return add(tally, colour * shot.gain, weight, tolerance)
 
-    return jax.vmap(one)(q, weight, tally)
+    return _each(one)(tally, colour, weight), weight > 0

@@ -38,7 +38,7 @@ class Distances(NamedTuple):
 class Occluder:
     """The surface of a room as photographs of it need it; made once for a cloud by `make_occluder`."""
 
-    surface: tuple[Blocks, Float[np.ndarray, "blocks size 3"]] | None
+    surface: tuple[Blocks, Float[np.ndarray, "blocks 3 size"]] | None
     """Samples of the surface, block by block [m]; None where nothing is known to stand anywhere."""
     references: tuple[Float[np.ndarray, "references 3"], Float[np.ndarray, "references 3"]]
     """Points all over the room, and their usual colours: by these, exposures are equalised."""
@@ -56,9 +56,9 @@ class Occluder:
         nearest = np.full(self.shape, np.inf, np.float32)
         if self.surface is not None:
             blocks, points = self.surface
-            for few in blocks.seen_from(np.asarray(view.T_scanner_cam), float(view.lens.least_cosine)):
-                seen = _first_cells(view, blocks.taken(points, few), self.cell, self.shape[1])
-                np.minimum.at(nearest.reshape(-1), *(np.asarray(part) for part in seen))
+            for few in blocks.seen_from(np.asarray(view.T_scanner_cam), np.asarray(view.lens.bounds)):
+                cell, range_m = (np.asarray(part) for part in _first_cells(view, points[few], self.cell, self.shape[1]))
+                np.minimum.at(nearest.reshape(-1), cell, range_m)
         return Distances(_spread(nearest), self.cell)
 
 
@@ -81,6 +81,10 @@ def make_occluder(cloud: PointCloud, scanner: Scanner) -> Occluder:
     # Wherever a surface may reach, nothing behind it counts as seen: what stands before a wall does not bleed into it.
     found = [(samples.xyz, samples.rgb) for samples in surface_samples(cloud, scanner, spacing, reach=1.0)]
     xyz, rgb = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    if not len(xyz):
+        # No two points make a face, so each stands alone.
+        there = np.asarray(cloud.valid)
+        xyz, rgb = np.asarray(cloud.xyz)[there], np.asarray(cloud.rgb)[there]
     blocks = Blocks.of(xyz)
     chosen = np.linspace(0, len(xyz) - 1, REFERENCES).astype(int)
     shape = -(-camera.height // cell) + 2, -(-camera.width // cell) + 2
@@ -89,14 +93,14 @@ def make_occluder(cloud: PointCloud, scanner: Scanner) -> Occluder:
 
 @jax.jit
 def _first_cells(
-    view: View, points: Float[Array, "n 3"], cell: int | Int[Array, ""], columns: int | Int[Array, ""]
-) -> tuple[Int[Array, " n"], Float[Array, " n"]]:
+    view: View, points: Float[Array, "few 3 size"], cell: int | Int[Array, ""], columns: int | Int[Array, ""]
+) -> tuple[Int[Array, "few size"], Float[Array, "few size"]]:
     """Number of the first of the four cells that each sample covers, two on each axis, and its distance [m].
 
     Samples outside the image are infinitely far behind the corner of the border.
     """
-    q, range_m, inside = jax.vmap(sight, (None, 0))(view, points)
-    column, row = jnp.floor((q.T + 0.5) / cell - 0.5).astype(jnp.int32) + 1
+    q, range_m, inside = jax.vmap(jax.vmap(sight, (None, 1)), (None, 0))(view, points)
+    column, row = (jnp.floor((q[..., k] + 0.5) / cell - 0.5).astype(jnp.int32) + 1 for k in range(2))
     return jnp.where(inside, row * columns + column, 0), jnp.where(inside, range_m, jnp.inf)
 
 

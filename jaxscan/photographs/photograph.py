@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int32, UInt8
 
 from jaxscan.geometry import Array, Scanner
 from jaxscan.stripes import PixelFormat
@@ -115,28 +115,41 @@ def _demosaic(frame: UInt8[Array, "rows columns"], *, tile: str) -> UInt8[Array,
     return jnp.clip(jnp.round(jnp.stack(planes, -1)), 0, 255).astype(jnp.uint8)
 
 
+def packed(image: UInt8[Array, "rows columns 3"]) -> Int32[Array, "rows columns"]:
+    """The three codes of each pixel in one number, so that they are read at once."""
+    red, green, blue = (jnp.asarray(image)[..., k].astype(jnp.int32) for k in range(3))
+    return red | (green << 8) | (blue << 16)
+
+
 def read_image(
-    image: UInt8[Array, "rows columns 3"], q: Float[Array, "2"]
+    pixels: Int32[Array, "rows columns"], q: Float[Array, "2"]
 ) -> tuple[Float[Array, "3"], Float[Array, ""]]:
     """Colour of an image at a pixel (u, v), by cubic convolution, and the brightest code that it is made of [DN].
 
     Pixels on the border repeat beyond it. A colour is no darker and no brighter than the pixels about it: beside an
     edge the cubic would be.
+
+    Args:
+        pixels: An image, `packed`.
+        q: The place.
     """
-    pixels, (rows, columns, _) = jnp.asarray(image), image.shape
+    (rows, columns), pixels = pixels.shape, jnp.asarray(pixels).reshape(-1)
     left, top = jnp.floor(q)
     across, down = _cubic(q[0] - left), _cubic(q[1] - top)
-    total, low, high = jnp.zeros(3, jnp.float32), jnp.full(3, 255, jnp.float32), jnp.zeros(3, jnp.float32)
     # Written out, XLA keeps the sixteen pixels in registers; as an array [4, 4, 3] they take four times as long.
+    total, low, high = ([jnp.float32(start)] * 3 for start in (0, 255, 0))
     for i in range(4):
-        row, along = jnp.clip(top.astype(jnp.int32) + i - 1, 0, rows - 1), jnp.zeros(3, jnp.float32)
+        row, along = columns * jnp.clip(top.astype(jnp.int32) + i - 1, 0, rows - 1), [jnp.float32(0)] * 3
         for j in range(4):
             column = jnp.clip(left.astype(jnp.int32) + j - 1, 0, columns - 1)
-            level = pixels.at[row, column].get(mode="promise_in_bounds").astype(jnp.float32)
-            along += across[j] * level
-            low, high = jnp.minimum(low, level), jnp.maximum(high, level)
-        total += down[i] * along
-    return jnp.clip(total, low, high), high.max()
+            pixel = pixels.at[row + column].get(mode="promise_in_bounds")
+            for k in range(3):
+                level = ((pixel >> (8 * k)) & 255).astype(jnp.float32)
+                along[k] = along[k] + across[j] * level
+                low[k], high[k] = jnp.minimum(low[k], level), jnp.maximum(high[k], level)
+        total = [whole + down[i] * part for whole, part in zip(total, along, strict=True)]
+    colour = [jnp.clip(*parts) for parts in zip(total, low, high, strict=True)]
+    return jnp.stack(colour), functools.reduce(jnp.maximum, high)
 
 
 def _cubic(t: Float[Array, ""]) -> tuple[Float[Array, ""], ...]:

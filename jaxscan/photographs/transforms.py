@@ -13,7 +13,7 @@ from jaxtyping import Float, UInt8
 
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, Array, Fisheye, Pinhole, Scanner
-from jaxscan.photographs.photograph import read_image
+from jaxscan.photographs.photograph import packed, read_image
 from jaxscan.photographs.view import poses
 
 
@@ -46,10 +46,11 @@ def describe_cameras(scanner: Scanner, angles: Sequence[float], names: Sequence[
 
 
 def is_describable(camera: AbstractCamera) -> bool:
-    """Whether `transforms.json` has a model for a camera: a fisheye, or a pinhole without skew or rational terms."""
-    if isinstance(camera, Pinhole):
-        return float(camera.skew) == 0 and not np.any(np.asarray(camera.distortion)[5:])
-    return isinstance(camera, Fisheye)
+    """Whether `transforms.json` has a model for a camera: a fisheye or pinhole without skew or rational terms."""
+    if isinstance(camera, Pinhole | Fisheye):
+        rational = isinstance(camera, Pinhole) and np.any(np.asarray(camera.distortion)[5:])
+        return float(camera.skew) == 0 and not rational
+    return False
 
 
 def _intrinsics(camera: AbstractCamera) -> dict[str, Any]:
@@ -93,10 +94,12 @@ def undistort(
 def _undistorted(
     image: UInt8[Array, "rows columns 3"], camera: AbstractCamera, ideal: Pinhole
 ) -> UInt8[Array, "height width 3"]:
+    pixels = packed(image)
+
     def colour(u: Float[Array, ""], v: Float[Array, ""]) -> UInt8[Array, "3"]:
         q = camera.project(ideal.unproject(jnp.stack([u, v])))
         inside = jnp.all((q >= -0.5) & (q <= jnp.array(image.shape[1::-1], jnp.float32) - 0.5))
-        return jnp.where(inside, jnp.round(read_image(image, q)[0]), 0).astype(jnp.uint8)
+        return jnp.where(inside, jnp.round(read_image(pixels, q)[0]), 0).astype(jnp.uint8)
 
     u, v = jnp.arange(ideal.width, dtype=jnp.float32), jnp.arange(ideal.height, dtype=jnp.float32)
     return jax.vmap(jax.vmap(colour, (0, None)), (None, 0))(u, v)

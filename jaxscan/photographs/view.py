@@ -21,17 +21,22 @@ class Lens(NamedTuple):
     camera: AbstractCamera
     least_cosine: Float[Array, ""]
     """Cosine of the widest angle between the optical axis and a pixel's ray. Beyond, a lens model may fold back."""
+    bounds: Float[Array, "2 3"]
+    """Least and largest component of the rays of pixels on each axis of the camera."""
     per_pixel: Float[Array, ""]
     """Angle of a pixel in the middle of the image [rad]."""
 
     @staticmethod
     def of(camera: AbstractCamera) -> "Lens":
         """The lens of a camera."""
-        cosines = border_rays(camera)[:, 2]
+        rays = border_rays(camera)
+        bounds = np.stack([rays.min(0) - 1e-4, rays.max(0) + 1e-4])
+        # Rays across the optical axis are in the image of a wider lens, but not on its border.
+        bounds[:, :2] = bounds[:, :2] if bounds[0, 2] > 0 else [[-1], [1]]
+        bounds[1, 2] = 1
         single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), camera)
         focal = max(float(camera.fx), float(camera.fy))
-        least, pixel = cosines.min() - 1e-4, 1.0 / focal
-        return Lens(single, np.asarray(least, np.float32), np.asarray(pixel, np.float32))
+        return Lens(single, *(np.asarray(field, np.float32) for field in (bounds[0, 2], bounds, 1.0 / focal)))
 
 
 class View(NamedTuple):

@@ -1,7 +1,6 @@
 """Ordinary sweeps to a better scanner: the room as calibration target."""
 
-from jaxscan.recalibration.adjusted import Adjusted, Start
-from jaxscan.recalibration.given import Given, KnownSphere, MeasuredLength, Place
+from jaxscan.recalibration.given import Given, KnownSphere, MeasuredLength, Place, RecalibrationSettings
 from jaxscan.recalibration.observed import (
     KnownLength,
     RoomObservations,
@@ -10,10 +9,10 @@ from jaxscan.recalibration.observed import (
     SweepStripes,
     Tracks,
 )
-from jaxscan.recalibration.prior import require_prior
 from jaxscan.recalibration.recalibrate import recalibrate
-from jaxscan.recalibration.renew import renew_calibration
+from jaxscan.recalibration.renew import earlier_captures, refuse_used, renew_calibration, require_prior
 from jaxscan.recalibration.result import (
+    Adjusted,
     Closure,
     Drift,
     FoundLength,
@@ -23,9 +22,8 @@ from jaxscan.recalibration.result import (
     Moved,
     PanoramaOfWalls,
     Recalibration,
+    Start,
     TableFindings,
 )
-from jaxscan.recalibration.settings import RecalibrationSettings
 from jaxscan.recalibration.table import points_of_records
 from jaxscan.recalibration.tracks import FeatureEyes, observe_features
-from jaxscan.recalibration.used import earlier_captures, refuse_used

@@ -4,12 +4,15 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxscan.errors import GivenError
+from jaxscan.geometry import Scanner
 from jaxscan.recalibration.adjust import triangulate_points
-from jaxscan.recalibration.adjusted import Start
 from jaxscan.recalibration.given import MeasuredLength, Place
-from jaxscan.recalibration.observed import KnownLength, RoomObservations, Surfaces, Tracks
+from jaxscan.recalibration.observed import KnownLength, RoomObservations, Surfaces, SweepStripes, Tracks
+from jaxscan.recalibration.result import FoundLength, Start
+from jaxscan.recalibration.tracks import named_points
 
 
 # An end that is farther than this from every surface was not meant.
@@ -148,3 +151,192 @@ def lost_lengths(lengths: Sequence[KnownLength], kept: Sequence[int]) -> list[st
         for number, length in enumerate(lengths)
         if length.between == "surfaces" and not {length.first, length.second} <= set(kept)
     ]
+
+
+# A length that is farther off was misread, mistyped, or measured somewhere else.
+_SIGMAS = 6.0
+# The same where the rig was knocked; those sigmas are tolerances already.
+_LOOSE_SIGMAS = 3.0
+# A length that the scanner of the sweeps misses by so much contradicts them, or the other lengths.
+_MISSED_SIGMAS = 10.0
+# Points of a surface that are looked at.
+_POINTS = 200
+
+
+class _Found(NamedTuple):
+    metres: float
+    sigma_m: float
+    """By noise and by walls that are not flat, without the calibration."""
+
+
+def check_lengths(
+    observations: RoomObservations, sweeps: Sequence[SweepStripes], stored: Scanner, loose: Scanner
+) -> list[str]:
+    """Refuse a known length that contradicts the stored calibration even if the rig was knocked.
+
+    The standard deviation of the comparison is that of the calibration, with those of the length as it was measured
+    and of the surfaces. Lengths whose ends no single sweep sees are not compared.
+
+    Args:
+        observations: With the known lengths, in the order of the user.
+        sweeps: With their angles put right.
+        stored: The stored scanner with its covariance.
+        loose: The same with a covariance by which every part may have moved.
+
+    Returns:
+        A sentence for each length that only a rig that was knocked explains.
+
+    Raises:
+        GivenError: With both lengths.
+    """
+    notes = []
+    for number, known in enumerate(observations.lengths):
+        found = _length(known, observations, sweeps, stored)
+        if found is None:
+            continue
+        own, knocked = (_sigma_of_calibration(known, observations, sweeps, one) for one in (stored, loose))
+        measured = np.hypot(known.sigma_m, found.sigma_m)
+        limit = _SIGMAS * float(np.hypot(measured, own))
+        farthest = max(limit, _LOOSE_SIGMAS * float(np.hypot(measured, knocked)))
+        said = f"known length {number + 1}: found {found.metres:.4f} m by the stored calibration, expected "
+        off = abs(found.metres - known.metres)
+        if off > farthest:
+            raise GivenError(
+                f"{said}{known.metres:.4f} m within {1e3 * farthest:.2g} mm; check its number and its ends; if the "
+                "rig was knocked, leave the length out and recalibrate first."
+            )
+        if off > limit:
+            notes.append(
+                f"{said}{known.metres:.4f} m within {1e3 * limit:.2g} mm; if the rig was not knocked, measure it again"
+            )
+    return notes
+
+
+def check_adjusted(observations: RoomObservations, sweeps: Sequence[SweepStripes], scanner: Scanner) -> None:
+    """Refuse a known length that the new scanner misses, with its covariance.
+
+    Args:
+        observations: With the known lengths, in the order of the user.
+        sweeps: With their angles put right.
+        scanner: The new scanner.
+
+    Raises:
+        GivenError: With both lengths.
+    """
+    for number, known in enumerate(observations.lengths):
+        found = _length(known, observations, sweeps, scanner)
+        if found is None:
+            continue
+        own = _sigma_of_calibration(known, observations, sweeps, scanner)
+        limit = _MISSED_SIGMAS * float(np.linalg.norm([known.sigma_m, found.sigma_m, own]))
+        if abs(found.metres - known.metres) > limit:
+            raise GivenError(
+                f"known length {number + 1}: found {found.metres:.4f} m by these sweeps, expected "
+                f"{known.metres:.4f} m within {1e3 * limit:.2g} mm; it contradicts them or the other lengths: "
+                "measure it again in metres, or leave it out."
+            )
+
+
+def found_lengths(
+    observations: RoomObservations, sweeps: Sequence[SweepStripes], scanner: Scanner
+) -> tuple[FoundLength, ...]:
+    """The known lengths as a scanner finds them.
+
+    Args:
+        observations: With the known lengths.
+        sweeps: With their angles put right.
+        scanner: The new scanner.
+
+    Returns:
+        Without those whose ends no single sweep sees.
+    """
+    both = [(known, _length(known, observations, sweeps, scanner)) for known in observations.lengths]
+    return tuple(FoundLength(known.metres, known.sigma_m, found.metres) for known, found in both if found is not None)
+
+
+def _sigma_of_calibration(
+    known: KnownLength, observations: RoomObservations, sweeps: Sequence[SweepStripes], stored: Scanner
+) -> float:
+    """Standard deviation of the length that the stored calibration causes [m]."""
+    values, vectors = np.linalg.eigh(np.asarray(stored.covariance, np.float64))
+    # Both ways, so that a bend of the length over a sigma does not count.
+    changes = []
+    for step in (vectors * np.sqrt(np.maximum(values, 0.0))).T:
+        if np.any(step):
+            ends = [_length(known, observations, sweeps, stored.retract(way * step)) for way in (1.0, -1.0)]
+            changes.append((ends[0].metres - ends[1].metres) / 2 if ends[0] and ends[1] else 0.0)
+    return float(np.linalg.norm(changes))
+
+
+def _length(
+    known: KnownLength, observations: RoomObservations, sweeps: Sequence[SweepStripes], scanner: Scanner
+) -> _Found | None:
+    """A length within the sweep that sees both of its ends best."""
+    if known.between == "tracks":
+        return _between_targets(known, observations, sweeps, scanner)
+    points, ends = observations.points, (known.first, known.second)
+    seen = [np.bincount(points.sweep[points.surface == end], minlength=len(sweeps)) for end in ends]
+    sweep = int(np.argmax(np.minimum(*seen)))
+    if min(count[sweep] for count in seen) < 3:
+        return None
+    clouds = []
+    for end in ends:
+        mine = np.flatnonzero((points.surface == end) & (points.sweep == sweep))
+        some = points.take(mine[:: -(-len(mine) // _POINTS)])
+        where, valid = triangulate_points(scanner, some.q, some.laser, sweeps[sweep].angle[some.record])
+        clouds.append(where[valid])
+    if min(len(cloud) for cloud in clouds) < 3:
+        return None
+    if observations.surfaces.kind[known.first] == "plane":
+        return _between_planes(*clouds)
+    radius = [float(observations.surfaces.distance[end]) for end in ends]
+    return _Found(float(np.linalg.norm(_middle(clouds[0], radius[0]) - _middle(clouds[1], radius[1]))), 0.0)
+
+
+def _between_planes(first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "m 3"]) -> _Found:
+    """Along the mean normal, midway between the centres, as the adjustment has it."""
+    centres = [cloud.mean(0) for cloud in (first, second)]
+    a, b = (
+        np.linalg.svd(cloud - centre, full_matrices=False)[2][2]
+        for cloud, centre in zip((first, second), centres, strict=True)
+    )
+    b = b if a @ b > 0 else -b
+    mean, middle = (a + b) / np.linalg.norm(a + b), (centres[0] + centres[1]) / 2
+    along = [normal @ (centre - middle) / (normal @ mean) for normal, centre in zip((a, b), centres, strict=True)]
+    # Walls that are rough or bent by so much have their mean planes no better known than that.
+    flat = [
+        np.mean(((cloud - centre) @ normal) ** 2)
+        for cloud, centre, normal in zip((first, second), centres, (a, b), strict=True)
+    ]
+    return _Found(float(abs(along[0] - along[1])), float(np.sqrt(sum(flat))))
+
+
+def _middle(cloud: Float[np.ndarray, "n 3"], radius: float) -> Float[np.ndarray, "3"]:
+    """Middle of a sphere of which the near side is seen."""
+    near = cloud.mean(0)
+    middle = near + 0.6 * radius * near / np.linalg.norm(near)
+    for _ in range(8):
+        away = cloud - middle
+        distance = np.linalg.norm(away, axis=1)
+        middle = middle + np.linalg.lstsq(away / distance[:, None], distance - radius, rcond=None)[0]
+    return middle
+
+
+def _between_targets(
+    known: KnownLength, observations: RoomObservations, sweeps: Sequence[SweepStripes], scanner: Scanner
+) -> _Found | None:
+    tracks = observations.tracks
+    if tracks is None:
+        return None
+    mine = np.isin(tracks.track, (known.first, known.second))
+    fields = ("q", "sigma", "sweep", "record", "track")
+    tracks = tracks._replace(**{name: getattr(tracks, name)[mine] for name in fields})
+    for sweep in np.unique(tracks.sweep):
+        found = named_points(tracks, int(sweep), sweeps, scanner)
+        ends = [found.get(tracks.name[track]) for track in (known.first, known.second)]
+        if ends[0] is not None and ends[1] is not None:
+            between = ends[0][0] - ends[1][0]
+            metres = float(np.linalg.norm(between))
+            way = between / metres
+            return _Found(metres, float(np.sqrt(way @ (ends[0][1] + ends[1][1]) @ way)))
+    return None

@@ -5,12 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxscan.errors import CalibrationError, GivenError
-from jaxscan.recalibration.adjusted import Start
-from jaxscan.recalibration.given import Given, KnownSphere
+from jaxscan.recalibration.given import Given, KnownSphere, RecalibrationSettings
 from jaxscan.recalibration.lengths import place_lengths
 from jaxscan.recalibration.observed import RoomObservations, SurfacePoints, Surfaces, SweepStripes, Tracks
+from jaxscan.recalibration.result import Start
 from jaxscan.recalibration.segment import Sphere, find_sphere, observe_surfaces
-from jaxscan.recalibration.settings import RecalibrationSettings
 from jaxscan.recalibration.tracks import place_tracks
 
 

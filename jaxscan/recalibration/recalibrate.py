@@ -13,16 +13,13 @@ from jaxscan.errors import CalibrationError, GivenError
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration import judge
 from jaxscan.recalibration.adjust import adjust
-from jaxscan.recalibration.adjusted import Adjusted, Start
-from jaxscan.recalibration.given import Given
-from jaxscan.recalibration.length_check import check_adjusted, check_lengths, found_lengths
-from jaxscan.recalibration.lengths import lost_lengths
+from jaxscan.recalibration.given import Given, RecalibrationSettings
+from jaxscan.recalibration.lengths import check_adjusted, check_lengths, found_lengths, lost_lengths
 from jaxscan.recalibration.observe import observe_room
 from jaxscan.recalibration.observed import RoomObservations, SweepStripes
-from jaxscan.recalibration.prior import require_prior
-from jaxscan.recalibration.result import PanoramaOfWalls, Recalibration, TableFindings
+from jaxscan.recalibration.renew import require_prior
+from jaxscan.recalibration.result import Adjusted, PanoramaOfWalls, Recalibration, Start, TableFindings
 from jaxscan.recalibration.segment import find_patches, flat
-from jaxscan.recalibration.settings import RecalibrationSettings
 from jaxscan.recalibration.stations import place_stations
 from jaxscan.recalibration.table import check_angles, say_lost_steps
 from jaxscan.recalibration.tracks import place_tracks

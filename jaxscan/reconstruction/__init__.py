@@ -24,4 +24,4 @@ from jaxscan.reconstruction.points import grid_normals
 from jaxscan.reconstruction.reconstruct import reconstruct, smooth_stripes
 from jaxscan.reconstruction.seen import FrameWatch, Seen
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings, Smooth
-from jaxscan.reconstruction.sweep import FrameChunk, Sweep, SweepSource
+from jaxscan.reconstruction.sweep import FrameChunk, Sweep, SweepSource, colour_exposure

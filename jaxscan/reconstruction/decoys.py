@@ -2,12 +2,15 @@
 
 Noise, texture and motion give as many stripes where laser-on and laser-off frame are exchanged; the laser gives none.
 On every line the stripe competes with the decoy, and the decoys that win tell how many stripes are won by chance
-(J. E. Elias, S. P. Gygi, Target-decoy search strategy, Nature Methods 4, 2007).
+(J. E. Elias, S. P. Gygi, Target-decoy search strategy, Nature Methods 4, 2007). Lines on which no laser falls are won
+by either, so their number says nothing about the others: what counts is whether some clearness parts stripes from
+decoys.
 """
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -21,14 +24,14 @@ _LOOKS, _LOOKS_WITHOUT_OFF = 8, 16
 """Profiles of a sweep that are searched for decoys."""
 _BYTES = 200e6
 """Frames of these profiles that are kept, at most; of large frames fewer are searched."""
-_SHARE = 0.0025
-"""Decoys among the accepted stripes, at most [1]: half of the false points that are promised, as chance is not fair."""
+_SHARES = (0.0025, 0.01, 0.05)
+"""Decoys among the accepted stripes, at most [1]: half of the false points that are promised, as chance is not fair.
+The larger ones are for sweeps of which less would leave nothing, and are said."""
 _LUCK = 2.5
 """Standard deviations by which decoys may be more than expected before they count; one more is always allowed."""
-_HOPELESS = 0.25
-"""Decoys that win, over stripes that win, from which no threshold is trusted [1]."""
 _KEPT = 0.1
-"""Part of the stripes that a threshold must leave [1]."""
+"""Part of the stripes that a threshold must leave [1]: of a laser that is not lit it leaves 3 % at most."""
+_HELPS = "narrower range limits, one dark picture as --off of `jaxscan import`, or the right --laser-colour"
 _CERTAIN = 4.0
 """Standard deviations by which stripes must be more than decoys."""
 _PER_PROFILE = 2.0
@@ -41,14 +44,22 @@ class Chance:
 
     least: float = 0.0
     """Smallest clearness (`clearness`) of a stripe that is believed; 0 for all."""
+    measure: int = 0
+    """Which of the two."""
     note: str | None = None
     """A sentence for the user."""
 
 
-def clearness(stripes: FrameStripes) -> Float[np.ndarray, "profiles lines"]:
-    """Width over the standard deviation of the centre [1], which falls with noise and with misfit; 0 for none."""
-    valid, width, sigma = (np.asarray(field) for field in (stripes.valid, stripes.width, stripes.sigma))
-    return np.where(valid, width / np.maximum(sigma, 1e-4), 0.0).astype(np.float32)
+def clearness(stripes: Mapping[str, np.ndarray] | FrameStripes) -> Float[np.ndarray, "profiles lines 2"]:
+    """Two measures of how clear a stripe is, 0 for none: width over the standard deviation of the centre [1], and the
+    same times the amplitude [DN].
+
+    The first falls with noise and misfit; but where speckle is strong it is about the same for all.
+    """
+    fields = stripes._asdict() if isinstance(stripes, FrameStripes) else stripes
+    valid, width, sigma, amplitude = (np.asarray(fields[name]) for name in ("valid", "width", "sigma", "amplitude"))
+    clear = np.where(valid, width / np.maximum(sigma, 1e-4), 0.0)
+    return np.stack([clear, clear * np.maximum(amplitude, 0.0)], -1).astype(np.float32)
 
 
 class DecoyWatch:
@@ -71,7 +82,7 @@ class DecoyWatch:
         """Keep the chosen ones of a batch, to be searched for decoys; in threads and in any order."""
         stripes = clearness(chosen_of(found.stripes, found.chosen))
         with self._lock:
-            self.found += int(np.count_nonzero(stripes))
+            self.found += int(np.count_nonzero(stripes[..., 0]))
         rows = [k for k, profile in enumerate(batch.profiles.tolist()) if profile in self._chosen]
         if batch.off is None or not rows or len(stripes) != len(batch.on):
             return
@@ -85,8 +96,8 @@ class DecoyWatch:
 
     def compared(
         self, search: Callable[[Batch], ChunkStripes], size: int
-    ) -> tuple[Float[np.ndarray, "searched lines"], Float[np.ndarray, "searched lines"]]:
-        """Search what is kept for decoys: the clearness [1] of the stripes, and of their decoys."""
+    ) -> tuple[Float[np.ndarray, "searched lines 2"], Float[np.ndarray, "searched lines 2"]]:
+        """Search what is kept for decoys: the clearness of the stripes, and of their decoys."""
         compared: list[tuple[np.ndarray, np.ndarray]] = []
         for laser in sorted({batch.laser for batch, _ in self._kept}):
             own = [item for item in self._kept if item[0].laser == laser]
@@ -100,50 +111,76 @@ class DecoyWatch:
                 compared.append((found[part], clearness(chosen_of(result.stripes, result.chosen))))
         self._kept = []
         if not compared:
-            none = np.zeros((0, 0), np.float32)
+            none = np.zeros((0, 0, 2), np.float32)
             return none, none
         stripes, decoys = (np.concatenate(parts) for parts in zip(*compared, strict=True))
         return stripes, decoys
 
 
-def _tolerated(stripes: np.ndarray | int) -> np.ndarray:
+def _tolerated(stripes: np.ndarray | int, share: float) -> np.ndarray:
     """Decoys that so many stripes may have where their share is as it should be: a few come by luck."""
-    expected = _SHARE * np.asarray(stripes, np.float64)
+    expected = share * np.asarray(stripes, np.float64)
     return np.asarray(expected + _LUCK * np.sqrt(expected) + 1.0)
 
 
+class _Contest(NamedTuple):
+    """Stripes against decoys by one measure."""
+
+    won: Float[np.ndarray, " n"]
+    """Clearness of the stripes that win their line, rising."""
+    lost: Float[np.ndarray, " m"]
+    """That of the decoys that do."""
+
+    @classmethod
+    def of(cls, stripes: np.ndarray, decoys: np.ndarray) -> "_Contest":
+        return cls(np.sort(stripes[stripes > decoys]), np.sort(decoys[decoys >= np.maximum(stripes, 1e-9)]))
+
+    def best(self, share: float) -> tuple[int, float]:
+        """Stripes that the lowest threshold with such a share of decoys leaves, and the threshold."""
+        # From each decoy's clearness on: how many of both are left above it.
+        left = len(self.won) - np.searchsorted(self.won, self.lost, side="right")
+        good = np.flatnonzero(len(self.lost) - 1 - np.arange(len(self.lost)) <= _tolerated(left, share))
+        if not len(good):
+            return 0, 0.0
+        return int(left[good[0]]), float(np.nextafter(np.float32(self.lost[good[0]]), np.float32(np.inf)))
+
+
 def judge(
-    stripes: Float[np.ndarray, "profiles lines"], decoys: Float[np.ndarray, "profiles lines"], *, per_profile: float
+    stripes: Float[np.ndarray, "profiles lines 2"],
+    decoys: Float[np.ndarray, "profiles lines 2"],
+    *,
+    per_profile: float,
 ) -> Chance:
     """Compare stripes with the decoys of the same lines.
 
     Args:
-        stripes: Clearness of the stripes [1].
-        decoys: Clearness of the decoys [1].
+        stripes: Clearness of the stripes.
+        decoys: Clearness of the decoys.
         per_profile: Stripes of a profile, on average over the whole sweep.
 
     Raises:
-        CaptureError: If the stripes are not more, or not clearer, than those of chance.
+        CaptureError: If the stripes are not more than those of chance, or no threshold parts them.
     """
-    won, lost = np.sort(stripes[stripes > decoys]), np.sort(decoys[decoys >= np.maximum(stripes, 1e-9)])
-    if len(won) + len(lost) < _CERTAIN**2:
+    contests = [_Contest.of(stripes[..., k], decoys[..., k]) for k in range(stripes.shape[-1])]
+    won, lost = min(((len(one.won), len(one.lost)) for one in contests), key=lambda both: both[1])
+    if won + lost < _CERTAIN**2:
         few = "the sweep is doubtful: hardly any record shows a stripe, and chance may have found those"
         return Chance(note=few if per_profile < _PER_PROFILE else None)
-    if len(lost) <= _tolerated(len(won)):
+    if lost <= _tolerated(won, _SHARES[0]):
         return Chance()
-    # From each decoy's clearness on: how many of both are left above it.
-    left, beyond = len(won) - np.searchsorted(won, lost, side="right"), len(lost) - 1 - np.arange(len(lost))
-    good = np.flatnonzero((beyond <= _tolerated(left)) & (left >= _KEPT * len(won)))
-    evident = len(won) - len(lost) > _CERTAIN * np.sqrt(len(won) + len(lost)) and len(lost) < _HOPELESS * len(won)
-    if not evident or len(good) == 0:
-        raise CaptureError(
-            f"The stripes of the sweep are not told from chance: {len(won)} lines have one, {len(lost)} a clearer one "
-            "with laser on and off exchanged; check that the laser was lit in the on images, or take off images."
+    evident = won - lost > _CERTAIN * np.sqrt(won + lost)
+    for share in _SHARES if evident else ():
+        kept, least, measure = max((*one.best(share), k) for k, one in enumerate(contests))
+        if kept < _KEPT * won:
+            continue
+        return Chance(
+            least,
+            measure,
+            f"the sweep is doubtful: chance finds {100.0 * lost / won:.1f} % as many stripes; only the clearer "
+            f"{min(100.0 * kept / won, 100.0):.0f} % of them were kept, among which it has about {100 * share:.2g} %; "
+            f"{_HELPS} would keep more",
         )
-    kept = left[good[0]] / len(won)
-    share = 100.0 * len(lost) / len(won)
-    return Chance(
-        float(np.nextafter(np.float32(lost[good[0]]), np.float32(np.inf))),
-        f"the sweep is doubtful: chance finds {share:.1f} % as many stripes; only the clearer "
-        f"{100.0 * kept:.0f} % of them were kept, among which it has about {100 * _SHARE:.2g} %",
+    raise CaptureError(
+        f"The stripes of the sweep are not told from chance: {won} lines have one, {lost} a clearer one with laser on "
+        f"and off exchanged; check that the laser was lit in the on images; else try {_HELPS}."
     )

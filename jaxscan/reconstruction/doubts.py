@@ -15,6 +15,7 @@ from jaxscan.reconstruction.cloud import PointCloud
 from jaxscan.reconstruction.extraction import learned_lasers
 from jaxscan.reconstruction.seen import TRACE_BINS, Seen
 from jaxscan.reconstruction.sweep import SweepSource
+from jaxscan.reconstruction.whole_turns import turn_doubts
 from jaxscan.stripes import FrameFormat, Stripes, judge_pairs
 
 
@@ -94,6 +95,7 @@ def sweep_doubts(
     for own in groups_of(lit):
         doubts += strange_frames(seen, number, own)
         doubts += turning_doubts(seen, number, sweep.angles, own, scanner)
+    doubts += turn_doubts(cloud, scanner, seen.trace, number)
     return tuple(doubts + profile_doubts(cloud, number) + header_doubts(sweep, seen, scanner))
 
 

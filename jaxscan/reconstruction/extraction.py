@@ -15,11 +15,11 @@ from jaxscan.errors import CaptureError
 from jaxscan.geometry import Array, Scanner
 from jaxscan.reconstruction.ahead import Progress, map_ahead, workers
 from jaxscan.reconstruction.colours import stripe_colours
-from jaxscan.reconstruction.decoys import Chance, DecoyWatch, judge
+from jaxscan.reconstruction.decoys import Chance, DecoyWatch, clearness, judge
 from jaxscan.reconstruction.plan import Plan, plan_sweep
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
-from jaxscan.reconstruction.sweep import Batch, FrameChunk, SweepSource, batches, place, rows_of
-from jaxscan.reconstruction.without_off import predicts, with_off
+from jaxscan.reconstruction.sweep import Batch, FrameChunk, SweepSource, batches, colour_exposure, place, rows_of
+from jaxscan.reconstruction.without_off import dark_room, predicts, with_off
 from jaxscan.stripes import (
     KEPT_FIELDS,
     BlackLevelError,
@@ -31,6 +31,8 @@ from jaxscan.stripes import (
     NoiseModel,
     StripeEngine,
     Stripes,
+    chosen_of,
+    clear_level,
     learn_noise,
     pick_by_steps,
     prepare_engines,
@@ -42,6 +44,8 @@ from jaxscan.stripes import (
 
 LEARNED_RECORDS = 8
 """Records at the start of a sweep from which noise and colours are learned where they are not given."""
+_AS_MANY = 0.95
+"""Stripes before an even room, over those before a predicted one, that it has at least [1]."""
 
 
 class Extraction(NamedTuple):
@@ -90,7 +94,7 @@ class StripePart(NamedTuple):
     fields: dict[str, np.ndarray]
     """As of `Stripes`, a profile for each laser in a record."""
     clear: np.ndarray
-    """Clearness of the stripes [1] in profiles that were searched for decoys, float32 [searched, lines]."""
+    """Clearness of the stripes in profiles that were searched for decoys, float32 [searched, lines, 2]."""
     decoys: np.ndarray
     """The same of the decoys."""
     found: int
@@ -135,6 +139,9 @@ def extract_part(
         ahead.append(next(coming))
     learned, profiles = learn(plan, _first(ahead), noise=noise), len(plan.sweep.record)
     frames = _replayed(ahead, coming)
+    if learned.predicted:
+        learned, room = _before_what(learned, _first(ahead))
+        frames = frames if room is None else with_off(plan, room)
     if part is not None:
         for batch in batches(plan.sweep, plan.size, frames):
             learned = learned.taught_by(batch)
@@ -180,14 +187,14 @@ def join_parts(plan: Plan, parts: Sequence[StripePart]) -> Extraction:
         CaptureError: If the stripes are not more, or not clearer, than those of chance.
     """
     sweep = plan.sweep
-    fields = {name: _joined([part.fields[name] for part in parts]) for name in parts[0].fields}
+    fields = {name: np.asarray(_joined([part.fields[name] for part in parts])) for name in parts[0].fields}
     searched = [part for part in parts if part.clear.size]
     chance = Chance()
     if searched:
         clear, decoys = (np.concatenate([getattr(part, name) for part in searched]) for name in ("clear", "decoys"))
         chance = judge(clear, decoys, per_profile=sum(part.found for part in parts) / len(sweep.record))
     if chance.least > 0.0:
-        doubtful = fields["width"] < np.float32(chance.least) * np.maximum(fields["sigma"], np.float32(1e-4))
+        doubtful = clearness(fields)[..., chance.measure] < np.float32(chance.least)
         # The parts are the caller's.
         fields = {name: field.copy() for name, field in fields.items()}
         for field in fields.values():
@@ -256,17 +263,58 @@ class Learned:
 
     def colours(self, batch: Batch, found: ChunkStripes) -> np.ndarray:
         """The colours of the stripes of a batch."""
-        off = batch.off if batch.off is None or len(self.plan.sweep.exposures) == 1 else batch.off[:, -1]
+        off, sweep = batch.off, self.plan.sweep
+        off = off if off is None or len(sweep.exposures) == 1 else off[:, colour_exposure(sweep)]
         return stripe_colours(found.stripes, off, self.plan.frames, self.plan.stripe_axis)
 
 
-def learn(plan: Plan, first: FrameChunk, *, noise: NoiseModel | None = None) -> Learned:
+def _before_what(predicted: Learned, first: FrameChunk) -> tuple[Learned, np.ndarray | None]:
+    """What is learned where the laser-off frames are as predicted; or, where next to nothing but the laser is seen and
+    lines are straighter before a frame of one colour, what is learned so, and that frame."""
+    plan = predicted.plan
+    room = dark_room(plan.sweep, first.on)
+    if room is None:
+        return predicted, None
+    even = FrameChunk(first.on, np.broadcast_to(room, first.on.shape))
+    # Noise is that of the same frames.
+    known = predicted.of_frame
+    other = learn(plan, even, noise=next(iter(predicted.engines.values())).noise, predicted=False)
+    (bends, count), (others, seen) = (_bends(one, chunk) for one, chunk in ((predicted, first), (other, even)))
+    if not len(others) or seen < _AS_MANY * count or (len(bends) and _straightness(others) >= _straightness(bends)):
+        return predicted, None
+    told = "laser-off images are taken as even: next to nothing but the laser is seen, and its lines are straighter so"
+    return dataclasses.replace(other, of_frame=known, notes=(*predicted.notes, told)), room
+
+
+def _bends(learned: Learned, first: FrameChunk) -> tuple[np.ndarray, int]:
+    """Departures of the centres from the middle of those on both sides [px], and the number of stripes."""
+    bends, count = [], 0
+    for batch in batches(learned.plan.sweep, learned.plan.size, [first]):
+        learned = learned.taught_by(batch)
+        found = learned.find_shared(batch)
+        stripes, step = chosen_of(found.stripes, found.chosen), learned.engines[batch.laser].setup.sites.line_step
+        u, valid = np.asarray(stripes.u), np.asarray(stripes.valid)
+        parts = [np.s_[:, : -2 * step], np.s_[:, step:-step], np.s_[:, 2 * step :]]
+        whole = np.logical_and.reduce([valid[part] for part in parts])
+        before, here, after = (u[part][whole] for part in parts)
+        bends.append(here - 0.5 * (before + after))
+        count += int(np.count_nonzero(valid))
+    return np.concatenate(bends), count
+
+
+def _straightness(bends: np.ndarray) -> float:
+    """Their standard deviation, whatever edges do."""
+    return float(np.quantile(np.abs(bends), 0.683))
+
+
+def learn(plan: Plan, first: FrameChunk, *, noise: NoiseModel | None = None, predicted: bool | None = None) -> Learned:
     """Learn noise and colours, and where stripes are looked for.
 
     Args:
         plan: The sweep.
         first: Its first `LEARNED_RECORDS`: a fixed number, so that the result does not depend on the size of chunks.
         noise: Noise of a frame; learned where not given.
+        predicted: Whether laser-off frames are predicted; as the first record says where not given.
 
     Raises:
         CaptureError: If a colour cannot be learned, the black level is above the picture, or stripes of two
@@ -275,12 +323,14 @@ def learn(plan: Plan, first: FrameChunk, *, noise: NoiseModel | None = None) -> 
     sweep, settings, gates = plan.sweep, plan.settings, plan.gates
     lasers, of_frame = learned_lasers(sweep), None
     if noise is None:
-        # In the colour of the first laser and the shortest exposure.
-        one = slice(None) if len(sweep.exposures) == 1 else np.s_[:, 0]
+        # In the colour of the first laser and the shortest exposure, or of levels the finest that is not clipped.
+        room = np.asarray(first.on if first.off is None else first.off)
+        one = slice(None) if len(sweep.exposures) == 1 else np.s_[:, clear_level(room) if sweep.bits > 8 else 0]
         on, off = first.on[one], None if first.off is None else first.off[one]
         line, compressed = lasers[int(sweep.laser.min())], sweep.compression is not None
         of_frame = learn_noise(on, off, frames=plan.frames, line=line, compressed=compressed)
-        noise = of_frame.noise
+        # Each level of frames of more than 8 bits has its own.
+        noise = of_frame.noise if sweep.bits == 8 else None
     if plan.lit_together:
         _check_apart(list(gates.values()))
     setups = [
@@ -290,6 +340,7 @@ def learn(plan: Plan, first: FrameChunk, *, noise: NoiseModel | None = None) -> 
             lasers[laser],
             settings.stripes,
             tuple(sweep.exposures),
+            0 if sweep.bits > 8 else None,
             all_candidates=settings.check_steps,
         )
         for laser in gates
@@ -302,8 +353,8 @@ def learn(plan: Plan, first: FrameChunk, *, noise: NoiseModel | None = None) -> 
         engines = prepare_engines(first.on, first.off, setups, noise=noise, gates=searched)
     except BlackLevelError as problem:
         raise CaptureError(str(problem)) from problem
-    predicted = predicts(sweep)
-    if predicted:
+    predicted = predicts(sweep) if predicted is None else predicted
+    if predicted and sweep.bits == 8:
         engines = [engine.own_channel() for engine in engines]
     notes = () if of_frame is None else of_frame.doubts
     return Learned(plan, lasers, dict(zip(gates, engines, strict=True)), predicted, of_frame=of_frame, notes=notes)

@@ -44,6 +44,7 @@ class PlannedSweep:
     first: FrameChunk | None = None
     exposures: tuple[float, ...] = (1.0,)
     compression: str | None = None
+    bits: int = 8
     angles: np.ndarray = field(init=False)
     record: np.ndarray = field(init=False)
     laser: np.ndarray = field(init=False)

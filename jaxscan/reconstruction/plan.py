@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.geometry import Scanner, StripeAxis, across_and_along
+from jaxscan.geometry import Scanner, StripeAxis, across_and_along, scanner_doubts
 from jaxscan.reconstruction.ahead import workers
 from jaxscan.reconstruction.gate import line_gate
 from jaxscan.reconstruction.settings import ReconstructSettings
@@ -105,6 +105,9 @@ def plan_sweep(sweep: SweepSource, scanner: Scanner, settings: ReconstructSettin
             "The calibration holds no laser sheet, so nothing can be reconstructed; calibrate with a capture that has "
             "laser images."
         )
+    for doubt in scanner_doubts(scanner):
+        if doubt.impossible:
+            raise CalibrationError(f"The calibration cannot be that of a rig: {doubt.said}.")
     known, names = scanner.laser_names, [line.name for line in sweep.lasers]
     used = int(sweep.laser.max()) + 1
     if max(used, len(names)) > len(known):

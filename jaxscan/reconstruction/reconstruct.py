@@ -12,7 +12,7 @@ from jaxscan.reconstruction.extraction import extract, learned_lasers
 from jaxscan.reconstruction.plan import Plan, plan_sweep
 from jaxscan.reconstruction.points import Aim, Centres, Window, empty_points, fill_points, line_step
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
-from jaxscan.reconstruction.sweep import SweepSource, batches, place, rows_of
+from jaxscan.reconstruction.sweep import SweepSource, batches, colour_exposure, place, rows_of
 from jaxscan.reconstruction.without_off import with_off
 from jaxscan.stripes import NoiseModel, Stripes, laser_sites
 
@@ -154,7 +154,7 @@ def _usual_range(plan: Plan, centres: Centres, sheet: np.ndarray) -> float:
 def _colours(plan: Plan, centres: Centres, each: int, progress: Progress) -> np.ndarray:
     """The colours at the centres, of frames that are read again."""
     sweep, rgb = plan.sweep, np.zeros((*np.shape(centres.u), 3), np.uint8)
-    one = slice(None) if len(sweep.exposures) == 1 else np.s_[:, -1]
+    one = slice(None) if len(sweep.exposures) == 1 else np.s_[:, colour_exposure(sweep)]
     for batch in batches(sweep, plan.size, with_off(plan)):
         rows, off = place(rows_of(batch.profiles, each)), None if batch.off is None else batch.off[one]
         rgb[rows] = colours_at(centres.u[rows], centres.valid[rows], off, sweep.pixel_format, plan.stripe_axis)

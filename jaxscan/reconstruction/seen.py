@@ -1,5 +1,6 @@
 """Small statistics of every pair of frames, taken while the frames pass by."""
 
+import functools
 import hashlib
 from typing import NamedTuple
 
@@ -17,6 +18,8 @@ _LOST = 0.98
 """Part of a place's pixels that may be darker in the laser-on frame [1]."""
 _MOST_DN = 255
 """Largest difference of two pixels [DN]."""
+_FEW = 8
+"""Neighbouring columns that are looked at first."""
 _LIGHT_DN = 3
 """Level [DN] of a row that no sensor gives as zeros in its next frame."""
 
@@ -166,12 +169,15 @@ def _high(counts: np.ndarray) -> np.ndarray:
 
 def _blank_rows(on: np.ndarray, off: np.ndarray) -> tuple[int, int]:
     """Rows of each frame that are zero where the other's are not: lost blocks of raw frames are whole rows."""
-    dark = [frame.reshape(len(frame), -1).max(1) == 0 for frame in (on, off)]
-    both = zip(dark, (off, on), strict=True)
-    first, second = (
-        sum(int(np.median(other[row]) >= _LIGHT_DN) for row in np.flatnonzero(zero)) for zero, other in both
-    )
-    return first, second
+    on, off = (frame.reshape(len(frame), -1) for frame in (on, off))
+
+    def blank(frame: np.ndarray, other: np.ndarray) -> int:
+        # Most rows show by a few of their pixels that they are not.
+        some = functools.reduce(np.bitwise_or, frame.T[frame.shape[1] // 2 :][:_FEW])
+        few = (row for row in np.flatnonzero(some == 0) if not frame[row].any())
+        return sum(int(np.median(other[row]) >= _LIGHT_DN) for row in few)
+
+    return blank(on, off), blank(off, on)
 
 
 def _texture(sample: np.ndarray) -> tuple[int, float, float]:

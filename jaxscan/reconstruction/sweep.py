@@ -58,6 +58,10 @@ class SweepSource(Protocol):
     def compression(self) -> str | None:
         """The lossy compression of the images before they were stored, where known."""
 
+    @property
+    def bits(self) -> int:
+        """Bits of a sample as the camera gave it; with more than 8 the exposures are levels of one frame."""
+
     def __len__(self) -> int:
         """Number of records."""
         ...
@@ -86,6 +90,7 @@ class Sweep:
         exposures: Relative exposures, where `on` and `off` have a second axis over them.
         carries: "scanner" or "object", where known.
         compression: The lossy compression of the frames, where known.
+        bits: Bits of a sample as the camera gave it; with more than 8, `exposures` are those of `split_levels`.
 
     Raises:
         ValueError: If shapes, type or counts do not fit together.
@@ -102,6 +107,7 @@ class Sweep:
     exposures: tuple[float, ...] = (1.0,)
     carries: str | None = None
     compression: str | None = None
+    bits: int = 8
 
     def __post_init__(self) -> None:
         if self.pixel_format not in PIXEL_FORMATS:
@@ -135,6 +141,11 @@ class Sweep:
         for start in range(0, len(self), size):
             part = slice(start, start + size)
             yield FrameChunk(self.on[part], None if self.off is None else self.off[part])
+
+
+def colour_exposure(sweep: SweepSource) -> int:
+    """The exposure that gives colours: the longest, or the level that holds the whole range of a frame."""
+    return 0 if sweep.bits > 8 else len(sweep.exposures) - 1
 
 
 class Batch(NamedTuple):

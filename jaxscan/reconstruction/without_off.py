@@ -4,6 +4,8 @@ A frame is predicted from itself, and, where the camera turns with the table, fr
 of the room at one of a few distances is seen at known places of two other steps, whose stripes are elsewhere. Of the
 distances each place takes the one at which both agree with each other and with the frame; that is a plane sweep
 (R. T. Collins, A space-sweep approach to true multi-image matching, CVPR 1996).
+
+Where next to nothing but the laser is seen, a frame of one colour may do better: it leaves the laser in all channels.
 """
 
 import dataclasses
@@ -12,9 +14,9 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
-from jaxscan.geometry import Scanner, StripeAxis, pixels, poses, rays, stripe_pixel, transform
+from jaxscan.geometry import Array, Scanner, StripeAxis, pixels, poses, rays, stripe_pixel, transform
 from jaxscan.reconstruction.ahead import workers
 from jaxscan.reconstruction.plan import Plan
 from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
@@ -38,6 +40,8 @@ _MOST_DN = 20.0
 """Residual from which more is not worse [DN]."""
 _AROUND = (8, 4)
 """Samples and lines on either side whose residuals choose the distance."""
+_DARK_SHARE, _DARK_DN = 0.9, 16.0
+"""Part of the pixels of a dark room that are hardly brighter than its median, and by how much they are [DN]."""
 
 
 def predicts(sweep: SweepSource) -> bool:
@@ -50,8 +54,31 @@ def _can_predict(sweep: SweepSource) -> bool:
     return sweep.pixel_format == "mono8" or all(line.colour != "auto" for line in sweep.lasers)
 
 
-def with_off(plan: Plan) -> Iterator[FrameChunk]:
-    """The chunks of a sweep; of one without laser-off frames, with predicted ones."""
+def dark_room(sweep: SweepSource, on: Array) -> UInt8[np.ndarray, "..."] | None:
+    """A laser-off frame of one colour, where next to nothing but the laser is seen; else None.
+
+    Args:
+        sweep: A sweep without laser-off frames.
+        on: Its first laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
+    """
+    if len(sweep.exposures) > 1:
+        return None
+    on = np.asarray(on)
+    room = np.empty(on.shape[1:], np.uint8)
+    # Pixels of one colour: a mosaic repeats itself every two of them.
+    tile = 2 if sweep.pixel_format.startswith("bayer") else 1
+    for place in np.ndindex((tile, tile)):
+        these = np.s_[:, place[0] :: tile, place[1] :: tile]
+        level = on[these].reshape(-1, *on.shape[3:])
+        middle, bright = np.quantile(level, [0.5, _DARK_SHARE], axis=0)
+        if np.any(bright > middle + _DARK_DN):
+            return None
+        room[these[1:]] = middle.astype(np.uint8)
+    return room
+
+
+def with_off(plan: Plan, room: UInt8[np.ndarray, "..."] | None = None) -> Iterator[FrameChunk]:
+    """The chunks of a sweep; of one without laser-off frames, with predicted ones, or with one frame for all."""
     sweep, size = plan.sweep, plan.size
     if not _can_predict(sweep):
         yield from sweep.chunks(size)
@@ -62,6 +89,9 @@ def with_off(plan: Plan) -> Iterator[FrameChunk]:
         for chunk in sweep.chunks(size):
             if chunk.off is not None:
                 yield chunk
+                continue
+            if room is not None:
+                yield FrameChunk(chunk.on, np.broadcast_to(room, chunk.on.shape))
                 continue
             kept += list(np.asarray(chunk.on))
             last = first + len(kept) == len(sweep)

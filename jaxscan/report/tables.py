@@ -180,6 +180,7 @@ def quality_rows(calibration: Calibration) -> list[tuple[str, str]]:
         ("corner noise over the promised noise", quality.corner_noise_over_sigma, ".3f"),
         ("stripe noise over the promised noise", quality.stripe_noise_over_sigma, ".3f"),
         ("stripe points that share one error", quality.stripe_correlation, ".2f"),
+        ("standard deviation of stops about their angles, rad or m", quality.angle_sigma, ".2g"),
         ("share of priors in the cost", share and share.cost, ".2%"),
         ("largest share of priors in any direction", share and share.information, ".2%"),
         ("condition of the normal equations", quality.condition, ".2g"),

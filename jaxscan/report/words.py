@@ -34,6 +34,14 @@ TESTS = {
         "Do two halves of the records give the same rig?",
         "two halves of the records disagree",
     ),
+    "regions": (
+        "Does the middle of the image alone give the same lens?",
+        "the lens model goes astray where no corner was seen",
+    ),
+    "lines": (
+        "Does the sheet stay where it is if the lines count that were left out?",
+        "the lines on some boards, left out, lie on another sheet",
+    ),
 }
 """The question of each test of the verdict, and the cause of harm when it finds structure."""
 

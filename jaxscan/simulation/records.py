@@ -127,11 +127,12 @@ def expect_record(
     board: SeenBoard | None = None,
     placement: int | None = None,
 ) -> ExpectedRecord:
-    """One pair of frames at the table's angle `phi` [rad], without noise."""
+    """One pair of frames where the table stops when it is sent to `phi` [rad], without noise."""
+    stood = rig.stood(phi, placement)
     config, sensor, sheet = rig.config, rig.config.sensor, rig.sheets[laser]
-    pose, sees = rig.pose(phi), rig.rays.sees
+    pose, sees = rig.pose(stood), rig.rays.sees
     shot = LitScene(rig, sheet, scene, pose, None)
-    room, behind, ambient = _surroundings(rig, scene, phi, laser if config.light.bounce > 0 else None)
+    room, behind, ambient = _surroundings(rig, scene, stood, laser if config.light.bounce > 0 else None)
     white = config.light.white_dn if board is None else config.boards.white_dn
     lens, off = behind, ambient * np.float32(white)
     scale, depth, front, facet_at = 1.0, room.depth, None, room.facet_at

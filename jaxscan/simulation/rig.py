@@ -113,6 +113,14 @@ class TrueRig:
         wave = c1 * (np.cos(phi) - 1) + s1 * np.sin(phi) + c2 * (np.cos(2 * phi) - 1) + s2 * np.sin(2 * phi)
         return float(self.config.turntable.gain * phi + wave)
 
+    def stood(self, phi: float, placement: int | None = None) -> float:
+        """Where the table stands when it was sent to `phi` [rad]: elsewhere for every placement of a board."""
+        width = np.deg2rad(self.config.turntable.stop_deg)
+        if width == 0:
+            return phi
+        visit = [self.config.seed, _STOPS, 0 if placement is None else placement + 1, round(1e9 * phi) % 2**63]
+        return phi + float(width * np.random.Generator(np.random.SFC64(visit)).uniform(-0.5, 0.5))
+
     def pose(self, phi: float) -> Motion:
         """Camera coordinates at the table's angle `phi` [rad] to the scanner frame."""
         theta = self.theta(phi) if self.config.turntable.carries == "scanner" else -self.theta(phi)
@@ -120,6 +128,8 @@ class TrueRig:
         return self.scanner_from_camera @ Motion(rotation, self.point - rotation @ self.point)
 
 
+_STOPS = 9
+"""Stream of random numbers that are drawn from one seed, beside those of frames and poses."""
 _UP = {"-v": (0.0, -1.0, 0.0), "+v": (0.0, 1.0, 0.0), "+u": (1.0, 0.0, 0.0), "-u": (-1.0, 0.0, 0.0)}
 
 

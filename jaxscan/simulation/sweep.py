@@ -73,7 +73,8 @@ def _boards(
 
     def make(job: tuple[int, tuple[Placement, float, int]]) -> Result:
         number, (placement, phi, index) = job
-        board = SeenBoard(picture, placement.scanner_from_board.inverse() @ rig.pose(phi))
+        pose = rig.pose(rig.stood(phi, placement.number))
+        board = SeenBoard(picture, placement.scanner_from_board.inverse() @ pose)
         return finish(number, expect_record(rig, scene, phi, laser=index, board=board, placement=placement.number))
 
     return _ahead(make, enumerate(jobs))

@@ -9,6 +9,7 @@ from jaxscan.stripes.engine import ChunkStripes, StripeEngine, prepare_engines, 
 from jaxscan.stripes.estimators import ESTIMATORS, Estimator, estimator_of
 from jaxscan.stripes.extract import extract_stripes
 from jaxscan.stripes.frames import (
+    DEEP_BITS,
     PIXEL_FORMATS,
     BlackLevelError,
     Colour,
@@ -22,6 +23,7 @@ from jaxscan.stripes.frames import (
     Response,
     Sites,
     check_frames,
+    clear_level,
     decode_table,
     estimate_noise,
     frame_rank,
@@ -30,7 +32,10 @@ from jaxscan.stripes.frames import (
     laser_sites,
     learn_noise,
     learn_response,
+    level_exposures,
     speckle_words,
+    split_levels,
+    to_8_bits,
     with_colour,
 )
 from jaxscan.stripes.pairs import judge_pairs

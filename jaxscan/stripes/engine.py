@@ -32,6 +32,7 @@ from jaxscan.stripes.frames import (
     PixelFormat,
     applied_ratio,
     check_black,
+    clear_level,
     lamp_ratio,
     laser_sites,
     learn_noise,
@@ -76,7 +77,8 @@ class StripeEngine(eqx.Module):
     setup: ExtractionSetup = eqx.field(static=True)
     search: Search
     channels: tuple["StripeEngine", ...] = ()
-    """Engines of the other channels, where the laser's own is often clipped."""
+    """Engines of the other channels, where the laser's own is often clipped; or of the other levels of frames of more
+    than 8 bits."""
     responses: tuple[float, ...] = eqx.field(static=True, default=())
     """Light of the laser in each of them, in that of its own channel [1]."""
     doubts: tuple[float, ...] = ()
@@ -120,6 +122,9 @@ class StripeEngine(eqx.Module):
         """
         if self.channels:
             engines = [one.learn(on, off, records) for one in (self.own_channel(), *self.channels)]
+            if self.setup.level is not None:
+                # All levels are of the same light.
+                return StripeEngine(self.setup, engines[0].search, tuple(engines[1:]), self.responses)
             found = [one.extract_shared(on, off, records) for one in engines]
             doubts = doubts_of([chosen_of(one.stripes, one.chosen) for one in found], self.setup.sites.line_step)
             return StripeEngine(self.setup, engines[0].search, tuple(engines[1:]), self.responses, doubts)
@@ -152,6 +157,8 @@ class StripeEngine(eqx.Module):
         """
         if self.channels:
             return self._of_channels(on, off, records)
+        if self.setup.level is not None:
+            on, off = on[:, self.setup.level], None if off is None else off[:, self.setup.level]
         count, exposures = len(on), len(self.setup.exposures)
         room = max(records, count)
         kind = _Kind.of(self.setup, on.shape[1 + (exposures > 1) :])
@@ -372,10 +379,13 @@ def prepare_engines(
         ValueError: If the colour cannot be learned, the black level is above the picture, or the settings ask for a
             choice that the estimator or the gate do not allow.
     """
+    gates = gates or [whole_lines(setup) for setup in setups]
+    if setups[0].level is not None:
+        return [_engine_of_levels(on, off, setup, noise, gate) for setup, gate in zip(setups, gates, strict=True)]
     if len(setups[0].exposures) > 1:
         on, off = on[:, 0], None if off is None else off[:, 0]
     engines = []
-    for setup, gate in zip(setups, gates or [whole_lines(setup) for setup in setups], strict=True):
+    for setup, gate in zip(setups, gates, strict=True):
         estimator_of(setup.settings)
         line = with_colour(setup.line, on, off, setup.frames.pixel_format)
         if noise is None:
@@ -389,6 +399,45 @@ def prepare_engines(
         )
         engines.append(StripeEngine(own.setup, own.search, tuple(rest), tuple(channel.response for channel in found)))
     return engines
+
+
+def _engine_of_levels(
+    on: Array, off: Array | None, setup: ExtractionSetup, noise: NoiseModel | None, gate: LineGate
+) -> StripeEngine:
+    """An engine for each level of frames of more than 8 bits, the first for all of their range."""
+    estimator_of(setup.settings)
+    pairs = [(on[:, k], None if off is None else off[:, k]) for k in range(len(setup.exposures))]
+    line = with_colour(setup.line, *pairs[0], setup.frames.pixel_format)
+    relative = tuple(exposure / setup.exposures[0] for exposure in setup.exposures)
+    if noise is None:
+        noises = _noise_of_levels(pairs, relative, setup, line, clear_level(np.asarray(on if off is None else off)))
+    else:
+        noises = [noise.in_finer_steps(finer) for finer in relative]
+    engines: list[StripeEngine] = []
+    for level, (one, (lit, _)) in enumerate(zip(noises, pairs, strict=True)):
+        check_black(one, lit, frames=setup.frames, line=line)
+        own = setup._replace(line=line, exposures=(1.0,), level=level)
+        engines.append(StripeEngine(own, prepare_search(own, one, gate, has_off=off is not None)))
+    return StripeEngine(engines[0].setup, engines[0].search, tuple(engines[1:]), relative[1:])
+
+
+def _noise_of_levels(
+    pairs: Sequence[tuple[Array, Array | None]],
+    relative: Sequence[float],
+    setup: ExtractionSetup,
+    line: LaserLine,
+    clear: int,
+) -> list[NoiseModel]:
+    """The noise of each level, of which `clear` is the last that is not clipped.
+
+    An exposure has the camera's noise at each of its levels; these have that of the same electrons in other steps. So
+    each learns its own; one that does not tell it, for all of it is dark, or clipped, has that of the nearest other.
+    """
+    learned = [learn_noise(*pair, frames=setup.frames, line=line) for pair in pairs]
+    told = [k for k, one in enumerate(learned) if one.gain_told] or [clear]
+    # Of two as near the finer one: rounding hides less of its noise.
+    nearest = [min((abs(other - k), -other, other) for other in told)[2] for k in range(len(pairs))]
+    return [learned[of].noise.in_finer_steps(relative[k] / relative[of]) for k, of in enumerate(nearest)]
 
 
 def stripes_of_frames(engine: StripeEngine, on: UInt8[Array, "frames ..."], off: Array | None) -> FrameStripes:

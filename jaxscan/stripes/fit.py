@@ -22,7 +22,7 @@ from jax import lax
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.memory import folded, in_blocks
+from jaxscan.memory import folded, in_blocks
 from jaxscan.stripes.peaks import WINDOW, Peaks
 from jaxscan.stripes.planes import Plane
 from jaxscan.stripes.search import Search

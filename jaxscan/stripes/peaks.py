@@ -21,7 +21,7 @@ from jax import lax
 from jaxtyping import Bool, Float, Int, Int16, UInt8
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.memory import folded, in_blocks, kept
+from jaxscan.memory import folded, in_blocks, kept
 from jaxscan.stripes.planes import Plane
 
 

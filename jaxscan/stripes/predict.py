@@ -17,20 +17,18 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.ndimage  # type: ignore[import-untyped]
-from jaxtyping import Bool, Float, Int16, UInt8
+from jaxtyping import Bool, Float, Int16, Shaped, UInt8
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.frames import Colour, LaserLine, PixelFormat, laser_plane, laser_sites
 
 
-_CODES = 1024
-"""Values of which medians are taken are whole numbers from 0 to below this."""
-_HALF_PX = 32
-"""Reach on either side of the running medians of hue and of clipped stripes [px]."""
-_NEAR_PX = 12
-"""Reach of the median of what is left [px]: stripes up to as wide as this do not raise it."""
-_AROUND = 4
-"""Lines on either side whose residuals choose among predictions."""
+_PLACES = 8
+"""A median is that of three times so many samples and one more."""
+_WIDE, _FAR = 2, 3
+"""Distance of the samples of medians [samples] where stripes are clipped, and of hue: 24 and 36 px on either side."""
+_AROUND, _BLOCK = 4, 4
+"""Lines on either side, and as many blocks of samples, whose residuals choose among predictions; samples of a block."""
 _PER_OCTAVE = 128
 """Steps of a ratio by which it doubles: 0.3 % of rounding."""
 _SOFT_DN = 4.0
@@ -38,11 +36,20 @@ _SOFT_DN = 4.0
 _MOST_DN = 24.0
 """Residual from which more is not worse: that of a stripe [DN]."""
 _CLIPPED = 254
-_LATTICE = 10_000
+_STRIPE_DN = 60.0
+_BRIGHT = 224
+"""Level from which a sample may be a clipped one that compression or demosaicing has mixed with its neighbours, and by
+how much it is then above the line around it [DN]."""
+_LINES = 32
+"""Lines of which medians are taken together: they stay in a core's cache."""
+_END = 32_000
+"""Above all values of which medians are taken."""
+_LATTICE = 5_000
 """Pixels of a frame from which the mixture is learned."""
 _STEPS = 12
 
 Planes = Float[np.ndarray, "frames lines samples"]
+Places = Bool[np.ndarray, "frames lines samples"]
 _COLOURS: tuple[Colour, ...] = ("red", "green", "blue")
 
 
@@ -67,78 +74,92 @@ def predict_off(
         elsewhere: Levels that other frames predict for the only frame, taken where they are good.
 
     Returns:
-        Frames of the same shape: the laser's channel predicted, the others as they are.
+        Frames of the same shape: the laser's channel predicted; the others as they are, and along the line where the
+        laser's is clipped, as they see the laser there.
     """
     on = np.asarray(on)
     off = on.copy()
     for k in range(len(on)):
-        part = slice(k, k + 1)
-        room = _room(read_channels(on[part], pixel_format, line), elsewhere, laser_sites(pixel_format, line).pitch)
-        plane = np.clip(np.rint(room), 0, 255).astype(np.uint8)
-        put_plane(off[part], plane, pixel_format=pixel_format, line=line)
-        if pixel_format == "rgb8":
-            _clear_others(off[part], on[part], line)
+        part, pitch = slice(k, k + 1), laser_sites(pixel_format, line).pitch
+        seen = read_channels(on[part], pixel_format, line)
+        clipped, places = _clipped(seen.laser, pitch), _PLACES // pitch
+        room = _room(seen, elsewhere, clipped, places)
+        put_plane(off[part], _codes(room), pixel_format=pixel_format, line=line)
+        near = _near(seen.laser >= _CLIPPED, 3 * places // 2)
+        if pixel_format != "rgb8" or not near.any():
+            continue
+        for colour, plane in zip([one for one in _COLOURS if one != line.colour], seen.others, strict=True):
+            other = dataclasses.replace(line, colour=colour)
+            cleared = _codes(_put(plane, near, _along(plane, places, near)))
+            put_plane(off[part], cleared, pixel_format="rgb8", line=other)
     return off
 
 
-def _clear_others(off: np.ndarray, on: np.ndarray, line: LaserLine) -> None:
-    """The other channels along the line, where the laser's is clipped: they see the laser there."""
-    seen = read_channels(on, "rgb8", line)
-    clipped = _near(seen.laser >= _CLIPPED, _NEAR_PX)
-    if not clipped.any():
-        return
-    for colour, plane in zip([one for one in _COLOURS if one != line.colour], seen.others, strict=True):
-        room = np.where(clipped, _along(plane, _HALF_PX), plane)
-        other = dataclasses.replace(line, colour=colour)
-        put_plane(off, np.rint(room).astype(np.uint8), pixel_format="rgb8", line=other)
+def _codes(room: Planes) -> UInt8[np.ndarray, "frames lines samples"]:
+    return np.clip(np.rint(room), 0, 255).astype(np.uint8)
 
 
-def _room(seen: Channels, elsewhere: Channels | None, pitch: int) -> Planes:
-    half, close = _HALF_PX // pitch, _NEAR_PX // pitch
+def _clipped(level: UInt8[np.ndarray, "frames lines samples"], pitch: int) -> Places:
+    """Samples that are clipped, or are so bright in a stripe that a clipped one may have been mixed into them."""
+    bright = level >= _BRIGHT
+    if bright.any():
+        above = level[bright] - _along(level, _PLACES // pitch, bright)
+        bright[bright] = (level[bright] >= _CLIPPED) | (above > _STRIPE_DN)
+    return bright
+
+
+def _room(seen: Channels, elsewhere: Channels | None, clipped: Places, places: int) -> Planes:
     level = seen.laser.astype(np.float32)
-    clipped = _near(seen.laser >= _CLIPPED, half)
+    far = _near(clipped, 4 * places)
     rooms = [np.zeros_like(level)]
     if seen.others:
-        rooms.append(_from_others(level, seen.others, _near(seen.laser >= _CLIPPED, close), half))
+        rooms.append(_from_others(level, seen.others, _near(clipped, 3 * places // 2), places))
     if elsewhere is not None:
         moved = elsewhere.laser.astype(np.float32)
         if seen.others:
             changes = (now - then for now, then in zip(seen.others, elsewhere.others, strict=True))
             # Where the light has changed all channels have; where they are clipped they see the laser.
-            moved = moved + np.where(clipped, 0.0, sum(changes, np.zeros_like(level)) / len(seen.others))
+            moved = moved + np.where(far, 0.0, sum(changes, np.zeros_like(level)) / len(seen.others))
         rooms.append(moved)
-    return _best(level, [room + _rest(level - room, clipped, half, close) for room in rooms], half)
+    return level - _least([_without_rest(level - room, far, places) for room in rooms], places)
 
 
-def _rest(difference: Planes, clipped: Bool[np.ndarray, "frames lines samples"], half: int, close: int) -> Planes:
-    near = _along(difference + 256.0, close) - np.float32(256.0)
-    if not clipped.any():
-        return near
-    return np.where(clipped, _along(difference + 256.0, half) - np.float32(256.0), near)
+def _without_rest(residual: Planes, far: Places, places: int) -> Planes:
+    """A prediction's residual less its median nearby, or further away where a wide stripe is clipped."""
+    rest = _along(residual, places)
+    return residual - (_put(rest, far, _along(residual, places, far)) if far.any() else rest)
 
 
-def _best(level: Planes, rooms: Sequence[Planes], half: int) -> Planes:
-    """Of all predictions the one with the smallest residuals around; the laser only adds light."""
-    best, least = rooms[0], None
-    for room in rooms:
-        size = box_mean(np.minimum(np.abs(level - room), np.float32(_MOST_DN)), half, _AROUND)
+def _put(plane: Planes, where: Places, values: Float[np.ndarray, " n"]) -> Planes:
+    plane = plane.copy()
+    plane[where] = values
+    return plane
+
+
+def _least(residuals: Sequence[Planes], places: int) -> Planes:
+    """Of the residuals of all predictions those that are smallest around; the laser only adds light."""
+    best, least = residuals[0], None
+    for residual in residuals if len(residuals) > 1 else ():
+        size = np.abs(residual)
+        np.minimum(size, np.float32(_MOST_DN), out=size)
+        samples = size.shape[2]
+        size = np.pad(size, ((0, 0), (0, 0), (0, -samples % _BLOCK)), mode="edge")
+        blocks = np.add.reduce([size[:, :, k::_BLOCK] for k in range(_BLOCK)])
+        size = box_mean(blocks, 4 * places // _BLOCK, _AROUND)
         if least is None:
             least = size
         else:
-            better = size < least
-            best, least = np.where(better, room, best), np.minimum(size, least)
+            better = np.repeat(size < least, _BLOCK, 2)[:, :, :samples]
+            best, least = np.where(better, residual, best), np.minimum(size, least)
     return best
 
 
-def _from_others(
-    level: Planes, others: tuple[Planes, ...], clipped: Bool[np.ndarray, "frames lines samples"], half: int
-) -> Planes:
+def _from_others(level: Planes, others: tuple[Planes, ...], clipped: Places, places: int) -> Planes:
     mixed = np.stack([_mixture(*planes) for planes in zip(level, *others, strict=True)])
     if clipped.any():
-        mixed = np.where(clipped, np.minimum(mixed, _along(mixed, half)), mixed)
+        mixed = _put(mixed, clipped, np.minimum(mixed[clipped], _along(mixed, places, clipped)))
     ratio = np.log2((level + np.float32(_SOFT_DN)) / (mixed + np.float32(_SOFT_DN)))
-    codes = np.clip(np.rint(_PER_OCTAVE * ratio) + _CODES // 2, 0, _CODES - 1).astype(np.int16)
-    hue = np.exp2((running_median(codes, half) - np.float32(_CODES // 2)) / np.float32(_PER_OCTAVE))
+    hue = np.exp2(running_median(_PER_OCTAVE * ratio, places, _FAR) / np.float32(_PER_OCTAVE))
     return np.maximum(hue * (mixed + np.float32(_SOFT_DN)) - np.float32(_SOFT_DN), 0.0)
 
 
@@ -157,7 +178,7 @@ def _mixture(level: np.ndarray, *others: np.ndarray) -> Float[np.ndarray, "lines
     return np.maximum(np.asarray(mixed, np.float32), 0.0)
 
 
-def _near(marked: Bool[np.ndarray, "frames lines samples"], half: int) -> Bool[np.ndarray, "frames lines samples"]:
+def _near(marked: Places, half: int) -> Places:
     """Samples within reach of a marked one on their line."""
     before = np.cumsum(np.pad(marked, ((0, 0), (0, 0), (half + 1, half))), 2, dtype=np.int32)
     return before[:, :, 2 * half + 1 :] - before[:, :, : -2 * half - 1] > 0
@@ -178,27 +199,87 @@ def box_mean(values: Planes, samples: int, lines: int) -> Planes:
     return values
 
 
-def _along(level: Planes, half: int) -> Planes:
-    codes = np.clip(np.rint(2.0 * level), 0, _CODES - 1).astype(np.int16)
-    return np.float32(0.5) * running_median(codes, half).astype(np.float32)
+def _along(
+    level: Shaped[np.ndarray, "frames lines samples"], places: int, where: Places | None = None
+) -> Float[np.ndarray, "..."]:
+    """The running median of levels, to half a DN: the narrow one everywhere, or the wide one at some places."""
+    doubled = 2.0 * level.astype(np.float32)
+    return np.float32(0.5) * (running_median(doubled, places) if where is None else median_at(doubled, places, where))
 
 
-def running_median(
-    codes: Int16[np.ndarray, "frames lines samples"], half: int
-) -> Int16[np.ndarray, "frames lines samples"]:
-    """Median along each line of the samples within `half` on both sides; near its ends of those and of as many below
-    as above all.
+def running_median(values: Planes, places: int, spacing: int = 1) -> Float[np.ndarray, "frames lines samples"]:
+    """Median along each line of 3 `places` + 1 samples around; beyond a line's ends are as many below as above all.
 
     Args:
-        codes: Values from 0 to `_CODES` - 1.
-        half: Samples on either side.
+        values: Between -16,000 and 16,000; rounded to whole numbers.
+        places: A power of 2.
+        spacing: Distance of the samples that are looked at.
     """
-    ends = np.where(np.arange(half) % 2 == 0, -1, _CODES).astype(np.int16)
-    wide = np.pad(codes, ((0, 0), (0, 0), (half, half)))
+    frames, lines, samples = values.shape
+    out = np.empty(values.shape, np.float32)
+    wide = _between_ends(values, places, spacing).reshape(frames * lines, -1)
+    for start in range(0, len(wide), _LINES):
+        run, length = [wide[start : start + _LINES]], 1
+        while length < places:
+            reach = length * spacing
+            run = _merged([one[:, :-reach] for one in run], [one[:, reach:] for one in run])
+            length *= 2
+        at = lambda k, run=run: [one[:, k * spacing : k * spacing + samples] for one in run]
+        last = wide[start : start + _LINES, 3 * places * spacing :]
+        out.reshape(frames * lines, -1)[start : start + _LINES] = _middle([at(k * places) for k in range(3)], last)
+    return out
+
+
+def median_at(values: Planes, places: int, where: Places, spacing: int = _WIDE) -> Float[np.ndarray, " n"]:
+    """As `running_median`, at some samples."""
+    wide = _between_ends(values, places, spacing)
+    first = np.flatnonzero(where)
+    first += first // values.shape[2] * (wide.shape[2] - values.shape[2])
+    taken = [wide.reshape(-1)[first + k * spacing] for k in range(3 * places + 1)]
+    runs = [_ordered(taken[k * places : (k + 1) * places]) for k in range(3)]
+    return _middle(runs, taken[-1]).astype(np.float32)
+
+
+def _between_ends(values: Planes, places: int, spacing: int) -> Int16[np.ndarray, "frames lines wide"]:
+    half = (3 * places) // 2 * spacing
+    ends = np.where(np.arange(half) // spacing % 2 == 0, -_END, _END).astype(np.int16)
+    wide = np.empty((*values.shape[:2], values.shape[2] + 2 * half), np.int16)
     wide[:, :, :half], wide[:, :, -half:] = ends[::-1], ends
-    # One long line, for which SciPy keeps the window sorted.
-    found = scipy.ndimage.median_filter(wide.reshape(-1), size=2 * half + 1).reshape(wide.shape)
-    return np.clip(found[:, :, half:-half], 0, _CODES - 1)
+    wide[:, :, half:-half] = np.rint(values)
+    return wide
+
+
+Run = list[np.ndarray]
+"""Arrays of one shape, of which each is nowhere below the one before."""
+
+
+def _ordered(values: Run) -> Run:
+    half = len(values) // 2
+    return values if half == 0 else _merged(_ordered(values[:half]), _ordered(values[half:]))
+
+
+def _merged(a: Run, b: Run) -> Run:
+    """Two runs of equal length as one (K. E. Batcher, Sorting networks and their applications, AFIPS 1968)."""
+    if len(a) == 1:
+        return [np.minimum(a[0], b[0]), np.maximum(a[0], b[0])]
+    even, odd = _merged(a[::2], b[::2]), _merged(a[1::2], b[1::2])
+    pairs = [(np.minimum(e, o), np.maximum(e, o)) for e, o in zip(even[1:], odd, strict=False)]
+    return [even[0], *(one for pair in pairs for one in pair), odd[-1]]
+
+
+def _middle(runs: Sequence[Run], last: np.ndarray) -> np.ndarray:
+    """Median of three runs and one more."""
+    long, short = _merged(runs[0], runs[1]), []
+    for one in runs[2]:
+        short.append(np.minimum(one, last))
+        last = np.maximum(one, last)
+    short.append(last)
+    # The k-th of both is the least of the larger ones of i and k - i of them.
+    k = 3 * len(runs[0]) // 2
+    found = long[k]
+    for i, one in enumerate(short[: k + 1]):
+        found = np.minimum(found, np.maximum(one, long[k - i - 1]) if i < k else one)
+    return found
 
 
 def warped(

@@ -19,6 +19,8 @@ class ExtractionSetup(NamedTuple):
     settings: StripeSettings
     exposures: tuple[float, ...] = (1.0,)
     """Relative exposures of the frames of one record."""
+    level: int | None = None
+    """Where the exposures are levels of one frame of more than 8 bits, the one that this engine reads."""
     all_candidates: bool = False
     """Whether the other candidates of a line are given too, beside the number of the chosen one."""
 

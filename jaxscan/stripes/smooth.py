@@ -35,8 +35,8 @@ from jaxtyping import Bool, Float, Int
 
 from jaxscan.compiling import compile_wide
 from jaxscan.geometry import Array
+from jaxscan.memory import kept
 from jaxscan.stripes.frames import Sites
-from jaxscan.stripes.memory import kept
 
 
 _SIZES = (3, 6, 10)

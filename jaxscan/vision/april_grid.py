@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 
 from jaxscan.geometry import AprilGrid, apply_homography, direct_homography
-from jaxscan.observation.corners import FoundCorners, is_enough, square_sizes
+from jaxscan.observation import FoundCorners
+from jaxscan.vision.corners import is_enough, square_sizes
 
 
 _DICTIONARY = "DICT_APRILTAG_36h11"

@@ -3,6 +3,7 @@
 OpenCV's BGR order of colours is used in this file only.
 """
 
+import re
 import struct
 from collections.abc import Callable
 
@@ -12,7 +13,7 @@ import numpy as np
 from jaxscan.errors import CaptureError, DependencyError
 from jaxscan.geometry import MAX_PIXELS
 from jaxscan.vision.png import SIGNATURE, check_png, png_size
-from jaxscan.vision.tiff import Tiff
+from jaxscan.vision.tiff import OtherKind, Tiff
 from jaxscan.vision.zstd import MAGIC, decode_zstd, zstd_size
 
 
@@ -73,7 +74,13 @@ def through_jpeg(image: np.ndarray, quality: int) -> np.ndarray:
 
 
 def decode_image(
-    data: bytes, *, name: str, rank: int | None, size: tuple[int, int] | None, out: np.ndarray | None = None
+    data: bytes,
+    *,
+    name: str,
+    rank: int | None,
+    size: tuple[int, int] | None,
+    out: np.ndarray | None = None,
+    deep: bool = False,
 ) -> np.ndarray:
     """One frame from the bytes of a PNG, packed (`encode_zstd`), TIFF, JPEG or BMP file; none of a damaged file.
 
@@ -86,22 +93,26 @@ def decode_image(
         rank: 2 for grey or raw Bayer, 3 for colour, or None for any.
         size: Width and height that it must have [px], or None for any.
         out: Memory for the image; used, filled and returned where it has its shape and the decoder can fill it.
+        deep: Whether samples may have 16 bits.
 
     Returns:
-        uint8 [rows, columns], or RGB [rows, columns, 3].
+        uint8 [rows, columns], or RGB [rows, columns, 3]; with `deep` perhaps uint16.
 
     Raises:
-        CaptureError: If it is damaged, or not an 8-bit image of that size and kind.
+        CaptureError: If it is damaged, or not an image of that size and kind.
     """
     kind = _kind(data, name)
     try:
         _check_size(_SIZES[kind](data), name, size)
         image = _DECODERS[kind](data, out)
+    except OtherKind as problem:
+        raise CaptureError(f"{name}: {problem}.") from problem
     except ValueError as problem:
         raise CaptureError(f"{name}: cannot be decoded; the file is damaged: {problem}.") from problem
     _check_size((image.shape[1], image.shape[0]), name, size)
-    if image.dtype != np.uint8:
-        raise CaptureError(f"{name}: found {image.dtype} pixels, expected 8 bit.")
+    if image.dtype != np.uint8 and not (deep and image.dtype == np.uint16):
+        cure = "`jaxscan import` reads such frames" if image.dtype == np.uint16 else "convert it to 8 or 16 bits"
+        raise CaptureError(f"{name}: found {image.dtype} pixels, expected 8 bit; {cure}.")
     channels = 1 if image.ndim == 2 else image.shape[2]
     if channels not in (1, 3):
         raise CaptureError(f"{name}: found {channels} channels, expected {3 if rank == 3 else 1}; remove the alpha.")
@@ -131,9 +142,10 @@ def _kind(data: bytes, name: str) -> str:
     for kind, beginnings in _BEGINNINGS.items():
         if data.startswith(beginnings):
             return kind
-    raise CaptureError(
-        f"{name}: found {'an empty file' if not data else 'an unknown kind of file'}, expected PNG, TIFF, JPEG or BMP."
-    )
+    if not data:
+        raise CaptureError(f"{name}: found an empty file, expected PNG, TIFF, JPEG or BMP.")
+    other = next((one for one, sign in _OTHERS.items() if re.match(sign, data, re.DOTALL)), "an unknown kind of file")
+    raise CaptureError(f"{name}: found {other}, expected PNG, TIFF, JPEG or BMP; convert it.")
 
 
 def _bmp_size(data: bytes) -> tuple[int, int]:
@@ -151,6 +163,9 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
         marker = data[at + 1]
         # Start of frame, in all its variants; C4, C8 and CC mean something else.
         if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            if data[at + 4] != 8 or marker > 0xC2:
+                kind = f"{data[at + 4]} bits" if data[at + 4] != 8 else "lossless or arithmetic coding"
+                raise OtherKind(f"found a JPEG of {kind}, expected one of 8 bits in the usual coding; convert it")
             height, width = struct.unpack(">HH", data[at + 5 : at + 9])
             return width, height
         at += 1 if marker == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
@@ -168,7 +183,7 @@ def _decode_jpeg(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
     # Also for messages of the library in other forms than ours.
     space = str(simplejpeg.decode_jpeg_header(data)[2]).upper()
     if space not in ("GRAY", "YCBCR", "RGB"):
-        raise ValueError(f"found the colours {space:.20}, expected grey or RGB")
+        raise OtherKind(f"found the colours {space:.20}, expected grey or RGB; convert it to RGB")
     return np.asarray(simplejpeg.decode_jpeg(data, "GRAY" if space == "GRAY" else "RGB"))
 
 
@@ -186,8 +201,14 @@ def _decode_png(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
 
 
 def _decode_tiff(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
-    Tiff.of(data).check()
-    return _by_opencv(data)
+    tiff = Tiff.of(data)
+    tiff.check()
+    try:
+        return _by_opencv(data)
+    except ValueError as problem:
+        if tiff.is_known_packing():
+            raise
+        raise OtherKind("found a way of packing that is not read; save it without, or with LZW or Deflate") from problem
 
 
 def _by_opencv(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
@@ -201,6 +222,19 @@ def _by_opencv(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if image.ndim == 3 and image.shape[2] == 3 else image
 
 
+_OTHERS = {
+    "HEIC or AVIF": rb"....ftyp(?:heic|heix|hevc|mif1|msf1|heim|heis|avif)",
+    "WebP": rb"RIFF....WEBP",
+    "GIF": rb"GIF8",
+    "JPEG 2000": rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51",
+    "JPEG XL": rb"\xff\x0a|\0\0\0\x0cJXL ",
+    "PGM or PPM": rb"P[2356]\s",
+    "OpenEXR": rb"\x76\x2f\x31\x01",
+    "FITS": rb"SIMPLE  =",
+    "BigTIFF": rb"II\+\0|MM\0\+",
+    "a raw file of Canon": rb"....ftypcrx",
+}
+"""Kinds that are known by their first bytes, and not read."""
 _BEGINNINGS: dict[str, bytes | tuple[bytes, ...]] = {
     "PNG": SIGNATURE,
     "BMP": b"BM",

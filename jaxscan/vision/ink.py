@@ -35,23 +35,24 @@ def board_ink(board: AbstractBoard) -> Ink:
     elif isinstance(board, AprilGrid):
         parts = _tags(board)
     elif isinstance(board, Charuco):
-        parts = [_squares(board.columns, board.rows) * board.square, *_markers(board)]
+        parts = [_squares(~board.white()) * board.square, *_markers(board)]
     elif isinstance(board, Chessboard):
-        parts = [(_squares(board.columns + 1, board.rows + 1) - 1.0) * board.square]
+        black = (np.add.outer(np.arange(board.rows + 1), np.arange(board.columns + 1)) + 1) % 2 == 1
+        parts = [(_squares(black) - 1.0) * board.square]
     else:
         raise ValueError(f"No print of a board of type {type(board).__name__}.")
     return Ink(np.concatenate(parts), circles)
 
 
-def _squares(columns: int, rows: int) -> np.ndarray:
-    """The black squares of a chessboard whose first one is black, in sides of a square."""
-    row, column = np.nonzero((np.add.outer(np.arange(rows), np.arange(columns)) + 1) % 2)
+def _squares(black: np.ndarray) -> np.ndarray:
+    """The black squares of a chessboard, bool [rows, columns], in sides of a square."""
+    row, column = np.nonzero(black)
     return np.stack([column, row, column + 1, row + 1], -1).astype(np.float64)
 
 
 def _markers(board: Charuco) -> list[np.ndarray]:
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, known_dictionary(board.dictionary)))
-    white = np.argwhere(np.add.outer(np.arange(board.rows), np.arange(board.columns)) % 2)
+    white = np.argwhere(board.white())
     gap = (board.square - board.marker) / 2
     return [
         _marker(dictionary, number, 1) * board.marker

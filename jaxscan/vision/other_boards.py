@@ -44,16 +44,24 @@ def _name_marked(name: str, ids: np.ndarray, centres: np.ndarray, board: Abstrac
     if isinstance(board, AprilGrid):
         if name != _APRIL_TAGS or max(ids) >= board.columns * board.rows:
             return f"a board with {numbers} of {kind}"
-        found = _columns(ids, centres, _tags)
+        found, _ = _columns(ids, centres, _tags)
         return f"an AprilGrid with {found} columns of tags" if found not in (None, board.columns) else None
     if not isinstance(board, Charuco):
         shown = "an AprilGrid" if name == _APRIL_TAGS else "a ChArUco board"
         return f"{shown} ({numbers} of {kind})"
     if not board.dictionary.upper().startswith(kind.upper()):
         return f"a board with markers of {kind}, not of {board.dictionary}"
-    columns = _columns(ids, centres, _white_squares)
+    layouts = {"standard": _white_squares(True), "legacy": _white_squares(False)}
+    if board.rows % 2:
+        # Both are the same board.
+        layouts = {board.layout: layouts["standard"]}
+    fits = {layout: _columns(ids, centres, places) for layout, places in layouts.items()}
+    layout, (columns, _) = min(fits.items(), key=lambda fit: fit[1][1])
     if columns is not None and columns != board.columns:
         return f"a ChArUco board with {columns} columns of squares"
+    if columns is not None and layout != board.layout:
+        when = "before OpenCV 4.6" if layout == "legacy" else "since OpenCV 4.6"
+        return f'a ChArUco board in the layout {when} (layout = "{layout}", or that word behind import --board)'
     count = board.columns * board.rows // 2
     # A board with fewer rows is a part of the expected one, and found as that.
     return f"a larger board, with {numbers} (expected up to {count - 1})" if max(ids) >= count else None
@@ -76,9 +84,12 @@ def _detector(dictionary: str) -> "cv2.aruco.ArucoDetector":
     return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)), settings)
 
 
-def _columns(ids: np.ndarray, centres: np.ndarray, places_of: Callable[[int, int], np.ndarray]) -> int | None:
-    """Columns of the board on which markers with these numbers stand at these pixels; None for none."""
-    best = None
+def _columns(
+    ids: np.ndarray, centres: np.ndarray, places_of: Callable[[int, int], np.ndarray]
+) -> tuple[int | None, float]:
+    """Columns of the board on which markers with these numbers stand at these pixels, None for none; and their error
+    in squares."""
+    best: tuple[float, int | None] = np.inf, None
     for columns in range(2, _MOST_COLUMNS + 1):
         places = places_of(columns, int(ids.max()) + 1)[ids]
         if min(np.ptp(places, axis=0)) < 1:
@@ -87,16 +98,20 @@ def _columns(ids: np.ndarray, centres: np.ndarray, places_of: Callable[[int, int
         mapped = np.column_stack([centres, np.ones(len(centres))]) @ to_board.T
         error = np.hypot(*(mapped[:, :2] / mapped[:, 2:] - places).T)
         size = float(np.sqrt(np.median(error**2)))
-        if size < _FITS and (best is None or size < best[0]):
+        if size < min(_FITS, best[0]):
             best = size, columns
-    return None if best is None else best[1]
+    return best[1], best[0]
 
 
-def _white_squares(columns: int, count: int) -> np.ndarray:
+def _white_squares(black_first: bool) -> Callable[[int, int], np.ndarray]:
     """Column and row of the squares of the first markers, numbered along the rows [count, 2]."""
-    y, x = np.mgrid[: 2 * count // (columns - 1) + 2, :columns]
-    white = (x + y) % 2 == 1
-    return np.stack([x[white], y[white]], -1)[:count].astype(np.float64)
+
+    def places(columns: int, count: int) -> np.ndarray:
+        y, x = np.mgrid[: 2 * count // (columns - 1) + 2, :columns]
+        white = (x + y) % 2 == black_first
+        return np.stack([x[white], y[white]], -1)[:count].astype(np.float64)
+
+    return places
 
 
 def _tags(columns: int, count: int) -> np.ndarray:

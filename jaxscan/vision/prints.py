@@ -34,15 +34,14 @@ def draw_print(board: AbstractBoard) -> np.ndarray:
 
 
 def _draw_charuco(board: Charuco, per_square: int) -> np.ndarray:
-    y, x = np.mgrid[: board.rows, : board.columns]
-    white = (x + y) % 2
+    white = board.white()
     picture = np.kron(white, np.ones((per_square, per_square))).astype(np.float32)
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, known_dictionary(board.dictionary)))
     cells = dictionary.markerSize + 2
     gap = 0.5 * (1.0 - board.marker / board.square) * per_square
     share = _shares(np.linspace(gap, per_square - gap, cells + 1), per_square)
     margin = 1.0 - np.outer(share.sum(1), share.sum(1))
-    for number, (row, column) in enumerate(np.argwhere(white > 0)):
+    for number, (row, column) in enumerate(np.argwhere(white)):
         marker = cv2.aruco.generateImageMarker(dictionary, number, cells, borderBits=1) / 255.0
         top, left = row * per_square, column * per_square
         picture[top : top + per_square, left : left + per_square] = share @ marker @ share.T + margin

@@ -10,6 +10,7 @@ from isal import isal_zlib
 _SHORT, _LONG = 3, 4
 _WIDTH, _HEIGHT, _BITS, _COMPRESSION, _FILL_ORDER, _STRIPS, _SAMPLES = 256, 257, 258, 259, 266, 273, 277
 _ROWS_PER_STRIP, _STRIP_BYTES, _PLANAR = 278, 279, 284
+_PHOTOMETRIC, _SEPARATED = 262, 5
 _TILE_WIDTH, _TILE_HEIGHT, _TILES, _TILE_BYTES = 322, 323, 324, 325
 _NONE, _LZW, _PACKBITS, _DEFLATE = 1, 5, 32773, (8, 32946)
 _MOST_ENTRIES = 1 << 20
@@ -22,6 +23,10 @@ _CODE_WIDTHS = 9 + np.searchsorted([512, 1024, 2048], _LARGEST_CODES + 1, side="
 _CODE_STARTS = np.concatenate([[0], np.cumsum(_CODE_WIDTHS)])
 _LEAST_TABLE = 256
 """Bytes that a table of LZW stands for, on average, at the least."""
+
+
+class OtherKind(ValueError):
+    """A picture that is whole, and of a kind that is not read here."""
 
 
 class Tiff(NamedTuple):
@@ -77,8 +82,12 @@ class Tiff(NamedTuple):
         width, height = self.size()
         samples, planar = self._one(_SAMPLES, 1), self._one(_PLANAR, 1)
         bits, compression = self._all(_BITS, (1,)), self._one(_COMPRESSION, _NONE)
-        if not 1 <= samples <= _MOST_SAMPLES or len(set(bits)) != 1 or bits[0] not in (1, 2, 4, 8, 16, 32, 64):
+        if not 1 <= samples <= _MOST_SAMPLES or len(set(bits)) != 1 or not 1 <= bits[0] <= 64:
             raise ValueError(f"it has {samples} samples of {bits[:8]} bits")
+        if self._one(_PHOTOMETRIC, 1) == _SEPARATED:
+            raise OtherKind("found the colours CMYK, expected grey or RGB; convert it to RGB")
+        if bits[0] not in (1, 2, 4, 8, 16, 32, 64):
+            raise OtherKind(f"found samples of {bits[0]} packed bits, expected 8 or 16; convert it to 16 bits")
         if self._one(_FILL_ORDER, 1) != 1 or planar not in (1, 2):
             raise ValueError("the order of its bits or samples is not a usual one")
         planes, together = (1, samples) if planar == 1 else (samples, 1)
@@ -113,6 +122,10 @@ class Tiff(NamedTuple):
             fits = True
         if not fits:
             raise ValueError("its data have another length than its rows")
+
+    def is_known_packing(self) -> bool:
+        """Whether the data are packed in a way of which `check` knows the damage."""
+        return self._one(_COMPRESSION, _NONE) in (_NONE, _LZW, _PACKBITS, *_DEFLATE)
 
     def _one(self, tag: int, default: int | None = None) -> int:
         values = self._all(tag, None if default is None else (default,))

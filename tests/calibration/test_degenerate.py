@@ -10,6 +10,7 @@ from jaxscan.errors import CalibrationError
 
 
 QUICK = CalibrationSettings(judge=False)
+NO_SHAPE = tuple(block for block in QUICK.free if block != "shape")
 
 
 def refusal(observations, call=calibrate_observations):
@@ -58,6 +59,25 @@ def test_views_at_the_same_tilt(world, observed, tilt):
     )
     stripes = replace(observed.stripes, view=np.zeros_like(observed.stripes.view))
     assert "same tilt" in refusal(replace(observed, corners=corners, stripes=stripes), calibrate_camera)
+
+
+@pytest.mark.parametrize(("largest", "usable"), [(3.0, False), (25.0, True)])
+def test_boards_that_lie_all_but_flat_make_no_camera(world, largest, usable):
+    """Eleven boards on a bed: they are solved, and refused by how well they tell the focal length."""
+    rig, random = world.Rig(), np.random.default_rng(3)
+    board, q = rig.board.corners() - rig.board.corners().mean(0), []
+    for _ in range(11):
+        way, tilt = random.uniform(0, 2 * np.pi), np.radians(random.uniform(largest / 2, largest))
+        turn = world.rodrigues(tilt * np.array([np.cos(way), np.sin(way), 0.0]))
+        place = np.append(random.uniform(-0.1, 0.1, 2), random.uniform(0.85, 0.95))
+        q.append(world.project(rig, board @ turn.T + place))
+    template = world.observe(rig, free=11, placements=0, stripes=False)
+    seen = world.with_noise(replace(template, corners=replace(template.corners, q=np.array(q))), 1)
+    found = calibrate_camera(seen, settings=CalibrationSettings(free=NO_SHAPE))
+    verdict, sigma = found.quality.verdict, np.sqrt(found.covariance[0, 0])
+    assert abs(float(found.camera.fx) - rig.focal[0]) < 3.0 * sigma
+    assert verdict.usable is usable and (sigma > 0.03 * rig.focal[0]) is not usable
+    assert usable or "focal length is known to" in verdict.refused
 
 
 def smaller(observations, settings=QUICK):

@@ -7,7 +7,7 @@ import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
 from jaxscan.calibration.verdict import length_sigma, measure_lengths, typical_lengths
-from jaxscan.calibration.verdict.good_to import ray_slopes, refusal
+from jaxscan.calibration.verdict.propagate import ray_error, refusal
 from jaxscan.calibration.verdict.quality import GoodTo
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Pinhole
@@ -34,7 +34,7 @@ CASES = {
     "lens": ({"lens": (-0.10, 0.06, 6e-3, 0.0, 0.0)}, "tangential"),
     "board": ({"warp": (4e-4, 0.0)}, "warp"),
     "axis": ({"wobble": tuple(map(tuple, 1.5e-3 * np.random.default_rng(3).normal(size=(40, 3)) * [1, 0, 1]))}, None),
-    "sheet": ({}, None),
+    "sheet": ({}, "bow"),
 }
 
 
@@ -112,7 +112,11 @@ def test_the_cause_is_named_first(trials):
     for _, one, _ in found:
         effects = {test.name: test.effect_mm for test in one.quality.verdict.tests if test.effect_mm is not None}
         assert max(effects, key=effects.get) == name
-        advice = {"board": "free the board's shape", "axis": "can move while the table turns", "sheet": "`--free bow`"}
+        advice = {
+            "board": "free the board's shape",
+            "axis": "can move while the table turns",
+            "sheet": "on a flat wall",
+        }
         if effects[name] > 0.5 * one.quality.verdict.good_to.sigma_mm and name in advice:
             assert advice[name] in one.quality.verdict.advice[0]
 
@@ -160,8 +164,7 @@ def test_pixels_of_ray_are_those_of_two_cameras():
     from scipy.optimize import least_squares
 
     camera = Pinhole(1000.0, 1000.0, 639.5, 479.5, np.zeros(5), width=1280, height=960)
-    by_camera = ray_slopes(camera)
-    stated = np.sqrt(np.mean(np.sum((by_camera[..., 4] * 0.01) ** 2, axis=1)))
+    stated = ray_error(camera, 0.01 * np.eye(9)[4:5])
     u, v = np.meshgrid((np.arange(16) + 0.5) * 80 - 0.5, (np.arange(12) + 0.5) * 80 - 0.5)
     x = np.stack([(u.ravel() - 639.5) / 1000, (v.ravel() - 479.5) / 1000, np.ones(192)], axis=1)
 

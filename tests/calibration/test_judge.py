@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
-from jaxscan.calibration.verdict.extra_terms import moving_twist
-from jaxscan.calibration.verdict.halves import deal_halves
+from jaxscan.calibration.verdict.cross_validation import deal_halves
 from jaxscan.calibration.verdict.limits import chance
+from jaxscan.calibration.verdict.structure import moving_twist
 from jaxscan.geometry import exponential, invert
 
 
@@ -35,7 +35,7 @@ def test_clean_data_have_no_structure(clean):
     judged, tests = verdict(clean)
     assert judged.usable and judged.refused is None and judged.p > 0.01
     assert {judged.result(test) for test in tests.values()} == {"passes"}
-    assert set(tests) == {"lens", "board", "table", "axis", "sheet", "halves"}
+    assert set(tests) == {"lens", "board", "table", "axis", "sheet", "halves", "regions"}
     # The statistics are chi-squared: their degrees of freedom, within five standard deviations.
     for test in tests.values():
         assert abs(test.statistic - test.dof) < 5.0 * np.sqrt(2.0 * test.dof) or test.dof <= 2
@@ -64,7 +64,7 @@ def test_a_bowed_sheet_is_named(world, clean):
     v = stripes.q[..., 1]
     bend = 0.15 * ((v - 512) / 300) ** 2
     moved = stripes.q + np.where(stripes.valid, bend, 0.0)[..., None] * np.array([1.0, 0.0])
-    _, tests = verdict(replace(clean, stripes=replace(stripes, q=moved)))
+    _, tests = verdict(replace(clean, stripes=replace(stripes, q=moved)), without("bow"))
     assert tests["sheet"].p_structure < 1e-3
     # The corners suffer a little from the compromise, the sheet far more.
     assert tests["sheet"].p_structure == min(test.p_structure for test in tests.values())
@@ -112,6 +112,6 @@ def test_terms_are_finite_without_stripes_and_turning(world):
     from jaxscan.calibration import calibrate_camera
 
     judged = calibrate_camera(world.with_noise(world.observe(world.Rig(), free=12, placements=0), 0)).quality.verdict
-    assert {test.name for test in judged.tests} == {"lens", "board", "halves"}
+    assert {test.name for test in judged.tests} == {"lens", "board", "halves", "regions"}
     assert judged.usable and judged.good_to.sigma_mm is None and judged.good_to.sigma_px > 0
     assert jnp.isfinite(jnp.array([test.p for test in judged.tests])).all()

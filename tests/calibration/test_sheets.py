@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxscan.calibration import calibrate_observations
+from jaxscan.calibration import CalibrationSettings, calibrate_observations
 from jaxscan.calibration.seed import seed_sheets
 from jaxscan.calibration.solve import prepare
 from jaxscan.errors import CalibrationError
@@ -210,3 +210,23 @@ def test_a_calibration_with_false_lines_on_a_third_of_the_boards(world, clean):
     (warning,) = [line for line in calibration.quality.warnings if "is not the laser's" in line]
     assert f"found on {len(views)} of {len(lit)} boards" in warning and str(views[0]) in warning
     assert calibration.quality.stripe_points_rejected == 0
+
+
+@pytest.mark.parametrize("moved", [1, 7])
+def test_lines_that_were_left_out_count_by_their_number(world, moved):
+    """The laser stood 9 px elsewhere on some of 21 boards: one is a slip, a third of them put the sheet in doubt."""
+    seen = world.observe(world.Rig(), free=14, placements=2, seed=2)
+    views = np.unique(seen.stripes.view)
+    some = views[:: len(views) // moved][:moved]
+    shift = np.where(np.isin(seen.stripes.view, some)[:, None, None], np.array([9.0, 0.0]), 0.0)
+    seen = world.with_noise(replace(seen, stripes=replace(seen.stripes, q=seen.stripes.q + shift)), 1)
+    free = tuple(block for block in CalibrationSettings().free if block != "shape")
+    found = calibrate_observations(seen, settings=CalibrationSettings(free=free))
+    assert [view.record for view in found.quality.per_view if view.stripe_elsewhere] == some.tolist()
+    good_to = found.quality.verdict.good_to
+    (lines,) = (test for test in found.quality.verdict.tests if test.name == "lines")
+    if moved == 1:
+        assert found.quality.verdict.result(lines) == "passes" and good_to.sigma_mm < 1.2 * good_to.statistical_mm
+    else:
+        assert found.quality.verdict.result(lines) == "structure" and lines.effect_mm > 0.9 * good_to.sigma_mm
+        assert "take again the records" in found.quality.verdict.advice[0]

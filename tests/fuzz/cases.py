@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from .archives import change_npz
+from .camera_cases import camera_case
 from .cloud_cases import align_targets, convert_cloud, make_product, measure_cloud, mirrored_cloud, stranger_cloud
 from .draft import IN, OUT, VICTIM, Case, Draft, changed_capture
 from .nasty import nasty_number
@@ -194,6 +195,7 @@ KINDS: dict[Callable[[Draft], Case], float] = {
     _verify: 8,
     _calibrate: 0.5,
     _camera: 8,
+    camera_case: 8,
     _report: 1,
     convert_cloud: 24,
     measure_cloud: 12,

@@ -28,9 +28,9 @@ LENSES = {
 }
 
 
-def fisheye(focal, distortion):
+def fisheye(focal, distortion, skew=0.0):
     fields = map(np.float64, (focal, 0.997 * focal, 651.3, 498.8))
-    return Fisheye(*fields, np.asarray(distortion, np.float64), 1280, 1024)
+    return Fisheye(*fields, np.asarray(distortion, np.float64), 1280, 1024, np.float64(skew))
 
 
 FISHEYES = {
@@ -346,6 +346,21 @@ def test_skew_is_the_papers_gamma():
     camera, p = pinhole(LENSES["none"], 2.5), jnp.array([0.4, -0.3, 1.6])
     s = camera.matrix() @ p
     np.testing.assert_allclose(camera.project(p), s[:2] / s[2], atol=1e-12)
+
+
+def test_skew_of_a_fisheye_is_opencvs_alpha():
+    camera = fisheye(*FISHEYES["barrel"], 1.7)
+    p = np.random.default_rng(0).normal(size=(300, 3)) * [1.0, 1.0, 0.5]
+    p[:, 2] = 0.02 + np.abs(p[:, 2])
+    k = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
+    still, alpha = np.zeros((1, 3)), float(camera.skew / camera.fx)
+    expected = cv2.fisheye.projectPoints(p[None], still, still, k, camera.distortion, alpha=alpha)[0]
+    q = np.asarray(project(camera, p))
+    np.testing.assert_allclose(q, expected.reshape(-1, 2), atol=1e-9, rtol=0)
+    rays = p / np.linalg.norm(p, axis=1, keepdims=True)
+    np.testing.assert_allclose(unproject(camera, q), rays, atol=1e-12, rtol=0)
+    slopes = jax.vmap(jax.jacfwd(camera.project))(jnp.array(p))
+    np.testing.assert_allclose(camera.slopes(p), slopes, atol=1e-9, rtol=1e-12)
 
 
 def test_wrong_number_of_coefficients_is_named():

@@ -66,7 +66,7 @@ def look(boards, draw, seed):
         corners = FoundCorners(q, np.full(len(q), 0.1), np.ones(len(q), bool))
         views.append(SeenRecord(0, Record(view), on, off, off, corners))
         truth.append(true)
-    return find_stripes(views, Source(), Source.lasers, rig.board), truth
+    return find_stripes(views, Source(), Source.lasers, rig.board, {}), truth
 
 
 def beside(stripe, true):

@@ -5,14 +5,16 @@ import numpy as np
 
 from jaxscan.files.capture import Capture, common_board, open_capture
 from jaxscan.observation import Eyes, look_at_boards
-from jaxscan.vision import find_corners, to_grey
+from jaxscan.vision import find_corners, refit_corners, to_grey
 
 
 def _doubts(tiny, monkeypatch, change):
     capture, plain = open_capture(tiny.boards), Capture.frames
     with monkeypatch.context() as patch:
         patch.setattr(Capture, "frames", lambda self, index: tuple(map(change, plain(self, index))))
-        seen = look_at_boards([capture], common_board([capture], single_lasers=True), Eyes(to_grey, find_corners))
+        seen = look_at_boards(
+            [capture], common_board([capture], single_lasers=True), Eyes(to_grey, find_corners, refit_corners)
+        )
     return seen.doubts([capture])
 
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from jaxscan.geometry import Chessboard
-from jaxscan.observation.corners import FoundCorners
+from jaxscan.observation import FoundCorners
 from jaxscan.observation.observations import to_observations
 
 

@@ -5,20 +5,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxscan.calibration import CalibrationSettings, calibrate_observations, solved_rig
+from jaxscan.calibration import CalibrationSettings, calibrate, choose, estimate, solved_rig
 from jaxscan.observation.prediction import lift_to_board, predict_corners, predict_stripe, turn_boards
 
 
 @pytest.fixture(scope="module")
-def solved(world):
+def estimated(world):
     rig = world.Rig(lens=(-0.2, 0.05, 4e-4, -3e-4, 0.0), warp=(4e-4, -3e-4), gain=1.0005)
     observed = world.observe(rig)
-    return rig, observed, calibrate_observations(observed, settings=CalibrationSettings(judge=False))
+    return rig, observed, estimate(observed, settings=CalibrationSettings())
+
+
+@pytest.fixture(scope="module")
+def solved(estimated):
+    rig, observed, found = estimated
+    return rig, observed, solved_rig(found)
 
 
 def test_corners_are_where_they_were_seen(solved):
-    _, observed, calibration = solved
-    predicted = predict_corners(solved_rig(calibration), calibration.fit.pose)
+    _, observed, predicting = solved
+    predicted = predict_corners(predicting, predicting.poses)
     # Perfect observations, so the fit is one.
     np.testing.assert_allclose(predicted.q, observed.corners.q, atol=1e-5)
     assert predicted.visible.all()
@@ -35,30 +41,30 @@ def test_corners_are_where_they_were_seen(solved):
 
 
 def test_corners_beside_and_behind_the_image_are_not_visible(solved):
-    calibration = solved[2]
+    predicting = solved[2]
     pose = np.tile(np.eye(4), (3, 1, 1))
     pose[:, :3, 3] = [(0.3, 0.0, 0.8), (0.0, 0.0, -0.8), (3.0, 0.0, 0.5)]
-    visible = predict_corners(solved_rig(calibration), pose).visible
+    visible = predict_corners(predicting, pose).visible
     assert 0 < visible[0].sum() < visible.shape[1]
     assert not visible[1].any() and not visible[2].any()
 
 
 def test_a_board_seen_from_one_angle_is_known_from_all(solved):
-    _, observed, calibration = solved
+    _, observed, predicting = solved
     angle, placement = np.asarray(observed.corners.angle), np.asarray(observed.corners.placement)
     together = np.flatnonzero(placement == placement[-1])
     assert len(together) == 5
     seen = np.full(5, together[0])
-    poses = turn_boards(calibration.scanner.turntable, calibration.fit.pose[seen], angle[seen], angle[together])
-    np.testing.assert_allclose(poses, calibration.fit.pose[together], atol=1e-9)
+    poses = turn_boards(predicting.scanner.turntable, predicting.poses[seen], angle[seen], angle[together])
+    np.testing.assert_allclose(poses, predicting.poses[together], atol=1e-9)
 
 
 def test_the_stripe_runs_where_it_was_seen(solved):
-    _, observed, calibration = solved
+    _, observed, predicting = solved
     checked = 0
     for row, view in enumerate(observed.stripes.view):
         q = observed.stripes.q[row][observed.stripes.valid[row]]
-        stripe = predict_stripe(solved_rig(calibration), calibration.fit.pose[view], 0)
+        stripe = predict_stripe(predicting, predicting.poses[view], 0)
         inside = (q[:, 1] > 1) & (q[:, 1] < observed.height - 2)
         below = np.floor(q[inside, 1]).astype(int)
         both = stripe.on_board[below] & stripe.on_board[below + 1]
@@ -72,10 +78,10 @@ def test_the_stripe_runs_where_it_was_seen(solved):
 
 
 def test_columns_are_rows_turned(solved):
-    _, observed, calibration = solved
+    _, observed, predicting = solved
     view = int(observed.stripes.view[0])
-    rows = predict_stripe(solved_rig(calibration), calibration.fit.pose[view], 0)
-    columns = predict_stripe(solved_rig(calibration), calibration.fit.pose[view], 0, "columns")
+    rows = predict_stripe(predicting, predicting.poses[view], 0)
+    columns = predict_stripe(predicting, predicting.poses[view], 0, "columns")
     at = np.flatnonzero(columns.on_board)
     back = np.interp(columns.u[at], np.flatnonzero(rows.on_board), rows.u[rows.on_board])
     assert len(at) > 3
@@ -84,15 +90,36 @@ def test_columns_are_rows_turned(solved):
 
 
 def test_points_of_the_image_on_the_board(solved):
-    _, observed, calibration = solved
+    _, observed, predicting = solved
     for view in (0, len(observed.corners.angle) - 1):
-        xy = lift_to_board(solved_rig(calibration), calibration.fit.pose[view], observed.corners.q[view])
+        xy = lift_to_board(predicting, predicting.poses[view], observed.corners.q[view])
         np.testing.assert_allclose(xy, observed.board.corners()[:, :2], atol=1e-7)
 
 
-def test_without_views_nothing_is_predicted(solved):
-    calibration = solved[2]
-    with pytest.raises(ValueError, match="holds no views"):
-        solved_rig(replace(calibration, fit=None))
+def test_a_camera_alone_predicts_no_stripe(solved):
     with pytest.raises(ValueError, match="no stripe"):
-        predict_stripe(solved_rig(replace(calibration, scanner=None)), np.eye(4), 0)
+        predict_stripe(solved[2]._replace(scanner=None), np.eye(4), 0)
+
+
+def test_a_solve_that_did_not_converge_predicts_nothing(solved):
+    assert solved_rig(estimate(solved[1], settings=CalibrationSettings(max_steps=1, only="camera"))) is None
+
+
+def test_a_second_estimate_begins_from_the_camera_of_the_first_and_ends_where_it_did(estimated, monkeypatch):
+    _, observed, found = estimated
+    monkeypatch.setattr(calibrate, "seed_camera", lambda *_: pytest.fail("a camera is there"))
+    again = estimate(observed, settings=CalibrationSettings(), before=found)
+    np.testing.assert_allclose(again.camera.parameters(), found.camera.parameters(), rtol=1e-9, atol=1e-9)
+
+
+def test_a_second_estimate_is_kept_unless_it_explains_less(estimated):
+    first = estimated[2]
+    second = replace(first, seconds=first.seconds + 1.0)
+    kept, look = choose(first, second)
+    assert kept is second and look.kept and look.corners_gained == 0
+    astray = replace(first, adjustment=replace(first.adjustment, converged=False))
+    without_motion = replace(first, rig=replace(first.rig, moves=False))
+    without_sheet = replace(first, rig=replace(first.rig, lasers=()))
+    for worse in (astray, without_motion, without_sheet):
+        kept, look = choose(first, worse)
+        assert kept is first and not look.kept

@@ -40,7 +40,9 @@ def test_a_part_of_a_turn_has_as_many_as_a_turn():
 
 
 def test_a_narrow_lens_has_more_of_them(world):
-    assert enough_photographs(world.scanner) == 180
+    assert [enough_photographs(world.scanner, use) for use in ("points", "pictures")] == [60, 180]
     camera = dataclasses.replace(world.scanner.camera, fx=np.array(3000.0), fy=np.array(3000.0))
     # 240 px of 3000 px are 4.6 degrees, of which there are 79 in a turn.
-    assert 16 * 78 < enough_photographs(dataclasses.replace(world.scanner, camera=camera)) < 16 * 80
+    narrow = dataclasses.replace(world.scanner, camera=camera)
+    assert 8 * 78 < enough_photographs(narrow, "points") < 8 * 80
+    assert 16 * 78 < enough_photographs(narrow, "pictures") < 16 * 80

@@ -10,7 +10,7 @@ import pytest
 from jaxscan.errors import CloudError
 from jaxscan.photographs import Photograph, Photographs, colour_points, make_occluder, surface_samples
 from jaxscan.photographs.blend import Tally, add, conclude
-from jaxscan.photographs.photograph import read_image
+from jaxscan.photographs.photograph import packed, read_image
 from tests.photographs.rendered import WALL_X
 
 
@@ -107,7 +107,7 @@ def test_colours_that_disagree_are_kept_apart_and_the_heaviest_wins():
     # No room is left: a lighter one is forgotten, a heavier one takes the place of the lightest.
     assert more(200, 0.25) == [(0.25, 131), (0.5, 10), (1.0, 110)]
     assert more(200, 0.3) == [(0.3, 200), (0.5, 10), (1.0, 110)]
-    assert conclude(Tally(*(np.asarray(field)[None] for field in tally)), 20.0).tolist() == [[110, 110, 110]]
+    assert conclude(Tally(*(np.asarray(field)[..., None] for field in tally)), 20.0).tolist() == [[110], [110], [110]]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -126,7 +126,7 @@ def test_between_pixels_a_colour_is_the_cubic_of_its_neighbours(seed):
     near = wide[np.abs(np.arange(-9, 18) - np.floor(v) - 0.5) < 2][:, np.abs(np.arange(-9, 20) - np.floor(u) - 0.5) < 2]
     expected = np.clip(np.einsum("r,c,rck->k", down, across, wide), near.min((0, 1)), near.max((0, 1)))
     with jax.enable_x64(False):
-        colour, brightest = read_image(image, q)
+        colour, brightest = read_image(packed(image), q)
     # Some roundings of float32 at 255.
     np.testing.assert_allclose(np.asarray(colour), expected, atol=1e-3)
     assert float(brightest) == near.max()

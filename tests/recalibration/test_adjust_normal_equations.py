@@ -10,8 +10,7 @@ from jaxscan.leastsq import covariance_of, solve_arrow
 from jaxscan.recalibration import KnownLength, RecalibrationSettings, Start, Tracks
 from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.adjust.prepare import prepare
-from jaxscan.recalibration.adjust.room import ANGLE_SCALE
-from jaxscan.recalibration.adjust.rows import length_values
+from jaxscan.recalibration.adjust.room import ANGLE_SCALE, length_values
 from jaxscan.recalibration.adjust.solver import linearise, step_of, unknowns_of
 from tests.recalibration.small_room import SIGMA, exact_sweep, observe, stored, truth_scanner, with_covariance
 

@@ -7,8 +7,8 @@ import pytest
 
 from jaxscan.recalibration import RecalibrationSettings
 from jaxscan.recalibration.judge import find_drift, loose, with_covariance
-from jaxscan.recalibration.judge.compared import compare
 from jaxscan.recalibration.judge.drift import departure_of
+from jaxscan.recalibration.judge.gain import compare
 
 from .linear_room import adjusted_of, linear_room
 

@@ -3,11 +3,17 @@
 import numpy as np
 import pytest
 
-from jaxscan.recalibration.judge.compared import compare, with_prior
-from jaxscan.recalibration.judge.drift import Explanation, departure_of, explain, loosened_prior
-from jaxscan.recalibration.judge.moved import moved_parameters
-from jaxscan.recalibration.judge.parts import describe_move, loosening, parts_of
-from jaxscan.recalibration.judge.scale import scale_slopes
+from jaxscan.recalibration.judge.drift import (
+    Explanation,
+    departure_of,
+    describe_move,
+    explain,
+    loosened_prior,
+    loosening,
+    moved_parameters,
+    parts_of,
+)
+from jaxscan.recalibration.judge.gain import compare, scale_slopes, with_prior
 
 from .linear_room import linear_room
 

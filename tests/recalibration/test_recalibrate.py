@@ -20,8 +20,7 @@ from jaxscan.recalibration import (
     recalibrate,
 )
 from jaxscan.recalibration.adjust import departure
-from jaxscan.recalibration.length_check import check_lengths, found_lengths
-from jaxscan.recalibration.lengths import _between_centres, lost_lengths, place_lengths
+from jaxscan.recalibration.lengths import _between_centres, check_lengths, found_lengths, lost_lengths, place_lengths
 
 from .linear_room import GOOD
 from .small_room import SIGMA, config, exact_sweep, observe, stored, truth_scanner, with_covariance

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from jaxscan.recalibration.table import check_angles
-from jaxscan.recalibration.table.corrections import jumps_in
-from jaxscan.recalibration.table.names import say_factor, say_jump, usual_ratio
-from jaxscan.recalibration.table.regression import Prior, Rows, fit_steps
+from jaxscan.recalibration.table.check import jumps_in, say_factor, say_jump, usual_ratio
+from jaxscan.recalibration.table.walls import Prior, Rows, fit_steps
 from tests.recalibration.table_room import FURNITURE, knocked, paper_scanner, sweep
 
 

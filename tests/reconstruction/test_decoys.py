@@ -57,10 +57,39 @@ def test_with_a_stripe_and_without(pixel_format, peak_dn, has_off, seed, yaw_deg
         assert left < 2 * STEPS
 
 
+LIT = slice(100, 200)
+
+
+@pytest.mark.parametrize(
+    ("pixel_format", "peak_dn", "seed", "yaw_deg"),
+    [pytest.param("rgb8", 150.0, 10, 230.0), pytest.param("mono8", 150.0, 8, 50.0, marks=pytest.mark.slow)],
+)
+def test_lines_that_no_laser_lights_do_not_refuse_the_others(pixel_format, peak_dn, seed, yaw_deg):
+    """As of an object on a table, which is all of the picture that the laser reaches."""
+    world = room(pixel_format, peak_dn, seed=seed, yaw_deg=yaw_deg)
+    on = world.dark.copy()
+    on[:, LIT] = world.on[:, LIT]
+    sweep = Sweep(on, None, world.angles, pixel_format=pixel_format)
+    found = extract(sweep, world.scanner, settings=SETTINGS)
+    valid = np.asarray(found.stripes.valid)
+    good = world.lit(np.asarray(found.stripes.u), valid)
+    good[:, : LIT.start] = good[:, LIT.stop :] = False
+    assert np.count_nonzero(good) > 0.45 * STEPS * (LIT.stop - LIT.start)
+    # A few more than are promised may be luck.
+    assert np.count_nonzero(valid & ~good) <= 0.015 * np.count_nonzero(valid)
+    assert any("one dark picture as --off" in note for note in found.notes)
+
+
 def _clear(rng, count, scale):
+    """Stripes of so much light, as clear as they are bright."""
     values = np.zeros(4000, np.float32)
     values[:count] = scale * rng.uniform(0.5, 1.5, count)
     return rng.permutation(values).reshape(8, 500)
+
+
+def _judged(stripes, decoys, per_profile):
+    both = (np.stack([values, values**2], -1) for values in (stripes, decoys))
+    return judge(*both, per_profile=per_profile)
 
 
 def _bright_lines(batch):
@@ -68,7 +97,7 @@ def _bright_lines(batch):
     light = np.asarray(batch.on, np.float32).mean(2)
     types = {"saturated": np.uint8, "valid": np.bool_}
     stripes = FrameStripes(*(np.zeros(light.shape, types.get(name, np.float32)) for name in FrameStripes._fields))
-    return ChunkStripes(stripes._replace(width=light, sigma=stripes.sigma + 1, valid=light > 0), None)
+    return ChunkStripes(stripes._replace(width=light, amplitude=light, sigma=stripes.sigma + 1, valid=light > 0), None)
 
 
 def test_decoys_are_the_same_in_batches_of_any_size():
@@ -84,12 +113,12 @@ def test_decoys_are_the_same_in_batches_of_any_size():
     found, other = (judge(*both, per_profile=float(lines)) for both in compared)
     assert found == other
     # A tenth of the lines is chance, and no clearer than 19 / 1.
-    assert 5 < found.least < 20 and found.note is not None
+    assert 5 < found.least ** (1 / (1 + found.measure)) < 20 and found.note is not None
 
 
 def test_few_decoys_change_nothing():
     rng = np.random.default_rng(0)
-    chance = judge(_clear(rng, 3000, 20.0), _clear(rng, 5, 3.0), per_profile=375.0)
+    chance = _judged(_clear(rng, 3000, 20.0), _clear(rng, 5, 3.0), per_profile=375.0)
     assert chance.least == 0.0 and chance.note is None
 
 
@@ -97,16 +126,16 @@ def test_few_decoys_change_nothing():
 def test_a_small_object_keeps_its_stripes_beside_a_clear_decoy(decoys):
     """A moving reflection may be clearer than every stripe; of 320 stripes it says nothing."""
     rng = np.random.default_rng(2)
-    chance = judge(_clear(rng, 320, 20.0), _clear(rng, decoys, 100.0), per_profile=40.0)
+    chance = _judged(_clear(rng, 320, 20.0), _clear(rng, decoys, 100.0), per_profile=40.0)
     assert chance.least == 0.0 and chance.note is None
 
 
 def test_decoys_raise_the_threshold():
     rng = np.random.default_rng(1)
     true, chance, decoys = _clear(rng, 2000, 60.0), _clear(rng, 600, 4.0), _clear(rng, 600, 4.0)
-    found = judge(np.maximum(true, chance), decoys, per_profile=300.0)
+    found = _judged(np.maximum(true, chance), decoys, per_profile=300.0)
     # Chance reaches 6; that many are left that no more than one in 400 is of chance.
-    assert 5.0 < found.least <= 6.1
+    assert 5.0 < found.least ** (1 / (1 + found.measure)) <= 6.1
     assert found.note is not None and "doubtful" in found.note
 
 
@@ -114,12 +143,35 @@ def test_decoys_raise_the_threshold():
 def test_no_more_stripes_than_decoys_are_refused(stripes, decoys):
     rng = np.random.default_rng(2)
     with pytest.raises(CaptureError, match="not told from chance"):
-        judge(_clear(rng, stripes, 4.0), _clear(rng, decoys, 4.0), per_profile=stripes / 8)
+        _judged(_clear(rng, stripes, 4.0), _clear(rng, decoys, 4.0), per_profile=stripes / 8)
 
 
 def test_hardly_any_stripe_is_said():
     rng = np.random.default_rng(3)
-    few = judge(_clear(rng, 3, 4.0), _clear(rng, 0, 4.0), per_profile=0.4)
+    few = _judged(_clear(rng, 3, 4.0), _clear(rng, 0, 4.0), per_profile=0.4)
     assert few.note is not None and "hardly any record" in few.note
     # The looked-at records may be just those that show nothing.
-    assert judge(_clear(rng, 3, 4.0), _clear(rng, 0, 4.0), per_profile=40.0).note is None
+    assert _judged(_clear(rng, 3, 4.0), _clear(rng, 0, 4.0), per_profile=40.0).note is None
+
+
+def test_a_coin_is_tossed_for_lines_that_are_not_lit():
+    """Many lines of chance beside few clear ones leave these."""
+    rng = np.random.default_rng(4)
+    true, chance, decoys = _clear(rng, 900, 60.0), _clear(rng, 2500, 4.0), _clear(rng, 2500, 4.0)
+    found = _judged(np.maximum(true, chance), decoys, per_profile=300.0)
+    assert 5.0 < found.least ** (1 / (1 + found.measure)) <= 6.1
+
+
+def test_amplitude_parts_what_clearness_does_not():
+    """Where speckle is strong a stripe of 60 DN is hardly clearer than one of 9 DN."""
+    rng, shape = np.random.default_rng(6), (8, 500)
+    stripes, dim = (rng.uniform(3.0, 9.0, shape) for _ in range(2))
+    lit = rng.uniform(size=shape) < 0.5
+    stripes = np.where(lit, 1.5, 1.0) * stripes
+    stripes = np.stack([stripes, np.where(lit, 60.0, 9.0) * stripes], -1).astype(np.float32)
+    decoys = np.stack([dim, 9.0 * dim], -1).astype(np.float32)
+    found = judge(stripes, decoys, per_profile=500.0)
+    assert found.measure == 1
+    kept = stripes[..., 1] >= found.least
+    assert np.count_nonzero(kept & lit) > 0.95 * np.count_nonzero(lit)
+    assert np.count_nonzero(kept & ~lit) <= 0.01 * np.count_nonzero(kept)

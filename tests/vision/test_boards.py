@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from jaxscan.geometry import DICTIONARIES, Charuco, Chessboard
-from jaxscan.observation.corners import edge_directions
 from jaxscan.observation.prediction import PredictedCorners
-from jaxscan.observation.redetect import redetect_corners
 from jaxscan.vision import board_texture, boards, find_corners
+from jaxscan.vision.corners import edge_directions, refit_corners
 
 
 CHESS = Chessboard(8, 5, 0.03)
@@ -90,6 +89,32 @@ def test_a_board_upside_down_is_known_by_its_black_corner(detector):
     back = np.array([799.0, 599.0]) - turned.q
     # The same corners with the same numbers, though the picture is upside down.
     assert np.abs(back - upright.q).max() < 0.1
+
+
+def test_a_large_image_is_looked_at_in_a_smaller_copy(monkeypatch):
+    homography = pose(size=3600.0, shift=(420.0, 420.0))
+    picture = drawn(CHESS, tuple(homography.ravel()), (2000, 1500), oversampling=4)
+    # Where the copy is not mapped back well, the windows of the fit miss the corners.
+    monkeypatch.setattr(boards, "_find_sectors", lambda *_, **__: pytest.fail("not found in the copy"))
+    found = find_corners(picture, CHESS)
+    assert np.hypot(*(found.q - expected(CHESS, homography)).T).max() < 0.05
+
+
+def test_an_uneven_grid_is_looked_for_again(monkeypatch):
+    homography, first = pose(), cv2.findChessboardCorners
+    tried = []
+
+    def one_square_off(*arguments, **keywords):
+        found, corners = first(*arguments, **keywords)
+        shape, corners = corners.shape, corners.reshape(-1, 2).copy()
+        corners[0] += corners[1] - corners[2]
+        tried.append(found)
+        return found, corners.reshape(shape)
+
+    monkeypatch.setattr(cv2, "findChessboardCorners", one_square_off)
+    found = find_corners(seen(CHESS, homography), CHESS)
+    assert tried == [True]
+    assert np.hypot(*(found.q - expected(CHESS, homography)).T).max() < 0.05
 
 
 @pytest.mark.parametrize("detector", ["sb", "classic"])
@@ -177,8 +202,8 @@ def look(picture, board, homography, *, off=(0.3, -0.2), reach=1.0, first=None):
     edges, _ = edge_directions(truth, np.ones(len(truth), bool), board)
     limit = np.array(picture.shape[::-1]) - 1.0
     visible = ((truth >= 0) & (truth <= limit)).all(1)
-    predicted = PredictedCorners(truth + off, edges, size, visible)
-    return truth, visible, redetect_corners(picture, board, predicted, reach=reach, first=first)
+    predicted = PredictedCorners(truth + off, edges, np.zeros((len(truth), 2)), size, visible)
+    return truth, visible, refit_corners(picture, board, predicted, reach=reach, first=first)
 
 
 @pytest.mark.parametrize("board", [CHESS, CHARUCO])

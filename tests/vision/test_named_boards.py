@@ -12,6 +12,7 @@ from .test_boards import pose, seen
 
 CHESS = Chessboard(8, 5, 0.03)
 CHARUCO = Charuco(8, 6, 0.03, 0.022)
+OLD = Charuco(8, 6, 0.03, 0.022, layout="legacy")
 GRID = AprilGrid(4, 4, 0.01, 0.03)
 
 
@@ -38,22 +39,52 @@ def picture(board):
             Charuco(8, 6, 0.03, 0.022, "DICT_4X4_50"),
             "a board with markers of DICT_5X5, not of DICT_4X4_50",
         ),
+        (
+            OLD,
+            CHARUCO,
+            'a ChArUco board in the layout before OpenCV 4.6 (layout = "legacy", or that word behind import --board)',
+        ),
+        (
+            CHARUCO,
+            OLD,
+            'a ChArUco board in the layout since OpenCV 4.6 (layout = "standard", or that word behind import --board)',
+        ),
+        (OLD, Charuco(9, 6, 0.03, 0.022), "a ChArUco board with 8 columns of squares"),
         (CHARUCO, AprilGrid(6, 4, 0.01, 0.03), "a board with markers 0 to 23 of DICT_5X5"),
         (GRID, AprilGrid(6, 6, 0.01, 0.03), "an AprilGrid with 4 columns of tags"),
         (GRID, AprilGrid(3, 3, 0.01, 0.03), "a board with markers 0 to 15 of DICT_APRILTAG_36h11"),
         (GRID, CHARUCO, "a board with markers of DICT_APRILTAG_36h11, not of DICT_5X5_250"),
         (GRID, CHESS, "an AprilGrid (markers 0 to 15 of DICT_APRILTAG_36h11)"),
     ],
-    ids=["kind", "count", "markers", "columns", "larger", "rows", "dictionary", "tags"]
+    ids=[
+        "kind",
+        "count",
+        "markers",
+        "columns",
+        "larger",
+        "rows",
+        "dictionary",
+        "legacy",
+        "not legacy",
+        "legacy columns",
+        "tags",
+    ]
     + ["tag columns", "more tags", "tags for markers", "tags for squares"],
 )
 def test_the_other_board_is_named(shown, expected, words):
     assert name_other_board(picture(shown), expected) == words
 
 
-@pytest.mark.parametrize("board", [CHESS, CHARUCO, GRID], ids=["chessboard", "charuco", "tags"])
+@pytest.mark.parametrize("board", [CHESS, CHARUCO, OLD, GRID], ids=["chessboard", "charuco", "legacy", "tags"])
 def test_of_the_expected_board_nothing_is_said(board):
     assert name_other_board(picture(board), board) is None
+
+
+def test_corners_of_both_layouts_have_the_same_numbers():
+    whole, old = find_corners(picture(CHARUCO), CHARUCO), find_corners(picture(OLD), OLD)
+    assert whole.valid.all() and old.valid.all()
+    np.testing.assert_allclose(old.q, whole.q, atol=0.1)
+    assert find_corners(picture(OLD), CHARUCO) is None
 
 
 def test_a_part_of_the_expected_board_is_no_smaller_board():

@@ -13,6 +13,7 @@ BOARDS = [
     AprilGrid(4, 3, 0.0123, 0.0371),
     Charuco(7, 5, 0.066, 0.0487, "DICT_4X4_50"),
     Chessboard(8, 5, 0.03),
+    Charuco(6, 4, 0.066, 0.0487, "DICT_4X4_50", "legacy"),
 ]
 
 
@@ -54,7 +55,7 @@ def test_tags_are_those_of_the_dictionary():
         np.testing.assert_allclose(seen, cv2.aruco.generateImageMarker(tags, number, 10, borderBits=2) / 255.0)
 
 
-@pytest.mark.parametrize("board", BOARDS[2:], ids=["charuco", "chessboard"])
+@pytest.mark.parametrize("board", BOARDS[2:], ids=["charuco", "chessboard", "legacy"])
 def test_squares_meet_at_the_corners_of_the_board(board):
     picture = BoardPicture.of(board, draw_print(board))
     # Shorter than the way to a marker; beside the corner on both sides the colours are exchanged.

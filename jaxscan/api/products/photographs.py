@@ -17,6 +17,7 @@ from jaxscan.photographs import (
     Photograph,
     Photographs,
     Projection,
+    Use,
     as_rgb,
     choose_evenly,
     colour_points,
@@ -29,7 +30,7 @@ from jaxscan.photographs import (
     panorama_frame,
     undistort,
 )
-from jaxscan.reconstruction import PointCloud, Progress, in_scanner_frame
+from jaxscan.reconstruction import PointCloud, Progress, colour_exposure, in_scanner_frame
 
 
 ENOUGH = 4
@@ -64,7 +65,8 @@ class CapturedPhotographs:
         frame = self.capture.off_frame(record)
         if frame is None:
             raise CaptureError(f"{self.capture.path}: record {self.capture.records[record].i} has no laser-off image.")
-        return as_rgb(frame if len(self.capture.exposures) == 1 else frame[-1], self.capture.pixel_format)
+        one = frame if len(self.capture.exposures) == 1 else frame[colour_exposure(self.capture)]
+        return as_rgb(one, self.capture.pixel_format)
 
 
 def has_photographs(capture: Capture) -> bool:
@@ -74,26 +76,29 @@ def has_photographs(capture: Capture) -> bool:
     return several and all(record.off for record in capture.records)
 
 
-def chosen_photographs(capture: Capture, scanner: Scanner) -> tuple[int, ...]:
+def chosen_photographs(capture: Capture, scanner: Scanner, use: Use) -> tuple[int, ...]:
     """Records whose laser-off images are looked at: all, or so many evenly spread over the sweep as suffice."""
     period = 2 * np.pi if scanner.turntable.carries in ("scanner", "object") else None
-    return tuple(choose_evenly(capture.angles, enough_photographs(scanner), period=period).tolist())
+    return tuple(choose_evenly(capture.angles, enough_photographs(scanner, use), period=period).tolist())
 
 
-def photograph_notes(capture: Capture, scanner: Scanner) -> list[str]:
+def photograph_notes(capture: Capture, scanner: Scanner, use: Use) -> list[str]:
     """What a user should know about the choice of photographs; nothing where all are looked at."""
-    chosen = len(chosen_photographs(capture, scanner))
+    chosen = len(chosen_photographs(capture, scanner, use))
     if chosen == len(capture) or not all(record.off for record in capture.records):
         return []
     return [f"{chosen} of {len(capture)} laser-off images are looked at, evenly spread over the sweep; they overlap."]
 
 
-def open_photographs(capture: Capture, scanner: Scanner, *, progress: Progress = None) -> Photographs:
+def open_photographs(
+    capture: Capture, scanner: Scanner, use: Use = "pictures", *, progress: Progress = None
+) -> Photographs:
     """The laser-off images of a sweep: all, or so many evenly spread over its way as suffice.
 
     Args:
         capture: The sweep.
         scanner: The calibrated rig.
+        use: What they are for: points need fewer than pictures.
         progress: Called with (images read, images in all).
 
     Raises:
@@ -108,7 +113,7 @@ def open_photographs(capture: Capture, scanner: Scanner, *, progress: Progress =
             f"{capture.path}: has images of {capture.image_size[0]} x {capture.image_size[1]} px, but the calibration "
             f"is for {size[0]} x {size[1]} px."
         )
-    return Photographs(scanner, CapturedPhotographs(capture, chosen_photographs(capture, scanner), progress))
+    return Photographs(scanner, CapturedPhotographs(capture, chosen_photographs(capture, scanner, use), progress))
 
 
 def colour_cloud(cloud: PointCloud, capture: Capture, scanner: Scanner, *, progress: Progress = None) -> PointCloud:
@@ -128,7 +133,7 @@ def colour_cloud(cloud: PointCloud, capture: Capture, scanner: Scanner, *, progr
         CalibrationError: If the calibration is for images of another size.
         CloudError: If the cloud has no grid.
     """
-    photographs = open_photographs(capture, scanner, progress=progress)
+    photographs = open_photographs(capture, scanner, "points", progress=progress)
     own, _ = in_scanner_frame(cloud)
     occluder = make_occluder(own, scanner)
     points = own.points()

@@ -112,20 +112,22 @@ def _normal(result: Adjustment, extra: BoardModes) -> _Normal:
     problem, linear = result.problem, result.linearised
     camera, shared, modes = len(problem.camera.parameter_names()), len(problem.scales), extra.corner.shape[-1]
     slopes = linear.corner_slopes
+    # Without the stops, which are at their minimum.
+    corner_chain, stripe_chain = (part[..., : shared + 6] for part in (linear.corner_chain, linear.stripe_chain))
     # A mode moves a corner of the board as a shift of the whole board would.
     moved = slopes[..., camera : camera + 3].reshape(len(slopes), -1, 2, 3) @ extra.corner[None]
     moved = moved.reshape(*slopes.shape[:2], -1)
     residual = linear.corner_error * np.repeat(problem.corner_weight, 2, axis=1)
     # Without the padding at the end: stripes have thousands of rows.
     lit = slice(used_length(problem.lit))
-    stripe_slopes, stripe_chain = linear.stripe_slopes[lit], linear.stripe_chain[lit]
+    stripe_slopes, stripe_chain = linear.stripe_slopes[lit], stripe_chain[lit]
     lifted = _lifted(stripe_slopes[..., camera : camera + 6], extra, np.asarray(problem.frame))
     offset = linear.offset[lit] * np.asarray(problem.stripe_weight)[lit]
     owner, stripe_owner = np.asarray(problem.placement), np.asarray(problem.stripe_placement())[lit]
     count, unknowns = len(problem.poses), shared + modes + 6
     information, gradient = np.zeros((count, unknowns, unknowns)), np.zeros((count, unknowns))
     for parts, chain, values, number in (
-        ((slopes, moved), linear.corner_chain, residual, owner),
+        ((slopes, moved), corner_chain, residual, owner),
         ((stripe_slopes, lifted), stripe_chain, offset, stripe_owner),
     ):
         # Thousands of rows share the few departures of their view: these are summed, then led to the unknowns.
@@ -135,7 +137,7 @@ def _normal(result: Adjustment, extra: BoardModes) -> _Normal:
         np.add.at(gradient, number, ((upright @ values[..., None])[..., 0][:, None, :] @ follow)[:, 0])
     cross = information[:, :-6, -6:]
     coupling = cross @ np.linalg.inv(_regular(information[:, -6:, -6:]))
-    every = np.concatenate((slopes, moved), axis=-1) @ _follow(linear.corner_chain, modes)
+    every = np.concatenate((slopes, moved), axis=-1) @ _follow(corner_chain, modes)
     return _Normal(
         information[:, :-6, :-6] - coupling @ np.swapaxes(cross, 1, 2),
         gradient[:, :-6] - np.einsum("pud,pd->pu", coupling, gradient[:, -6:]),

@@ -9,7 +9,8 @@ from jaxscan.calibration.solve.adjustment import Adjustment, Errors, correlation
 from jaxscan.calibration.solve.covariance import undetermined_shares
 from jaxscan.calibration.solve.joint import Linearised, Solution, linearise, solve
 from jaxscan.calibration.solve.prepare import Prepared
-from jaxscan.calibration.solve.problem import Problem
+from jaxscan.calibration.solve.problem import Problem, with_stop_sigma
+from jaxscan.calibration.solve.stops import learn_stop_sigma
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array
 from jaxscan.leastsq import Huber, keep_inliers, robust_noise
@@ -48,14 +49,17 @@ def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, r
     state = Adjustment(*_at(problem, data), data, *kept)
     if settings.stripe_correlation is not None:
         state = replace(state, stripe_correlation=settings.stripe_correlation)
-    for _ in range(_ROBUST_ROUNDS):
+    for round_number in range(_ROBUST_ROUNDS):
         corner, stripe = state.errors.corner, state.errors.stripe
         noise = robust_noise(corner[data.corner_valid]), state.robust_stripe_noise()
         damp = (
             Huber(settings.huber).weights(np.abs(corner).max(-1) / noise[0]),
             Huber(settings.huber).weights(np.abs(stripe) / noise[1][data.stripe_contrast]),
         )
-        state = _solved(replace(state, corner_noise=noise[0], stripe_noise=noise[1]), settings, _ROUGH, damp)
+        # A view whose stop errs is no outlier; nothing is learned from first values.
+        stop_sigma = _stop_sigma(state, settings) if round_number > 0 else None
+        state = replace(state, corner_noise=noise[0], stripe_noise=noise[1])
+        state = _solved(state, settings, _ROUGH, damp, stop_sigma)
         # Without outliers there is nothing to be robust against.
         largest = max(
             _largest(state.errors.corner, data.corner_valid), _largest(state.errors.stripe, data.stripe_valid)
@@ -113,11 +117,13 @@ def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
         if settings.stripe_correlation is None:
             # Classes of unlike noise would hide the noise that neighbours share.
             correlation = correlation_along(errors.stripe / noise[1][data.stripe_contrast], stripe_kept)
+        before, stop_sigma = float(state.problem.stop_sigma), _stop_sigma(state, settings)
         same = np.array_equal(corner_kept, state.corner_kept) and np.array_equal(stripe_kept, state.stripe_kept)
         ratios = (
             noise[0] / state.corner_noise,
             *(noise[1] / state.stripe_noise),
             correlation / state.stripe_correlation,
+            stop_sigma / before,
         )
         settled = same and max(abs(ratio - 1.0) for ratio in ratios) < _SETTLED
         if settled and round_number > 0:
@@ -129,8 +135,15 @@ def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
             stripe_noise=noise[1],
             stripe_correlation=correlation,
         )
-        state = _solved(cleaned, settings, _FINE)
+        state = _solved(cleaned, settings, _FINE, stop_sigma=stop_sigma)
     return state
+
+
+def _stop_sigma(state: Adjustment, settings: CalibrationSettings) -> float:
+    scales = np.asarray(state.problem.scales)
+    if settings.angle_sigma is not None or undetermined_shares(state.linearised, scales).any():
+        return float(state.problem.stop_sigma)
+    return learn_stop_sigma(state.linearised)
 
 
 def solve_again(problem: Problem, settings: CalibrationSettings) -> Solution:
@@ -183,6 +196,7 @@ def _solved(
     settings: CalibrationSettings,
     tolerance: float,
     damp: tuple[np.ndarray | float, np.ndarray | float] = (1.0, 1.0),
+    stop_sigma: float | None = None,
 ) -> Adjustment:
     """The state after one more solve, in which weights are damped by factors of the corners and the stripes."""
     data = state.data
@@ -190,6 +204,8 @@ def _solved(
     stripe = state.stripe_kept * damp[1] / (state.stripe_sigma * state.errors.slope)
     stripe = stripe / np.sqrt(state.stripe_correlation)
     weighted = replace(state.problem, corner_weight=corner, stripe_weight=stripe)
+    if stop_sigma is not None:
+        weighted = with_stop_sigma(weighted, stop_sigma)
     damping = _SEED_DAMPING if state.steps == 0 else _NEAR_DAMPING
     solution = solve(weighted, damping, tolerance, settings.max_steps)
     return replace(

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxscan.calibration.solve.joint import Linearised
 from jaxscan.calibration.solve.prepare import Prepared
-from jaxscan.calibration.solve.problem import Problem
+from jaxscan.calibration.solve.problem import LEAST_STOP_SIGMA, Problem
 from jaxscan.leastsq import noise_component, robust_noise
 from jaxscan.observation import CONTRAST_CLASSES
 
@@ -109,6 +109,14 @@ class Adjustment:
     def problem(self) -> Problem:
         """Seen from where the solve ended, with its last weights; NumPy arrays."""
         return self.linearised.problem
+
+    @property
+    def angle_sigma(self) -> float | None:
+        """Standard deviation of the motion's stops [rad or m]; 0 where they are as good as exact."""
+        if not np.any(self.problem.stop) or not self.problem.turntable.blocks:
+            return None
+        sigma = float(self.problem.stop_sigma)
+        return sigma if sigma > LEAST_STOP_SIGMA else 0.0
 
     @property
     def corner_error(self) -> np.ndarray:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.calibration.solve.problem import Problem, camera_from_board, move, shared_values, zero_step
+from jaxscan.calibration.solve.problem import Problem, camera_from_board, move, moving, shared_values, zero_step
 from jaxscan.calibration.solve.rows import Chains, Rows, chains, corner_rows, stripe_rows
 from jaxscan.compiling import compile_sooner
 from jaxscan.errors import CalibrationError
@@ -35,6 +35,7 @@ class Residuals(NamedTuple):
     """u and v of every corner."""
     stripe: Float[Array, "stripes points"]
     prior: Float[Array, " shared"]
+    stop: Float[Array, "placements stops"]
 
 
 class Seen(NamedTuple):
@@ -57,7 +58,7 @@ class Point(NamedTuple):
     """Values of the unknowns."""
 
     moved: Any
-    """Camera, lasers, motion, poses and shape of the board."""
+    """Camera, lasers, motion, poses and stops, shape of the board."""
     shared: Float[Array, " shared"]
     """The sum of all steps of the shared unknowns to there [scaled units]."""
 
@@ -70,7 +71,7 @@ class Joint(AbstractProblem):
     the ray of $q$ meets the board; it stays a pixel error at all ranges. Its gradient is part of
     the weight, and so constant during a solve.
 
-    A block is the pose of a placement of the board.
+    A block is the pose of a placement of the board, with the stops of the motion at which it was seen.
 
     Source: the paper, equations (5)-(8) and (10), made one problem.
     """
@@ -82,19 +83,20 @@ class Joint(AbstractProblem):
         problem = _at(self.problem, y.moved)
         seen = _seen(problem)
         corner, stripe = jnp.repeat(problem.corner_weight, 2, axis=1), problem.stripe_weight
-        residuals = Residuals(seen.corners.value * corner, seen.stripes.value * stripe, priors(problem))
+        residuals = Residuals(seen.corners.value * corner, seen.stripes.value * stripe, priors(problem), problem.stops)
         placement, chain = problem.placement, seen.chain
         (corners, stripes, *_), slopes = seen, seen.priors
         sums = [
             Normal(corners.square, corners.gradient, placement, chain.corner),
             Normal(stripes.square, stripes.gradient, problem.stripe_placement(), chain.stripe),
             Normal((slopes.T @ slopes)[None], (slopes.T @ residuals.prior)[None]),
+            _stops_alone(problem),
         ]
-        return residuals, Linear(sum_arrow(sums, len(problem.scales), (len(problem.poses), 6)), seen)
+        return residuals, Linear(sum_arrow(sums, len(problem.scales), (len(problem.poses), problem.own)), seen)
 
     def move(self, y: Point, step: Unknowns) -> Point:
         """See `problem.move`."""
-        return Point(_moving(move(step, _at(self.problem, y.moved))), y.shared + step.shared)
+        return Point(moving(move(step, _at(self.problem, y.moved))), y.shared + step.shared)
 
 
 def priors(problem: Problem) -> Float[Array, " shared"]:
@@ -102,12 +104,16 @@ def priors(problem: Problem) -> Float[Array, " shared"]:
     return (shared_values(problem) - problem.expected) * problem.prior_weight
 
 
-def _moving(problem: Problem) -> Any:
-    return problem.camera, problem.lasers, problem.turntable, problem.poses, problem.shape
+def _stops_alone(problem: Problem) -> Normal:
+    """The positions of the records, which stops are residuals of."""
+    gradient = jnp.pad(problem.stops, ((0, 0), (len(problem.scales) + 6, 0)))
+    square = jnp.diag(jnp.where(jnp.arange(gradient.shape[1]) < len(problem.scales) + 6, 0.0, 1.0))
+    square = jnp.broadcast_to(square.astype(gradient.dtype), (*gradient.shape, len(square)))
+    return Normal(square, gradient, jnp.arange(len(gradient)))
 
 
 def _at(problem: Problem, moved: Any) -> Problem:
-    return eqx.tree_at(_moving, problem, moved)
+    return eqx.tree_at(moving, problem, moved)
 
 
 # Traced once, however often optimistix looks at the problem.
@@ -137,7 +143,7 @@ def _solved(
     from jaxscan.leastsq.solver import minimise
 
     problem = jax.tree.map(jnp.asarray, problem)
-    start = Point(_moving(problem), jnp.zeros_like(problem.scales))
+    start = Point(moving(problem), jnp.zeros_like(problem.scales))
     return Solved(*minimise(Joint(problem), start, damping, tolerance, max_steps))
 
 
@@ -189,7 +195,7 @@ class Linearised:
 
     @property
     def corner_chain(self) -> Float[np.ndarray, "views departures unknowns"]:
-        """Derivatives of the departures by the shared unknowns and the pose of the view."""
+        """Derivatives of the departures by the shared unknowns and those of the view's placement."""
         return np.asarray(self.seen.chain.corner)
 
     @property
@@ -209,7 +215,7 @@ class Linearised:
 
     @cached_property
     def reduced(self) -> Float[np.ndarray, "shared shared"]:
-        """Information of the shared unknowns, poses eliminated; 1 on the diagonal of held ones."""
+        """Information of the shared unknowns, poses and stops eliminated; 1 on the diagonal of held ones."""
         return np.asarray(reduce_arrow(self.arrow).information)
 
     @cached_property

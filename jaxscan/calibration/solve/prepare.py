@@ -13,6 +13,7 @@ from jaxscan.observation import Observations
 _VIEWS = (24, 72, 216, 648, 1944, 5832)
 _POINTS = (64, 128, 256, 512, 1024, 2048, 4096)
 _CORNERS = (96, 192, 384, 768, 1536)
+_STOPS = (0, 12, 36, 108, 324)
 
 
 class Prepared(NamedTuple):
@@ -28,6 +29,8 @@ class Prepared(NamedTuple):
     angle: np.ndarray
     placement: np.ndarray
     """Compact numbers 0 ... placements - 1; 0 for padding."""
+    stop: np.ndarray
+    """1 for the position of a view [views, stops] among those of its placement; 0 where that has one alone."""
     usable: np.ndarray
     """Views [views] with enough corners to fix a pose; the others are not valid anywhere."""
     stripe_q: np.ndarray
@@ -58,6 +61,8 @@ def prepare(observations: Observations) -> Prepared:
     placement = np.zeros(len(usable), np.int32)
     if usable.any():
         placement[usable] = np.unique(np.asarray(corners.placement)[usable], return_inverse=True)[1]
+    angle = np.where(usable, np.asarray(corners.angle, np.float64), 0.0)
+    stop = _stops(angle, placement, usable)
     views, rows = _bucket(len(usable), _VIEWS), _bucket(len(view), _VIEWS)
     points, count = _bucket(stripe_q.shape[1], _POINTS), _bucket(len(board), _CORNERS)
     return Prepared(
@@ -66,8 +71,9 @@ def prepare(observations: Observations) -> Prepared:
         corner_q=_pad(q, (views, count), centre),
         corner_sigma=_pad(sigma, (views, count), 1.0),
         corner_valid=_pad(valid, (views, count), False),
-        angle=_pad(np.where(usable, np.asarray(corners.angle, np.float64), 0.0), (views,), 0.0),
+        angle=_pad(angle, (views,), 0.0),
         placement=_pad(placement, (views,), 0),
+        stop=_pad(stop, (views,), 0.0),
         usable=_pad(usable, (views,), False),
         stripe_q=_pad(stripe_q, (rows, points), centre),
         stripe_sigma=_pad(stripe_sigma, (rows, points), 1.0),
@@ -78,9 +84,15 @@ def prepare(observations: Observations) -> Prepared:
     )
 
 
-def rounded_sizes(views: int, corners: int) -> tuple[int, int]:
-    """So many views and corners of a board as the solver sees them, padding included."""
-    return _bucket(views, _VIEWS), _bucket(corners, _CORNERS)
+def _stops(angle: np.ndarray, placement: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    number, most = np.full(len(angle), -1), 0
+    for one in np.unique(placement[usable]):
+        views = np.flatnonzero(usable & (placement == one))
+        positions, place = np.unique(angle[views], return_inverse=True)
+        # The pose of a board that was seen from one position alone takes up any error of it.
+        if len(positions) > 1:
+            number[views], most = place, max(most, len(positions))
+    return (number[:, None] == np.arange(_bucket(most, _STOPS))).astype(np.float64)
 
 
 def _clean(q: Array, sigma: Array, valid: Array, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,6 +1,7 @@
 """The joint problem: unknowns, observations and their weights, priors, scales."""
 
 from dataclasses import replace
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -26,6 +27,10 @@ from jaxscan.geometry import (
     transform,
 )
 from jaxscan.leastsq import Unknowns
+
+
+# Stops that are as good as exact: a millionth of a metre at 10 m [rad or m].
+LEAST_STOP_SIGMA = 1e-7
 
 
 class BoardModes(eqx.Module):
@@ -56,6 +61,8 @@ class Problem(eqx.Module):
     """The motion between the views of a placement; `Still` where every view is a placement of its own."""
     poses: Float[Array, "placements 4 4"]
     """T_cam0_board of every placement."""
+    stops: Float[Array, "placements stops"]
+    """How far the motion stood from the positions of a placement's records, in standard deviations [1]."""
     shape: Float[Array, " numbers"]
     """Height kx, ky [m] of the board's bow along its x and y (z into the board), the relative error
     of its pitch [1], and sizes of the modes [1]."""
@@ -73,6 +80,11 @@ class Problem(eqx.Module):
     corner_weight: Float[Array, "views corners"]
     """1 / sigma [1 / px]."""
     angle: Float[Array, " views"]
+    """Where the motion was told to stand: an observation like any other [rad or m]."""
+    stop: Float[Array, "views stops"]
+    """1 for the stop of each view among those of its placement; 0 where the pose of the board alone tells it."""
+    stop_sigma: Float[Array, ""]
+    """Standard deviation of a stop about its position [rad or m]."""
     placement: Int[Array, " views"]
     seen: Bool[Array, " views"]
     """Views with corners; the others are padding, and nothing is evaluated for them."""
@@ -83,6 +95,16 @@ class Problem(eqx.Module):
     stripe_laser: Int[Array, " stripes"]
     lit: Bool[Array, " stripes"]
     """Stripes with points; the others are padding, and nothing is evaluated for them."""
+
+    @property
+    def own(self) -> int:
+        """Unknowns of a placement: the pose of its board, and its stops."""
+        return 6 + self.stops.shape[1]
+
+    @property
+    def stood(self) -> Float[Array, " views"]:
+        """Where the motion stood [rad or m]."""
+        return self.angle + self.stop_sigma * (self.stop * namespace(self).asarray(self.stops)[self.placement]).sum(-1)
 
     def stripe_placement(self) -> Int[Array, " stripes"]:
         """The placement whose board each stripe lies on."""
@@ -102,7 +124,7 @@ def layout_of(problem: Problem) -> Layout:
 
 def zero_step(problem: Problem) -> Unknowns:
     """No step, in the shapes of the problem."""
-    return Unknowns(jnp.zeros_like(problem.scales), jnp.zeros((problem.poses.shape[0], 6), problem.scales.dtype))
+    return Unknowns(jnp.zeros_like(problem.scales), jnp.zeros((len(problem.poses), problem.own), problem.scales.dtype))
 
 
 def move(step: Unknowns, problem: Problem) -> Problem:
@@ -113,15 +135,26 @@ def move(step: Unknowns, problem: Problem) -> Problem:
         problem.camera.retract(shared[layout.camera]),
         problem.lasers.retract(shared[layout.lasers].reshape(-1, 5)),
         problem.turntable.retract(shared[layout.turntable]),
-        move_poses(problem.poses, step.local),
+        move_poses(problem.poses, step.local[:, :6]),
+        problem.stops + step.local[:, 6:],
         problem.shape + shared[layout.board],
     )
-    return eqx.tree_at(lambda p: (p.camera, p.lasers, p.turntable, p.poses, p.shape), problem, moved)
+    return eqx.tree_at(moving, problem, moved)
+
+
+def moving(problem: Problem) -> Any:
+    """All that a step moves."""
+    return problem.camera, problem.lasers, problem.turntable, problem.poses, problem.stops, problem.shape
+
+
+def with_stop_sigma(problem: Problem, sigma: float) -> Problem:
+    """The same problem at the same point, with another standard deviation of stops."""
+    return replace(problem, stops=problem.stops * problem.stop_sigma / sigma, stop_sigma=np.asarray(sigma))
 
 
 def camera_from_board(problem: Problem) -> Float[Array, "views 4 4"]:
     """T_cam(phi)_board of every view."""
-    back = invert(problem.turntable.motion(problem.angle))
+    back = invert(problem.turntable.motion(problem.stood))
     return compose(back, namespace(problem).asarray(problem.poses)[problem.placement])
 
 
@@ -194,6 +227,7 @@ def make_problem(
         lasers=lasers,
         turntable=motion.carrying("scanner"),
         poses=poses,
+        stops=np.zeros((len(poses), data.stop.shape[1])),
         shape=np.zeros(3),
         scales=parameter_scales(layout, settings.free),
         expected=np.array([centre.get(name, block.expected) for name, block in zip(*layout[:2], strict=True)]),
@@ -204,6 +238,8 @@ def make_problem(
         corner_q=data.corner_q,
         corner_weight=np.zeros(data.corner_valid.shape),
         angle=data.angle,
+        stop=data.stop,
+        stop_sigma=np.asarray(settings.angle_sigma or LEAST_STOP_SIGMA),
         placement=data.placement,
         seen=np.any(data.corner_valid, axis=1),
         stripe_q=data.stripe_q,
@@ -212,6 +248,13 @@ def make_problem(
         stripe_laser=data.stripe_laser,
         lit=np.any(data.stripe_valid, axis=1),
     )
+
+
+def used_stops(problem: Problem) -> Bool[np.ndarray, "placements stops"]:
+    """Which of the unknown stops there are."""
+    used, (view, stop) = np.zeros(np.shape(problem.stops), bool), np.nonzero(problem.stop)
+    used[np.asarray(problem.placement)[view], stop] = True
+    return used
 
 
 def with_modes(problem: Problem, modes: BoardModes, settings: CalibrationSettings) -> Problem:

@@ -42,7 +42,8 @@ class Rows(NamedTuple):
 
 
 class Chains(NamedTuple):
-    """Derivatives of the departures of every view and stripe by the shared scaled unknowns, then the board's pose."""
+    """Derivatives of the departures of every view and stripe by the shared scaled unknowns, then those of its
+    placement: the board's pose and the stops."""
 
     corner: Float[Array, "views departures unknowns"]
     """Camera, pose of the board in the camera frame (translation, rotation; in board axes), board."""
@@ -59,25 +60,28 @@ def chains(problem: Problem) -> Chains:
         moved = move(zero_step(problem)._replace(shared=shared), problem)
         return moved.camera.parameters(), moved.shape, _sheet_numbers(moved.lasers)
 
-    def twist(shared):
+    def twist(shared, off):
         # Of a motion next to the identity, the twist is read off the matrix.
-        moved = eqx.tree_at(
-            lambda p: p.turntable, problem, problem.turntable.retract(shared * problem.scales[layout.turntable])
-        )
+        motion = problem.turntable.retract(shared * problem.scales[layout.turntable])
+        moved = eqx.tree_at(lambda p: (p.turntable, p.angle), problem, (motion, problem.angle + off))
         turn = jnp.matmul(jax.lax.stop_gradient(jax.vmap(invert)(camera_from_board(problem))), camera_from_board(moved))
         return jnp.stack([turn[:, 0, 3], turn[:, 1, 3], turn[:, 2, 3], turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], 1)
 
     camera, board, sheets = (
-        jnp.pad(leaf, [(0, 0)] * (leaf.ndim - 1) + [(0, 6)]) for leaf in jax.jacfwd(numbers)(start)
+        jnp.pad(leaf, [(0, 0)] * (leaf.ndim - 1) + [(0, problem.own)]) for leaf in jax.jacfwd(numbers)(start)
     )
     views, stripes = len(problem.corner_q), len(problem.stripe_q)
     # The board's pose moves in its own frame.
-    pose = jnp.zeros((views, 6, len(start) + 6), start.dtype).at[:, :, -6:].set(LOCAL_SCALE * jnp.eye(6))
-    pose = pose.at[:, :, layout.turntable].set(jax.jacfwd(twist)(start[layout.turntable]))
+    count, there = len(start), (start[layout.turntable], jnp.zeros_like(problem.angle))
+    pose = jnp.zeros((views, 6, count + problem.own), start.dtype)
+    pose = pose.at[:, :, count : count + 6].set(LOCAL_SCALE * jnp.eye(6))
+    pose = pose.at[:, :, layout.turntable].set(jax.jacfwd(twist)(*there))
+    by_angle = jax.jvp(lambda off: twist(there[0], off), there[1:], (jnp.ones_like(there[1]),))[1]
+    pose = pose.at[:, :, count + 6 :].set(by_angle[:, :, None] * (problem.stop_sigma * problem.stop)[:, None, :])
     spread = lambda values, count: jnp.broadcast_to(values[None], (count, *values.shape))
     corner = jnp.concatenate([spread(camera, views), pose, spread(board, views)], axis=1)
     heights = jnp.concatenate([board[:2], board[3 : 3 + len(problem.modes.height)]])
-    sheet = sheets[problem.stripe_laser] if len(sheets) else jnp.zeros((stripes, 6, len(start) + 6), start.dtype)
+    sheet = sheets[problem.stripe_laser] if len(sheets) else jnp.zeros((stripes, 6, count + problem.own), start.dtype)
     parts = spread(camera, stripes), pose[problem.stripe_view], spread(heights, stripes), sheet
     return Chains(corner, jnp.concatenate(parts, axis=1))
 

@@ -74,6 +74,9 @@ def cure_causes(tests: Sequence[ModelTest], good_to: GoodTo, settings: Calibrati
         if held("bow")
         else "look at the laser's line on a flat wall: is it straight?",
         "halves": "take more poses of the board, evenly over image and distances",
+        "regions": _CURES[_LENS].replace("boards", "capture boards", 1),
+        "lines": "see that neither board nor laser moves between the images of a record, and take again the records "
+        "whose line was left out",
     }
     named = [name for effect, name in sorted(effects, reverse=True) if is_named(effect, whole)]
     return tuple(lines[name] for name in named if name in lines)

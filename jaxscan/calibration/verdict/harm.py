@@ -12,17 +12,27 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxscan.calibration.chi_squared import chance_of
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjustment import Adjustment
 from jaxscan.calibration.solve.problem import layout_of
-from jaxscan.calibration.verdict.extra_terms import extents_of, lens_terms, radial_terms, sheet_terms
-from jaxscan.calibration.verdict.halves import Halves
-from jaxscan.calibration.verdict.judge import Judged, Missing, judge
-from jaxscan.calibration.verdict.lengths import TRAVEL_M
+from jaxscan.calibration.verdict.cross_validation import put_back_lines
 from jaxscan.calibration.verdict.limits import result_of_test
+from jaxscan.calibration.verdict.propagate import TRAVEL_M
 from jaxscan.calibration.verdict.quality import ModelTest
-from jaxscan.calibration.verdict.score import repeated_views
+from jaxscan.calibration.verdict.structure import (
+    Judged,
+    Missing,
+    extents_of,
+    judge,
+    lens_terms,
+    radial_terms,
+    repeated_views,
+    sheet_terms,
+    turn_terms,
+)
 from jaxscan.geometry import Layout, LinearStage
+from jaxscan.observation import Observations
 
 
 # Zones of the image by the place in it, -1 ... 1: corners where both coordinates are beyond this, edges where one is,
@@ -40,26 +50,39 @@ class Harm(NamedTuple):
     """[steps, shared], in px, rad, m: at most one for each parameter of the rig; none without structure."""
 
 
-def find_harm(result: Adjustment, settings: CalibrationSettings) -> list[Harm]:
+def find_harm(result: Adjustment, settings: CalibrationSettings, given: Observations) -> list[Harm]:
     """Test the models of a finished solve, and find the error that the structure in its residuals does.
 
     Args:
         result: Of `adjust`, converged; call in 64 bit.
         settings: Of the solve.
+        given: The observations before any was left out.
     """
     judged = judge(result, settings)
     scales = np.asarray(result.problem.scales)
     found: list[Harm] = []
-    # The halves come last: they count for the part that the others do not cover.
+    # Cross-validations come last: they count for the part that the others do not cover.
     for test in judged.tests:
         steps, where = np.zeros((0, len(scales))), None
         if test.name in judged.missing:
             steps, where = _steps_of(result, judged.missing[test.name], judged.places)
-        elif test.name == "halves" and judged.halves and _has_structure(test, judged):
+        elif test.name in judged.splits and _has_structure(test, judged):
             before = np.concatenate([steps, *(harm.steps for harm in found)])
-            steps = _of_halves(judged.halves, scales, before.T @ before)
+            steps = judged.splits[test.name].beyond(before.T @ before, scales)[None]
         found.append(Harm(replace(test, where=where), steps))
-    return found
+    lines = put_back_lines(result, given) if len(result.problem.lasers.distance) else []
+    return [*found, Harm(_lines_test(result, lines), np.stack(lines))] if lines else found
+
+
+def _lines_test(result: Adjustment, steps: list[np.ndarray]) -> ModelTest:
+    """The steps of sheets by lines that were left out, against the covariance of noise."""
+    scales = np.asarray(result.problem.scales)
+    moved = np.array([step != 0 for step in steps]).any(0)
+    step = np.sum(steps, axis=0)[moved] / scales[moved]
+    covariance = np.linalg.inv(result.linearised.reduced)[np.ix_(moved, moved)]
+    statistic, dof = float(step @ np.linalg.solve(covariance, step)), int(moved.sum())
+    p = chance_of(statistic, dof)
+    return ModelTest("lines", statistic, dof, p, p)
 
 
 def _has_structure(test: ModelTest, judged: Judged) -> bool:
@@ -83,19 +106,6 @@ def _steps_of(result: Adjustment, missing: Missing, places: dict[str, np.ndarray
     if has("table") or has("axis"):
         steps += _of_motion(result, layout, missing, places)
     return np.stack(steps), where
-
-
-def _of_halves(halves: Halves, scales: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """The part of the halves' difference that neither noise nor the other findings cover.
-
-    Half of the difference of two independent halves is as large as the error of their mean.
-    """
-    unit = scales[halves.free]
-    covered = before[np.ix_(halves.free, halves.free)] / np.outer(unit, unit)
-    share = min(halves.dof / max(halves.distance(covered), 1e-300), 1.0)
-    step = np.zeros(len(scales))
-    step[halves.free] = 0.5 * np.sqrt(1.0 - share) * halves.difference * unit
-    return step[None]
 
 
 def _of_lens(
@@ -177,8 +187,9 @@ def _of_sheets(result: Adjustment, layout: Layout, size: np.ndarray, imitation: 
 
 def _of_motion(result: Adjustment, layout: Layout, missing: Missing, places: dict[str, np.ndarray]) -> list[np.ndarray]:
     """Steps of a motion that does not go where its model says: along it, and any other way."""
-    along, aside = (missing.size[places[name]] for name in ("table", "axis"))
-    error = np.sqrt(max(np.mean(along**2) - np.mean(np.sum(missing.noise[places["table"]] ** 2, axis=1)), 0.0))
+    aside, turns = missing.size[places["axis"]], turn_terms(result.problem, repeated_views(result.problem))
+    along, chance = (turns @ part[places["table"]] for part in (missing.size, missing.noise))
+    error = np.sqrt(max(np.mean(along**2) - np.mean(np.sum(chance**2, axis=1)), 0.0))
     shift, distance = _shift_aside(result, aside, missing.noise[places["axis"]])
     if isinstance(result.problem.turntable, LinearStage):
         # Errors of places count over a usual travel.

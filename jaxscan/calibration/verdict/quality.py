@@ -222,6 +222,9 @@ class Quality:
     """The same of the points of each contrast class, of classes with kept points [1]."""
     stripe_correlation: float | None = None
     """Neighbouring stripe points that share one error [1]."""
+    angle_sigma: float | None = None
+    """Standard deviation of where the table or stage stopped about its records' positions [rad or m]; 0 where the
+    boards do not show it, None where none was seen from two positions."""
     views: int | None = None
     records: int | None = None
     """Of the captures."""

@@ -24,7 +24,7 @@ from jaxscan.files.recording import check_new_folder
 from jaxscan.geometry import StripeAxis
 from jaxscan.geometry.motions import Carries
 from jaxscan.geometry.scanner import Up
-from jaxscan.stripes import LaserColour, PixelFormat
+from jaxscan.stripes import LaserColour, PixelFormat, level_exposures
 
 
 Patterns = tuple[str, ...]
@@ -53,6 +53,7 @@ def import_(
     shutter: Literal["global", "rolling"] | None = None,
     up: Up = "-v",
     pixel_format: PixelFormat | None = None,
+    bits: Literal[10, 12, 14, 16] | None = None,
     every: int = 1,
     json: JsonTarget = None,
 ) -> None:
@@ -72,9 +73,9 @@ def import_(
         off: Names of the laser-off images; one image may serve all steps.
         boards: Names of images of a board without laser.
         board: Board that the images show, for a calibration: "chessboard 11x6 13mm" (inner corners, square),
-            "charuco 12x9 30mm 22mm DICT_5X5_250" (squares, square, marker), "circles 4x11 20mm 16mm" (circles in a
-            row and rows, distance of rows, diameter; with `symmetric` behind where no row is shifted) or "aprilgrid
-            6x6 24mm 7.2mm" (tags, tag, gap).
+            "charuco 12x9 30mm 22mm DICT_5X5_250" (squares, square, marker; with `legacy` behind where OpenCV before 4.6
+            printed it), "circles 4x11 20mm 16mm" (circles in a row and rows, distance of rows, diameter; with
+            `symmetric` behind where no row is shifted) or "aprilgrid 6x6 24mm 7.2mm" (tags, tag, gap).
         step_deg: Angle of the table between two images. With --board, the board stood still meanwhile.
         angles: Text file with the table's angle of each image in degrees, a line each, perhaps after the image's name,
             and for boards perhaps with the number of the placement.
@@ -90,6 +91,7 @@ def import_(
         shutter: `rolling` if rows are exposed one after another.
         up: Direction of the image that is up.
         pixel_format: Bayer pattern of raw images; grey and colour are seen.
+        bits: Bits of the camera in images of 16 bits; without, the images tell.
         every: Of a video, take every so many frames.
         json: Write the result as JSON too.
     """
@@ -122,7 +124,7 @@ def import_(
     )
     if boards and board is None:
         raise OptionError('--board: is needed with --boards, such as --board "chessboard 11x6 13mm".')
-    settings = ImageSettings(pixel_format, response, shutter, up, laser_colour, stripe_axis)
+    settings = ImageSettings(pixel_format, response, shutter, up, laser_colour, stripe_axis, bits)
     plan = make_plan(folder, request)
     found = describe_images(plan, settings)
     out = console(json)
@@ -170,6 +172,9 @@ def _show(out: Terminal, plan: ImportPlan, found: ImportedHeader, laser_colour: 
     camera = found.header.camera
     lossy = {"jpeg": ", JPEG", "video": ", video"}.get(str(camera.compression), "")
     out.print(f"  {camera.width} x {camera.height} px, {camera.pixel_format}{lossy}, response {camera.response}")
+    if (depth := found.kind.depth) is not None:
+        levels = "" if camera.bits is None else f"{len(level_exposures(camera.bits))} levels of "
+        out.print(f"  images of 16 bits hold {depth.said}; kept in {levels}8 bits")
     red = laser_colour == "auto" and camera.pixel_format != "mono8" and not any(one.off for one in plan.records)
     if red and plan.lasers:
         out.print("  the laser counts as red: there is no laser-off image to learn from; otherwise --laser-colour")

@@ -25,9 +25,6 @@ GRACE_S = 0.3
 CLEANING_S = 1.2
 """Longest time that removing partial files may take."""
 
-_LEFT = (("jaxscan.cli.process.apart", "end_processes"), ("jaxscan.files.disk.partial", "forget_partials"))
-"""Modules and their functions that clean up, in this order."""
-
 _ending = _thread.allocate_lock()
 _screen = [b""]
 _rigs: "list[RigInUse]" = []
@@ -121,9 +118,8 @@ def _end(name: str) -> bool:
         pass  # Nobody listens.
     try:
         # Not imported: what is not loaded has begun nothing.
-        for module, function in _LEFT:
-            clean = getattr(sys.modules.get(module), function, None)
-            if clean is not None:
-                clean()
+        clean = getattr(sys.modules.get("jaxscan.files.disk.partial"), "forget_partials", None)
+        if clean is not None:
+            clean()
     finally:
         os._exit(CODES[name])

@@ -86,7 +86,7 @@ def mesh(
         made = _mesh_of(points, scanner, settings, faces=faces, poisson=poisson)
     else:
         sweep = api.open_capture(texture)
-        for note in api.photograph_notes(sweep, scanner):
+        for note in api.photograph_notes(sweep, scanner, "pictures"):
             out.print(f"note: {note}")
         with progress_bar("Drawing the texture") as progress:
             drawn = api.Texture(sweep, texels, progress)

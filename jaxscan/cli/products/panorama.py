@@ -83,7 +83,7 @@ def panorama(
     check_json(json)
     sweep, scanner = api.open_capture(capture), api.load_scanner(calibration)
     out = console(json)
-    notes = [*calibration_notes(calibration), *sweep.notes, *api.photograph_notes(sweep, scanner)]
+    notes = [*calibration_notes(calibration), *sweep.notes, *api.photograph_notes(sweep, scanner, "pictures")]
     for note in notes:
         out.print(f"note: {note}")
     result: dict[str, Any] = {"notes": notes}

@@ -202,7 +202,7 @@ def _finish_cloud(
     notes = list(done.notes)
     if api.has_photographs(sweep):
         scanner = api.load_scanner(calibration)
-        notes += api.photograph_notes(sweep, scanner)
+        notes += api.photograph_notes(sweep, scanner, "points")
         with progress_bar("Colouring from photographs") as progress:
             points = api.colour_cloud(points, sweep, scanner, progress=progress)
     for note in notes:

@@ -10,7 +10,7 @@ from jaxscan.files.calibration.calibration import (
     save_calibration,
 )
 from jaxscan.files.calibration.exports import CameraFormat, check_camera_path, export_camera
-from jaxscan.files.calibration.imports import load_camera
+from jaxscan.files.calibration.imports import ReadCamera, load_camera, read_camera
 from jaxscan.files.calibration.observations import observations_path
 from jaxscan.files.calibration.quality import finite, quality_table
 from jaxscan.files.calibration.settings import stored_settings

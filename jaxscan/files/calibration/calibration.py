@@ -32,7 +32,7 @@ from jaxscan.files.disk import (
     readable_json,
     write_together,
 )
-from jaxscan.geometry import AbstractCamera, Scanner
+from jaxscan.geometry import AbstractCamera, Scanner, camera_doubts, scanner_doubts
 
 
 MAX_CALIBRATION_BYTES = 16 * MEGABYTE
@@ -175,7 +175,9 @@ def calibration_notes(path: str | Path) -> list[str]:
         notes.append(f"{path}: its solve did not converge, so points and their sigmas may be wrong; calibrate again.")
     if table.covariance is None and table.lasers:
         notes.append(f"{path}: has no covariance, so it counts as exact: sigmas hold the noise of the stripes alone.")
-    return [note for note in notes if note]
+    scanner = table.scanner()
+    doubts = camera_doubts(table.camera.camera()) if scanner is None else scanner_doubts(scanner)
+    return [note for note in (*notes, *(f"{path}: {doubt.said}." for doubt in doubts)) if note]
 
 
 def calibration_digest(path: str | Path) -> str:

@@ -21,6 +21,8 @@ class CharucoTable(FileModel):
     square_mm: Length
     marker_mm: Length
     dictionary: Annotated[str, pydantic.AfterValidator(known_dictionary)] = "DICT_5X5_250"
+    layout: Literal["standard", "legacy"] = "standard"
+    """ "legacy": of OpenCV before 4.6; differs where the number of rows is even."""
 
     @pydantic.model_validator(mode="after")
     def _possible(self) -> "CharucoTable":
@@ -35,6 +37,7 @@ class CharucoTable(FileModel):
             square=self.square_mm / 1000,
             marker=self.marker_mm / 1000,
             dictionary=self.dictionary,
+            layout=self.layout,
         )
 
 

@@ -151,6 +151,11 @@ class Capture:
         images = [image for record in self.records for image in (*record.on, *record.off)]
         return exposure_levels(images) or (1.0,)
 
+    @property
+    def bits(self) -> int:
+        """Bits of a sample as the camera gave it; with more than 8 the exposures are levels of one frame."""
+        return self.header.camera.bits or 8
+
     def digest(self) -> str:
         """The sha256 of header and journal, as "sha256:<hex>"; the same for every `every(n)`."""
         return self._digest
@@ -264,7 +269,7 @@ def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
             f"a sweep needs them all, or none."
         )
     if header.kind == "sweep":
-        check_exposures(records, name=journal_name)
+        check_exposures(records, name=journal_name, bits=header.camera.bits)
     reader = ImageReader(path, header, compare=compare)
     reader.check(records)
     notes = [*texts.notes, *((seals.note,) if seals.note else ()), *_image_notes(header, records)]

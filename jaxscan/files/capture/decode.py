@@ -1,5 +1,6 @@
 """Decoding ahead: threads decode frames into chunks while the caller computes."""
 
+import math
 import os
 import sys
 from collections import deque
@@ -15,6 +16,8 @@ from jaxscan.reconstruction import FrameChunk
 AHEAD = 2
 """Chunks that are decoded ahead while the caller computes."""
 _KEPT = 2 * (AHEAD + 4)
+_ALIGNED = 64
+"""[bytes]."""
 
 
 Look = Callable[[int, np.ndarray, np.ndarray | None], None]
@@ -107,7 +110,10 @@ def _prepare(wanted: list[tuple[FrameSource, np.ndarray, bool]], record: int, ro
 
 
 class Buffers:
-    """Arrays of one shape; each is used again when only this object refers to it."""
+    """Arrays of one shape; each is used again when only this object refers to it.
+
+    They begin at a multiple of `_ALIGNED` and have so much room behind them: JAX takes them without a copy on a CPU.
+    """
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self._shape = shape
@@ -119,11 +125,15 @@ class Buffers:
         """An array with arbitrary contents."""
         for number in range(len(self._made)):
             if _references(self._made, number) == self._unused:
-                return self._made[number]
-        buffer = np.empty(self._shape, np.uint8)
+                return self._within(self._made[number])
+        memory = np.empty(math.prod(self._shape) + 2 * _ALIGNED, np.uint8)
         if len(self._made) < _KEPT:
-            self._made.append(buffer)
-        return buffer
+            self._made.append(memory)
+        return self._within(memory)
+
+    def _within(self, memory: np.ndarray) -> np.ndarray:
+        start = -memory.ctypes.data % _ALIGNED
+        return memory[start : start + math.prod(self._shape)].reshape(self._shape)
 
 
 def _references(buffers: list[np.ndarray], number: int) -> int:

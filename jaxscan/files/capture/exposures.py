@@ -7,6 +7,7 @@ import numpy as np
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.journal import Record
 from jaxscan.files.capture.references import ImageRef
+from jaxscan.stripes import level_exposures
 
 
 Load = Callable[[ImageRef, np.ndarray | None], np.ndarray]
@@ -17,17 +18,24 @@ def exposure_levels(images: Sequence[ImageRef]) -> tuple[float, ...]:
     return tuple(sorted({one.exposure_s for one in images if one.exposure_s is not None}))
 
 
-def check_exposures(records: Sequence[Record], *, name: str) -> None:
+def check_exposures(records: Sequence[Record], *, name: str, bits: int | None = None) -> None:
     """Check that all frames of a sweep have the same exposures.
 
     Args:
         records: All records of the sweep.
         name: Name of the journal, for messages.
+        bits: Bits of a sample, where frames are kept as levels.
 
     Raises:
-        CaptureError: With the first record that differs from the first one, or in itself.
+        CaptureError: With the first record that differs from the first one, or in itself; or if they are not the levels
+            of so many bits.
     """
     expected = exposure_levels(records[0].on)
+    if bits is not None and not np.array_equal(expected, level_exposures(bits)):
+        raise CaptureError(
+            f"{name}: record {records[0].i}: found {_levels(expected)}, but the header has bits = {bits}: expected the "
+            f"relative exposures {', '.join(f'{one:g}' for one in level_exposures(bits))} of its levels."
+        )
     for record in records:
         for side, images in (("on", record.on), ("off", record.off)):
             if images and exposure_levels(images) != expected:

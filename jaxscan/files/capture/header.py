@@ -35,8 +35,8 @@ RESERVED_FORMATS = ("mono16", "bayer_rggb16", "bayer_bggr16", "bayer_grbg16", "b
 def _supported(pixel_format: Any) -> Any:
     if pixel_format in RESERVED_FORMATS:
         raise ValueError(
-            f'"{pixel_format}" is reserved: 16-bit images are not supported yet; convert to one of '
-            + ", ".join(PIXEL_FORMATS)
+            f'"{pixel_format}" is reserved: frames of 10 to 16 bits are kept as levels of 8 bits, with bits = 12 or '
+            "the like; import them by `jaxscan import`, or convert to one of " + ", ".join(PIXEL_FORMATS)
         )
     return pixel_format
 
@@ -58,6 +58,9 @@ class CameraTable(ImageSize):
     """"rolling" where rows are exposed one after another; None if unknown."""
     compression: Literal["jpeg", "video"] | None = None
     """The lossy compression of the images before they were stored; None without one."""
+
+    bits: Literal[10, 12, 14, 16] | None = None
+    """Bits of a sample as the camera gave it, where a sweep keeps frames as levels (`split_levels`); None for 8."""
 
     def notes(self) -> list[str]:
         """Notes on such images, a sentence each."""

@@ -1,6 +1,5 @@
 """Angles of the table, or positions of a stage: from a step and the numbers in the names, or from a file."""
 
-import functools
 import itertools
 import math
 import re
@@ -26,7 +25,7 @@ def by_step(keys: Sequence[tuple[int | str, ...]], step: float, unit: str) -> tu
     """Places from a step.
 
     Where one number alone changes from name to name, it counts the steps, so that a missing image shifts no angle;
-    otherwise the images follow one another.
+    otherwise, or where the numbers are times, the images follow one another.
 
     Args:
         keys: The open part of every name, in natural order.
@@ -35,17 +34,52 @@ def by_step(keys: Sequence[tuple[int | str, ...]], step: float, unit: str) -> tu
 
     Returns:
         The places, and a sentence on them.
+
+    Raises:
+        CaptureError: If more steps are missing than there are.
     """
     numbers = _counting(keys)
-    if numbers is None:
-        steps, said = list(range(len(keys))), "the images follow one another"
+    pace = None if numbers is None else _pace(numbers)
+    if numbers is None or pace is None:
+        times = "" if numbers is None else f", for the numbers in their names ({numbers[0]} ...) do not count steps"
+        steps, said = list(range(len(keys))), "the images follow one another" + times
     else:
-        pace = functools.reduce(math.gcd, (number - numbers[0] for number in numbers), 0) or 1
         steps = [(number - numbers[0]) // pace for number in numbers]
         missing = steps[-1] + 1 - len(steps)
+        if missing > len(steps):
+            raise CaptureError(
+                f"the numbers in the names go from {numbers[0]} to {numbers[-1]}, and {missing} of {steps[-1] + 1} "
+                "steps would be missing: name the images of one scan by --on, or give their places by --angles or "
+                "--positions."
+            )
         said = "by the numbers in the names" + (f", {missing} of which are missing" if missing else "")
     values = [number * step for number in steps]
     return [Place(value) for value in values], f"{values[0]:g} to {values[-1]:g} {unit} by {step:g}, {said}"
+
+
+def _pace(numbers: Sequence[int]) -> int | None:
+    """The number of counts from step to step; None where the numbers are times, or count no steps."""
+    gaps = [after - before for before, after in itertools.pairwise(numbers)]
+    clock = [_seconds(number) for number in numbers]
+    if all(second is not None for second in clock):
+        lengths = [int(after or 0) - int(before or 0) for before, after in itertools.pairwise(clock)]
+        # Across a minute a clock leaps by 41 where the numbers of steps would go on.
+        if lengths != gaps and max(lengths) - min(lengths) < max(gaps) - min(gaps):
+            return None
+    pace = math.gcd(*gaps)
+    missing = sum(gaps) // pace - len(gaps)
+    # Steps have their pace somewhere; times have it nowhere.
+    return pace if pace in gaps or 2 * missing <= len(numbers) else None
+
+
+def _seconds(number: int) -> int | None:
+    """The second of a day that a number HHMMSS says, perhaps behind a date; None where it says none."""
+    rest, second = divmod(number, 100)
+    rest, minute = divmod(rest, 100)
+    date, hour = divmod(rest, 100)
+    if number < 10_000 or second > 59 or minute > 59 or hour > 23 or not (date == 0 or 19_000_101 <= date < 21_000_000):
+        return None
+    return 86_400 * date + 3600 * hour + 60 * minute + second
 
 
 def _counting(keys: Sequence[tuple[int | str, ...]]) -> list[int] | None:

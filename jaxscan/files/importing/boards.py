@@ -14,10 +14,12 @@ _FORMS = {
     "aprilgrid": ("tag_mm", "gap_mm"),
 }
 _EXAMPLES = (
-    '"chessboard 11x6 13mm" (inner corners, square), "charuco 12x9 30mm 22mm DICT_5X5_250" (squares, square, marker), '
+    '"chessboard 11x6 13mm" (inner corners, square), "charuco 12x9 30mm 22mm DICT_5X5_250" (squares, square, marker; '
+    "with the word legacy behind where OpenCV before 4.6 printed it), "
     '"circles 4x11 20mm 16mm" (circles, distance of rows, diameter; with the word symmetric behind where no row is '
     'shifted) or "aprilgrid 6x6 24mm 7.2mm" (tags, tag, gap)'
 )
+_LAYOUTS = ("legacy", "standard")
 _UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
 
@@ -37,11 +39,15 @@ def parse_board(text: str) -> BoardTable:
     lengths = [re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]{1,9})?)(mm|cm|m)", word) for word in words[2:]]
     known = [length for length in lengths if length]
     rest = [word for word, length in zip(words[2:], lengths, strict=True) if not length]
-    more = {"charuco": "dictionary", "circles": "layout"}
-    if kind not in _FORMS or counts is None or len(known) != len(_FORMS[kind]) or len(rest) > (kind in more):
+    # Each word behind the lengths says one thing.
+    more = {"charuco": ("dictionary", "layout"), "circles": ("layout",)}.get(kind, ())
+    words_of = {
+        "layout" if word.lower() in _LAYOUTS or "dictionary" not in more else "dictionary": word for word in rest
+    }
+    understood = len(words_of) == len(rest) and set(words_of) <= set(more)
+    if kind not in _FORMS or counts is None or len(known) != len(_FORMS[kind]) or not understood:
         raise OptionError(f"--board: found {text[:80]!r}, expected {_EXAMPLES}.")
     table = {"type": kind, "columns": int(counts[1]), "rows": int(counts[2])}
     table |= {key: float(hit[1]) * _UNITS[hit[2]] for key, hit in zip(_FORMS[kind], known, strict=True)}
-    if rest:
-        table[more[kind]] = rest[0]
+    table |= {key: word.lower() if key == "layout" else word for key, word in words_of.items()}
     return check(_Given, {"board": table}, name="--board", error=OptionError).board

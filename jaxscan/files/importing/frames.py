@@ -1,22 +1,85 @@
 """The frames that a plan names, decoded: image files by all cores, videos forwards."""
 
+import itertools
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from jaxscan.errors import CaptureError
+from jaxscan.errors import CaptureError, OptionError
 from jaxscan.files.capture import cores
 from jaxscan.files.disk import MEGABYTE, open_regular, read_bounded
 from jaxscan.files.importing.plan import PlannedRecord, Source
 from jaxscan.geometry import MAX_PIXELS
+from jaxscan.stripes import DEEP_BITS
 
 
 if TYPE_CHECKING:
     from jaxscan.vision import Video
+
+
+class Depth(NamedTuple):
+    """The samples of a camera in images of 16 bits."""
+
+    bits: int
+    """Of the camera: 8, or one of `DEEP_BITS`."""
+    step: int
+    """Distance of its levels in the images: more than 1 where they stand at the top of the 16 bits."""
+    said: str
+    """By which evidence."""
+
+    def samples(self, image: np.ndarray, name: str) -> np.ndarray:
+        """An image as the camera gave it: uint16, or uint8 of 8 bits.
+
+        Raises:
+            CaptureError: If it holds other samples than the depth says.
+        """
+        if image.dtype != np.uint16:
+            raise CaptureError(f"{name}: found 8 bits, expected 16 like the first image.")
+        largest = int(image.max(initial=0))
+        if largest > ((1 << self.bits) - 1) * self.step or (self.step > 1 and np.any(image % self.step)):
+            raise CaptureError(
+                f"{name}: found samples up to {largest}, expected {self.bits} bits in steps of {self.step} as in the "
+                "images looked at before; say --bits 10, 12, 14 or 16."
+            )
+        return (image // self.step).astype(np.uint16 if self.bits > 8 else np.uint8)
+
+
+def depth_of(images: Iterable[np.ndarray], bits: int | None) -> Depth:
+    """How images of 16 bits hold the samples of the camera.
+
+    Args:
+        images: Some of them, uint16.
+        bits: Of the camera, where the user says it.
+
+    Raises:
+        OptionError: If the images cannot have so many.
+    """
+    used, largest, stretched = 0, 0, True
+    for image in images:
+        used |= int(np.bitwise_or.reduce(image, axis=None))
+        largest = max(largest, int(image.max(initial=0)))
+        stretched = stretched and not np.any(image % 257)
+    empty = (used & -used).bit_length() - 1 if used else 0
+    if bits is not None:
+        if largest < 1 << bits:
+            return Depth(bits, 1, f"{bits} bits, as --bits says")
+        if empty >= 16 - bits:
+            return Depth(bits, 1 << 16 - bits, f"{bits} bits at the top of 16, as --bits says")
+        raise OptionError(
+            f"--bits {bits}: found samples up to {largest}, expected them below {1 << bits}, or multiples of "
+            f"{1 << 16 - bits}."
+        )
+    if stretched and used:
+        return Depth(8, 257, "8 bits: all samples are multiples of 257")
+    if empty >= 2:
+        found = max(8, -(-(16 - empty) // 2) * 2)
+        return Depth(found, 1 << 16 - found, f"{found} bits at the top of 16: the last {empty} are always empty")
+    found = next(one for one in DEEP_BITS if largest < 1 << one)
+    return Depth(found, 1, f"{found} bits: the largest sample is {largest} (otherwise --bits)")
 
 
 class FrameKind(NamedTuple):
@@ -28,16 +91,21 @@ class FrameKind(NamedTuple):
     """2 for grey or raw Bayer, 3 for colour."""
     compression: str | None
     """"jpeg", "video", or None."""
+    depth: Depth | None = None
+    """Where samples have 16 bits."""
 
 
 class FrameReader:
     """Reads the images of a plan; a context manager."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, kind: FrameKind | None = None) -> None:
+        """`kind` is that of the images, where it is known."""
         self._folder = Path(os.path.abspath(folder))
         self._videos: dict[str, Video] = {}
         self._last: dict[str, tuple[int | None, np.ndarray]] = {}
-        self._kind: FrameKind | None = None
+        self._kind = kind
+        self._whole = kind is not None
+        """Whether the kind is known for good."""
 
     def __enter__(self) -> "FrameReader":
         return self
@@ -46,11 +114,17 @@ class FrameReader:
         for video in self._videos.values():
             video.close()
 
-    def kind(self, source: Source) -> FrameKind:
+    def kind(self, source: Source, others: Sequence[Source], bits: int | None) -> FrameKind:
         """The kind of an image, which all others must have.
+
+        Args:
+            source: The image.
+            others: Some more, of which 16 bits are looked at.
+            bits: Bits of the camera's samples, where the user says it.
 
         Raises:
             CaptureError: If it cannot be read.
+            OptionError: If the images cannot have so many bits.
         """
         from jaxscan.vision import is_jpeg
 
@@ -60,9 +134,16 @@ class FrameReader:
             image = video.frame(source.frame)
             video.close()
         else:
-            data = self._bytes(source, 4 * MAX_PIXELS + MEGABYTE)
+            data = self._bytes(source, 8 * MAX_PIXELS + MEGABYTE)
             image, compression = self._decoded(data, source), "jpeg" if is_jpeg(data) else None
         self._kind = FrameKind(image.shape[1], image.shape[0], image.ndim, compression)
+        if image.dtype == np.uint16:
+            more = (self._file(other) for other in others if other.frame is None)
+            depth = depth_of(itertools.chain([image], (one for one in more if one.dtype == np.uint16)), bits)
+            self._kind = self._kind._replace(depth=depth)
+        elif bits is not None:
+            raise OptionError(f"--bits {bits}: found 8 bits in {source.name}, expected images of 16 bits.")
+        self._whole = True
         return self._kind
 
     def records(
@@ -71,7 +152,7 @@ class FrameReader:
         """All records with their laser-on and laser-off images, decoded ahead.
 
         Yields:
-            The record, and its images, uint8 [rows, columns(, 3)].
+            The record, and its images, uint8 [rows, columns(, 3)]; uint16 of cameras with more than 8 bits.
 
         Raises:
             CaptureError: With the name of the image that cannot be read or is of another kind.
@@ -91,7 +172,7 @@ class FrameReader:
 
     def _file(self, source: Source) -> np.ndarray:
         kind = self._known()
-        return self._decoded(self._bytes(source, 4 * kind.width * kind.height + MEGABYTE), source)
+        return self._decoded(self._bytes(source, 8 * kind.width * kind.height + MEGABYTE), source)
 
     def _frame(self, source: Source) -> np.ndarray:
         kind = self._known()
@@ -120,8 +201,14 @@ class FrameReader:
     def _decoded(self, data: bytes, source: Source) -> np.ndarray:
         from jaxscan.vision import decode_image
 
-        rank, size = (None, None) if self._kind is None else (self._kind.rank, self._kind[:2])
-        return decode_image(data, name=str(self._folder / source.name), rank=rank, size=size)
+        name, kind = str(self._folder / source.name), self._kind
+        rank, size = (None, None) if kind is None else (kind.rank, kind[:2])
+        image = decode_image(data, name=name, rank=rank, size=size, deep=True)
+        if kind is not None and kind.depth is not None:
+            return kind.depth.samples(image, name)
+        if kind is not None and self._whole and image.dtype != np.uint8:
+            raise CaptureError(f"{name}: found 16 bits, expected 8 like the first image.")
+        return image
 
 
 def open_video(folder: Path, name: str) -> "Video":

@@ -2,6 +2,7 @@
 
 import os
 import re
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -15,6 +16,11 @@ MOST_FOLDERS = 10_000
 DEEPEST = 8
 IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 VIDEOS = (".avi", ".mp4", ".mov", ".m4v", ".mkv", ".webm")
+_OTHER_IMAGES = (
+    *(".heic", ".heif", ".avif", ".webp", ".gif", ".jp2", ".jxl", ".psd", ".exr", ".fits", ".pgm", ".ppm", ".pnm"),
+    *(".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".raw", ".bin", ".npy"),
+)
+"""Files that are images, and not read."""
 _LONGEST_PATTERN = 1024
 
 
@@ -29,8 +35,24 @@ class Matched(NamedTuple):
     """Number of a frame, where the file is a video."""
 
 
-def list_images(folder: Path) -> list[str]:
-    """Names of all images and videos in a folder and the folders in it, in natural order.
+class Listing(NamedTuple):
+    """The files of a folder and the folders in it."""
+
+    images: list[str]
+    """Names of all images and videos, in natural order."""
+    others: Counter[str]
+    """Numbers of files by suffix that are images, and not read."""
+
+    def others_said(self) -> str:
+        """What is not read, and what to do about it; empty where there is nothing."""
+        if not self.others:
+            return ""
+        counts = ", ".join(f"{count} {suffix}" for suffix, count in self.others.most_common(4))
+        return f"{counts} files are not read: convert them to PNG or TIFF, of 8 or 16 bits (telephones: to JPEG)"
+
+
+def list_images(folder: Path) -> Listing:
+    """All images and videos in a folder and the folders in it.
 
     Raises:
         CaptureError: If it is no folder, cannot be read, or holds too many files.
@@ -39,6 +61,7 @@ def list_images(folder: Path) -> list[str]:
         found = "found a file" if os.path.exists(folder) else "no such folder"
         raise CaptureError(f"{shown(folder)}: {found}, expected a folder of images.")
     names: list[str] = []
+    others: Counter[str] = Counter()
     waiting, seen, folders = [("", 0)], 0, 0
     while waiting:
         inside, depth = waiting.pop()
@@ -56,9 +79,12 @@ def list_images(folder: Path) -> list[str]:
                             waiting.append((f"{name}/", depth + 1))
                     elif entry.is_file(follow_symlinks=False) and name.lower().endswith((*IMAGES, *VIDEOS)):
                         names.append(name)
+                    elif entry.is_file(follow_symlinks=False):
+                        suffix = os.path.splitext(name)[1].lower()
+                        others.update([suffix] if suffix in _OTHER_IMAGES else [])
         except OSError as problem:
             raise CaptureError(f"{folder / inside}: cannot be read: {problem.strerror or problem}.") from problem
-    return sorted(names, key=natural)
+    return Listing(sorted(names, key=natural), others)
 
 
 def natural(text: str) -> tuple[tuple[bool, int, str], ...]:

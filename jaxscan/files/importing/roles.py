@@ -1,12 +1,14 @@
 """The roles of the images: by the user's patterns, by a known program's layout, or by the words in the names."""
 
+import itertools
+import re
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
 from jaxscan.errors import CaptureError, OptionError
 from jaxscan.files.importing.frames import count_frames
-from jaxscan.files.importing.listing import Matched, match, natural
+from jaxscan.files.importing.listing import Listing, Matched, match, natural
 from jaxscan.files.importing.plan import ImportRequest, Roles
 from jaxscan.files.importing.programs import find_program
 from jaxscan.files.importing.words import group, is_video, recognise
@@ -15,30 +17,69 @@ from jaxscan.files.importing.words import group, is_video, recognise
 _GROUPS = 8
 
 
-def find_roles(folder: Path, names: Sequence[str], request: ImportRequest) -> Roles:
+def find_roles(folder: Path, listing: Listing, request: ImportRequest) -> Roles:
     """Decide which images are laser-on, laser-off and board images.
 
     Args:
         folder: The stranger's folder, for messages.
-        names: All images and videos in it, in natural order.
+        listing: All images and videos in it.
         request: The wishes of the user.
 
     Raises:
         OptionError: If patterns do not fit one another.
-        CaptureError: If there are no images, or nothing is recognised; with the groups of names that are there.
+        CaptureError: If there are no images, nothing is recognised, with the groups of names that are there, or the
+            images are those of several scans.
     """
+    names = listing.images
     if not names:
-        raise CaptureError(
-            f"{folder}: holds no image and no video, expected PNG, JPEG, TIFF or BMP files; links are not followed."
-        )
+        left = listing.others_said() or "links are not followed"
+        raise CaptureError(f"{folder}: holds no image and no video, expected PNG, JPEG, TIFF or BMP files; {left}.")
     if request.on or request.off or request.boards:
-        return _with_frames(folder, _by_patterns(names, request), request.every)
+        roles = _by_patterns(names, request)
+        said = [sentence for _, files in roles.on for sentence in _in_rows(files)]
+        return _with_frames(folder, roles._replace(said=(*roles.said, *said)), request.every)
+    roles = _by_names(folder, names, request)
+    said = [sentence for _, files in roles.on for sentence in _in_rows(files, folder)]
+    return _with_frames(folder, roles._replace(said=(*roles.said, *said)), request.every)
+
+
+def _in_rows(files: Sequence[Matched], refused_in: Path | None = None) -> list[str]:
+    """A question where the images of one laser are several rows, in folders or by their names: perhaps several scans.
+
+    Args:
+        files: The images, one after the other.
+        refused_in: The stranger's folder, where rows that count alike are refused, for nobody has named them together.
+
+    Raises:
+        CaptureError: If they are refused.
+    """
+    inside: dict[str, list[str]] = {}
+    for file in files:
+        # Of `monday/laser_3.png` and `scan1_laser_3.png` the row is all but the last number.
+        row = re.sub(r"[0-9]+(?=[^0-9/]*$)", "*", file.name)
+        inside.setdefault(row, []).append(re.sub(r".*?([0-9]*)[^0-9/]*$", r"\1", file.name))
+    # One image in each row is a layout of steps.
+    if len(inside) < 2 or max(map(len, inside.values())) < 2:
+        return []
+    listed = ", ".join(f"{row} ({len(names)})" for row, names in list(inside.items())[:_GROUPS])
+    more = f" and {len(inside) - _GROUPS} more" if len(inside) > _GROUPS else ""
+    rows = [set(names) for names in inside.values() if len(names) > 1]
+    if refused_in is not None and any(one & other for one, other in itertools.combinations(rows[:_GROUPS], 2)):
+        raise CaptureError(
+            f"{refused_in}: holds {len(inside)} rows of images that count alike: {listed}{more}; expected one scan. "
+            f"Import each by itself, as with --on {shlex.quote(next(iter(inside)))}, or, if they are one, name them by "
+            "--on and --off."
+        )
+    return [f"laser-on images are in {len(inside)} rows, one after the other: {listed}{more}; is this one scan?"]
+
+
+def _by_names(folder: Path, names: Sequence[str], request: ImportRequest) -> Roles:
     program = find_program(names)
     if program is not None:
         on = tuple((name, tuple(files)) for name, files in program.on.items())
         said = f"the layout is that of {program.program}: {program.said}"
         return Roles(_renamed(on, request), (tuple(program.off),) if program.off else (), (), program.step_deg, (said,))
-    return _with_frames(folder, _by_words(folder, names, request), request.every)
+    return _by_words(folder, names, request)
 
 
 def _with_frames(folder: Path, roles: Roles, every: int) -> Roles:

@@ -17,7 +17,7 @@ from jaxscan.files.importing.listing import list_images
 from jaxscan.files.importing.plan import ImportPlan, ImportRequest, PlannedRecord, Source, plan_records
 from jaxscan.files.importing.roles import find_roles
 from jaxscan.files.recording import create_capture, whole_capture
-from jaxscan.stripes import ExposurePair, LearnedResponse, learn_response
+from jaxscan.stripes import ExposurePair, LearnedResponse, learn_response, to_8_bits
 
 
 Progress = Callable[[int, int], None]
@@ -25,6 +25,8 @@ Progress = Callable[[int, int], None]
 LEARN = "learn"
 """The response that is learned from exposures."""
 _LEARNED_FROM = 6
+_LOOKED_AT = 24
+"""Images that say how many bits the camera has."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,8 @@ class ImageSettings:
     up: str = "-v"
     laser_colour: str = "auto"
     stripe_axis: str = "rows"
+    bits: int | None = None
+    """Of the camera's samples in images of 16 bits; None: as the images are."""
 
 
 class ImportedHeader(NamedTuple):
@@ -58,7 +62,10 @@ def make_plan(folder: Path, request: ImportRequest) -> ImportPlan:
     """
     if request.every < 1:
         raise OptionError(f"--every: found {request.every}, expected 1 or more.")
-    return plan_records(folder, find_roles(folder, list_images(folder), request), request)
+    listing = list_images(folder)
+    roles = find_roles(folder, listing, request)
+    left = listing.others_said()
+    return plan_records(folder, roles._replace(said=(*roles.said, left)) if left else roles, request)
 
 
 def describe_images(plan: ImportPlan, settings: ImageSettings) -> ImportedHeader:
@@ -69,9 +76,18 @@ def describe_images(plan: ImportPlan, settings: ImageSettings) -> ImportedHeader
         OptionError: If the response cannot be learned, or a setting does not fit.
     """
     first = _first(plan)
-    names = [source.name for record in plan.records for source in (*record.on, *record.off)]
+    sources = [source for record in plan.records for source in (*record.on, *record.off)]
+    names = [source.name for source in sources]
+    some = [sources[at] for at in np.unique(np.linspace(0, len(sources) - 1, _LOOKED_AT).astype(int))]
     with FrameReader(plan.folder) as reader:
-        kind = reader.kind(first)
+        kind = reader.kind(first, some, settings.bits)
+        deep = kind.depth is not None and kind.depth.bits > 8
+        if deep and (settings.response != "linear" or plan.exposures_s):
+            option = "--exposures-ms" if plan.exposures_s else f"--response {settings.response}"
+            raise OptionError(
+                f"{option}: found with images of {kind.depth.bits if kind.depth else 16} bits, which are kept as "
+                "levels of 8 bits; expected one exposure and a linear response."
+            )
         learned = _learn(plan, reader) if settings.response == LEARN else None
     camera: dict[str, Any] = {
         "width": kind.width,
@@ -80,6 +96,7 @@ def describe_images(plan: ImportPlan, settings: ImageSettings) -> ImportedHeader
         "response": settings.response if learned is None else learned.response,
         "up": settings.up,
         "shutter": settings.shutter,
+        "bits": kind.depth.bits if deep and kind.depth is not None and plan.request.board is None else None,
         "compression": kind.compression or ("jpeg" if any(_is_jpeg(name) for name in names) else None),
     }
     rank = 3 if camera["pixel_format"] == "rgb8" else 2
@@ -116,14 +133,13 @@ def write_import(plan: ImportPlan, found: ImportedHeader, target: Path, progress
             is left behind.
     """
     linear = plan.request.carries == "linear"
-    with whole_capture(target) as part, FrameReader(plan.folder) as reader:
-        reader.kind(_first(plan))
+    with whole_capture(target) as part, FrameReader(plan.folder, found.kind) as reader:
         with create_capture(part, found.header, durable=False, digests=True) as writer:
             for done, (record, on, off) in enumerate(reader.records(plan.records), 1):
                 writer.append(
                     angle_deg=None if linear else record.place.value,
-                    on=_given(on, plan.exposures_s),
-                    off=_given(off, plan.exposures_s),
+                    on=_given(on, plan.exposures_s, found),
+                    off=_given(off, plan.exposures_s, found),
                     placement=record.place.placement,
                     **_extra(record, linear=linear),
                 )
@@ -152,9 +168,13 @@ def _extra(record: PlannedRecord, *, linear: bool) -> dict[str, Any]:
     return extra
 
 
-def _given(images: list[np.ndarray], exposures_s: tuple[float, ...]) -> Any:
+def _given(images: list[np.ndarray], exposures_s: tuple[float, ...], found: ImportedHeader) -> Any:
     if not images:
         return None
+    depth = found.kind.depth
+    if depth is not None and depth.bits > 8:
+        # The corners of a board are found in bytes.
+        return images[0] if found.header.camera.bits else to_8_bits(images[0], depth.bits)
     return list(zip(images, exposures_s, strict=True)) if exposures_s else images[0]
 
 

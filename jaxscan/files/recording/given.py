@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import MAX_IMAGES
+from jaxscan.stripes import split_levels
 
 
 class GivenFrame(NamedTuple):
@@ -21,8 +22,8 @@ class GivenFrame(NamedTuple):
     """The different exposures [s], ascending; empty for a single image."""
 
 
-def given_frame(given: Any | None, shape: tuple[int, ...], where: str) -> GivenFrame:
-    """A frame of a record; None without one.
+def given_frame(given: Any | None, shape: tuple[int, ...], where: str, bits: int | None = None) -> GivenFrame:
+    """A frame of a record; None without one. With `bits`, one of uint16 is kept as its levels.
 
     Raises:
         CaptureError: If the list is too long, an exposure is not a positive number, or an image is not uint8
@@ -30,6 +31,10 @@ def given_frame(given: Any | None, shape: tuple[int, ...], where: str) -> GivenF
     """
     if given is None:
         return GivenFrame([], None, [])
+    if bits is not None:
+        if not isinstance(given, np.ndarray) or given.dtype != np.uint16:
+            raise CaptureError(f"{where}: expected one frame, uint16, for the header has bits = {bits}.")
+        given = split_levels(given, bits)
     entry: Any = ""
     levels: list[float] = []
     if isinstance(given, list | tuple):

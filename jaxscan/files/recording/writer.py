@@ -93,7 +93,7 @@ class CaptureWriter:
                 which only a calibration may hold, or without a table.
             on: Laser-on image, uint8 [rows, columns(, 3)], copied; None without one. Or a list of
                 (image, exposure [s]): repetitions of an exposure are averaged by readers,
-                different exposures are a bracket.
+                different exposures are a bracket. Where the header has `bits`, uint16.
             off: Laser-off image or images, likewise; with the exposures of `on`.
             placement: Number of the board's pose.
             i: The record's number; the next free one if not given. A number used before is a
@@ -123,7 +123,8 @@ class CaptureWriter:
         if angle_deg is not None and not math.isfinite(angle_deg):
             raise CaptureError(f"{where}: angle_deg = {angle_deg} is not finite.")
         shape = frame_shape(self.header)
-        frames = {side: given_frame(given, shape, f"{where}: {side}") for side, given in (("on", on), ("off", off))}
+        bits, sides = self.header.camera.bits, (("on", on), ("off", off))
+        frames = {side: given_frame(given, shape, f"{where}: {side}", bits) for side, given in sides}
         levels = [frame.levels for frame in frames.values() if frame.images]
         expected = levels[0] if self._levels is None else self._levels
         if self.header.kind == "sweep" and any(one != expected for one in levels):

@@ -2,11 +2,12 @@
 
 from typing import Any, ClassVar
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.geometry.arrays import Array, Component, namespace, solve_by_newton
+from jaxscan.geometry.arrays import Array, Component, namespace, real, solve_by_newton
 from jaxscan.geometry.cameras.camera import AbstractCamera
 from jaxscan.geometry.parameters import ParameterBlock
 
@@ -25,8 +26,8 @@ class Fisheye(AbstractCamera):
 
     $$\theta_d = \theta (1 + k_1 \theta^2 + k_2 \theta^4 + k_3 \theta^6 + k_4 \theta^8)$$
 
-    the pixel is $u = f_x \theta_d \cos\psi + c_x$, $v = f_y \theta_d \sin\psi + c_y$, where $\psi$
-    is the direction of $(X, Y)$.
+    the pixel is $u = \theta_d (f_x \cos\psi + s \sin\psi) + c_x$, $v = f_y \theta_d \sin\psi + c_y$, where
+    $\psi$ is the direction of $(X, Y)$; OpenCV writes the skew as $s = f_x \alpha$.
 
     Source: Kannala and Brandt, A generic camera model and calibration method for conventional,
     wide-angle, and fish-eye lenses (2006), equation (6); scaled as OpenCV's fisheye module does.
@@ -39,6 +40,9 @@ class Fisheye(AbstractCamera):
     )
     wide: ClassVar[bool] = True
 
+    skew: Float[Array, ""] = eqx.field(default=0.0, converter=real)
+    """Skew s of the pixel axes [px]; known, never estimated."""
+
     def project(self, p: Float[Array, "*n 3"]) -> Float[Array, "*n 2"]:
         """Pixels of points [px].
 
@@ -48,7 +52,8 @@ class Fisheye(AbstractCamera):
         xp = namespace(self, p)
         per_radius, square = _angle(xp, *(p[..., k] for k in range(3)))
         scale = per_radius * _factor(square, self.distortion)
-        return xp.stack([self.fx * (scale * p[..., 0]) + self.cx, self.fy * (scale * p[..., 1]) + self.cy], -1)
+        x, y = scale * p[..., 0], scale * p[..., 1]
+        return xp.stack([self.fx * x + self.skew * y + self.cx, self.fy * y + self.cy], -1)
 
     def slopes(self, p: Float[Array, "*n 3"]) -> Float[Array, "*n 2 3"]:
         """Derivatives of `project` by the point [px per length unit]."""
@@ -62,9 +67,9 @@ class Fisheye(AbstractCamera):
         # d (theta_d / radius) / d radius, over the radius; next to the axis it is multiplied by next to nothing.
         bend = xp.where(radius2 > 0, (rise * z / far2 - scale) / xp.where(radius2 > 0, radius2, 1.0), 0.0)
         bend, back = bend.astype(p.dtype), -rise / far2
-        u = [scale + bend * x * x, bend * x * y, back * x]
-        v = [bend * x * y, scale + bend * y * y, back * y]
-        return xp.stack([self.fx * xp.stack(u, -1), self.fy * xp.stack(v, -1)], -2)
+        aside = xp.stack([scale + bend * x * x, bend * x * y, back * x], -1)
+        down = xp.stack([bend * x * y, scale + bend * y * y, back * y], -1)
+        return xp.stack([self.fx * aside + self.skew * down, self.fy * down], -2)
 
     def unproject(self, q: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
         """Unit rays of pixels, by Newton's method: 1e-10 px in float64, 1e-3 px in float32.
@@ -72,7 +77,8 @@ class Fisheye(AbstractCamera):
         Pixels outside the image of the lens get the ray of the largest angle on their side.
         """
         xp = namespace(self, q)
-        x, y = (q[..., 0] - self.cx) / self.fx, (q[..., 1] - self.cy) / self.fy
+        y = (q[..., 1] - self.cy) / self.fy
+        x = (q[..., 0] - self.cx - self.skew * y) / self.fx
         last, reach = _fold(xp, self.distortion if xp is np else jax.lax.stop_gradient(self.distortion))
         target = x * x + y * y
         beyond = target > reach

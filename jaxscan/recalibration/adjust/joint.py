@@ -10,16 +10,15 @@ from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
 from jaxscan.leastsq import Cauchy, Covariance, keep_inliers, robust_noise
 from jaxscan.recalibration.adjust.boards import board_equations, prepare_boards, with_boards
-from jaxscan.recalibration.adjust.conclude import conclude
 from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise, learn_noise, shared_by_profiles
 from jaxscan.recalibration.adjust.prepare import Prepared, prepare
-from jaxscan.recalibration.adjust.room import Unknowns
+from jaxscan.recalibration.adjust.room import ANGLE_SCALE, Unknowns
 from jaxscan.recalibration.adjust.solver import linearise, solve, step_of
-from jaxscan.recalibration.adjust.state import State
-from jaxscan.recalibration.adjust.wall_shape import beside_shape, learn_heights
-from jaxscan.recalibration.adjusted import Adjusted, Start
+from jaxscan.recalibration.adjust.state import State, conclude
+from jaxscan.recalibration.adjust.wall_shape import STOPS, beside_shape, learn_heights
+from jaxscan.recalibration.given import RecalibrationSettings
 from jaxscan.recalibration.observed import RoomObservations
-from jaxscan.recalibration.settings import RecalibrationSettings
+from jaxscan.recalibration.result import Adjusted, Start
 
 
 # Damping at the start of a solve, relative to J'J: cautious from a poor calibration, a plain Gauss-Newton step
@@ -117,9 +116,7 @@ def _reject(state: State, settings: RecalibrationSettings) -> State:
         far = np.abs(state.sighting_whitened()).max(1, initial=0.0) / state.sighting_noise
         sightings = keep_inliers(far, seen, state.sighting_kept, **limits)
         cleaned = replace(state, kept=kept, sighting_kept=sightings)
-        square = cleaned.error_px[kept] ** 2 / cleaned.redundancy()[kept]
-        noise = learn_noise(square, cleaned.given_px[kept], cleaned.reach[kept], settings.wall_m)
-        cleaned = replace(cleaned, noise=noise)
+        cleaned = replace(cleaned, noise=_learned_noise(cleaned, settings))
         cleaned = _with_boards(replace(cleaned, sighting_noise=cleaned.learned_sighting_noise()))
         same = np.array_equal(kept, state.kept) and np.array_equal(sightings, state.sighting_kept)
         ratios = _ratios(cleaned, state)
@@ -133,11 +130,14 @@ def _shaped(state: State, settings: RecalibrationSettings) -> State:
     """Generalised least squares, in which walls have a shape of the size that the residuals show."""
     if not state.kept.any():
         return state
-    heights = learn_heights(state.walls, state.plain_covariance)
+    heights = learn_heights(state.walls, state.plain_covariance, settings.angle_sigma)
+    if heights[STOPS]:
+        # Stops were taken for noise of the points.
+        state = replace(state, noise=_learned_noise(state, settings, float(heights[STOPS])))
     wall = state.noise.wall_m
     if settings.wall_m is None:
         # Roughness was learned with the shape in it.
-        wall = float(np.sqrt(max(wall**2 - np.sum(heights**2), 0.0)))
+        wall = float(np.sqrt(max(wall**2 - np.sum(heights[:STOPS] ** 2), 0.0)))
     # Beside the shape neighbouring profiles say some of it twice.
     points, kept = state.observations.points, state.kept
     grid = np.stack([points.sweep, points.surface, points.record, points.line], 1)[kept]
@@ -209,6 +209,14 @@ def _board_noise(state: State) -> np.ndarray:
         return np.zeros(0)
     result = state.boards.result
     return np.array([result.corner_noise, *result.stripe_noise, result.stripe_correlation])
+
+
+def _learned_noise(state: State, settings: RecalibrationSettings, stop_sigma: float = 0.0) -> Noise:
+    """The noise of the kept points, without the part of the stops."""
+    kept = state.kept
+    by_stop = np.asarray(state.linearised.points.rows.angle)[: len(kept)] / ANGLE_SCALE
+    square = state.error_px[kept] ** 2 / state.redundancy()[kept] - (stop_sigma * by_stop[kept]) ** 2
+    return learn_noise(square, state.given_px[kept], state.reach[kept], settings.wall_m)
 
 
 def _robust_noise_of(state: State, settings: RecalibrationSettings) -> Noise:

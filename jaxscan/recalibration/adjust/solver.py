@@ -17,8 +17,20 @@ from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array, Rig
 from jaxscan.leastsq import AbstractProblem, Arrow, Covariance, Linear
 from jaxscan.leastsq import Unknowns as Step
-from jaxscan.recalibration.adjust.room import ANGLE_SCALE, Room, Sight, Unknowns, moved_rig, moved_stations
-from jaxscan.recalibration.adjust.rows import PointRows, Residuals, Rows, length_values, observe, twice
+from jaxscan.recalibration.adjust.room import (
+    ANGLE_SCALE,
+    PointRows,
+    Residuals,
+    Room,
+    Rows,
+    Sight,
+    Unknowns,
+    length_values,
+    moved_rig,
+    moved_stations,
+    observe,
+    twice,
+)
 
 
 def whitened(rows: Rows, weight: Float[Array, " rows"]) -> Rows:

@@ -1,8 +1,10 @@
-"""Walls are not flat, and light comes back from their neighbours: errors that the points of a patch share.
+"""Walls are not flat, light comes back from their neighbours, and tables stop beside their angles: errors that points
+share.
 
 Independent noise averages out over ten thousands of points; a bow of a wall does not. So the shape of every wall is a
 random field: sums of patches of a few sizes, each as high or low as its size's standard deviation says, which is
-learned from the residuals. With it the least squares is a generalised one, and its covariance is honest.
+learned from the residuals. The points of one record on an upright wall are a patch too, which the stop of the table
+turns about the axis. With them the least squares is a generalised one, and its covariance is honest.
 """
 
 from collections.abc import Sequence
@@ -13,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.leastsq import Arrow, Covariance
-from jaxscan.recalibration.adjust.room import Room
+from jaxscan.recalibration.adjust.room import ANGLE_SCALE, Room
 from jaxscan.recalibration.adjust.solver import Linearised
 
 
@@ -26,7 +28,12 @@ _FEWEST = 5
 # Variances of the heights of all sizes by two kinds of shape. One is of the smallest size, as plaster and light that
 # comes back in corners are. The other is a smooth bow, whose patches differ in proportion to their size: it is learned
 # from small patches, since a bow over a whole wall looks like an error of the scanner and is hardly left in residuals.
-_KINDS = np.column_stack([_SIZES == _SIZES[0], (_SIZES / _SIZES[-1]) ** 2])
+# The third is of the records, whose number follows those of the sizes.
+STOPS = len(_SIZES)
+_KINDS = np.zeros((STOPS + 1, 3))
+_KINDS[:STOPS, 0], _KINDS[:STOPS, 1], _KINDS[STOPS, 2] = _SIZES == _SIZES[0], (_SIZES / _SIZES[-1]) ** 2, 1.0
+# Walls whose normals have a larger part than this along the axis hardly see the table turn [1].
+_LEVEL = 0.9
 # A kind of shape is believed from this many of its standard deviations.
 _BELIEVED = 1.5
 
@@ -37,9 +44,9 @@ class Patches(NamedTuple):
     surface: int
     member: Int[np.ndarray, " points"]
     patch: Int[np.ndarray, "sizes points"]
-    """The patch of each size that a point lies on."""
-    by_height: Float[np.ndarray, " points"]
-    """Whitened residual by the height of any of them [1 / m]."""
+    """The patch of each size that a point lies on, and the one of its record."""
+    by_height: Float[np.ndarray, "sizes points"]
+    """Whitened residual by the height of each of them [1 / m], and by the stop [1 / rad]."""
     size: Int[np.ndarray, " patches"]
     """Number of its size."""
 
@@ -57,56 +64,79 @@ class Wall(NamedTuple):
 
 
 def find_walls(
-    room: Room, at: Linearised, kept: Bool[np.ndarray, " points"], before: Sequence[Wall] = ()
+    room: Room,
+    at: Linearised,
+    kept: Bool[np.ndarray, " points"],
+    stop: Int[np.ndarray, " points"],
+    before: Sequence[Wall] = (),
 ) -> list[Wall]:
-    """The walls of all planes; with the patches of walls before, if there are any, wherever their points are now."""
-    return [_wall(room, at, on) for on in [wall.on for wall in before] or _find_patches(room, at, kept)]
+    """The walls of all planes; with the patches of walls before, if there are any, wherever their points are now.
+
+    Args:
+        room: With its weights.
+        at: The room to first order.
+        kept: Points that count.
+        stop: Number of the record of each point.
+        before: Walls whose patches are kept.
+    """
+    return [_wall(room, at, on) for on in [wall.on for wall in before] or _find_patches(room, at, kept, stop)]
 
 
-def _find_patches(room: Room, at: Linearised, kept: Bool[np.ndarray, " points"]) -> list[Patches]:
+def _find_patches(
+    room: Room, at: Linearised, kept: Bool[np.ndarray, " points"], stop: Int[np.ndarray, " points"]
+) -> list[Patches]:
     surface, place = np.asarray(room.points.local), np.asarray(at.points.place)
     planes = [s for s in np.unique(surface[: len(kept)][kept]) if not room.places.sphere[s]]
     members = [np.flatnonzero(kept & (surface[: len(kept)] == s)) for s in planes]
     extent = [np.prod(np.ptp(place[index], axis=0) + _SIZES[0]) for index in members]
     grown = max(1.0, float(np.sqrt(max(extent, default=0.0) / (_MOST * _SIZES[0] ** 2))))
-    by_height = np.asarray(room.point_weight) / _some(np.asarray(at.points.reach))
+    weight, turning = np.asarray(room.point_weight), not room.counts[2]
+    by_height = weight / _some(np.asarray(at.points.reach))
+    by_stop = weight * np.asarray(at.points.rows.angle) / ANGLE_SCALE
     found = []
     for s, index in zip(planes, members, strict=True):
         patch, size = _patches(place[index], grown)
-        found.append(Patches(int(s), index, patch, by_height[index], size))
+        by = np.broadcast_to(by_height[index], patch.shape)
+        if turning and abs(room.places.normal[s][2]) < _LEVEL:
+            names, record = np.unique(stop[index], return_inverse=True)
+            patch = np.concatenate([patch, len(size) + record.reshape(1, -1)])
+            by, size = np.concatenate([by, by_stop[None, index]]), np.append(size, np.full(len(names), STOPS))
+        found.append(Patches(int(s), index, patch, by, size))
     return found
 
 
 def _wall(room: Room, at: Linearised, on: Patches) -> Wall:
-    index, by_height, patches = on.member, on.by_height, on.patch
+    index, patches = on.member, on.patch
     weight, rows, count = np.asarray(room.point_weight)[index], at.points.rows, len(on.size)
 
     def sums(values: np.ndarray) -> np.ndarray:
-        """Sums of numbers of points over every patch; a point lies on one patch of each size."""
-        return sum((np.bincount(patch, values, count) for patch in patches), np.zeros(count))
+        """Inner products with numbers of points for every patch; a point lies on one patch of each size."""
+        each = zip(patches, on.by_height, strict=True)
+        return sum((np.bincount(patch, by * values, count) for patch, by in each), np.zeros(count))
 
     scanner, stations, angles = room.counts
     begin = scanner + stations
     # Ends of known lengths have dense unknowns of their own, which no patch reaches: see `form_blocks`.
     dense = np.zeros((count, begin + angles + 6 * len(room.lengths.metres)))
-    weighted = by_height * weight
+    weight = weight
     columns_of = lambda values: np.stack([sums(column) for column in values.T], axis=1)
-    dense[:, :scanner] = columns_of(weighted[:, None] * rows.scanner[index])
+    dense[:, :scanner] = columns_of(weight[:, None] * rows.scanner[index])
     station = np.asarray(room.points.station)[index]
     for number in range(1, len(room.stations)):
         columns = slice(scanner + 6 * (number - 1), scanner + 6 * number)
-        dense[:, columns] = columns_of((weighted * (station == number))[:, None] * rows.station[index])
+        dense[:, columns] = columns_of((weight * (station == number))[:, None] * rows.station[index])
     if angles:
+        turned = (weight * rows.angle[index])[None]
         dense[:, begin : begin + angles] = _by_both(
-            patches, np.asarray(room.points.angle)[None, index], weighted * rows.angle[index], (count, angles)
+            patches, on.by_height, np.asarray(room.points.angle)[None, index], turned, (count, angles)
         )
-    local = columns_of(weighted[:, None] * rows.local[index])
+    local = columns_of(weight[:, None] * rows.local[index])
     ends = np.flatnonzero(np.asarray(room.lengths.ends).ravel() == on.surface)
     if len(ends):
         first = begin + angles + 3 * ends[0]
         dense[:, first : first + 3], local = local, np.zeros_like(local)
-    residual = sums(weighted * rows.value[index])
-    gram = _by_both(patches, patches, by_height**2, (count, count))
+    residual = sums(weight * rows.value[index])
+    gram = _by_both(patches, on.by_height, patches, on.by_height, (count, count))
     return Wall(on, dense, local, gram, residual)
 
 
@@ -124,23 +154,31 @@ def _patches(
 
 
 def _by_both(
-    first: np.ndarray, second: np.ndarray, values: Float[np.ndarray, " points"], shape: tuple[int, int]
+    first: np.ndarray,
+    ahead: Float[np.ndarray, "_ points"],
+    second: np.ndarray,
+    behind: Float[np.ndarray, "_ points"],
+    shape: tuple[int, int],
 ) -> Float[np.ndarray, "first second"]:
-    """Sums of numbers of points by two numberings of the points."""
+    """Sums of products of numbers of points by several numberings of the points each."""
     total = np.zeros(shape[0] * shape[1])
-    for one in first:
-        for other in second:
-            total += np.bincount(one.astype(np.int64) * shape[1] + other, values, len(total))
+    for one, value in zip(first, ahead, strict=True):
+        for other, factor in zip(second, behind, strict=True):
+            total += np.bincount(one.astype(np.int64) * shape[1] + other, value * factor, len(total))
     return total.reshape(shape)
 
 
-def learn_heights(walls: list[Wall], covariance: Covariance) -> Float[np.ndarray, " sizes"]:
-    """Standard deviation of the heights of the patches of each size [m], by the residuals of a plain least squares.
+def learn_heights(
+    walls: list[Wall], covariance: Covariance, stop_sigma: float | None = None
+) -> Float[np.ndarray, " sizes"]:
+    """Standard deviation of the heights of the patches of each size [m] and of the stops [rad].
+
+    They are learned by the residuals of a plain least squares; that of the stops is as given, if it is.
 
     The mean squares of the patches' sums are compared with those that independent noise gives, and that one unit of
     each size would add; of both only the part counts that the fit cannot take up.
     """
-    count = len(_SIZES)
+    count = len(_KINDS)
     found, noise, spread = np.zeros(count), np.zeros(count), np.zeros(count)
     added = np.zeros((count, count))
     for wall in walls:
@@ -150,6 +188,8 @@ def learn_heights(walls: list[Wall], covariance: Covariance) -> Float[np.ndarray
         size = np.diag(wall.gram)
         for number in range(count):
             mine = wall.on.size == number
+            if not mine.any():
+                continue
             found[number] += np.sum(wall.residual[mine] ** 2 / size[mine])
             noise[number] += np.sum(np.diag(left)[mine] / size[mine])
             block = left[np.ix_(mine, mine)]
@@ -159,8 +199,13 @@ def learn_heights(walls: list[Wall], covariance: Covariance) -> Float[np.ndarray
                 added[number, other] += np.sum(block**2 / size[mine, None])
     # Where the fit takes up nearly all that a size adds, its sums say nothing.
     weight = np.where(spread >= 2.0 * _FEWEST, 1.0 / np.sqrt(np.maximum(spread, 1.0)), 0.0)
-    kinds = _believed(added @ _KINDS * weight[:, None], (found - noise) * weight)
-    return np.sqrt(_KINDS @ kinds)
+    kinds, more = _KINDS, found - noise
+    if stop_sigma is not None:
+        kinds, more = kinds[:, :2], more - added[:, STOPS] * stop_sigma**2
+    variance = kinds @ _believed(added @ kinds * weight[:, None], more * weight)
+    if stop_sigma is not None:
+        variance[STOPS] = stop_sigma**2
+    return np.sqrt(variance)
 
 
 def _believed(
@@ -219,7 +264,7 @@ def beside_shape(
         size = height[wall.on.size]
         gram = wall.gram * np.outer(size, size) + np.eye(len(size))
         likeliest = size * np.linalg.solve(gram, size * wall.residual)
-        left[wall.on.member] -= wall.on.by_height * likeliest[wall.on.patch].sum(0)
+        left[wall.on.member] -= (wall.on.by_height * likeliest[wall.on.patch]).sum(0)
     return left
 
 

@@ -8,9 +8,8 @@ from jaxtyping import Float
 
 from jaxscan.geometry import Scanner, Turntable
 from jaxscan.recalibration.adjust import triangulate_points
-from jaxscan.recalibration.adjusted import Adjusted
 from jaxscan.recalibration.judge.hold_out import angles_of
-from jaxscan.recalibration.result import Closure
+from jaxscan.recalibration.result import Adjusted, Closure
 
 
 RADIUS_M = 2.5

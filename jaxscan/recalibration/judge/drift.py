@@ -14,13 +14,179 @@ from collections.abc import Sequence
 from itertools import combinations
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration.chi_squared import chance_of
-from jaxscan.geometry import Scanner, root_of
-from jaxscan.recalibration.judge.compared import Compared
-from jaxscan.recalibration.judge.parts import Part, loosening, parts_of
+from jaxscan.calibration.parameters import PRIORS
+from jaxscan.geometry import Scanner, Turntable, root_of
+from jaxscan.recalibration.judge.gain import Compared, compare
+from jaxscan.recalibration.result import Moved
+
+
+class Part(NamedTuple):
+    """A part of the rig and how far it may have moved."""
+
+    name: str
+    names: tuple[str, ...]
+    """Its minimal coordinates."""
+    tolerance: tuple[float, ...]
+    """Standard deviation of a move, for each of them [px, rad, m]."""
+    together: tuple[str, ...] = ()
+    """Coordinates that change by the same share of their tolerance: a lens that is refocused keeps square pixels."""
+
+
+# A part that was knocked is within a degree and a few millimetres of its place.
+_TILT, _SHIFT = np.radians(1.0), 5e-3
+# A sheet turns about its laser, which is within some 0.1 m of the point of the sheet nearest the camera.
+_SHEET = 2e-3
+_FOCUS, _CENTRE_PX = 0.01, 20.0
+_GAIN, _HARMONIC = 3e-3, 3e-3
+# Pixels stay as square as that [1].
+_SQUARE = 2e-5
+
+
+def parts_of(scanner: Scanner) -> tuple[Part, ...]:
+    """Parts of which at least one coordinate is not held by the stored calibration; lasers first."""
+    focal = float(scanner.camera.fx), float(scanner.camera.fy)
+    lasers = [
+        Part(f"laser {name}", tuple(f"laser.{name}.{key}" for key in ("n1", "n2", "d")), (_TILT, _TILT, _SHEET))
+        for name in scanner.laser_names
+    ]
+    axis = Part("axis", ("axis.d1", "axis.d2", "axis.p1", "axis.p2"), (_TILT, _TILT, _SHIFT, _SHIFT))
+    camera = Part(
+        "camera",
+        ("fx", "fy", "cx", "cy"),
+        (_FOCUS * focal[0], _FOCUS * focal[1], _CENTRE_PX, _CENTRE_PX),
+        ("fx", "fy"),
+    )
+    table = Part("table's angles", ("gain", "c1", "s1", "c2", "s2"), (_GAIN, *(_HARMONIC,) * 4))
+    parts = [*lasers, axis, camera, table] if isinstance(scanner.turntable, Turntable) else [*lasers, camera]
+    return tuple(part for part in parts if loosening([part], scanner).any())
+
+
+def loosening(
+    parts: Sequence[Part], scanner: Scanner, without: Sequence[str] = ()
+) -> Float[np.ndarray, "params params"]:
+    """Variance that the moves of parts add to the prior.
+
+    Args:
+        parts: The parts that moved.
+        scanner: The stored one; the coordinates that its covariance holds stay held.
+        without: Coordinates that keep their prior.
+    """
+    names = scanner.parameter_names()
+    added = np.zeros((len(names), len(names)))
+    held = np.diag(np.asarray(scanner.covariance)) <= 0
+    for part in parts:
+        at = {name: names.index(name) for name in part.names if name in names}
+        free = {name: i for name, i in at.items() if not held[i] and name not in without}
+        sigma = dict(zip(part.names, part.tolerance, strict=True))
+        for name, i in free.items():
+            share = _SQUARE / _FOCUS if name in part.together else 1.0
+            added[i, i] += (share * sigma[name]) ** 2
+        common = [name for name in part.together if name in free]
+        if common:
+            column = np.zeros(len(names))
+            column[[free[name] for name in common]] = [sigma[name] for name in common]
+            added += np.outer(column, column)
+    return added
+
+
+def describe_move(
+    part: Part, names: Sequence[str], step: Float[np.ndarray, " params"], covariance: Float[np.ndarray, "params params"]
+) -> str:
+    """How far a part moved, in degrees, millimetres, pixels or ppm, with standard deviations.
+
+    Args:
+        part: Which.
+        names: Of all minimal coordinates.
+        step: How far the scanner moved in them.
+        covariance: Of that step.
+    """
+    words = []
+    for kind, scale in _UNITS.items():
+        here = [i for i, name in enumerate(names) if name in part.names and kind_of(name) == kind]
+        size = float(np.linalg.norm(step[here]))
+        if size > 0.0:
+            along = step[here] / size
+            sigma = float(np.sqrt(max(along @ covariance[np.ix_(here, here)] @ along, 0.0)))
+            words.append(f"{_digits(scale * size, scale * sigma)} {kind}")
+    return ", ".join(words)
+
+
+_UNITS = {"degrees": float(np.degrees(1.0)), "mm": 1e3, "px": 1.0, "ppm": 1e6}
+
+
+def kind_of(name: str) -> str:
+    """The unit in which people are told of a coordinate; empty for a coefficient."""
+    whole, _, last = name.rpartition(".")
+    if last in ("n1", "n2", "d1", "d2") or name in ("c1", "s1", "c2", "s2"):
+        return "degrees"
+    if whole and last in ("d", "p1", "p2"):
+        return "mm"
+    if name == "gain":
+        return "ppm"
+    return "px" if name in ("fx", "fy", "cx", "cy") else ""
+
+
+def unit_of(name: str) -> tuple[str, float]:
+    """The unit in which people are told of a coordinate's value, and its factor; a ratio is told as it is."""
+    kind = kind_of(name)
+    return ("", 1.0) if kind in ("", "ppm") else (kind, _UNITS[kind])
+
+
+def _digits(value: float, sigma: float) -> str:
+    """Value and sigma, both to two digits of the sigma."""
+    if sigma <= 0.0:
+        return f"{value:.3g}"
+    places = max(0, 1 - int(np.floor(np.log10(sigma))))
+    return f"{value:.{places}f} ± {sigma:.{places}f}"
+
+
+class Bow(NamedTuple):
+    """Findings of a solve on bows that the stored calibration holds."""
+
+    step: Float[np.ndarray, " held"]
+    sigma: Float[np.ndarray, " held"]
+    p: float
+    """Chance of so large a bow on flat sheets [1]."""
+
+
+def held_bow(stored: Scanner) -> list[int]:
+    """Positions of the coefficients of bows that the covariance holds."""
+    variance = np.diag(np.asarray(stored.covariance))
+    names = [f"laser.{laser}.{key}" for laser in stored.laser_names for key in ("b2", "b3")]
+    return [i for i, name in enumerate(stored.parameter_names()) if name in names and variance[i] <= 0.0]
+
+
+def bow_variance(stored: Scanner) -> Float[np.ndarray, "params params"]:
+    """Variance of held bows, as a calibration has it that knows nothing of them."""
+    added = np.zeros_like(np.asarray(stored.covariance))
+    at = held_bow(stored)
+    added[at, at] = PRIORS["bow"] ** 2
+    return added
+
+
+def bow_of(compared: Compared, step: Float[np.ndarray, " params"], at: list[int]) -> Bow:
+    """How far the bows are from 0 in a solve that had them free.
+
+    Args:
+        compared: Its prior and posterior.
+        step: From the stored scanner to its result.
+        at: Positions of the bows.
+    """
+    value, covariance = np.asarray(step)[at], compared.posterior[np.ix_(at, at)]
+    p = chance_of(float(value @ np.linalg.solve(covariance, value)), len(at))
+    return Bow(value, np.sqrt(np.diag(covariance)), p)
+
+
+def without_bow(compared: Compared, at: list[int]) -> Compared:
+    """The same of all other coordinates, whatever the bows are: a bow is no drift."""
+    prior = compared.prior.copy()
+    prior[at, :], prior[:, at] = 0.0, 0.0
+    return compare(prior, compared.posterior)
 
 
 class Departure(NamedTuple):
@@ -152,3 +318,57 @@ _AXIS = ("axis.p1", "axis.p2")
 def holds_no_scale(parts: Sequence[Part]) -> bool:
     """Whether nothing is left that knows a distance once these parts have moved."""
     return any(part.name == "axis" for part in parts) and any(part.name.startswith("laser ") for part in parts)
+
+
+# A change whose chance variance is a smaller share of the prior's says nothing.
+_TOLD = 1e-6
+
+
+def moved_parameters(
+    stored: Scanner,
+    step: Float[np.ndarray, " params"],
+    compared: Compared,
+    loosened: Float[np.ndarray, "params params"],
+) -> tuple[Moved, ...]:
+    r"""The change of every parameter that the stored calibration does not hold.
+
+    With the prior $C_0 + D$ of a solve, its gain $G = I - C_1 (C_0 + D)^{-1}$, and a departure that is by chance alone,
+    the change has the covariance $G C_0 G^T + G C_1$, which is $C_0 - C_1$ where nothing was loosened.
+
+    Args:
+        stored: Its covariance is the prior.
+        step: From it to the new scanner.
+        compared: The solve's prior and posterior.
+        loosened: What was added to the stored covariance, D.
+    """
+    kept = (compared.direction * (1.0 - compared.ratio)) @ compared.whiten
+    prior = compared.prior - loosened
+    chance = kept @ prior @ kept.T + kept @ compared.posterior
+    before, sigma = start_values(stored), np.sqrt(np.maximum(np.diag(prior), 0.0))
+    after = np.sqrt(np.maximum(np.diag(compared.posterior), 0.0))
+    found = []
+    for i, name in enumerate(stored.parameter_names()):
+        if sigma[i] > 0:
+            own = max(float(chance[i, i]), 0.0)
+            size = float(step[i]) / np.sqrt(own) if own > _TOLD * sigma[i] ** 2 else 0.0
+            value = float(before[i])
+            told = (float(sigma[i]), float(after[i]), float(size), *unit_of(name))
+            found.append(Moved(name, value, value + float(step[i]), *told))
+    return tuple(found)
+
+
+def start_values(stored: Scanner) -> Float[np.ndarray, " params"]:
+    """Values of the minimal coordinates of the stored scanner; 0 for those of a direction or a foot point.
+
+    They are tangent vectors of their own: their values are steps from the stored scanner.
+    """
+    with jax.enable_x64(True):
+        camera = np.asarray(stored.camera.parameters(), np.float64)
+    sheets = [
+        np.concatenate([np.zeros(2), [float(stored.lasers.distance[i])], np.asarray(stored.lasers.bow[i])])
+        for i in range(len(stored.laser_names))
+    ]
+    table = stored.turntable
+    angles = [np.zeros(4), [float(table.gain)], np.asarray(table.harmonics)] if isinstance(table, Turntable) else []
+    found = np.concatenate([camera, *sheets, *angles])
+    return np.pad(found, (0, len(stored.parameter_names()) - len(found)))

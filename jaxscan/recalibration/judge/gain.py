@@ -1,13 +1,128 @@
-"""How much better each direction is known than before, and which ones the captures say nothing of."""
+"""What the sweeps added to the stored calibration: its covariance before and after, direction by direction."""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.recalibration.judge.compared import Compared
-from jaxscan.recalibration.judge.scale import NAMES
-from jaxscan.recalibration.result import Gain
+from jaxscan.calibration.verdict import Lengths
+from jaxscan.geometry import Scanner, Turntable
+from jaxscan.recalibration.adjust import point_gradient, triangulate_points
+from jaxscan.recalibration.judge.hold_out import angles_of
+from jaxscan.recalibration.observed import RoomObservations
+from jaxscan.recalibration.result import Gain, LengthGain
+
+
+class Compared(NamedTuple):
+    r"""A prior and a posterior covariance in the directions in which they differ one by one.
+
+    With $C_0 = L L^T$ and $L^{-1} C_1 L^{-T} = V \Lambda V^T$, a step $L v_i$ was one standard deviation before and is
+    $\sqrt{\lambda_i}$ after. Parameters that are held have no part in any direction.
+    """
+
+    prior: Float[np.ndarray, "params params"]
+    posterior: Float[np.ndarray, "params params"]
+    direction: Float[np.ndarray, "params directions"]
+    """Steps of one standard deviation of the prior, as columns; best known after last."""
+    whiten: Float[np.ndarray, "directions params"]
+    """Of a step: its part in each direction, in units of the prior's standard deviation."""
+    ratio: Float[np.ndarray, " directions"]
+    """Variance after over that before [1]."""
+
+    @property
+    def factor(self) -> Float[np.ndarray, " directions"]:
+        """Old over new standard deviation of each direction [1]."""
+        return 1.0 / np.sqrt(self.ratio)
+
+    def chance_variance(self) -> Float[np.ndarray, "params params"]:
+        """Covariance of the departure where nothing moved: that before less that after."""
+        return (self.direction * (1.0 - self.ratio)) @ self.direction.T
+
+
+# Beyond this the prior's directions cannot be told from rounding.
+_ROUNDING = 1e-13
+
+
+def compare(prior: Float[np.ndarray, "params params"], posterior: Float[np.ndarray, "params params"]) -> Compared:
+    """Two covariances side by side, by their generalised eigenvalues.
+
+    Args:
+        prior: Covariance before, in px, rad and m; a parameter of variance 0 is held.
+        posterior: After, in the same order.
+    """
+    prior, posterior = np.asarray(prior, np.float64), np.asarray(posterior, np.float64)
+    unit = np.sqrt(np.maximum(np.diag(prior), 0.0))
+    free = unit > 0
+    unit = unit[free]
+    # Pixels and radians differ by a million: in units of sigma all parameters are of one size.
+    values, vectors = np.linalg.eigh(prior[np.ix_(free, free)] / np.outer(unit, unit))
+    held = values <= _ROUNDING * values[-1] if len(values) else np.zeros(0, bool)
+    values, vectors = values[~held], vectors[:, ~held]
+    root = unit[:, None] * vectors * np.sqrt(values)
+    inverse = (vectors / np.sqrt(values)).T / unit
+    after = inverse @ posterior[np.ix_(free, free)] @ inverse.T
+    ratio, turned = np.linalg.eigh((after + after.T) / 2.0)
+    ratio, turned = ratio[::-1], turned[:, ::-1]
+    direction, whiten = np.zeros((len(prior), len(ratio))), np.zeros((len(ratio), len(prior)))
+    direction[free], whiten[:, free] = root @ turned, turned.T @ inverse
+    return Compared(prior, posterior, direction, whiten, np.maximum(ratio, _ROUNDING))
+
+
+def with_prior(
+    loose: Compared, step: Float[np.ndarray, " params"], prior: Float[np.ndarray, "params params"]
+) -> tuple[Compared, Float[np.ndarray, " params"]]:
+    """A solve with a loose prior, as it would have come out with a tighter one, to first order.
+
+    A scanner that moved beyond a tight prior would leave bent walls, which would be taken for noise. So the data speak
+    by a solve that lets everything move.
+
+    Args:
+        loose: Prior and posterior of that solve.
+        step: From the stored scanner to its result.
+        prior: The tighter covariance.
+
+    Returns:
+        Prior and posterior covariance, and the step, with the tighter prior.
+    """
+    information = np.maximum(1.0 / loose.ratio - 1.0, 0.0)
+    gradient = (loose.whiten @ step) / loose.ratio
+    values, vectors = np.linalg.eigh(loose.whiten @ np.asarray(prior, np.float64) @ loose.whiten.T)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    inner = np.linalg.inv(np.eye(len(values)) + root.T @ (information[:, None] * root))
+    posterior = loose.direction @ (root @ inner @ root.T) @ loose.direction.T
+    return compare(prior, posterior), loose.direction @ (root @ (inner @ (root.T @ gradient)))
+
+
+NAMES = ("radial scale", "height scale")
+# More points say nothing new.
+_POINTS = 512
+
+
+def scale_slopes(
+    scanner: Scanner, observations: RoomObservations, corrections: tuple[Float[np.ndarray, " records"], ...] = ()
+) -> Float[np.ndarray, "2 params"]:
+    """Radial and height scale of a room by a step of the scanner that measures it [1 per px, rad, m].
+
+    Args:
+        scanner: With a turntable; where the derivatives are taken.
+        observations: Whose points stand for the room.
+        corrections: Of the angles of each sweep [rad]; without any, none.
+    """
+    points = observations.points
+    some = np.unique(np.linspace(0, len(points.q) - 1, _POINTS).round().astype(int))
+    angle = angles_of(observations, corrections, points.take(some))
+    where = points.q[some], points.laser[some], angle
+    arm, valid = triangulate_points(scanner, *where)
+    slope = point_gradient(scanner, *where)
+    if not isinstance(scanner.turntable, Turntable):
+        raise TypeError(f"found {type(scanner.turntable).__name__}, expected a turntable")
+    # The axis is the z axis of the scanner's frame.
+    arm, slope = arm[valid], slope[valid]
+    up = arm * np.array([0.0, 0.0, 1.0])
+    turns = [np.cross(unit, arm) for unit in np.eye(3)]
+    shifts = [np.broadcast_to(unit, arm.shape) for unit in np.eye(3)]
+    fields = np.stack([field.ravel() for field in (arm - up, up, *shifts, *turns)], axis=-1)
+    return np.linalg.pinv(fields)[:2] @ slope.reshape(len(fields), -1)
 
 
 # A direction that is known less than this much better is the stored calibration's.
@@ -95,3 +210,14 @@ def _named(compared: Compared, index: int | np.integer, names: tuple[str, ...]) 
     part = np.abs(compared.direction[:, index]) / np.where(sigma > 0, sigma, np.inf)
     order = [i for i in np.argsort(-part, kind="stable")[:_NAMED] if part[i] >= _SHARE * part.max()]
     return ", ".join(names[i] for i in order)
+
+
+def length_gains(before: Lengths, after: Lengths) -> tuple[LengthGain, ...]:
+    """The lengths that are in reach of both calibrations, with their standard deviations."""
+    new = {(laser.name, one.name, one.depth_m): one for laser in after.lasers for one in laser.lengths}
+    return tuple(
+        LengthGain(laser.name, one.name, one.depth_m, one.length_m, one.sigma_mm, found.sigma_mm)
+        for laser in before.lasers
+        for one in laser.lengths
+        if (found := new.get((laser.name, one.name, one.depth_m))) is not None
+    )

@@ -8,9 +8,8 @@ from jaxtyping import Bool, Float, Int
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration.adjust import triangulate_points
-from jaxscan.recalibration.adjusted import Adjusted
 from jaxscan.recalibration.observed import RoomObservations, SurfacePoints, Surfaces
-from jaxscan.recalibration.result import HoldOut
+from jaxscan.recalibration.result import Adjusted, HoldOut
 
 
 Fitting = Callable[[RoomObservations], Adjusted]

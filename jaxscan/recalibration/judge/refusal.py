@@ -4,12 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxscan.recalibration.adjusted import Adjusted
-from jaxscan.recalibration.judge.compared import Compared
-from jaxscan.recalibration.judge.scale import scale_slopes
+from jaxscan.recalibration.given import RecalibrationSettings
+from jaxscan.recalibration.judge.gain import Compared, scale_slopes
 from jaxscan.recalibration.observed import Surfaces
-from jaxscan.recalibration.result import Drift, HoldOut, LengthGain
-from jaxscan.recalibration.settings import RecalibrationSettings
+from jaxscan.recalibration.result import Adjusted, Drift, HoldOut, LengthGain
 
 
 # Residuals this much larger than they are known to be, in variance, are of something that is not in the model: than

@@ -9,22 +9,26 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.geometry import Scanner
-from jaxscan.recalibration.adjusted import Adjusted
-from jaxscan.recalibration.judge.bow import Bow, bow_of, bow_variance, held_bow, without_bow
-from jaxscan.recalibration.judge.compared import Compared, compare, with_prior
+from jaxscan.recalibration.given import RecalibrationSettings
 from jaxscan.recalibration.judge.drift import (
+    Bow,
     Explanation,
+    Part,
+    bow_of,
+    bow_variance,
     departure_of,
+    describe_move,
     explain,
+    held_bow,
     holds_no_scale,
     loosened_prior,
+    loosening,
     move_of,
+    parts_of,
+    without_bow,
 )
-from jaxscan.recalibration.judge.gain import scales_of
-from jaxscan.recalibration.judge.parts import Part, describe_move, loosening, parts_of
-from jaxscan.recalibration.judge.scale import scale_slopes
-from jaxscan.recalibration.result import Drift
-from jaxscan.recalibration.settings import RecalibrationSettings
+from jaxscan.recalibration.judge.gain import Compared, compare, scale_slopes, scales_of, with_prior
+from jaxscan.recalibration.result import Adjusted, Drift
 
 
 Solving = Callable[[Scanner, Adjusted], Adjusted]

@@ -1,6 +1,5 @@
 """Sweeps to points on planes and spheres."""
 
 from jaxscan.recalibration.segment.flat import flat
-from jaxscan.recalibration.segment.observe import observe_surfaces
-from jaxscan.recalibration.segment.patches import Patches, find_patches
+from jaxscan.recalibration.segment.observe import Patches, find_patches, observe_surfaces
 from jaxscan.recalibration.segment.spheres import Sphere, find_sphere

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxscan.recalibration.adjust import triangulate_points
-from jaxscan.recalibration.adjusted import Adjusted
+from jaxscan.recalibration.result import Adjusted
 
 
 _LEAST_M, _MOST_M = 8e-4, 3e-3

@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxscan.recalibration.segment.cells import Cells
-from jaxscan.recalibration.segment.plane import BentPlane
-from jaxscan.recalibration.segment.regions import Region
+from jaxscan.recalibration.segment.regions import BentPlane, Region
 
 
 _ALIKE = np.cos(np.radians(6.0))

@@ -8,10 +8,8 @@ import numpy as np
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration.observed import SweepStripes, Tracks
-from jaxscan.recalibration.stations.landmarks import Landmarks, find_landmarks
 from jaxscan.recalibration.stations.pair import Pair, Station, place_pair
-from jaxscan.recalibration.stations.space import see_space
-from jaxscan.recalibration.stations.view import look_around
+from jaxscan.recalibration.stations.view import Landmarks, find_landmarks, look_around, see_space
 
 
 def place_stations(

@@ -1,13 +1,13 @@
 """The room as one station sees it: points, from where they were seen, and flat patches."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import Scanner, lit_points, poses, stripe_pixel, transform
-from jaxscan.recalibration.observed import SweepStripes
+from jaxscan.geometry import Scanner, lit_points, nearest_rotation, poses, rays, stripe_pixel, transform, turn
+from jaxscan.recalibration.observed import SweepStripes, Tracks
 
 
 PROFILES, LINES = 360, 128
@@ -105,3 +105,156 @@ def _patches(points: np.ndarray, eyes: np.ndarray, valid: np.ndarray, width: int
     normal = vectors[:, :, 0]
     normal = normal * np.sign(np.sum(normal * (eye - middle), 1, keepdims=True))
     return middle[flat], normal[flat]
+
+
+Landmarks = Mapping[str, np.ndarray]
+"""Points [3] by name, m, in the scanner frame of one station."""
+
+BESIDE_RAD = np.radians(6.0)
+"""Farthest patch on whose plane a target is taken to be."""
+AGREE_M = 0.1
+"""A landmark that is this far off was moved, or is another of the same name [m]."""
+SPREAD_M = 0.05
+"""Least width of landmarks across their longest direction, so that they hold a pose [m]."""
+
+
+def find_landmarks(
+    tracks: Tracks, sweeps: Mapping[int, SweepStripes], scanner: Scanner, view: View
+) -> dict[str, np.ndarray]:
+    """Where the named targets are that the sweeps of one station see.
+
+    A target is where the rays to it meet the flat patch that is nearest to them.
+
+    Args:
+        tracks: Of all sweeps.
+        sweeps: Those of the station, by their numbers in `tracks`.
+        scanner: The scanner.
+        view: The view of the station.
+
+    Returns:
+        Points [3] by name, m, scanner frame of the station.
+    """
+    found: dict[str, np.ndarray] = {}
+    mine = np.isin(tracks.sweep, list(sweeps))
+    for number in np.unique(tracks.track[mine]):
+        if number >= len(tracks.name) or not tracks.name[number]:
+            continue
+        sightings = np.flatnonzero(mine & (tracks.track == number))
+        phi = np.array([sweeps[tracks.sweep[k]].angle[tracks.record[k]] for k in sightings], np.float64)
+        pose = np.asarray(poses(scanner.rig, phi))
+        ways = np.asarray(turn(pose[:, :3, :3], rays(scanner.rig, tracks.q[sightings])))
+        points = [
+            p for eye, ray in zip(pose[:, :3, 3], ways, strict=True) if (p := _on_patch(view, eye, ray)) is not None
+        ]
+        if points:
+            found[tracks.name[number]] = np.median(points, 0)
+    return found
+
+
+def _on_patch(view: View, eye: np.ndarray, ray: np.ndarray) -> np.ndarray | None:
+    """Where a ray meets the plane of the patch nearest to it; None where no patch is near."""
+    ways = view.patches - eye
+    cosine = ways @ ray / np.linalg.norm(ways, axis=1)
+    near = int(cosine.argmax())
+    slope = float(view.normals[near] @ ray)
+    if cosine[near] < np.cos(BESIDE_RAD) or abs(slope) < 0.05:
+        return None
+    point: np.ndarray = eye + float(view.normals[near] @ ways[near]) / slope * ray
+    return point
+
+
+def pose_of(at: np.ndarray, of: np.ndarray) -> np.ndarray | None:
+    """T_one_other [4, 4] that brings landmarks `of` [n, 3] of the other onto `at` [n, 3]; None where they hold none.
+
+    Landmarks that were moved are left out, as long as three agree. Source: Kabsch, Acta Cryst. A32 (1976) 922.
+    """
+    while len(at) >= 3:
+        middle_at, middle_of = at.mean(0), of.mean(0)
+        both = (at - middle_at).T @ (of - middle_of) / len(at)
+        if np.sqrt(np.linalg.svd(both, compute_uv=False)[1]) < SPREAD_M:
+            return None
+        rotation = nearest_rotation(both)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = rotation, middle_at - rotation @ middle_of
+        apart = np.linalg.norm(of @ rotation.T + pose[:3, 3] - at, axis=1)
+        if apart.max() < AGREE_M:
+            return pose
+        keep = np.arange(len(at)) != apart.argmax()
+        at, of = at[keep], of[keep]
+    return None
+
+
+CELL_M = 0.1
+CELLS = 160
+"""Cells along the longest side at most; a large hall has larger ones."""
+MARGIN = 2
+RAYS = 12_000
+UNSEEN, FREE, FILLED, AROUND = 0, 1, 2, 3
+
+
+class Space(NamedTuple):
+    """Cells around a station, in its scanner frame."""
+
+    state: np.ndarray
+    """`UNSEEN`, `FREE`, `FILLED`, or `AROUND` filled ones; uint8 [x, y, z]."""
+    low: np.ndarray
+    """Corner of the first cell [3], m."""
+    cell: float
+    """[m]."""
+    some: np.ndarray
+    """One point of each filled cell [n, 3]."""
+
+    def at(self, points: np.ndarray) -> np.ndarray:
+        """State of the cells of points [..., 3]."""
+        index = np.floor((points - self.low) / self.cell).astype(np.int32)
+        inside = ((index >= 0) & (index < self.state.shape)).all(-1)
+        index = np.where(inside[..., None], index, 0)
+        return np.where(inside, self.state[index[..., 0], index[..., 1], index[..., 2]], UNSEEN)
+
+
+def see_space(view: View) -> Space:
+    """The cells that a view fills and looks through.
+
+    A cell is free where at least two rays went through it and no point is in it or beside it.
+    """
+    low, high = np.percentile(view.points, [0.2, 99.8], axis=0)
+    cell = max(CELL_M, float((high - low).max()) / CELLS)
+    low = low - MARGIN * cell
+    shape = np.ceil((high - low) / cell).astype(int) + MARGIN
+    inside = ((view.points > low) & (view.points < low + shape * cell)).all(1)
+    points, eyes = view.points[inside], view.eyes[inside]
+    index = np.ravel_multi_index(tuple(((points - low) / cell).astype(int).T), shape)
+    _, first = np.unique(index, return_index=True)
+    filled = np.zeros(shape, bool)
+    filled.flat[index] = True
+    passed = _passed(points, eyes, low, cell, shape)
+    state = np.where(passed >= 2, FREE, UNSEEN).astype(np.uint8)
+    around = _grown(filled)
+    state[around] = AROUND
+    state[filled] = FILLED
+    return Space(state, low, cell, points[first])
+
+
+def _passed(points: np.ndarray, eyes: np.ndarray, low: np.ndarray, cell: float, shape: np.ndarray) -> np.ndarray:
+    """How many rays went through each cell; the last tenth of a ray may graze its surface, and does not count."""
+    step = max(1, -(-len(points) // RAYS))
+    points, eyes = points[::step], eyes[::step]
+    ways = points - eyes
+    reach = np.linalg.norm(ways, axis=1)
+    end = 0.9 * reach - 1.5 * cell
+    passed = np.zeros(int(np.prod(shape)), np.int32)
+    for far in np.arange(0.0, max(end.max(), 0.0), 0.7 * cell):
+        going = end > far
+        at = eyes[going] + ways[going] * (far / reach[going])[:, None]
+        index = np.floor((at - low) / cell).astype(int)
+        index = index[((index >= 0) & (index < shape)).all(1)]
+        passed += np.bincount(np.ravel_multi_index(tuple(index.T), shape), minlength=len(passed)).astype(np.int32)
+    return passed.reshape(shape)
+
+
+def _grown(filled: np.ndarray) -> np.ndarray:
+    """The cells of a mask and all that touch them."""
+    for axis in range(3):
+        ahead, behind = np.roll(filled, 1, axis), np.roll(filled, -1, axis)
+        filled = filled | ahead | behind
+    return filled

@@ -1,16 +1,167 @@
-"""The walls of a sweep as equations for the angles of its records."""
+"""The walls of a sweep as equations for the angles of its records, and steps of the angle as unknowns of them."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxscan.geometry import Scanner
+from jaxscan.geometry import Scanner, StripeAxis, points, slopes, stripe_pixel
+from jaxscan.geometry.motions.turntable import ANGLE_PARAMETERS
 from jaxscan.leastsq import MEDIAN_TO_SIGMA
+from jaxscan.recalibration.adjust import point_gradient
 from jaxscan.recalibration.observed import SweepStripes
 from jaxscan.recalibration.table.patches import Grid, find_patches, fit
-from jaxscan.recalibration.table.regression import Prior, Rows, solve
-from jaxscan.recalibration.table.sheet import Stripes, move, parameter_slopes, parameter_spread, sheet_points
+
+
+SPREAD = (
+    {"fx": 20.0, "fy": 20.0, "cx": 20.0, "cy": 20.0, "k1": 0.05, "k2": 0.1, "k3": 0.3, "p1": 2e-3, "p2": 2e-3}
+    | {"n1": 3e-3, "n2": 3e-3, "d": 2e-3, "b2": 3e-3, "b3": 3e-3}
+    | {"axis.d1": 5e-3, "axis.d2": 5e-3, "axis.p1": 3e-3, "axis.p2": 3e-3}
+)
+"""How far a coordinate of a poor calibration may be from the truth [px, rad, m]; 0.1 for others."""
+
+
+class Stripes(NamedTuple):
+    """Centres of stripes, in no order."""
+
+    centre: Float[np.ndarray, " points"]
+    """Across the line [px]."""
+    line: Int[np.ndarray, " points"]
+    laser: Int[np.ndarray, " points"]
+    """The scanner's sheet."""
+    axis: StripeAxis
+
+    def seen(self) -> tuple[Float[np.ndarray, "points 2"], Int[np.ndarray, " points"]]:
+        """Their pixels [px], and the sheet of each."""
+        q = stripe_pixel(self.centre.astype(np.float64), self.line.astype(np.float64), self.axis)
+        return np.asarray(q), self.laser
+
+    def take(self, index: np.ndarray, shift: Float[np.ndarray, " taken"]) -> "Stripes":
+        """The stripes at `index`, with centres that are `shift` px further."""
+        return Stripes(self.centre[index] + shift, self.line[index], self.laser[index], self.axis)
+
+
+def sheet_points(
+    scanner: Scanner, stripes: Stripes
+) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "points 3"]]:
+    """Points of stripes at angle 0 in the scanner frame, and how they move with the centre of the stripe.
+
+    A table turns them about z: the point at angle theta is `Rz(theta) x`.
+
+    Returns:
+        x: Points [m].
+        slope: Their derivative by the centre [m/px].
+    """
+    rig, (q, laser) = scanner.rig, stripes.seen()
+    across = 0 if stripes.axis == "rows" else 1
+    return np.asarray(points(rig, q, laser, 0.0)), np.asarray(slopes(rig, q, laser, 0.0))[..., across]
+
+
+def points_of_records(scanner: Scanner, sweep: SweepStripes) -> Callable[[int], Float[np.ndarray, "points 3"] | None]:
+    """`sheet_points` of the first stripe of each record, in the order along it; None for a record without a stripe."""
+
+    def of(record: int) -> Float[np.ndarray, "points 3"] | None:
+        profiles = np.flatnonzero(sweep.record == record)
+        if not len(profiles):
+            return None
+        first = int(profiles[0])
+        line = np.flatnonzero(sweep.valid[first])
+        laser = np.full(len(line), sweep.laser[first])
+        return sheet_points(scanner, Stripes(sweep.centre[first, line], line, laser, sweep.stripe_axis))[0]
+
+    return of
+
+
+def parameter_slopes(scanner: Scanner, stripes: Stripes) -> Float[np.ndarray, "points 3 params"]:
+    """Derivatives of `sheet_points` by the coordinates of camera, sheets and axis [m per px, rad, m]."""
+    q, laser = stripes.seen()
+    return point_gradient(scanner, q, laser, np.zeros(len(q)))[..., : -len(ANGLE_PARAMETERS)]
+
+
+def move(scanner: Scanner, step: Float[np.ndarray, " params"]) -> Scanner:
+    """The scanner moved by `step` in the coordinates of camera, sheets and axis [px, rad, m]."""
+    return scanner.retract(np.append(step, np.zeros(len(ANGLE_PARAMETERS))))
+
+
+def parameter_spread(scanner: Scanner) -> Float[np.ndarray, " params"]:
+    """How far the coordinates of `parameter_slopes` may be from the truth, generously [px, rad, m]."""
+    names = scanner.parameter_names()[: -len(ANGLE_PARAMETERS)]
+    return np.array([SPREAD.get(name, SPREAD.get(name.split(".")[-1], 0.1)) for name in names])
+
+
+class Rows(NamedTuple):
+    """Whitened equations `error = nuisance @ unknowns + turn * (angle of the record)`, sorted by record."""
+
+    error: Float[np.ndarray, " rows"]
+    turn: Float[np.ndarray, " rows"]
+    """Derivative by the angle about the axis of the row's record [1/rad]."""
+    nuisance: Float[np.ndarray, "rows unknowns"]
+    record: Int[np.ndarray, " rows"]
+
+
+class Prior(NamedTuple):
+    """Prior knowledge of the unknowns."""
+
+    mean: Float[np.ndarray, " unknowns"]
+    sigma: Float[np.ndarray, " unknowns"]
+
+
+class StepTest(NamedTuple):
+    """The step that each record would need."""
+
+    size: Float[np.ndarray, " records"]
+    """Angle by which this and all later records stand ahead of their angle [rad]."""
+    sigma: Float[np.ndarray, " records"]
+    """Its standard deviation; infinite where nothing tells it [rad]."""
+
+
+def solve(rows: Rows, prior: Prior) -> Float[np.ndarray, " unknowns"]:
+    """The unknowns of least squares; errors that are larger than noise widen all that is learned from them."""
+    n = rows.nuisance
+    weight = max(1.0, float(np.mean(rows.error**2))) / prior.sigma**2
+    return np.linalg.solve(n.T @ n + np.diag(weight), n.T @ rows.error + weight * prior.mean)
+
+
+def fit_steps(rows: Rows, records: int, prior: Prior) -> tuple[StepTest, Float[np.ndarray, " rows"]]:
+    r"""The step of every record, each fitted with all other unknowns but without the other steps.
+
+    With N the nuisance, r the error after their fit, and c the column of a step (`turn` from its record on),
+    $$\delta = c^T r / (c^T c - c^T N (N^T N)^{-1} N^T c)$$
+    where all products are sums from the last record back.
+
+    Args:
+        rows: Equations.
+        records: How many records there are.
+        prior: Of the unknowns.
+
+    Returns:
+        The steps, and the errors after the fit of the nuisance.
+    """
+    n = rows.nuisance
+    normal = n.T @ n + np.diag(1.0 / prior.sigma**2)
+    scale = np.sqrt(np.diag(normal))
+    inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+    left = rows.error - n @ (inverse @ (n.T @ rows.error + prior.mean / prior.sigma**2))
+    score = backwards(rows.turn * left, rows.record, records)
+    own = backwards(rows.turn**2, rows.record, records)
+    shared = backwards(rows.turn[:, None] * n, rows.record, records)
+    power = own - np.sum((shared @ inverse) * shared, axis=1)
+    known = power > 1e-6 * own[:1]
+    safe = np.where(known, power, 1.0)
+    size = np.where(known, score / safe, 0.0)
+    return StepTest(size, np.where(known, 1.0 / np.sqrt(safe), np.inf)), left
+
+
+def backwards(values: np.ndarray, record: np.ndarray, records: int) -> np.ndarray:
+    """Sums over each record and all later ones."""
+    if len(record) == 0:
+        return np.zeros((records, *values.shape[1:]))
+    starts = np.searchsorted(record, np.arange(records))
+    whole = np.concatenate([values, np.zeros_like(values[:1])])
+    sums = np.add.reduceat(whole, starts, axis=0)
+    sums[np.diff(np.append(starts, len(record))) == 0] = 0.0
+    return np.cumsum(sums[::-1], axis=0)[::-1]
 
 
 PROFILES, LINES = 240, 30

@@ -1,22 +1,119 @@
 """Features and targets in the laser-off images of sweeps, as tracks."""
 
-from collections import Counter
-from collections.abc import Sequence
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 
 from jaxscan.geometry import AbstractBoard, Scanner, Turntable
+from jaxscan.recalibration.given import RecalibrationSettings
 from jaxscan.recalibration.observed import SweepStripes, Tracks
-from jaxscan.recalibration.settings import RecalibrationSettings
 from jaxscan.recalibration.tracks.consistency import Sightings, keep_consistent
 from jaxscan.recalibration.tracks.cylinder import Turning, unroll
-from jaxscan.recalibration.tracks.key_images import MOST_KEYS, KeyImages, choose_keys
-from jaxscan.recalibration.tracks.placed import place_tracks
-from jaxscan.recalibration.tracks.reading import Reader
 from jaxscan.recalibration.tracks.seen import FeatureEyes, Followed, FoundTargets, ImageSource, Walk
+from jaxscan.recalibration.tracks.triangulate import place_tracks
+
+
+MOST_KEYS = 120
+_SHARE = 0.6
+"""Of an image's field of view that the next one shows too, at least."""
+_FEWEST_KEYS = 3
+
+
+class KeyImages(NamedTuple):
+    """Key images of a sweep, in the order in which the scanner turned."""
+
+    record: Int[np.ndarray, " keys"]
+    heading: Float[np.ndarray, " keys"]
+    """Turned angle of each [rad]."""
+    closing: Int[np.ndarray, " again"]
+    """Numbers of the first key images, to which those after the last one lead again; empty without a full turn."""
+
+    def walk(self) -> Int[np.ndarray, " steps"]:
+        """The key image of each step."""
+        return np.concatenate([np.arange(len(self.record)), self.closing])
+
+
+def choose_keys(heading: Float[np.ndarray, " records"], field_rad: float, most: int = MOST_KEYS) -> KeyImages | None:
+    """Key images spread evenly over the angle that a sweep turned by.
+
+    Args:
+        heading: Turned angle of every record [rad].
+        field_rad: The camera's field of view about the axis [rad].
+        most: Key images, at most.
+
+    Returns:
+        The key images; None where neighbours would overlap too little, or the sweep turned too little.
+    """
+    order = np.argsort(heading, kind="stable")
+    turned = float(np.ptp(heading)) if len(heading) else 0.0
+    if len(heading) < _FEWEST_KEYS or turned <= 0:
+        return None
+    wanted = np.linspace(heading.min(), heading.max(), min(most, len(heading)))
+    at = np.unique(_nearest(heading[order], wanted))
+    record = order[at]
+    angle = heading[record]
+    widest = (1.0 - _SHARE) * field_rad
+    if len(record) < _FEWEST_KEYS or np.diff(angle).max() > widest:
+        return None
+    # After the last image comes the first one that lies beyond it, a turn earlier.
+    beyond = np.flatnonzero(angle + 2 * np.pi > angle[-1] - 1e-9)
+    gap = angle[beyond[0]] + 2 * np.pi - angle[-1] if len(beyond) else np.inf
+    again = np.flatnonzero((angle + 2 * np.pi > angle[-1] - 1e-9) & (angle < angle[-1] - 2 * np.pi + field_rad))
+    return KeyImages(record, angle, again if gap <= widest else np.zeros(0, int))
+
+
+def _nearest(ascending: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Numbers of the values nearest to the wanted ones."""
+    right = np.clip(np.searchsorted(ascending, wanted), 1, len(ascending) - 1)
+    return np.where(wanted - ascending[right - 1] <= ascending[right] - wanted, right - 1, right)
+
+
+_AHEAD, _THREADS = 4, 2
+_LEVEL, _BRIGHT = 90.0, 250
+_MOST_BRIGHT = 0.02
+"""Share of saturated pixels in the chosen exposure, at most."""
+
+
+class Reader:
+    """Reads grey laser-off images of one exposure."""
+
+    def __init__(self, capture: ImageSource, eyes: FeatureEyes) -> None:
+        self._capture, self._to_grey = capture, eyes.to_grey
+        self._exposure = 0
+        images = capture.records[0].off
+        if len(images) > 1:
+            grey = [self._grey(image) for image in images]
+            clear = [k for k, g in enumerate(grey) if (g >= _BRIGHT).mean() <= _MOST_BRIGHT] or [0]
+            self._exposure = min(clear, key=lambda k: abs(float(np.median(grey[k])) - _LEVEL))
+
+    def read(self, record: int) -> np.ndarray:
+        """The image of one record, uint8 [rows, columns]."""
+        images = self._capture.records[record].off
+        return self._grey(images[min(self._exposure, len(images) - 1)])
+
+    def ahead(self, records: Int[np.ndarray, " n"]) -> Iterator[np.ndarray]:
+        """The images of some records in order, decoded in threads."""
+        with ThreadPoolExecutor(_THREADS) as pool:
+            waiting: deque[Future[np.ndarray]] = deque()
+            try:
+                for record in records:
+                    waiting.append(pool.submit(self.read, int(record)))
+                    if len(waiting) > _AHEAD:
+                        yield waiting.popleft().result()
+                while waiting:
+                    yield waiting.popleft().result()
+            finally:
+                for future in waiting:
+                    future.cancel()
+
+    def _grey(self, reference: object) -> np.ndarray:
+        return self._to_grey(self._capture.image(reference), self._capture.pixel_format)
 
 
 _LOOKED_AT = 6

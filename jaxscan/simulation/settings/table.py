@@ -17,6 +17,8 @@ class TurntableSpec(Section):
     gain: Gain = 1.0
     """Turned angle per commanded angle; its sign is about the axis's upward sense."""
     harmonics: tuple[Fraction, Fraction, Fraction, Fraction] = (0.0, 0.0, 0.0, 0.0)
+    stop_deg: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """It stops anywhere within this about the commanded angle: a microstep, or backlash [deg]."""
     carries: Literal["scanner", "object"] = "scanner"
 
     @model_validator(mode="after")

@@ -45,6 +45,8 @@ class LearnedNoise(NamedTuple):
     """Numbers that the frames do not tell, in words."""
     doubts: tuple[str, ...]
     """Signs that codes are no levels of a sensor, a sentence each."""
+    gain_told: bool = True
+    """Whether the frames tell gain and read noise apart."""
 
     def words(self, found: NoiseModel, reason: str = LOST) -> str:
         """One line on the noise, with the speckle that the stripes told, or the reason why they told none."""
@@ -100,7 +102,7 @@ def learn_noise(
         read = np.sqrt(noise.read_dn**2 + (most - least) / noise.electrons_per_dn)
         bounds = f"{least:.0f} to {most:.0f} DN" if least > 0 else f"at most {most:.0f} DN"
         unknown.append(f"black level ({bounds}, with read noise up to {read:.2g} DN)")
-    return LearnedNoise(noise, tuple(unknown), tuple(doubts))
+    return LearnedNoise(noise, tuple(unknown), tuple(doubts), gain_told)
 
 
 def _bands(

@@ -1,7 +1,7 @@
 """The table as an axis of a GRBL board: position, home, motions and their ends."""
 
 from scanrig.controllers.grbl.lines import HOLD, POLL_S, GrblLines
-from scanrig.controllers.grbl.report import ALARMS, Report
+from scanrig.controllers.grbl.report import Report
 from scanrig.controllers.grbl.units import TableUnits
 from scanrig.controllers.table import GrblTable
 from scanrig.errors import Fault, LinkLost, Reason, Refused, RigError, RigFault, RigTimeout
@@ -11,6 +11,9 @@ REST_S = 10.0
 """Longest time that the table may take to stop."""
 _STILL = 3
 """Reports of standstill after which a motion is over, wherever it ended."""
+
+
+_FAULTS = {"Door": Fault.EMERGENCY_STOP, "Sleep": Fault.ASLEEP, "Tool": Fault.TOOL_CHANGE}
 
 
 class TableAxis:
@@ -93,11 +96,14 @@ class TableAxis:
 
     def fault(self, report: Report) -> Fault | None:
         """The fault in a report, or None; home is lost after most faults."""
-        number = self._lines.alarm
-        if report.state == "Door":
-            fault = Fault.EMERGENCY_STOP
-        elif report.state == "Sleep" or (report.state == "Alarm" and number is not None):
-            fault = ALARMS.get(number or 0, Fault.UNKNOWN)
+        number = self._alarm(report)
+        if report.state == "Hold" and not report.moving:
+            # A table that is held has lost nothing.
+            return Fault.HELD
+        if report.state in _FAULTS:
+            fault = _FAULTS[report.state]
+        elif report.state == "Alarm" and number is not None:
+            fault = self._lines.dialect.alarms.get(number, Fault.UNKNOWN)
         else:
             return None
         if number != 2:
@@ -107,8 +113,22 @@ class TableAxis:
     def raise_fault(self, report: Report) -> None:
         """Raise the fault in a report, if there is one."""
         if (fault := self.fault(report)) is not None:
-            number = self._lines.alarm
-            raise RigFault(fault, self.position(report), "" if number is None else f"ALARM:{number}")
+            raise RigFault(fault, self.position(report), self.words(report))
+
+    def words(self, report: Report) -> str:
+        """What the board says of its fault."""
+        number, name = self._alarm(report), self._lines.dialect.name
+        if report.state == "Door":
+            door = "is open: close it" if report.part else "was open, and is closed again"
+            return f"{name} says Door:{report.part}: its safety door, or what is wired to that pin, {door}"
+        if number is not None:
+            return f"{name} says ALARM:{number}"
+        return f"{name} says {report.state}"
+
+    def _alarm(self, report: Report) -> int | None:
+        """The number of the alarm in a report, or said before it; None for the lock of a board that is not homed."""
+        number = report.part if report.state == "Alarm" and report.part else self._lines.alarm
+        return None if number in self._lines.dialect.unhomed else number
 
     def _await_rest(self, motion: str, timeout_s: float, at: int | None = None) -> int:
         """Wait until the table stands still; at another position than `at`, in several reports."""

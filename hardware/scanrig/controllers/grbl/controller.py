@@ -12,7 +12,7 @@ from scanrig.controllers.grbl.units import TableUnits
 from scanrig.controllers.settings import Settings
 from scanrig.controllers.status import Firmware, LinkCounts, Reconnection, ShotDone, State, Status
 from scanrig.controllers.table import GrblTable
-from scanrig.errors import FirmwareError, LinkLost, PortError, Reason, Refused, RigError
+from scanrig.errors import Fault, FirmwareError, LinkLost, PortError, Reason, Refused, RigError, RigFault
 from scanrig.wire.link import Link
 
 
@@ -48,7 +48,7 @@ class GrblController(SafelyClosed):
         self._lines.open_again()
         version = greet(self._lines)
         self._begin()
-        return Firmware("Grbl", version, self._boot)
+        return Firmware(self._lines.dialect.name, version, self._boot)
 
     def configure(self, settings: Settings) -> None:
         known = len(self._table.laser_on)
@@ -212,9 +212,13 @@ class GrblController(SafelyClosed):
         self._axis.come_to_rest()
         self._reset()
         self._armed = False
-        if self._lines.report().state == "Alarm":
+        report = self._lines.report()
+        if report.state == "Alarm":
             self._axis.forget_home()
             self._lines.alarm = None
+            if self._axis.fault(report) is Fault.EMERGENCY_STOP:
+                # A reset has just failed to end it.
+                raise RigFault(Fault.EMERGENCY_STOP, None, self._axis.words(report))
             if not self._table.home:
                 self._lines.ask("$X")
 

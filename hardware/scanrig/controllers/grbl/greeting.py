@@ -1,5 +1,8 @@
 """Checks which device is on the port, and whether the board's settings fit the configuration."""
 
+import re
+
+from scanrig.controllers.grbl.dialects import is_old, other_device
 from scanrig.controllers.grbl.lines import BOOT_S, QUERY, GrblLines
 from scanrig.controllers.grbl.report import read_report, read_settings
 from scanrig.controllers.grbl.units import TableUnits
@@ -47,13 +50,33 @@ def greet(lines: GrblLines) -> str:
     except LinkLost as problem:
         if lines.broken:
             raise
-        found = f"a device that sends {lines.odd[-1][:60]!r}" if lines.odd else "silence"
+        last = _last_words(lines)
+        if read_report(last):
+            raise FirmwareError(
+                f"{lines.link.name}: found {last[:60]!r} in answer to '?', but no greeting after a reset; expected one "
+                f"that begins with '{lines.expected_greeting}': unlock the board ($X, or home it by $H), or write its "
+                "greeting into controller.grbl.greeting"
+            ) from problem
+        found = f"a device that sends {last[:60]!r}{other_device(last)}" if last else "silence"
         raise FirmwareError(
             f"{lines.link.name}: found {found}, needed a board that begins with '{lines.expected_greeting}'; "
             "check port, power, controller.baud and controller.grbl.greeting"
         ) from problem
+    if is_old(lines.greeting):
+        last = next((line for line in reversed(lines.odd) if line.startswith("<")), lines.greeting)
+        raise FirmwareError(lines.not_understood(last))
+    # FluidNC writes GRBL's version first, and its own in brackets.
+    own = re.search(r"FluidNC (v\S+)", lines.greeting)
     words = lines.greeting.split()
-    return words[1] if len(words) > 1 else "unknown"
+    return own[1] if own else words[1] if len(words) > 1 else "unknown"
+
+
+def _last_words(lines: GrblLines) -> str:
+    """The last line of a device that does not greet; one that takes whole lines alone answers to their end."""
+    if not lines.heard:
+        lines.write(b"\n$I\n")
+        lines.drain()
+    return lines.heard
 
 
 def require_fit(lines: GrblLines, table: GrblTable, units: TableUnits, settings: Settings) -> None:
@@ -62,10 +85,21 @@ def require_fit(lines: GrblLines, table: GrblTable, units: TableUnits, settings:
     Raises:
         FirmwareError: with the settings to type on the board.
     """
-    says = read_settings(lines.ask("$$"))
+    answer = lines.ask("$$")
+    says = read_settings(answer)
     axis = "XYZABC".index(table.axis)
+    feed = 60 * settings.speed / units.steps_per_unit
+    if 100 + axis not in says:
+        name, found = lines.dialect.name, ", ".join(answer)[:60] or "nothing"
+        where = "its configuration file (config.yaml)" if not lines.dialect.listed else "its own settings"
+        raise FirmwareError(
+            f"{lines.link.name}: found {found} in answer to $$; {name} does not list its axes there. Look in {where} "
+            f"for steps_per_mm = {units.steps_per_unit:.10g} and max_rate = {feed:.10g} or more on axis {table.axis}, "
+            "then set check_settings = false under [controller.grbl]"
+        )
     wanted = {1: 255.0, 13: 0.0, 32: 0.0, 100 + axis: units.steps_per_unit}
-    if table.home:
+    # A mask in grblHAL: homing is its first bit.
+    if table.home and not int(says.get(22, 0)) & 1:
         wanted[22] = 1.0
     wrong = {
         number: value
@@ -74,7 +108,6 @@ def require_fit(lines: GrblLines, table: GrblTable, units: TableUnits, settings:
     }
     if not int(says.get(10, 1)) & 1:
         wrong[10] = 1.0
-    feed = 60 * settings.speed / units.steps_per_unit
     if says.get(110 + axis, feed) < feed * (1 - _TOLERANCE):
         wrong[110 + axis] = feed
     if wrong:

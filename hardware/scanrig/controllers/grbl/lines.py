@@ -6,9 +6,10 @@ from collections import deque
 from collections.abc import Callable
 
 from scanrig.clock import Clock
-from scanrig.controllers.grbl.report import ALARMS, Report, read_report
+from scanrig.controllers.grbl.dialects import Dialect, dialect_of, is_old
+from scanrig.controllers.grbl.report import STATES, Report, read_report
 from scanrig.controllers.status import LinkCounts
-from scanrig.errors import ControllerReset, Fault, LinkLost, Reason, Refused, RigFault
+from scanrig.errors import ControllerReset, Fault, FirmwareError, LinkLost, Reason, Refused, RigFault
 from scanrig.wire import Link
 
 
@@ -34,7 +35,14 @@ _LONGEST = 256
 _ERROR = re.compile(r"error:(\d+)")
 _ALARM = re.compile(r"ALARM:(\d+)")
 _SAID_UNASKED = re.compile(r"\[.*\]|\$.*=.*|>.*:.*")
-_REFUSALS = {2: Reason.NOT_UNDERSTOOD, 5: Reason.NO_SUCH_PART, 8: Reason.BUSY, 9: Reason.IN_FAULT, 11: Reason.TOO_LONG}
+_REFUSALS = {
+    2: Reason.NOT_UNDERSTOOD,
+    5: Reason.NO_SUCH_PART,
+    8: Reason.BUSY,
+    9: Reason.IN_FAULT,
+    11: Reason.TOO_LONG,
+    79: Reason.IN_FAULT,
+}
 
 
 class GrblLines:
@@ -48,6 +56,7 @@ class GrblLines:
         expected_greeting: how that line has to begin.
         broken: whether the port itself failed, so that it must be opened again.
         odd: the last lines that are not GRBL's.
+        heard: the last line of any kind.
     """
 
     def __init__(self, link: Link, clock: Clock, *, greeting: str, reopen: Callable[[], Link]):
@@ -58,11 +67,19 @@ class GrblLines:
         self.greeting = ""
         self.broken = False
         self.odd: deque[str] = deque(maxlen=_KEPT)
+        self.heard = ""
         self.expected_greeting, self._reopen = greeting, reopen
         self._rest = b""
         self._expected = False
         """Whether this host asked for a reset whose greeting has not come yet."""
         self._told_reset = 0
+        self._unread = ""
+        """The last report that was not understood."""
+
+    @property
+    def dialect(self) -> Dialect:
+        """Of the board, by its last greeting."""
+        return dialect_of(self.greeting)
 
     def ask(self, command: str) -> list[str]:
         """Send a line that is carried out at once, and repeat it until it is answered.
@@ -90,9 +107,13 @@ class GrblLines:
         number = int(match[1]) if (match := _ERROR.fullmatch(error)) else None
         if number is None and self.alarm is not None:
             # After a limit was hit, GRBL answers nothing until it is reset.
-            raise RigFault(ALARMS.get(self.alarm, Fault.UNKNOWN), None, f"ALARM:{self.alarm}")
+            fault = self.dialect.alarms.get(self.alarm, Fault.UNKNOWN)
+            raise RigFault(fault, None, f"{self.dialect.name} says ALARM:{self.alarm}")
         if number is None:
-            raise LinkLost(f"no answer from {self.link.name} to '{command}', sent {TRIES} times; check cable and power")
+            raise LinkLost(
+                f"no answer from {self.link.name} to '{command}', sent {TRIES} times{self._instead()}; check cable and "
+                "power"
+            )
         raise Refused(_REFUSALS.get(number, Reason.UNKNOWN), command, error)
 
     def ask_long(self, command: str, timeout_s: float) -> bool:
@@ -137,17 +158,37 @@ class GrblLines:
 
         Raises:
             ControllerReset: the board was reset.
+            FirmwareError: it answers, each time in a form that is not known.
             LinkLost: no answer.
         """
         for _ in range(TRIES):
+            self._unread = ""
             self.write(QUERY)
             give_up = self.clock.now() + ANSWER_S
-            while (left := give_up - self.clock.now()) > 0:
+            while not self._unread and (left := give_up - self.clock.now()) > 0:
                 reports = [report for line in self.read(left) if (report := read_report(line))]
                 if reports:
                     return reports[-1]
             self.counts.unanswered += 1
-        raise LinkLost(f"no answer from {self.link.name} to '?'; check cable and power")
+        if self._unread:
+            raise FirmwareError(self.not_understood(self._unread))
+        raise LinkLost(f"no answer from {self.link.name} to '?'{self._instead()}; check cable and power")
+
+    def not_understood(self, answer: str) -> str:
+        """The message about a report that is not understood."""
+        if is_old(self.greeting, answer):
+            return (
+                f"{self.link.name}: found {answer[:60]!r}, the report of GRBL before 1.0; expected that of 1.1: write "
+                "GRBL 1.1 or a newer dialect to the board"
+            )
+        return (
+            f"{self.link.name}: found {answer[:60]!r} of {self.dialect.name}, a state that is not known here; expected "
+            f"<...|MPos:...> with one of {', '.join(STATES)}"
+        )
+
+    def _instead(self) -> str:
+        """What the board sent last that is none of GRBL's, for messages."""
+        return f"; it sent {self.odd[-1][:60]!r}" if self.odd else ""
 
     def reset(self) -> None:
         """Soft reset: laser off, motion stopped, queue emptied; the position is kept if the table stood still.
@@ -226,6 +267,7 @@ class GrblLines:
         self.counts.unanswered += 1
 
     def _note(self, text: str) -> None:
+        self.heard = text
         if text.startswith(self.expected_greeting):
             self.greeting = text
             if not self._expected:
@@ -239,6 +281,8 @@ class GrblLines:
         elif not (text == "ok" or _ERROR.fullmatch(text) or read_report(text) or _SAID_UNASKED.fullmatch(text)):
             self.counts.damaged += 1
             self.odd.append(text)
+            if text.startswith("<") and text.endswith(">"):
+                self._unread = text
             log.info("%s: a line that is none of GRBL's: %r", self.link.name, text[:80])
 
     def _answer(self) -> tuple[list[str], str]:

@@ -4,7 +4,6 @@ import re
 from dataclasses import dataclass
 
 from scanrig.controllers.status import State
-from scanrig.errors import Fault
 
 
 STATES: dict[str, State] = {
@@ -17,21 +16,11 @@ STATES: dict[str, State] = {
     "Alarm": "fault",
     "Door": "fault",
     "Sleep": "fault",
+    "Tool": "fault",
 }
 """GRBL's states as a session's. "Alarm" without a number, as after power on, only means that home is not known."""
 
-ALARMS = {
-    1: Fault.LIMIT,
-    2: Fault.LIMIT,
-    3: Fault.ABORTED,
-    6: Fault.HOME_NOT_FOUND,
-    7: Fault.HOME_NOT_FOUND,
-    8: Fault.HOME_NOT_FOUND,
-    9: Fault.HOME_NOT_FOUND,
-}
-"""GRBL's alarm numbers as faults."""
-
-_REPORT = re.compile(r"<([A-Z][a-z]+)(?::([0-9]))?((?:\|[A-Za-z]+:[^|<>]*)*)>")
+_REPORT = re.compile(r"<([A-Z][a-z]+)(?::([0-9]{1,3}))?((?:\|[A-Za-z]+:[^|<>]*)*)>")
 _NUMBER = re.compile(r"-?[0-9]{1,9}(?:\.[0-9]{0,9})?")
 _SETTING = re.compile(rf"\$([0-9]{{1,3}})=({_NUMBER.pattern})")
 _AXES = "XYZABC"
@@ -42,9 +31,10 @@ class Report:
     """The answer to `?`."""
 
     state: str
-    """Idle, Run, Hold, Jog, Home, Alarm, Door, Check or Sleep."""
+    """Idle, Run, Hold, Jog, Home, Alarm, Door, Check, Sleep or Tool."""
     part: int
-    """The number after the state: Hold:0 stands still, Hold:1 slows down; 0 if there is none."""
+    """The number after the state: Hold:0 stands still, Hold:1 slows down, Alarm:10 is that alarm; 0 if there is none.
+    """
     positions: tuple[float, ...] | None
     """Machine coordinates of the axes; None if the board reports others ($10)."""
 

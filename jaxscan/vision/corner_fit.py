@@ -4,9 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxscan.observation import FoundCorners
+
 
 # Smallest and largest half side of the window [px]: fewer pixels do not hold the nine unknowns, and
-# farther out lens and board bend the edges.
+# farther out edges are bent by more than a curvature.
 _MIN_HALF, _MAX_HALF = 4, 10
 _UNKNOWNS = 9
 _STEPS = 15
@@ -34,19 +36,14 @@ _MOST_SHARED = 8.0
 _FLOOR_PX = 2e-3
 
 
-class FoundCorners(NamedTuple):
-    """Corners of one board in one image, in the order of `board.corners()`."""
-
-    q: np.ndarray
-    """float64 [corners, 2]: (u, v) [px]; without meaning where not valid."""
-    sigma: np.ndarray
-    """float64 [corners]: standard deviation of each coordinate [px]; 1 where not valid."""
-    valid: np.ndarray
-    """bool [corners]."""
-
-
 def fit_corners(
-    image: np.ndarray, start: np.ndarray, edges: np.ndarray, half: np.ndarray, *, clear: np.ndarray | None = None
+    image: np.ndarray,
+    start: np.ndarray,
+    edges: np.ndarray,
+    half: np.ndarray,
+    *,
+    clear: np.ndarray | None = None,
+    bend: np.ndarray | None = None,
 ) -> FoundCorners:
     r"""Chessboard corners by a least-squares fit of two blurred crossing edges.
 
@@ -66,6 +63,9 @@ def fit_corners(
             the next corner.
         clear: Pixels farther than this from both edges are left out [corners], px, because of
             markers. None: all count.
+        bend: Curvature of the two edges in the image [corners, 2], 1 / px, positive where an edge along u bends
+            towards v. Fitted as straight, edges would move a corner by a sixth of it times the square of `half`.
+            None: straight.
 
     Returns:
         The corners; not valid where the model does not fit or the fit diverged.
@@ -79,6 +79,8 @@ def fit_corners(
     half = np.clip(np.floor(half), _MIN_HALF, _MAX_HALF)
     start, angle = np.asarray(start, np.float64), np.arctan2(edges[..., 1], edges[..., 0])
     window = _cut(image, start, half, angle, clear)
+    if bend is not None:
+        window = _straightened(window, angle, bend)
     return _judged(window, _fit(window, _start(window, angle)), start, angle, half)
 
 
@@ -126,6 +128,19 @@ def _cut(
         weight = weight & (np.abs(_across(angle, u, v)).min(0) <= np.asarray(clear)[:, None])
     level, u, v, weight = (part.reshape(flat).astype(np.float32) for part in (level, u, v, weight))
     return _Window(level, u, v, weight, seen, len(offset))
+
+
+def _straightened(window: _Window, angle: np.ndarray, bend: np.ndarray) -> _Window:
+    """The window with its pixels moved so that edges of these curvatures [1 / px] are straight."""
+    sine, cosine = np.sin(angle).T[..., None], np.cos(angle).T[..., None]
+    along = cosine * window.u + sine * window.v
+    first, second = -0.5 * bend.T[..., None] * along**2
+    # The shift that changes the distance from the first edge, and that from the second, by this much.
+    turn = cosine[0] * sine[1] - sine[0] * cosine[1]
+    turn = np.where(np.abs(turn) < np.sin(_MIN_CROSSING), np.inf, turn)
+    u = window.u + (cosine[1] * first - cosine[0] * second) / turn
+    v = window.v + (sine[1] * first - sine[0] * second) / turn
+    return window._replace(u=u.astype(np.float32), v=v.astype(np.float32))
 
 
 def _across(angle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:

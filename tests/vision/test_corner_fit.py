@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxscan.observation.corner_fit import fit_corners
+from jaxscan.vision.corner_fit import fit_corners
 
 
 TILE, TILES, FINE = 36, 6, 15
@@ -25,11 +25,13 @@ class Picture(NamedTuple):
         return (found.q - self.truth)[found.valid]
 
 
-def draw(seed, *, blur=(0.7, 1.3), crossing=(50, 130), swell=0.0, light=0.002, stretch=1.0, black=20.0, white=140.0):
+def draw(
+    seed, *, blur=(0.7, 1.3), crossing=(50, 130), swell=0.0, light=0.002, stretch=1.0, black=20.0, white=140.0, bend=0.0
+):
     """Crossings at random places and angles, one per tile: light gathered at 15 x 15 points of every pixel.
 
     `swell` [px] is how far ink spreads over every edge, `stretch` how much more the picture is
-    blurred along v than along u.
+    blurred along v than along u, `bend` the curvature of both edges [1 / px].
     """
     random = np.random.default_rng(seed)
     at = (np.arange(TILE * FINE) + 0.5) / FINE - 0.5
@@ -41,6 +43,8 @@ def draw(seed, *, blur=(0.7, 1.3), crossing=(50, 130), swell=0.0, light=0.002, s
             first = random.uniform(0, 2 * np.pi)
             angles = np.array([first, first + np.radians(random.uniform(*crossing))])
             away = [np.cos(a) * (v - place[1]) - np.sin(a) * (u - place[0]) for a in angles]
+            along = [np.cos(a) * (u - place[0]) + np.sin(a) * (v - place[1]) for a in angles]
+            away = [d - 0.5 * bend * s**2 for d, s in zip(away, along, strict=True)]
             # Each edge is as wide as a point of the drawing, or an upright one would be off by half of that.
             side = [np.clip(2 * FINE * d, -1, 1) for d in away]
             ink = (1 + side[0] * side[1]) / 2
@@ -85,6 +89,15 @@ def test_edges_that_cross_at_a_slant(crossing):
     found = picture.refine()
     # Three terms of the series leave a rest, which is the same on opposite sides; cornerSubPix errs by 0.013 px.
     assert found.valid.all() and np.sqrt(np.mean(picture.error(found) ** 2)) < 0.003
+
+
+def test_edges_that_a_lens_bends_move_no_corner_where_the_bend_is_known():
+    """A fisheye of 240 px focal length bends edges by 1 / 400 px; crossings at a right angle, about."""
+    picture = draw(7, light=0.0, crossing=(70, 110), bend=0.0025)
+    straight = picture.refine()
+    bent = picture.refine(bend=np.full((len(picture.truth), 2), 0.0025))
+    assert straight.valid.all() and np.sqrt(np.mean(picture.error(straight) ** 2)) > 0.02
+    assert bent.valid.all() and np.sqrt(np.mean(picture.error(bent) ** 2)) < 0.003
 
 
 def test_what_is_the_same_on_opposite_sides_moves_little():

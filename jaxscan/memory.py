@@ -10,9 +10,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Bool, Int
 
-from jaxscan.geometry import Array
 
-
+Array = jax.Array | np.ndarray
 _BLOCK = 256
 """Entries that are computed together."""
 _ROW = 64
