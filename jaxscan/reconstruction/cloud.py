@@ -92,8 +92,14 @@ class PointCloud(eqx.Module):
     1 - k / shared_lines. Points share noise with no other profile."""
     stations: Stations | None = None
     """Where each profile was taken from; None for the cloud of one station, which is in its scanner frame."""
-    lacks: tuple[str, ...] = eqx.field(static=True, default=())
-    """Of `MAY_LACK` what the cloud's file did not have: zero here, and not known. It is not written either."""
+    absent: tuple[str, ...] | None = eqx.field(static=True, default=None)
+    """Of `MAY_LACK` what the cloud's file did not have: zero here, and not known. It is not written either. None where
+    all is there, as in every cloud of `reconstruct`."""
+
+    @property
+    def lacks(self) -> tuple[str, ...]:
+        """What is absent; nothing where all is there."""
+        return self.absent or ()
 
     def points(self, start: int = 0, stop: int | None = None) -> CloudPoints:
         """The valid points as a flat list, of all profiles or of those from `start` to before `stop`."""
@@ -180,14 +186,14 @@ def join_clouds(
     return PointCloud(
         **{name: np.concatenate([fields[name] for fields in moved]) for name in names},
         stations=Stations(numbers, np.array(poses, np.float64), np.array(covariances, np.float64)),
-        lacks=_together_lack(clouds),
+        absent=_together_lack(clouds),
     )
 
 
-def _together_lack(clouds: Sequence[PointCloud]) -> tuple[str, ...]:
+def _together_lack(clouds: Sequence[PointCloud]) -> tuple[str, ...] | None:
     """What clouds lack together: what none has, and sigmas that one of them lacks, whose points would seem perfect."""
     every, some = (how(*(set(cloud.lacks) for cloud in clouds)) for how in (set.intersection, set.union))
-    return tuple(name for name in MAY_LACK if name in every or (name in some and name.startswith("sigma")))
+    return tuple(name for name in MAY_LACK if name in every or (name in some and name.startswith("sigma"))) or None
 
 
 def stack_placed(clouds: Sequence[PointCloud], *, every: int = 1) -> PointCloud:
@@ -216,7 +222,7 @@ def stack_placed(clouds: Sequence[PointCloud], *, every: int = 1) -> PointCloud:
             np.concatenate([np.asarray(one.pose, np.float64) for one in placed]),
             np.concatenate([np.asarray(one.covariance, np.float64) for one in placed]),
         ),
-        lacks=_together_lack(clouds),
+        absent=_together_lack(clouds),
     )
 
 
@@ -228,7 +234,7 @@ def of_station(cloud: PointCloud, number: int) -> PointCloud:
     pose = np.linalg.inv(np.asarray(cloud.stations.pose[number], np.float64))
     fields = {name: value[mine] for name, value in _fields(cloud).items() if value is not None}
     placed = _turned(fields["xyz"], fields["normals"], fields["valid"], pose)
-    return PointCloud(**(fields | placed), lacks=cloud.lacks)
+    return PointCloud(**(fields | placed), absent=cloud.absent)
 
 
 def in_scanner_frame(cloud: PointCloud) -> tuple[PointCloud, np.ndarray]:

@@ -95,7 +95,7 @@ def reconstruct(
     profile = np.arange(profiles) // each
     record = sweep.record[profile]
     angle = sweep.angles[record]
-    return PointCloud(**fields, record=record, laser=plan.sheet[profile], angle=angle, stations=None, lacks=())
+    return PointCloud(**fields, record=record, laser=plan.sheet[profile], angle=angle, stations=None, absent=None)
 
 
 def smooth_stripes(sweep: SweepSource, stripes: Stripes, progress: Progress = None) -> SmoothedSweep:

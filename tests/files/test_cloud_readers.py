@@ -345,7 +345,7 @@ def test_rows_beyond_65535_keep_their_number_in_e57(tmp_path):
     points = np.random.default_rng(0).uniform(-1, 1, (70000, 3)).astype(np.float32)
     path = ply(["format binary_little_endian 1.0", *vertex(count=70000)], points.tobytes(), tmp_path / "n.ply")
     # As a cloud of one long profile, which has rows.
-    save_cloud(dataclasses.replace(load_cloud(path), lacks=()), tmp_path / "b.e57")
+    save_cloud(dataclasses.replace(load_cloud(path), absent=None), tmp_path / "b.e57")
     file = pye57.E57(str(tmp_path / "b.e57"))
     bounds = file.get_header(0).node["indexBounds"]
     # pye57's reader has 16 bits for a row; the bounds are written apart from the points.

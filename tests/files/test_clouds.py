@@ -308,7 +308,7 @@ class TestNpz(WriterContract):
         save_cloud(jax.tree.map(jnp.asarray, wide), path)
         back = load_cloud(path)
         assert back.stations is None
-        for name, field in ((name, field) for name, field in vars(back).items() if name not in ("stations", "lacks")):
+        for name, field in ((name, field) for name, field in vars(back).items() if name not in ("stations", "absent")):
             # Lossless means the masked entries and the type too.
             assert np.array_equal(field, getattr(wide, name)) and field.dtype == getattr(wide, name).dtype
 

@@ -75,7 +75,7 @@ def test_what_a_cloud_lacks_is_not_written_by_any_format(tmp_path, suffix):
 def test_a_cloud_on_its_grid_may_lack_things(tmp_path, suffix, name):
     pytest.importorskip("laspy", reason="the extra `export` is not installed")
     whole = make_cloud()
-    cloud = dataclasses.replace(whole, lacks=(name,), **{name: np.zeros_like(getattr(whole, name))})
+    cloud = dataclasses.replace(whole, absent=(name,), **{name: np.zeros_like(getattr(whole, name))})
     save_cloud(cloud, tmp_path / f"a{suffix}")
     back = load_cloud(tmp_path / f"a{suffix}")
     assert back.lacks == (name,) and np.array_equal(back.valid, whole.valid)

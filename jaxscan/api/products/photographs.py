@@ -140,7 +140,8 @@ def colour_cloud(cloud: PointCloud, capture: Capture, scanner: Scanner, *, progr
     found, _ = colour_points(photographs, points.xyz, points.normals, occluder=occluder, start=points.rgb)
     rgb = np.zeros_like(np.asarray(cloud.rgb))
     rgb[points.step, points.row] = found
-    return dataclasses.replace(cloud, rgb=rgb, lacks=tuple(name for name in cloud.lacks if name != "rgb"))
+    absent = tuple(name for name in cloud.lacks if name != "rgb")
+    return dataclasses.replace(cloud, rgb=rgb, absent=absent or None)
 
 
 def draw_panorama(

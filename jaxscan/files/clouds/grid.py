@@ -250,7 +250,7 @@ def on_grid(
         raise CloudError(f"{name}: two points have the same step and row.")
     return PointCloud(
         valid=valid,
-        lacks=_lacks(points.names),
+        absent=_lacks(points.names) or None,
         stations=None if stations is None or number is None else stations._replace(number=number),
         **fields,
         **per_profile.found(),
@@ -380,7 +380,7 @@ def _unorganised(points: Records, name: str, *, ours: bool, lacks: tuple[str, ..
         intensity=fields["intensity"],
         sigma_random=fields["sigma_random"],
         sigma_systematic=fields["sigma_systematic"],
-        lacks=tuple(
+        absent=tuple(
             field
             for field in MAY_LACK
             if field == "grid"

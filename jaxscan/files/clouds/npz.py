@@ -44,7 +44,7 @@ _SMOOTHED = dict.fromkeys(SMOOTHED, _ARRAYS["intensity"])
 
 def write_npz(cloud: PointCloud, path: Part, about: About) -> None:
     """Write every field that there is as it is, and the entries of the PLY header."""
-    left = {"stations", "lacks", *cloud.lacks}
+    left = {"stations", "absent", *cloud.lacks}
     names = [field.name for field in dataclasses.fields(cloud) if field.name not in left]
     values = {name: getattr(cloud, name) for name in names} | dict(zip(_STATIONS, cloud.stations or (), strict=False))
     fields = {name: np.asarray(value) for name, value in values.items() if value is not None}
@@ -72,10 +72,10 @@ def read_npz(path: Path, reading: Reading | None = None) -> StoredCloud:
     stations = Stations(*(arrays[name] for name in joined)) if joined else None
     lines = [found, *(f"{key} {str(arrays[key])[:100]}" for key in ("unit", "calibration", "crs") if key in arrays)]
     shape = arrays["valid"].shape
-    absent = {
+    zeros = {
         name: np.zeros((*shape, 3) if name in ("rgb", "normals") else shape, _KINDS[name])
         for name in lacks
         if name in _KINDS
     }
-    cloud = PointCloud(**{name: arrays[name] for name in expected}, **absent, stations=stations, lacks=lacks)
+    cloud = PointCloud(**{name: arrays[name] for name in expected}, **zeros, stations=stations, absent=lacks or None)
     return StoredCloud(cloud, about_of(lines))

@@ -74,4 +74,4 @@ def _cloud(rows: Shaped[np.ndarray, " n"]) -> PointCloud:
     xyz = rows["xyz"].astype(np.float32)[None]
     valid = np.ones((1, len(rows)), np.bool_)
     angle = np.zeros(1)
-    return PointCloud(xyz=xyz, valid=valid, **fields, record=zero, laser=zero, angle=angle, stations=None, lacks=())
+    return PointCloud(xyz=xyz, valid=valid, **fields, record=zero, laser=zero, angle=angle, stations=None, absent=None)
