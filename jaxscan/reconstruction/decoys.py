@@ -117,10 +117,10 @@ class DecoyWatch:
         return stripes, decoys
 
 
-def _tolerated(stripes: np.ndarray | int, share: float) -> np.ndarray:
+def _tolerated(stripes: int) -> float:
     """Decoys that so many stripes may have where their share is as it should be: a few come by luck."""
-    expected = share * np.asarray(stripes, np.float64)
-    return np.asarray(expected + _LUCK * np.sqrt(expected) + 1.0)
+    expected = _SHARES[0] * stripes
+    return float(expected + _LUCK * np.sqrt(expected) + 1.0)
 
 
 class _Contest(NamedTuple):
@@ -139,7 +139,8 @@ class _Contest(NamedTuple):
         """Stripes that the lowest threshold with such a share of decoys leaves, and the threshold."""
         # From each decoy's clearness on: how many of both are left above it.
         left = len(self.won) - np.searchsorted(self.won, self.lost, side="right")
-        good = np.flatnonzero(len(self.lost) - 1 - np.arange(len(self.lost)) <= _tolerated(left, share))
+        # Of all thresholds one is taken, so luck has no part in it; one decoy is always allowed.
+        good = np.flatnonzero(len(self.lost) - 1 - np.arange(len(self.lost)) <= share * left + 1.0)
         if not len(good):
             return 0, 0.0
         return int(left[good[0]]), float(np.nextafter(np.float32(self.lost[good[0]]), np.float32(np.inf)))
@@ -166,7 +167,7 @@ def judge(
     if won + lost < _CERTAIN**2:
         few = "the sweep is doubtful: hardly any record shows a stripe, and chance may have found those"
         return Chance(note=few if per_profile < _PER_PROFILE else None)
-    if lost <= _tolerated(won, _SHARES[0]):
+    if lost <= _tolerated(won):
         return Chance()
     evident = won - lost > _CERTAIN * np.sqrt(won + lost)
     for share in _SHARES if evident else ():

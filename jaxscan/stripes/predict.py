@@ -44,6 +44,8 @@ _LINES = 32
 """Lines of which medians are taken together: they stay in a core's cache."""
 _END = 32_000
 """Above all values of which medians are taken."""
+_MIXED = 1
+"""Samples beyond clipped ones in which the other channels show too much of the laser."""
 _LATTICE = 5_000
 """Pixels of a frame from which the mixture is learned."""
 _STEPS = 12
@@ -113,7 +115,7 @@ def _room(seen: Channels, elsewhere: Channels | None, clipped: Places, places: i
     far = _near(clipped, 4 * places)
     rooms = [np.zeros_like(level)]
     if seen.others:
-        rooms.append(_from_others(level, seen.others, _near(clipped, 3 * places // 2), places))
+        rooms.append(_from_others(level, seen.others, _near(clipped, _MIXED), places))
     if elsewhere is not None:
         moved = elsewhere.laser.astype(np.float32)
         if seen.others:
