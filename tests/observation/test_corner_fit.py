@@ -25,7 +25,9 @@ class Picture(NamedTuple):
         return (found.q - self.truth)[found.valid]
 
 
-def draw(seed, *, blur=(0.7, 1.3), crossing=(50, 130), swell=0.0, light=0.002, stretch=1.0, black=20.0, white=140.0, bend=0.0):
+def draw(
+    seed, *, blur=(0.7, 1.3), crossing=(50, 130), swell=0.0, light=0.002, stretch=1.0, black=20.0, white=140.0, bend=0.0
+):
     """Crossings at random places and angles, one per tile: light gathered at 15 x 15 points of every pixel.
 
     `swell` [px] is how far ink spreads over every edge, `stretch` how much more the picture is
