@@ -60,8 +60,10 @@ def test_errors_are_as_the_covariance_says(world, noisy):
     assert count - 5 * 8 - 4 * np.sqrt(2 * count) < total < count + 4 * np.sqrt(2 * count)
 
 
-def test_held_parameters_stay_and_have_no_variance(noisy):
-    calibration = noisy[0]
+def test_held_parameters_stay_and_have_no_variance(world, perfect):
+    held = tuple(block for block in CalibrationSettings().free if block != "bow")
+    settings = CalibrationSettings(free=held, judge=False)
+    calibration = calibrate_observations(world.with_noise(perfect, 0), settings=settings)
     names = list(calibration.order)
     for name in ("laser.laser.b2", "laser.laser.b3"):
         assert not calibration.covariance[names.index(name)].any()
