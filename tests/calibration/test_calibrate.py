@@ -140,7 +140,9 @@ def test_every_contrast_class_has_a_noise_of_its_own(world, perfect):
     uneven = replace(perfect, stripes=replace(stripes, sigma=stripes.sigma * size))
     noisy = world.with_noise(uneven, 5)
     stated = replace(noisy, stripes=replace(noisy.stripes, sigma=stripes.sigma, contrast=contrast))
-    calibration = calibrate_observations(stated)
+    # The plane by stripes alone: few boards leave its bow to the prior, which knows no classes.
+    held = CalibrationSettings(free=tuple(block for block in CalibrationSettings().free if block != "bow"))
+    calibration = calibrate_observations(stated, settings=held)
     ratio = calibration.fit.stripe_sigma / stripes.sigma
     named = calibration.quality.stripe_noise_by_contrast
     assert list(named) == ["even print", "weak edge", "strong edge"]
@@ -153,7 +155,7 @@ def test_every_contrast_class_has_a_noise_of_its_own(world, perfect):
     value, count = normalised_error(calibration, world.errors(calibration.scanner, world.Rig()))
     assert value < count + 4 * np.sqrt(2 * count)
     # Without the classes all points count alike, and the sheet is known worse.
-    alike = calibrate_observations(replace(stated, stripes=replace(stated.stripes, contrast=None)))
+    alike = calibrate_observations(replace(stated, stripes=replace(stated.stripes, contrast=None)), settings=held)
     place = calibration.order.index("laser.laser.n1" if "laser.laser.n1" in calibration.order else "laser.n1")
     assert calibration.covariance[place, place] < 0.7 * alike.covariance[place, place]
 
