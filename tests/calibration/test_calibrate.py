@@ -60,8 +60,10 @@ def test_errors_are_as_the_covariance_says(world, noisy):
     assert count - 5 * 8 - 4 * np.sqrt(2 * count) < total < count + 4 * np.sqrt(2 * count)
 
 
-def test_held_parameters_stay_and_have_no_variance(noisy):
-    calibration = noisy[0]
+def test_held_parameters_stay_and_have_no_variance(world, perfect):
+    held = tuple(block for block in CalibrationSettings().free if block != "bow")
+    settings = CalibrationSettings(free=held, judge=False)
+    calibration = calibrate_observations(world.with_noise(perfect, 0), settings=settings)
     names = list(calibration.order)
     for name in ("laser.laser.b2", "laser.laser.b3"):
         assert not calibration.covariance[names.index(name)].any()
@@ -138,7 +140,9 @@ def test_every_contrast_class_has_a_noise_of_its_own(world, perfect):
     uneven = replace(perfect, stripes=replace(stripes, sigma=stripes.sigma * size))
     noisy = world.with_noise(uneven, 5)
     stated = replace(noisy, stripes=replace(noisy.stripes, sigma=stripes.sigma, contrast=contrast))
-    calibration = calibrate_observations(stated)
+    # The plane by stripes alone: few boards leave its bow to the prior, which knows no classes.
+    held = CalibrationSettings(free=tuple(block for block in CalibrationSettings().free if block != "bow"))
+    calibration = calibrate_observations(stated, settings=held)
     ratio = calibration.fit.stripe_sigma / stripes.sigma
     named = calibration.quality.stripe_noise_by_contrast
     assert list(named) == ["even print", "weak edge", "strong edge"]
@@ -151,7 +155,7 @@ def test_every_contrast_class_has_a_noise_of_its_own(world, perfect):
     value, count = normalised_error(calibration, world.errors(calibration.scanner, world.Rig()))
     assert value < count + 4 * np.sqrt(2 * count)
     # Without the classes all points count alike, and the sheet is known worse.
-    alike = calibrate_observations(replace(stated, stripes=replace(stated.stripes, contrast=None)))
+    alike = calibrate_observations(replace(stated, stripes=replace(stated.stripes, contrast=None)), settings=held)
     place = calibration.order.index("laser.laser.n1" if "laser.laser.n1" in calibration.order else "laser.n1")
     assert calibration.covariance[place, place] < 0.7 * alike.covariance[place, place]
 

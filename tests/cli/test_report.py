@@ -161,10 +161,10 @@ class TestCalibrate:
         assert "limit_mm: found 0, expected" in refused("calibrate", tiny.boards, "-o", tmp_path / "a", "--limit-mm", 0)
 
     def test_blocks_are_freed_and_held(self):
-        settings = calibration_settings("fisheye", ("bow", "k3"), ("harmonics",))
+        settings = calibration_settings("fisheye", ("pitch", "k3"), ("harmonics",))
         usual = CalibrationSettings().free
         assert settings.camera == "fisheye"
-        assert set(settings.free) == {*usual, "bow"} - {"harmonics"}
+        assert set(settings.free) == {*usual, "pitch"} - {"harmonics"}
         assert len(settings.free) == len(usual)
 
     def test_a_report_that_cannot_be_written_is_refused_before_the_work(self, tiny, refused, tmp_path):

@@ -25,7 +25,6 @@ from experiments.paper.stage import Stage
 from experiments.paper.tables.honesty import AGREE
 from experiments.paper.worlds import CONFIGS, smaller
 from jaxscan.calibration import CalibrationSettings
-from jaxscan.calibration.parameters import USUALLY_FREE
 from jaxscan.simulation import SimulationConfig, make_scene
 from jaxscan.simulation.scene import Scene
 
@@ -112,8 +111,7 @@ def _calibration(stage: Stage, config: SimulationConfig) -> jaxscan.Scanner:
         shutil.rmtree(folder, ignore_errors=True)
         write_captures(own, expect_each(own, plan), plan, {60: folder})
         stage.say(f"fisheye: rendered {len(plan.lit)} views of the board")
-        # Bow that no one sees on a board in a narrow field of view bends the ends of a fan as wide as this one.
-        settings = CalibrationSettings(camera="fisheye", judge=False, free=(*USUALLY_FREE, "bow"))
+        settings = CalibrationSettings(camera="fisheye", judge=False)
         found = jaxscan.calibrate(jaxscan.open_capture(folder), settings=settings, redetect=not stage.quick)
         jaxscan.save_calibration(found, path)
         shutil.rmtree(folder)

@@ -178,7 +178,7 @@ def _calibrated(
         corners=replace(found.corners, sigma=np.full(found.corners.valid.shape, corner)),
         stripes=replace(found.stripes, sigma=np.full(found.stripes.valid.shape, stripe)),
     )
-    free = (*USUALLY_FREE, *(("bow",) if any(study.stated.bow) else ()))
+    free = tuple(block for block in USUALLY_FREE if block != "bow" or any(study.stated.bow))
     settings = jaxscan.CalibrationSettings(judge=False, free=free)
     if not as_user:
         settings = replace(settings, estimate_noise=False, stripe_correlation=1.0)

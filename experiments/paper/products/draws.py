@@ -14,14 +14,11 @@ from experiments.paper.methods.plain_stripes import gravity, highest
 from experiments.paper.rendering.boards import expect, expect_each, our_plan, paper_plan, write_capture, write_captures
 from experiments.paper.stage import Stage
 from jaxscan.calibration import CalibrationSettings
-from jaxscan.calibration.parameters import USUALLY_FREE
 from jaxscan.files import Capture
 
 
 SETTINGS = CalibrationSettings(judge=False)
 """The tests of the models take longer than the solve, and no draw uses them."""
-OUR_SETTINGS = CalibrationSettings(judge=False, free=(*USUALLY_FREE, "bow"))
-"""With sixty views of the stripe the sheet's bow is estimated too, as the verdict of a calibration advises."""
 _OURS = 1000
 """First seed of the captures of our protocol."""
 
@@ -90,7 +87,7 @@ def our_calibrations(stage: Stage, count: int = 3) -> list[Path]:
         write_captures(stage, expect_each(stage, plan), plan, folders)
         stage.say(f"rendered the {len(plan.lit)} views of our protocol")
         for number, folder in zip(missing, folders.values(), strict=True):
-            calibration = jaxscan.calibrate(jaxscan.open_capture(folder), settings=OUR_SETTINGS)
+            calibration = jaxscan.calibrate(jaxscan.open_capture(folder), settings=SETTINGS)
             jaxscan.save_calibration(calibration, paths[number])
             horus.save(horus.calibrate(jaxscan.open_capture(folder)), horus_path(stage, number))
             shutil.rmtree(folder)

@@ -13,7 +13,7 @@ class ModelTest:
     """Whether one model leaves structure in the residuals, and the harm that this does."""
 
     name: str
-    """"lens", "board", "table", "axis", "sheet" or "halves"."""
+    """"lens", "board", "table", "axis", "sheet", "halves", "regions" or "lines"."""
     statistic: float
     """With the sigmas that the detectors promise."""
     dof: int
