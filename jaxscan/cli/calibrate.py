@@ -95,9 +95,9 @@ def calibrate(
     known, notes = KnownParts(), list[str]()
     if opened:
         known, notes = known_parts(opened[0], camera, sheet, axis, refine, lens or "pinhole")
-    plan = api.plan_calibration(opened, settings=settings, known=known)
     for note in notes:
         out.print(f"note: {note}")
+    plan = api.plan_calibration(opened, settings=settings, known=known)
     out.print(f"solving for {plan.words()}{_held(known)}")
     for sentence in plan.missing:
         out.print(sentence)

@@ -20,7 +20,7 @@ CloudUnit = Annotated[
 CloudColumns = Annotated[
     str | None,
     tyro.conf.arg(
-        metavar="X,Y,Z,...",
+        metavar="NAMES",
         help="Columns of a text, PLY or PCD of another program in their order: x, y, z, i (intensity), r, g, b, nx, "
         "ny, nz, sigma_random, and - for one to leave out.",
     ),

@@ -25,8 +25,8 @@ from jaxscan.stripes.frames import Colour, LaserLine, PixelFormat, laser_plane, 
 
 _PLACES = 8
 """A median is that of three times so many samples and one more."""
-_WIDE, _FAR = 2, 3
-"""Distance of the samples of medians [samples] where stripes are clipped, and of hue: 24 and 36 px on either side."""
+_WIDE, _FAR = 3, 3
+"""Distance of the samples of medians [samples] where stripes are clipped, and of hue: 36 px on either side."""
 _AROUND, _BLOCK = 4, 4
 """Lines on either side, and as many blocks of samples, whose residuals choose among predictions; samples of a block."""
 _PER_OCTAVE = 128

@@ -63,7 +63,7 @@ def test_within_a_station_the_pose_does_not_count():
     assert measure_distance(cloud, B, near, radius_m=0.05).sigma_systematic_m < 1e-9
 
 
-NONE = ("sigma_row", "shift_px", "shared_lines", "stations")
+NONE = ("sigma_row", "shift_px", "shared_lines", "stations", "absent")
 
 
 def test_rays_and_normals_start_at_the_station():

@@ -31,6 +31,8 @@ _MIDDLE = (0.6, 0.9)
 _FARTHEST = 0.995
 # Where corners reach this share of the way to the corners of the image, no lens is asked beyond them.
 _REACHED = 0.95
+# Difference of the correlations of two unknowns, taken either way, up to which they are more than rounding.
+_SYMMETRIC = 1e-6
 # Rounds of weights and solves of a sheet, and its directions that lines all but leave open [share of the largest].
 _LINE_ROUNDS, _LINE_RCOND = 10, 1e-6
 # Corners of a view in the middle of the image that still fix its pose well.
@@ -242,6 +244,10 @@ def _known(linearised: Linearised, free: np.ndarray) -> np.ndarray | None:
     if not np.all(size > 0):
         return None
     correlation = reduced / np.outer(size, size)
-    if np.linalg.eigvalsh(correlation)[0] < len(size) * np.finfo(float).eps:
+    # Of what is nothing but rounding not even the symmetry is left.
+    if (
+        np.abs(correlation - correlation.T).max() > _SYMMETRIC
+        or np.linalg.eigvalsh(correlation)[0] < len(size) * np.finfo(float).eps
+    ):
         return None
     return np.linalg.inv(correlation) / np.outer(size, size)
