@@ -10,7 +10,7 @@ from jaxscan import api
 from jaxscan.calibration import CalibrationSettings, KnownParts, Part
 from jaxscan.calibration.parameters import Block
 from jaxscan.calibration.settings import RigKind
-from jaxscan.cli.known import known_files, known_parts
+from jaxscan.cli.known import known_files, known_parts, motion_notes
 from jaxscan.cli.options import OutputPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
@@ -95,9 +95,11 @@ def calibrate(
     known, notes = KnownParts(), list[str]()
     if opened:
         known, notes = known_parts(opened[0], camera, sheet, axis, refine, lens or "pinhole")
-    for note in notes:
+    for note in motion_notes(opened[0], axis) if opened else []:
         out.print(f"note: {note}")
     plan = api.plan_calibration(opened, settings=settings, known=known)
+    for note in notes:
+        out.print(f"note: {note}")
     out.print(f"solving for {plan.words()}{_held(known)}")
     for sentence in plan.missing:
         out.print(sentence)

@@ -20,7 +20,7 @@ def known_parts(
     refine: Sequence[Part],
     lens: CameraModel = "pinhole",
 ) -> tuple[KnownParts, list[str]]:
-    """The parts that are given, for the rig of a capture, and notes on what they were taken for.
+    """The parts that are given, for the rig of a capture, and a note on how the camera was read.
 
     Args:
         capture: Any capture of the rig.
@@ -34,7 +34,7 @@ def known_parts(
         OptionError: If numbers are missing or mean nothing, or a part is to be refined that is not given.
         CalibrationError: If a file is wrong, or lacks the part.
     """
-    given, notes = {"camera": camera, "sheet": sheet, "axis": axis}, _motion_notes(capture, axis)
+    given = {"camera": camera, "sheet": sheet, "axis": axis}
     for part in refine:
         if not given[part]:
             raise OptionError(f"--refine {part}: --{part} is missing, which gives the values to start from.")
@@ -45,7 +45,7 @@ def known_parts(
         motion=_motion(axis, capture.carries or "scanner") if axis else None,
         refine=tuple(refine),
     )
-    return known, [note for note in (*notes, "" if read is None else read.note) if note]
+    return known, [] if read is None or not read.note else [read.note]
 
 
 def known_files(sheet: Sequence[str], axis: Sequence[str]) -> list[tuple[str, Path]]:
@@ -54,7 +54,7 @@ def known_files(sheet: Sequence[str], axis: Sequence[str]) -> list[tuple[str, Pa
     return [(option, Path(words[0])) for option, words in both if _is_file(words)]
 
 
-def _motion_notes(capture: Capture, axis: Sequence[str]) -> list[str]:
+def motion_notes(capture: Capture, axis: Sequence[str]) -> list[str]:
     """A note on the motion that a known axis is taken for, where the capture names none."""
     if not axis or _is_file(axis) or capture.carries is not None:
         return []
