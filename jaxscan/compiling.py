@@ -1,6 +1,7 @@
 """How functions are compiled on a CPU: sooner where they run a few times, for wide vectors where they run often."""
 
 import functools
+import re
 from collections.abc import Callable, Sequence
 from typing import Any, ParamSpec, TypeVar
 
@@ -39,15 +40,28 @@ def compile_wide(function: Callable[_P, _R], *, static: Sequence[str] = (), soon
     return _compile(function, options, static)
 
 
+_UNKNOWN: set[str] = set()
+"""Options that the installed XLA does not have: its releases drop some, and it refuses what it does not know."""
+
+
 def _compile(function: Callable[_P, _R], options: dict[str, Any], static: Sequence[str] = ()) -> Callable[_P, _R]:
     @functools.cache
-    def compiled() -> Callable[_P, _R]:
+    def compiled(unknown: frozenset[str]) -> Callable[_P, _R]:
         # Asked at the first call: asking chooses the device, which is not for an import to do.
         on_cpu = jax.default_backend() == "cpu"
-        return jax.jit(function, static_argnames=tuple(static), compiler_options=options if on_cpu else None)
+        known = {name: value for name, value in options.items() if on_cpu and name not in unknown}
+        return jax.jit(function, static_argnames=tuple(static), compiler_options=known or None)
 
     @functools.wraps(function)
     def call(*arguments: _P.args, **keywords: _P.kwargs) -> _R:
-        return compiled()(*arguments, **keywords)
+        while True:
+            unknown = frozenset(_UNKNOWN)
+            try:
+                return compiled(unknown)(*arguments, **keywords)
+            except jax.errors.JaxRuntimeError as problem:
+                refused = re.search("No such compile option: '(\\w+)'", str(problem))
+                if refused is None or refused[1] in unknown:
+                    raise
+                _UNKNOWN.add(refused[1])
 
     return call
