@@ -38,7 +38,9 @@ class _Facade(ModuleType):
         import importlib
 
         home, there = self._listed()[name]
-        value = getattr(importlib.import_module(home), there)
+        # A facade that lists a name of its own means its module of that name.
+        own = home == self.__name__
+        value = importlib.import_module(f"{home}.{there}") if own else getattr(importlib.import_module(home), there)
         self.__dict__[name] = value
         return value
 

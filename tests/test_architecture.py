@@ -296,9 +296,9 @@ MAY_OPEN = {
     "files/disk/arrays.py": {"ZipFile", ".open"},
     "files/capture/shards.py": {"mmap"},
     "vision/video.py": {"VideoCapture"},
-    "cli/process/quiet.py": {"os.open"},
+    "cli/environment.py": {"os.open"},
     "fleet/clusters/ssh.py": {".open"},
-    "cli/process/running.py": {"os.open"},
+    "cli/running.py": {"os.open"},
     "web/pages.py": {".read_bytes"},
     "facades.py": {"open"},
 }
@@ -402,7 +402,7 @@ MAY_WRITE = {
     "jaxscan/files/disk/": {"os.open", "open", ".open", "os.mkdir", ".write_bytes", ".touch", "Part"},
     "jaxscan/project/catalogue.py": {"connect", "create_engine"},
     "jaxscan/fleet/clusters/ssh.py": {".mkdir", ".open"},
-    "jaxscan/cli/process/quiet.py": {".mkdir"},
+    "jaxscan/cli/environment.py": {".mkdir"},
     "jaxscan/recalibration/judge/drift.py": {"Part"},
     "jaxscan/web/opening.py": {".touch", ".write_text"},
 }

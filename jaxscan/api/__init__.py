@@ -31,6 +31,7 @@ if TYPE_CHECKING:
         textured_mesh,
         write_sheets,
     )
+    from jaxscan.api.products.reports import board_photographs
     from jaxscan.api.recalibration import recalibrate, save_recalibrated_cloud
     from jaxscan.api.simulation import load_simulation, simulate
     from jaxscan.api.sweeps import Reconstruction, reconstruct_capture

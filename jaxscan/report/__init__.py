@@ -4,6 +4,7 @@ from jaxscan.facades import TYPE_CHECKING, load_on_use
 
 
 if TYPE_CHECKING:
+    from jaxscan.report import words
     from jaxscan.report.clouds import (
         Beside,
         Facts,

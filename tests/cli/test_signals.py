@@ -12,7 +12,7 @@ import pytest
 
 BEGIN = """
 import ctypes, hashlib, os, signal, sys, threading, time
-from jaxscan.cli.process import signals
+from jaxscan.cli import signals
 signals.listen()
 def ready():
     os.write(1, b"ready")

@@ -4,6 +4,7 @@ from jaxscan.facades import TYPE_CHECKING, load_on_use
 
 
 if TYPE_CHECKING:
+    from jaxscan.report.recalibration import words
     from jaxscan.report.recalibration.page import recalibration_page
     from jaxscan.report.recalibration.words import (
         closure_lines,
