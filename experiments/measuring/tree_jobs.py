@@ -24,7 +24,7 @@ from measuring.speed_times import take_turns
 
 import jaxscan
 from jaxscan import api
-from jaxscan.cli.process.running import run_process
+from jaxscan.cli.running import run_process
 from jaxscan.files.capture import Capture, open_capture
 from jaxscan.reconstruction import Sweep, reconstruct
 from jaxscan.vision import decode_image
