@@ -1,5 +1,6 @@
-"""`jaxscan convert` and `align`: clouds, calibrations and captures in other formats, and clouds in other frames."""
+"""`jaxscan convert`, `align`, `clean`, `register`: clouds in other formats and frames, smaller, and joined."""
 
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -7,7 +8,7 @@ import numpy as np
 import tyro
 
 import jaxscan
-from jaxscan import api
+from jaxscan import api, measurement, reconstruction
 from jaxscan.cli.measure import in_metres, notes_first, upright
 from jaxscan.cli.options import (
     CLOUD_SUFFIXES,
@@ -18,16 +19,20 @@ from jaxscan.cli.options import (
     CloudPath,
     CloudUnit,
     CloudUp,
+    OptionalCalibrationPath,
+    Place,
     Storage,
+    at_least,
     calibration_at,
     capture_at,
     check_paths,
     coordinates,
     file_at,
+    positive,
 )
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
-from jaxscan.errors import OptionError
+from jaxscan.errors import CalibrationError, CloudError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import clouds as cloud_files
 from jaxscan.files import recording
@@ -250,3 +255,157 @@ def _to_room(points: "PointCloud", out: Terminal) -> tuple[np.ndarray, dict[str,
         "corner_deg": found.corner_deg,
         "tilt_deg": found.tilt_deg,
     }
+
+
+def clean(
+    cloud: CloudPath,
+    /,
+    *,
+    output: CloudOutputPath,
+    box: Annotated[tuple[float, float, float, float, float, float] | None, tyro.conf.arg(metavar="X Y Z X Y Z")] = None,
+    thin_mm: float | None = None,
+    isolated_mm: float | None = None,
+    neighbours: int = 3,
+    unit: CloudUnit = None,
+    json: JsonTarget = None,
+) -> None:
+    """Leave out points of a cloud: `jaxscan clean room.ply -o small.ply --isolated-mm 30 --thin-mm 10`.
+
+    In this order: what is outside of a box, what stands alone, and all but one point in each small cube. The points
+    that stay are as they were, in their places of the grid.
+
+    Args:
+        cloud: The cloud.
+        output: Cloud to write.
+        box: Keep what is between two corners, x y z and x y z in metres.
+        thin_mm: Keep one point in each cube of this side, that with the smallest sigma.
+        isolated_mm: Leave out points that have fewer than --neighbours others within this distance.
+        neighbours: Neighbours that a point needs.
+        json: Write the result as JSON too.
+    """
+    if box is None and thin_mm is None and isolated_mm is None:
+        raise OptionError("found none of --box, --thin-mm and --isolated-mm, expected one of them or more.")
+    for option, value in (("--thin-mm", thin_mm), ("--isolated-mm", isolated_mm)):
+        if value is not None:
+            positive(option, value)
+    at_least(1, "--neighbours", neighbours)
+    coordinates("--box", box or ())
+    if box is not None and not all(low < high for low, high in zip(box[:3], box[3:], strict=True)):
+        raise OptionError("--box: found a corner that is not below the other, expected the lower one first.")
+    check_paths(file_at("CLOUD", cloud), [*file_at("--output", output), *file_at("--json", json)])
+    cloud_files.check_cloud_path(output)
+    check_json(json)
+    stored = api.read_cloud(cloud)
+    points, notes = in_metres(cloud, unit)
+    left: dict[str, int] = {}
+
+    def keep(name: str, mask: np.ndarray) -> None:
+        nonlocal points
+        left[name] = int(np.count_nonzero(points.valid)) - int(np.count_nonzero(mask))
+        points = dataclasses.replace(points, valid=mask)
+
+    if box is not None:
+        keep("outside of the box", measurement.in_box(points, np.array(box[:3]), np.array(box[3:])))
+    if isolated_mm is not None:
+        keep("isolated", measurement.with_neighbours(points, isolated_mm / 1e3, neighbours))
+    if thin_mm is not None:
+        keep("in cubes with a better one", measurement.thinned(points, thin_mm / 1e3))
+    kept = int(np.count_nonzero(points.valid))
+    if kept == 0:
+        raise CloudError(f"{cloud}: no point is left: {_listed(left)}; ask for less.")
+    epsg = stored.about.epsg if stored.about.in_metres else None
+    api.save_cloud(points, output, calibration_digest=stored.about.calibration, epsg=epsg)
+    out = notes_first(notes, json)
+    out.print(f"left out: {_listed(left)}")
+    out.print(f"written: {output} ({kept:,} points)")
+    emit_json(
+        json, "clean", {"source": str(cloud), "cloud": str(output), "points": kept, "left_out": left} | {"notes": notes}
+    )
+
+
+def _listed(left: dict[str, int]) -> str:
+    return ", ".join(f"{count:,} {name}" for name, count in left.items())
+
+
+def register(
+    sources: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="STATION")],
+    /,
+    *,
+    output: CloudOutputPath,
+    calibration: OptionalCalibrationPath = None,
+    json: JsonTarget = None,
+) -> None:
+    """Join stations to one cloud: `jaxscan register captures/a captures/b -c calibration.json -o room.e57`.
+
+    Sweeps of one room from several places are registered by their walls, in one least squares with the calibration;
+    the first is in the middle of the frame. Clouds that are in one frame already, as `jaxscan align --targets` or this
+    verb made them, are put together as they are. E57 and PTX hold a scan for each station.
+
+    Args:
+        sources: Two or more sweeps (folders), or two or more clouds of one frame.
+        output: Cloud to write.
+        calibration: Of sweeps: the calibration of the rig that took them.
+        json: Write the result as JSON too.
+    """
+    sweeps = [path for path in sources if path.is_dir()]
+    if len(sources) < 2 or 0 < len(sweeps) < len(sources):
+        found = f"{len(sweeps)} folders and {len(sources) - len(sweeps)} clouds"
+        raise OptionError(f"found {found}, expected two or more sweeps (folders), or two or more clouds.")
+    if bool(sweeps) != (calibration is not None):
+        expected = "one for sweeps" if sweeps else "none for clouds, which are made already"
+        raise OptionError(f"--calibration: found {'none' if sweeps else calibration}, expected {expected}.")
+    places = capture_at if sweeps else file_at
+    check_paths(
+        [*(place for path in sources for place in places("STATION", path)), *calibration_at("-c", calibration)],
+        [*file_at("--output", output), *file_at("--json", json)],
+        kept=[Place("the stripes", path / "stripes.npz") for path in sweeps],
+    )
+    cloud_files.check_cloud_path(output)
+    check_json(json)
+    out = console(json)
+    if calibration is not None:
+        stations = _register_sweeps(sweeps, calibration, output, out)
+    else:
+        stations = _stack_clouds(sources, output)
+    for path, station in zip(sources, stations, strict=False):
+        where = " ".join(f"{value:.3f}" for value in station["at_m"])
+        sigma = "" if station["sigma_m"] is None else f", ±{1e3 * station['sigma_m']:.2f} mm"
+        out.print(f"{path}: stands at {where} m{sigma}")
+    out.print(f"written: {output} ({len(stations)} stations)")
+    emit_json(json, "register", {"cloud": str(output), "stations": stations})
+
+
+def _register_sweeps(sweeps: list[Path], calibration: Path, output: Path, out: Terminal) -> list[dict[str, Any]]:
+    captures = [api.open_capture(path) for path in sweeps]
+    with progress_bar("Registering") as progress:
+        settings = api.RecalibrationSettings(stations=True)
+        result = api.recalibrate(captures, calibration, settings=settings, progress=progress)
+    adjusted = result.adjusted
+    if not adjusted.converged:
+        raise CalibrationError(f"the places of the stations were not found: {result.refused}")
+    for note in (*calibration_files.calibration_notes(calibration), *result.notes):
+        out.print(f"note: {note}")
+    digest = calibration_files.calibration_digest(calibration)
+    api.save_recalibrated_cloud(captures, result, output, calibration_digest=digest)
+    return [_station(*one) for one in zip(adjusted.stations, adjusted.station_covariance, strict=True)]
+
+
+def _stack_clouds(paths: tuple[Path, ...], output: Path) -> list[dict[str, Any]]:
+    stored = [api.read_cloud(path) for path in paths]
+    for path, one in zip(paths, stored, strict=True):
+        if one.cloud.stations is None or not one.about.in_metres:
+            raise CloudError(
+                f"{path}: does not say where its scanner stood, expected clouds of one frame; give the sweeps "
+                "(folders) with -c, or put each cloud in the frame first: jaxscan align --targets."
+            )
+    digests = {one.about.calibration for one in stored}
+    together = reconstruction.stack_placed([one.cloud for one in stored])
+    api.save_cloud(together, output, calibration_digest=digests.pop() if len(digests) == 1 else "")
+    return [_station(*pair) for pair in zip(together.stations.pose, together.stations.covariance, strict=True)]
+
+
+def _station(pose: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:
+    """Where a station is, and the largest standard deviation of that; None where it is not known."""
+    variance = float(np.linalg.eigvalsh(np.asarray(covariance)[:3, :3])[-1])
+    at = [float(value) for value in np.asarray(pose)[:3, 3]]
+    return {"pose": np.asarray(pose).tolist(), "at_m": at, "sigma_m": variance**0.5 if variance > 0 else None}

@@ -1,6 +1,8 @@
 """`jaxscan plan`, `orthophoto`, `panorama`: a room as a plan or a section, its walls, and all around."""
 
 import dataclasses
+import math
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -27,7 +29,7 @@ from jaxscan.cli.options import (
     positive,
 )
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, check_json, console, emit_json, table
+from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
 from jaxscan.errors import OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import clouds as cloud_files
@@ -46,7 +48,7 @@ def plan(
         Path, tyro.conf.arg(aliases=["-o"], help="Drawing to write; the suffix chooses the format (.dxf .svg .pdf).")
     ],
     height: tuple[float, ...] = (1.0,),
-    section: Annotated[tuple[float, float, float, float] | None, tyro.conf.arg(metavar="AX AY BX BY")] = None,
+    section: Annotated[tuple[str, ...], tyro.conf.arg(metavar="W1+1.2 | AX AY BX BY")] = (),
     calibration: OptionalCalibrationPath = None,
     unit: CloudUnit = None,
     up: CloudUp = None,
@@ -60,16 +62,18 @@ def plan(
         cloud: Cloud of a room, scanned from inside.
         output: Drawing to write.
         height: Heights above the floor [m] at which the plan is cut; lengths and openings are those at the first.
-        section: Draws a vertical section instead, through two points of the plan [m].
+        section: Draws a vertical section instead: parallel to a wall of the plan, so many metres before it (W1+1.2); or
+            through two points of the plan [m], whose origin and axes are drawn in it.
         calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
         json: Write the result as JSON too.
     """
     from jaxscan.api import check_drawing_path
+    from jaxscan.drawing import section_before
 
     for one in height:
         positive("--height", one)
         coordinates("--height", (one,))
-    coordinates("--section", section or ())
+    cut = _section(section)
     check_paths(
         [*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)],
         [*file_at("--output", output), *file_at("--json", json)],
@@ -80,21 +84,28 @@ def plan(
     points, said = upright(cloud, unit, up)
     notes += said
     survey = jaxscan.survey_room(points, scanner=scanner)
-    if section is None:
-        drawing = jaxscan.draw_plan(survey, heights_m=height)
-    else:
-        drawing = jaxscan.draw_section(survey, section[:2], section[2:])
+    ends = None
+    if isinstance(cut, str):
+        wall, _, before = cut.partition("+")
+        ends = section_before(survey, wall, float(before))
+    elif cut is not None:
+        ends = cut[:2], cut[2:]
+    drawing = jaxscan.draw_plan(survey, heights_m=height) if ends is None else jaxscan.draw_section(survey, *ends)
     jaxscan.save_drawing(drawing, output)
     out = notes_first(notes, json)
     result = _numbers(survey, height[0])
-    rows = [
-        (each["name"], _length(each["length"]), _area(each["area"]), "" if each["seen"] else "not seen")
-        for each in result["walls"]
-    ]
-    out.print(table(f"Walls, {height[0]:g} m above the floor", ("", "m", "m²", ""), rows))
-    for each in result["openings"]:
-        wide, high = (_length(each[name]) or "not known how" for name in ("width", "height"))
-        out.print(f"{each['wall']}: {each['kind']} {wide} wide, {high} high")
+    if ends is None:
+        _print_walls(out, result, height[0])
+    else:
+        wall, _, metres = section[0].partition("+")
+        before = f", {float(metres):g} m before {wall}" if isinstance(cut, str) else ""
+        out.print(f"{drawing.title}{before}")
+        for one in drawing.dimensions:
+            out.print(f"  {'height' if one.offset_m == 0 else 'width'} {one.words}")
+        result["section_m"] = [list(end) for end in ends]
+    origin = " ".join(f"{value:.3f}" for value in survey.outline.frame.back(np.zeros(3)))
+    turned = math.degrees(math.atan2(survey.outline.frame.rotation[0, 1], survey.outline.frame.rotation[0, 0]))
+    out.print(f"the plan's origin is at {origin} m of the cloud, its x is the cloud's turned by {turned:.2f}°")
     for name, unit in (("height", "m"), ("floor_area", "m²"), ("volume", "m³")):
         found = result[name]
         if found is not None:
@@ -104,6 +115,34 @@ def plan(
     out.print("± is one standard deviation" + ("" if scanner else "; --calibration adds the calibration's part") + ".")
     out.print(f"written: {output}")
     emit_json(json, "plan", result | {"drawing": str(output), "notes": [*notes, *drawing.remarks]})
+
+
+def _section(words: tuple[str, ...]) -> str | tuple[float, float, float, float] | None:
+    """What `--section` asks for: a wall and a distance in one word, or two points [m]; None for a plan."""
+    if not words or (len(words) == 1 and re.fullmatch(r"\w{1,40}\+\d{1,4}(\.\d{0,6})?", words[0])):
+        return words[0] if words else None
+    try:
+        ax, ay, bx, by = (float(word) for word in words)
+    except ValueError as problem:
+        found = " ".join(words)[:60]
+        raise OptionError(
+            f"--section: found {found}, expected a wall and metres, as W1+1.2, or two points AX AY BX BY."
+        ) from problem
+    coordinates("--section", (ax, ay, bx, by))
+    return ax, ay, bx, by
+
+
+def _print_walls(out: Terminal, result: dict[str, Any], height: float) -> None:
+    open_sides = not all(each["seen"] for each in result["walls"])
+    rows = [
+        (each["name"], _length(each["length"]), _area(each["area"]))
+        + ("" if each["seen"] else "not seen",) * open_sides
+        for each in result["walls"]
+    ]
+    out.print(table(f"Walls, {height:g} m above the floor", ("", "m", "m²", "")[: 3 + open_sides], rows))
+    for each in result["openings"]:
+        wide, high = (f"{_length(each[name])} m" if each[name] else "not known how" for name in ("width", "height"))
+        out.print(f"{each['wall']}: {each['kind']} {wide} wide, {high} high")
 
 
 def _numbers(survey: "Survey", height: float) -> dict[str, Any]:

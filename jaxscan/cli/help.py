@@ -123,8 +123,8 @@ GROUPS = {
     "Begin": ("demo", "init", "design", "doctor"),
     "Calibrate": ("board", "simulate", "calibrate", "recalibrate", "report"),
     "Scan": ("scan", "console", "import", "reconstruct"),
-    "Look and measure": ("view", "measure", "panorama", "plan", "orthophoto"),
-    "Give to other programs": ("convert", "align", "mesh"),
+    "Look and measure": ("info", "view", "measure", "panorama", "plan", "orthophoto"),
+    "Give to other programs": ("convert", "clean", "align", "register", "mesh"),
     "Many captures": ("project", "batch"),
 }
 """The verbs as the first page lists them."""

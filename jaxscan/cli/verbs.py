@@ -36,8 +36,11 @@ VERBS = {
     "orthophoto": "Draw the walls of a room straight on: `jaxscan orthophoto room.ply -o walls`.",
     "import": "Make a capture of another program's images: `jaxscan import FOLDER -o captures/room --step-deg 0.9`.",
     "align": "Put a cloud in a frame: `jaxscan align room.ply -o levelled.ply --room`, or `--targets targets.toml`.",
+    "clean": "Leave out points of a cloud: `jaxscan clean room.ply -o small.ply --isolated-mm 30 --thin-mm 10`.",
+    "register": "Join stations to one cloud: `jaxscan register captures/a captures/b -c calibration.json -o room.e57`.",
     "convert": "Convert a cloud, a calibration or a capture: `jaxscan convert room.ply room.e57`.",
     "report": "Draw the report of a calibration or a cloud: `jaxscan report calibration.json -o report.html`.",
+    "info": "Say what a file is: `jaxscan info room.ply`.",
     "doctor": "Check this machine: `jaxscan doctor`. A rig: `jaxscan doctor --config scan.toml`.",
 }
 """The first line of each verb's docstring, for the list of verbs: it is shown without loading any verb."""
@@ -67,7 +70,7 @@ USAGE = 2
 _FILES = {
     **dict.fromkeys(("init", "board", "simulate"), "prepare"),
     **dict.fromkeys(("plan", "orthophoto", "panorama"), "draw"),
-    **dict.fromkeys(("convert", "align"), "clouds"),
+    **dict.fromkeys(("convert", "align", "clean", "register"), "clouds"),
     "import": "import_",
     "batch": "project",
     "console": "console.console",

@@ -4,6 +4,7 @@ from jaxscan.facades import TYPE_CHECKING, load_on_use
 
 
 if TYPE_CHECKING:
+    from jaxscan.measurement.clean import in_box, thinned, with_neighbours
     from jaxscan.measurement.compare import CloudComparison, ErrorStatistics, compare_clouds
     from jaxscan.measurement.deviations import DeviationMap, measure_deviations
     from jaxscan.measurement.distances import DistanceMeasurement, length_words, measure_distance
