@@ -12,7 +12,7 @@ from typing import NamedTuple
 import cv2
 import jax
 import numpy as np
-from paper.methods import horus_stripes
+import plain
 from worlds.speed_scene import DISTORTION, HEIGHT, WIDTH
 
 from jaxscan.geometry import Scanner
@@ -20,7 +20,7 @@ from jaxscan.geometry import Scanner
 
 THREADS = 2
 """As many as there are cores: frames over threads, since NumPy and OpenCV let go of the lock."""
-REACH = horus_stripes.REACH
+REACH = plain.HORUS_REACH
 _ROWS = np.arange(HEIGHT)[:, None]
 
 Centres = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -83,7 +83,7 @@ def horus(scanner: Scanner, on: np.ndarray, off: np.ndarray, angle: np.ndarray, 
 
 def usual_centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The same centroids as `horus`, for all rows at once and in the window alone."""
-    return horus_stripes.centres(on, off)
+    return plain.horus_centres(on, off)
 
 
 def lean_centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -91,7 +91,7 @@ def lean_centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarra
     difference = cv2.subtract(on, off)
     blurred = cv2.GaussianBlur(difference, (5, 1), 0)
     peak = blurred.argmax(axis=1)
-    u, _ = horus_stripes.centroid(difference, peak, 6, 6)
+    u, _ = plain.centroid(difference, peak, 6, 6)
     return u, blurred[_ROWS[:, 0], peak] > 12
 
 

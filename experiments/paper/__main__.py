@@ -22,16 +22,25 @@ from typing import Any
 
 import jax
 
-from experiments.paper.contents import EXPERIMENTS, part_of, results_path
-from experiments.paper.metrics import Metric, line, load_baseline, save_baseline, shown
-from experiments.paper.stage import Stage
-from experiments.paper.worlds import WORLDS, world
+from experiments.paper.stage import (
+    EXPERIMENTS,
+    WORLDS,
+    Metric,
+    Stage,
+    line,
+    load_baseline,
+    part_of,
+    results_path,
+    save_baseline,
+    shown,
+    world,
+)
 
 
 def run_one(stage: Stage, name: str) -> dict[str, Any]:
     """Run an experiment, print its figures, and return them with its run time."""
     started = time.perf_counter()
-    metrics: list[Metric] = importlib.import_module(f"experiments.paper.{EXPERIMENTS[name]}").run(stage)
+    metrics: list[Metric] = importlib.import_module(f"experiments.paper.{name}").run(stage)
     seconds = time.perf_counter() - started
     print(f"\n{name}, {stage.world} world ({seconds:.0f} s)", flush=True)
     baseline = load_baseline(part_of(stage.world, stage.quick))

@@ -12,9 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from experiments.paper.contents import EXPERIMENTS, results_path
-from experiments.paper.metrics import Metric, shown
-from experiments.paper.worlds import WORLDS
+from experiments.paper.stage import EXPERIMENTS, WORLDS, Metric, results_path, shown
 
 
 ROOT = Path(__file__).resolve().parents[1]

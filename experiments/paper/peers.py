@@ -11,13 +11,16 @@ True stripe centres are from the independent equations of `experiments.recalibra
 everything else is from images.
 """
 
+import textwrap
+from pathlib import Path
 from typing import NamedTuple
 
+import matplotlib as mpl
 import numpy as np
 
 import jaxscan
-from experiments.paper.beyond.peers_pictures import draw_bars, draw_plans
-from experiments.paper.figures.room_clouds import (
+from experiments import plain
+from experiments.paper.figure_9 import (
     FARTHEST_M,
     NOT_MEASURED,
     PROFILES,
@@ -31,17 +34,14 @@ from experiments.paper.figures.room_clouds import (
     thinned,
     true_size,
 )
-from experiments.paper.methods import horus
-from experiments.paper.metrics import Metric
-from experiments.paper.products.draws import horus_path, our_calibrations
-from experiments.paper.products.room import PlainStripes, Room, room
-from experiments.paper.stage import Stage
+from experiments.paper.products import PlainStripes, Room, horus_path, our_calibrations, room
+from experiments.paper.stage import Metric, Stage, plt, save
 from experiments.recalibration.trial import fitted
 from experiments.recalibration.world import Sweeping, TrueSweep, true_sweep
 from experiments.worlds.ideal_rig import IdealRig
 from jaxscan.geometry import lit_points
 from jaxscan.reconstruction.along import smooth_sweep
-from jaxscan.simulation import true_scanner
+from jaxscan.simulation import RoomSpec, true_scanner
 
 
 WAYS = {
@@ -90,13 +90,13 @@ class Rig(NamedTuple):
     """One calibration of each kind, of the same images."""
 
     ours: jaxscan.Scanner
-    theirs: horus.Horus
+    theirs: plain.Horus
 
 
 def run(stage: Stage) -> list[Metric]:
     """Stripes, planes, axes and rooms of all methods against the truth."""
     paths, seen = our_calibrations(stage), room(stage)
-    rigs = [Rig(jaxscan.load_scanner(path), horus.load(horus_path(stage, k))) for k, path in enumerate(paths)]
+    rigs = [Rig(jaxscan.load_scanner(path), plain.load_horus(horus_path(stage, k))) for k, path in enumerate(paths)]
     stage.say("peers: true stripes")
     truth, step = _truth(stage, len(seen.angles))
     found = {name: _seen(stage, seen, rigs[0], name, step) for name in WAYS}
@@ -153,7 +153,7 @@ def _their_points(seen: Room, rig: Rig, name: str, step: int) -> np.ndarray:
     """Points of every n-th record [records, rows, 3], m, with the origin on the axis and z up; n is `step`."""
     plain, theirs = seen.plain[_FINDER[name]], rig.theirs
     u, valid = _columns(plain, name)[::step], plain.valid[::step]
-    xyz = horus.cloud(theirs, u, valid, seen.angles[::step], lens=name != "horus")
+    xyz = plain.horus_cloud(theirs, u, valid, seen.angles[::step], lens=name != "horus")
     # The axis' point at the height of the camera.
     foot = theirs.point - (theirs.point @ theirs.direction) * theirs.direction
     xyz = (xyz - foot) @ UPRIGHT.T
@@ -223,7 +223,7 @@ def _depth_error(stage: Stage, rigs: list[Rig], name: str, depth: float) -> floa
             z = np.array([_on_our_sheet(rig.ours, q) for q in uv])
         else:
             uv = np.column_stack([np.rint(uv[:, 0]), uv[:, 1]]) if name == "whole" else uv
-            z = horus.points_on_sheet(rig.theirs, uv, lens=name != "horus")[:, 2]
+            z = plain.horus_points(rig.theirs, uv, lens=name != "horus")[:, 2]
         errors.append(z - depth)
     return 1e3 * float(np.sqrt(np.mean(np.square(errors))))
 
@@ -256,3 +256,65 @@ def _metric(name: str, what: str, value: float) -> Metric:
     )
     direction = "none" if name != "ours" else "more" if what in ("rows", "measured") else "less"
     return Metric(f"{name}_{what}", value, unit, direction, tolerance, label=f"{WAYS[name]}: {label}")
+
+
+COLOURS = {"ours": "tab:blue", "horus": "tab:red", "tuned": "tab:orange", "whole": "tab:olive"}
+
+
+def draw_bars(
+    path: Path,
+    figures: dict[str, dict[str, float]],
+    ways: dict[str, str],
+    units: dict[str, tuple[str, str]],
+    world: str,
+) -> None:
+    """One panel for each figure, one bar for each method.
+
+    Args:
+        path: Of the picture.
+        figures: By method, then by figure.
+        ways: Names of the methods.
+        units: Unit and name of each figure.
+        world: The world's name.
+    """
+    figure, axes = plt.subplots(2, 5, figsize=(16, 7.4), constrained_layout=True)
+    # A room that cannot be measured shows in the panels of its dimensions.
+    panels = {what: text for what, text in units.items() if what != "measured"}
+    for axis, (what, (unit, label)) in zip(axes.flat, panels.items(), strict=True):
+        shown = [name for name in ways if what in figures[name]]
+        values = np.array([figures[name][what] for name in shown])
+        bars = axis.bar(range(len(shown)), np.nan_to_num(values), color=[COLOURS[name] for name in shown])
+        axis.bar_label(bars, [f"{value:.3g}" if np.isfinite(value) else "failed" for value in values], fontsize=10)
+        axis.set(title=textwrap.fill(f"{label} [{unit}]", 32), xticks=[])
+        axis.margins(y=0.15)
+    handles = [mpl.patches.Patch(color=COLOURS[name], label=label) for name, label in ways.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(ways), fontsize=11)
+    figure.suptitle(f"The same images by jaxscan and by Horus' method, {world} world", fontsize=14)
+    save(figure, path, 90)
+
+
+def draw_plans(path: Path, clouds: dict[str, np.ndarray], room: RoomSpec, world: str) -> None:
+    """Clouds from above over the true walls, with the room's own axes.
+
+    Args:
+        path: Of the picture.
+        clouds: By the name of the method [records, rows, 3], m.
+        room: The true room.
+        world: The world's name.
+    """
+    figure, axes = plt.subplots(1, len(clouds), figsize=(5.2 * len(clouds), 8.2), constrained_layout=True, sharey=True)
+    yaw = np.deg2rad(room.yaw_deg)
+    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    left, near = -np.array(room.rig_m[:2])
+    for axis, (label, xyz) in zip(axes, clouds.items(), strict=True):
+        points = xyz[np.isfinite(xyz).all(-1)]
+        flat = points[:, :2] @ turn.T
+        axis.add_patch(plt.Rectangle((left, near), *room.size_m[:2], fill=False, ec="tab:red", lw=0.8, ls="--"))
+        axis.plot(*flat.T, ",", color="k", alpha=0.5)
+        axis.plot(0, 0, "+", color="tab:blue", ms=12)
+        axis.set(title=f"{label}\n{len(points)} points", xlabel="m", aspect="equal")
+        axis.set_xlim(left - 0.6, left + room.size_m[0] + 0.6)
+        axis.set_ylim(near - 0.6, near + room.size_m[1] + 0.6)
+    axes[0].set_ylabel("m")
+    figure.suptitle(f"The room from above; dashed: true walls, cross: the axis ({world} world)", fontsize=13)
+    save(figure, path, 90)

@@ -11,13 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxscan
-from experiments.paper.drawing import plt, save
-from experiments.paper.methods.paper_way import board_pose, find_board, stripe_on_board
-from experiments.paper.methods.plain_stripes import EXTRACTORS, METHODS
-from experiments.paper.metrics import Direction, Metric
-from experiments.paper.products.draws import draws
-from experiments.paper.products.held_out import held_out, observe_held_out
-from experiments.paper.stage import Stage
+from experiments.paper.products import draws, held_out, observe_held_out
+from experiments.paper.stage import Direction, Metric, Stage, plt, save
+from experiments.plain import EXTRACTORS, METHODS, board_pose, find_board, stripe_on_board
 
 
 WAYS = {

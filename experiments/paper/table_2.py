@@ -11,13 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxscan
-from experiments.paper.drawing import plt, save
-from experiments.paper.methods.paper_way import PaperWay, points_on_sheet
-from experiments.paper.methods.plain_stripes import METHODS
-from experiments.paper.metrics import Metric, rms
-from experiments.paper.products.draws import Draw, draws, our_calibrations
-from experiments.paper.stage import Stage
-from experiments.paper.tables.honesty import AGREE, ENOUGH
+from experiments.paper.products import Draw, draws, our_calibrations
+from experiments.paper.stage import Metric, Stage, plt, rms, save
+from experiments.paper.table_1 import AGREE, ENOUGH
+from experiments.plain import METHODS, PaperWay, points_on_sheet
 from jaxscan.calibration.verdict import depth_sigma, stripe_depths, stripe_pixels
 from jaxscan.geometry import Scanner
 from jaxscan.simulation import true_scanner
