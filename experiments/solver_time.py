@@ -22,8 +22,8 @@ import lineax as lx
 import numpy as np
 import optimistix as optx
 from jax.flatten_util import ravel_pytree
-from measuring.speed_calibration import camera_contest
 from measuring.speed_times import take_turns
+from speed import camera_contest
 from worlds import calibration_trials as trials
 from worlds.ideal_boards import PosePlan, add_noise, draw_poses, ideal_boards
 

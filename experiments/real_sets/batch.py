@@ -24,14 +24,9 @@ import tomli_w
 
 import jaxscan
 from experiments.real_sets.convert import convert
-from experiments.real_sets.figures import spread, table_figures
-from experiments.real_sets.ours import read_solved
-from experiments.real_sets.pictures import Pictures
-from experiments.real_sets.plain.boards import Lens, grid, pose_of
-from experiments.real_sets.plain.method import TableFrame
-from experiments.real_sets.sets import BY_NAME
-from experiments.real_sets.source import Source
-from experiments.real_sets.sweeps import table_from, write_rig
+from experiments.real_sets.measure import TableFrame, read_solved, spread, table_figures, table_from, write_rig
+from experiments.real_sets.plain import Lens, Pictures, grid, pose_of
+from experiments.real_sets.sets import BY_NAME, Source
 
 
 COVERED_M = {"table": 0.0, "toy": BY_NAME["srv_toy"].inner_m}

@@ -16,8 +16,7 @@ import numpy as np
 import tomli_w
 
 import jaxscan
-from experiments.real_sets.sets import BY_NAME, RealSet
-from experiments.real_sets.source import Source
+from experiments.real_sets.sets import BY_NAME, RealSet, Source
 
 
 def convert(one: RealSet, source: Source, folder: Path) -> int:

@@ -8,10 +8,9 @@ import cv2
 import numpy as np
 
 import jaxscan
-from experiments.unkind.estimate import Dimension, Estimate, Rig, Rows, clocks, passed, ray_grid
 from experiments.unkind.figures import meet, nearest, pick, sheet_grid
-from experiments.unkind.truth import TrueStripes, Truth
-from experiments.unkind.world.rig import look, rotation
+from experiments.unkind.scene import look, rotation
+from experiments.unkind.truth import Dimension, Estimate, Rig, Rows, TrueStripes, Truth, clocks, passed, ray_grid
 
 
 BLUR_PX = 1.0

@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d  # type: ignore[import-untyped]
 
-from experiments.unkind.world.room import Patch, Room, Round
+from experiments.unkind.scene import FINE, Patch, Rig, Room, Round, look, to_pixels
+from experiments.unkind.truth import TrueStripes, empty, with_parts
 
 
 LIBRARIES = [Path(f"/usr/lib/x86_64-linux-gnu/libLLVM-{n}.so") for n in (19, 20, 18, 17, 16)]
@@ -266,3 +268,258 @@ def cosine_ways(normal: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     way = rng.standard_normal(normal.shape)
     way = normal + way / np.linalg.norm(way, axis=1, keepdims=True)
     return way / np.linalg.norm(way, axis=1, keepdims=True)
+
+
+WAIST_M, SPREAD_RAD = 0.0008, 0.0021
+"""Standard deviation of the sheet at its source, and its growth: 0.9 px wide at every distance."""
+APERTURE_M = 0.0015
+SIDE = 2 * FINE
+"""Rays per pixel along u; `FINE` along v, each row of them shifted by a part of a sample."""
+MARGIN = 8
+"""Columns beside the stripe to which the lens may spread its light."""
+CROSSINGS = 3
+"""Crossings of sheet and surfaces that are kept of a row, the brightest first."""
+
+
+class Shot(NamedTuple):
+    """The rig at one angle of the table in its room."""
+
+    rig: Rig
+    tracer: Tracer
+    pose: np.ndarray
+    """T_room_cam [4, 4]."""
+
+    def turned(self, way: np.ndarray) -> np.ndarray:
+        """Directions of the camera's frame in that of the room."""
+        return way @ self.pose[:3, :3].T.astype(way.dtype)
+
+    def rays(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Unit directions [n, 3] of pixels, room frame."""
+        way = look(self.rig.lens, u, v) @ self.pose[:3, :3].T
+        return way / np.linalg.norm(way, axis=-1, keepdims=True)
+
+    def cast(self, u: np.ndarray, v: np.ndarray) -> Hits:
+        """First surfaces that pixels see."""
+        return self.tracer.cast(self.pose[:3, 3], self.rays(u, v))
+
+    def local(self, p: np.ndarray) -> np.ndarray:
+        """Points in the camera's frame."""
+        return (p - self.pose[:3, 3]) @ self.pose[:3, :3]
+
+    def beside(self, p: np.ndarray) -> np.ndarray:
+        """Signed distance of points of the room from the middle of the sheet [m]."""
+        return self.local(p) @ self.rig.normal - self.rig.distance
+
+
+def fan(rig: Rig, local: np.ndarray) -> np.ndarray:
+    """Uneven power of the fan in the direction of points in the camera's frame, 0.5 to 1.3."""
+    way = local - rig.source
+    angle = np.arctan2(way[:, 1], way[:, 2])
+    return 0.9 + 0.3 * np.sin(5.3 * angle + 0.7) + 0.1 * np.sin(17.0 * angle)
+
+
+def thickness(away: np.ndarray) -> np.ndarray:
+    """Standard deviation of the sheet [m] at distances from its source."""
+    return np.hypot(WAIST_M, SPREAD_RAD * away)
+
+
+def lit(shot: Shot, hits: Hits) -> tuple[np.ndarray, np.ndarray]:
+    """Direct irradiance [n] (power of the fan per radian is 1), and the visible part of the laser [n]."""
+    local = shot.local(hits.p)
+    way = shot.rig.source - local
+    away = np.linalg.norm(way, axis=1)
+    facing = (way / away[:, None] @ shot.pose[:3, :3].T * hits.normal).sum(1)
+    width = thickness(away)
+    seen = np.zeros(len(local))
+    near = (hits.shape >= 0) & (facing > 0)
+    upright = np.array([0.0, 1.0, 0.0])
+    for step in (-1.0, 0.0, 1.0):
+        source = shot.rig.source + step * APERTURE_M * np.cross(shot.rig.normal, upright)
+        source = shot.pose[:3, :3] @ source + shot.pose[:3, 3]
+        seen[near] += shot.tracer.sees(source, hits.p[near] + 1e-3 * hits.normal[near]) / 3
+    profile = np.exp(-0.5 * (shot.beside(hits.p) / width) ** 2) / (np.sqrt(2 * np.pi) * width)
+    return fan(shot.rig, local) / away * profile * np.maximum(facing, 0) * seen, seen
+
+
+class Direct(NamedTuple):
+    """Direct light of the laser on the sensor, before the lens."""
+
+    fine: np.ndarray
+    """Albedo times irradiance, float32 [FINE rows, FINE part of the columns]."""
+    columns: slice
+    """Which columns of pixels `fine` holds."""
+    shadow: np.ndarray
+    """Visible part of the laser on every pixel; 1 beyond the band [rows, columns]."""
+
+
+def direct(shot: Shot, middle: Hits) -> Direct:
+    """The direct light; `middle` has the surfaces that the pixels' middles see."""
+    rows, columns = shot.rig.height, shot.rig.width
+    shadow = np.ones((rows, columns))
+    v, u = np.nonzero(band(shot, middle))
+    if not len(u):
+        return Direct(np.zeros((FINE * rows, FINE), np.float32), slice(0, 1), shadow)
+    first, last = max(int(u.min()) - MARGIN, 0), min(int(u.max()) + MARGIN + 1, columns)
+    fine = np.zeros((FINE * rows, FINE * (last - first)), np.float32)
+    along = (np.arange(FINE) + 0.5) / FINE - 0.5
+    across = (np.arange(SIDE) + 0.5) / SIDE - 0.5
+    # Each of the rows of rays is shifted, so that an upright edge of ink falls between them.
+    shifted = across[None, :] + (np.arange(FINE)[:, None] - (FINE - 1) / 2) / (FINE * SIDE)
+    at_u = (u[:, None, None] + shifted).ravel()
+    at_v = np.broadcast_to(v[:, None, None] + along[:, None], (len(v), FINE, SIDE)).ravel()
+    hits = shot.cast(at_u, at_v)
+    light, seen = lit(shot, hits)
+    glow = (light * hits.albedo).reshape(len(u), FINE, FINE, 2).mean(3)
+    target = np.arange(FINE)
+    fine[(FINE * v)[:, None, None] + target[:, None], (FINE * (u - first))[:, None, None] + target[None, :]] = glow
+    shadow[v, u] = seen.reshape(len(u), -1).min(1)
+    return Direct(fine, slice(first, last), shadow)
+
+
+def band(shot: Shot, middle: Hits) -> np.ndarray:
+    """Pixels near the stripe, bool [rows, columns]."""
+    rows, columns = shot.rig.height, shot.rig.width
+    beside = np.where(middle.shape >= 0, shot.beside(middle.p), np.inf).reshape(rows, columns)
+    reach = 4.5 * thickness(np.linalg.norm(shot.local(middle.p) - shot.rig.source, axis=1)).reshape(rows, columns)
+    near = np.abs(beside) < reach
+    jump = (beside[:, :-1] < 0) != (beside[:, 1:] < 0)
+    near[:, :-1] |= jump
+    near[:, 1:] |= jump
+    grown = near.copy()
+    for shift in range(1, 3):
+        grown[:, shift:] |= near[:, :-shift]
+        grown[:, :-shift] |= near[:, shift:]
+    grown[1:] |= grown[:-1].copy()
+    grown[:-1] |= grown[1:].copy()
+    return grown
+
+
+def light_points(shot: Shot, rng: np.random.Generator, count: int = 80) -> Light:
+    """Where the sheet falls, with the flux that is sent on: equal steps of the fan's angle, jittered."""
+    rig = shot.rig
+    # Downwards in the sheet is y without its part along the normal; forwards is across.
+    down = np.array([0.0, 1.0, 0.0]) - rig.normal * rig.normal[1]
+    down /= np.linalg.norm(down)
+    ahead = np.cross(down, rig.normal)
+    ahead *= np.sign(ahead[2])
+    half = np.radians(50.0)
+    angle = (np.arange(count) + rng.random(count)) / count * 2 * half - half
+    way = np.cos(angle)[:, None] * ahead + np.sin(angle)[:, None] * down
+    turn = shot.pose[:3, :3]
+    hits = shot.tracer.cast(turn @ rig.source + shot.pose[:3, 3], way @ turn.T)
+    ok = hits.shape >= 0
+    power = fan(rig, shot.local(hits.p)) * 2 * half / count
+    return Light(hits.p[ok], hits.normal[ok], (power * hits.albedo)[ok])
+
+
+class Crossings(NamedTuple):
+    """Where the middle of the sheet meets surfaces, in any order [n]."""
+
+    u: np.ndarray
+    row: np.ndarray
+    p: np.ndarray
+    normal: np.ndarray
+    shape: np.ndarray
+
+
+def crossings(shot: Shot, middle: Hits) -> Crossings:
+    """The true centres: along the middle of every row, a quarter of a pixel between rays, then linearly."""
+    v, u = np.nonzero(band(shot, middle))
+    at_u = (u[:, None] + (np.arange(4) / 4 - 0.375)).ravel()
+    at_v = np.repeat(v, 4)
+    hits = shot.cast(at_u, at_v.astype(float))
+    side = np.where(hits.shape >= 0, shot.beside(hits.p), np.nan)
+    pair = (np.diff(at_v) == 0) & (np.abs(np.diff(at_u) - 0.25) < 1e-6)
+    change = (side[:-1] < 0) != (side[1:] < 0)
+    far = np.linalg.norm(np.diff(hits.p, axis=0), axis=1)
+    first = np.flatnonzero(pair & change & np.isfinite(side[:-1]) & np.isfinite(side[1:]) & (far < 0.015))
+    # A jump of depth is no crossing: there the sheet meets nothing.
+    share = side[first] / (side[first] - side[first + 1])
+    centre = at_u[first] + 0.25 * share
+    again = shot.cast(centre, at_v[first].astype(float))
+    real = np.abs(shot.beside(again.p)) < 1e-4
+    return Crossings(centre[real], at_v[first][real], again.p[real], again.normal[real], again.shape[real])
+
+
+CONTRAST_PX = 4.0
+BESIDE_PX, ALONG_ROWS = 4, 2
+"""Reach within which an edge counts."""
+OFF_PLANE = 0.004
+"""Distance from the tangent plane that counts as an edge, as a part of the distance from the camera."""
+
+
+def stripes(shot: Shot, middle: Hits, laser: Direct, ambient: np.ndarray) -> TrueStripes:
+    """The true stripes [rows, crossings] of one record.
+
+    Args:
+        shot: Rig, room and pose.
+        middle: The surfaces that the middles of all pixels see.
+        laser: The laser's direct light behind the lens [DN].
+        ambient: The room's light on every pixel [DN].
+    """
+    rows, columns = shot.rig.height, shot.rig.width
+    found = crossings(shot, middle)
+    peak, width = _profile(laser.fine, found.u - laser.columns.start, found.row)
+    beside = ambient[found.row, np.clip(np.rint(found.u).astype(int), 0, columns - 1)]
+    edge = _edges(shot, middle, laser.shadow, found)
+    on_board = found.shape == shot.tracer.board if shot.tracer.board >= 0 else np.zeros(len(found.u), bool)
+    contrast = np.full(len(found.u), np.nan)
+    contrast[on_board] = print_contrast(shot, found.u[on_board], found.row[on_board])
+    out = TrueStripes(*(grid[0] for grid in empty(1, rows)))
+    order = np.lexsort((-peak, found.row))
+    row = found.row[order]
+    rank = np.arange(len(row)) - np.searchsorted(row, row, side="left")
+    keep = (rank < CROSSINGS) & (peak[order] > 0.05)
+    at, chosen = (row[keep], rank[keep]), order[keep]
+    values = (found.u, peak, width, beside, edge, found.shape, contrast)
+    for grid, value in zip(out, values, strict=True):
+        grid[at] = value[chosen]
+    pixels = np.zeros((rows, columns))
+    pixels[:, laser.columns] = to_pixels(laser.fine, FINE)
+    return with_parts(out, pixels)
+
+
+def _profile(laser: np.ndarray, u: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Peak near each centre and standard deviation of the light there, of the mean over a row's fine lines."""
+    lines = laser.reshape(-1, FINE, laser.shape[1]).mean(1)
+    reach = 4 * FINE
+    centre = np.rint((u + 0.5) * FINE - 0.5).astype(int)
+    at = np.clip(centre[:, None] + np.arange(-reach, reach + 1), 0, laser.shape[1] - 1)
+    value = lines[row[:, None], at]
+    near = value[:, reach - FINE : reach + FINE + 1].max(1)
+    place = (at + 0.5) / FINE - 0.5
+    total = np.maximum(value.sum(1), 1e-9)
+    mean = (value * place).sum(1) / total
+    return near, np.sqrt(np.maximum((value * (place - mean[:, None]) ** 2).sum(1) / total, 0.0))
+
+
+def _edges(shot: Shot, middle: Hits, shadow: np.ndarray, found: Crossings) -> np.ndarray:
+    """Whether a jump, a crease, a shadow or the image's border is near a centre."""
+    rows, columns = shot.rig.height, shot.rig.width
+    p = middle.p.reshape(rows, columns, 3)
+    hit = (middle.shape >= 0).reshape(rows, columns)
+    at = np.rint(found.u).astype(int)
+    edge = (at < BESIDE_PX) | (at >= columns - BESIDE_PX) | (found.row < ALONG_ROWS) | (found.row >= rows - ALONG_ROWS)
+    limit = OFF_PLANE * np.linalg.norm(found.p - shot.pose[:3, 3], axis=1)
+    for dv in range(-ALONG_ROWS, ALONG_ROWS + 1):
+        for du in range(-BESIDE_PX, BESIDE_PX + 1):
+            v, u = np.clip(found.row + dv, 0, rows - 1), np.clip(at + du, 0, columns - 1)
+            off = np.abs(((p[v, u] - found.p) * found.normal).sum(1))
+            edge |= (off > limit) | ~hit[v, u] | (shadow[v, u] < 0.999)
+    return edge
+
+
+def print_contrast(shot: Shot, u: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """(max - min) / (max + min) of the surface's paint within 4 px along the row, behind a blur of 0.75 px."""
+    steps = np.arange(-CONTRAST_PX - 2, CONTRAST_PX + 2.01, 0.25)
+    lines = []
+    for dv in (-0.5, 0.0, 0.5):
+        hits = shot.cast((u[:, None] + steps).ravel(), np.repeat(row + dv, len(steps)))
+        lines.append(np.where(hits.shape == shot.tracer.board, hits.albedo, np.nan).reshape(len(u), len(steps)))
+    level = np.mean(lines, axis=0)
+    level[~np.isfinite(level).any(1)] = 1.0
+    # Beside the board nothing is known of the print; its border is an edge anyway.
+    level = np.where(np.isfinite(level), level, np.nanmax(level, axis=1, keepdims=True))
+    level = gaussian_filter1d(level, 0.75 / 0.25, axis=1, mode="nearest")[:, 8:-8]
+    high, low = level.max(1), level.min(1)
+    return (high - low) / (high + low)
