@@ -15,7 +15,6 @@ tells. Clouds are counted apart.
     python experiments/silent_differences.py [--each N] [--seed S] [--only KIND] [--json FILE] [--results DIR]
 """
 
-import argparse
 import hashlib
 import json
 import shutil
@@ -29,6 +28,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from report import command_line
 
 import jaxscan
 from jaxscan.api import reconstruct_capture
@@ -605,7 +605,7 @@ def table(outcomes: list[Outcome]) -> str:
 
 def main() -> int:
     """Run, print the table, and say whether the limits are met."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("--each", type=int, default=10, help="mutations of each kind")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="kinds whose name has this text")

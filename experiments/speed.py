@@ -14,7 +14,6 @@ of its boards as commands, with nothing compiled and again. The frames come from
 Without --quick and --only the tables and the plot in experiments/results are written anew.
 """
 
-import argparse
 import json
 import os
 import shutil
@@ -33,8 +32,8 @@ from matplotlib.figure import Figure as Picture
 from measuring import speed_disk
 from measuring.speed_disk import CodecRow, measure_codecs
 from measuring.speed_memory import measure_memory, memory_figures, small_figures
-from measuring.speed_stages import Stage, stages
 from measuring.speed_times import Contestant, Figure, Times, load, machine, take_turns
+from report import command_line, table, write_json
 from worlds import calibration_trials as trials
 from worlds.ideal_boards import PosePlan, add_noise, draw_poses, ideal_boards
 from worlds.speed_scene import (
@@ -151,30 +150,26 @@ class Found(NamedTuple):
     """All that was measured; empty lists where a section was left out."""
 
     rows: list[Contestant]
-    steps: list[Stage]
     codecs: list[CodecRow]
     figures: list[Figure]
 
 
 def write_results(folder: Path, about: dict[str, str], found: Found, pairs: int) -> None:
     """`speed.md`, `speed.json` and `speed.png`."""
-    rows, steps, codecs, figures = found
+    rows, codecs, figures = found
     folder.mkdir(exist_ok=True)
-    bandwidth = next((figure.value for figure in figures if figure.key == "bandwidth"), None)
     parts = [_head(about, pairs), _asked(figures)]
     if rows:
         parts.append(_contestants(rows))
-    if steps:
-        parts.append(_stages(steps, bandwidth))
     if codecs:
         parts.append(_codecs(codecs))
     parts.append(_rest(figures))
     (folder / "speed.md").write_text("\n".join(parts))
     document = {"format": "jaxscan-experiment-speed/1", **about, "metrics": [figure._asdict() for figure in figures]}
-    (folder / "speed.json").write_text(json.dumps(document, indent=1) + "\n")
+    write_json(folder / "speed.json", document)
     if rows:
         bars = [(row.name, 1e3 * row.times.best) for row in rows]
-        draw(folder / "speed.png", bars, [(step.name, 1e3 * step.times.best) for step in steps])
+        draw(folder / "speed.png", bars)
 
 
 def _head(about: dict[str, str], pairs: int) -> str:
@@ -190,11 +185,6 @@ Written by `python experiments/speed.py`; {about["date"]}.
 """
 
 
-def _table(head: list[str], lines: list[list[str]]) -> str:
-    rows = [head, ["---"] * len(head), *lines]
-    return "\n".join("| " + " | ".join(row) + " |" for row in rows) + "\n"
-
-
 def _asked(figures: list[Figure]) -> str:
     lines = []
     for figure in figures:
@@ -203,7 +193,7 @@ def _asked(figures: list[Figure]) -> str:
             unit = "" if figure.unit == "1" else f" {figure.unit}"
             verdict = "yes" if figure.met() else "**no**"
             lines.append([figure.key, f"{figure.value:.3g}{unit}", f"{sign} {figure.asked:g}{unit}", verdict])
-    return "## Limits\n\n" + _table(["figure", "found", "limit", "met"], lines)
+    return "## Limits\n\n" + table(["figure", "found", "limit", "met"], lines) + "\n"
 
 
 def _contestants(rows: list[Contestant]) -> str:
@@ -220,18 +210,7 @@ def _contestants(rows: list[Contestant]) -> str:
 reflections too; "stripes found" are the stripes drawn whose centre was found within 1 px.
 
 """
-    return text + _table(head, lines)
-
-
-def _stages(steps: list[Stage], bandwidth: float | None) -> str:
-    lines = []
-    for step in steps:
-        rate = step.pair_bytes / step.times.best / 1e9
-        share = "" if bandwidth is None else f"{100 * rate / bandwidth:.0f} %"
-        times = [f"{1e3 * t:.3f}" for t in step.times]
-        lines.append([step.name, *times, f"{step.pair_bytes / 1e6:.2f}", f"{rate:.1f}", share, step.bound])
-    head = ["stage", "best, ms/pair", "median", "processor", "MB/pair", "GB/s", "of a plain read", "bound by"]
-    return "## Ours, stage by stage\n\n" + _table(head, lines)
+    return text + table(head, lines) + "\n"
 
 
 def _codecs(codecs: list[CodecRow]) -> str:
@@ -245,22 +224,21 @@ def _codecs(codecs: list[CodecRow]) -> str:
 Of a frame; what comes back is compared. Differences of frames are taken modulo 256.
 
 """
-    return text + _table(head, lines)
+    return text + table(head, lines) + "\n"
 
 
 def _rest(figures: list[Figure]) -> str:
     lines = [[figure.key, f"{figure.value:.4g}", "" if figure.unit == "1" else figure.unit] for figure in figures]
-    return "## All figures\n\n" + _table(["figure", "value", "unit"], lines)
+    return "## All figures\n\n" + table(["figure", "value", "unit"], lines) + "\n"
 
 
-OWN, OTHER, BOUND, STAGE = "#1f6f8b", "#b8b8b8", "#e0a458", "#7fb7be"
+OWN, OTHER, BOUND = "#1f6f8b", "#b8b8b8", "#e0a458"
 
 
-def draw(path: Path, contestants: list[tuple[str, float]], stages: list[tuple[str, float]]) -> None:
-    """Bars of ms/pair on a logarithmic axis: the slowest contestant on top, then the stages of ours."""
+def draw(path: Path, contestants: list[tuple[str, float]]) -> None:
+    """Bars of ms/pair on a logarithmic axis, the slowest on top."""
     ordered = sorted(contestants, key=lambda bar: -bar[1])
     bars = [(name, time, _colour(name)) for name, time in ordered]
-    bars += [(f"ours: {name}", time, STAGE) for name, time in stages]
     figure = Picture(figsize=(8.0, 0.36 * len(bars) + 1.3), layout="constrained")
     axes = figure.subplots()
     place = range(len(bars))
@@ -284,7 +262,7 @@ def _colour(name: str) -> str:
     return BOUND if name in ("fused", "read") else OTHER
 
 
-SECTIONS = ("memory", "stages", "png", "packed", "shards", "codecs", "calibration", "cold")
+SECTIONS = ("memory", "png", "packed", "shards", "codecs", "calibration", "cold")
 CODEC_FRAMES = 8
 """Pairs on which codecs are compared."""
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -360,25 +338,19 @@ def codec_figures(rows: list[CodecRow]) -> list[Figure]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="few pairs: to see that it runs")
+    parser = command_line(__doc__, quick="few pairs: to see that it runs", json=True)
     parser.add_argument("--only", choices=SECTIONS, help="one section")
     parser.add_argument("--scratch", type=Path, metavar="DIR", help="where captures go for a while: up to 10 GB")
-    parser.add_argument("--json", metavar="FILE", help="write the figures to a file (- for standard output)")
     parser.add_argument("--results", type=Path, metavar="DIR", help="write tables and plot there")
     options = parser.parse_args()
     size = QUICK if options.quick else FULL
     sections = [options.only] if options.only else list(SECTIONS)
     about, scanner = machine(), make_scanner()
-    rows, steps, codecs, figures = [], [], [], []
-    if {"memory", "stages"} & set(sections):
+    rows, codecs, figures = [], [], []
+    if "memory" in sections:
         frames = make_frames(size.pairs, scanner)
-        if "memory" in sections:
-            rows = measure_memory(frames, size.repeats)
-            figures += memory_figures(rows) + small_figures(frames, size.repeats)
-        if "stages" in sections:
-            steps = stages(frames, scanner, size.repeats)
-            figures += [Figure(f"stage {step.name}", 1e3 * step.times.best, "ms/pair", "lower", 0.3) for step in steps]
+        rows = measure_memory(frames, size.repeats)
+        figures += memory_figures(rows) + small_figures(frames, size.repeats)
         del frames
     for section, write, records, measure in (
         ("png", speed_disk.write_png_capture, size.png_records, png_figures),
@@ -406,14 +378,9 @@ def main() -> None:
         print(f"{figure.key:>48} {figure.value:10.3f} {figure.unit:8} {verdict}", file=sys.stderr)
     results = options.results or (None if options.quick or options.only else RESULTS)
     if results is not None:
-        write_results(results, about, Found(rows, steps, codecs, figures), size.pairs)
-    if options.json:
-        document = {"format": "jaxscan-experiment-speed/1", "quick": options.quick, **about}
-        text = json.dumps(document | {"metrics": [figure._asdict() for figure in figures]}, indent=1) + "\n"
-        if options.json == "-":
-            print(text, end="")
-        else:
-            Path(options.json).write_text(text)
+        write_results(results, about, Found(rows, codecs, figures), size.pairs)
+    document = {"format": "jaxscan-experiment-speed/1", "quick": options.quick, **about}
+    write_json(options.json, document | {"metrics": [figure._asdict() for figure in figures]})
 
 
 if __name__ == "__main__":

@@ -21,11 +21,9 @@ code; with --now those of a second file are, and nothing is measured. The exit c
 more than 2 % of itself.
 """
 
-import argparse
 import functools
 import json
 import math
-import os
 import platform
 import sys
 import time
@@ -37,6 +35,8 @@ from typing import NamedTuple
 import matplotlib
 import numpy as np
 from matplotlib import pyplot as plt
+from measuring.speed_times import machine
+from report import Figure, command_line, rms, write_json
 from worlds import stripe_world
 from worlds.stripe_world import (
     Course,
@@ -56,21 +56,6 @@ from jaxscan.stripes import ESTIMATORS, NoiseModel, StripeSettings
 
 
 matplotlib.use("agg")
-
-
-class Figure(NamedTuple):
-    """A measured number and its limits [low, high], if any."""
-
-    key: str
-    value: float
-    unit: str
-    low: float | None = None
-    high: float | None = None
-
-    def holds(self) -> bool:
-        """Whether the number is within its limits; NaN is not."""
-        at_least = self.low is None or self.value >= self.low
-        return at_least and (self.high is None or self.value <= self.high)
 
 
 MORE = ("_valid", "_within_1px", "_right", "_right_of_all", "_found_on_clean_frames")
@@ -158,7 +143,7 @@ def cell_lines(cells: list[Cell], section: str) -> list[str]:
     pairs = zip(cells[::2], cells[1::2], strict=True)
     for known, estimated in pairs:
         both = [f"{getattr(known, name):{form}}, {getattr(estimated, name):{form}}" for name, form in _COLUMNS]
-        holds = all(figure.holds() for figure in cell_figures([known, estimated], section))
+        holds = all(figure.met() for figure in cell_figures([known, estimated], section))
         out.append(
             f"| {known.width:g} | {known.amplitude:g} | {known.rows} | {known.bound:.4f} | "
             f"{' | '.join(both[:4])} | {known.bias_error:.4f} | {both[4]} | {'' if holds else 'MISSED'} |"
@@ -175,7 +160,7 @@ def figure_lines(figures: list[Figure]) -> list[str]:
     for figure in figures:
         limits = [f"{sign} {limit:g}" for sign, limit in (("≥", figure.low), ("≤", figure.high)) if limit is not None]
         text = f"{figure.value:.0f}" if figure.unit.endswith("rows") and figure.value > 1 else f"{figure.value:.4g}"
-        verdict = "" if figure.holds() else "MISSED"
+        verdict = "" if figure.met() else "MISSED"
         out.append(f"| {figure.key.replace('_', ' ')} | {text} | {figure.unit} | {' and '.join(limits)} | {verdict} |")
     return out
 
@@ -206,16 +191,6 @@ def draw(cells: list[Cell], path: Path) -> None:
     axes[0].legend(fontsize="small", title="amplitude")
     figure.savefig(path, dpi=80)
     plt.close(figure)
-
-
-def processor() -> str:
-    """Name of the processor, and its number of cores."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return f"{names[0] if names else platform.machine()}, {os.cpu_count()} cores"
 
 
 CONTRASTS, F_NUMBERS = (1.0, 0.5, 0.2), (2.8, 5.6, 8.0)
@@ -251,7 +226,7 @@ def _figures(speckle: Speckle, frames: int, seed: int) -> list[Figure]:
     out = [
         Figure(f"{key}_limit", speckle.limit_px, "px"),
         Figure(f"{key}_valid", float(valid[pairs.snr > 5].mean()), "of rows with light over 5 sigma", low=0.99),
-        Figure(f"{key}_row_rms_over_limit", _rms_of((centre - u)[valid]) / speckle.limit_px, "1"),
+        Figure(f"{key}_row_rms_over_limit", rms((centre - u)[valid]) / speckle.limit_px, "1"),
         Figure(f"{key}_row_sigma_over_error", _ratio(sigma, centre - u, valid), "1", 0.9, 1.1),
         Figure(f"{key}_row_sigma_over_error_least_of_4_amplitudes", min(honest), "1", 0.9, 1.1),
         Figure(f"{key}_row_sigma_over_error_most_of_4_amplitudes", max(honest), "1", 0.9, 1.1),
@@ -261,18 +236,14 @@ def _figures(speckle: Speckle, frames: int, seed: int) -> list[Figure]:
     error = line.u - u
     return [
         *out,
-        Figure(f"{key}_line_rms_over_limit", _rms_of(error[valid]) / speckle.limit_px, "1"),
+        Figure(f"{key}_line_rms_over_limit", rms(error[valid]) / speckle.limit_px, "1"),
         Figure(f"{key}_line_sigma_over_error", _ratio(line.sigma, error, valid), "1", 0.9, 1.1),
     ]
 
 
-def _rms_of(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def _ratio(sigma: np.ndarray, error: np.ndarray, valid: np.ndarray) -> float:
     """Stated over true, both root mean square."""
-    return _rms_of(sigma[valid]) / _rms_of(error[valid])
+    return rms(sigma[valid]) / rms(error[valid])
 
 
 WIDTHS = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0)
@@ -470,11 +441,9 @@ def print_against(path: Path, figures: list[Figure]) -> int:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__, quick="few rows: to see that it runs, its verdicts mean little", json=True)
     parser.add_argument("--only", choices=SECTIONS, action="append", help="a section; may be given several times")
-    parser.add_argument("--quick", action="store_true", help="few rows: to see that it runs, its verdicts mean little")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", metavar="FILE", help="write the figures to a file (- for standard output)")
     parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results", help="folder of the table")
     parser.add_argument("--against", type=Path, metavar="FILE", help="compare with the figures of an earlier run")
     parser.add_argument("--now", type=Path, metavar="FILE", help="with --against: these figures, nothing is measured")
@@ -488,17 +457,17 @@ def main() -> int:
         print("\n".join(lines[-len(found) - 3 :]), file=sys.stderr, flush=True)
         figures += own
         cells += own_cells if section == "cells" else []
-    missed = [figure.key for figure in figures if not figure.holds()]
+    missed = [figure.key for figure in figures if not figure.met()]
     asked = sum(figure.low is not None or figure.high is not None for figure in figures)
     verdict = f"{asked - len(missed)} of {asked} figures are as asked."
     seconds = time.perf_counter() - start
     print(f"{verdict} {seconds:.0f} s", *missed, sep="\n  ", file=sys.stderr)
     packages = ", ".join(f"{name} {version(name)}" for name in ("jaxscan", "jax", "numpy"))
-    today, python = f"{datetime.now(UTC):%Y-%m-%d}", platform.python_version()
+    today, python, processor = f"{datetime.now(UTC):%Y-%m-%d}", platform.python_version(), machine()["processor"]
     head = [
         "# Stripe centres: accuracy",
         "",
-        f"{today}, {processor()}, Python {python}, {packages}; {seconds:.0f} s.",
+        f"{today}, {processor}, Python {python}, {packages}; {seconds:.0f} s.",
         f"{verdict} Written by `python experiments/stripe_accuracy.py`; default settings, one configuration for all.",
         "Noise: read 1 DN, 40 e-/DN, rounding to 8 bits, clipping at 255, ambient light of 10 DN in both images.",
         "Where two numbers stand in a field, the first is with the noise known, the second with it estimated",
@@ -515,12 +484,10 @@ def main() -> int:
         (arguments.results / "stripe_accuracy.md").write_text("\n".join(head + lines).rstrip() + "\n")
         draw(cells, arguments.results / "stripe_accuracy.png")
     if arguments.json:
-        metrics = [{**figure._asdict(), "holds": bool(figure.holds())} for figure in figures]
-        text = json.dumps({"format": "jaxscan-stripe-accuracy/1", "quick": arguments.quick, "metrics": metrics})
-        if arguments.json == "-":
-            print(text)
-        else:
-            Path(arguments.json).write_text(text + "\n")
+        metrics = [{**figure._asdict(), "holds": bool(figure.met())} for figure in figures]
+        write_json(
+            arguments.json, {"format": "jaxscan-stripe-accuracy/1", "quick": arguments.quick, "metrics": metrics}
+        )
     if arguments.against:
         return print_against(arguments.against, figures)
     return 1 if missed and not arguments.quick else 0

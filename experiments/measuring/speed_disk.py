@@ -4,7 +4,6 @@ PNG captures name a few distinct files many times; the others hold every frame. 
 any storage in a separate process, so that its memory can be watched.
 """
 
-import argparse
 import dataclasses
 import importlib.util
 import json
@@ -22,6 +21,7 @@ import zstandard
 from measuring.speed_memory import THREADS, read
 from measuring.speed_times import Watch, summary, take_turns
 from measuring.tree_jobs import decode_alone
+from report import command_line
 from worlds.speed_scene import HEIGHT, WIDTH, Frames, make_scanner
 
 from jaxscan.files.capture import Capture, cache_path, cached_stripes, frames_key, open_capture, save_stripes
@@ -162,7 +162,7 @@ def _timed(function: Callable[[], object], repeats: int) -> list[tuple[float, fl
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__)
     parser.add_argument("--child", required=True, metavar="CAPTURE")
     parser.add_argument("--counts", required=True)
     parser.add_argument("--repeats", type=int, required=True)

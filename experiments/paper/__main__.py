@@ -35,6 +35,7 @@ from experiments.paper.stage import (
     shown,
     world,
 )
+from experiments.report import command_line
 
 
 def run_one(stage: Stage, name: str) -> dict[str, Any]:
@@ -98,10 +99,9 @@ def metrics_of(results: dict[str, Any] | None) -> list[Metric]:
 
 def main() -> int:
     """The command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__, quick="small images and few draws, to see that all of it works")
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(EXPERIMENTS))
     parser.add_argument("--world", choices=WORLDS)
-    parser.add_argument("--quick", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("paper-figures"), metavar="FOLDER")
     parser.add_argument("--fresh", action="store_true", help="remove work files of earlier runs first")
     parser.add_argument("--save-baseline", action="store_true", help="replace the committed baseline by these figures")

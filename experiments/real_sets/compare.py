@@ -7,7 +7,6 @@ are kept in `real_sets.json` beside the table. Every run measures the code as it
 asked for. With --work, a run that was broken off goes on with the set at which it ended.
 """
 
-import argparse
 import json
 import tempfile
 import time
@@ -32,6 +31,7 @@ from experiments.real_sets.measure import (
 )
 from experiments.real_sets.plain import Lens, Pictures, angle_deg
 from experiments.real_sets.sets import SETS, RealSet
+from experiments.report import command_line, number, table, write_json
 
 
 HEAD = """# Strangers' captures
@@ -80,17 +80,8 @@ and the RMS is given; "tilt" is the angle of that plane against the plane of the
 """
 
 
-def _rows(head: list[str], rows: list[list[str]]) -> str:
-    lines = ["| " + " | ".join(cells) + " |" for cells in (head, ["---"] * len(head), *rows)]
-    return "\n".join(lines)
-
-
-def _number(value: Any, form: str = "{:.3f}") -> str:
-    return "–" if value is None or not np.isfinite(value) else form.format(value)
-
-
 def _change(found: dict[str, Any], key: str, form: str = "{:.3f}") -> str:
-    return " → ".join(_number(found.get(which, {}).get(key), form) for which in ("before", "after"))
+    return " → ".join(number(found.get(which, {}).get(key), form) for which in ("before", "after"))
 
 
 def _sets(known: list[RealSet]) -> str:
@@ -98,7 +89,7 @@ def _sets(known: list[RealSet]) -> str:
     for one in known:
         place = one.repository if one.repository == "opencv/opencv" else f"{one.repository} {one.commit[:7]}"
         rows.append([one.name, place, one.licence, one.about, one.reference or "none"])
-    return _rows(["set", "repository", "licence", "capture", "published"], rows)
+    return table(["set", "repository", "licence", "capture", "published"], rows)
 
 
 def _sentences(boards: list[RealSet], results: dict[str, Any]) -> str:
@@ -122,7 +113,7 @@ def _sentences(boards: list[RealSet], results: dict[str, Any]) -> str:
             name = one.name if which == "before" else ""
             when = "before" if which == "before" else "now"
             rows.append([name, when, str(found["exit_code"]), text])
-    return _rows(["set", "", "exit code", "first sentence"], rows)
+    return table(["set", "", "exit code", "first sentence"], rows)
 
 
 def _corners(boards: list[RealSet], results: dict[str, Any]) -> str:
@@ -150,22 +141,22 @@ def _corners(boards: list[RealSet], results: dict[str, Any]) -> str:
                 f"{plain.get('views', 0)} of {plain.get('records', 0)}",
                 _change(found, "corner_noise_over_sigma", "{:.2f}"),
                 _change(found, "corner_rms_px"),
-                _number(plain.get("corner_rms_px")),
+                number(plain.get("corner_rms_px")),
                 _held_out(found),
-                _number(plain.get("held_out_px")),
-                _number(plain.get("held_out_free_px")),
+                number(plain.get("held_out_px")),
+                number(plain.get("held_out_free_px")),
                 _change(found, "shape_mm"),
-                _number(plain.get("free_shape_mm")),
+                number(plain.get("free_shape_mm")),
             ]
         )
-    return _rows(head, rows)
+    return table(head, rows)
 
 
 def _held_out(found: dict[str, Any]) -> str:
     """The halves' figure, or in brackets that of the solve itself, where the halves could not be solved."""
     now = found.get("after", {})
     if now.get("held_out_px") is None and now.get("held_out_own_px") is not None:
-        return f"{_number(found.get('before', {}).get('held_out_px'))} → ({_number(now['held_out_own_px'])})"
+        return f"{number(found.get('before', {}).get('held_out_px'))} → ({number(now['held_out_own_px'])})"
     return _change(found, "held_out_px")
 
 
@@ -184,7 +175,7 @@ def _lines(boards: list[RealSet], results: dict[str, Any]) -> str:
             sheet = (results[one.name].get(which, {}).get("sheets") or [None])[0]
             cells = [one.name if which == "before" else "", name]
             rows.append(cells + (["no sheet"] + ["–"] * 5 if sheet is None else _sheet(one, sheet, plain)))
-    return _rows(head, rows)
+    return table(head, rows)
 
 
 def _sheet(one: RealSet, sheet: dict[str, Any], plain: dict[str, Any] | None) -> list[str]:
@@ -198,9 +189,9 @@ def _sheet(one: RealSet, sheet: dict[str, Any], plain: dict[str, Any] | None) ->
     keys: list[tuple[str, Callable[[Any], str]]] = [
         ("lines", str),
         ("points", str),
-        ("spread_mm", _number),
-        ("held_out_mm", _number),
-        ("halves_deg", lambda value: _number(value, "{:.2f}")),
+        ("spread_mm", number),
+        ("held_out_mm", number),
+        ("halves_deg", lambda value: number(value, "{:.2f}")),
     ]
     return [write(sheet.get(key)) for key, write in keys] + [angle]
 
@@ -222,12 +213,10 @@ def _sweeps(sweeps: list[RealSet], results: dict[str, Any]) -> str:
             said = run.get("said", [])
             said = said or [run["error"]] if run.get("error") else said
             cells = [str(run.get(key, "–")) for key in ("points", "scene", "on_table")]
-            cells += [_number(run.get(key)) for key in ("spread_mm", "rms_mm")] + [
-                _number(run.get("tilt_deg"), "{:.2f}")
-            ]
+            cells += [number(run.get(key)) for key in ("spread_mm", "rms_mm")] + [number(run.get("tilt_deg"), "{:.2f}")]
             text = " ".join(said).replace("|", "/") or "nothing"
             rows.append([one.name if k == 0 else "", name, *cells, text if k < 3 else ""])
-    return _rows(head, rows)
+    return table(head, rows)
 
 
 SAME = 1.02
@@ -362,7 +351,7 @@ def measure(one: RealSet, captures: Path, version: Path | None, work: Path) -> d
 
 def main() -> int:
     """Measure the sets that are not done, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("captures", type=Path)
     parser.add_argument("--only", nargs="*", default=[one.name for one in SETS], metavar="NAME")
     parser.add_argument("--measure", nargs="*", default=["after"], choices=["before", "after", "plain"])
@@ -391,7 +380,7 @@ def main() -> int:
                     continue
                 start = time.perf_counter()
                 results.setdefault(one.name, {})[which] = measure(one, captures, version, folder)
-                kept.write_text(json.dumps(results, indent=1) + "\n")
+                write_json(kept, results)
                 done.touch()
                 print(f"{one.name}, {which}: {time.perf_counter() - start:.0f} s", flush=True)
         (options.results / "real_sets.md").write_text(markdown(results))

@@ -8,7 +8,6 @@ program with the sources of an older commit first in PYTHONPATH; runs side by si
 `--merge` brings together.
 """
 
-import argparse
 import json
 import shutil
 import tempfile
@@ -18,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.report import command_line, number, table
 from experiments.unkind import ours, plain, truth
 from experiments.unkind.figures import (
     AMPLITUDES,
@@ -106,16 +106,6 @@ def seed_of(name: str) -> int:
     return int(name.rpartition("_")[2])
 
 
-def rows(head: list[str], body: list[list[str]]) -> str:
-    """A table."""
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, ["---"] * len(head), *body))
-
-
-def number(value: Any, form: str) -> str:
-    """A figure, or a dash where it is not known."""
-    return "–" if value is None or not np.isfinite(value) else form.format(value)
-
-
 def markdown(results: dict[str, Any]) -> str:
     """The page."""
     parts = [HEAD, limits_text()]
@@ -161,7 +151,7 @@ def in_all(results: dict[str, Any]) -> str:
                 cells.append(f"**{middle}** ({low} … {high})")
         body.append(cells)
     body.append(["walls within two stated sigmas", *(_walls(results, which) for which in known)])
-    return rows(["median (range over seeds)", *known], body)
+    return table(["median (range over seeds)", *known], body)
 
 
 def _walls(results: dict[str, Any], which: str) -> str:
@@ -191,7 +181,7 @@ def verdict(results: dict[str, Any]) -> str:
             said = "; ".join(f"seed {seed}: {', '.join(found)}" for seed, found in beaten.items() if found)
             body.append([which, "never worse than plain", "", said or "kept"])
             body.append([which, "walls within two stated sigmas", _walls(results, which), ""])
-    return rows(["", "limit", "range", "broken by"], body)
+    return table(["", "limit", "range", "broken by"], body)
 
 
 def each(results: dict[str, Any]) -> str:
@@ -205,7 +195,7 @@ def each(results: dict[str, Any]) -> str:
         found = results[name][which]["walls"]
         pairs = zip(found["errors_mm"], found["sigmas_mm"], strict=True)
         walls.append(", ".join(f"{error:+.1f}" + (f" ({s:.1f})" if np.isfinite(s) else "") for error, s in pairs))
-    return rows(head, [*body, walls])
+    return table(head, [*body, walls])
 
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
@@ -248,7 +238,7 @@ def write(folder: Path, results: dict[str, Any]) -> None:
 
 def main() -> None:
     """Judge the worlds, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("worlds", type=Path, nargs="*")
     parser.add_argument("--as", dest="which", choices=["before", "after"], default="after")
     parser.add_argument("--results", type=Path, default=RESULTS)

@@ -3,13 +3,14 @@
 Stripes are kept on grids [records, rows, crossings]: where the middle of the sheet meets a surface, brightest first.
 """
 
-import argparse
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+
+from experiments.report import command_line
 
 
 PART_PX, PART_DN = 6.0, 0.5
@@ -172,7 +173,7 @@ def ray_grid(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def render_seed(render: Callable[[int, Path], None], description: str | None) -> None:
     """Write the world of a seed, and say how long it took."""
-    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(description)
     parser.add_argument("seed", type=int)
     parser.add_argument("folder", type=Path)
     options = parser.parse_args()
