@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import cv2
 import jax
 import numpy as np
-import plain
 from measuring.speed_times import Contestant, Figure, Times, take_turns
+from paper.methods import HORUS_REACH, centroid, horus_centres
 from worlds.speed_scene import (
     DISTINCT,
     DISTORTION,
@@ -33,7 +33,7 @@ from jaxscan.stripes import NoiseModel, StripeSettings, extract_stripes
 
 THREADS = 2
 """As many as there are cores: frames over threads, since NumPy and OpenCV let go of the lock."""
-REACH = plain.HORUS_REACH
+REACH = HORUS_REACH
 _ROWS = np.arange(HEIGHT)[:, None]
 
 Centres = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -96,7 +96,7 @@ def horus(scanner: Scanner, on: np.ndarray, off: np.ndarray, angle: np.ndarray, 
 
 def usual_centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The same centroids as `horus`, for all rows at once and in the window alone."""
-    return plain.horus_centres(on, off)
+    return horus_centres(on, off)
 
 
 def lean_centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -104,7 +104,7 @@ def lean_centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarra
     difference = cv2.subtract(on, off)
     blurred = cv2.GaussianBlur(difference, (5, 1), 0)
     peak = blurred.argmax(axis=1)
-    u, _ = plain.centroid(difference, peak, 6, 6)
+    u, _ = centroid(difference, peak, 6, 6)
     return u, blurred[_ROWS[:, 0], peak] > 12
 
 

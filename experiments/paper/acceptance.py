@@ -40,7 +40,7 @@ import jaxscan
 from experiments.paper.products import RenderedSweep, our_calibrations
 from experiments.paper.stage import Metric, Stage, plt, save, windowed, windowed_scanner
 from experiments.paper.targets import HALL, Hall, Plate, hall_config, make_hall
-from experiments.recalibration.limits import rms
+from experiments.report import rms
 from jaxscan import Scanner
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Array

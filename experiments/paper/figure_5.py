@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxscan
+from experiments.paper.methods import EXTRACTORS, METHODS, board_pose, find_board, stripe_on_board
 from experiments.paper.products import draws, held_out, observe_held_out
 from experiments.paper.stage import Direction, Metric, Stage, plt, save
-from experiments.plain import EXTRACTORS, METHODS, board_pose, find_board, stripe_on_board
 
 
 WAYS = {

@@ -21,9 +21,7 @@ import cv2
 import numpy as np
 
 import jaxscan
-from experiments.paper.products import draws, held_out, observe_held_out
-from experiments.paper.stage import Direction, Metric, Stage, plt, rms, save
-from experiments.plain import (
+from experiments.paper.methods import (
     EXTRACTORS,
     METHODS,
     Extract,
@@ -35,6 +33,9 @@ from experiments.plain import (
     rigid,
     stripe_on_board,
 )
+from experiments.paper.products import draws, held_out, observe_held_out
+from experiments.paper.stage import Direction, Metric, Stage, plt, save
+from experiments.report import rms
 from jaxscan.calibration import Quality
 from jaxscan.geometry import lit_points
 from jaxscan.observation import Observations, StripeViews

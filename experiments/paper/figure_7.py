@@ -16,11 +16,11 @@ import numpy as np
 from scipy import ndimage
 
 import jaxscan
-from experiments import plain
+from experiments.paper.methods import EXTRACTORS, METHODS, PaperWay, in_window, paper_cloud
 from experiments.paper.products import RenderedSweep, draws, our_calibrations
-from experiments.paper.stage import Metric, Stage, plt, rms, save, windowed, windowed_scanner
+from experiments.paper.stage import Metric, Stage, plt, save, windowed, windowed_scanner
 from experiments.paper.targets import PITCH_M, marks_hall, marks_wall, nominal_window, wall_distance
-from experiments.plain import EXTRACTORS, METHODS, in_window
+from experiments.report import rms
 from jaxscan.reconstruction import SweepSource
 from jaxscan.simulation.scene import make_scene
 from jaxscan.stripes import NoiseModel, estimate_noise
@@ -354,11 +354,11 @@ def measure_ours(cloud: jaxscan.PointCloud, scanner: jaxscan.Scanner, noise: Noi
     return _measured((xyz, valid, grey), np.array([0.0, 0.0, 1.0]), Noise(ray, shared, aside, float(level)))
 
 
-def measure_paper_way(seen: Plain, ways: list[plain.PaperWay], angles: np.ndarray) -> list[Measured]:
+def measure_paper_way(seen: Plain, ways: list[PaperWay], angles: np.ndarray) -> list[Measured]:
     """Marks in the paper's cloud, by several calibrations of the same camera."""
     out = []
     for way in ways:
-        xyz = plain.paper_cloud(way, seen.u, seen.valid, angles)
+        xyz = paper_cloud(way, seen.u, seen.valid, angles)
         valid = np.isfinite(xyz).all(-1)
         out.append(_measured((np.where(valid[..., None], xyz, 0), valid, seen.grey), np.array([0.0, -1.0, 0.0]), None))
     return out

@@ -9,10 +9,10 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 import jaxscan
+from experiments.paper.methods import METHODS, gravity, in_window, paper_cloud
 from experiments.paper.products import RenderedSweep, draws, our_calibrations
 from experiments.paper.stage import Metric, Stage, plt, save, windowed, windowed_scanner
 from experiments.paper.targets import GLOBE_M, GLOBE_RADIUS, VASE_M, nominal_window, still_life, studio
-from experiments.plain import METHODS, gravity
 from jaxscan.simulation import SimulationConfig, make_rig
 from jaxscan.simulation.camera import channels
 from jaxscan.simulation.scene import Scene, make_scene
@@ -58,8 +58,8 @@ def run(stage: Stage) -> list[Metric]:
     truth = Truth(scene, config, visible_places(config, scene, angles), REACH_M[stage.quick])
     metrics = judge("ours", np.asarray(cloud.xyz, np.float64)[np.asarray(cloud.valid)], truth)
     metrics += judge_colours(cloud, truth)
-    way = plain.in_window(draws(stage)[0].paper, first)
-    xyz = plain.paper_cloud(way, *plain, angles)
+    way = in_window(draws(stage)[0].paper, first)
+    xyz = paper_cloud(way, *plain, angles)
     pose = make_rig(config).pose(0.0)
     metrics += judge("paper_way", pose.apply(xyz[np.isfinite(xyz).all(-1)]), truth)
     draw_objects(stage.picture("figure_8"), f"Fig. 8, {stage.world} world: a vase and a globe", cloud)

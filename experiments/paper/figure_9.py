@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from scipy.ndimage import distance_transform_edt  # type: ignore[import-untyped]
 
 import jaxscan
+from experiments.paper.methods import METHODS, BoardCorners, PaperWay, board_pose, find_board, pair_motion, paper_cloud
 from experiments.paper.products import (
     PAIR_DEG,
     WORKING_M,
@@ -29,8 +30,8 @@ from experiments.paper.products import (
     room_colours,
     room_sweep,
 )
-from experiments.paper.stage import Metric, Stage, plt, rms, save
-from experiments.plain import METHODS, BoardCorners, PaperWay, board_pose, find_board, pair_motion, paper_cloud
+from experiments.paper.stage import Metric, Stage, plt, save
+from experiments.report import rms
 from jaxscan import recalibration
 from jaxscan.measurement.room import RoomBox
 from jaxscan.reconstruction import plan_sweep, smooth_stripes

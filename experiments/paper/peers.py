@@ -19,7 +19,6 @@ import matplotlib as mpl
 import numpy as np
 
 import jaxscan
-from experiments import plain
 from experiments.paper.figure_9 import (
     FARTHEST_M,
     NOT_MEASURED,
@@ -34,6 +33,7 @@ from experiments.paper.figure_9 import (
     thinned,
     true_size,
 )
+from experiments.paper.methods import Horus, horus_cloud, horus_points, load_horus
 from experiments.paper.products import PlainStripes, Room, horus_path, our_calibrations, room
 from experiments.paper.stage import Metric, Stage, plt, save
 from experiments.recalibration.trial import fitted
@@ -90,13 +90,13 @@ class Rig(NamedTuple):
     """One calibration of each kind, of the same images."""
 
     ours: jaxscan.Scanner
-    theirs: plain.Horus
+    theirs: Horus
 
 
 def run(stage: Stage) -> list[Metric]:
     """Stripes, planes, axes and rooms of all methods against the truth."""
     paths, seen = our_calibrations(stage), room(stage)
-    rigs = [Rig(jaxscan.load_scanner(path), plain.load_horus(horus_path(stage, k))) for k, path in enumerate(paths)]
+    rigs = [Rig(jaxscan.load_scanner(path), load_horus(horus_path(stage, k))) for k, path in enumerate(paths)]
     stage.say("peers: true stripes")
     truth, step = _truth(stage, len(seen.angles))
     found = {name: _seen(stage, seen, rigs[0], name, step) for name in WAYS}
@@ -153,7 +153,7 @@ def _their_points(seen: Room, rig: Rig, name: str, step: int) -> np.ndarray:
     """Points of every n-th record [records, rows, 3], m, with the origin on the axis and z up; n is `step`."""
     plain, theirs = seen.plain[_FINDER[name]], rig.theirs
     u, valid = _columns(plain, name)[::step], plain.valid[::step]
-    xyz = plain.horus_cloud(theirs, u, valid, seen.angles[::step], lens=name != "horus")
+    xyz = horus_cloud(theirs, u, valid, seen.angles[::step], lens=name != "horus")
     # The axis' point at the height of the camera.
     foot = theirs.point - (theirs.point @ theirs.direction) * theirs.direction
     xyz = (xyz - foot) @ UPRIGHT.T
@@ -223,7 +223,7 @@ def _depth_error(stage: Stage, rigs: list[Rig], name: str, depth: float) -> floa
             z = np.array([_on_our_sheet(rig.ours, q) for q in uv])
         else:
             uv = np.column_stack([np.rint(uv[:, 0]), uv[:, 1]]) if name == "whole" else uv
-            z = plain.horus_points(rig.theirs, uv, lens=name != "horus")[:, 2]
+            z = horus_points(rig.theirs, uv, lens=name != "horus")[:, 2]
         errors.append(z - depth)
     return 1e3 * float(np.sqrt(np.mean(np.square(errors))))
 

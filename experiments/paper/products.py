@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxscan
-from experiments import plain
-from experiments.paper.stage import Stage, windowed, windowed_scanner
-from experiments.plain import (
+from experiments.paper import methods
+from experiments.paper.methods import (
     Extract,
     PaperWay,
     calibrate_paper_way,
@@ -24,6 +23,7 @@ from experiments.plain import (
     stripe_on_board,
     total_plane,
 )
+from experiments.paper.stage import Stage, windowed, windowed_scanner
 from jaxscan.api.simulation import TEXTURE_PX
 from jaxscan.calibration import CalibrationSettings
 from jaxscan.errors import ConfigError
@@ -356,14 +356,14 @@ def our_calibrations(stage: Stage, count: int = 3) -> list[Path]:
         for number, folder in zip(missing, folders.values(), strict=True):
             calibration = jaxscan.calibrate(jaxscan.open_capture(folder), settings=SETTINGS)
             jaxscan.save_calibration(calibration, paths[number])
-            plain.save_horus(plain.calibrate_horus(jaxscan.open_capture(folder)), horus_path(stage, number))
+            methods.save_horus(methods.calibrate_horus(jaxscan.open_capture(folder)), horus_path(stage, number))
             shutil.rmtree(folder)
         stage.say(f"{len(missing)} calibrations by our protocol")
     return paths
 
 
 def horus_path(stage: Stage, number: int) -> Path:
-    """Where `our_calibrations` leaves a desk scanner's calibration of the same images, for `plain.load_horus`."""
+    """Where `our_calibrations` leaves a desk scanner's calibration of the same images, for `methods.load_horus`."""
     return stage.product(f"draws/horus_{number}.npz")
 
 
@@ -511,7 +511,7 @@ NEAR_M, FAR_M = 1.2, 4.0
 """Depths between which the room and its furniture lie, as a user knows [m]."""
 MARGIN = 40 / 2048
 """Columns read on either side of the stripe's, as a share of the image's width."""
-PLAIN = plain.EXTRACTORS | {"horus": plain.horus_scan, "horus_tuned": plain.horus_tuned}
+PLAIN = methods.EXTRACTORS | {"horus": methods.horus_scan, "horus_tuned": methods.horus_tuned}
 STRIDE = {"kind": 1, "unkind": 10}
 """Every n-th of the plan's steps is taken."""
 _QUICK_STEPS = 90

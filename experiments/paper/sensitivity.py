@@ -21,8 +21,8 @@ import numpy as np
 
 import jaxscan
 from experiments.paper.stage import Metric, Stage, plt, save, windowed, world
-from experiments.recalibration.limits import rms
 from experiments.recalibration.world import Noise, Sweeping, true_sweep
+from experiments.report import rms
 from experiments.worlds.calibration_trials import observations
 from experiments.worlds.ideal_boards import BoardPoses, add_noise, ideal_boards
 from jaxscan.calibration.parameters import USUALLY_FREE

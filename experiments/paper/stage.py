@@ -164,12 +164,6 @@ def shown(value: float) -> str:
     return f"{value:.4g}" if abs(value) < 1000 else f"{value:.2f}"
 
 
-def rms(values: np.ndarray) -> float:
-    """Root mean square of all values, in their unit; NaN if there is none."""
-    values = np.asarray(values)
-    return float(np.sqrt(np.mean(np.square(values)))) if values.size else np.nan
-
-
 def line(metric: Metric) -> str:
     """A figure as it is printed."""
     words = {"less": "less is better", "more": "more is better", "near": "no change wanted", "none": ""}

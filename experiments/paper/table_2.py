@@ -11,10 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxscan
+from experiments.paper.methods import METHODS, PaperWay, points_on_sheet
 from experiments.paper.products import Draw, draws, our_calibrations
-from experiments.paper.stage import Metric, Stage, plt, rms, save
+from experiments.paper.stage import Metric, Stage, plt, save
 from experiments.paper.table_1 import AGREE, ENOUGH
-from experiments.plain import METHODS, PaperWay, points_on_sheet
+from experiments.report import rms
 from jaxscan.calibration.verdict import depth_sigma, stripe_depths, stripe_pixels
 from jaxscan.geometry import Scanner
 from jaxscan.simulation import true_scanner

@@ -22,9 +22,9 @@ import numpy as np
 import tomli_w
 
 import jaxscan
+from experiments.plain import Lens, grid, pose_of, spread
 from experiments.real_sets.convert import convert
-from experiments.real_sets.measure import TableFrame, read_solved, spread, table_figures, table_from, write_rig
-from experiments.real_sets.plain import Lens, Pictures, grid, pose_of
+from experiments.real_sets.measure import Pictures, TableFrame, read_solved, table_figures, table_from, write_rig
 from experiments.real_sets.sets import BY_NAME, Source
 from experiments.report import command_line
 

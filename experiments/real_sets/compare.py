@@ -17,7 +17,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from experiments.plain import Lens, angle_deg
 from experiments.real_sets.measure import (
+    Pictures,
     PlainBoards,
     Solved,
     Version,
@@ -29,7 +31,6 @@ from experiments.real_sets.measure import (
     table_from,
     write_rig,
 )
-from experiments.real_sets.plain import Lens, Pictures, angle_deg
 from experiments.real_sets.sets import SETS, RealSet
 from experiments.report import command_line, number, table, write_json
 
@@ -38,7 +39,7 @@ HEAD = """# Strangers' captures
 
 `python -m experiments.real_sets.compare CAPTURES` writes this page; `experiments.real_sets.convert` makes the
 captures from copies of the public repositories, whose pictures are not part of this project. "before" is commit
-41c6dff, "now" the code beside this page. The plain method (`experiments/real_sets/plain`) is OpenCV's
+41c6dff, "now" the code beside this page. The plain method (`experiments/plain.py`) is OpenCV's
 `findChessboardCorners`, `cornerSubPix` and `calibrateCamera`, a centroid on every line, and RANSAC for lines and
 planes; "free" is `calibrateCameraRO`, in which every corner of the board is free. Nothing here has a known truth:
 held-out figures are of views that had no part in the solve but for their own pose. Distances of corners are lengths

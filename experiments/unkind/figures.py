@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.interpolate import PchipInterpolator  # type: ignore[import-untyped]
 
+from experiments.report import rms
 from experiments.unkind.scene import look
 from experiments.unkind.truth import Dimension, Rig, Rows, TrueStripes, Truth
 
@@ -18,11 +19,6 @@ NEAR_PX = 2.0
 LEAST_POINTS = 50
 """Points from which a class has a figure."""
 DEPTH_M = 2.5
-
-
-def rms(values: np.ndarray) -> float:
-    """Root mean square; NaN without values."""
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
 
 
 def sheet_grid(truth: Truth) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -5,9 +5,9 @@ import pytest
 
 import jaxscan
 from experiments.paper import products
+from experiments.paper.methods import PaperWay
 from experiments.paper.products import load_paper_way, save_paper_way
 from experiments.paper.stage import Stage, smaller, world
-from experiments.plain import PaperWay
 
 
 SCALE = 0.5

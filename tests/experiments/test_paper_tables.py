@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from experiments.paper import table_1
+from experiments.paper.methods import PaperWay
 from experiments.paper.products import PAIR_DEG
 from experiments.paper.stage import world
 from experiments.paper.table_1 import compare_honesty
-from experiments.plain import PaperWay
 from jaxscan.geometry import Scanner
 from jaxscan.simulation import SimulationConfig, true_scanner
 

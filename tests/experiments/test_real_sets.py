@@ -5,7 +5,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from experiments.real_sets.plain import (
+from experiments.plain import (
     Lens,
     Plane,
     angle_deg,
