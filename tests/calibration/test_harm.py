@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
-from jaxscan.calibration.verdict import length_sigma, measure_lengths, typical_lengths
-from jaxscan.calibration.verdict.propagate import ray_error, refusal
+from jaxscan.calibration.verdict import length_sigma, measure_lengths, refusal, typical_lengths
+from jaxscan.calibration.verdict.propagate import ray_error
 from jaxscan.calibration.verdict.quality import GoodTo
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Pinhole

@@ -9,7 +9,7 @@ import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
 from jaxscan.calibration.verdict.cross_validation import deal_halves
-from jaxscan.calibration.verdict.limits import chance
+from jaxscan.calibration.verdict.quality import chance
 from jaxscan.calibration.verdict.structure import moving_twist
 from jaxscan.geometry import exponential, invert
 

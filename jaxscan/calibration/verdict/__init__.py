@@ -1,9 +1,6 @@
 """Is a calibration good? Tests of its models, the harm that they find, its uncertainty in lengths, advice, limits."""
 
-from jaxscan.calibration.verdict.advice import advise, cure_causes, cures
-from jaxscan.calibration.verdict.describe import JudgedView, describe_quality, judge_views, warn
-from jaxscan.calibration.verdict.harm import Harm, find_harm
-from jaxscan.calibration.verdict.limits import Result, chance, is_held_by_priors, is_named, noise_kind
+from jaxscan.calibration.verdict.advice import advise, cure_causes, cures, refusal, warn
 from jaxscan.calibration.verdict.propagate import (
     Length,
     depth_sigma,
@@ -12,7 +9,6 @@ from jaxscan.calibration.verdict.propagate import (
     measure_good_to,
     measure_lengths,
     predict_lengths,
-    refusal,
     stripe_depths,
     stripe_pixels,
     typical_lengths,
@@ -22,6 +18,7 @@ from jaxscan.calibration.verdict.quality import (
     DepthSigma,
     Direction,
     GoodTo,
+    JudgedView,
     LaserLengths,
     Lengths,
     LengthSigma,
@@ -32,4 +29,10 @@ from jaxscan.calibration.verdict.quality import (
     SecondLook,
     Verdict,
     ViewQuality,
+    chance,
+    is_held_by_priors,
+    is_named,
+    judge_views,
+    noise_kind,
 )
+from jaxscan.calibration.verdict.structure import Harm, find_harm

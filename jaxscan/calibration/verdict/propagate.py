@@ -13,28 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.verdict import limits
-from jaxscan.calibration.verdict.quality import (
-    DepthSigma,
-    GoodTo,
-    LaserLengths,
-    Lengths,
-    LengthSigma,
-    ModelTest,
-)
-from jaxscan.geometry import (
-    AbstractCamera,
-    AbstractMotion,
-    LinearStage,
-    Rig,
-    Scanner,
-    Still,
-    Turntable,
-    lit_points,
-    points,
-    root_of,
-)
+from jaxscan.calibration.verdict.quality import DepthSigma, GoodTo, LaserLengths, Lengths, LengthSigma, ModelTest
+from jaxscan.geometry import AbstractCamera, LinearStage, Rig, Scanner, Still, Turntable, lit_points, points, root_of
 
 
 DEPTHS_M = (0.1, 0.15, 0.25, 0.4, 0.6, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 15.0, 25.0)
@@ -90,6 +70,11 @@ def _sigma(changes: np.ndarray) -> np.ndarray:
     return np.sqrt(np.sum(changes**2, axis=0))
 
 
+def _sigma(changes: np.ndarray) -> np.ndarray:
+    """Standard deviation of what changes so along each step [steps, ...]."""
+    return np.sqrt(np.sum(changes**2, axis=0))
+
+
 def _root(scanner: Scanner) -> np.ndarray:
     if scanner.covariance is None:
         raise ValueError("The scanner has no covariance, so nothing can be said about its lengths.")
@@ -108,7 +93,7 @@ class Lit(NamedTuple):
     """(u, v) [px] by ascending line; empty where that depth is nowhere in the image."""
     along: Float[np.ndarray, " lines"]
     """Where each lies along the stripe, counted from beside the optical axis [m]."""
-    per_pixel: float
+    per_pixel: float = np.inf
     """Change of the depth over one pixel [m / px]."""
 
     def middle(self) -> Float[np.ndarray, "2"]:
@@ -116,61 +101,40 @@ class Lit(NamedTuple):
         return self.q[np.argmin(np.abs(self.along))]
 
 
-def lit_lines(scanner: Scanner, laser: int, depths: Sequence[float]) -> list[Lit]:
-    """The stripe of one sheet on planes at several depths [m]; no depths, no stripes."""
-    if not len(depths):
-        return []
+def lit_lines(scanner: Scanner, laser: int, depth: float) -> Lit:
+    """The stripe of one sheet on a plane at a depth [m]."""
     size = np.array([scanner.camera.width, scanner.camera.height])
-    tangents = np.linspace(-_WIDEST_TANGENT, _WIDEST_TANGENT, _SAMPLES)
-    every = np.array([near * depth for depth in depths for near in (1.0, _NEARBY)])
-    along = np.repeat(depths, 2)[:, None] * tangents
-    q, seen = _stripe(scanner, laser, np.repeat(every, _SAMPLES), along.ravel())
-    q, seen = q.reshape(len(depths), 2, _SAMPLES, 2), np.all(seen.reshape(len(depths), 2, _SAMPLES), axis=1)
-    found = []
-    for number, depth in enumerate(depths):
-        at, shift = _at_lines(q[number, 0], seen[number], along[2 * number], q[number, 1], size)
-        found.append((depth, at, (_NEARBY - 1.0) * depth / shift))
-    # Interpolated to a tenth of a line; the pixels there are computed exactly.
-    count = [len(at) for _, at, _ in found]
-    q, seen = _stripe(scanner, laser, np.repeat(depths, count), np.concatenate([at for _, at, _ in found]))
-    kept = seen & ((q >= -0.5) & (q <= size - 0.5)).all(-1)
-    ends = np.cumsum(count)
-    parts = [slice(end - size, end) for end, size in zip(ends, count, strict=True)]
-    return [
-        Lit(depth, q[part][kept[part]], at[kept[part]], float(worth))
-        for (depth, at, worth), part in zip(found, parts, strict=True)
-    ]
-
-
-def _at_lines(
-    q: np.ndarray, seen: np.ndarray, along: np.ndarray, q_nearby: np.ndarray, size: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """Where along a sampled stripe the lines of the image are, and how far it shifts to the depth nearby [px]."""
-    inside = seen & ((q >= 0) & (q <= size - 1)).all(-1)
-    if inside.sum() < 2:
-        return np.zeros(0), 1.0
+    along = depth * np.linspace(-_WIDEST_TANGENT, _WIDEST_TANGENT, _SAMPLES)
+    (q, seen), (near, also) = (_stripe(scanner, laser, at, along) for at in (depth, _NEARBY * depth))
+    seen = seen & also
+    inside = np.flatnonzero(seen & ((q >= 0) & (q <= size - 1)).all(-1))
+    if len(inside) < 2:
+        return Lit(depth, np.zeros((0, 2)), np.zeros(0))
     axis = int(np.ptp(q[inside, 1]) >= np.ptp(q[inside, 0]))
-    middle = np.flatnonzero(inside)[inside.sum() // 2 + np.array([-1, 0])]
-    tangent = q[middle[1]] - q[middle[0]]
+    before, middle = inside[len(inside) // 2 + np.array([-1, 0])]
+    tangent = q[middle] - q[before]
     # A motion along the stripe is not seen.
-    shift = np.abs(np.linalg.det([tangent, q_nearby[middle[0]] - q[middle[0]]])) / np.linalg.norm(tangent)
-    order = np.argsort(q[seen, axis])
-    across, along = q[seen, axis][order], along[seen][order]
+    shift = np.abs(np.linalg.det([tangent, near[before] - q[before]])) / np.linalg.norm(tangent)
+    order = np.flatnonzero(seen)[np.argsort(q[seen, axis])]
     lines = np.arange(size[axis])
-    lines = lines[(lines >= across[0]) & (lines <= across[-1])]
-    return np.interp(lines, across, along), float(shift)
+    lines = lines[(lines >= q[order[0], axis]) & (lines <= q[order[-1], axis])]
+    # Interpolated to a tenth of a line; the pixels there are computed exactly.
+    at = np.interp(lines, q[order, axis], along[order])
+    q, seen = _stripe(scanner, laser, depth, at)
+    kept = seen & ((q >= -0.5) & (q <= size - 0.5)).all(-1)
+    return Lit(depth, q[kept], at[kept], float((_NEARBY - 1.0) * depth / shift))
 
 
-def _stripe(scanner: Scanner, laser: int, depth: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of the points of a sheet at depths, and whether the camera sees them there."""
+def _stripe(scanner: Scanner, laser: int, depth: float, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of the points of a sheet at a depth, and whether the camera sees them there."""
     sheet, camera = scanner.laser(laser), scanner.camera
     # In the plane z = depth the sheet is a line at a distance from the optical axis, but for its bow.
     steepness = float(np.hypot(sheet.normal[0], sheet.normal[1]))
     if steepness <= 1e-6:
-        return np.zeros((len(depth), 2)), np.zeros(len(depth), bool)
-    beside = np.asarray(sheet.normal[:2]) / steepness
-    points = lambda at: np.column_stack([np.outer(at, beside) + np.outer(along, [-beside[1], beside[0]]), depth])
-    at = (sheet.distance - sheet.normal[2] * depth) / steepness
+        return np.zeros((len(along), 2)), np.zeros(len(along), bool)
+    x, y = np.asarray(sheet.normal[:2]) / steepness
+    points = lambda at: np.stack([at * x - along * y, at * y + along * x, np.full(len(along), depth)], 1)
+    at = np.full(len(along), (sheet.distance - sheet.normal[2] * depth) / steepness)
     # Each round leaves the slope of the bow, less than a hundredth, of the error before.
     for _ in range(4):
         at = at - sheet.offset(points(at)) / steepness
@@ -179,6 +143,36 @@ def _stripe(scanner: Scanner, laser: int, depth: np.ndarray, along: np.ndarray) 
     # Far outside its field of view a lens model may fold back into the image.
     same = np.linalg.norm(camera.unproject(q) - p / np.linalg.norm(p, axis=1, keepdims=True), axis=1) < 1e-6
     return q, np.asarray(same & (np.abs(sheet.offset(p)) < 1e-6 * depth))
+
+
+def stripe_pixels(scanner: Scanner, laser: int, depth: float) -> Float[np.ndarray, "lines 2"]:
+    """Where the stripe of one depth is seen: one pixel for each row of the image that it crosses.
+
+    One for each column, if the stripe at that depth runs along the rows of the image.
+
+    Args:
+        scanner: Camera and sheets; its covariance is not used.
+        laser: Which sheet.
+        depth: z in the camera frame [m].
+
+    Returns:
+        (u, v) [px] by ascending row or column; empty where that depth is nowhere in the image.
+    """
+    return lit_lines(scanner, laser, depth).q
+
+
+def stripe_depths(scanner: Scanner, laser: int, q: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
+    """Depth z in the camera frame of stripe points seen at pixels `q` [m]."""
+    return np.asarray(lit_points(scanner.rig, q, laser)[0])[:, 2]
+
+
+def depth_sigma(scanner: Scanner, laser: int, q: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
+    """Standard deviation that the calibration causes in `stripe_depths` [m].
+
+    Raises:
+        ValueError: If the scanner has no covariance.
+    """
+    return _sigma(spread(scanner.rig, _root(scanner), lambda rig: np.asarray(lit_points(rig, q, laser)[0])[:, 2]))
 
 
 class Length(NamedTuple):
@@ -193,6 +187,67 @@ class Length(NamedTuple):
     """Pixels of the two points [2, 2]."""
     angle: np.ndarray
     """Table angles [rad] or positions of the stage [m] of the two points [2]."""
+
+
+def typical_lengths(scanner: Scanner, laser: int) -> list[Length]:
+    """Lengths that people ask for, as far as the rig reaches them.
+
+    300 mm at 2.5 m (or as long for its depth at the middle one of the depths in reach), along the
+    stripe of one image and across the sweep; and between two points half a turn apart: opposite
+    walls of two rooms, or two sides of an object on the table.
+    """
+    reached, table, found = _in_reach(scanner, laser), scanner.turntable, []
+    if not reached:
+        return []
+    lit = _middle(reached)
+    length, twice = _LENGTH_SHARE * lit.depth, lambda one: np.tile(one.middle(), (2, 1))
+    if np.ptp(lit.along) >= length:
+        # As near to the optical axis as the image lets it be.
+        middle = np.clip(0.0, lit.along.min() + length / 2, lit.along.max() - length / 2)
+        at, order = middle + length / 2 * np.array([-1.0, 1.0]), np.argsort(lit.along)
+        # Between neighbouring lines the stripe is straight to far less than a pixel.
+        ends = np.stack([np.interp(at, lit.along[order], lit.q[order, i]) for i in range(2)], axis=-1)
+        found.append(Length("along the stripe", lit.depth, laser, ends, np.zeros(2)))
+    move, halves = np.inf, list[float]()
+    if isinstance(table, LinearStage):
+        move = length / float(table.gain)
+    elif isinstance(table, Turntable):
+        # Turned so far that the point in the middle of the stripe moves by the length.
+        point = np.asarray(lit_points(scanner.rig, lit.middle()[None], laser)[0])[0]
+        radius = float(np.linalg.norm(np.cross(np.asarray(table.direction), point - np.asarray(table.point))))
+        if length <= 2.0 * radius:
+            move = 2.0 * np.arcsin(length / (2.0 * radius)) / abs(float(table.gain))
+        farthest = reached[-1].depth
+        halves = list(HALF_TURN_DEPTHS_M) if farthest >= max(HALF_TURN_DEPTHS_M) else [farthest]
+        halves = [_near_side(table)] if table.carries == "object" else halves
+    if np.isfinite(move):
+        found.append(Length("across the sweep", lit.depth, laser, twice(lit), np.array([0.0, move])))
+    opposite = [lit_lines(scanner, laser, depth) for depth in halves]
+    return found + [
+        Length("half a turn", one.depth, laser, twice(one), np.array([0.0, np.pi])) for one in opposite if len(one.q)
+    ]
+
+
+def measure_lengths(scanner: Scanner, lengths: Sequence[Length]) -> Float[np.ndarray, " lengths"]:
+    """The lengths as this scanner measures them at their pixels and angles [m]."""
+    return _measured(scanner.rig, lengths)
+
+
+def length_sigma(scanner: Scanner, lengths: Sequence[Length]) -> Float[np.ndarray, " lengths"]:
+    """Standard deviation that the calibration causes in `measure_lengths` [m].
+
+    Raises:
+        ValueError: If the scanner has no covariance.
+    """
+    return _sigma(spread(scanner.rig, _root(scanner), lambda rig: _measured(rig, lengths)))
+
+
+def _measured(rig: Rig, lengths: Sequence[Length]) -> np.ndarray:
+    if not lengths:
+        return np.zeros(0)
+    q, angle = (np.concatenate(parts) for parts in zip(*((one.q, one.angle) for one in lengths), strict=True))
+    p = np.asarray(points(rig, q, np.repeat([length.laser for length in lengths], 2), angle))
+    return np.linalg.norm(p[1::2] - p[0::2], axis=-1)
 
 
 def predict_lengths(scanner: Scanner) -> Lengths:
@@ -212,107 +267,18 @@ def predict_lengths(scanner: Scanner) -> Lengths:
     """
     steps, lasers = _root(scanner), []
     for index, name in enumerate(scanner.laser_names):
-        reached = _in_reach(scanner, index)
-        lengths = _typical(scanner, index, reached)
-        measured = zip(lengths, measure_lengths(scanner, lengths), _length_sigma(scanner, lengths, steps), strict=True)
-        described = tuple(
-            LengthSigma(length.name, length.depth, float(value), 1000.0 * float(sigma))
-            for length, value, sigma in measured
+        lengths = typical_lengths(scanner, index)
+        measured = zip(lengths, measure_lengths(scanner, lengths), length_sigma(scanner, lengths), strict=True)
+        told = tuple(
+            LengthSigma(one.name, one.depth, float(value), 1e3 * float(sigma)) for one, value, sigma in measured
         )
-        lasers.append(LaserLengths(name, _at_depths(scanner, index, reached, steps), described))
+        lasers.append(LaserLengths(name, _at_depths(scanner, index, _in_reach(scanner, index), steps), told))
     return Lengths(tuple(lasers))
 
 
-def stripe_pixels(scanner: Scanner, laser: int, depth: float) -> Float[np.ndarray, "lines 2"]:
-    """Where the stripe of one depth is seen: one pixel for each row of the image that it crosses.
-
-    One for each column, if the stripe at that depth runs along the rows of the image.
-
-    Args:
-        scanner: Camera and sheets; its covariance is not used.
-        laser: Which sheet.
-        depth: z in the camera frame [m].
-
-    Returns:
-        (u, v) [px] by ascending row or column; empty where that depth is nowhere in the image.
-    """
-    return lit_lines(scanner, laser, (depth,))[0].q
-
-
-def stripe_depths(scanner: Scanner, laser: int, q: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
-    """Depth z in the camera frame of stripe points seen at pixels `q` [m]."""
-    return np.asarray(lit_points(scanner.rig, q, laser)[0])[:, 2]
-
-
-def depth_sigma(scanner: Scanner, laser: int, q: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
-    """Standard deviation that the calibration causes in `stripe_depths` [m].
-
-    Raises:
-        ValueError: If the scanner has no covariance.
-    """
-    return _sigma(spread(scanner.rig, _root(scanner), lambda rig: np.asarray(lit_points(rig, q, laser)[0])[:, 2]))
-
-
-def typical_lengths(scanner: Scanner, laser: int) -> list[Length]:
-    """Lengths that people ask for, as far as the rig reaches them.
-
-    300 mm at 2.5 m (or as long for its depth at the middle one of the depths in reach), along the
-    stripe of one image and across the sweep; and between two points half a turn apart: opposite
-    walls of two rooms, or two sides of an object on the table.
-    """
-    return _typical(scanner, laser, _in_reach(scanner, laser))
-
-
-def measure_lengths(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray, " lengths"]:
-    """The lengths as this scanner measures them at their pixels and angles [m]."""
-    return _measured(scanner.rig, lengths)
-
-
-def length_sigma(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray, " lengths"]:
-    """Standard deviation that the calibration causes in `measure_lengths` [m].
-
-    Raises:
-        ValueError: If the scanner has no covariance.
-    """
-    return _length_sigma(scanner, lengths, _root(scanner))
-
-
-def _length_sigma(scanner: Scanner, lengths: list[Length], steps: np.ndarray) -> np.ndarray:
-    return _sigma(spread(scanner.rig, steps, lambda rig: _measured(rig, lengths)))
-
-
-def _measured(rig: Rig, lengths: list[Length]) -> np.ndarray:
-    """[lengths], metres."""
-    if not lengths:
-        return np.zeros(0)
-    q, angle = (np.concatenate(parts) for parts in zip(*((one.q, one.angle) for one in lengths), strict=True))
-    p = np.asarray(points(rig, q, np.repeat([length.laser for length in lengths], 2), angle))
-    return np.linalg.norm(p[1::2] - p[0::2], axis=-1)
-
-
-def _typical(scanner: Scanner, laser: int, reached: list[Lit]) -> list[Length]:
-    if not reached:
-        return []
-    lit = _middle(reached)
-    found = [
-        _along_stripe(laser, lit, _LENGTH_SHARE * lit.depth),
-        _across_sweep(scanner, laser, lit, _LENGTH_SHARE * lit.depth),
-        *_half_turns(scanner, laser, reached[-1].depth),
-    ]
-    return [length for length in found if length is not None]
-
-
-def _half_turns(scanner: Scanner, laser: int, farthest: float) -> list[Length | None]:
-    """Between opposite walls, or two sides of an object; none without a table."""
-    table = scanner.turntable
-    halves: tuple[float, ...] = HALF_TURN_DEPTHS_M
-    if not isinstance(table, Turntable):
-        return []
-    if table.carries == "object":
-        halves = ((1.0 - _OBJECT_SHARE) * float(table.point[2]),)
-    elif farthest < max(halves):
-        halves = (farthest,)
-    return [_half_turn(laser, lit) for lit in lit_lines(scanner, laser, halves)]
+def _near_side(table: Turntable) -> float:
+    """Depth of the near side of an object on a table [m]."""
+    return (1.0 - _OBJECT_SHARE) * float(table.point[2])
 
 
 def _middle(reached: list[Lit]) -> Lit:
@@ -326,46 +292,37 @@ def _in_reach(scanner: Scanner, laser: int) -> list[Lit]:
     """
     table = scanner.turntable
     limit = 2.0 * float(table.point[2]) if isinstance(table, Turntable) and table.carries == "object" else np.inf
-    candidates = lit_lines(scanner, laser, [depth for depth in DEPTHS_M if depth <= limit])
+    candidates = [lit_lines(scanner, laser, depth) for depth in DEPTHS_M if depth <= limit]
     return [lit for lit in candidates if len(lit.q) and lit.per_pixel <= _MAX_PIXEL_SHARE * lit.depth]
 
 
-def _at_depths(scanner: Scanner, laser: int, reached: list[Lit], steps: np.ndarray) -> tuple[DepthSigma, ...]:
+def _at_depths(scanner: Scanner, laser: int, reached: Sequence[Lit], steps: np.ndarray) -> tuple[DepthSigma, ...]:
+    """The errors of the steps at some depths."""
     if not reached:
         return ()
-    stops, still = _stops(scanner.turntable), [_some(lit.q, _LINES) for lit in reached]
-    turning = [np.tile(_some(lit.q, _TURN_LINES), (len(stops), 1)) for lit in reached]
-    angle = np.concatenate([np.repeat(stops, len(q) // len(stops)) for q in turning])
-    q_still, q_turning = np.concatenate(still), np.concatenate(turning)
+    motion, stops = scanner.turntable, np.zeros(1)
+    if isinstance(motion, Turntable):
+        stops = 2.0 * np.pi * np.arange(_TURN_STOPS) / _TURN_STOPS
+    elif isinstance(motion, LinearStage):
+        stops = np.linspace(-0.5 * TRAVEL_M, 0.5 * TRAVEL_M, _TURN_STOPS)
+    some = lambda lit, count: lit.q[np.unique(np.linspace(0, len(lit.q) - 1, count).round().astype(int))]
+    # Before the camera where it stands still, and all around.
+    still, around = [some(lit, _LINES) for lit in reached], [some(lit, _TURN_LINES) for lit in reached]
+    turning = np.concatenate([np.tile(q, (len(stops), 1)) for q in around])
+    angle, standing = np.concatenate([np.repeat(stops, len(q)) for q in around]), np.concatenate(still)
 
     def measure(rig: Rig) -> np.ndarray:
-        # Before the camera where it stands still, and all around.
-        parts = lit_points(rig, q_still, laser)[0], points(rig, q_turning, laser, angle)
-        return np.concatenate([np.asarray(part) for part in parts])
+        return np.concatenate([np.asarray(lit_points(rig, standing, laser)[0]), points(rig, turning, laser, angle)])
 
-    ends = np.cumsum([len(q) for q in (*still, *turning)])[:-1]
+    ends = np.cumsum([*map(len, still), *(len(q) * len(stops) for q in around)])[:-1]
     p, changes = np.split(measure(scanner.rig), ends), np.split(spread(scanner.rig, steps, measure), ends, axis=1)
-    found = []
-    for index, lit in enumerate(reached):
-        here, change, around = p[index], changes[index], len(reached) + index
-        unit = here / np.linalg.norm(here, axis=1, keepdims=True)
-        found.append(
-            DepthSigma(
-                depth_m=lit.depth,
-                lines=len(lit.q),
-                sigma_depth_mm=1000.0 * _rms(_sigma(change[..., 2])),
-                sigma_range_mm=1000.0 * _rms(_sigma(np.sum(change * unit, axis=-1))),
-                sigma_point_mm=1000.0 * _shape_sigma(p[around], changes[around]),
-            )
-        )
+    rms, found = lambda change: 1e3 * float(np.sqrt(np.mean(_sigma(change) ** 2))), []
+    for number, lit in enumerate(reached):
+        unit = p[number] / np.linalg.norm(p[number], axis=1, keepdims=True)
+        depth, range_ = rms(changes[number][..., 2]), rms(np.sum(changes[number] * unit, axis=-1))
+        turned = _shape_sigma(p[len(reached) + number], changes[len(reached) + number])
+        found.append(DepthSigma(lit.depth, len(lit.q), depth, range_, 1e3 * turned))
     return tuple(found)
-
-
-def _stops(motion: AbstractMotion) -> np.ndarray:
-    """Positions of a motion at which points stand for a whole cloud [rad or m]."""
-    if isinstance(motion, Turntable):
-        return 2.0 * np.pi * np.arange(_TURN_STOPS) / _TURN_STOPS
-    return np.linspace(-0.5 * TRAVEL_M, 0.5 * TRAVEL_M, _TURN_STOPS) if isinstance(motion, LinearStage) else np.zeros(1)
 
 
 def _shape_sigma(p: np.ndarray, changes: np.ndarray) -> float:
@@ -376,47 +333,6 @@ def _shape_sigma(p: np.ndarray, changes: np.ndarray) -> float:
     moved = changes.reshape(len(changes), arm.size)
     moved = moved - (moved @ motions) @ motions.T
     return float(np.sqrt(np.sum(moved**2) / len(arm)))
-
-
-def _along_stripe(laser: int, lit: Lit, length: float) -> Length | None:
-    """Two points of one image, as near to the optical axis as the image lets them be."""
-    if len(lit.q) == 0 or np.ptp(lit.along) < length:
-        return None
-    middle = np.clip(0.0, lit.along.min() + length / 2, lit.along.max() - length / 2)
-    at, order = middle + length / 2 * np.array([-1.0, 1.0]), np.argsort(lit.along)
-    # Between neighbouring lines the stripe is straight to far less than a pixel.
-    ends = np.stack([np.interp(at, lit.along[order], lit.q[order, i]) for i in range(2)], axis=-1)
-    return Length("along the stripe", lit.depth, laser, ends, np.zeros(2))
-
-
-def _across_sweep(scanner: Scanner, laser: int, lit: Lit, length: float) -> Length | None:
-    """The middle of the stripe, turned or moved so far that the point moves by the length; None without a motion."""
-    table = scanner.turntable
-    if isinstance(table, LinearStage):
-        moved = np.array([0.0, length / float(table.gain)])
-        return Length("across the sweep", lit.depth, laser, np.tile(lit.middle(), (2, 1)), moved)
-    if not isinstance(table, Turntable):
-        return None
-    point = np.asarray(lit_points(scanner.rig, lit.middle()[None], laser)[0])[0]
-    radius = float(np.linalg.norm(np.cross(np.asarray(table.direction), point - np.asarray(table.point))))
-    if length > 2.0 * radius:
-        return None
-    turn = 2.0 * np.arcsin(length / (2.0 * radius)) / abs(float(table.gain))
-    return Length("across the sweep", lit.depth, laser, np.tile(lit.middle(), (2, 1)), np.array([0.0, turn]))
-
-
-def _half_turn(laser: int, lit: Lit) -> Length | None:
-    if len(lit.q) == 0:
-        return None
-    return Length("half a turn", lit.depth, laser, np.tile(lit.middle(), (2, 1)), np.array([0.0, np.pi]))
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
-def _some(values: np.ndarray, count: int) -> np.ndarray:
-    return values[np.unique(np.linspace(0, len(values) - 1, count).round().astype(int))]
 
 
 def measure_good_to(
@@ -433,20 +349,35 @@ def measure_good_to(
         scanner: The calibrated rig; None of a camera alone.
         statistical: Steps of noise, in the minimal coordinates of the rig, those of the camera first.
         structure: The tests, each with the steps of its structure, none where there is none.
-        at_m: Depth of the points [m]; None: as people judge such a rig.
+        at_m: Depth of the points [m]; None: 2.5 m, or the middle one of the depths in reach; of an object on a table
+            its near side.
 
     Returns:
-        The errors, and the tests with their parts of them.
+        The errors, those of points of the laser that is worst, and the tests with their parts of them.
     """
     groups = [statistical, *(steps for _, steps in structure)]
     px = [ray_error(camera, steps[:, : len(camera.parameter_names())]) for steps in groups]
-    mm, depth = _at_work(scanner, groups, at_m)
+    mm, worst = list[float](), None
+    for laser in range(0 if scanner is None else len(scanner.laser_names)):
+        depth, table = at_m, scanner.turntable
+        if depth is None and (reached := _in_reach(scanner, laser)):
+            depth = _middle(reached).depth
+            if isinstance(table, Turntable) and table.carries == "object":
+                depth = _near_side(table)
+        lit = None if depth is None else lit_lines(scanner, laser, depth)
+        if lit is None or not len(lit.q):
+            continue
+        found = [_at_depths(scanner, laser, [lit], steps)[0] for steps in groups]
+        # Without a motion, errors of the range.
+        errors = [one.sigma_range_mm if isinstance(table, Still) else one.sigma_point_mm for one in found]
+        if np.linalg.norm(errors) > np.linalg.norm(mm):
+            mm, worst = errors, depth
     tests = [
         replace(test, effect_px=px[index], effect_mm=mm[index] if mm else None) if len(steps) else test
         for index, (test, steps) in enumerate(structure, 1)
     ]
     whole = lambda parts: float(np.linalg.norm(parts)) if parts else None
-    return GoodTo(whole(mm), mm[0] if mm else None, depth, whole(px), px[0]), tuple(tests)
+    return GoodTo(whole(mm), mm[0] if mm else None, worst, whole(px), px[0]), tuple(tests)
 
 
 def ray_error(camera: AbstractCamera, steps: Float[np.ndarray, "steps params"]) -> float:
@@ -487,63 +418,3 @@ def focal_share(camera: AbstractCamera, steps: Float[np.ndarray, "steps params"]
     scale = lambda moved: np.trace(np.asarray(moved.slopes(np.array([0.0, 0.0, 1.0])))[:, :2])
     changes = spread(camera, _SMALL * steps[:, : len(camera.parameter_names())], scale) / _SMALL
     return float(np.linalg.norm(changes) / scale(camera))
-
-
-def refusal(
-    good_to: GoodTo,
-    camera: AbstractCamera,
-    settings: CalibrationSettings,
-    *,
-    has_sheets: bool = True,
-    focal: float = 0.0,
-) -> str | None:
-    """Why a calibration cannot be used, its focal length known to a share of it; None where it can."""
-    mm, px, at_m = good_to.sigma_mm, good_to.sigma_px, good_to.at_m
-    if mm is None and settings.limit_mm is not None:
-        if not has_sheets:
-            return f"{settings.limit_mm:g} mm were asked, and without a laser sheet there are no points"
-        where = "within reach" if settings.at_m is None else f"in the image at {settings.at_m:g} m"
-        return f"{settings.limit_mm:g} mm were asked, and no stripe is {where}"
-    if mm is not None and settings.limit_mm is not None and mm > settings.limit_mm:
-        return f"{settings.limit_mm:g} mm were asked"
-    if px is not None and settings.limit_px is not None and px > settings.limit_px:
-        return f"{settings.limit_px:g} px were asked, and its rays are good to {px:.2g} px"
-    if focal > limits.UNKNOWN_FOCAL:
-        return (
-            f"its focal length is known to {100 * focal:.2g} % only, which makes no camera: tilt the board by 20 to "
-            "45 degrees in different directions"
-        )
-    share = f"{100 * limits.USELESS_SHARE:.0f} %"
-    if mm is not None and at_m is not None and mm > 1e3 * limits.USELESS_SHARE * at_m:
-        return f"points that are off by more than {share} of their distance are of no use"
-    if px is not None and px > limits.USELESS_SHARE * 0.5 * (float(camera.fx) + float(camera.fy)):
-        return f"rays that are off by more than {share} of the focal length are of no use"
-    return None
-
-
-def _at_work(
-    scanner: Scanner | None, groups: Sequence[np.ndarray], at_m: float | None
-) -> tuple[list[float], float | None]:
-    """Errors of scanned points for each group of steps [mm], of the laser that is worst, and their depth [m].
-
-    Without a motion, errors of their range. A rig is judged at 2.5 m, or at the middle one of the depths in reach; that
-    of an object on a table at its near side.
-    """
-    worst: list[float] = []
-    worst_depth = None
-    if scanner is None:
-        return worst, worst_depth
-    for laser in range(len(scanner.laser_names)):
-        depth, table = at_m, scanner.turntable
-        if depth is None and (reached := _in_reach(scanner, laser)):
-            depth = _middle(reached).depth
-            if isinstance(table, Turntable) and table.carries == "object":
-                depth = (1.0 - _OBJECT_SHARE) * float(table.point[2])
-        lit = None if depth is None else lit_lines(scanner, laser, (depth,))[0]
-        if lit is None or not len(lit.q):
-            continue
-        found = [_at_depths(scanner, laser, [lit], steps)[0] for steps in groups]
-        errors = [one.sigma_range_mm if isinstance(table, Still) else one.sigma_point_mm for one in found]
-        if np.linalg.norm(errors) > np.linalg.norm(worst):
-            worst, worst_depth = errors, depth
-    return worst, worst_depth

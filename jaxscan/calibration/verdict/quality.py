@@ -1,11 +1,71 @@
-"""Numbers by which to judge a calibration, from the solve to the report and to JSON.
+"""Numbers by which to judge a calibration, from the solve to the report and to JSON, and the limits of them all.
 
 Fields have the names of the keys in files. None means that a file does not say.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
-from jaxscan.calibration.verdict.limits import Result, result_of_test
+import numpy as np
+
+from jaxscan.calibration.fit import Fit
+from jaxscan.observation import Observations
+
+
+STRUCTURE_P = 0.01
+"""Chance of finding structure in good data, all tests together."""
+USELESS_SHARE = 0.05
+"""A calibration cannot be used where its points are off by more than this share of their distance, or its rays by more
+than this share of the focal length, which is the same: a room of 4 m wrong by 20 cm is told better by pacing it."""
+UNKNOWN_FOCAL = 0.03
+"""A camera whose focal length is known no better than to this share is not determined by its views."""
+_NAMED_SHARE = 0.3
+"""A cause is named where its part is at least this share of the whole: a smaller one adds less than 5 % to it."""
+
+PRIOR_COST = 0.01
+"""A larger share of the priors in the cost is worth a warning: they should only hold unknowns that the data do not."""
+REJECTED = 0.03
+"""So is a larger share of rejected corners or stripe points ..."""
+ODD_VIEW = 4.0
+"""... and a view whose corners, rejected ones included, are this many times as far off as usual."""
+FAR_OFF, MANY_REJECTED = 2.0, 0.2
+"""A view stands out if its kept corners are this many times as far off as usual, or this share is rejected."""
+# Whitened residuals between these are as large as the detector promised.
+_QUIET, _NOISY = 0.75, 1.33
+# A direction of which the priors know more than this share is theirs rather than the data's.
+_PRIOR_SHARE = 0.5
+
+Result = Literal["passes", "noisy", "structure"]
+"""The outcome of a test: "structure" in the residuals, or residuals that are only larger than promised ("noisy")."""
+
+
+def chance(p: Sequence[float]) -> float:
+    """Probability that chance alone gives one of several tests a p as small as the smallest (Bonferroni's bound)."""
+    return min(1.0, len(p) * min(p)) if p else 1.0
+
+
+def result_of_test(p: float, p_structure: float, tests: int) -> Result:
+    """How one of several tests ended; together they find structure in good data with `STRUCTURE_P`."""
+    limit = STRUCTURE_P / tests
+    if p_structure <= limit:
+        return "structure"
+    return "noisy" if p <= limit else "passes"
+
+
+def noise_kind(ratio: float) -> Literal["quiet", "promised", "noisy"]:
+    """How residuals of a whitened RMS compare with the promise of their detector."""
+    return "noisy" if ratio > _NOISY else "quiet" if ratio < _QUIET else "promised"
+
+
+def is_held_by_priors(sigma_over_prior: float) -> bool:
+    """Whether a direction is known from priors rather than from the data."""
+    return sigma_over_prior**2 > _PRIOR_SHARE
+
+
+def is_named(part: float, whole: float) -> bool:
+    """Whether a cause's part of a standard deviation is worth a word."""
+    return part > _NAMED_SHARE * whole
 
 
 @dataclass(frozen=True)
@@ -269,3 +329,48 @@ class Quality:
     def lasers(self) -> tuple[LaserLengths, ...]:
         """Predicted lengths of each laser; empty where there are none."""
         return () if self.lengths is None else self.lengths.lasers
+
+
+class JudgedView(NamedTuple):
+    """One view beside the others."""
+
+    quality: ViewQuality
+    row: int | None
+    """Of the observations; None where the fit is not known."""
+    kept_rms_px: float | None
+    """Of the corners that were not rejected; None where that is not known, or none is left."""
+    usual_px: float
+    """Median of `kept_rms_px` over all views; 0 where nothing is known."""
+
+    @property
+    def far_off(self) -> bool:
+        """Whether its kept corners stand out."""
+        return (self.kept_rms_px or 0.0) > FAR_OFF * self.usual_px > 0
+
+    @property
+    def lost_many(self) -> bool:
+        """Whether an unusual share of its corners was rejected."""
+        return self.quality.corners_rejected > MANY_REJECTED * self.quality.corners
+
+    @property
+    def rms_px(self) -> float:
+        """Of the kept corners, or of all where nothing is kept [px]."""
+        return self.kept_rms_px or self.quality.corner_rms_px or 0.0
+
+
+def judge_views(quality: Quality, fit: Fit | None, observations: Observations | None) -> list[JudgedView]:
+    """All views, those with the largest residuals first."""
+    rows: list[tuple[int | None, float | None]] = [(None, None)] * len(quality.per_view)
+    if fit is not None and observations is not None:
+        count = fit.corner_kept.sum(1)
+        square = np.where(fit.corner_kept, np.sum(fit.corner_error**2, -1), 0.0).sum(1)
+        rms = np.sqrt(square / np.maximum(count, 1)).tolist()
+        # Several captures may have records of the same number; all of them stand in the order of the views.
+        left = iter(enumerate(np.asarray(observations.corners.record).tolist()))
+        for place, view in enumerate(quality.per_view):
+            row = next((row for row, record in left if record == view.record), None)
+            rows[place] = row, rms[row] if row is not None and count[row] else None
+    known = [kept for _, kept in rows if kept]
+    usual = float(np.median(known)) if known else 0.0
+    views = [JudgedView(view, *row, usual) for view, row in zip(quality.per_view, rows, strict=True)]
+    return sorted(views, key=lambda view: -view.rms_px)

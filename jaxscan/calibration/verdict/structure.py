@@ -1,20 +1,22 @@
-r"""Do the models of lens, board, table and sheet suffice? Tests of the residuals.
+r"""Structure in the residuals: which model lacks something, and the error that this does to the rig.
 
-A score test (Rao) asks of every model whether terms that it does not have would be worth
-having: with residuals $r$ at the minimum, derivatives $J$ by the unknowns and $E$ by the extra
-terms, all whitened, and $g = E^T r$,
+A score test (Rao) asks of every model whether terms that it does not have would be worth having: with residuals $r$ at
+the minimum, derivatives $J$ by the unknowns and $E$ by the extra terms, all whitened, and $g = E^T r$,
 
 $$T = g^T V^{-1} g, \qquad V = E^T E - E^T J (J^T J)^{-1} J^T E$$
 
-is chi-squared with as many degrees of freedom as terms that the unknowns cannot imitate. Nothing
-is solved again, the derivatives are there from the solve, and the failing model is named.
-Cross-validations, by two halves of the records and by the middle of the image, ask the same of all
-models together, and of the lens where no corner was seen.
+is chi-squared with as many degrees of freedom as terms that the unknowns cannot imitate. Nothing is solved again.
+
+The harm is told as steps of the parameters, like standard deviations along independent directions: $\sum_k s_k s_k^T$
+is added to their covariance. With the sizes $-m$ of the missing terms the shared unknowns are off by
+$\delta = (J^T J)^{-1} J^T E m$ ("imitation"), and the missing shape itself remains beside it. Of lens and sheet the two
+are added first, since they cancel in part; the shape that their parameters can follow becomes a step of these, and the
+rest a step of those that act alike.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -22,41 +24,40 @@ from jaxtyping import Float, Int
 from jaxscan.calibration.chi_squared import chance_of
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjustment import Adjustment
-from jaxscan.calibration.solve.joint import Linearised
-from jaxscan.calibration.solve.prepare import Prepared
-from jaxscan.calibration.solve.problem import LEAST_STOP_SIGMA, Problem, corner_pixels, move, used_stops
+from jaxscan.calibration.solve.problem import LEAST_STOP_SIGMA, Problem, corner_pixels, layout_of, move
 from jaxscan.calibration.solve.stops import faults_of_motion
-from jaxscan.calibration.verdict.cross_validation import Split, compare_halves, compare_regions
-from jaxscan.calibration.verdict.limits import result_of_test
-from jaxscan.calibration.verdict.quality import ModelTest
-from jaxscan.geometry import AbstractMotion
+from jaxscan.calibration.verdict.cross_validation import Split, compare_halves, compare_regions, put_back_lines
+from jaxscan.calibration.verdict.propagate import TRAVEL_M
+from jaxscan.calibration.verdict.quality import ModelTest, result_of_test
+from jaxscan.geometry import AbstractMotion, LinearStage
 from jaxscan.leastsq import Unknowns
+from jaxscan.observation import Observations
 
 
-# Directions in which the unknowns imitate the extra terms but for this share are left out: their
-# remainder is as small as the second order of the projection, which is no noise. Of the next
-# powers of the radius little else remains, and only their mean by second order is taken off.
-_IMITATED = 1e-2
-_RADIAL_IMITATED = 1e-3
-# Stops that err by chance imitate a fault of the table but for the part that chance makes unlikely.
-_TURN_IMITATED = 1e-6
+# Share of the terms of a model, in each direction, that the unknowns must not imitate. Less is as small as the second
+# order of the projection, which is no noise; of the next powers of the radius little else remains, and stops that err
+# by chance imitate a fault of the table but for the part that chance makes unlikely.
+_IMITATED, _IMITATED_BY = 1e-2, {"radial": 1e-3, "table": 1e-6}
 _ORDER = ("lens", "board", "table", "axis", "sheet")
+# The halves are compared again, with the weights promised, where the noise differs from the promise by this share.
 _REPEATED = 0.05
 # Square of what noise alone gives a direction, at two standard deviations.
 _CHANCE = 4.0
-# Degrees of the polynomials.
-_LENS_DEGREE = 6
+_LENS_DEGREE, _HEIGHT_DEGREE, _PRINT_DEGREE = 6, 4, 3
 _RADIAL_POWERS = (4, 5)
-_HEIGHT_DEGREE = 4
-_PRINT_DEGREE = 3
+# Of the sheet along the stripe, and across it.
 _SHEET_DEGREES = (5, 1)
+# Zones of the image by the place in it, -1 ... 1: corners where both coordinates are beyond this, edges where one is,
+# and the middle within half of it. A zone is named where its error is this many times that of the whole image.
+_OUTER, _STANDS_OUT = 0.6, 1.3
 
 
-class Extents(NamedTuple):
-    """Centres and half sizes that make coordinates of image and stripes about -1 ... 1."""
+class Harm(NamedTuple):
+    """A test, and the error that the structure it found does."""
 
-    image: Float[np.ndarray, "2 2"]
-    stripe: Float[np.ndarray, "2 2"]
+    test: ModelTest
+    steps: Float[np.ndarray, "steps shared"]
+    """In px, rad, m: at most one for each parameter of the rig; none without structure."""
 
 
 class Score(NamedTuple):
@@ -68,45 +69,20 @@ class Score(NamedTuple):
     variance: Float[np.ndarray, "terms terms"]
     taken: Float[np.ndarray, "terms shared"]
     """$(J^T J)^{-1} J^T E$: how the shared unknowns imitate each term."""
-    places: dict[str, np.ndarray]
-    """Positions of the terms of each model."""
-
-
-class Missing(NamedTuple):
-    """Terms that a model lacks, as far as the residuals show them, and their changes of terms found before.
-
-    Terms of several models are in one order (`Score.places`).
-    """
-
-    size: np.ndarray
-    """The residuals ask for `-size` of each term; less the part that noise alone would give, but of single views."""
-    noise: np.ndarray
-    """Root of the covariance of `size` as noise causes it [terms, seen]."""
-    shift: np.ndarray
-    """How far the shared unknowns would go [scaled units], to first order, if the model had these terms."""
-
-
-class Judged(NamedTuple):
-    """The tests of the models, and the terms that explain the structure in the residuals."""
-
-    tests: tuple[ModelTest, ...]
-    """"lens", "board", "table" (its angles), "axis" (whether it stands still), "sheet", "halves" and "regions", those
-    that the data allow."""
-    missing: dict[str, Missing]
-    """By the name of the test. The same residuals may fail several tests: models that add nothing to others are not
-    here."""
-    places: dict[str, np.ndarray]
-    """Positions of the terms of each model in `Missing`."""
-    splits: dict[str, Split]
-    """The cross-validations that the data allow, by the names of their tests."""
+    places: dict[str, Int[np.ndarray, " _own"]]
+    """Positions of the terms of each model: "lens", "radial" (a part of it), "board", and where there are any "table",
+    "axis" and "sheet"."""
+    shapes: dict[str, np.ndarray]
+    """What a unit of each term does: to corners [views, rows, terms], px, for lens and radial; to stripe points
+    [stripes, points, terms], px, for the sheet; to positions of the motion [views, terms], rad or m, for the table."""
 
 
 class _Seen(NamedTuple):
     """Directions of the terms in which the score says something."""
 
-    root: np.ndarray
-    """Independent directions [terms, seen], of unit variance."""
-    parts: np.ndarray
+    root: Float[np.ndarray, "terms seen"]
+    """Independent directions of unit variance."""
+    parts: Float[np.ndarray, " seen"]
     """The score along them, in standard deviations."""
 
     @property
@@ -122,52 +98,97 @@ class _Seen(NamedTuple):
         return dof * (ratio - 1.0 - float(np.log(ratio)))
 
 
-def judge(result: Adjustment, settings: CalibrationSettings) -> Judged:
-    """Test the models of a finished solve; call in 64 bit.
+class _Missing(NamedTuple):
+    """Terms that a model lacks, as far as the residuals show them, and their changes of terms found before."""
+
+    size: Float[np.ndarray, " terms"]
+    """The residuals ask for `-size` of each term; less the part that noise alone would give, but of single views."""
+    noise: Float[np.ndarray, "terms seen"]
+    """Root of the covariance of `size` as noise causes it."""
+    imitation: Float[np.ndarray, " shared"]
+    """How far the shared unknowns would go, to first order, if the model had these terms [px, rad, m]."""
+
+
+def find_harm(result: Adjustment, settings: CalibrationSettings, given: Observations) -> list[Harm]:
+    """Test the models of a finished solve, and find the error that the structure in its residuals does.
 
     Args:
-        result: Of `adjust`, converged.
+        result: Of `adjust`, converged; call in 64 bit.
         settings: Of the solve.
+        given: The observations before any was left out.
+
+    Returns:
+        The tests that the data allow: "lens", "board", "table" (its angles), "axis" (whether it stands still), "sheet",
+        then the cross-validations "halves", "regions" and "lines", which count for the part that others do not cover.
+        The same residuals may fail several tests: a model that adds nothing to others does no harm.
     """
-    corner_noise, stripe_noise = result.corner_noise, result.stripe_noise_rms
-    score = score_models(result.problem, result.linearised, extents_of(result.data))
-    seen = {name: _look(score, name) for name in (*_ORDER, "radial") if name in score.places}
+    score, scales = score_models(result), np.asarray(result.problem.scales)
+    looks = {name: _look(score, name) for name in (*_ORDER, "radial") if name in score.places}
+    tests, splits = _score_tests(result, looks), _cross_validations(result, settings)
+    count = len(tests) + len(splits)
+    fails = lambda test: result_of_test(test.p, test.p_structure, count) == "structure"
+    failed = {test.name for test in tests if fails(test)}
+    suspects = [name for name in looks if ("lens" if name == "radial" else name) in failed]
+    missing, found, none = _explain(score, suspects, count, scales), list[Harm](), np.zeros((0, len(scales)))
+    for test in tests:
+        steps, where = _steps_of(result, score, missing[test.name]) if test.name in missing else (none, None)
+        found.append(Harm(replace(test, where=where), steps))
+    for test, split in splits:
+        before = np.concatenate([none, *(harm.steps for harm in found)])
+        found.append(Harm(test, split.beyond(before.T @ before, scales)[None] if fails(test) else none))
+    lines = put_back_lines(result, given) if len(result.problem.lasers.distance) else []
+    return [*found, Harm(_lines_test(result, lines), np.stack(lines))] if lines else found
+
+
+def _score_tests(result: Adjustment, looks: dict[str, _Seen]) -> list[ModelTest]:
+    """The tests; of "lens" and "radial" the one is taken out of `looks` that finds less."""
     tests = []
-    for name in (name for name in _ORDER if name in seen):
-        noise = stripe_noise if name == "sheet" else corner_noise
-        statistic, dof = seen[name].statistic, len(seen[name].parts)
+    for name in (name for name in _ORDER if name in looks):
+        noise = result.stripe_noise_rms if name == "sheet" else result.corner_noise
+        statistic, dof = looks[name].statistic, len(looks[name].parts)
         if name == "axis" and not result.angle_sigma:
             # Less the part that a wrong angle at every stop would explain.
-            statistic, dof = max(statistic - seen["table"].statistic, 0.0), dof - len(seen["table"].parts)
+            statistic, dof = max(statistic - looks["table"].statistic, 0.0), dof - len(looks["table"].parts)
         test = _tested(name, statistic, dof, noise)
         if name == "lens":
-            radial = _tested(name, seen["radial"].statistic, len(seen["radial"].parts), noise)
+            radial = _tested(name, looks["radial"].statistic, len(looks["radial"].parts), noise)
             # Of two tests of the same model the one that fails, if any; two chances of chance count.
             found, loser = (test, "radial") if test.p_structure <= radial.p_structure else (radial, "lens")
-            del seen[loser]
+            del looks[loser]
             test = replace(found, p=min(1.0, 2.0 * found.p), p_structure=min(1.0, 2.0 * found.p_structure))
         if test.dof > 0 or name == "lens":
             tests.append(test)
-    halves = compare_halves(result, settings, (1.0, 1.0))
+    return tests
+
+
+def _cross_validations(result: Adjustment, settings: CalibrationSettings) -> list[tuple[ModelTest, Split]]:
+    """Those that the data allow."""
+    found, noise = [], (result.corner_noise, result.stripe_noise_rms)
+    halves, regions = compare_halves(result, settings, (1.0, 1.0)), compare_regions(result, settings)
     if halves is not None:
         given = halves
-        if max(abs(corner_noise - 1.0), abs(stripe_noise - 1.0)) > _REPEATED:
+        if max(abs(ratio - 1.0) for ratio in noise) > _REPEATED:
             # With weights of the noise that the detector promised.
-            given = compare_halves(result, settings, (corner_noise, result.stripe_point_noise)) or halves
-        p, p_structure = chance_of(given.distance(), given.dof), chance_of(halves.distance(), halves.dof)
-        tests.append(ModelTest("halves", given.distance(), given.dof, p, p_structure))
-    regions = compare_regions(result, settings)
+            given = compare_halves(result, settings, (noise[0], result.stripe_point_noise)) or halves
+        p, p_structure = (chance_of(split.distance(), split.dof) for split in (given, halves))
+        found.append((ModelTest("halves", given.distance(), given.dof, p, p_structure), halves))
     if regions is not None and regions.dof:
-        tests.append(_tested("regions", regions.distance(), regions.dof, corner_noise))
-    splits = {name: split for name, split in (("halves", halves), ("regions", regions)) if split is not None}
-    failed = {test.name for test in tests if result_of_test(test.p, test.p_structure, len(tests)) == "structure"}
-    suspects = [name for name in seen if ("lens" if name == "radial" else name) in failed]
-    return Judged(tuple(tests), _explain(score, suspects, len(tests)), score.places, splits)
+        found.append((_tested("regions", regions.distance(), regions.dof, noise[0]), regions))
+    return found
 
 
 def _tested(name: str, statistic: float, dof: int, noise: float) -> ModelTest:
     given = statistic * noise**2
     return ModelTest(name, given, dof, chance_of(given, dof), chance_of(statistic, dof))
+
+
+def _lines_test(result: Adjustment, steps: list[np.ndarray]) -> ModelTest:
+    """The steps of sheets by lines that were left out, against the covariance of noise."""
+    scales = np.asarray(result.problem.scales)
+    moved = np.array([step != 0 for step in steps]).any(0)
+    step = np.sum(steps, axis=0)[moved] / scales[moved]
+    covariance = np.linalg.inv(result.linearised.reduced)[np.ix_(moved, moved)]
+    return _tested("lines", float(step @ np.linalg.solve(covariance, step)), int(moved.sum()), 1.0)
 
 
 def _look(score: Score, name: str, known: _Seen | None = None) -> _Seen:
@@ -185,7 +206,7 @@ def _look(score: Score, name: str, known: _Seen | None = None) -> _Seen:
         gradient, variance = gradient - alike @ known.parts, variance - alike @ alike.T
     unit = np.sqrt(score.own[places])
     values, vectors = np.linalg.eigh(variance / np.outer(unit, unit))
-    kept = values > {"radial": _RADIAL_IMITATED, "table": _TURN_IMITATED}.get(name, _IMITATED)
+    kept = values > _IMITATED_BY.get(name, _IMITATED)
     own = vectors[:, kept] / np.sqrt(values[kept]) / unit[:, None]
     root = np.zeros((len(score.own), own.shape[1]))
     root[places] = own
@@ -194,8 +215,8 @@ def _look(score: Score, name: str, known: _Seen | None = None) -> _Seen:
     return _Seen(root, own.T @ gradient)
 
 
-def _explain(score: Score, suspects: Sequence[str], tests: int) -> dict[str, Missing]:
-    """The terms that explain the structure: those of the likeliest model first, then those of the remainder."""
+def _explain(score: Score, suspects: Sequence[str], tests: int, scales: np.ndarray) -> dict[str, _Missing]:
+    """The terms that explain the structure, by test: those of the likeliest model, then those of the remainder."""
     known, left, found = _Seen(np.zeros((len(score.own), 0)), np.zeros(0)), list(suspects), {}
     while left:
         looks = {name: _look(score, name, known) for name in left}
@@ -210,289 +231,176 @@ def _explain(score: Score, suspects: Sequence[str], tests: int) -> dict[str, Mis
             parts = parts * np.maximum(1.0 - _CHANCE / np.maximum(parts**2, _CHANCE), 0.0)
         known = _Seen(np.concatenate([known.root, root], axis=1), np.concatenate([known.parts, parts]))
         size = root @ parts
-        found["lens" if name == "radial" else name] = Missing(size, root, size @ score.taken)
+        found["lens" if name == "radial" else name] = _Missing(size, root, size @ score.taken * scales)
     return found
 
 
-class _System(NamedTuple):
-    """J'J of all unknowns, and the derivatives of the rows of each view and stripe by those that it meets."""
+def score_models(result: Adjustment) -> Score:
+    """Score of every model at the minimum of a solve.
 
-    corner: Float[np.ndarray, "views rows unknowns"]
-    stripe: Float[np.ndarray, "stripes points unknowns"]
-    view_owner: np.ndarray
-    stripe_owner: np.ndarray
-    inverse: Float[np.ndarray, "all all"]
-    shared: int
-    own: Int[np.ndarray, "placements own"]
-    """Where the pose and the stops of each placement stand among all unknowns; the last one stands for none."""
-
-    def unknowns(self, placement: int | np.integer) -> Int[np.ndarray, " unknowns"]:
-        """Where all that a placement meets stands."""
-        return np.append(np.arange(self.shared), self.own[placement])
-
-
-def score_models(problem: Problem, linearised: Linearised, extents: Extents) -> Score:
-    """Score of every model; those of "axis", and of "table" where stops are exact, have as many terms a view, of
-    `repeated_views`.
-
-    Args:
-        problem: At its minimum, with its weights.
-        linearised: The same to first order.
-        extents: For the coordinates of the terms.
-
-    Returns:
-        The score, with places of "lens", "radial" (a part of it), "board", and where there are any "table", "axis"
-        and "sheet".
+    Terms of "axis", and of "table" where stops are exact, are those of single views, of `repeated_views`.
     """
-    system = _system(problem, linearised)
-    corner_weight, stripe_weight = np.repeat(problem.corner_weight, 2, axis=1), np.asarray(problem.stripe_weight)
-    corner_error, offset = linearised.corner_error, linearised.offset
-    corner_residual = corner_error * corner_weight
-    # Terms are functions of where things should have been seen: at the noisy places themselves they
-    # would be correlated with the noise.
-    corner_q = np.asarray(problem.corner_q) + corner_error.reshape(problem.corner_q.shape)
+    problem, linear, (width, height) = result.problem, result.linearised, result.data.size
+    half, views = np.array([width, height]) / 2.0, repeated_views(problem)
+    weight = np.repeat(np.asarray(problem.corner_weight), 2, axis=1)
     camera = len(problem.camera.parameter_names())
-    twist = linearised.corner_slopes[..., camera : camera + 6]
+    twist = linear.corner_slopes[..., camera : camera + 6]
+    shapes = _lens_terms((_seen_corners(result) - (half - 0.5)) / half, half)
     # Displacements of the image are weighted here, those of the board were when the rows were formed.
-    lens, radial = (terms(corner_q, extents) * corner_weight[..., None] for terms in (lens_terms, radial_terms))
-    board = board_terms(problem, twist[..., :3])
-    bend = _mean_residual(problem, system) * corner_weight
-    groups = {
-        name: _shared(system, extra, corner_residual, system.corner, system.view_owner)
-        for name, extra in (("lens", lens), ("radial", radial), ("board", board), ("bend", bend[..., None]))
-    }
-    # An axis that is held may have no views that show it.
-    if problem.turntable.blocks and len(views := repeated_views(problem)):
-        twist = twist[views]
-        turn = moving_twist(linearised.view_poses[views], problem.turntable)
-        turned, terms = np.einsum("vrd,vd->vr", twist, turn)[..., None], turn_terms(problem, views)
-        if terms.shape[1] == len(views):
-            groups["table"] = _by_view(system, turned, corner_residual, views)
-        else:
-            extra = np.zeros((*corner_residual.shape, terms.shape[1]))
-            extra[views] = turned * terms[:, None]
-            groups["table"] = _shared(system, extra, corner_residual, system.corner, system.view_owner)
-        groups["axis"] = _by_view(system, twist, corner_residual, views)
-    if len(problem.lasers.distance):
-        by_q = linearised.by_q
-        square = np.sum(by_q * by_q, axis=-1)
-        stripe_q = np.asarray(problem.stripe_q) - by_q * (offset / np.where(square > 0, square, 1.0))[..., None]
-        extra = sheet_terms(stripe_q, problem, extents) * (np.sqrt(square) * stripe_weight)[..., None]
-        groups["sheet"] = _shared(system, extra, offset * stripe_weight, system.stripe, system.stripe_owner)
-    return _joined(system, groups)
-
-
-class _Terms(NamedTuple):
-    """Terms of one model: gradient, products with the unknowns, and the terms themselves."""
-
-    gradient: np.ndarray
-    met: np.ndarray
-    """J'E [terms, all]."""
-    extra: np.ndarray
-    """[owners, rows, terms], whitened."""
-    striped: bool
-    """Whether the rows are those of stripes rather than those of corners."""
-    views: np.ndarray | None = None
-    """The views that have terms of their own; None where all views or stripes share them."""
-
-
-def _joined(system: _System, groups: dict[str, _Terms]) -> Score:
-    """All terms as one score: different models may explain the same residuals."""
-    counts = np.cumsum([0, *(len(group.gradient) for group in groups.values())])
-    places = {name: np.arange(*ends) for name, *ends in zip(groups, counts[:-1], counts[1:], strict=True)}
-    met = np.concatenate([group.met for group in groups.values()])
-    gradient = np.concatenate([group.gradient for group in groups.values()])
-    gram = np.zeros((len(met),) * 2)
-    for one, first in groups.items():
-        for other, second in groups.items():
-            if places[one][0] <= places[other][0] and first.striped == second.striped:
-                block = _products(first, second)
-                gram[np.ix_(places[one], places[other])] = block
-                gram[np.ix_(places[other], places[one])] = block.T
-    solved = met @ system.inverse
-    variance = gram - solved @ met.T
+    corner = {name: terms * weight[..., None] for name, terms in shapes.items()}
+    corner["board"] = _board_terms(problem, twist[..., :3])
     # The mean of the residuals is one more term, of known size, that the unknowns imitate in part.
+    corner["bend"] = (_mean_residual(result) * weight)[..., None]
+    single: dict[str, np.ndarray] = {}
+    # An axis that is held may have no views that show it.
+    if problem.turntable.blocks and len(views):
+        shapes["table"] = _turn_terms(problem, views)
+        turned = np.einsum("vrd,vd->vr", twist, moving_twist(linear.view_poses, problem.turntable))[..., None]
+        if shapes["table"].shape[1] == len(views):
+            single["table"] = turned
+        else:
+            corner["table"] = np.zeros((*turned.shape[:2], shapes["table"].shape[1]))
+            corner["table"][views] = turned[views] * shapes["table"][:, None]
+        single["axis"] = twist
+    groups = [(corner, linear.corner_slopes, linear.corner_chain, problem.placement, linear.corner_error * weight)]
+    if len(problem.lasers.distance):
+        shapes["sheet"], weight = _sheet_terms(result), np.asarray(problem.stripe_weight)
+        sheet = {"sheet": shapes["sheet"] * (linear.slope * weight)[..., None]}
+        owner = problem.stripe_placement()
+        groups.append((sheet, linear.stripe_slopes, linear.stripe_chain, owner, linear.offset * weight))
+    sizes = {name: terms.shape[-1] for terms_of, *_ in groups for name, terms in terms_of.items()}
+    sizes |= {name: len(views) * terms.shape[-1] for name, terms in single.items()}
+    ends = np.cumsum([0, *sizes.values()]).tolist()
+    places = {name: np.arange(*part) for name, *part in zip(sizes, ends[:-1], ends[1:], strict=True)}
+    count, shared = ends[-1], len(problem.scales)
+    gradient, gram, met = np.zeros(count), np.zeros((count, count)), np.zeros((count, shared))
+    met_by = np.zeros((len(problem.poses), count, problem.own))
+    for terms_of, slopes, chain, block, residual in groups:
+        common = np.concatenate([places[name] for name in terms_of])
+        every = np.concatenate(list(terms_of.values()), axis=-1)
+        of_view = {int(view): k for k, view in enumerate(views)} if terms_of is corner else {}
+        for owner in np.flatnonzero(np.any(residual, axis=1)):
+            terms, columns = every[owner], common
+            if (row := of_view.get(int(owner))) is not None and single:
+                terms = np.concatenate([terms, *(of[owner] for of in single.values())], axis=1)
+                own = [places[name].reshape(len(views), -1)[row] for name in single]
+                columns = np.concatenate([common, *own])
+            gradient[columns] += terms.T @ residual[owner]
+            gram[np.ix_(columns, columns)] += terms.T @ terms
+            times = terms.T @ slopes[owner] @ chain[owner]
+            met[columns] += times[:, :shared]
+            met_by[block[owner], columns] += times[:, shared:]
+    # Poses and stops are eliminated, then the shared unknowns.
+    known = linear.covariance
+    side = np.moveaxis(met_by, 1, 0).reshape(count, -1)
+    followed = np.moveaxis(met_by @ known.alone, 1, 0).reshape(count, -1)
+    left = met - side @ known.coupling.reshape(-1, shared)
+    taken = left @ known.shared
+    variance = gram - followed @ side.T - taken @ left.T
     (bend,) = places.pop("bend")
     for name in ("lens", "radial", "board"):
         gradient[places[name]] -= variance[places[name], bend]
-    return Score(gradient, np.diag(gram).copy(), variance, solved[:, : system.shared], places)
+    return Score(gradient, np.diag(gram).copy(), variance, taken, places, shapes)
 
 
-def _products(first: _Terms, second: _Terms) -> np.ndarray:
-    """E'E of two models."""
-    ahead = first.extra if second.views is None or first.views is not None else first.extra[second.views]
-    each = np.swapaxes(ahead, 1, 2) @ second.extra
-    views, one, other = each.shape
-    if second.views is None:
-        return each.sum(0)
-    if first.views is None:
-        return np.moveaxis(each, 0, 1).reshape(one, views * other)
-    block = np.zeros((views, one, views, other))
-    block[np.arange(views), :, np.arange(views)] = each
-    return block.reshape(views * one, views * other)
-
-
-def repeated_views(problem: Problem) -> np.ndarray:
+def repeated_views(problem: Problem) -> Int[np.ndarray, " repeated"]:
     """Numbers of the views in use whose placement was seen from several angles: only there can a turn be wrong."""
     placement, used = np.asarray(problem.placement), np.any(np.asarray(problem.corner_weight) > 0, axis=1)
     count = np.bincount(placement[used], minlength=len(placement))
     return np.flatnonzero(used & (count[placement] > 1))
 
 
-def _system(problem: Problem, linearised: Linearised) -> _System:
-    corner = linearised.corner_slopes @ linearised.corner_chain
-    stripe = linearised.stripe_slopes @ linearised.stripe_chain
-    view_owner = np.asarray(problem.placement)
-    stripe_owner = view_owner[np.asarray(problem.stripe_view)]
-    shared, placements = len(problem.scales), len(problem.poses)
-    used = used_stops(problem)
-    own = np.full((placements, problem.own), -1)
-    own[:, :6] = shared + np.arange(6 * placements).reshape(placements, 6)
-    own[:, 6:][used] = shared + 6 * placements + np.arange(used.sum())
-    whole = np.zeros((shared + 6 * placements + int(used.sum()) + 1,) * 2)
-    whole[:shared, :shared] = linearised.prior
-    # The records' positions are residuals of the stops.
-    stops = own[:, 6:][used]
-    whole[stops, stops] = 1.0
-    system = _System(corner, stripe, view_owner, stripe_owner, whole, shared, own)
-    for values, owner in ((corner, view_owner), (stripe, stripe_owner)):
-        for gram, number in zip(np.swapaxes(values, 1, 2) @ values, owner, strict=True):
-            met = system.unknowns(number)
-            whole[np.ix_(met, met)] += gram
-    # Held unknowns and padding meet nothing.
-    size = np.sqrt(np.where(np.diag(whole) > 0, np.diag(whole), 1.0))
-    whole[np.diag_indices(len(whole))] = np.where(np.diag(whole) > 0, np.diag(whole), 1.0)
-    inverse = np.linalg.inv(whole / np.outer(size, size)) / np.outer(size, size)
-    return system._replace(inverse=inverse)
+def _seen_corners(result: Adjustment) -> Float[np.ndarray, "views corners 2"]:
+    """Where corners should have been seen [px]: terms of the noisy places would be correlated with the noise."""
+    observed = np.asarray(result.problem.corner_q)
+    return observed + result.linearised.corner_error.reshape(observed.shape)
 
 
-def _shared(system: _System, extra: np.ndarray, residual: np.ndarray, rows: np.ndarray, owner: np.ndarray) -> _Terms:
-    """Of terms that every view or stripe has in common."""
-    met = np.zeros((extra.shape[-1], len(system.inverse)))
-    for own, number in zip(np.swapaxes(extra, 1, 2) @ rows, owner, strict=True):
-        met[:, system.unknowns(number)] += own
-    gradient = extra.reshape(-1, extra.shape[-1]).T @ residual.ravel()
-    return _Terms(gradient, met, extra, striped=rows is system.stripe)
-
-
-def _by_view(system: _System, extra: np.ndarray, residual: np.ndarray, views: np.ndarray) -> _Terms:
-    """Of terms of each view's own: those of all other views do not meet them."""
-    count, _, terms = extra.shape
-    met = np.zeros((count * terms, len(system.inverse)))
-    for index, view in enumerate(views):
-        here = slice(index * terms, (index + 1) * terms)
-        met[here, system.unknowns(system.view_owner[view])] = extra[index].T @ system.corner[view]
-    gradient = np.einsum("vrm,vr->vm", extra, residual[views]).ravel()
-    return _Terms(gradient, met, extra, striped=False, views=views)
-
-
-def _mean_residual(problem: Problem, system: _System) -> Float[np.ndarray, "views rows"]:
+def _mean_residual(result: Adjustment) -> Float[np.ndarray, "views rows"]:
     r"""Mean of the corner residuals that the bend of the projection causes [px].
 
     $d = \frac{1}{2} \mathrm{tr}(H C)$, with $H$ the second derivatives of a residual and $C$ the covariance of the
-    unknowns, less the part that the unknowns take up. Small, but terms that the unknowns imitate almost
-    wholly are smaller.
+    unknowns. Small, but terms that the unknowns imitate almost wholly are smaller.
 
     Source: Box, Bias in nonlinear estimation (1971).
     """
-    count, size = system.shared, system.own.shape[1]
-    covariance, cross = system.inverse[:count, :count], system.inverse[system.own, :count]
-    # Any root of C will do: shared unknowns with the poses that follow them, then the poses alone, of
-    # which those of different placements meet different views.
-    root = np.linalg.cholesky(covariance)
-    follow = np.moveaxis(cross @ np.linalg.solve(covariance, root), 2, 0)
-    alone = system.inverse[system.own[:, :, None], system.own[:, None]]
-    alone = alone - cross @ np.linalg.solve(covariance, np.moveaxis(cross, 1, 2))
-    # Stops that are none stand beside each other in one place.
-    none = (system.own < 0)[:, :, None] | (system.own < 0)[:, None]
-    own = np.linalg.cholesky(np.where(none, np.eye(size), alone))
-    shared = np.concatenate([root.T, np.zeros((size, count))])
-    steps = Unknowns(shared, np.concatenate([follow, np.moveaxis(own, 2, 0)]))
-    return _bend(problem, steps)
-
-
-def _bend(problem: Problem, steps: Unknowns) -> Float[np.ndarray, "views rows"]:
-    """Half the sum of second differences of the corner residuals along steps."""
+    problem, known = result.problem, result.linearised.covariance
+    # Any root of C will do: shared unknowns with the poses that follow them, then the poses alone, of which those of
+    # different placements meet different views.
+    root, alone = np.linalg.cholesky(known.shared), np.linalg.cholesky(known.alone)
+    follow = np.moveaxis(-known.coupling @ root, 2, 0)
+    steps = [*zip(root.T, follow, strict=True)]
+    used = 6 + int(np.any(problem.stop, axis=0).sum())
+    steps += [(np.zeros(len(root)), alone[..., number]) for number in range(used)]
     seen = np.flatnonzero(problem.seen)
     fields = ("corner_q", "corner_weight", "angle", "stop", "placement", "seen")
-    parts: dict[str, Any] = {name: np.asarray(getattr(problem, name))[seen] for name in fields}
-    some = replace(problem, **parts)
+    some = replace(problem, **{name: np.asarray(getattr(problem, name))[seen] for name in fields})
     here, total = corner_pixels(some), np.zeros(np.shape(problem.corner_q))
-    for step in zip(*steps, strict=True):
+    for shared, local in steps:
+        # Half the sum of second differences.
         for sign in (1.0, -1.0):
-            there = corner_pixels(move(Unknowns(*(sign * part for part in step)), some))
-            total[seen] += 0.5 * (there - here)
+            total[seen] += 0.5 * (corner_pixels(move(Unknowns(sign * shared, sign * local), some)) - here)
     return total.reshape(len(total), -1)
 
 
-def extents_of(data: Prepared) -> Extents:
-    """Those of an image and of the stripes seen in it."""
-    half = np.array(data.size) / 2.0
+def _lens_terms(where: Float[np.ndarray, "views corners 2"], half: np.ndarray) -> dict[str, np.ndarray]:
+    """Displacements of the image [views, rows, terms], px, by the place in it, -1 ... 1 of its half size.
+
+    "lens": polynomials of the place; "radial": from the centre, the next powers of the distance from it.
+    """
+    field, away = _polynomials(where, _LENS_DEGREE), where * half / np.linalg.norm(half)
+    along, across = np.stack([field, np.zeros_like(field)], 2), np.stack([np.zeros_like(field), field], 2)
+    square = np.sum(away * away, axis=-1)[..., None]
+    terms = {
+        "lens": np.concatenate([along, across], axis=-1),
+        "radial": np.stack([away * square**power for power in _RADIAL_POWERS], axis=-1),
+    }
+    return {name: part.reshape(len(part), -1, part.shape[-1]) for name, part in terms.items()}
+
+
+def _board_terms(problem: Problem, shift: Float[np.ndarray, "views rows 3"]) -> Float[np.ndarray, "views rows terms"]:
+    """Shapes of the board: prints that are not true, along x and y, and polynomial heights [px].
+
+    A shift along the axes of the board moves a corner as it moves the whole board.
+    """
+    where = (np.asarray(problem.board)[:, :2] - problem.frame[:2]) / problem.frame[2:]
+    parts = zip(np.moveaxis(shift, -1, 0), (_PRINT_DEGREE, _PRINT_DEGREE, _HEIGHT_DEGREE), strict=True)
+    return np.concatenate(
+        [by[..., None] * np.repeat(_polynomials(where, degree), 2, axis=0) for by, degree in parts], axis=-1
+    )
+
+
+def _sheet_terms(result: Adjustment) -> Float[np.ndarray, "stripes points terms"]:
+    """Displacements of the stripe of each laser that are polynomials of the place where it should have been [px]."""
+    problem, linear, data = result.problem, result.linearised, result.data
+    square = np.where(linear.slope > 0, linear.slope, 1.0) ** 2
+    q = np.asarray(problem.stripe_q) - linear.by_q * (linear.offset / square)[..., None]
     points = data.stripe_q[data.stripe_valid] if data.stripe_valid.any() else np.zeros((1, 2))
     low, high = points.min(0), points.max(0)
-    return Extents(np.stack([half - 0.5, half]), np.stack([(low + high) / 2, np.maximum((high - low) / 2, 1.0)]))
-
-
-def lens_terms(q: Float[np.ndarray, "views corners 2"], extents: Extents) -> Float[np.ndarray, "views rows terms"]:
-    """Displacements of the image that are polynomials of the place in it [px]."""
-    where = (q - extents.image[0]) / extents.image[1]
-    field = _polynomials(where, _LENS_DEGREE)
-    along, across = np.stack([field, np.zeros_like(field)], 2), np.stack([np.zeros_like(field), field], 2)
-    terms = np.concatenate([along, across], axis=-1)
-    return terms.reshape(terms.shape[0], -1, terms.shape[-1])
-
-
-def radial_terms(q: Float[np.ndarray, "views corners 2"], extents: Extents) -> Float[np.ndarray, "views rows terms"]:
-    """Displacements from the centre of the image as the next powers of the distance from it [px]."""
-    away = (q - extents.image[0]) / np.linalg.norm(extents.image[1])
-    square = np.sum(away * away, axis=-1)[..., None]
-    terms = np.stack([away * square**power for power in _RADIAL_POWERS], axis=-1)
-    return terms.reshape(terms.shape[0], -1, terms.shape[-1])
-
-
-def board_terms(problem: Problem, shift: Float[np.ndarray, "views rows 3"]) -> Float[np.ndarray, "views rows terms"]:
-    """Shapes of the board: polynomial heights, and prints that are not true [px]."""
-    where = (np.asarray(problem.board)[:, :2] - problem.frame[:2]) / problem.frame[2:]
-    heights, prints = _polynomials(where, _HEIGHT_DEGREE), _polynomials(where, _PRINT_DEGREE)
-    # A shift along the axes of the board moves a corner as it moves the whole board.
-    rows = lambda values: np.repeat(values, 2, axis=0)[None]
-    parts = [
-        shift[..., 0:1] * rows(prints),
-        shift[..., 1:2] * rows(prints),
-        shift[..., 2:3] * rows(heights),
-    ]
-    return np.concatenate(parts, axis=-1)
-
-
-def sheet_terms(
-    q: Float[np.ndarray, "stripes points 2"], problem: Problem, extents: Extents
-) -> Float[np.ndarray, "stripes points terms"]:
-    """Displacements of the stripe of each laser that are polynomials of the place in the image [px]."""
-    where = (q - extents.stripe[0]) / extents.stripe[1]
+    half = np.maximum((high - low) / 2, 1.0)
+    where = (q - (low + high) / 2) / half
     # Along the stripe any shape, across it (near and far) little.
-    long = int(np.argmax(extents.stripe[1]))
-    first, second = where[..., long], where[..., 1 - long]
-    along = np.stack([first**i for i in range(_SHEET_DEGREES[0] + 1)], -1)
-    across = np.stack([second**i for i in range(_SHEET_DEGREES[1] + 1)], -1)
-    field = (along[..., :, None] * across[..., None, :]).reshape(*first.shape, -1)
-    lasers = len(problem.lasers.distance)
-    own = np.asarray(problem.stripe_laser)[:, None, None, None] == np.arange(lasers)[None, None, :, None]
-    return np.where(own, field[:, :, None, :], 0.0).reshape(*first.shape, -1)
+    long = int(np.argmax(half))
+    along, across = (
+        np.stack([where[..., axis] ** i for i in range(degree + 1)], -1)
+        for axis, degree in zip((long, 1 - long), _SHEET_DEGREES, strict=True)
+    )
+    field = (along[..., :, None] * across[..., None, :]).reshape(*where.shape[:2], -1)
+    lasers = np.arange(len(problem.lasers.distance))
+    own = np.asarray(problem.stripe_laser)[:, None, None, None] == lasers[None, None, :, None]
+    return np.where(own, field[:, :, None, :], 0.0).reshape(*where.shape[:2], -1)
 
 
 def _polynomials(where: Float[np.ndarray, "... 2"], degree: int) -> Float[np.ndarray, "... terms"]:
-    # Chebyshev's, which are less alike than powers.
-    def chebyshev(x):
-        values = [np.ones_like(x), x]
-        for _ in range(degree - 1):
-            values.append(2.0 * x * values[-1] - values[-2])
-        return values
-
-    x, y = chebyshev(where[..., 0]), chebyshev(where[..., 1])
-    return np.stack([x[i] * y[j] for i in range(degree + 1) for j in range(degree + 1 - i)], axis=-1)
+    """Products of Chebyshev's polynomials, which are less alike than powers."""
+    chebyshev = [np.ones_like(where), where]
+    for _ in range(degree - 1):
+        chebyshev.append(2.0 * where * chebyshev[-1] - chebyshev[-2])
+    pairs = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+    return np.stack([chebyshev[i][..., 0] * chebyshev[j][..., 1] for i, j in pairs], axis=-1)
 
 
-def turn_terms(problem: Problem, views: Int[np.ndarray, " views"]) -> Float[np.ndarray, "views terms"]:
+def _turn_terms(problem: Problem, views: Int[np.ndarray, " repeated"]) -> Float[np.ndarray, "repeated terms"]:
     """Errors of the motion's positions at some views [rad or m].
 
     One of each view's own where stops are exact. Where they err by chance, those that chance does not make.
@@ -515,3 +423,113 @@ def moving_twist(pose: Float[np.ndarray, "... 4 4"], motion: AbstractMotion) -> 
     speed, axis = np.split(np.asarray(motion.twist()), 2)
     shift = speed + np.cross(axis, pose[..., :3, 3])
     return -np.concatenate([(back @ shift[..., None])[..., 0], back @ axis], axis=-1)
+
+
+def _steps_of(result: Adjustment, score: Score, missing: _Missing) -> tuple[np.ndarray, str | None]:
+    """The steps of missing terms, and where in the image they tell most."""
+    steps, where, imitation = [missing.imitation], None, missing.imitation
+    has = {name: name in score.places and np.any(missing.size[score.places[name]] != 0) for name in _HARMFUL}
+    shape = lambda name: score.shapes[name] @ missing.size[score.places[name]]
+    if has["lens"] or has["radial"]:
+        rest, where = _of_lens(result, shape("lens") + shape("radial"), imitation)
+        steps += rest
+    if has["sheet"]:
+        steps += _of_sheets(result, shape("sheet"), imitation)
+    if has["table"] or has["axis"]:
+        steps += _of_motion(result, score, missing)
+    return np.stack(steps), where
+
+
+_HARMFUL = ("lens", "radial", "sheet", "table", "axis")
+
+
+def _of_lens(result: Adjustment, shape: np.ndarray, imitation: np.ndarray) -> tuple[list[np.ndarray], str | None]:
+    """Steps of a lens that lacks a shape [views, rows], px; the imitation is changed to the part it can follow."""
+    camera, names = layout_of(result.problem).camera, layout_of(result.problem).names
+    weight = np.repeat(np.asarray(result.problem.corner_weight), 2, axis=1)
+    used = weight > 0
+    by_camera = result.linearised.corner_slopes[used][:, camera] / weight[used][:, None]
+    # The rays of the fitted camera are off by this much [px], rows u and v in turn.
+    field = by_camera @ imitation[camera] - shape[used]
+    free = np.asarray(result.problem.scales)[camera]
+    imitation[camera] = np.linalg.lstsq(by_camera * free, field, rcond=1e-9)[0] * free
+    rest, steps = (field - by_camera @ imitation[camera]).reshape(-1, 2), []
+    for axis, (focal, centre) in enumerate((("fx", "cx"), ("fy", "cy"))):
+        size, reach = (np.sqrt(np.mean(np.square(values))) for values in (rest[:, axis], by_camera[axis::2, axis]))
+        # A turn of the camera takes up what moves its centre, so the focal length has all of it and the centre half.
+        steps += [_one(names, focal, size / reach), _one(names, centre, np.sqrt(0.5) * size)]
+    half = np.array(result.data.size) / 2.0
+    return steps, _zone((_seen_corners(result)[used[:, ::2]] - (half - 0.5)) / half, field.reshape(-1, 2))
+
+
+def _zone(place: np.ndarray, field: np.ndarray) -> str | None:
+    """Where in the image a field is largest, what looks like a turn of the camera (about a shift) taken off."""
+    error = np.sum(np.square(field - field.mean(0)), axis=1)
+    outer = np.abs(place) > _OUTER
+    zones = {
+        "in the corners": outer.all(1),
+        "at the edges": outer.any(1) & ~outer.all(1),
+        "in the middle": np.linalg.norm(place, axis=1) < _OUTER / 2.0,
+    }
+    sizes = {name: np.sqrt(np.mean(error[inside])) for name, inside in zones.items() if inside.any()}
+    name = max(sizes, key=lambda name: sizes[name]) if sizes else None
+    return name if name is not None and sizes[name] > _STANDS_OUT * np.sqrt(np.mean(error)) else None
+
+
+def _of_sheets(result: Adjustment, shape: np.ndarray, imitation: np.ndarray) -> list[np.ndarray]:
+    """Steps of sheets that lack a shape [stripes, points], px; the imitation is changed to the part it can follow."""
+    problem, linear, first, turns = result.problem, result.linearised, layout_of(result.problem).lasers.start, []
+    # How far the points of the sheet are from their plane [m] beside the imitation.
+    weight, bend = np.asarray(problem.stripe_weight), -linear.slope * shape
+    parts = linear.stripe_slopes / np.where(weight > 0, weight, 1.0)[..., None]
+    for laser in range(len(problem.lasers.distance)):
+        lit = (weight > 0) & (np.asarray(problem.stripe_laser) == laser)[:, None]
+        if not lit.any():
+            continue
+        # The derivative by the normal is the point itself.
+        points, basis = parts[lit][:, -6:-3], np.asarray(problem.lasers.basis)[laser]
+        own = slice(first + 5 * laser, first + 5 * (laser + 1))
+        by_sheet = np.concatenate([points @ basis.T, parts[lit][:, -3:]], axis=1)
+        free = np.asarray(problem.scales)[own]
+        followed = np.linalg.lstsq(by_sheet * free, bend[lit], rcond=1e-9)[0] * free
+        rest = (bend[lit] - by_sheet @ followed) / np.linalg.norm(points, axis=1)
+        imitation[own] += followed
+        # A turn about the line across the rays moves all points of the sheet alike, for their distance.
+        ahead = points.mean(0) / np.linalg.norm(points.mean(0))
+        turns.append(np.zeros_like(imitation))
+        turns[-1][own.start : own.start + 2] = basis @ ahead * np.sqrt(np.mean(np.square(rest)))
+    return turns
+
+
+def _of_motion(result: Adjustment, score: Score, missing: _Missing) -> list[np.ndarray]:
+    """Steps of a motion that does not go where its model says: along it, and any other way."""
+    problem, names = result.problem, layout_of(result.problem).names
+    along, chance = (score.shapes["table"] @ part[score.places["table"]] for part in (missing.size, missing.noise))
+    error = np.sqrt(max(np.mean(along**2) - np.mean(np.sum(chance**2, axis=1)), 0.0))
+    # Of each board's middle across its line of sight and across the motion.
+    views = repeated_views(problem)
+    pose, middle = result.linearised.view_poses[views], np.append(np.asarray(problem.frame)[:2], 0.0)
+    turn, point = pose[:, :3, :3], pose[:, :3, :3] @ middle + pose[:, :3, 3]
+    # It moves by a twist in the board's own axes: v + w x middle.
+    moved = np.concatenate([turn, turn @ np.cross(np.eye(3), middle).T], axis=2)
+    speed, axis = np.split(np.asarray(problem.turntable.twist()), 2)
+    for direction in (speed + np.cross(axis, point), point):
+        unit = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-300)
+        moved = moved - unit[:, :, None] * np.einsum("vi,vij->vj", unit, moved)[:, None, :]
+    aside, by_chance = (
+        np.sum((moved @ part[score.places["axis"]].reshape(len(views), 6, -1)) ** 2)
+        for part in (missing.size, missing.noise)
+    )
+    shift = np.sqrt(max(aside - by_chance, 0.0) / len(views))
+    if isinstance(problem.turntable, LinearStage):
+        # Errors of places count over a usual travel.
+        sizes = {"gain": error / TRAVEL_M, "travel.t1": shift / TRAVEL_M, "travel.t2": shift / TRAVEL_M}
+    else:
+        tilt = shift / np.sqrt(np.mean(np.sum(point**2, axis=1)))
+        sizes = {"c1": error, "s1": error, "axis.d1": tilt, "axis.d2": tilt}
+    return [_one(names, name, float(size)) for name, size in sizes.items()]
+
+
+def _one(names: Sequence[str], name: str, size: float) -> np.ndarray:
+    """A step of one parameter."""
+    return size * (np.array(names) == name)
