@@ -28,11 +28,10 @@ from worlds import calibration_trials as trials
 from worlds.ideal_boards import PosePlan, add_noise, draw_poses, ideal_boards
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
-from jaxscan.calibration.seed import average_placements
-from jaxscan.calibration.solve.joint import priors, solve
-from jaxscan.calibration.solve.prepare import prepare
-from jaxscan.calibration.solve.problem import Problem, camera_from_board, make_problem, move, zero_step
-from jaxscan.calibration.solve.rows import corner_rows, stripe_rows
+from jaxscan.calibration.first_values import average_placements
+from jaxscan.calibration.joint import priors, solve
+from jaxscan.calibration.problem import Problem, camera_from_board, make_problem, move, prepare, zero_step
+from jaxscan.calibration.rows import corner_rows, stripe_rows
 from jaxscan.geometry import Array, invert
 from jaxscan.leastsq import Unknowns
 

@@ -4,37 +4,23 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from jaxscan.calibration.fit import Fit
-from jaxscan.calibration.parameters import board_blocks, is_mode
-from jaxscan.calibration.result import Calibration
-from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve import (
-    Adjustment,
-    Determination,
-    bend_of,
-    determine,
-    not_converged,
-    undetermined_shares,
-)
-from jaxscan.calibration.verdict import (
+from jaxscan.calibration.adjust import Adjustment, Determination, determine, not_converged, undetermined_shares
+from jaxscan.calibration.advice import advise, cure_causes, cures, refusal, warn
+from jaxscan.calibration.problem import bend_of
+from jaxscan.calibration.propagate import focal_share, measure_good_to, predict_lengths
+from jaxscan.calibration.result import (
+    Calibration,
     Direction,
-    Harm,
+    Fit,
     PriorShare,
     Quality,
     Verdict,
     ViewQuality,
-    advise,
     chance,
-    cure_causes,
-    cures,
-    find_harm,
-    focal_share,
     is_held_by_priors,
-    measure_good_to,
-    predict_lengths,
-    refusal,
-    warn,
 )
+from jaxscan.calibration.settings import CalibrationSettings, board_blocks, is_mode
+from jaxscan.calibration.structure import Harm, find_harm
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, Scanner, make_layout, root_of
 from jaxscan.geometry.motions import ANGLE_PARAMETERS

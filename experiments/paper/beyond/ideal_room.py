@@ -12,7 +12,7 @@ import jaxscan
 from experiments.recalibration.world import Noise, Sweeping, true_sweep
 from experiments.worlds.calibration_trials import observations
 from experiments.worlds.ideal_boards import BoardPoses, add_noise, ideal_boards
-from jaxscan.calibration.parameters import USUALLY_FREE
+from jaxscan.calibration import USUALLY_FREE
 from jaxscan.recalibration import SweepStripes
 from jaxscan.simulation import SimulationConfig, make_rig
 from jaxscan.simulation.planning import Placement

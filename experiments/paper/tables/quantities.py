@@ -8,7 +8,7 @@ import numpy as np
 from experiments.paper.methods.equations import power
 from experiments.paper.methods.paper_way import PaperWay, points_on_sheet
 from experiments.paper.rendering.boards import PAIR_DEG
-from jaxscan.calibration.verdict import Length, measure_lengths, stripe_pixels
+from jaxscan.calibration import Length, measure_lengths, stripe_pixels
 from jaxscan.geometry import Scanner, Turntable
 from jaxscan.simulation import SimulationConfig, true_scanner
 

@@ -25,7 +25,7 @@ from experiments.paper.tables.quantities import (
     of_scanner,
     true_values,
 )
-from jaxscan.calibration.verdict import Length, length_sigma
+from jaxscan.calibration import Length, length_sigma
 from jaxscan.geometry import Scanner
 
 

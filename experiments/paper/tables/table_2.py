@@ -18,7 +18,7 @@ from experiments.paper.metrics import Metric, rms
 from experiments.paper.products.draws import Draw, draws, our_calibrations
 from experiments.paper.stage import Stage
 from experiments.paper.tables.honesty import AGREE, ENOUGH
-from jaxscan.calibration.verdict import depth_sigma, stripe_depths, stripe_pixels
+from jaxscan.calibration import depth_sigma, stripe_depths, stripe_pixels
 from jaxscan.geometry import Scanner
 from jaxscan.simulation import true_scanner
 

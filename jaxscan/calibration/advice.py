@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxscan.calibration import result as limits
+from jaxscan.calibration.adjust import Adjustment
+from jaxscan.calibration.result import GoodTo, ModelTest, Quality
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve.adjustment import Adjustment
-from jaxscan.calibration.verdict import quality as limits
-from jaxscan.calibration.verdict.quality import GoodTo, ModelTest, Quality
 from jaxscan.geometry import CAMERAS, AbstractCamera, Turntable, coverage
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
 

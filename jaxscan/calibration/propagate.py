@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.verdict.quality import DepthSigma, GoodTo, LaserLengths, Lengths, LengthSigma, ModelTest
+from jaxscan.calibration.result import DepthSigma, GoodTo, LaserLengths, Lengths, LengthSigma, ModelTest
 from jaxscan.geometry import AbstractCamera, LinearStage, Rig, Scanner, Still, Turntable, lit_points, points, root_of
 
 
@@ -63,11 +63,6 @@ def spread(
     """
     changes = [measure(moved.retract(step)) - measure(moved.retract(-step)) for step in steps]
     return np.reshape(changes, (len(steps), *np.shape(measure(moved)))) / 2.0
-
-
-def _sigma(changes: np.ndarray) -> np.ndarray:
-    """Standard deviation of what changes so along each step [steps, ...]."""
-    return np.sqrt(np.sum(changes**2, axis=0))
 
 
 def _sigma(changes: np.ndarray) -> np.ndarray:
@@ -337,7 +332,7 @@ def _shape_sigma(p: np.ndarray, changes: np.ndarray) -> float:
 
 def measure_good_to(
     camera: AbstractCamera,
-    scanner: Scanner | None,
+    rig: Scanner | None,
     statistical: Float[np.ndarray, "steps params"],
     structure: Sequence[tuple[ModelTest, np.ndarray]],
     at_m: float | None,
@@ -346,7 +341,7 @@ def measure_good_to(
 
     Args:
         camera: The calibrated camera, with its size.
-        scanner: The calibrated rig; None of a camera alone.
+        rig: The calibrated scanner; None of a camera alone.
         statistical: Steps of noise, in the minimal coordinates of the rig, those of the camera first.
         structure: The tests, each with the steps of its structure, none where there is none.
         at_m: Depth of the points [m]; None: 2.5 m, or the middle one of the depths in reach; of an object on a table
@@ -358,7 +353,7 @@ def measure_good_to(
     groups = [statistical, *(steps for _, steps in structure)]
     px = [ray_error(camera, steps[:, : len(camera.parameter_names())]) for steps in groups]
     mm, worst = list[float](), None
-    for laser in range(0 if scanner is None else len(scanner.laser_names)):
+    for scanner, laser in [] if rig is None else [(rig, laser) for laser in range(len(rig.laser_names))]:
         depth, table = at_m, scanner.turntable
         if depth is None and (reached := _in_reach(scanner, laser)):
             depth = _middle(reached).depth

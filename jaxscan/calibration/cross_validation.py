@@ -11,13 +11,11 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxscan.calibration.seed.sheets import Lifted, lift_stripes
+from jaxscan.calibration.adjust import Adjustment, solve_again
+from jaxscan.calibration.joint import Linearised
+from jaxscan.calibration.problem import layout_of, prepare
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve.adjust import solve_again
-from jaxscan.calibration.solve.adjustment import Adjustment
-from jaxscan.calibration.solve.joint import Linearised
-from jaxscan.calibration.solve.prepare import prepare
-from jaxscan.calibration.solve.problem import layout_of
+from jaxscan.calibration.sheets import Lifted, lift_stripes
 from jaxscan.geometry import LaserSheet
 from jaxscan.leastsq import MEDIAN_TO_SIGMA, Huber
 from jaxscan.observation import Observations

@@ -16,21 +16,20 @@ rest a step of those that act alike.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxscan.calibration.chi_squared import chance_of
+from jaxscan.calibration.adjust import Adjustment
+from jaxscan.calibration.cross_validation import Split, compare_halves, compare_regions, put_back_lines
+from jaxscan.calibration.problem import LEAST_STOP_SIGMA, Problem, corner_pixels, layout_of, move
+from jaxscan.calibration.propagate import TRAVEL_M
+from jaxscan.calibration.result import ModelTest, result_of_test
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve.adjustment import Adjustment
-from jaxscan.calibration.solve.problem import LEAST_STOP_SIGMA, Problem, corner_pixels, layout_of, move
-from jaxscan.calibration.solve.stops import faults_of_motion
-from jaxscan.calibration.verdict.cross_validation import Split, compare_halves, compare_regions, put_back_lines
-from jaxscan.calibration.verdict.propagate import TRAVEL_M
-from jaxscan.calibration.verdict.quality import ModelTest, result_of_test
+from jaxscan.calibration.stops import faults_of_motion
 from jaxscan.geometry import AbstractMotion, LinearStage
-from jaxscan.leastsq import Unknowns
+from jaxscan.leastsq import Unknowns, chance_of
 from jaxscan.observation import Observations
 
 
@@ -279,17 +278,17 @@ def score_models(result: Adjustment) -> Score:
         common = np.concatenate([places[name] for name in terms_of])
         every = np.concatenate(list(terms_of.values()), axis=-1)
         of_view = {int(view): k for k, view in enumerate(views)} if terms_of is corner else {}
-        for owner in np.flatnonzero(np.any(residual, axis=1)):
-            terms, columns = every[owner], common
-            if (row := of_view.get(int(owner))) is not None and single:
-                terms = np.concatenate([terms, *(of[owner] for of in single.values())], axis=1)
+        for number in np.flatnonzero(np.any(residual, axis=1)).tolist():
+            terms, columns = every[number], common
+            if (row := of_view.get(number)) is not None and single:
+                terms = np.concatenate([terms, *(of[number] for of in single.values())], axis=1)
                 own = [places[name].reshape(len(views), -1)[row] for name in single]
                 columns = np.concatenate([common, *own])
-            gradient[columns] += terms.T @ residual[owner]
+            gradient[columns] += terms.T @ residual[number]
             gram[np.ix_(columns, columns)] += terms.T @ terms
-            times = terms.T @ slopes[owner] @ chain[owner]
+            times = terms.T @ slopes[number] @ chain[number]
             met[columns] += times[:, :shared]
-            met_by[block[owner], columns] += times[:, shared:]
+            met_by[block[number], columns] += times[:, shared:]
     # Poses and stops are eliminated, then the shared unknowns.
     known = linear.covariance
     side = np.moveaxis(met_by, 1, 0).reshape(count, -1)
@@ -334,7 +333,8 @@ def _mean_residual(result: Adjustment) -> Float[np.ndarray, "views rows"]:
     steps += [(np.zeros(len(root)), alone[..., number]) for number in range(used)]
     seen = np.flatnonzero(problem.seen)
     fields = ("corner_q", "corner_weight", "angle", "stop", "placement", "seen")
-    some = replace(problem, **{name: np.asarray(getattr(problem, name))[seen] for name in fields})
+    parts: dict[str, Any] = {name: np.asarray(getattr(problem, name))[seen] for name in fields}
+    some = replace(problem, **parts)
     here, total = corner_pixels(some), np.zeros(np.shape(problem.corner_q))
     for shared, local in steps:
         # Half the sum of second differences.
