@@ -6,9 +6,7 @@ from typing import get_args
 
 import pytest
 
-from jaxscan.calibration import CalibrationSettings, Part
-from jaxscan.calibration.parameters import BLOCKS
-from jaxscan.calibration.settings import RigKind
+from jaxscan.calibration import Block, CalibrationSettings, Part, RigKind
 from jaxscan.cli import options
 from jaxscan.files.calibration import CameraFormat
 from jaxscan.files.recording import Storage
@@ -70,6 +68,7 @@ def test_what_computes_nothing_loads_nothing_heavy(words):
     [
         (options.Part, Part),
         (options.RigKind, RigKind),
+        (options.Block, Block),
         (options.Choice, Choice),
         (options.Smooth, Smooth),
         (options.Paper, Paper),
@@ -88,7 +87,6 @@ def test_choices_are_those_of_the_rooms(ours, theirs):
 
 def test_choices_that_rooms_collect():
     assert get_args(options.CameraModel) == tuple(CAMERAS)
-    assert get_args(options.Block) == BLOCKS
     assert CalibrationSettings().camera in CAMERAS
     usual = ReconstructSettings()
     assert (options.MIN_RANGE_M, options.MAX_RANGE_M) == (usual.min_range_m, usual.max_range_m)
