@@ -22,7 +22,7 @@ from tests.fleet.flaky import do_flaky_order
 from tests.opened import catalogue_of, edit, products, states, work
 
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.rig, pytest.mark.slow]
 
 
 class Silent:

@@ -7,7 +7,7 @@ from tests.fleet.test_faults import Silent, batch
 from tests.opened import edit, products, states, work
 
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.rig, pytest.mark.slow]
 
 
 @pytest.fixture
