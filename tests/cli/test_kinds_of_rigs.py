@@ -57,6 +57,7 @@ def assert_camera(path):
     return calibration
 
 
+@pytest.mark.more
 def test_a_linear_stage(folder, run, refused, calibrated):
     capture = boards(folder, "linear", "linear", positions=(-0.1, -0.03, 0.04, 0.1))
     path, said = calibrated("linear", capture)
@@ -87,6 +88,7 @@ def test_a_linear_stage(folder, run, refused, calibrated):
     assert 'says carries = "scanner", the calibration "linear"' in message
 
 
+@pytest.mark.more
 def test_a_profile_scanner(folder, run, refused, calibrated):
     capture = boards(folder, "profile", "nothing", placements=0, free=12)
     path, said = calibrated("profile", capture)
