@@ -121,6 +121,7 @@ def test_a_camera_alone(folder, run, refused, calibrated):
     assert "holds a camera alone, without a laser sheet" in message
 
 
+@pytest.mark.more
 def test_a_camera_and_an_axis_and_then_a_sheet(folder, run, refused, calibrated):
     capture = boards(folder, "axis", "scanner", lit=False, positions=TURNS)
     path, said = calibrated("axis", capture)
