@@ -223,6 +223,7 @@ class RenderedSweep:
 
     compression = None
     exposures = (1.0,)
+    bits = 8
 
     def __init__(
         self,

@@ -2,8 +2,7 @@
 
 from jaxscan.errors import ConfigError
 from scanrig.clock import Clock
-from scanrig.controllers.controller import Controller, Guarantees
-from scanrig.controllers.table import ControllerTable
+from scanrig.controllers.controller import Controller, ControllerTable, Guarantees
 
 
 def open_controller(

@@ -10,10 +10,9 @@ import numpy as np
 from scanrig.checks import PairProof
 from scanrig.config import RigConfig
 from scanrig.controllers import require_allowed
-from scanrig.session.ending import ended_by, leave_safe
-from scanrig.session.job import Devices, Hooks
+from scanrig.session.job import Devices, Hooks, say_event
 from scanrig.session.recovery import RecoveringRig
-from scanrig.session.sentences import say_event
+from scanrig.session.run import ended_by, leave_safe
 from scanrig.session.steps import ProvenPair, prove
 
 
