@@ -19,8 +19,7 @@ from report import Figure, command_line, conclude, progress
 from worlds import calibration_trials as trials
 from worlds.ideal_boards import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 
-from jaxscan.calibration import calibrate_observations
-from jaxscan.calibration.verdict import Length, length_sigma, measure_lengths, typical_lengths
+from jaxscan.calibration import Length, calibrate_observations, length_sigma, measure_lengths, typical_lengths
 from jaxscan.simulation import SimulationConfig, true_scanner
 
 

@@ -21,8 +21,14 @@ from report import Figure, command_line, conclude, progress
 from worlds import calibration_trials as trials
 from worlds.ideal_boards import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 
-from jaxscan.calibration import Calibration, calibrate_camera, calibrate_observations
-from jaxscan.calibration.verdict import depth_sigma, stripe_depths, stripe_pixels
+from jaxscan.calibration import (
+    Calibration,
+    calibrate_camera,
+    calibrate_observations,
+    depth_sigma,
+    stripe_depths,
+    stripe_pixels,
+)
 from jaxscan.geometry import LaserSheet, Scanner, Turntable, stack_lasers
 from jaxscan.observation import Observations
 from jaxscan.simulation import SimulationConfig, true_scanner

@@ -92,8 +92,7 @@ HOME_OF = {
     "simplejpeg": {"vision"},
     "scipy": {
         "measurement",
-        "calibration/chi_squared.py",
-        "calibration/solve/stops.py",
+        "leastsq/robust.py",
         "geometry/rigid.py",
         "stripes/predict.py",
     },

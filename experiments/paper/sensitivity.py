@@ -25,7 +25,7 @@ from experiments.recalibration.world import Noise, Sweeping, true_sweep
 from experiments.report import rms
 from experiments.worlds.calibration_trials import observations
 from experiments.worlds.ideal_boards import BoardPoses, add_noise, ideal_boards
-from jaxscan.calibration.parameters import USUALLY_FREE
+from jaxscan.calibration import USUALLY_FREE
 from jaxscan.recalibration import SweepStripes
 from jaxscan.simulation import SimulationConfig, make_rig, render_sweep
 from jaxscan.simulation.planning import Placement, plan_boards

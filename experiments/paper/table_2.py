@@ -16,7 +16,7 @@ from experiments.paper.products import Draw, draws, our_calibrations
 from experiments.paper.stage import Metric, Stage, plt, save
 from experiments.paper.table_1 import AGREE, ENOUGH
 from experiments.report import rms
-from jaxscan.calibration.verdict import depth_sigma, stripe_depths, stripe_pixels
+from jaxscan.calibration import depth_sigma, stripe_depths, stripe_pixels
 from jaxscan.geometry import Scanner
 from jaxscan.simulation import true_scanner
 

@@ -7,9 +7,7 @@ from typing import Annotated
 import tyro
 
 from jaxscan import api
-from jaxscan.calibration import CalibrationSettings, KnownParts, Part
-from jaxscan.calibration.parameters import Block
-from jaxscan.calibration.settings import RigKind
+from jaxscan.calibration import Block, CalibrationSettings, KnownParts, Part, RigKind
 from jaxscan.cli.known import known_files, known_parts, motion_notes
 from jaxscan.cli.options import OutputPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json

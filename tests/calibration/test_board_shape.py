@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_camera, calibrate_observations
-from jaxscan.calibration.board_shape.modes import bent_modes, corner_modes, smooth_modes
+from jaxscan.calibration.board_shape import bent_modes, corner_modes, smooth_modes
 from jaxscan.files.calibration import load_calibration, save_calibration
 from jaxscan.geometry import Chessboard, corner_frame
 from jaxscan.observation import Observations

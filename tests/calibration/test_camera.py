@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_camera
-from jaxscan.calibration.parameters import PRIORS
+from jaxscan.calibration.settings import PRIORS
 from jaxscan.files.calibration import load_calibration, save_calibration
 from jaxscan.geometry import Chessboard, fit_axis, fit_plane, plane_sigma
 from jaxscan.observation import BoardViews, Observations, StripeViews

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_camera, calibrate_observations
-from jaxscan.calibration.seed.camera import seed_camera
-from jaxscan.calibration.solve.prepare import prepare
+from jaxscan.calibration.first_values import seed_camera
+from jaxscan.calibration.problem import prepare
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration import export_camera, load_calibration, save_calibration
 from jaxscan.geometry import DoubleSphere

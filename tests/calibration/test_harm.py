@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
-from jaxscan.calibration.verdict import length_sigma, measure_lengths, typical_lengths
-from jaxscan.calibration.verdict.propagate import ray_error, refusal
-from jaxscan.calibration.verdict.quality import GoodTo
+from jaxscan.calibration.advice import refusal
+from jaxscan.calibration.propagate import length_sigma, measure_lengths, ray_error, typical_lengths
+from jaxscan.calibration.result import GoodTo
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Pinhole
 

@@ -11,7 +11,7 @@ import pytest
 
 import jaxscan
 from jaxscan.calibration import CalibrationSettings, ModelTest, Verdict, calibrate_camera
-from jaxscan.calibration.verdict import GoodTo, LaserLengths, Lengths, LengthSigma
+from jaxscan.calibration.result import GoodTo, LaserLengths, Lengths, LengthSigma
 from jaxscan.cli.calibrate import calibration_settings
 from jaxscan.cli.output import console
 from jaxscan.cli.summary import print_summary

@@ -7,7 +7,7 @@ import pytest
 from scanrig.checks import guide
 from scanrig.checks.guide import Guide, guess_focal, pose_of, view_board
 
-from jaxscan.calibration.verdict import advice as after
+from jaxscan.calibration import advice as after
 from jaxscan.geometry import Charuco, Chessboard
 
 

@@ -13,7 +13,7 @@ from jaxscan.calibration import (
     Verdict,
     ViewQuality,
 )
-from jaxscan.calibration.verdict import DepthSigma, Direction, GoodTo, LaserLengths, Lengths, LengthSigma, PriorShare
+from jaxscan.calibration.result import DepthSigma, Direction, GoodTo, LaserLengths, Lengths, LengthSigma, PriorShare
 from jaxscan.geometry import Chessboard, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
 from jaxscan.observation import BoardViews, Observations, StripeViews
 

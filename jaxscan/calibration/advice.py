@@ -1,17 +1,19 @@
-"""Advice on the next capture, in words, from the views of a calibration and the directions that it does not know."""
+"""The verdict in words: warnings, why a calibration cannot be used, and captures that would help."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
+from jaxscan.calibration import result as limits
+from jaxscan.calibration.adjust import Adjustment
+from jaxscan.calibration.result import GoodTo, ModelTest, Quality
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve.adjustment import Adjustment
-from jaxscan.calibration.verdict.limits import is_named
-from jaxscan.calibration.verdict.quality import GoodTo, ModelTest
-from jaxscan.geometry import CAMERAS, Turntable, coverage
+from jaxscan.geometry import CAMERAS, AbstractCamera, Turntable, coverage
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
 
 
+# Records that are named in one warning.
+_NAMED = 8
 _MIN_TURN_DEG = 15.0
 
 _LENS = tuple({name for camera in CAMERAS.values() for block in camera.lens for name in block.parameters})
@@ -28,6 +30,82 @@ _CURES = {
     ("travel.t1", "travel.t2"): "placements at more and wider positions of the stage (direction of travel)",
     ANGLE_PARAMETERS: "placements all around, at about 0, 90, 180 and 270 degrees of the table (its angle errors)",
 }
+
+
+def warn(quality: Quality) -> tuple[str, ...]:
+    """Warnings about the numbers of a solve that converged."""
+    warnings = []
+    if quality.prior_share is not None and quality.prior_share.cost > limits.PRIOR_COST:
+        warnings.append(f"priors carry {100 * quality.prior_share.cost:.1f} % of the cost")
+    for name, count, rejected in (
+        ("corners", quality.corners or 0, quality.corners_rejected or 0),
+        ("stripe points", quality.stripe_points or 0, quality.stripe_points_rejected or 0),
+    ):
+        if rejected > limits.REJECTED * max(count, 1):
+            warnings.append(f"{100 * rejected / count:.1f} % of the {name} were rejected")
+    elsewhere = [view.record for view in quality.per_view if view.stripe_elsewhere]
+    if elsewhere:
+        lit = sum(view.stripe_points > 0 or view.stripe_elsewhere for view in quality.per_view)
+        warnings.append(
+            f"the line found on {len(elsewhere)} of {lit} boards is not the laser's and was left out: records "
+            f"{_listed(elsewhere)}"
+        )
+    # Records of several captures may have the same number, so views are gone through one by one.
+    sizes = [view.corner_rms_px or 0.0 for view in quality.per_view]
+    usual = float(np.median(sizes)) if sizes else 0.0
+    for view, size in zip(quality.per_view, sizes, strict=True):
+        if view.dropped:
+            warnings.append(
+                f"record {view.record} was left out: its corners are {size:.2f} px off and disagree with all other "
+                "views"
+            )
+        elif size > limits.ODD_VIEW * usual:
+            warnings.append(
+                f"record {view.record}: its corners are {size:.2f} px off, those of other views {usual:.2f}"
+            )
+    for direction in quality.unobserved:
+        # The table's own angle errors are meant to be held by the priors.
+        if not set(direction) & set(ANGLE_PARAMETERS):
+            warnings.append(f"held by priors rather than by data: {', '.join(direction)}")
+    return tuple(warnings)
+
+
+def _listed(records: list[int]) -> str:
+    """The first few numbers, and how many more there are."""
+    more = len(records) - _NAMED
+    return ", ".join(map(str, records[:_NAMED])) + (f" and {more} more" if more > 0 else "")
+
+
+def refusal(
+    good_to: GoodTo,
+    camera: AbstractCamera,
+    settings: CalibrationSettings,
+    *,
+    has_sheets: bool = True,
+    focal: float = 0.0,
+) -> str | None:
+    """Why a calibration cannot be used, its focal length known to a share of it; None where it can."""
+    mm, px, at_m = good_to.sigma_mm, good_to.sigma_px, good_to.at_m
+    if mm is None and settings.limit_mm is not None:
+        if not has_sheets:
+            return f"{settings.limit_mm:g} mm were asked, and without a laser sheet there are no points"
+        where = "within reach" if settings.at_m is None else f"in the image at {settings.at_m:g} m"
+        return f"{settings.limit_mm:g} mm were asked, and no stripe is {where}"
+    if mm is not None and settings.limit_mm is not None and mm > settings.limit_mm:
+        return f"{settings.limit_mm:g} mm were asked"
+    if px is not None and settings.limit_px is not None and px > settings.limit_px:
+        return f"{settings.limit_px:g} px were asked, and its rays are good to {px:.2g} px"
+    if focal > limits.UNKNOWN_FOCAL:
+        return (
+            f"its focal length is known to {100 * focal:.2g} % only, which makes no camera: tilt the board by 20 to "
+            "45 degrees in different directions"
+        )
+    share = f"{100 * limits.USELESS_SHARE:.0f} %"
+    if mm is not None and at_m is not None and mm > 1e3 * limits.USELESS_SHARE * at_m:
+        return f"points that are off by more than {share} of their distance are of no use"
+    if px is not None and px > limits.USELESS_SHARE * 0.5 * (float(camera.fx) + float(camera.fy)):
+        return f"rays that are off by more than {share} of the focal length are of no use"
+    return None
 
 
 def advise(result: Adjustment, unobserved: Sequence[dict[str, float]]) -> tuple[str, ...]:
@@ -78,7 +156,7 @@ def cure_causes(tests: Sequence[ModelTest], good_to: GoodTo, settings: Calibrati
         "lines": "see that neither board nor laser moves between the images of a record, and take again the records "
         "whose line was left out",
     }
-    named = [name for effect, name in sorted(effects, reverse=True) if is_named(effect, whole)]
+    named = [name for effect, name in sorted(effects, reverse=True) if limits.is_named(effect, whole)]
     return tuple(lines[name] for name in named if name in lines)
 
 

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.calibration.solve.problem import Problem, camera_from_board, move, moving, shared_values, zero_step
-from jaxscan.calibration.solve.rows import Chains, Rows, chains, corner_rows, stripe_rows
+from jaxscan.calibration.problem import Problem, camera_from_board, move, moving, shared_values, zero_step
+from jaxscan.calibration.rows import Chains, Rows, chains, corner_rows, stripe_rows
 from jaxscan.compiling import compile_sooner
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array

@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
-from jaxscan.calibration.parameters import LOCAL_SCALE
-from jaxscan.calibration.solve.problem import (
+from jaxscan.calibration.problem import (
+    LOCAL_SCALE,
     Problem,
     board_points,
     board_surface,

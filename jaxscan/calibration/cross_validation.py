@@ -11,13 +11,11 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxscan.calibration.seed.sheets import Lifted, lift_stripes
+from jaxscan.calibration.adjust import Adjustment, solve_again
+from jaxscan.calibration.joint import Linearised
+from jaxscan.calibration.problem import layout_of, prepare
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve.adjust import solve_again
-from jaxscan.calibration.solve.adjustment import Adjustment
-from jaxscan.calibration.solve.joint import Linearised
-from jaxscan.calibration.solve.prepare import prepare
-from jaxscan.calibration.solve.problem import layout_of
+from jaxscan.calibration.sheets import Lifted, lift_stripes
 from jaxscan.geometry import LaserSheet
 from jaxscan.leastsq import MEDIAN_TO_SIGMA, Huber
 from jaxscan.observation import Observations
@@ -40,25 +38,23 @@ _LEAST_CORNERS = 8
 
 
 class Split(NamedTuple):
-    """The difference of two solves of parts of the observations; scaled units of the unknowns that are free."""
+    """The difference of two solves of parts of the observations, along directions that the data know."""
 
     difference: np.ndarray
-    """Of the unknowns [free]."""
+    """Of the free unknowns [free], scaled units."""
     free: np.ndarray
     """bool [shared]: which unknowns those are."""
-    root: np.ndarray
-    """Root of a covariance [free, free], in whose units the difference is taken."""
+    whiten: np.ndarray
+    """Leads the difference to independent directions [directions, free]."""
     scatter: np.ndarray
-    """Variance by noise, in these units, along the independent directions [free]."""
-    directions: np.ndarray
-    """Those directions [free, free], as columns."""
+    """Variance by noise along them [directions]."""
     per_error: float
     """The difference as large as this many times the error of the whole calibration [1]."""
 
     @property
     def dof(self) -> int:
         """Directions that the data know beyond the priors."""
-        return int(np.count_nonzero(self.scatter > _PRIOR_HELD))
+        return len(self.scatter)
 
     def distance(self, systematic: np.ndarray | None = None) -> float:
         """Square of the difference in units of its standard deviation.
@@ -66,12 +62,9 @@ class Split(NamedTuple):
         Args:
             systematic: Covariance of the error of the whole calibration beside that of noise [free, free].
         """
-        seen = self.scatter > _PRIOR_HELD
-        whiten = self.directions[:, seen].T @ np.linalg.inv(self.root)
-        covariance = np.diag(self.scatter[seen])
+        covariance, parts = np.diag(self.scatter), self.whiten @ self.difference
         if systematic is not None:
-            covariance = covariance + self.per_error**2 * whiten @ systematic @ whiten.T
-        parts = whiten @ self.difference
+            covariance = covariance + self.per_error**2 * self.whiten @ systematic @ self.whiten.T
         return float(parts @ np.linalg.solve(covariance, parts))
 
     def beyond(self, before: np.ndarray, scales: np.ndarray) -> np.ndarray:
@@ -89,15 +82,6 @@ class Split(NamedTuple):
         return step
 
 
-class _Part(NamedTuple):
-    """A solve of a part of the observations, of the free unknowns."""
-
-    step: np.ndarray
-    covariance: np.ndarray
-    sampling: np.ndarray
-    """The part of the covariance that noise causes: priors are the same in every part and scatter nothing."""
-
-
 def compare_halves(
     result: Adjustment, settings: CalibrationSettings, promise: tuple[float, np.ndarray | float]
 ) -> Split | None:
@@ -109,12 +93,12 @@ def compare_halves(
     half = deal_halves(np.asarray(result.data.placement), result.view_kept & result.data.usable)
     if min(np.count_nonzero(half == 0), np.count_nonzero(half == 1)) < 3:
         return None
-    first, second = (_solved(result, settings, (half == side)[:, None], promise) for side in (0, 1))
-    if first is None or second is None:
+    parts = [_solved(result, settings, (half == side)[:, None], promise) for side in (0, 1)]
+    if parts[0] is None or parts[1] is None:
         return None
-    root = np.linalg.cholesky(first.covariance + second.covariance)
+    step, covariance, sampling = (np.array(both) for both in zip(*parts, strict=True))
     # A mean of two errors that are independent has half the sigma of one, their difference twice that.
-    return _split(result, first.step - second.step, root, first.sampling + second.sampling, 2.0)
+    return _split(result, step[0] - step[1], covariance.sum(0), sampling.sum(0), 2.0)
 
 
 def compare_regions(result: Adjustment, settings: CalibrationSettings) -> Split | None:
@@ -135,8 +119,8 @@ def compare_regions(result: Adjustment, settings: CalibrationSettings) -> Split 
     if middle is None or whole is None:
         return None
     # An estimate from a part differs from the best one by what the part knows less (Hausman).
-    root = np.linalg.cholesky(middle.covariance)
-    return _split(result, middle.step, root, middle.covariance - whole, 1.0)
+    step, covariance, _ = middle
+    return _split(result, step, covariance, covariance - whole, 1.0)
 
 
 def put_back_lines(result: Adjustment, given: Observations) -> list[np.ndarray]:
@@ -203,9 +187,13 @@ def deal_halves(placement: np.ndarray, used: np.ndarray) -> np.ndarray:
     return half
 
 
-def _split(result: Adjustment, difference: np.ndarray, root: np.ndarray, noise: np.ndarray, per_error: float) -> Split:
+def _split(result: Adjustment, difference: np.ndarray, units: np.ndarray, noise: np.ndarray, per_error: float) -> Split:
+    """With the variance by noise taken in units of a covariance."""
+    root = np.linalg.cholesky(units)
     scatter = np.linalg.solve(root, np.linalg.solve(root, noise).T)
-    return Split(difference, _free(result), root, *np.linalg.eigh(0.5 * (scatter + scatter.T)), per_error)
+    variance, directions = np.linalg.eigh(0.5 * (scatter + scatter.T))
+    seen = variance > _PRIOR_HELD
+    return Split(difference, _free(result), directions[:, seen].T @ np.linalg.inv(root), variance[seen], per_error)
 
 
 def _free(result: Adjustment) -> np.ndarray:
@@ -217,8 +205,13 @@ def _solved(
     settings: CalibrationSettings,
     corners: np.ndarray,
     promise: tuple[float, np.ndarray | float],
-) -> _Part | None:
-    """The solve of some corners [views, corners or 1], and of the stripes of their views; None if it says nothing."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """The solve of some corners [views, corners or 1], and of the stripes of their views; None if it says nothing.
+
+    Returns:
+        The step of the free unknowns [free], their covariance [free, free], and the part of it that noise causes:
+        priors are the same in every part and scatter nothing.
+    """
     views = np.any(corners, axis=1)
     stripes = views[result.data.stripe_view]
     problem = replace(
@@ -233,7 +226,7 @@ def _solved(
     if covariance is None or not solution.converged:
         return None
     reduced, prior = (part[np.ix_(free, free)] for part in (solution.linearised.reduced, solution.linearised.prior))
-    return _Part(solution.shared[free], covariance, covariance @ (reduced - prior) @ covariance)
+    return solution.shared[free], covariance, covariance @ (reduced - prior) @ covariance
 
 
 def _known(linearised: Linearised, free: np.ndarray) -> np.ndarray | None:

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxscan.calibration.seed.closed_form import seed_plane
-from jaxscan.calibration.solve.prepare import Prepared, prepare
+from jaxscan.calibration.first_values import seed_plane
+from jaxscan.calibration.problem import Prepared, prepare
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, LaserSheet
 from jaxscan.observation import Observations, StripeViews

@@ -6,8 +6,8 @@ An error that comes back at the same position, or follows it smoothly, is a faul
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.solve.joint import Linearised
-from jaxscan.calibration.solve.problem import LEAST_STOP_SIGMA, Problem, used_stops
+from jaxscan.calibration.joint import Linearised
+from jaxscan.calibration.problem import LEAST_STOP_SIGMA, Problem, used_stops
 from jaxscan.geometry import LinearStage
 
 
