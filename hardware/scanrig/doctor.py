@@ -77,8 +77,6 @@ def examine(patient: Patient, *, folder: Path, tell: Tell, say: Callable[[str], 
     """Examine all parts of a rig; the table turns and the laser shines.
 
     Args:
-        patient: The parts.
-        folder: Folder for captures.
         tell: Called with each finding.
         say: Called with a sentence about the progress of long examinations.
     """
@@ -173,9 +171,7 @@ def examine_light(
     Args:
         controller: Homed; its contactor is closed for each pair and opened again.
         camera: Started.
-        config: The rig.
         tell: Called with each finding.
-        clock: For waiting.
 
     Returns:
         The first proven pair, or None.
@@ -278,7 +274,6 @@ def judge_exposure(pair: ProvenPair, config: RigConfig) -> Finding:
 
     Args:
         pair: A pair of the rig, proven or not.
-        config: The rig.
     """
     name = _named("exposure", config, pair.laser)
     peak, clipped = stripe_level(pair.on.image, pair.off.image, config, pair.laser)
@@ -307,9 +302,6 @@ def stripe_level(on: np.ndarray, off: np.ndarray, config: RigConfig, laser: int 
     """90 % quantile of the peak levels of the lit lines [DN], and the part of lit lines that is clipped.
 
     Args:
-        on: Laser-on frame.
-        off: Laser-off frame.
-        config: The rig.
         laser: The laser of the pair, counted from 0.
     """
     line = config.laser[laser].line

@@ -142,7 +142,6 @@ class Ledger:
         """Add a record; it is on the disk when this returns.
 
         Args:
-            number: Number of the record.
             on: Laser-on image, uint8.
             off: Laser-off image, uint8.
             fields: The other fields of the record.

@@ -266,7 +266,6 @@ def connect(aravis: Aravis, wanted: str, say: Say) -> int:
     """Connect to a camera, take control of it, and end an acquisition that a killed program left running.
 
     Args:
-        aravis: The library.
         wanted: Device id, serial number or address; "" for the only camera.
         say: Called before waiting for another program to lose control.
 
@@ -431,7 +430,6 @@ class AravisCamera(ClosedAtExit):
         """Open the camera, apply `settings`, read them back and compare.
 
         Args:
-            settings: Camera and settings.
             say: Called with a sentence before a long wait, at every opening.
 
         Raises:

@@ -108,10 +108,8 @@ def draw(
     """One frame.
 
     Args:
-        scene: The scene.
         position: Position of the table [microsteps].
         lit: Which laser is on, from 1; 0: none.
-        shape: Shape of the frame.
         generator: Generator of the noise; its state advances.
     """
     width, height, pixel_format = shape
@@ -167,11 +165,9 @@ class SimulatedCamera(ClosedAtExit):
         """An open camera.
 
         Args:
-            settings: Its settings.
             scene: The scene; by default a synthetic one.
             world: Position and laser at this moment; by default laser on and off in turn.
             faults: Faults by the number of the exposure, from 1; may be changed at any time.
-            clock: For time stamps.
             patience_s: Longest real wait of `next`, whatever its timeout: 0 if the test exposes before it calls `next`.
         """
         self.settings, self.faults = settings, dict(faults or {})

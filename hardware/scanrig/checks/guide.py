@@ -72,7 +72,6 @@ def view_board(
     """A view from corners and stripe points; None if the corners fix no pose.
 
     Args:
-        board: The board.
         q: Its corners in the image, in the board's order [px].
         valid: Which corners were found, bool [corners].
         stripe: Stripe centres in the image [px], or None.
@@ -230,7 +229,6 @@ class Guide:
 
         Args:
             on: Laser-on frame, or None.
-            off: Laser-off frame.
             laser: Which laser is on, counted from 0.
         """
         found = self.detect(off)
@@ -248,7 +246,6 @@ class Guide:
         """Count a pose that was taken.
 
         Args:
-            look: The pose.
             placement: Number of its placement, if it belongs to one.
         """
         if look.view is not None:

@@ -271,9 +271,6 @@ class Controller(Protocol):
     def reconnect(self, timeout_s: float = 60.0) -> Reconnection:
         """Find the controller again after LinkLost or ControllerReset. Motion is stopped, the laser off.
 
-        Args:
-            timeout_s: when to give up.
-
         Returns:
             Whether it kept its position, whether it must be homed, and its state.
 
@@ -292,7 +289,6 @@ class Controller(Protocol):
 
         Args:
             max_steps: how far to search, microsteps.
-            timeout_s: how long to wait.
 
         Returns:
             The position of the switch by the counter as it was before: 0 if no step was lost. None if the controller
@@ -308,7 +304,6 @@ class Controller(Protocol):
 
         Args:
             to: microsteps from home.
-            timeout_s: how long to wait.
 
         Returns:
             The position reached.
@@ -329,7 +324,6 @@ class Controller(Protocol):
         """Switch a laser on, renew its lease, or switch all lasers off.
 
         Args:
-            on: on or off.
             number: which one, from 1.
 
         Raises:

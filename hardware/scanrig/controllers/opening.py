@@ -11,10 +11,7 @@ def open_controller(
     """Open the controller's port. Nothing is sent before `Controller.hello`.
 
     Args:
-        table: Which controller, and where.
-        microsteps_per_turn: Of the table.
         port: Replaces the table's port: a path, a USB serial number, or "auto" for the only board.
-        clock: For every wait.
 
     Returns:
         A controller whose `reconnect` finds the same board again, even under another port number.

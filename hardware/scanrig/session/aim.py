@@ -47,7 +47,6 @@ def run_aiming(config: RigConfig, devices: Devices, see: Callable[[Sight], None]
     """Take pairs at home until the operator asks to stop; nothing is written.
 
     Args:
-        config: The rig.
         devices: Controller and camera, open.
         see: Called with every look; with several lasers they take turns.
         hooks: Callbacks, of which `notify` and `should_stop` are used.

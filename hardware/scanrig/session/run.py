@@ -101,7 +101,6 @@ def run_job(job: Job, work: Callable[[Session], bool]) -> SessionResult:
     """Run a session from the lock to the seal.
 
     Args:
-        job: The inputs.
         work: Takes the missing records; returns False if the operator asked to stop.
 
     Raises:
@@ -244,11 +243,7 @@ def say_end(ending: Ending, folder: Path, *, count: int, planned: int, suspect: 
     """How a session ended, as one line.
 
     Args:
-        ending: The end.
-        folder: Of the capture.
-        count: Records on the disk.
         planned: Records of the complete capture.
-        suspect: Ranges of suspect records.
     """
     there = f"{count} of {planned} records"
     says = {
@@ -361,10 +356,8 @@ def run_sweep(
     """Capture a sweep, each pair proven and written while the table turns to the next.
 
     Args:
-        config: The rig.
         folder: Folder of the capture: new, or one to continue.
         devices: Controller and camera, open.
-        hooks: Callbacks.
         resume: Continue the capture in the folder; if there is none, begin it.
         calibration_digest: Digest of the calibration that is used during the scan; noted, and refused
             if it changed.

@@ -327,8 +327,6 @@ def take_pair(
     """Take one step, and retake it at the same position until it is proven.
 
     Args:
-        station: The devices.
-        step: The pair to take.
         rejected: Called with the reason for each rejected take.
         before: Earlier takes of this step that were rejected; they count.
 

@@ -203,7 +203,6 @@ class TableAxis:
         Args:
             to: Microsteps from home.
             speed: Microsteps per second.
-            timeout_s: How long to wait.
 
         Returns:
             The position where it stands.
@@ -533,9 +532,7 @@ def connect_grbl(
 
     Args:
         table: Port and commands of the board.
-        microsteps_per_turn: Of the table.
         port: Replaces the table's port: a path, a USB serial number, or "auto".
-        clock: For every wait.
 
     Raises:
         PortError: No port, several, port missing or in use, or no permission.

@@ -47,7 +47,6 @@ def greet(wire: Exchange, clock: Clock, session: int) -> Firmware:
     again.
 
     Args:
-        wire: to the controller.
         clock: for the wait for the boot loader.
         session: 1 … 2³¹−1.
 
@@ -193,8 +192,6 @@ class JxsController(SafelyClosed):
         """Nothing is sent yet.
 
         Args:
-            link: to the controller.
-            clock: for every wait.
             timeout_s: the longest wait for one answer.
             tries: the link counts as lost after `tries * timeout_s` without an answer.
             reopen: opens the port again for `reconnect`, even under another number.
@@ -328,7 +325,6 @@ class JxsController(SafelyClosed):
         """Switch a laser on, renew its lease, or switch all lasers off.
 
         Args:
-            on: on or off.
             ms: lease [ms], at most that of `hello`; by default all of it.
             number: which laser, from 1.
         """
@@ -352,7 +348,6 @@ class JxsController(SafelyClosed):
             to: microsteps from home.
             id: a number that identifies the shot.
             number: which laser, from 1.
-            lit: expose with the laser.
             dark: expose without.
         """
         self._talk.begin("SHOT", to=to, id=id, m=lit + 2 * dark, **_named(number))
@@ -426,7 +421,6 @@ def connect(port: str = "auto", baud: int = 250_000, clock: Clock | None = None)
     Args:
         port: a path, a USB serial number, or "auto" for the only board.
         baud: bits per second.
-        clock: for every wait.
 
     Returns:
         A controller whose `reconnect` finds the same board again, by its USB serial number or its path under

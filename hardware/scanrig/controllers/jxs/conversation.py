@@ -339,7 +339,6 @@ class Conversation:
 
         Args:
             action: the action that is to end, for the message.
-            timeout_s: how long to wait.
             told: reads the result from the event; None for any other event.
             idle: reads the result from the state once nothing runs any more.
 
