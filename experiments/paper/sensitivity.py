@@ -247,7 +247,7 @@ def run(stage: Stage) -> list[Metric]:
     count, modelled = (2, 2) if stage.quick else (8, 16)
     runs = [measured_room(study, every, _random(stage, 98, draw), as_user=True)[0] for draw in range(count)]
     errors["all"] = 1e3 * (np.array(runs) - truth)
-    # Jitter moves the stops of the sweep too; the share of the pitch is known without an experiment: pitch times length.
+    # Jitter moves the sweep's stops too; the share of the pitch is known without an experiment: pitch times length.
     still = replace(every, jitter_rad=0.0, pitch=0.0)
     exact = replace(study, stated=replace(every, pitch=0.0))
     pairs = [measured_room(exact, still, _random(stage, 99, draw), as_user=True) for draw in range(modelled)]
