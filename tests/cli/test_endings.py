@@ -31,6 +31,7 @@ def test_nothing_that_is_printed_is_a_command(capsys):
     assert all(one.isprintable() or one == "\n" for one in said)
 
 
+@pytest.mark.rig
 def test_a_terminal_shows_colours_but_obeys_no_name(monkeypatch):
     monkeypatch.delenv("NO_COLOR")
     ours, theirs = os.openpty()
@@ -151,6 +152,7 @@ def shell(command, cloud, **env):
     )
 
 
+@pytest.mark.rig
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
 def test_a_full_disk_under_standard_output(cloud):
     ran = shell("$J convert $A b.npz --json - > /dev/full", cloud)
@@ -170,6 +172,7 @@ def test_a_full_disk_under_standard_output(cloud):
     ) or ran.stderr == "jaxscan: standard output: No space left on device.\n"
 
 
+@pytest.mark.rig
 @pytest.mark.parametrize("words", ["convert $A b.npz", "convert $A b.npz --json -", "measure --help"])
 def test_nobody_reads(words, cloud):
     ran = shell(f"$J {words} | true; exit ${{PIPESTATUS[0]}}", cloud)
@@ -177,11 +180,13 @@ def test_nobody_reads(words, cloud):
     assert ran.returncode in (0, 141)
 
 
+@pytest.mark.rig
 def test_nobody_reads_errors(cloud):
     ran = shell("$J convert none.ply b.npz 2>&1 >/dev/null | true; exit ${PIPESTATUS[0]}", cloud)
     assert (ran.returncode, ran.stdout + ran.stderr) == (1, "")
 
 
+@pytest.mark.rig
 @pytest.mark.parametrize("closed", ["1>&-", "2>&-", "0<&-", "0<&- 1>&- 2>&-"])
 def test_closed_standard_files_are_not_replaced_by_outputs(closed, cloud):
     ran = shell(f"$J convert $A b.ply {closed}; echo $? > code", cloud)
@@ -190,6 +195,7 @@ def test_closed_standard_files_are_not_replaced_by_outputs(closed, cloud):
     assert (cloud.parent / "b.ply").read_bytes().startswith(b"ply\n")
 
 
+@pytest.mark.rig
 def test_json_where_standard_output_is_latin(cloud):
     ran = shell(
         "cp $A $'\\u0436\\xff.ply'; $J convert $'\\u0436\\xff.ply' b.npz --json -", cloud, PYTHONIOENCODING="latin-1"
@@ -218,6 +224,7 @@ LOADED = ("", "XDG_CACHE_HOME=/dev/null")
 """Where libraries are loaded that keep what they make: a home that is not there, and one that is no folder."""
 
 
+@pytest.mark.rig
 @pytest.mark.parametrize("home", ["", "HOME=/", "HOME=/nonexistent", "XDG_CACHE_HOME=/dev/null", "HOME=/root"])
 def test_no_home_and_an_unknown_user(cloud, open_folder, home):
     """As in `docker run -u 54321`: not in the list of users, and nothing of the installation may be written."""
@@ -248,6 +255,7 @@ def test_a_cache_that_others_may_write_is_not_used(tmp_path, monkeypatch):
     assert cache_folder() is None
 
 
+@pytest.mark.rig
 def test_what_libraries_say_comes_as_one_line(tmp_path):
     code = (
         "import logging, sys, warnings; from jaxscan.cli import running\n"

@@ -170,6 +170,7 @@ def test_two_rigs_of_one_name_and_no_days(museum, run):  # noqa: F811
     assert ran.code == 1 and ran.err.count("\n") == 1 and "calibration" in ran.err
 
 
+@pytest.mark.more
 def test_a_project_is_viewed_by_its_clouds(museum, run):  # noqa: F811
     ran = run("view", museum)
     assert ran.code == 1 and "has no cloud yet: jaxscan batch" in ran.err

@@ -10,6 +10,9 @@ import time
 import pytest
 
 
+pytestmark = pytest.mark.rig
+
+
 BEGIN = """
 import ctypes, hashlib, os, signal, sys, threading, time
 from jaxscan.cli import signals
