@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxscan.api.ranges import ranges_of
+from jaxscan.api.sweeps import ranges_of
 from jaxscan.errors import CaptureError, ConfigError
 from jaxscan.files.capture import open_capture
 from jaxscan.files.remote import is_remote

@@ -72,6 +72,6 @@ def draw_panorama(desk: Desk) -> None:
 def write_report(desk: Desk) -> None:
     """The report of a cloud."""
     # Imported here, because it loads matplotlib.
-    from jaxscan.api.products.reports import report_files
+    from jaxscan.api.reports import report_files
 
     report_files(desk.file("cloud"), desk.file("calibration"), desk.target())

@@ -4,7 +4,7 @@ from functools import partial
 from pathlib import Path
 
 from jaxscan import api
-from jaxscan.api.ranges import cloud_of_ranges, stripes_of_range
+from jaxscan.api.sweeps import cloud_of_ranges, stripes_of_range
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.files.calibration import calibration_digest, calibration_notes
 from jaxscan.files.capture import Capture
