@@ -9,7 +9,7 @@ import pydantic
 from jaxscan.files.calibration.numbers import UNIT_TOLERANCE, Basis, Bend, Limited, Triple, arrays, check_frame
 from jaxscan.files.disk import FileModel
 from jaxscan.geometry import AbstractMotion, LinearStage, Turntable
-from jaxscan.geometry.motions.turntable import Turns
+from jaxscan.geometry.motions import Turns
 
 
 SLOWEST = 1e-6  # The least gain.

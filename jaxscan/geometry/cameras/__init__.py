@@ -1,7 +1,17 @@
 """Camera models, one file each, and their registry."""
 
+from typing import TYPE_CHECKING, Literal
+
 from jaxscan.geometry.cameras.camera import CENTRE, FOCAL, AbstractCamera
 from jaxscan.geometry.cameras.double_sphere import DoubleSphere
 from jaxscan.geometry.cameras.fisheye import Fisheye
 from jaxscan.geometry.cameras.pinhole import Pinhole
-from jaxscan.geometry.cameras.registry import CAMERAS, CameraModel
+
+
+CAMERAS: dict[str, type[AbstractCamera]] = {camera.model: camera for camera in (Pinhole, Fisheye, DoubleSphere)}
+"""All camera models by name."""
+
+if TYPE_CHECKING:
+    CameraModel = str
+else:
+    CameraModel = Literal[tuple(CAMERAS)]
