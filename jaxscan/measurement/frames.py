@@ -166,9 +166,7 @@ def _fitted(scanner: np.ndarray, site: np.ndarray) -> TargetFrame:
         )
     u, size, v = np.linalg.svd(b.T @ a)
     mirrored, mirrored_rms = np.linalg.det(u @ v) < 0, np.sqrt(np.mean((a @ (u @ v).T - b) ** 2))
-    if mirrored and np.sqrt(size[2] / count) > _MIRRORED * mirrored_rms + 1e-6 * np.sqrt(
-        size[0] / count
-    ):
+    if mirrored and np.sqrt(size[2] / count) > _MIRRORED * mirrored_rms + 1e-6 * np.sqrt(size[0] / count):
         raise MeasurementError(
             f"The targets fit as their mirror image only, to {1e3 * mirrored_rms:.1f} mm; expected right-handed "
             "coordinates in both frames: two axes may be exchanged, or one counts the other way."

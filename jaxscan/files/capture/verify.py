@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.decode import cores
 from jaxscan.files.capture.header import frame_shape, image_limit
-from jaxscan.files.capture.journal import Record
-from jaxscan.files.capture.references import Folder, ImageRef
+from jaxscan.files.capture.images import cores
+from jaxscan.files.capture.journal import CaptureTexts, Folder, ImageRef, Record, read_texts
 from jaxscan.files.capture.seals import difference, frame_digest, sealing
 from jaxscan.files.capture.shards import Shards
-from jaxscan.files.capture.texts import CaptureTexts, read_texts
 from jaxscan.files.disk import file_digest
 
 

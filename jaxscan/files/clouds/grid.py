@@ -7,9 +7,8 @@ import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import points as sizes
-from jaxscan.files.clouds.about import JOINED_FORMAT, lacking, version_of
+from jaxscan.files.clouds.header import JOINED_FORMAT, lacking, read_stations, version_of
 from jaxscan.files.clouds.points import PARTS, POINT
-from jaxscan.files.clouds.stations import read_stations
 from jaxscan.reconstruction import MAY_LACK, SMOOTHED, PointCloud, Stations
 
 

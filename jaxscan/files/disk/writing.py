@@ -12,7 +12,7 @@ import stat
 from pathlib import Path
 from typing import Literal
 
-from jaxscan.files.disk.opening import NO_LINK
+from jaxscan.files.disk.reading import NO_LINK
 
 
 Opened = Literal["make", "change", "append"]

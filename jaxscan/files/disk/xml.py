@@ -9,7 +9,7 @@ from typing import Any
 from xml.parsers import expat
 
 from jaxscan.errors import JaxscanError
-from jaxscan.files.disk.opening import MEGABYTE
+from jaxscan.files.disk.reading import MEGABYTE
 
 
 MAX_XML_DEPTH = 64

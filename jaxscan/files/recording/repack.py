@@ -26,8 +26,7 @@ from jaxscan.files.capture import (
 )
 from jaxscan.files.disk import write_atomically
 from jaxscan.files.recording.store import Storage
-from jaxscan.files.recording.whole import check_new_folder, whole_capture
-from jaxscan.files.recording.writer import CaptureWriter, create_capture
+from jaxscan.files.recording.writer import CaptureWriter, check_new_folder, create_capture, whole_capture
 
 
 Progress = Callable[[int, int], None]

@@ -1,4 +1,4 @@
-"""Reading PCD: files of this library on their grid, others as a single row of points."""
+"""LZF, with which the Point Cloud Library packs points."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -9,13 +9,70 @@ import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import points as sizes
-from jaxscan.files.clouds.about import StoredCloud, about_of, version_of
 from jaxscan.files.clouds.columns import COLOURS, Reading, decide, plain_names, unit_of_text
 from jaxscan.files.clouds.grid import Records, cloud_of
-from jaxscan.files.clouds.pcd.lzf import unpack
-from jaxscan.files.clouds.seal import check_seal
-from jaxscan.files.clouds.tables import numbers_of, text_lines
-from jaxscan.files.disk import open_regular
+from jaxscan.files.clouds.header import (
+    SEAL_LINE,
+    About,
+    StoredCloud,
+    about_of,
+    check_seal,
+    header_lines,
+    seal,
+    version_of,
+)
+from jaxscan.files.clouds.points import (
+    POINT,
+    blocks,
+    columns,
+    numbers_of,
+    profiles_at_a_time,
+    record_of,
+    table,
+    text_lines,
+)
+from jaxscan.files.disk import Part, open_regular
+from jaxscan.reconstruction import CloudPoints, PointCloud
+
+
+def unpack(packed: bytes, size: int) -> bytes:
+    """The bytes that were packed.
+
+    Args:
+        packed: Tokens: a byte below 32 and so many bytes more than it says as they are, or a length in the upper 3
+            bits and a distance back in the other 13, with a byte of more length between where the 3 bits are all set.
+        size: Number of the bytes that were packed.
+
+    Raises:
+        ValueError: If the tokens do not fit, or give another number of bytes.
+    """
+    out = bytearray()
+    at, end = 0, len(packed)
+    try:
+        while at < end and len(out) <= size:
+            token = packed[at]
+            at += 1
+            if token < 32:
+                out += packed[at : at + token + 1]
+                at += token + 1
+                continue
+            length = token >> 5
+            if length == 7:
+                length += packed[at]
+                at += 1
+            start = len(out) - ((token & 31) << 8) - packed[at] - 1
+            at += 1
+            length += 2
+            if start < 0:
+                raise ValueError("a repetition begins before the data")
+            # What is repeated may reach into its own repetition.
+            piece = out[start : start + length]
+            out += (piece * (length // len(piece) + 1))[:length]
+    except IndexError as problem:
+        raise ValueError("the packed data is cut short") from problem
+    if len(out) != size or at != end:
+        raise ValueError(f"found {len(out)} bytes of {size}")
+    return bytes(out)
 
 
 MAX_HEADER_BYTES = 64 << 10
@@ -227,3 +284,70 @@ def _unpacked_colours(table: np.ndarray) -> np.ndarray:
         for name, shift in zip(COLOURS, (16, 8, 0), strict=True):
             points[name] = (bits >> np.uint32(shift)) & np.uint32(255)
     return points
+
+
+_LONG = {"nx": "normal_x", "ny": "normal_y", "nz": "normal_z"}
+_COLOURS = ("red", "green", "blue")
+_POINT = np.dtype(
+    [(_LONG.get(name, name), POINT[name].str) for name in (POINT.names or ())[:6]]
+    # The library packs a colour as 0x00rrggbb and calls the four bytes a float.
+    + [("rgb", "<u4")]
+    + [(name, POINT[name].str) for name in (POINT.names or ())[6:] if name not in _COLOURS]
+)
+_KINDS = {"f": "F", "i": "I", "u": "U"}
+CELLS_PER_POINT = 16
+"""Emptier grids are written as a list of points, whose step and row tell their cells."""
+
+
+def write_pcd(cloud: PointCloud, path: Part, about: About) -> None:
+    """Write the grid, a profile as a row, with NaN where there is no point; coordinates as doubles if they are.
+
+    A cloud of one profile, and one whose grid is almost empty, is written as a list of its points.
+    """
+    point = record_of(_POINT, cloud)
+    names, count = point.names or (), int(np.count_nonzero(cloud.valid))
+    profiles, lines = cloud.valid.shape
+    organised = profiles > 1 and profiles * lines <= CELLS_PER_POINT * count
+    width, height = (lines, profiles) if organised else (count, 1)
+    header = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        *(f"# {line}" for line in (*header_lines(cloud, about), SEAL_LINE)),
+        "VERSION 0.7",
+        f"FIELDS {' '.join(names)}",
+        f"SIZE {' '.join(str(point[name].itemsize) for name in names)}",
+        f"TYPE {' '.join('F' if name == 'rgb' else _KINDS[point[name].kind] for name in names)}",
+        f"COUNT {' '.join('1' for _ in names)}",
+        f"WIDTH {width}",
+        f"HEIGHT {height}",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {width * height}",
+        "DATA binary",
+        "",
+    ]
+    with open(path, "wb") as file:
+        file.write("\n".join(header).encode("ascii"))
+        if organised:
+            for start, stop in profiles_at_a_time(cloud):
+                cells = _empty(point, (stop - start, lines))
+                points = cloud.points(start, stop)
+                cells[points.step - start, points.row] = _records(cloud, points, point)
+                file.write(cells.data)
+        else:
+            for points in blocks(cloud):
+                file.write(_records(cloud, points, point).data)
+    seal(path)
+
+
+def _records(cloud: PointCloud, points: CloudPoints, point: np.dtype) -> np.ndarray:
+    red, green, blue = points.rgb.astype(np.uint32).T
+    packed = red << np.uint32(16) | green << np.uint32(8) | blue
+    return table({**columns(points, cloud), "rgb": packed}, point)
+
+
+def _empty(point: np.dtype, shape: tuple[int, int]) -> np.ndarray:
+    """Cells without a point: NaN, which is how the format says so, and zero in whole numbers."""
+    cells = np.zeros(shape, point)
+    for name in point.names or ():
+        if point[name].kind == "f":
+            cells[name] = np.nan
+    return cells

@@ -14,7 +14,6 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.files.clouds.about import About, StoredCloud
 from jaxscan.files.clouds.columns import (
     AXES,
     COLOURS,
@@ -29,8 +28,8 @@ from jaxscan.files.clouds.columns import (
     unit_of_text,
 )
 from jaxscan.files.clouds.grid import Records, cloud_of
-from jaxscan.files.clouds.points import blocks
-from jaxscan.files.clouds.tables import LONGEST_LINE, numbers_of, text_lines
+from jaxscan.files.clouds.header import About, StoredCloud
+from jaxscan.files.clouds.points import LONGEST_LINE, blocks, numbers_of, text_lines
 from jaxscan.files.disk import Part, open_regular
 from jaxscan.reconstruction import PointCloud
 
