@@ -72,7 +72,7 @@ FOR_ALL = {"compiling", "errors", "memory", "printable"}
 
 HOME_OF = {
     "cv2": {"vision"},
-    "embreex": {"simulation/scene/caster.py"},
+    "embreex": {"simulation/scene/meshes.py"},
     "open3d": {"surface/open3d_loader.py"},
     "libusb_package": {"surface/open3d_loader.py"},
     "fast_simplification": {"surface/decimate.py"},

@@ -1,6 +1,4 @@
 """From a wanted accuracy to a rig: camera, lens, baseline and laser."""
 
 from jaxscan.design.choose import RigChoice, design_rig, wide_enough
-from jaxscan.design.precision import Spread, depth_sigma, spread_at
-from jaxscan.design.rig import BLUR_PX, RigDesign, Sensor
-from jaxscan.design.wish import RigWish
+from jaxscan.design.rig import BLUR_PX, RigDesign, RigWish, Sensor, Spread, depth_sigma, spread_at

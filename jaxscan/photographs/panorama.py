@@ -8,12 +8,10 @@ from jaxtyping import Float
 
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
-from jaxscan.photographs.colour import BlendSettings, colour_points
-from jaxscan.photographs.filling import fill_holes
+from jaxscan.photographs.colour import BlendSettings, colour_points, fill_holes
 from jaxscan.photographs.occluder import REFERENCES, Occluder, make_occluder
-from jaxscan.photographs.photograph import Photographs
+from jaxscan.photographs.photograph import Lens, Photographs, border_rays, poses
 from jaxscan.photographs.surface import surface_samples
-from jaxscan.photographs.view import Lens, border_rays, poses
 from jaxscan.reconstruction import PointCloud
 
 

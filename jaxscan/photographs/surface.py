@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from jaxscan.errors import CloudError
 from jaxscan.geometry import Scanner
-from jaxscan.photographs.view import poses
+from jaxscan.photographs.photograph import poses
 from jaxscan.reconstruction import PointCloud
 
 

@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxscan.simulation.rays import RayTable, project, ray_table
-from jaxscan.simulation.rig import Motion, TrueRig
+from jaxscan.simulation.rig import Motion, RayTable, TrueRig, project, ray_table
 from jaxscan.simulation.scene import Cone, Plane, Rays, Scene, points_on
 from jaxscan.simulation.settings import CameraSpec
 

@@ -19,7 +19,6 @@ from jaxscan.files.remote import (
     find_captures,
     is_remote,
     remote_digest,
-    search,
 )
 
 
@@ -149,7 +148,7 @@ def test_captures_on_this_disk_are_found_by_an_address(tmp_path):
 
 
 def test_a_pattern_that_finds_too_much_is_refused(monkeypatch):
-    monkeypatch.setattr(search, "MAX_FOUND", 3)
+    monkeypatch.setattr(remote, "MAX_FOUND", 3)
     register("own")
     for k in range(4):
         fill(f"own://rooms/{k}", ROOM)

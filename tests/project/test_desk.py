@@ -5,7 +5,7 @@ import pytest
 
 from jaxscan.files.capture import open_capture
 from jaxscan.project.steps import Step
-from jaxscan.project.work.desk import desk_of
+from jaxscan.project.work import desk_of
 
 
 @pytest.fixture

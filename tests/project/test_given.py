@@ -3,7 +3,7 @@
 import pytest
 
 from jaxscan.errors import CalibrationError, GivenError
-from jaxscan.project.work import groups
+from jaxscan.project import work
 
 
 class Stopped(Exception):
@@ -18,7 +18,7 @@ def test_a_contradiction_of_what_was_given_is_not_hidden_by_the_stored_calibrati
     def save(desk, calibration, refused):
         raise Stopped
 
-    monkeypatch.setattr(groups, "_recalibrated", fail)
-    monkeypatch.setattr(groups, "_save", save)
+    monkeypatch.setattr(work, "_recalibrated", fail)
+    monkeypatch.setattr(work, "_save", save)
     with pytest.raises(raised):
-        groups.refine_rig(object.__new__(groups.Desk))
+        work.refine_rig(object.__new__(work.Desk))

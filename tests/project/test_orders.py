@@ -2,13 +2,13 @@
 
 import json
 
-from jaxscan.project.work import orders
+from jaxscan.project import work as doing
 from tests.opened import edit, work
 
 
 def test_notes_end_where_they_end(museum, monkeypatch):
     edit(museum, '["cloud", "measures", "mesh"]', '["cloud"]')
-    monkeypatch.setitem(orders.WORK, "cloud", lambda desk: _say(desk, "the first note", "The second.", "is this one?"))
+    monkeypatch.setitem(doing.WORK, "cloud", lambda desk: _say(desk, "the first note", "The second.", "is this one?"))
     rows = work(museum)
     assert {row.message for row in rows} == {"the first note. The second. is this one?"}, json.dumps(str(rows))
 

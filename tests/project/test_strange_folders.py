@@ -15,7 +15,7 @@ from jaxscan.files.disk import open_to_write, refuse_links, remove_left
 from jaxscan.project import claimed, load_project, open_catalogue
 from jaxscan.project.catalogue import Catalogue
 from jaxscan.project.steps import Step
-from jaxscan.project.work.desk import Desk, publish
+from jaxscan.project.work import Desk, publish
 from tests.opened import edit, work
 
 

@@ -15,7 +15,7 @@ from experiments.worlds.ideal_boards import BoardPoses, add_noise, ideal_boards
 from jaxscan.calibration.parameters import USUALLY_FREE
 from jaxscan.recalibration import SweepStripes
 from jaxscan.simulation import SimulationConfig, make_rig
-from jaxscan.simulation.planning import Placement
+from jaxscan.simulation.sweep import Placement
 
 
 @dataclass(frozen=True)

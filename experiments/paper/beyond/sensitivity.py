@@ -27,8 +27,8 @@ from experiments.paper.stage import Stage
 from experiments.paper.worlds import windowed, world
 from experiments.recalibration.limits import rms
 from jaxscan.simulation import SimulationConfig, make_rig, render_sweep
-from jaxscan.simulation.planning import plan_boards
 from jaxscan.simulation.scene import make_scene
+from jaxscan.simulation.sweep import plan_boards
 
 
 mpl.use("Agg")

@@ -13,7 +13,7 @@ from experiments.paper.products.room import PlainStripes
 from experiments.paper.rendering.boards import PAIR_DEG, BoardPlan, expect_each
 from experiments.paper.stage import Stage
 from jaxscan.simulation import Motion, Placement, SimulationConfig, make_rig, rodrigues, take_frame
-from jaxscan.simulation.rays import project
+from jaxscan.simulation.rig import project
 
 
 ANGLES_DEG = (0.5, 1.0, PAIR_DEG, 4.0, 8.0, 16.0, 24.0)

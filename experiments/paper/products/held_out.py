@@ -13,7 +13,7 @@ from experiments.paper.stage import Stage
 from jaxscan.errors import ConfigError
 from jaxscan.observation import Observations
 from jaxscan.simulation import Motion, Placement, make_rig, rodrigues
-from jaxscan.simulation.rays import project
+from jaxscan.simulation.rig import project
 
 
 WORKING_M = 1.3
