@@ -12,8 +12,8 @@ import pytest
 from jaxscan.errors import OptionError
 from jaxscan.fleet import ClusterChoice, open_cluster
 from jaxscan.fleet.clusters.checks import GIB, Sizes, sizes_for
-from jaxscan.fleet.clusters.opening import connected, cores
 from jaxscan.fleet.clusters.pinning import share_of
+from jaxscan.fleet.clusters.running import connected, cores
 
 
 def told_by_worker(dask_worker):
@@ -124,7 +124,7 @@ def test_nobody_serves_a_page(client):
 
 
 def test_another_user_of_the_machine_is_not_heard(client, monkeypatch):
-    monkeypatch.setattr("jaxscan.fleet.clusters.opening.ANSWER_S", 1.0)
+    monkeypatch.setattr("jaxscan.fleet.clusters.running.ANSWER_S", 1.0)
     address = client.scheduler.address.replace("tls://", "tcp://")
     with pytest.raises(OptionError, match="no scheduler of Dask answers"), connected(address):
         raise AssertionError("connected")

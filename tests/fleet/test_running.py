@@ -15,14 +15,14 @@ from cryptography import x509
 
 from jaxscan.errors import OptionError, OutputError
 from jaxscan.fleet import ClusterChoice, make_certificates, open_cluster
-from jaxscan.fleet.clusters import opening
+from jaxscan.fleet.clusters import running as module
 from jaxscan.fleet.clusters.certificates import security_of
 
 
 @pytest.fixture
 def soon(monkeypatch):
     """What does not answer is given up after a second."""
-    monkeypatch.setattr(opening, "ANSWER_S", 1.0)
+    monkeypatch.setattr(module, "ANSWER_S", 1.0)
 
 
 @contextlib.contextmanager
@@ -50,7 +50,7 @@ def certificates(tmp_path_factory):
 @pytest.fixture(scope="module")
 def address(certificates):
     with cluster(certificates) as running:
-        yield opening.scheduler_address
+        yield running.scheduler_address
 
 
 def test_who_holds_the_certificate_may_connect(address, certificates):
