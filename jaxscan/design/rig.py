@@ -168,7 +168,6 @@ def spread_at(design: RigDesign, depths_m: Sequence[float], noise_px: float) -> 
     """Standard deviations of single points on planes at several depths.
 
     Args:
-        design: The rig.
         depths_m: z in the camera frame [m].
         noise_px: Standard deviation of a stripe's centre [px].
     """

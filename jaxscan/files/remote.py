@@ -497,7 +497,6 @@ def fetch_file(address: str, path: Path, *, most_bytes: int) -> None:
     """Copy a file from storage; `path` then holds all of it, or after an error what it held before.
 
     Args:
-        address: Of the file.
         path: Where to; its folder exists.
         most_bytes: Largest accepted size [bytes].
 
@@ -518,7 +517,6 @@ def read_remote(address: str, limit: int) -> bytes:
     """The content of a small file on storage.
 
     Args:
-        address: Of the file.
         limit: Largest accepted size [bytes].
 
     Raises:

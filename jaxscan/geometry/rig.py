@@ -36,7 +36,6 @@ def make_layout(
     """The layout of a rig.
 
     Args:
-        camera: The camera.
         lasers: Names of the lasers.
         motion: Blocks of the motion between records; none where there is no motion.
         board: Blocks of the board, if it is solved for too.

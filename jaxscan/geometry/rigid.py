@@ -126,7 +126,6 @@ def unit_vector(vector: ArrayLike | Sequence[float], name: str) -> tuple[np.ndar
 
     Args:
         vector: Three numbers.
-        name: Its name in messages.
 
     Returns:
         unit: float64 [3].

@@ -82,8 +82,6 @@ def fitting_products(
     A header is read only if something may be left out, and never for this alone from storage.
 
     Args:
-        path: The project's file, for messages.
-        table: Of the captures.
         wanted: What the whole project has.
         captures: Addresses, by name.
         headers: Those that were read before, by address.

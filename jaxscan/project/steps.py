@@ -252,7 +252,6 @@ def parts_of(step: Step, digests: Mapping[str, str], code: str) -> dict[str, str
     """The inputs of a product, each by a digest: two products with the same parts are the same.
 
     Args:
-        step: The step.
         digests: Of its inputs, by key, and of its sources, by address.
         code: Digest of the code that does it.
 

@@ -83,7 +83,6 @@ def as_svg(figure: "Figure", name: str, description: str) -> Html:
     """A figure as markup.
 
     Args:
-        figure: The figure.
         name: A name that no other figure of the page has.
         description: Text for screen readers.
     """

@@ -52,7 +52,6 @@ def views(calibration: Calibration, photographs: Mapping[int, bytes]) -> Html | 
     """All views, worst first: a table, and the residual vectors of each with its photograph.
 
     Args:
-        calibration: The calibration.
         photographs: JPEGs by record; views without one have none.
     """
     rows = view_rows(calibration)

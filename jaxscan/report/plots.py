@@ -448,7 +448,6 @@ def board_map(found: BoardMap, corners: np.ndarray, square_m: float) -> "Figure"
     """Heights over the best plane in colour and in numbers, and shifts in the plane as arrows.
 
     Args:
-        found: The map.
         corners: Corners of the flat board [corners, 3], m.
         square_m: Side of a square [m].
     """

@@ -125,7 +125,6 @@ def board_pages(board: AbstractBoard, paper: Paper) -> tuple[list[Page], list[st
     """The sheets of a board in true size.
 
     Args:
-        board: The board.
         paper: The size of the sheets, which lie upright or across, whichever needs fewer.
 
     Returns:

@@ -100,7 +100,6 @@ def make_print(spec: BoardsSpec, texture: np.ndarray) -> Print:
     """The print of a board from its picture.
 
     Args:
-        spec: The board.
         texture: uint8 [rows, columns], the printed area (`board.outline()`), row 0 at y0.
 
     Raises:
@@ -240,8 +239,6 @@ def cover(rig: TrueRig, board: SeenBoard, depth: np.ndarray, blur: Blur) -> Cove
     """The board through the lens, in the part of the image that it touches.
 
     Args:
-        rig: The rig.
-        board: The board.
         depth: Depth of the board at pixel centres, inf where missed [height, width].
         blur: Of the lens, in all pixels.
 

@@ -557,7 +557,6 @@ def _alone(depth: np.ndarray, board: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
     Args:
         depth: Of the scene in every pixel [height, width].
-        board: Of the board.
     """
     return _around(np.isinf(board)), _around(board * np.float32(1.01) < depth)
 

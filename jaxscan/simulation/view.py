@@ -100,7 +100,6 @@ def observe(rig: TrueRig, scene: Scene, pose: Motion, channels: np.ndarray, furt
 
     Args:
         rig: The camera.
-        scene: The scene.
         pose: T_scanner_cam.
         channels: Weights [3, channels] of R, G, B for the picture.
         further: Weights [3, further] of R, G, B for `View.albedo`.

@@ -250,10 +250,6 @@ def numbers(value: Tree, where: str) -> list[float]:
 
     They are parted by commas or blanks.
 
-    Args:
-        value: The tree.
-        where: File and key, for messages.
-
     Raises:
         CalibrationError: If there is something else, there are more than 64, or other ones than rows and columns say.
     """
@@ -375,10 +371,6 @@ _MAX_STEPS = 10_000
 def stored_settings(provenance: dict[str, Any], *, name: str) -> CalibrationSettings:
     """Settings from the provenance of a calibration; keys that an older file lacks have their defaults.
 
-    Args:
-        provenance: Provenance in the file.
-        name: Name of the file, for messages.
-
     Raises:
         CalibrationError: With the key, if a value is not allowed.
     """
@@ -442,9 +434,6 @@ def require_own(table: CalibrationTable, path: Path, beside: Path, *, found: boo
     """Check that the observations beside a calibration file are its own, where it has digests.
 
     Args:
-        table: The calibration.
-        path: Its file.
-        beside: The file beside it.
         found: Whether that file holds observations.
 
     Raises:

@@ -294,7 +294,6 @@ def common_board(captures: Sequence[Capture], *, single_lasers: bool) -> Abstrac
     """The common board of captures that are calibrated together; all must come from one rig.
 
     Args:
-        captures: The captures.
         single_lasers: No record may show several lasers at once, since their stripes cannot be told apart.
 
     Raises:

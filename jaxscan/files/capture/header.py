@@ -268,7 +268,6 @@ def record_position(
         angle_deg: As the record has it.
         position_m: As the record has it.
         rig: Kind of the capture, and the part that its table carries.
-        where: The record, for messages.
 
     Raises:
         CaptureError: If it is missing in a sweep, or belongs to another kind of motion.

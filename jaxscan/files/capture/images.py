@@ -35,7 +35,6 @@ def check_exposures(records: Sequence[Record], *, name: str, bits: int | None = 
 
     Args:
         records: All records of the sweep.
-        name: Name of the journal, for messages.
         bits: Bits of a sample, where frames are kept as levels.
 
     Raises:
@@ -262,7 +261,6 @@ class ImageReader:
         """One image as it is stored, uint8 [rows, columns(, 3)]; a read-only view where it is in a shard.
 
         Args:
-            reference: The image.
             out: Memory of its shape for it, which is used, and returned, where the file has to be decoded.
 
         Raises:

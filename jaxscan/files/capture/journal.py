@@ -272,7 +272,6 @@ def read_journal(
 
     Args:
         data: The whole file.
-        name: Name of the file, for messages.
         kind: Kind of the capture: a sweep needs angles and `on` images, a calibration may lack them.
         laser_names: The lasers in the header's order.
         carries: The kind of motion: records of a linear stage have positions in place of angles, those of a scanner
@@ -365,7 +364,6 @@ def journal_line(fields: dict[str, Any], *, name: str) -> bytes:
 
     Args:
         fields: JSON values.
-        name: Name of the capture, for messages.
 
     Raises:
         CaptureError: If it holds something else, is too long or is nested too deeply.

@@ -46,7 +46,6 @@ def verify_capture(
     For records without digests, it is only checked that their images exist.
 
     Args:
-        path: The folder.
         texts: Its header and journal, where they were read before.
         progress: Called with (records done, records in all).
 

@@ -163,7 +163,6 @@ def read_cloud(path: str | Path, reading: Reading | None = None) -> StoredCloud:
     """Read a cloud as `load_cloud` does, and what its file says beside the points.
 
     Args:
-        path: As in `load_cloud`.
         reading: What a person says of the columns and colours of another program's file.
 
     Raises:

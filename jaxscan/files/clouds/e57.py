@@ -189,7 +189,6 @@ def read_blocks(
     """Values of some columns of a scan, of the same points each, from the first point to the last.
 
     Args:
-        pages: The file.
         place: Where the section begins, counted with checksums.
         count: Number of points.
         fields: All columns in their order.
@@ -781,7 +780,6 @@ def write_e57_stations(stations: Sequence[Callable[[], PointCloud]], path: Part,
     Args:
         stations: Each gives the cloud of one station in the frame of the room, with its pose, whenever it is called:
             twice, for the first scan already says where all stations are.
-        path: The file.
         about: What is said of them all.
 
     Raises:

@@ -234,7 +234,6 @@ def check_seal(file: BinaryIO, path: Path) -> None:
 
     Args:
         file: Open for reading; it is at its beginning afterwards.
-        path: For messages.
 
     Raises:
         CloudError: If it has changed since it was written.

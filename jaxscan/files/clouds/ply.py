@@ -1,9 +1,9 @@
-"""Reading PLY: files of this library on their grid, others as a single row of points."""
+"""PLY, the format for storage and exchange: ours on their grid, others as a single row of points."""
 
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO, Literal, NamedTuple
 
 import numpy as np
 
@@ -36,8 +36,6 @@ _TYPES = {
 }
 _BLOCK = 1 << 16
 _ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
-_ALIKE = 1 << 14
-"""Rows with lists of equal lengths that are tried at a time."""
 
 
 class _Property(NamedTuple):
@@ -63,19 +61,9 @@ class _Element(NamedTuple):
         return any(each.length is not None for each in self.properties)
 
     @property
-    def shortest(self) -> np.dtype:
-        """A row whose lists are empty."""
-        return self.with_lists([0] * len(self.properties))
-
-    def with_lists(self, lengths: list[int]) -> np.dtype:
-        """A row with lists of these lengths, of each property; names of what is not asked for are numbers."""
-        fields: list[tuple[str, np.dtype] | tuple[str, np.dtype, tuple[int]]] = []
-        for k, (each, length) in enumerate(zip(self.properties, lengths, strict=True)):
-            if each.length is None:
-                fields.append((each.name, each.item))
-            else:
-                fields += [(f"count of {k}", each.length), (f"items of {k}", each.item, (length,))]
-        return np.dtype(fields)
+    def shortest(self) -> int:
+        """Bytes of a row whose lists are empty."""
+        return sum((each.length or each.item).itemsize for each in self.properties)
 
 
 class _Header(NamedTuple):
@@ -218,7 +206,7 @@ def _check_length(file: BinaryIO, element: _Element, text: bool, size: int, path
     """Compare what the header announces with what is left of the file, before memory is taken."""
     count = element.rows
     # As text, a number takes a digit and a separator; an empty list is its number of items.
-    needed = count * (2 * len(element.properties) if text else element.shortest.itemsize) - (1 if text and count else 0)
+    needed = count * (2 * len(element.properties) if text else element.shortest) - (1 if text and count else 0)
     if needed > size - file.tell():
         raise CloudError(
             f"{path}: announces {count} of {element.name[:60]}, but the file ends before; it is damaged or cut short."
@@ -280,50 +268,61 @@ def _without_lists(line: str, element: _Element) -> str:
 
 
 def _rows_with_lists(file: BinaryIO, element: _Element) -> Iterator[np.ndarray]:
-    """The same of binary rows: as many at a time as have lists of the lengths of the first of them.
+    """The same of binary rows, about a block of the file at a time.
 
     Raises:
         ValueError: If a list is longer than the file, or the file has fewer rows.
     """
-    left, tried, kept = element.rows, 1, element.dtype
-    end = os.fstat(file.fileno()).st_size
+    left, size, end = element.rows, _BLOCK, os.fstat(file.fileno()).st_size
     while left:
         start = file.tell()
-        row = element.with_lists(_lengths(file, element, end))
-        file.seek(start)
-        wanted = min(left, tried, max((end - start) // row.itemsize, 1))
-        rows = np.frombuffer(file.read(wanted * row.itemsize), row)
-        if len(rows) != wanted:
-            raise ValueError(f"found {element.rows - left} rows, expected {element.rows}")
-        alike = np.ones(wanted, bool)
-        for name in row.names or ():
-            if name.startswith("count of "):
-                alike &= rows[name] == rows[name][0]
-        whole = wanted if alike.all() else int(np.argmin(alike))
-        file.seek(start + whole * row.itemsize)
-        block = np.empty(whole, kept)
-        for name in kept.names or ():
-            block[name] = rows[name][:whole]
+        data = file.read(size)
+        places, used, needed = _walk(data, element, left)
+        if not len(places) and start + needed > end:
+            raise ValueError(f"row {element.rows - left + 1} with its lists of items is longer than the file")
+        # A row that is longer than a block is read anew, whole.
+        size = max(_BLOCK, 0 if len(places) else needed)
+        file.seek(start + used)
+        block, raw = np.empty(len(places), element.dtype), np.frombuffer(data, np.uint8)
+        for k, name in enumerate(element.dtype.names or ()):
+            kind = element.dtype[name]
+            block[name] = raw[places[:, k, None] + np.arange(kind.itemsize)].view(kind)[:, 0]
         yield block
-        left -= whole
-        tried = min(2 * tried, _ALIKE) if whole == wanted else 1
+        left -= len(places)
 
 
-def _lengths(file: BinaryIO, element: _Element, end: int) -> list[int]:
-    """Number of items of each property of the row where the file is."""
-    lengths = []
-    for each in element.properties:
-        length = 1
-        if each.length is not None:
-            data = file.read(each.length.itemsize)
-            if len(data) < each.length.itemsize:
-                raise ValueError("the file ends within a list")
-            length = int(np.frombuffer(data, each.length)[0])
-        if not 0 <= length * each.item.itemsize <= end - file.tell():
-            raise ValueError(f"a list of {length} items is longer than the file")
-        file.seek(length * each.item.itemsize, os.SEEK_CUR)
-        lengths.append(length)
-    return lengths
+def _walk(data: bytes, element: _Element, most: int) -> tuple[np.ndarray, int, int]:
+    """Where the numbers of whole rows are that are in no list.
+
+    Returns:
+        places: int [rows, numbers], in bytes from the beginning.
+        used: Bytes of these rows.
+        needed: Bytes that the row after them has at least, as far as it was seen.
+    """
+    order: Literal["big", "little"] = "big" if any(each.item.str[0] == ">" for each in element.properties) else "little"
+    steps = [(each.item.itemsize, each.length) for each in element.properties]
+    places: list[list[int]] = []
+    used, at = 0, 0
+    while len(places) < most:
+        row: list[int] = []
+        for item, length in steps:
+            if length is None:
+                row.append(at)
+                at += item
+            else:
+                count = data[at : at + length.itemsize]
+                at += length.itemsize
+                if at > len(data):
+                    break
+                items = int.from_bytes(count, order, signed=length.kind == "i")
+                if items < 0:
+                    raise ValueError("a list has fewer than no items")
+                at += items * item
+        if at > len(data):
+            break
+        places.append(row)
+        used = at
+    return np.array(places, np.int64).reshape(len(places), -1), used, at - used
 
 
 # Int, not ushort, which Open3D's reader skips; the angle in double and the record are in the profiles.

@@ -41,6 +41,8 @@ _SAMPLE_LINES = 100
 _MOST_COLUMNS = 256
 _BLOCK_LINES = 1 << 15
 """Lines at a time: as words and numbers of Python each takes ten times the memory."""
+_MOST_KEPT = 32 << 20
+"""Bytes of numbers that are kept between the two looks at a table."""
 _COMMENT = re.compile(r"\s*(?://|#|%|!)+\s*")
 _COMMA_NUMBER = re.compile(r"[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?\Z")
 _BETWEEN, _WITHIN = re.compile(r",[ ]"), re.compile(r"\d,\d")
@@ -74,7 +76,7 @@ def read_xyz(path: Path, reading: Reading | None = None) -> StoredCloud:
             table = _Table.of(file, size, path)
             seen = _look_through(table)
             columns, by = _columns_of(table, seen, reading, path)
-            points = Records(*_used(table, columns, seen.points))
+            points = _used(table, columns, seen)
             decided = decide(
                 points,
                 str(path),
@@ -328,19 +330,24 @@ class _Seen(NamedTuple):
     points: int
     extent: Extent
     words: tuple[str, ...]
+    rows: list[np.ndarray] | None
+    """The numbers themselves, so that the text of a small table is parsed once; None where they take much memory."""
 
 
 def _look_through(table: _Table) -> _Seen:
     points, extent, scans = 0, None, 0
+    kept: list[np.ndarray] | None = []
     for scan, rows in table.read():
         points += len(rows)
+        if kept is not None:
+            kept = [*kept, rows] if points * rows[:1].nbytes <= _MOST_KEPT else None
         one = Extent.of(rows)
         extent = one if extent is None else extent.with_more(one)
         scans = max(scans, scan + 1)
     if extent is None:
         raise ValueError("it has no rows")
     words = (f"{scans} scans, one behind the other, in one frame",) if scans > 1 else ()
-    return _Seen(points, extent, words)
+    return _Seen(points, extent, words, kept)
 
 
 def _columns_of(table: _Table, seen: _Seen, reading: Reading, path: Path) -> tuple[Columns, str]:
@@ -363,23 +370,17 @@ def _columns_of(table: _Table, seen: _Seen, reading: Reading, path: Path) -> tup
     return found._replace(places={name: k for name, k in found.places.items() if k not in table.texts}), by
 
 
-def _used(table: _Table, columns: Columns, count: int) -> tuple[np.dtype, int, "_Read"]:
-    """Type, number and reader of the points with the columns that a cloud uses."""
+def _used(table: _Table, columns: Columns, seen: _Seen) -> Records:
+    """The points with the columns that a cloud uses."""
     # Singles are exact for colours.
     kinds = np.dtype([(name, "f4" if name in COLOURS else "f8") for name in columns.places])
-    return kinds, count, _Read(table, columns, kinds)
 
-
-class _Read:
-    """Reads the points of a table from its beginning."""
-
-    def __init__(self, table: _Table, columns: Columns, kinds: np.dtype) -> None:
-        self._table, self._places, self._kinds = table, columns.places, kinds
-
-    def __call__(self) -> Iterator[np.ndarray]:
-        for _, rows in self._table.read():
-            points = np.empty(len(rows), self._kinds)
-            for name, k in self._places.items():
+    def read() -> Iterator[np.ndarray]:
+        for rows in (rows for _, rows in table.read()) if seen.rows is None else seen.rows:
+            points = np.empty(len(rows), kinds)
+            for name, k in columns.places.items():
                 with np.errstate(over="ignore"):
                     points[name] = rows[:, k]
             yield points
+
+    return Records(kinds, seen.points, read)

@@ -279,7 +279,6 @@ def write_atomically(
         content: The bytes, or a function that writes the file at a given path; that path has the same
             suffix and lies in the same folder.
         durable: Wait until the content is on the disk, so that it survives a loss of power.
-        error: Type of the error raised.
         links: Where `path` is a link: "follow" writes the file that it leads to; "replace" puts the file in
             place of the link, as in the folder of a capture, whose links may lead anywhere.
 
@@ -297,7 +296,6 @@ def write_together(
     Args:
         contents: The bytes of each file, or the function that writes it, as for `write_atomically`. They are called in
             their order, and the files get their names in it, with nothing between.
-        error: Type of the error raised.
 
     Raises:
         JaxscanError: Of type `error`, if a file cannot be written. Then nothing has changed, unless the disk refused
@@ -337,10 +335,6 @@ def _write(
 
 def check_writable(path: str | Path, *, error: type[JaxscanError] = JaxscanError) -> None:
     """Check that a file can be written, before its content is computed.
-
-    Args:
-        path: The file.
-        error: Type of the error raised.
 
     Raises:
         JaxscanError: Of type `error`, if `write_atomically` would refuse.

@@ -52,11 +52,6 @@ def check(model: type[Model], data: Any, *, name: str, error: type[JaxscanError]
     Args:
         model: A pydantic model.
         data: Parsed TOML or JSON.
-        name: Name of the file, for messages.
-        error: Type of the error raised.
-
-    Returns:
-        The validated model.
 
     Raises:
         JaxscanError: Of type `error`; one line with the key, the value found and the values allowed, for an
@@ -183,9 +178,6 @@ def load_toml(path: str | Path, model: type[Model]) -> Model:
     Args:
         path: A TOML file of at most 1 MiB.
         model: A pydantic model; give it `extra="forbid"`, so that a misspelt key is an error.
-
-    Returns:
-        The validated model.
 
     Raises:
         ConfigError: One line: the file, the line or the key, the value found and the values allowed; for an

@@ -30,8 +30,6 @@ def open_regular(
     """Open a regular file for reading; the caller closes it.
 
     Args:
-        path: The file.
-        error: Type of the error raised.
         limit: Largest accepted size [bytes].
         links: "refuse" where the file itself must not be a link, such as in the folder of a capture, whose links
             may lead anywhere. Folders above it may be links.
@@ -71,9 +69,7 @@ def read_bounded(path: str | Path, limit: int, *, error: type[JaxscanError], lin
     """All bytes of a regular file of at most `limit` bytes.
 
     Args:
-        path: The file.
         limit: Largest accepted size [bytes].
-        error: Type of the error raised.
         links: As in `open_regular`.
 
     Raises:
@@ -129,8 +125,6 @@ def parse_json(data: bytes, *, name: str, error: type[JaxscanError]) -> Any:
 
     Args:
         data: The text, UTF-8.
-        name: Name of the file, for messages.
-        error: Type of the error raised.
 
     Raises:
         JaxscanError: Of type `error`, with the line where there is one.
@@ -174,9 +168,7 @@ def file_digest(path: str | Path, *, limit: int | None = None, error: type[Jaxsc
     """The sha256 of a file, as "sha256:<hex>".
 
     Args:
-        path: The file.
         limit: Largest accepted size [bytes].
-        error: Type of the error raised.
 
     Raises:
         JaxscanError: Of type `error`, if it cannot be read, or is larger.

@@ -208,7 +208,6 @@ def match(pattern: str, names: Sequence[str], option: str) -> list[Matched]:
     Args:
         pattern: With `*`, `?` and `[...]`, as in a shell; `*` also stands for "/".
         names: All names in the folder.
-        option: The option that holds the pattern, for messages.
 
     Raises:
         OptionError: If the pattern leads out of the folder, or names no file.

@@ -198,7 +198,6 @@ def by_file(path: Path, names: Sequence[str]) -> tuple[list[Place], str]:
     placement, parted by blanks, commas or semicolons. Lines that begin with # are left out.
 
     Args:
-        path: The file.
         names: Names of the images, in natural order.
 
     Raises:

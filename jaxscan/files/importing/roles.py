@@ -129,7 +129,6 @@ def find_roles(folder: Path, listing: Listing, request: ImportRequest) -> Roles:
     """Decide which images are laser-on, laser-off and board images.
 
     Args:
-        folder: The stranger's folder, for messages.
         listing: All images and videos in it.
         request: The wishes of the user.
 

@@ -51,9 +51,6 @@ def repack_capture(
         storage: How images are stored there; see `create_capture`.
         progress: Called with (records done, records in all).
 
-    Returns:
-        The new capture.
-
     Raises:
         CaptureError: If the source is damaged, or the target exists or cannot be written. Then
             nothing is left behind.

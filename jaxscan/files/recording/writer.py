@@ -231,9 +231,6 @@ class CaptureWriter:
                 retake, and replaces that record.
             extra: Further keys, as JSON holds them: `position_m` of a linear stage, `lasers`, `time`, ...
 
-        Returns:
-            The record's number.
-
         Raises:
             CaptureError: If the record does not fit the header, or this or an earlier record
                 cannot be written. After a failed write nothing can be appended any more.
@@ -436,7 +433,6 @@ def resume_capture(
     A torn last line is removed, since lines will follow it, and the event "resume" is written.
 
     Args:
-        path: The folder.
         storage: See `create_capture`; by default as in the last record, "zstd" without records.
         durable: See `create_capture`.
         digests: See `create_capture`.

@@ -541,7 +541,6 @@ def dimension_lines(room: Room, eye: np.ndarray) -> list[Line]:
     """The dimensions of a room, along those of its edges where they hide nothing of it.
 
     Args:
-        room: The room.
         eye: From where it is seen [3], m.
     """
     near = [float(eye @ axis.direction > 0.5 * (axis.low + axis.high)) for axis in room.axes]

@@ -95,7 +95,6 @@ def light_on(shot: LitScene, plane: Plane, rays: Rays, fan: FanView) -> np.ndarr
 
     Args:
         shot: The scene and its laser.
-        plane: The plane.
         rays: Of the samples of some pixels [pixels, samples].
         fan: The edges in the laser's way.
 
@@ -149,7 +148,6 @@ def _open(
 
     Args:
         shot: The scene and its laser.
-        plane: The plane.
         fan: The edges in the laser's way.
         pixel: Number of each point's pixel, in order. One point of a pixel stands for all where no shadow can end.
         points: Their rays, depths, angles in the fan and distances from the laser.
