@@ -41,7 +41,7 @@ class Missing(CaptureError):
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class StoragePlace:
     """A file or a folder on storage."""
 
     storage: Any
@@ -51,9 +51,9 @@ class Place:
     address: str
     """As the user calls it."""
 
-    def child(self, name: str) -> "Place":
+    def child(self, name: str) -> "StoragePlace":
         address = self.address if self.address.endswith("/") else self.address + "/"
-        return Place(self.storage, f"{self.path.rstrip('/')}/{name}", address + name)
+        return StoragePlace(self.storage, f"{self.path.rstrip('/')}/{name}", address + name)
 
 
 def is_remote(address: str) -> bool:
@@ -66,7 +66,7 @@ def is_s3(address: str) -> bool:
     return address.split("://")[0] in _S3
 
 
-def open_place(address: str) -> Place:
+def open_place(address: str) -> StoragePlace:
     """The place at an address; nothing is asked of it.
 
     Raises:
@@ -85,7 +85,7 @@ def open_place(address: str) -> Place:
     except ImportError as problem:
         remedy = f'it needs s3fs: pip install "jaxscan[{extra}]"' if extra == "s3" else _cause(problem)
         raise DependencyError(f"{scheme}:// cannot be opened: {remedy}") from problem
-    return Place(storage, path.rstrip("/") or path, address)
+    return StoragePlace(storage, path.rstrip("/") or path, address)
 
 
 def check_address(address: str) -> None:
@@ -102,7 +102,7 @@ def check_address(address: str) -> None:
         raise CaptureError(f"{scheme}://…: found a password in an address; give it to the driver by its environment.")
 
 
-def info_of(place: Place) -> dict[str, Any]:
+def info_of(place: StoragePlace) -> dict[str, Any]:
     """The entry of a file or a folder on storage, with the field names of its driver.
 
     Raises:
@@ -112,7 +112,7 @@ def info_of(place: Place) -> dict[str, Any]:
     return asked(lambda: place.storage.info(place.path), place)
 
 
-def asked(ask: Callable[[], Result], place: Place) -> Result:
+def asked(ask: Callable[[], Result], place: StoragePlace) -> Result:
     """The answer of storage about a place, as it is now.
 
     Raises:
@@ -177,7 +177,7 @@ def in_threads(do: Callable[[Item], Result], items: Iterable[Item]) -> list[Resu
 # was told, and it gets those of the driver; after its first failure the driver reads all that follows. The driver's
 # answers and errors are those that count: the client makes it faster, and changes nothing else.
 
-Reader = Callable[[Place, int, int], bytes]
+Reader = Callable[[StoragePlace, int, int], bytes]
 """Reads a file from one byte to another; errors are those of the driver."""
 
 _LASTS = datetime.timedelta(minutes=10)
@@ -185,7 +185,7 @@ _LASTS = datetime.timedelta(minutes=10)
 _BUCKET = re.compile(r"[a-z0-9][a-z0-9.-]{1,61}[a-z0-9]")
 
 
-def reader_of(place: Place) -> Reader:
+def reader_of(place: StoragePlace) -> Reader:
     """A function that reads files of the storage of a place, from many threads.
 
     Raises:
@@ -194,13 +194,13 @@ def reader_of(place: Place) -> Reader:
     return _reader_of_s3(place) if is_s3(place.address) and _is_plain(place) else by_driver
 
 
-def by_driver(place: Place, start: int, end: int) -> bytes:
+def by_driver(place: StoragePlace, start: int, end: int) -> bytes:
     """A block of a file, by fsspec's driver."""
     # S3 has no range of no bytes.
     return bytes(place.storage.cat_file(place.path, start=start, end=end)) if end > start else b""
 
 
-def _is_plain(place: Place) -> bool:
+def _is_plain(place: StoragePlace) -> bool:
     """Whether the driver of S3 was told nothing but a server, a region, and keys."""
     driver = place.storage
     config = driver.s3.meta.config
@@ -215,7 +215,7 @@ def _is_plain(place: Place) -> bool:
     return bool(_BUCKET.fullmatch(_parted(place)[0]) and signed and keyed and not (told or special or own))
 
 
-def _reader_of_s3(place: Place) -> Reader:
+def _reader_of_s3(place: StoragePlace) -> Reader:
     try:
         from obstore.store import S3Store
     except ImportError as problem:
@@ -246,7 +246,7 @@ def _reader_of_s3(place: Place) -> Reader:
     )
     failures: list[Exception] = []
 
-    def read(place: Place, start: int, end: int) -> bytes:
+    def read(place: StoragePlace, start: int, end: int) -> bytes:
         if end > start and not failures:
             try:
                 return bytes(store.get_range(_parted(place)[1], start=start, end=end))
@@ -260,7 +260,7 @@ def _reader_of_s3(place: Place) -> Reader:
     return read
 
 
-def _parted(place: Place) -> tuple[str, str]:
+def _parted(place: StoragePlace) -> tuple[str, str]:
     bucket, _, key = place.path.partition("/")
     return bucket, key
 
@@ -284,7 +284,7 @@ def _named(key: str, secret: str, token: str | None, until: datetime.datetime | 
     return {"access_key_id": key, "secret_access_key": secret, "token": token, "expires_at": until}
 
 
-def listed(folder: Place, most: int) -> list[dict[str, Any]]:
+def listed(folder: StoragePlace, most: int) -> list[dict[str, Any]]:
     """The entries of a folder, with the field names of its driver.
 
     Args:
@@ -304,13 +304,13 @@ def listed(folder: Place, most: int) -> list[dict[str, Any]]:
     return found
 
 
-def _alone(folder: Place) -> list[dict[str, Any]]:
+def _alone(folder: StoragePlace) -> list[dict[str, Any]]:
     """The entry of a place that is no folder with entries: that of a file, none of an empty bucket."""
     entry = info_of(folder)
     return [entry] if entry["type"] == "file" else []
 
 
-def _by_pages(folder: Place, most: int) -> list[dict[str, Any]]:
+def _by_pages(folder: StoragePlace, most: int) -> list[dict[str, Any]]:
     bucket, key, _ = folder.storage.split_path(folder.path)
     wanted = {"Bucket": bucket, "Prefix": f"{key}/" if key else "", "Delimiter": "/"}
     found: list[dict[str, Any]] = []
@@ -339,7 +339,7 @@ def _by_pages(folder: Place, most: int) -> list[dict[str, Any]]:
     raise _too_many(folder, most)
 
 
-def _too_many(folder: Place, most: int) -> CaptureError:
+def _too_many(folder: StoragePlace, most: int) -> CaptureError:
     return CaptureError(f"{shown(folder.address)}: holds more than {most} files.")
 
 
@@ -381,7 +381,7 @@ def remote_digest(address: str) -> str:
     return "sha256:" + hashlib.sha256(json.dumps(files).encode()).hexdigest()
 
 
-def listing(place: Place) -> list[FileEntry]:
+def listing(place: StoragePlace) -> list[FileEntry]:
     """All files of a folder and of the folders in it, sorted, with names that are safe as paths below a folder.
 
     Raises:
@@ -413,7 +413,7 @@ def listing(place: Place) -> list[FileEntry]:
     return sorted(files)
 
 
-def entries_of(folder: Place) -> list[tuple[str, dict[str, Any]]]:
+def entries_of(folder: StoragePlace) -> list[tuple[str, dict[str, Any]]]:
     """The entries of a folder: names, none of which leads anywhere else, with the fields of the listing.
 
     Raises:
@@ -443,7 +443,7 @@ def _is_name(name: str) -> bool:
     return name not in ("", ".", "..") and printable and not drive and not set(name) & set("/\\")
 
 
-def file_entry(name: str, entry: dict[str, Any], place: Place) -> FileEntry:
+def file_entry(name: str, entry: dict[str, Any], place: StoragePlace) -> FileEntry:
     size = entry.get("size")
     mark = next((entry[key] for key in _MARKS if entry.get(key) is not None), None)
     if entry.get("type") != "file":
@@ -529,7 +529,7 @@ def read_remote(address: str, limit: int) -> bytes:
     return _block(reader_of(place), place, 0, size)
 
 
-def _fetch(read: Reader, place: Place, size: int, path: Path) -> None:
+def _fetch(read: Reader, place: StoragePlace, size: int, path: Path) -> None:
     """Copy a file of a known size; it gets its name when it is complete."""
 
     def write(part: Part) -> None:
@@ -540,7 +540,7 @@ def _fetch(read: Reader, place: Place, size: int, path: Path) -> None:
     write_atomically(path, write, durable=False, error=CaptureError, links="replace")
 
 
-def _block(read: Reader, place: Place, start: int, end: int) -> bytes:
+def _block(read: Reader, place: StoragePlace, start: int, end: int) -> bytes:
     def block_of() -> bytes:
         block = read(place, start, end)
         if len(block) != end - start:
@@ -550,12 +550,12 @@ def _block(read: Reader, place: Place, start: int, end: int) -> bytes:
     return asked(block_of, place)
 
 
-def _check_size(size: int, most_bytes: int, place: Place) -> None:
+def _check_size(size: int, most_bytes: int, place: StoragePlace) -> None:
     if size > most_bytes:
         raise CaptureError(f"{shown(place.address)}: takes {size} bytes, expected at most {most_bytes}.")
 
 
-def _changed(place: Place) -> CaptureError:
+def _changed(place: StoragePlace) -> CaptureError:
     return CaptureError(f"{shown(place.address)}: changed while it was copied; try again when nobody writes there.")
 
 
@@ -596,7 +596,7 @@ def find_captures(pattern: str) -> list[str]:
     return sorted(place.address for place, has in zip(places, headed, strict=True) if has)
 
 
-def _matching(place: Place, part: str) -> list[Place]:
+def _matching(place: StoragePlace, part: str) -> list[StoragePlace]:
     """The folders in a folder whose names fit one part of a pattern."""
     try:
         entries = entries_of(place)
@@ -605,7 +605,7 @@ def _matching(place: Place, part: str) -> list[Place]:
     return [place.child(name) for name, e in entries if e["type"] == "directory" and fnmatch.fnmatchcase(name, part)]
 
 
-def _has_header(place: Place) -> bool:
+def _has_header(place: StoragePlace) -> bool:
     try:
         return info_of(place.child(HEADER_NAME)).get("type") == "file"
     except Missing:

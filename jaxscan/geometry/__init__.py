@@ -21,12 +21,12 @@ from jaxscan.geometry.fit import (
     MEDIAN_TO_SIGMA,
     AxisFit,
     PlaneFit,
-    Scatter,
+    PrincipalAxes,
     fit_axis,
     fit_plane,
     median_sigma,
     plane_sigma,
-    scatter_of,
+    principal_axes,
 )
 from jaxscan.geometry.homography import apply_homography, direct_homography, fixes_plane
 from jaxscan.geometry.kinematics import lit_points, lit_slopes, pixels, points, poses, rays, slopes

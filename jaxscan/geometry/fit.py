@@ -12,7 +12,7 @@ MEDIAN_TO_SIGMA = 1.4826
 """Standard deviation of normal numbers over the median of their sizes."""
 
 
-class Scatter(NamedTuple):
+class PrincipalAxes(NamedTuple):
     """Where points are, and how far they spread along each of their principal axes."""
 
     centre: Float[np.ndarray, "*sets 3"]
@@ -50,9 +50,9 @@ def median_sigma(residuals: Float[np.ndarray, "..."]) -> float:
     return MEDIAN_TO_SIGMA * float(np.median(np.abs(residuals)))
 
 
-def scatter_of(
+def principal_axes(
     points: Float[np.ndarray, "*sets points 3"], weight: Float[np.ndarray, "*sets points"] | None = None
-) -> Scatter:
+) -> PrincipalAxes:
     """Principal axes of one set of points or of many, each with a weight of 0 or more where they are given."""
     share = np.ones(points.shape[:-1]) if weight is None else weight
     total = share.sum(-1)[..., None]
@@ -60,7 +60,7 @@ def scatter_of(
     # Centred first, so that sets far from the origin keep their digits.
     apart = points - centre[..., None, :]
     variances, vectors = np.linalg.eigh((apart * share[..., None]).swapaxes(-1, -2) @ apart / total[..., None])
-    return Scatter(centre, np.maximum(variances, 0.0), vectors.swapaxes(-1, -2))
+    return PrincipalAxes(centre, np.maximum(variances, 0.0), vectors.swapaxes(-1, -2))
 
 
 def fit_plane(points: Array) -> PlaneFit:
@@ -78,7 +78,7 @@ def fit_plane(points: Array) -> PlaneFit:
     points = np.asarray(points, np.float64)
     if len(points) < 3:
         raise ValueError(f"A plane needs at least 3 points, got {len(points)}.")
-    centre, variances, (normal, _, _) = scatter_of(points)
+    centre, variances, (normal, _, _) = principal_axes(points)
     if normal @ centre < 0:
         normal = -normal
     spread = np.sqrt(variances[::-1])
@@ -107,7 +107,7 @@ def plane_sigma(points: Array, at: Array) -> float:
     points, plane = np.asarray(points, np.float64), fit_plane(points)
     if plane.spread[1] <= 1e-9 * plane.spread[0]:
         raise ValueError("Points on one line determine no plane.")
-    centre, _, axes = scatter_of(points)
+    centre, _, axes = principal_axes(points)
     away = axes[:0:-1] @ (np.asarray(at, np.float64) - centre) / plane.spread[:2]
     independent = len(points) / _shared_errors(points @ plane.normal - plane.distance)
     return float(plane.rms * np.sqrt((1.0 + away @ away) / independent))

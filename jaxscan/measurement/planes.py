@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.errors import MeasurementError
-from jaxscan.geometry import Array, scatter_of
+from jaxscan.geometry import Array, principal_axes
 from jaxscan.measurement.samples import Cloud, CloudSamples, Samples
 
 
@@ -44,7 +44,7 @@ def weighted_plane(p: np.ndarray, weight: np.ndarray) -> Plane:
 
     The covariance is scaled by the misfit where it is larger than the weights predict.
     """
-    centre, _, axes = scatter_of(p, weight)
+    centre, _, axes = principal_axes(p, weight)
     normal, axes = axes[0], axes[:0:-1]
     apart = p - centre
     residual = apart @ normal

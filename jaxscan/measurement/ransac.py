@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxscan.geometry import scatter_of
+from jaxscan.geometry import principal_axes
 from jaxscan.measurement.planes import Plane, weighted_plane
 from jaxscan.measurement.samples import CloudSamples, Samples, spread_out
 
@@ -62,7 +62,7 @@ def _hypotheses(voters: Samples, rng: np.random.Generator) -> tuple[np.ndarray, 
     for seed_point, group in zip(origin, groups, strict=True):
         if len(group) < 6 or len(np.unique(voters.profile[group])) < profiles:
             continue
-        plane = scatter_of(voters.p[group])
+        plane = principal_axes(voters.p[group])
         normals.append(plane.axes[0])
         distances.append(plane.axes[0] @ plane.centre)
         kept.append(seed_point)

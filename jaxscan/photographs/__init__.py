@@ -2,7 +2,14 @@
 
 from jaxscan.photographs.colour import DEFAULT_BLEND, BlendSettings, colour_points
 from jaxscan.photographs.occluder import Occluder, make_occluder
-from jaxscan.photographs.panorama import Frame, Panorama, Projection, draw_distances, make_panorama, panorama_frame
+from jaxscan.photographs.panorama import (
+    Panorama,
+    PanoramaFrame,
+    Projection,
+    draw_distances,
+    make_panorama,
+    panorama_frame,
+)
 from jaxscan.photographs.photograph import (
     Album,
     Photograph,

@@ -24,7 +24,7 @@ from jaxscan.photographs.photograph import (
     Lens,
     Photograph,
     Photographs,
-    View,
+    PhotographView,
     dot,
     packed,
     pose_finder,
@@ -195,7 +195,7 @@ class _Shot(NamedTuple):
     angle: float
     image: Int32[Array, "rows columns"]
     """`packed`."""
-    view: View
+    view: PhotographView
     distances: Distances
     gain: Float[Array, "3"]
 
@@ -277,7 +277,7 @@ def _prepared(photograph: Photograph, lens: Lens, pose: np.ndarray, occluder: Oc
     # JAX keeps this setting per thread.
     with jax.enable_x64(False):
         # On the device: it is handed to many calls.
-        view = jax.device_put(View(lens, pose))
+        view = jax.device_put(PhotographView(lens, pose))
         distances = Distances.of_nothing() if occluder is None else occluder.distances(view)
         image, distances = _packed(np.ascontiguousarray(photograph.image)), jax.device_put(distances)
     return _Shot(photograph.angle, image, view, distances, np.ones(3, np.float32))
@@ -312,7 +312,7 @@ def _gain(shot: _Shot, occluder: Occluder) -> Float[np.ndarray, "3"]:
 
 
 def _weigh(
-    view: View, distances: Distances, bearing: float | Float[Array, ""] | None, place: _Places
+    view: PhotographView, distances: Distances, bearing: float | Float[Array, ""] | None, place: _Places
 ) -> tuple[Float[Array, "2"], Float[Array, ""]]:
     """Pixel of a point in a photograph, and its weight: at most 1, and 0 where it shows something else."""
     point, normal = place

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8, UInt32
 
 from jaxscan.geometry import Array, Scanner
-from jaxscan.photographs.photograph import Lens, View, sight
+from jaxscan.photographs.photograph import Lens, PhotographView, sight
 from jaxscan.photographs.surface import surface_samples
 from jaxscan.reconstruction import PointCloud
 
@@ -120,7 +120,7 @@ class Occluder:
         """No surface, only places whose usual colours are known."""
         return Occluder(None, (points.astype(np.float32), rgb.astype(np.float32)), 1 << 16, (3, 3))
 
-    def distances(self, view: View) -> Distances:
+    def distances(self, view: PhotographView) -> Distances:
         """The surface in one view."""
         nearest = np.full(self.shape, np.inf, np.float32)
         if self.surface is not None:
@@ -162,7 +162,7 @@ def make_occluder(cloud: PointCloud, scanner: Scanner) -> Occluder:
 
 @jax.jit
 def _first_cells(
-    view: View, points: Float[Array, "few 3 size"], cell: int | Int[Array, ""], columns: int | Int[Array, ""]
+    view: PhotographView, points: Float[Array, "few 3 size"], cell: int | Int[Array, ""], columns: int | Int[Array, ""]
 ) -> tuple[Int[Array, "few size"], Float[Array, "few size"]]:
     """Number of the first of the four cells that each sample covers, two on each axis, and its distance [m].
 

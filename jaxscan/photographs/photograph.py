@@ -82,7 +82,7 @@ class Lens(NamedTuple):
         return Lens(single, *(np.asarray(field, np.float32) for field in (bounds[0, 2], bounds, 1.0 / focal)))
 
 
-class View(NamedTuple):
+class PhotographView(NamedTuple):
     """Where a photograph was taken from."""
 
     lens: Lens
@@ -124,7 +124,7 @@ def dot(a: Float[Array, "3"], b: Float[Array, "3"]) -> Float[Array, ""]:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def sight(view: View, point: Float[Array, "3"]) -> Sight:
+def sight(view: PhotographView, point: Float[Array, "3"]) -> Sight:
     """A point [scanner frame, m] in a view."""
     camera = view.lens.camera
     rotation, centre = view.T_scanner_cam[:3, :3], view.T_scanner_cam[:3, 3]

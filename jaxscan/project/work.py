@@ -52,7 +52,7 @@ from jaxscan.reconstruction import PointCloud, Progress, join_clouds, stack_plac
 
 
 @dataclass(frozen=True)
-class Desk:
+class StepWorkspace:
     """Where a step reads and writes."""
 
     step: Step
@@ -134,16 +134,16 @@ class Desk:
         return self.step.settings[name]
 
 
-def calibrate_rig(desk: Desk) -> None:
+def calibrate_rig(workspace: StepWorkspace) -> None:
     """Calibrate from captures of a board, as `jaxscan calibrate` does.
 
     Raises:
         CalibrationError: If the result cannot be used.
     """
-    captures = [desk.capture(role) for role in desk.step.sources]
-    boards = " and ".join(Path(address).name for address in desk.step.sources.values())
+    captures = [workspace.capture(role) for role in workspace.step.sources]
+    boards = " and ".join(Path(address).name for address in workspace.step.sources.values())
     try:
-        result = api.calibrate(captures, progress=desk.progress)
+        result = api.calibrate(captures, progress=workspace.progress)
     except CalibrationError as problem:
         raise CalibrationError(f"{boards}: {problem}") from problem
     verdict = result.quality.verdict
@@ -151,40 +151,45 @@ def calibrate_rig(desk: Desk) -> None:
         raise CalibrationError(f"{boards}: cannot be used: {verdict.refused}")
     good_to = verdict.good_to if verdict is not None else None
     if good_to is not None and good_to.sigma_mm is not None and good_to.at_m is not None:
-        desk.notes.append(f"Good to {good_to.sigma_mm:.2g} mm at {good_to.at_m:.1f} m.")
-    desk.notes.extend(result.missing)
-    api.save_calibration(result, desk.target())
+        workspace.notes.append(f"Good to {good_to.sigma_mm:.2g} mm at {good_to.at_m:.1f} m.")
+    workspace.notes.extend(result.missing)
+    api.save_calibration(result, workspace.target())
 
 
-def find_part(desk: Desk) -> None:
+def find_part(workspace: StepWorkspace) -> None:
     """The stripes of some records of a large sweep."""
-    sweep, scanner = desk.capture().every(desk.setting("every")), api.load_scanner(desk.file("calibration"))
-    settings, records = reconstruct_settings(desk), (desk.setting("first"), desk.setting("stop"))
-    arrays = stripes_of_range(sweep, scanner, records, settings=settings, progress=desk.progress)
-    write_atomically(desk.target(), partial(write_arrays, arrays=arrays), durable=False, error=CaptureError)
+    sweep, scanner = (
+        workspace.capture().every(workspace.setting("every")),
+        api.load_scanner(workspace.file("calibration")),
+    )
+    settings, records = reconstruct_settings(workspace), (workspace.setting("first"), workspace.setting("stop"))
+    arrays = stripes_of_range(sweep, scanner, records, settings=settings, progress=workspace.progress)
+    write_atomically(workspace.target(), partial(write_arrays, arrays=arrays), durable=False, error=CaptureError)
 
 
-def reconstruct_sweep(desk: Desk) -> None:
+def reconstruct_sweep(workspace: StepWorkspace) -> None:
     """Reconstruct a sweep, as `jaxscan reconstruct` does, in all formats that are wanted."""
-    calibration = desk.file("calibration")
-    desk.notes.extend(calibration_notes(calibration))
-    sweep, scanner = desk.capture().every(desk.setting("every")), api.load_scanner(calibration)
-    parts = [desk.file(role) for role in desk.step.products if role.startswith("stripes ")]
+    calibration = workspace.file("calibration")
+    workspace.notes.extend(calibration_notes(calibration))
+    sweep, scanner = workspace.capture().every(workspace.setting("every")), api.load_scanner(calibration)
+    parts = [workspace.file(role) for role in workspace.step.products if role.startswith("stripes ")]
     if parts:
         arrays = [read_arrays(path, error=CaptureError) for path in parts]
-        done = cloud_of_ranges(sweep, scanner, arrays, settings=reconstruct_settings(desk))
+        done = cloud_of_ranges(sweep, scanner, arrays, settings=reconstruct_settings(workspace))
     else:
-        done = api.reconstruct_capture(sweep, scanner, settings=reconstruct_settings(desk), progress=desk.progress)
-    desk.notes.extend(done.notes)
-    cloud = coloured(desk, done.cloud, sweep, scanner)
+        done = api.reconstruct_capture(
+            sweep, scanner, settings=reconstruct_settings(workspace), progress=workspace.progress
+        )
+    workspace.notes.extend(done.notes)
+    cloud = coloured(workspace, done.cloud, sweep, scanner)
     digest = calibration_digest(calibration)
-    for number in range(len(desk.step.outputs)):
-        api.save_cloud(cloud, desk.target(number), calibration_digest=digest)
+    for number in range(len(workspace.step.outputs)):
+        api.save_cloud(cloud, workspace.target(number), calibration_digest=digest)
 
 
-def measure(desk: Desk) -> None:
+def measure(workspace: StepWorkspace) -> None:
     """The lengths of the room, and how good its points are, as JSON; two versions or epochs are compared by them."""
-    cloud, scanner = api.load_cloud(desk.file("cloud")), api.load_scanner(desk.file("calibration"))
+    cloud, scanner = api.load_cloud(workspace.file("cloud")), api.load_scanner(workspace.file("calibration"))
     valid = np.asarray(cloud.valid)
     found: dict[str, Any] = {"format": MEASURES_FORMAT, "points": int(valid.sum())}
     for name in ("sigma_random", "sigma_systematic"):
@@ -194,42 +199,47 @@ def measure(desk: Desk) -> None:
     except MeasurementError as problem:
         # A sweep of something other than a room has no lengths of a room.
         found["lengths"] = {}
-        desk.notes.append(str(problem))
+        workspace.notes.append(str(problem))
     text = json.dumps(found, indent=2, allow_nan=False) + "\n"
-    write_atomically(desk.target(), text.encode())
+    write_atomically(workspace.target(), text.encode())
 
 
-def make_mesh(desk: Desk) -> None:
+def make_mesh(workspace: StepWorkspace) -> None:
     """The mesh of a cloud, in its colours."""
-    mesh = api.mesh_cloud(api.load_cloud(desk.file("cloud")), scanner=api.load_scanner(desk.file("calibration")))
-    api.save_mesh(mesh, desk.target())
+    mesh = api.mesh_cloud(
+        api.load_cloud(workspace.file("cloud")), scanner=api.load_scanner(workspace.file("calibration"))
+    )
+    api.save_mesh(mesh, workspace.target())
 
 
-def draw_room(desk: Desk) -> None:
+def draw_room(workspace: StepWorkspace) -> None:
     """The plan of a room, a metre above its floor."""
-    cloud, scanner = api.load_cloud(desk.file("cloud")), api.load_scanner(desk.file("calibration"))
+    cloud, scanner = api.load_cloud(workspace.file("cloud")), api.load_scanner(workspace.file("calibration"))
     drawing = draw_plan(survey_room(cloud, scanner=scanner))
-    for number in range(len(desk.step.outputs)):
-        api.save_drawing(drawing, desk.target(number))
+    for number in range(len(workspace.step.outputs)):
+        api.save_drawing(drawing, workspace.target(number))
 
 
-def draw_panorama(desk: Desk) -> None:
+def draw_panorama(workspace: StepWorkspace) -> None:
     """The panorama of a sweep, with depths and normals."""
-    sweep, scanner = desk.capture().every(desk.setting("every")), api.load_scanner(desk.file("calibration"))
-    cloud = api.load_cloud(desk.file("cloud"))
-    drawn = api.draw_panorama(sweep, scanner, cloud=cloud, progress=desk.progress)
-    api.save_panorama(drawn, desk.target())
+    sweep, scanner = (
+        workspace.capture().every(workspace.setting("every")),
+        api.load_scanner(workspace.file("calibration")),
+    )
+    cloud = api.load_cloud(workspace.file("cloud"))
+    drawn = api.draw_panorama(sweep, scanner, cloud=cloud, progress=workspace.progress)
+    api.save_panorama(drawn, workspace.target())
 
 
-def write_report(desk: Desk) -> None:
+def write_report(workspace: StepWorkspace) -> None:
     """The report of a cloud."""
     # Imported here, because it loads matplotlib.
     from jaxscan.api.products.reports import report_files
 
-    report_files(desk.file("cloud"), desk.file("calibration"), desk.target())
+    report_files(workspace.file("cloud"), workspace.file("calibration"), workspace.target())
 
 
-def register_stations(desk: Desk) -> None:
+def register_stations(workspace: StepWorkspace) -> None:
     """The places of all stations and a calibration that fits them all, in one least squares.
 
     Where the sweeps gain nothing over the calibration they were given, that one is kept; the places are good anyhow.
@@ -237,16 +247,18 @@ def register_stations(desk: Desk) -> None:
     Raises:
         CalibrationError: If it did not converge.
     """
-    names, result = desk.setting("captures"), _recalibrated(desk)
+    names, result = workspace.setting("captures"), _recalibrated(workspace)
     adjusted = result.adjusted
     if not adjusted.converged:
-        raise CalibrationError(f"{desk.step.key}: the places of the stations were not found: {result.refused}")
-    desk.notes.extend(result.notes)
-    _save(desk, result.calibration, result.refused)
+        raise CalibrationError(f"{workspace.step.key}: the places of the stations were not found: {result.refused}")
+    workspace.notes.extend(result.notes)
+    _save(workspace, result.calibration, result.refused)
     for number, name in enumerate(names):
         worst = float(np.sqrt(np.linalg.eigvalsh(adjusted.station_covariance[number][:3, :3])[-1]))
         if worst > VAGUE_M:
-            desk.notes.append(f"The sweeps tell the place of {name} to {1e3 * worst:.0f} mm only, in some direction.")
+            workspace.notes.append(
+                f"The sweeps tell the place of {name} to {1e3 * worst:.0f} mm only, in some direction."
+            )
     stations = [
         {
             "capture": name,
@@ -256,10 +268,10 @@ def register_stations(desk: Desk) -> None:
         }
         for number, name in enumerate(names)
     ]
-    write_atomically(desk.target(1), json.dumps({"format": STATIONS_FORMAT, "stations": stations}).encode())
+    write_atomically(workspace.target(1), json.dumps({"format": STATIONS_FORMAT, "stations": stations}).encode())
 
 
-def refine_rig(desk: Desk) -> None:
+def refine_rig(workspace: StepWorkspace) -> None:
     """The calibration of a rig with what the sweeps of one room tell of it.
 
     It is as it was where they tell nothing, or cannot be used: then the other rooms still refine it.
@@ -270,77 +282,77 @@ def refine_rig(desk: Desk) -> None:
     """
     calibration, refused = None, None
     try:
-        result = _recalibrated(desk)
+        result = _recalibrated(workspace)
         calibration, refused = result.calibration, result.refused
-        desk.notes.extend(result.notes)
+        workspace.notes.extend(result.notes)
     except GivenError:
         # A person can put it right; the stored calibration would hide it.
         raise
     except (CalibrationError, CaptureError) as problem:
-        if isinstance(problem, CaptureError) and any(map(is_remote, desk.step.sources.values())):
+        if isinstance(problem, CaptureError) and any(map(is_remote, workspace.step.sources.values())):
             raise
         refused = str(problem)
-    _save(desk, calibration, refused)
+    _save(workspace, calibration, refused)
 
 
-def place_station(desk: Desk) -> None:
+def place_station(workspace: StepWorkspace) -> None:
     """The cloud of one station, in the frame of the group."""
-    calibration, stations = desk.file("calibration"), desk.file("stations")
+    calibration, stations = workspace.file("calibration"), workspace.file("stations")
     text = read_bounded(stations, _MOST_BYTES, error=CloudError)
-    station = parse_json(text, name=str(stations), error=CloudError)["stations"][desk.setting("number")]
-    sweep, scanner = desk.capture().every(desk.setting("every")), api.load_scanner(calibration)
+    station = parse_json(text, name=str(stations), error=CloudError)["stations"][workspace.setting("number")]
+    sweep, scanner = workspace.capture().every(workspace.setting("every")), api.load_scanner(calibration)
     angles = (sweep.angles + np.array(station["corrections_rad"])).tolist()
     records = tuple(replace(record, angle=angle) for record, angle in zip(sweep.records, angles, strict=True))
-    settings = reconstruct_settings(desk)
+    settings = reconstruct_settings(workspace)
     turned = replace(sweep, records=records) if np.any(station["corrections_rad"]) else sweep
-    done = api.reconstruct_capture(turned, scanner, settings=settings, progress=desk.progress)
-    desk.notes.extend(done.notes)
-    cloud = coloured(desk, done.cloud, sweep, scanner)
+    done = api.reconstruct_capture(turned, scanner, settings=settings, progress=workspace.progress)
+    workspace.notes.extend(done.notes)
+    cloud = coloured(workspace, done.cloud, sweep, scanner)
     placed = join_clouds([cloud], [np.array(station["pose"])], [np.array(station["covariance"])])
-    api.save_cloud(placed, desk.target(), calibration_digest=calibration_digest(calibration))
+    api.save_cloud(placed, workspace.target(), calibration_digest=calibration_digest(calibration))
 
 
-def merge_e57(desk: Desk) -> None:
+def merge_e57(workspace: StepWorkspace) -> None:
     """One E57 with a scan and its pose for each station."""
-    digest = calibration_digest(desk.file("calibration"))
-    roles = [role for role in desk.step.products if role.startswith("cloud ")]
-    loads = [partial(api.load_cloud, desk.file(role)) for role in roles]
-    save_stations(loads, desk.target(), calibration_digest=digest)
+    digest = calibration_digest(workspace.file("calibration"))
+    roles = [role for role in workspace.step.products if role.startswith("cloud ")]
+    loads = [partial(api.load_cloud, workspace.file(role)) for role in roles]
+    save_stations(loads, workspace.target(), calibration_digest=digest)
 
 
-def merge_tiles(desk: Desk) -> None:
+def merge_tiles(workspace: StepWorkspace) -> None:
     """Square tiles with the points of all stations, and a list of them."""
-    folder = str(Path(desk.step.outputs[0]).with_suffix(""))
-    digest = calibration_digest(desk.file("calibration"))
+    folder = str(Path(workspace.step.outputs[0]).with_suffix(""))
+    digest = calibration_digest(workspace.file("calibration"))
     listed: list[dict[str, Any]] = []
-    with Tiles(desk.folder / "spooled", desk.setting("tile_m")) as tiles:
-        for cloud in _clouds(desk):
+    with Tiles(workspace.folder / "spooled", workspace.setting("tile_m")) as tiles:
+        for cloud in _clouds(workspace):
             tiles.add(cloud)
         places = Counter[tuple[int, int]]()
         for place, cloud in tiles.clouds():
             places[place] += 1
             more = "" if places[place] == 1 else f"_{places[place]}"
             name = f"{folder}/{place[0]}_{place[1]}{more}.ply"
-            api.save_cloud(cloud, desk.beside(name), calibration_digest=digest)
-            corner = [float(axis * desk.setting("tile_m")) for axis in place]
+            api.save_cloud(cloud, workspace.beside(name), calibration_digest=digest)
+            corner = [float(axis * workspace.setting("tile_m")) for axis in place]
             points = int(np.asarray(cloud.valid).sum())
             listed.append({"file": f"{Path(folder).name}/{Path(name).name}", "corner_m": corner, "points": points})
-    desk.owned.append(folder)
-    about = {"format": TILES_FORMAT, "tile_m": desk.setting("tile_m"), "tiles": listed}
-    write_atomically(desk.target(), (json.dumps(about, indent=2) + "\n").encode())
+    workspace.owned.append(folder)
+    about = {"format": TILES_FORMAT, "tile_m": workspace.setting("tile_m"), "tiles": listed}
+    write_atomically(workspace.target(), (json.dumps(about, indent=2) + "\n").encode())
 
 
-def merge_plan(desk: Desk) -> None:
+def merge_plan(workspace: StepWorkspace) -> None:
     """One plan from the points of all stations."""
-    points = sum(int(np.asarray(cloud.valid).sum()) for cloud in _clouds(desk))
+    points = sum(int(np.asarray(cloud.valid).sum()) for cloud in _clouds(workspace))
     every = max(1, -(-points // PLAN_POINTS))
     # Thinned one by one, so that the whole is never in memory.
-    placed = stack_placed([stack_placed([cloud], every=every) for cloud in _clouds(desk)])
-    drawing = draw_plan(survey_room(placed, scanner=api.load_scanner(desk.file("calibration"))))
-    api.save_drawing(drawing, desk.target())
+    placed = stack_placed([stack_placed([cloud], every=every) for cloud in _clouds(workspace)])
+    drawing = draw_plan(survey_room(placed, scanner=api.load_scanner(workspace.file("calibration"))))
+    api.save_drawing(drawing, workspace.target())
 
 
-WORK: Mapping[str, Callable[[Desk], None]] = {
+WORK: Mapping[str, Callable[[StepWorkspace], None]] = {
     "calibration": calibrate_rig,
     "recalibration": refine_rig,
     "stripes": find_part,
@@ -439,18 +451,18 @@ def _row(order: Order, state: str, message: str, seconds: float) -> Row:
 
 def _done(order: Order, progress: Progress) -> tuple[tuple[Output, ...], list[str]]:
     output = Path(order.output)
-    with desk_of(order.step, output, progress) as desk:
-        WORK[order.step.kind](desk)
-        missing = next((name for name in order.step.outputs if name not in desk.made()), None)
+    with workspace_of(order.step, output, progress) as workspace:
+        WORK[order.step.kind](workspace)
+        missing = next((name for name in order.step.outputs if name not in workspace.made()), None)
         if missing is not None:
             raise CaptureError(f"{order.step.key}: {missing} was not written.")
-        written = tuple(_described(path, desk) for path in desk.made())
-        publish(desk)
-        return written, desk.notes
+        written = tuple(_described(path, workspace) for path in workspace.made())
+        publish(workspace)
+        return written, workspace.notes
 
 
-def _described(path: str, desk: Desk) -> Output:
-    file = desk.beside(path)
+def _described(path: str, workspace: StepWorkspace) -> Output:
+    file = workspace.beside(path)
     return Output(path, file.stat().st_size, file_digest(file))
 
 
@@ -461,8 +473,8 @@ _SHARE = 0.9
 
 
 @contextlib.contextmanager
-def desk_of(step: Step, output: Path, progress: Progress) -> Iterator[Desk]:
-    """A desk whose folder is removed at the end, and with a process that was killed by the next one.
+def workspace_of(step: Step, output: Path, progress: Progress) -> Iterator[StepWorkspace]:
+    """A workspace whose folder is removed at the end, and with a process that was killed by the next one.
 
     Raises:
         CaptureError: If the folder of the products cannot be written.
@@ -470,21 +482,21 @@ def desk_of(step: Step, output: Path, progress: Progress) -> Iterator[Desk]:
     with contextlib.ExitStack() as stack:
         with reported(f"{output}: cannot be written", error=CaptureError):
             folder = stack.enter_context(partial_folder(output / "step"))
-        yield Desk(step, output, folder, progress)
+        yield StepWorkspace(step, output, folder, progress)
 
 
-def publish(desk: Desk) -> None:
+def publish(workspace: StepWorkspace) -> None:
     """Give all that was written its place among the products; each file is there whole or not at all."""
-    made = desk.made()
+    made = workspace.made()
     for path in made:
-        target = desk.output / path
-        _make(desk.output, target.parent)
-        desk.beside(path).replace(target)
-    for folder in desk.owned:
-        with reported(f"{desk.output / folder}: cannot be written", error=CaptureError):
-            refuse_links(desk.output, desk.output / folder)
-        for old in (desk.output / folder).iterdir():
-            if str(old.relative_to(desk.output)) not in made and not old.is_dir():
+        target = workspace.output / path
+        _make(workspace.output, target.parent)
+        workspace.beside(path).replace(target)
+    for folder in workspace.owned:
+        with reported(f"{workspace.output / folder}: cannot be written", error=CaptureError):
+            refuse_links(workspace.output, workspace.output / folder)
+        for old in (workspace.output / folder).iterdir():
+            if str(old.relative_to(workspace.output)) not in made and not old.is_dir():
                 old.unlink()
 
 
@@ -493,16 +505,18 @@ def _make(own: Path, folder: Path) -> None:
         make_folder(folder, own=own)
 
 
-def reconstruct_settings(desk: Desk) -> api.ReconstructSettings:
+def reconstruct_settings(workspace: StepWorkspace) -> api.ReconstructSettings:
     """How the sweep of a step is reconstructed."""
     return api.ReconstructSettings(
-        smooth=desk.setting("smooth"), min_range_m=desk.setting("min_range_m"), max_range_m=desk.setting("max_range_m")
+        smooth=workspace.setting("smooth"),
+        min_range_m=workspace.setting("min_range_m"),
+        max_range_m=workspace.setting("max_range_m"),
     )
 
 
-def coloured(desk: Desk, cloud: PointCloud, sweep: Capture, scanner: Scanner) -> PointCloud:
+def coloured(workspace: StepWorkspace, cloud: PointCloud, sweep: Capture, scanner: Scanner) -> PointCloud:
     """The cloud in the colours that are wanted, as far as there are photographs."""
-    if desk.setting("colour") != "photographs" or not api.has_photographs(sweep):
+    if workspace.setting("colour") != "photographs" or not api.has_photographs(sweep):
         return cloud
     return api.colour_cloud(cloud, sweep, scanner)
 
@@ -599,26 +613,28 @@ VAGUE_M = 0.02
 _MOST_BYTES = 64 * MEGABYTE
 
 
-def _recalibrated(desk: Desk) -> Recalibration:
-    pairs = list(zip(desk.setting("captures"), desk.setting("every"), strict=True))
-    captures = [desk.capture(f"capture {name}").every(every) for name, every in pairs]
-    given = load_known_room(desk.file("known")) if "known" in desk.step.sources else None
+def _recalibrated(workspace: StepWorkspace) -> Recalibration:
+    pairs = list(zip(workspace.setting("captures"), workspace.setting("every"), strict=True))
+    captures = [workspace.capture(f"capture {name}").every(every) for name, every in pairs]
+    given = load_known_room(workspace.file("known")) if "known" in workspace.step.sources else None
     settings = api.RecalibrationSettings(stations=len(captures) > 1)
-    return api.recalibrate(captures, desk.file("calibration"), given=given, settings=settings, progress=desk.progress)
+    return api.recalibrate(
+        captures, workspace.file("calibration"), given=given, settings=settings, progress=workspace.progress
+    )
 
 
-def _save(desk: Desk, calibration: Calibration | None, refused: str | None) -> None:
+def _save(workspace: StepWorkspace, calibration: Calibration | None, refused: str | None) -> None:
     """Write a new calibration; where there is none, that which was given, and a note why."""
     if calibration is None:
-        desk.notes.append(f"The calibration is as it was: {refused}")
-        stored = read_bounded(desk.file("calibration"), _MOST_BYTES, error=CalibrationError)
-        write_atomically(desk.target(0), stored)
+        workspace.notes.append(f"The calibration is as it was: {refused}")
+        stored = read_bounded(workspace.file("calibration"), _MOST_BYTES, error=CalibrationError)
+        write_atomically(workspace.target(0), stored)
     else:
-        api.save_calibration(calibration, desk.target(0))
+        api.save_calibration(calibration, workspace.target(0))
 
 
-def _clouds(desk: Desk) -> Iterator[PointCloud]:
+def _clouds(workspace: StepWorkspace) -> Iterator[PointCloud]:
     """The clouds of the stations, one after the other."""
-    for role in desk.step.products:
+    for role in workspace.step.products:
         if role.startswith("cloud "):
-            yield api.load_cloud(desk.file(role))
+            yield api.load_cloud(workspace.file(role))

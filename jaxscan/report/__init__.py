@@ -4,7 +4,7 @@ from jaxscan.report.clouds import (
     Beside,
     Facts,
     RoomPicture,
-    View,
+    Viewpoint,
     cloud_page,
     dimension_text,
     draw_cloud,

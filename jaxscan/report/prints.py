@@ -38,7 +38,7 @@ _MOST_SHEETS = 100
 _ROUNDING_MM = 1e-6
 
 
-class Layout(NamedTuple):
+class SheetLayout(NamedTuple):
     """Sheets of one size, in columns and rows, and the part of the board on each; millimetres."""
 
     page: tuple[float, float]
@@ -53,7 +53,7 @@ class Layout(NamedTuple):
         return self.columns * self.rows
 
 
-def lay_out(size: tuple[float, float], paper: Paper) -> Layout:
+def lay_out(size: tuple[float, float], paper: Paper) -> SheetLayout:
     """The fewest sheets that hold a board of this size [mm], upright or across.
 
     Raises:
@@ -74,23 +74,23 @@ def one_sheet(size: tuple[float, float]) -> Paper | None:
     return min(fitting, key=lambda paper: math.prod(_SIZES_MM[paper]), default=None)
 
 
-def _fewest(size: tuple[float, float], paper: Paper) -> Layout:
+def _fewest(size: tuple[float, float], paper: Paper) -> SheetLayout:
     short, long = _SIZES_MM[paper]
     # Of equals the first: the one that lies as the board does.
     pages = [(short, long), (long, short)] if size[0] <= size[1] else [(long, short), (short, long)]
     return min((_sheets(size, page) for page in pages), key=lambda layout: layout.sheets)
 
 
-def _sheets(size: tuple[float, float], page: tuple[float, float]) -> Layout:
+def _sheets(size: tuple[float, float], page: tuple[float, float]) -> SheetLayout:
     free = (page[0] - 2 * MARGIN_MM, page[1] - 2 * MARGIN_MM - GAP_MM - FOOTER_MM)
     if all(length <= room + _ROUNDING_MM for length, room in zip(size, free, strict=True)):
-        return Layout(page, 1, 1, size)
+        return SheetLayout(page, 1, 1, size)
     free = (free[0] - 2 * MARKS_MM, free[1] - 2 * MARKS_MM)
     count, tile = [], []
     for length, room in zip(size, free, strict=True):
         count.append(max(1, math.ceil((length - OVERLAP_MM - _ROUNDING_MM) / (room - OVERLAP_MM))))
         tile.append((length + (count[-1] - 1) * OVERLAP_MM) / count[-1])
-    return Layout(page, count[0], count[1], (tile[0], tile[1]))
+    return SheetLayout(page, count[0], count[1], (tile[0], tile[1]))
 
 
 RULER_MM = 100.0
@@ -165,7 +165,7 @@ def _words(board: AbstractBoard) -> str:
     return f"{board.describe()}{more}; outermost {name} {across:g} mm across, {down:g} mm down"
 
 
-def _page(layout: Layout, ink: Ink, place: tuple[int, int], words: str) -> Page:
+def _page(layout: SheetLayout, ink: Ink, place: tuple[int, int], words: str) -> Page:
     several = layout.sheets > 1
     (width, height), (tile_x, tile_y) = layout.page, layout.tile
     footer = height - MARGIN_MM - FOOTER_MM
@@ -212,7 +212,7 @@ def _ruler(x: float, y: float) -> tuple[list[list[float]], list[Text]]:
     return rectangles, [Text(x + at + 0.5, y + 5.2, _SMALL_MM, number) for at, number in numbers]
 
 
-def _marks(layout: Layout, place: tuple[int, int], window: tuple[float, float, float, float]) -> list[list[float]]:
+def _marks(layout: SheetLayout, place: tuple[int, int], window: tuple[float, float, float, float]) -> list[list[float]]:
     """Where a sheet is cut: a pair of lines beside the window for every neighbour, in the middle of what both show."""
     x0, y0, x1, y1 = window
     gap, end, half = 0.5, MARKS_MM - 0.5, _LINE_MM / 2

@@ -44,7 +44,7 @@ from jaxscan.simulation.light import (
 from jaxscan.simulation.rig import WALL_ALBEDO, Motion, Sheet, TrueRig, make_rig, project, rodrigues
 from jaxscan.simulation.scene import Scene, make_scene, room_from_scanner
 from jaxscan.simulation.settings import BoardsSpec, CameraSpec, RoomSpec, SimulationConfig, TurntableSpec
-from jaxscan.simulation.view import View, observe, points_at
+from jaxscan.simulation.view import SceneView, observe, points_at
 
 
 def true_scanner(config: SimulationConfig) -> Scanner:
@@ -538,7 +538,7 @@ def expect_record(
 
 
 @lru_cache(maxsize=2)
-def _surroundings(rig: TrueRig, scene: Scene, phi: float, laser: int | None) -> tuple[View, Blur, np.ndarray]:
+def _surroundings(rig: TrueRig, scene: Scene, phi: float, laser: int | None) -> tuple[SceneView, Blur, np.ndarray]:
     """What every pixel sees without a board, the lens's blur there, and the picture of `_ambient`.
 
     The last two are kept: many boards are shown at one angle, and every laser at each. With a `laser`, whose light
@@ -573,9 +573,9 @@ def _around(true: np.ndarray) -> np.ndarray:
 
 
 def _facet_at(
-    room: View, scene_alone: np.ndarray, board_alone: np.ndarray, rows: np.ndarray, columns: np.ndarray
+    room: SceneView, scene_alone: np.ndarray, board_alone: np.ndarray, rows: np.ndarray, columns: np.ndarray
 ) -> np.ndarray:
-    """As `View.facet_at`, with a board in front."""
+    """As `SceneView.facet_at`, with a board in front."""
     facet = room.facet_at(rows, columns)
     on_board = np.where(board_alone[rows, columns] & (facet >= 0), ON_BOARD, -1)
     return np.where(scene_alone[rows, columns], facet, on_board)
@@ -585,7 +585,7 @@ def _in_view(rig: TrueRig, depth: np.ndarray) -> np.ndarray:
     return depth if rig.rays.sees is None else np.where(rig.rays.sees, depth, np.float32(np.inf))
 
 
-def _ambient(rig: TrueRig, scene: Scene, pose: Motion, room: View, lens: Blur) -> np.ndarray:
+def _ambient(rig: TrueRig, scene: Scene, pose: Motion, room: SceneView, lens: Blur) -> np.ndarray:
     """The scene in its own light through the lens, float32 [channels, height, width]; 1 is white."""
     image = room.ambient
     hit = np.isfinite(room.depth)
@@ -604,7 +604,7 @@ def _ambient(rig: TrueRig, scene: Scene, pose: Motion, room: View, lens: Blur) -
     return softened(image, lens)
 
 
-def _returned(shot: LitScene, room: View, lens: Blur, depth: np.ndarray, front: Cover | None) -> np.ndarray:
+def _returned(shot: LitScene, room: SceneView, lens: Blur, depth: np.ndarray, front: Cover | None) -> np.ndarray:
     """The laser's light that comes back from the surfaces it lights, through the lens, float32 [height, width], DN."""
     rig, scene, pose = shot.rig, shot.scene, shot.pose
     field = returned_field(shot, line_pieces(shot), partial(points_at, rig, pose, depth))

@@ -179,7 +179,7 @@ def test_controls_of_a_terminal_are_left_out_of_messages():
         raise ValueError("\x1b[31mred\u202e\x00\nline")
 
     with pytest.raises(CaptureError, match=r"^one: cannot be read: \[31mred line\.$"):
-        remote.asked(red, remote.Place(SimpleNamespace(invalidate_cache=lambda path: None), "one", "one"))
+        remote.asked(red, remote.StoragePlace(SimpleNamespace(invalidate_cache=lambda path: None), "one", "one"))
 
 
 def test_a_server_that_fails_one_time_in_twenty_is_read_whole(store, tmp_path):

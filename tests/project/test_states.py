@@ -84,7 +84,7 @@ def test_a_failed_capture_says_its_line_and_stops_no_other(museum):
 
 
 def test_a_defect_is_kept_with_its_place(museum, monkeypatch):
-    def broken(desk):
+    def broken(workspace):
         raise ZeroDivisionError("of the test")
 
     monkeypatch.setattr(doing, "WORK", {**doing.WORK, "cloud": broken})

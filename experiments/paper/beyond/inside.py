@@ -10,7 +10,7 @@ import numpy as np
 import jaxscan
 from experiments.paper.stage import Stage
 from jaxscan.measurement.room import Dimension, RoomBox
-from jaxscan.report.clouds import View, draw_cloud
+from jaxscan.report.clouds import Viewpoint, draw_cloud
 
 
 def draw_room(stage: Stage, cloud: jaxscan.PointCloud, box: RoomBox, shares: tuple[float, float]) -> None:
@@ -29,7 +29,7 @@ def draw_room(stage: Stage, cloud: jaxscan.PointCloud, box: RoomBox, shares: tup
     figure, axes = plt.subplot_mosaic(
         [["inside", "inside"], ["top", "side"]], figsize=(14, 13), height_ratios=(1.3, 1), layout="constrained"
     )
-    within = View((0.0, 0.0, 0.15), tuple(map(float, 3 * ahead)), fov_deg=110.0, cut_away=False)
+    within = Viewpoint((0.0, 0.0, 0.15), tuple(map(float, 3 * ahead)), fov_deg=110.0, cut_away=False)
     axes["inside"].imshow(draw_cloud(xyz, rgb, size=(1400, 750), view=within))
     axes["inside"].set_title("From the scanner's place, along the room")
     axes["inside"].axis("off")

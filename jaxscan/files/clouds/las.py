@@ -13,7 +13,15 @@ from jaxscan.files.clouds import points as sizes
 from jaxscan.files.clouds.columns import COLOURS, Reading, decide
 from jaxscan.files.clouds.grid import Records, cloud_of
 from jaxscan.files.clouds.header import About, StoredCloud, about_of, frame_of, header_lines
-from jaxscan.files.clouds.placing import LOCAL_WKT, Frame, epsg_of, epsg_of_keys, frame_of_keys, frame_of_wkt, wkt_of
+from jaxscan.files.clouds.placing import (
+    LOCAL_WKT,
+    FileFrame,
+    epsg_of,
+    epsg_of_keys,
+    frame_of_keys,
+    frame_of_wkt,
+    wkt_of,
+)
 from jaxscan.files.clouds.points import blocks, columns, known_names, smoothed_names
 from jaxscan.files.disk import Part, open_regular
 from jaxscan.reconstruction import CloudPoints, PointCloud
@@ -166,7 +174,7 @@ def read_las(path: Path, reading: Reading | None = None) -> StoredCloud:
     if lines and about.metres is not None:
         return StoredCloud(cloud, about)
     stated = [(frame_of_wkt(wkt), "WKT"), (frame_of_keys(*keys), "GeoKeys")]
-    frame, why = next((one for one in stated if one[0] != Frame()), (Frame(), ""))
+    frame, why = next((one for one in stated if one[0] != FileFrame()), (FileFrame(), ""))
     why = f"the {why} of {path.name}" if frame.in_degrees else f"its {why}" if why else ""
     about = about._replace(metres=frame.metres, in_degrees=frame.in_degrees, unit_by=why)
     return StoredCloud(cloud, about, () if lines else decided.words)

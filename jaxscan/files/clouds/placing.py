@@ -233,7 +233,7 @@ def epsg_of(wkt: str) -> int | None:
     return int(found[1] or found[2]) if found else None
 
 
-class Frame(NamedTuple):
+class FileFrame(NamedTuple):
     """What a file says of the coordinates of its reference system."""
 
     metres: tuple[float, float, float] | None = None
@@ -242,17 +242,17 @@ class Frame(NamedTuple):
     """Whether x and y are degrees."""
 
 
-def frame_of_wkt(wkt: str) -> Frame:
+def frame_of_wkt(wkt: str) -> FileFrame:
     """Units of a WKT, of version 1 or 2: that of the map, and that of the heights where they have their own."""
     nodes = _nodes(wkt)
     flat = _unit_below(nodes, _FLAT)
     if flat is None:
-        return Frame(in_degrees=bool(nodes) and any(name in _GLOBE for name, _, _ in nodes))
+        return FileFrame(in_degrees=bool(nodes) and any(name in _GLOBE for name, _, _ in nodes))
     heights = _unit_below(nodes, _HEIGHTS) or flat
-    return Frame((flat, flat, heights))
+    return FileFrame((flat, flat, heights))
 
 
-def frame_of_keys(keys: Mapping[int, int], sizes: Mapping[int, float]) -> Frame:
+def frame_of_keys(keys: Mapping[int, int], sizes: Mapping[int, float]) -> FileFrame:
     """Units of the keys of a GeoTIFF, which LAS files of before 1.4 hold.
 
     Args:
@@ -260,14 +260,14 @@ def frame_of_keys(keys: Mapping[int, int], sizes: Mapping[int, float]) -> Frame:
         sizes: Those that are not whole numbers.
     """
     if keys.get(_MODEL) == 2:
-        return Frame(in_degrees=True)
+        return FileFrame(in_degrees=True)
     code = keys.get(_LENGTH_UNIT)
     flat = sizes.get(_LENGTH_SIZE) if code == _BY_USER else _UNITS_OF_LENGTH.get(code or 0)
     if flat is None and 0 < keys.get(_PROJECTED, 0) < _BY_USER:
         flat = _unit_of_code(keys[_PROJECTED])
     if flat is None or not flat > 0:
-        return Frame()
-    return Frame((flat, flat, _UNITS_OF_LENGTH.get(keys.get(_HEIGHT_UNIT, 0), flat)))
+        return FileFrame()
+    return FileFrame((flat, flat, _UNITS_OF_LENGTH.get(keys.get(_HEIGHT_UNIT, 0), flat)))
 
 
 def epsg_of_keys(keys: Mapping[int, int]) -> int | None:

@@ -20,7 +20,7 @@ Step = tuple[Matched, ...]
 _NAMED = 3
 
 
-class Columns(NamedTuple):
+class RecordImages(NamedTuple):
     """Images in the order of the records."""
 
     on: tuple[tuple[str, tuple[Step, ...]], ...]
@@ -30,7 +30,9 @@ class Columns(NamedTuple):
     said: tuple[str, ...]
 
 
-def pair(on: Sequence[tuple[str, tuple[Matched, ...]]], off: Sequence[tuple[Matched, ...]], exposures: int) -> Columns:
+def pair(
+    on: Sequence[tuple[str, tuple[Matched, ...]]], off: Sequence[tuple[Matched, ...]], exposures: int
+) -> RecordImages:
     """Bring all images into the order of the records.
 
     Args:
@@ -45,7 +47,7 @@ def pair(on: Sequence[tuple[str, tuple[Matched, ...]]], off: Sequence[tuple[Matc
     if not on:
         if off:
             raise OptionError("--off: found laser-off images without laser-on images; --on names these, or --boards.")
-        return Columns((), (), ())
+        return RecordImages((), (), ())
     said: list[str] = []
     if exposures:
         if len(on) != exposures or len(off) not in (0, exposures):
@@ -71,7 +73,7 @@ def pair(on: Sequence[tuple[str, tuple[Matched, ...]]], off: Sequence[tuple[Matc
             dark = dark * len(first)
         else:
             dark = _follow(first, dark, ("laser on", "laser off"), said)
-    return Columns(tuple(ordered), dark, tuple(dict.fromkeys(said)))
+    return RecordImages(tuple(ordered), dark, tuple(dict.fromkeys(said)))
 
 
 def _together(groups: Sequence[tuple[Matched, ...]], kind: str, said: list[str]) -> tuple[Step, ...]:
@@ -109,14 +111,14 @@ def _some(names: Sequence[str]) -> str:
 _MOST_DEG = 1e6
 
 
-class Place(NamedTuple):
+class RecordPlace(NamedTuple):
     """The table's angle [deg] or the stage's position [mm] in one record, and the placement of the board."""
 
     value: float | None
     placement: int | None = None
 
 
-def by_step(keys: Sequence[tuple[int | str, ...]], step: float, unit: str) -> tuple[list[Place], str]:
+def by_step(keys: Sequence[tuple[int | str, ...]], step: float, unit: str) -> tuple[list[RecordPlace], str]:
     """Places from a step.
 
     Where one number alone changes from name to name, it counts the steps, so that a missing image shifts no angle;
@@ -149,7 +151,7 @@ def by_step(keys: Sequence[tuple[int | str, ...]], step: float, unit: str) -> tu
             )
         said = "by the numbers in the names" + (f", {missing} of which are missing" if missing else "")
     values = [number * step for number in steps]
-    return [Place(value) for value in values], f"{values[0]:g} to {values[-1]:g} {unit} by {step:g}, {said}"
+    return [RecordPlace(value) for value in values], f"{values[0]:g} to {values[-1]:g} {unit} by {step:g}, {said}"
 
 
 def _pace(numbers: Sequence[int]) -> int | None:
@@ -191,7 +193,7 @@ def _counting(keys: Sequence[tuple[int | str, ...]]) -> list[int] | None:
     return whole if rising and whole[-1] - whole[0] < 100 * len(whole) else None
 
 
-def by_file(path: Path, names: Sequence[str]) -> tuple[list[Place], str]:
+def by_file(path: Path, names: Sequence[str]) -> tuple[list[RecordPlace], str]:
     """Places from a text file: a line for each image, in order or with the image's name first.
 
     A line holds the angle [deg] or position [mm], "-" where it is not known, and perhaps the number of the board's
@@ -210,7 +212,7 @@ def by_file(path: Path, names: Sequence[str]) -> tuple[list[Place], str]:
         for number, line in lines
         if line and not line.startswith("#")
     ]
-    named, plain = dict[str, Place](), list[Place]()
+    named, plain = dict[str, RecordPlace](), list[RecordPlace]()
     for number, words in rows:
         name = None if _is_angle(words[0]) else words[0]
         values = words if name is None else words[1:]
@@ -220,7 +222,7 @@ def by_file(path: Path, names: Sequence[str]) -> tuple[list[Place], str]:
                 "and a number, and perhaps the number of a placement."
             )
         angle = None if values[0] == "-" else float(values[0])
-        place = Place(angle, int(values[1][:9]) if len(values) > 1 else None)
+        place = RecordPlace(angle, int(values[1][:9]) if len(values) > 1 else None)
         if name is None:
             plain.append(place)
         else:
@@ -291,7 +293,7 @@ class PlannedRecord(NamedTuple):
     on: tuple[Source, ...]
     """One, or one for each exposure; empty without a laser."""
     off: tuple[Source, ...]
-    place: Place
+    place: RecordPlace
     laser: str | None
     """Name of the laser that is lit, where there are several."""
 
@@ -351,7 +353,7 @@ def plan_records(folder: Path, roles: Roles, request: ImportRequest) -> ImportPl
     records = _with_laser(columns, places, several=len({name for name, _ in columns.on}) > 1)
     if roles.boards and columns.on:
         # Boards beside pairs: of other poses, so they take no part in the turning.
-        records += [PlannedRecord((), (Source(one.name, one.frame),), Place(None), None) for one in roles.boards]
+        records += [PlannedRecord((), (Source(one.name, one.frame),), RecordPlace(None), None) for one in roles.boards]
     elif roles.boards:
         records = [
             PlannedRecord((), (Source(one.name, one.frame),), place, None)
@@ -368,7 +370,7 @@ def _sources(steps: Sequence[Sequence[Matched]]) -> tuple[Source, ...]:
     return tuple(Source(one.name, one.frame) for step in steps for one in step)
 
 
-def _with_laser(columns: Columns, places: Sequence[Place], *, several: bool) -> list[PlannedRecord]:
+def _with_laser(columns: RecordImages, places: Sequence[RecordPlace], *, several: bool) -> list[PlannedRecord]:
     made = []
     for at, place in enumerate(places if columns.on else []):
         off = tuple(Source(one.name, one.frame) for one in columns.off[at]) if columns.off else ()
@@ -380,7 +382,7 @@ def _with_laser(columns: Columns, places: Sequence[Place], *, several: bool) -> 
 
 def _places(
     keys: Sequence[tuple[int | str, ...]], names: Sequence[str], known: float | None, request: ImportRequest
-) -> tuple[list[Place], str | None]:
+) -> tuple[list[RecordPlace], str | None]:
     """The table's angle, or the position of the stage, in every record."""
     words = _MILLIMETRES if request.carries == "linear" else _DEGREES
     step = known if request.step is None else request.step
@@ -396,11 +398,11 @@ def _places(
             places = [place._replace(placement=0) for place in places]
             said += "; the board stood still meanwhile"
     elif request.board is not None:
-        return [Place(None) for _ in keys], "unknown; every image shows the board in another pose"
+        return [RecordPlace(None) for _ in keys], "unknown; every image shows the board in another pose"
     elif request.carries == "nothing":
-        return [Place(None) for _ in keys], None
+        return [RecordPlace(None) for _ in keys], None
     elif len(keys) == 1:
-        return [Place(0.0)], None
+        return [RecordPlace(0.0)], None
     else:
         turn = "" if words is _MILLIMETRES else f", which is {360 / len(keys):.4g} if they are one whole turn"
         raise OptionError(

@@ -37,7 +37,7 @@ _ROLE_OF: dict[str, Role] = {word: role for role, words in _WORDS.items() for wo
 _SIDE_OF = {word: side for side, words in _SIDES.items() for word in words.split()}
 
 
-class Named(NamedTuple):
+class NamedImage(NamedTuple):
     """A file, and the meaning of its name."""
 
     name: str
@@ -48,7 +48,7 @@ class Named(NamedTuple):
     """The rest of the name: equal for files that belong together."""
 
 
-def understand(name: str) -> Named:
+def understand(name: str) -> NamedImage:
     """The meaning of a file's name, of all its folders too."""
     words = numbers_and_words(name.rpartition(".")[0])
     roles = {_ROLE_OF[word] for word in words if isinstance(word, str) and word in _ROLE_OF}
@@ -58,7 +58,7 @@ def understand(name: str) -> Named:
     rest = tuple(
         word for word in words if isinstance(word, int) or (word not in _ROLE_OF and not (side and word in _SIDE_OF))
     )
-    return Named(name, role, side, rest)
+    return NamedImage(name, role, side, rest)
 
 
 class Recognised(NamedTuple):
@@ -90,7 +90,7 @@ def recognise(names: Sequence[str]) -> Recognised:
     return found
 
 
-class Group(NamedTuple):
+class NameGroup(NamedTuple):
     """Files whose names differ in their numbers alone."""
 
     pattern: str
@@ -99,7 +99,7 @@ class Group(NamedTuple):
     last: str
 
 
-def group(names: Sequence[str]) -> list[Group]:
+def group(names: Sequence[str]) -> list[NameGroup]:
     """Groups of files, the largest first; `names` in natural order.
 
     A pattern that would name files of another group too asks for a digit: `step[0-9]*.jpg` beside `step_table*.jpg`.
@@ -114,7 +114,7 @@ def group(names: Sequence[str]) -> list[Group]:
     for pattern, name in zip(patterns, names, strict=True):
         first.setdefault(pattern, name)
         last[pattern] = name
-    return [Group(pattern, files, first[pattern], last[pattern]) for pattern, files in counts.most_common()]
+    return [NameGroup(pattern, files, first[pattern], last[pattern]) for pattern, files in counts.most_common()]
 
 
 def is_video(name: str) -> bool:

@@ -112,14 +112,14 @@ _RESERVE_GIB, _RESERVE_SHARE = 1.0, 0.1
 GIB = 1 << 30
 
 
-class Sizes(NamedTuple):
+class WorkerSizes(NamedTuple):
     """Workers of one machine, and the memory of each [bytes]."""
 
     workers: int
     memory: int
 
 
-def sizes_for(workers: int | None, memory_gib: float | None, *, cores: int, free_gib: float) -> Sizes:
+def sizes_for(workers: int | None, memory_gib: float | None, *, cores: int, free_gib: float) -> WorkerSizes:
     """Share out the free memory of a machine.
 
     Args:
@@ -147,7 +147,7 @@ def sizes_for(workers: int | None, memory_gib: float | None, *, cores: int, free
             f"this machine: {_free(room)}, too little for a worker; end other programs, or set --memory-gib."
         )
     each_gib = room / workers if memory_gib is None else memory_gib
-    return Sizes(workers, int(each_gib * GIB))
+    return WorkerSizes(workers, int(each_gib * GIB))
 
 
 def _free(room: float) -> str:

@@ -2,4 +2,4 @@
 
 from jaxscan.report.clouds.facts import Beside, Facts, facts_of
 from jaxscan.report.clouds.page import cloud_page
-from jaxscan.report.clouds.picture import RoomPicture, View, dimension_text, draw_cloud, room_picture
+from jaxscan.report.clouds.picture import RoomPicture, Viewpoint, dimension_text, draw_cloud, room_picture

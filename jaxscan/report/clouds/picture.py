@@ -19,7 +19,7 @@ TALL = 0.85
 
 
 @dataclass(frozen=True)
-class View:
+class Viewpoint:
     """A perspective camera of the picture."""
 
     eye: tuple[float, float, float]
@@ -33,7 +33,7 @@ class View:
     """Leave out surfaces that are seen from behind, and the ceiling and near walls, which hide the room."""
 
 
-def room_view(xyz: np.ndarray, size: tuple[int, int] = (1600, 900)) -> View:
+def room_view(xyz: np.ndarray, size: tuple[int, int] = (1600, 900)) -> Viewpoint:
     """The view into a room from above one of its corners.
 
     Args:
@@ -63,13 +63,13 @@ def room_view(xyz: np.ndarray, size: tuple[int, int] = (1600, 900)) -> View:
         target = target + middle[0] * right + middle[1] * down
         distance *= 1.0 + 0.7 * (0.5 * np.ptp(seen, axis=0).max() / reach - 1.0)
         distance = float(np.clip(distance, 0.6 * np.linalg.norm(extent), 6.0 * np.linalg.norm(extent)))
-    return View(_triple(target + distance * away), _triple(target))
+    return Viewpoint(_triple(target + distance * away), _triple(target))
 
 
-class Frame(NamedTuple):
+class Canvas(NamedTuple):
     """A view on a canvas."""
 
-    view: View
+    view: Viewpoint
     focal: float
     """Of the camera [px]."""
     middle: tuple[float, float]
@@ -92,13 +92,13 @@ class Frame(NamedTuple):
         return self.focal * local[:, :2] / local[:, 2:] + np.array(self.middle, points.dtype)
 
 
-def frame_of(view: View, size: tuple[int, int]) -> Frame:
+def frame_of(view: Viewpoint, size: tuple[int, int]) -> Canvas:
     """A view in the middle of a canvas of this width and height [px]."""
     width, height = size
-    return Frame(view, 0.5 * width / np.tan(0.5 * np.radians(view.fov_deg)), (0.5 * width, 0.5 * height), size)
+    return Canvas(view, 0.5 * width / np.tan(0.5 * np.radians(view.fov_deg)), (0.5 * width, 0.5 * height), size)
 
 
-def fitted_frame(view: View, points: np.ndarray, width: int, margin: int) -> Frame:
+def fitted_frame(view: Viewpoint, points: np.ndarray, width: int, margin: int) -> Canvas:
     """A view on a canvas that the points just fill.
 
     Args:
@@ -107,7 +107,7 @@ def fitted_frame(view: View, points: np.ndarray, width: int, margin: int) -> Fra
         width: Of the canvas [px]; its height follows from the points, `TALL` times as much at most.
         margin: Left free at each edge [px].
     """
-    unit = Frame(view, 1.0, (0.0, 0.0), (1, 1))
+    unit = Canvas(view, 1.0, (0.0, 0.0), (1, 1))
     seen = unit.pixels(points)
     low, high = seen.min(0), seen.max(0)
     # A single point would be infinitely large.
@@ -116,7 +116,7 @@ def fitted_frame(view: View, points: np.ndarray, width: int, margin: int) -> Fra
     focal = inner / max(across, down / TALL)
     height = round(focal * down) + 2 * margin
     middle = np.array([0.5 * width, 0.5 * height]) - focal * 0.5 * (low + high)
-    return Frame(view, float(focal), (float(middle[0]), float(middle[1])), (width, height))
+    return Canvas(view, float(focal), (float(middle[0]), float(middle[1])), (width, height))
 
 
 def _triple(vector: np.ndarray) -> tuple[float, float, float]:
@@ -160,7 +160,7 @@ class Axis(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Room:
+class DrawnRoom:
     """A room as its picture shows it."""
 
     axes: tuple[Axis, Axis, Axis]
@@ -186,7 +186,7 @@ class Room:
         return place + (up.low - up.direction @ place) * up.direction
 
 
-def room_of(cloud: Cloud, box: RoomBox | None) -> Room:
+def room_of(cloud: Cloud, box: RoomBox | None) -> DrawnRoom:
     """What there is to say about the room of a cloud.
 
     Args:
@@ -197,10 +197,10 @@ def room_of(cloud: Cloud, box: RoomBox | None) -> Room:
     axes = _axes(xyz, box)
     places = places_of(cloud)
     stations = np.stack([places.pose[:, :3, 3], places.pose[:, :3, 0]], 1) if is_turned(cloud) else np.zeros((0, 2, 3))
-    room = Room(axes, stations[:MOST_STATIONS], None)
+    room = DrawnRoom(axes, stations[:MOST_STATIONS], None)
     if not len(stations):
         return room
-    return Room(axes, room.stations, _hole(xyz, room.foot(stations[0, 0]), axes[2]))
+    return DrawnRoom(axes, room.stations, _hole(xyz, room.foot(stations[0, 0]), axes[2]))
 
 
 def is_turned(cloud: Cloud) -> bool:
@@ -281,7 +281,7 @@ def draw_cloud(
     *,
     normals: np.ndarray | None = None,
     size: tuple[int, int] = (1600, 900),
-    view: View | None = None,
+    view: Viewpoint | None = None,
 ) -> np.ndarray:
     """Draw a coloured cloud.
 
@@ -315,7 +315,7 @@ def draw_room(
     normals: np.ndarray | None = None,
     beside: np.ndarray | None = None,
     width: int = 1600,
-) -> tuple[np.ndarray, Frame]:
+) -> tuple[np.ndarray, Canvas]:
     """Draw a room, cut open, on a canvas that it fills.
 
     Args:
@@ -340,7 +340,7 @@ def draw_room(
     return _drawn(points, _brightened(colours), frame), frame
 
 
-def _drawn(points: np.ndarray, colours: np.ndarray, frame: Frame) -> np.ndarray:
+def _drawn(points: np.ndarray, colours: np.ndarray, frame: Canvas) -> np.ndarray:
     depth, picture = _splat(points, colours, frame)
     depth, picture = _close_holes(depth, picture, frame.focal)
     return _shade(depth, picture)
@@ -396,7 +396,7 @@ def _in_sight(points: np.ndarray, normals: np.ndarray | None, eye: np.ndarray) -
     return kept
 
 
-def _splat(points: np.ndarray, colours: np.ndarray, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+def _splat(points: np.ndarray, colours: np.ndarray, frame: Canvas) -> tuple[np.ndarray, np.ndarray]:
     """Depth and colour of the nearest point in each pixel; the depth is infinite where there is none."""
     width, height = frame.size
     local = frame.local(points)
@@ -467,7 +467,7 @@ _BESIDE = 0.03
 """Dimension lines stand off the room by this share of its extent."""
 
 
-class Line(NamedTuple):
+class DimensionLine(NamedTuple):
     """A dimension in the picture."""
 
     ends: np.ndarray
@@ -537,7 +537,7 @@ def _near_zero(cloud: PointCloud, box: RoomBox | None) -> tuple[PointCloud, Room
     return moved, None if box is None else dataclasses.replace(box, centre_m=box.centre_m - place)
 
 
-def dimension_lines(room: Room, eye: np.ndarray) -> list[Line]:
+def dimension_lines(room: DrawnRoom, eye: np.ndarray) -> list[DimensionLine]:
     """The dimensions of a room, along those of its edges where they hide nothing of it.
 
     Args:
@@ -554,11 +554,13 @@ def dimension_lines(room: Room, eye: np.ndarray) -> list[Line]:
         ends = np.stack([shares, shares])
         ends[:, number] = 0.0, 1.0
         outwards = room.axes[aside].direction * (1.0 if near[aside] else -1.0)
-        lines.append(Line(room.at(ends) + _BESIDE * room.extent * outwards, dimension_text(axis.dimension), outwards))
+        lines.append(
+            DimensionLine(room.at(ends) + _BESIDE * room.extent * outwards, dimension_text(axis.dimension), outwards)
+        )
     return lines
 
 
-def _marked(picture: np.ndarray, frame: Frame, room: Room, lines: list[Line]) -> RoomPicture:
+def _marked(picture: np.ndarray, frame: Canvas, room: DrawnRoom, lines: list[DimensionLine]) -> RoomPicture:
     # Imported here, so that only drawing loads matplotlib.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -609,7 +611,7 @@ def _halo() -> list[Any]:
     return [withStroke(linewidth=5, foreground=_PAPER)]
 
 
-def _draw_dimension(axes: Any, frame: Frame, line: Line) -> Any:
+def _draw_dimension(axes: Any, frame: Canvas, line: DimensionLine) -> Any:
     start, end = frame.pixels(line.ends)
     along = (end - start) / np.linalg.norm(end - start)
     tip = frame.pixels(line.ends + 0.1 * line.outwards) - frame.pixels(line.ends)
@@ -626,7 +628,7 @@ def _draw_dimension(axes: Any, frame: Frame, line: Line) -> Any:
     )
 
 
-def _draw_station(axes: Any, frame: Frame, room: Room) -> list[Any]:
+def _draw_station(axes: Any, frame: Canvas, room: DrawnRoom) -> list[Any]:
     """The floor under the scanner that it does not see, where it stood, and its angle 0."""
     texts = []
     for number, (place, x) in enumerate(room.stations):
@@ -673,7 +675,7 @@ def _draw_nothing(axes: Any, left: float, y: float, wide: float) -> None:
     del axes, left, y, wide
 
 
-def _legend(room: Room, frame: Frame) -> list["_Item"]:
+def _legend(room: DrawnRoom, frame: Canvas) -> list["_Item"]:
     metres, wide = _scale(room, frame)
     where = "at the scanner" if len(room.stations) else "in the middle"
     items = [_Item(_draw_bar, wide, f"{metres:g} m on the floor, {where}")]
@@ -688,7 +690,7 @@ def _legend(room: Room, frame: Frame) -> list["_Item"]:
     return [*items, _Item(_draw_nothing, 0.0, "ceiling and near walls are left out")]
 
 
-def _scale(room: Room, frame: Frame) -> tuple[float, float]:
+def _scale(room: DrawnRoom, frame: Canvas) -> tuple[float, float]:
     """A round length [m], and its length in the picture [px], across the view on the floor where the scanner stands."""
     place = room.stations[0, 0] if len(room.stations) else room.at(np.full((1, 3), 0.5))[0]
     far = float(frame.local(room.foot(place)[None])[0, 2])
