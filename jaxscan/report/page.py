@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxscan.calibration import Calibration, Fit
-from jaxscan.calibration.verdict import JudgedView, judge_views
+from jaxscan.calibration import Calibration, Fit, JudgedView, judge_views
 from jaxscan.geometry import Turntable
 from jaxscan.observation import Observations
 from jaxscan.report import figures, plots, tables, words

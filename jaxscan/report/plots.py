@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxscan.calibration import Fit
-from jaxscan.calibration.verdict import BoardMap, Direction, is_held_by_priors
+from jaxscan.calibration import BoardMap, Direction, Fit, is_held_by_priors
 from jaxscan.observation import Observations
 from jaxscan.report.drawing import BLUE, INK, LINE, RED, SERIES, SOFT, add_legend, arrows, new_axes, new_figure, plain
 

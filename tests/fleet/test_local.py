@@ -16,6 +16,9 @@ from jaxscan.fleet.clusters.pinning import share_of
 from jaxscan.fleet.clusters.running import connected, cores
 
 
+pytestmark = pytest.mark.rig
+
+
 def told_by_worker(dask_worker):
     """Of a worker that has computed something: its process, the cores of all threads, and words of its caller."""
     jax.numpy.ones(8).sum().block_until_ready()

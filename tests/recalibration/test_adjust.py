@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxscan.calibration.verdict import length_sigma, measure_lengths, typical_lengths
+from jaxscan.calibration.propagate import length_sigma, measure_lengths, typical_lengths
 from jaxscan.errors import CalibrationError
 from jaxscan.recalibration import RecalibrationSettings, RoomObservations, Start
 from jaxscan.recalibration.adjust import adjust, departure, joint, triangulate_points

@@ -7,7 +7,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from jaxscan.calibration.verdict import BoardMap
+from jaxscan.calibration.result import BoardMap
 from jaxscan.geometry import Chessboard
 from jaxscan.report import plots
 from jaxscan.report.drawing import arrows, as_svg, plain

@@ -15,9 +15,7 @@ import jax
 import numpy as np
 import pydantic
 
-from jaxscan.calibration import Quality
-from jaxscan.calibration.result import Calibration
-from jaxscan.calibration.settings import CalibrationSettings
+from jaxscan.calibration import Calibration, CalibrationSettings, Quality
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration.model import CALIBRATION_FORMAT, CalibrationTable, CameraTable, motion_table
 from jaxscan.files.calibration.observations import (

@@ -1,17 +1,15 @@
 """Camera models, one file each, and their registry."""
 
-from typing import TYPE_CHECKING, Literal
+from jaxscan.facades import TYPE_CHECKING, load_on_use
 
-from jaxscan.geometry.cameras.camera import CENTRE, FOCAL, AbstractCamera
-from jaxscan.geometry.cameras.double_sphere import DoubleSphere
-from jaxscan.geometry.cameras.fisheye import Fisheye
-from jaxscan.geometry.cameras.pinhole import Pinhole
-
-
-CAMERAS: dict[str, type[AbstractCamera]] = {camera.model: camera for camera in (Pinhole, Fisheye, DoubleSphere)}
-"""All camera models by name."""
 
 if TYPE_CHECKING:
-    CameraModel = str
+    from typing import TYPE_CHECKING, Literal
+
+    from jaxscan.geometry.cameras.camera import CENTRE, FOCAL, AbstractCamera
+    from jaxscan.geometry.cameras.double_sphere import DoubleSphere
+    from jaxscan.geometry.cameras.fisheye import Fisheye
+    from jaxscan.geometry.cameras.pinhole import Pinhole
+    from jaxscan.geometry.cameras.registry import CAMERAS, CameraModel
 else:
-    CameraModel = Literal[tuple(CAMERAS)]
+    load_on_use(__name__)
