@@ -58,7 +58,6 @@ def lit_points(
     """Points of stripes in the camera frame, whatever the motion.
 
     Args:
-        rig: The rig.
         q: Stripe centres (u, v) [px].
         laser: Number of the sheet that lit each.
 

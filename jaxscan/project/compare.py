@@ -12,11 +12,9 @@ import numpy as np
 from jaxscan.errors import ConfigError
 from jaxscan.files.disk import MEGABYTE, parse_json, read_bounded
 from jaxscan.project.catalogue import Row, open_catalogue
-from jaxscan.project.digests import digests_of
 from jaxscan.project.project import Project
-from jaxscan.project.states import states_of
-from jaxscan.project.steps import steps_of
-from jaxscan.project.work.products import MEASURES_FORMAT
+from jaxscan.project.steps import digests_of, states_of, steps_of
+from jaxscan.project.work import MEASURES_FORMAT
 
 
 MOVED_SIGMAS = 3.0

@@ -7,9 +7,9 @@ import jax
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.files.clouds.about import About, StoredCloud
 from jaxscan.files.clouds.columns import Reading
 from jaxscan.files.clouds.e57 import Surroundings, read_e57, write_e57, write_e57_stations
+from jaxscan.files.clouds.header import About, StoredCloud
 from jaxscan.files.clouds.las import read_las, write_las
 from jaxscan.files.clouds.npz import read_npz, write_npz
 from jaxscan.files.clouds.pcd import read_pcd, write_pcd
@@ -163,7 +163,6 @@ def read_cloud(path: str | Path, reading: Reading | None = None) -> StoredCloud:
     """Read a cloud as `load_cloud` does, and what its file says beside the points.
 
     Args:
-        path: As in `load_cloud`.
         reading: What a person says of the columns and colours of another program's file.
 
     Raises:

@@ -129,8 +129,6 @@ def assign(names: Sequence[str], path: str, *, what: str = "the columns", ours: 
 
     Args:
         names: The columns of the file in their order; empty where one has no name.
-        path: For messages.
-        what: What has the names, for messages.
         ours: Whether this library wrote the file.
 
     Raises:
@@ -182,7 +180,6 @@ def listed(names: Sequence[str], reading: Reading, path: str) -> Columns:
     Args:
         names: The columns of the file in their order.
         reading: Has columns.
-        path: For messages.
 
     Raises:
         CloudError: If the file has fewer.
@@ -265,7 +262,6 @@ def guessed(extent: Extent, path: str, *, points: int, counted: bool) -> Columns
 
     Args:
         extent: Of the columns.
-        path: For messages.
         points: Number of points.
         counted: Whether their number stands before them, as in a file of Leica's, where intensity comes before colours.
 
@@ -483,7 +479,6 @@ def decide(
 
     Args:
         points: The records of the file, with its own names.
-        path: For messages.
         ours: Whether this library wrote the file.
         reading: What a person says.
         columns: Where the reader has decided it.

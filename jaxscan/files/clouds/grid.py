@@ -7,9 +7,8 @@ import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import points as sizes
-from jaxscan.files.clouds.about import JOINED_FORMAT, lacking, version_of
+from jaxscan.files.clouds.header import JOINED_FORMAT, lacking, read_stations, version_of
 from jaxscan.files.clouds.points import PARTS, POINT
-from jaxscan.files.clouds.stations import read_stations
 from jaxscan.reconstruction import MAY_LACK, SMOOTHED, PointCloud, Stations
 
 
@@ -92,7 +91,6 @@ def cloud_of(
     Args:
         points: With the fields of `POINT`, of smoothed points and of stations, as far as there.
         lines: Text of the header; `about.header_lines` writes it.
-        name: Name of the file, for messages.
         profiles: Structured array [profiles] with angle, record and laser, where the file lists the profiles.
 
     Raises:
@@ -209,10 +207,8 @@ def on_grid(
     """The cloud of points that have step and row, on a grid of so many profiles and lines.
 
     Args:
-        points: The points.
         grid: Profiles and lines.
         profiles: As in `cloud_of`.
-        name: Name of the file, for messages.
         stations: Of a joined cloud.
         stations_of_points: Whether the points say which profile is of which station, and not yet `stations`.
         check: Looks at each block of points before it is used.
@@ -317,8 +313,6 @@ def _unorganised(points: Records, name: str, *, ours: bool, lacks: tuple[str, ..
     """The points as a single profile; what they lack is zero, and said.
 
     Args:
-        points: The points.
-        name: Name of the file, for messages.
         ours: Whether this library wrote the file or the one before it.
         lacks: What it says that it lacks.
 

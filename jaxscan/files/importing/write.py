@@ -123,7 +123,6 @@ def write_import(plan: ImportPlan, found: ImportedHeader, target: Path, progress
     """Write the capture: images packed without loss, with digests and a seal.
 
     Args:
-        plan: The plan.
         found: Header and kind of the images.
         target: Folder of the capture; it must not exist, and appears only when it is complete.
         progress: Called with (records done, records in all).
