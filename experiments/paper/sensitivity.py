@@ -96,8 +96,6 @@ def measured_room(
 
     Args:
         study: The rig, its protocol and its sweep.
-        faults: The sources of error.
-        random: Source of all draws.
         as_user: Noise is estimated from residuals, as a user's calibration does it. Otherwise corners and stripes have
             the weights of `study.stated` even where they are exact, so that a source alone has the same effect as
             among all sources.
@@ -134,8 +132,6 @@ def cloud_of(stripes: SweepStripes, scanner: jaxscan.Scanner, stride: int, sigma
 
     Args:
         stripes: The stripes of a sweep by one laser.
-        scanner: The calibration.
-        stride: n.
         sigma_px: Standard deviation of all centres [px].
 
     Returns:
@@ -292,10 +288,8 @@ def draw_chart(stage: Stage, errors: dict[str, np.ndarray], sigma: np.ndarray, l
     """Bars: rms errors; whiskers: their standard errors; dots: draws.
 
     Args:
-        stage: The world.
         errors: Of width and length, by source [draws, 2], mm.
         sigma: Predicted, of the draws without jitter and pitch [draws, 2], mm.
-        labels: Of the sources.
     """
     names = list(errors)
     figure, axes = plt.subplots(1, 2, figsize=(12, 5.2), sharey=True, constrained_layout=True)

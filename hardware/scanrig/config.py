@@ -89,9 +89,6 @@ class TurntableTable(FileModel):
     def rate(self, name: str) -> int:
         """A speed or acceleration in the controller's units.
 
-        Args:
-            name: Its key.
-
         Returns:
             Microsteps per second, or per second squared.
 
