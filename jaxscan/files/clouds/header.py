@@ -91,7 +91,7 @@ def covariance_text(covariance: Array) -> str:
 
 
 CLOUD_FORMAT, JOINED_FORMAT = "jaxscan-cloud/1", "jaxscan-cloud/2"
-"""Formats of the cloud of one station and of a joined one, whose frame a reader of the first would take for a scanner's."""
+"""Formats of the cloud of one station and of a joined one, whose frame is a room's and not a scanner's."""
 
 _FORMAT_WORD = "jaxscan-cloud/"
 _CRS = re.compile(r"EPSG:(\d{1,6})\Z")
