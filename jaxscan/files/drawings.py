@@ -23,7 +23,7 @@ DIMENSIONS = {
     "dimtad": 1,
     "dimlunit": 2,
 }
-"""How dimensions look, by the names of DXF; lengths in metres."""
+"""Style of dimensions, by the names of DXF; lengths in metres."""
 
 
 def check_dxf() -> None:

@@ -47,9 +47,9 @@ class StoragePlace:
     storage: Any
     """The file system of fsspec; used by many threads."""
     path: str
-    """As the file system calls it."""
+    """Path in the terms of the file system."""
     address: str
-    """As the user calls it."""
+    """Address as the user typed it."""
 
     def child(self, name: str) -> "StoragePlace":
         address = self.address if self.address.endswith("/") else self.address + "/"
@@ -67,7 +67,7 @@ def is_s3(address: str) -> bool:
 
 
 def open_place(address: str) -> StoragePlace:
-    """The place at an address; nothing is asked of it.
+    """The place at an address, without a request to the storage.
 
     Raises:
         CaptureError: If the address is none, or has no known scheme.
@@ -160,7 +160,7 @@ def _is_final(problem: Exception) -> bool:
 
 
 def _cause(problem: BaseException) -> str:
-    """What happened, in one line without the colours and other controls of a terminal."""
+    """The error in one line, without the control characters of a terminal."""
     text = "".join(letter if letter.isprintable() else " " for letter in str(problem))
     return f"{' '.join(text.split()) or type(problem).__name__:.300}".rstrip(".")
 

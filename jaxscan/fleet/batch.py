@@ -343,7 +343,7 @@ def run_batch(
         todo: For the steps that are not done; inputs come first.
         catalogue: Gets a row for each step as it comes back.
         client: Of the cluster.
-        show: Is told what goes on.
+        show: Receives what happens, for people to read.
         patience_s: How long it waits where no worker is there.
         work: What a worker does with an order; a function of a module.
 

@@ -13,7 +13,7 @@ MEDIAN_TO_SIGMA = 1.4826
 
 
 class PrincipalAxes(NamedTuple):
-    """Where points are, and how far they spread along each of their principal axes."""
+    """Mean of points, and their variance along each principal axis."""
 
     centre: Float[np.ndarray, "*sets 3"]
     """Their weighted mean."""

@@ -53,7 +53,7 @@ class AbstractMotion(ArrayModule):
 
     @abc.abstractmethod
     def departure(self, other: "AbstractMotion") -> Float[np.ndarray, " params"]:
-        """How far another motion of the same kind is away, in the minimal coordinates of this one."""
+        """Difference of another motion of the same kind, in the minimal coordinates of this one."""
 
     @abc.abstractmethod
     def pointed(self, up: Float[Array, "3"]) -> "AbstractMotion":
@@ -88,7 +88,7 @@ class Still(AbstractMotion):
         return np.eye(4, dtype=np.float32)
 
     def retract(self, step: Float[Array, " params"]) -> "Still":
-        """The same: there is nothing to move."""
+        """Return this motion: there is nothing to move."""
         return self
 
     def prior_values(self) -> Float[Array, " params"]:
@@ -175,7 +175,7 @@ class LinearStage(AbstractMotion):
         return namespace(self).pad(self.gain[None], (2, 0))
 
     def departure(self, other: AbstractMotion) -> Float[np.ndarray, "3"]:
-        """How far another stage is away, in the minimal coordinates of this one."""
+        """Difference of another stage, in the minimal coordinates of this one."""
         if not isinstance(other, LinearStage):
             raise TypeError(f"found {type(other).__name__}, expected a linear stage")
         return np.append(self.basis @ (other.direction - self.direction), other.gain - self.gain)
@@ -347,7 +347,7 @@ class Turntable(AbstractMotion):
         return xp.pad(xp.append(xp.abs(self.gain), self.harmonics), (4, 0))
 
     def departure(self, other: AbstractMotion) -> Float[np.ndarray, "9"]:
-        """How far another table is away, in the minimal coordinates of this one."""
+        """Difference of another table, in the minimal coordinates of this one."""
         if not isinstance(other, Turntable):
             raise TypeError(f"found {type(other).__name__}, expected a turntable")
         axis = [self.basis @ (other.direction - self.direction), self.basis @ (other.point - self.point)]

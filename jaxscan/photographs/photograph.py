@@ -83,14 +83,14 @@ class Lens(NamedTuple):
 
 
 class PhotographView(NamedTuple):
-    """Where a photograph was taken from."""
+    """Lens and pose of a photograph."""
 
     lens: Lens
     T_scanner_cam: Float[Array, "4 4"]
 
 
 class Sight(NamedTuple):
-    """A point as a photograph shows it."""
+    """Projection of a point into a photograph."""
 
     q: Float[Array, "2"]
     """Pixel (u, v)."""

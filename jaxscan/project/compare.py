@@ -33,7 +33,7 @@ class LengthChange(NamedTuple):
     first_m: float
     second_m: float
     sigma_m: float
-    """Of the difference: 0 of one capture whose points are the same; else of both lengths together."""
+    """Standard deviation of the difference; 0 where both use the same points of one capture."""
     noise_m: float
     """Random part of the length's own standard deviation [m]."""
     same_capture: bool

@@ -47,7 +47,7 @@ UNFIT: Mapping[str, tuple[Product, ...]] = {
     "linear": ("panorama",),
     "nothing": ("mesh", "plan", "panorama"),
 }
-"""By the load of the table that a header names. A stage may move along the walls of a room, so its plan is tried."""
+"""Products by what the table in the header carries. A stage may move along the walls of a room, so a plan is tried."""
 _OF_MANY: tuple[Product, ...] = ("mesh", "plan", "panorama")
 """Products of neighbouring profiles, which a single record has not."""
 _WHY = {
@@ -65,7 +65,7 @@ class Fitting(NamedTuple):
     """The products of the captures of one table."""
 
     products: Mapping[Name, tuple[Product, ...]]
-    """Of each capture, by its name."""
+    """Products of each capture, by its name."""
     notes: tuple[str, ...]
     """A sentence for all captures of which the same is left out."""
 
@@ -191,7 +191,7 @@ class ProjectCapture:
     rig: RigTable
     settings: SettingsTable
     products: tuple[Product, ...]
-    """Those that are wanted and can be made of it."""
+    """The wanted products that can be made of a capture."""
     formats: tuple[Format, ...]
     """Of its cloud."""
 

@@ -47,7 +47,7 @@ CODE_OF: Mapping[str, tuple[str, ...]] = {
 """Rooms, folders or files, whose code decides a product, beside the one that makes them all: a change elsewhere, of the
 viewer say, leaves it as good as it was. Rooms that decide an input already are not named again."""
 _AT_A_TIME = 16
-"""Sources that are asked for at a time: mostly they wait for disks and networks."""
+"""Sources that are read at the same time: mostly they wait for disks and networks."""
 MOST_JOURNAL = 1 << 30
 
 

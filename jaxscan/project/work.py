@@ -53,13 +53,13 @@ from jaxscan.reconstruction import PointCloud, Progress, join_clouds, stack_plac
 
 @dataclass(frozen=True)
 class StepWorkspace:
-    """Where a step reads and writes."""
+    """Workspace of one step: the files it reads, and a folder for what it writes."""
 
     step: Step
     output: Path
     """The folder of the products."""
     folder: Path
-    """Where it writes: its files get their places when all are complete."""
+    """Temporary folder; its files are moved to their places when all are complete."""
     progress: Progress
     """Called with (done, in all)."""
     notes: list[str] = field(default_factory=list)
@@ -115,11 +115,11 @@ class StepWorkspace:
         return self.folder / "fetched" / str(list(self.step.sources).index(role))
 
     def target(self, number: int = 0) -> Path:
-        """Where an output of the step is to be written."""
+        """Temporary path of an output of the step."""
         return self.beside(self.step.outputs[number])
 
     def beside(self, output: str) -> Path:
-        """Where a file is to be written that gets the place `output` among the products."""
+        """Temporary path of a file that becomes `output` among the products."""
         path = self.folder / "made" / output
         make_folder(path.parent, own=self.folder)
         return path
@@ -467,9 +467,9 @@ def _described(path: str, workspace: StepWorkspace) -> Output:
 
 
 MOST_BYTES = 1 << 40
-"""Of one capture that is fetched."""
+"""Largest capture that is fetched [bytes]."""
 _SHARE = 0.9
-"""Of the free disk that fetched captures may take."""
+"""Share of the free disk that fetched captures may take."""
 
 
 @contextlib.contextmanager
@@ -506,7 +506,7 @@ def _make(own: Path, folder: Path) -> None:
 
 
 def reconstruct_settings(workspace: StepWorkspace) -> api.ReconstructSettings:
-    """How the sweep of a step is reconstructed."""
+    """Settings of the reconstruction of a step's sweep."""
     return api.ReconstructSettings(
         smooth=workspace.setting("smooth"),
         min_range_m=workspace.setting("min_range_m"),
@@ -553,7 +553,7 @@ _ROW = np.dtype(
 
 
 class Tiles:
-    """Points by the square of the plan that they lie in."""
+    """Points, grouped by the square of the floor plan that they lie in."""
 
     def __init__(self, folder: Path, side_m: float) -> None:
         """Spool into a folder, which is made now and removed at the end of `with`."""
@@ -609,7 +609,7 @@ TILES_FORMAT = "jaxscan-tiles/1"
 PLAN_POINTS = 20_000_000
 """Points that the plan of a group is drawn from; of more, only every n-th profile."""
 VAGUE_M = 0.02
-"""A station's place that is known no better is told [m]."""
+"""A note is given for a station whose place has a larger standard deviation [m]."""
 _MOST_BYTES = 64 * MEGABYTE
 
 

@@ -11,7 +11,7 @@ from jaxscan.simulation.settings import WIDEST_BLUR_PX, CameraSpec, Colour, Pixe
 
 
 _STREAM = 5
-"""Of random numbers that are drawn from the configuration's seed."""
+"""Key of the random numbers that are drawn from the configuration's seed."""
 
 
 def flawed(light: np.ndarray, config: SimulationConfig) -> np.ndarray:

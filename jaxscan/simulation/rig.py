@@ -38,7 +38,7 @@ class Directions:
     z_v: Numbers = 0.0
 
     def at(self, *index: Any) -> "Directions":
-        """Those of some pixels, by any index into the arrays."""
+        """The rays of some pixels, by any index into the arrays."""
         tables: list[Any] = [getattr(self, field.name) for field in fields(Directions)]
         return Directions(*(table[index] if np.ndim(table) else table for table in tables))
 

@@ -187,7 +187,7 @@ class Placement(NamedTuple):
     angles: tuple[float, ...]
     """[rad], as commanded."""
     number: int | None
-    """Which placement; None for a free view."""
+    """Number of the placement; None for a free view."""
 
 
 _MARGIN_PX = 6.0
@@ -399,7 +399,7 @@ def _clear(rig: TrueRig, scene: Scene, pose: Motion, phi: float) -> bool:
 
 
 def _cells(rig: TrueRig, pose: Motion) -> np.ndarray:
-    """Which cells of a 6 x 8 grid over the image hold corners of the board."""
+    """Cells of a 6 x 8 grid over the image that hold corners of the board."""
     camera = rig.config.camera
     pixels, inside = _pixels(rig, pose.apply(_corners(rig.config.boards)))
     seen = np.zeros((6, 8))
@@ -418,7 +418,7 @@ class ExpectedRecord(NamedTuple):
     angle: float
     """The table's own count [rad]."""
     placement: int | None
-    """Which placement of the board; None for free views and sweeps."""
+    """Number of the board's placement; None for free views and sweeps."""
     off: np.ndarray
     """The room's light, float32 [rows, columns] (rgb8: and 3)."""
     laser: np.ndarray
@@ -679,7 +679,7 @@ def sweep_angles(config: SimulationConfig, *, every: int = 1) -> np.ndarray:
 
 
 def board_pairs(config: SimulationConfig) -> int:
-    """How many pairs of frames a board capture has."""
+    """Number of pairs of frames of a board capture."""
     spec = config.boards
     return (spec.free_views + spec.placements * spec.angles) * len(config.laser)
 
@@ -707,7 +707,7 @@ def expect_boards(
 def _boards(
     config: SimulationConfig, texture: np.ndarray, seed: int, finish: Callable[[int, ExpectedRecord], Result]
 ) -> Iterator[Result]:
-    """What is made of the records of a board capture and their numbers, in order."""
+    """Apply a function to the records of a board capture and their numbers, in order."""
     rig, scene = make_rig(config), make_scene(config, boards=config.object is not None)
     picture = make_print(config.boards, texture)
     placements = plan_boards(rig, scene, _generator(seed, _PLAN, 0))

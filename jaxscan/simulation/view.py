@@ -35,7 +35,7 @@ class SceneView(NamedTuple):
     ambient: np.ndarray
     """The scene in its own light, float32 [channels, height, width]; white in mean light is 1."""
     albedo: np.ndarray
-    """Of the surfaces in further channels, float32 [channels, height, width]."""
+    """Albedo of the surfaces in further channels, float32 [channels, height, width]."""
     flat: np.ndarray
     """A triangle of the one facet that a tile shows, int64 [rows of tiles, columns]; -1 where it may show several."""
 
@@ -48,13 +48,13 @@ class Tiles(NamedTuple):
     """A camera's rays by tiles, row by row; at the lower and right border they are filled up with the last pixels."""
 
     rays: Rays
-    """Of all pixels, [tiles, TILE^2]."""
+    """Rays of all pixels, [tiles, TILE^2]."""
     shape: tuple[int, int]
     """Rows and columns of tiles."""
     corners: np.ndarray
     """Rays of the corners, float32 [(rows + 1) (columns + 1), 3]."""
     cone: Cone
-    """Of all rays, camera frame."""
+    """The cone that holds the rays of each tile, camera frame."""
     step: float
     """Angle that is nowhere more than half a tile [rad]."""
 

@@ -48,7 +48,7 @@ from jaxscan.geometry import AbstractCamera, Scanner, camera_doubts, scanner_dou
 
 Tree = Any
 MAX_NUMBERS = 64
-"""Of one list that is asked for."""
+"""Most numbers of one list."""
 _MAX_LEVELS = 32
 _MAX_ENTRIES = 100_000
 _KEY = re.compile(r"""("[^"\n]*"|'[^'\n]*'|[^\s\[\]{}#,&*!|>'"%@`-][^:\[\]{}#,"']{0,99}?)\s*:(?=\s|$|[^:/\\])(.*)""")
@@ -453,7 +453,7 @@ def require_own(table: CalibrationTable, path: Path, beside: Path, *, found: boo
 
 
 def _values_digest(tables: Mapping[str, Any]) -> str:
-    """Of the values as they are, not of the text, which may be set in another way."""
+    """Digest of the parsed values, so that another layout of the text does not matter."""
     values = {key: value for key, value in tables.items() if key != DIGESTS}
     return "sha256:" + hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 

@@ -65,10 +65,10 @@ _PIXELS |= {name: name for name in ("fx", "fy", "cx", "cy")}
 _PIXELS |= {"mu": "fx", "mv": "fy", "u0": "cx", "v0": "cy"}
 """The last four are camodocal's, whose Kannala-Brandt counts its coefficients from k2 to k5."""
 _PAIRS = {"fc": ("fx", "fy"), "cc": ("cx", "cy"), "focallength": ("fx", "fy"), "principalpoint": ("cx", "cy")}
-"""Of the toolbox of Bouguet, and of OpenCV's contours of it."""
+"""Keys of Bouguet's toolbox, and those that OpenCV derived from it."""
 _COEFFICIENT = re.compile(r"k[1-6]|p[12]|s[1-4]|tau[xy]|xi|alpha")
 _ORDER = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "taux", "tauy")
-"""Of OpenCV's list of coefficients."""
+"""Order of OpenCV's list of coefficients."""
 _GENERIC = frozenset("model type coefficients coeffs matrix values parameters params data size resolution".split())
 _ONE_OF_TWO = re.compile(r"(.+?)(?:left|right|[0-9lr])")
 

@@ -328,9 +328,9 @@ class DigestTable(FileModel):
     """Digests as a program writes them; a person leaves them out."""
 
     values: str | None = None
-    """Of all other tables of the file."""
+    """Digest of all other tables of the file."""
     observations: str | None = None
-    """Of the file of observations beside it."""
+    """Digest of the file of observations beside it."""
 
 
 class CalibrationTable(FileModel):

@@ -233,7 +233,7 @@ class ImageReader:
         self.compared = compare
         """Whether images are compared with their digests."""
         self.shape = frame_shape(header)
-        """Of one image: (rows, columns), or (rows, columns, 3)."""
+        """Shape of one image: (rows, columns), or (rows, columns, 3)."""
         self.shards = Shards(path, self.shape)
         self._records: Sequence[Record] = ()
 

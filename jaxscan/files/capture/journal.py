@@ -254,7 +254,7 @@ class _Fields(NamedTuple):
     """A reference as text, or images."""
     off: Any
     digests: dict[str, Any]
-    """Of `on` and `off`, each a text, a list of them or None."""
+    """Digests of the images of `on` and `off`: each a text, a list of texts, or None."""
 
 
 def read_journal(

@@ -144,6 +144,9 @@ def save_stations(
 def load_cloud(path: str | Path) -> PointCloud:
     """Read a cloud, of this library or of another program.
 
+    `jaxscan.api.read_cloud` also gives what was decided about the columns, the colours and the unit of another
+    program's file, and `jaxscan.files.clouds.in_metres` scales the cloud by it.
+
     Args:
         path: Its suffix is one of `READERS` or `TEXTS`.
 

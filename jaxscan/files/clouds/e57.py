@@ -135,7 +135,7 @@ def checksums(pages: np.ndarray) -> np.ndarray:
 
 @functools.cache
 def _tables() -> tuple[np.ndarray, np.ndarray]:
-    """What four bytes make of a checksum: by the lower and the upper two of them."""
+    """Tables that update a checksum by four bytes: by the lower and by the upper two."""
     table = np.arange(1 << 16, dtype=np.uint32)
     halves = []
     for _ in range(2):
@@ -159,13 +159,13 @@ class Field(NamedTuple):
 
     name: str
     bits: int
-    """Of a value; none where all are equal, and of texts, which are not read."""
+    """Bits of a value; 0 where all values are equal, and for texts, which are not read."""
     single: bool | None = None
     """Whether it is a single or a double; None of a whole number."""
     least: int = 0
     """The whole number that is stored as 0."""
     scale: float | None = None
-    """What a whole number is multiplied by; None where it is taken as it is."""
+    """Factor of a whole number; None where it is taken as it is."""
     offset: float = 0.0
     brightest: float = float("inf")
     """Largest value that it can have."""
@@ -227,7 +227,7 @@ def _packets(pages: Pages, place: int, columns: int) -> Iterator[list[bytes]]:
 
 
 def _parts(packet: bytes, count: int) -> list[bytes]:
-    """What a packet has of each column."""
+    """The part of each column that a packet holds."""
     if len(packet) < 6 + 2 * count or struct.unpack_from("<H", packet, 4) != (count,):
         raise ValueError("a packet does not have the columns of its scan")
     places = np.cumsum([6 + 2 * count, *struct.unpack_from(f"<{count}H", packet, 6)]).tolist()
@@ -426,11 +426,11 @@ class FlatPicture(NamedTuple):
 
 
 class Surroundings(NamedTuple):
-    """What is known of a scan beside its points."""
+    """Pictures and times of a scan."""
 
     panorama: RoundPicture
     photographs: Iterable[FlatPicture] = ()
-    """Asked for one after the other."""
+    """Read one after the other."""
     started_s: float | None = None
     """When the scan began, seconds since 1970; None where it is not known."""
 
@@ -548,7 +548,7 @@ def read_e57(path: Path, reading: Reading | None = None) -> StoredCloud:
 
 
 def _words(scans: list[Scan]) -> tuple[str, ...]:
-    """What was decided, as people read it."""
+    """The decisions in words, for the note."""
     filled = [scan for scan in scans if scan.points]
     known = {*COLUMNS.values(), *_SPHERICAL_NAMES.values()}
     columns = dict.fromkeys(name for scan in filled for name in scan.types if name in known)
@@ -813,11 +813,11 @@ class _Whole(NamedTuple):
     station: int
     """Number of the station."""
     profiles: int
-    """Of the stations before it."""
+    """Number of profiles of the stations before it."""
 
 
 class _Known(NamedTuple):
-    """What is kept of a cloud that was looked at."""
+    """Extent and limits of a cloud, kept from the first of two passes."""
 
     profiles: int
     lines: int

@@ -19,7 +19,7 @@ SPARSE_CELLS = 1 << 24
 SPARSE_CELLS_UNLISTED = 1 << 22
 """The same where it does not list them."""
 CELLS_PER_POINT = 256
-"""Of a larger grid with fewer points, the points are read alone."""
+"""A larger grid with fewer points is not built: its points become a single profile."""
 
 _LATER = {"angle", "record"}
 """Columns that files of the first versions do not have."""
@@ -43,7 +43,7 @@ class Records:
     """The points of a file, a block of records at a time, as often as they are asked for."""
 
     def __init__(self, dtype: np.dtype, count: int, read: Callable[[], Iterator[np.ndarray]]) -> None:
-        """Nothing is read yet.
+        """Store how to read the points; nothing is read yet.
 
         Args:
             dtype: Fields of `POINT`, of smoothed points and of stations, as far as there; others are not used. Colours
@@ -56,7 +56,7 @@ class Records:
 
     @staticmethod
     def of(points: np.ndarray) -> "Records":
-        """Those of a structured array."""
+        """The records of a structured array."""
         stride = sizes.BLOCK_POINTS
         parts = lambda: (points[start : start + stride] for start in range(0, len(points), stride))
         return Records(points.dtype, len(points), parts)
@@ -254,7 +254,7 @@ def on_grid(
 
 
 def _lacks(names: frozenset[str]) -> tuple[str, ...]:
-    """What the columns of a file do not have, of points on their grid."""
+    """Names of the fields that the columns of a file lack, for points on their grid."""
     needed = {field: set(PARTS[field][: 3 if field in ("rgb", "normals") else 1]) for field in MAY_LACK}
     return tuple(field for field in MAY_LACK if field != "grid" and not needed[field] <= names)
 

@@ -91,7 +91,7 @@ def covariance_text(covariance: Array) -> str:
 
 
 CLOUD_FORMAT, JOINED_FORMAT = "jaxscan-cloud/1", "jaxscan-cloud/2"
-"""Of the cloud of one station, and of a joined one: a reader of the first would take its frame for a scanner's."""
+"""Formats of the cloud of one station and of a joined one, whose frame is a room's and not a scanner's."""
 
 _FORMAT_WORD = "jaxscan-cloud/"
 _CRS = re.compile(r"EPSG:(\d{1,6})\Z")
@@ -111,7 +111,7 @@ class About(NamedTuple):
     metres: tuple[float, float, float] | None = None
     """Metres that a unit of x, y and z is, where the file or its format says it."""
     unit_by: str = ""
-    """What says it, or why nothing does."""
+    """Evidence for the unit, or why there is none."""
     in_degrees: bool = False
     """Whether the file says that x and y are degrees of longitude and latitude."""
     upright: bool = False
@@ -141,7 +141,7 @@ def header_lines(cloud: PointCloud, about: About) -> list[str]:
 def lines_of_grid(
     grid: tuple[int, int], stations: Stations | None, about: About, lacks: tuple[str, ...] = ()
 ) -> list[str]:
-    """The same of a cloud that is not in memory: of its profiles and lines, and its stations."""
+    """The header lines of a cloud that is not in memory, by its numbers of profiles and lines and its stations."""
     version, frame = (CLOUD_FORMAT, "scanner") if stations is None else (JOINED_FORMAT, "room")
     found = [version, "unit metre", f"frame {frame}", f"grid {grid[0]} {grid[1]}"]
     found += [f"lacks {' '.join(lacks)}"] if lacks else []
@@ -176,13 +176,13 @@ def version_of(lines: Iterable[str], name: str) -> str:
 
 
 def lacking(lines: Iterable[str]) -> tuple[str, ...]:
-    """What the lines of one of our files say that its cloud does not have."""
+    """Fields that the header of one of our files lists as lacking."""
     words = next((line.split()[1:] for line in lines if line.startswith("lacks ")), [])
     return tuple(name for name in MAY_LACK if name in words)
 
 
 def about_of(lines: Iterable[str]) -> About:
-    """What the lines of a file say; nothing where they are not ours."""
+    """Parse header lines; an empty `About` where they are not ours."""
     words = {line.partition(" ")[0]: line.partition(" ")[2] for line in lines}
     ours = any(word.startswith(_FORMAT_WORD) for word in words)
     if not ours:

@@ -237,7 +237,7 @@ def _of(field: np.dtype) -> int:
 
 
 def _flat(dtype: np.dtype) -> np.dtype:
-    """The same with a field for each number."""
+    """The same type with a field for each number."""
     numbers = [(f"{name}{k}", dtype[name].base) for name in dtype.names or () for k in range(_of(dtype[name]))]
     return np.dtype(numbers)
 

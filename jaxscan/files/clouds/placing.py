@@ -234,7 +234,7 @@ def epsg_of(wkt: str) -> int | None:
 
 
 class FileFrame(NamedTuple):
-    """What a file says of the coordinates of its reference system."""
+    """The coordinate reference system that a file states: units and axes."""
 
     metres: tuple[float, float, float] | None = None
     """Metres of a unit of x, y and z; None where it is not stated."""

@@ -268,7 +268,7 @@ def _without_lists(line: str, element: _Element) -> str:
 
 
 def _rows_with_lists(file: BinaryIO, element: _Element) -> Iterator[np.ndarray]:
-    """The same of binary rows, about a block of the file at a time.
+    """Read binary rows with lists, about a block of the file at a time.
 
     Raises:
         ValueError: If a list is longer than the file, or the file has fewer rows.
@@ -292,7 +292,7 @@ def _rows_with_lists(file: BinaryIO, element: _Element) -> Iterator[np.ndarray]:
 
 
 def _walk(data: bytes, element: _Element, most: int) -> tuple[np.ndarray, int, int]:
-    """Where the numbers of whole rows are that are in no list.
+    """Locate the numbers outside lists, for all whole rows of a block.
 
     Returns:
         places: int [rows, numbers], in bytes from the beginning.

@@ -35,7 +35,7 @@ _SHORTEST_CELL = 8
 
 
 class _Colours(NamedTuple):
-    """What is known of the colours of some points."""
+    """Statistics of the colours of some points."""
 
     there: bool = False
     most: float = 0.0
@@ -43,14 +43,14 @@ class _Colours(NamedTuple):
 
     @staticmethod
     def of(cells: np.ndarray) -> "_Colours":
-        """Those of some cells."""
+        """The statistics of some cells."""
         if not set(COLOURS) <= set(cells.dtype.names or ()):
             return _Colours()
         values = np.nan_to_num(np.stack([cells[name] for name in COLOURS]))
         return _Colours(True, float(values.max(initial=0.0)), bool((values == np.floor(values)).all()))
 
     def with_more(self, other: "_Colours") -> "_Colours":
-        """What is known of both."""
+        """The statistics of both sets together."""
         return _Colours(self.there or other.there, max(self.most, other.most), self.whole and other.whole)
 
 
@@ -96,7 +96,7 @@ def read_ptx(path: Path, reading: Reading | None = None) -> StoredCloud:
 
 
 def _words(left: tuple[str, ...], colours: Range | None) -> tuple[str, ...]:
-    """What was decided, as people read it."""
+    """The decisions in words, for the note."""
     columns = f"{', '.join(name for name in _COLUMNS if name not in left)} by the format"
     return (columns, colours.words) if colours is not None else (columns,)
 

@@ -97,7 +97,7 @@ def read_xyz(path: Path, reading: Reading | None = None) -> StoredCloud:
 
 
 class _Dialect(NamedTuple):
-    """How the numbers of a line are told apart."""
+    """How the numbers of a line are separated."""
 
     separator: str | None
     """None where it is blank space."""
@@ -106,7 +106,7 @@ class _Dialect(NamedTuple):
 
     @property
     def words(self) -> str:
-        """As people read it, where it is not the usual one."""
+        """The dialect in words, for the note; empty for the usual one."""
         return "commas are decimal, by what stands between the columns" if self.comma else ""
 
     def cells(self, line: str) -> list[str]:
@@ -325,7 +325,7 @@ def _with_blanks(words: list[str], width: int, line: str, path: Path) -> list[st
 
 
 class _Seen(NamedTuple):
-    """What is known of a table when all its rows were seen."""
+    """The result of the first pass over a table."""
 
     points: int
     extent: Extent
@@ -351,7 +351,7 @@ def _look_through(table: _Table) -> _Seen:
 
 
 def _columns_of(table: _Table, seen: _Seen, reading: Reading, path: Path) -> tuple[Columns, str]:
-    """Which column is which, and the evidence."""
+    """Decide which column is which; also the evidence."""
     numbered = [f"column {k + 1}" for k in range(table.width)]
     if reading.columns:
         found, by = listed(table.titles or numbered, reading, str(path)), "--columns"

@@ -40,7 +40,7 @@ class ProgramCapture(NamedTuple):
     step_deg: float | None
     """The table's angle between consecutive numbers, where the program fixes it."""
     said: str
-    """How this layout is understood."""
+    """Explanation of the layout, for the plan that the user reads."""
 
 
 def find_program(names: Sequence[str]) -> ProgramCapture | None:
@@ -153,7 +153,7 @@ class Listing(NamedTuple):
     """Numbers of files by suffix that are images, and not read."""
 
     def others_said(self) -> str:
-        """What is not read, and what to do about it; empty where there is nothing."""
+        """A note on files that are not read, with the remedy; empty where there are none."""
         if not self.others:
             return ""
         counts = ", ".join(f"{count} {suffix}" for suffix, count in self.others.most_common(4))
@@ -246,7 +246,7 @@ class _Pattern:
         return "".join(letter if at in is_open else " " for at, letter in enumerate(name))
 
     def _spans(self, name: str) -> list[tuple[int, int]] | None:
-        """Where a name is open, by its first and last letters."""
+        """Positions of the open part of a name: its first and last letters."""
         (first, _), *middle = self._pieces
         hit = first.match(name)
         if hit is None:

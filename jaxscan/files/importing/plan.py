@@ -267,14 +267,14 @@ class ImportRequest:
     carries: Carries | None = None
     """The motion: it says whether there are angles, positions, or neither."""
     step: float | None = None
-    """Of the table [deg], or of a linear stage [mm]."""
+    """Step of the table [deg] or of a linear stage [mm] between records."""
     places: Path | None = None
     """File of angles [deg] or positions [mm]."""
     exposures_ms: tuple[float, ...] = ()
     lasers: tuple[str, ...] = ()
     """Names of the lasers."""
     every: int = 1
-    """Of a video, every so many frames."""
+    """Take every n-th frame of a video."""
 
 
 class Source(NamedTuple):
@@ -314,7 +314,7 @@ class ImportPlan:
     records: tuple[PlannedRecord, ...]
     rows: tuple[Row, ...]
     said: tuple[str, ...]
-    """How names, pairs and angles are understood, a sentence each."""
+    """Explanations of names, pairs and angles, a sentence each."""
     lasers: tuple[str, ...]
     request: ImportRequest
     exposures_s: tuple[float, ...] = ()

@@ -65,7 +65,7 @@ class Recognised(NamedTuple):
     """The files of a folder by their roles."""
 
     on: dict[str, list[Matched]]
-    """By the side of the laser, "" where the names do not say."""
+    """Images by the side of the laser; "" where the names do not say it."""
     off: list[Matched]
     texture: list[Matched]
     board: list[Matched]
@@ -190,7 +190,7 @@ def _by_names(folder: Path, names: Sequence[str], request: ImportRequest) -> Rol
 
 
 def _with_frames(folder: Path, roles: Roles, every: int) -> Roles:
-    """The same with the frames of videos in place of the videos."""
+    """The roles with videos replaced by their frames."""
     files = [file for _, group in roles.on for file in group] + [file for group in roles.off for file in group]
     videos = {file.name for file in (*files, *roles.boards) if is_video(file.name)}
     if not videos:

@@ -34,9 +34,9 @@ class ImageSettings:
     """Properties of camera, lasers and table that no image says."""
 
     pixel_format: str | None = None
-    """None: grey or colour, as the images are."""
+    """Pixel format; None for that of the images, grey or colour."""
     response: str = "linear"
-    """As in a header, or "learn"."""
+    """Response of the camera as in a header, or "learn"."""
     shutter: str | None = None
     up: str = "-v"
     laser_colour: str = "auto"

@@ -35,7 +35,7 @@ class Directions:
     """What lies in each direction from one place; the first row looks up, the first column to azimuth 180 degrees."""
 
     side_deg: float
-    """Of a cell."""
+    """Side of a cell [degrees]."""
     count: np.ndarray
     """Points [rows, columns]."""
     distance_m: np.ndarray
@@ -49,12 +49,12 @@ class Directions:
 
     @property
     def elevation_deg(self) -> np.ndarray:
-        """Of the middle of each row [rows]."""
+        """Elevation of the middle of each row [rows]."""
         return 90.0 - (np.arange(len(self.count)) + 0.5) * self.side_deg
 
     @property
     def azimuth_deg(self) -> np.ndarray:
-        """Of the middle of each column [columns]."""
+        """Azimuth of the middle of each column [columns]."""
         return 180.0 - (np.arange(self.count.shape[1]) + 0.5) * self.side_deg
 
     @property
@@ -166,7 +166,7 @@ _BINS_M = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0, 3
 
 @dataclass(frozen=True)
 class Beside:
-    """What is known of a cloud beside its points; all of it is text for people."""
+    """Context of a cloud for its report: notes, calibration and doubts, all of it text."""
 
     name: str = ""
     notes: tuple[str, ...] = ()
@@ -174,7 +174,7 @@ class Beside:
     calibration: tuple[tuple[str, str], ...] = ()
     """Names and values."""
     doubts: tuple[str, ...] | None = None
-    """Of the capture, where it was looked at."""
+    """Doubts about the capture; None where it was not checked."""
     left_out: str = ""
     """Stripes that gave no point, where the capture was looked at."""
     no_dimensions: str = ""
@@ -182,7 +182,7 @@ class Beside:
 
 
 class SigmaAt(NamedTuple):
-    """Points of a range of distances."""
+    """Statistics of the points within a range of distances."""
 
     nearest_m: float
     farthest_m: float
@@ -193,7 +193,7 @@ class SigmaAt(NamedTuple):
 
 @dataclass(frozen=True)
 class Facts:
-    """What a cloud tells by itself."""
+    """Statistics of a cloud for its report."""
 
     points: int
     far_off: int

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 NOTHING = "#c9ced4"
-"""Of directions without points."""
+"""Colour of directions without points."""
 _MARGIN_DEG = 8.0
 """Shown beyond the highest and the lowest point."""
 _ROUND_MM = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)

@@ -71,7 +71,7 @@ class Canvas(NamedTuple):
 
     view: Viewpoint
     focal: float
-    """Of the camera [px]."""
+    """Focal length of the camera [px]."""
     middle: tuple[float, float]
     """Column and row of the point that the view looks at [px]."""
     size: tuple[int, int]
@@ -153,7 +153,7 @@ class Axis(NamedTuple):
     direction: np.ndarray
     """Unit vector [3]."""
     low: float
-    """Of the nearer wall along the direction [m]."""
+    """Position of the nearer wall along the direction [m]."""
     high: float
     dimension: Dimension | None
     """From wall to wall; None where one of the two was not found, and the ends are those of the points."""
@@ -177,7 +177,7 @@ class DrawnRoom:
 
     @property
     def extent(self) -> float:
-        """Of its longest side [m]."""
+        """Length of the longest side [m]."""
         return max(axis.high - axis.low for axis in self.axes)
 
     def foot(self, place: np.ndarray) -> np.ndarray:
@@ -187,7 +187,7 @@ class DrawnRoom:
 
 
 def room_of(cloud: Cloud, box: RoomBox | None) -> DrawnRoom:
-    """What there is to say about the room of a cloud.
+    """Collect the dimensions, the outline and the station of a cloud's room.
 
     Args:
         cloud: With one valid point at least, z up.

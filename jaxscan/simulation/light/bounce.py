@@ -229,7 +229,7 @@ class Pieces(NamedTuple):
     points: np.ndarray
     """float32 [n, 3], m."""
     normal: np.ndarray
-    """Of the surface, towards the laser."""
+    """Normal of the surface, towards the laser."""
     power: np.ndarray
     """Light that is given back, float32 [n], DN m^2."""
 

@@ -20,7 +20,7 @@ _PER_WAVE = 600
 """Points of a table on the shortest wave: between them it is right to 2e-5 of its height."""
 _MOST_POINTS = 1 << 20
 _WAVES = 24
-"""Of different lengths, of which fine changes along the line are made."""
+"""Number of waves of different lengths that make fine changes along the line."""
 
 
 def band(sheet: Sheet) -> float:
@@ -132,7 +132,7 @@ class LitScene(NamedTuple):
 
 
 class Met(NamedTuple):
-    """What each of n rays meets first."""
+    """First intersections of n rays."""
 
     depth: np.ndarray
     """inf where nothing is."""
@@ -229,7 +229,7 @@ def cast(shot: LitScene, rays: np.ndarray, *, only_board: bool = False) -> Hits:
 
 
 def _meet(shot: LitScene, rays: np.ndarray, only_board: bool) -> Met:
-    """What rays [3, n] meet first; as for `cast`."""
+    """First intersections of rays [3, n], as `cast` returns them."""
     scene, pose, board = shot.scene, shot.pose, shot.board
     if only_board:
         depth = np.full(rays.shape[1], np.inf, np.float32)

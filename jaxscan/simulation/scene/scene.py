@@ -258,7 +258,7 @@ class Outline:
 
     @cached_property
     def corners(self) -> np.ndarray:
-        """Of all triangles [triangles, 3, 3], m."""
+        """Corners of all triangles [triangles, 3, 3], m."""
         return np.concatenate(self._mesh.triangles)
 
     @cached_property
