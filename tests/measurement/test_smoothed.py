@@ -42,6 +42,7 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+@pytest.mark.more
 def test_sigma_of_a_wall_to_wall_distance_is_that_of_the_rows(box_room):
     whitened, forgotten, stated = [], [], []
     for seed in range(60):
