@@ -11,9 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from jaxscan.cli.output import console, emit_json
-from jaxscan.cli.process.quiet import cache_folder
-from jaxscan.cli.process.terminal import table
+from jaxscan.cli.environment import cache_folder
+from jaxscan.cli.terminal import console, emit_json, table
 from jaxscan.errors import CloudError
 
 from ..files.clouds import make_cloud
@@ -37,7 +36,7 @@ def test_a_terminal_shows_colours_but_obeys_no_name(monkeypatch):
     monkeypatch.delenv("NO_COLOR")
     ours, theirs = os.openpty()
     code = (
-        "import sys; from jaxscan.cli.output import console; from jaxscan.cli.process.terminal import table\n"
+        "import sys; from jaxscan.cli.terminal import console; from jaxscan.cli.terminal import table\n"
         f"console().print({EVIL!r}, style='bold red'); console().print(table('t', ('a',), [({EVIL!r},)]))"
     )
     subprocess.run(
@@ -232,7 +231,7 @@ def test_no_home_and_an_unknown_user(cloud, open_folder, home):
     if os.getuid() != 0 or shell(f"{BECOME} true", cloud).returncode:
         pytest.skip("needs root and setpriv")
     # What the reports load, with a cache of its own.
-    loading = "from jaxscan.cli.process import quiet; quiet.choose_caches(); import matplotlib.pyplot"
+    loading = "from jaxscan.cli import environment; environment.choose_caches(); import matplotlib.pyplot"
     clean = f"env -i PATH=$PATH PYTHONPATH=$PYTHONPATH TMPDIR={open_folder}/tmp {home}"
     ran = shell(
         f'cd {open_folder}/free; P="{BECOME} {clean}"; $P $J convert $A b.npz; echo $?; '
@@ -259,7 +258,7 @@ def test_a_cache_that_others_may_write_is_not_used(tmp_path, monkeypatch):
 @pytest.mark.rig
 def test_what_libraries_say_comes_as_one_line(tmp_path):
     code = (
-        "import logging, sys, warnings; from jaxscan.cli.process import running\n"
+        "import logging, sys, warnings; from jaxscan.cli import running\n"
         "def work(words):\n"
         f"    warnings.warn({EVIL!r}); logging.getLogger('lib').warning({EVIL!r})\n"
         "    import threading; t = threading.Thread(target=lambda: 1 / 0); t.start(); t.join()\n"

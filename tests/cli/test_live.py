@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from jaxscan import api
-from jaxscan.cli.scanning.live import LiveCloud
+from jaxscan.cli.live import LiveCloud
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.files.capture import Capture, CaptureHeader, open_capture
 from jaxscan.files.recording import create_capture, resume_capture

@@ -10,7 +10,7 @@ import pytest
 
 import jaxscan
 from jaxscan.cli.main import main
-from jaxscan.cli.process.verbs import BELOW, VERBS, load_verb
+from jaxscan.cli.verbs import BELOW, VERBS, load_verb
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import WRITERS
 

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from jaxscan.cli.products.view import with_projects
+from jaxscan.cli.view import with_projects
 from jaxscan.project import load_project
 from tests.museum import museum  # noqa: F401
 from tests.opened import edit, work
