@@ -36,7 +36,7 @@ MEASURES = {
     "measure plane": ["--at", *AT],
     "measure distance": ["--a", *AT, "--b", "-2.1", "0.2", "0.1"],
     "measure points": ["--a", *AT, "--b", "-2.1", "0.2", "0.1"],
-    "measure sphere": ["--near", "0.5", "0.5", "0.1", "--radius", "0.07"],
+    "measure sphere": ["--near", "0.5", "0.5", "0.1", "--radius-mm", "70"],
     "measure deviations": ["--at", *AT, "-o", "OUT/map.png"],
     "align": ["--room", "-o", "OUT/aligned.ply"],
 }
