@@ -24,7 +24,7 @@ from report import command_line
 
 import jaxscan
 from jaxscan import api
-from jaxscan.cli.process.running import run_process
+from jaxscan.cli.running import run_process
 from jaxscan.files.capture import Capture, open_capture
 from jaxscan.reconstruction import Sweep, reconstruct
 from jaxscan.vision import decode_image

@@ -60,7 +60,7 @@ def seed_narrow(data: Prepared) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     found = _focal_length(homographies)
     # Even with a wrong focal length the normals show whether the boards are tilted.
     focal = found or 1.2 * max(data.size)
-    poses = np.tile(np.eye(4), (len(data.usable), 1, 1))
+    poses = np.tile(np.eye(4), (len(data.fixes_pose), 1, 1))
     for view, homography in zip(views, homographies, strict=True):
         poses[view] = pose_from_homography(homography, focal)
     check_tilts(poses[views], determined=found is not None)
@@ -76,7 +76,7 @@ def centred_corners(data: Prepared) -> tuple[np.ndarray, list[tuple[np.ndarray, 
     Raises:
         CalibrationError: If they are too few for any camera.
     """
-    views = np.flatnonzero(data.usable)
+    views = np.flatnonzero(data.fixes_pose)
     if len(views) == 0:
         raise CalibrationError(
             "The board was not found in any view: "
@@ -187,10 +187,10 @@ def seed_poses(data: Prepared, camera: AbstractCamera) -> np.ndarray:
     Raises:
         CalibrationError: If no view shows the board where this camera has rays.
     """
-    poses = np.tile(np.eye(4), (len(data.usable), 1, 1))
+    poses = np.tile(np.eye(4), (len(data.fixes_pose), 1, 1))
     rays = np.asarray(jax.tree.map(np.asarray, camera).unproject(data.corner_q))
     found = 0
-    for view in np.flatnonzero(data.usable):
+    for view in np.flatnonzero(data.fixes_pose):
         seen = data.corner_valid[view]
         pose, share = pose_from_rays(data.board[seen, :2], rays[view, seen])
         poses[view], found = pose, found + (share >= MIN_SHARE)
@@ -279,7 +279,7 @@ def seed_wide(data: Prepared) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     views, corners = centred_corners(data)
     chosen = np.unique(np.linspace(0, len(views) - 1, _SEARCH_VIEWS).round().astype(int))
     focal, cubic = _search([corners[index] for index in chosen])
-    poses = np.tile(np.eye(4), (len(data.usable), 1, 1))
+    poses = np.tile(np.eye(4), (len(data.fixes_pose), 1, 1))
     for view, (points, q) in zip(views, corners, strict=True):
         poses[view] = _board_pose(points, q, focal, cubic)[0]
     check_tilts(poses[views])
@@ -443,8 +443,8 @@ def _seed_travel(poses: np.ndarray, data: Prepared) -> LinearStage:
 def _pairs(data: Prepared, least: float) -> list[tuple[int, int]]:
     """Views of the same placement at positions that differ by more than `least`."""
     pairs = []
-    for number in np.unique(data.placement[data.usable]):
-        views = np.flatnonzero(data.usable & (data.placement == number))
+    for number in np.unique(data.placement[data.fixes_pose]):
+        views = np.flatnonzero(data.fixes_pose & (data.placement == number))
         pairs += [
             (i, j) for i, j in itertools.combinations(views.tolist(), 2) if abs(data.angle[i] - data.angle[j]) > least
         ]
@@ -454,9 +454,9 @@ def _pairs(data: Prepared, least: float) -> list[tuple[int, int]]:
 def average_placements(poses: np.ndarray, data: Prepared, motion: AbstractMotion) -> np.ndarray:
     """T_cam0_board of every placement [views, 4, 4] (as many as views; the rest is identity)."""
     motions = np.asarray(jax.tree.map(np.asarray, motion).motion(data.angle))
-    result = np.tile(np.eye(4), (len(data.usable), 1, 1))
-    for number in np.unique(data.placement[data.usable]):
-        views = np.flatnonzero(data.usable & (data.placement == number))
+    result = np.tile(np.eye(4), (len(data.fixes_pose), 1, 1))
+    for number in np.unique(data.placement[data.fixes_pose]):
+        views = np.flatnonzero(data.fixes_pose & (data.placement == number))
         still = motions[views] @ poses[views]
         result[number, :3, :3] = nearest_rotation(still[:, :3, :3].mean(0))
         result[number, :3, 3] = np.median(still[:, :3, 3], axis=0)

@@ -1,17 +1,16 @@
 """A rig as arrays: what a pixel's ray, its point and its derivatives depend on, and nothing else."""
 
-import equinox as eqx
 import jax
 from jaxtyping import Float, Int
 
-from jaxscan.geometry.arrays import Array, namespace
+from jaxscan.geometry.arrays import Array, ArrayModule, namespace
 from jaxscan.geometry.cameras import AbstractCamera
 from jaxscan.geometry.laser import LaserSheet
 from jaxscan.geometry.layout import Layout, make_layout
 from jaxscan.geometry.motions import AbstractMotion
 
 
-class Rig(eqx.Module):
+class Rig(ArrayModule):
     """Camera, laser sheets and motion, in the camera frame at position 0.
 
     A pytree of arrays: sizes of images and names of lasers are the `Scanner`'s, so what is compiled for one rig serves

@@ -21,7 +21,7 @@ _CELLS_ACROSS = 12
 
 def residual_scale(fit: Fit) -> float:
     """A round length [px] that scales all arrows of a report: about the 90 % quantile of the kept residuals."""
-    length = np.linalg.norm(fit.corner_error, axis=-1)[fit.corner_kept]
+    length = np.linalg.norm(fit.corner_error, axis=-1)[fit.corner_inlier]
     usual = float(np.percentile(length, 90)) if length.size else 0.0
     return _round_number(usual) if usual > 0 else 1.0
 
@@ -32,7 +32,7 @@ def view_residuals(observations: Observations, fit: Fit, view: int, scale: float
     axes = _image_axes(figure, observations, bare=True)
     axes.set_position((0.01, 0.01, 0.98, 0.98))
     q, error = np.asarray(observations.corners.q)[view], fit.corner_error[view]
-    kept = fit.corner_kept[view]
+    kept = fit.corner_inlier[view]
     rejected = np.asarray(observations.corners.valid)[view] & ~kept
     long = ARROW_SHARE * observations.width / scale
     _draw(axes, arrows(q[kept], long * error[kept]), BLUE, 0.8)
@@ -57,7 +57,7 @@ def scale_bar(scale: float, image_width: int) -> "Figure":
 def direction_map(observations: Observations, fit: Fit) -> "Figure":
     """Corners coloured by the direction of their residual, and the mean of each cell where it is significant."""
     figure, axes = _whole_image(observations)
-    kept = fit.corner_kept
+    kept = fit.corner_inlier
     q, error = np.asarray(observations.corners.q)[kept], fit.corner_error[kept]
     direction = np.degrees(np.arctan2(error[:, 1], error[:, 0]))
     drawn = axes.scatter(
@@ -110,9 +110,9 @@ def coverage_map(observations: Observations, fit: Fit) -> "Figure":
     corners, stripes = observations.corners, observations.stripes
     for laser in range(len(observations.laser_names) if has_stripes(observations, fit) else 0):
         mine = np.asarray(stripes.laser) == laser
-        q = np.asarray(stripes.q)[mine][fit.stripe_kept[mine]]
+        q = np.asarray(stripes.q)[mine][fit.stripe_inlier[mine]]
         axes.plot(*q.T, ".", color=SERIES[1 + laser % 5], markersize=1.3, markeredgewidth=0, rasterized=True)
-    used = np.asarray(corners.q)[fit.corner_kept]
+    used = np.asarray(corners.q)[fit.corner_inlier]
     axes.plot(*used.T, ".", color=BLUE, markersize=2.6, markeredgewidth=0, rasterized=True)
     return figure
 

@@ -25,7 +25,7 @@ def along_stripe(observations: Observations, fit: Fit) -> "Figure":
     axis = stripe_direction(observations)
     axes = new_axes(figure, xlabel=f"image {'row' if axis else 'column'}, px", ylabel="stripe residual, px")
     for laser, mine in _by_laser(observations):
-        kept = fit.stripe_kept[mine]
+        kept = fit.stripe_inlier[mine]
         along, error = np.asarray(observations.stripes.q)[mine][kept][:, axis], fit.stripe_error[mine][kept]
         if not error.size:
             continue
@@ -34,7 +34,7 @@ def along_stripe(observations: Observations, fit: Fit) -> "Figure":
         middle, mean, noise = binned(along, error)
         _means(axes, middle, mean, noise, INK if laser == 0 else colour, plain(observations.laser_names[laser]))
     axes.axhline(0, color=SOFT, linewidth=0.7)
-    _bounded(axes, fit.stripe_error[fit.stripe_kept])
+    _bounded(axes, fit.stripe_error[fit.stripe_inlier])
     if len(observations.laser_names) > 1:
         add_legend(axes)
     return figure
@@ -49,7 +49,7 @@ def stripes_against_angle(observations: Observations, fit: Fit) -> "Figure":
     angle = np.degrees(np.asarray(observations.corners.angle))[view]
     placement = np.asarray(observations.corners.placement)[view]
     for laser, mine in _by_laser(observations):
-        kept = fit.stripe_kept[mine]
+        kept = fit.stripe_inlier[mine]
         count = kept.sum(1)
         some = (count > 1) & turned[mine]
         if not some.any():
@@ -72,11 +72,11 @@ def corners_against_angle(observations: Observations, fit: Fit) -> "Figure":
     turns unevenly or wobbles."""
     figure = new_figure()
     axes = new_axes(figure, xlabel="table angle, degrees", ylabel="mean corner residual of a view, px")
-    views = turned_views(observations) & fit.corner_kept.any(1)
+    views = turned_views(observations) & fit.corner_inlier.any(1)
     angle = np.degrees(np.asarray(observations.corners.angle))
     place = np.asarray(observations.corners.placement)[views]
     for direction, label, colour in ((0, "to the right", BLUE), (1, "down", RED)):
-        kept = fit.corner_kept[views]
+        kept = fit.corner_inlier[views]
         count = np.maximum(kept.sum(1), 1)
         mean = np.where(kept, fit.corner_error[views][..., direction], 0.0).sum(1) / count
         noise = np.sqrt(np.where(kept, fit.corner_sigma[views] ** 2, 0.0).sum(1)) / count
@@ -120,8 +120,8 @@ def whitened_residuals(fit: Fit) -> dict[str, np.ndarray]:
         free = leverage < 0.99
         return (error / (sigma * np.sqrt(np.clip(1.0 - leverage, 0.01, 1.0))))[free]
 
-    kept, sigma = fit.corner_kept, fit.corner_sigma[..., None]
-    seen = fit.stripe_kept
+    kept, sigma = fit.corner_inlier, fit.corner_sigma[..., None]
+    seen = fit.stripe_inlier
     groups = {
         "corners": group(fit.corner_error[kept], sigma[kept], fit.corner_leverage[kept]),
         "stripes": group(fit.stripe_error[seen], fit.stripe_sigma[seen], fit.stripe_leverage[seen]),
@@ -131,7 +131,7 @@ def whitened_residuals(fit: Fit) -> dict[str, np.ndarray]:
 
 def has_stripes(observations: Observations, fit: Fit) -> bool:
     """Whether any stripe was used. A calibration of the camera alone ignores stripes."""
-    return fit.stripe_kept.shape == np.shape(observations.stripes.valid) and bool(fit.stripe_kept.any())
+    return fit.stripe_inlier.shape == np.shape(observations.stripes.valid) and bool(fit.stripe_inlier.any())
 
 
 def stripe_direction(observations: Observations) -> int:

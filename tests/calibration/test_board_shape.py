@@ -47,6 +47,7 @@ def test_modes_hold_no_motion_no_scale_and_no_bow(size):
     assert not bent_modes(smooth).corner[:, :2].any()
 
 
+@pytest.mark.more
 def test_a_twisted_board_is_found_out_and_a_flat_one_left_alone(world, tmp_path):
     plan = {"free": 16, "placements": 4, "angles": 5}
     flat = seen(world, world.Rig(), **plan)

@@ -66,6 +66,7 @@ def test_errors_are_as_the_covariance_says(world, perfect, calibrated):
     assert (np.hypot(*(perfect.corners.q - np.array(rig.centre)).T) > radius).sum() > 50
 
 
+@pytest.mark.more
 def test_the_other_of_two_similar_lenses_is_told_apart(world):
     # A lens with xi = -0.195 is the same to a hundredth of a pixel, and its solve ends there.
     rig = world.Rig(focal=(362.4, 362.9), centre=(645.0, 505.0), lens=(0.29, 0.69))

@@ -26,8 +26,8 @@ def test_whitened_residuals_are_those_kept_and_not_all_taken_up_by_the_fit(calib
     leverage[0, 0, 0] = 1.0
     found = residual_plots.whitened_residuals(dataclasses.replace(calibration.fit, corner_leverage=leverage))
     assert len(found["corners"]) == 2 * (6 * 20 - 1) - 1
-    none = np.zeros_like(calibration.fit.stripe_kept)
-    assert list(residual_plots.whitened_residuals(dataclasses.replace(calibration.fit, stripe_kept=none))) == [
+    none = np.zeros_like(calibration.fit.stripe_inlier)
+    assert list(residual_plots.whitened_residuals(dataclasses.replace(calibration.fit, stripe_inlier=none))) == [
         "corners"
     ]
 

@@ -89,7 +89,7 @@ def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureH
             response=camera.response,
             up=camera.up,
         ),
-        turntable=TurntableTable(carries=config.turntable.carries),
+        turntable=TurntableTable(carries=config.turntable.carries, angle_sigma_deg=config.turntable.angle_sigma_deg),
         laser=tuple(laser.table for laser in config.laser),
         board=config.board if kind == "calibration" else None,
         plan=PlanTable(steps=job.planned),

@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.geometry.arrays import Array
+from jaxscan.geometry.arrays import Array, ArrayModule
 from jaxscan.geometry.parameters import ParameterBlock
 
 
@@ -15,7 +15,7 @@ Carries = Literal["scanner", "object", "linear", "nothing"]
 """The turning part of a turntable; a linear stage; or no motion."""
 
 
-class AbstractMotion(eqx.Module):
+class AbstractMotion(ArrayModule):
     """A motion with one position s per record: the table's angle [rad], or the place of a stage [m].
 
     At position 0 the camera is where it defines the rig. A motion adds its name, its blocks and these methods.
