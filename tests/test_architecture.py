@@ -92,6 +92,7 @@ HOME_OF = {
     "simplejpeg": {"vision"},
     "scipy": {
         "measurement",
+        "recalibration",
         "calibration/chi_squared.py",
         "calibration/solve/stops.py",
         "geometry/rigid.py",

@@ -1,8 +1,12 @@
 """Ordinary sweeps to a better scanner: the room as calibration target."""
 
-from jaxscan.recalibration.given import Given, KnownSphere, MeasuredLength, Place, RecalibrationSettings
 from jaxscan.recalibration.observed import (
+    Given,
     KnownLength,
+    KnownSphere,
+    MeasuredLength,
+    Place,
+    RecalibrationSettings,
     RoomObservations,
     SurfacePoints,
     Surfaces,

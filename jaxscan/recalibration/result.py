@@ -8,8 +8,7 @@ from jaxtyping import Bool, Float
 
 from jaxscan.calibration import Calibration, Fit
 from jaxscan.geometry import Scanner
-from jaxscan.recalibration.given import RecalibrationSettings
-from jaxscan.recalibration.observed import RoomObservations, Surfaces
+from jaxscan.recalibration.observed import RecalibrationSettings, RoomObservations, Surfaces
 
 
 class Start(NamedTuple):

@@ -8,10 +8,11 @@ import pytest
 from jaxscan.calibration.verdict import length_sigma, measure_lengths, typical_lengths
 from jaxscan.errors import CalibrationError
 from jaxscan.recalibration import RecalibrationSettings, RoomObservations, Start
-from jaxscan.recalibration.adjust import adjust, departure, joint, triangulate_points
+from jaxscan.recalibration.adjust import adjust, departure, joint
 from jaxscan.recalibration.adjust.prepare import prepare
 from jaxscan.recalibration.segment import observe_surfaces
 from jaxscan.recalibration.table import say_lost_steps
+from jaxscan.recalibration.triangulate import triangulate_points
 from tests.recalibration import faces
 from tests.recalibration.boxes import pose
 from tests.recalibration.faces import X, Y

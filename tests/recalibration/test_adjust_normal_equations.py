@@ -8,10 +8,10 @@ import pytest
 
 from jaxscan.leastsq import covariance_of, solve_arrow
 from jaxscan.recalibration import KnownLength, RecalibrationSettings, Start, Tracks
-from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.adjust.prepare import prepare
 from jaxscan.recalibration.adjust.room import ANGLE_SCALE, length_values
 from jaxscan.recalibration.adjust.solver import linearise, step_of, unknowns_of
+from jaxscan.recalibration.triangulate import triangulate_points
 from tests.recalibration.small_room import SIGMA, exact_sweep, observe, stored, truth_scanner, with_covariance
 
 

@@ -2,4 +2,3 @@
 
 from jaxscan.recalibration.adjust.joint import adjust
 from jaxscan.recalibration.adjust.prepare import departure, prior_root
-from jaxscan.recalibration.adjust.triangulate import point_gradient, triangulate_points

@@ -16,8 +16,7 @@ from jaxscan.recalibration.adjust.room import ANGLE_SCALE, Unknowns
 from jaxscan.recalibration.adjust.solver import linearise, solve, step_of
 from jaxscan.recalibration.adjust.state import State, conclude
 from jaxscan.recalibration.adjust.wall_shape import STOPS, beside_shape, learn_heights
-from jaxscan.recalibration.given import RecalibrationSettings
-from jaxscan.recalibration.observed import RoomObservations
+from jaxscan.recalibration.observed import RecalibrationSettings, RoomObservations
 from jaxscan.recalibration.result import Adjusted, Start
 
 

@@ -11,8 +11,7 @@ from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner, Turntable, square_root
 from jaxscan.geometry.tangent import tangent_basis
 from jaxscan.recalibration.adjust.room import Lengths, Places, Room, Sight, Unknowns
-from jaxscan.recalibration.given import RecalibrationSettings
-from jaxscan.recalibration.observed import RoomObservations
+from jaxscan.recalibration.observed import RecalibrationSettings, RoomObservations
 from jaxscan.recalibration.result import Start
 
 

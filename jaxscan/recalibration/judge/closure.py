@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.geometry import Scanner, Turntable
-from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.judge.hold_out import angles_of
 from jaxscan.recalibration.result import Adjusted, Closure
+from jaxscan.recalibration.triangulate import triangulate_points
 
 
 RADIUS_M = 2.5

@@ -7,10 +7,10 @@ from jaxtyping import Float
 
 from jaxscan.calibration.verdict import Lengths
 from jaxscan.geometry import Scanner, Turntable
-from jaxscan.recalibration.adjust import point_gradient, triangulate_points
 from jaxscan.recalibration.judge.hold_out import angles_of
 from jaxscan.recalibration.observed import RoomObservations
 from jaxscan.recalibration.result import Gain, LengthGain
+from jaxscan.recalibration.triangulate import point_gradient, triangulate_points
 
 
 class Compared(NamedTuple):

@@ -7,9 +7,9 @@ from jaxtyping import Bool, Float, Int
 
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
-from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.observed import RoomObservations, SurfacePoints, Surfaces
 from jaxscan.recalibration.result import Adjusted, HoldOut
+from jaxscan.recalibration.triangulate import triangulate_points
 
 
 Fitting = Callable[[RoomObservations], Adjusted]

@@ -4,9 +4,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxscan.geometry import Scanner
-from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.observed import SweepStripes
 from jaxscan.recalibration.result import PanoramaOfWalls
+from jaxscan.recalibration.triangulate import triangulate_points
 
 
 # Cells of the picture at most, and points that are averaged in it.

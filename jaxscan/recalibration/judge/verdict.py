@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.geometry import Scanner
-from jaxscan.recalibration.given import RecalibrationSettings
 from jaxscan.recalibration.judge.drift import (
     Bow,
     Explanation,
@@ -28,6 +27,7 @@ from jaxscan.recalibration.judge.drift import (
     without_bow,
 )
 from jaxscan.recalibration.judge.gain import Compared, compare, scale_slopes, scales_of, with_prior
+from jaxscan.recalibration.observed import RecalibrationSettings
 from jaxscan.recalibration.result import Adjusted, Drift
 
 

@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxscan.geometry import AbstractBoard, Scanner, Turntable
-from jaxscan.recalibration.given import RecalibrationSettings
-from jaxscan.recalibration.observed import SweepStripes, Tracks
+from jaxscan.recalibration.observed import RecalibrationSettings, SweepStripes, Tracks
 from jaxscan.recalibration.tracks.consistency import Sightings, keep_consistent
 from jaxscan.recalibration.tracks.cylinder import Turning, unroll
 from jaxscan.recalibration.tracks.seen import FeatureEyes, Followed, FoundTargets, ImageSource, Walk
