@@ -3,7 +3,6 @@ r"""A fit of residuals that anybody may write, with robust losses and a prior.
 $$\min_{x, b} \; \sum_g \sum_i \rho_g(r_{g,i}(x, b_i) / \sigma_{g,i}) + \tfrac12 (x - \bar x)^T \Lambda (x - \bar x)$$
 """
 
-import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +18,7 @@ from jaxtyping import Float, Int
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array
 from jaxscan.leastsq.arrow import Arrow, Covariance, covariance_of, undetermined
-from jaxscan.leastsq.problem import AbstractProblem, Linear, Normal, Unknowns, sum_arrow
+from jaxscan.leastsq.problem import AbstractProblem, Linear, Normal, Unknowns, minimised, sum_arrow
 from jaxscan.leastsq.robust import Loss, noise_component
 
 
@@ -193,8 +192,8 @@ def fit(
             mean = np.asarray(ravel_pytree(jax.tree.map(double, prior.mean))[0])
             information = double(prior.information)
         problem = _Problem(tuple(groups), mean, information, tree)
-        start, limits = Unknowns(np.asarray(flat), local), (np.float64(tolerance), np.int32(max_steps))
-        found = jax.tree.map(np.asarray, _compiled()(problem, start, np.float64(_DAMPING), *limits))
+        start = Unknowns(np.asarray(flat), local)
+        found = minimised(problem, start, _DAMPING, tolerance, max_steps)
         residuals, _ = found.residuals
         # Nothing is evaluated where the first values are no numbers.
         if found.steps == 0 or not all(np.isfinite(part).all() for part in residuals):
@@ -210,11 +209,3 @@ def fit(
             int(found.steps),
             bool(found.converged),
         )
-
-
-@functools.cache
-def _compiled() -> Callable[..., Any]:
-    # Imported when there is something to fit: it takes its time.
-    from jaxscan.leastsq.solver import minimise
-
-    return eqx.filter_jit(minimise)

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.recalibration.features import features_of
+from experiments.recalibration.world import Noise, Sweeping, true_sweep
 from jaxscan.calibration.verdict import length_sigma, measure_lengths, typical_lengths
 from jaxscan.errors import CalibrationError
 from jaxscan.recalibration import RecalibrationSettings, RoomObservations, Start
@@ -17,7 +19,7 @@ from tests.recalibration import faces
 from tests.recalibration.boxes import pose
 from tests.recalibration.faces import X, Y
 from tests.recalibration.linear_room import with_held
-from tests.recalibration.small_room import SIGMA, exact_sweep, observe, stored, truth_scanner, with_covariance
+from tests.recalibration.small_room import SIGMA, config, exact_sweep, observe, stored, truth_scanner, with_covariance
 
 
 SMALL = (60, 64)
@@ -172,6 +174,19 @@ def test_stops_beside_their_angles_are_learned():
     error = measure_lengths(found.scanner, every) - measure_lengths(truth, every)
     sigma = length_sigma(found.scanner, every)
     assert np.abs(error / sigma).max() < 3.5 and (sigma > length_sigma(exact.scanner, every)).all()
+
+
+# Of a table with 28,800 microsteps a turn, as a standard deviation.
+WANDER_DEG = 360.0 / 28_800 / np.sqrt(12.0)
+
+
+def seen_with_features(seed):
+    """A sweep whose table stops anywhere within a microstep, points of its walls and features, and a calibration."""
+    how = Sweeping(*SMALL[:1], line_stride=SMALL[1], furniture=False, noise=Noise(px=0.0), wander_deg=WANDER_DEG)
+    room, random = true_sweep(config(), seed, how), np.random.default_rng([seed, 9])
+    prior = stored(truth_scanner(), random)
+    noise = 0.1 * random.standard_normal(int((room[1].surface >= 0).sum()))
+    return prior, observe(prior, noise, sweep_truth=room), features_of(config(), room[1], seed)
 
 
 def test_stated_and_observed_errors_agree():

@@ -22,6 +22,11 @@ _HELD = 1e-6
 # Unknown corrections at most; beyond, neighbouring records share one.
 _MOST = 4_096
 _SIZES = (512, 1_024, 2_048, 4_096)
+# First standard deviation of where the table stops, while nothing is learned: that of 1,600 microsteps a turn, or more
+# of a finer table with backlash [rad]; and one that holds the angles as they are.
+FIRST_STOP, HELD_STOP = 5e-4, 1e-7
+# Numbers of images in which features are seen.
+_IMAGES = (128, 256, 512, 1_024)
 
 
 class Angles(NamedTuple):
@@ -34,15 +39,22 @@ class Angles(NamedTuple):
     known: tuple[Float[np.ndarray, " records"], ...]
     """The known faults of every sweep [rad]."""
     knot: Int[np.ndarray, " records"]
-    """The unknown correction of each record; 0 where there are none."""
+    """The unknown correction of each record; of a record without one the number of all."""
     smooth: Float[np.ndarray, " knots"]
     held: Float[np.ndarray, "held knots"]
+    stop: Float[np.ndarray, " knots"]
+    """1 / standard deviation of each correction by itself [1 / rad]; 0 where it is smooth instead."""
 
 
 def make_angles(
     observations: RoomObservations, start: Start, scanner: Scanner, settings: RecalibrationSettings
 ) -> Angles:
-    """The angles, and their corrections where the settings ask for one per step."""
+    """The angles, and their unknown corrections.
+
+    Where the settings ask for one per step every record has one. Otherwise each image in which features are seen has
+    one, the stop of the table beside its angle: all its sightings share that. Stops of other records are errors that
+    the points of their walls share, see `wall_shape`.
+    """
     journal = [np.asarray(angle, np.float64) for angle in observations.angles]
     known = start.corrections or tuple(np.zeros(len(angle)) for angle in journal)
     if [len(angle) for angle in journal] != [len(extra) for extra in known]:
@@ -52,7 +64,15 @@ def make_angles(
     corrected = [angle + extra for angle, extra in zip(journal, known, strict=True)]
     phi = np.concatenate(corrected)
     if settings.angles == "model" or not isinstance(scanner.turntable, Turntable):
-        return Angles(first, phi, known, np.zeros(len(phi), np.int32), np.zeros(0), np.zeros((0, 0)))
+        tracks = observations.tracks
+        seen = np.zeros(0, int) if tracks is None else np.unique(first[tracks.sweep] + tracks.record)
+        if settings.angle_sigma == 0.0 or not isinstance(scanner.turntable, Turntable):
+            seen = seen[:0]
+        size = bucket(len(seen), (0, *_IMAGES))
+        knot = np.full(len(phi), size, np.int32)
+        knot[seen] = np.arange(len(seen))
+        stop = np.full(size, 1.0 / (settings.angle_sigma or FIRST_STOP))
+        return Angles(first, phi, known, knot, np.zeros(size), np.zeros((0, size)), stop)
     shared = -(-int(counts.sum()) // _MOST)
     knots = -(-counts // shared)
     begin = np.concatenate([[0], np.cumsum(knots)])
@@ -64,7 +84,7 @@ def make_angles(
         # Between two sweeps the table may have done anything.
         smooth[begin[sweep] : begin[sweep + 1] - 1] = 1.0 / (_STEP * np.sqrt(shared))
         held[6 * sweep : 6 * sweep + 6, inside] = _described(angle[::shared]).T
-    return Angles(first, phi, known, knot, smooth, held)
+    return Angles(first, phi, known, knot, smooth, held, np.zeros(size))
 
 
 def _described(phi: Float[np.ndarray, " knots"]) -> Float[np.ndarray, "knots 6"]:
@@ -130,6 +150,7 @@ def prepare(
         stations=np.asarray(start.stations, np.float64),
         smooth=angles.smooth,
         held=angles.held,
+        stop=angles.stop,
         places=_places(observations, first),
         points=points,
         point_weight=np.zeros(len(points.phi)),
