@@ -206,11 +206,13 @@ class _Keys(NamedTuple):
 def _keys_of(header: Any) -> _Keys:
     found, doubles = header.vlrs.get("GeoKeyDirectoryVlr"), header.vlrs.get("GeoDoubleParamsVlr")
     keys = _Keys({}, {})
+    # laspy keeps the numbers of a file as `c_double`, and those that a program gave it as they came.
+    numbers = np.frombuffer(doubles[0].record_data_bytes(), "<f8") if doubles else np.zeros(0)
     for key in found[0].geo_keys if found else ():
         if key.tiff_tag_location == 0:
             keys.whole[int(key.id)] = int(key.value_offset)
-        elif doubles and key.tiff_tag_location == _DOUBLES and key.value_offset < len(doubles[0].doubles):
-            keys.sizes[int(key.id)] = float(doubles[0].doubles[key.value_offset])
+        elif key.tiff_tag_location == _DOUBLES and key.value_offset < len(numbers):
+            keys.sizes[int(key.id)] = float(numbers[key.value_offset])
     return keys
 
 
