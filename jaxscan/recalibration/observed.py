@@ -28,7 +28,8 @@ class RecalibrationSettings:
     """Errors of the table's angles: `model`, its gain and errors once and twice per turn; `steps`, one angle per
     step as well, smooth but for lost steps."""
     angle_sigma: float | None = None
-    """Standard deviation of where the table stops about the angle of its record [rad]; None: learned from the walls."""
+    """Standard deviation of where the table stops about the angle of its record [rad]; None: learned from walls and
+    features; 0: it stops at the angle."""
     features: bool | None = None
     """Whether features of the laser-off images are tracked from step to step; None: where they have texture."""
     marker_dictionary: str | None = None

@@ -89,7 +89,7 @@ def test_a_held_gain_contradicts_a_closed_gear():
     held = with_covariance(truth, np.diag(sigma**2))
     one = with_held(held, (np.arange(len(sigma)) == gain) * (1.0 - float(truth.turntable.gain)))
     # Without a row for it the residuals are those of the prior alone.
-    assert not prepare(one, Start(one, ONE), observations, closed, {}).room.told.size
+    assert not prepare(one, Start(one, ONE), observations, closed).room.linear_rows.size
     off = with_held(one, (np.arange(len(sigma)) == gain) * 3e-4)
     with pytest.raises(CalibrationError, match=r"holds the table's gain at 1\.000300"):
         adjust(off, Start(off, ONE), observations, closed)

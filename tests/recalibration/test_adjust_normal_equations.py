@@ -52,7 +52,7 @@ def everything(request):
     stations[1, :3, 3] = 2e-3, 1e-3, 0.0
     settings = RecalibrationSettings(angles=request.param, closed=True)
     with jax.enable_x64(True):
-        prepared = prepare(scanner, Start(scanner, stations), observations, settings, {})
+        prepared = prepare(scanner, Start(scanner, stations), observations, settings)
         weights = np.zeros(len(prepared.room.point_weight)), np.zeros(len(prepared.room.sighting_weight))
         weights[0][:400], weights[1][:count] = random.uniform(1, 10, 400), 3.0
         room = eqx.tree_at(lambda r: (r.point_weight, r.sighting_weight), prepared.room, weights)
@@ -92,7 +92,7 @@ def dense(room, y, at):
     lengths = np.zeros((len(room.lengths.metres), count))
     lengths[:, wide:] = jax.jacfwd(lambda x: length_values(room, x))(y.locals).reshape(len(lengths), -1)
     known = np.eye(count)[:scanner]
-    told = np.asarray(room.told) @ known
+    told = np.asarray(room.linear_rows) @ known
     of_angles = np.eye(count)[begin:wide] * ANGLE_SCALE
     steps = np.diff(of_angles, axis=0) * np.asarray(room.smooth)[:-1, None]
     weight = np.asarray(room.lengths.weight)
@@ -100,7 +100,7 @@ def dense(room, y, at):
     rows += [lengths * weight[:, None], known, told, steps, np.asarray(room.held) @ of_angles]
     rows += [np.asarray(room.stop)[:, None] * of_angles]
     values += [np.asarray(length_values(room, y.locals)) * weight, y.scanner]
-    values += [np.asarray(room.told @ y.scanner - room.told_value)]
+    values += [np.asarray(room.linear_rows @ y.scanner - room.linear_values)]
     values += [np.diff(size) * np.asarray(room.smooth)[:-1], np.asarray(room.held) @ size, room.stop * size]
     return np.concatenate([np.atleast_1d(value) for value in values]), np.vstack(rows)
 
@@ -156,7 +156,7 @@ def test_four_upright_walls_leave_three_directions_to_the_prior():
     observations = observe(scanner, 0.0)
     prior = with_covariance(scanner, np.diag(sigma**2))
     with jax.enable_x64(True):
-        prepared = prepare(prior, Start(prior, np.eye(4)[None]), observations, RecalibrationSettings(), {})
+        prepared = prepare(prior, Start(prior, np.eye(4)[None]), observations, RecalibrationSettings())
         weight = np.zeros(len(prepared.room.point_weight))
         # So precise, 1e-4 px, that all that planes show at all is known far better than before.
         weight[: len(observations.points.q)] = 1e4

@@ -1,6 +1,6 @@
 """The joint adjustment: robust start, rejection of outliers, noise learned, walls that have a shape, covariance."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -63,7 +63,6 @@ class State:
 
     prepared: Prepared
     observations: RoomObservations
-    y: Unknowns
     linearised: Linearised
     kept: Bool[np.ndarray, " points"]
     sighting_kept: Bool[np.ndarray, " sightings"]
@@ -83,6 +82,11 @@ class State:
     """The information of captured boards, at the scanner of a few steps before."""
     steps: int = 0
     converged: bool = False
+
+    @property
+    def y(self) -> Unknowns:
+        """The unknowns."""
+        return self.linearised.y
 
     @property
     def usable(self) -> Bool[np.ndarray, " points"]:
@@ -243,8 +247,6 @@ def adjust(
     start: Start,
     observations: RoomObservations,
     settings: RecalibrationSettings | None = None,
-    *,
-    loosened: Mapping[str, float] | None = None,
 ) -> Adjusted:
     """Scanner, stations, surfaces and angles in one least squares of all observations and the stored calibration.
 
@@ -257,8 +259,6 @@ def adjust(
         start: Where steps begin, poses of the stations, and known faults of angles.
         observations: Stripe points on surfaces; perhaps tracked features, known lengths and boards.
         settings: Of the recalibration.
-        loosened: Standard deviations that are added to the prior, by the name of a minimal coordinate: where a part
-            may have moved since [px, rad, m].
 
     Returns:
         The adjusted scanner with its covariance, stations, surfaces, and residuals of everything.
@@ -268,7 +268,7 @@ def adjust(
     """
     settings = settings or RecalibrationSettings()
     with jax.enable_x64(True):
-        prepared = prepare(prior, start, observations, settings, loosened or {})
+        prepared = prepare(prior, start, observations, settings)
         try:
             state = _robust(_begin(prepared, observations, settings, prior), settings)
             state = _shaped(_reject(state, settings), settings)
@@ -287,7 +287,7 @@ def _begin(
     linearised = linearise(prepared.room, prepared.y)
     data = None if observations.boards is None else prepare_boards(observations.boards, prior)
     seen, stop = (prepared.usable, prepared.seen), settings.angle_sigma or FIRST_STOP
-    state = State(prepared, observations, prepared.y, linearised, *seen, Noise(1.0, wall), data, stated_wall_m=wall)
+    state = State(prepared, observations, linearised, *seen, Noise(1.0, wall), data, stated_wall_m=wall)
     return replace(state, stop_sigma=stop)
 
 
@@ -395,7 +395,7 @@ def _with_boards(state: State) -> State:
 
 
 def _moved(state: State, prepared: Prepared, y: Unknowns) -> State:
-    return replace(state, prepared=prepared, y=y, linearised=linearise(prepared.room, y))
+    return replace(state, prepared=prepared, linearised=linearise(prepared.room, y))
 
 
 def _ratios(after: State, before: State) -> tuple[float, ...]:
@@ -447,7 +447,6 @@ def _solved(
     return replace(
         state,
         prepared=state.prepared._replace(room=room),
-        y=found.y,
         linearised=found,
         steps=state.steps + found.steps,
         converged=found.converged,

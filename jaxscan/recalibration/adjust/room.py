@@ -74,9 +74,9 @@ class Room(eqx.Module):
     """The stored one, from which the step of the scanner is counted."""
     root: Float[Array, "params params"]
     """Of its covariance: a step of the scanner is `root` times normal numbers."""
-    told: Float[Array, "told params"]
+    linear_rows: Float[Array, "rows params"]
     """More that is known of those numbers: rows of linear equations, each in standard deviations."""
-    told_value: Float[Array, " told"]
+    linear_values: Float[Array, " rows"]
     """Their right-hand sides."""
     stations: Float[Array, "stations 4 4"]
     smooth: Float[Array, " angles"]
@@ -305,7 +305,7 @@ class Residuals(NamedTuple):
     sightings: Float[Array, " rows"]
     lengths: Float[Array, " lengths"]
     prior: Float[Array, " params"]
-    told: Float[Array, " told"]
+    linear: Float[Array, " rows"]
     smooth: Float[Array, " angles"]
     held: Float[Array, " held"]
     stops: Float[Array, " angles"]
@@ -333,9 +333,11 @@ def form_blocks(room: Room, y: Unknowns, residual: Residuals, points: Rows, sigh
     if len(room.sighting_weight):
         more = _of_rows(sightings, twice(room.sighting_weight), residual.sightings, double, room, count)
         blocks = jax.tree.map(jnp.add, blocks, more)
-    prior = jnp.eye(scanner, dtype=blocks.shared.dtype) + room.told.T @ room.told
+    prior = jnp.eye(scanner, dtype=blocks.shared.dtype) + room.linear_rows.T @ room.linear_rows
     matrix = jnp.asarray(blocks.shared).at[:scanner, :scanner].add(prior)
-    gradient = jnp.asarray(blocks.shared_gradient).at[:scanner].add(residual.prior + room.told.T @ residual.told)
+    gradient = (
+        jnp.asarray(blocks.shared_gradient).at[:scanner].add(residual.prior + room.linear_rows.T @ residual.linear)
+    )
     if angles:
         tie, by_angle = _ties(room, residual)
         begin = scanner + stations
@@ -441,7 +443,7 @@ class Adjustment(AbstractProblem):
             sightings.value * twice(room.sighting_weight),
             length_values(room, y.locals) * room.lengths.weight,
             y.scanner,
-            room.told @ y.scanner - room.told_value,
+            room.linear_rows @ y.scanner - room.linear_values,
             *angle_residuals(room, y.angles),
         )
         return residuals, Linear(form_blocks(room, y, residuals, points.rows, sightings), (points, sightings))

@@ -34,7 +34,7 @@ _KINDS[:STOPS, 0], _KINDS[:STOPS, 1], _KINDS[STOPS, 2] = _SIZES == _SIZES[0], (_
 # Walls whose normals have a larger part than this along the axis hardly see the table turn [1].
 _LEVEL = 0.9
 # A kind of shape is believed from this many of its standard deviations.
-_BELIEVED = 1.5
+_SIGNIFICANT = 1.5
 
 
 class Patches(NamedTuple):
@@ -201,7 +201,7 @@ def learn_heights(
     kinds, more = _KINDS, found - noise
     if stop_sigma is not None:
         kinds, more = kinds[:, :2], more - added[:, STOPS] * stop_sigma**2
-    variance = kinds @ _believed(added @ kinds * weight[:, None], more * weight)
+    variance = kinds @ _significant(added @ kinds * weight[:, None], more * weight)
     if stop_sigma is not None:
         variance[STOPS] = stop_sigma**2
     return np.sqrt(variance)
@@ -228,10 +228,10 @@ def learn_stops(
         before, found = found, max(wanted, 0.0)
         if abs(found - before) <= 1e-4 * before:
             break
-    return float(np.sqrt(found)) if found > _BELIEVED * spread and len(free) >= _FEWEST else 0.0
+    return float(np.sqrt(found)) if found > _SIGNIFICANT * spread and len(free) >= _FEWEST else 0.0
 
 
-def _believed(
+def _significant(
     matrix: Float[np.ndarray, "sizes kinds"], rhs: Float[np.ndarray, " sizes"]
 ) -> Float[np.ndarray, " kinds"]:
     """The best sum of kinds of which each is larger than chance makes it, by trying all sets."""
@@ -246,7 +246,7 @@ def _believed(
             value = spread @ (own.T @ rhs)
             left = rhs - own @ value
             # Another kind must explain more than chance does.
-            if np.all(value > _BELIEVED * np.sqrt(np.diag(spread))) and left @ left < lowest - 1.0:
+            if np.all(value > _SIGNIFICANT * np.sqrt(np.diag(spread))) and left @ left < lowest - 1.0:
                 best, lowest = np.zeros(kinds), float(left @ left)
                 best[list(some)] = value
     return best

@@ -1,4 +1,4 @@
-"""First poses of stations: guesses that bring walls onto walls, settled on flat patches and tested by all points."""
+"""First poses of stations: guesses that bring walls onto walls, aligned on flat patches and tested by all points."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -167,7 +167,7 @@ FEW = 500
 """Patches of a station that are used while there are many guesses."""
 
 
-class Settled(NamedTuple):
+class Aligned(NamedTuple):
     """A pose and how well patches agree in it."""
 
     pose: np.ndarray
@@ -180,7 +180,7 @@ class Settled(NamedTuple):
     """Smallest share of the information that any direction of the shift has [1]; 1/3 where all have the same."""
 
 
-def settle(one: View, other: View, pose: np.ndarray, *, few: bool = False) -> Settled:
+def align(one: View, other: View, pose: np.ndarray, *, few: bool = False) -> Aligned:
     """Move `pose` (T_one_other) until the patches of both lie in each other's planes.
 
     Args:
@@ -197,7 +197,7 @@ def settle(one: View, other: View, pose: np.ndarray, *, few: bool = False) -> Se
         at, facing = transform(pose, p), n @ pose[:3, :3].T
         index, close = _nearest(one, at, facing, near)
         if close.sum() < 12:
-            return Settled(pose, 0, np.inf, 0.0)
+            return Aligned(pose, 0, np.inf, 0.0)
         at, mean = at[close], one.normals[index[close]] + facing[close]
         normals = mean / np.linalg.norm(mean, axis=1, keepdims=True)
         apart = np.sum(normals * (one.patches[index[close]] - at), 1)
@@ -209,7 +209,7 @@ def settle(one: View, other: View, pose: np.ndarray, *, few: bool = False) -> Se
         equations += 1e-3 * np.trace(equations) / 6 * np.eye(6)
         pose = _moved(pose, np.linalg.solve(equations, (design * weight[:, None]).T @ apart))
     share = np.linalg.eigvalsh(normals.T @ normals / len(normals))[0]
-    return Settled(pose, len(apart), MEDIAN_TO_SIGMA * float(np.median(np.abs(apart))), float(share))
+    return Aligned(pose, len(apart), MEDIAN_TO_SIGMA * float(np.median(np.abs(apart))), float(share))
 
 
 def _nearest(one: View, at: np.ndarray, facing: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray]:
@@ -230,8 +230,8 @@ def _moved(pose: np.ndarray, step: np.ndarray) -> np.ndarray:
 
 SOME = 400
 """Cells of each station by which many guesses are sorted."""
-SETTLED = 24
-"""Guesses that are settled."""
+ALIGNED = 24
+"""Guesses that are aligned."""
 DISTINCT_M, DISTINCT_RAD = 0.3, np.radians(6.0)
 """Poses this far apart are different places."""
 LEAST_SHARE = 0.12
@@ -270,7 +270,7 @@ class Pair(NamedTuple):
 
 
 class _Place(NamedTuple):
-    settled: Settled
+    aligned: Aligned
     common: int
     """Cells that both fill."""
     denied: int
@@ -300,24 +300,24 @@ def place_pair(one: Station, other: Station, *, first: np.ndarray | None = None)
     if len(guesses) == 0:
         raise CalibrationError(f"{one.name}, {other.name}: found walls in fewer than two common directions; {_ASK}.")
     common, denied = _compare(one.space, other.space, guesses, SOME)
-    best = np.argsort(2 * denied - common, kind="stable")[:SETTLED]
+    best = np.argsort(2 * denied - common, kind="stable")[:ALIGNED]
     places = _places(one, other, guesses[best], few=True)
     if names:
-        places = [place for place in places if _distance(place.settled.pose, at, of) < MARKS_M]
+        places = [place for place in places if _distance(place.aligned.pose, at, of) < MARKS_M]
     return _decide(one, other, places)
 
 
 def _near(one: Station, other: Station, given: np.ndarray, *, or_else: CalibrationError | None = None) -> Pair:
-    """A given pose, settled on the walls where these hold it; `or_else` is raised if they contradict it."""
+    """A given pose, aligned on the walls where these hold it; `or_else` is raised if they contradict it."""
     places = _places(one, other, given[None])
     for place in places:
-        if not is_far(place.settled.pose, given):
+        if not is_far(place.aligned.pose, given):
             if or_else is not None and place.denied > max(DENIED, MOST_DENIED * (place.common + place.denied)):
                 raise or_else
-            return Pair(place.settled.pose, place.common / _cells(one, other))
+            return Pair(place.aligned.pose, place.common / _cells(one, other))
     # Walls that do not hold it along one direction still take its error out along the others.
-    settled = settle(one.view, other.view, given).pose
-    (common, _), (_, denied) = _compare(one.space, other.space, np.array([given, settled]))
+    aligned = align(one.view, other.view, given).pose
+    (common, _), (_, denied) = _compare(one.space, other.space, np.array([given, aligned]))
     if or_else is not None and (places or common == 0 or denied > max(DENIED, common / 2)):
         raise or_else
     return Pair(given, common / _cells(one, other))
@@ -332,13 +332,13 @@ def _contradicted(station: Station) -> GivenError:
 
 
 def _places(one: Station, other: Station, guesses: np.ndarray, *, few: bool = False) -> list[_Place]:
-    """The guesses that walls hold, settled and compared; those that see most in common first."""
-    settled = [settle(one.view, other.view, guess, few=few) for guess in guesses]
-    settled = [each for each in settled if each.weakest * each.matched >= HELD]
-    if not settled:
+    """The guesses that walls hold, aligned and compared; those that see most in common first."""
+    aligned = [align(one.view, other.view, guess, few=few) for guess in guesses]
+    aligned = [each for each in aligned if each.weakest * each.matched >= HELD]
+    if not aligned:
         return []
-    counts = _compare(one.space, other.space, np.array([each.pose for each in settled]))
-    places = [_Place(each, int(c), int(d)) for each, c, d in zip(settled, *counts, strict=True)]
+    counts = _compare(one.space, other.space, np.array([each.pose for each in aligned]))
+    places = [_Place(each, int(c), int(d)) for each, c, d in zip(aligned, *counts, strict=True)]
     return sorted(places, key=lambda place: 2 * place.denied - place.common)
 
 
@@ -368,17 +368,17 @@ def _decide(one: Station, other: Station, places: list[_Place]) -> Pair:
     places = [place for place in places if place.common >= most / 2]
     least = min(place.denied for place in places)
     places = [place for place in places if place.denied < 1.5 * least + DENIED]
-    finest = max(min(place.settled.scale_m for place in places), FINE_M)
-    places = [place for place in places if place.settled.scale_m <= COARSER * finest]
+    finest = max(min(place.aligned.scale_m for place in places), FINE_M)
+    places = [place for place in places if place.aligned.scale_m <= COARSER * finest]
     best = max(places, key=lambda place: place.common)
     for rival in places:
-        if _far(rival.settled.pose, best.settled.pose, DISTINCT_M, DISTINCT_RAD):
-            turn = np.degrees(turn_between(rival.settled.pose[:3, :3], best.settled.pose[:3, :3]))
+        if _far(rival.aligned.pose, best.aligned.pose, DISTINCT_M, DISTINCT_RAD):
+            turn = np.degrees(turn_between(rival.aligned.pose[:3, :3], best.aligned.pose[:3, :3]))
             raise CalibrationError(
                 f"{names}: found two places of the second that fit the room alike, {turn:.0f} degrees apart; {_ASK}."
             )
-    settled = settle(one.view, other.view, best.settled.pose)
-    return Pair(settled.pose, best.common / _cells(one, other))
+    aligned = align(one.view, other.view, best.aligned.pose)
+    return Pair(aligned.pose, best.common / _cells(one, other))
 
 
 def _cells(one: Station, other: Station) -> int:
@@ -410,7 +410,7 @@ def place_stations(
 ) -> np.ndarray:
     """First poses of the stations, good to a few centimetres and a degree; an adjustment makes them exact.
 
-    Two stations are placed by their walls: guesses that bring walls onto walls are settled on flat patches, and judged
+    Two stations are placed by their walls: guesses that bring walls onto walls are aligned on flat patches, and judged
     by all points: where one station looked through, the other must see nothing. A box room fits itself in two ways or
     more; furniture decides, or landmarks, or a first pose. More stations form a tree, best pairs first.
 
