@@ -1,6 +1,6 @@
 """Least squares of shared unknowns and of blocks that are eliminated, iterated by optimistix."""
 
 from jaxscan.leastsq.arrow import Arrow, Covariance, covariance_of, reduce_arrow, solve_arrow, undetermined
-from jaxscan.leastsq.fit import Fit, Group, Prior, fit
-from jaxscan.leastsq.problem import AbstractProblem, Linear, Normal, Unknowns, minimised, sum_arrow
+from jaxscan.leastsq.fit import Fit, Group, Prior, fit, minimised
+from jaxscan.leastsq.problem import AbstractProblem, Linear, Normal, Unknowns, sum_arrow
 from jaxscan.leastsq.robust import MEDIAN_TO_SIGMA, Cauchy, Huber, Loss, keep_inliers, noise_component, robust_noise

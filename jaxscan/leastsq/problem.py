@@ -9,13 +9,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array as JaxArray
 from jaxtyping import Float, Int
 
-from jaxscan.compiling import compile_sooner
 from jaxscan.geometry import Array
 from jaxscan.leastsq.arrow import Arrow
 
@@ -46,31 +42,6 @@ class AbstractProblem(eqx.Module):
     @abc.abstractmethod
     def move(self, y: Any, step: Unknowns) -> Any:
         """The point to which a step of the arrow's unknowns leads."""
-
-
-def minimised(problem: AbstractProblem, y: Any, damping: float, tolerance: float, max_steps: int) -> Any:
-    """The end of a solve, `solver.Minimum`, in NumPy; call in 64 bit.
-
-    One program is compiled for all problems of one class and of one size.
-
-    Args:
-        problem: The problem.
-        y: Where to begin.
-        damping: Of the first step, relative to the diagonal of J'J [1].
-        tolerance: Root mean square change of unknowns and of whitened residuals at which to stop [1].
-        max_steps: Evaluations at most; 1 gives the residuals and normal equations of `y` itself.
-    """
-    found = _minimised(problem, y, np.float64(damping), np.float64(tolerance), np.int32(max_steps))
-    return jax.tree.map(np.asarray, found)
-
-
-@compile_sooner
-def _minimised(problem: AbstractProblem, y: Any, damping: JaxArray, tolerance: JaxArray, max_steps: JaxArray) -> Any:
-    # Imported by whoever solves: it takes its time.
-    from jaxscan.leastsq.solver import minimise
-
-    problem, y = jax.tree.map(jnp.asarray, (problem, y))
-    return minimise(problem, y, damping, tolerance, max_steps)
 
 
 class Normal(NamedTuple):
