@@ -3,9 +3,8 @@
 import numpy as np
 
 import jaxscan
-from experiments.unkind.estimate import Dimension, Estimate, Rig, Rows, clocks, passed, ray_grid
 from experiments.unkind.figures import sheet_grid
-from experiments.unkind.truth import Truth
+from experiments.unkind.truth import Dimension, Estimate, Rig, Rows, Truth, clocks, passed, ray_grid
 from jaxscan.geometry import lit_points, lit_slopes
 
 

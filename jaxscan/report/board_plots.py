@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxscan.calibration.verdict import BoardMap
+from jaxscan.calibration import BoardMap
 from jaxscan.report.drawing import INK, SOFT, arrows, new_axes, new_figure
 
 

@@ -4,8 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxscan.calibration import Calibration, Fit
-from jaxscan.calibration.verdict import is_held_by_priors, stripe_depths, stripe_pixels
+from jaxscan.calibration import Calibration, Fit, is_held_by_priors, stripe_depths, stripe_pixels
 from jaxscan.observation import Observations
 from jaxscan.report import image_plots, residual_plots, uncertainty_plots, words
 from jaxscan.report.board_plots import board_map

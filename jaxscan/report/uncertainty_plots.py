@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxscan.calibration.verdict import Direction, is_held_by_priors
+from jaxscan.calibration import Direction, is_held_by_priors
 from jaxscan.report.drawing import BLUE, INK, LINE, RED, SERIES, SOFT, add_legend, new_axes, new_figure, plain
 
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxscan.calibration.seed.camera import seed_camera
-from jaxscan.calibration.seed.sheets import lift_stripes
-from jaxscan.calibration.solve.prepare import prepare
+from jaxscan.calibration.first_values import seed_camera
+from jaxscan.calibration.problem import prepare
+from jaxscan.calibration.sheets import lift_stripes
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Fisheye
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
-from jaxscan.calibration.seed import seed_sheets
-from jaxscan.calibration.solve import prepare
+from jaxscan.calibration.problem import prepare
+from jaxscan.calibration.sheets import seed_sheets
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Pinhole
 from jaxscan.observation import StripeViews

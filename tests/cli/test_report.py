@@ -11,10 +11,9 @@ import pytest
 
 import jaxscan
 from jaxscan.calibration import CalibrationSettings, ModelTest, Verdict, calibrate_camera
-from jaxscan.calibration.verdict import GoodTo, LaserLengths, Lengths, LengthSigma
-from jaxscan.cli.calibrate import calibration_settings
-from jaxscan.cli.output import console
-from jaxscan.cli.summary import print_summary
+from jaxscan.calibration.result import GoodTo, LaserLengths, Lengths, LengthSigma
+from jaxscan.cli.calibrate import calibration_settings, print_summary
+from jaxscan.cli.terminal import console
 
 
 REFUSED = Verdict(

@@ -10,9 +10,12 @@ import time
 import pytest
 
 
+pytestmark = pytest.mark.rig
+
+
 BEGIN = """
 import ctypes, hashlib, os, signal, sys, threading, time
-from jaxscan.cli.process import signals
+from jaxscan.cli import signals
 signals.listen()
 def ready():
     os.write(1, b"ready")

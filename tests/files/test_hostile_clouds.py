@@ -30,7 +30,7 @@ def good(suffix, folder):
     return _good[suffix]
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("suffix", (".ply", ".npz", *FORMATS))
 @settings(max_examples=150, deadline=None)
 @given(data=st.data())
 def test_any_damage_is_read_or_refused(tmp_path_factory, suffix, data):

@@ -17,6 +17,9 @@ from jaxscan.fleet.clusters.running import connected
 from jaxscan.fleet.clusters.sizes import GIB, Sizes, sizes_for
 
 
+pytestmark = pytest.mark.rig
+
+
 def told_by_worker(dask_worker):
     """Of a worker that has computed something: its process, the cores of all threads, and words of its caller."""
     jax.numpy.ones(8).sum().block_until_ready()

@@ -19,6 +19,9 @@ from jaxscan.fleet.clusters import running
 from jaxscan.fleet.clusters.certificates import security_of
 
 
+pytestmark = pytest.mark.rig
+
+
 @pytest.fixture
 def soon(monkeypatch):
     """What does not answer is given up after a second."""

@@ -22,6 +22,9 @@ from jaxscan.fleet.clusters.settings import OURS
 from jaxscan.fleet.clusters.slurm import certificates_for_nodes, slurm_cluster
 
 
+pytestmark = pytest.mark.rig
+
+
 @pytest.fixture(autouse=True)
 def home(tmp_path, monkeypatch):
     """A home of the test: where certificates lie, and from where no configuration comes."""

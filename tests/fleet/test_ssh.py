@@ -21,6 +21,9 @@ from jaxscan.fleet.clusters.hosts import Host  # noqa: E402
 from jaxscan.fleet.clusters.ssh import scheduler_spec, worker_specs  # noqa: E402
 
 
+pytestmark = pytest.mark.rig
+
+
 @pytest.fixture
 def port(tmp_path, monkeypatch):
     """The port of a server on the loopback, and a home whose ~/.ssh leads there."""

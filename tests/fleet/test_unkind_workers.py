@@ -17,6 +17,9 @@ from tests.fleet.test_absence import Silent
 from tests.opened import catalogue_of, products, states
 
 
+pytestmark = pytest.mark.rig
+
+
 def order(number, output="/tmp"):
     step = Step(f"cloud/room-{number}", "cloud", (), {}, {}, (), {})
     return Order(step, f"sha256:{number:064x}", {}, str(output))

@@ -33,6 +33,7 @@ asyncio.run(work())
 """A process that works for a cluster with another version of the package."""
 
 
+@pytest.mark.rig
 def test_a_worker_with_another_jaxscan_is_refused_with_both_versions():
     with distributed.LocalCluster(
         n_workers=0, processes=False, host="127.0.0.1", protocol="tcp://", dashboard_address="127.0.0.1:0"
@@ -72,6 +73,7 @@ class Told:
         return {"tcp://w:1": self.answer}
 
 
+@pytest.mark.rig
 def test_the_same_everywhere_is_silent():
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -8,7 +8,7 @@ from scanrig.checks import guide as before
 from scanrig.checks.boardview import guess_focal, pose_of, view_board
 from scanrig.checks.guide import Guide
 
-from jaxscan.calibration.verdict import advice as after
+from jaxscan.calibration import advice as after
 from jaxscan.geometry import Charuco, Chessboard
 
 

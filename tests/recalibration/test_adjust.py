@@ -7,7 +7,7 @@ import pytest
 
 from experiments.recalibration.features import features_of
 from experiments.recalibration.world import Noise, Sweeping, true_sweep
-from jaxscan.calibration.verdict import length_sigma, measure_lengths, typical_lengths
+from jaxscan.calibration.propagate import length_sigma, measure_lengths, typical_lengths
 from jaxscan.errors import CalibrationError
 from jaxscan.recalibration import RecalibrationSettings, RoomObservations, Start
 from jaxscan.recalibration.adjust import adjust, departure, joint

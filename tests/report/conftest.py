@@ -13,9 +13,12 @@ from jaxscan.calibration import (
     Verdict,
     ViewQuality,
 )
-from jaxscan.calibration.verdict import DepthSigma, Direction, GoodTo, LaserLengths, Lengths, LengthSigma, PriorShare
+from jaxscan.calibration.result import DepthSigma, Direction, GoodTo, LaserLengths, Lengths, LengthSigma, PriorShare
 from jaxscan.geometry import Chessboard, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.measurement import measure_room
 from jaxscan.observation import BoardViews, Observations, StripeViews
+
+from .made_room import made_room
 
 
 CORNER_SIGMA, STRIPE_SIGMA, LEVERAGE = 0.1, 0.15, 0.2
@@ -173,3 +176,14 @@ def made():
 def calibration():
     """One to look at; do not change it."""
     return make_calibration()
+
+
+@pytest.fixture(scope="session")
+def cloud():
+    """A made-up room."""
+    return made_room()
+
+
+@pytest.fixture(scope="session")
+def box(cloud):
+    return measure_room(cloud)

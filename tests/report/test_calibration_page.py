@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import Quality, Verdict
-from jaxscan.calibration.verdict import Direction
+from jaxscan.calibration.result import Direction
 from jaxscan.geometry import Chessboard
 from jaxscan.report import calibration_date, calibration_page, thumbnail
 

@@ -7,7 +7,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from jaxscan.calibration.verdict import BoardMap
+from jaxscan.calibration.result import BoardMap
 from jaxscan.geometry import Chessboard
 from jaxscan.report import image_plots, residual_plots, uncertainty_plots
 from jaxscan.report.board_plots import board_map

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import Missed, Quality, SecondLook
-from jaxscan.calibration.verdict import BoardMap, GoodTo, Lengths, judge_views
+from jaxscan.calibration.result import BoardMap, GoodTo, Lengths, judge_views
 from jaxscan.report import Parameter, outcome_rows, parameters, quality_rows, words
 from jaxscan.report.tables import view_rows
 

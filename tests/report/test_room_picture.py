@@ -17,16 +17,6 @@ from .made_room import ELEVATION, made_room, only
 
 
 @pytest.fixture(scope="module")
-def cloud():
-    return made_room()
-
-
-@pytest.fixture(scope="module")
-def box(cloud):
-    return measure_room(cloud)
-
-
-@pytest.fixture(scope="module")
 def drawn(cloud, box):
     return room_picture(cloud, box)
 

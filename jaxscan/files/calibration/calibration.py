@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxscan.calibration.result import Calibration
+from jaxscan.calibration import Calibration
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration.binding import DIGESTS, digests_of, require_own, values_note
 from jaxscan.files.calibration.model import CALIBRATION_FORMAT, CalibrationTable, CameraTable

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from jaxscan.calibration.result import Calibration
+from jaxscan.calibration import Calibration
 from jaxscan.errors import CalibrationError
 from jaxscan.files.disk import check_writable, write_atomically
 from jaxscan.geometry import AbstractCamera, AbstractMotion, LinearStage, Turntable

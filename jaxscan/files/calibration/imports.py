@@ -38,6 +38,9 @@ _LENS = frozenset(
 )
 _WIDTH = frozenset("imagewidth width imgwidth camerawidth framewidth imagewidthpx widthpx w".split())
 _HEIGHT = frozenset("imageheight height imgheight cameraheight frameheight imageheightpx heightpx h".split())
+_COLUMNS, _ROWS = frozenset("cols columns imagecols".split()), frozenset("rows imagerows".split())
+"""Stella's and its like; a size below the next is that of a board."""
+_SMALLEST_PX = 64
 _SIZE = frozenset("imagesize imgsize resolution imageresolution cameraresolution size origres framesize".split())
 _MODEL = frozenset("distortionmodel distmodel lensmodel lenstype distortiontype projectionmodel".split())
 _CAMERA_MODEL = frozenset("cameramodel model modeltype cameratype".split())
@@ -47,6 +50,8 @@ _ELSEWHERE = re.compile(r"board|pattern|chess|checker|charuco|marker|target|grid
 _FLAG = frozenset(("fisheye", "fisheyemodel", "isfisheye"))
 _PIXELS = {"ppx": "cx", "ppy": "cy", "focallengthx": "fx", "focallengthy": "fy", "skew": "skew", "alphac": "alpha"}
 _PIXELS |= {name: name for name in ("fx", "fy", "cx", "cy")}
+_PIXELS |= {"mu": "fx", "mv": "fy", "u0": "cx", "v0": "cy"}
+"""The last four are camodocal's, whose Kannala-Brandt counts its coefficients from k2 to k5."""
 _PAIRS = {"fc": ("fx", "fy"), "cc": ("cx", "cy"), "focallength": ("fx", "fy"), "principalpoint": ("cx", "cy")}
 """Of the toolbox of Bouguet, and of OpenCV's contours of it."""
 _COEFFICIENT = re.compile(r"k[1-6]|p[12]|s[1-4]|tau[xy]|xi|alpha")
@@ -172,6 +177,20 @@ class _Keys:
             )
         self.used.update(named)
         return named[0] if named else None
+
+    def large(self, first: frozenset[str], second: frozenset[str], least: int) -> tuple[str, str] | None:
+        """The keys of two numbers that stand side by side, both at least so large; None where not one pair is there."""
+        pairs = []
+        for key in self._values:
+            beside = [other for other in self._values if self._plain_name(other, second)]
+            beside = [other for other in beside if other.rpartition(".")[0] == key.rpartition(".")[0]]
+            if self._plain_name(key, first) and beside and all(self._has(one, 1) for one in (key, beside[0])):
+                pairs.append((key, beside[0]))
+        pairs = [pair for pair in pairs if min(self.numbers(key)[0] for key in pair) >= least]
+        if len(pairs) != 1:
+            return None
+        self.used.update(pairs[0])
+        return pairs[0]
 
     def numbers(self, key: str) -> list[float]:
         return numbers(self._values[key], f"{self.name}: {key}")
@@ -324,7 +343,9 @@ def _lens(keys: _Keys, model: Model, *, without: bool) -> tuple[list[float], str
         return keys.numbers(key), key
     named: dict[str, float] = {}
     where: list[str] = []
-    order = ("k1", "k2", "k3", "k4") if model == "fisheye" else ("xi", "alpha") if model == "double_sphere" else _ORDER
+    order = {"fisheye": ("k1", "k2", "k3", "k4"), "double_sphere": ("xi", "alpha"), "pinhole": _ORDER}[model]
+    if model == "fisheye" and keys.of(frozenset(("k5",)), "k5", count=1) and not keys.of(frozenset(("k1",)), "k1"):
+        order = ("k2", "k3", "k4", "k5")
     for name in order:
         if (key := keys.of(frozenset((name,)), name, count=1)) is not None:
             named[name] = keys.numbers(key)[0]
@@ -362,6 +383,8 @@ def _size(keys: _Keys, known: tuple[int, int] | None) -> tuple[int, int]:
         raise CalibrationError(f"{keys.name}: {where}: found only one of them, expected the size of the images.")
     elif (key := keys.of(_SIZE, "a size of images", count=2)) is not None:
         found, where = keys.numbers(key), str(key)
+    elif across := keys.large(_COLUMNS, _ROWS, _SMALLEST_PX):
+        found, where = [number for key in across for number in keys.numbers(key)], ", ".join(across)
     if not found:
         if known is None:
             raise CalibrationError(f"{keys.name}: {where}: missing, expected the size of the images.")

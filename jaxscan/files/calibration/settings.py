@@ -5,7 +5,7 @@ from typing import Any
 
 import pydantic
 
-from jaxscan.calibration.settings import CalibrationSettings
+from jaxscan.calibration import CalibrationSettings
 from jaxscan.errors import CalibrationError
 
 

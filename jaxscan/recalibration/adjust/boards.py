@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration import CalibrationSettings
-from jaxscan.calibration.seed import average_placements, seed_poses
-from jaxscan.calibration.solve import Adjustment, Prepared, make_problem, prepare
-from jaxscan.calibration.solve import adjust as solve_boards
-from jaxscan.calibration.solve.joint import linearise
+from jaxscan.calibration.adjust import Adjustment
+from jaxscan.calibration.adjust import adjust as solve_boards
+from jaxscan.calibration.first_values import average_placements, seed_poses
+from jaxscan.calibration.joint import linearise
+from jaxscan.calibration.problem import Prepared, make_problem, prepare
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Rig, Scanner, square_root
 from jaxscan.geometry.motions import ANGLE_PARAMETERS

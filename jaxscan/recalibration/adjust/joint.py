@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.calibration.solve import Prepared as BoardData
+from jaxscan.calibration.problem import Prepared as BoardData
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
 from jaxscan.leastsq import Arrow, Cauchy, Covariance, covariance_of, keep_inliers, noise_component, robust_noise

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.verdict import Lengths
+from jaxscan.calibration import Lengths
 from jaxscan.geometry import Scanner, Turntable, root_of, square_root
 from jaxscan.recalibration.grid import spread_over
 from jaxscan.recalibration.observed import RoomObservations

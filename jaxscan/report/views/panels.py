@@ -3,8 +3,7 @@
 import base64
 from collections.abc import Mapping
 
-from jaxscan.calibration import Calibration, Fit
-from jaxscan.calibration.verdict import JudgedView, judge_views
+from jaxscan.calibration import Calibration, Fit, JudgedView, judge_views
 from jaxscan.observation import Observations
 from jaxscan.report import image_plots, words
 from jaxscan.report.drawing import as_svg
