@@ -121,7 +121,7 @@ RIG_MAY_IMPORT = {"files", "geometry", "stripes"} | FOR_ALL
 BENCH_MAY_IMPORT = {"files", "simulation", "vision"} | FOR_ALL
 """Folders of the package that the simulated rig may import: what renders, nothing that estimates."""
 
-RIG_HOME_OF = {"cv2": ("cameras/",), "serial": ("wire/",), "ctypes": ("cameras/aravis",)}
+RIG_HOME_OF = {"cv2": ("cameras/",), "serial": ("wire.py",), "ctypes": ("cameras/aravis",)}
 """Libraries that belong to one place of the acquisition layer."""
 
 

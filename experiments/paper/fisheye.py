@@ -183,7 +183,6 @@ def draw_room(stage: Stage, cloud: jaxscan.PointCloud, box: RoomBox, shares: tup
     """The room from above, from the side and from within.
 
     Args:
-        stage: The world.
         cloud: The cloud of one turn.
         box: The dimensions measured in it.
         shares: Of all directions, those that the cloud covers and those in the field of the paper's camera [1].

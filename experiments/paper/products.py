@@ -128,9 +128,7 @@ def write_capture(stage: Stage, records: Sequence[ExpectedRecord], plan: BoardPl
     """One draw of noise, as a capture on disk.
 
     Args:
-        stage: The world.
         records: Of `expect`.
-        plan: Theirs.
         seed: Of the noise: the same seed writes the same frames.
         folder: Must not exist.
 
@@ -147,9 +145,7 @@ def write_captures(
     """Several draws at once; records are taken one by one and not kept.
 
     Args:
-        stage: The world.
         records: Of `expect_each`.
-        plan: Theirs.
         folders: Of the draws, by their seeds; must not exist.
 
     Returns:
@@ -223,6 +219,7 @@ class RenderedSweep:
 
     compression = None
     exposures = (1.0,)
+    bits = 8
 
     def __init__(
         self,
@@ -238,7 +235,6 @@ class RenderedSweep:
         Args:
             config: The rig; `worlds.windowed` reads fewer columns.
             angles: Commanded angles of the table [rad].
-            seed: Of the noise.
             scene: The surroundings, in place of the configuration's room.
             watch: Called with all frames as they are read, at every reading.
         """
@@ -464,10 +460,6 @@ def held_out_plan(stage: Stage, boards: int) -> BoardPlan:
     The stripe then runs along the board's longer side, over about a sixth of the depth to both sides of the optical
     axis, in agreement with the ratios of X and Y to Z in the paper's Fig. 6.
 
-    Args:
-        stage: The world.
-        boards: How many.
-
     Raises:
         ConfigError: If the camera does not see one whole.
     """
@@ -496,7 +488,6 @@ def observe_held_out(calibration: Path, capture: Path) -> Observations:
     """Corners and stripes of a capture by `jaxscan.calibrate` with a known rig, which is held.
 
     Args:
-        calibration: File of the rig.
         capture: One of `held_out`.
     """
     scanner = jaxscan.load_scanner(calibration)
@@ -631,10 +622,7 @@ def room_colours(stage: Stage, seen: Room, xyz: np.ndarray, scanner: jaxscan.Sca
     """Colours of the points of a sweep; made once and kept.
 
     Args:
-        stage: The world.
-        seen: The sweep.
         xyz: Its points by `scanner` [records, rows, 3], m, scanner frame; zero where there is none.
-        scanner: A calibration.
 
     Returns:
         uint8 [records, rows, 3]; zero where there is no point.

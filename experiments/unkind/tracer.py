@@ -452,7 +452,6 @@ def stripes(shot: Shot, middle: Hits, laser: Direct, ambient: np.ndarray) -> Tru
     """The true stripes [rows, crossings] of one record.
 
     Args:
-        shot: Rig, room and pose.
         middle: The surfaces that the middles of all pixels see.
         laser: The laser's direct light behind the lens [DN].
         ambient: The room's light on every pixel [DN].

@@ -228,11 +228,8 @@ def render_coherent(
     """Pairs of frames with a stripe in the room's light.
 
     Args:
-        stripe: The stripe.
         room: Light with the laser off [rows, columns], DN above black.
-        speckle: The coherent light.
         sensor: The sensor; its ambient light is not used.
-        rng: Draws.
     """
     rows, columns = room.shape
     fine_row = (np.arange(rows * _FINE) + 0.5) / _FINE - 0.5

@@ -351,7 +351,7 @@ class ScanPlan(NamedTuple):
 
     def show(self, out: Terminal, rig: "RigConfig", folder: Path) -> None:
         """Print the plan."""
-        from scanrig.recording.space import readable
+        from scanrig.recording import readable
 
         out.print(f"{self.targets}: {2 * self.records} images of {rig.camera.width} x {rig.camera.height} to {folder}")
         turn = f"{rig.microsteps_per_turn} microsteps per turn"

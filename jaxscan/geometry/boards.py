@@ -13,7 +13,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.geometry.arrays import Array, namespace
+from jaxscan.geometry.arrays import Array, ArrayModule, namespace
 from jaxscan.geometry.rigid import invert, turn
 
 
@@ -23,7 +23,7 @@ BEND_DEGREE = 6
 """Highest degree of the polynomials that a board's height may have."""
 
 
-class AbstractBoard(eqx.Module):
+class AbstractBoard(ArrayModule):
     """A flat printed target with point features, called corners also where they are centres of circles."""
 
     square: eqx.AbstractVar[float]
@@ -114,7 +114,7 @@ class Charuco(AbstractBoard):
         return f"ChArUco board, {columns} x {rows} inner corners, {1e3 * self.square:g} mm{legacy}"
 
 
-class BowedBoard(eqx.Module):
+class BowedBoard(ArrayModule):
     """The true surface of a board, with its bow, its bend and its true pitch.
 
     (x, y) are coordinates on the board as drawn [m].

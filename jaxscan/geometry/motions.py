@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from jaxscan.geometry.arrays import Array, namespace, real
+from jaxscan.geometry.arrays import Array, ArrayModule, namespace, real
 from jaxscan.geometry.parameters import ParameterBlock
 from jaxscan.geometry.rigid import move_direction, nearest_rotation, rigid, tangent_basis, turn, unit_vector
 
@@ -17,7 +17,7 @@ Carries = Literal["scanner", "object", "linear", "nothing"]
 """The turning part of a turntable; a linear stage; or no motion."""
 
 
-class AbstractMotion(eqx.Module):
+class AbstractMotion(ArrayModule):
     """A motion with one position s per record: the table's angle [rad], or the place of a stage [m].
 
     At position 0 the camera is where it defines the rig. A motion adds its name, its blocks and these methods.

@@ -3,11 +3,10 @@
 from itertools import accumulate, chain
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 from jaxtyping import Float, Int
 
-from jaxscan.geometry.arrays import Array, namespace
+from jaxscan.geometry.arrays import Array, ArrayModule, namespace
 from jaxscan.geometry.cameras import AbstractCamera
 from jaxscan.geometry.laser import LASER_BLOCKS, LaserSheet
 from jaxscan.geometry.motions import AbstractMotion
@@ -56,7 +55,7 @@ def make_layout(
     )
 
 
-class Rig(eqx.Module):
+class Rig(ArrayModule):
     """Camera, laser sheets and motion, in the camera frame at position 0.
 
     A pytree of arrays: sizes of images and names of lasers are the `Scanner`'s, so what is compiled for one rig serves

@@ -60,7 +60,7 @@ def _stripe_noise_mm(calibration: Calibration, name: str, depths: np.ndarray) ->
     if not plots.has_stripes(observations, fit):
         return noise
     laser = scanner.laser_names.index(name)
-    sigma = fit.stripe_sigma[fit.stripe_kept & (np.asarray(observations.stripes.laser) == laser)[:, None]]
+    sigma = fit.stripe_sigma[fit.stripe_inlier & (np.asarray(observations.stripes.laser) == laser)[:, None]]
     if not sigma.size:
         return noise
     across = 1 - plots.stripe_direction(observations)
@@ -76,7 +76,7 @@ def _stripe_noise_mm(calibration: Calibration, name: str, depths: np.ndarray) ->
 
 def residuals_over_image(observations: Observations, fit: Fit) -> Html | None:
     """Coverage of the image by corners and stripes, and the directions of the residuals."""
-    if not fit.corner_kept.any():
+    if not fit.corner_inlier.any():
         return None
     striped = plots.has_stripes(observations, fit)
     seen = "Corners (blue) and stripes (other colours)" if striped else "Corners"

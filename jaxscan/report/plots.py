@@ -26,7 +26,7 @@ def along_stripe(observations: Observations, fit: Fit) -> "Figure":
     axis = stripe_direction(observations)
     axes = new_axes(figure, xlabel=f"image {'row' if axis else 'column'}, px", ylabel="stripe residual, px")
     for laser, mine in _by_laser(observations):
-        kept = fit.stripe_kept[mine]
+        kept = fit.stripe_inlier[mine]
         along, error = np.asarray(observations.stripes.q)[mine][kept][:, axis], fit.stripe_error[mine][kept]
         if not error.size:
             continue
@@ -35,7 +35,7 @@ def along_stripe(observations: Observations, fit: Fit) -> "Figure":
         middle, mean, noise = binned(along, error)
         _means(axes, middle, mean, noise, INK if laser == 0 else colour, plain(observations.laser_names[laser]))
     axes.axhline(0, color=SOFT, linewidth=0.7)
-    _bounded(axes, fit.stripe_error[fit.stripe_kept])
+    _bounded(axes, fit.stripe_error[fit.stripe_inlier])
     if len(observations.laser_names) > 1:
         add_legend(axes)
     return figure
@@ -50,7 +50,7 @@ def stripes_against_angle(observations: Observations, fit: Fit) -> "Figure":
     angle = np.degrees(np.asarray(observations.corners.angle))[view]
     placement = np.asarray(observations.corners.placement)[view]
     for laser, mine in _by_laser(observations):
-        kept = fit.stripe_kept[mine]
+        kept = fit.stripe_inlier[mine]
         count = kept.sum(1)
         some = (count > 1) & turned[mine]
         if not some.any():
@@ -73,11 +73,11 @@ def corners_against_angle(observations: Observations, fit: Fit) -> "Figure":
     turns unevenly or wobbles."""
     figure = new_figure()
     axes = new_axes(figure, xlabel="table angle, degrees", ylabel="mean corner residual of a view, px")
-    views = turned_views(observations) & fit.corner_kept.any(1)
+    views = turned_views(observations) & fit.corner_inlier.any(1)
     angle = np.degrees(np.asarray(observations.corners.angle))
     place = np.asarray(observations.corners.placement)[views]
     for direction, label, colour in ((0, "to the right", BLUE), (1, "down", RED)):
-        kept = fit.corner_kept[views]
+        kept = fit.corner_inlier[views]
         count = np.maximum(kept.sum(1), 1)
         mean = np.where(kept, fit.corner_error[views][..., direction], 0.0).sum(1) / count
         noise = np.sqrt(np.where(kept, fit.corner_sigma[views] ** 2, 0.0).sum(1)) / count
@@ -121,8 +121,8 @@ def whitened_residuals(fit: Fit) -> dict[str, np.ndarray]:
         free = leverage < 0.99
         return (error / (sigma * np.sqrt(np.clip(1.0 - leverage, 0.01, 1.0))))[free]
 
-    kept, sigma = fit.corner_kept, fit.corner_sigma[..., None]
-    seen = fit.stripe_kept
+    kept, sigma = fit.corner_inlier, fit.corner_sigma[..., None]
+    seen = fit.stripe_inlier
     groups = {
         "corners": group(fit.corner_error[kept], sigma[kept], fit.corner_leverage[kept]),
         "stripes": group(fit.stripe_error[seen], fit.stripe_sigma[seen], fit.stripe_leverage[seen]),
@@ -132,7 +132,7 @@ def whitened_residuals(fit: Fit) -> dict[str, np.ndarray]:
 
 def has_stripes(observations: Observations, fit: Fit) -> bool:
     """Whether any stripe was used. A calibration of the camera alone ignores stripes."""
-    return fit.stripe_kept.shape == np.shape(observations.stripes.valid) and bool(fit.stripe_kept.any())
+    return fit.stripe_inlier.shape == np.shape(observations.stripes.valid) and bool(fit.stripe_inlier.any())
 
 
 def stripe_direction(observations: Observations) -> int:
@@ -196,7 +196,7 @@ _CELLS_ACROSS = 12
 
 def residual_scale(fit: Fit) -> float:
     """A round length [px] that scales all arrows of a report: about the 90 % quantile of the kept residuals."""
-    length = np.linalg.norm(fit.corner_error, axis=-1)[fit.corner_kept]
+    length = np.linalg.norm(fit.corner_error, axis=-1)[fit.corner_inlier]
     usual = float(np.percentile(length, 90)) if length.size else 0.0
     return _round_number(usual) if usual > 0 else 1.0
 
@@ -207,7 +207,7 @@ def view_residuals(observations: Observations, fit: Fit, view: int, scale: float
     axes = _image_axes(figure, observations, bare=True)
     axes.set_position((0.01, 0.01, 0.98, 0.98))
     q, error = np.asarray(observations.corners.q)[view], fit.corner_error[view]
-    kept = fit.corner_kept[view]
+    kept = fit.corner_inlier[view]
     rejected = np.asarray(observations.corners.valid)[view] & ~kept
     long = ARROW_SHARE * observations.width / scale
     _draw(axes, arrows(q[kept], long * error[kept]), BLUE, 0.8)
@@ -232,7 +232,7 @@ def scale_bar(scale: float, image_width: int) -> "Figure":
 def direction_map(observations: Observations, fit: Fit) -> "Figure":
     """Corners coloured by the direction of their residual, and the mean of each cell where it is significant."""
     figure, axes = _whole_image(observations)
-    kept = fit.corner_kept
+    kept = fit.corner_inlier
     q, error = np.asarray(observations.corners.q)[kept], fit.corner_error[kept]
     direction = np.degrees(np.arctan2(error[:, 1], error[:, 0]))
     drawn = axes.scatter(
@@ -285,9 +285,9 @@ def coverage_map(observations: Observations, fit: Fit) -> "Figure":
     corners, stripes = observations.corners, observations.stripes
     for laser in range(len(observations.laser_names) if has_stripes(observations, fit) else 0):
         mine = np.asarray(stripes.laser) == laser
-        q = np.asarray(stripes.q)[mine][fit.stripe_kept[mine]]
+        q = np.asarray(stripes.q)[mine][fit.stripe_inlier[mine]]
         axes.plot(*q.T, ".", color=SERIES[1 + laser % 5], markersize=1.3, markeredgewidth=0, rasterized=True)
-    used = np.asarray(corners.q)[fit.corner_kept]
+    used = np.asarray(corners.q)[fit.corner_inlier]
     axes.plot(*used.T, ".", color=BLUE, markersize=2.6, markeredgewidth=0, rasterized=True)
     return figure
 

@@ -16,6 +16,8 @@ from jaxscan.errors import CaptureError
 from jaxscan.files import remote
 from jaxscan.files.remote import fetch_file, fetch_folder, find_captures, remote_digest
 
+from .test_remote import contents
+
 
 GIGABYTE = 1 << 30
 ROOM = {"capture.toml": b"kind", "frames.jsonl": b"", **{f"on/{k:06}.zst": bytes([k]) * (k + 1) for k in range(60)}}
@@ -125,10 +127,6 @@ def store(server, monkeypatch, tmp_path):
     kind.clear_instance_cache()
     yield store
     kind.clear_instance_cache()
-
-
-def contents(folder):
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 def asked_for_files(store):

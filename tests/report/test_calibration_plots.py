@@ -26,8 +26,8 @@ def test_whitened_residuals_are_those_kept_and_not_all_taken_up_by_the_fit(calib
     leverage[0, 0, 0] = 1.0
     found = plots.whitened_residuals(dataclasses.replace(calibration.fit, corner_leverage=leverage))
     assert len(found["corners"]) == 2 * (6 * 20 - 1) - 1
-    none = np.zeros_like(calibration.fit.stripe_kept)
-    assert list(plots.whitened_residuals(dataclasses.replace(calibration.fit, stripe_kept=none))) == ["corners"]
+    none = np.zeros_like(calibration.fit.stripe_inlier)
+    assert list(plots.whitened_residuals(dataclasses.replace(calibration.fit, stripe_inlier=none))) == ["corners"]
 
 
 def test_means_of_cells_are_clear_where_there_is_more_than_noise():

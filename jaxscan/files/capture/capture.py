@@ -71,6 +71,11 @@ class Capture:
         return None if self.header.turntable is None else self.header.turntable.carries
 
     @property
+    def stop_sigma(self) -> float | None:
+        """Standard deviation of stops about the positions of their records [rad or m]; None if the header is silent."""
+        return None if self.header.turntable is None else self.header.turntable.stop_sigma
+
+    @property
     def compression(self) -> str | None:
         """The lossy compression of the images; files with the name of a JPEG are such, whatever the header says."""
         return _compression(self.header, self.records)

@@ -197,6 +197,28 @@ class TurntableTable(FileModel):
 
     carries: Carries = "scanner"
     """A turntable's "scanner", or "object" where the camera stands still; a "linear" stage; or "nothing"."""
+    angle_sigma_deg: Annotated[Number, pydantic.Field(ge=0, le=45)] | None = None
+    """Standard deviation of where a table stops about the angle of its record [deg]; None: learned from boards."""
+    position_sigma_mm: Annotated[Number, pydantic.Field(ge=0, lt=1000)] | None = None
+    """The same of a linear stage [mm]."""
+
+    @pydantic.model_validator(mode="after")
+    def _of_its_kind(self) -> "TurntableTable":
+        turns, linear = self.carries in ("scanner", "object"), self.carries == "linear"
+        for key, value, fits in (
+            ("angle_sigma_deg", self.angle_sigma_deg, turns),
+            ("position_sigma_mm", self.position_sigma_mm, linear),
+        ):
+            if value is not None and not fits:
+                raise ValueError(f'{key}: found {value:g} with carries = "{self.carries}", which has none')
+        return self
+
+    @property
+    def stop_sigma(self) -> float | None:
+        """Standard deviation of stops about the positions of their records [rad or m]; None where nobody says."""
+        if self.position_sigma_mm is not None:
+            return self.position_sigma_mm / 1000.0
+        return None if self.angle_sigma_deg is None else math.radians(self.angle_sigma_deg)
 
 
 class LaserTable(FileModel):

@@ -1,16 +1,25 @@
-"""Two frames of one place: the table at its position, a laser-on and a laser-off frame; nothing is proven here."""
+"""One step, from the motion to the disk.
+
+`grab.py` takes the two frames, `step.py` repeats that until they are believed, or proven. `flights.py` follows the
+pairs that are proven and written in the background.
+"""
 
 import logging
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, NamedTuple, NoReturn
 
 from jaxscan.stripes import frame_rank
 from scanrig.cameras import Camera, Frame
+from scanrig.checks import PairProof, prove_pair
 from scanrig.clock import Clock, SystemClock
 from scanrig.config import RigConfig
 from scanrig.controllers import Controller, Status
-from scanrig.errors import CameraError, CameraTimeout
+from scanrig.errors import CameraError, CameraTimeout, FrameError
+from scanrig.recording import AHEAD, Background, Ledger
 from scanrig.session.plan import longest_s, shot_s
 
 
@@ -279,3 +288,226 @@ def discard_rest(station: Station) -> None:
             except CameraTimeout:
                 break
     camera.drop()
+
+
+@dataclass(frozen=True)
+class ProvenPair:
+    """A proven pair."""
+
+    on: Frame
+    off: Frame
+    proof: PairProof
+    position: int
+    """Position reported by the controller [microsteps from home]."""
+    rejected: tuple[str, ...]
+    """Why earlier takes were rejected."""
+    laser: int = 0
+    """Its laser, counted from 0."""
+
+
+Rejected = Callable[[str], None]
+"""Called with the reason for each rejected take."""
+
+
+class Doubt(NamedTuple):
+    """The rejected takes of a step."""
+
+    reasons: tuple[str, ...] = ()
+    verdict: str = ""
+    """Of the last one, if it was the proof that rejected it."""
+
+    def also(self, reason: str, verdict: str = "") -> "Doubt":
+        """With one more."""
+        return Doubt((*self.reasons, reason), verdict)
+
+
+def take_pair(
+    station: Station, step: Step, rejected: Rejected | None = None, before: Doubt | None = None
+) -> ProvenPair:
+    """Take one step, and retake it at the same position until it is proven.
+
+    Args:
+        rejected: Called with the reason for each rejected take.
+        before: Earlier takes of this step that were rejected; they count.
+
+    Raises:
+        FrameError: If none of `1 + config.checks.retakes` takes was proven; if the laser stays on, the
+            contactor has been opened.
+        CameraError: If frames have the wrong size.
+        CameraLost, LinkLost, RigFault, RigError: From camera and controller.
+    """
+    doubt = before or Doubt()
+    if doubt.reasons:
+        discard_rest(station)
+    while True:
+        taken, doubt = grab_whole(station, step, rejected, doubt)
+        proof = prove(taken, station.config, step.laser)
+        if proof.ok:
+            return ProvenPair(taken.on, taken.off, proof, taken.position, doubt.reasons, step.laser)
+        doubt = doubt.also(proof.reason, proof.verdict)
+        _reject(station, rejected, proof.reason)
+
+
+def grab_whole(
+    station: Station, step: Step, rejected: Rejected | None = None, before: Doubt | None = None
+) -> tuple[TakenPair, Doubt]:
+    """Take the frames of one step, and retake them until they are believed; they are not proven yet.
+
+    Args and errors are those of `take_pair`.
+
+    Returns:
+        The frames, and all rejected takes of the step so far.
+    """
+    doubt, silent = before or Doubt(), 0
+    while True:
+        left = station.config.checks.retakes - len(doubt.reasons)
+        if left < 0:
+            _give_up(station, step, doubt)
+        if silent >= 2:
+            silent = 0
+            station.reopen()
+        try:
+            return grab(station, step), doubt
+        except Unbelievable as problem:
+            silent = silent + 1 if isinstance(problem, NoFrame) else 0
+            doubt = doubt.also(str(problem))
+        _reject(station, rejected, doubt.reasons[-1])
+
+
+def _reject(station: Station, rejected: Rejected | None, reason: str) -> None:
+    if rejected is not None:
+        rejected(reason)
+    discard_rest(station)
+
+
+def _give_up(station: Station, step: Step, doubt: Doubt) -> NoReturn:
+    number, last = step.number, doubt.reasons[-1]
+    if doubt.verdict == "stays on":
+        station.controller.arm(False)
+        raise FrameError(
+            f"step {number}: {last}. The contactor has been opened; do not look into the beam, "
+            "and cut the laser's supply before working on it."
+        )
+    raise FrameError(f"step {number}: not proven in {len(doubt.reasons)} takes; reason of the last: {last}.")
+
+
+def prove(taken: TakenPair, config: RigConfig, laser: int) -> PairProof:
+    """The proof of two frames, by the limits of the configuration."""
+    return prove_pair(
+        taken.on.image,
+        taken.off.image,
+        pixel_format=config.camera.pixel_format,
+        response=config.camera.response,
+        line=config.laser[laser].line,
+        limits=config.checks.proof,
+    )
+
+
+class Place(NamedTuple):
+    """A step, and how the table came there."""
+
+    step: Step
+    came_from: int
+    """Where the table stood before it went there [microsteps]."""
+    placement: int | None
+    """The board's, in a calibration."""
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """A pair in flight."""
+
+    place: Place
+    taken: TakenPair
+    doubt: Doubt
+    """The takes of its step that were rejected."""
+    proof: Future[PairProof]
+    stored: Future[bool]
+    """Whether it was proven; then it is on the disk."""
+
+    @property
+    def record(self) -> int:
+        """Number of the record."""
+        return self.place.step.number
+
+
+Fields = Callable[[ProvenPair], dict[str, Any]]
+"""Makes the fields of a record, beside its images."""
+
+
+class Flights:
+    """The pairs in flight, in the order in which they were taken; at most one has a verdict that was not read yet."""
+
+    def __init__(self, ledger: Ledger, config: RigConfig) -> None:
+        """Nothing is in flight, and no thread runs."""
+        self._ledger, self._config = ledger, config
+        self._background = Background()
+        self._flying: deque[Flight] = deque()
+        self._last: Flight | None = None
+
+    def __len__(self) -> int:
+        """Pairs that may not be on the disk yet."""
+        return len(self._flying)
+
+    def begin(self, place: Place, taken: TakenPair, doubt: Doubt, fields: Fields) -> None:
+        """Prove a pair, and write it if it is proven, after all that was given before."""
+        self._last = self._begin(place, taken, doubt, fields, self._background.prove(self._proof(place, taken)))
+
+    def begin_proven(self, place: Place, pair: ProvenPair, fields: Fields) -> Flight:
+        """Write a pair that is proven already."""
+        proof: Future[PairProof] = Future()
+        proof.set_result(pair.proof)
+        return self._begin(place, TakenPair(pair.on, pair.off, pair.position), Doubt(pair.rejected), fields, proof)
+
+    def verdict(self) -> tuple[Flight, PairProof] | None:
+        """Wait for the verdict on the last pair; None if it was read already. A rejected take is added to its doubt."""
+        flight, self._last = self._last, None
+        if flight is None:
+            return None
+        proof = flight.proof.result()
+        return (flight if proof.ok else replace(flight, doubt=flight.doubt.also(proof.reason, proof.verdict))), proof
+
+    def landed(self, most: int = AHEAD) -> Iterator[Flight]:
+        """The pairs that are on the disk by now; waits until at most so many are not.
+
+        Raises:
+            BaseException: What proving or writing raised.
+        """
+        while self._flying and (len(self._flying) > most or self._flying[0].stored.done()):
+            stored = self._flying[0].stored.result()
+            flight = self._flying.popleft()
+            if stored:
+                yield flight
+
+    def write(self, event: dict[str, Any]) -> None:
+        """Write an event, after all that was given before."""
+        if self._ledger.begun:
+            self._background.write(partial(self._ledger.write, event))
+        else:
+            self._ledger.write(event)
+
+    def wait(self) -> None:
+        """Wait until all is written, events too."""
+        self._background.wait()
+
+    def end(self) -> list[Flight]:
+        """Finish what is in flight and end the threads, also after an error; returns the pairs that are on the disk."""
+        self._background.end()
+        landed = [flight for flight in self._flying if flight.stored.exception() is None and flight.stored.result()]
+        self._flying.clear()
+        return landed
+
+    def _proof(self, place: Place, taken: TakenPair) -> Callable[[], PairProof]:
+        return partial(prove, taken, self._config, place.step.laser)
+
+    def _begin(self, place: Place, taken: TakenPair, doubt: Doubt, fields: Fields, proof: Future[PairProof]) -> Flight:
+        def store() -> bool:
+            found = proof.result()
+            if found.ok:
+                pair = ProvenPair(taken.on, taken.off, found, taken.position, doubt.reasons, place.step.laser)
+                self._ledger.add(place.step.number, taken.on.image, taken.off.image, fields(pair))
+            return found.ok
+
+        flight = Flight(place, taken, doubt, proof, self._background.write(store))
+        self._flying.append(flight)
+        return flight

@@ -1,18 +1,80 @@
-"""Writes a session's capture: a pair counts when its images and then its journal line are on the disk."""
+"""A session's files: the journal of a capture, written in the background, the lock of its folder, and free space."""
 
 import contextlib
+import errno
 import json
 import os
+import shutil
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import JOURNAL_NAME, MAX_LINE_BYTES, CaptureHeader, seal
-from jaxscan.files.disk import append_whole, open_to_write, remove_left
-from jaxscan.files.recording import CaptureWriter, create_capture, require_no_links, resume_capture
+from jaxscan.files.disk import FolderLock, append_whole, open_to_write, remove_left
+from jaxscan.files.recording import LOCK_NAME, CaptureWriter, create_capture, require_no_links, resume_capture
 from scanrig.clock import Clock
+from scanrig.errors import SessionError
+
+
+def folder_lock(folder: Path) -> FolderLock:
+    """The lock of a folder, which is not held yet; it raises `SessionError` where another session has it."""
+    remedy = "wait for it, or choose another folder"
+    return FolderLock(folder / LOCK_NAME, error=SessionError, busy="in use by {}", remedy=remedy)
+
+
+_FULL = {errno.ENOSPC, errno.EDQUOT} if hasattr(errno, "EDQUOT") else {errno.ENOSPC}
+KEPT_PAIRS = 2
+"""There must be space for this many pairs before one is taken."""
+
+
+class DiskFull(SessionError):
+    """No space for the next pair; the capture is whole and can be resumed."""
+
+
+def require_space(folder: Path, needed: int, *, purpose: str) -> None:
+    """Check that there is enough space.
+
+    Args:
+        folder: A folder on the disk.
+        needed: Space needed [bytes].
+        purpose: Its use, for the message.
+
+    Raises:
+        DiskFull: If there is less.
+    """
+    free = free_bytes(folder)
+    if free < needed:
+        raise DiskFull(
+            f"{folder}: {readable(free)} are free, {purpose} needs {readable(needed)}; "
+            "make room, then resume the capture."
+        )
+
+
+def free_bytes(folder: Path) -> int:
+    """Space that this user may still write [bytes]."""
+    return shutil.disk_usage(folder).free
+
+
+def is_full(problem: BaseException) -> bool:
+    """Whether an error, or one of its causes, is a full disk."""
+    cause: BaseException | None = problem
+    while cause is not None:
+        if isinstance(cause, DiskFull):
+            return True
+        if isinstance(cause, OSError) and cause.errno in _FULL:
+            return True
+        cause = cause.__cause__
+    return False
+
+
+def readable(size: int) -> str:
+    """A number of bytes for people."""
+    return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.1f} MB"
 
 
 class Ledger:
@@ -80,7 +142,6 @@ class Ledger:
         """Add a record; it is on the disk when this returns.
 
         Args:
-            number: Number of the record.
             on: Laser-on image, uint8.
             off: Laser-off image, uint8.
             fields: The other fields of the record.
@@ -141,3 +202,58 @@ def _append_line(path: Path, line: bytes) -> None:
         if end and os.pread(journal.fileno(), 1, end - 1) != b"\n":
             raise OSError("its last line is torn")
         append_whole(journal, line, durable=True)
+
+
+T = TypeVar("T")
+
+AHEAD = 4
+"""Pairs that may wait to be proven and written; the table stands still while there are more."""
+
+
+class Background:
+    """Two threads: one proves, one writes. Each does its work in the order in which it was given.
+
+    After the first failure nothing more is written, so that a capture never has a gap that nobody knows of.
+    """
+
+    def __init__(self) -> None:
+        """No thread runs before there is work."""
+        self._prover = ThreadPoolExecutor(1, thread_name_prefix="scanrig-prove")
+        self._writer = ThreadPoolExecutor(1, thread_name_prefix="scanrig-write")
+        self._failed: BaseException | None = None
+
+    def prove(self, work: Callable[[], T]) -> Future[T]:
+        """Begin a proof."""
+        return self._prover.submit(work)
+
+    def write(self, work: Callable[[], T]) -> Future[T]:
+        """Write something after all that was given before; it may wait for a proof.
+
+        Raises:
+            BaseException: What earlier work raised.
+        """
+        if self._failed is not None:
+            raise self._failed
+        return self._writer.submit(partial(self._unless_failed, work))
+
+    def wait(self) -> None:
+        """Wait until all is written.
+
+        Raises:
+            BaseException: What it raised.
+        """
+        self.write(lambda: None).result()
+
+    def end(self) -> None:
+        """Wait for what was given, and end the threads; raises nothing of theirs."""
+        self._prover.shutdown()
+        self._writer.shutdown()
+
+    def _unless_failed(self, work: Callable[[], T]) -> T:
+        if self._failed is not None:
+            raise self._failed
+        try:
+            return work()
+        except BaseException as problem:
+            self._failed = problem
+            raise

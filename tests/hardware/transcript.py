@@ -3,10 +3,11 @@
 import json
 from pathlib import Path
 
-from jaxscan.files.disk import append_whole, open_to_write
 from scanrig.clock import Clock, ManualClock, SystemClock
 from scanrig.errors import TranscriptDifference
-from scanrig.wire.link import Link
+from scanrig.wire import Link
+
+from jaxscan.files.disk import append_whole, open_to_write
 
 
 class RecordingLink:
