@@ -1,8 +1,15 @@
 """Measurements in clouds: rooms, distances, planes, comparison with a true cloud."""
 
+from jaxscan.measurement.angles import AngleMeasurement, measure_angle
 from jaxscan.measurement.compare import CloudComparison, ErrorStatistics, compare_clouds
 from jaxscan.measurement.deviations import DeviationMap, measure_deviations
-from jaxscan.measurement.distances import DistanceMeasurement, length_words, measure_distance
+from jaxscan.measurement.distances import (
+    DistanceMeasurement,
+    HeightMeasurement,
+    length_words,
+    measure_distance,
+    measure_height,
+)
 from jaxscan.measurement.frames import RoomFrame, TargetFrame, align_room, align_targets
 from jaxscan.measurement.outline import (
     Estimate,
