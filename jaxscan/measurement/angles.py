@@ -25,7 +25,7 @@ _LEAST_SINE = 0.02
 _SIGMAS, _ROUNDS = 3.0, 20
 """Points farther from the plane than so many robust standard deviations belong to something else, as a picture or a
 switch on the wall; rounds of leaving them out."""
-_TRIPLES, _LEAST_SHARE = 500, 0.5
+_TRIPLES, _LARGE, _LEAST_SHARE = 500, 0.3, 0.5
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,9 @@ def _flat_part(patch: Samples, point: Point, radius_m: float) -> Samples:
     corners = patch.p[np.random.default_rng(0).integers(len(patch.p), size=(_TRIPLES, 3))]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normals, axis=1)
-    corners, normals = corners[length > 0], normals[length > 0] / length[length > 0, None]
+    # Points of one profile lie on a line, which is in many planes: those of large triangles are tried.
+    large = length >= max(_LARGE * float(np.quantile(length, 0.9)), np.finfo(np.float64).tiny)
+    corners, normals = corners[large], normals[large] / length[large, None]
     off = np.abs(np.einsum("kni,ki->kn", patch.p - corners[:, :1], normals))
     best = int(np.argmin(np.median(off, axis=1))) if len(off) else 0
     inlier = off[best] <= np.median(off[best]) if len(off) else np.ones(len(patch.p), np.bool_)
