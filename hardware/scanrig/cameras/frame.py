@@ -8,7 +8,7 @@ from typing import Protocol, Self
 import numpy as np
 from jaxtyping import UInt8
 
-from scanrig.cameras.settings import TriggerMode
+from scanrig.cameras.settings import CameraSettings, TriggerMode
 
 
 Features = dict[str, float | int | str]
@@ -103,6 +103,14 @@ class Camera(Protocol):
         Raises:
             CameraLost: If it is not found (yet).
             CameraError: If it is another camera, or does not take a setting.
+        """
+
+    def adopt(self, settings: CameraSettings) -> None:
+        """Take other settings of the same camera from now on: `reopen` with them.
+
+        Raises:
+            CameraLost: If it is not found (yet).
+            CameraError: If it does not take a setting.
         """
 
     def close(self) -> None:

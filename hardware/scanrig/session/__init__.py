@@ -5,7 +5,7 @@
 uses `recovery.py`, which recovers the rig after a fault, and `steps/`, which take, prove and write one pair.
 """
 
-from scanrig.session.aim import Sight, run_aiming
+from scanrig.session.aim import Sight, Wish, run_aiming
 from scanrig.session.job import Devices, Hooks, SessionResult
 from scanrig.session.placements import Operator, PlacementRequest
 from scanrig.session.run import run_calibration, run_sweep
