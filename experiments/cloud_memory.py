@@ -10,7 +10,6 @@ processor.
 """
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -18,6 +17,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from report import command_line, write_json
 
 from jaxscan.files.clouds import save_cloud
 from jaxscan.reconstruction import PointCloud
@@ -133,11 +133,10 @@ def commands(folder: Path, kind: str) -> list[tuple[str, list[str]]]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__, json=True)
     parser.add_argument("--points", type=int, default=10_000_000)
     parser.add_argument("--only", default="", help="only commands whose names hold this")
     parser.add_argument("--folder", type=Path, help="where the clouds are kept")
-    parser.add_argument("--json", metavar="FILE", help="write the figures as JSON too")
     parser.add_argument("--make", type=Path, help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.make:
@@ -161,8 +160,7 @@ def main() -> None:
                 each = (peak - base) / asked.points
                 print(f"{name:34} {peak / 1e6:8.0f} {each:14.0f} {seconds:7.1f} {said}", flush=True)
                 rows.append({"command": name, "peak_bytes": peak, "bytes_a_point": each, "cpu_s": seconds})
-    if asked.json:
-        Path(asked.json).write_text(json.dumps(rows, indent=2) + "\n")
+    write_json(asked.json, rows)
 
 
 if __name__ == "__main__":

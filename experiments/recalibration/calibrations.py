@@ -7,8 +7,7 @@ import numpy as np
 
 from experiments.worlds import calibration_trials as trials
 from experiments.worlds.ideal_boards import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
-from jaxscan.calibration import Calibration, CalibrationSettings, calibrate_observations
-from jaxscan.calibration.parameters import PRIORS, USUALLY_FREE
+from jaxscan.calibration import PRIORS, USUALLY_FREE, Calibration, CalibrationSettings, calibrate_observations
 from jaxscan.observation import Observations
 from jaxscan.simulation import SimulationConfig
 

@@ -14,9 +14,9 @@ from experiments.recalibration import world
 from experiments.recalibration.calibrations import calibration_of
 from experiments.recalibration.trial import Task
 from experiments.recalibration.world import Noise, Sweeping
-from experiments.unkind import truth as worlds
+from experiments.unkind import truth
+from experiments.unkind.scene import Rig, draw_rig
 from experiments.unkind.simulated import CONFIG, draw_config
-from experiments.unkind.world.rig import Rig, draw_rig
 from jaxscan.calibration import Calibration
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration import SweepStripes
@@ -55,7 +55,7 @@ def path_traced(seed: int, folder: Path, kept: Path) -> Task:
     """A sweep of a path-traced room; five worlds, each with a calibration of this seed."""
     number = PATH_TRACED[seed % len(PATH_TRACED)]
     path = folder / f"path_traced_{number}"
-    true, sweep, _ = worlds.load(path / "truth.npz")
+    true, sweep, _ = truth.load(path / "truth.npz")
     rig = draw_rig(np.random.default_rng([number, 14]))
     assert np.array_equal(rig.lens, true.lens)
     config = config_of(rig)

@@ -8,8 +8,7 @@ import numpy as np
 
 from jaxscan.simulation import RoomSpec
 from jaxscan.simulation.scene.meshes import Mesh
-from jaxscan.simulation.scene.room import furnish
-from jaxscan.simulation.scene.scene import Scene, build_scene
+from jaxscan.simulation.scene.scene import Scene, build_scene, furnish
 from jaxscan.simulation.scene.textures import Material
 
 

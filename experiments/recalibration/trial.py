@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxscan.calibration import Calibration
-from jaxscan.calibration.verdict import length_sigma, measure_lengths, typical_lengths
+from jaxscan.calibration import Calibration, length_sigma, measure_lengths, typical_lengths
 from jaxscan.errors import JaxscanError
 from jaxscan.geometry import Scanner, points
 from jaxscan.recalibration import Given, Recalibration, RecalibrationSettings, SweepStripes, recalibrate

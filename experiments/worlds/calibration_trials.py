@@ -1,10 +1,6 @@
-"""Shared by the calibration experiments: noisy observations of a known rig, and figures against targets."""
+"""Shared by the calibration experiments: noisy observations of a known rig."""
 
-import argparse
-import json
-import sys
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,27 +19,6 @@ CORRELATIONS = {"white": 0.0, "correlated": 0.6}
 SETTINGS = CalibrationSettings(judge=False)
 """The tests of the models take longer than the solve and are not looked at here."""
 REFERENCE = Path(__file__).resolve().parents[2] / "configs" / "reference.toml"
-
-
-class Figure(NamedTuple):
-    """A number and its target."""
-
-    key: str
-    value: float
-    unit: str
-    low: float | None = None
-    high: float | None = None
-
-    def met(self) -> bool:
-        """Whether it is where it must be; a figure without a target is."""
-        above = self.low is None or self.value >= self.low
-        return bool(np.isfinite(self.value) and above and (self.high is None or self.value <= self.high))
-
-    def target(self) -> str:
-        """The target in words."""
-        if self.low is None:
-            return "" if self.high is None else f"<= {self.high:g}"
-        return f">= {self.low:g}" if self.high is None else f"{self.low:g} ... {self.high:g}"
 
 
 def reference() -> SimulationConfig:
@@ -111,32 +86,3 @@ def to_true_tangents(scanner: Scanner, config: SimulationConfig) -> np.ndarray:
         at = slice(names.index(first), names.index(first) + 2)
         turned[at, at] = np.asarray(wanted) @ np.asarray(own).T
     return turned
-
-
-def parser(description: str | None) -> argparse.ArgumentParser:
-    """The options that all have."""
-    made = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("--quick", action="store_true", help="few draws: shows that all runs, not how exact it is")
-    made.add_argument("--json", metavar="FILE", help="write the figures to a file (- for standard output)")
-    return made
-
-
-def progress(text: str) -> None:
-    """A line for people who wait."""
-    print(text, file=sys.stderr, flush=True)
-
-
-def report(name: str, figures: list[Figure], json_file: str | None) -> int:
-    """Print all figures beside their targets; 1 if one is missed, else 0."""
-    width = max(len(figure.key) for figure in figures)
-    out = sys.stderr if json_file == "-" else sys.stdout
-    for figure in figures:
-        verdict = "" if not figure.target() else ("met" if figure.met() else "MISSED")
-        print(f"{figure.key:<{width}} {figure.value:10.4g} {figure.unit:<8} {figure.target():<18} {verdict}", file=out)
-    missed = [figure.key for figure in figures if not figure.met()]
-    print(f"{name}: " + (f"{len(missed)} missed: {', '.join(missed)}" if missed else "all targets met"), file=out)
-    if json_file:
-        rows = [figure._asdict() | {"met": figure.met()} for figure in figures]
-        text = json.dumps({"format": f"jaxscan-{name}/1", "figures": rows}, indent=2) + "\n"
-        sys.stdout.write(text) if json_file == "-" else Path(json_file).write_text(text)
-    return 1 if missed else 0

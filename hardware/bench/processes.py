@@ -15,7 +15,6 @@ def launch(
 
     Args:
         command: The program with its arguments.
-        folder: Its working folder.
         errors: File to which its stderr is appended.
         within_s: How long that may take.
         apart: Whether Ctrl-C at the terminal is kept from it, because its starter ends it in order.

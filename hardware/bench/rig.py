@@ -68,7 +68,6 @@ class SimulatedRig:
 
         Args:
             folder: Holds port, log, sockets and the EEPROM's content; made if it is not there.
-            options: Settings of the rig.
         """
         self.folder = Path(folder)
         self.port = str(self.folder / "port")

@@ -70,7 +70,6 @@ class ControlServer:
         """Listen at `path`, which is made; an old socket there is replaced.
 
         Args:
-            path: The socket.
             answer: Called with each line; may be called from several threads.
         """
         path.unlink(missing_ok=True)

@@ -1,52 +1,59 @@
 """The public verbs: they join the core with files, OpenCV and the simulation."""
 
-from jaxscan.api.calibration import calibrate, observe_boards, plan_calibration
-from jaxscan.api.products import (
-    BoardSheets,
-    Texture,
-    align_cloud,
-    began,
-    check_drawing_path,
-    check_panorama_path,
-    colour_cloud,
-    draw_board,
-    draw_panorama,
-    draw_texture,
-    export_photographs,
-    has_photographs,
-    mesh_cloud,
-    open_photographs,
-    panorama_paths,
-    photograph_notes,
-    poisson_mesh,
-    save_board,
-    save_designed_rig,
-    save_drawing,
-    save_panorama,
-    save_scan,
-    textured_mesh,
-    write_sheets,
-)
-from jaxscan.api.recalibration import recalibrate, save_recalibrated_cloud
-from jaxscan.api.simulation import load_simulation, simulate
-from jaxscan.api.sweeps import Reconstruction, reconstruct_capture
-from jaxscan.calibration import Calibration
-from jaxscan.files import (
-    load_board,
-    load_calibration,
-    load_cloud,
-    load_scanner,
-    load_toml,
-    open_capture,
-    save_calibration,
-    save_cloud,
-)
-from jaxscan.files.clouds import read_cloud
-from jaxscan.files.meshes import check_mesh_path, mesh_paths, save_mesh
-from jaxscan.files.simulated import SimulatedCaptures, simulation_digest
-from jaxscan.measurement import compare_clouds, measure_distance, measure_plane, measure_room
-from jaxscan.recalibration import Recalibration, RecalibrationSettings
-from jaxscan.reconstruction import PointCloud, ReconstructSettings, reconstruct
-from jaxscan.simulation import SimulationConfig
-from jaxscan.stripes import StripeSettings, extract_stripes
-from jaxscan.surface import Mesh, MeshSettings, simplify_mesh
+from jaxscan.facades import TYPE_CHECKING, load_on_use
+
+
+if TYPE_CHECKING:
+    from jaxscan.api.calibration import calibrate, observe_boards, plan_calibration
+    from jaxscan.api.products import (
+        BoardSheets,
+        Texture,
+        align_cloud,
+        began,
+        check_drawing_path,
+        check_panorama_path,
+        colour_cloud,
+        draw_board,
+        draw_panorama,
+        draw_texture,
+        export_photographs,
+        has_photographs,
+        mesh_cloud,
+        open_photographs,
+        panorama_paths,
+        photograph_notes,
+        poisson_mesh,
+        save_board,
+        save_designed_rig,
+        save_drawing,
+        save_panorama,
+        save_scan,
+        textured_mesh,
+        write_sheets,
+    )
+    from jaxscan.api.products.reports import board_photographs
+    from jaxscan.api.recalibration import recalibrate, save_recalibrated_cloud
+    from jaxscan.api.simulation import load_simulation, simulate
+    from jaxscan.api.sweeps import Reconstruction, reconstruct_capture
+    from jaxscan.calibration import Calibration
+    from jaxscan.files import (
+        load_board,
+        load_calibration,
+        load_cloud,
+        load_scanner,
+        load_toml,
+        open_capture,
+        save_calibration,
+        save_cloud,
+    )
+    from jaxscan.files.clouds import read_cloud
+    from jaxscan.files.meshes import check_mesh_path, mesh_paths, save_mesh
+    from jaxscan.files.simulated import SimulatedCaptures, simulation_digest
+    from jaxscan.measurement import compare_clouds, measure_distance, measure_plane, measure_room
+    from jaxscan.recalibration import Recalibration, RecalibrationSettings
+    from jaxscan.reconstruction import PointCloud, ReconstructSettings, reconstruct
+    from jaxscan.simulation import SimulationConfig
+    from jaxscan.stripes import StripeSettings, extract_stripes
+    from jaxscan.surface import Mesh, MeshSettings, simplify_mesh
+else:
+    load_on_use(__name__)

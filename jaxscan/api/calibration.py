@@ -84,7 +84,7 @@ def calibrate(
 
     Args:
         captures: Calibration captures of the same board, camera and rig.
-        settings: Settings of the solve.
+        settings: Settings of the solve. Where they do not say how well the motion stops, the headers may.
         known: Parts that are held, or refined.
         only_camera: Calibrate the camera alone, as with `only="camera"` in the settings.
         redetect: Look for corners and stripes again at the places that the first solve predicts,
@@ -103,6 +103,8 @@ def calibrate(
     settings = settings or CalibrationSettings()
     settings = replace(settings, only="camera") if only_camera else settings
     stripes = bool(plan_calibration(captures, settings=settings, known=known).lasers)
+    if settings.angle_sigma is None:
+        settings = replace(settings, angle_sigma=captures[0].stop_sigma)
     board, eyes, looks = common_board(captures, single_lasers=stripes), _eyes(), 2 if redetect else 1
     _part(progress, 0, looks)(0, sum(len(capture) for capture in captures))
     doing = getattr(progress, "doing", lambda words: None)

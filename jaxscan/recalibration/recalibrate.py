@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration import Calibration
-from jaxscan.calibration.verdict import predict_lengths
+from jaxscan.calibration import Calibration, predict_lengths
 from jaxscan.errors import CalibrationError, GivenError
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration import judge

@@ -5,8 +5,7 @@ import math
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from jaxscan.calibration import Calibration, ModelTest, Quality
-from jaxscan.calibration.verdict import GoodTo, is_named, judge_views, noise_kind
+from jaxscan.calibration import Calibration, GoodTo, ModelTest, Quality, is_named, judge_views, noise_kind
 
 
 TESTS = {

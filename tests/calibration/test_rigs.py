@@ -52,6 +52,7 @@ def assert_stored(calibration, tmp_path):
     assert solve_again(again).reproduced is True
 
 
+@pytest.mark.more
 def test_a_linear_stage(world, seen, tmp_path):
     rig, observations = seen("linear")
     calibration = calibrate_observations(observations)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxscan
-from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
+from jaxscan.cli.options import calibration_at, capture_at, check_paths, file_at
 from jaxscan.errors import OptionError
 from jaxscan.vision import encode_png
 

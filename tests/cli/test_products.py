@@ -62,6 +62,22 @@ def test_plan(room, run, tmp_path):
 def test_section(room, run, tmp_path):
     ran = run("plan", room, "-o", tmp_path / "section.svg", "--section", 0.7, 1, 0.7, 2)
     assert ran.code == 0 and (tmp_path / "section.svg").read_bytes().startswith(b"<?xml")
+    # What was cut is said, not the walls of the plan.
+    assert "Section through (0.70, 1.00) and (0.70, 2.00) of the plan" in ran.out and "width" in ran.out
+    assert "W1" not in ran.out and "the plan's origin is at" in ran.out
+
+
+def test_section_before_a_wall(room, run, tmp_path):
+    """It is parallel to the wall and so far from it, inside of the room."""
+    ran = run("plan", room, "-o", tmp_path / "section.svg", "--section", "W1+0.9", "--json", tmp_path / "s.json")
+    assert ran.code == 0 and "0.9 m before W1" in ran.out
+    result = json.loads((tmp_path / "s.json").read_text())
+    a, b = np.array(result["section_m"])
+    corners = [np.array(wall["start_m"])[:2] for wall in result["walls"][:2]]
+    along = (corners[1] - corners[0]) / np.linalg.norm(corners[1] - corners[0])
+    np.testing.assert_allclose((b - a) / np.linalg.norm(b - a), along, atol=1e-9)
+    # Walls are in the order in which the room is to their left.
+    assert (a - corners[0]) @ [-along[1], along[0]] == pytest.approx(0.9, abs=2e-3)  # corners at the floor and at 1 m
 
 
 def test_orthophoto(room, run, tmp_path):
@@ -113,6 +129,9 @@ class TestRefusals:
         assert "does not meet the room" in refused(*words, 50, 0, 50, 1)
         assert "are one" in refused(*words, 1, 1, 1, 1)
         assert "--section" in refused(*words, 1, 1, 1, "nan")
+        assert "expected a wall and metres" in refused(*words, 1, 1, 1)
+        assert "expected one of the plan's: W1, W2" in refused(*words, "W77+1")
+        assert "does not meet the room" in refused(*words, "W1+99")
         assert list(tmp_path.iterdir()) == []
 
     def test_names(self, room, refused, tmp_path):

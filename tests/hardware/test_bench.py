@@ -10,8 +10,8 @@ import serial
 from bench.camera.follow import Exposure, LogReader, Plant
 from bench.errors import BenchError
 from bench.rig import CLOCK_HZ
-from scanrig.controllers.jxs.connect import connect
-from scanrig.controllers.settings import Settings
+from scanrig.controllers.controller import Settings
+from scanrig.controllers.jxs.controller import connect
 
 
 def pulses(edges, pin):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
+from scanrig.cameras.simulated import FrameShape, SyntheticScene, draw
 from scanrig.checks.compare import compare_pairs
 from scanrig.config import ChecksTable
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxscan.calibration.chi_squared import chance_of
 from jaxscan.errors import CalibrationError
+from jaxscan.leastsq import chance_of
 from jaxscan.recalibration import Drift, HoldOut, RecalibrationSettings, Surfaces, Tracks
 from jaxscan.recalibration.judge import (
     closure_of,

@@ -40,9 +40,7 @@ class RenderedCamera:
 
         Args:
             folder: Holds its control socket and its ledger; made if it is not there.
-            edges: The rig's log.
             world: The world in front of it, a simulated rig.
-            microsteps_per_turn: Of the rig's plant.
             apart: Whether Ctrl-C at the terminal is kept from it.
         """
         self.folder, self.edges, self.world, self.address = Path(folder), edges, world, ADDRESS

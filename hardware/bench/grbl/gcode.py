@@ -29,9 +29,7 @@ def parse(text: str, *, motion: str, feed: float) -> Block | str:
     """A line without spaces, in capitals.
 
     Args:
-        text: The line.
         motion: G0 or G1, as it was.
-        feed: As it was.
 
     Returns:
         The parsed line, or GRBL's answer to a line that it does not understand.

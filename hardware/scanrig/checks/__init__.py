@@ -5,10 +5,6 @@
 the same place. `guide.py` and `boardview.py` are about boards.
 """
 
-from scanrig.checks.boardview import BoardView, Pose
-from scanrig.checks.compare import Likeness, compare_pairs
-from scanrig.checks.guide import Coverage, Guide
-from scanrig.checks.leaks import PLACES, LeakWatch
-from scanrig.checks.light import LightWatch
-from scanrig.checks.limits import ProofLimits
-from scanrig.checks.proof import PairProof, prove_pair
+from scanrig.checks.compare import PLACES, LeakWatch, LightWatch, Likeness, compare_pairs
+from scanrig.checks.guide import BoardView, Coverage, Guide, Pose
+from scanrig.checks.proof import PairProof, ProofLimits, prove_pair

@@ -6,7 +6,5 @@ uses `recovery.py`, which recovers the rig after a fault, and `steps/`, which ta
 """
 
 from scanrig.session.aim import Sight, Wish, run_aiming
-from scanrig.session.job import Devices, Hooks, SessionResult
-from scanrig.session.placements import Operator, PlacementRequest
-from scanrig.session.run import run_calibration, run_sweep
-from scanrig.session.signals import Interrupts
+from scanrig.session.job import Devices, Hooks, Interrupts, SessionResult
+from scanrig.session.run import Operator, PlacementRequest, run_calibration, run_sweep

@@ -11,11 +11,10 @@ from scanrig.checks import PairProof
 from scanrig.config import RigConfig, with_exposure
 from scanrig.controllers import require_allowed
 from scanrig.errors import CameraError
-from scanrig.session.ending import ended_by, leave_safe
-from scanrig.session.job import Devices, Hooks
+from scanrig.session.job import Devices, Hooks, say_event
 from scanrig.session.plan import angle_deg, controller_settings, nearest
 from scanrig.session.recovery import RecoveringRig
-from scanrig.session.sentences import say_event
+from scanrig.session.run import ended_by, leave_safe
 from scanrig.session.steps import ProvenPair, prove
 
 
@@ -67,7 +66,6 @@ def run_aiming(
     """Take frames until the operator asks to stop; nothing is written.
 
     Args:
-        config: The rig.
         devices: Controller and camera, open.
         see: Called with every look; with several lasers they take turns.
         hooks: Callbacks, of which `notify` and `should_stop` are used.

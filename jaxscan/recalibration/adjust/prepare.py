@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner, Turntable, square_root
-from jaxscan.geometry.tangent import tangent_basis
+from jaxscan.geometry.rigid import tangent_basis
 from jaxscan.recalibration.adjust.room import Lengths, Places, Room, Sight, Unknowns
 from jaxscan.recalibration.given import RecalibrationSettings
 from jaxscan.recalibration.observed import RoomObservations

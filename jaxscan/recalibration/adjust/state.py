@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.calibration.solve import Prepared as BoardData
+from jaxscan.calibration.problem import Prepared as BoardData
 from jaxscan.geometry import Scanner
 from jaxscan.leastsq import Arrow, Covariance, covariance_of, noise_component
 from jaxscan.recalibration.adjust.boards import BoardEquations

@@ -18,9 +18,9 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.chi_squared import chance_of
-from jaxscan.calibration.parameters import PRIORS
+from jaxscan.calibration import PRIORS
 from jaxscan.geometry import Scanner, Turntable, root_of
+from jaxscan.leastsq import chance_of
 from jaxscan.recalibration.judge.gain import Compared, compare
 from jaxscan.recalibration.result import Moved
 

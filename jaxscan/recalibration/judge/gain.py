@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.verdict import Lengths
+from jaxscan.calibration import Lengths
 from jaxscan.geometry import Scanner, Turntable
 from jaxscan.recalibration.adjust import point_gradient, triangulate_points
 from jaxscan.recalibration.judge.hold_out import angles_of

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxscan.geometry import Scanner, StripeAxis, points, slopes, stripe_pixel
-from jaxscan.geometry.motions.turntable import ANGLE_PARAMETERS
+from jaxscan.geometry.motions import ANGLE_PARAMETERS
 from jaxscan.leastsq import MEDIAN_TO_SIGMA
 from jaxscan.recalibration.adjust import point_gradient
 from jaxscan.recalibration.observed import SweepStripes
