@@ -17,6 +17,7 @@ from jaxscan.cli.console.slate import MOST_POINTS, pack_points
 from jaxscan.errors import CaptureError, JaxscanError, OutputError
 from jaxscan.files.calibration import calibration_digest
 from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, Capture, journal_objects, read_texts
+from jaxscan.files.disk import open_regular
 from jaxscan.report import words
 from jaxscan.vision import encode_jpeg, to_grey
 
@@ -79,7 +80,7 @@ class Captures:
         for beside, folder in ((False, self.folder), (True, self.folder.parent)):
             for name in _names(folder)[:_MOST_FILES]:
                 path = folder / name
-                if not name.endswith(".json") or not NAME.fullmatch(name) or name in found or path.is_symlink():
+                if not name.endswith(".json") or not NAME.fullmatch(name) or name in found or os.path.islink(path):
                     continue
                 if not os.path.isfile(path) or name.removesuffix(".json") in sweeps:
                     continue
@@ -91,13 +92,13 @@ class Captures:
     def _calibration(self, path: Path, fits: Callable[[Calibration], bool]) -> dict[str, Any] | None:
         """What is known of a calibration; None of another file."""
         state = _changed(path)
-        if state[1] > _MOST_BYTES:
-            return None
         if str(path) not in self._described or self._described[str(path)][0] != state:
             about = None
             # Many files end in .json, and some are large.
-            with suppress(JaxscanError, OSError), path.open("rb") as file:
-                if _FORMAT in file.read(_HEAD):
+            with suppress(JaxscanError):
+                with open_regular(path, error=CaptureError, limit=_MOST_BYTES, links="refuse") as file:
+                    head = file.read(_HEAD)
+                if _FORMAT in head:
                     found = api.load_calibration(path)
                     about = judged(found) if fits(found) else None
             self._described[str(path)] = (state, about)
@@ -150,7 +151,7 @@ class Captures:
     def _own(self, name: str) -> Path:
         """The folder of a capture that is in this folder itself, not elsewhere by a link."""
         path = self.path(name)
-        if path.is_symlink() or not path.is_dir() or not os.path.isfile(path / HEADER_NAME):
+        if os.path.islink(path) or not os.path.isfile(path / HEADER_NAME):
             raise CaptureError(f"{name}: found no capture of this name in {self.folder}.")
         return path
 

@@ -1,6 +1,7 @@
 """The console's addresses: its page, its socket, pictures of captures, their clouds, and the viewer."""
 
 import asyncio
+import os
 from collections.abc import Callable
 
 from aiohttp import web
@@ -77,7 +78,7 @@ def make_site(address: Address, desk: Desk, sessions: Sessions) -> web.Applicati
             path = captures.made(request.match_info["name"], request.match_info["what"])
         except JaxscanError as problem:
             return web.Response(status=404, text=f"{problem}\n")
-        if path.is_symlink() or not path.is_file():
+        if os.path.islink(path) or not os.path.isfile(path):
             return web.Response(status=404, text="it was not made yet.\n")
         headers = {"Content-Disposition": f'attachment; filename="{path.name}"', "Content-Type": _BINARY}
         return web.FileResponse(path, headers=headers)
