@@ -8,6 +8,7 @@ import pytest
 
 from jaxscan.cli.console.captures import Captures
 from jaxscan.errors import CaptureError
+from jaxscan.files.calibration import calibration_digest
 
 
 def test_the_newest_good_calibration_is_found(tiny, tmp_path):
@@ -54,7 +55,11 @@ def test_a_calibration_beside_the_folder_is_found_if_it_fits_the_rig(tiny, tmp_p
     assert (one["file"], one["beside"], one["good"]) == ("better.json", True, True)
     assert one["sigma_mm"] > 0 and one["headline"].startswith("Good to ")
     assert folder.newest_calibration() == tmp_path / "better.json"
-    assert Captures(tmp_path / "captures").newest_calibration(lambda found: False) is None
+    of_another = Captures(tmp_path / "captures", lambda found: False)
+    assert of_another.newest_calibration() is None and of_another.calibrations() == []
+    # A cloud's own is found all the same.
+    digest = calibration_digest(tmp_path / "better.json")
+    assert of_another.calibration_of(digest) == tmp_path / "better.json"
 
 
 def captured(tmp_path, tiny):

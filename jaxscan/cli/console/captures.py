@@ -38,9 +38,14 @@ _WIDE = 960
 class Captures:
     """The captures in a folder; whoever made them is a stranger, and so are their names."""
 
-    def __init__(self, folder: Path) -> None:
-        """The folder need not exist yet."""
-        self.folder = folder
+    def __init__(self, folder: Path, fits: Callable[[Calibration], bool] = lambda one: True) -> None:
+        """The folder need not exist yet.
+
+        Args:
+            folder: Where they are.
+            fits: Whether a calibration is one of the rig.
+        """
+        self.folder, self._fits = folder, fits
         self._known: dict[str, tuple[tuple[int, int], dict[str, Any]]] = {}
         self._described: dict[str, tuple[tuple[int, int], dict[str, Any] | None]] = {}
 
@@ -62,16 +67,16 @@ class Captures:
         """The calibration that is made of a capture."""
         return self.path(name).with_name(name + ".json")
 
-    def newest_calibration(self, fits: Callable[[Calibration], bool] = lambda one: True) -> Path | None:
+    def newest_calibration(self) -> Path | None:
         """The newest calibration that lies in the folder or beside it, may be used, and fits the rig."""
-        return next((self.folder_of(one) / one["file"] for one in self.calibrations(fits) if one["good"]), None)
+        return next((self.folder_of(one) / one["file"] for one in self.calibrations() if one["good"]), None)
 
     def folder_of(self, calibration: dict[str, Any]) -> Path:
         """Where a listed calibration lies."""
         return self.folder.parent if calibration["beside"] else self.folder
 
-    def calibrations(self, fits: Callable[[Calibration], bool] = lambda one: True) -> list[dict[str, Any]]:
-        """The calibrations in the folder and beside it that fit the rig, the newest first.
+    def calibrations(self, *, of_any_rig: bool = False) -> list[dict[str, Any]]:
+        """The calibrations in the folder and beside it that fit the rig, or all of them, the newest first.
 
         Beside it are those that were made in a terminal. A file with the name of a sweep was not made of it.
         """
@@ -84,12 +89,12 @@ class Captures:
                     continue
                 if not os.path.isfile(path) or name.removesuffix(".json") in sweeps:
                     continue
-                about = self._calibration(path, fits)
-                if about is not None:
+                about = self._calibration(path)
+                if about is not None and (about["fits"] or of_any_rig):
                     found[name] = about | {"file": name, "beside": beside, "changed": _changed(path)[0] / 1e9}
         return sorted(found.values(), key=lambda one: -float(one["changed"]))[:_MOST_CALIBRATIONS]
 
-    def _calibration(self, path: Path, fits: Callable[[Calibration], bool]) -> dict[str, Any] | None:
+    def _calibration(self, path: Path) -> dict[str, Any] | None:
         """What is known of a calibration; None of another file."""
         state = _changed(path)
         if str(path) not in self._described or self._described[str(path)][0] != state:
@@ -100,13 +105,13 @@ class Captures:
                     head = file.read(_HEAD)
                 if _FORMAT in head:
                     found = api.load_calibration(path)
-                    about = judged(found) if fits(found) else None
+                    about = judged(found) | {"fits": self._fits(found)}
             self._described[str(path)] = (state, about)
         return self._described[str(path)][1]
 
     def calibration_of(self, digest: str) -> Path | None:
         """The file in the folder or beside it that is the calibration of this digest."""
-        for one in self.calibrations():
+        for one in self.calibrations(of_any_rig=True):
             file = self.folder_of(one) / one["file"]
             if digest and calibration_digest(file) == digest:
                 return file

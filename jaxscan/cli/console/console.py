@@ -67,9 +67,8 @@ def console(
 
         jaxscan.load_scanner(calibration)
     out = console_of(json)
-    folder = Captures(captures)
-    fits = lambda found: _fits(found, rig)
-    calibration = calibration or folder.newest_calibration(fits)
+    folder = Captures(captures, lambda found: _fits(found, rig))
+    calibration = calibration or folder.newest_calibration()
     address = open_address(host, web_port, option="--web-port")
     slate = Slate(
         config=str(config),
@@ -93,7 +92,7 @@ def console(
     with ExitStack() as stack:
         works = stack.enter_context(Works(slate))
         desk = Desk(Chosen(config, port, place_command), slate, folder, out)
-        sessions = Sessions(desk, works, calibration, fits)
+        sessions = Sessions(desk, works, calibration)
         sessions.list()
         stack.enter_context(Server(make_site(address, desk, sessions), address))
         for line in address.invitation():

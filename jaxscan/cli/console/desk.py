@@ -5,7 +5,7 @@ import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxscan.cli.console.boards import PageOperator
 from jaxscan.cli.console.captures import Captures
@@ -115,8 +115,7 @@ class Desk:
         from scanrig.config import load_rig, with_exposure
 
         with_exposure(load_rig(self.chosen.config), exposure_ms, gain_db)
-        self._wish = self.wish()._replace(exposure_ms=exposure_ms, gain_db=gain_db)
-        self._show_wish()
+        self._change(exposure_ms=exposure_ms, gain_db=gain_db)
 
     def _want(self, order: Order) -> None:
         if order.do != "expose" and self._doing != "aim":
@@ -126,9 +125,16 @@ class Desk:
             case "expose":
                 self.expose(order.exposure_ms, order.gain_db)
             case "jog":
-                self._wish = self.wish()._replace(angle_deg=order.deg)
+                self._change(angle_deg=order.deg)
             case "light":
-                self._wish = self.wish()._replace(lit=order.on)
+                self._change(lit=order.on)
+            case "auto":
+                self._show_wish()
+
+    def _change(self, **fields: Any) -> None:
+        # "Auto" exposes in the main thread while a page turns the table.
+        with self._lock:
+            self._wish = self.wish()._replace(**fields)
         self._show_wish()
 
     def _show_wish(self) -> None:

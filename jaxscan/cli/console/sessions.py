@@ -11,7 +11,6 @@ import numpy as np
 
 import jaxscan
 from jaxscan import api
-from jaxscan.calibration import Calibration
 from jaxscan.cli.boards import CommandOperator, make_guide
 from jaxscan.cli.console.boards import PageOperator, on_board_pair
 from jaxscan.cli.console.captures import judged
@@ -37,22 +36,8 @@ _ENOUGH_PLACEMENTS = 2
 class Sessions:
     """The sessions of a desk, and the works that follow them."""
 
-    def __init__(
-        self,
-        desk: Desk,
-        works: Works,
-        calibration: Path | None,
-        fits: Callable[[Calibration], bool] = lambda one: True,
-    ) -> None:
-        """Give the desk its sessions.
-
-        Args:
-            desk: That carries them out.
-            works: That follow them.
-            calibration: With which clouds are made at first.
-            fits: Whether a calibration is one of this rig.
-        """
-        self.fits = fits
+    def __init__(self, desk: Desk, works: Works, calibration: Path | None) -> None:
+        """Give the desk its sessions."""
         self._desk, self._works = desk, works
         self._slate, self._captures = desk.slate, desk.captures
         self.calibration = calibration
@@ -208,7 +193,7 @@ class Sessions:
         Raises:
             OptionError: If it is none of them, or may not be used.
         """
-        found = next((one for one in self._captures.calibrations(self.fits) if one["file"] == file), None)
+        found = next((one for one in self._captures.calibrations() if one["file"] == file), None)
         if found is None or not found["good"]:
             raise OptionError(f"{file}: is no calibration of this rig that may be used.")
         self._take(self._captures.folder_of(found) / file)
@@ -276,7 +261,8 @@ class Sessions:
         self.list()
 
     def _require_idle(self) -> None:
-        if self._slate.read("doing") not in ("nothing", "aim") or self._works.busy:
+        # Not while somebody looks either: large folders take a while, and Stop would wait.
+        if self._slate.read("doing") != "nothing" or self._works.busy:
             raise OptionError("something is captured or calculated: wait until it is done.")
 
     def compare(self, name: str, other: str) -> None:
@@ -290,7 +276,7 @@ class Sessions:
 
         folder = self._captures.folder.absolute()
         there = next(path for path in (folder, *folder.parents) if path.exists())
-        calibrations = self._captures.calibrations(self.fits)
+        calibrations = self._captures.calibrations()
         self._slate.write(captures=self._captures.listed(), calibrations=calibrations, free_bytes=free_bytes(there))
 
     def _expect(self, running: Running, plan: ScanPlan, *, by_hand: bool = False) -> None:
