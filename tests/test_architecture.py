@@ -93,6 +93,7 @@ HOME_OF = {
     "simplejpeg": {"vision"},
     "scipy": {
         "measurement",
+        "recalibration",
         "leastsq/robust.py",
         "geometry/rigid.py",
         "stripes/predict.py",

@@ -10,7 +10,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from jaxscan.api.ranges import ranges_of
+from jaxscan.api.sweeps import ranges_of
 from jaxscan.errors import CaptureError, ConfigError
 from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, open_capture
 from jaxscan.files.disk import MEGABYTE, file_digest, read_bounded

@@ -19,7 +19,7 @@ from jaxtyping import Shaped
 
 import jaxscan
 from jaxscan import api
-from jaxscan.api.ranges import cloud_of_ranges, stripes_of_range
+from jaxscan.api.sweeps import cloud_of_ranges, stripes_of_range
 from jaxscan.calibration import Calibration
 from jaxscan.drawing import draw_plan, survey_room
 from jaxscan.errors import CalibrationError, CaptureError, CloudError, GivenError, JaxscanError, MeasurementError
@@ -234,7 +234,7 @@ def draw_panorama(workspace: StepWorkspace) -> None:
 def write_report(workspace: StepWorkspace) -> None:
     """The report of a cloud."""
     # Imported here, because it loads matplotlib.
-    from jaxscan.api.products.reports import report_files
+    from jaxscan.api.reports import report_files
 
     report_files(workspace.file("cloud"), workspace.file("calibration"), workspace.target())
 

@@ -1,9 +1,12 @@
 """Many points of one scanner at once, and how they follow from its parameters; NumPy on the host."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import Scanner, lit_points, lit_slopes, poses, transform
+from jaxscan.recalibration.observed import RoomObservations, SurfacePoints
 
 
 # Of differences, in units of the unknowns.
@@ -34,6 +37,28 @@ def triangulate_points(
     p_cam, incidence = lit_points(rig, q, laser)
     point = transform(poses(rig, phi), p_cam)
     return np.asarray(point if station is None else transform(station, point)), np.asarray(incidence) > 0
+
+
+def place_points(
+    scanner: Scanner,
+    observations: RoomObservations,
+    corrections: Sequence[np.ndarray] = (),
+    *,
+    stations: Float[np.ndarray, "stations 4 4"] | None = None,
+    points: SurfacePoints | None = None,
+) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+    """`triangulate_points` of all points on surfaces, or of some.
+
+    Args:
+        scanner: Any.
+        observations: With the angles and the stations of the sweeps.
+        corrections: Of the angles of every sweep [rad]; without any, none.
+        stations: T_room_scanner of every station; None for each scanner's own frame.
+        points: Some of the points; None: all.
+    """
+    points = observations.points if points is None else points
+    pose = None if stations is None else np.asarray(stations)[np.asarray(observations.station)[points.sweep]]
+    return triangulate_points(scanner, points.q, points.laser, observations.angles_of(points, corrections), pose)
 
 
 def point_gradient(

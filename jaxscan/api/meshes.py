@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from jaxscan.api.products.photographs import open_photographs
+from jaxscan.api.photographs import open_photographs
 from jaxscan.files.capture import Capture
 from jaxscan.geometry import Scanner
 from jaxscan.measurement import camera_centres

@@ -1,19 +1,222 @@
-"""A simulated GRBL 1.1 board on a pseudo terminal, with one axis, a laser as its spindle, and faults on demand.
+"""A GRBL board without hardware: a program on a pseudo terminal, written from GRBL's documentation."""
 
-Source: "Grbl v1.1 Interface", "Grbl v1.1 Commands", "Grbl v1.1 Configuration", "Grbl v1.1 Laser Mode" of
-github.com/gnea/grbl.
-"""
-
+import math
+import os
 import re
+import select
 import threading
 import time
+import tty
+from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
-from bench.grbl.gcode import parse
-from bench.grbl.motion import Axis
-from bench.grbl.settings import SETTINGS
-from bench.grbl.terminal import Terminal
+
+SETTINGS = {
+    1: 255.0,  # step idle delay: 255 keeps the motor on
+    10: 1.0,  # reports have MPos
+    13: 0.0,  # reports in millimetres
+    21: 0.0,  # hard limits
+    22: 1.0,  # homing
+    23: 1.0,  # homing downwards
+    25: 60000.0,  # homing seek, units/min
+    27: 1.0,  # pull-off
+    30: 1000.0,  # largest S
+    32: 0.0,  # laser mode
+    100: 80.0,  # steps per unit
+    110: 60000.0,  # largest rate, units/min
+    120: 20000.0,  # acceleration, units/s²
+    130: 400.0,  # travel
+}
+"""Settings of a fast board: tests are about its logic."""
+
+
+_WORD = re.compile(r"([A-Z])(-?\d*\.?\d+)")
+_CODES = {"G0", "G1", "G4", "G21", "G53", "G90", "G94", "M3", "M5"}
+_VALUES = set("XFSP")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A parsed line."""
+
+    motion: str
+    """G0 or G1, which stays for the lines after it."""
+    feed: float
+    power: float | None
+    spindle: str | None
+    """M3 or M5."""
+    target: float | None
+    """Where the axis is to go."""
+    waits: bool
+    """Whether it is carried out only when all motions before it are over."""
+
+
+def parse(text: str, *, motion: str, feed: float) -> Block | str:
+    """A line without spaces, in capitals.
+
+    Args:
+        motion: G0 or G1, as it was.
+
+    Returns:
+        The parsed line, or GRBL's answer to a line that it does not understand.
+    """
+    words = _WORD.findall(text)
+    if "".join(letter + number for letter, number in words) != text:
+        return "error:2" if text[0].isalpha() else "error:1"
+    codes = [f"{letter}{float(number):g}" for letter, number in words if letter in "GM"]
+    values = {letter: float(number) for letter, number in words if letter not in "GM"}
+    if not set(codes) <= _CODES or not set(values) <= _VALUES:
+        return "error:20"
+    motion = next((code for code in codes if code in ("G0", "G1")), motion)
+    feed = values.get("F", feed)
+    if "X" in values and motion == "G1" and feed <= 0:
+        return "error:22"
+    spindle = next((code for code in codes if code in ("M3", "M5")), None)
+    waits = spindle is not None or "G4" in codes
+    return Block(motion, feed, values.get("S"), spindle, values.get("X"), waits)
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """A motion from rest to rest: up with an acceleration, on with a speed, down again."""
+
+    begin: float
+    end: float
+    speed: float
+    acceleration: float
+    start_s: float
+
+    @property
+    def _peak(self) -> float:
+        return min(self.speed, math.sqrt(self.acceleration * abs(self.end - self.begin)))
+
+    @property
+    def seconds(self) -> float:
+        """How long it takes."""
+        distance, peak = abs(self.end - self.begin), self._peak
+        return 0.0 if distance == 0 else distance / peak + peak / self.acceleration
+
+    def at(self, now: float) -> tuple[float, float]:
+        """Position and speed, which has the sign of the motion, at a time."""
+        t, total, peak, a = now - self.start_s, self.seconds, self._peak, self.acceleration
+        sign = math.copysign(1.0, self.end - self.begin)
+        if t >= total:
+            return self.end, 0.0
+        up = peak / a
+        if t < up:
+            return self.begin + sign * a * t * t / 2, sign * a * t
+        if t > total - up:
+            left = total - t
+            return self.end - sign * a * left * left / 2, sign * a * left
+        return self.begin + sign * (a * up * up / 2 + peak * (t - up)), sign * peak
+
+
+class Axis:
+    """An axis that carries out one motion after the other, and can be held or stopped at once."""
+
+    def __init__(self, place: float = 0.0) -> None:
+        self.held = False
+        self._queue: deque[tuple[float, float, float]] = deque()
+        self._ramp: Ramp | None = None
+        self._place = place
+
+    @property
+    def queued(self) -> int:
+        """Motions that have not begun."""
+        return len(self._queue)
+
+    @property
+    def target(self) -> float:
+        """Position after all motions."""
+        if self._queue:
+            return self._queue[-1][0]
+        return self._place if self._ramp is None else self._ramp.end
+
+    @property
+    def busy(self) -> bool:
+        """Whether motions are left."""
+        return self._ramp is not None or bool(self._queue)
+
+    @property
+    def moving(self) -> bool:
+        """Whether it turns at this moment."""
+        return self._ramp is not None
+
+    def go(self, to: float, speed: float, acceleration: float) -> None:
+        """Append a motion."""
+        self._queue.append((to, speed, acceleration))
+
+    def hold(self, now: float) -> None:
+        """Slow down, and stay."""
+        if self.held:
+            return
+        self.held = True
+        if self._ramp is not None:
+            place, speed = self._ramp.at(now)
+            way = math.copysign(speed * speed / (2 * self._ramp.acceleration), speed)
+            self._queue.appendleft((self._ramp.end, self._ramp.speed, self._ramp.acceleration))
+            # A ramp whose second half is this slowing down.
+            begin = now - abs(speed) / self._ramp.acceleration
+            self._ramp = Ramp(place - way, place + way, math.inf, self._ramp.acceleration, begin)
+
+    def resume(self) -> None:
+        """Go on after a hold."""
+        self.held = False
+
+    def halt(self, now: float) -> None:
+        """Stop at once, and clear the queue."""
+        self._place = self.at(now)
+        self._ramp, self.held = None, False
+        self._queue.clear()
+
+    def at(self, now: float) -> float:
+        """Its position."""
+        return self._place if self._ramp is None else self._ramp.at(now)[0]
+
+    def run(self, now: float) -> None:
+        """End a finished motion, and begin the next."""
+        if self._ramp is not None and now - self._ramp.start_s >= self._ramp.seconds:
+            self._place, self._ramp = self._ramp.end, None
+        if self._ramp is None and self._queue and not self.held:
+            to, speed, acceleration = self._queue.popleft()
+            if to != self._place:
+                self._ramp = Ramp(self._place, to, speed, acceleration, now)
+
+
+class Terminal:
+    """Two ends: the program's, which is used here, and the one that a host opens by name."""
+
+    def __init__(self, name: str) -> None:
+        """Open it; `name` becomes a link to the host's end."""
+        self._ours, self._theirs = os.openpty()
+        tty.setraw(self._theirs)
+        self._link = Path(name)
+        self._link.unlink(missing_ok=True)
+        self._link.symlink_to(os.ttyname(self._theirs))
+
+    def wait(self, timeout_s: float) -> bool:
+        """Whether something has come within a time; False once it is closed."""
+        try:
+            return bool(select.select([self._ours], [], [], timeout_s)[0])
+        except (OSError, ValueError):
+            return False
+
+    def read(self) -> bytes:
+        """Received bytes."""
+        return os.read(self._ours, 4096)
+
+    def write(self, data: bytes) -> None:
+        """Send it."""
+        os.write(self._ours, data)
+
+    def close(self) -> None:
+        """Pull the cable."""
+        os.close(self._ours)
+        os.close(self._theirs)
+        self._ours = -1
+        self._link.unlink(missing_ok=True)
 
 
 GREETING = "Grbl 1.1h ['$' for help]"

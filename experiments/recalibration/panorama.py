@@ -2,7 +2,7 @@
 
 The laser of the rig of `configs/paper.toml` is turned by 0.05 degrees after a good calibration.
 
-    python -m experiments.tables.recalibration_panorama [SEED]
+    python -m experiments.recalibration.panorama [SEED]
 """
 
 import sys
