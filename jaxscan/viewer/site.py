@@ -14,11 +14,10 @@ import numpy as np
 from aiohttp import web
 from aiohttp.typedefs import Handler
 
-from jaxscan.errors import JaxscanError, MeasurementError, OptionError
+from jaxscan.errors import JaxscanError, OptionError
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import PointCloud
 from jaxscan.viewer.colours import COLOURINGS, Scale
-from jaxscan.viewer.measuring import measure_between
 from jaxscan.viewer.orders import MOST_BYTES, Order, parse_order
 from jaxscan.viewer.session import Session, inside_section
 from jaxscan.viewer.shown import ShownCloud, middle_of
@@ -51,8 +50,6 @@ _MOST_STATIONS = 50
 _MOST_PRODUCTS = 500
 _URGENT = ("failed", "stale", "missing", "done")
 _NUMBER = re.compile(r"[0-9]{1,6}")
-_TRIES = 20
-"""Pairs of places that are tried until one has enough points."""
 _KEPT = 2
 """Colourings of all clouds that are kept."""
 
@@ -157,12 +154,9 @@ class View:
         self._slots = asyncio.Semaphore(AT_ONCE)
         self._surfaces: dict[int, Surface] = {}
         self._joining = asyncio.Lock()
-        self._prepared: asyncio.Task[None] | None = None
 
     async def scene(self, _: web.Request) -> web.Response:
         """What there is: clouds with the lists of their chunks, places to stand in, colourings."""
-        if self._prepared is None:
-            self._prepared = asyncio.create_task(asyncio.to_thread(self._prepare))
         clouds = [
             {
                 "name": cloud.name,
@@ -253,15 +247,6 @@ class View:
         fields = [f"property double {x}" for x in "xyz"] + [f"property uchar {x}" for x in ("red", "green", "blue")]
         head = ["ply", "format binary_little_endian 1.0", "comment metres", f"element vertex {len(rows)}", *fields]
         return "\n".join([*head, "end_header\n"]).encode() + rows.tobytes()
-
-    def _prepare(self) -> None:
-        """Compile what measures before somebody clicks: the first distance would take seconds."""
-        cloud, generator = self.clouds[0], np.random.default_rng(0)
-        for _ in range(_TRIES):
-            a, b = cloud.xyz[generator.integers(cloud.points, size=2)] + cloud.origin
-            with suppress(MeasurementError):
-                measure_between(cloud, a, b, self._scanner)
-                return
 
     async def panorama(self, request: web.Request) -> web.Response:
         """The panorama of a cloud, JPEG."""
