@@ -53,7 +53,7 @@ MAY_IMPORT = {
     "report": CORE | {"vision"},
     "web": set(),
     "project": CORE | {"files", "api"},
-    "viewer": {"geometry", "measurement", "reconstruction", "web"},
+    "viewer": {"geometry", "measurement", "reconstruction", "surface", "web"},
     "api": ANY - {"api", "cli", "web", "viewer", "project", "fleet"},
     "fleet": {"project", "files"},
     "cli": ANY,
