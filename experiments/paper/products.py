@@ -55,7 +55,7 @@ from jaxscan.simulation import (
     sweep_angles,
     take_frame,
 )
-from jaxscan.simulation.rays import project
+from jaxscan.simulation.rig import project
 from jaxscan.simulation.scene import Scene
 from jaxscan.stripes import LaserLine, PixelFormat, Response
 from jaxscan.vision import board_texture

@@ -16,8 +16,7 @@ from experiments.worlds.exact_rig import IdealRig
 from jaxscan.recalibration import SweepStripes, Tracks
 from jaxscan.simulation import Motion, RoomSpec, SimulationConfig, distort, make_rig, rodrigues, undistort
 from jaxscan.simulation.scene.meshes import Mesh
-from jaxscan.simulation.scene.room import furnish
-from jaxscan.simulation.scene.scene import Scene, build_scene
+from jaxscan.simulation.scene.scene import Scene, build_scene, furnish
 from jaxscan.simulation.scene.textures import Material
 
 
