@@ -97,6 +97,7 @@ def test_two_epochs(two):
     assert one.sigma_m == pytest.approx(np.hypot(*sigmas), rel=1e-9)
 
 
+@pytest.mark.more
 def test_what_failed_when_it_was_made_anew_is_lost(two, run):
     first, second = two
     for image in (second.parent / "room-1").glob("on/*"):
