@@ -36,7 +36,7 @@ from jaxscan import recalibration
 from jaxscan.measurement.room import RoomBox
 from jaxscan.reconstruction import plan_sweep, smooth_stripes
 from jaxscan.simulation import Motion, Placement, SimulationConfig, make_rig, rodrigues, take_frame
-from jaxscan.simulation.rays import project
+from jaxscan.simulation.rig import project
 
 
 PROFILES, ROWS = 360, 200

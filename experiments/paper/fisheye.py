@@ -22,7 +22,7 @@ from experiments.paper.stage import CONFIGS, Metric, Stage, plt, save, smaller
 from experiments.paper.table_1 import AGREE
 from jaxscan.calibration import CalibrationSettings
 from jaxscan.measurement.room import Dimension, RoomBox
-from jaxscan.report.clouds import View, draw_cloud
+from jaxscan.report.clouds import Viewpoint, draw_cloud
 from jaxscan.simulation import SimulationConfig, make_scene
 from jaxscan.simulation.scene import Scene
 
@@ -194,7 +194,7 @@ def draw_room(stage: Stage, cloud: jaxscan.PointCloud, box: RoomBox, shares: tup
     figure, axes = plt.subplot_mosaic(
         [["inside", "inside"], ["top", "side"]], figsize=(14, 13), height_ratios=(1.3, 1), layout="constrained"
     )
-    within = View((0.0, 0.0, 0.15), tuple(map(float, 3 * ahead)), fov_deg=110.0, cut_away=False)
+    within = Viewpoint((0.0, 0.0, 0.15), tuple(map(float, 3 * ahead)), fov_deg=110.0, cut_away=False)
     axes["inside"].imshow(draw_cloud(xyz, rgb, size=(1400, 750), view=within))
     axes["inside"].set_title("From the scanner's place, along the room")
     axes["inside"].axis("off")

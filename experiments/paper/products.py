@@ -1,4 +1,11 @@
-"""Captures of boards by the paper's protocol and by ours: rendered once, then with many draws of noise."""
+"""What several experiments of the paper need and one makes: boards, sweeps, calibrations of all draws, the room.
+
+Boards by the paper's protocol and by ours are rendered once, then written with many draws of noise. In the kind world
+the table takes all 3600 steps of the room, as in the paper; in the unkind one every tenth, since a frame there takes
+three times as long to render; a quick sweep has 90 steps. The rig's camera is grey: a camera with the same pixels in
+colour takes laser-off frames every few degrees, and each point takes its colour from the nearest of them, for
+pictures only.
+"""
 
 import itertools
 import shutil
@@ -48,7 +55,7 @@ from jaxscan.simulation import (
     sweep_angles,
     take_frame,
 )
-from jaxscan.simulation.rays import project
+from jaxscan.simulation.rig import project
 from jaxscan.simulation.scene import Scene
 from jaxscan.stripes import LaserLine, PixelFormat, Response
 from jaxscan.vision import board_texture

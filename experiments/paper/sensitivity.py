@@ -29,8 +29,8 @@ from experiments.worlds.ideal_boards import BoardPoses, add_noise, ideal_boards
 from jaxscan.calibration import USUALLY_FREE
 from jaxscan.recalibration import SweepStripes
 from jaxscan.simulation import SimulationConfig, make_rig, render_sweep
-from jaxscan.simulation.planning import Placement, plan_boards
 from jaxscan.simulation.scene import make_scene
+from jaxscan.simulation.sweep import Placement, plan_boards
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The surroundings of an experiment: its world, its folders, and the number of draws."""
+"""What an experiment of the paper stands on: its world, its folders, its figures and their baseline, its pictures."""
 
 import json
 import sys

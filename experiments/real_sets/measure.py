@@ -1,4 +1,4 @@
-"""Figures of a calibration and of a cloud, the same for every method."""
+"""Figures of a calibration and of a cloud, the same for every method: by the command line, and by the plain one."""
 
 import json
 import os

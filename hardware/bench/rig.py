@@ -10,10 +10,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from bench.build import SIMRUN, build
-from bench.errors import BenchError
-from bench.processes import end, epitaph, launch
-from bench.sockets import ControlClient
+from bench.places import BenchError
+from bench.processes import SIMRUN, ControlClient, build, end, epitaph, launch
 
 
 CLOCK_HZ = 16_000_000

@@ -10,7 +10,7 @@ import pydantic
 
 from jaxscan.files.capture import BoardTable, LaserTable
 from jaxscan.files.disk import FileModel, Integer, Number, load_toml
-from jaxscan.geometry.motions.turntable import Turns
+from jaxscan.geometry.motions import Turns
 from jaxscan.stripes import LaserLine
 from scanrig.cameras import CameraSettings
 from scanrig.checks import ProofLimits

@@ -10,7 +10,7 @@ from jaxtyping import ArrayLike, Float
 
 from jaxscan.geometry.arrays import Array, ArrayModule, Component, namespace, real
 from jaxscan.geometry.parameters import ParameterBlock
-from jaxscan.geometry.tangent import move_direction, tangent_basis, unit_vector
+from jaxscan.geometry.rigid import move_direction, tangent_basis, unit_vector
 
 
 class LaserSheet(ArrayModule):

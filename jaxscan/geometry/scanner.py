@@ -14,9 +14,8 @@ from jaxscan.geometry import kinematics
 from jaxscan.geometry.arrays import Array, ArrayModule
 from jaxscan.geometry.cameras import AbstractCamera
 from jaxscan.geometry.laser import LaserSheet, stack_lasers
-from jaxscan.geometry.layout import Layout, make_layout
 from jaxscan.geometry.motions import AbstractMotion, Still
-from jaxscan.geometry.rig import Rig
+from jaxscan.geometry.rig import Layout, Rig, make_layout
 from jaxscan.geometry.rigid import transform
 
 

@@ -4,9 +4,13 @@ from jaxscan.facades import TYPE_CHECKING, load_on_use
 
 
 if TYPE_CHECKING:
-    from jaxscan.recalibration.given import Given, KnownSphere, MeasuredLength, Place, RecalibrationSettings
     from jaxscan.recalibration.observed import (
+        Given,
         KnownLength,
+        KnownSphere,
+        MeasuredLength,
+        Place,
+        RecalibrationSettings,
         RoomObservations,
         SurfacePoints,
         Surfaces,

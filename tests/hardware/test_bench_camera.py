@@ -13,7 +13,7 @@ import pytest
 import serial
 from bench.camera.rendered import loopback
 from bench.places import WORLD
-from bench.sockets import ControlClient
+from bench.processes import ControlClient
 from scanrig.cameras import CameraSettings, open_camera
 from scanrig.controllers.controller import Settings
 from scanrig.controllers.jxs.controller import connect

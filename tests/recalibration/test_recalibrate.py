@@ -106,7 +106,7 @@ def test_progress_ends_at_its_end(poor):
 def test_a_laser_that_turned_is_found_and_put_right(drifted):
     assert drifted.updated and drifted.drift.drifted and drifted.drift.p < 1e-3
     assert "laser red" in drifted.drift.part and "degrees" in drifted.drift.size
-    from jaxscan.simulation.truth import true_scanner
+    from jaxscan.simulation.sweep import true_scanner
 
     truth = true_scanner(turn_laser(config(), 0.05, 3))
     error, names = departure(truth, drifted.scanner), truth.parameter_names()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from jaxscan.recalibration import Adjusted, RoomObservations, SurfacePoints, Surfaces
-from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.segment import flat
+from jaxscan.recalibration.triangulate import triangulate_points
 from tests.recalibration.faces import Cylinder, Face, Taken, X, Y, box, rig, take
 
 

@@ -1,4 +1,4 @@
-"""The functions of libaravis-0.8 that a camera needs, through ctypes; each GError becomes an exception."""
+"""GenICam cameras through libaravis-0.8, by ctypes: found, taken over from a process that is gone, set up, and read."""
 
 import contextlib
 import ctypes

@@ -1,4 +1,4 @@
-"""Unwraps frame ids, and counts missing frames."""
+"""What every camera is: its settings and features, its frames with their numbers, and the interface."""
 
 import math
 from abc import ABC, abstractmethod

@@ -1,4 +1,4 @@
-"""Sets up a camera through OpenCV, and reads its settings back."""
+"""USB cameras through OpenCV: opened, set up with every setting read back, and read."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""Frames without a renderer: a Gaussian laser line on a textured wall, with noise."""
+"""A camera without hardware, and frames without a renderer: a Gaussian laser line on a textured wall, with noise."""
 
 import threading
 from collections import deque

@@ -1,4 +1,4 @@
-"""Detects a laser that shines in the laser-off frames too, from several pairs; a single pair cannot show it."""
+"""Compares pairs: two of the same place, the leak of the laser over several, the light of the room over many."""
 
 from collections import deque
 from dataclasses import dataclass

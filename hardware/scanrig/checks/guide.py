@@ -1,4 +1,4 @@
-"""One view of the calibration board without a calibration: its place, distance and tilt, and the stripe on it."""
+"""Advice for placing the calibration board: what one view shows without a calibration, and what is still missing."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""Measures on a pair: how much of a ridge contrast explains, differences beside the laser, leak, clipping."""
+"""Measures on a pair: its lines in linear DN, ridges across them, how much contrast explains, leak and clipping."""
 
 from typing import NamedTuple
 

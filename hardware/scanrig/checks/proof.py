@@ -1,4 +1,4 @@
-"""The configurable limits for the proof of a pair."""
+"""The proof of a pair: whether its two frames show what they should, within configurable limits."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal, NamedTuple

@@ -1,4 +1,4 @@
-"""The settings of a controller for a session."""
+"""What every controller is: its tables in the configuration, settings, status, guarantees, and the interface."""
 
 import logging
 from abc import ABC, abstractmethod

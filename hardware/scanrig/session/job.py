@@ -1,4 +1,4 @@
-"""Signals that end a session: the first after the step, the second at once."""
+"""A session's inputs, result and messages, and the signals that end it: the first after the step, the second now."""
 
 import contextlib
 import os

@@ -1,4 +1,4 @@
-"""Ends sessions: classifies errors, and switches the laser off in every case."""
+"""Sessions from the lock to the seal: sweeps and calibrations, their ends, and the laser off at each of them."""
 
 import contextlib
 import logging

@@ -1,4 +1,4 @@
-"""Judges pairs by others: a change of the room's light, a laser that stays on, a step that is taken again."""
+"""Takes records, and tracks which are suspect: pairs are judged by others, steps are taken again."""
 
 import math
 from collections.abc import Callable, Sequence

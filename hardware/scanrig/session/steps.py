@@ -1,8 +1,6 @@
 """One step, from the motion to the disk.
 
-`grab.py` takes the two frames, `step.py` repeats that until they are believed, or proven. `flights.py` follows the
-pairs that are proven and written in the background.
-"""
+Two frames are taken, and again until they are accepted or proven; pairs are proven and written in the background."""
 
 import logging
 from collections import deque

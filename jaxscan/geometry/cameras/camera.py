@@ -27,7 +27,7 @@ class AbstractCamera(ArrayModule):
     Its minimal coordinates are fx, fy, cx, cy and the coefficients of its lens, in this order. A
     model adds its name, the blocks of its coefficients, the projection with its slopes and its
     inverse, and first values from a radial curve. All three are written component by component, for
-    any leading axes, in the functions of a `namespace`: JAX's or NumPy's. `CAMERAS` in `registry.py` lists the models.
+    any leading axes, in the functions of a `namespace`: JAX's or NumPy's. `CAMERAS` lists the models.
     """
 
     model: eqx.AbstractClassVar[str]

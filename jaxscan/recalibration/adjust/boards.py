@@ -101,8 +101,8 @@ def board_equations(rig: Rig, data: Prepared, before: BoardEquations | None) -> 
 
 
 def with_boards(room: Room, z: Float[np.ndarray, " params"], equations: BoardEquations) -> Room:
-    """The room's problem with these equations of a step from the scanner at `z` in the last rows of `told`."""
+    """The room's problem with these equations of a step from the scanner at `z` in the last of its `linear_rows`."""
     rows = equations.rows @ room.root
-    told, value = np.array(room.told), np.array(room.told_value)
-    told[-len(rows) :], value[-len(rows) :] = rows, equations.value + rows @ z
-    return eqx.tree_at(lambda r: (r.told, r.told_value), room, (told, value))
+    every, values = np.array(room.linear_rows), np.array(room.linear_values)
+    every[-len(rows) :], values[-len(rows) :] = rows, equations.value + rows @ z
+    return eqx.tree_at(lambda r: (r.linear_rows, r.linear_values), room, (every, values))

@@ -1,4 +1,4 @@
-"""Checks which device is on the port, and whether the board's settings fit the configuration."""
+"""A controller that speaks GRBL: the device is identified, its axis measured, and driven as any controller."""
 
 import dataclasses
 import logging

@@ -1,4 +1,4 @@
-"""Microsteps of the table, and the units of a GRBL board."""
+"""Lines of G-code and their answers: units, dialects, reports, and the exchange with the board."""
 
 import logging
 import re

@@ -1,4 +1,4 @@
-"""HELLO: begins a session and finds out which device is on the port."""
+"""The scanner's own controller: which device is on the port, its verbs, and everything off and confirmed."""
 
 import logging
 import secrets

@@ -1,4 +1,6 @@
-"""Stop-and-wait over a link: each line is repeated until answered, and carried out once (PROTOCOL.md, section 1)."""
+"""Stop-and-wait over a link (PROTOCOL.md, section 1): each line is repeated until answered, and carried out once.
+
+Answers become refusals, faults and resets; waits for an end feed the watchdog."""
 
 from collections import deque
 from collections.abc import Callable, Iterator

@@ -1,4 +1,6 @@
-"""Bytes to messages and back, on the host's side (PROTOCOL.md, section 1). Nothing here waits or knows a session."""
+"""Bytes to messages and back, on the host's side (PROTOCOL.md, section 1), and fields to names.
+
+Nothing here waits or knows a session."""
 
 import binascii
 import re
