@@ -224,7 +224,7 @@ def _poses_from_rays(points: np.ndarray, rays: np.ndarray, valid: np.ndarray) ->
     count = np.maximum(valid.sum(1), 1)
     mean = np.sum(np.where(valid[..., None], rays, 0.0), axis=1) / count[:, None]
     # A rotation that turns the middle ray to +z.
-    z = np.where(valid.any(1)[:, None], mean, [0.0, 0.0, 1.0])
+    z = np.where(valid.sum(1, keepdims=True) > 0, mean, [0.0, 0.0, 1.0])
     z = z / np.linalg.norm(z, axis=1, keepdims=True)
     x = np.cross(np.eye(3)[np.argmin(np.abs(z), axis=1)], z)
     x = x / np.linalg.norm(x, axis=1, keepdims=True)
