@@ -41,23 +41,10 @@ class Run(NamedTuple):
     rejected: int
 
 
-def drawn(config: SimulationConfig, random: np.random.Generator) -> SimulationConfig:
-    """The rig with values drawn from the priors where only these hold them."""
-    priors = trials.SETTINGS.priors
-    table = config.turntable.model_copy(
-        update={
-            "gain": 1.0 + priors["gain"] * random.normal(),
-            "harmonics": tuple(priors["harmonics"] * random.normal(size=4)),
-        }
-    )
-    camera = config.camera.model_copy(update={"fy": config.camera.fx / (1.0 + priors["aspect"] * random.normal())})
-    return config.model_copy(update={"turntable": table, "camera": camera})
-
-
 def run(config: SimulationConfig, poses: BoardPoses, lengths: list[Length], seed: int, correlation: float) -> Run:
     """Draw a truth and noise, calibrate, compare."""
     random = np.random.default_rng([17, seed])
-    truth = drawn(config, random)
+    truth = trials.drawn(config, random)
     noisy = add_noise(ideal_boards(truth, poses), random, correlation=correlation)
     result = calibrate_observations(trials.observations(noisy, truth), settings=trials.SETTINGS)
     quality, fit = result.quality, result.fit

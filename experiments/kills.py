@@ -42,7 +42,7 @@ from urllib.parse import urlsplit
 import aiohttp
 import numpy as np
 from bench import CLOCK_HZ
-from bench.camera.world import View, World, load_world
+from bench.camera.rendered import View, World, load_world
 from bench.desk import Desk, set_up
 from bench.flood import Flood
 from bench.places import WORLD

@@ -282,7 +282,6 @@ def consensus(views: list[np.ndarray], seed: int = 0) -> tuple[Plane, np.ndarray
 
     Args:
         views: Points of the line in every view [n, 3]; m.
-        seed: Of the draws.
 
     Returns:
         The plane, fitted again to its points, and which views (more than half of their points) belong to it.

@@ -1,8 +1,7 @@
-"""Sweeps from files, for `speed.py`: PNG, packed frames as the project writes them, and shards, in the page cache.
+"""Sweeps from files and lossless codecs, for `speed.py`: PNG, packed frames as the project writes them, and shards.
 
 PNG captures name a few distinct files many times; the others hold every frame. `measure_stored` measures a capture of
-any storage in a separate process, so that its memory can be watched.
-"""
+any storage in a separate process, so that its memory can be watched. All files are in the page cache."""
 
 import dataclasses
 import importlib.util

@@ -1,8 +1,8 @@
-"""Other pipelines for the speed experiments, in NumPy and OpenCV, and bounds of the processor.
+"""Whole pipelines on stacks in memory, for `speed.py`: ours, others in NumPy and OpenCV, and bounds, in turn.
 
-All pipelines end in coloured points: `horus` as the well-known desk scanner does it, operation by
-operation; `usual` the same for all rows at once; `lean` the least that gives a centroid. `fused`
-and `read` are bounds: peak and centroid alone, in 8 bit, and one pass over the bytes.
+All pipelines end in coloured points: `horus` as the well-known desk scanner does it, operation by operation; `usual`
+the same for all rows at once; `lean` the least that gives a centroid. `fused` and `read` are bounds: peak and
+centroid alone, in 8 bit, and one pass over the bytes.
 """
 
 from collections.abc import Callable

@@ -82,7 +82,6 @@ def fit_sphere(samples: Samples, click: np.ndarray, diameter: float, scanner: Sc
     """The sphere next to a place, and what the calibration does to its centre.
 
     Args:
-        samples: Points of the cloud.
         click: About where its centre is, to within a hand's breadth [3], m.
         diameter: Its calibrated diameter [m]; if `free`, it only starts the search.
         scanner: The scanner that the cloud was made with.
@@ -107,7 +106,6 @@ def distance(first: Fit, second: Fit, scanner: Scanner) -> Measured:
 
     Args:
         first: One sphere.
-        second: The other.
         scanner: The scanner that both were measured with; without covariance it adds nothing.
     """
     apart = second.centre - first.centre
@@ -124,7 +122,6 @@ def together(fits: dict[str, Fit], pairs: list[tuple[str, str]], scanner: Scanne
     """Predicted covariance of distances between spheres: they share spheres and calibration.
 
     Args:
-        fits: Spheres by name.
         pairs: Names of the two spheres of each distance.
         scanner: The scanner that all were measured with.
 
@@ -193,7 +190,6 @@ def aim(hall: Hall, scanner: Scanner, step_deg: float, plate_every: int | None) 
 
     Args:
         hall: The targets where they nominally are.
-        scanner: The calibration.
         step_deg: Step of the table where spheres are.
         plate_every: Where plates are, only every so many steps are taken; None: all is one part in equal steps.
 

@@ -82,9 +82,7 @@ def paper_held_out(way: PaperWay, capture: jaxscan.Capture, extract: Extract) ->
     """By the paper's method, on boards that no calibration has seen.
 
     Args:
-        way: The calibration.
         capture: Of the boards, each with its stripe.
-        extract: The stripe finder.
     """
     board, out = capture.board, []
     for index in range(len(capture.records)):
@@ -102,7 +100,6 @@ def ours(calibration: jaxscan.Calibration, observations: Observations) -> list[C
 
     Args:
         calibration: The rig, the board's bow, and the noise of stripes that the calibration estimated.
-        observations: Corners and stripes.
 
     Raises:
         ValueError: If the calibration has no scanner.

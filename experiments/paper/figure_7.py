@@ -90,7 +90,6 @@ def find_edges(grey: np.ndarray, valid: np.ndarray) -> Edges:
 
     Args:
         grey: Grey values [profiles, lines], DN.
-        valid: Which points exist.
     """
     share = grey / np.maximum(_surroundings(grey, valid), 1.0)
     dark = valid & (share < _DARK)
@@ -119,7 +118,6 @@ def fit_wall(xyz: np.ndarray, valid: np.ndarray, up: np.ndarray) -> WallPlane:
 
     Args:
         xyz: [..., 3], m; the origin is on the scanner's side of the wall.
-        valid: Which points exist.
         up: Roughly upwards [3].
     """
     points = xyz[valid]
@@ -143,9 +141,7 @@ def find_centres(
 
     Args:
         xyz: The cloud [profiles, lines, 3], m.
-        valid: Which points exist.
         edges: From `find_edges` of the same cloud.
-        wall: Its plane.
         noise: For the prediction of the centres' uncertainty.
     """
     low = np.floor(edges.line).astype(int)
@@ -413,8 +409,6 @@ def random_part(
 
     Args:
         sweeps: Both, of the same angles.
-        scanner: The calibration.
-        noise: Of a frame.
         guarded: Distances of the whole sweep with the sigmas as they are.
     """
     clouds = [jaxscan.reconstruct(sweep, scanner, settings=_UNGUARDED, noise=noise) for sweep in sweeps]

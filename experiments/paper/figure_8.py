@@ -72,7 +72,6 @@ def visible_places(config: SimulationConfig, scene: Scene, angles: np.ndarray) -
     Surfaces at less than about 12 degrees to either ray do not count.
 
     Args:
-        config: The rig.
         scene: The room with the objects.
         angles: Of the table, of each record [rad].
 
@@ -107,7 +106,6 @@ def judge(key: str, points: np.ndarray, truth: Truth) -> list[Metric]:
     Args:
         key: Beginning of the metrics' keys.
         points: [n, 3], m, scanner frame.
-        truth: The objects.
     """
     away = _nearest(truth.scene, points)[0] * 1000
     share = float(np.mean(cKDTree(points).query(truth.places)[0] < truth.reach)) * 100
@@ -234,9 +232,7 @@ def dense_surface(xyz: np.ndarray, valid: np.ndarray, normals: np.ndarray, rgb: 
 
     Args:
         xyz: [profiles, lines, 3], m.
-        valid: Which exist.
         normals: Towards the scanner; zero where unknown.
-        rgb: Colours.
     """
     fields = [np.asarray(field, np.float32) for field in (xyz, normals, rgb)]
     for axis in (0, 1):
@@ -248,8 +244,6 @@ def splatted(surface: Surface, eye: Eye, *, coloured: bool) -> np.ndarray:
     """Draw a surface.
 
     Args:
-        surface: Dense points.
-        eye: The camera.
         coloured: In its colours; otherwise grey, shaded by its normals.
 
     Returns:

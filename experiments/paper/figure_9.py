@@ -36,7 +36,7 @@ from jaxscan import recalibration
 from jaxscan.measurement.room import RoomBox
 from jaxscan.reconstruction import plan_sweep, smooth_stripes
 from jaxscan.simulation import Motion, Placement, SimulationConfig, make_rig, rodrigues, take_frame
-from jaxscan.simulation.rays import project
+from jaxscan.simulation.rig import project
 
 
 PROFILES, ROWS = 360, 200
@@ -210,9 +210,7 @@ def pair_angles(stage: Stage, known: list[Draw], plain: PlainStripes, angles: np
     """The room by the paper's method, with Tr from pairs of larger turns; camera and plane are those of its draws.
 
     Args:
-        stage: The world.
         known: Calibrations by the paper's method, of which Tr is replaced.
-        plain: Stripes of the room.
         angles: Of the table, of each record [rad].
     """
     out = []
@@ -239,7 +237,6 @@ def with_pair(way: PaperWay, views: list[BoardCorners | None], angle: float) -> 
     """The same calibration with Tr from two other views, equation (10).
 
     Args:
-        way: The calibration.
         views: The board in both views.
         angle: The table's turn between them, as commanded [rad].
 
@@ -312,11 +309,8 @@ def draw_errors(path: Path, groups: dict[str, list[Size]], pairs: list[PairAngle
     """Errors of each group as dots on the left, rms error against the angle of the pair on the right.
 
     Args:
-        path: Of the picture.
         groups: Measured rooms by method; NaN where walls were not found.
         pairs: Rooms by the paper's method, for each turn between the views of Tr.
-        truth: The room.
-        title: Of the picture.
     """
     figure, (left, right) = plt.subplots(1, 2, figsize=(17, 7.5), width_ratios=(1.25, 1), constrained_layout=True)
     figure.suptitle(title, fontsize=15)
@@ -406,7 +400,6 @@ def survey_of(xyz: np.ndarray, rgb: np.ndarray | None, box: RoomBox) -> Survey:
     Args:
         xyz: [n, 3], m, scanner frame.
         rgb: Their colours, uint8 [n, 3]; without them all are grey.
-        box: The measured room.
     """
     width, length = box.width, box.length
     assert width is not None and length is not None
@@ -425,11 +418,8 @@ def draw_plans(path: Path, ours: Survey, paper: Survey | None, paper_azimuth: np
     """Draw top views: ours without and with colour, and that of the paper's method.
 
     Args:
-        path: Of the picture.
-        ours: Our points.
         paper: Those of the paper's method; None if it found no walls.
         paper_azimuth: The table's angle of each of them [deg].
-        title: Of the picture.
     """
     figure, axes = plt.subplots(1, 3, figsize=(17, 9.2), constrained_layout=True)
     figure.suptitle(title, fontsize=15)

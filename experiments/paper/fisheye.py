@@ -22,7 +22,7 @@ from experiments.paper.stage import CONFIGS, Metric, Stage, plt, save, smaller
 from experiments.paper.table_1 import AGREE
 from jaxscan.calibration import CalibrationSettings
 from jaxscan.measurement.room import Dimension, RoomBox
-from jaxscan.report.clouds import View, draw_cloud
+from jaxscan.report.clouds import Viewpoint, draw_cloud
 from jaxscan.simulation import SimulationConfig, make_scene
 from jaxscan.simulation.scene import Scene
 
@@ -183,7 +183,6 @@ def draw_room(stage: Stage, cloud: jaxscan.PointCloud, box: RoomBox, shares: tup
     """The room from above, from the side and from within.
 
     Args:
-        stage: The world.
         cloud: The cloud of one turn.
         box: The dimensions measured in it.
         shares: Of all directions, those that the cloud covers and those in the field of the paper's camera [1].
@@ -195,7 +194,7 @@ def draw_room(stage: Stage, cloud: jaxscan.PointCloud, box: RoomBox, shares: tup
     figure, axes = plt.subplot_mosaic(
         [["inside", "inside"], ["top", "side"]], figsize=(14, 13), height_ratios=(1.3, 1), layout="constrained"
     )
-    within = View((0.0, 0.0, 0.15), tuple(map(float, 3 * ahead)), fov_deg=110.0, cut_away=False)
+    within = Viewpoint((0.0, 0.0, 0.15), tuple(map(float, 3 * ahead)), fov_deg=110.0, cut_away=False)
     axes["inside"].imshow(draw_cloud(xyz, rgb, size=(1400, 750), view=within))
     axes["inside"].set_title("From the scanner's place, along the room")
     axes["inside"].axis("off")

@@ -28,7 +28,6 @@ def rays(matrix: np.ndarray, k: float, uv: np.ndarray) -> np.ndarray:
 
     Args:
         matrix: A [3, 3], px.
-        k: The radial coefficient.
         uv: Pixels [..., 2].
 
     Returns:
@@ -49,7 +48,6 @@ def points_on_board(matrix: np.ndarray, k: float, pose: np.ndarray, uv: np.ndarr
 
     Args:
         matrix: A [3, 3], px.
-        k: The radial coefficient.
         pose: T_cam_board [4, 4].
         uv: Pixels [n, 2].
 
@@ -267,7 +265,6 @@ def calibrate_camera(found: list[BoardCorners | None], size: tuple[int, int]) ->
     """Zhang's calibration with one radial coefficient, equations (1) to (3), without skew.
 
     Args:
-        found: Corners of each view.
         size: Width and height of the images [px].
 
     Returns:
@@ -296,8 +293,6 @@ def board_pose(matrix: np.ndarray, k: float, found: BoardCorners) -> np.ndarray:
 
     Args:
         matrix: A [3, 3], px.
-        k: The radial coefficient.
-        found: Its corners.
     """
     lens = np.array([k, 0.0, 0.0, 0.0])
     _, turn, shift = cv2.solvePnP(found.places, found.pixels, matrix, lens, flags=cv2.SOLVEPNP_ITERATIVE)
@@ -317,8 +312,6 @@ def stripe_on_board(
     """Pixels (u, v) [n, 2] of a stripe that lie on a board's print, without strays.
 
     Args:
-        matrix: A.
-        k: The radial coefficient.
         pose: T_cam_board [4, 4].
         outline: Corners of the printed area in the board's frame [4, 2], m.
         found: The stripe in the whole frame, of `Extract`.
@@ -335,7 +328,6 @@ def points_on_sheet(way: PaperWay, uv: np.ndarray, plane: np.ndarray | None = No
     """Points of the laser's sheet at pixels, equation (4).
 
     Args:
-        way: The calibration.
         uv: Pixels [..., 2].
         plane: a, b, c; without it those of the linear fit.
 
@@ -353,7 +345,6 @@ def paper_cloud(way: PaperWay, u: np.ndarray, valid: np.ndarray, angles: np.ndar
     """Points of a sweep, equations (4), (11) and (12).
 
     Args:
-        way: The calibration.
         u: Columns of the stripe [records, rows], px.
         valid: Which of them are, bool [records, rows].
         angles: The table's angle of each record [rad].
@@ -507,7 +498,6 @@ def calibrate_horus(capture: Capture, *, seed: int = 0) -> Horus:
 
     Args:
         capture: Free views at angle 0, and placements that are seen from several angles; all with the stripe.
-        seed: Of the hypotheses.
 
     Raises:
         ValueError: If too few boards are found.
@@ -582,7 +572,6 @@ def ransac_plane(points: np.ndarray, random: np.random.Generator) -> tuple[np.nd
 
     Args:
         points: [n, 3], m, origin at the camera.
-        random: Of the hypotheses.
 
     Returns:
         Unit normal [3], and the distance, which is positive.
@@ -642,8 +631,6 @@ def horus_points(calibration: Horus, uv: np.ndarray, *, lens: bool = False) -> n
     """Points [..., 3], m, camera frame, at pixels (u, v) [..., 2]; NaN where a ray does not meet the sheet.
 
     Args:
-        calibration: The calibration.
-        uv: Pixels.
         lens: Whether the lens is corrected, as the original does not.
     """
     matrix, normal, distance = calibration.matrix, calibration.normal, calibration.distance
@@ -665,7 +652,6 @@ def horus_cloud(
     """Points of a sweep in the camera's frame at angle 0, turned about the axis by the commanded angles.
 
     Args:
-        calibration: The calibration.
         u: Columns of the stripe [records, rows]; px.
         valid: bool [records, rows].
         angles: Of the table [records]; rad.

@@ -271,11 +271,8 @@ def draw_bars(
     """One panel for each figure, one bar for each method.
 
     Args:
-        path: Of the picture.
         figures: By method, then by figure.
-        ways: Names of the methods.
         units: Unit and name of each figure.
-        world: The world's name.
     """
     figure, axes = plt.subplots(2, 5, figsize=(16, 7.4), constrained_layout=True)
     # A room that cannot be measured shows in the panels of its dimensions.
@@ -297,10 +294,7 @@ def draw_plans(path: Path, clouds: dict[str, np.ndarray], room: RoomSpec, world:
     """Clouds from above over the true walls, with the room's own axes.
 
     Args:
-        path: Of the picture.
         clouds: By the name of the method [records, rows, 3], m.
-        room: The true room.
-        world: The world's name.
     """
     figure, axes = plt.subplots(1, len(clouds), figsize=(5.2 * len(clouds), 8.2), constrained_layout=True, sharey=True)
     yaw = np.deg2rad(room.yaw_deg)

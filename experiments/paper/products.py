@@ -1,4 +1,11 @@
-"""Captures of boards by the paper's protocol and by ours: rendered once, then with many draws of noise."""
+"""What several experiments of the paper need and one makes: boards, sweeps, calibrations of all draws, the room.
+
+Boards by the paper's protocol and by ours are rendered once, then written with many draws of noise. In the kind world
+the table takes all 3600 steps of the room, as in the paper; in the unkind one every tenth, since a frame there takes
+three times as long to render; a quick sweep has 90 steps. The rig's camera is grey: a camera with the same pixels in
+colour takes laser-off frames every few degrees, and each point takes its colour from the nearest of them, for
+pictures only.
+"""
 
 import itertools
 import shutil
@@ -48,7 +55,7 @@ from jaxscan.simulation import (
     sweep_angles,
     take_frame,
 )
-from jaxscan.simulation.rays import project
+from jaxscan.simulation.rig import project
 from jaxscan.simulation.scene import Scene
 from jaxscan.stripes import LaserLine, PixelFormat, Response
 from jaxscan.vision import board_texture
@@ -128,9 +135,7 @@ def write_capture(stage: Stage, records: Sequence[ExpectedRecord], plan: BoardPl
     """One draw of noise, as a capture on disk.
 
     Args:
-        stage: The world.
         records: Of `expect`.
-        plan: Theirs.
         seed: Of the noise: the same seed writes the same frames.
         folder: Must not exist.
 
@@ -147,9 +152,7 @@ def write_captures(
     """Several draws at once; records are taken one by one and not kept.
 
     Args:
-        stage: The world.
         records: Of `expect_each`.
-        plan: Theirs.
         folders: Of the draws, by their seeds; must not exist.
 
     Returns:
@@ -223,6 +226,7 @@ class RenderedSweep:
 
     compression = None
     exposures = (1.0,)
+    bits = 8
 
     def __init__(
         self,
@@ -238,7 +242,6 @@ class RenderedSweep:
         Args:
             config: The rig; `worlds.windowed` reads fewer columns.
             angles: Commanded angles of the table [rad].
-            seed: Of the noise.
             scene: The surroundings, in place of the configuration's room.
             watch: Called with all frames as they are read, at every reading.
         """
@@ -464,10 +467,6 @@ def held_out_plan(stage: Stage, boards: int) -> BoardPlan:
     The stripe then runs along the board's longer side, over about a sixth of the depth to both sides of the optical
     axis, in agreement with the ratios of X and Y to Z in the paper's Fig. 6.
 
-    Args:
-        stage: The world.
-        boards: How many.
-
     Raises:
         ConfigError: If the camera does not see one whole.
     """
@@ -496,7 +495,6 @@ def observe_held_out(calibration: Path, capture: Path) -> Observations:
     """Corners and stripes of a capture by `jaxscan.calibrate` with a known rig, which is held.
 
     Args:
-        calibration: File of the rig.
         capture: One of `held_out`.
     """
     scanner = jaxscan.load_scanner(calibration)
@@ -631,10 +629,7 @@ def room_colours(stage: Stage, seen: Room, xyz: np.ndarray, scanner: jaxscan.Sca
     """Colours of the points of a sweep; made once and kept.
 
     Args:
-        stage: The world.
-        seen: The sweep.
         xyz: Its points by `scanner` [records, rows, 3], m, scanner frame; zero where there is none.
-        scanner: A calibration.
 
     Returns:
         uint8 [records, rows, 3]; zero where there is no point.

@@ -3,14 +3,15 @@
 Not from rendered images. Pixels come from the independent equations of `ideal_room`: boards in poses of our own
 protocol, a joint calibration, a sweep of the empty room, and the distances of its walls. Each source acts alone, all
 others are zero. "All together" has them all. The predicted standard deviation is compared with the errors of all but
-two: jitter, which no covariance knows, and the pitch, whose share is its size times the length. The same sizes hold in
-both worlds, whose rigs differ by their lens alone; poses and draws differ.
+two: jitter, whose size a calibration learns from its boards (`quality.angle_sigma`) but which moves the room by the
+sweep's own stops too, and the pitch, whose share is its size times the length. The same sizes hold in both worlds,
+whose rigs differ by their lens alone; poses and draws differ.
 
 Sizes: corners 0.1 px and stripe centres 0.05 px, white; speckle as measured, from rendered rows of the unkind world
 with and without it; board pitch 0.1 mm over 300 mm, a standard deviation; angle: gain and harmonics of the unkind
 table, their signs and phases drawn, and a jitter evenly spread over one microstep of 28 800 a turn, as positions are
-rounded; sheet bow as in the unkind world, its sign drawn. Gain and harmonics are estimated; jitter is not a
-parameter. The bow is free; "bow not modelled" shows the price of a flat sheet. The rendered rows of the world at hand
+rounded; sheet bow as in the unkind world, its sign drawn. Gain, harmonics and the size of the jitter are estimated.
+The bow is free; "bow not modelled" shows the price of a flat sheet. The rendered rows of the world at hand
 check the 0.05 px.
 """
 
@@ -28,8 +29,8 @@ from experiments.worlds.ideal_boards import BoardPoses, add_noise, ideal_boards
 from jaxscan.calibration import USUALLY_FREE
 from jaxscan.recalibration import SweepStripes
 from jaxscan.simulation import SimulationConfig, make_rig, render_sweep
-from jaxscan.simulation.planning import Placement, plan_boards
 from jaxscan.simulation.scene import make_scene
+from jaxscan.simulation.sweep import Placement, plan_boards
 
 
 @dataclass(frozen=True)
@@ -95,8 +96,6 @@ def measured_room(
 
     Args:
         study: The rig, its protocol and its sweep.
-        faults: The sources of error.
-        random: Source of all draws.
         as_user: Noise is estimated from residuals, as a user's calibration does it. Otherwise corners and stripes have
             the weights of `study.stated` even where they are exact, so that a source alone has the same effect as
             among all sources.
@@ -133,8 +132,6 @@ def cloud_of(stripes: SweepStripes, scanner: jaxscan.Scanner, stride: int, sigma
 
     Args:
         stripes: The stripes of a sweep by one laser.
-        scanner: The calibration.
-        stride: n.
         sigma_px: Standard deviation of all centres [px].
 
     Returns:
@@ -246,7 +243,7 @@ def run(stage: Stage) -> list[Metric]:
     count, modelled = (2, 2) if stage.quick else (8, 16)
     runs = [measured_room(study, every, _random(stage, 98, draw), as_user=True)[0] for draw in range(count)]
     errors["all"] = 1e3 * (np.array(runs) - truth)
-    # Jitter is not modelled; the share of the pitch is known without an experiment: pitch times length.
+    # Jitter moves the sweep's stops too; the share of the pitch is known without an experiment: pitch times length.
     still = replace(every, jitter_rad=0.0, pitch=0.0)
     exact = replace(study, stated=replace(every, pitch=0.0))
     pairs = [measured_room(exact, still, _random(stage, 99, draw), as_user=True) for draw in range(modelled)]
@@ -291,10 +288,8 @@ def draw_chart(stage: Stage, errors: dict[str, np.ndarray], sigma: np.ndarray, l
     """Bars: rms errors; whiskers: their standard errors; dots: draws.
 
     Args:
-        stage: The world.
         errors: Of width and length, by source [draws, 2], mm.
         sigma: Predicted, of the draws without jitter and pitch [draws, 2], mm.
-        labels: Of the sources.
     """
     names = list(errors)
     figure, axes = plt.subplots(1, 2, figsize=(12, 5.2), sharey=True, constrained_layout=True)

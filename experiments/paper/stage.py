@@ -1,4 +1,4 @@
-"""The surroundings of an experiment: its world, its folders, and the number of draws."""
+"""What an experiment of the paper stands on: its world, its folders, its figures and their baseline, its pictures."""
 
 import json
 import sys
@@ -75,7 +75,6 @@ def smaller(config: SimulationConfig, scale: float) -> SimulationConfig:
     """The same lens on a sensor of larger pixels; blur and grains of speckle keep their size in pixels.
 
     Args:
-        config: The rig.
         scale: New width of the image over the old one.
     """
     camera = config.camera
@@ -231,7 +230,6 @@ def save(figure: plt.Figure, path: Path, dpi: int) -> None:
     """Write a picture and free its memory.
 
     Args:
-        figure: The picture.
         path: Of the file; its suffix gives the format.
         dpi: Resolution [dots per inch].
     """

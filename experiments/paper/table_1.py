@@ -72,7 +72,6 @@ def of_scanner(scanner: Scanner, lengths: list[Length]) -> np.ndarray:
     """`QUANTITIES` of a calibration, in their units.
 
     Args:
-        scanner: The calibration.
         lengths: Of `across_half_a_turn`.
 
     Raises:
@@ -153,7 +152,6 @@ def compare_honesty(scanners: list[Scanner], config: SimulationConfig) -> Honest
 
     Args:
         scanners: Calibrations with the same free parameters.
-        config: The true rig.
     """
     names = scanners[0].parameter_names()
     turned = [to_true_tangents(scanner, config) for scanner in scanners]
@@ -197,9 +195,6 @@ def strips(series: list[Series], titles: list[str], headline: str, path: Path, *
     Args:
         series: One for each method; all have the same panels.
         titles: Of the panels, with units.
-        headline: Of the picture.
-        path: Where it is written.
-        columns: Panels side by side.
     """
     rows = -(-len(titles) // columns)
     figure, axes = plt.subplots(rows, columns, figsize=(3.7 * columns, 2.9 * rows), squeeze=False)

@@ -1,4 +1,8 @@
-"""A flat wall with printed marks on a square grid, seen across a bare hall."""
+"""What stands before the scanner: a wall with printed marks, the hall of the acceptance tests, a vase and a globe.
+
+The hall has calibrated spheres, dumb-bells and plates round the scanner, in its frame: the table's axis is z, and the
+camera looks along x at angle 0. Its walls are parallel to x and y. Targets hang without stands, which would hide a part
+of them."""
 
 from functools import partial
 from typing import NamedTuple

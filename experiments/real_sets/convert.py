@@ -23,8 +23,6 @@ def convert(one: RealSet, source: Source, folder: Path) -> int:
     """Write the capture.
 
     Args:
-        one: Which set.
-        source: Its repository.
         folder: The capture's folder; must not exist.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Figures of a calibration and of a cloud, the same for every method."""
+"""Figures of a calibration and of a cloud, the same for every method: by the command line, and by the plain one."""
 
 import json
 import os
@@ -68,7 +68,6 @@ def board_figures(solved: Solved, halves: list[Solved] | None) -> dict[str, Any]
     """Corners and lines against the calibration, and against the calibration of the other half of the views.
 
     Args:
-        solved: From all views.
         halves: From the even and from the odd views, or None. Only their lens, shape and sheets are used.
     """
     own = [_residual(solved.lens, solved.shape, q) for q in solved.corners]
@@ -205,7 +204,6 @@ def fit_table(steps: np.ndarray, corners: np.ndarray, lens: Lens) -> Table:
     Args:
         steps: Number of the step of every picture [pictures].
         corners: Corners of the markers [pictures, 16, 2]; px.
-        lens: The camera.
     """
     square = 0.5 * SIDE * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
     nominal = np.concatenate([square + np.array([*centre, 0.0]) for centre in CENTRES.values()])
@@ -428,14 +426,7 @@ class Version(NamedTuple):
 
 
 def calibrate_by_verb(version: Version, capture: Path, output: Path, options: tuple[str, ...]) -> dict[str, Any]:
-    """One run of `jaxscan calibrate`: the first sentence that its user reads, and figures if it wrote a calibration.
-
-    Args:
-        version: The code.
-        capture: Its capture.
-        output: Calibration file to write.
-        options: Of the verb.
-    """
+    """One run of `jaxscan calibrate`: the first sentence that its user reads, and figures if it wrote a calibration."""
     for old in output.parent.glob(f"{output.stem}.*"):
         old.unlink()
     summary = output.with_suffix(".summary")

@@ -1,4 +1,4 @@
-"""Files of a public repository: a folder of it, or a bare git snapshot that may lack some files."""
+"""The real sets: who made them, where they are, and how the files of a repository become records of a capture."""
 
 import re
 import subprocess

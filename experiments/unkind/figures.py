@@ -1,4 +1,4 @@
-"""The arithmetic of the judge: an estimate against the truth. NumPy alone; drawing and reading are elsewhere."""
+"""The arithmetic of the judge: an estimate against the truth, and the limits; drawing and reading are elsewhere."""
 
 from typing import Any, NamedTuple
 

@@ -15,7 +15,7 @@ def board_rows(calibration: jaxscan.Calibration, records: int, lines: int, *, so
     u, sigma = np.zeros((records, lines)), np.ones((records, lines))
     valid = np.zeros((records, lines), bool)
     stripes = seen.stripes
-    sigmas, counted = (fit.stripe_sigma, fit.stripe_kept) if solved else (stripes.sigma, stripes.valid)
+    sigmas, counted = (fit.stripe_sigma, fit.stripe_inlier) if solved else (stripes.sigma, stripes.valid)
     for q, spread, kept, view in zip(stripes.q, sigmas, counted, stripes.view, strict=True):
         record = int(seen.corners.record[view])
         row = np.rint(np.asarray(q)[kept, 1]).astype(int)

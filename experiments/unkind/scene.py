@@ -1,7 +1,4 @@
-"""A rig drawn by chance: camera, laser sheet and turntable. NumPy alone, nothing of jaxscan.
-
-Coordinates are metres; pixel (0, 0) is the centre of the top-left pixel; the camera looks along z, y points down.
-"""
+"""What a seed draws for the path tracer: the rig, a furnished room, a board and its poses, and the sensor."""
 
 from typing import NamedTuple
 

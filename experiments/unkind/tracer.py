@@ -1,10 +1,9 @@
-"""Mitsuba 3 as the eye and the light of a room: rays, the lamps' light, and the laser's light that comes back.
+"""Mitsuba 3 as the eye and the light of a room: rays, the lamps' light, the laser's, and the true stripes.
 
 The lamps' light does not depend on where the camera stands: it is traced once per room, on a grid on every surface
 (Mitsuba's path tracer, next event estimation, five bounces), and looked up in every frame. Of the laser's light, that
 which comes back from other surfaces is traced from the sheet: paths of up to three bounces, joined to the camera's
-points by shadow rays (bidirectional path tracing with the light's paths shared by all pixels).
-"""
+points by shadow rays (bidirectional path tracing with the light's paths shared by all pixels)."""
 
 import os
 from pathlib import Path
@@ -452,7 +451,6 @@ def stripes(shot: Shot, middle: Hits, laser: Direct, ambient: np.ndarray) -> Tru
     """The true stripes [rows, crossings] of one record.
 
     Args:
-        shot: Rig, room and pose.
         middle: The surfaces that the middles of all pixels see.
         laser: The laser's direct light behind the lens [DN].
         ambient: The room's light on every pixel [DN].

@@ -1,7 +1,6 @@
-"""The truth of a world, in a file beside its captures; an input of the judge alone.
+"""The truth of a world, in a file beside its captures; an input of the judge alone. And what a method says of a world.
 
-Stripes are kept on grids [records, rows, crossings]: where the middle of the sheet meets a surface, brightest first.
-"""
+Stripes are kept on grids [records, rows, crossings]: where the middle of the sheet meets a surface, brightest first."""
 
 import time
 from collections.abc import Callable

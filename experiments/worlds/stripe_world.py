@@ -1,7 +1,9 @@
-"""Stripes with known truth, their sensor, and the bound of the accuracy of their centres.
+"""Stripes with known truth: incoherent and coherent, their sensor and bound, and second reflections in a room.
 
-Nothing here shares code with the extraction under test: pixels are integrated by quadrature; noise
-is Poisson electrons, Gaussian read noise, rounding and clipping.
+Nothing here shares code with the extraction under test: pixels are integrated by quadrature, speckle is as the aperture
+makes it, noise is Poisson electrons, Gaussian read noise, rounding and clipping. For reflections a furnished room is
+rendered once without noise; on a share of its lit rows a second stripe is added as light, before the sensor, in runs of
+rows or on single ones. The clean frames and those with reflections share their noise.
 """
 
 import math
@@ -228,11 +230,8 @@ def render_coherent(
     """Pairs of frames with a stripe in the room's light.
 
     Args:
-        stripe: The stripe.
         room: Light with the laser off [rows, columns], DN above black.
-        speckle: The coherent light.
         sensor: The sensor; its ambient light is not used.
-        rng: Draws.
     """
     rows, columns = room.shape
     fine_row = (np.arange(rows * _FINE) + 0.5) / _FINE - 0.5

@@ -4,36 +4,27 @@ from jaxscan.facades import TYPE_CHECKING, load_on_use
 
 
 if TYPE_CHECKING:
+    from jaxscan.api.boards import BoardSheets, draw_board, save_board, write_sheets
     from jaxscan.api.calibration import calibrate, observe_boards, plan_calibration
-    from jaxscan.api.products import (
-        BoardSheets,
-        Texture,
-        align_cloud,
+    from jaxscan.api.drawings import check_drawing_path, save_drawing
+    from jaxscan.api.frames import align_cloud
+    from jaxscan.api.meshes import Texture, draw_texture, mesh_cloud, poisson_mesh, textured_mesh
+    from jaxscan.api.photographs import (
         began,
-        check_drawing_path,
         check_panorama_path,
         colour_cloud,
-        draw_board,
         draw_panorama,
-        draw_texture,
         export_photographs,
         has_photographs,
-        mesh_cloud,
         open_photographs,
         panorama_paths,
         photograph_notes,
-        poisson_mesh,
-        save_board,
-        save_designed_rig,
-        save_drawing,
         save_panorama,
         save_scan,
-        textured_mesh,
-        write_sheets,
     )
-    from jaxscan.api.products.reports import board_photographs
     from jaxscan.api.recalibration import recalibrate, save_recalibrated_cloud
-    from jaxscan.api.simulation import load_simulation, simulate
+    from jaxscan.api.reports import board_photographs
+    from jaxscan.api.simulation import load_simulation, save_designed_rig, simulate
     from jaxscan.api.sweeps import Reconstruction, reconstruct_capture
     from jaxscan.calibration import Calibration
     from jaxscan.files import (

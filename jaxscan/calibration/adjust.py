@@ -153,9 +153,9 @@ class Adjustment:
     errors: Errors
     """Of everything valid, rejected ones too."""
     data: Prepared
-    corner_kept: np.ndarray
-    stripe_kept: np.ndarray
-    view_kept: np.ndarray
+    corner_inlier: np.ndarray
+    stripe_inlier: np.ndarray
+    view_inlier: np.ndarray
     """Views [views] that were not dropped as a whole."""
     corner_noise: float = 1.0
     """Estimated noise over the given sigma [1]."""
@@ -209,15 +209,15 @@ class Adjustment:
     @property
     def stripe_noise_rms(self) -> float:
         """Estimated noise over the given sigma of all kept stripe points [1]."""
-        kept = self.stripe_point_noise[self.stripe_kept]
+        kept = self.stripe_point_noise[self.stripe_inlier]
         return float(np.sqrt(np.mean(kept**2))) if kept.size else 1.0
 
     def whitened_rms(self) -> tuple[float, float]:
         """RMS of the kept corners and stripes in units of the given sigmas, per degree of freedom [1]."""
-        corner_kept = np.repeat(self.corner_kept[..., None], 2, -1)
+        corner_inlier = np.repeat(self.corner_inlier[..., None], 2, -1)
         corner_leverage = self.linearised.corner_leverage.reshape(self.errors.corner.shape)
-        corner = noise_component(self.errors.corner[corner_kept], corner_leverage[corner_kept])
-        return corner, self.stripe_component(self.stripe_kept)
+        corner = noise_component(self.errors.corner[corner_inlier], corner_leverage[corner_inlier])
+        return corner, self.stripe_component(self.stripe_inlier)
 
     def stripe_component(self, some: np.ndarray) -> float:
         """RMS of some stripe points [stripes, points] in units of the given sigmas, per degree of freedom [1]."""
@@ -231,7 +231,7 @@ class Adjustment:
 
     def kept_stripe_noise(self) -> np.ndarray:
         """Noise of each contrast class by the squares of its kept points, in units of the given sigmas [1]."""
-        return noise_by_class(self.stripe_component, self.data.stripe_contrast, self.stripe_kept)
+        return noise_by_class(self.stripe_component, self.data.stripe_contrast, self.stripe_inlier)
 
 
 # Damping at the start of a solve, relative to J'J: cautious from a seed, a plain Gauss-Newton
@@ -262,7 +262,7 @@ def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, r
     Raises:
         CalibrationError: If the solve breaks down.
     """
-    kept = data.corner_valid, data.stripe_valid, data.usable
+    kept = data.corner_valid, data.stripe_valid, data.fixes_pose
     state = Adjustment(*_at(problem, data), data, *kept)
     if settings.stripe_correlation is not None:
         state = replace(state, stripe_correlation=settings.stripe_correlation)
@@ -318,24 +318,24 @@ def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
         corner_size = (np.abs(errors.corner) / corner_room).max(-1) / size[0]
         stripe_size = np.abs(errors.stripe) / _room(state.linearised.stripe_leverage)
         stripe_size = stripe_size / size[1][data.stripe_contrast]
-        corner_kept = keep_inliers(corner_size, data.corner_valid, state.corner_kept, **limits)
-        stripe_kept = keep_inliers(stripe_size, data.stripe_valid, state.stripe_kept, **limits)
-        lost = (data.corner_valid & ~corner_kept).sum(1) > _MAX_LOST * data.corner_valid.sum(1)
-        view_kept = state.view_kept & ~lost
-        if view_kept.sum() < 3 <= state.view_kept.sum():
-            raise _too_few_views(int(view_kept.sum()), state, settings)
-        corner_kept = corner_kept & view_kept[:, None]
-        stripe_kept = stripe_kept & view_kept[data.stripe_view][:, None]
-        cleaned = replace(state, corner_kept=corner_kept, stripe_kept=stripe_kept)
+        corner_inlier = keep_inliers(corner_size, data.corner_valid, state.corner_inlier, **limits)
+        stripe_inlier = keep_inliers(stripe_size, data.stripe_valid, state.stripe_inlier, **limits)
+        lost = (data.corner_valid & ~corner_inlier).sum(1) > _MAX_LOST * data.corner_valid.sum(1)
+        view_inlier = state.view_inlier & ~lost
+        if view_inlier.sum() < 3 <= state.view_inlier.sum():
+            raise _too_few_views(int(view_inlier.sum()), state, settings)
+        corner_inlier = corner_inlier & view_inlier[:, None]
+        stripe_inlier = stripe_inlier & view_inlier[data.stripe_view][:, None]
+        cleaned = replace(state, corner_inlier=corner_inlier, stripe_inlier=stripe_inlier)
         noise = 1.0, np.ones(CONTRAST_CLASSES)
         if settings.estimate_noise:
             noise = cleaned.whitened_rms()[0], cleaned.kept_stripe_noise()
         correlation = state.stripe_correlation
         if settings.stripe_correlation is None:
             # Classes of unlike noise would hide the noise that neighbours share.
-            correlation = correlation_along(errors.stripe / noise[1][data.stripe_contrast], stripe_kept)
+            correlation = correlation_along(errors.stripe / noise[1][data.stripe_contrast], stripe_inlier)
         before, stop_sigma = float(state.problem.stop_sigma), _stop_sigma(state, settings)
-        same = np.array_equal(corner_kept, state.corner_kept) and np.array_equal(stripe_kept, state.stripe_kept)
+        same = np.array_equal(corner_inlier, state.corner_inlier) and np.array_equal(stripe_inlier, state.stripe_inlier)
         ratios = (
             noise[0] / state.corner_noise,
             *(noise[1] / state.stripe_noise),
@@ -347,7 +347,7 @@ def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
             break
         cleaned = replace(
             cleaned,
-            view_kept=view_kept,
+            view_inlier=view_inlier,
             corner_noise=noise[0],
             stripe_noise=noise[1],
             stripe_correlation=correlation,
@@ -381,7 +381,7 @@ def _too_few_views(kept: int, state: Adjustment, settings: CalibrationSettings) 
     if not state.converged:
         return CalibrationError(not_converged(settings))
     return CalibrationError(
-        f"Only {kept} of {state.view_kept.sum()} views agree with each other, and a camera needs at least 3: check "
+        f"Only {kept} of {state.view_inlier.sum()} views agree with each other, and a camera needs at least 3: check "
         "that all views show the board that [board] in capture.toml describes, sharp and flat, and capture more."
     )
 
@@ -417,8 +417,8 @@ def _solved(
 ) -> Adjustment:
     """The state after one more solve, in which weights are damped by factors of the corners and the stripes."""
     data = state.data
-    corner = state.corner_kept * damp[0] / state.corner_sigma
-    stripe = state.stripe_kept * damp[1] / (state.stripe_sigma * state.errors.slope)
+    corner = state.corner_inlier * damp[0] / state.corner_sigma
+    stripe = state.stripe_inlier * damp[1] / (state.stripe_sigma * state.errors.slope)
     stripe = stripe / np.sqrt(state.stripe_correlation)
     weighted = replace(state.problem, corner_weight=corner, stripe_weight=stripe)
     if stop_sigma is not None:

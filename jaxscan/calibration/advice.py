@@ -117,11 +117,11 @@ def advise(result: Adjustment, unobserved: Sequence[dict[str, float]]) -> tuple[
     """
     data = result.data
     lines = [f"capture {cure}" for cure in cures(unobserved)]
-    seen = data.corner_q[result.corner_kept]
+    seen = data.corner_q[result.corner_inlier]
     empty = coverage.empty_parts(coverage.count_cells(seen, data.size))
     if empty:
         lines.append(coverage.ASK_FOR_PARTS.format(", ".join(empty)))
-    poses = result.linearised.view_poses[result.view_kept & data.usable]
+    poses = result.linearised.view_poses[result.view_inlier & data.fixes_pose]
     tilt = np.degrees(np.arccos(np.clip(np.abs(poses[:, 2, 2]), 0.0, 1.0)))
     if len(tilt) and np.quantile(tilt, 0.9) < coverage.MIN_TILT_DEG:
         lines.append(coverage.ASK_FOR_TILT.format(f"hardly one is tilted by more than {tilt.max():.0f} degrees"))
@@ -174,7 +174,7 @@ def _about_stripes(result: Adjustment) -> list[str]:
     data, lines = result.data, []
     depth = result.linearised.view_poses[:, 2, 3]
     for laser in range(len(result.problem.lasers.distance)):
-        lit = (data.stripe_laser == laser) & result.stripe_kept.any(1)
+        lit = (data.stripe_laser == laser) & result.stripe_inlier.any(1)
         depths = depth[data.stripe_view[lit]]
         if len(depths) < coverage.MIN_STRIPES:
             lines.append(coverage.ASK_FOR_STRIPES.format(len(depths)))
@@ -186,7 +186,7 @@ def _about_stripes(result: Adjustment) -> list[str]:
 
 def _about_turning(result: Adjustment) -> list[str]:
     data = result.data
-    used = result.view_kept & data.usable
+    used = result.view_inlier & data.fixes_pose
     angles = [data.angle[used & (data.placement == number)] for number in np.unique(data.placement[used])]
     turned = [np.degrees(np.ptp(stops)) for stops in angles if len(stops) > 1]
     lines = []

@@ -205,7 +205,7 @@ def _left_out(
 ) -> HeldOut:
     """With some of the unknowns alone."""
     owner = np.asarray(result.problem.placement)
-    used = np.any(result.corner_kept, axis=1)
+    used = np.any(result.corner_inlier, axis=1)
     fold = np.full(len(normal.information), -1)
     there = np.unique(owner[used])
     fold[there] = np.arange(len(there)) % FOLDS
@@ -224,7 +224,7 @@ def _left_out(
     _find_poses(residual, normal.pose_rows, owner)
     weight = np.asarray(result.problem.corner_weight)
     error = residual.reshape(*weight.shape, 2) / np.where(weight > 0, weight, 1.0)[..., None]
-    counted = result.corner_kept & (weight > 0)
+    counted = result.corner_inlier & (weight > 0)
     return HeldOut(np.where(counted[..., None], error, 0.0), counted)
 
 
@@ -249,7 +249,7 @@ def _normal(result: Adjustment, extra: BoardModes) -> _Normal:
     moved = moved.reshape(*slopes.shape[:2], -1)
     residual = linear.corner_error * np.repeat(problem.corner_weight, 2, axis=1)
     # Without the padding at the end: stripes have thousands of rows.
-    lit = slice(used_length(problem.lit))
+    lit = slice(used_length(problem.stripe_used))
     stripe_slopes, stripe_chain = linear.stripe_slopes[lit], stripe_chain[lit]
     lifted = _lifted(stripe_slopes[..., camera : camera + 6], extra, np.asarray(problem.frame))
     offset = linear.offset[lit] * np.asarray(problem.stripe_weight)[lit]
@@ -345,7 +345,7 @@ def choose_shape(
         settings: Of the solve; the shape stays a parabola where "shape" or "warp" is held.
     """
     stay = result, ShapeChoice("parabola")
-    placements = len(np.unique(result.data.placement[result.view_kept & result.data.usable]))
+    placements = len(np.unique(result.data.placement[result.view_inlier & result.data.fixes_pose]))
     wanted = {"shape", "warp"} <= set(settings.free)
     if not wanted or not result.converged or placements < _LEAST_PLACEMENTS:
         return stay
@@ -426,7 +426,7 @@ def describe_board(
     board = np.asarray(observations.board.corners(), np.float64)
     shape = np.asarray(result.problem.shape)
     surface = BowedBoard(np.asarray(result.problem.frame), shape[:3])
-    bow = np.stack([np.asarray(surface.rise(xy)) for xy in board[:, :2]])
+    bow = np.asarray(surface.rise(board[:, :2]))
     modes = np.asarray(result.problem.modes.corner)[: len(board)]
     # The pitch moves the corners in the plane, and is told by itself.
     numbers = np.array([0, 1, *range(3, len(shape))])

@@ -189,7 +189,7 @@ def calibrate_camera(observations: Observations, *, settings: CalibrationSetting
 
 def _rig(data: Prepared, observations: Observations, settings: CalibrationSettings, known: KnownParts) -> Rig:
     """The largest rig that the observations determine."""
-    views = np.flatnonzero(data.usable)
+    views = np.flatnonzero(data.fixes_pose)
     if len(views) == 0:
         raise CalibrationError(
             "The board was not found in any view: "
@@ -286,7 +286,7 @@ def _lowest(starts: list[Problem], data: Prepared, settings: CalibrationSettings
 def _apart(data: Prepared) -> Prepared:
     """Every view a placement of its own, so that a board moved by mistake does no harm."""
     return data._replace(
-        placement=np.where(data.usable, np.arange(len(data.usable)), 0).astype(np.int32),
+        placement=np.where(data.fixes_pose, np.arange(len(data.fixes_pose)), 0).astype(np.int32),
         angle=np.zeros_like(data.angle),
         stop=np.zeros_like(data.stop),
     )
@@ -347,7 +347,7 @@ def solved_rig(found: Estimate) -> SolvedRig | None:
         scanner = Scanner(found.camera, problem.lasers, motion, None, found.rig.lasers, observations.up)
     views, corners = np.shape(observations.corners.valid)
     bend, offset = bend_of(problem)
-    squares = np.sum(result.corner_error[result.corner_kept] ** 2, axis=-1)
+    squares = np.sum(result.corner_error[result.corner_inlier] ** 2, axis=-1)
     return SolvedRig(
         camera=found.camera,
         scanner=scanner,
@@ -356,7 +356,7 @@ def solved_rig(found: Estimate) -> SolvedRig | None:
         bend=bend,
         offset=offset[:corners],
         poses=result.linearised.view_poses[:views],
-        used=np.any(result.corner_kept, axis=1)[:views],
+        used=np.any(result.corner_inlier, axis=1)[:views],
         corner_rms_px=float(np.sqrt(squares.mean())) if squares.size else 0.0,
         believed=_believed(observations),
     )
@@ -395,7 +395,7 @@ def _explained(found: Estimate) -> dict[str, float]:
     return {
         "corner_rms_whitened": corner_rms,
         "stripe_rms_whitened": stripe_rms,
-        "views": int(data.usable.sum()),
+        "views": int(data.fixes_pose.sum()),
         "corners": int(data.corner_valid.sum()),
         "stripe_points": int(data.stripe_valid.sum()),
     }

@@ -147,11 +147,11 @@ def _fit(result: Adjustment, observations: Observations, covariance: np.ndarray)
         corner_error=corner(result.corner_error),
         corner_sigma=corner(result.corner_sigma),
         corner_leverage=corner(leverage),
-        corner_kept=corner(result.corner_kept),
+        corner_inlier=corner(result.corner_inlier),
         stripe_error=stripe(result.stripe_error),
         stripe_sigma=stripe(result.stripe_sigma),
         stripe_leverage=stripe(result.linearised.stripe_leverage),
-        stripe_kept=stripe(result.stripe_kept),
+        stripe_inlier=stripe(result.stripe_inlier),
         covariance=covariance,
         bend=bend,
         offset=offset[:corners],
@@ -182,9 +182,9 @@ def _describe(
     per_view = _per_view(result, observations, distance)
     return Quality(
         converged=result.converged,
-        corner_rms_px=_rms(distance[result.corner_kept]),
+        corner_rms_px=_rms(distance[result.corner_inlier]),
         corner_rms_all_px=_rms(distance[data.corner_valid]),
-        stripe_rms_px=_rms(result.stripe_error[result.stripe_kept]),
+        stripe_rms_px=_rms(result.stripe_error[result.stripe_inlier]),
         corner_rms_whitened=corner_rms,
         stripe_rms_whitened=stripe_rms,
         corner_noise_over_sigma=result.corner_noise,
@@ -195,11 +195,11 @@ def _describe(
         views=len(per_view),
         views_without_board=len(np.asarray(observations.corners.angle)) - len(per_view),
         views_dropped=tuple(view.record for view in per_view if view.dropped),
-        placements=len(np.unique(data.placement[data.usable])),
+        placements=len(np.unique(data.placement[data.fixes_pose])),
         corners=corners,
-        corners_rejected=corners - int(result.corner_kept.sum()),
+        corners_rejected=corners - int(result.corner_inlier.sum()),
         stripe_points=stripes,
-        stripe_points_rejected=stripes - int(result.stripe_kept.sum()),
+        stripe_points_rejected=stripes - int(result.stripe_inlier.sum()),
         per_view=per_view,
         condition=determination.condition,
         unobserved=tuple(row.direction for row in spectrum if is_held_by_priors(row.sigma_over_prior)),
@@ -225,15 +225,15 @@ def _per_view(result: Adjustment, observations: Observations, distance: np.ndarr
     elsewhere = set(np.asarray(observations.stripes.view)[without].tolist())
     depth = result.linearised.view_poses[:, 2, 3]
     views = []
-    for view in np.flatnonzero(data.usable):
+    for view in np.flatnonzero(data.fixes_pose):
         seen = data.corner_valid[view]
-        points = result.stripe_kept & (data.stripe_view == view)[:, None]
+        points = result.stripe_inlier & (data.stripe_view == view)[:, None]
         views.append(
             ViewQuality(
                 record=int(records[view]),
                 corners=int(seen.sum()),
-                dropped=not bool(result.view_kept[view]),
-                corners_rejected=int((seen & ~result.corner_kept[view]).sum()),
+                dropped=not bool(result.view_inlier[view]),
+                corners_rejected=int((seen & ~result.corner_inlier[view]).sum()),
                 corner_rms_px=_rms(distance[view, seen]),
                 stripe_points=int(points.sum()),
                 stripe_rms_px=_rms(result.stripe_error[points]),
@@ -246,8 +246,8 @@ def _per_view(result: Adjustment, observations: Observations, distance: np.ndarr
 
 def _prior_cost(result: Adjustment, prior: np.ndarray) -> float:
     """Share of the priors in the cost."""
-    corner = np.sum(np.square(result.corner_error / result.corner_sigma[..., None])[result.corner_kept])
-    stripe = np.sum(np.square(result.stripe_error / result.stripe_sigma)[result.stripe_kept])
+    corner = np.sum(np.square(result.corner_error / result.corner_sigma[..., None])[result.corner_inlier])
+    stripe = np.sum(np.square(result.stripe_error / result.stripe_sigma)[result.stripe_inlier])
     own = float(np.sum(prior**2))
     return own / max(own + float(corner + stripe / result.stripe_correlation), 1e-300)
 
@@ -258,7 +258,7 @@ def _rms(values: np.ndarray) -> float:
 
 def _noise_by_contrast(result: Adjustment) -> dict[str, float]:
     """Estimated noise over the given sigma of each contrast class that has kept points [1]."""
-    points = np.bincount(result.data.stripe_contrast[result.stripe_kept], minlength=len(_CONTRASTS))
+    points = np.bincount(result.data.stripe_contrast[result.stripe_inlier], minlength=len(_CONTRASTS))
     return {
         name: float(noise) for name, noise, count in zip(_CONTRASTS, result.stripe_noise, points, strict=True) if count
     }

@@ -90,7 +90,7 @@ def compare_halves(
     Records are dealt out in turn inside each placement, so that both halves keep several angles. Weights of corners
     and stripes are multiplied by `promise`.
     """
-    half = deal_halves(np.asarray(result.data.placement), result.view_kept & result.data.usable)
+    half = deal_halves(np.asarray(result.data.placement), result.view_inlier & result.data.fixes_pose)
     if min(np.count_nonzero(half == 0), np.count_nonzero(half == 1)) < 3:
         return None
     parts = [_solved(result, settings, (half == side)[:, None], promise) for side in (0, 1)]
@@ -106,7 +106,7 @@ def compare_regions(result: Adjustment, settings: CalibrationSettings) -> Split 
 
     The middle is chosen so that the farthest corners lie as far beyond it as the corners of the image beyond them.
     """
-    kept, half = result.corner_kept, np.array(result.data.size) / 2.0
+    kept, half = result.corner_inlier, np.array(result.data.size) / 2.0
     radius = np.linalg.norm(result.data.corner_q - half + 0.5, axis=-1)
     reached = float(np.quantile(radius[kept], _FARTHEST)) / float(np.linalg.norm(half)) if kept.any() else 1.0
     if reached > _REACHED:
@@ -134,9 +134,9 @@ def put_back_lines(result: Adjustment, given: Observations) -> list[np.ndarray]:
         given: The observations before others were left out.
     """
     data, problem, steps = prepare(given), result.problem, []
-    agreed = np.any(result.stripe_kept, axis=1)
+    agreed = np.any(result.stripe_inlier, axis=1)
     q = np.where(agreed[:, None, None], result.data.stripe_q, data.stripe_q)
-    data = data._replace(stripe_q=q, stripe_valid=np.where(agreed[:, None], result.stripe_kept, data.stripe_valid))
+    data = data._replace(stripe_q=q, stripe_valid=np.where(agreed[:, None], result.stripe_inlier, data.stripe_valid))
     lifted = lift_stripes(data, problem.camera, result.linearised.view_poses)
     layout, scales = layout_of(problem), np.asarray(problem.scales)
     for laser in range(len(problem.lasers.distance)):
@@ -216,8 +216,8 @@ def _solved(
     stripes = views[result.data.stripe_view]
     problem = replace(
         result.problem,
-        seen=result.problem.seen & views,
-        lit=result.problem.lit & stripes,
+        view_used=result.problem.view_used & views,
+        stripe_used=result.problem.stripe_used & stripes,
         corner_weight=result.problem.corner_weight * corners * promise[0],
         stripe_weight=result.problem.stripe_weight * stripes[:, None] * promise[1],
     )

@@ -1,6 +1,7 @@
 """First values of camera, board poses, laser planes, motion and placements, in closed form or by a coarse search."""
 
 import itertools
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -17,8 +18,6 @@ from jaxscan.geometry import (
     LaserSheet,
     LinearStage,
     Turntable,
-    apply_homography,
-    direct_homography,
     fit_axis,
     fit_plane,
     nearest_rotation,
@@ -30,8 +29,8 @@ from jaxscan.leastsq import MEDIAN_TO_SIGMA
 
 # A board is looked at along its middle ray: beyond this cosine of the angle from it, tangents mean nothing.
 _MIN_COSINE = 0.1
-MIN_SHARE = 0.9
-"""Share of a view's corners that must be rays on one side of the camera: the rest may be wrong."""
+# Share of a view's corners that must be rays on one side of the camera: the rest may be wrong.
+_MIN_SHARE = 0.9
 # Boards whose normals differ by less show the camera one vanishing line: focal length and
 # principal point cannot be told apart.
 _MIN_TILT_DEG = 5.0
@@ -39,44 +38,17 @@ _MIN_TILT_DEG = 5.0
 _MIN_PLANE_SPREAD = 0.02
 
 
-def seed_narrow(data: Prepared) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The lens and the board poses from homographies, without distortion.
-
-    Square pixels and a centred principal point are assumed, which keeps the estimate sound under
-    strong distortion; the solve frees both.
+def seed_camera(data: Prepared, model: CameraModel) -> tuple[list[AbstractCamera], np.ndarray]:
+    """First cameras, with square pixels and the principal point in the middle, and first board poses.
 
     Returns:
-        theta: Angles of the corners to the optical axis [n], rad.
-        radius: Distances of the corners from the middle of the image [n], px.
-        poses: T_cam_board of every view [views, 4, 4] (identity where not usable).
+        One camera or several to try, with all coefficients that the model knows, and T_cam_board of
+        every view [views, 4, 4] (identity where it fixes no pose).
 
     Raises:
         CalibrationError: If the views do not determine a camera.
-
-    Source: Zhang, A flexible new technique for camera calibration (2000), section 3.1.
     """
-    views, corners = centred_corners(data)
-    homographies = [fit_homography(*seen) for seen in corners]
-    found = _focal_length(homographies)
-    # Even with a wrong focal length the normals show whether the boards are tilted.
-    focal = found or 1.2 * max(data.size)
-    poses = np.tile(np.eye(4), (len(data.usable), 1, 1))
-    for view, homography in zip(views, homographies, strict=True):
-        poses[view] = pose_from_homography(homography, focal)
-    check_tilts(poses[views], determined=found is not None)
-    radius = np.hypot(*np.concatenate([q for _, q in corners]).T)
-    return np.arctan2(radius, focal), radius, poses
-
-
-def centred_corners(data: Prepared) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
-    """Numbers of the views that fix a pose, and of each the corners on the board [n, 2] (m) and in the image.
-
-    Pixels [n, 2] are counted from the middle of the image.
-
-    Raises:
-        CalibrationError: If they are too few for any camera.
-    """
-    views = np.flatnonzero(data.usable)
+    kind, views = CAMERAS[model], np.flatnonzero(data.fixes_pose)
     if len(views) == 0:
         raise CalibrationError(
             "The board was not found in any view: "
@@ -87,9 +59,48 @@ def centred_corners(data: Prepared) -> tuple[np.ndarray, list[tuple[np.ndarray, 
             f"The board was found in {len(views)} view(s) and a camera needs at least 3: "
             "capture 10 or more, tilted by 20 to 45 degrees in different directions."
         )
-    middle = (np.array(data.size) - 1) / 2
-    seen = data.corner_valid
-    return views, [(data.board[seen[view], :2], data.corner_q[view, seen[view]] - middle) for view in views]
+    centre = (np.array(data.size) - 1) / 2
+    seen = _Corners(data.board[:, :2], data.corner_q[views] - centre, data.corner_valid[views])
+    poses = np.tile(np.eye(4), (len(data.fixes_pose), 1, 1))
+    theta, radius, poses[views] = _seed_wide(seen) if kind.wide else _seed_narrow(seen, max(data.size))
+    cameras = [
+        kind(values[0], values[0], centre[0], centre[1], values[1:], *data.size)
+        for values in kind.fit_curve(theta, radius)
+    ]
+    return cameras, poses
+
+
+class _Corners(NamedTuple):
+    """Corners of the views that fix a pose."""
+
+    points: np.ndarray
+    """On the flat board [corners, 2], m."""
+    q: np.ndarray
+    """From the middle of the image [views, corners, 2], px."""
+    valid: np.ndarray
+    """[views, corners]."""
+
+
+def _seed_narrow(seen: _Corners, longest: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The lens and the board poses from homographies, without distortion.
+
+    Square pixels and a centred principal point are assumed, which keeps the estimate sound under
+    strong distortion; the solve frees both.
+
+    Returns:
+        Angles of the corners to the optical axis [n], rad; their distances from the middle of the image [n], px; and
+        T_cam_board of the views.
+
+    Source: Zhang, A flexible new technique for camera calibration (2000), section 3.1.
+    """
+    homographies = _fit_homographies(seen.points, seen.q, seen.valid)
+    found = _focal_length(homographies)
+    # Even with a wrong focal length the normals show whether the boards are tilted.
+    focal = found or 1.2 * longest
+    poses = _poses_from_homographies(homographies, focal)
+    check_tilts(poses, determined=found is not None)
+    radius = np.hypot(*seen.q[seen.valid].T)
+    return np.arctan2(radius, focal), radius, poses
 
 
 def check_tilts(poses: np.ndarray, *, determined: bool = True) -> None:
@@ -138,44 +149,75 @@ def seed_plane(points: np.ndarray, name: str) -> LaserSheet:
     return LaserSheet.from_plane(plane.normal, plane.distance)
 
 
-def fit_homography(points: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Homography [3, 3] from board points [n, 2] to pixels [n, 2], robust against a few wrong corners.
+def _fit_homographies(points: np.ndarray, q: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Homographies [views, 3, 3] from board points [n, 2] to pixels [views, n, 2], robust against a few wrong corners.
 
     Source: Hartley and Zisserman, Multiple View Geometry, normalised direct linear transformation.
     """
-    keep = np.ones(len(points), bool)
+    keep, least = valid, np.maximum(6, valid.sum(1) // 2)[:, None]
     for _ in range(3):
-        homography = direct_homography(points[keep], q[keep])
-        distance = np.hypot(*(apply_homography(homography, points) - q).T)
+        homographies = _direct_homographies(points, q, keep)
+        mapped = _homogeneous(points) @ np.swapaxes(homographies, 1, 2)
+        depth = np.where(np.abs(mapped[..., 2:]) < 1e-12, 1e-12, mapped[..., 2:])
+        distance = np.linalg.norm(mapped[..., :2] / depth - q, axis=-1)
         # Lens distortion is no error here, so only corners far beyond the usual misfit are dropped.
-        trimmed = distance <= 6.0 * np.median(distance) + 1e-9
-        if trimmed.sum() < max(6, len(points) // 2) or np.array_equal(trimmed, keep):
+        trimmed = valid & (distance <= 6.0 * _median(distance, valid)[:, None] + 1e-9)
+        trimmed = np.where(trimmed.sum(1, keepdims=True) >= least, trimmed, keep)
+        if np.array_equal(trimmed, keep):
             break
         keep = trimmed
-    return homography
+    return homographies
 
 
-def pose_from_homography(homography: np.ndarray, focal: float) -> np.ndarray:
-    """T_cam_board [4, 4] from a homography to pixels about the principal point."""
-    columns = homography / np.array([[focal], [focal], [1.0]])
-    columns = columns * (2.0 / (np.linalg.norm(columns[:, 0]) + np.linalg.norm(columns[:, 1])))
-    columns = columns * (1.0 if columns[2, 2] >= 0 else -1.0)
-    pose = np.eye(4)
-    across = np.cross(columns[:, 0], columns[:, 1])
-    pose[:3, :3] = nearest_rotation(np.column_stack([columns[:, 0], columns[:, 1], across]))
-    pose[:3, 3] = columns[:, 2]
-    return pose
+def _direct_homographies(points: np.ndarray, q: np.ndarray, keep: np.ndarray) -> np.ndarray:
+    count = np.maximum(keep.sum(1), 1)[:, None]
+
+    def normalised(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        centre = np.sum(np.where(keep[..., None], values, 0.0), axis=1) / count
+        away = np.where(keep[..., None], values - centre[:, None], 0.0)
+        size = np.maximum(np.sqrt(np.sum(away**2, axis=(1, 2)) / (2 * count[:, 0])), 1e-12)
+        to = np.tile(np.eye(3), (len(keep), 1, 1))
+        to[:, :2, 2], to[:, [0, 1], [0, 1]] = -centre / size[:, None], 1.0 / size[:, None]
+        return to, np.where(keep[..., None], _homogeneous(away / size[:, None, None]), 0.0)
+
+    (to_points, x), (to_seen, u) = normalised(np.broadcast_to(points, q.shape)), normalised(q)
+    rows = [np.concatenate([x, 0.0 * x], -1), np.concatenate([0.0 * x, x], -1)]
+    system = np.concatenate([np.concatenate([rows[k], -u[..., k : k + 1] * x], -1) for k in (0, 1)], axis=1)
+    # The triangle of its QR decomposition has the same null vector, and is small.
+    homographies = np.linalg.svd(np.linalg.qr(system, mode="r"))[2][:, -1].reshape(-1, 3, 3)
+    homographies = np.linalg.inv(to_seen) @ homographies @ to_points
+    return homographies / np.linalg.norm(homographies[:, :, :2], axis=(1, 2))[:, None, None]
 
 
-def _focal_length(homographies: list[np.ndarray]) -> float | None:
-    a, b = [], []
-    for homography in homographies:
-        x, y = homography[:, 0], homography[:, 1]
-        size = max(np.linalg.norm(x[:2]) * np.linalg.norm(y[:2]), 1e-300)
-        # The columns are images of perpendicular vectors of equal length.
-        a += [x[:2] @ y[:2] / size, (x[:2] @ x[:2] - y[:2] @ y[:2]) / size]
-        b += [-x[2] * y[2] / size, (y[2] ** 2 - x[2] ** 2) / size]
-    inverse_square = np.dot(a, b) / max(np.dot(a, a), 1e-300)
+def _homogeneous(points: np.ndarray) -> np.ndarray:
+    return np.concatenate([points, np.ones_like(points[..., :1])], axis=-1)
+
+
+def _median(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Of the valid values of each row."""
+    return np.array([np.median(row[there]) if there.any() else 0.0 for row, there in zip(values, valid, strict=True)])
+
+
+def _poses_from_homographies(homographies: np.ndarray, focal: float) -> np.ndarray:
+    """T_cam_board [views, 4, 4] from homographies to pixels about the principal point."""
+    columns = homographies / np.array([[focal], [focal], [1.0]])
+    length = np.linalg.norm(columns[:, :, :2], axis=1).sum(1)
+    columns = columns * (np.where(columns[:, 2, 2] >= 0, 2.0, -2.0) / length)[:, None, None]
+    poses = np.tile(np.eye(4), (len(columns), 1, 1))
+    across = np.cross(columns[:, :, 0], columns[:, :, 1])
+    poses[:, :3, :3] = nearest_rotation(np.stack([columns[:, :, 0], columns[:, :, 1], across], axis=-1))
+    poses[:, :3, 3] = columns[:, :, 2]
+    return poses
+
+
+def _focal_length(homographies: np.ndarray) -> float | None:
+    # The columns are images of perpendicular vectors of equal length.
+    x, y = homographies[:, :, 0], homographies[:, :, 1]
+    dot = lambda one, other: np.sum(one[:, :2] * other[:, :2], axis=1)
+    size = np.maximum(np.sqrt(dot(x, x) * dot(y, y)), 1e-300)
+    a = np.concatenate([dot(x, y) / size, (dot(x, x) - dot(y, y)) / size])
+    b = np.concatenate([-x[:, 2] * y[:, 2] / size, (y[:, 2] ** 2 - x[:, 2] ** 2) / size])
+    inverse_square = float(a @ b / max(a @ a, 1e-300))
     return float(1.0 / np.sqrt(inverse_square)) if inverse_square > 0 else None
 
 
@@ -187,14 +229,10 @@ def seed_poses(data: Prepared, camera: AbstractCamera) -> np.ndarray:
     Raises:
         CalibrationError: If no view shows the board where this camera has rays.
     """
-    poses = np.tile(np.eye(4), (len(data.usable), 1, 1))
-    rays = np.asarray(jax.tree.map(np.asarray, camera).unproject(data.corner_q))
-    found = 0
-    for view in np.flatnonzero(data.usable):
-        seen = data.corner_valid[view]
-        pose, share = pose_from_rays(data.board[seen, :2], rays[view, seen])
-        poses[view], found = pose, found + (share >= MIN_SHARE)
-    if not found:
+    poses, views = np.tile(np.eye(4), (len(data.fixes_pose), 1, 1)), np.flatnonzero(data.fixes_pose)
+    rays = np.asarray(jax.tree.map(np.asarray, camera).unproject(data.corner_q[views]))
+    poses[views], share = _poses_from_rays(data.board[:, :2], rays, data.corner_valid[views])
+    if not (share >= _MIN_SHARE).any():
         raise CalibrationError(
             "The known camera sees the board in no view: check that it is the calibration of this camera, or calibrate "
             "the camera too."
@@ -202,28 +240,28 @@ def seed_poses(data: Prepared, camera: AbstractCamera) -> np.ndarray:
     return poses
 
 
-def pose_from_rays(points: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, float]:
-    """T_cam_board [4, 4] of board points [n, 2] seen along unit rays [n, 3], and the share of the rays that it is from.
+def _poses_from_rays(points: np.ndarray, rays: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """T_cam_board [views, 4, 4] of board points [n, 2] along unit rays [views, n, 3], and the share of the rays used.
 
     Where they are too few, the pose of any board in the direction of the rays.
     """
-    towards = _facing(rays.mean(0) if len(rays) else np.array([0.0, 0.0, 1.0]))
-    turned = rays @ towards.T
-    usable = turned[:, 2] > _MIN_COSINE
-    share = float(usable.mean()) if len(rays) else 0.0
-    pose, back = np.eye(4), np.eye(4)
-    pose[2, 3], back[:3, :3] = 1.0, towards.T
-    if share >= MIN_SHARE:
-        pose = pose_from_homography(fit_homography(points[usable], turned[usable, :2] / turned[usable, 2:]), 1.0)
-    return back @ pose, share
-
-
-def _facing(direction: np.ndarray) -> np.ndarray:
-    """A rotation [3, 3] that turns `direction` to +z."""
-    z = direction / np.linalg.norm(direction)
-    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
-    x = x / np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z])
+    count = np.maximum(valid.sum(1), 1)
+    mean = np.sum(np.where(valid[..., None], rays, 0.0), axis=1) / count[:, None]
+    # A rotation that turns the middle ray to +z.
+    z = np.where(valid.any(1)[:, None], mean, [0.0, 0.0, 1.0])
+    z = z / np.linalg.norm(z, axis=1, keepdims=True)
+    x = np.cross(np.eye(3)[np.argmin(np.abs(z), axis=1)], z)
+    x = x / np.linalg.norm(x, axis=1, keepdims=True)
+    towards = np.stack([x, np.cross(z, x), z], axis=1)
+    turned = rays @ np.swapaxes(towards, 1, 2)
+    ahead = valid & (turned[..., 2] > _MIN_COSINE)
+    share = ahead.sum(1) / count
+    poses, back = np.tile(np.eye(4), (2, len(rays), 1, 1))
+    poses[:, 2, 3], back[:, :3, :3] = 1.0, np.swapaxes(towards, 1, 2)
+    if (good := share >= _MIN_SHARE).any():
+        flat = turned[good, :, :2] / np.where(ahead[good], turned[good, :, 2], 1.0)[..., None]
+        poses[good] = _poses_from_homographies(_fit_homographies(points, flat, ahead[good]), 1.0)
+    return back @ poses, share
 
 
 # Field of view of the farthest corner, from the axis [rad]: from a mild lens to one that sees far
@@ -240,27 +278,7 @@ _SEARCH_VIEWS = 9
 _MAX_MISFIT = 0.1
 
 
-def seed_camera(data: Prepared, model: CameraModel) -> tuple[list[AbstractCamera], np.ndarray]:
-    """First cameras, with square pixels and the principal point in the middle, and first board poses.
-
-    Returns:
-        One camera or several to try, with all coefficients that the model knows, and T_cam_board of
-        every view [views, 4, 4] (identity where not usable).
-
-    Raises:
-        CalibrationError: If the views do not determine a camera.
-    """
-    kind = CAMERAS[model]
-    theta, radius, poses = seed_wide(data) if kind.wide else seed_narrow(data)
-    centre = (np.array(data.size) - 1) / 2
-    cameras = [
-        kind(values[0], values[0], centre[0], centre[1], values[1:], *data.size)
-        for values in kind.fit_curve(theta, radius)
-    ]
-    return cameras, poses
-
-
-def seed_wide(data: Prepared) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _seed_wide(seen: _Corners) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     r"""Focal length, cubic distortion and board poses, also of boards beyond 90 degrees.
 
     A trial lens $\theta_d = \theta (1 + k_1 \theta^2)$ makes rays of the corners; seen along the
@@ -269,40 +287,28 @@ def seed_wide(data: Prepared) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     pixels and a centred principal point are assumed; the solve frees both.
 
     Returns:
-        theta: Angles of the corners to the optical axis [n], rad.
-        radius: Distances from the middle of the image at which the lens shows them [n], px.
-        poses: T_cam_board of every view [views, 4, 4] (identity where not usable).
-
-    Raises:
-        CalibrationError: If the views do not determine a camera.
+        As `_seed_narrow`, the distances being those at which the lens shows such angles.
     """
-    views, corners = centred_corners(data)
-    chosen = np.unique(np.linspace(0, len(views) - 1, _SEARCH_VIEWS).round().astype(int))
-    focal, cubic = _search([corners[index] for index in chosen])
-    poses = np.tile(np.eye(4), (len(data.usable), 1, 1))
-    for view, (points, q) in zip(views, corners, strict=True):
-        poses[view] = _board_pose(points, q, focal, cubic)[0]
-    check_tilts(poses[views])
-    rays, exists = _rays(np.concatenate([q for _, q in corners]), focal, cubic)
+    chosen = np.unique(np.linspace(0, len(seen.q) - 1, _SEARCH_VIEWS).round().astype(int))
+    focal, cubic = _search(_Corners(seen.points, seen.q[chosen], seen.valid[chosen]))
+    poses, _ = _board_poses(seen, focal, cubic)
+    check_tilts(poses)
+    rays, exists = _rays(seen.q[seen.valid], focal, cubic)
     theta = np.arccos(rays[exists, 2])
     return theta, focal * theta * (1.0 + cubic * theta * theta), poses
 
 
-def _board_pose(points: np.ndarray, q: np.ndarray, focal: float, cubic: float) -> tuple[np.ndarray, float]:
-    """T_cam_board [4, 4] of board points [n, 2] seen at pixels [n, 2] about the principal point.
-
-    Returns:
-        The pose, and the share of the corners that are rays of such a lens on one side of the camera;
-        where they are too few, that of any board where they are.
-    """
-    rays, exists = _rays(q, focal, cubic)
-    pose, share = pose_from_rays(points[exists], rays[exists])
-    return pose, share * float(exists.mean())
+def _board_poses(seen: _Corners, focal: float, cubic: float) -> tuple[np.ndarray, np.ndarray]:
+    """T_cam_board of the views, and the shares of their corners that are rays of such a lens on one side of it."""
+    rays, exists = _rays(seen.q, focal, cubic)
+    there = seen.valid & exists
+    poses, share = _poses_from_rays(seen.points, rays, there)
+    return poses, share * there.sum(1) / seen.valid.sum(1)
 
 
-def _search(seen: list[tuple[np.ndarray, np.ndarray]]) -> tuple[float, float]:
+def _search(seen: _Corners) -> tuple[float, float]:
     """Focal length [px/rad] and k1 with the smallest misfit."""
-    radius = max(float(np.hypot(*q.T).max()) for _, q in seen)
+    radius = float(np.linalg.norm(seen.q[seen.valid], axis=-1).max())
     grid = np.log(radius / np.geomspace(_WIDEST, _NARROWEST, _FOCAL_STEPS))
     step = grid[1] - grid[0]
     misfit = lambda log_focal, cubic: _misfit(seen, float(np.exp(log_focal)), cubic)
@@ -332,31 +338,29 @@ def _search(seen: list[tuple[np.ndarray, np.ndarray]]) -> tuple[float, float]:
     return float(np.exp(focal)), float(cubic)
 
 
-def _misfit(seen: list[tuple[np.ndarray, np.ndarray]], focal: float, cubic: float) -> float:
+def _misfit(seen: _Corners, focal: float, cubic: float) -> float:
     """Mean over the views of the median distance of the corners from their board [px]."""
-    distances = []
-    for points, q in seen:
-        pose, share = _board_pose(points, q, focal, cubic)
-        if share < MIN_SHARE:
-            return np.inf
-        p = np.column_stack([points, np.zeros(len(points))]) @ pose[:3, :3].T + pose[:3, 3]
-        radius = np.hypot(p[:, 0], p[:, 1])
-        theta = np.arctan2(radius, p[:, 2])
-        scale = focal * theta * (1.0 + cubic * theta * theta) / np.maximum(radius, 1e-12)
-        distances.append(float(np.median(np.hypot(*(scale[:, None] * p[:, :2] - q).T))))
-    return float(np.mean(distances))
+    poses, share = _board_poses(seen, focal, cubic)
+    if (share < _MIN_SHARE).any():
+        return np.inf
+    p = seen.points @ np.swapaxes(poses[:, :3, :2], 1, 2) + poses[:, None, :3, 3]
+    radius = np.hypot(p[..., 0], p[..., 1])
+    theta = np.arctan2(radius, p[..., 2])
+    scale = focal * theta * (1.0 + cubic * theta * theta) / np.maximum(radius, 1e-12)
+    distance = np.linalg.norm(scale[..., None] * p[..., :2] - seen.q, axis=-1)
+    return float(np.mean(_median(distance, seen.valid)))
 
 
 def _rays(q: np.ndarray, focal: float, cubic: float) -> tuple[np.ndarray, np.ndarray]:
-    """Unit rays [n, 3] of pixels about the principal point, and which exist."""
-    radius = np.hypot(*q.T)
+    """Unit rays [..., 3] of pixels about the principal point, and which exist."""
+    radius = np.linalg.norm(q, axis=-1)
     # theta (1 + k1 theta^2) grows up to here. The table is linear to 1e-6 between its points.
     last = np.pi if cubic >= 0 else min(np.pi, 1.0 / np.sqrt(-3.0 * cubic))
     table = np.linspace(0.0, last, 1000)
     grown = focal * table * (1.0 + cubic * table * table)
     theta = np.interp(radius, grown, table)
     aside = np.sin(theta) / np.maximum(radius, 1e-12)
-    return np.column_stack([aside[:, None] * q, np.cos(theta)]), radius < grown[-1]
+    return np.concatenate([aside[..., None] * q, np.cos(theta)[..., None]], axis=-1), radius < grown[-1]
 
 
 # Boards before a linear stage do not turn; their poses from a first camera may be off by less than this.
@@ -443,8 +447,8 @@ def _seed_travel(poses: np.ndarray, data: Prepared) -> LinearStage:
 def _pairs(data: Prepared, least: float) -> list[tuple[int, int]]:
     """Views of the same placement at positions that differ by more than `least`."""
     pairs = []
-    for number in np.unique(data.placement[data.usable]):
-        views = np.flatnonzero(data.usable & (data.placement == number))
+    for number in np.unique(data.placement[data.fixes_pose]):
+        views = np.flatnonzero(data.fixes_pose & (data.placement == number))
         pairs += [
             (i, j) for i, j in itertools.combinations(views.tolist(), 2) if abs(data.angle[i] - data.angle[j]) > least
         ]
@@ -454,9 +458,9 @@ def _pairs(data: Prepared, least: float) -> list[tuple[int, int]]:
 def average_placements(poses: np.ndarray, data: Prepared, motion: AbstractMotion) -> np.ndarray:
     """T_cam0_board of every placement [views, 4, 4] (as many as views; the rest is identity)."""
     motions = np.asarray(jax.tree.map(np.asarray, motion).motion(data.angle))
-    result = np.tile(np.eye(4), (len(data.usable), 1, 1))
-    for number in np.unique(data.placement[data.usable]):
-        views = np.flatnonzero(data.usable & (data.placement == number))
+    result = np.tile(np.eye(4), (len(data.fixes_pose), 1, 1))
+    for number in np.unique(data.placement[data.fixes_pose]):
+        views = np.flatnonzero(data.fixes_pose & (data.placement == number))
         still = motions[views] @ poses[views]
         result[number, :3, :3] = nearest_rotation(still[:, :3, :3].mean(0))
         result[number, :3, 3] = np.median(still[:, :3, 3], axis=0)

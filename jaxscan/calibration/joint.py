@@ -125,26 +125,14 @@ def _seen(problem: Problem) -> Seen:
     return Seen(*rows, chains(problem), camera_from_board(problem), slopes)
 
 
-class Solved(NamedTuple):
-    """What the compiled program gives."""
-
-    end: Point
-    residuals: Residuals
-    linear: Linear
-    steps: Int[Array, ""]
-    converged: Bool[Array, ""]
-
-
 @compile_sooner
-def _solved(
-    problem: Problem, damping: Float[Array, ""], tolerance: Float[Array, ""], max_steps: Int[Array, ""]
-) -> Solved:
-    # Imported by whoever solves: it takes its time.
+def _solved(problem: Problem, damping: Float[Array, ""], tolerance: Float[Array, ""], max_steps: Int[Array, ""]) -> Any:
+    # A `Minimum`. Imported by whoever solves: it takes its time.
     from jaxscan.leastsq.solver import minimise
 
     problem = jax.tree.map(jnp.asarray, problem)
     start = Point(moving(problem), jnp.zeros_like(problem.scales))
-    return Solved(*minimise(Joint(problem), start, damping, tolerance, max_steps))
+    return minimise(Joint(problem), start, damping, tolerance, max_steps)
 
 
 @dataclass(frozen=True)
@@ -276,8 +264,8 @@ def solve(problem: Problem, damping: float, tolerance: float, max_steps: int) ->
     found = jax.tree.map(np.asarray, found)
     if not found.steps:
         raise CalibrationError("The solve left the range of numbers: the observations contradict each other.")
-    end = Linearised(_at(problem, found.end.moved), found.residuals, *found.linear)
-    return Solution(end, found.end.shared, int(found.steps), bool(found.converged))
+    end = Linearised(_at(problem, found.y.moved), found.residuals, *found.linear)
+    return Solution(end, found.y.shared, int(found.steps), bool(found.converged))
 
 
 def linearise(problem: Problem) -> Linearised:

@@ -53,7 +53,7 @@ class Prepared(NamedTuple):
     """Compact numbers 0 ... placements - 1; 0 for padding."""
     stop: np.ndarray
     """1 for the position of a view [views, stops] among those of its placement; 0 where that has one alone."""
-    usable: np.ndarray
+    fixes_pose: np.ndarray
     """Views [views] with enough corners to fix a pose; the others are not valid anywhere."""
     stripe_q: np.ndarray
     stripe_sigma: np.ndarray
@@ -70,22 +70,22 @@ def prepare(observations: Observations) -> Prepared:
     board = np.asarray(observations.board.corners(), np.float64)
     centre = np.array([(observations.width - 1) / 2, (observations.height - 1) / 2])
     q, sigma, valid = _clean(corners.q, corners.sigma, corners.valid, centre)
-    usable = np.array([fixes_plane(board[seen, :2]) for seen in valid], bool)
-    valid &= usable[:, None]
+    fixes_pose = np.array([fixes_plane(board[seen, :2]) for seen in valid], bool)
+    valid &= fixes_pose[:, None]
     stripe_q, stripe_sigma, stripe_valid = _clean(stripes.q, stripes.sigma, stripes.valid, centre)
     view = np.asarray(stripes.view, np.int32)
     contrast = np.zeros(stripe_valid.shape, np.int8)
     if stripes.contrast is not None:
         # Used as an index, by points that are not valid too.
         contrast = np.where(stripe_valid, stripes.contrast, 0).astype(np.int8)
-    if len(view) and len(usable):
-        stripe_valid &= usable[view][:, None]
-    placement = np.zeros(len(usable), np.int32)
-    if usable.any():
-        placement[usable] = np.unique(np.asarray(corners.placement)[usable], return_inverse=True)[1]
-    angle = np.where(usable, np.asarray(corners.angle, np.float64), 0.0)
-    stop = _stops(angle, placement, usable)
-    views, rows = _bucket(len(usable), _VIEWS), _bucket(len(view), _VIEWS)
+    if len(view) and len(fixes_pose):
+        stripe_valid &= fixes_pose[view][:, None]
+    placement = np.zeros(len(fixes_pose), np.int32)
+    if fixes_pose.any():
+        placement[fixes_pose] = np.unique(np.asarray(corners.placement)[fixes_pose], return_inverse=True)[1]
+    angle = np.where(fixes_pose, np.asarray(corners.angle, np.float64), 0.0)
+    stop = _stops(angle, placement, fixes_pose)
+    views, rows = _bucket(len(fixes_pose), _VIEWS), _bucket(len(view), _VIEWS)
     points, count = _bucket(stripe_q.shape[1], _POINTS), _bucket(len(board), _CORNERS)
     return Prepared(
         size=(observations.width, observations.height),
@@ -96,7 +96,7 @@ def prepare(observations: Observations) -> Prepared:
         angle=_pad(angle, (views,), 0.0),
         placement=_pad(placement, (views,), 0),
         stop=_pad(stop, (views,), 0.0),
-        usable=_pad(usable, (views,), False),
+        fixes_pose=_pad(fixes_pose, (views,), False),
         stripe_q=_pad(stripe_q, (rows, points), centre),
         stripe_sigma=_pad(stripe_sigma, (rows, points), 1.0),
         stripe_valid=_pad(stripe_valid, (rows, points), False),
@@ -106,10 +106,10 @@ def prepare(observations: Observations) -> Prepared:
     )
 
 
-def _stops(angle: np.ndarray, placement: np.ndarray, usable: np.ndarray) -> np.ndarray:
+def _stops(angle: np.ndarray, placement: np.ndarray, fixes_pose: np.ndarray) -> np.ndarray:
     number, most = np.full(len(angle), -1), 0
-    for one in np.unique(placement[usable]):
-        views = np.flatnonzero(usable & (placement == one))
+    for one in np.unique(placement[fixes_pose]):
+        views = np.flatnonzero(fixes_pose & (placement == one))
         positions, place = np.unique(angle[views], return_inverse=True)
         # The pose of a board that was seen from one position alone takes up any error of it.
         if len(positions) > 1:
@@ -196,14 +196,14 @@ class Problem(eqx.Module):
     stop_sigma: Float[Array, ""]
     """Standard deviation of a stop about its position [rad or m]."""
     placement: Int[Array, " views"]
-    seen: Bool[Array, " views"]
+    view_used: Bool[Array, " views"]
     """Views with corners; the others are padding, and nothing is evaluated for them."""
     stripe_q: Float[Array, "stripes points 2"]
     stripe_weight: Float[Array, "stripes points"]
     """1 / (|grad_q e| sigma) [1 / m]."""
     stripe_view: Int[Array, " stripes"]
     stripe_laser: Int[Array, " stripes"]
-    lit: Bool[Array, " stripes"]
+    stripe_used: Bool[Array, " stripes"]
     """Stripes with points; the others are padding, and nothing is evaluated for them."""
 
     @property
@@ -241,15 +241,15 @@ def move(step: Unknowns, problem: Problem) -> Problem:
     """The same problem seen from the point that a step in scaled units leads to, poses in the boards' own frames."""
     shared = step.shared * problem.scales
     layout = layout_of(problem)
-    moved = (
-        problem.camera.retract(shared[layout.camera]),
-        problem.lasers.retract(shared[layout.lasers].reshape(-1, 5)),
-        problem.turntable.retract(shared[layout.turntable]),
-        move_poses(problem.poses, step.local[:, :6]),
-        problem.stops + step.local[:, 6:],
-        problem.shape + shared[layout.board],
+    return replace(
+        problem,
+        camera=problem.camera.retract(shared[layout.camera]),
+        lasers=problem.lasers.retract(shared[layout.lasers].reshape(-1, 5)),
+        turntable=problem.turntable.retract(shared[layout.turntable]),
+        poses=move_poses(problem.poses, step.local[:, :6]),
+        stops=problem.stops + step.local[:, 6:],
+        shape=problem.shape + shared[layout.board],
     )
-    return eqx.tree_at(moving, problem, moved)
 
 
 def move_poses(poses: Float[Array, "*n 4 4"], steps: Float[Array, "*n 6"]) -> Float[Array, "*n 4 4"]:
@@ -356,12 +356,12 @@ def make_problem(
         stop=data.stop,
         stop_sigma=np.asarray(settings.angle_sigma or LEAST_STOP_SIGMA),
         placement=data.placement,
-        seen=np.any(data.corner_valid, axis=1),
+        view_used=np.any(data.corner_valid, axis=1),
         stripe_q=data.stripe_q,
         stripe_weight=np.zeros(data.stripe_valid.shape),
         stripe_view=data.stripe_view,
         stripe_laser=data.stripe_laser,
-        lit=np.any(data.stripe_valid, axis=1),
+        stripe_used=np.any(data.stripe_valid, axis=1),
     )
 
 

@@ -191,9 +191,13 @@ def typical_lengths(scanner: Scanner, laser: int) -> list[Length]:
     stripe of one image and across the sweep; and between two points half a turn apart: opposite
     walls of two rooms, or two sides of an object on the table.
     """
-    reached, table, found = _in_reach(scanner, laser), scanner.turntable, []
+    return _typical(scanner, laser, _in_reach(scanner, laser))
+
+
+def _typical(scanner: Scanner, laser: int, reached: list[Lit]) -> list[Length]:
+    table, found = scanner.turntable, list[Length]()
     if not reached:
-        return []
+        return found
     lit = _middle(reached)
     length, twice = _LENGTH_SHARE * lit.depth, lambda one: np.tile(one.middle(), (2, 1))
     if np.ptp(lit.along) >= length:
@@ -262,12 +266,13 @@ def predict_lengths(scanner: Scanner) -> Lengths:
     """
     steps, lasers = _root(scanner), []
     for index, name in enumerate(scanner.laser_names):
-        lengths = typical_lengths(scanner, index)
+        reached = _in_reach(scanner, index)
+        lengths = _typical(scanner, index, reached)
         measured = zip(lengths, measure_lengths(scanner, lengths), length_sigma(scanner, lengths), strict=True)
         told = tuple(
             LengthSigma(one.name, one.depth, float(value), 1e3 * float(sigma)) for one, value, sigma in measured
         )
-        lasers.append(LaserLengths(name, _at_depths(scanner, index, _in_reach(scanner, index), steps), told))
+        lasers.append(LaserLengths(name, _at_depths(scanner, index, reached, steps), told))
     return Lengths(tuple(lasers))
 
 

@@ -33,14 +33,14 @@ class Fit:
     """Estimated standard deviation of each coordinate [views, corners], px."""
     corner_leverage: np.ndarray
     """Share of each whitened residual that the fit takes up [views, corners, 2]."""
-    corner_kept: np.ndarray
+    corner_inlier: np.ndarray
     """bool [views, corners]."""
     stripe_error: np.ndarray
     """Sampson errors of the stripe points [stripes, points], px."""
     stripe_sigma: np.ndarray
     """Estimated standard deviation [stripes, points], px; correlation along the stripe not included."""
     stripe_leverage: np.ndarray
-    stripe_kept: np.ndarray
+    stripe_inlier: np.ndarray
     covariance: np.ndarray
     """Of the shared unknowns and of the board: `Calibration.order`, then warp.x, warp.y, pitch, and the modes of
     its shape."""
@@ -399,8 +399,8 @@ def judge_views(quality: Quality, fit: Fit | None, observations: Observations | 
     """All views, those with the largest residuals first."""
     rows: list[tuple[int | None, float | None]] = [(None, None)] * len(quality.per_view)
     if fit is not None and observations is not None:
-        count = fit.corner_kept.sum(1)
-        square = np.where(fit.corner_kept, np.sum(fit.corner_error**2, -1), 0.0).sum(1)
+        count = fit.corner_inlier.sum(1)
+        square = np.where(fit.corner_inlier, np.sum(fit.corner_error**2, -1), 0.0).sum(1)
         rms = np.sqrt(square / np.maximum(count, 1)).tolist()
         # Several captures may have records of the same number; all of them stand in the order of the views.
         left = iter(enumerate(np.asarray(observations.corners.record).tolist()))

@@ -120,7 +120,7 @@ def corner_rows(problem: Problem) -> Rows:
         return _rows((predicted - q).ravel(), slopes.reshape(-1, slopes.shape[-1]), jnp.repeat(weight, 2))
 
     arrays = camera_from_board(problem), jnp.asarray(problem.corner_q), jnp.asarray(problem.corner_weight)
-    return _in_parts(view, problem.seen, arrays, _VIEWS)
+    return _in_parts(view, problem.view_used, arrays, _VIEWS)
 
 
 def _rows(value: Array, slopes: Array, weight: Array) -> Rows:
@@ -154,7 +154,7 @@ def stripe_rows(problem: Problem) -> tuple[Rows, Float[Array, "stripes points 2"
 
     poses = camera_from_board(problem)[problem.stripe_view]
     arrays = problem.stripe_laser, problem.stripe_q, problem.stripe_weight
-    return _in_parts(stripe, problem.lit, (poses, *map(jnp.asarray, arrays)), _STRIPES)
+    return _in_parts(stripe, problem.stripe_used, (poses, *map(jnp.asarray, arrays)), _STRIPES)
 
 
 def _in_parts(function: Callable[..., Any], there: Bool[Array, " owners"], arrays: tuple[Array, ...], most: int) -> Any:

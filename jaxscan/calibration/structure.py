@@ -331,8 +331,8 @@ def _mean_residual(result: Adjustment) -> Float[np.ndarray, "views rows"]:
     steps = [*zip(root.T, follow, strict=True)]
     used = 6 + int(np.any(problem.stop, axis=0).sum())
     steps += [(np.zeros(len(root)), alone[..., number]) for number in range(used)]
-    seen = np.flatnonzero(problem.seen)
-    fields = ("corner_q", "corner_weight", "angle", "stop", "placement", "seen")
+    seen = np.flatnonzero(problem.view_used)
+    fields = ("corner_q", "corner_weight", "angle", "stop", "placement", "view_used")
     parts: dict[str, Any] = {name: np.asarray(getattr(problem, name))[seen] for name in fields}
     some = replace(problem, **parts)
     here, total = corner_pixels(some), np.zeros(np.shape(problem.corner_q))

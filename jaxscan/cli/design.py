@@ -87,7 +87,7 @@ def design(
     result = numbers(choice, step_deg, _scan_seconds(step_deg))
     show(out, choice, result)
     if output is not None:
-        from jaxscan.report.design import design_picture
+        from jaxscan.report.pictures import design_picture
 
         write_atomically(output, design_picture(choice))
         out.print(f"written: {output}")

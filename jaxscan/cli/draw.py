@@ -48,7 +48,7 @@ def plan(
         Path, tyro.conf.arg(aliases=["-o"], help="Drawing to write; the suffix chooses the format (.dxf .svg .pdf).")
     ],
     height: tuple[float, ...] = (1.0,),
-    section: Annotated[tuple[str, ...], tyro.conf.arg(metavar="W1+1.2 | AX AY BX BY")] = (),
+    section: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PLACE")] = (),
     calibration: OptionalCalibrationPath = None,
     unit: CloudUnit = None,
     up: CloudUp = None,

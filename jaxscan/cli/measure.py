@@ -287,31 +287,31 @@ def sphere(
     /,
     *,
     near: Point,
-    radius: float,
+    radius_mm: float,
     held: bool = False,
     calibration: OptionalCalibrationPath = None,
     unit: CloudUnit = None,
     json: JsonTarget = None,
 ) -> None:
-    """Centre and radius of a sphere: `jaxscan measure sphere room.ply --near 1 0.2 0.1 --radius 0.07`.
+    """Centre and radius of a sphere: `jaxscan measure sphere room.ply --near 1 0.2 0.1 --radius-mm 70`.
 
     Args:
         cloud: The cloud.
         near: About where its centre is, x y z in metres, to within 0.09 m.
-        radius: About its radius [m]; it is found, too.
+        radius_mm: About its radius; it is found, too.
         held: Keep the radius as it is given, and find the centre only.
         calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
         json: Write the result as JSON too.
     """
     coordinates("--near", near)
-    positive("--radius", radius)
-    coordinates("--radius", (radius,))
+    positive("--radius-mm", radius_mm)
+    coordinates("--radius-mm", (radius_mm,))
     check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
     check_json(json)
     scanner, notes = calibrated(calibration)
     points, said = in_metres(cloud, unit)
     notes += said
-    found = jaxscan.measure_sphere(points, np.array(near), radius_m=radius, held=held, scanner=scanner)
+    found = jaxscan.measure_sphere(points, np.array(near), radius_m=radius_mm / 1e3, held=held, scanner=scanner)
     result = finite(dataclasses.asdict(found))
     out = notes_first(notes, json)
     centre = " ".join(f"{x:.4f}" for x in found.centre_m)

@@ -20,6 +20,7 @@ from jaxscan.cli.options import (
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import JsonTarget, check_json, console, emit_json
 from jaxscan.errors import OptionError
+from jaxscan.files import clouds as cloud_files
 from jaxscan.surface.settings import DEFAULT_MESH
 
 
@@ -90,9 +91,11 @@ def mesh(
     api.check_mesh_path(output, textured=textured)
     check_json(json)
     settings = surface.MeshSettings(sigmas=sigmas, bend=bend, grazing_deg=grazing_deg, bridge=bridge)
-    points = api.load_cloud(cloud)
+    points, notes = cloud_files.in_metres(cloud_files.read_cloud(cloud))
     scanner = None if calibration is None else api.load_scanner(calibration)
     out = console(json)
+    for note in notes:
+        out.print(f"note: {cloud}: {note}")
     start = time.perf_counter()
     if texture is None or scanner is None:
         made = _mesh_of(points, scanner, settings, faces=faces, poisson=poisson)
@@ -114,6 +117,7 @@ def mesh(
         out.print(f"texture of {made.texture.shape[1]} x {made.texture.shape[0]} px")
     out.print(f"written: {', '.join(map(str, written))}")
     result = {
+        "notes": notes,
         "meshes": [str(path) for path in written],
         "vertices": len(made.vertices),
         "faces": len(made.faces),

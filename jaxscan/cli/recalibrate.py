@@ -9,6 +9,7 @@ import numpy as np
 import tyro
 
 from jaxscan import api, recalibration
+from jaxscan import report as calibration_reports
 from jaxscan.cli.options import (
     CLOUD_SUFFIXES,
     MAX_RANGE_M,
@@ -33,6 +34,7 @@ from jaxscan.report import recalibration as reports
 
 
 if TYPE_CHECKING:
+    from jaxscan.calibration import Calibration
     from jaxscan.recalibration import Given, Recalibration
 
 
@@ -137,6 +139,7 @@ def recalibrate(
             out.print(f"note: {note}")
         out.print(f"written: {', '.join(files.values())}")
         print_recalibration(out, result)
+        out.print(_good_to(result.calibration, api.load_calibration(calibration)))
         next_words = ["jaxscan", "reconstruct", str(sweeps[0]), "-c", str(output), "-o", f"{sweeps[0].name}.ply"]
         out.print(f"next: {shlex.join(next_words)}")
     emit_json(json, "recalibrate", files | recalibration_json(result))
@@ -150,6 +153,13 @@ def recalibrate(
                 )
             )
         )
+
+
+def _good_to(new: "Calibration", old: "Calibration") -> str:
+    """How good the calibration is, in the same figure as `jaxscan calibrate`, and how good it was."""
+    found = [one.quality.verdict and one.quality.verdict.good_to for one in (new, old)]
+    said = [None if one is None else calibration_reports.words.good_to_words(one) for one in found]
+    return f"Good to {said[0] or 'not known'}, before {said[1] or 'not known'}."
 
 
 def _known_room(path: Path) -> "Given":

@@ -111,7 +111,7 @@ def _of_calibration(path: Path, output: Path, capture: Path | None, json: str | 
 
 def _drawn(path: Path) -> tuple["Calibration", str, bool | None]:
     """The calibration to draw, a note on it, and whether it agrees with the stored one; None where that is unknown."""
-    from jaxscan.api.again import solve_again
+    from jaxscan.api.calibration import solve_again
 
     stored = jaxscan.load_calibration(path)
     if stored.observations is None and "recalibration" in stored.provenance:
@@ -152,7 +152,7 @@ def write_room_report(
         JaxscanError: If an input is not what it should be, or the report cannot be written.
     """
     # Imported here, so that `--help` does not load JAX.
-    from jaxscan.api.products.reports import calibration_rows, look_again, save_report
+    from jaxscan.api.reports import calibration_rows, look_again, save_report
     from jaxscan.files import clouds
     from jaxscan.files.calibration import calibration_notes
     from jaxscan.report import Beside

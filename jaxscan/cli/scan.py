@@ -238,17 +238,26 @@ def _next_command(boards: bool, folder: Path, calibration: Path | None, cloud: P
 
 
 _READABLE_S = 0.25
+_BETWEEN_LINES_S = 5.0
+"""Lines of progress in a log are at least so far apart."""
 
 
 class ScanDisplay:
     """Sentences on standard error; with a progress bar if that is a terminal."""
 
-    def __init__(self, live: "Callable[[], LiveStatus] | None" = None, *, total: int | None = None) -> None:
+    def __init__(
+        self,
+        live: "Callable[[], LiveStatus] | None" = None,
+        *,
+        total: int | None = None,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
         """Prepare the display; it is shown inside `with`.
 
         Args:
             live: Gives the status of the live cloud.
             total: Records of the scan; None for no bar.
+            now: The time [s].
         """
         self.retakes = 0
         self._live = live
@@ -256,6 +265,11 @@ class ScanDisplay:
         self._fields: dict[str, Any] = {"angle": "   home", "peak": "", "retakes": "", "points": ""}
         self._problem = ""
         self._read_s = -math.inf
+        self._now = now
+        self._begun: tuple[float, int] | None = None
+        """Time [s] and records when the first record was there."""
+        self._said = (0.0, 0)
+        """The same of the last line."""
         self._bars: Progress | None = None
         if total is not None and self._console.is_terminal:
             columns = (
@@ -295,9 +309,19 @@ class ScanDisplay:
                 self.say(f"the live cloud stopped: {status.problem}; the scan goes on")
 
     def progress(self, done: int, planned: int) -> None:
-        """Show the number of records on the disk."""
+        """Show the number of records on the disk; where nobody watches, in a line after each tenth."""
         if self._bars is not None:
             self._bars.update(self._task, completed=done, total=planned, **self._fields)
+            return
+        now = self._now()
+        if self._begun is None:
+            self._begun, self._said = (now, done), (now, done)
+        (begun_s, before), (said_s, said) = self._begun, self._said
+        if now - said_s < _BETWEEN_LINES_S or 10 * done // planned == 10 * said // planned or done >= planned:
+            return
+        self._said = now, done
+        left = (now - begun_s) / (done - before) * (planned - done)
+        self._console.print(f"{done} of {planned} records, about {_duration(left)} left{self._fields['retakes']}")
 
     def say(self, sentence: str) -> None:
         """Print a sentence on an event."""
@@ -351,7 +375,7 @@ class ScanPlan(NamedTuple):
 
     def show(self, out: Terminal, rig: "RigConfig", folder: Path) -> None:
         """Print the plan."""
-        from scanrig.recording.space import readable
+        from scanrig.recording import readable
 
         out.print(f"{self.targets}: {2 * self.records} images of {rig.camera.width} x {rig.camera.height} to {folder}")
         turn = f"{rig.microsteps_per_turn} microsteps per turn"

@@ -118,7 +118,7 @@ def _end(name: str) -> bool:
         pass  # Nobody listens.
     try:
         # Not imported: what is not loaded has begun nothing.
-        clean = getattr(sys.modules.get("jaxscan.files.disk.partial"), "forget_partials", None)
+        clean = getattr(sys.modules.get("jaxscan.files.disk.atomic"), "forget_partials", None)
         if clean is not None:
             clean()
     finally:

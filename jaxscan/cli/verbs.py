@@ -49,7 +49,7 @@ MEASURES = {
     "distance": "Between two picked points: `jaxscan measure distance room.ply --a 1 0.2 0.1 --b 1 -0.8 0.1`.",
     "plane": "Flatness around a point: `jaxscan measure plane room.ply --at 1.9 0.2 0.1`.",
     "points": "Between two single points: `jaxscan measure points room.ply --a 1 0.2 0.1 --b 1 -0.8 0.1`.",
-    "sphere": "Centre and radius of a sphere: `jaxscan measure sphere room.ply --near 1 0.2 0.1 --radius 0.07`.",
+    "sphere": "Centre and radius of a sphere: `jaxscan measure sphere room.ply --near 1 0.2 0.1 --radius-mm 70`.",
     "deviations": "Deviations from a plane: `jaxscan measure deviations room.ply --at 1.9 0.2 0.1 -o map.png`.",
     "compare": "Against a true or better cloud: `jaxscan measure compare room.ply truth.npz`.",
 }

@@ -6,11 +6,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxscan.geometry import Array, namespace
+from jaxscan.geometry import Array, median_sigma, namespace
 
 
-# Standard deviation of normal numbers over the median of their sizes.
-MEDIAN_TO_SIGMA = 1.4826
 # The noise of data without any is taken as this share of the given sigma, so that weights stay finite.
 _LEAST_NOISE = 1e-3
 
@@ -67,7 +65,7 @@ class Cauchy:
 
 def robust_noise(values: Float[np.ndarray, "..."]) -> float:
     """Standard deviation by the median, which outliers do not move; 1 of no values."""
-    return max(MEDIAN_TO_SIGMA * float(np.median(np.abs(values))), _LEAST_NOISE) if values.size else 1.0
+    return max(median_sigma(values), _LEAST_NOISE) if values.size else 1.0
 
 
 def noise_component(

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.errors import MeasurementError
-from jaxscan.geometry import Scanner
+from jaxscan.geometry import Scanner, median_sigma
 from jaxscan.measurement.checked import checked_samples, require_known
 from jaxscan.measurement.planes import Point
 from jaxscan.measurement.samples import SIGMA_FLOOR_M, Cloud, CloudSamples, Samples, places_of, spread_out
@@ -141,7 +141,7 @@ def fit_sphere(samples: CloudSamples, near: np.ndarray, radius: float, *, free: 
         sigma = _sigma_across(around, normal)
         if cap.sum() < FEWEST:
             raise unlike
-        scale = 1.4826 * np.median(np.abs(residual[cap] / sigma[cap]))
+        scale = median_sigma(residual[cap] / sigma[cap])
         now = cap & (np.abs(residual) < KEPT * max(scale, 1.0) * sigma)
         if now.sum() < FEWEST:
             raise unlike

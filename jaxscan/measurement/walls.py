@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxscan.geometry import median_sigma
 from jaxscan.measurement.planes import Plane, facing, fitted_plane, weighted_plane
 from jaxscan.measurement.samples import CloudSamples, Samples, spread_out
 
@@ -141,5 +142,4 @@ def _outer_scale(residual: np.ndarray) -> float:
     outer = residual[(residual > 0) & (residual < 8.0)]
     if len(outer) < 10:
         return 3.0
-    # Median of a half normal distribution: 0.6745 sigma.
-    return float(np.clip(np.median(outer) / 0.6745, 0.5, 4.0))
+    return float(np.clip(median_sigma(outer), 0.5, 4.0))

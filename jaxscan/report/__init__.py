@@ -9,19 +9,17 @@ if TYPE_CHECKING:
         Beside,
         Facts,
         RoomPicture,
-        View,
+        Viewpoint,
         cloud_page,
         dimension_text,
         draw_cloud,
         facts_of,
         room_picture,
     )
-    from jaxscan.report.deviations import deviation_picture
-    from jaxscan.report.drawn import pdf_of
-    from jaxscan.report.page import calibration_page
-    from jaxscan.report.scales import with_scale
+    from jaxscan.report.drawing import pdf_of, with_scale
+    from jaxscan.report.page import calibration_page, drawn_records, thumbnail
+    from jaxscan.report.pictures import deviation_picture
     from jaxscan.report.tables import Parameter, outcome_rows, parameters, quality_rows
-    from jaxscan.report.views import drawn_records, thumbnail
     from jaxscan.report.words import calibration_date
 else:
     load_on_use(__name__)

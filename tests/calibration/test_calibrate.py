@@ -252,4 +252,4 @@ def test_board_larger_than_a_bucket_of_corners_is_padded(world):
 
     data = prepare(world.observe(world.Rig(board=Chessboard(9, 7, 0.035)), free=4, placements=1, angles=2))
     assert data.board.shape == (96, 3) and data.corner_q.shape == (24, 96, 2)
-    assert not data.corner_valid[:, 63:].any() and not data.usable[6:].any()
+    assert not data.corner_valid[:, 63:].any() and not data.fixes_pose[6:].any()

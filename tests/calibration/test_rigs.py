@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxscan.api.again import solve_again
+from jaxscan.api.calibration import solve_again
 from jaxscan.calibration import CalibrationSettings, KnownParts, calibrate_observations
 from jaxscan.errors import CalibrationError
 from jaxscan.files import load_calibration, save_calibration

@@ -30,7 +30,7 @@ def true_poses(world, rig, observations):
     """Poses of the boards from perfect corners, by OpenCV."""
     cv2 = pytest.importorskip("cv2")
     matrix = np.array([[rig.focal[0], 0, rig.centre[0]], [0, rig.focal[1], rig.centre[1]], [0, 0, 1.0]])
-    poses = np.tile(np.eye(4), (len(prepare(observations).usable), 1, 1))
+    poses = np.tile(np.eye(4), (len(prepare(observations).fixes_pose), 1, 1))
     for view, q in enumerate(observations.corners.q):
         _, turn, place = cv2.solvePnP(rig.board.corners(), q, matrix, np.array(rig.lens))
         poses[view, :3, :3], poses[view, :3, 3] = cv2.Rodrigues(turn)[0], place[:, 0]

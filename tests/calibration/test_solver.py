@@ -84,8 +84,8 @@ def problem(world):
         stripe_weight=np.where(data.stripe_valid[:4, :12], 2000.0, 0.0),
         stripe_view=data.stripe_view[:4],
         stripe_laser=data.stripe_laser[:4],
-        seen=np.ones(5, bool),
-        lit=np.ones(4, bool),
+        view_used=np.ones(5, bool),
+        stripe_used=np.ones(4, bool),
     )
 
 

@@ -211,7 +211,7 @@ class TestOutput:
             ["measure", "distance", "{cloud}", "--a", "1", "0", "0", "--b", "1", "1", "0"],
             ["measure", "compare", "{cloud}", "{cloud}"],
             ["measure", "points", "{cloud}", "--a", "1", "0", "0", "--b", "1", "1", "0"],
-            ["measure", "sphere", "{cloud}", "--near", "1", "0", "0", "--radius", "0.1"],
+            ["measure", "sphere", "{cloud}", "--near", "1", "0", "0", "--radius-mm", "100"],
             ["measure", "deviations", "{cloud}", "--at", "1", "0", "0"],
             ["plan", "{cloud}", "-o", "{tmp}/a.svg"],
             ["orthophoto", "{cloud}", "-o", "{tmp}/walls"],

@@ -7,31 +7,8 @@ import numpy as np
 import pytest
 
 import jaxscan
-from jaxscan.reconstruction import PointCloud
 
-from ..measurement.rooms import CUPBOARD, DOOR, HEIGHT, WINDOW, seen_room
-
-
-@pytest.fixture(scope="module")
-def room(tmp_path_factory):
-    """A room of the shape of an L, as a file."""
-    seen = seen_room(niches=(DOOR, WINDOW), boxes=(CUPBOARD,), grid=(240, 80))
-    shape = seen.valid.shape
-    cloud = PointCloud(
-        xyz=seen.xyz,
-        rgb=seen.rgb,
-        intensity=np.full(shape, 100.0, np.float32),
-        normals=np.zeros((*shape, 3), np.float32),
-        sigma_random=seen.sigma_random,
-        sigma_systematic=np.zeros(shape, np.float32),
-        valid=seen.valid,
-        record=np.arange(shape[0]),
-        laser=seen.laser,
-        angle=seen.angle.astype(np.float32),
-    )
-    path = tmp_path_factory.mktemp("room") / "room.npz"
-    jaxscan.save_cloud(cloud, path)
-    return path
+from ..measurement.rooms import HEIGHT
 
 
 def numbers(value):
@@ -115,7 +92,7 @@ def test_points_of_a_cloud_in_millimetres(room, run):
 
 def test_sphere(room, refused):
     at = jaxscan.load_cloud(room).xyz[10, 40]
-    assert "No sphere" in refused("measure", "sphere", room, "--near", *at, "--radius", 0.1)
+    assert "No sphere" in refused("measure", "sphere", room, "--near", *at, "--radius-mm", 100)
 
 
 class TestRefusals:
@@ -143,7 +120,7 @@ class TestRefusals:
 
     @pytest.mark.parametrize("size", [0, -1, "nan", "inf"])
     def test_sizes(self, room, refused, tmp_path, size):
-        assert "--radius" in refused("measure", "sphere", room, "--near", 1, 0, 0, "--radius", size)
+        assert "--radius" in refused("measure", "sphere", room, "--near", 1, 0, 0, "--radius-mm", size)
         assert "--within-mm" in refused("measure", "points", room, "--a", 1, 0, 0, "--b", 0, 0, 0, "--within-mm", size)
         assert "--cell-mm" in refused("measure", "deviations", room, "--at", 1, 0, 0, "--cell-mm", size)
         assert "--pixel-mm" in refused("orthophoto", room, "-o", tmp_path / "walls", "--pixel-mm", size)
@@ -154,5 +131,5 @@ class TestRefusals:
         (tmp_path / "a.ply").write_text(text)
         refused("plan", tmp_path / "a.ply", "-o", tmp_path / "plan.dxf")
         assert "no sigmas" in refused("measure", "points", tmp_path / "a.ply", "--a", 0, 0, 1, "--b", 1, 0, 1)
-        assert "no sigmas" in refused("measure", "sphere", tmp_path / "a.ply", "--near", 0, 0, 1, "--radius", 1)
+        assert "no sigmas" in refused("measure", "sphere", tmp_path / "a.ply", "--near", 0, 0, 1, "--radius-mm", 1000)
         assert "no sigmas" in refused("measure", "deviations", tmp_path / "a.ply", "--at", 0, 0, 1)

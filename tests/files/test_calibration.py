@@ -27,7 +27,7 @@ from jaxscan.files.calibration import (
     load_scanner,
     save_calibration,
 )
-from jaxscan.files.calibration.quality import quality_table, read_quality
+from jaxscan.files.calibration.calibration import quality_table, read_quality
 from jaxscan.geometry import (
     Charuco,
     Chessboard,

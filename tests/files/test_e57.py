@@ -7,8 +7,7 @@ import pytest
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import load_cloud, save_cloud
-from jaxscan.files.clouds.e57.packets import Field, _unpacked
-from jaxscan.files.clouds.e57.pages import checksums
+from jaxscan.files.clouds.e57 import Field, _unpacked, checksums
 
 from .clouds import make_cloud
 from .e57s import made, with_xml, xml_of

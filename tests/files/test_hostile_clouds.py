@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import load_cloud, save_cloud
-from jaxscan.files.clouds.pcd.lzf import unpack
+from jaxscan.files.clouds.pcd import unpack
 from tests.fuzz.hardship import hardship
 
 from .clouds import make_cloud, unsealed

@@ -14,8 +14,7 @@ import time
 import pytest
 
 from jaxscan.fleet import ClusterChoice, open_cluster
-from jaxscan.fleet.batch import run_batch
-from jaxscan.fleet.work import do_order
+from jaxscan.fleet.batch import do_order, run_batch
 from jaxscan.project import load_project, order_of
 from tests.fleet.clusters import scheduler, worker
 from tests.fleet.flaky import do_flaky_order

@@ -18,7 +18,7 @@ def _refuse_or_skip(reason):
 
 def missing_for_the_rig():
     """The missing tools of the simulated rig, as one line; "" if none is missing."""
-    from bench.build import missing_tools
+    from bench.processes import missing_tools
 
     packages = missing_tools()
     return f"the simulated rig needs {', '.join(packages)}: type `make bench-deps`" if packages else ""

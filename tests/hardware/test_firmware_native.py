@@ -97,7 +97,7 @@ def test_answers_byte_for_byte(talk, dialogue):
 
 
 def test_the_vectors_are_what_their_generator_writes():
-    assert runpy.run_path(str(FIRMWARE / "host" / "vectors"))["vectors"]() == VECTORS
+    assert runpy.run_path(str(FIRMWARE / "host" / "vectors.py"))["vectors"]() == VECTORS
     assert len(VECTORS["dialogues"]) >= 40
     for entry in VECTORS["lines"]:
         assert entry["line"] == sealed(entry["text"]).decode().rstrip("\n")

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from experiments.recalibration.features import features_of
+
 from experiments.recalibration.world import Noise, Sweeping, true_sweep
 from jaxscan.calibration.propagate import length_sigma, measure_lengths, typical_lengths
 from jaxscan.errors import CalibrationError
@@ -69,6 +69,7 @@ def test_outliers_do_not_pull():
     assert after @ np.linalg.solve(own, after) < 46.8
 
 
+@pytest.mark.more
 def test_a_closed_gear_is_closed():
     random = np.random.default_rng(4)
     prior = stored(truth_scanner(), random)
@@ -129,6 +130,7 @@ def test_a_calibration_without_covariance_is_refused():
         adjust(scanner, Start(scanner, ONE), observe(scanner, 0.0, sweep_truth=exact_sweep(*SMALL)))
 
 
+@pytest.mark.more
 def test_one_angle_per_record_is_found():
     """A table that wanders by 0.5 mrad: the correction of each record is found to about its stated sigma."""
     truth, room = truth_scanner(), exact_sweep(*SMALL)
@@ -182,7 +184,7 @@ WANDER_DEG = 360.0 / 28_800 / np.sqrt(12.0)
 
 def seen_with_features(seed):
     """A sweep whose table stops anywhere within a microstep, points of its walls and features, and a calibration."""
-    how = Sweeping(*SMALL[:1], line_stride=SMALL[1], furniture=False, noise=Noise(px=0.0), wander_deg=WANDER_DEG)
+    how = Sweeping(SMALL[0], line_stride=SMALL[1], furniture=False, noise=Noise(px=0.0), wander_deg=WANDER_DEG)
     room, random = true_sweep(config(), seed, how), np.random.default_rng([seed, 9])
     prior = stored(truth_scanner(), random)
     noise = 0.1 * random.standard_normal(int((room[1].surface >= 0).sum()))
@@ -207,6 +209,7 @@ def test_features_know_that_the_table_stops_beside_its_angles():
     assert 0.75 < np.sqrt(np.mean(chi2) / 21) < 1.25
 
 
+@pytest.mark.more
 def test_stated_and_observed_errors_agree():
     """60 trials, seeds 0 to 59; each with a calibration and noise of its own."""
     sizes, chi2 = [], []
@@ -221,7 +224,7 @@ def test_stated_and_observed_errors_agree():
     assert 21 - 3 * 0.84 < np.mean(chi2) < 21 + 3 * 0.84
 
 
-@pytest.mark.parametrize("seed, lean", [(1, 0.006), (2, 0.003)])
+@pytest.mark.parametrize("seed, lean", [(1, 0.006), pytest.param(2, 0.003, marks=pytest.mark.more)])
 def test_a_station_that_slides_along_its_walls_settles(seed, lean):
     """Two walls lean by a fraction of a degree, which is all that tells heights; patches of walls are off together."""
     walls = [faces.Face((1, 0, lean), -2.0), faces.Face(X, 2.2), faces.Face(Y, -2.1), faces.Face((0, 1, -lean), 2.4)]

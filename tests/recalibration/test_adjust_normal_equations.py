@@ -105,6 +105,7 @@ def dense(room, y, at):
     return np.concatenate([np.atleast_1d(value) for value in values]), np.vstack(rows)
 
 
+@pytest.mark.more
 def test_derivatives_are_those_of_differences(everything):
     room, y, at = everything
     random = np.random.default_rng(SEED)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxscan
-from jaxscan.api.ranges import cloud_of_ranges, ranges_of, stripes_of_range
+from jaxscan.api.sweeps import cloud_of_ranges, ranges_of, stripes_of_range
 from jaxscan.errors import CaptureError
 from jaxscan.reconstruction import ReconstructSettings
 

@@ -7,7 +7,7 @@ import pytest
 
 from jaxscan.errors import CloudError
 from jaxscan.report import Beside, cloud_page, facts_of
-from jaxscan.report.clouds.directions import directions_of
+from jaxscan.report.clouds.facts import directions_of
 
 from .made_room import ELEVATION, made_room, only
 from .test_calibration_page import HOSTILE, Document

@@ -160,7 +160,7 @@ class Sessions:
 
     def list(self) -> None:
         """Show the captures in the folder, and the space that is left."""
-        from scanrig.recording.space import free_bytes
+        from scanrig.recording import free_bytes
 
         folder = self._captures.folder.absolute()
         there = next(path for path in (folder, *folder.parents) if path.exists())

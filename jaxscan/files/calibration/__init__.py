@@ -8,15 +8,22 @@ if TYPE_CHECKING:
         calibration_digest,
         calibration_notes,
         check_calibration_path,
+        finite,
         load_calibration,
         load_parts,
         load_scanner,
+        quality_table,
         save_calibration,
+        stored_settings,
     )
-    from jaxscan.files.calibration.exports import CameraFormat, check_camera_path, export_camera
-    from jaxscan.files.calibration.imports import ReadCamera, load_camera, read_camera
+    from jaxscan.files.calibration.cameras import (
+        CameraFormat,
+        ReadCamera,
+        check_camera_path,
+        export_camera,
+        load_camera,
+        read_camera,
+    )
     from jaxscan.files.calibration.observations import observations_path
-    from jaxscan.files.calibration.quality import finite, quality_table
-    from jaxscan.files.calibration.settings import stored_settings
 else:
     load_on_use(__name__)

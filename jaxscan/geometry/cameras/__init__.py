@@ -4,6 +4,8 @@ from jaxscan.facades import TYPE_CHECKING, load_on_use
 
 
 if TYPE_CHECKING:
+    from typing import TYPE_CHECKING, Literal
+
     from jaxscan.geometry.cameras.camera import CENTRE, FOCAL, AbstractCamera
     from jaxscan.geometry.cameras.double_sphere import DoubleSphere
     from jaxscan.geometry.cameras.fisheye import Fisheye

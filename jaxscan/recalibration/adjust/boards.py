@@ -60,7 +60,7 @@ def prepare_boards(observations: Observations, scanner: Scanner) -> Prepared:
     number = np.array([scanner.laser_names.index(name) for name in observations.laser_names], np.int32)
     stripes = replace(observations.stripes, laser=number[np.asarray(observations.stripes.laser)])
     data = prepare(replace(observations, stripes=stripes, laser_names=scanner.laser_names))
-    if not data.usable.any():
+    if not data.fixes_pose.any():
         raise CalibrationError("The board was found in no view of the captured boards, so they tell nothing.")
     return data
 

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner, Turntable, square_root
-from jaxscan.geometry.tangent import tangent_basis
+from jaxscan.geometry.rigid import tangent_basis
 from jaxscan.recalibration.adjust.room import Lengths, Places, Room, Sight, Unknowns
 from jaxscan.recalibration.observed import RecalibrationSettings, RoomObservations, SurfacePoints, Tracks
 from jaxscan.recalibration.result import Start

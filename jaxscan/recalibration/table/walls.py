@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import Scanner, points, slopes
-from jaxscan.geometry.motions.turntable import ANGLE_PARAMETERS
+from jaxscan.geometry.motions import ANGLE_PARAMETERS
 from jaxscan.leastsq import MEDIAN_TO_SIGMA
 from jaxscan.measurement.planes import Plane, facing, weighted_plane
 from jaxscan.recalibration.grid import Windows, smooth_parts, spread_over, window_planes
