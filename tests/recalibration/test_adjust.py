@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from experiments.recalibration.features import features_of
 
-from experiments.recalibration.world import Noise, Sweeping, true_sweep
+from experiments.recalibration.world import Noise, Sweeping, features_of, true_sweep
 from jaxscan.calibration.propagate import length_sigma, measure_lengths, typical_lengths
 from jaxscan.errors import CalibrationError
 from jaxscan.recalibration import RecalibrationSettings, RoomObservations, Start
