@@ -1,11 +1,15 @@
 """How the centres of neighbouring rows scatter, compared with the promise of their sigmas."""
 
-from collections.abc import Sequence
+import functools
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.optimize import nnls
+
+from jaxscan.stripes.correlation import INDEPENDENT, Correlation
 
 
 _CLASSES = 8
@@ -14,7 +18,20 @@ _LEAST = 200
 """Rows that a class needs."""
 _MOST = 60_000
 """Rows that are looked at, about."""
-_LARGEST, _MOST_ALIKE = 3.0, 0.4
+_LARGEST = 3.0
+_WINDOW, _LAGS, _PRODUCTS = 20, 4, 10
+"""Rows of a window about a cubic, distances of rows whose correlation is learned there, and distances whose products
+are looked at."""
+_RELIEF = (5.0, 8.0)
+"""Lengths of the relief that a cubic leaves of a surface [rows]: it is no error."""
+_UPRIGHT, _STEEP = 0.02, 0.25
+"""Slopes up to which a stripe stays at its place in the pixel, and from which it passes all places in a window
+[px/row]."""
+_WINDOWS, _CALM_WINDOWS, _ROUGH = 30, 2.5, 4.0
+"""Windows that are needed; scatter over the usual one up to which they count, as edges lie in the others; and scatter
+over that of differences, from which a cubic is no surface."""
+_NOTICED, _PIXEL = 0.05, 0.3
+"""Least correlation, and least part of an error by the place in the pixel, that is no chance [1]."""
 _SECOND, _FOURTH = np.array([1.0, -2.0, 1.0]), np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 _DOUBTFUL, _FEWEST, _CALM = (1.5, 2.5), 40, 0.8
 """Sigmas over those of other rows as bright from which a class begins; rows that it needs; and how much of the
@@ -41,8 +58,8 @@ class Scatter(NamedTuple):
     """Factor by which the sigma of every row is too small [1]."""
     common: Float[np.ndarray, "profiles lines"]
     """Part of the variance of every row that its neighbours share, so that no average makes it smaller [1]."""
-    correlation: float
-    """Of the noise of neighbouring rows [1]: blur spreads the grains of speckle over both."""
+    correlation: Correlation
+    """Of the errors of neighbouring rows: blur, demosaicing and compression spread them over several."""
 
 
 class ScatterLaw(NamedTuple):
@@ -54,17 +71,19 @@ class ScatterLaw(NamedTuple):
     """Amplitudes, and usual sigmas there [px]."""
     common: tuple[tuple[float, float, float], ...]
     """Parts of the variance that neighbours share, from one to another sigma over the usual one."""
-    correlation: float
+    correlation: Correlation
     """As of `Scatter`."""
+    hidden: float = 1.0
+    """Scatter over that of differences, in which alike rows cancel [1]."""
 
     def of(self, rows: ProfileRows) -> Scatter:
         """The scatter of some profiles."""
         sigma, amplitude = np.asarray(rows.sigma), np.asarray(rows.amplitude, np.float32)
         # The smaller of both counts, and less than 1 counts as 1.
-        if any(np.all(values <= 1) for _, values in self.spreads):
+        if any(np.all(values * self.hidden <= 1) for _, values in self.spreads):
             scale = np.ones_like(sigma)
         else:
-            scale = np.minimum(*(_interpolated(amplitude, *spread) for spread in self.spreads))
+            scale = np.minimum(*(_interpolated(amplitude, *spread) for spread in self.spreads)) * self.hidden
             scale = np.clip(scale, 1.0, _LARGEST).astype(sigma.dtype)
         common = np.zeros_like(sigma)
         doubt = _doubt(rows, self.usual) if self.common else sigma
@@ -74,7 +93,7 @@ class ScatterLaw(NamedTuple):
 
 
 _ALIKE = (np.zeros(1), np.ones(1))
-_NOTHING = ScatterLaw((_ALIKE, _ALIKE), _ALIKE, (), 0.0)
+_NOTHING = ScatterLaw((_ALIKE, _ALIKE), _ALIKE, (), INDEPENDENT)
 
 
 def row_scatter(rows: ProfileRows, line_step: int = 1) -> Scatter:
@@ -88,8 +107,8 @@ def scatter_law(rows: ProfileRows, line_step: int = 1) -> ScatterLaw:
     $u_{i-2k} - 4 u_{i-k} + 6 u_i - 4 u_{i+k} + u_{i+2k}$ of a smooth and curved surface is noise alone. Its spread
     for k = 2 over its promised standard deviation, in classes of amplitude, is the scale; where second differences
     spread less, as between many edges, those count. A difference far beyond the others' spread is an edge, and left
-    out. With a correlation r of next neighbours the variance is $70 - 112 r$ for k = 1, and 70 for k = 2. Neither is
-    believed to be good news: a scale below 1 is 1, a correlation below 0 is 0.
+    out. Rows that are alike cancel in differences: `_learned` says how many, and how much they hide. Neither is believed
+    to be good news: a scale below 1 is 1, a correlation below 0 is 0.
 
     A row whose sigma is far over that of others as bright doubts its centre: an edge of the paint may lie under the
     stripe. Where such rows scatter less than they promise, they err together.
@@ -105,23 +124,98 @@ def scatter_law(rows: ProfileRows, line_step: int = 1) -> ScatterLaw:
     chosen = np.unique(np.linspace(0, count - 1, min(-(-_MOST // lines), count)).round().astype(int))
     some = ProfileRows(*(np.asarray(field)[chosen] for field in rows))
     with ThreadPoolExecutor(1) as pool:
-        near = pool.submit(_differences, some, line_step, _FOURTH)
+        windows = pool.submit(_windows, some, line_step)
         doubted = pool.submit(_doubted, some, line_step)
         wide = [_differences(some, 2 * line_step, weights) for weights in (_SECOND, _FOURTH)]
         spreads = tuple(_by_amplitude(*one) for one in wide)
-        correlation = _correlation(near.result()[0], [one for one, _ in wide])
+        least = min(_spread(one) for one, _ in wide)
+        correlation, variance = _learned(*windows.result(), least**2, mosaic=line_step > 1)
         usual, common = doubted.result()
-    return ScatterLaw(spreads, usual or _ALIKE, common, correlation)
+    hidden = 1.0 if correlation == INDEPENDENT else float(np.sqrt(variance) / least)
+    return ScatterLaw(spreads, usual or _ALIKE, common, correlation, hidden)
 
 
-def _correlation(near: np.ndarray, wide: Sequence[np.ndarray]) -> float:
-    """Of next neighbours, by differences over promised sigmas; 0 where noise alone may tell it."""
-    far = min(_spread(one) for one in wide)
-    if far <= 0:
-        return 0.0
-    found = 0.625 * (1.0 - (_spread(near) / far) ** 2)
-    # About three differences tell the same noise.
-    return float(min(found, _MOST_ALIKE)) if found > 3.0 * 0.625 * np.sqrt(12.0 / len(near)) else 0.0
+def _windows(rows: ProfileRows, line_step: int) -> tuple[np.ndarray, np.ndarray]:
+    """Windows without a gap, in their promised standard deviation [windows, rows], and their slopes [px/row]."""
+    x = np.arange(_WINDOW) - 0.5 * (_WINDOW - 1)
+    found, slopes = [np.zeros((0, _WINDOW))], [np.zeros(0)]
+    for first in range(line_step if rows.u.shape[1] >= _WINDOW * line_step else 0):
+        parts = (field[:, first::line_step] for field in (rows.u, rows.sigma, rows.valid))
+        u, sigma, valid = (sliding_window_view(part, _WINDOW, 1)[:, :: _WINDOW // 2] for part in parts)
+        whole = valid.all(2)
+        u, sigma = u[whole].astype(np.float64), sigma[whole]
+        u -= u.mean(1, keepdims=True)
+        found.append(u / np.maximum(np.sqrt(np.mean(sigma**2, 1, keepdims=True)), 1e-9))
+        slopes.append(np.abs(u @ x) / (x @ x))
+    return np.concatenate(found), np.concatenate(slopes)
+
+
+def _learned(windows: np.ndarray, slopes: np.ndarray, least: float, *, mosaic: bool) -> tuple[Correlation, float]:
+    """Correlation of the errors, and their variance over the promised one.
+
+    An upright stripe keeps its place in the pixel, and what depends on it is an error of all of its rows, which none of
+    them shows. Steep stripes of the same laser show it.
+
+    Args:
+        windows: Of `_windows`.
+        slopes: The same.
+        least: Variance over the promised one as differences have it.
+        mosaic: Whether other colours lie between the samples.
+    """
+    upright, steep = windows[slopes < _UPRIGHT], windows[slopes >= _STEEP]
+    learned = _covariance(upright) or _covariance(windows)
+    if learned is None or learned.usual > _ROUGH * least or learned.near[0] <= 0:
+        return INDEPENDENT, 1.0
+    own, near = learned.near[0], learned.near[1:] / learned.near[0]
+    noticed = near > np.maximum(_NOTICED, np.r_[3.0 / np.sqrt(_WINDOW * learned.count), np.zeros(_LAGS - 1)])
+    near = near[: np.argmin(np.r_[noticed, False])]
+    place = 0.0
+    if len(near) or mosaic:
+        shown = _covariance(steep) if len(upright) >= _WINDOWS else None
+        place = 0.0 if shown is None else shown.near[0] - own
+        place = place if place > _PIXEL * own else 0.0
+    if not len(near) and not place:
+        return INDEPENDENT, 1.0
+    share = own / (own + place)
+    return Correlation(tuple((share * near).tolist()), float(1.0 - share)), own + place
+
+
+class _Covariance(NamedTuple):
+    near: np.ndarray
+    """Of rows 0, 1, ... apart, over the promised variance [1]."""
+    usual: float
+    """Variance about a cubic, as the median window has it."""
+    count: int
+    """Windows."""
+
+
+def _covariance(windows: np.ndarray) -> _Covariance | None:
+    """The covariance of errors in windows: what is left about a cubic is that of errors, of which the cubic takes a
+    part, and that of a relief."""
+    residuals, known = windows @ _cubic()[0], _cubic()[1]
+    if len(residuals) < _WINDOWS:
+        return None
+    squares = np.sum(residuals**2, 1) / (_WINDOW - 4.0)
+    usual = float(np.median(squares))
+    residuals = residuals[squares < _CALM_WINDOWS * usual]
+    if len(residuals) < _WINDOWS:
+        return None
+    products = np.stack([np.sum(residuals[:, : _WINDOW - k] * residuals[:, k:], 1) for k in range(_PRODUCTS + 1)], 1)
+    weight = 1.0 / np.maximum(products.std(0), 1e-12)
+    found, _ = nnls(known * weight[:, None], products.mean(0) * weight)
+    return _Covariance(found[: _LAGS + 1], usual, len(residuals))
+
+
+@functools.cache
+def _cubic() -> tuple[np.ndarray, np.ndarray]:
+    """The projection onto what a cubic leaves; and the products there of rows that are alike only so far apart, or by
+    a relief."""
+    x = np.linspace(-1.0, 1.0, _WINDOW)
+    basis, _ = np.linalg.qr(np.vander(x, 4))
+    left, apart = np.eye(_WINDOW) - basis @ basis.T, np.abs(np.subtract.outer(np.arange(_WINDOW), np.arange(_WINDOW)))
+    kinds = [(apart == k).astype(float) for k in range(_LAGS + 1)]
+    kinds += [np.exp(-0.5 * (apart / length) ** 2) for length in _RELIEF]
+    return left, np.array([[np.trace(left @ kind @ left, k) for kind in kinds] for k in range(_PRODUCTS + 1)])
 
 
 def _by_amplitude(scattered: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
