@@ -30,8 +30,6 @@ STRAIGHT = 4500.0
 corners of a few standard deviations a line are still seen, and spheres are not cut into pieces."""
 SLOPES = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 """Slopes of a stripe that have tables of their own [px/line]."""
-_PIXEL_PX = 0.5
-"""Way of the stripe over which an error that depends on its place in the pixel stays alike, a standard deviation."""
 _ALIKE_ENOUGH = 1e-9
 
 
@@ -46,15 +44,21 @@ class Correlation(NamedTuple):
     pixel: float = 0.0
     """Part of the variance that depends on where in its pixel the stripe lies [1]: rows of an upright stripe share it,
     those of a steep one do not."""
+    way_px: float = 0.5
+    """Way of the stripe over which such an error stays alike, as a standard deviation [px]."""
 
     def of(self, lag: np.ndarray, slope: float) -> np.ndarray:
         """Of rows so far apart, of a stripe of such a slope [px/line]."""
         near = np.array([1.0 - self.pixel, *self.near, 0.0])
-        place = np.exp(-0.5 * (slope * lag / _PIXEL_PX) ** 2)
-        return near[np.minimum(lag, len(near) - 1)] + self.pixel * place
+        return near[np.minimum(lag, len(near) - 1)] + self.pixel * alike_in_pixel(slope * lag, self.way_px)
 
 
 INDEPENDENT = Correlation()
+
+
+def alike_in_pixel(moved_px: np.ndarray, way_px: float) -> np.ndarray:
+    """Correlation of errors by the place in the pixel, of stripes so far apart."""
+    return np.exp(-0.5 * (moved_px / way_px) ** 2)
 
 
 class Tables(NamedTuple):
@@ -140,8 +144,8 @@ def _windows() -> tuple[_Fits, np.ndarray, np.ndarray]:
     weights = values[number].reshape(len(SIZES), -1, 2 * REACH + 1)
     alone = np.zeros_like(weights[:1])
     alone[..., REACH] = 1.0
-    rows = np.array([low + high + 1.0 for low, high in kinds])
-    return _Fits(projections, rows, np.array(number)), weights, np.concatenate([alone, weights[:-1]])
+    lengths = np.array([low + high + 1.0 for low, high in kinds])
+    return _Fits(projections, lengths, np.array(number)), weights, np.concatenate([alone, weights[:-1]])
 
 
 @functools.cache

@@ -1,15 +1,16 @@
 """How the centres of neighbouring rows scatter, compared with the promise of their sigmas."""
 
 import functools
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.optimize import nnls
+from scipy.optimize import nnls  # type: ignore[import-untyped]
 
-from jaxscan.stripes.correlation import INDEPENDENT, Correlation
+from jaxscan.stripes.correlation import INDEPENDENT, Correlation, alike_in_pixel
 
 
 _CLASSES = 8
@@ -19,19 +20,25 @@ _LEAST = 200
 _MOST = 60_000
 """Rows that are looked at, about."""
 _LARGEST = 3.0
-_WINDOW, _LAGS, _PRODUCTS = 20, 4, 10
-"""Rows of a window about a cubic, distances of rows whose correlation is learned there, and distances whose products
-are looked at."""
-_RELIEF = (5.0, 8.0)
+_WIDE, _NARROW = 32, 20
+"""Rows of a window about a cubic: the narrow one is for surfaces that no wide cubic fits."""
+_LAGS = {_WIDE: 6, _NARROW: 4}
+"""Distances of rows whose correlation is learned there."""
+_PRODUCTS = {_WIDE: 14, _NARROW: 10}
+"""Distances of rows whose products are looked at there."""
+_RELIEF = {_WIDE: (8.0, 12.0), _NARROW: (5.0, 8.0)}
 """Lengths of the relief that a cubic leaves of a surface [rows]: it is no error."""
 _UPRIGHT, _STEEP = 0.02, 0.25
 """Slopes up to which a stripe stays at its place in the pixel, and from which it passes all places in a window
 [px/row]."""
-_WINDOWS, _CALM_WINDOWS, _ROUGH = 30, 2.5, 4.0
-"""Windows that are needed; scatter over the usual one up to which they count, as edges lie in the others; and scatter
-over that of differences, from which a cubic is no surface."""
-_NOTICED, _PIXEL = 0.05, 0.3
-"""Least correlation, and least part of an error by the place in the pixel, that is no chance [1]."""
+_WINDOWS, _MANY, _CALM_WINDOWS, _ROUGH = 30, 300, 2.5, 4.0
+"""Windows that are needed, and upright ones with which others have no part; scatter over the usual one up to which they
+count, as edges lie in the others; and scatter over that of differences, from which a cubic is no surface."""
+_NOTICED, _LUCK, _PIXEL = 0.05, 3.0, 0.3
+"""Least correlation that is noticed; standard deviations by which that of next rows is no luck; and least error by the
+place in the pixel, over the others [1]."""
+_WAYS_PX = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
+"""Ways over which an error by the place in the pixel may stay alike."""
 _SECOND, _FOURTH = np.array([1.0, -2.0, 1.0]), np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 _DOUBTFUL, _FEWEST, _CALM = (1.5, 2.5), 40, 0.8
 """Sigmas over those of other rows as bright from which a class begins; rows that it needs; and how much of the
@@ -107,8 +114,8 @@ def scatter_law(rows: ProfileRows, line_step: int = 1) -> ScatterLaw:
     $u_{i-2k} - 4 u_{i-k} + 6 u_i - 4 u_{i+k} + u_{i+2k}$ of a smooth and curved surface is noise alone. Its spread
     for k = 2 over its promised standard deviation, in classes of amplitude, is the scale; where second differences
     spread less, as between many edges, those count. A difference far beyond the others' spread is an edge, and left
-    out. Rows that are alike cancel in differences: `_learned` says how many, and how much they hide. Neither is believed
-    to be good news: a scale below 1 is 1, a correlation below 0 is 0.
+    out. Rows that are alike cancel in differences: `_learned` says how far they are, and what they hide. Neither is
+    believed to be good news: a scale below 1 is 1, a correlation below 0 is 0.
 
     A row whose sigma is far over that of others as bright doubts its centre: an edge of the paint may lie under the
     stripe. Where such rows scatter less than they promise, they err together.
@@ -124,60 +131,90 @@ def scatter_law(rows: ProfileRows, line_step: int = 1) -> ScatterLaw:
     chosen = np.unique(np.linspace(0, count - 1, min(-(-_MOST // lines), count)).round().astype(int))
     some = ProfileRows(*(np.asarray(field)[chosen] for field in rows))
     with ThreadPoolExecutor(1) as pool:
-        windows = pool.submit(_windows, some, line_step)
+        windows = pool.submit(lambda: [_windows(some, line_step, width) for width in (_WIDE, _NARROW)])
         doubted = pool.submit(_doubted, some, line_step)
         wide = [_differences(some, 2 * line_step, weights) for weights in (_SECOND, _FOURTH)]
         spreads = tuple(_by_amplitude(*one) for one in wide)
         least = min(_spread(one) for one, _ in wide)
-        correlation, variance = _learned(*windows.result(), least**2, mosaic=line_step > 1)
+        correlation, variance = _learned(windows.result(), least**2, mosaic=line_step > 1)
         usual, common = doubted.result()
     hidden = 1.0 if correlation == INDEPENDENT else float(np.sqrt(variance) / least)
     return ScatterLaw(spreads, usual or _ALIKE, common, correlation, hidden)
 
 
-def _windows(rows: ProfileRows, line_step: int) -> tuple[np.ndarray, np.ndarray]:
-    """Windows without a gap, in their promised standard deviation [windows, rows], and their slopes [px/row]."""
-    x = np.arange(_WINDOW) - 0.5 * (_WINDOW - 1)
-    found, slopes = [np.zeros((0, _WINDOW))], [np.zeros(0)]
-    for first in range(line_step if rows.u.shape[1] >= _WINDOW * line_step else 0):
+class _Windows(NamedTuple):
+    """Windows of neighbouring rows without a gap."""
+
+    u: Float[np.ndarray, "windows rows"]
+    """Centres in their promised standard deviation."""
+    slope: Float[np.ndarray, " windows"]
+    """Of the stripe, absolute [px/row]."""
+
+
+def _windows(rows: ProfileRows, line_step: int, width: int) -> _Windows:
+    x = np.arange(width) - 0.5 * (width - 1)
+    found, slopes = [np.zeros((0, width))], [np.zeros(0)]
+    for first in range(line_step if rows.u.shape[1] >= width * line_step else 0):
         parts = (field[:, first::line_step] for field in (rows.u, rows.sigma, rows.valid))
-        u, sigma, valid = (sliding_window_view(part, _WINDOW, 1)[:, :: _WINDOW // 2] for part in parts)
+        u, sigma, valid = (sliding_window_view(part, width, 1)[:, :: width // 2] for part in parts)
         whole = valid.all(2)
         u, sigma = u[whole].astype(np.float64), sigma[whole]
         u -= u.mean(1, keepdims=True)
         found.append(u / np.maximum(np.sqrt(np.mean(sigma**2, 1, keepdims=True)), 1e-9))
         slopes.append(np.abs(u @ x) / (x @ x))
-    return np.concatenate(found), np.concatenate(slopes)
+    return _Windows(np.concatenate(found), np.concatenate(slopes))
 
 
-def _learned(windows: np.ndarray, slopes: np.ndarray, least: float, *, mosaic: bool) -> tuple[Correlation, float]:
+def _learned(widths: Sequence[_Windows], least: float, *, mosaic: bool) -> tuple[Correlation, float]:
     """Correlation of the errors, and their variance over the promised one.
 
     An upright stripe keeps its place in the pixel, and what depends on it is an error of all of its rows, which none of
     them shows. Steep stripes of the same laser show it.
 
     Args:
-        windows: Of `_windows`.
-        slopes: The same.
+        widths: Windows, the widest first; of the widest in which a cubic fits the errors are learned.
         least: Variance over the promised one as differences have it.
         mosaic: Whether other colours lie between the samples.
     """
-    upright, steep = windows[slopes < _UPRIGHT], windows[slopes >= _STEEP]
-    learned = _covariance(upright) or _covariance(windows)
-    if learned is None or learned.usual > _ROUGH * least or learned.near[0] <= 0:
+    for windows in widths:
+        upright = windows.u[windows.slope < _UPRIGHT]
+        learned = _covariance(upright if len(upright) >= _MANY else windows.u)
+        if learned is not None and learned.usual <= _ROUGH * least and learned.near[0] > 0:
+            break
+    else:
         return INDEPENDENT, 1.0
     own, near = learned.near[0], learned.near[1:] / learned.near[0]
-    noticed = near > np.maximum(_NOTICED, np.r_[3.0 / np.sqrt(_WINDOW * learned.count), np.zeros(_LAGS - 1)])
-    near = near[: np.argmin(np.r_[noticed, False])]
-    place = 0.0
+    noticed = near > _NOTICED
+    noticed[0] &= near[0] > _LUCK / np.sqrt(windows.u.shape[1] * learned.windows)
+    near = near[: np.argmin(np.append(noticed, False))]
+    share, place = own * near, None
     if len(near) or mosaic:
-        shown = _covariance(steep) if len(upright) >= _WINDOWS else None
-        place = 0.0 if shown is None else shown.near[0] - own
-        place = place if place > _PIXEL * own else 0.0
-    if not len(near) and not place:
-        return INDEPENDENT, 1.0
-    share = own / (own + place)
-    return Correlation(tuple((share * near).tolist()), float(1.0 - share)), own + place
+        place = _place_in_pixel(widths[-1], upright, share)
+    if place is None:
+        return (Correlation(tuple(near.tolist())), float(own)) if len(near) else (INDEPENDENT, 1.0)
+    variance, way_px = place
+    whole = own + variance
+    return Correlation(tuple((share / whole).tolist()), float(variance / whole), way_px), float(whole)
+
+
+def _place_in_pixel(narrow: _Windows, upright: np.ndarray, near: np.ndarray) -> tuple[float, float] | None:
+    """Variance of the error by the place in the pixel, over the promised one, and the way over which it stays alike
+    [px]; None where steep stripes do not show it.
+
+    Args:
+        narrow: Windows of few rows, as steep surfaces are seldom large.
+        upright: Those of upright stripes, of any width.
+        near: Covariance of other errors with the next rows.
+    """
+    steep = narrow.slope >= _STEEP
+    shown, still = _covariance(narrow.u[steep]), _covariance(upright)
+    if shown is None or still is None or shown.near[0] < (1.0 + _PIXEL) * still.near[0]:
+        return None
+    variance, lag = shown.near[0] - still.near[0], np.arange(1, len(shown.near))
+    other = np.append(near, np.zeros(len(lag)))[: len(lag)]
+    moved = narrow.slope[steep, None] * lag
+    misfit = [np.sum((shown.near[1:] - other - variance * alike_in_pixel(moved, way).mean(0)) ** 2) for way in _WAYS_PX]
+    return float(variance), _WAYS_PX[int(np.argmin(misfit))]
 
 
 class _Covariance(NamedTuple):
@@ -185,37 +222,40 @@ class _Covariance(NamedTuple):
     """Of rows 0, 1, ... apart, over the promised variance [1]."""
     usual: float
     """Variance about a cubic, as the median window has it."""
-    count: int
-    """Windows."""
+    windows: int
+    """That were looked at."""
 
 
 def _covariance(windows: np.ndarray) -> _Covariance | None:
     """The covariance of errors in windows: what is left about a cubic is that of errors, of which the cubic takes a
     part, and that of a relief."""
-    residuals, known = windows @ _cubic()[0], _cubic()[1]
+    width = windows.shape[1]
+    left, known = _cubic(width)
+    residuals = windows @ left
     if len(residuals) < _WINDOWS:
         return None
-    squares = np.sum(residuals**2, 1) / (_WINDOW - 4.0)
+    squares = np.sum(residuals**2, 1) / (width - 4.0)
     usual = float(np.median(squares))
     residuals = residuals[squares < _CALM_WINDOWS * usual]
     if len(residuals) < _WINDOWS:
         return None
-    products = np.stack([np.sum(residuals[:, : _WINDOW - k] * residuals[:, k:], 1) for k in range(_PRODUCTS + 1)], 1)
+    lags = range(_PRODUCTS[width] + 1)
+    products = np.stack([np.sum(residuals[:, : width - k] * residuals[:, k:], 1) for k in lags], 1)
     weight = 1.0 / np.maximum(products.std(0), 1e-12)
     found, _ = nnls(known * weight[:, None], products.mean(0) * weight)
-    return _Covariance(found[: _LAGS + 1], usual, len(residuals))
+    return _Covariance(found[: _LAGS[width] + 1], usual, len(residuals))
 
 
 @functools.cache
-def _cubic() -> tuple[np.ndarray, np.ndarray]:
+def _cubic(width: int) -> tuple[np.ndarray, np.ndarray]:
     """The projection onto what a cubic leaves; and the products there of rows that are alike only so far apart, or by
     a relief."""
-    x = np.linspace(-1.0, 1.0, _WINDOW)
-    basis, _ = np.linalg.qr(np.vander(x, 4))
-    left, apart = np.eye(_WINDOW) - basis @ basis.T, np.abs(np.subtract.outer(np.arange(_WINDOW), np.arange(_WINDOW)))
-    kinds = [(apart == k).astype(float) for k in range(_LAGS + 1)]
-    kinds += [np.exp(-0.5 * (apart / length) ** 2) for length in _RELIEF]
-    return left, np.array([[np.trace(left @ kind @ left, k) for kind in kinds] for k in range(_PRODUCTS + 1)])
+    basis, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, width), 4))
+    left, apart = np.eye(width) - basis @ basis.T, np.abs(np.subtract.outer(np.arange(width), np.arange(width)))
+    kinds = [(apart == k).astype(float) for k in range(_LAGS[width] + 1)]
+    kinds += [np.exp(-0.5 * (apart / length) ** 2) for length in _RELIEF[width]]
+    lags = range(_PRODUCTS[width] + 1)
+    return left, np.array([[np.trace(left @ kind @ left, k) for kind in kinds] for k in lags])
 
 
 def _by_amplitude(scattered: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

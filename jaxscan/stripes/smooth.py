@@ -183,25 +183,25 @@ def _smooth(u: Array, sigma: Array, valid: Array, tables: Tables) -> tuple[Array
     number, x, y, own = keep(_packed, u, sigma, valid)
     gap, near = padded(_gaps, x, own), keep(_near, x)
     steep, thin = keep(_steepness, x, y, own)
-    ground, slope = pair(lambda *given: _grounds(*given, tables), x, y, own, gap, steep)
+    ground, slope = pair(functools.partial(_grounds, tables), x, y, own, gap, steep)
     weight = padded(lambda own, y: jnp.where(_shifted(y) == ground, _shifted(own), 0.0), own, y)
     rows = _Rows(x, y, own, weight, ground, slope, steep, thin)
 
     def look_for_edges(doubt, size):
         ends = padded(_ends, gap, near, doubt)
-        height = padded(lambda *given: _edge_heights(*given, tables), rows, ends, size)
+        height = padded(functools.partial(_edge_heights, tables), rows, ends, size)
         return padded(_doubts, doubt, height, size), None
 
     doubt, _ = lax.scan(look_for_edges, jnp.zeros_like(x), jnp.asarray(SIZES, jnp.int32))
 
     def fit(state, again):
         def first(rows: _Rows, ends: Array) -> tuple[Array, ...]:
-            spread, window = pair(lambda *given: _windows(*given, tables)[2:4], rows, ends)
+            spread, window = pair(lambda *given: _windows(tables, *given)[2:4], rows, ends)
             word = window.astype(jnp.int32)
             most, at = pair(_most_doubtful, doubt, word)
             return _cut_short(ends, most, at.astype(jnp.int32)), spread * _lengths(rows.x, word), most
 
-        found = pair(lambda *given: _windows(*given, tables)[:2], rows, state[0])
+        found = pair(lambda *given: _windows(tables, *given)[:2], rows, state[0])
         return lax.cond(again, lambda *_: state, first, rows, state[0]), found
 
     # At first with all windows, then with windows that end at the most doubtful edge in them.
@@ -247,7 +247,8 @@ def _steepness(x: Array, y: Array, own: Array) -> tuple[Array, Array]:
         slope = jnp.where(there, jnp.minimum(slope, rise), slope)
         thin = jnp.where(there & (low + high == 0), over / (high - low), thin)
     limits = [0.5 * (a + b) for a, b in itertools.pairwise(SLOPES)]
-    return sum((slope > limit).astype(jnp.int32) for limit in limits), thin
+    steps = [(slope > limit).astype(jnp.int32) for limit in limits]
+    return functools.reduce(operator.add, steps), thin
 
 
 def _looked_up(tables: Tables, table: Array, index: Array, thin: Array) -> Array:
@@ -263,7 +264,7 @@ def _of_rows(tables: Tables, steep: Array, thin: Array) -> tuple[Array, Array, A
     return found[..., 0], found[..., 1], found[..., 2]
 
 
-def _grounds(x: Array, y: Array, own: Array, gap: Array, steep: Array, tables: Tables) -> tuple[Array, Array]:
+def _grounds(tables: Tables, x: Array, y: Array, own: Array, gap: Array, steep: Array) -> tuple[Array, Array]:
     """The centre and the slope from which each row counts those of its neighbours [px, px/line].
 
     The centre is the row's own, but of a stray one, that lies off the straight line on which two neighbours on either
@@ -352,7 +353,7 @@ def _added(neighbours: Iterable[tuple[Array, Array, Array]]) -> _Sums:
     return _Sums(tuple(total[:5]), tuple(total[5:8]), *total[8:])
 
 
-def _edge_heights(rows: _Rows, ends: Array, size: Array, tables: Tables) -> Array:
+def _edge_heights(tables: Tables, rows: _Rows, ends: Array, size: Array) -> Array:
     """Chi-squared by which straight lines on both sides of a place behind each row are better than one parabola."""
     left, right = _sides(_shifted(ends))[0], _sides(_shifted(ends, 1))[1]
     here = jnp.zeros_like(left)
@@ -395,7 +396,7 @@ def _cut_short(ends: Array, most: Array, at: Array) -> Array:
     return _word(jnp.where((most > 0) & (at < 0), -at - 1, left), jnp.where((most > 0) & (at >= 0), at, right))
 
 
-def _windows(rows: _Rows, ends: Array, tables: Tables) -> tuple[Array, ...]:
+def _windows(tables: Tables, rows: _Rows, ends: Array) -> tuple[Array, ...]:
     """For every row a parabola in the largest window that it fits and whose value agrees with those of smaller ones.
 
     Returns:
@@ -422,11 +423,12 @@ def _windows(rows: _Rows, ends: Array, tables: Tables) -> tuple[Array, ...]:
         most, far = jnp.where(single, _MISFIT[0], _MISFIT[1]), jnp.where(single, _APART[0], _APART[1])
         fits_it = chi2 <= freedom + most * scatter * jnp.sqrt(2.0 * free)
         fits_it &= jnp.abs(found - value) <= far * jnp.sqrt(apart * jnp.maximum(before - own, 0.0))
-        # Residuals of the parabola beyond the noise count as noise.
-        excess = jnp.maximum(chi2 / freedom, 1.0)
-        better = goes_on & told & fits_it & (excess * inflation * own < variance)
+        # Residuals of the parabola beyond the noise count as noise of independent rows.
+        excess = jnp.maximum(chi2 - freedom, 0.0) / free
+        here = (inflation + excess) * own
+        better = goes_on & told & fits_it & (here < variance)
         total = jnp.where(sums.s[0] > 0, sums.s[0], 1.0)
-        new = found, excess * inflation * own, many * excess / total, _word(low, high), excess * own
+        new = found, here, (many + excess) / total, _word(low, high), (1.0 + excess) * own
         state = tuple(jnp.where(better, a, b) for a, b in zip(new, state, strict=True))
         goes_on &= fits_it | ~told
     return state
