@@ -31,9 +31,12 @@ _RELIEF = {_WIDE: (8.0, 12.0), _NARROW: (5.0, 8.0)}
 _UPRIGHT, _STEEP = 0.02, 0.25
 """Slopes up to which a stripe stays at its place in the pixel, and from which it passes all places in a window
 [px/row]."""
-_WINDOWS, _MANY, _CALM_WINDOWS, _ROUGH = 30, 300, 2.5, 4.0
+_WINDOWS, _MANY, _CALM_WINDOWS, _ROUGH, _CURVED = 30, 300, 2.5, 4.0, 2.0
 """Windows that are needed, and upright ones with which others have no part; scatter over the usual one up to which they
-count, as edges lie in the others; and scatter over that of differences, from which a cubic is no surface."""
+count, as edges lie in the others; scatter over that of differences, from which a cubic is no surface; and over that of
+narrow windows, from which steep surfaces are curved."""
+_OF_UPRIGHT = 0.7
+"""Part of the error that steep stripes show and upright ones have too: compression keeps upright lines better."""
 _NOTICED, _LUCK, _PIXEL = 0.05, 3.0, 0.3
 """Least correlation that is noticed; standard deviations by which that of next rows is no luck; and least error by the
 place in the pixel, over the others [1]."""
@@ -189,7 +192,7 @@ def _learned(widths: Sequence[_Windows], least: float, *, mosaic: bool) -> tuple
     near = near[: np.argmin(np.append(noticed, False))]
     share, place = own * near, None
     if len(near) or mosaic:
-        place = _place_in_pixel(widths[-1], upright, share)
+        place = _place_in_pixel(widths, upright, share)
     if place is None:
         return (Correlation(tuple(near.tolist())), float(own)) if len(near) else (INDEPENDENT, 1.0)
     variance, way_px = place
@@ -197,24 +200,27 @@ def _learned(widths: Sequence[_Windows], least: float, *, mosaic: bool) -> tuple
     return Correlation(tuple((share / whole).tolist()), float(variance / whole), way_px), float(whole)
 
 
-def _place_in_pixel(narrow: _Windows, upright: np.ndarray, near: np.ndarray) -> tuple[float, float] | None:
+def _place_in_pixel(widths: Sequence[_Windows], upright: np.ndarray, near: np.ndarray) -> tuple[float, float] | None:
     """Variance of the error by the place in the pixel, over the promised one, and the way over which it stays alike
     [px]; None where steep stripes do not show it.
 
     Args:
-        narrow: Windows of few rows, as steep surfaces are seldom large.
+        widths: Windows, the widest first; they are taken unless only narrower ones are as a cubic is.
         upright: Those of upright stripes, of any width.
         near: Covariance of other errors with the next rows.
     """
-    steep = narrow.slope >= _STEEP
-    shown, still = _covariance(narrow.u[steep]), _covariance(upright)
+    slopes = [windows.slope[windows.slope >= _STEEP] for windows in widths]
+    each = [_covariance(windows.u[windows.slope >= _STEEP]) for windows in widths]
+    wide, narrow = each
+    at = 0 if wide is not None and narrow is not None and wide.usual < _CURVED * narrow.usual else 1
+    shown, still = each[at], _covariance(upright)
     if shown is None or still is None or shown.near[0] < (1.0 + _PIXEL) * still.near[0]:
         return None
     variance, lag = shown.near[0] - still.near[0], np.arange(1, len(shown.near))
     other = np.append(near, np.zeros(len(lag)))[: len(lag)]
-    moved = narrow.slope[steep, None] * lag
+    moved = slopes[at][:, None] * lag
     misfit = [np.sum((shown.near[1:] - other - variance * alike_in_pixel(moved, way).mean(0)) ** 2) for way in _WAYS_PX]
-    return float(variance), _WAYS_PX[int(np.argmin(misfit))]
+    return _OF_UPRIGHT * float(variance), _WAYS_PX[int(np.argmin(misfit))]
 
 
 class _Covariance(NamedTuple):
