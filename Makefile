@@ -13,23 +13,41 @@ BROWSER_PACKAGES := chromium chromium-driver
 MOUNT ?=
 BENCH_PACKAGES := gcc make gcc-avr avr-libc binutils-avr simavr libsimavr-dev libaravis-0.8-0 aravis-tools strace
 SHARED := -n 2 --dist loadfile --no-loadscope-reorder
+PART ?= 1/1
+TYPES := --jaxtyping-packages=jaxscan,beartype.beartype
 QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1
 
-.PHONY: demo test test-all docs experiments lint format libraries firmware bench bench-deps browser-deps programs wiring mount \
+.PHONY: demo test test-rig test-more test-slow test-all docs experiments lint format libraries firmware bench bench-deps browser-deps programs wiring mount \
   mount-deps clean
 
 demo: $(INSTALLED)
 	$(BIN)/jaxscan demo -o demo
 
-# Two processes: compiling, which is most of the time, keeps one core busy at a time. Whole files,
-# because the tests of a file share what is compiled, in the order of tests/conftest.py. Compiled
-# code that runs a few times need not be fast, and costs half as much to make; `make test-all`
-# compiles as the package does in use. `make test TESTS=tests/stripes` runs those of a folder or a file.
+# Four tiers; pyproject.toml names their markers, and `.ci/run` runs all of them:
+#   test       what a person runs: minutes. Nothing is built, no program is started but Python.
+#   test-rig   with other programs beside it: the firmware in a simulated processor, cameras on loopback, browsers, clusters.
+#   test-more  whole loops and further cameras, boards and seeds, with the types of all arguments and results checked.
+#   test-slow  Monte Carlo, fuzzing and verbs killed at many moments: hours. PART=3/24 runs a 24th of them, the third.
+# TESTS=tests/stripes runs those of a folder or a file, in each of them. test-all is everything, compiled as the package
+# is in use.
+#
+# Two processes: compiling, which is much of the time, keeps one core busy at a time. Whole files, because the tests of
+# a file share what is compiled, in the order of tests/conftest.py. Compiled code that runs a few times need not be
+# fast, and costs half as much to make.
 test: $(INSTALLED)
 	XLA_FLAGS="$(QUICKLY) $$XLA_FLAGS" $(BIN)/python -m pytest -q $(SHARED) $(TESTS)
 
+test-rig: $(INSTALLED)
+	XLA_FLAGS="$(QUICKLY) $$XLA_FLAGS" $(BIN)/python -m pytest -q $(SHARED) -m "rig and not (more or slow)" $(TESTS)
+
+test-more: $(INSTALLED)
+	XLA_FLAGS="$(QUICKLY) $$XLA_FLAGS" $(BIN)/python -m pytest -q $(SHARED) $(TYPES) -m "more and not slow" $(TESTS)
+
+test-slow: $(INSTALLED)
+	XLA_FLAGS="$(QUICKLY) $$XLA_FLAGS" $(BIN)/python -m pytest -q $(SHARED) -m slow --part $(PART) $(TESTS)
+
 test-all: $(INSTALLED)
-	$(BIN)/python -m pytest -q $(SHARED) -m "slow or not slow"
+	$(BIN)/python -m pytest -q $(SHARED) $(TYPES) -m "" $(TESTS)
 
 # The tables and figures of the paper, in both worlds, to paper-figures/: an hour on two cores.
 # `make experiments QUICK=--quick` shows in some minutes that all of it works.

@@ -15,11 +15,11 @@ import time
 from typing import NamedTuple
 
 import numpy as np
+from report import Figure, command_line, conclude, progress
 from worlds import calibration_trials as trials
 from worlds.ideal_boards import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 
-from jaxscan.calibration import calibrate_observations
-from jaxscan.calibration.verdict import Length, length_sigma, measure_lengths, typical_lengths
+from jaxscan.calibration import Length, calibrate_observations, length_sigma, measure_lengths, typical_lengths
 from jaxscan.simulation import SimulationConfig, true_scanner
 
 
@@ -41,23 +41,10 @@ class Run(NamedTuple):
     rejected: int
 
 
-def drawn(config: SimulationConfig, random: np.random.Generator) -> SimulationConfig:
-    """The rig with values drawn from the priors where only these hold them."""
-    priors = trials.SETTINGS.priors
-    table = config.turntable.model_copy(
-        update={
-            "gain": 1.0 + priors["gain"] * random.normal(),
-            "harmonics": tuple(priors["harmonics"] * random.normal(size=4)),
-        }
-    )
-    camera = config.camera.model_copy(update={"fy": config.camera.fx / (1.0 + priors["aspect"] * random.normal())})
-    return config.model_copy(update={"turntable": table, "camera": camera})
-
-
 def run(config: SimulationConfig, poses: BoardPoses, lengths: list[Length], seed: int, correlation: float) -> Run:
     """Draw a truth and noise, calibrate, compare."""
     random = np.random.default_rng([17, seed])
-    truth = drawn(config, random)
+    truth = trials.drawn(config, random)
     noisy = add_noise(ideal_boards(truth, poses), random, correlation=correlation)
     result = calibrate_observations(trials.observations(noisy, truth), settings=trials.SETTINGS)
     quality, fit = result.quality, result.fit
@@ -78,7 +65,6 @@ def run(config: SimulationConfig, poses: BoardPoses, lengths: list[Length], seed
 
 def judged(label: str, runs: list[Run], names: tuple[str, ...], lengths: list[Length], wide: float) -> list:
     """All figures of one kind of noise; `wide` opens the bounds for small numbers of runs."""
-    figure = trials.Figure
     error = np.array([each.error for each in runs])
     covariance = np.array([each.covariance for each in runs])
     free = np.diag(runs[0].covariance) > 0
@@ -94,7 +80,7 @@ def judged(label: str, runs: list[Run], names: tuple[str, ...], lengths: list[Le
     low, high = 1 - 0.15 * wide, 1 + 0.15 * wide
     figures = []
     for name, value in zip(np.array(names)[free], ratio, strict=True):
-        figures.append(figure(f"{label}: {name}, sample over predicted", value, "", low, high))
+        figures.append(Figure(f"{label}: {name}, sample over predicted", value, "", low, high))
     length_error = 1e3 * np.array([each.length_error for each in runs])
     length_sigma = 1e3 * np.array([each.length_sigma for each in runs])
     for index, length in enumerate(lengths):
@@ -102,9 +88,9 @@ def judged(label: str, runs: list[Run], names: tuple[str, ...], lengths: list[Le
         found, said = (np.sqrt(np.mean(values[:, index] ** 2)) for values in (length_error, length_sigma))
         most = WALLS_MM.get(length.depth) if length.name == "half a turn" else None
         figures += [
-            figure(f"{title}, predicted", said, "mm", high=most),
-            figure(f"{title}, sample", found, "mm", high=most if wide == 1 or most is None else most * high),
-            figure(f"{title}, sample over predicted", found / said, "", low, high),
+            Figure(f"{title}, predicted", said, "mm", high=most),
+            Figure(f"{title}, sample", found, "mm", high=most if wide == 1 or most is None else most * high),
+            Figure(f"{title}, sample over predicted", found / said, "", low, high),
         ]
     weights = np.array(runs[0].counts, float)
     chi2 = np.mean([each.chi2 for each in runs], axis=0)
@@ -112,14 +98,14 @@ def judged(label: str, runs: list[Run], names: tuple[str, ...], lengths: list[Le
     bias = np.abs(error.mean(0)) / sigma.mean(0)
     return [
         *figures,
-        figure(f"{label}: NEES, mean of {size} expected", nees.mean(), "", size - band, size + band),
-        figure(f"{label}: chi2 per degree of freedom", weights @ chi2 / weights.sum(), "", 0.97, 1.03),
-        figure(f"{label}: chi2 of corners", chi2[0], ""),
-        figure(f"{label}: chi2 of stripes", chi2[1], ""),
-        figure(f"{label}: 95 % intervals cover, all", coverage.mean(), "%", 95 - 3 * wide, min(95 + 3 * wide, 100)),
-        figure(f"{label}: 95 % intervals cover, worst", coverage.min(), "%", 89 if wide == 1 else 65),
-        figure(f"{label}: largest bias", bias.max(), "sigma"),
-        figure(f"{label}: residuals rejected per run", np.mean([each.rejected for each in runs]), ""),
+        Figure(f"{label}: NEES, mean of {size} expected", nees.mean(), "", size - band, size + band),
+        Figure(f"{label}: chi2 per degree of freedom", weights @ chi2 / weights.sum(), "", 0.97, 1.03),
+        Figure(f"{label}: chi2 of corners", chi2[0], ""),
+        Figure(f"{label}: chi2 of stripes", chi2[1], ""),
+        Figure(f"{label}: 95 % intervals cover, all", coverage.mean(), "%", 95 - 3 * wide, min(95 + 3 * wide, 100)),
+        Figure(f"{label}: 95 % intervals cover, worst", coverage.min(), "%", 89 if wide == 1 else 65),
+        Figure(f"{label}: largest bias", bias.max(), "sigma"),
+        Figure(f"{label}: residuals rejected per run", np.mean([each.rejected for each in runs]), ""),
     ]
 
 
@@ -133,7 +119,7 @@ def prior_shares(covariance: np.ndarray, names: tuple[str, ...]) -> dict[str, fl
 
 
 def main() -> int:
-    parser = trials.parser(__doc__)
+    parser = command_line(__doc__, quick="few draws: shows that all runs, not how exact it is", json=True)
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--noise", choices=[*trials.CORRELATIONS, "both"], default="both")
     arguments = parser.parse_args()
@@ -151,14 +137,12 @@ def main() -> int:
         for seed in range(runs):
             found.append(run(config, poses, lengths, seed, correlation))
             if seed % 20 == 0:
-                trials.progress(f"{label}: {seed + 1} of {runs} runs, {time.perf_counter() - started:.0f} s")
+                progress(f"{label}: {seed + 1} of {runs} runs, {time.perf_counter() - started:.0f} s")
         # Few runs know a standard deviation badly: at 12, four times 1 / sqrt(24) = 0.8.
         figures += judged(label, found, names, lengths, 5.0 if arguments.quick else 1.0)
         shares = prior_shares(found[0].covariance, names)
-        trials.progress(
-            "information from priors: " + ", ".join(f"{name} {share:.1e}" for name, share in shares.items())
-        )
-    return trials.report("calibration-honesty", figures, arguments.json)
+        progress("information from priors: " + ", ".join(f"{name} {share:.1e}" for name, share in shares.items()))
+    return conclude("calibration-honesty", figures, arguments.json)
 
 
 if __name__ == "__main__":

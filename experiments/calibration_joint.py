@@ -17,11 +17,18 @@ import time
 from typing import NamedTuple
 
 import numpy as np
+from report import Figure, command_line, conclude, progress
 from worlds import calibration_trials as trials
 from worlds.ideal_boards import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 
-from jaxscan.calibration import Calibration, calibrate_camera, calibrate_observations
-from jaxscan.calibration.verdict import depth_sigma, stripe_depths, stripe_pixels
+from jaxscan.calibration import (
+    Calibration,
+    calibrate_camera,
+    calibrate_observations,
+    depth_sigma,
+    stripe_depths,
+    stripe_pixels,
+)
 from jaxscan.geometry import LaserSheet, Scanner, Turntable, stack_lasers
 from jaxscan.observation import Observations
 from jaxscan.simulation import SimulationConfig, true_scanner
@@ -104,7 +111,7 @@ def ratio_error(squares: np.ndarray) -> float:
 
 
 def main() -> int:
-    parser = trials.parser(__doc__)
+    parser = command_line(__doc__, quick="few draws: shows that all runs, not how exact it is", json=True)
     parser.add_argument("--sets", type=int, default=5)
     parser.add_argument("--draws", type=int, default=60)
     parser.add_argument("--case", choices=CASES, help="one of the two alone")
@@ -127,7 +134,7 @@ def main() -> int:
                     observed = trials.observations(noisy, config)
                     alone = alone or calibrate_camera(observed, settings=trials.SETTINGS)
                     found[noise].append(trial(observed, alone, q))
-            trials.progress(f"{name}: pose set {number + 1} of {sets}, {time.perf_counter() - started:.0f} s")
+            progress(f"{name}: pose set {number + 1} of {sets}, {time.perf_counter() - started:.0f} s")
         for noise, every in found.items():
             errors = Errors(*np.array(every).T)
             best = min(errors.total.mean(), errors.linear.mean())
@@ -135,24 +142,24 @@ def main() -> int:
             # Of two pose sets with three draws only so much can be said: joint is no worse.
             bounds = (0.3, 2.0) if arguments.quick else (0.85, 1.15)
             figures += [
-                trials.Figure(f"{label}: joint", 1e3 * errors.joint.mean(), "mm"),
-                trials.Figure(f"{label}: sequential, total least squares", 1e3 * errors.total.mean(), "mm"),
-                trials.Figure(f"{label}: sequential, linear", 1e3 * errors.linear.mean(), "mm"),
-                trials.Figure(
+                Figure(f"{label}: joint", 1e3 * errors.joint.mean(), "mm"),
+                Figure(f"{label}: sequential, total least squares", 1e3 * errors.total.mean(), "mm"),
+                Figure(f"{label}: sequential, linear", 1e3 * errors.linear.mean(), "mm"),
+                Figure(
                     f"{label}: joint over sequential",
                     errors.joint.mean() / best,
                     "",
                     high=1.0 if arguments.quick else most,
                 ),
-                trials.Figure(
+                Figure(
                     f"{label}: joint over predicted (root mean square)",
                     np.sqrt(np.mean(errors.joint**2) / np.mean(errors.predicted**2)),
                     "",
                     *bounds,
                 ),
-                trials.Figure(f"{label}: its standard error", ratio_error(errors.joint**2), ""),
+                Figure(f"{label}: its standard error", ratio_error(errors.joint**2), ""),
             ]
-    return trials.report("calibration-joint", figures, arguments.json)
+    return conclude("calibration-joint", figures, arguments.json)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import sys
 import time
 
 import numpy as np
+from report import Figure, command_line, conclude, progress
 from worlds import calibration_trials as trials
 from worlds.ideal_boards import IdealBoards, PosePlan, add_noise, draw_poses, ideal_boards
 
@@ -40,7 +41,7 @@ def spoiled(noisy: IdealBoards, random: np.random.Generator, *, both_sides: bool
 
 
 def main() -> int:
-    parser = trials.parser(__doc__)
+    parser = command_line(__doc__, quick="few draws: shows that all runs, not how exact it is", json=True)
     parser.add_argument("--draws", type=int, default=40)
     arguments = parser.parse_args()
     draws = 6 if arguments.quick else arguments.draws
@@ -59,7 +60,7 @@ def main() -> int:
             turned = trials.to_true_tangents(result.scanner, config)
             error = turned @ trials.errors(result.scanner, config)
             found[label].append((error, np.sqrt(np.diag(turned @ result.covariance @ turned.T))))
-        trials.progress(f"{draw + 1} of {draws} draws, {time.perf_counter() - started:.0f} s")
+        progress(f"{draw + 1} of {draws} draws, {time.perf_counter() - started:.0f} s")
     clean, clean_sigma = (np.array(part) for part in zip(*found["clean"], strict=True))
     free = clean_sigma[0] > 0
     figures = []
@@ -79,8 +80,8 @@ def main() -> int:
         ):
             worst = np.flatnonzero(free)[np.argmax(values[free])]
             key = f"{label}: {title}, worst ({names[worst]})"
-            figures.append(trials.Figure(key, float(values[worst]), unit, high=bound))
-    return trials.report("calibration-outliers", figures, arguments.json)
+            figures.append(Figure(key, float(values[worst]), unit, high=bound))
+    return conclude("calibration-outliers", figures, arguments.json)
 
 
 if __name__ == "__main__":

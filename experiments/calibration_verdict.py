@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from report import Figure, command_line, conclude, progress
 from worlds import calibration_trials as trials
 from worlds.ideal_boards import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 
@@ -87,7 +88,7 @@ def cases() -> dict[str, tuple[bool, Callable[[int], tuple[float, str]]]]:
 
 
 def main() -> int:
-    parser = trials.parser(__doc__)
+    parser = command_line(__doc__, quick="few draws: shows that all runs, not how exact it is", json=True)
     parser.add_argument("--runs", type=int, default=20)
     arguments = parser.parse_args()
     runs = 2 if arguments.quick else arguments.runs
@@ -96,19 +97,19 @@ def main() -> int:
         started = time.perf_counter()
         found = [trial(seed) for seed in range(runs)]
         values, named = [p for p, _ in found], [test for _, test in found]
-        trials.progress(
+        progress(
             f"{name}: {time.perf_counter() - started:.0f} s; p {min(values):.2g} ... {max(values):.2g}; "
             + ", ".join(f"{test} {named.count(test)}" for test in dict.fromkeys(named))
         )
         if clean:
             # Each run is refused with a chance of 1 %: of 20, two are refused once in 60 times.
             refused = sum(p <= CLEAN_P for p in values)
-            figures.append(trials.Figure(f"{name}: refused", refused, f"of {runs}", high=1 if runs >= 20 else 0))
+            figures.append(Figure(f"{name}: refused", refused, f"of {runs}", high=1 if runs >= 20 else 0))
         else:
             missed = sum(p >= FAULT_P for p in values)
-            figures.append(trials.Figure(f"{name}: not noticed", missed, f"of {runs}", high=0))
-            figures.append(trials.Figure(f"{name}: largest p", max(values), "", high=FAULT_P))
-    return trials.report("calibration-verdict", figures, arguments.json)
+            figures.append(Figure(f"{name}: not noticed", missed, f"of {runs}", high=0))
+            figures.append(Figure(f"{name}: largest p", max(values), "", high=FAULT_P))
+    return conclude("calibration-verdict", figures, arguments.json)
 
 
 if __name__ == "__main__":

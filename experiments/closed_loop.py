@@ -11,7 +11,6 @@ the walls) is read only for the comparison at the end.
 Needs `make bench-deps`.
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -24,6 +23,7 @@ from typing import Any
 import numpy as np
 from bench.desk import Desk, set_up
 from bench.places import TWO_LASERS, WORLD
+from report import command_line, write_json
 
 import jaxscan
 from jaxscan.simulation import SimulationConfig, expect_sweep, true_cloud, truth
@@ -115,9 +115,8 @@ def calibrated(desk: Desk, config: Path, folder: Path) -> Path:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__, json=True)
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep captures, calibration and cloud here")
-    parser.add_argument("--json", metavar="FILE", help="write the figures to a file (- for standard output)")
     parser.add_argument("--two-lasers", action="store_true", help="a rig with a second laser, and fewer steps")
     arguments = parser.parse_args()
     config, place = (CONFIG_TWO, TWO_LASERS) if arguments.two_lasers else (CONFIG, WORLD)
@@ -173,9 +172,7 @@ def main() -> None:
     ]
     for metric in metrics:
         print(f"{metric['key']:>24} {metric['value']:10.3f} {metric['unit']}")
-    if arguments.json:
-        text = json.dumps({"format": "jaxscan-closed-loop/1", "walls": rows, "metrics": metrics}, indent=2) + "\n"
-        sys.stdout.write(text) if arguments.json == "-" else Path(arguments.json).write_text(text)
+    write_json(arguments.json, {"format": "jaxscan-closed-loop/1", "walls": rows, "metrics": metrics})
 
 
 if __name__ == "__main__":

@@ -11,8 +11,6 @@ The exit code is 1 if the median difference is over 0.05 sigma, or the second cl
 (without a truth: fewer points), or more false ones.
 """
 
-import argparse
-import json
 import os
 import subprocess
 import sys
@@ -21,6 +19,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from report import command_line, write_json
 
 from jaxscan import api
 from jaxscan.reconstruction import PointCloud
@@ -125,14 +124,13 @@ def reconstructed(tree: Path, capture: Path, calibration: Path, words: list[str]
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__, json=True)
     parser.add_argument("first", type=Path, help="a cloud; with --against a capture")
     parser.add_argument("second", type=Path, help="a cloud; with --against a calibration")
     parser.add_argument("--against", type=Path, metavar="TREE", help="the version that makes the first cloud")
     parser.add_argument("--words", default="", help="more options of `jaxscan reconstruct`, in one word")
     parser.add_argument("--truth", type=Path, help="true cloud on the same grid")
     parser.add_argument("--cells", type=int, default=0, metavar="N", help="list N cells of each kind of difference")
-    parser.add_argument("--json", metavar="FILE", help="write the figures to a file")
     options = parser.parse_args()
     if options.against is None:
         clouds = [api.load_cloud(path) for path in (options.first, options.second)]
@@ -151,8 +149,7 @@ def main() -> int:
     print(*cell_lines(first, second, truth, options.cells), sep="\n")
     wrong = missed(found)
     print(*(f"MISSED: {key}" for key in wrong), sep="\n")
-    if options.json:
-        Path(options.json).write_text(json.dumps({"figures": found, "missed": wrong}, indent=1) + "\n")
+    write_json(options.json, {"figures": found, "missed": wrong})
     return 1 if wrong else 0
 
 

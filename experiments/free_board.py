@@ -21,7 +21,7 @@ from types import ModuleType
 
 import numpy as np
 from jax.scipy.special import gammaincc
-from worlds import calibration_trials as trials
+from report import Figure, command_line, conclude, progress
 
 from jaxscan.calibration import Calibration, CalibrationSettings, calibrate_observations
 
@@ -81,7 +81,7 @@ def beyond(calibration: Calibration, error: np.ndarray) -> dict[str, float]:
 
 
 def main() -> int:
-    parser = trials.parser(__doc__)
+    parser = command_line(__doc__, quick="few draws: shows that all runs, not how exact it is", json=True)
     parser.add_argument("--runs", type=int, default=DRAWS)
     arguments = parser.parse_args()
     runs = 2 if arguments.quick else arguments.runs
@@ -122,27 +122,23 @@ def main() -> int:
         ):
             for group, chance in beyond(calibration, world.errors(calibration.scanner, truth)).items():
                 counts[group] += chance < TWO_SIGMA
-        trials.progress(f"{seed} {name}: {found[-1]}, sigmas x {growth[-1].max():.2f}, missed {missed}")
+        progress(f"{seed} {name}: {found[-1]}, sigmas x {growth[-1].max():.2f}, missed {missed}")
     allowed = runs // DRAWS
-    figures = [trials.Figure(f"{group} beyond 2 sigma", missed[group], f"of {runs}", high=allowed) for group in GROUPS]
+    figures = [Figure(f"{group} beyond 2 sigma", missed[group], f"of {runs}", high=allowed) for group in GROUPS]
+    figures += [Figure(f"{group} beyond 2 sigma, parabola", missed_parabola[group], f"of {runs}") for group in GROUPS]
     figures += [
-        trials.Figure(f"{group} beyond 2 sigma, parabola", missed_parabola[group], f"of {runs}") for group in GROUPS
-    ]
-    figures += [
-        trials.Figure(
-            f"{group} beyond 2 sigma, same noise on a flat board known to be flat", missed_flat[group], f"of {runs}"
-        )
+        Figure(f"{group} beyond 2 sigma, same noise on a flat board known to be flat", missed_flat[group], f"of {runs}")
         for group in GROUPS
     ]
     figures += [
-        trials.Figure("growth of the sigmas, median", float(np.median(growth)), ""),
-        trials.Figure("growth of the sigmas, largest", float(np.max(growth)), "", high=1.4),
-        trials.Figure("bent boards taken for parabolas", found.count("parabola"), f"of {runs}", high=0),
-        trials.Figure("flat boards taken for bent ones", flats, f"of {runs}", high=0),
-        trials.Figure("largest change on a flat board", max(moved), "sigma", high=0.5),
-        trials.Figure("time on a flat board over that of a parabola", float(np.median(ratio)), "", high=1.3),
+        Figure("growth of the sigmas, median", float(np.median(growth)), ""),
+        Figure("growth of the sigmas, largest", float(np.max(growth)), "", high=1.4),
+        Figure("bent boards taken for parabolas", found.count("parabola"), f"of {runs}", high=0),
+        Figure("flat boards taken for bent ones", flats, f"of {runs}", high=0),
+        Figure("largest change on a flat board", max(moved), "sigma", high=0.5),
+        Figure("time on a flat board over that of a parabola", float(np.median(ratio)), "", high=1.3),
     ]
-    return trials.report("free-board", figures, arguments.json)
+    return conclude("free-board", figures, arguments.json)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,9 @@
 """Stripes and points on an accelerator: differences from the CPU, and speed as a share of its memory's.
 
-The stacks are in the device's memory from the start. The memory's speed is that of a copy, counted
-one way: bytes read over time. The speed of the stages is the bytes of the frames over their time.
-The choice of a path over the rows is sequential and reported separately. Compilation is not timed.
-
-A stage's time includes handing its result over through memory; the function of all stages has no
-such step. Smoothing starts and ends in the host's memory, as in a reconstruction. The results of the
-function are compared, field by field, with those of the same function on the CPU, with those of the
-stages, and with the cloud of `reconstruct` as called on this machine.
+The stacks are in the device's memory from the start. The memory's speed is that of a copy, counted one way: bytes read
+over time. The speed of stripes and points, one compiled function, is the bytes of the frames over its time. Compilation
+is not timed. Smoothing starts and ends in the host's memory, as in a reconstruction. The results are compared, field by
+field, with those of the same function on the CPU, and with the cloud of `reconstruct` as called on this machine.
 
     python experiments/gpu_speed.py [--dry] [--pairs 1024] [--chunk 128] [--json FILE]
 
@@ -15,30 +11,39 @@ Without an accelerator --dry runs everything on the CPU with few pairs, to see t
 times then mean nothing, and both sides of a difference are computed there.
 """
 
-import argparse
-import json
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from measuring.chunk_stages import STAGES, Chunk, Finished, Job, all_of_it, prepare, smooth
+from jaxtyping import Float, UInt8
 from measuring.speed_times import Figure
+from report import command_line, write_json
 from worlds.speed_scene import DISTINCT, ELECTRONS_PER_DN, READ_DN, make_angles, make_frames, make_scanner
 
-from jaxscan.geometry import Scanner
-from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
+from jaxscan.geometry import Array, Scanner
+from jaxscan.reconstruction import FrameChunk, ReconstructSettings, Sweep, plan_sweep, reconstruct
 from jaxscan.reconstruction.colours import stripe_colours
-from jaxscan.stripes import FrameFormat, FrameStripes, NoiseModel
+from jaxscan.reconstruction.extraction import LEARNED_RECORDS, learn
+from jaxscan.reconstruction.points import Aim, Centres, Points, locate_points
+from jaxscan.reconstruction.sweep import Batch
+from jaxscan.stripes import (
+    FrameFormat,
+    FrameStripes,
+    NoiseModel,
+    Smoothed,
+    StripeEngine,
+    smooth_profiles,
+    stripes_of_frames,
+)
 
 
 NOISE = NoiseModel(READ_DN, ELECTRONS_PER_DN)
 ASKED_SHARE = 0.4
-"""Of the speed of a copy, for all but the path."""
+"""Of the speed of a copy."""
 ASKED_SIGMAS = 0.1
 """Largest difference of nearly all centres from the CPU's, in their standard deviations."""
 NEARLY_ALL = 0.999
@@ -47,6 +52,46 @@ ASKED_ONE_SIDED = 1e-3
 COPY_BYTES, DRY_COPY_BYTES = 4 << 30, 256 << 20
 UNITS = {"u": "px", "sigma": "px", "width": "px", "amplitude": "DN", "grey": "DN", "rgb": "DN", "intensity": "DN"}
 UNITS |= {"xyz": "m", "sigma_random": "m", "sigma_systematic": "m", "saturated": "pixels"}
+
+
+class Chunk(NamedTuple):
+    """Pairs of frames, and the table's angles."""
+
+    on: UInt8[Array, "pairs rows columns"]
+    off: UInt8[Array, "pairs rows columns"]
+    phi: Float[Array, " pairs"]
+
+
+class Job(NamedTuple):
+    """Shared by all chunks."""
+
+    engine: StripeEngine
+    aim: Aim
+
+
+class Finished(NamedTuple):
+    """Stripes and their points."""
+
+    stripes: FrameStripes
+    points: Points
+
+
+def prepare(chunk: Chunk, scanner: Scanner, noise: NoiseModel) -> Job:
+    """The engine and aim of a reconstruction of a sweep that starts with these pairs; computed on the CPU."""
+    sweep = Sweep(chunk.on, chunk.off, chunk.phi.astype(np.float64))
+    plan = plan_sweep(sweep, scanner, ReconstructSettings(chunk_records=len(chunk.on)))
+    start, whole = FrameChunk(*(frames[:LEARNED_RECORDS] for frames in chunk[:2])), np.arange(len(chunk.on))
+    with jax.default_device(jax.devices("cpu")[0]):
+        learned = learn(plan, start, noise=noise).taught_by(Batch(whole, 0, chunk.on, chunk.off))
+        return Job(learned.engines[0], Aim.of(scanner, plan.settings, plan.stripe_axis))
+
+
+def points_of_pairs(job: Job, chunk: Chunk) -> Finished:
+    """Stripes of all pairs and their points, in one function."""
+    stripes = stripes_of_frames(job.engine, chunk.on, chunk.off)
+    centres = Centres(stripes.u, stripes.sigma, stripes.valid)
+    axis = job.engine.setup.line.stripe_axis
+    return Finished(stripes, locate_points(job.aim, centres, chunk.phi, stripe_axis=axis)[0])
 
 
 def seconds(run: Callable[[], Any], repeats: int) -> float:
@@ -117,7 +162,7 @@ def fields_of(result: Finished) -> dict[str, Any]:
 
 
 def measure(device: jax.Device, chunks: int, size: int, copied: int, repeats: int, *, dry: bool) -> list[Figure]:
-    """Speed of the stages on one device, and how far its results are from the CPU's."""
+    """Speed of stripes and points on one device, and how far its results are from the CPU's."""
     scanner = make_scanner()
     bandwidth = copy_bandwidth(device, copied, repeats)
     figures = [Figure("copy, one way", bandwidth / 1e9, "GB/s", "higher", 0.1)]
@@ -127,37 +172,26 @@ def measure(device: jax.Device, chunks: int, size: int, copied: int, repeats: in
     on_host = prepare(first, scanner, NOISE)
     job = jax.device_put(on_host, device)
 
-    def add(name: str, taken: float, asked: float | None = None) -> None:
+    def add(name: str, taken: float, asked: bool = False) -> None:
         figures.append(Figure(name, 1e6 * taken / (chunks * size), "us/pair", "lower", 0.2))
         rate = frame_bytes / taken / bandwidth
-        figures.append(Figure(f"{name}: frames' bytes of a copy", rate, "1", "higher", 0.2, asked))
+        figures.append(
+            Figure(f"{name}: frames' bytes of a copy", rate, "1", "higher", 0.2, ASKED_SHARE if asked else None)
+        )
 
-    total_without_path = 0.0
-    inputs: list[Any] = [None] * chunks
-    rows: list[FrameStripes] = []
-    for name, stage in STAGES.items():
-        compiled = jax.jit(stage)
-        arguments = list(zip(stacks, inputs, strict=True))
-
-        def run(compiled=compiled, arguments=arguments) -> list[Any]:
-            return [compiled(job, chunk, given) for chunk, given in arguments]
-
-        taken = seconds(run, repeats)
-        inputs = run()
-        add(name, taken)
-        if name == "path over the rows":
-            rows = jax.device_get(inputs)
-        else:
-            total_without_path += taken
-    add("smooth", seconds(lambda: [smooth(stripes) for stripes in rows], repeats))
+    whole = jax.jit(points_of_pairs)
     # On a CPU the copy says little about what XLA computes there.
-    add("all but the path", total_without_path, None if dry else ASKED_SHARE)
-    whole = jax.jit(all_of_it)
-    add("all in one function", seconds(lambda: [whole(job, chunk) for chunk in stacks], repeats))
-    staged = jax.tree.map(lambda leaf: np.asarray(leaf)[:DISTINCT], inputs[0])
-    here = fields_of(jax.device_get(whole(job, jax.device_put(first, device))))
-    figures += compare(here, fields_of(staged), first, scanner, on_host)
-    return figures + differences("smooth - CPU", smoothed(rows[0], device), smoothed(rows[0], jax.devices("cpu")[0]))
+    add("stripes and points", seconds(lambda: [whole(job, chunk) for chunk in stacks], repeats), asked=not dry)
+    found = whole(job, jax.device_put(first, device))
+    stripes = jax.device_get(found.stripes)
+    add("smooth", seconds(lambda: smooth(stripes), repeats) * chunks * size / len(first.on))
+    figures += compare(fields_of(jax.device_get(found)), first, scanner, on_host)
+    return figures + differences("smooth - CPU", smoothed(stripes, device), smoothed(stripes, jax.devices("cpu")[0]))
+
+
+def smooth(stripes: FrameStripes) -> Smoothed:
+    """Smooth the centres along the stripe, as a reconstruction does before it triangulates."""
+    return smooth_profiles(np.asarray(stripes.u), np.asarray(stripes.sigma), np.asarray(stripes.valid))
 
 
 def smoothed(stripes: FrameStripes, device: jax.Device) -> dict[str, Any]:
@@ -166,28 +200,26 @@ def smoothed(stripes: FrameStripes, device: jax.Device) -> dict[str, Any]:
         return {**smooth(stripes)._asdict(), "valid": stripes.valid}
 
 
-def compare(here: dict[str, Any], staged: dict[str, Any], first: Chunk, scanner: Scanner, on_host: Job) -> list[Figure]:
-    """The first pairs by all ways: one function, the stages, the same function on the CPU, and the public call."""
+def compare(here: dict[str, Any], first: Chunk, scanner: Scanner, on_host: Job) -> list[Figure]:
+    """The first pairs by the function, by the same function on the CPU, and by the public call."""
     with jax.default_device(jax.devices("cpu")[0]):
-        there = fields_of(jax.device_get(jax.jit(all_of_it)(on_host, first)))
+        there = fields_of(jax.device_get(jax.jit(points_of_pairs)(on_host, first)))
     sweep = Sweep(first.on, first.off, first.phi.astype(np.float64))
     settings = ReconstructSettings(chunk_records=len(first.on), smooth="off")
     cloud = vars(reconstruct(sweep, scanner, settings=settings, noise=NOISE))
     same = {key: cloud[key] for key in ("xyz", "rgb", "intensity", "sigma_random", "sigma_systematic", "valid")}
     return [
-        *differences("one function - CPU", here, there),
-        *differences("one function - stages", here, staged),
+        *differences("stripes and points - CPU", here, there),
         *differences("reconstruct - CPU", same, there),
     ]
 
 
 def main() -> int:
     """Print the figures; exit code 1 if one misses its limit."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__, json=True)
     parser.add_argument("--dry", action="store_true", help="on the CPU, few pairs")
     parser.add_argument("--pairs", type=int, default=1024)
     parser.add_argument("--chunk", type=int, default=128, help="pairs per call")
-    parser.add_argument("--json", metavar="FILE", help="write the figures to a file")
     options = parser.parse_args()
     device = jax.devices("cpu" if options.dry else None)[0]
     if device.platform == "cpu" and not options.dry:
@@ -203,10 +235,8 @@ def main() -> int:
     for figure in figures:
         verdict = {None: "", True: f"asked {figure.asked}: met", False: f"asked {figure.asked}: MISSED"}[figure.met()]
         print(f"{figure.key:>52} {figure.value:12.5g} {figure.unit:8} {verdict}")
-    if options.json:
-        document = {"format": "jaxscan-experiment-gpu-speed/1", "device": device.device_kind, "dry": options.dry}
-        document |= {"metrics": [figure._asdict() for figure in figures]}
-        Path(options.json).write_text(json.dumps(document, indent=1) + "\n")
+    document = {"format": "jaxscan-experiment-gpu-speed/1", "device": device.device_kind, "dry": options.dry}
+    write_json(options.json, document | {"metrics": [figure._asdict() for figure in figures]})
     return 1 if any(figure.met() is False for figure in figures) else 0
 
 

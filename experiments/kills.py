@@ -42,10 +42,11 @@ from urllib.parse import urlsplit
 import aiohttp
 import numpy as np
 from bench import CLOCK_HZ
-from bench.camera.world import View, World, load_world
+from bench.camera.rendered import View, World, load_world
 from bench.desk import Desk, set_up
 from bench.flood import Flood
 from bench.places import WORLD
+from report import command_line, write_json
 from scanrig.config import load_rig
 from scanrig.recording import AHEAD
 from scanrig.session.plan import controller_settings
@@ -440,7 +441,7 @@ def in_the_flood(tally: Tally) -> dict[str, float]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__, json=True)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--steps", type=int, default=40, help="of each scan, one degree apart")
@@ -450,7 +451,6 @@ def main() -> int:
     parser.add_argument("--console", action="store_true", help="scan by a console that is flooded")
     parser.add_argument("--held", type=int, default=300, help="half-open connections at a time")
     parser.add_argument("--per-s", type=float, default=300.0, help="new ones in a second, at most")
-    parser.add_argument("--json", metavar="FILE", help="write the figures to a file")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary, ExitStack() as stack:
         folder = Path(temporary)
@@ -476,8 +476,7 @@ def main() -> int:
         figures |= {"load_before": load, "load_after": os.getloadavg()[0], "busy_loops": arguments.load}
     for name, value in figures.items():
         print(f"{name:>30} {value}")
-    if arguments.json:
-        Path(arguments.json).write_text(json.dumps({"seed": arguments.seed, **figures}, indent=2) + "\n")
+    write_json(arguments.json, {"seed": arguments.seed, **figures})
     good = figures["captures"] == figures["captures_complete"] == figures["captures_clean"]
     good = good and figures["images"] == figures["images_right"] > 0
     good = good and figures["kills"] == arguments.kills and not tally.unanswered

@@ -1,7 +1,7 @@
 """Memory of a reconstruction: only the cloud may grow with the length of the sweep.
 
 Each sweep is reconstructed at n, 2n and 4n records, each in a separate process that reads its
-anonymous memory (`RssAnon` in /proc/self/status) every two milliseconds and reports the largest
+anonymous memory (`RssAnon` in /proc/self/status) every five milliseconds and reports the largest
 value. This includes JAX, the compiled code and the compiler, but not pages of mapped files, which
 the system drops when it needs room.
 
@@ -23,12 +23,13 @@ import os
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from measuring.speed_times import Watch, anonymous_bytes
+from report import command_line, write_json
 
 from jaxscan.files.capture import open_capture
 from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
@@ -119,34 +120,6 @@ def write_capture(folder: Path, case: Case, records: int) -> None:
             journal.write(json.dumps({"i": i, "angle_deg": 360.0 * i / records, **images}) + "\n")
 
 
-class Watch:
-    """The largest anonymous memory of this process while it is open."""
-
-    def __init__(self) -> None:
-        self.peak = 0
-        self._done = threading.Event()
-        self._thread = threading.Thread(target=self._look, daemon=True)
-
-    def __enter__(self) -> "Watch":
-        self._thread.start()
-        return self
-
-    def __exit__(self, *problem: object) -> None:
-        self._done.set()
-        self._thread.join()
-
-    def _look(self) -> None:
-        while not self._done.wait(0.002):
-            self.peak = max(self.peak, anonymous_bytes())
-
-
-def anonymous_bytes() -> int:
-    """Resident memory of this process that belongs to no file [bytes]."""
-    with open("/proc/self/status") as status:
-        fields = dict(line.split(":", 1) for line in status)
-    return 1024 * sum(int(fields[name].split()[0]) for name in ("RssAnon", "RssShmem"))
-
-
 def child(folder: Path, chunk_records: int | None) -> None:
     """Reconstruct a capture a few times and print memory and time."""
     settings = ReconstructSettings(chunk_records=chunk_records)
@@ -195,9 +168,7 @@ def measure(case: Case) -> list[dict[str, Any]]:
 
 def main() -> int:
     """Print a table and the verdict; exit code 1 if memory is above its limit."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--quick", action="store_true", help="fewer records")
-    parser.add_argument("--json", metavar="FILE", help="write the figures as JSON too")
+    parser = command_line(__doc__, quick="fewer records", json=True)
     parser.add_argument("--child", metavar="CAPTURE", help=argparse.SUPPRESS)
     parser.add_argument("--chunk-records", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -224,9 +195,7 @@ def main() -> int:
     failed = [metric for metric in metrics if metric["value"] > metric["limit"]]
     for metric in failed:
         print(f"too much: {metric['key']} = {metric['value']:.4g} {metric['unit']}, at most {metric['limit']:.4g}")
-    if options.json:
-        result = {"format": "jaxscan-experiment-memory/1", "metrics": metrics}
-        Path(options.json).write_text(json.dumps(result, indent=2) + "\n")
+    write_json(options.json, {"format": "jaxscan-experiment-memory/1", "metrics": metrics})
     return 1 if failed else 0
 
 

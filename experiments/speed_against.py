@@ -18,7 +18,6 @@ environment can run; without one ours is measured alone.
                                         [--json FILE]
 """
 
-import argparse
 import json
 import os
 import shutil
@@ -32,6 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from measuring.speed_disk import write_packed_capture, write_png_capture
 from measuring.speed_times import load, machine
+from report import command_line, write_json
 from worlds.speed_scene import DISTINCT, make_frames, make_scanner
 
 from jaxscan import api
@@ -159,13 +159,11 @@ def write_scene(folder: Path, parts: list[str], size: Size) -> None:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__, quick="few pairs: to see that it runs", json=True)
     parser.add_argument("--against", type=Path, metavar="TREE", help="sources of another version")
     parser.add_argument("--only", nargs="*", choices=PARTS, default=PARTS, help="some parts")
     parser.add_argument("--rounds", type=int, default=2)
-    parser.add_argument("--quick", action="store_true", help="few pairs: to see that it runs")
     parser.add_argument("--scratch", type=Path, metavar="DIR", help="where captures go for a while: up to 10 GB")
-    parser.add_argument("--json", metavar="FILE", help="write the figures to a file")
     options = parser.parse_args()
     size, parts = QUICK if options.quick else FULL, list(options.only)
     trees = [OWN] if options.against is None else [options.against.resolve(), OWN]
@@ -192,10 +190,8 @@ def main() -> int:
     print(*(f"{key}: {value}" for key, value in about.items()), sep="\n")
     print("", "| figure | unit | other | ours | ours / other | asked |", "|---|---|---:|---:|---:|---|", sep="\n")
     print(*(row.line() for row in rows.values()), sep="\n")
-    if options.json:
-        document = {"format": "jaxscan-experiment-speed-against/1", "quick": options.quick, **about}
-        text = json.dumps(document | {"figures": [row._asdict() for row in rows.values()]}, indent=1)
-        Path(options.json).write_text(text + "\n")
+    document = {"format": "jaxscan-experiment-speed-against/1", "quick": options.quick, **about}
+    write_json(options.json, document | {"figures": [row._asdict() for row in rows.values()]})
     return 0
 
 

@@ -21,7 +21,6 @@ code; with --now those of a second file are, and nothing is measured. The exit c
 more than 2 % of itself.
 """
 
-import argparse
 import functools
 import json
 import math
@@ -31,25 +30,220 @@ import time
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import NamedTuple
 
+import matplotlib
 import numpy as np
-from measuring import stripe_reflections as reflections
-from measuring.stripe_speckle import measure_speckle
-from tables.stripe_table import (
-    WORSE,
-    Cell,
-    Figure,
-    against_lines,
-    cell_figures,
-    cell_lines,
-    draw,
-    figure_lines,
-    processor,
+from matplotlib import pyplot as plt
+from measuring.speed_times import machine
+from report import Figure, command_line, rms, write_json
+from worlds import stripe_world
+from worlds.stripe_world import (
+    Course,
+    Sensor,
+    Speckle,
+    centre_bound,
+    curved_course,
+    expose_evenly,
+    render,
+    render_coherent,
+    scattered_course,
 )
-from worlds.stripe_world import Sensor, centre_bound, curved_course, expose_evenly, render, scattered_course
 
 import jaxscan
+from jaxscan.reconstruction.along import smooth_sweep
 from jaxscan.stripes import ESTIMATORS, NoiseModel, StripeSettings
+
+
+matplotlib.use("agg")
+
+
+MORE = ("_valid", "_within_1px", "_right", "_right_of_all", "_found_on_clean_frames")
+"""Ends of the keys of figures that are better where they are larger; of most others less is better."""
+SCENE = ("_bound", "_at_the_bound", "_limit", "_rows", "_affected")
+"""Ends of the keys of figures of the frames, which no code changes; those "over" one of them are of the code."""
+WORSE = 0.02
+"""Part of itself by which a figure may be worse."""
+
+
+def change(key: str, before: float, now: float) -> float:
+    """How much worse a figure is than it was, as a part of what it was; negative: better; infinite: was zero.
+
+    The sigma over the error is worse where it is farther from 1.
+    """
+    if (key.endswith(SCENE) and "_over_" not in key) or now == before:
+        return 0.0
+    if "_sigma_over_error" in key:
+        return (abs(now - 1.0) - abs(before - 1.0)) / before
+    worse = before - now if key.endswith(MORE) else now - before
+    return worse / before if before > 0 else float(np.sign(worse)) * np.inf
+
+
+def against_lines(figures: list[Figure], before: dict[str, float]) -> tuple[list[str], list[str]]:
+    """A Markdown table of the figures that changed by more than `WORSE`, and the keys of those that are worse."""
+    out = ["| figure | before | now | worse by | |", "|---|---:|---:|---:|---|"]
+    worse = []
+    for figure in figures:
+        if figure.key not in before:
+            continue
+        by = change(figure.key, before[figure.key], figure.value)
+        if not abs(by) <= WORSE:
+            worse += [figure.key] if not by <= WORSE else []
+            out.append(
+                f"| {figure.key} | {before[figure.key]:.5g} | {figure.value:.5g} | {100 * by:+.1f} % | "
+                f"{'' if by <= WORSE else 'WORSE'} |"
+            )
+    return out, worse
+
+
+class Cell(NamedTuple):
+    """One width and amplitude, with one kind of noise model."""
+
+    width: float
+    amplitude: float
+    noise: str
+    rows: int
+    valid: float
+    bound: float
+    rms: float
+    bias: float
+    """Largest mean error of a phase bin [px]."""
+    bias_error: float
+    """Largest standard error of a bin's mean [px]."""
+    honesty: float
+    """Reported sigma over true error, both root mean square."""
+
+    @property
+    def ratio(self) -> float:
+        return self.rms / self.bound
+
+
+def cell_figures(cells: list[Cell], section: str) -> list[Figure]:
+    """The figures of each cell, with their limits."""
+    out = []
+    for cell in cells:
+        key = f"{section}_{cell.width:g}px_{cell.amplitude:g}dn_{cell.noise}"
+        out.append(Figure(f"{key}_valid", cell.valid, "of rows"))
+        out.append(Figure(f"{key}_sigma_over_error", cell.honesty, "1", 0.9, 1.1))
+        if section == "over_exposed":
+            out.append(Figure(f"{key}_rms", cell.rms, "px", high=0.02))
+            out.append(Figure(f"{key}_rms_over_bound", cell.ratio, "1"))
+        else:
+            out.append(Figure(f"{key}_rms_over_bound", cell.ratio, "1", high=1.10 if section == "narrow" else 1.05))
+        out.append(Figure(f"{key}_bias", cell.bias, "px", high=0.005 if section == "cells" else None))
+    return out
+
+
+def cell_lines(cells: list[Cell], section: str) -> list[str]:
+    """A Markdown table: a row per cell, both noise models side by side."""
+    out = [
+        "| width px | amplitude DN | rows | bound px | valid | RMS px | RMS/bound | bias px | ± px | sigma/error | |",
+        "|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---|",
+    ]
+    pairs = zip(cells[::2], cells[1::2], strict=True)
+    for known, estimated in pairs:
+        both = [f"{getattr(known, name):{form}}, {getattr(estimated, name):{form}}" for name, form in _COLUMNS]
+        holds = all(figure.met() for figure in cell_figures([known, estimated], section))
+        out.append(
+            f"| {known.width:g} | {known.amplitude:g} | {known.rows} | {known.bound:.4f} | "
+            f"{' | '.join(both[:4])} | {known.bias_error:.4f} | {both[4]} | {'' if holds else 'MISSED'} |"
+        )
+    return out
+
+
+_COLUMNS = (("valid", ".4f"), ("rms", ".4f"), ("ratio", ".3f"), ("bias", ".4f"), ("honesty", ".3f"))
+
+
+def figure_lines(figures: list[Figure]) -> list[str]:
+    """A Markdown table of figures."""
+    out = ["| figure | value | unit | asked | |", "|---|---:|---|---|---|"]
+    for figure in figures:
+        limits = [f"{sign} {limit:g}" for sign, limit in (("≥", figure.low), ("≤", figure.high)) if limit is not None]
+        text = f"{figure.value:.0f}" if figure.unit.endswith("rows") and figure.value > 1 else f"{figure.value:.4g}"
+        verdict = "" if figure.met() else "MISSED"
+        out.append(f"| {figure.key.replace('_', ' ')} | {text} | {figure.unit} | {' and '.join(limits)} | {verdict} |")
+    return out
+
+
+def draw(cells: list[Cell], path: Path) -> None:
+    """Error over bound, and honesty of sigma, over width and amplitude; the noise known."""
+    figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
+    panels = (
+        ("ratio", "RMS error / Cramér–Rao bound", (1.05,)),
+        ("bias", "largest bias over the phase [px]", (0.005,)),
+        ("honesty", "reported sigma / true error", (0.9, 1.1)),
+    )
+    amplitudes = sorted({cell.amplitude for cell in cells})
+    colours = plt.get_cmap("viridis")(np.linspace(0, 0.9, len(amplitudes)))
+    for axis, (name, title, limits) in zip(axes, panels, strict=True):
+        for amplitude, colour in zip(amplitudes, colours, strict=True):
+            chosen = [cell for cell in cells if cell.amplitude == amplitude and cell.noise == "known"]
+            values = [getattr(cell, name) for cell in chosen]
+            axis.plot(
+                [cell.width for cell in chosen], values, "o-", ms=3, lw=1, color=colour, label=f"{amplitude:g} DN"
+            )
+        for limit in limits:
+            axis.axhline(limit, color="tab:red", ls="--", lw=1)
+        axis.set(title=title, xlabel="width (standard deviation) [px]")
+        axis.grid(alpha=0.3)
+    axes[0].axhline(1.0, color="0.4", lw=1)
+    axes[1].set_ylim(bottom=0)
+    axes[0].legend(fontsize="small", title="amplitude")
+    figure.savefig(path, dpi=80)
+    plt.close(figure)
+
+
+CONTRASTS, F_NUMBERS = (1.0, 0.5, 0.2), (2.8, 5.6, 8.0)
+_SENSOR = Sensor(read_dn=1.7, electrons_per_dn=8.0, ambient_dn=0.0, black_dn=5.0)
+_WIDTH, _SPECKLE_ROWS, _SPECKLE_COLUMNS, _FRAMES = 1.3, 512, 192, 12
+_CLASSES = ((30.0, 80.0), (80.0, 130.0), (130.0, 180.0), (180.0, 230.0))
+"""Amplitudes [DN]."""
+
+
+def measure_speckle(*, quick: bool, seed: int) -> list[Figure]:
+    """Figures of every contrast and aperture."""
+    out = []
+    for contrast in CONTRASTS:
+        for f_number in F_NUMBERS:
+            out += _figures(Speckle(contrast, f_number), 4 if quick else _FRAMES, seed)
+    return out
+
+
+def _figures(speckle: Speckle, frames: int, seed: int) -> list[Figure]:
+    rng = np.random.default_rng([seed, 41, round(100 * speckle.contrast), round(10 * speckle.f_number)])
+    v = (np.arange(_SPECKLE_ROWS) - _SPECKLE_ROWS / 2) / _SPECKLE_ROWS
+    middle, tilt, sag = (rng.uniform(-a, a, (frames, 1)) for a in (2.0, 8.0, 6.0))
+    u = _SPECKLE_COLUMNS / 2 + middle + tilt * v + sag * v**2
+    amplitude = 130.0 - 100.0 * np.cos(8 * np.pi * v)
+    room = np.linspace(3.0, 70.0, _SPECKLE_COLUMNS)[None, :] * np.linspace(1.0, 0.4, _SPECKLE_ROWS)[:, None]
+    pairs = render_coherent(Course(u, _WIDTH, amplitude), room, speckle, _SENSOR, rng)
+    found = jaxscan.extract_stripes(pairs.on, pairs.off)
+    centre, sigma, valid = (np.asarray(field) for field in (found.u, found.sigma, found.valid))
+    key = f"speckle_{speckle.contrast:g}_at_f{speckle.f_number:g}"
+    level = np.broadcast_to(amplitude, u.shape)
+    honest = [_ratio(sigma, centre - u, valid & (level >= low) & (level < high)) for low, high in _CLASSES]
+    far = np.abs(centre - u)[valid] > 5 * sigma[valid]
+    out = [
+        Figure(f"{key}_limit", speckle.limit_px, "px"),
+        Figure(f"{key}_valid", float(valid[pairs.snr > 5].mean()), "of rows with light over 5 sigma", low=0.99),
+        Figure(f"{key}_row_rms_over_limit", rms((centre - u)[valid]) / speckle.limit_px, "1"),
+        Figure(f"{key}_row_sigma_over_error", _ratio(sigma, centre - u, valid), "1", 0.9, 1.1),
+        Figure(f"{key}_row_sigma_over_error_least_of_4_amplitudes", min(honest), "1", 0.9, 1.1),
+        Figure(f"{key}_row_sigma_over_error_most_of_4_amplitudes", max(honest), "1", 0.9, 1.1),
+        Figure(f"{key}_row_beyond_5_sigma", float(np.mean(far)), "of rows", high=1e-3),
+    ]
+    line = smooth_sweep(found)
+    error = line.u - u
+    return [
+        *out,
+        Figure(f"{key}_line_rms_over_limit", rms(error[valid]) / speckle.limit_px, "1"),
+        Figure(f"{key}_line_sigma_over_error", _ratio(line.sigma, error, valid), "1", 0.9, 1.1),
+    ]
+
+
+def _ratio(sigma: np.ndarray, error: np.ndarray, valid: np.ndarray) -> float:
+    """Stated over true, both root mean square."""
+    return rms(sigma[valid]) / rms(error[valid])
 
 
 WIDTHS = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0)
@@ -181,11 +375,11 @@ def measure_peer(*, quick: bool, seed: int) -> list[Figure]:
 
 def measure_reflections(*, quick: bool, seed: int) -> list[Figure]:
     """Rows that are mistaken in a room with second reflections."""
-    config, records = reflections.room_records(6 if quick else 24)
-    draws = [reflections.score(config, records, seed + number) for number in range(1 if quick else 8)]
+    config, records = stripe_world.room_records(6 if quick else 24)
+    draws = [stripe_world.score(config, records, seed + number) for number in range(1 if quick else 8)]
     out = []
-    for variant in reflections.VARIANTS:
-        total = functools.reduce(reflections.Score.plus, [scores[variant.name] for scores in draws])
+    for variant in stripe_world.VARIANTS:
+        total = functools.reduce(stripe_world.Score.plus, [scores[variant.name] for scores in draws])
         key = "reflections_" + variant.name.replace(", ", "_").replace(" ", "_")
         affected = max(total.affected, 1)
         out.append(Figure(f"{key}_right", total.right / affected, "of affected rows", low=variant.asked))
@@ -247,11 +441,9 @@ def print_against(path: Path, figures: list[Figure]) -> int:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__, quick="few rows: to see that it runs, its verdicts mean little", json=True)
     parser.add_argument("--only", choices=SECTIONS, action="append", help="a section; may be given several times")
-    parser.add_argument("--quick", action="store_true", help="few rows: to see that it runs, its verdicts mean little")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", metavar="FILE", help="write the figures to a file (- for standard output)")
     parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results", help="folder of the table")
     parser.add_argument("--against", type=Path, metavar="FILE", help="compare with the figures of an earlier run")
     parser.add_argument("--now", type=Path, metavar="FILE", help="with --against: these figures, nothing is measured")
@@ -265,17 +457,17 @@ def main() -> int:
         print("\n".join(lines[-len(found) - 3 :]), file=sys.stderr, flush=True)
         figures += own
         cells += own_cells if section == "cells" else []
-    missed = [figure.key for figure in figures if not figure.holds()]
+    missed = [figure.key for figure in figures if not figure.met()]
     asked = sum(figure.low is not None or figure.high is not None for figure in figures)
     verdict = f"{asked - len(missed)} of {asked} figures are as asked."
     seconds = time.perf_counter() - start
     print(f"{verdict} {seconds:.0f} s", *missed, sep="\n  ", file=sys.stderr)
     packages = ", ".join(f"{name} {version(name)}" for name in ("jaxscan", "jax", "numpy"))
-    today, python = f"{datetime.now(UTC):%Y-%m-%d}", platform.python_version()
+    today, python, processor = f"{datetime.now(UTC):%Y-%m-%d}", platform.python_version(), machine()["processor"]
     head = [
         "# Stripe centres: accuracy",
         "",
-        f"{today}, {processor()}, Python {python}, {packages}; {seconds:.0f} s.",
+        f"{today}, {processor}, Python {python}, {packages}; {seconds:.0f} s.",
         f"{verdict} Written by `python experiments/stripe_accuracy.py`; default settings, one configuration for all.",
         "Noise: read 1 DN, 40 e-/DN, rounding to 8 bits, clipping at 255, ambient light of 10 DN in both images.",
         "Where two numbers stand in a field, the first is with the noise known, the second with it estimated",
@@ -292,12 +484,10 @@ def main() -> int:
         (arguments.results / "stripe_accuracy.md").write_text("\n".join(head + lines).rstrip() + "\n")
         draw(cells, arguments.results / "stripe_accuracy.png")
     if arguments.json:
-        metrics = [{**figure._asdict(), "holds": bool(figure.holds())} for figure in figures]
-        text = json.dumps({"format": "jaxscan-stripe-accuracy/1", "quick": arguments.quick, "metrics": metrics})
-        if arguments.json == "-":
-            print(text)
-        else:
-            Path(arguments.json).write_text(text + "\n")
+        metrics = [{**figure._asdict(), "holds": bool(figure.met())} for figure in figures]
+        write_json(
+            arguments.json, {"format": "jaxscan-stripe-accuracy/1", "quick": arguments.quick, "metrics": metrics}
+        )
     if arguments.against:
         return print_against(arguments.against, figures)
     return 1 if missed and not arguments.quick else 0

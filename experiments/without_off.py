@@ -7,7 +7,6 @@ False: stripes off the laser's light, of all that are accepted. A table goes to 
     python experiments/without_off.py [--steps N]
 """
 
-import argparse
 import itertools
 import tomllib
 from dataclasses import replace
@@ -16,6 +15,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from report import command_line
 
 import jaxscan
 from jaxscan.errors import CaptureError
@@ -102,7 +102,7 @@ def ciclop_rows() -> list[str]:
 
 def main() -> None:
     """Measure, print, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = command_line(__doc__)
     parser.add_argument("--steps", type=int, default=48)
     steps = parser.parse_args().steps
     lines = ["| sweep | verdict | found | false | median error |", "|---|---|---|---|---|"]

@@ -1,38 +1,108 @@
-"""A camera, a line laser and a turntable as a precise 3D scanner for rooms.
+"""A camera, a line laser and a turntable as a precise 3D scanner for rooms: the public names and their modules.
 
-`__init__.pyi` lists the public names and their modules. A name is loaded at its first use, and the list too:
 `import jaxscan` loads nothing, so that the command line hears a signal from its first milliseconds on.
 """
 
+from jaxscan.facades import TYPE_CHECKING, load_on_use
+
+
 __version__ = "0.1.0"
-_homes: dict[str, str] = {}
-"""The module of every public name."""
 
-
-def __getattr__(name: str) -> object:
-    value: object
-    if name == "__all__":
-        value = sorted(["__version__", *_read_homes()])
-    elif name.startswith("__") or name not in _read_homes():
-        raise AttributeError(f"module 'jaxscan' has no attribute {name!r}")
-    else:
-        import importlib
-
-        value = getattr(importlib.import_module(_homes[name]), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted(["__version__", *_read_homes()])
-
-
-def _read_homes() -> dict[str, str]:
-    if not _homes:
-        import re
-        from pathlib import Path
-
-        listed = Path(__file__).with_suffix(".pyi").read_text()
-        found = re.findall(r"^from (\S+) import (\w+) as \2$", listed, re.MULTILINE)
-        _homes.update((name, module) for module, name in found)
-    return _homes
+if TYPE_CHECKING:
+    from jaxscan.api import (
+        Reconstruction,
+        align_cloud,
+        calibrate,
+        colour_cloud,
+        draw_panorama,
+        export_photographs,
+        load_simulation,
+        mesh_cloud,
+        observe_boards,
+        recalibrate,
+        reconstruct_capture,
+        save_board,
+        save_designed_rig,
+        save_drawing,
+        save_mesh,
+        save_panorama,
+        save_scan,
+        simulate,
+    )
+    from jaxscan.calibration import (
+        Calibration,
+        CalibrationSettings,
+        KnownParts,
+        Quality,
+        Verdict,
+        calibrate_observations,
+    )
+    from jaxscan.design import RigChoice, RigDesign, RigWish, Sensor, design_rig
+    from jaxscan.drawing import Drawing, Survey, draw_orthophotos, draw_plan, draw_section, survey_room
+    from jaxscan.errors import (
+        CalibrationError,
+        CaptureError,
+        CloudError,
+        ConfigError,
+        DependencyError,
+        JaxscanError,
+        MeasurementError,
+        OptionError,
+    )
+    from jaxscan.files import (
+        Capture,
+        CaptureHeader,
+        create_capture,
+        load_board,
+        load_calibration,
+        load_cloud,
+        load_scanner,
+        open_capture,
+        save_calibration,
+        save_cloud,
+    )
+    from jaxscan.geometry import (
+        Charuco,
+        Chessboard,
+        DoubleSphere,
+        Fisheye,
+        LaserSheet,
+        LinearStage,
+        Pinhole,
+        Rig,
+        Scanner,
+        Still,
+        Turntable,
+        fit_axis,
+        fit_plane,
+        pixels,
+        plane_sigma,
+        points,
+        rays,
+        slopes,
+    )
+    from jaxscan.measurement import (
+        Estimate,
+        RoomFrame,
+        RoomOutline,
+        TargetFrame,
+        align_room,
+        align_targets,
+        compare_clouds,
+        measure_deviations,
+        measure_distance,
+        measure_outline,
+        measure_plane,
+        measure_points,
+        measure_room,
+        measure_sphere,
+    )
+    from jaxscan.observation import BoardViews, Observations, StripeViews
+    from jaxscan.photographs import BlendSettings, Panorama, Photograph, Photographs, colour_points, make_occluder
+    from jaxscan.recalibration import Given, KnownSphere, MeasuredLength, Recalibration, RecalibrationSettings
+    from jaxscan.reconstruction import Extraction, PointCloud, ReconstructSettings, Sweep, extract, reconstruct
+    from jaxscan.simulation import SimulationConfig
+    from jaxscan.stripes import FrameFormat, LaserLine, NoiseModel, Stripes, StripeSettings, extract_stripes
+    from jaxscan.surface import Mesh, MeshSettings, simplify_mesh
+else:
+    load_on_use(__name__, "__version__")

@@ -1,6 +1,7 @@
 """How functions are compiled on a CPU: sooner where they run a few times, for wide vectors where they run often."""
 
 import functools
+import re
 from collections.abc import Callable, Sequence
 from typing import Any, ParamSpec, TypeVar
 
@@ -16,7 +17,7 @@ def compile_quickly(function: Callable[_P, _R]) -> Callable[_P, _R]:
     For functions that run a few times in a process, and are called by the host: not inside of another compiled
     function, where JAX takes no such options. Accelerators compile as ever.
     """
-    return _compile(function, {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False})
+    return compile_with(function, {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False})
 
 
 def compile_sooner(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -24,7 +25,7 @@ def compile_sooner(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
     For functions that run some ten times.
     """
-    return _compile(function, {"xla_cpu_use_fusion_emitters": False})
+    return compile_with(function, {"xla_cpu_use_fusion_emitters": False})
 
 
 def compile_wide(function: Callable[_P, _R], *, static: Sequence[str] = (), sooner: bool = False) -> Callable[_P, _R]:
@@ -36,18 +37,33 @@ def compile_wide(function: Callable[_P, _R], *, static: Sequence[str] = (), soon
         sooner: Whether it is compiled in two thirds of the time, to code that takes a twentieth longer.
     """
     options = {"xla_cpu_prefer_vector_width": 512, **({"xla_cpu_use_fusion_emitters": False} if sooner else {})}
-    return _compile(function, options, static)
+    return compile_with(function, options, static)
 
 
-def _compile(function: Callable[_P, _R], options: dict[str, Any], static: Sequence[str] = ()) -> Callable[_P, _R]:
+_UNKNOWN: set[str] = set()
+"""Options that the installed XLA does not have: its releases drop some, and it refuses what it does not know."""
+
+
+def compile_with(function: Callable[_P, _R], options: dict[str, Any], static: Sequence[str] = ()) -> Callable[_P, _R]:
+    """As `jax.jit`, on a CPU with those of these options of XLA's that the installed release has."""
+
     @functools.cache
-    def compiled() -> Callable[_P, _R]:
+    def compiled(unknown: frozenset[str]) -> Callable[_P, _R]:
         # Asked at the first call: asking chooses the device, which is not for an import to do.
         on_cpu = jax.default_backend() == "cpu"
-        return jax.jit(function, static_argnames=tuple(static), compiler_options=options if on_cpu else None)
+        known = {name: value for name, value in options.items() if on_cpu and name not in unknown}
+        return jax.jit(function, static_argnames=tuple(static), compiler_options=known or None)
 
     @functools.wraps(function)
     def call(*arguments: _P.args, **keywords: _P.kwargs) -> _R:
-        return compiled()(*arguments, **keywords)
+        while True:
+            unknown = frozenset(_UNKNOWN)
+            try:
+                return compiled(unknown)(*arguments, **keywords)
+            except jax.errors.JaxRuntimeError as problem:
+                refused = re.search("No such compile option: '(\\w+)'", str(problem))
+                if refused is None or refused[1] in unknown:
+                    raise
+                _UNKNOWN.add(refused[1])
 
     return call

@@ -45,11 +45,16 @@ FIRST = ("cli/test_chain.py", "reconstruction", "stripes", "calibration", "hardw
 while the other does what needs none."""
 
 
-def pytest_collection_modifyitems(items):
+def pytest_addoption(parser):
+    parser.addoption("--part", metavar="K/N", help="of the chosen tests every Nth, from the Kth on")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection_modifyitems(config, items):
     """An order that keeps two processes busy to the end; whole files, and the tests of a file, stay as they are.
 
-    Without embreex, which ARM64 has not, the tests that render are skipped, by name;
-    JAXSCAN_REQUIRE_SIMULATOR=1 refuses that.
+    Tests in a browser are marked `rig`. Without embreex, which ARM64 has not, the tests that render are skipped, by
+    name; JAXSCAN_REQUIRE_SIMULATOR=1 refuses that.
     """
 
     def turn(item):
@@ -57,14 +62,21 @@ def pytest_collection_modifyitems(items):
         return next((k for k, first in enumerate(FIRST) if first in (path.as_posix(), path.parts[0])), len(FIRST))
 
     items.sort(key=turn)
-    if importlib.util.find_spec("embreex"):
-        return
-    problem = "the simulator needs embreex"
-    if os.environ.get("JAXSCAN_REQUIRE_SIMULATOR"):
+    problem = "" if importlib.util.find_spec("embreex") else "the simulator needs embreex"
+    if problem and os.environ.get("JAXSCAN_REQUIRE_SIMULATOR"):
         raise pytest.UsageError(problem)
     for item in items:
-        if "tiny" in item.fixturenames or "simulation" in item.path.parts:
+        names = getattr(item, "fixturenames", ())
+        if "browser" in names:
+            item.add_marker(pytest.mark.rig)
+        if problem and ("tiny" in names or "simulation" in item.path.parts):
             item.add_marker(pytest.mark.skip(reason=problem))
+    yield  # Here pytest leaves out what -m does not name.
+    if part := config.getoption("--part"):
+        first, number = map(int, part.split("/"))
+        chosen = items[first - 1 :: number]
+        config.hook.pytest_deselected(items=[item for item in items if item not in set(chosen)])
+        items[:] = chosen
 
 
 @pytest.fixture(autouse=True)

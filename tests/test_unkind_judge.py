@@ -5,9 +5,8 @@ import importlib.util
 import numpy as np
 import pytest
 
-from experiments.unkind import figures, limits, truth
-from experiments.unkind.estimate import Dimension, Rig, Rows, ray_grid
-from experiments.unkind.world import rig, sensor
+from experiments.unkind import figures, scene, truth
+from experiments.unkind.truth import Dimension, Rig, Rows, ray_grid
 
 
 RECORDS, LINES = 40, 200
@@ -15,8 +14,8 @@ RECORDS, LINES = 40, 200
 
 def world(rng):
     """A true sheet in a rig, stripes at random places, and no crossing but the first."""
-    drawn = rig.draw_rig(rng)
-    noise = sensor.Sensor()
+    drawn = scene.draw_rig(rng)
+    noise = scene.Sensor()
     true = truth.Truth(
         size=np.array([drawn.width, LINES]),
         lens=drawn.lens,
@@ -51,17 +50,17 @@ def test_a_rig_that_is_right_has_no_error_and_a_turned_sheet_has_its_own():
     rng = np.random.default_rng(1)
     true, _ = world(rng)
     grid = ray_grid(true.size)
-    rays = rig.look(true.lens, *grid)
+    rays = scene.look(true.lens, *grid)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     u, v, points = figures.sheet_grid(true)
     assert len(u) > 10 and np.abs(points[:, 2] - 2.5).max() < 1e-3
-    assert np.abs(rig.project(true.lens, points) - np.stack([u, v], -1)).max() < 1e-6
+    assert np.abs(scene.project(true.lens, points) - np.stack([u, v], -1)).max() < 1e-6
     perfect = Rig(rays, points, true.direction, true.point)
     found = figures.rig_figures(true, perfect, grid)
     # Rays are undone by a fixed point to 1e-9.
     assert all(value < 1e-3 for value in found.values()), found
     # A turn of everything is no error of rays and axis.
-    turn = rig.rotation(np.array([0.2, 1.0, 0.1]), 0.01)
+    turn = scene.rotation(np.array([0.2, 1.0, 0.1]), 0.01)
     turned = Rig(rays @ turn.T, points, turn @ true.direction, turn @ true.point)
     assert figures.rig_figures(true, turned, grid)["axis_deg"] < 1e-3
     moved = perfect._replace(point=true.point + [0.003, 0, 0], at_row=points * 1.002)
@@ -165,18 +164,18 @@ def test_walls_and_limits():
     assert found["within_two"] == 0.5 and found["errors_mm"] == pytest.approx([3.0, -1.0])
     assert figures.dimension_figures([Dimension(4.199, 0.001, 4.2)], 2)["within_two"] == 0.5
     rival = {"rig": {"rays_px": 0.5}}
-    assert limits.worse({"rig": {"rays_px": float("nan")}}, rival) == ["rays [px] nan against 0.5"]
-    assert limits.worse({"rig": {"rays_px": 0.4}}, rival) == [] == limits.worse({}, {})
-    limit = limits.Limit("x", ("a", "classes"), 0.9, 1.1, True, "r")
+    assert figures.worse({"rig": {"rays_px": float("nan")}}, rival) == ["rays [px] nan against 0.5"]
+    assert figures.worse({"rig": {"rays_px": 0.4}}, rival) == [] == figures.worse({}, {})
+    limit = figures.Limit("x", ("a", "classes"), 0.9, 1.1, True, "r")
     measured = {"a": {"classes": {"one": {"r": 1.0}, "two": {"r": 1.2}, "three": {"r": float("nan")}}}}
-    assert limits.broken(measured, limit) == ["two: 1.2"]
-    assert limits.values(measured, limit) == {"one": 1.0, "two": 1.2}
+    assert figures.broken(measured, limit) == ["two: 1.2"]
+    assert figures.values(measured, limit) == {"one": 1.0, "two": 1.2}
 
 
 def test_speckle_on_a_pixel_has_the_contrast_that_was_asked_for_and_is_alone_in_its_grain():
-    chip = sensor.Sensor(speckle=0.2)
-    spots = sensor.Speckle(chip, (128, 160), np.random.default_rng(7))
-    pixels = sensor.to_pixels(spots.draw((128 * sensor.FINE, 160 * sensor.FINE)), sensor.FINE)
+    chip = scene.Sensor(speckle=0.2)
+    spots = scene.Speckle(chip, (128, 160), np.random.default_rng(7))
+    pixels = scene.to_pixels(spots.draw((128 * scene.FINE, 160 * scene.FINE)), scene.FINE)
     assert pixels.mean() == pytest.approx(1.0, abs=0.01)
     assert pixels.std() == pytest.approx(0.2, rel=0.05)
     # A grain is 0.75 px wide: a pixel three away is another draw.
@@ -199,21 +198,19 @@ def test_a_stripe_whose_middle_is_hidden_is_an_edge_and_no_row_to_be_found():
 @pytest.mark.skipif(importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed (extra 'worlds')")
 def test_a_path_traced_board_shows_its_stripe_where_the_truth_says():
     from experiments.unkind import path_traced
-    from experiments.unkind.world import light
-    from experiments.unkind.world.tracer import Tracer
-    from experiments.unkind.world.true_rows import print_contrast
+    from experiments.unkind.tracer import Shot, Tracer, crossings, print_contrast
 
     drawn = path_traced.draw_world(3)
     views = path_traced.draw_views(drawn.rig, drawn.board, drawn.room.camera, drawn.rng)
     place = drawn.board.patch(views[4].room_board)
     tracer = Tracer(drawn.room, 3, place)
-    shot = light.Shot(drawn.rig, tracer, drawn.room.camera)
+    shot = Shot(drawn.rig, tracer, drawn.room.camera)
     middle = tracer.cast(shot.pose[:3, 3], shot.turned(path_traced.ways(drawn.rig)))
     on_board = middle.shape == tracer.board
     assert 0.05 < on_board.mean() < 0.6
-    found = light.crossings(shot, middle)
+    found = crossings(shot, middle)
     # The middle of the sheet, the surface and the pixel's ray meet in a point.
-    seen = rig.project(drawn.rig.lens, shot.local(found.p))
+    seen = scene.project(drawn.rig.lens, shot.local(found.p))
     assert np.abs(seen - np.stack([found.u, found.row], -1)).max() < 2e-3
     assert np.abs(shot.beside(found.p)).max() < 1e-4
     contrast = print_contrast(shot, *(part[found.shape == tracer.board] for part in (found.u, found.row)))

@@ -20,8 +20,7 @@ from pathlib import Path
 
 import numpy as np
 from bench import CLOCK_HZ, RigOptions, SimulatedRig
-from scanrig.cameras.simulated import SimulatedCamera
-from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
+from scanrig.cameras.simulated import FrameShape, SimulatedCamera, SyntheticScene, draw
 from scanrig.config import RigConfig
 from scanrig.controllers.jxs import connect
 from scanrig.session import Devices, Hooks, run_sweep

@@ -6,7 +6,6 @@ Frames and scanner are read from files, so that every tree gets the same bytes. 
 trees have. The result is one line of JSON.
 """
 
-import argparse
 import dataclasses
 import functools
 import json
@@ -21,10 +20,11 @@ from typing import Any
 import jax
 import numpy as np
 from measuring.speed_times import take_turns
+from report import command_line
 
 import jaxscan
 from jaxscan import api
-from jaxscan.cli.process.running import run_process
+from jaxscan.cli.running import run_process
 from jaxscan.files.capture import Capture, open_capture
 from jaxscan.reconstruction import Sweep, reconstruct
 from jaxscan.vision import decode_image
@@ -146,7 +146,7 @@ def _first(capture: Capture, count: int) -> Capture:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
+    parser = command_line(__doc__)
     jobs = {"memory": memory, "cold": cold, "packed": packed, "png": png, "command": command}
     parser.add_argument("job", choices=jobs)
     parser.add_argument("folder", type=Path)

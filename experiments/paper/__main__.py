@@ -22,16 +22,26 @@ from typing import Any
 
 import jax
 
-from experiments.paper.contents import EXPERIMENTS, part_of, results_path
-from experiments.paper.metrics import Metric, line, load_baseline, save_baseline, shown
-from experiments.paper.stage import Stage
-from experiments.paper.worlds import WORLDS, world
+from experiments.paper.stage import (
+    EXPERIMENTS,
+    WORLDS,
+    Metric,
+    Stage,
+    line,
+    load_baseline,
+    part_of,
+    results_path,
+    save_baseline,
+    shown,
+    world,
+)
+from experiments.report import command_line
 
 
 def run_one(stage: Stage, name: str) -> dict[str, Any]:
     """Run an experiment, print its figures, and return them with its run time."""
     started = time.perf_counter()
-    metrics: list[Metric] = importlib.import_module(f"experiments.paper.{EXPERIMENTS[name]}").run(stage)
+    metrics: list[Metric] = importlib.import_module(f"experiments.paper.{name}").run(stage)
     seconds = time.perf_counter() - started
     print(f"\n{name}, {stage.world} world ({seconds:.0f} s)", flush=True)
     baseline = load_baseline(part_of(stage.world, stage.quick))
@@ -89,10 +99,9 @@ def metrics_of(results: dict[str, Any] | None) -> list[Metric]:
 
 def main() -> int:
     """The command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__, quick="small images and few draws, to see that all of it works")
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(EXPERIMENTS))
     parser.add_argument("--world", choices=WORLDS)
-    parser.add_argument("--quick", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("paper-figures"), metavar="FOLDER")
     parser.add_argument("--fresh", action="store_true", help="remove work files of earlier runs first")
     parser.add_argument("--save-baseline", action="store_true", help="replace the committed baseline by these figures")

@@ -6,15 +6,13 @@ Takes the figures that `python -m experiments.paper --out FOLDER` wrote. Writes 
 table in experiments/README.md; with `--quick` it only prints them.
 """
 
-import argparse
 import json
 import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from experiments.paper.contents import EXPERIMENTS, results_path
-from experiments.paper.metrics import Metric, shown
-from experiments.paper.worlds import WORLDS
+from experiments import report
+from experiments.paper.stage import EXPERIMENTS, WORLDS, Metric, results_path, shown
 
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -79,7 +77,7 @@ def rows_of(worlds: dict[str, dict[str, Any]], name: str) -> dict[str, Row]:
 def table(rows: list[list[str]], *before: str) -> list[str]:
     """Lines of a table; `before` are the titles of columns before those of a `Row`."""
     head = [*before, "figure", "unit", "paper", *(f"{name} world" for name in WORLDS), "limit"]
-    return [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows)]
+    return report.table(head, rows).splitlines()
 
 
 def page(worlds: dict[str, dict[str, Any]]) -> str:
@@ -113,9 +111,8 @@ def headline(worlds: dict[str, dict[str, Any]]) -> list[str]:
 
 def main() -> int:
     """The command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = report.command_line(__doc__, quick="small images and few draws, to see that all of it works")
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--quick", action="store_true")
     options = parser.parse_args()
     paths = {name: results_path(options.folder, name, options.quick) for name in WORLDS}
     worlds = {name: json.loads(path.read_text()) for name, path in paths.items() if path.exists()}

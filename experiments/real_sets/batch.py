@@ -8,7 +8,6 @@ The pairs of the fixed light plane are boards and, once more, the profiles of a 
 by the verbs of `jaxscan`, some minutes on two cores; the figures are printed.
 """
 
-import argparse
 import json
 import re
 import subprocess
@@ -23,15 +22,11 @@ import numpy as np
 import tomli_w
 
 import jaxscan
+from experiments.plain import Lens, grid, pose_of, spread
 from experiments.real_sets.convert import convert
-from experiments.real_sets.figures import spread, table_figures
-from experiments.real_sets.ours import read_solved
-from experiments.real_sets.pictures import Pictures
-from experiments.real_sets.plain.boards import Lens, grid, pose_of
-from experiments.real_sets.plain.method import TableFrame
-from experiments.real_sets.sets import BY_NAME
-from experiments.real_sets.source import Source
-from experiments.real_sets.sweeps import table_from, write_rig
+from experiments.real_sets.measure import Pictures, TableFrame, read_solved, table_figures, table_from, write_rig
+from experiments.real_sets.sets import BY_NAME, Source
+from experiments.report import command_line
 
 
 COVERED_M = {"table": 0.0, "toy": BY_NAME["srv_toy"].inner_m}
@@ -169,7 +164,7 @@ def figures(folder: Path, frame: TableFrame) -> None:
 
 def main() -> int:
     """Lay out the folder, and go through a project's life."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__)
     for name in ("desk", "lines", "folder"):
         parser.add_argument(name, type=Path)
     options = parser.parse_args()

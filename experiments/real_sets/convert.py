@@ -6,7 +6,6 @@ FOLDER is a copy of the repository, or a bare git snapshot of it. Pictures are c
 without a laser becomes a record's `off`, one with the laser on its `on`.
 """
 
-import argparse
 import json
 import shutil
 from pathlib import Path
@@ -16,16 +15,14 @@ import numpy as np
 import tomli_w
 
 import jaxscan
-from experiments.real_sets.sets import BY_NAME, RealSet
-from experiments.real_sets.source import Source
+from experiments.real_sets.sets import BY_NAME, RealSet, Source
+from experiments.report import command_line
 
 
 def convert(one: RealSet, source: Source, folder: Path) -> int:
     """Write the capture.
 
     Args:
-        one: Which set.
-        source: Its repository.
         folder: The capture's folder; must not exist.
 
     Returns:
@@ -71,7 +68,7 @@ def _size(data: bytes) -> dict[str, int]:
 
 def main() -> int:
     """Convert one set."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("name", choices=sorted(BY_NAME))
     parser.add_argument("folder", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)

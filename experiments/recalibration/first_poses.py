@@ -8,7 +8,6 @@ the demo's room and in the L all found; in the bare box, which fits itself at 18
 right within 5 cm and 1 degree. With `--icp`, Open3D's point-to-plane ICP goes on from there on the same points.
 """
 
-import argparse
 import time
 from collections import Counter
 from functools import cache, partial
@@ -16,10 +15,10 @@ from functools import cache, partial
 import numpy as np
 
 from experiments.recalibration import world
-from experiments.recalibration.calibrations import calibration_of, draw_truth
-from experiments.recalibration.crossings import room_from_rig
-from experiments.recalibration.stations import demo
-from experiments.recalibration.world import Sweeping, moved
+from experiments.recalibration.kinds import demo, matrix_of
+from experiments.recalibration.trial import calibration_of, draw_truth
+from experiments.recalibration.world import Sweeping, moved, room_from_rig
+from experiments.report import command_line
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration import SweepStripes
@@ -62,13 +61,7 @@ def draw_station(
         stripes, truth = world.true_sweep(rig, int(random.integers(1 << 30)), taken)
         beside = truth.point[truth.surface >= 0] - place
         if (np.linalg.norm(beside[:, :2], axis=1) > CLEAR_M).all() and len(beside) > 0.5 * STEPS * 128:
-            return stripes, matrix(room_from_rig(rig, tilt))
-
-
-def matrix(motion: object) -> np.ndarray:
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = motion.rotation, motion.translation  # type: ignore[attr-defined]
-    return out
+            return stripes, matrix_of(room_from_rig(rig, tilt))
 
 
 def errors(found: np.ndarray, true: np.ndarray) -> tuple[float, float]:
@@ -146,7 +139,7 @@ def trials(room: str, kind: str, count: int, seed: int, *, with_icp: bool) -> No
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("--rooms", nargs="+", choices=ROOMS, default=list(ROOMS))
     parser.add_argument("--calibrations", nargs="+", choices=("true", "good", "paper-like"), default=["true"])
     parser.add_argument("--trials", type=int, default=30)

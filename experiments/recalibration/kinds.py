@@ -1,23 +1,225 @@
-"""The kinds of trials: worlds, stored calibrations and sweeps, each from a seed."""
+"""The kinds of trials: worlds, stored calibrations and sweeps, each from a seed; rendered worlds and stations too."""
 
+import importlib.resources
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import jaxscan
 from experiments.recalibration import world
-from experiments.recalibration.calibrations import Kind, calibration_of, draw_truth
-from experiments.recalibration.features import features_of
-from experiments.recalibration.stations import two_stations
-from experiments.recalibration.surfaces import curved, stepped
-from experiments.recalibration.trial import Task
-from experiments.recalibration.world import UNKIND, Sweeping
+from experiments.recalibration.trial import Kind, Task, calibration_of, draw_truth, fitted, wall_points
+from experiments.recalibration.world import (
+    UNKIND,
+    Noise,
+    Sweeping,
+    TrueSweep,
+    curved,
+    features_of,
+    moved,
+    room_from_rig,
+    stepped,
+)
+from experiments.unkind import truth
+from experiments.unkind.scene import Rig, draw_rig
+from experiments.unkind.simulated import CONFIG, draw_config
 from jaxscan.calibration import Calibration
-from jaxscan.recalibration import Given, RecalibrationSettings, recalibrate
-from jaxscan.simulation import SimulationConfig, true_scanner
+from jaxscan.geometry import Scanner
+from jaxscan.recalibration import Given, Recalibration, RecalibrationSettings, SweepStripes, recalibrate
+from jaxscan.reconstruction.along import smooth_sweep
+from jaxscan.simulation import Motion, SimulationConfig, true_scanner
+
+
+APART_M = 2.0
+STEPS = 180
+TILT_DEG = 0.3
+"""By about which a tripod leans, a standard deviation about each of two axes."""
+
+
+def demo() -> SimulationConfig:
+    """The rig and the room of `jaxscan demo`."""
+    with importlib.resources.as_file(importlib.resources.files("jaxscan.data") / "demo.toml") as path:
+        return jaxscan.load_simulation(path)
+
+
+def two_stations(seed: int) -> Task:
+    """Both places are drawn about the middle of the room; the second may be turned by any angle."""
+    config = draw_truth(demo(), seed)
+    assert config.room is not None
+    random = np.random.default_rng([seed, 88])
+    middle, way = np.array(config.room.size_m[:2]) / 2, random.uniform(0, 2 * np.pi)
+    middle = middle + random.uniform(-0.2, 0.2, 2)
+    half = APART_M / 2 * np.array([np.cos(way), np.sin(way)])
+    rigs, sweeps, truths, places = [], [], [], []
+    for station, sign in enumerate((-1, 1)):
+        where = (*(middle + sign * half), float(1.2 + random.uniform(-0.02, 0.02) * station))
+        rigs.append(moved(config, tuple(float(x) for x in where), float(random.uniform(0, 360))))
+        tilt = tuple(TILT_DEG * random.standard_normal(2)) if station else (0.0, 0.0)
+        how = Sweeping(steps=STEPS, station=station, tilt_deg=tilt)
+        stripes, truth = world.true_sweep(rigs[-1], 2 * seed + station, how)
+        sweeps.append(stripes)
+        truths.append(truth)
+        places.append(room_from_rig(rigs[-1], tilt))
+    walls = [np.where(truth.surface < 6, truth.surface, -1) for truth in truths]
+    size = config.room.size_m
+    task = Task(
+        calibration_of(config, "good", seed),
+        sweeps,
+        true_scanner(config),
+        walls[0],
+        tuple((2 * axis, 2 * axis + 1, size[axis]) for axis in range(3)),
+        settings=RecalibrationSettings(stations=True),
+    )
+    return task._replace(more=lambda result: {"station": judged(result, task, walls[1], truths, places)})
+
+
+def judged(
+    result: Recalibration, task: Task, walls: np.ndarray, truths: list[TrueSweep], places: list[Motion]
+) -> dict[str, Any]:
+    """Errors of the second station's pose, and the distance of walls as both stations see them.
+
+    The frame of a station hangs on the scanner's axis, which has an error of its own. So each station's points are
+    laid on the truth first; a pose between them is then right if it carries the one onto the other.
+    """
+    scanner, pose = result.scanner, np.asarray(result.adjusted.stations[1])
+    tasks = [task, task._replace(sweeps=[task.sweeps[1]], walls=walls)]
+    laid = [_lay(scanner, one, truth) for one, truth in zip(tasks, truths, strict=True)]
+    true = matrix_of(places[0].inverse() @ places[1])
+    error = np.linalg.inv(true) @ laid[0] @ pose @ np.linalg.inv(laid[1])
+    covariance = np.asarray(result.adjusted.station_covariance[1])
+    shift, turn = 1e3 * np.linalg.norm(error[:3, 3]), 1e3 * _angle(error)
+    sigma = [1e3 * float(np.sqrt(np.trace(covariance[part, part]))) for part in (slice(0, 3), slice(3, 6))]
+    return {
+        "place_mm": shift,
+        "place_mm_sigmas": shift / sigma[0],
+        "turn_mrad": turn,
+        "turn_mrad_sigmas": turn / sigma[1],
+        "walls_mm": _walls(scanner, tasks, pose),
+    }
+
+
+def _lay(scanner: Scanner, task: Task, truth: TrueSweep) -> np.ndarray:
+    """The motion that lays a station's points on the true ones in its true frame [4, 4]."""
+    sweep = task.sweeps[0]
+    seen = np.concatenate([wall_points(scanner, task, wall) for wall in range(6)])
+    exact = sweep._replace(centre=np.where(truth.surface >= 0, truth.centre, sweep.centre))
+    true = np.concatenate([wall_points(task.truth, task._replace(sweeps=[exact]), wall) for wall in range(6)])
+    near = np.linalg.norm(seen - true, axis=1) < 0.05
+    seen, true = seen[near], true[near]
+    middle, goal = seen.mean(0), true.mean(0)
+    left, _, right = np.linalg.svd((true - goal).T @ (seen - middle))
+    out = np.eye(4)
+    out[:3, :3] = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
+    out[:3, 3] = goal - out[:3, :3] @ middle
+    return out
+
+
+def _walls(scanner: Scanner, tasks: list[Task], pose: np.ndarray) -> float:
+    """The largest distance of a wall as the second station sees it from where the first does [mm]."""
+    apart = []
+    for wall in range(6):
+        first, second = (wall_points(scanner, task, wall) for task in tasks)
+        if len(first) > 300 and len(second) > 300:
+            centre, normal, _ = fitted(first)
+            middle = pose[:3, :3] @ fitted(second)[0] + pose[:3, 3]
+            apart.append(abs((middle - centre) @ normal))
+    return 1e3 * float(max(apart))
+
+
+def matrix_of(motion: Motion) -> np.ndarray:
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = motion.rotation, motion.translation
+    return out
+
+
+def _angle(motion: np.ndarray) -> float:
+    cross = motion[:3, :3] - motion[:3, :3].T
+    return float(np.linalg.norm([cross[2, 1], cross[0, 2], cross[1, 0]]) / 2)
+
+
+SIMULATED = tuple(range(101, 111))
+PATH_TRACED = (1, 2, 101, 102, 103)
+"""Seeds of the worlds; stripes were developed on 1 and 2 too."""
+
+
+def rendered_kinds(folder: Path, kept: Path) -> dict[str, Callable[[int], Task]]:
+    """The kinds of trials on worlds in a folder; `kept` holds their stripes."""
+    return {
+        "rendered unkind": partial(simulated, folder=folder, kept=kept),
+        "path-traced": partial(path_traced, folder=folder, kept=kept),
+    }
+
+
+def simulated(seed: int, folder: Path, kept: Path) -> Task:
+    """A rendered sweep of `configs/unkind.toml`; ten worlds, each with a calibration of this seed."""
+    number = SIMULATED[seed % len(SIMULATED)]
+    config = draw_config(number)
+    stored = calibration_of(config, "paper-like", seed)
+    stripes = stripes_of(folder / f"simulated_{number}", stored, kept)
+    how = Sweeping(steps=len(stripes.angle), noise=Noise(px=0.0))
+    _, exact = world.true_sweep(config, 0, how)
+    assert config.room is not None and np.allclose(exact.angle, stripes.angle)
+    apart = ((0, 1, config.room.size_m[0]), (2, 3, config.room.size_m[1]))
+    walls = np.where(exact.surface < 6, exact.surface, -1)
+    return Task(stored, [stripes], true_scanner(config), walls, apart, known={"world": number})
+
+
+def path_traced(seed: int, folder: Path, kept: Path) -> Task:
+    """A sweep of a path-traced room; five worlds, each with a calibration of this seed."""
+    number = PATH_TRACED[seed % len(PATH_TRACED)]
+    path = folder / f"path_traced_{number}"
+    true, sweep, _ = truth.load(path / "truth.npz")
+    rig = draw_rig(np.random.default_rng([number, 14]))
+    assert np.array_equal(rig.lens, true.lens)
+    config = config_of(rig)
+    stored = calibration_of(config, "paper-like", seed)
+    walls = np.full(sweep.surface.shape[:2], -1)
+    for wall, surface in enumerate(true.wall_surfaces):
+        walls[(sweep.surface[..., 0] == surface) & ~sweep.edge[..., 0]] = wall
+    apart = tuple((2 * k, 2 * k + 1, float(metres)) for k, metres in enumerate(true.dimensions))
+    stripes = stripes_of(path, stored, kept)
+    return Task(stored, [stripes], true_scanner(config), walls, apart, known={"world": number})
+
+
+def config_of(rig: Rig) -> SimulationConfig:
+    """The rig of a path-traced world as the simulator has rigs, with the board of `configs/unkind.toml`."""
+    fx, fy, cx, cy, k1, k2, p1, p2 = (float(value) for value in rig.lens)
+    plain = jaxscan.load_simulation(CONFIG).model_dump()
+    plain["camera"] |= {"width": rig.width, "height": rig.height, "fx": fx, "fy": fy, "cx": cx, "cy": cy}
+    plain["camera"] |= {"k1": k1, "k2": k2, "p1": p1, "p2": p2}
+    sheet = {"normal": tuple(rig.normal), "distance_m": rig.distance, "origin_m": tuple(rig.source)}
+    plain["laser"] = [{"name": "red", "colour": "red", **sheet}]
+    axis = {"direction": tuple(rig.direction), "point_m": tuple(rig.point), "tr": None}
+    plain["turntable"] = {"carries": "scanner", "gain": rig.gain, "harmonics": tuple(rig.harmonics), **axis}
+    return SimulationConfig.model_validate(plain)
+
+
+def stripes_of(folder: Path, stored: Calibration, kept: Path) -> SweepStripes:
+    """The stripes of a rendered sweep, as `jaxscan recalibrate` takes them from its capture."""
+    path = kept / f"{folder.name}.npz"
+    if not path.exists():
+        kept.mkdir(parents=True, exist_ok=True)
+        scanner = stored.scanner
+        assert isinstance(scanner, Scanner)
+        capture = jaxscan.open_capture(folder / "sweep")
+        found = jaxscan.extract(capture, scanner).stripes
+        along = smooth_sweep(found)
+        valid = np.asarray(found.valid) & (along.sigma > 0)
+        np.savez_compressed(
+            path,
+            centre=along.u,
+            sigma=along.sigma,
+            shared_lines=along.shared_lines,
+            valid=valid,
+            record=np.asarray(found.record),
+            laser=np.asarray(found.laser),
+            angle=np.asarray(capture.angles),
+        )
+    with np.load(path) as file:
+        return SweepStripes(name=folder.name, stripe_axis="rows", **file)
 
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"

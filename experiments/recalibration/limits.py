@@ -5,6 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from experiments.report import rms
+
 
 FINAL_SEEDS = tuple(range(201, 231))
 """Used for nothing while building; 1 to 20 were."""
@@ -64,12 +66,6 @@ class Limit(NamedTuple):
         return (
             f"at least {self.low:g} {self.unit}" if self.high == np.inf else f"at most {self.high:g} {self.unit}"
         ).rstrip()
-
-
-def rms(values: Any) -> float:
-    """Root mean square; NaN without values."""
-    values = np.asarray(values, float)
-    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
 
 
 def half_turns(trials: Trials, column: str) -> np.ndarray:

@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.recalibration.calibrations import calibration_of, draw_truth
 from experiments.recalibration.kinds import SWEEPS, load
+from experiments.recalibration.trial import calibration_of, draw_truth
 from experiments.recalibration.world import sweep_of
+from experiments.report import command_line
 from jaxscan.recalibration import SweepStripes
 
 
@@ -63,7 +64,7 @@ def run(folder: Path) -> dict[str, float]:
 
 def main() -> int:
     """The command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--steps", type=int, default=3600)
     parser.add_argument("--lines", type=int, default=1)

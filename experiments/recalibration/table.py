@@ -5,7 +5,6 @@
 The exit code is 1 where a limit is missed or a trial is not there.
 """
 
-import argparse
 import sys
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from experiments.recalibration.limits import FINAL_SEEDS, LIMITS, TRIALS, Limit, Trials
 from experiments.recalibration.trials import RESULTS, kept
+from experiments.report import command_line
 
 
 HEAD = """# Recalibration from ordinary sweeps, against a known truth
@@ -105,7 +105,7 @@ def page(trials: dict[str, Trials]) -> tuple[str, int]:
 
 def main() -> int:
     """The command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("--trials", type=Path, default=RESULTS)
     parser.add_argument("--output", type=Path, default=RESULTS.parent / "recalibration.md")
     options = parser.parse_args()

@@ -7,15 +7,15 @@ Room and rig of configs/paper.toml with the values of `draw_truth`, a paper-like
 steps are at random records, some of them where the walls say little: at corners and behind furniture.
 """
 
-import argparse
 import time
 from dataclasses import replace
 
 import numpy as np
 
 import jaxscan
-from experiments.recalibration.calibrations import calibration_of, draw_truth
+from experiments.recalibration.trial import calibration_of, draw_truth
 from experiments.recalibration.world import Noise, Sweeping, sweep_of
+from experiments.report import command_line
 from jaxscan.recalibration.table import check_angles
 
 
@@ -28,7 +28,7 @@ LIMITS = "every factor; 16 of 20 lost steps at their record or the next, within 
 
 def main() -> None:
     """Runs the cases asked for, a line for each sweep."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument("what", nargs="*", default=["factor", "lost", "good"])
     parser.add_argument("--each", type=int, default=5)
     parser.add_argument("--steps", type=int, default=360)

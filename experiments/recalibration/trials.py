@@ -6,17 +6,16 @@ A trial that is kept is not run again, so a run may be stopped and continued. `e
 them. The limits are in `limits.py`; they and the final seeds were written down before any was run.
 """
 
-import argparse
 import json
 import os
 import sys
 from pathlib import Path
 from typing import Any
 
-from experiments.recalibration.kinds import KINDS
+from experiments.recalibration.kinds import KINDS, rendered_kinds
 from experiments.recalibration.limits import FINAL_SEEDS, TRIALS
-from experiments.recalibration.rendered import rendered_kinds
 from experiments.recalibration.trial import run
+from experiments.report import command_line
 
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "recalibration"
@@ -59,7 +58,7 @@ def line(figures: dict[str, Any]) -> str:
 
 def main() -> int:
     """The command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("kinds", nargs="*", metavar="KIND")
     parser.add_argument("--seeds", nargs=2, type=int, metavar=("FIRST", "LAST"), help="both are run; default: final")
     parser.add_argument("--results", type=Path, default=RESULTS)

@@ -8,7 +8,6 @@ program with the sources of an older commit first in PYTHONPATH; runs side by si
 `--merge` brings together.
 """
 
-import argparse
 import json
 import shutil
 import tempfile
@@ -16,10 +15,187 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from experiments.report import command_line, number, table
 from experiments.unkind import ours, plain, truth
-from experiments.unkind.estimate import Estimate, ray_grid
-from experiments.unkind.figures import board_figures, dimension_figures, rig_figures, step_width, sweep_figures
-from experiments.unkind.table import markdown
+from experiments.unkind.figures import (
+    AMPLITUDES,
+    CLASSES,
+    FINAL_SEEDS,
+    LIMITS,
+    WALLS_WITHIN_TWO,
+    board_figures,
+    broken,
+    dimension_figures,
+    figure,
+    rig_figures,
+    step_width,
+    sweep_figures,
+    values,
+    worse,
+)
+from experiments.unkind.truth import Estimate, ray_grid
+
+
+HEAD = """# True in worlds nobody here made
+
+`python -m experiments.unkind.judge WORLD …` writes this page. `path_traced` worlds are rendered by Mitsuba 3 (see
+`experiments/unkind/README.md`), `simulated` ones by jaxscan's own simulator with `configs/unkind.toml`. "before" is
+commit 3b13888, "plain" a blur of 1 px in both directions, centre of gravity, and sequential calibration by OpenCV.
+All figures are against the truth. RMS of stripes of the sweep is over rows on continuous surfaces: no jump, crease or
+border of a shadow within 4 px and 2 rows, amplitude under 250 DN, points farther than 5 stated sigmas (1 px where
+none are stated) left out and counted by themselves. "error / stated" and "stated / true" are the root mean square of
+the error divided by the stated sigma, and its inverse.
+"""
+ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
+    ("rays [px]", ("rig", "rays_px"), "{:.3f}"),
+    ("axis direction [deg]", ("rig", "axis_deg"), "{:.4f}"),
+    ("axis point [mm]", ("rig", "axis_mm"), "{:.2f}"),
+    ("laser plane at 2.5 m: disparity [px]", ("rig", "sheet_px"), "{:.3f}"),
+    ("laser plane at 2.5 m: depth [mm]", ("rig", "sheet_mm"), "{:.2f}"),
+    ("points on boards: RMS [px]", ("boards", "rms_px"), "{:.3f}"),
+    ("points on boards: stated [px]", ("boards", "stated_px"), "{:.3f}"),
+    ("points on boards: error / stated", ("boards", "error_over_stated"), "{:.2f}"),
+    *(
+        (f"points on boards, print {name}: error / stated", ("boards", "classes", name, "error_over_stated"), "{:.2f}")
+        for name in CLASSES
+    ),
+    *(
+        (f"points on boards, print {name}: RMS [px]", ("boards", "classes", name, "rms_px"), "{:.3f}")
+        for name in CLASSES
+    ),
+    ("points on boards", ("boards", "points"), "{:.0f}"),
+    ("points on boards before the solve: RMS [px]", ("promised", "rms_px"), "{:.3f}"),
+    *(
+        (
+            f"points on boards before the solve, print {name}: error / stated",
+            ("promised", "classes", name, "error_over_stated"),
+            "{:.2f}",
+        )
+        for name in CLASSES
+    ),
+    ("largest mean of a view [px]", ("boards", "mean_of_view_px"), "{:.3f}"),
+    ("sweep, row-wise: RMS [px]", ("rows", "rms_px"), "{:.4f}"),
+    ("sweep, row-wise: RMS / bound", ("rows", "over_bound"), "{:.3f}"),
+    ("sweep, row-wise: stated / true", ("rows", "stated_over_true"), "{:.2f}"),
+    ("sweep: RMS [px]", ("smooth", "rms_px"), "{:.4f}"),
+    ("sweep: RMS / row-wise bound", ("smooth", "over_bound"), "{:.3f}"),
+    ("sweep: stated / true", ("smooth", "stated_over_true"), "{:.2f}"),
+    *(
+        (f"sweep, {low}–{high} DN: stated / true", ("smooth", "classes", f"{low}-{high}", "stated_over_true"), "{:.2f}")
+        for low, high in AMPLITUDES
+    ),
+    *(
+        (f"sweep, {low}–{high} DN: RMS [px]", ("smooth", "classes", f"{low}-{high}", "rms_px"), "{:.3f}")
+        for low, high in AMPLITUDES
+    ),
+    ("rows found of those over 5 sigmas [%]", ("smooth", "found_share"), "{:.2%}"),
+    ("farther than 5 sigmas, not at edges [%]", ("smooth", "far_share"), "{:.3%}"),
+    ("step of 50 mm, 10–90 %: row-wise [rows]", ("step", "rows"), "{:.2f}"),
+    ("step of 50 mm, 10–90 %: as reconstructed [rows]", ("step", "smooth"), "{:.2f}"),
+    ("walls: RMS error [mm]", ("walls", "rms_mm"), "{:.2f}"),
+    ("calibrate, processor, compiling too [s]", ("seconds", "calibrate_cpu"), "{:.0f}"),
+    ("sweep, processor, compiling too [s]", ("seconds", "sweep_cpu"), "{:.0f}"),
+)
+METHODS = ("before", "after", "plain")
+
+
+def seed_of(name: str) -> int:
+    """The seed at the end of a world's name."""
+    return int(name.rpartition("_")[2])
+
+
+def markdown(results: dict[str, Any]) -> str:
+    """The page."""
+    parts = [HEAD, limits_text()]
+    kinds = sorted({name.rpartition("_")[0] for name in results})
+    for kind in kinds:
+        for title, final in (("final seeds", True), ("seeds used while building", False)):
+            names = [name for name in results if name.rpartition("_")[0] == kind]
+            names = sorted((n for n in names if (seed_of(n) in FINAL_SEEDS) == final), key=seed_of)
+            if names:
+                chosen = {name: results[name] for name in names}
+                parts += [f"## {kind}: {title}", in_all(chosen), verdict(chosen), each(chosen)]
+    return "\n\n".join(part.strip() for part in parts) + "\n"
+
+
+def limits_text() -> str:
+    """The limits as they were set."""
+    lines = []
+    for limit in LIMITS:
+        bounds = [f"≥ {limit.low:g}"] if np.isfinite(limit.low) else []
+        bounds += [f"≤ {limit.high:g}"] if np.isfinite(limit.high) else []
+        lines.append(f"- {limit.name}{', in every class' if limit.classes else ''}: {' and '.join(bounds)}")
+    walls = f"- walls: at least {WALLS_WITHIN_TWO:.0%} of all dimensions within two stated sigmas"
+    first, last = FINAL_SEEDS[0], FINAL_SEEDS[-1]
+    seeds = f"Final seeds: {first} to {last}; they and these limits were set before any of them was judged."
+    return "\n".join(["## Limits", seeds, "", *lines, walls, "- in no seed worse than the plain pipeline"])
+
+
+def in_all(results: dict[str, Any]) -> str:
+    """Range and median over seeds, for every method."""
+    known = [which for which in METHODS if any(which in entry for entry in results.values())]
+    body = []
+    for title, path, form in ROWS:
+        cells = [title]
+        for which in known:
+            each = [figure(entry[which], path) for entry in results.values() if which in entry]
+            each = [value for value in each if value is not None and np.isfinite(value)]
+            if not each:
+                cells.append("–")
+            elif len(each) == 1:
+                cells.append(number(each[0], form))
+            else:
+                middle, low, high = (number(value, form) for value in (np.median(each), min(each), max(each)))
+                cells.append(f"**{middle}** ({low} … {high})")
+        body.append(cells)
+    body.append(["walls within two stated sigmas", *(_walls(results, which) for which in known)])
+    return table(["median (range over seeds)", *known], body)
+
+
+def _walls(results: dict[str, Any], which: str) -> str:
+    errors, sigmas = (
+        np.concatenate([entry[which]["walls"][key] for entry in results.values() if which in entry])
+        for key in ("errors_mm", "sigmas_mm")
+    )
+    if not np.isfinite(sigmas).any():
+        return "–"
+    missed = sum(entry[which]["walls"]["missed"] for entry in results.values() if which in entry)
+    return f"{int((np.abs(errors) <= 2 * sigmas).sum())} of {len(errors) + missed}"
+
+
+def verdict(results: dict[str, Any]) -> str:
+    """Each limit, and the seeds that break it."""
+    body = []
+    for which in ("before", "after"):
+        mine = {name: entry for name, entry in results.items() if which in entry}
+        for limit in LIMITS if mine else ():
+            bad = {seed_of(name): broken(entry[which], limit) for name, entry in mine.items()}
+            said = "; ".join(f"seed {seed}: {', '.join(found)}" for seed, found in bad.items() if found)
+            every = [value for entry in mine.values() for value in values(entry[which], limit).values()]
+            span = f"{min(every):.3g} … {max(every):.3g}" if every else "–"
+            body.append([which, limit.name, span, "kept" if not said and every else said or "not known"])
+        if mine:
+            beaten = {seed_of(name): worse(entry[which], entry["plain"]) for name, entry in mine.items()}
+            said = "; ".join(f"seed {seed}: {', '.join(found)}" for seed, found in beaten.items() if found)
+            body.append([which, "never worse than plain", "", said or "kept"])
+            body.append([which, "walls within two stated sigmas", _walls(results, which), ""])
+    return table(["", "limit", "range", "broken by"], body)
+
+
+def each(results: dict[str, Any]) -> str:
+    """Every seed."""
+    known = [which for which in METHODS if any(which in entry for entry in results.values())]
+    keys = [(name, which) for name in results for which in known if which in results[name]]
+    head = ["figure", *(f"{seed_of(name)} {which}" for name, which in keys)]
+    body = [[title, *(number(figure(results[n][w], path), form) for n, w in keys)] for title, path, form in ROWS]
+    walls = ["walls: error (stated sigma) [mm]"]
+    for name, which in keys:
+        found = results[name][which]["walls"]
+        pairs = zip(found["errors_mm"], found["sigmas_mm"], strict=True)
+        walls.append(", ".join(f"{error:+.1f}" + (f" ({s:.1f})" if np.isfinite(s) else "") for error, s in pairs))
+    return table(head, [*body, walls])
 
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
@@ -62,7 +238,7 @@ def write(folder: Path, results: dict[str, Any]) -> None:
 
 def main() -> None:
     """Judge the worlds, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("worlds", type=Path, nargs="*")
     parser.add_argument("--as", dest="which", choices=["before", "after"], default="after")
     parser.add_argument("--results", type=Path, default=RESULTS)

@@ -3,9 +3,8 @@
 import numpy as np
 
 import jaxscan
-from experiments.unkind.estimate import Dimension, Estimate, Rig, Rows, clocks, passed, ray_grid
 from experiments.unkind.figures import sheet_grid
-from experiments.unkind.truth import Truth
+from experiments.unkind.truth import Dimension, Estimate, Rig, Rows, Truth, clocks, passed, ray_grid
 from jaxscan.geometry import lit_points, lit_slopes
 
 
@@ -16,7 +15,7 @@ def board_rows(calibration: jaxscan.Calibration, records: int, lines: int, *, so
     u, sigma = np.zeros((records, lines)), np.ones((records, lines))
     valid = np.zeros((records, lines), bool)
     stripes = seen.stripes
-    sigmas, counted = (fit.stripe_sigma, fit.stripe_kept) if solved else (stripes.sigma, stripes.valid)
+    sigmas, counted = (fit.stripe_sigma, fit.stripe_inlier) if solved else (stripes.sigma, stripes.valid)
     for q, spread, kept, view in zip(stripes.q, sigmas, counted, stripes.view, strict=True):
         record = int(seen.corners.record[view])
         row = np.rint(np.asarray(q)[kept, 1]).astype(int)

@@ -14,14 +14,25 @@ import numpy as np
 
 import jaxscan
 from experiments.unkind import truth
-from experiments.unkind.command import render_seed
-from experiments.unkind.world import light
-from experiments.unkind.world.boards import Board, View, draw_board, draw_views
-from experiments.unkind.world.rig import Rig, draw_rig, look
-from experiments.unkind.world.room import Room, draw_room
-from experiments.unkind.world.sensor import FINE, Sensor, Speckle, blurred, expose, to_pixels
-from experiments.unkind.world.tracer import Hits, Tracer, bilinear
-from experiments.unkind.world.true_rows import stripes
+from experiments.unkind.scene import (
+    FINE,
+    Board,
+    Rig,
+    Room,
+    Sensor,
+    Speckle,
+    View,
+    blurred,
+    draw_board,
+    draw_rig,
+    draw_room,
+    draw_views,
+    expose,
+    look,
+    to_pixels,
+)
+from experiments.unkind.tracer import Direct, Hits, Shot, Tracer, bilinear, direct, light_points, stripes, thickness
+from experiments.unkind.truth import render_seed
 
 
 STEPS = 90
@@ -51,7 +62,7 @@ class Pair(NamedTuple):
 
     on: np.ndarray
     off: np.ndarray
-    laser: light.Direct
+    laser: Direct
     """Behind the lens."""
     ambient: np.ndarray
     middle: Hits
@@ -70,7 +81,7 @@ def ways(rig: Rig, du: float = 0.0, dv: float = 0.0, cells: int = 1) -> np.ndarr
     return grid_ways(tuple(map(float, rig.lens)), (rig.width, rig.height), du, dv, cells)
 
 
-def ambient(shot: light.Shot, sensor: Sensor, board_light: Any | None) -> np.ndarray:
+def ambient(shot: Shot, sensor: Sensor, board_light: Any | None) -> np.ndarray:
     """The lamps' light on every pixel behind the lens, in units of a white surface under a light of pi.
 
     Two by two cells per pixel; around a board each has four rays, whose rows and columns all differ.
@@ -111,10 +122,10 @@ def board_light(tracer: Tracer) -> Any:
     return lambda uv: terms(uv[:, 0], uv[:, 1]) @ weights
 
 
-def from_others(shot: light.Shot, middle: Hits, rng: np.random.Generator) -> np.ndarray:
+def from_others(shot: Shot, middle: Hits, rng: np.random.Generator) -> np.ndarray:
     """The laser's light that comes back from other surfaces, albedo included, on every pixel."""
     rows, columns = shot.rig.height, shot.rig.width
-    points = shot.tracer.bounced(light.light_points(shot, rng), rng)
+    points = shot.tracer.bounced(light_points(shot, rng), rng)
     v, u = np.mgrid[COARSE // 2 : rows : COARSE, COARSE // 2 : columns : COARSE]
     chosen = (v * columns + u).ravel()
     value = shot.tracer.gather(points, middle.p[chosen], middle.normal[chosen]).reshape(v.shape)
@@ -130,13 +141,13 @@ def falloff(rig: Rig) -> np.ndarray:
     return (1 + x**2 + y**2) ** -2.0
 
 
-def take(world: World, shot: light.Shot, power: float, white: float, glow: Any | None = None) -> Pair:
+def take(world: World, shot: Shot, power: float, white: float, glow: Any | None = None) -> Pair:
     """A pair of frames; `power` and `white` are in DN per unit of laser's and lamps' light."""
     rig, sensor, rng = world.rig, world.sensor, world.rng
     middle = shot.tracer.cast(shot.pose[:3, 3], shot.turned(ways(rig)))
     vignette = falloff(rig)
     room = white * vignette * ambient(shot, sensor, glow)
-    straight = light.direct(shot, middle)
+    straight = direct(shot, middle)
     here = straight.columns
     gain = np.repeat(np.repeat((power * vignette[:, here]).astype(np.float32), FINE, 0), FINE, 1)
     laser = gain * blurred(straight.fine, sensor, FINE, (here, rig.width))
@@ -156,7 +167,7 @@ def draw_world(seed: int) -> World:
 
 def wall_power(rig: Rig, peak: float, far: float, albedo: float, sensor: Sensor) -> float:
     """Factor that gives a facing surface a stripe of this peak behind the lens [DN]."""
-    width = light.thickness(np.array([far]))[0]
+    width = thickness(np.array([far]))[0]
     seen = np.hypot(width, sensor.blur_px[0] * far / rig.lens[0])
     return float(peak / albedo * far * np.sqrt(2 * np.pi) * seen)
 
@@ -182,7 +193,7 @@ def render_boards(world: World, tracer: Tracer, views: list[View], folder: Path)
     with jaxscan.create_capture(folder / "boards", header(world, "calibration"), durable=False) as capture:
         for view in views:
             tracer.move_board(world.board.patch(view.room_board))
-            shot = light.Shot(world.rig, tracer, world.room.camera @ world.rig.pose(view.phi))
+            shot = Shot(world.rig, tracer, world.room.camera @ world.rig.pose(view.phi))
             middle = view.room_board @ np.array([*world.board.size / 2, 0, 1])
             far = float(np.linalg.norm(shot.local(middle[:3])))
             peak = world.rng.uniform(60, 100)
@@ -203,7 +214,7 @@ def render_sweep(world: World, tracer: Tracer, angles: np.ndarray, folder: Path)
     white = SWEEP_WHITE_DN * np.pi / usual
     with jaxscan.create_capture(folder / "sweep", header(world, "sweep"), durable=False) as capture:
         for phi in angles:
-            shot = light.Shot(world.rig, tracer, world.room.camera @ world.rig.pose(float(phi)))
+            shot = Shot(world.rig, tracer, world.room.camera @ world.rig.pose(float(phi)))
             pair = take(world, shot, power, white)
             capture.append(angle_deg=float(np.degrees(phi)), on=pair.on, off=pair.off)
             found.append(stripes(shot, pair.middle, pair.laser, pair.ambient))

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 
 import jaxscan
-from experiments.unkind.estimate import Dimension, Estimate, Rig, Rows, clocks, passed, ray_grid
+from experiments.plain import around, gravity_of, trimmed
 from experiments.unkind.figures import meet, nearest, pick, sheet_grid
-from experiments.unkind.truth import TrueStripes, Truth
-from experiments.unkind.world.rig import look, rotation
+from experiments.unkind.scene import look, rotation
+from experiments.unkind.truth import Dimension, Estimate, Rig, Rows, TrueStripes, Truth, clocks, passed, ray_grid
 
 
 BLUR_PX = 1.0
@@ -23,11 +23,8 @@ def centres(light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Centre of gravity around the highest value of every row, and whether there is one [rows]."""
     smooth = cv2.GaussianBlur(light, (0, 0), BLUR_PX)
     noise = 1.4826 * np.median(np.abs(smooth - np.median(smooth)))
-    columns = light.shape[1]
-    peak = np.clip(smooth.argmax(1), HALF, columns - HALF - 1)
-    window = peak[:, None] + np.arange(-HALF, HALF + 1)
-    value = np.maximum(np.take_along_axis(smooth, window, 1), 0.0)
-    return (value * window).sum(1) / np.maximum(value.sum(1), 1e-9), smooth.max(1) > LEAST_SIGMAS * max(noise, 0.3)
+    columns, values = around(smooth, smooth.argmax(1), HALF)
+    return gravity_of(np.maximum(values, 0.0), columns), smooth.max(1) > LEAST_SIGMAS * max(noise, 0.3)
 
 
 def stripes_of(capture: jaxscan.Capture) -> Rows:
@@ -84,13 +81,8 @@ class Solved:
             inside = (xy > 0).all(1) & (xy < size).all(1)
             self.on_board[record, rows[inside]] = True
             points.append(lifted[inside])
-        lifted = np.concatenate(points)
-        for _ in range(4):
-            middle = lifted.mean(0)
-            self.normal = np.linalg.svd(lifted - middle, full_matrices=False)[2][-1]
-            self.distance = float(self.normal @ middle)
-            off = lifted @ self.normal - self.distance
-            lifted = lifted[np.abs(off) < 3 * 1.4826 * np.median(np.abs(off)) + 1e-6]
+        middle, self.normal = trimmed(np.concatenate(points), 4)
+        self.distance = float(self.normal @ middle)
 
     def _fit_axis(self, capture: jaxscan.Capture) -> None:
         """From all pairs of views of one placement: the mean turn's axis, and its point by least squares."""
@@ -155,11 +147,7 @@ def dimensions(truth: Truth, points: np.ndarray, wall: np.ndarray) -> list[Dimen
         if len(p) < 100:
             planes.append(None)
             continue
-        for _ in range(3):
-            middle = p.mean(0)
-            normal = np.linalg.svd(p - middle, full_matrices=False)[2][-1]
-            off = (p - middle) @ normal
-            p = p[np.abs(off) < 3 * 1.4826 * np.median(np.abs(off)) + 1e-6]
+        middle, normal = trimmed(p, 3)
         planes.append((normal * np.sign(normal @ truth.wall_normals[k]), middle))
     found = []
     for k, true in enumerate(truth.dimensions):

@@ -14,8 +14,8 @@ from scipy.special import j1  # type: ignore[import-untyped]
 
 import jaxscan
 from experiments.unkind import truth
-from experiments.unkind.command import render_seed
-from experiments.unkind.world.rig import look
+from experiments.unkind.scene import look
+from experiments.unkind.truth import render_seed
 from jaxscan.simulation import (
     ExpectedRecord,
     Motion,

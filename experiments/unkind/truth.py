@@ -1,12 +1,15 @@
-"""The truth of a world, in a file beside its captures; an input of the judge alone.
+"""The truth of a world, in a file beside its captures; an input of the judge alone. And what a method says of a world.
 
-Stripes are kept on grids [records, rows, crossings]: where the middle of the sheet meets a surface, brightest first.
-"""
+Stripes are kept on grids [records, rows, crossings]: where the middle of the sheet meets a surface, brightest first."""
 
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+
+from experiments.report import command_line
 
 
 PART_PX, PART_DN = 6.0, 0.5
@@ -101,3 +104,78 @@ def empty(records: int, rows: int, crossings: int = 3) -> TrueStripes:
     shape = (records, rows, crossings)
     zero = [np.zeros(shape) for _ in range(4)]
     return TrueStripes(*zero, np.zeros(shape, bool), np.full(shape, -1), np.full(shape, np.nan))
+
+
+class Rows(NamedTuple):
+    """Stripe centres on a grid [records, rows]."""
+
+    u: np.ndarray
+    """Centre [px]."""
+    sigma: np.ndarray
+    """Stated standard deviation [px]; NaN where none is stated."""
+    valid: np.ndarray
+
+
+class Rig(NamedTuple):
+    """A calibrated rig in the camera's frame at angle 0."""
+
+    rays: np.ndarray
+    """Unit directions [rows, columns, 3] of the pixels of `ray_grid`."""
+    at_row: np.ndarray
+    """Points [rows, n, 3] of the sheet that are seen at the pixels of `sheet_grid`; m."""
+    direction: np.ndarray
+    point: np.ndarray
+
+
+class Dimension(NamedTuple):
+    """A measured distance of two walls [m]."""
+
+    value: float
+    sigma: float
+    true: float
+
+
+class Estimate(NamedTuple):
+    """All that is judged."""
+
+    rig: Rig
+    boards: Rows
+    """On the board alone; sigma across the stripe, as the solve states it."""
+    promised: Rows
+    """The same before the solve: all that were found, with the sigma that they were found with."""
+    rows: Rows
+    """Of the sweep, row by row."""
+    smooth: Rows
+    """Of the sweep, as the points of the cloud have them."""
+    dimensions: list[Dimension]
+    seconds: dict[str, float]
+
+
+def clocks() -> tuple[float, float]:
+    """Now, by the wall's clock and by the processor's [s]."""
+    return time.perf_counter(), time.process_time()
+
+
+def passed(start: tuple[float, float], middle: tuple[float, float], end: tuple[float, float]) -> dict[str, float]:
+    """Times of calibration and sweep [s]; the processor's say more where others use the machine too."""
+    (calibrate, calibrate_cpu), (sweep, sweep_cpu) = (
+        tuple(b - a for a, b in zip(*pair, strict=True)) for pair in ((start, middle), (middle, end))
+    )
+    return {"calibrate": calibrate, "calibrate_cpu": calibrate_cpu, "sweep": sweep, "sweep_cpu": sweep_cpu}
+
+
+def ray_grid(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """u and v [rows, columns] of 13 x 17 pixels over the image."""
+    u, v = np.meshgrid(np.linspace(0, size[0] - 1, 17), np.linspace(0, size[1] - 1, 13))
+    return u, v
+
+
+def render_seed(render: Callable[[int, Path], None], description: str | None) -> None:
+    """Write the world of a seed, and say how long it took."""
+    parser = command_line(description)
+    parser.add_argument("seed", type=int)
+    parser.add_argument("folder", type=Path)
+    options = parser.parse_args()
+    start = time.perf_counter()
+    render(options.seed, options.folder)
+    print(f"seed {options.seed}: {time.perf_counter() - start:.0f} s")

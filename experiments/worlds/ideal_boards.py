@@ -74,8 +74,6 @@ def draw_poses(config: SimulationConfig, seed: int, plan: PosePlan) -> BoardPose
 
     Args:
         config: The true rig; `boards` holds range and tilt.
-        seed: Of the poses.
-        plan: How many poses.
 
     Raises:
         ConfigError: If there is no such pose.
@@ -105,7 +103,6 @@ def ideal_boards(
     know them.
 
     Args:
-        config: The true rig.
         poses: Of `draw_poses`, perhaps for a rig that differs a little.
         points: Points of a stripe at most: of more rows, so many are taken, evenly spread.
         lens_px: An error of the lens model, in the corners of the image [px]: the part of r^8 that
@@ -147,7 +144,6 @@ def add_noise(
     """The same with Gaussian noise.
 
     Args:
-        ideal: Without noise.
         random: Where the noise comes from.
         corner_px: Standard deviation of each coordinate of a corner [px].
         stripe_px: Standard deviation across the stripe [px].

@@ -14,9 +14,8 @@ import time
 from pathlib import Path
 
 from bench.desk import HELP, Desk, set_up
-from bench.errors import BenchError
-from bench.places import TWO_LASERS, WORLD, runtime
-from bench.sockets import ControlClient
+from bench.places import TWO_LASERS, WORLD, BenchError, runtime
+from bench.processes import ControlClient
 from jaxscan.errors import JaxscanError
 
 

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.camera import RenderedCamera, loopback
-from bench.errors import BenchError
-from bench.locks import held, own_folder
+from bench.places import BenchError, held, own_folder
 from bench.rig import RigOptions, SimulatedRig
 
 

@@ -25,7 +25,6 @@ class Flood:
         """Nothing is connected yet.
 
         Args:
-            port: On the loopback.
             held: Connections at a time, which must be far below the limit of open files.
             per_s: New connections in a second, at most.
             most: Connections in all; None for as many as the time allows.

@@ -1,11 +1,18 @@
-"""Programs of the bench: started until they say that they are ready, and ended for certain."""
+"""The bench's programs: built, started until they say that they are ready, asked over sockets, ended for certain."""
 
+import fcntl
+import os
 import selectors
+import shutil
+import socket
 import subprocess
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 
-from bench.errors import BenchError
+from bench.places import BenchError
 
 
 def launch(
@@ -15,7 +22,6 @@ def launch(
 
     Args:
         command: The program with its arguments.
-        folder: Its working folder.
         errors: File to which its stderr is appended.
         within_s: How long that may take.
         apart: Whether Ctrl-C at the terminal is kept from it, because its starter ends it in order.
@@ -75,3 +81,159 @@ def end(process: "subprocess.Popen[str]", *, kill: bool = False) -> None:
         process.wait(5)
     if process.stdout is not None:
         process.stdout.close()
+
+
+@contextmanager
+def _short(path: Path) -> Iterator[str]:
+    """A name of the socket that fits the 108 bytes of its address, however deep the folder is."""
+    folder = os.open(path.parent, os.O_PATH | os.O_DIRECTORY)
+    try:
+        yield f"/proc/self/fd/{folder}/{path.name}"
+    finally:
+        os.close(folder)
+
+
+class ControlClient:
+    """A conversation with a control socket."""
+
+    def __init__(self, path: Path, *, timeout_s: float = 20.0) -> None:
+        """Connect to the socket at `path`.
+
+        Raises:
+            BenchError: If nobody listens there.
+        """
+        self._path = path
+        self._socket = socket.socket(socket.AF_UNIX)
+        self._socket.settimeout(timeout_s)
+        try:
+            with _short(path) as name:
+                self._socket.connect(name)
+        except OSError as problem:
+            self._socket.close()
+            raise BenchError(f"{path}: nobody answers there: {problem.strerror}. Is the bench running?") from problem
+        self._rest = b""
+
+    def ask(self, text: str) -> str:
+        """Send one line, return the answer.
+
+        Raises:
+            BenchError: If none comes.
+        """
+        try:
+            self._socket.sendall(text.encode() + b"\n")
+            while b"\n" not in self._rest:
+                more = self._socket.recv(4096)
+                if not more:
+                    raise BenchError(f"{self._path}: hung up after {text!r}.")
+                self._rest += more
+        except OSError as problem:
+            raise BenchError(f"{self._path}: no answer to {text!r}: {problem}.") from problem
+        line, self._rest = self._rest.split(b"\n", 1)
+        return line.decode()
+
+    def close(self) -> None:
+        """Hang up."""
+        self._socket.close()
+
+
+class ControlServer:
+    """Answers at a socket, in threads of its own, until it is closed."""
+
+    def __init__(self, path: Path, answer: Callable[[str], str]) -> None:
+        """Listen at `path`, which is made; an old socket there is replaced.
+
+        Args:
+            answer: Called with each line; may be called from several threads.
+        """
+        path.unlink(missing_ok=True)
+        self._path, self._answer = path, answer
+        self._socket = socket.socket(socket.AF_UNIX)
+        with _short(path) as name:
+            self._socket.bind(name)
+        self._socket.listen(4)
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def close(self) -> None:
+        """Answer no more."""
+        self._path.unlink(missing_ok=True)
+        self._socket.close()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                client, _ = self._socket.accept()
+            except OSError:
+                return  # Closed.
+            threading.Thread(target=self._converse, args=(client,), daemon=True).start()
+
+    def _converse(self, client: socket.socket) -> None:
+        with client, client.makefile("rw") as text:
+            for line in text:
+                try:
+                    answer = self._answer(line.strip())
+                except BenchError as problem:
+                    answer = f"error: {problem}"
+                try:
+                    text.write(answer + "\n")
+                    text.flush()
+                except OSError:
+                    return  # Whoever asked does not wait for the answer.
+
+
+HERE = Path(__file__).resolve().parent
+FIRMWARE = HERE.parent / "firmware"
+SIMRUN = HERE / "build" / "simrun"
+IMAGES = {
+    "scan": FIRMWARE / "build" / "scan.elf",
+    "scan_hang": FIRMWARE / "build" / "scan_hang.elf",
+    "echo": HERE / "build" / "echo.elf",
+}
+"""Firmware by name: the scanner's, the same with a command that hangs, and some other device."""
+
+
+def missing_tools() -> list[str]:
+    """Debian packages that are missing for building the rig."""
+    needed = {
+        "gcc-avr": shutil.which("avr-gcc"),
+        "avr-libc": os.path.exists("/usr/lib/avr/include/avr/io.h"),
+        "libsimavr-dev": os.path.exists("/usr/include/simavr/sim_avr.h"),
+        "gcc": shutil.which("cc"),
+        "make": shutil.which("make"),
+    }
+    return [package for package, there in needed.items() if not there]
+
+
+@lru_cache
+def build(firmware: str) -> Path:
+    """Build the runner and one firmware, if they are older than their sources.
+
+    Args:
+        firmware: "scan", "scan_hang" or "echo".
+
+    Returns:
+        The firmware's image.
+
+    Raises:
+        BenchError: If a tool is missing or the build fails.
+    """
+    if firmware not in IMAGES:
+        raise BenchError(f"There is no firmware {firmware!r}: choose one of {', '.join(IMAGES)}.")
+    if missing := missing_tools():
+        raise BenchError(f"The simulated rig needs {', '.join(missing)}: type `make bench-deps`.")
+    (HERE / "build").mkdir(exist_ok=True)
+    with open(HERE / "build" / ".lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        _make(HERE, "all")
+        if firmware != "echo":
+            _make(FIRMWARE, str(IMAGES[firmware].relative_to(FIRMWARE)))
+    return IMAGES[firmware]
+
+
+def _make(folder: Path, target: str) -> None:
+    # A make that started these tests hands its own flags down; they are not for this one.
+    clean = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MFLAGS", "MAKELEVEL")}
+    command = ["make", "-s", "-C", str(folder), target]
+    done = subprocess.run(command, capture_output=True, text=True, env=clean, timeout=300)
+    if done.returncode:
+        last = (done.stderr or done.stdout).strip().splitlines()[-6:]
+        raise BenchError(f"`make -C {folder} {target}` failed: {' | '.join(last)}")

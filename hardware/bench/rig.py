@@ -10,10 +10,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from bench.build import SIMRUN, build
-from bench.errors import BenchError
-from bench.processes import end, epitaph, launch
-from bench.sockets import ControlClient
+from bench.places import BenchError
+from bench.processes import SIMRUN, ControlClient, build, end, epitaph, launch
 
 
 CLOCK_HZ = 16_000_000
@@ -68,7 +66,6 @@ class SimulatedRig:
 
         Args:
             folder: Holds port, log, sockets and the EEPROM's content; made if it is not there.
-            options: Settings of the rig.
         """
         self.folder = Path(folder)
         self.port = str(self.folder / "port")

@@ -6,17 +6,13 @@
 #include <string.h>
 #include <util/atomic.h>
 
-#include "commands.h"
 #include "laser.h"
 #include "motion.h"
 #include "pins.h"
-#include "report.h"
 #include "settings.h"
 #include "shot.h"
 #include "uart.h"
 #include "watch.h"
-
-static uint16_t current_seq; /* of the command that is being carried out */
 
 void machine_status(struct machine_status *status) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
@@ -40,12 +36,12 @@ void machine_counters(struct machine_counters *counters) {
         counters->up_ms = clock_ms;
         counters->lost_bytes = uart_lost;
     }
-    counters->watchdog_resets = report_watchdog_resets();
+    counters->watchdog_resets = watchdog_resets;
     counters->home_was = motion_home_was();
 }
 
 uint16_t machine_boot(void) {
-    return report_boot();
+    return boot;
 }
 
 void machine_feed(void) {
@@ -223,7 +219,3 @@ void machine_hang(bool without_interrupts) {
     for (;;) {}
 }
 #endif
-
-uint16_t machine_current_seq(void) {
-    return current_seq;
-}

@@ -10,13 +10,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#define LEASE_MS 1000u
-#define LASERS 2 /* numbered from 1; one at most is lit */
-#define ARMED_IDLE_MS 10000u /* without a good line, after which the contactor opens while nothing runs */
+#include "state.h"
 
-enum state { IDLE, MOVING, HOMING, SHOOTING, FAULTED };
-enum fault { NO_FAULT, F_ESTOP, F_LINK, F_LEASE, F_HOME, F_ABORT, F_CAMERA };
-enum { LIT = 1, DARK = 2 };
 enum { INPUT_HOME = 1, INPUT_ESTOP = 2, INPUT_READY = 4 };
 
 struct machine_status {
@@ -43,12 +38,6 @@ uint8_t machine_laser(uint8_t number, uint16_t ms); /* lights this one alone */
 uint8_t machine_laser_off(void);                    /* all of them */
 uint8_t machine_move(uint16_t seq, int32_t to);
 uint8_t machine_home(uint16_t seq, uint32_t most);
-struct shot_order {
-    int32_t to;
-    uint32_t id;
-    uint8_t modes; /* LIT, DARK */
-    uint8_t laser; /* of the lit exposure */
-};
 uint8_t machine_shot(uint16_t seq, const struct shot_order *order);
 uint8_t machine_expose(uint16_t seq, uint16_t ms);
 uint8_t machine_selftest(uint16_t seq);
@@ -56,8 +45,6 @@ uint8_t machine_set(const int32_t *candidate); /* all settings at once */
 uint8_t machine_clear(void);
 void machine_stop(void);
 void machine_session(void); /* a session begins: laser off, contactor open, and a shot ends as by machine_stop */
-
-uint16_t machine_current_seq(void); /* of the command that is being carried out */
 
 void machine_write(const char *bytes, uint8_t length);
 #ifdef TEST_HANG

@@ -8,15 +8,12 @@
 #include <util/atomic.h>
 
 #include "commands.h"
-#include "machine.h"
 #include "motion.h"
 #include "shot.h"
 #include "watch.h"
 
 #define BOOTS ((uint16_t *)0)           /* addresses in the EEPROM */
 #define WATCHDOG_RESETS ((uint16_t *)2) /* erased cells read 65535: none yet */
-
-static uint16_t boot, watchdog_resets;
 
 static uint16_t counted(uint16_t *cell, bool one_more) {
     uint16_t count = eeprom_read_word(cell);
@@ -67,12 +64,12 @@ static void say_homed(void) {
         homed = good = true;
     }
     if (!good) return;
-    struct event event = {PSTR("HOMED"), PSTR("seq"), PSTR("was"), NULL, machine_current_seq(), motion_home_was(), 0};
+    struct event event = {PSTR("HOMED"), PSTR("seq"), PSTR("was"), NULL, current_seq, motion_home_was(), 0};
     commands_event(&event);
 }
 
 static void say_done(void) {
-    struct event event = {PSTR("DONE"), PSTR("seq"), PSTR("pos"), NULL, machine_current_seq(), motion_position(), 0};
+    struct event event = {PSTR("DONE"), PSTR("seq"), PSTR("pos"), NULL, current_seq, motion_position(), 0};
     if (ended(MOVING)) commands_event(&event);
 }
 
@@ -82,7 +79,7 @@ static void say_shot(void) {
         event.name = PSTR("TESTED");
         event.first = PSTR("seq");
         event.second = event.third = NULL;
-        event.first_value = machine_current_seq();
+        event.first_value = current_seq;
     }
     if (ended(SHOOTING) && shot_kind != AN_EXPOSURE) commands_event(&event);
 }
@@ -103,12 +100,4 @@ void report_poll(void) {
     default:
         break;
     }
-}
-
-uint16_t report_boot(void) {
-    return boot;
-}
-
-uint16_t report_watchdog_resets(void) {
-    return watchdog_resets;
 }

@@ -1,4 +1,4 @@
-/* Events: boot, ends of motions and shots, faults. And the counts that survive a reset.
+/* Events: boot, ends of motions and shots, faults. It counts the boots.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -11,7 +11,5 @@
 void report_begin(uint8_t reset_cause); /* counts this boot and sends BOOT */
 bool report_pending(void);              /* with interrupts off: whether a fault is to be sent */
 void report_poll(void);                 /* main loop */
-uint16_t report_boot(void);
-uint16_t report_watchdog_resets(void);
 
 #endif

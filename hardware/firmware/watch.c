@@ -10,9 +10,6 @@
 #include "pins.h"
 #include "shot.h"
 
-volatile uint8_t state, fault;
-volatile bool fault_unsaid, homed, enabled;
-volatile uint32_t clock_ms;
 static volatile uint16_t link_ms; /* until the link counts as lost */
 static volatile uint16_t armed_ms; /* until the contactor opens at rest */
 static volatile bool ticked;
@@ -105,7 +102,7 @@ ISR(TIMER0_COMPA_vect) {
     if (armed_ms) armed_ms--;
     laser_count_down();
     if (estop_pressed() && fault != F_ESTOP) fault_enter(F_ESTOP);
-    shot_tick();
+    if (!shot_tick()) fault_enter(F_CAMERA);
     if (laser_expired()) fault_enter(F_LEASE);
     if (!link_ms && (laser_lit() || (state != IDLE && state != FAULTED))) fault_enter(F_LINK);
     if (!armed_ms && state == IDLE) contactor_open(); /* A MOSFET may have failed closed. */

@@ -8,12 +8,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "machine.h"
-
-extern volatile uint8_t state, fault;
-extern volatile bool fault_unsaid; /* a fault whose event is not sent yet */
-extern volatile bool homed, enabled;
-extern volatile uint32_t clock_ms;
+#include "state.h"
 
 uint8_t watch_begin(void); /* first thing in main; returns why the processor was reset (MCUSR) */
 void watch_start_clock(void);

@@ -10,7 +10,7 @@ import pydantic
 
 from jaxscan.files.capture import BoardTable, LaserTable
 from jaxscan.files.disk import FileModel, Integer, Number, load_toml
-from jaxscan.geometry.motions.turntable import Turns
+from jaxscan.geometry.motions import Turns
 from jaxscan.stripes import LaserLine
 from scanrig.cameras import CameraSettings
 from scanrig.checks import ProofLimits
@@ -57,6 +57,8 @@ class TurntableTable(FileModel):
     """How far to search for the home switch."""
     backlash_deg: Annotated[Number, pydantic.Field(ge=0, le=30)] = 0.0
     """How far a downward motion overshoots its target, so that every target is approached from below."""
+    angle_sigma_deg: Annotated[Number, pydantic.Field(ge=0, le=45)] | None = None
+    """Standard deviation of where the table stops about its angles, for the headers of captures; None: not known."""
     limits_deg: tuple[_Limit, _Limit] | None = None
     """Range of angles that the table may not leave, to protect cables."""
     settle_ms: _Milliseconds = 50
@@ -86,9 +88,6 @@ class TurntableTable(FileModel):
 
     def rate(self, name: str) -> int:
         """A speed or acceleration in the controller's units.
-
-        Args:
-            name: Its key.
 
         Returns:
             Microsteps per second, or per second squared.

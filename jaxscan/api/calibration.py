@@ -1,9 +1,10 @@
-"""Captures of a board to observations, and to a calibration."""
+"""Captures of a board to observations, and to a calibration; and a stored calibration solved again."""
 
 import datetime
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib import metadata
+from typing import NamedTuple
 
 from jaxscan.calibration import (
     NOTHING_KNOWN,
@@ -12,14 +13,17 @@ from jaxscan.calibration import (
     KnownParts,
     Missed,
     Rig,
+    calibrate_observations,
     choose,
     estimate,
     judge,
+    largest_departure,
     planned_rig,
     settle_lens,
     solved_rig,
 )
-from jaxscan.errors import CaptureError
+from jaxscan.errors import CalibrationError, CaptureError
+from jaxscan.files.calibration import stored_settings
 from jaxscan.files.capture import Capture, common_board
 from jaxscan.observation import Eyes, Observations, Progress, look_again, look_at_boards, to_observations
 
@@ -84,7 +88,7 @@ def calibrate(
 
     Args:
         captures: Calibration captures of the same board, camera and rig.
-        settings: Settings of the solve.
+        settings: Settings of the solve. Where they do not say how well the motion stops, the headers may.
         known: Parts that are held, or refined.
         only_camera: Calibrate the camera alone, as with `only="camera"` in the settings.
         redetect: Look for corners and stripes again at the places that the first solve predicts,
@@ -103,6 +107,8 @@ def calibrate(
     settings = settings or CalibrationSettings()
     settings = replace(settings, only="camera") if only_camera else settings
     stripes = bool(plan_calibration(captures, settings=settings, known=known).lasers)
+    if settings.angle_sigma is None:
+        settings = replace(settings, angle_sigma=captures[0].stop_sigma)
     board, eyes, looks = common_board(captures, single_lasers=stripes), _eyes(), 2 if redetect else 1
     _part(progress, 0, looks)(0, sum(len(capture) for capture in captures))
     doing = getattr(progress, "doing", lambda words: None)
@@ -150,3 +156,61 @@ def _eyes() -> Eyes:
     from jaxscan.vision import draw_print, find_corners, name_other_board, refit_corners, to_grey
 
     return Eyes(to_grey, find_corners, refit_corners, draw_print, name_other_board)
+
+
+REPRODUCED = 0.01
+"""Largest departure [standard deviations] of a parameter that counts as the same: far more than rounding and the
+stopping of a solver leave, and far less than matters."""
+
+
+class Again(NamedTuple):
+    """A stored calibration and a new solve of its observations."""
+
+    calibration: Calibration
+    """With `fit`; captures and versions are those of the stored one."""
+    departure: float
+    """Of the parameter that moved most, in its standard deviations [1]; infinite where a held parameter changed."""
+    parameter: str
+    """Its name."""
+
+    @property
+    def reproduced(self) -> bool | None:
+        """Whether the stored parameters came out again; None where the new solve did not converge."""
+        return self.departure <= REPRODUCED if self.calibration.quality.converged else None
+
+
+def solve_again(stored: Calibration, *, name: str = "calibration") -> Again:
+    """Solve from the observations and with the settings that are stored with a calibration.
+
+    Args:
+        stored: As `load_calibration` gives it.
+        name: Of the calibration in messages.
+
+    Raises:
+        CalibrationError: If there are no observations, the settings cannot be meant, or the solve fails.
+    """
+    if stored.observations is None:
+        raise CalibrationError(
+            f"{name}: has no observations beside it (.npz of the same name), so it cannot be solved."
+        )
+    # Whoever asks again wants to know whether the models suffice.
+    settings = replace(stored_settings(stored.provenance, name=name), judge=True)
+    if stored.scanner is None:
+        settings = replace(settings, only="camera")
+    again = calibrate_observations(stored.observations, settings=settings, known=_held(stored))
+    departure, parameter = largest_departure(stored, again)
+    # Only the images could tell again how much their second look gained.
+    quality = replace(again.quality, redetected=stored.quality.redetected)
+    return Again(replace(again, provenance=stored.provenance, quality=quality), departure, parameter)
+
+
+def _held(stored: Calibration) -> KnownParts:
+    """The parts that the stored solve did not estimate."""
+    held, scanner = stored.provenance.get("held", ()), stored.scanner
+    if not isinstance(held, list | tuple):
+        return KnownParts()
+    return KnownParts(
+        camera=stored.camera if "camera" in held else None,
+        sheets=tuple(scanner.laser(k) for k in range(len(scanner.laser_names))) if scanner and "sheet" in held else (),
+        motion=scanner.turntable if scanner and "axis" in held else None,
+    )

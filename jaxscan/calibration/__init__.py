@@ -1,12 +1,56 @@
 """Observations to a scanner."""
 
-from jaxscan.calibration.calibrate import Estimate, calibrate_camera, calibrate_observations, estimate, judge
-from jaxscan.calibration.departure import largest_departure
-from jaxscan.calibration.fit import Fit
-from jaxscan.calibration.known import NOTHING_KNOWN, KnownParts, Part
-from jaxscan.calibration.other_lens import settle_lens
-from jaxscan.calibration.result import Calibration
-from jaxscan.calibration.rigs import Rig, planned_rig
-from jaxscan.calibration.second_look import choose, solved_rig
-from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.verdict import Missed, ModelTest, Quality, SecondLook, Verdict, ViewQuality
+from jaxscan.facades import TYPE_CHECKING, load_on_use
+
+
+if TYPE_CHECKING:
+    from jaxscan.calibration.advice import refusal
+    from jaxscan.calibration.calibrate import (
+        Estimate,
+        calibrate_camera,
+        calibrate_observations,
+        choose,
+        estimate,
+        judge,
+        solved_rig,
+    )
+    from jaxscan.calibration.other_lens import settle_lens
+    from jaxscan.calibration.propagate import (
+        Length,
+        depth_sigma,
+        length_sigma,
+        measure_good_to,
+        measure_lengths,
+        predict_lengths,
+        stripe_depths,
+        stripe_pixels,
+        typical_lengths,
+    )
+    from jaxscan.calibration.result import (
+        BoardMap,
+        Calibration,
+        DepthSigma,
+        Direction,
+        Fit,
+        GoodTo,
+        JudgedView,
+        LaserLengths,
+        Lengths,
+        LengthSigma,
+        Missed,
+        ModelTest,
+        PriorShare,
+        Quality,
+        SecondLook,
+        Verdict,
+        ViewQuality,
+        is_held_by_priors,
+        is_named,
+        judge_views,
+        largest_departure,
+        noise_kind,
+    )
+    from jaxscan.calibration.rigs import NOTHING_KNOWN, KnownParts, Part, Rig, planned_rig
+    from jaxscan.calibration.settings import PRIORS, USUALLY_FREE, Block, CalibrationSettings, RigKind
+else:
+    load_on_use(__name__)

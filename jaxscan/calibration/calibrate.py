@@ -1,4 +1,4 @@
-"""Observations to a calibration: first values, joint solve, verdict."""
+"""Observations to a calibration: first values, joint solve, verdict; and which of two looks to keep."""
 
 import contextlib
 import time
@@ -9,28 +9,22 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxscan.calibration.adjust import Adjustment, adjust, not_converged, undetermined_shares
 from jaxscan.calibration.board_shape import ShapeChoice, choose_shape, describe_board
 from jaxscan.calibration.conclude import conclude
-from jaxscan.calibration.known import NOTHING_KNOWN, KnownParts
-from jaxscan.calibration.parameters import CAMERA_BLOCKS
-from jaxscan.calibration.result import Calibration
-from jaxscan.calibration.rigs import Holdings, Rig, has_moved, largest_rig
-from jaxscan.calibration.seed import (
-    average_placements,
-    seed_camera,
-    seed_motion,
-    seed_poses,
-    seed_sheets,
-)
-from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve import Adjustment, Prepared, adjust, make_problem, not_converged, prepare
-from jaxscan.calibration.solve.problem import Problem
+from jaxscan.calibration.first_values import average_placements, seed_camera, seed_motion, seed_poses
+from jaxscan.calibration.problem import Prepared, Problem, bend_of, make_problem, prepare
+from jaxscan.calibration.result import Calibration, SecondLook
+from jaxscan.calibration.rigs import NOTHING_KNOWN, Holdings, KnownParts, Rig, has_moved, largest_rig
+from jaxscan.calibration.settings import CAMERA_BLOCKS, CalibrationSettings
+from jaxscan.calibration.sheets import seed_sheets
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import (
     AbstractCamera,
     AbstractMotion,
     LaserSheet,
     LinearStage,
+    Scanner,
     Still,
     Turntable,
     point_up,
@@ -38,7 +32,7 @@ from jaxscan.geometry import (
 )
 from jaxscan.geometry.scanner import UP_VECTORS
 from jaxscan.leastsq import Huber
-from jaxscan.observation import Observations, with_lasers
+from jaxscan.observation import Observations, SolvedRig, with_lasers
 
 
 @contextlib.contextmanager
@@ -195,7 +189,7 @@ def calibrate_camera(observations: Observations, *, settings: CalibrationSetting
 
 def _rig(data: Prepared, observations: Observations, settings: CalibrationSettings, known: KnownParts) -> Rig:
     """The largest rig that the observations determine."""
-    views = np.flatnonzero(data.usable)
+    views = np.flatnonzero(data.fixes_pose)
     if len(views) == 0:
         raise CalibrationError(
             "The board was not found in any view: "
@@ -292,7 +286,7 @@ def _lowest(starts: list[Problem], data: Prepared, settings: CalibrationSettings
 def _apart(data: Prepared) -> Prepared:
     """Every view a placement of its own, so that a board moved by mistake does no harm."""
     return data._replace(
-        placement=np.where(data.usable, np.arange(len(data.usable)), 0).astype(np.int32),
+        placement=np.where(data.fixes_pose, np.arange(len(data.fixes_pose)), 0).astype(np.int32),
         angle=np.zeros_like(data.angle),
         stop=np.zeros_like(data.stop),
     )
@@ -329,3 +323,79 @@ def _pointed_up(result: Adjustment, observations: Observations, settings: Calibr
     if table is before:
         return result
     return adjust(eqx.tree_at(lambda p: p.turntable, result.problem, table), result.data, settings)
+
+
+# The second solve may whiten worse by this factor: corners at the rim of the image are harder to explain. What is no
+# larger than the detectors promise is explained: a first look may hide an error of its own that the solve takes up.
+_NOT_WORSE = 1.05
+# Share of the boards with a line that must agree with a sheet, so that stripes are looked for near it only.
+_BELIEVED = 0.5
+
+
+def solved_rig(found: Estimate) -> SolvedRig | None:
+    """The rig and its boards, from which new places of corners and stripes are predicted.
+
+    None of a solve that did not converge, or leaves parameters undetermined: it predicts nothing.
+    """
+    result, observations = found.adjustment, found.observations
+    problem = result.problem
+    if not result.converged or undetermined_shares(result.linearised, np.asarray(problem.scales)).any():
+        return None
+    scanner = None
+    if found.rig.lasers or found.rig.moves:
+        motion = problem.turntable.carrying(observations.carries)
+        scanner = Scanner(found.camera, problem.lasers, motion, None, found.rig.lasers, observations.up)
+    views, corners = np.shape(observations.corners.valid)
+    bend, offset = bend_of(problem)
+    squares = np.sum(result.corner_error[result.corner_inlier] ** 2, axis=-1)
+    return SolvedRig(
+        camera=found.camera,
+        scanner=scanner,
+        board=observations.board,
+        shape=np.asarray(problem.shape)[:3],
+        bend=bend,
+        offset=offset[:corners],
+        poses=result.linearised.view_poses[:views],
+        used=np.any(result.corner_inlier, axis=1)[:views],
+        corner_rms_px=float(np.sqrt(squares.mean())) if squares.size else 0.0,
+        believed=_believed(observations),
+    )
+
+
+def _believed(observations: Observations) -> tuple[str, ...]:
+    """The lasers on whose sheet the lines of most boards lie: a stripe elsewhere has a row without a point."""
+    laser, found = np.asarray(observations.stripes.laser), np.any(np.asarray(observations.stripes.valid), axis=1)
+    own = {name: found[laser == index] for index, name in enumerate(observations.laser_names)}
+    return tuple(name for name, lit in own.items() if lit.sum() > _BELIEVED * len(lit))
+
+
+def choose(first: Estimate, second: Estimate) -> tuple[Estimate, SecondLook]:
+    """The second estimate unless it explains its observations worse, and the gains of the second look."""
+    before, after = (_explained(one) for one in (first, second))
+    # A look that loses a part of the rig would explain the rest of its observations well.
+    whole = set(first.rig.lasers) <= set(second.rig.lasers) and (second.rig.moves or not first.rig.moves)
+    names = "corner_rms_whitened", "stripe_rms_whitened"
+    explains = all(after[name] <= _NOT_WORSE * max(before[name], 1.0) for name in names)
+    kept = whole and second.adjustment.converged and explains
+    look = SecondLook(
+        kept,
+        views_gained=int(after["views"] - before["views"]),
+        corners_gained=int(after["corners"] - before["corners"]),
+        stripe_points_gained=int(after["stripe_points"] - before["stripe_points"]),
+        corner_rms_whitened_before=before["corner_rms_whitened"],
+        stripe_rms_whitened_before=before["stripe_rms_whitened"],
+        corner_rms_whitened_after=after["corner_rms_whitened"],
+        stripe_rms_whitened_after=after["stripe_rms_whitened"],
+    )
+    return second if kept else first, look
+
+
+def _explained(found: Estimate) -> dict[str, float]:
+    data, (corner_rms, stripe_rms) = found.adjustment.data, found.adjustment.whitened_rms()
+    return {
+        "corner_rms_whitened": corner_rms,
+        "stripe_rms_whitened": stripe_rms,
+        "views": int(data.fixes_pose.sum()),
+        "corners": int(data.corner_valid.sum()),
+        "stripe_points": int(data.stripe_valid.sum()),
+    }

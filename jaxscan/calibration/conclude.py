@@ -4,33 +4,23 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from jaxscan.calibration.fit import Fit
-from jaxscan.calibration.parameters import board_blocks
-from jaxscan.calibration.result import Calibration
-from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve import (
-    Adjustment,
-    Determination,
-    bend_of,
-    determine,
-    not_converged,
-    undetermined_shares,
-)
-from jaxscan.calibration.verdict import (
-    Harm,
+from jaxscan.calibration.adjust import Adjustment, Determination, determine, not_converged, undetermined_shares
+from jaxscan.calibration.advice import advise, cure_causes, cures, refusal, warn
+from jaxscan.calibration.problem import bend_of
+from jaxscan.calibration.propagate import focal_share, measure_good_to, predict_lengths
+from jaxscan.calibration.result import (
+    Calibration,
+    Direction,
+    Fit,
+    PriorShare,
+    Quality,
     Verdict,
-    advise,
+    ViewQuality,
     chance,
-    cure_causes,
-    cures,
-    describe_quality,
-    find_harm,
-    focal_share,
-    measure_good_to,
-    predict_lengths,
-    refusal,
-    warn,
+    is_held_by_priors,
 )
+from jaxscan.calibration.settings import CalibrationSettings, board_blocks, is_mode
+from jaxscan.calibration.structure import Harm, find_harm
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, Scanner, make_layout, root_of
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
@@ -39,6 +29,9 @@ from jaxscan.observation import Observations
 
 # Unknowns with less than this of the largest part in the undetermined directions are not named.
 _LEAST_SHARE = 0.1
+_FITTED = "even print", "weak edge", "strong edge"
+# In the order of the contrast classes.
+_CONTRASTS = (*_FITTED, *(f"{name}, not through the print" for name in _FITTED))
 
 
 def conclude(
@@ -73,7 +66,7 @@ def conclude(
     turned = -1.0 if observations.carries == "object" else 1.0
     sign = np.array([turned if name in ANGLE_PARAMETERS else 1.0 for name in every])
     noise = determination.covariance[np.ix_(kept, kept)] * np.outer(sign, sign)
-    quality, covariance = describe_quality(result, determination, observations, names), noise
+    quality, covariance = _describe(result, determination, observations, names), noise
     harms: list[Harm] = []
     if not result.converged:
         quality = replace(quality, verdict=Verdict(False, refused=not_converged(settings)), unobserved=(), spectrum=())
@@ -154,12 +147,118 @@ def _fit(result: Adjustment, observations: Observations, covariance: np.ndarray)
         corner_error=corner(result.corner_error),
         corner_sigma=corner(result.corner_sigma),
         corner_leverage=corner(leverage),
-        corner_kept=corner(result.corner_kept),
+        corner_inlier=corner(result.corner_inlier),
         stripe_error=stripe(result.stripe_error),
         stripe_sigma=stripe(result.stripe_sigma),
         stripe_leverage=stripe(result.linearised.stripe_leverage),
-        stripe_kept=stripe(result.stripe_kept),
+        stripe_inlier=stripe(result.stripe_inlier),
         covariance=covariance,
         bend=bend,
         offset=offset[:corners],
     )
+
+
+def _describe(
+    result: Adjustment, determination: Determination, observations: Observations, names: tuple[str, ...]
+) -> Quality:
+    """The quality of a calibration as far as one solve says it; lengths, verdict and time come later.
+
+    Args:
+        result: The finished solve.
+        determination: How well the shared unknowns are known.
+        observations: As they were given.
+        names: Of the shared unknowns.
+    """
+    data, prior = result.data, result.linearised.prior_residual
+    # Modes of the board are held by their priors on purpose; that is no doubt of the rig's numbers.
+    rig = np.array([not is_mode(name) for name in names])
+    corner_rms, stripe_rms = result.whitened_rms()
+    corners, stripes = int(data.corner_valid.sum()), int(data.stripe_valid.sum())
+    distance = np.linalg.norm(result.corner_error, axis=-1)
+    sigma = np.sqrt(np.diag(determination.covariance)).tolist()
+    warp_x, warp_y, pitch = (float(value) for value in result.problem.shape[:3])
+    warp_sigma_x, warp_sigma_y, pitch_sigma = (sigma[names.index(name)] for name in ("warp.x", "warp.y", "pitch"))
+    spectrum = tuple(Direction(*row) for row in determination.spectrum)
+    per_view = _per_view(result, observations, distance)
+    return Quality(
+        converged=result.converged,
+        corner_rms_px=_rms(distance[result.corner_inlier]),
+        corner_rms_all_px=_rms(distance[data.corner_valid]),
+        stripe_rms_px=_rms(result.stripe_error[result.stripe_inlier]),
+        corner_rms_whitened=corner_rms,
+        stripe_rms_whitened=stripe_rms,
+        corner_noise_over_sigma=result.corner_noise,
+        stripe_noise_over_sigma=result.stripe_noise_rms,
+        stripe_noise_by_contrast=_noise_by_contrast(result),
+        stripe_correlation=result.stripe_correlation,
+        angle_sigma=result.angle_sigma,
+        views=len(per_view),
+        views_without_board=len(np.asarray(observations.corners.angle)) - len(per_view),
+        views_dropped=tuple(view.record for view in per_view if view.dropped),
+        placements=len(np.unique(data.placement[data.fixes_pose])),
+        corners=corners,
+        corners_rejected=corners - int(result.corner_inlier.sum()),
+        stripe_points=stripes,
+        stripe_points_rejected=stripes - int(result.stripe_inlier.sum()),
+        per_view=per_view,
+        condition=determination.condition,
+        unobserved=tuple(row.direction for row in spectrum if is_held_by_priors(row.sigma_over_prior)),
+        spectrum=spectrum,
+        prior_share=PriorShare(_prior_cost(result, prior[rig]), determination.prior_share),
+        prior_residuals={
+            "fx/fy" if name == "fx" else name: float(value)
+            for name, value in zip(names, prior, strict=True)
+            if value != 0 and not is_mode(name)
+        },
+        board_warp_m=(warp_x, warp_y),
+        board_warp_sigma_m=(warp_sigma_x, warp_sigma_y),
+        board_pitch=pitch,
+        board_pitch_sigma=pitch_sigma,
+        steps=result.steps,
+    )
+
+
+def _per_view(result: Adjustment, observations: Observations, distance: np.ndarray) -> tuple[ViewQuality, ...]:
+    data, records = result.data, np.asarray(observations.corners.record)
+    # A stripe that agrees with no sheet keeps its row, without a point.
+    without = ~np.any(np.asarray(observations.stripes.valid), axis=1)
+    elsewhere = set(np.asarray(observations.stripes.view)[without].tolist())
+    depth = result.linearised.view_poses[:, 2, 3]
+    views = []
+    for view in np.flatnonzero(data.fixes_pose):
+        seen = data.corner_valid[view]
+        points = result.stripe_inlier & (data.stripe_view == view)[:, None]
+        views.append(
+            ViewQuality(
+                record=int(records[view]),
+                corners=int(seen.sum()),
+                dropped=not bool(result.view_inlier[view]),
+                corners_rejected=int((seen & ~result.corner_inlier[view]).sum()),
+                corner_rms_px=_rms(distance[view, seen]),
+                stripe_points=int(points.sum()),
+                stripe_rms_px=_rms(result.stripe_error[points]),
+                stripe_elsewhere=int(view) in elsewhere,
+                board_z_m=float(depth[view]),
+            )
+        )
+    return tuple(views)
+
+
+def _prior_cost(result: Adjustment, prior: np.ndarray) -> float:
+    """Share of the priors in the cost."""
+    corner = np.sum(np.square(result.corner_error / result.corner_sigma[..., None])[result.corner_inlier])
+    stripe = np.sum(np.square(result.stripe_error / result.stripe_sigma)[result.stripe_inlier])
+    own = float(np.sum(prior**2))
+    return own / max(own + float(corner + stripe / result.stripe_correlation), 1e-300)
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if values.size else 0.0
+
+
+def _noise_by_contrast(result: Adjustment) -> dict[str, float]:
+    """Estimated noise over the given sigma of each contrast class that has kept points [1]."""
+    points = np.bincount(result.data.stripe_contrast[result.stripe_inlier], minlength=len(_CONTRASTS))
+    return {
+        name: float(noise) for name, noise, count in zip(_CONTRASTS, result.stripe_noise, points, strict=True) if count
+    }

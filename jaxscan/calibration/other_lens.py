@@ -7,12 +7,12 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from jaxscan.calibration.advice import refusal
 from jaxscan.calibration.calibrate import calibrate_observations
-from jaxscan.calibration.known import KnownParts
-from jaxscan.calibration.result import Calibration
+from jaxscan.calibration.propagate import image_places
+from jaxscan.calibration.result import Calibration, GoodTo, Verdict, is_named
+from jaxscan.calibration.rigs import KnownParts
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.verdict import GoodTo, Verdict, is_named, refusal
-from jaxscan.calibration.verdict.propagate import image_places
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import CAMERAS, AbstractCamera, exponential
 from jaxscan.observation import Observations

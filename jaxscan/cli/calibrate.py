@@ -1,26 +1,41 @@
 """`jaxscan calibrate`: calibrates a scanner from captures of boards."""
 
+import shlex
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import tyro
 
-from jaxscan import api
-from jaxscan.calibration import CalibrationSettings, KnownParts, Part
-from jaxscan.calibration.parameters import Block
-from jaxscan.calibration.settings import RigKind
-from jaxscan.cli.known import known_files, known_parts, motion_notes
-from jaxscan.cli.options import OutputPath
-from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
-from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
+from jaxscan import api, geometry
+from jaxscan import calibration as calibrating
+from jaxscan import report as reports
+from jaxscan.cli.options import (
+    Block,
+    CameraModel,
+    OutputPath,
+    Part,
+    RigKind,
+    calibration_at,
+    capture_at,
+    check_paths,
+    file_at,
+)
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.summary import next_command, print_summary, summary, write_page
-from jaxscan.errors import CalibrationError
-from jaxscan.files.calibration import check_calibration_path, quality_table
-from jaxscan.files.disk import check_writable
-from jaxscan.geometry import CameraModel
-from jaxscan.report import words
+from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
+from jaxscan.errors import CalibrationError, OptionError
+from jaxscan.files import calibration as calibration_files
+from jaxscan.files import capture as capture_files
+from jaxscan.files import disk
+
+
+if TYPE_CHECKING:
+    from jaxscan.calibration import Calibration, CalibrationSettings, KnownParts
+    from jaxscan.files.calibration import ReadCamera
+    from jaxscan.files.capture import Capture
+    from jaxscan.geometry import AbstractMotion, LaserSheet
 
 
 def calibrate(
@@ -81,10 +96,10 @@ def calibrate(
         reads=[*(place for path in captures for place in capture_at("CAPTURE", path)), *known_places],
         writes=[*calibration_at("--output", output), *file_at("--report", report), *file_at("--json", json)],
     )
-    check_calibration_path(output)
+    calibration_files.check_calibration_path(output)
     check_json(json)
     if report is not None:
-        check_writable(report)
+        disk.check_writable(report)
     settings = replace(calibration_settings(lens or "pinhole", free, hold), only=only, choose_lens=lens is None)
     settings = replace(settings, limit_mm=limit_mm, at_m=at_m, limit_px=limit_px)
     opened = [api.open_capture(path) for path in captures]
@@ -92,7 +107,7 @@ def calibrate(
     for capture in opened:
         for note in capture.notes:
             out.print(f"note: {capture.path}: {note}")
-    known, notes = KnownParts(), list[str]()
+    known, notes = calibrating.KnownParts(), list[str]()
     if opened:
         known, notes = known_parts(opened[0], camera, sheet, axis, refine, lens or "pinhole")
     for note in motion_notes(opened[0], axis) if opened else []:
@@ -116,9 +131,9 @@ def calibrate(
         files["report"] = str(report)
     out.print(f"written: {', '.join(files.values())}")
     print_summary(out, result, verbose=verbose)
-    found = {"missing": result.missing, "quality": quality_table(result.quality)}
+    found = {"missing": result.missing, "quality": calibration_files.quality_table(result.quality)}
     emit_json(json, "calibrate", files | summary(result) | found)
-    first = words.headline(result)
+    first = reports.words.headline(result)
     if first.kind == "bad":
         raise CalibrationError(f"{output}: written, but {first.headline.lower()}. {first.explanation}")
     out.print(f"next: {next_command(result, output)}")
@@ -129,11 +144,216 @@ def _part(sentence: str) -> str:
     return sentence.partition(":")[0]
 
 
-def _held(known: KnownParts) -> str:
+def _held(known: "KnownParts") -> str:
     return f"; held: {' and '.join(known.held())}" if known.held() else ""
 
 
-def calibration_settings(lens: CameraModel, free: tuple[Block, ...], hold: tuple[Block, ...]) -> CalibrationSettings:
+def calibration_settings(lens: CameraModel, free: tuple[Block, ...], hold: tuple[Block, ...]) -> "CalibrationSettings":
     """The usual settings, with some blocks freed and some held."""
-    wanted = dict.fromkeys((*CalibrationSettings().free, *free))
-    return CalibrationSettings(camera=lens, free=tuple(block for block in wanted if block not in hold))
+    wanted = dict.fromkeys((*calibrating.CalibrationSettings().free, *free))
+    return calibrating.CalibrationSettings(camera=lens, free=tuple(block for block in wanted if block not in hold))
+
+
+def known_parts(
+    capture: "Capture",
+    camera: Path | None,
+    sheet: Sequence[str],
+    axis: Sequence[str],
+    refine: Sequence[Part],
+    lens: CameraModel = "pinhole",
+) -> "tuple[KnownParts, list[str]]":
+    """The parts that are given, for the rig of a capture, and a note on how the camera was read.
+
+    Args:
+        capture: Any capture of the rig.
+        camera: File of a camera.
+        sheet: A calibration file; or a b c d of the plane a X + b Y + c Z = d [d in m] of each laser.
+        axis: A calibration file; or a point [m] and a direction, or of a linear stage the direction alone.
+        refine: Parts that are estimated from there.
+        lens: Model of a camera file that names none.
+
+    Raises:
+        OptionError: If numbers are missing or mean nothing, or a part is to be refined that is not given.
+        CalibrationError: If a file is wrong, or lacks the part.
+    """
+    given = {"camera": camera, "sheet": sheet, "axis": axis}
+    for part in refine:
+        if not given[part]:
+            raise OptionError(f"--refine {part}: --{part} is missing, which gives the values to start from.")
+    read = None if camera is None else _camera(camera, capture.image_size, lens)
+    known = calibrating.KnownParts(
+        camera=None if read is None else read.camera,
+        sheets=_sheets(sheet, [line.name for line in capture.lasers]),
+        motion=_motion(axis, capture.carries or "scanner") if axis else None,
+        refine=tuple(refine),
+    )
+    return known, [] if read is None or not read.note else [read.note]
+
+
+def known_files(sheet: Sequence[str], axis: Sequence[str]) -> list[tuple[str, Path]]:
+    """The files among them, each with its option."""
+    both = (("--sheet", sheet), ("--axis", axis))
+    return [(option, Path(words[0])) for option, words in both if _is_file(words)]
+
+
+def motion_notes(capture: "Capture", axis: Sequence[str]) -> list[str]:
+    """A note on the motion that a known axis is taken for, where the capture names none."""
+    if not axis or _is_file(axis) or capture.carries is not None:
+        return []
+    return [
+        f"{capture.path}: does not say what the table carries, so --axis is that of a table that carries the scanner; "
+        'otherwise write into its capture.toml: [turntable] carries = "object".'
+    ]
+
+
+def _is_file(words: Sequence[str]) -> bool:
+    return len(words) == 1 and words[0].lower().endswith(".json")
+
+
+def _camera(path: Path, size: tuple[int, int], lens: CameraModel) -> "ReadCamera":
+    read = calibration_files.read_camera(path, size, unnamed="fisheye" if lens == "fisheye" else "pinhole")
+    if lens not in ("pinhole", read.camera.model):
+        raise OptionError(f"--lens {lens}: {path} holds a {read.camera.model} camera; leave out --lens, or --camera.")
+    return read
+
+
+def _sheets(words: Sequence[str], names: Sequence[str]) -> "tuple[LaserSheet, ...]":
+    if not words:
+        return ()
+    if _is_file(words):
+        scanner = calibration_files.load_parts(words[0])[1]
+        if scanner is None or not scanner.laser_names:
+            raise OptionError(f"--sheet: {words[0]} holds no laser sheet, expected a calibration with one.")
+        known = scanner.laser_names
+        if set(names) <= set(known):
+            return tuple(scanner.laser(known.index(name)) for name in names)
+        if len(known) > 1:
+            raise OptionError(
+                f"--sheet: {words[0]} has the lasers {', '.join(known)}, the capture {', '.join(names) or 'none'}; "
+                "give the planes as numbers, in the order of the capture's lasers."
+            )
+        return (scanner.laser(0),)
+    values = _numbers("--sheet", words, 4 * max(len(names), 1), "a b c d of the plane a X + b Y + c Z = d")
+    try:
+        return tuple(geometry.LaserSheet.from_plane(plane[:3], plane[3]) for plane in values.reshape(-1, 4))
+    except ValueError as problem:
+        raise OptionError(f"--sheet: {problem}.") from problem
+
+
+def _motion(words: Sequence[str], carries: str) -> "AbstractMotion":
+    if _is_file(words):
+        scanner = calibration_files.load_parts(words[0])[1]
+        if scanner is None or isinstance(scanner.turntable, geometry.Still):
+            raise OptionError(f"--axis: {words[0]} holds no axis, expected a calibration with one.")
+        return scanner.turntable
+    linear = carries == "linear"
+    wanted = "the direction of travel" if linear else "a point of the axis in metres and its direction"
+    values = _numbers("--axis", words, 3 if linear else 6, wanted)
+    try:
+        if linear:
+            return geometry.LinearStage.from_direction(values)
+        return geometry.Turntable.from_axis(
+            values[3:], values[:3], carries="object" if carries == "object" else "scanner"
+        )
+    except ValueError as problem:
+        raise OptionError(f"--axis: {problem}.") from problem
+
+
+def _numbers(option: str, words: Sequence[str], count: int, meaning: str) -> np.ndarray:
+    try:
+        values = np.array([float(word) for word in words])
+    except ValueError:
+        values = np.zeros(0)
+    if len(values) != count or not np.isfinite(values).all():
+        raise OptionError(
+            f"{option}: found {' '.join(words)[:60]}, expected {count} numbers ({meaning}) or a calibration (.json)."
+        )
+    return values
+
+
+_STYLE = {"good": "bold green", "bad": "bold red", "open": "bold yellow"}
+
+
+def print_summary(out: Terminal, calibration: "Calibration", *, verbose: bool = False) -> None:
+    """Print lengths, noise, faults and advice, and the verdict last; with `verbose` tests and parameters before all."""
+    if verbose:
+        _print_tables(out, calibration)
+    lengths = reports.words.lengths(calibration)
+    if lengths:
+        out.print("Uncertainty that the calibration alone causes (one standard deviation):")
+    for line in lengths:
+        out.print(f"  {reports.words.millimetres(line.sigma_mm):>9}  {line.what}")
+    for text in (
+        *reports.words.board_lines(calibration),
+        *reports.words.noise_lines(calibration),
+        *reports.words.second_look(calibration),
+    ):
+        out.print(text)
+    for view in reports.words.bad_views(calibration):
+        out.print(f"record {view.record}: {view.why}", style="yellow")
+    for text in reports.words.warnings(calibration):
+        out.print(f"warning: {text}", style="yellow")
+    for text in reports.words.advice(calibration):
+        out.print(f"to improve it: {text}")
+    first = reports.words.headline(calibration)
+    out.print(f"{first.headline}. {first.explanation}", style=_STYLE[first.kind])
+
+
+def _print_tables(out: Terminal, calibration: "Calibration") -> None:
+    outcomes = reports.outcome_rows(calibration)
+    if outcomes:
+        rows = [row[:7] for row in outcomes]
+        out.print(table("Tests", ("", "statistic", "dof", "p", "p of structure", "harm", "result"), rows))
+    if calibration.quality.converged is False:
+        return
+    rows = [parameter.row() for parameter in reports.parameters(calibration)]
+    out.print(table("Parameters", ("parameter", "value", "standard deviation"), rows))
+
+
+def next_command(calibration: "Calibration", path: Path) -> str:
+    """What to type after a calibration that can be used."""
+    scanner = calibration.scanner
+    if scanner is None or not scanner.laser_names or isinstance(scanner.turntable, geometry.Still):
+        return shlex.join(["jaxscan", "report", str(path), "-o", str(path.with_suffix(".html"))])
+    return shlex.join(["jaxscan", "reconstruct", "captures/room", "-c", str(path), "-o", "room.ply"])
+
+
+def summary(calibration: "Calibration") -> dict[str, Any]:
+    """The same content as JSON."""
+    return {
+        "verdict": reports.words.headline(calibration)._asdict(),
+        "lengths": [line._asdict() for line in reports.words.lengths(calibration)],
+        "boards": reports.words.board_lines(calibration),
+        "noise": reports.words.noise_lines(calibration),
+        "second_look": reports.words.second_look(calibration),
+        "bad_views": [view._asdict() for view in reports.words.bad_views(calibration)],
+        "warnings": reports.words.warnings(calibration),
+        "advice": reports.words.advice(calibration),
+        "parameters": [parameter.as_json() for parameter in reports.parameters(calibration)],
+    }
+
+
+def write_page(
+    calibration: "Calibration",
+    output: Path,
+    *,
+    notes: tuple[str, ...] = (),
+    path: Path | None = None,
+    capture: Path | None = None,
+) -> None:
+    """Write the report.
+
+    Args:
+        calibration: To draw.
+        output: File to write.
+        notes: Remarks that come first.
+        path: The calibration's own file, whose time is shown where the calibration does not say its own.
+        capture: Folder of the capture of boards, for its photographs.
+
+    Raises:
+        JaxscanError: If the file cannot be written, or the capture is not that of the calibration.
+    """
+    photographs = {} if capture is None else api.board_photographs(capture_files.open_capture(capture), calibration)
+    date = reports.calibration_date(calibration, path)
+    written = reports.calibration_page(calibration, notes=notes, date=date, photographs=photographs)
+    disk.write_atomically(output, written.encode())

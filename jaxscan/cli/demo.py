@@ -5,24 +5,25 @@ import shlex
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import numpy as np
 import tyro
 
-from jaxscan import api
-from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
-from jaxscan.cli.paths import Place, calibration_at, capture_at, check_paths, file_at
-from jaxscan.cli.process.terminal import Terminal, table
+from jaxscan import api, geometry, simulation, vision
+from jaxscan import report as reports
+from jaxscan.cli.options import Place, calibration_at, capture_at, check_paths, file_at
 from jaxscan.cli.progress import progress_bar
+from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
 from jaxscan.errors import CaptureError, MeasurementError
-from jaxscan.files.calibration import calibration_digest
-from jaxscan.files.disk import MEGABYTE, parse_json, read_bounded, write_atomically
-from jaxscan.geometry import Array, Scanner, Turntable
-from jaxscan.measurement import RoomBox
-from jaxscan.report import room_picture
-from jaxscan.simulation import SimulationConfig, true_scanner
-from jaxscan.vision import encode_png
+from jaxscan.files import calibration as calibration_files
+from jaxscan.files import disk
+
+
+if TYPE_CHECKING:
+    from jaxscan.geometry import Array, Scanner
+    from jaxscan.measurement import RoomBox
+    from jaxscan.simulation import SimulationConfig
 
 
 COLUMNS = ("", "measured m", "truth m", "error mm", "predicted sigma mm")
@@ -68,7 +69,9 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
         f"({points / seconds['reconstruct']:,.0f} points a second, compiling included), "
         f"and coloured them from laser-off images in {seconds['colour']:.1f} s"
     )
-    api.save_cloud(cloud, output / "room.ply", calibration_digest=calibration_digest(output / "calibration.json"))
+    api.save_cloud(
+        cloud, output / "room.ply", calibration_digest=calibration_files.calibration_digest(output / "calibration.json")
+    )
 
     lap = time.perf_counter()
     true_cloud = api.load_cloud(captures.true_cloud)
@@ -76,9 +79,11 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
     comparison = api.compare_clouds(cloud, true_cloud, scanner=scanner)
     room = _room_rows(box, config)
     lengths = _length_rows(cloud, true_cloud, _true_lengths(captures.truth), scanner)
-    parameters = _calibration_rows(scanner, true_scanner(config))
+    parameters = _calibration_rows(scanner, simulation.true_scanner(config))
     seconds["measure"] = time.perf_counter() - lap
-    write_atomically(output / "room.png", encode_png(room_picture(cloud, box).rgb), error=CaptureError)
+    disk.write_atomically(
+        output / "room.png", vision.encode_png(reports.room_picture(cloud, box).rgb), error=CaptureError
+    )
     seconds["all"] = time.perf_counter() - started
 
     out.print(table("Room, wall to wall", COLUMNS, [_row(entry) for entry in room]))
@@ -116,7 +121,9 @@ def _check_folder(output: Path) -> None:
 
 
 def _read_truth(path: Path) -> dict[str, Any]:
-    truth = parse_json(read_bounded(path, MEGABYTE, error=CaptureError), name=str(path), error=CaptureError)
+    truth = disk.parse_json(
+        disk.read_bounded(path, disk.MEGABYTE, error=CaptureError), name=str(path), error=CaptureError
+    )
     if not isinstance(truth, dict):
         raise CaptureError(f"{path}: found no table, expected the truth of a demo; choose another folder with -o.")
     return truth
@@ -138,8 +145,8 @@ def _true_lengths(path: Path) -> list[tuple[str, np.ndarray, np.ndarray]]:
 
 
 def _calibrated(
-    config: SimulationConfig, folder: Path, out: Terminal, seconds: dict[str, float]
-) -> tuple[api.SimulatedCaptures, api.Calibration]:
+    config: "SimulationConfig", folder: Path, out: Terminal, seconds: dict[str, float]
+) -> "tuple[api.SimulatedCaptures, api.Calibration]":
     """The captures, from an earlier run of the same configuration or rendered now, and the calibration."""
     made = _captures(config, folder, out, seconds)
     lap = time.perf_counter()
@@ -152,8 +159,8 @@ def _calibrated(
 
 
 def _captures(
-    config: SimulationConfig, folder: Path, out: Terminal, seconds: dict[str, float]
-) -> api.SimulatedCaptures:
+    config: "SimulationConfig", folder: Path, out: Terminal, seconds: dict[str, float]
+) -> "api.SimulatedCaptures":
     if folder.exists():
         if _read_truth(folder / "truth.json").get("configuration") != api.simulation_digest(config):
             raise CaptureError(
@@ -172,7 +179,7 @@ def _captures(
     return made
 
 
-def _room_rows(box: RoomBox, config: SimulationConfig) -> list[dict[str, Any]]:
+def _room_rows(box: "RoomBox", config: "SimulationConfig") -> list[dict[str, Any]]:
     if config.room is None:
         return []
     width, length = sorted(config.room.size_m[:2])
@@ -185,10 +192,10 @@ def _room_rows(box: RoomBox, config: SimulationConfig) -> list[dict[str, Any]]:
 
 
 def _length_rows(
-    cloud: api.PointCloud,
-    true_cloud: api.PointCloud,
+    cloud: "api.PointCloud",
+    true_cloud: "api.PointCloud",
     true_lengths: Sequence[tuple[str, np.ndarray, np.ndarray]],
-    scanner: Scanner,
+    scanner: "Scanner",
 ) -> list[dict[str, Any]]:
     """Lengths between the same two patches in the cloud and in the true cloud."""
     rows = []
@@ -202,7 +209,7 @@ def _length_rows(
     return rows
 
 
-def _calibration_rows(found: Scanner, true: Scanner) -> list[tuple[str, ...]]:
+def _calibration_rows(found: "Scanner", true: "Scanner") -> list[tuple[str, ...]]:
     """Found and true parameters, with the predicted standard deviation."""
     sigma = dict(zip(found.parameter_names(), np.sqrt(np.diag(np.asarray(found.covariance))), strict=True))
     name = found.laser_names[0]
@@ -215,7 +222,7 @@ def _calibration_rows(found: Scanner, true: Scanner) -> list[tuple[str, ...]]:
     tilt = np.hypot(sigma[f"laser.{name}.n1"], sigma[f"laser.{name}.n2"])
     rows.append(_angle("laser normal, mrad", sheets[0].normal, sheets[1].normal, tilt))
     # The demo's rig has a table.
-    axes = cast(Turntable, found.turntable), cast(Turntable, true.turntable)
+    axes = cast(geometry.Turntable, found.turntable), cast(geometry.Turntable, true.turntable)
     tilt = np.hypot(sigma["axis.d1"], sigma["axis.d2"])
     rows.append(_angle("axis direction, mrad", axes[0].direction, axes[1].direction, tilt))
     offset = 1e3 * float(np.linalg.norm(axes[0].point - axes[1].point))
@@ -230,7 +237,7 @@ def _number(label: str, found: Any, true: Any, sigma: float, *, digits: int = 3)
     return (label, *(f"{value:.{digits}f}" for value in (found, true, found - true, sigma)))
 
 
-def _angle(label: str, found: Array, true: Array, sigma: float) -> tuple[str, ...]:
+def _angle(label: str, found: "Array", true: "Array", sigma: float) -> tuple[str, ...]:
     between = np.arctan2(np.linalg.norm(np.cross(found, true)), np.dot(found, true))
     return (label, "", "", f"{1e3 * between:.3f}", f"{1e3 * sigma:.3f}")
 

@@ -7,7 +7,7 @@ nobody reads the output.
 import os
 import sys
 
-from jaxscan.cli.process import signals
+from jaxscan.cli import signals
 
 
 TYPE_CHECKING = False
@@ -25,7 +25,7 @@ def main(arguments: "Sequence[str] | None" = None) -> int:
     if arguments is None:
         signals.listen()
     # Imported here, because a signal may come before anything is loaded.
-    from jaxscan.cli.process.running import run_function, run_process
+    from jaxscan.cli.running import run_function, run_process
 
     if arguments is not None:
         return run_function(list(arguments))

@@ -1,17 +1,25 @@
-"""`jaxscan measure`: lengths, planes and errors of a cloud."""
+"""`jaxscan measure`: lengths, planes, spheres, deviations and errors of a cloud."""
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+import tyro
 
-# Loads a name when it is first used, so that `--help` does not load JAX.
 import jaxscan
-from jaxscan.cli.options import CloudPath, CloudUnit, CloudUp, OptionalCalibrationPath, coordinates, positive
-from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
-from jaxscan.cli.paths import calibration_at, check_paths, file_at
-from jaxscan.cli.process.terminal import Terminal, table
+from jaxscan.cli.options import (
+    CloudPath,
+    CloudUnit,
+    CloudUp,
+    OptionalCalibrationPath,
+    calibration_at,
+    check_paths,
+    coordinates,
+    file_at,
+    positive,
+)
+from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
 from jaxscan.errors import MeasurementError
 
 
@@ -232,3 +240,144 @@ def notes_first(notes: list[str], json: str | None) -> Terminal:
 def _error_row(name: str, error: "ErrorStatistics") -> tuple[str, ...]:
     values = (error.rms, error.mean, error.median_abs, error.p95_abs, error.max_abs)
     return (name, *(f"{1e3 * value:.2f}" for value in values))
+
+
+def points(
+    cloud: CloudPath,
+    /,
+    *,
+    a: Point,
+    b: Point,
+    within_mm: float = 50.0,
+    calibration: OptionalCalibrationPath = None,
+    unit: CloudUnit = None,
+    json: JsonTarget = None,
+) -> None:
+    """Between two single points: `jaxscan measure points room.ply --a 1 0.2 0.1 --b 1 -0.8 0.1`.
+
+    Takes the points of the cloud that are nearest, and averages nothing: for corners and edges. For points on surfaces
+    `jaxscan measure distance` is better.
+
+    Args:
+        cloud: The cloud.
+        a: First place, x y z in metres.
+        b: Second place, x y z in metres.
+        within_mm: A point must lie within this distance of its place.
+        calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
+        json: Write the result as JSON too.
+    """
+    coordinates("--a", a)
+    coordinates("--b", b)
+    positive("--within-mm", within_mm)
+    check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
+    check_json(json)
+    scanner, notes = calibrated(calibration)
+    measured, said = in_metres(cloud, unit)
+    notes += said
+    found = jaxscan.measure_points(measured, np.array(a), np.array(b), within_m=within_mm / 1e3, scanner=scanner)
+    result = finite(dataclasses.asdict(found))
+    out = notes_first(notes, json)
+    ends = (" ".join(f"{x:.4f}" for x in end) for end in (found.a_m, found.b_m))
+    out.print(f"{found.value_m:.4f} m, sigma {1e3 * found.sigma_m:.2f} mm, from {next(ends)} to {next(ends)}")
+    emit_json(json, "measure-points", result | {"notes": notes})
+
+
+def sphere(
+    cloud: CloudPath,
+    /,
+    *,
+    near: Point,
+    radius_mm: float,
+    held: bool = False,
+    calibration: OptionalCalibrationPath = None,
+    unit: CloudUnit = None,
+    json: JsonTarget = None,
+) -> None:
+    """Centre and radius of a sphere: `jaxscan measure sphere room.ply --near 1 0.2 0.1 --radius-mm 70`.
+
+    Args:
+        cloud: The cloud.
+        near: About where its centre is, x y z in metres, to within 0.09 m.
+        radius_mm: About its radius; it is found, too.
+        held: Keep the radius as it is given, and find the centre only.
+        calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
+        json: Write the result as JSON too.
+    """
+    coordinates("--near", near)
+    positive("--radius-mm", radius_mm)
+    coordinates("--radius-mm", (radius_mm,))
+    check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
+    check_json(json)
+    scanner, notes = calibrated(calibration)
+    points, said = in_metres(cloud, unit)
+    notes += said
+    found = jaxscan.measure_sphere(points, np.array(near), radius_m=radius_mm / 1e3, held=held, scanner=scanner)
+    result = finite(dataclasses.asdict(found))
+    out = notes_first(notes, json)
+    centre = " ".join(f"{x:.4f}" for x in found.centre_m)
+    sigmas = " ".join(f"{1e3 * x:.2f}" for x in found.centre_sigma_m)
+    out.print(f"centre {centre} m, sigmas {sigmas} mm")
+    of_radius = "held" if held else f"sigma {1e3 * found.radius_sigma_m:.2f} mm"
+    out.print(f"radius {found.radius_m:.4f} m, {of_radius}; RMS {1e3 * found.rms_m:.2f} mm of {found.points} points")
+    emit_json(json, "measure-sphere", result | {"held": held, "notes": notes})
+
+
+def deviations(
+    cloud: CloudPath,
+    /,
+    *,
+    at: Point,
+    radius_mm: float = 500.0,
+    cell_mm: float = 50.0,
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    unit: CloudUnit = None,
+    json: JsonTarget = None,
+) -> None:
+    """Deviations from a plane: `jaxscan measure deviations room.ply --at 1.9 0.2 0.1 -o map.png`.
+
+    The plane is that of most points around; deviations are in square cells, towards the scanner positive, each with one
+    standard deviation.
+
+    Args:
+        cloud: The cloud.
+        at: A point of the plane, x y z in metres.
+        radius_mm: The points within this distance of it are looked at.
+        cell_mm: Size of a cell.
+        output: Picture to write (PNG): deviations in millimetres, and their sigmas beside them.
+        json: Write the result as JSON too; cells without points are null.
+    """
+    coordinates("--at", at)
+    positive("--radius-mm", radius_mm)
+    positive("--cell-mm", cell_mm)
+    coordinates("--radius-mm", (radius_mm,))
+    check_paths(file_at("CLOUD", cloud), [*file_at("--output", output), *file_at("--json", json)])
+    # Imported here, so that `--help` does not load JAX.
+    from jaxscan.errors import OutputError
+    from jaxscan.files.disk import check_writable, write_atomically
+
+    if output is not None:
+        if output.suffix.lower() != ".png":
+            raise OutputError(f'{output}: cannot write "{output.suffix}", known is .png.')
+        check_writable(output, error=OutputError)
+    check_json(json)
+    points, notes = in_metres(cloud, unit)
+    found = jaxscan.measure_deviations(points, np.array(at), radius_m=radius_mm / 1e3, cell_m=cell_mm / 1e3)
+    numbers = finite({name: getattr(found, name) for name in ("rms_m", "least_m", "most_m")})
+    out = notes_first(notes, json)
+    typical = float(np.median(found.sigma_m[found.seen]))
+    significant = float(np.mean(np.abs(found.deviation_m[found.seen]) > 3.0 * found.sigma_m[found.seen]))
+    out.print(
+        f"RMS {1e3 * found.rms_m:.2f} mm, from {1e3 * found.least_m:.2f} to {1e3 * found.most_m:.2f} mm in "
+        f"{int(found.seen.sum())} cells of {cell_mm:g} mm, towards the scanner positive"
+    )
+    out.print(f"sigma of a cell {1e3 * typical:.2f} mm; {100 * significant:.1f} % deviate by more than 3 sigma")
+    if output is not None:
+        from jaxscan.report import deviation_picture
+
+        write_atomically(output, deviation_picture(found), error=OutputError)
+        out.print(f"written: {output}")
+    cells = {name: np.where(found.seen, getattr(found, name), None) for name in ("deviation_m", "sigma_m")}
+    places = {name: getattr(found, name) for name in ("points", "cell_m", "origin_m", "across", "up", "normal")}
+    emit_json(
+        json, "measure-deviations", numbers | {"share_beyond_3_sigma": significant, "notes": notes} | places | cells
+    )

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, final
 
-import jax.monitoring
 from rich.progress import (
     BarColumn,
     Progress,
@@ -18,8 +17,8 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from jaxscan.cli.process.signals import leave_behind
-from jaxscan.cli.process.terminal import Terminal
+from jaxscan.cli.signals import leave_behind
+from jaxscan.cli.terminal import Terminal
 from jaxscan.printable import printable
 
 
@@ -101,6 +100,9 @@ def progress_bar(task: str) -> Iterator[Shown]:
     try:
         with Progress(*columns, console=terminal.console, transient=True) as bars:
             shown = Shown(task, bars, brief=brief)
+            # Imported here: where nobody looks, nothing of JAX is needed.
+            import jax.monitoring
+
             jax.monitoring.register_event_duration_secs_listener(shown.heard)
             try:
                 yield shown

@@ -7,19 +7,28 @@ from typing import Literal
 import numpy as np
 
 from jaxscan import api
-from jaxscan.cli.options import CalibrationPath, CapturePath, CloudOutputPath, at_least, range_limits
-from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
-from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
+from jaxscan import stripes as stripe_search
+from jaxscan.cli.options import (
+    MAX_RANGE_M,
+    MIN_RANGE_M,
+    CalibrationPath,
+    CapturePath,
+    Choice,
+    CloudOutputPath,
+    Smooth,
+    at_least,
+    calibration_at,
+    capture_at,
+    check_paths,
+    file_at,
+    range_limits,
+)
 from jaxscan.cli.progress import progress_bar
+from jaxscan.cli.terminal import JsonTarget, check_json, console, emit_json
 from jaxscan.errors import OptionError
-from jaxscan.files.calibration import calibration_digest, calibration_notes
-from jaxscan.files.capture import CACHE_NAME
-from jaxscan.files.clouds import check_cloud_path
-from jaxscan.reconstruction import Smooth
-from jaxscan.stripes import Choice, estimator_of
-
-
-_DEFAULTS = api.ReconstructSettings()
+from jaxscan.files import calibration as calibration_files
+from jaxscan.files import capture as capture_files
+from jaxscan.files import clouds as cloud_files
 
 
 def reconstruct(
@@ -31,10 +40,10 @@ def reconstruct(
     every: int = 1,
     estimator: str = "gaussian",
     choice: Choice = "path",
-    min_range: float = _DEFAULTS.min_range_m,
-    max_range: float = _DEFAULTS.max_range_m,
+    min_range: float = MIN_RANGE_M,
+    max_range: float = MAX_RANGE_M,
     check_steps: bool = False,
-    smooth: Smooth = _DEFAULTS.smooth,
+    smooth: Smooth = "edge",
     colour: Literal["photographs", "stripe"] = "photographs",
     cache: bool = True,
     compare: bool = True,
@@ -66,7 +75,7 @@ def reconstruct(
         raise OptionError("--check-steps: found with --choice all, expected with a choice of one candidate per line.")
     stripes = api.StripeSettings(estimator=estimator, choice=choice)
     try:
-        estimator_of(stripes)
+        stripe_search.estimator_of(stripes)
     except ValueError as problem:
         raise OptionError(f"--estimator: {problem}") from problem
     settings = api.ReconstructSettings(
@@ -75,16 +84,16 @@ def reconstruct(
     check_paths(
         reads=[*capture_at("CAPTURE", capture), *calibration_at("--calibration", calibration)],
         writes=[*file_at("--output", output), *file_at("--json", json)],
-        kept=file_at("the stripes", capture / CACHE_NAME if cache else None),
+        kept=file_at("the stripes", capture / capture_files.CACHE_NAME if cache else None),
     )
-    check_cloud_path(output)
+    cloud_files.check_cloud_path(output)
     check_json(json)
     sweep = api.open_capture(capture, compare=compare).every(every)
     scanner = api.load_scanner(calibration)
     out = console(json)
     coloured = colour == "photographs" and api.has_photographs(sweep)
     chosen = api.photograph_notes(sweep, scanner, "points") if coloured else []
-    before = [*calibration_notes(calibration), *sweep.notes, *chosen]
+    before = [*calibration_files.calibration_notes(calibration), *sweep.notes, *chosen]
     for note in before:
         out.print(f"note: {note}")
     start = time.perf_counter()
@@ -103,7 +112,7 @@ def reconstruct(
         out.print(f"noise: {done.noise}")
     if done.kept:
         out.print("stripes from the cache" if done.from_cache else "stripes kept for next time")
-    api.save_cloud(cloud, output, calibration_digest=calibration_digest(calibration))
+    api.save_cloud(cloud, output, calibration_digest=calibration_files.calibration_digest(calibration))
     valid = np.asarray(cloud.valid)
     points = int(valid.sum())
     random, systematic = (

@@ -4,9 +4,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from jaxscan.design.precision import depth_sigma
-from jaxscan.design.rig import RigDesign, Sensor
-from jaxscan.design.wish import RigWish
+from jaxscan.design.rig import RigDesign, RigWish, Sensor, depth_sigma
 from jaxscan.errors import OptionError
 
 

@@ -1,7 +1,13 @@
 """Drawings of rooms: plans and sections as layers of lines, texts and dimensions, and pictures of walls."""
 
-from jaxscan.drawing.model import LAYERS, DimensionLine, Drawing, Layer, Line, Text, layer_of, strokes
-from jaxscan.drawing.orthophotos import Orthophoto, draw_orthophotos
-from jaxscan.drawing.plan import draw_plan
-from jaxscan.drawing.section import draw_section
-from jaxscan.drawing.survey import Survey, survey_room
+from jaxscan.facades import TYPE_CHECKING, load_on_use
+
+
+if TYPE_CHECKING:
+    from jaxscan.drawing.model import LAYERS, DimensionLine, Drawing, Layer, Line, Text, layer_of, strokes
+    from jaxscan.drawing.orthophotos import Orthophoto, draw_orthophotos
+    from jaxscan.drawing.plan import draw_plan
+    from jaxscan.drawing.section import draw_section, section_before
+    from jaxscan.drawing.survey import Survey, survey_room
+else:
+    load_on_use(__name__)

@@ -1,7 +1,7 @@
 """A drawing: layers of lines, texts and dimensions, in metres, x to the right and y up."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,6 +37,7 @@ LAYERS = {
     "A-CLNG": Layer("ceiling", 7, "#1c2530", 0.5),
     "A-ANNO-DIMS": Layer("dimensions, with one standard deviation", 5, "#0072b2", 0.13),
     "A-ANNO-TEXT": Layer("texts", 7, "#1c2530", 0.13),
+    "A-ANNO-SYMB": Layer("origin, axes and scale bar", 1, "#d55e00", 0.35),
 }
 """Layers by the names that architects use."""
 
@@ -146,6 +147,33 @@ def strokes(drawing: Drawing) -> tuple[list[Line], list[Text]]:
         middle = 0.5 * (ends[0] + ends[1]) + 0.8 * TEXT_M * above
         texts.append(Text(one.layer, middle, one.words, TEXT_M, angle + np.pi * turned))
     return lines, texts
+
+
+AXIS_M, BAR_M, BELOW_M = 0.4, 1.0, 0.3
+"""Length of an axis and of the scale bar, and the distance of the bar from what is above it [m]."""
+
+
+def with_origin(drawing: Drawing, across: str, up: str) -> Drawing:
+    """The drawing with its origin, the names of its two axes, and a scale bar of 1 m below it.
+
+    Sections and measurements are chosen in these axes, so they are drawn.
+    """
+    low, _ = drawing.bounds()
+    layer, lines, texts = "A-ANNO-SYMB", [], [Text("A-ANNO-SYMB", np.array([-0.1, -0.1]), "0")]
+    for axis, name in ((np.array([1.0, 0.0]), across), (np.array([0.0, 1.0]), up)):
+        tip, side = AXIS_M * axis, 0.03 * axis[::-1]
+        lines.append(Line(layer, np.stack([np.zeros(2), tip])))
+        lines.append(Line(layer, np.stack([tip - 0.06 * axis + side, tip, tip - 0.06 * axis - side])))
+        # Beside the walls, which often lie on the axes.
+        texts.append(Text(layer, tip - 0.1 * axis[::-1], name))
+    left = np.array([max(low[0], 0.0), low[1] - BELOW_M])
+    lines.append(Line(layer, np.stack([left, left + [BAR_M, 0.0]])))
+    for along in (0.0, 0.5 * BAR_M, BAR_M):
+        at = left + [along, 0.0]
+        lines.append(Line(layer, np.stack([at, at + [0.0, 0.05]])))
+        words = f"{along:g} m" if along == BAR_M else f"{along:g}"
+        texts.append(Text(layer, at + [0.0, 0.05 + TEXT_M], words))
+    return replace(drawing, lines=(*drawing.lines, *lines), texts=(*drawing.texts, *texts))
 
 
 def known_dimensions(

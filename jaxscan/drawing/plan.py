@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxscan.drawing.contours import cut, joined_quads, kept_parts, simplified
-from jaxscan.drawing.model import TEXT_M, DimensionLine, Drawing, Line, Text, known_dimensions, with_sigma
+from jaxscan.drawing.model import TEXT_M, DimensionLine, Drawing, Line, Text, known_dimensions, with_origin, with_sigma
 from jaxscan.drawing.survey import Survey
 from jaxscan.errors import MeasurementError
 from jaxscan.measurement.outline import Estimate, Opening, Side
@@ -73,7 +73,7 @@ def draw_plan(survey: Survey, *, heights_m: Sequence[float] = (1.0,)) -> Drawing
     words = f"Plan, cut {' and '.join(f'{height:.2f}' for height in heights_m)} m above the floor"
     drawing = Drawing(words, tuple(lines), tuple(texts), tuple(dimensions), tuple(remarks))
     notes = [f"{words}. ± one standard deviation.", *room_words(survey), *remarks]
-    return with_notes(drawing, notes)
+    return with_notes(with_origin(drawing, "x", "y"), notes)
 
 
 def room_words(survey: Survey) -> list[str]:

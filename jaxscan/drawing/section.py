@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.drawing.contours import cut, joined_quads, kept_parts, simplified, steep_quads
-from jaxscan.drawing.model import DimensionLine, Drawing, Line, known_dimensions, with_sigma
+from jaxscan.drawing.model import DimensionLine, Drawing, Line, known_dimensions, with_origin, with_sigma
 from jaxscan.drawing.plan import LAYER_OF, SHORTEST_M, room_words, with_notes
 from jaxscan.drawing.survey import WALL_M, Survey
 from jaxscan.errors import MeasurementError
@@ -29,6 +29,33 @@ class _End(NamedTuple):
     surface: Surface
     seen: bool
     openings: list[Opening]
+
+
+def section_before(survey: Survey, wall: str, distance_m: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The two points of a section that is parallel to a wall, before it.
+
+    Args:
+        survey: The room.
+        wall: Name of the wall, as the plan shows it.
+        distance_m: Distance of the section from the wall [m], into the room.
+
+    Returns:
+        The points of the plan [m], from the wall's first corner to its last; for `draw_section`.
+
+    Raises:
+        MeasurementError: If there is no wall of this name.
+    """
+    room, names = survey.outline, []
+    for loop, corners in zip(room.loops, room.corners(), strict=True):
+        at = np.array([corner.at[:2] for corner in corners])
+        for side, start, end in zip(loop, at, np.roll(at, -1, 0), strict=True):
+            names.append(side.name)
+            if side.name == wall:
+                along = (end - start) / np.linalg.norm(end - start)
+                step = distance_m * np.array([-along[1], along[0]])
+                (ax, ay), (bx, by) = start + step, end + step
+                return (float(ax), float(ay)), (float(bx), float(by))
+    raise MeasurementError(f"found no wall {wall:.40}, expected one of the plan's: {', '.join(names)}.")
 
 
 def draw_section(survey: Survey, a: tuple[float, float], b: tuple[float, float]) -> Drawing:
@@ -58,7 +85,7 @@ def draw_section(survey: Survey, a: tuple[float, float], b: tuple[float, float])
     step = _out_of_walls(survey, first, across)
     remarks = [f"{remark}." for remark in survey.outline.remarks]
     if step != 0.0:
-        first = first + step * across[:2]
+        first, second = first + step * across[:2], second + step * across[:2]
         remarks.append(
             f"The section ran within a wall and is moved by {100 * abs(step):.0f} cm into the room, through "
             f"{_text(first)}."
@@ -89,6 +116,7 @@ def draw_section(survey: Survey, a: tuple[float, float], b: tuple[float, float])
     lines += [Line("A-FURN", points) for points in _furniture(survey, plane, first, along)]
     words = f"Section through {_text(first)} and {_text(second)} of the plan"
     drawing = Drawing(words, tuple(lines), (), tuple(dimensions), tuple(remarks))
+    drawing = with_origin(drawing, "along", "up")
     return with_notes(drawing, [f"{words}. ± one standard deviation.", *remarks, *room_words(survey)])
 
 

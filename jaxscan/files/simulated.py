@@ -97,9 +97,6 @@ def write_boards(
         folder: Of `new_simulation`.
         records: The records, rendered as they are asked for.
         progress: Called with (pairs done, pairs in all).
-
-    Returns:
-        The number of pairs.
     """
     pairs = board_pairs(config)
     if pairs:
@@ -123,9 +120,6 @@ def write_sweep(
         records: The records, rendered as they are asked for.
         every: The sweep has only every n-th step.
         progress: Called with (pairs done, pairs in all).
-
-    Returns:
-        The number of pairs.
     """
     steps = len(sweep_angles(config, every=every)) * len(config.laser)
     truths = _write_capture(config, "sweep", folder / SWEEP, records, steps, progress)

@@ -3,13 +3,19 @@
 `jaxscan.fleet.batch`, which loads Dask, is imported by its own name.
 """
 
-from jaxscan.fleet.clusters import (
-    Certificates,
-    ClusterChoice,
-    check_choice,
-    check_versions,
-    make_certificates,
-    open_cluster,
-    package_digest,
-    patience_of,
-)
+from jaxscan.facades import TYPE_CHECKING, load_on_use
+
+
+if TYPE_CHECKING:
+    from jaxscan.fleet.clusters import (
+        Certificates,
+        ClusterChoice,
+        check_choice,
+        check_versions,
+        make_certificates,
+        open_cluster,
+        package_digest,
+        patience_of,
+    )
+else:
+    load_on_use(__name__)

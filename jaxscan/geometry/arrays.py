@@ -7,6 +7,7 @@ host, so its precision does not depend on the 64-bit mode of JAX.
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +19,16 @@ Component = jax.Array | np.ndarray | np.floating
 
 MAX_PIXELS = 100_000_000
 """Largest image that is decoded, accepted from a header, or set on a camera."""
+
+
+class ArrayModule(eqx.Module):
+    """A module whose methods are plain methods of Python.
+
+    equinox makes each method a tree at each access, for a tenth of a millisecond: more than most of them compute on the
+    host. None of these is handed to `jax.jit` by itself.
+    """
+
+    __getattribute__ = object.__getattribute__
 
 
 def real(value: Any) -> Array:

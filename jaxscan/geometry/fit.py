@@ -1,10 +1,26 @@
-"""Closed-form fits: a plane through points, the axis of a rotation."""
+"""Closed-form fits: principal axes of points, a plane through them, the axis of a rotation; scatter by the median."""
 
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxscan.geometry.arrays import Array
+
+
+MEDIAN_TO_SIGMA = 1.4826
+"""Standard deviation of normal numbers over the median of their sizes."""
+
+
+class PrincipalAxes(NamedTuple):
+    """Mean of points, and their variance along each principal axis."""
+
+    centre: Float[np.ndarray, "*sets 3"]
+    """Their weighted mean."""
+    variances: Float[np.ndarray, "*sets 3"]
+    """Weighted mean squares along the axes, the smallest first."""
+    axes: Float[np.ndarray, "*sets 3 3"]
+    """Unit vectors, one a row. The first is the normal of the plane of least squares, of either sense."""
 
 
 class PlaneFit(NamedTuple):
@@ -29,6 +45,24 @@ class AxisFit(NamedTuple):
     rms: float
 
 
+def median_sigma(residuals: Float[np.ndarray, "..."]) -> float:
+    """Standard deviation of residuals about 0 by the median of their sizes, which outliers do not move."""
+    return MEDIAN_TO_SIGMA * float(np.median(np.abs(residuals)))
+
+
+def principal_axes(
+    points: Float[np.ndarray, "*sets points 3"], weight: Float[np.ndarray, "*sets points"] | None = None
+) -> PrincipalAxes:
+    """Principal axes of one set of points or of many, each with a weight of 0 or more where they are given."""
+    share = np.ones(points.shape[:-1]) if weight is None else weight
+    total = share.sum(-1)[..., None]
+    centre = (share[..., None] * points).sum(-2) / total
+    # Centred first, so that sets far from the origin keep their digits.
+    apart = points - centre[..., None, :]
+    variances, vectors = np.linalg.eigh((apart * share[..., None]).swapaxes(-1, -2) @ apart / total[..., None])
+    return PrincipalAxes(centre, np.maximum(variances, 0.0), vectors.swapaxes(-1, -2))
+
+
 def fit_plane(points: Array) -> PlaneFit:
     """Total least squares plane through points.
 
@@ -44,13 +78,10 @@ def fit_plane(points: Array) -> PlaneFit:
     points = np.asarray(points, np.float64)
     if len(points) < 3:
         raise ValueError(f"A plane needs at least 3 points, got {len(points)}.")
-    centre = points.mean(0)
-    # The 3 x 3 scatter keeps millions of points cheap; centring first keeps it accurate.
-    variances, vectors = np.linalg.eigh((points - centre).T @ (points - centre) / len(points))
-    normal = vectors[:, 0]
+    centre, variances, (normal, _, _) = principal_axes(points)
     if normal @ centre < 0:
         normal = -normal
-    spread = np.sqrt(np.maximum(variances[::-1], 0.0))
+    spread = np.sqrt(variances[::-1])
     return PlaneFit(normal, float(normal @ centre), float(spread[2]), spread)
 
 
@@ -76,9 +107,8 @@ def plane_sigma(points: Array, at: Array) -> float:
     points, plane = np.asarray(points, np.float64), fit_plane(points)
     if plane.spread[1] <= 1e-9 * plane.spread[0]:
         raise ValueError("Points on one line determine no plane.")
-    centre = points.mean(0)
-    axes = np.linalg.svd((points - centre).T @ (points - centre))[2][:2]
-    away = axes @ (np.asarray(at, np.float64) - centre) / plane.spread[:2]
+    centre, _, axes = principal_axes(points)
+    away = axes[:0:-1] @ (np.asarray(at, np.float64) - centre) / plane.spread[:2]
     independent = len(points) / _shared_errors(points @ plane.normal - plane.distance)
     return float(plane.rms * np.sqrt((1.0 + away @ away) / independent))
 

@@ -20,7 +20,7 @@ from jaxscan.geometry.rigid import compose, invert, transform, turn
 
 
 def rays(rig: Rig, q: Float[Array, "... 2"]) -> Float[Array, "... 3"]:
-    """Where pixels look.
+    """Unit rays of pixels.
 
     Args:
         rig: The rig.
@@ -39,7 +39,7 @@ def poses(rig: Rig, phi: Float[Array, "..."] | float) -> Float[Array, "... 4 4"]
 
 
 def pixels(rig: Rig, p: Float[Array, "... 3"], phi: Float[Array, "..."] | float) -> Float[Array, "... 2"]:
-    """Where points are seen.
+    """Project points into the image.
 
     Args:
         rig: The rig.
@@ -58,7 +58,6 @@ def lit_points(
     """Points of stripes in the camera frame, whatever the motion.
 
     Args:
-        rig: The rig.
         q: Stripe centres (u, v) [px].
         laser: Number of the sheet that lit each.
 
@@ -74,7 +73,7 @@ def lit_points(
 def points(
     rig: Rig, q: Float[Array, "... 2"], laser: int | Int[Array, "..."], phi: Float[Array, "..."] | float
 ) -> Float[Array, "... 3"]:
-    """Where the rays of stripes meet their laser sheets.
+    """Intersect the rays of stripes with their laser sheets.
 
     Args:
         rig: The rig.
@@ -91,7 +90,7 @@ def points(
 def slopes(
     rig: Rig, q: Float[Array, "... 2"], laser: int | Int[Array, "..."], phi: Float[Array, "..."] | float
 ) -> Float[Array, "... 3 2"]:
-    """How `points` move with their pixels.
+    """Derivatives of `points` by their pixels.
 
     Args:
         rig: The rig.

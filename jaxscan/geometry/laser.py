@@ -8,12 +8,12 @@ import jax
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from jaxscan.geometry.arrays import Array, Component, namespace, real
+from jaxscan.geometry.arrays import Array, ArrayModule, Component, namespace, real
 from jaxscan.geometry.parameters import ParameterBlock
-from jaxscan.geometry.tangent import move_direction, tangent_basis, unit_vector
+from jaxscan.geometry.rigid import move_direction, tangent_basis, unit_vector
 
 
-class LaserSheet(eqx.Module):
+class LaserSheet(ArrayModule):
     r"""Points $p$ with $n \cdot p = d + \rho\,(b_2 \tau^2 + b_3 \tau^3)$.
 
     $\rho = \mathrm{hypot}(g \cdot p, e \cdot p)$ and $\tau = \mathrm{atan2}(e \cdot p, g \cdot p)$,

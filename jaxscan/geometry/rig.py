@@ -1,17 +1,61 @@
-"""A rig as arrays: what a pixel's ray, its point and its derivatives depend on, and nothing else."""
+"""A rig as arrays, and the places of its minimal coordinates in one vector."""
 
-import equinox as eqx
+from itertools import accumulate, chain
+from typing import NamedTuple
+
 import jax
 from jaxtyping import Float, Int
 
-from jaxscan.geometry.arrays import Array, namespace
+from jaxscan.geometry.arrays import Array, ArrayModule, namespace
 from jaxscan.geometry.cameras import AbstractCamera
-from jaxscan.geometry.laser import LaserSheet
-from jaxscan.geometry.layout import Layout, make_layout
+from jaxscan.geometry.laser import LASER_BLOCKS, LaserSheet
 from jaxscan.geometry.motions import AbstractMotion
+from jaxscan.geometry.parameters import ParameterBlock
 
 
-class Rig(eqx.Module):
+class Layout(NamedTuple):
+    """The order of all minimal coordinates: camera, laser after laser, motion, board."""
+
+    names: tuple[str, ...]
+    blocks: tuple[ParameterBlock, ...]
+    """Block of each coordinate, as long as `names`."""
+    camera: slice
+    lasers: slice
+    turntable: slice
+    board: slice
+
+
+def make_layout(
+    camera: AbstractCamera,
+    lasers: tuple[str, ...],
+    *,
+    motion: tuple[ParameterBlock, ...] = (),
+    board: tuple[ParameterBlock, ...] = (),
+) -> Layout:
+    """The layout of a rig.
+
+    Args:
+        lasers: Names of the lasers.
+        motion: Blocks of the motion between records; none where there is no motion.
+        board: Blocks of the board, if it is solved for too.
+    """
+    names = camera.parameter_names()
+    parts = (
+        list(zip(names, (block for block in camera.blocks() for _ in block.parameters), strict=False)),
+        [(f"laser.{laser}.{name}", block) for laser in lasers for block in LASER_BLOCKS for name in block.parameters],
+        [(name, block) for block in motion for name in block.parameters],
+        [(name, block) for block in board for name in block.parameters],
+    )
+    ends = list(accumulate(map(len, parts)))
+    every = list(chain(*parts))
+    return Layout(
+        tuple(name for name, _ in every),
+        tuple(block for _, block in every),
+        *(slice(end - len(part), end) for part, end in zip(parts, ends, strict=True)),
+    )
+
+
+class Rig(ArrayModule):
     """Camera, laser sheets and motion, in the camera frame at position 0.
 
     A pytree of arrays: sizes of images and names of lasers are the `Scanner`'s, so what is compiled for one rig serves

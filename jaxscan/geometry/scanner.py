@@ -11,12 +11,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxscan.geometry import kinematics
-from jaxscan.geometry.arrays import Array
+from jaxscan.geometry.arrays import Array, ArrayModule
 from jaxscan.geometry.cameras import AbstractCamera
 from jaxscan.geometry.laser import LaserSheet, stack_lasers
-from jaxscan.geometry.layout import Layout, make_layout
 from jaxscan.geometry.motions import AbstractMotion, Still
-from jaxscan.geometry.rig import Rig
+from jaxscan.geometry.rig import Layout, Rig, make_layout
 from jaxscan.geometry.rigid import transform
 
 
@@ -25,7 +24,7 @@ UP_VECTORS = {"-v": (0.0, -1.0, 0.0), "+v": (0.0, 1.0, 0.0), "+u": (1.0, 0.0, 0.
 """The image's up direction in the camera frame, by the name it has in files."""
 
 
-class Scanner(eqx.Module):
+class Scanner(ArrayModule):
     """The result of a calibration and the input of a reconstruction.
 
     Held as NumPy float64 on the host; `as_dtype` casts it for computing.

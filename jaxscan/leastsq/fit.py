@@ -3,7 +3,6 @@ r"""A fit of residuals that anybody may write, with robust losses and a prior.
 $$\min_{x, b} \; \sum_g \sum_i \rho_g(r_{g,i}(x, b_i) / \sigma_{g,i}) + \tfrac12 (x - \bar x)^T \Lambda (x - \bar x)$$
 """
 
-import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,8 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Array as JaxArray
 from jaxtyping import Float, Int
 
+from jaxscan.compiling import compile_sooner
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array
 from jaxscan.leastsq.arrow import Arrow, Covariance, covariance_of, undetermined
@@ -193,8 +194,8 @@ def fit(
             mean = np.asarray(ravel_pytree(jax.tree.map(double, prior.mean))[0])
             information = double(prior.information)
         problem = _Problem(tuple(groups), mean, information, tree)
-        start, limits = Unknowns(np.asarray(flat), local), (np.float64(tolerance), np.int32(max_steps))
-        found = jax.tree.map(np.asarray, _compiled()(problem, start, np.float64(_DAMPING), *limits))
+        start = Unknowns(np.asarray(flat), local)
+        found = minimised(problem, start, _DAMPING, tolerance, max_steps)
         residuals, _ = found.residuals
         # Nothing is evaluated where the first values are no numbers.
         if found.steps == 0 or not all(np.isfinite(part).all() for part in residuals):
@@ -212,9 +213,26 @@ def fit(
         )
 
 
-@functools.cache
-def _compiled() -> Callable[..., Any]:
-    # Imported when there is something to fit: it takes its time.
+def minimised(problem: AbstractProblem, y: Any, damping: float, tolerance: float, max_steps: int) -> Any:
+    """The end of a solve, `solver.Minimum`, in NumPy; call in 64 bit.
+
+    One program is compiled for all problems of one class and of one size.
+
+    Args:
+        problem: The problem.
+        y: Where to begin.
+        damping: Of the first step, relative to the diagonal of J'J [1].
+        tolerance: Root mean square change of unknowns and of whitened residuals at which to stop [1].
+        max_steps: Evaluations at most; 1 gives the residuals and normal equations of `y` itself.
+    """
+    found = _minimised(problem, y, np.float64(damping), np.float64(tolerance), np.int32(max_steps))
+    return jax.tree.map(np.asarray, found)
+
+
+@compile_sooner
+def _minimised(problem: AbstractProblem, y: Any, damping: JaxArray, tolerance: JaxArray, max_steps: JaxArray) -> Any:
+    # Imported by whoever solves: it takes its time.
     from jaxscan.leastsq.solver import minimise
 
-    return eqx.filter_jit(minimise)
+    problem, y = jax.tree.map(jnp.asarray, (problem, y))
+    return minimise(problem, y, damping, tolerance, max_steps)

@@ -6,11 +6,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxscan.geometry import Array, namespace
+from jaxscan.geometry import Array, median_sigma, namespace
 
 
-# Standard deviation of normal numbers over the median of their sizes.
-MEDIAN_TO_SIGMA = 1.4826
 # The noise of data without any is taken as this share of the given sigma, so that weights stay finite.
 _LEAST_NOISE = 1e-3
 
@@ -67,7 +65,7 @@ class Cauchy:
 
 def robust_noise(values: Float[np.ndarray, "..."]) -> float:
     """Standard deviation by the median, which outliers do not move; 1 of no values."""
-    return max(MEDIAN_TO_SIGMA * float(np.median(np.abs(values))), _LEAST_NOISE) if values.size else 1.0
+    return max(median_sigma(values), _LEAST_NOISE) if values.size else 1.0
 
 
 def noise_component(
@@ -120,3 +118,11 @@ def keep_inliers(
     if not np.any(valid & kept & (size > reject_any)) and kept[valid].all():
         return kept
     return valid & (size <= reject_all)
+
+
+def chance_of(chi2: float, freedom: int) -> float:
+    """Probability of a larger chi-squared by chance [1]; 1 without any freedom."""
+    # Here, because it takes longer to load than to compute.
+    from scipy.special import chdtrc  # type: ignore[import-untyped]
+
+    return float(chdtrc(freedom, max(chi2, 0.0))) if freedom > 0 else 1.0

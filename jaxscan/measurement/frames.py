@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.errors import MeasurementError
+from jaxscan.geometry import nearest_rotation
 from jaxscan.measurement.room import because, bounding_walls
 from jaxscan.measurement.samples import Cloud, CloudSamples
 from jaxscan.measurement.walls import Wall
@@ -164,14 +165,13 @@ def _fitted(scanner: np.ndarray, site: np.ndarray) -> TargetFrame:
             "same: both in metres, and every target with its own coordinates."
         )
     u, size, v = np.linalg.svd(b.T @ a)
-    side = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ v))])
-    mirrored_rms = np.sqrt(np.mean((a @ (u @ v).T - b) ** 2))
-    if side[2] < 0 and np.sqrt(size[2] / count) > _MIRRORED * mirrored_rms + 1e-6 * np.sqrt(size[0] / count):
+    mirrored, mirrored_rms = np.linalg.det(u @ v) < 0, np.sqrt(np.mean((a @ (u @ v).T - b) ** 2))
+    if mirrored and np.sqrt(size[2] / count) > _MIRRORED * mirrored_rms + 1e-6 * np.sqrt(size[0] / count):
         raise MeasurementError(
             f"The targets fit as their mirror image only, to {1e3 * mirrored_rms:.1f} mm; expected right-handed "
             "coordinates in both frames: two axes may be exchanged, or one counts the other way."
         )
-    turn = (u * side) @ v
+    turn = nearest_rotation(b.T @ a)
     transform = np.eye(4)
     transform[:3, :3], transform[:3, 3] = turn, middle_b - turn @ middle_a
     placed = a @ turn.T

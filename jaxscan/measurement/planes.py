@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.errors import MeasurementError
-from jaxscan.geometry import Array
+from jaxscan.geometry import Array, principal_axes
 from jaxscan.measurement.samples import Cloud, CloudSamples, Samples
 
 
@@ -44,11 +44,9 @@ def weighted_plane(p: np.ndarray, weight: np.ndarray) -> Plane:
 
     The covariance is scaled by the misfit where it is larger than the weights predict.
     """
-    total = weight.sum()
-    centre = weight @ p / total
+    centre, _, axes = principal_axes(p, weight)
+    normal, axes = axes[0], axes[:0:-1]
     apart = p - centre
-    vectors = np.linalg.eigh((apart * weight[:, None]).T @ apart / total)[1]
-    normal, axes = vectors[:, 0], vectors[:, :0:-1].T
     residual = apart @ normal
     design = np.column_stack([np.ones(len(p)), apart @ axes.T])
     covariance = np.linalg.pinv((design * weight[:, None]).T @ design)

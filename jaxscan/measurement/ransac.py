@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from jaxscan.geometry import principal_axes
 from jaxscan.measurement.planes import Plane, weighted_plane
 from jaxscan.measurement.samples import CloudSamples, Samples, spread_out
 
@@ -61,10 +62,9 @@ def _hypotheses(voters: Samples, rng: np.random.Generator) -> tuple[np.ndarray, 
     for seed_point, group in zip(origin, groups, strict=True):
         if len(group) < 6 or len(np.unique(voters.profile[group])) < profiles:
             continue
-        centre = voters.p[group].mean(0)
-        apart = voters.p[group] - centre
-        normals.append(np.linalg.eigh(apart.T @ apart)[1][:, 0])
-        distances.append(normals[-1] @ centre)
+        plane = principal_axes(voters.p[group])
+        normals.append(plane.axes[0])
+        distances.append(plane.axes[0] @ plane.centre)
         kept.append(seed_point)
     return np.array(normals).reshape(-1, 3), np.array(distances), np.array(kept, int)
 

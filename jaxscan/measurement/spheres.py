@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.errors import MeasurementError
-from jaxscan.geometry import Scanner
+from jaxscan.geometry import Scanner, median_sigma
 from jaxscan.measurement.checked import checked_samples, require_known
 from jaxscan.measurement.planes import Point
 from jaxscan.measurement.samples import SIGMA_FLOOR_M, Cloud, CloudSamples, Samples, places_of, spread_out
@@ -141,7 +141,7 @@ def fit_sphere(samples: CloudSamples, near: np.ndarray, radius: float, *, free: 
         sigma = _sigma_across(around, normal)
         if cap.sum() < FEWEST:
             raise unlike
-        scale = 1.4826 * np.median(np.abs(residual[cap] / sigma[cap]))
+        scale = median_sigma(residual[cap] / sigma[cap])
         now = cap & (np.abs(residual) < KEPT * max(scale, 1.0) * sigma)
         if now.sum() < FEWEST:
             raise unlike
@@ -174,23 +174,41 @@ def _search(p: np.ndarray, origin: np.ndarray, radius: float) -> np.ndarray | No
     rng = np.random.default_rng(0)
     chosen = rng.integers(len(p), size=(400, 3))
     a, b, c = np.moveaxis(p[chosen], 1, 0)
-    ab, ac = b - a, c - a
-    normal = np.cross(ab, ac)
-    square = np.maximum(np.sum(normal**2, -1, keepdims=True), 1e-18)
-    ab2, ac2 = (np.sum(side**2, -1, keepdims=True) for side in (ab, ac))
-    to_middle = (ac2 * np.cross(normal, ab) + ab2 * np.cross(ac, normal)) / (2 * square)
-    height2 = radius**2 - np.sum(to_middle**2, -1)
-    sound = height2 > 0
-    if not sound.any():
+    centres, exists = spheres_through(a, b, c, radius, away=a - origin[chosen[:, 0]])
+    if not exists.any():
         return None
-    foot, up = a + to_middle, normal * np.sqrt(np.maximum(height2, 0.0) / square[:, 0])[:, None]
-    # The near side is seen: of both centres the farther one.
-    away = foot - origin[chosen[:, 0]]
-    centres = np.where(np.sum(up * away, -1, keepdims=True) > 0, foot + up, foot - up)[sound]
+    centres = centres[exists]
     some = p[spread_out(len(p), 600, rng)]
     miss = np.abs(np.linalg.norm(some[None] - centres[:, None], axis=-1) - radius)
     best: np.ndarray = centres[np.argmin(np.minimum(miss, 0.005).sum(1))]
     return best
+
+
+def spheres_through(
+    a: np.ndarray, b: np.ndarray, c: np.ndarray, radius: float, *, away: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Spheres of known radius through three points each.
+
+    Args:
+        a: The first points [n, 3], m.
+        b: The second points.
+        c: The third points.
+        radius: Of all spheres [m].
+        away: Directions of sight [n, 3]. The near side of a sphere is seen: of both centres the farther one is meant.
+
+    Returns:
+        Centres [n, 3], m, and whether there is such a sphere [n].
+    """
+    ab, ac = b - a, c - a
+    normal = np.cross(ab, ac)
+    square = np.sum(normal**2, -1, keepdims=True)
+    safe = np.where(square > 1e-18, square, 1.0)
+    ab2, ac2 = (np.sum(side**2, -1, keepdims=True) for side in (ab, ac))
+    to_middle = (ac2 * np.cross(normal, ab) + ab2 * np.cross(ac, normal)) / (2 * safe)
+    height2 = radius**2 - np.sum(to_middle**2, -1, keepdims=True)
+    up = normal * np.sqrt(np.maximum(height2, 0.0) / safe)
+    up = np.where(np.sum(up * away, -1, keepdims=True) > 0, up, -up)
+    return a + to_middle + up, ((square > 1e-18) & (height2 > 0))[:, 0]
 
 
 def _look(samples: Samples, centre: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

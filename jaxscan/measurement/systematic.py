@@ -1,80 +1,87 @@
-"""Uncertainty of a measured number by the covariances of the calibration and of the poses of stations."""
+r"""Uncertainty of a measured number by the covariances of the calibration and of the poses of stations.
+
+A number $f = \sum_i w_i \cdot p_i$ follows the points. With a changed calibration every point keeps its pixel and its
+table angle, and moves; the changes of f by the coordinates of the scanner and of the stations' poses are its effects.
+"""
+
+from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jaxscan.compiling import compile_quickly
 from jaxscan.errors import MeasurementError
-from jaxscan.geometry import Array, Rig, Scanner, pixels, points
+from jaxscan.geometry import Rig, Scanner, lit_points, lit_slopes, pixels, poses, transform
 from jaxscan.measurement.samples import Places, Samples
 
 
 FARTHEST_OFF, LEAST_SEEN = 0.05, 0.9
 """Distance from its place on the laser's sheet, in units of its range, up to which a point is one of the calibration;
 and the smallest share of such points. Calibrations of one rig differ by a hundredth of that."""
-BLOCK = 4096
-"""Points are padded to a multiple of this, so that one compiled function serves all."""
+STEP = 1e-4
+"""Of central differences [px, rad, m, 1]: their error is below 1e-7 of a derivative, of float64 and curvature alike."""
+
+
+class Effects(NamedTuple):
+    """How some numbers follow the scanner and the stations; linear, so that sums of numbers have sums of effects."""
+
+    scanner: np.ndarray
+    """By the coordinates of the scanner [numbers, parameters]; 0 where it has no covariance."""
+    stations: np.ndarray
+    """By a step (translation [m], rotation [rad]) of each station in its own frame [numbers, stations, 6]."""
+
+    def weighted(self, row: np.ndarray) -> "Effects":
+        """Of the sum of the numbers with these weights [numbers]."""
+        return Effects((row @ self.scanner)[None], np.tensordot(row, self.stations, 1)[None])
+
+    def plus(self, other: "Effects") -> "Effects":
+        """Of the sums of numbers."""
+        return Effects(self.scanner + other.scanner, self.stations + other.stations)
+
+    def sigma(self, scanner: Scanner | None, places: Places) -> float:
+        """Standard deviation of the first number, as if stations and calibration erred independently."""
+        variance = float(np.einsum("si,sij,sj->", self.stations[0], places.covariance, self.stations[0]))
+        if scanner is not None and scanner.covariance is not None:
+            variance += float(self.scanner[0] @ np.asarray(scanner.covariance, np.float64) @ self.scanner[0])
+        return float(np.sqrt(max(variance, 0.0)))
 
 
 def systematic_sigma(scanner: Scanner | None, places: Places, samples: Samples, weights: np.ndarray) -> float:
-    r"""Standard deviation of $f = \sum_i w_i \cdot p_i$ from `scanner.covariance` and those of the stations' poses.
+    """Standard deviation of the sum of `weights` [n, 3] by the points, in metres times their unit.
 
-    With a changed calibration every point keeps its pixel q and its table angle, and moves to
-    $p_i(\delta) = \mathrm{point}(q_i;\,\mathrm{retract}(\delta))$. With
-    $J = \partial f / \partial \delta$ the variance is $J C J^T$. Those of the stations are added, as if poses and
-    calibration erred independently.
+    Args and raises: see `effects_of`.
+    """
+    return effects_of(scanner, places, samples, weights[None]).sigma(scanner, places)
+
+
+def effects_of(scanner: Scanner | None, places: Places, samples: Samples, weights: np.ndarray) -> Effects:
+    """The effects of scanner and stations in weighted sums of points.
 
     Args:
         scanner: The scanner that the cloud was made with; without covariance its part is 0.
         places: The stations of the cloud.
         samples: The points [n].
-        weights: w [n, 3].
-
-    Returns:
-        Standard deviation, in metres times the unit of the weights.
+        weights: w [numbers, n, 3].
 
     Raises:
         MeasurementError: If the scanner does not have the lasers of the points, or does not see them where they are.
     """
     pose = places.pose[samples.station]
     p = np.einsum("nji,nj->ni", pose[:, :3, :3], samples.p - samples.origin)
-    turned = np.einsum("nji,nj->ni", pose[:, :3, :3], weights)
-    variance = 0.0
-    for number, covariance in enumerate(places.covariance):
-        mine = samples.station == number
-        effect = np.concatenate([turned[mine].sum(0), np.cross(p[mine], turned[mine]).sum(0)])
-        variance += float(effect @ covariance @ effect)
-    return float(np.sqrt(max(variance + _by_scanner(scanner, samples._replace(p=p), turned), 0.0)))
-
-
-def _by_scanner(scanner: Scanner | None, samples: Samples, weights: np.ndarray) -> float:
-    """The variance by the covariance of the scanner; points and weights in its frame."""
-    if scanner is None:
-        return 0.0
-    if samples.laser.max() >= len(scanner.laser_names):
+    turned = np.einsum("nji,knj->kni", pose[:, :3, :3], weights)
+    by_step = np.concatenate([turned, np.cross(p, turned)], axis=-1)
+    stations = np.stack([by_step[:, samples.station == k].sum(1) for k in range(len(places.covariance))], axis=1)
+    if scanner is not None and samples.laser.max() >= len(scanner.laser_names):
         raise MeasurementError(
             f"The cloud has points of laser {samples.laser.max()}, and the calibration has {len(scanner.laser_names)} "
             "(counted from 0): it is not the one that the cloud was made with."
         )
-    if scanner.covariance is None:
-        return 0.0
-    gradient = np.zeros(len(scanner.parameter_names()))
-    found = np.empty_like(samples.p)
-    with jax.enable_x64(True):
-        rig = scanner.rig
-        for start in range(0, len(samples.p), BLOCK):
-            part = slice(start, start + BLOCK)
-            # Padding repeats the first point with no weight.
-            index = np.resize(np.arange(len(samples.p))[part], BLOCK)
-            counted = (np.arange(BLOCK) < len(samples.p[part]))[:, None]
-            counted_weights, laser = np.where(counted, weights[index], 0.0), samples.laser[index].astype(np.int32)
-            change, there = _gradient(rig, samples.p[index], counted_weights, laser, samples.angle[index])
-            gradient += np.asarray(change)
-            found[part] = np.asarray(there)[: len(samples.p[part])]
-    _check_seen(samples.p, found)
-    covariance = np.asarray(scanner.covariance, np.float64)
-    return float(gradient @ covariance @ gradient)
+    if scanner is None or scanner.covariance is None:
+        count = 0 if scanner is None else len(scanner.parameter_names())
+        return Effects(np.zeros((len(weights), count)), stations)
+    rig: Rig = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), scanner.rig)
+    by_scanner, found = _gradients(rig, p, turned, samples.laser, samples.angle)
+    _check_seen(p, found)
+    return Effects(by_scanner, stations)
 
 
 def _check_seen(p: np.ndarray, found: np.ndarray) -> None:
@@ -90,13 +97,35 @@ def _check_seen(p: np.ndarray, found: np.ndarray) -> None:
         )
 
 
-@compile_quickly
-def _gradient(rig: Rig, p: Array, weights: Array, laser: Array, angle: Array) -> tuple[jax.Array, jax.Array]:
-    """Gradient of the weighted sum [parameters], and the points as the scanner has them [n, 3]."""
-    q = pixels(rig, p, angle)
+def _gradients(
+    rig: Rig, p: np.ndarray, weights: np.ndarray, laser: np.ndarray, angle: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    r"""Gradients of weighted sums [numbers, parameters], and the points as the rig has them [n, 3].
 
-    def weighted_sum(step):
-        found = points(rig.retract(step), q, laser, angle)
-        return jnp.sum(found * weights), found
+    A changed camera sees a fixed point at another pixel, by $d\pi$; the point of a fixed pixel moves by
+    $-S \, d\pi$ with the slopes S of `lit_slopes`. A changed sheet meets the same ray elsewhere, and a changed motion
+    carries the same point elsewhere.
+    """
+    angles, at = np.unique(angle, return_inverse=True)
+    pose, layout = poses(rig, angles)[at], rig.layout()
+    p_cam, incidence = lit_points(rig, pixels(rig, p, angle), laser)
+    range_m = np.linalg.norm(p_cam, axis=1, keepdims=True)
+    ray = p_cam / np.where(range_m > 0, range_m, 1.0)
+    in_camera = np.einsum("nji,knj->kni", pose[:, :3, :3], weights)
+    by_pixel = np.einsum("kni,nij->knj", in_camera, lit_slopes(rig, p_cam, incidence, laser))
+    along = np.einsum("kni,ni->kn", in_camera, ray)
+    # Weights of the entries of a pose: few angles are shared by many points.
+    held = np.zeros((len(weights), len(angles), 3, 4))
+    np.add.at(held, (slice(None), at), weights[..., None] * np.append(p_cam, np.ones((len(p), 1)), 1)[:, None, :])
 
-    return jax.grad(weighted_sum, has_aux=True)(jnp.zeros(rig.parameter_count(), p.dtype))
+    def change(j: int) -> np.ndarray:
+        step = STEP * (np.arange(rig.parameter_count()) == j)
+        ahead, behind = rig.retract(step), rig.retract(-step)
+        if layout.camera.start <= j < layout.camera.stop:
+            return -np.einsum("kni,ni->k", by_pixel, ahead.camera.project(p_cam) - behind.camera.project(p_cam))
+        if layout.lasers.start <= j < layout.lasers.stop:
+            return along @ (ahead.laser(laser).intersect(ray)[0] - behind.laser(laser).intersect(ray)[0])
+        return np.einsum("kaij,aij->k", held, (poses(ahead, angles) - poses(behind, angles))[:, :3])
+
+    changes = [change(j) for j in range(rig.parameter_count())]
+    return np.stack(changes, axis=1) / (2.0 * STEP), transform(pose, p_cam)

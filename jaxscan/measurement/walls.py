@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxscan.geometry import median_sigma
 from jaxscan.measurement.planes import Plane, facing, fitted_plane, weighted_plane
 from jaxscan.measurement.samples import CloudSamples, Samples, spread_out
 
@@ -121,11 +122,11 @@ def wall_weights(wall: Wall, row: np.ndarray, rng: np.random.Generator | None = 
 
     Args:
         wall: The wall.
-        row: Weights [3] of the plane's (offset, slopes) in the number.
+        row: Weights [3] of the plane's (offset, slopes) in the number; or of several numbers [k, 3].
         rng: Chooses among the points where there are many.
 
     Returns:
-        Some of the points, and weights w [n, 3]: the number moves by sum w . dp.
+        Some of the points, and weights w [(k,) n, 3]: the number moves by sum w . dp.
     """
     rng = np.random.default_rng(0) if rng is None else rng
     part = wall.samples.take(spread_out(len(wall.samples.p), SYSTEMATIC_POINTS, rng))
@@ -133,13 +134,12 @@ def wall_weights(wall: Wall, row: np.ndarray, rng: np.random.Generator | None = 
     weight = part.weights_across(plane.normal)
     design = np.column_stack([np.ones(len(part.p)), (part.p - plane.centre) @ plane.axes.T])
     normal_equations = (design * weight[:, None]).T @ design
-    factors = np.linalg.solve(normal_equations, row) @ (design * weight[:, None]).T
-    return part, factors[:, None] * plane.normal
+    factors = np.linalg.solve(normal_equations, row.T).T @ (design * weight[:, None]).T
+    return part, factors[..., None] * plane.normal
 
 
 def _outer_scale(residual: np.ndarray) -> float:
     outer = residual[(residual > 0) & (residual < 8.0)]
     if len(outer) < 10:
         return 3.0
-    # Median of a half normal distribution: 0.6745 sigma.
-    return float(np.clip(np.median(outer) / 0.6745, 0.5, 4.0))
+    return float(np.clip(median_sigma(outer), 0.5, 4.0))

@@ -13,8 +13,10 @@ from jaxscan.geometry import AbstractBoard
 from jaxscan.observation.board_map import FoundCorners
 from jaxscan.observation.board_stripes import BATCH_RECORDS, LearnedFrames, find_stripes, learn_colours
 from jaxscan.observation.missed import MissedRecord, count_reasons, measure_light, missed_records
+from jaxscan.observation.observations import BoardViews, Observations, StripeViews
 from jaxscan.observation.prediction import PredictedCorners, SolvedRig
 from jaxscan.observation.records import BoardSource, SeenRecord, ToGrey
+from jaxscan.observation.stripes_on_board import MOST_POINTS, BoardStripe
 from jaxscan.stripes import LaserLine
 
 
@@ -238,3 +240,45 @@ def go_through(
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return like._replace(records=views)
+
+
+def to_observations(captures: Sequence[BoardSource], look: Look) -> Observations:
+    """The observations of the records in which the board was found."""
+    first = captures[0]
+    views = [view for view in look.records if view.corners is not None]
+    q, sigma, valid = map(np.stack, zip(*(view.corners for view in views if view.corners is not None), strict=True))
+    keys = [view.placement or f"alone {index}" for index, view in enumerate(views)]
+    number = {key: index for index, key in enumerate(dict.fromkeys(keys))}
+    lines = [[(stripe, index, view.laser) for stripe in view.stripes] for index, view in enumerate(views)]
+    others = [line for found in lines for line in found[1:]]
+    width, height = first.image_size
+    return Observations(
+        board=look.board,
+        corners=BoardViews(
+            q=q,
+            sigma=sigma,
+            valid=valid,
+            angle=np.array([view.record.angle or 0.0 for view in views]),
+            placement=np.array([number[key] for key in keys], np.int32),
+            # 64 bits: a journal of another program may count milliseconds.
+            record=np.array([view.record.i for view in views], np.int64),
+        ),
+        stripes=stack_stripes([found[0] for found in lines if found]),
+        width=width,
+        height=height,
+        laser_names=tuple(line.name for line in first.lasers),
+        up=first.up,
+        carries=first.carries or "scanner",
+        other_lines=stack_stripes(others) if others else None,
+    )
+
+
+def stack_stripes(stripes: Sequence[tuple[BoardStripe, int, int]], points: int = MOST_POINTS) -> StripeViews:
+    """All stripes of a capture, given as (stripe, row of `BoardViews`, laser); empty ones are left out."""
+    kept = [(stripe, view, laser) for stripe, view, laser in stripes if stripe.valid.any()]
+    q, sigma, valid = np.zeros((0, points, 2)), np.zeros((0, points)), np.zeros((0, points), bool)
+    contrast = np.zeros((0, points), np.int8)
+    if kept:
+        q, sigma, valid, contrast = map(np.stack, zip(*(stripe for stripe, _, _ in kept), strict=True))
+    view, laser = (np.array([entry[k] for entry in kept], np.int32) for k in (1, 2))
+    return StripeViews(q, sigma, valid, view, laser, contrast)

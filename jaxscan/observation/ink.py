@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxscan.geometry import median_sigma
+
 
 _REACH = 12
 """Samples used on either side of the centre."""
@@ -81,9 +83,9 @@ def _relative_noise(image: np.ndarray, line: np.ndarray, centre: np.ndarray) -> 
     above, here, below = (image[at[:, None], sample] for at in (first, line, last))
     # At least half of the points lie on no edge: there a line differs from the mean of its neighbours
     # by noise alone. Rounding to whole DN gives at least 0.3 DN.
-    noise = 1.4826 * np.median(np.abs(here - 0.5 * (above + below))) / np.sqrt(1.5)
+    noise = median_sigma(here - 0.5 * (above + below)) / np.sqrt(1.5)
     level = (above + here + below).mean(1) / 3.0
-    return max(float(noise), 0.3) / np.sqrt(3.0) / np.maximum(level, 1.0)
+    return max(noise, 0.3) / np.sqrt(3.0) / np.maximum(level, 1.0)
 
 
 def _own_width(line: np.ndarray, width: np.ndarray, shift: np.ndarray) -> np.ndarray:

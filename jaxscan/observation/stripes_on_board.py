@@ -21,9 +21,6 @@ MOST_POINTS = 512
 EVEN, WEAK, STRONG = 0, 1, 2
 """Contrast classes of stripe points: even print, a weak and a strong edge under the stripe. Their errors differ."""
 _BY_SHIFT = 3
-CONTRAST_CLASSES = 6
-"""The same three follow for points that were not fitted through the print: edges are then told by the shift of the
-centre, and errors are of another kind."""
 
 
 class FoundStripe(NamedTuple):

@@ -1,4 +1,9 @@
-"""Colours of points from all photographs that see them sharply."""
+"""One colour of many observations, that come one after another and are not kept.
+
+Colours of a point that agree are added up. There is room for a few that do not: a pixel at an edge that shows the
+other side of it founds a colour of its own, and the one with most weight is that of the point. So memory does not grow
+with the number of photographs, and what a few of them mistake does not bleed into it.
+"""
 
 import functools
 import itertools
@@ -9,17 +14,140 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int32, UInt8
+from jaxtyping import Bool, Float, Int32, Real, UInt8
 
 from jaxscan.compiling import compile_wide
 from jaxscan.geometry import Array
 from jaxscan.memory import kept
-from jaxscan.photographs.blend import Tally, add, conclude
-from jaxscan.photographs.blocks import Blocks
-from jaxscan.photographs.occluder import Distances, Occluder
-from jaxscan.photographs.photograph import Photograph, Photographs, packed, read_image
-from jaxscan.photographs.view import Lens, View, dot, pose_finder, sight
+from jaxscan.photographs.occluder import Blocks, Distances, Occluder
+from jaxscan.photographs.photograph import (
+    Lens,
+    Photograph,
+    Photographs,
+    PhotographView,
+    dot,
+    packed,
+    pose_finder,
+    read_image,
+    sight,
+)
 from jaxscan.reconstruction.ahead import map_ahead, workers
+
+
+ROOM = 3
+"""Different colours of a point that are remembered."""
+
+
+class Tally(NamedTuple):
+    """Colours of points so far; the points come last, as they lie side by side for the compiler."""
+
+    total: Float[Array, "..."]
+    """Sum of the weighted observations of each [DN]."""
+    weight: Float[Array, "..."]
+
+    @staticmethod
+    def start(rgb: UInt8[np.ndarray, "blocks 3 n"]) -> "Tally":
+        """One colour of each point already; zero for none."""
+        blocks, _, count = rgb.shape
+        total, weight = np.zeros((blocks, ROOM, 3, count), np.float32), np.zeros((blocks, ROOM, count), np.float32)
+        weight[:, 0], total[:, 0] = np.any(rgb != 0, 1), rgb
+        return Tally(total, weight)
+
+
+def add(
+    tally: Tally, colour: Float[Array, "3"], weight: Float[Array, ""], tolerance: float | Float[Array, ""]
+) -> Tally:
+    """The tally of one point with one more observation of it.
+
+    Args:
+        tally: So far.
+        colour: Of the observation [DN].
+        weight: Of the observation; 0 for none.
+        tolerance: Difference [DN] up to which colours are the same.
+    """
+    # Slot by slot: of an index and a reduction over three of them XLA makes a loop for each of many points.
+    total, known = jnp.asarray(tally.total), jnp.asarray(tally.weight)
+    apart = []
+    for slot in range(ROOM):
+        mean = total[slot] * (1 / jnp.where(known[slot] > 0, known[slot], 1.0))
+        apart.append(jnp.where(known[slot] > 0, _largest(jnp.abs(mean - colour)), jnp.inf))
+    nearest, lightest = functools.reduce(jnp.minimum, apart), functools.reduce(jnp.minimum, known)
+    alike = nearest <= tolerance
+    # Where all colours are taken, the lightest gives way to a heavier one.
+    counts = (weight > 0) & (alike | (weight > lightest))
+    totals, weights = [], []
+    for slot in range(ROOM):
+        here = counts & jnp.where(alike, apart[slot] == nearest, known[slot] == lightest)
+        counts &= ~here
+        kept, more = jnp.where(here & ~alike, 0.0, 1.0), jnp.where(here, weight, 0.0)
+        totals.append(kept * total[slot] + more * colour)
+        weights.append(kept * known[slot] + more)
+    return Tally(jnp.stack(totals), jnp.stack(weights))
+
+
+def _largest(three: Float[Array, "3"]) -> Float[Array, ""]:
+    return jnp.maximum(jnp.maximum(three[0], three[1]), three[2])
+
+
+def conclude(tally: Tally, tolerance: float) -> UInt8[np.ndarray, "3 n"]:
+    """The colour with most weight of every point; black where there is none.
+
+    Others that differ from it by no more than twice the tolerance are mixed with it: fine print looks a little
+    different in each photograph, by where its pixels fall.
+    """
+    total, weight = (np.asarray(field) for field in tally)
+    mean = total / np.maximum(weight, 1e-9)[:, None]
+    best = np.take_along_axis(mean, np.argmax(weight, 0)[None, None], 0)
+    like = np.abs(mean - best).max(1) <= 2 * tolerance
+    weight = np.where(like, weight, 0)
+    rgb = np.rint(np.sum(weight[:, None] * mean, 0) / np.maximum(weight.sum(0), 1e-9))
+    return np.clip(rgb, 0, 255).astype(np.uint8)
+
+
+def fill_holes(
+    picture: Real[np.ndarray, "height width channels"], known: Bool[np.ndarray, "height width"]
+) -> Real[np.ndarray, "height width channels"]:
+    """Fill what is not known, smoothly: means of ever larger squares, the smallest that know something.
+
+    Args:
+        picture: Any values.
+        known: Where they are right; all others are replaced.
+
+    Returns:
+        A picture of the same type; zero where nothing is known anywhere.
+    """
+    if known.all() or not known.any():
+        return np.where(known[..., None], picture, 0).astype(picture.dtype)
+    weight = known.astype(np.float32)[..., None]
+    levels: list[tuple[np.ndarray, np.ndarray]] = [(picture.astype(np.float32) * weight, weight)]
+    while max(levels[-1][1].shape[:2]) > 1 and not np.all(levels[-1][1] > 0):
+        levels.append((_halved(levels[-1][0]), _halved(levels[-1][1])))
+    total, weight = levels[-1]
+    coarse = total / np.maximum(weight, 1e-12)
+    for total, weight in levels[-2::-1]:
+        larger = _doubled(coarse, total.shape[:2])
+        coarse = np.where(weight > 0, total / np.maximum(weight, 1e-12), larger)
+    if np.issubdtype(picture.dtype, np.integer):
+        coarse = np.rint(coarse)
+    return np.where(known[..., None], picture, coarse.astype(picture.dtype))
+
+
+def _halved(part: np.ndarray) -> np.ndarray:
+    """Sums of squares of 2 x 2 pixels."""
+    rows, columns = part.shape[:2]
+    even = np.pad(part, ((0, rows % 2), (0, columns % 2), (0, 0)))
+    return even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]
+
+
+def _doubled(part: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Each pixel as four, smoothed by the pixels beside it."""
+    for axis, size in enumerate(shape):
+        place = np.clip((np.arange(size) - 0.5) / 2, 0, part.shape[axis] - 1)
+        first = np.floor(place).astype(int)
+        second = np.minimum(first + 1, part.shape[axis] - 1)
+        share = (place - first).astype(np.float32).reshape([-1 if k == axis else 1 for k in range(3)])
+        part = (1 - share) * np.take(part, first, axis) + share * np.take(part, second, axis)
+    return part
 
 
 STEEPEST_SEEN = 6.0
@@ -67,7 +195,7 @@ class _Shot(NamedTuple):
     angle: float
     image: Int32[Array, "rows columns"]
     """`packed`."""
-    view: View
+    view: PhotographView
     distances: Distances
     gain: Float[Array, "3"]
 
@@ -149,7 +277,7 @@ def _prepared(photograph: Photograph, lens: Lens, pose: np.ndarray, occluder: Oc
     # JAX keeps this setting per thread.
     with jax.enable_x64(False):
         # On the device: it is handed to many calls.
-        view = jax.device_put(View(lens, pose))
+        view = jax.device_put(PhotographView(lens, pose))
         distances = Distances.of_nothing() if occluder is None else occluder.distances(view)
         image, distances = _packed(np.ascontiguousarray(photograph.image)), jax.device_put(distances)
     return _Shot(photograph.angle, image, view, distances, np.ones(3, np.float32))
@@ -184,7 +312,7 @@ def _gain(shot: _Shot, occluder: Occluder) -> Float[np.ndarray, "3"]:
 
 
 def _weigh(
-    view: View, distances: Distances, bearing: float | Float[Array, ""] | None, place: _Places
+    view: PhotographView, distances: Distances, bearing: float | Float[Array, ""] | None, place: _Places
 ) -> tuple[Float[Array, "2"], Float[Array, ""]]:
     """Pixel of a point in a photograph, and its weight: at most 1, and 0 where it shows something else."""
     point, normal = place

@@ -8,12 +8,10 @@ from jaxtyping import Float
 
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
-from jaxscan.photographs.colour import BlendSettings, colour_points
-from jaxscan.photographs.filling import fill_holes
+from jaxscan.photographs.colour import BlendSettings, colour_points, fill_holes
 from jaxscan.photographs.occluder import REFERENCES, Occluder, make_occluder
-from jaxscan.photographs.photograph import Photographs
+from jaxscan.photographs.photograph import Lens, Photographs, border_rays, poses
 from jaxscan.photographs.surface import surface_samples
-from jaxscan.photographs.view import Lens, border_rays, poses
 from jaxscan.reconstruction import PointCloud
 
 
@@ -25,7 +23,7 @@ LEAST_FACING = 0.2
 
 
 @dataclass(frozen=True)
-class Frame:
+class PanoramaFrame:
     """Which ray each pixel of a panorama is: the scanner's x axis in its middle, its z axis up.
 
     Azimuth falls from left to right, as for someone who looks outward; a whole turn is as wide as the picture.
@@ -68,7 +66,7 @@ class Frame:
 class Panorama:
     """A picture round the axis, as seen from the scanner's origin."""
 
-    frame: Frame
+    frame: PanoramaFrame
     rgb: np.ndarray
     """uint8 [height, width, 3]."""
     distance_m: np.ndarray | None = None
@@ -77,7 +75,9 @@ class Panorama:
     """[height, width, 3], scanner frame; zero where unknown."""
 
 
-def panorama_frame(scanner: Scanner, projection: Projection = "equirectangular", width: int | None = None) -> Frame:
+def panorama_frame(
+    scanner: Scanner, projection: Projection = "equirectangular", width: int | None = None
+) -> PanoramaFrame:
     """The frame of all that a turning camera sees, by default at its own resolution.
 
     Raises:
@@ -99,11 +99,11 @@ def panorama_frame(scanner: Scanner, projection: Projection = "equirectangular",
     # Rows of the whole sphere: programs place a part of it by whole rows.
     above = int(np.floor((np.pi / 2 - high) / step)) if projection == "equirectangular" else 0
     top = np.pi / 2 - above * step if projection == "equirectangular" else high
-    return Frame(projection, width, max(1, int(np.ceil((top - low) / step))), top)
+    return PanoramaFrame(projection, width, max(1, int(np.ceil((top - low) / step))), top)
 
 
 def make_panorama(
-    photographs: Photographs, frame: Frame, cloud: PointCloud | None = None, *, distance_m: float = 2.5
+    photographs: Photographs, frame: PanoramaFrame, cloud: PointCloud | None = None, *, distance_m: float = 2.5
 ) -> Panorama:
     """Blend photographs to one picture, as seen from the scanner's origin.
 
@@ -148,7 +148,7 @@ def make_panorama(
 
 
 def draw_distances(
-    frame: Frame, cloud: PointCloud, scanner: Scanner
+    frame: PanoramaFrame, cloud: PointCloud, scanner: Scanner
 ) -> tuple[Float[np.ndarray, "height width"], Float[np.ndarray, "height width 3"]]:
     """Distance [m] and normal of the nearest surface on every ray of a panorama; 0 where there is none."""
     nearest = np.full(frame.height * frame.width, np.inf, np.float32)

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from jaxscan.errors import CloudError
 from jaxscan.geometry import Scanner
-from jaxscan.photographs.view import poses
+from jaxscan.photographs.photograph import poses
 from jaxscan.reconstruction import PointCloud
 
 
@@ -22,7 +22,7 @@ _WIDEST_STEP = 0.2
 """Profiles further apart [rad] are no neighbours."""
 
 
-class Samples(NamedTuple):
+class SurfaceSamples(NamedTuple):
     """Samples of a surface; `n` of them."""
 
     xyz: Float[np.ndarray, "n 3"]
@@ -56,7 +56,9 @@ def check_grid(cloud: PointCloud) -> None:
         )
 
 
-def surface_samples(cloud: PointCloud, scanner: Scanner, spacing: float, *, reach: float = 0.5) -> Iterator[Samples]:
+def surface_samples(
+    cloud: PointCloud, scanner: Scanner, spacing: float, *, reach: float = 0.5
+) -> Iterator[SurfaceSamples]:
     """Samples of the surface of an organised cloud, profile by profile.
 
     Args:
@@ -130,7 +132,7 @@ def _closes(where: np.ndarray, step: float, chosen: list[int]) -> bool:
     return bool(0 < gap < 1.6 * usual and step < _WIDEST_STEP)
 
 
-def _between(before: _Profile, after: _Profile, middle: np.ndarray, parts: int, reach: float) -> Samples:
+def _between(before: _Profile, after: _Profile, middle: np.ndarray, parts: int, reach: float) -> SurfaceSamples:
     """Samples from one profile to before the next one, `parts` on each line of a surface."""
     onward = (after.pose @ np.linalg.inv(before.pose)).astype(np.float32)
     back = np.linalg.inv(onward)
@@ -142,7 +144,7 @@ def _between(before: _Profile, after: _Profile, middle: np.ndarray, parts: int, 
     _, beyond = _polar(before.xyz @ onward[:3, :3].T + onward[:3, 3] - middle)
     _, ahead = _polar(after.xyz @ back[:3, :3].T + back[:3, 3] - middle)
 
-    def take(keep: np.ndarray, ends: tuple[np.ndarray, np.ndarray], weight: np.ndarray) -> Samples:
+    def take(keep: np.ndarray, ends: tuple[np.ndarray, np.ndarray], weight: np.ndarray) -> SurfaceSamples:
         """Samples on rays between two ends, with this weight of the second profile."""
         ray = (1 - share)[..., None] * ends[0] + share[..., None] * ends[1]
         ray /= np.maximum(np.linalg.norm(ray, axis=-1, keepdims=True), 1e-9)
@@ -152,7 +154,7 @@ def _between(before: _Profile, after: _Profile, middle: np.ndarray, parts: int, 
             (1 - weight)[..., None] * one + weight[..., None] * other
             for one, other in ((before.normals, after.normals), (before.rgb, after.rgb))
         )
-        return Samples(*(np.broadcast_to(part, ray.shape)[keep].astype(np.float32) for part in (xyz, *more)))
+        return SurfaceSamples(*(np.broadcast_to(part, ray.shape)[keep].astype(np.float32) for part in (xyz, *more)))
 
     none, whole = np.zeros_like(share), np.ones_like(share)
     groups = (
@@ -160,7 +162,7 @@ def _between(before: _Profile, after: _Profile, middle: np.ndarray, parts: int, 
         take((share < max(reach, 0.5 / parts)) & before.valid & ~joined, (d, beyond), none),
         take((share > 1 - reach) & after.valid & ~joined, (ahead, e), whole),
     )
-    return Samples(*(np.concatenate(fields) for fields in zip(*groups, strict=True)))
+    return SurfaceSamples(*(np.concatenate(fields) for fields in zip(*groups, strict=True)))
 
 
 def _polar(way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

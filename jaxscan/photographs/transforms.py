@@ -13,8 +13,7 @@ from jaxtyping import Float, UInt8
 
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, Array, Fisheye, Pinhole, Scanner
-from jaxscan.photographs.photograph import packed, read_image
-from jaxscan.photographs.view import poses
+from jaxscan.photographs.photograph import packed, poses, read_image
 
 
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])

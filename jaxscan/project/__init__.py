@@ -1,12 +1,25 @@
 """Many captures as one project: the products of each, and which of them are there already."""
 
-from jaxscan.project.begin import board_notes, project_text
-from jaxscan.project.catalogue import Catalogue, Row, open_catalogue, row_from_json, row_to_json
-from jaxscan.project.claim import check_owner, claimed
-from jaxscan.project.compare import Comparison, LengthChange, compare_projects
-from jaxscan.project.config import Product, ProjectFile, load_project_file
-from jaxscan.project.digests import code_digest, digests_of
-from jaxscan.project.project import Project, ProjectCapture, load_project
-from jaxscan.project.states import State, Status, states_of
-from jaxscan.project.steps import Step, digest_of, parts_of, steps_of
-from jaxscan.project.work import Order, begun_row, do_step, failed_row, order_of
+from jaxscan.facades import TYPE_CHECKING, load_on_use
+
+
+if TYPE_CHECKING:
+    from jaxscan.project.begin import board_notes, project_text
+    from jaxscan.project.catalogue import Catalogue, Row, open_catalogue, row_from_json, row_to_json
+    from jaxscan.project.compare import Comparison, LengthChange, compare_projects
+    from jaxscan.project.config import Product, ProjectFile, load_project_file
+    from jaxscan.project.project import Project, ProjectCapture, check_owner, claimed, load_project
+    from jaxscan.project.steps import (
+        State,
+        Status,
+        Step,
+        code_digest,
+        digest_of,
+        digests_of,
+        parts_of,
+        states_of,
+        steps_of,
+    )
+    from jaxscan.project.work import Order, begun_row, do_step, failed_row, order_of
+else:
+    load_on_use(__name__)

@@ -15,8 +15,7 @@ from jaxscan.files.calibration import load_scanner
 from jaxscan.files.capture import HEADER_NAME, CaptureHeader, TurntableTable, open_capture, parse_header
 from jaxscan.files.disk import MEGABYTE, read_bounded
 from jaxscan.geometry import Scanner
-from jaxscan.project.claim import ABOUT
-from jaxscan.project.project import Project
+from jaxscan.project.project import ABOUT, Project
 
 
 DEEPEST = 4

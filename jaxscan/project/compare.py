@@ -12,11 +12,9 @@ import numpy as np
 from jaxscan.errors import ConfigError
 from jaxscan.files.disk import MEGABYTE, parse_json, read_bounded
 from jaxscan.project.catalogue import Row, open_catalogue
-from jaxscan.project.digests import digests_of
 from jaxscan.project.project import Project
-from jaxscan.project.states import states_of
-from jaxscan.project.steps import steps_of
-from jaxscan.project.work.products import MEASURES_FORMAT
+from jaxscan.project.steps import digests_of, states_of, steps_of
+from jaxscan.project.work import MEASURES_FORMAT
 
 
 MOVED_SIGMAS = 3.0
@@ -35,7 +33,7 @@ class LengthChange(NamedTuple):
     first_m: float
     second_m: float
     sigma_m: float
-    """Of the difference: 0 of one capture whose points are the same; else of both lengths together."""
+    """Standard deviation of the difference; 0 where both use the same points of one capture."""
     noise_m: float
     """Random part of the length's own standard deviation [m]."""
     same_capture: bool

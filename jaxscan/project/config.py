@@ -21,7 +21,7 @@ _Place = Annotated[str, pydantic.Strict(), pydantic.Field(max_length=1000, patte
 
 
 class SettingsTable(FileModel):
-    """How captures are reconstructed; what is not named is as `jaxscan reconstruct` has it."""
+    """Settings of the reconstruction; defaults are those of `jaxscan reconstruct`."""
 
     every: Annotated[Integer, pydantic.Field(ge=1, le=100_000)] = 1
     """Only every n-th record."""
@@ -52,7 +52,7 @@ class ProjectTable(FileModel):
     """Address of a database as SQLAlchemy knows them; "" for a file in the folder of the products."""
     products: _Products = ("cloud", "measures")
     formats: _Formats = ("ply",)
-    """Of clouds."""
+    """Formats of clouds."""
     split_records: Annotated[Integer, pydantic.Field(ge=32, le=1_000_000)] = 1000
     """The stripes of larger captures are found in pieces of so many records."""
 
@@ -87,9 +87,9 @@ class CapturesTable(FileModel):
     """A folder, or a pattern of folders, from the project's own; or on object storage ("s3://bucket/rooms/*")."""
     rig: Name
     products: _Products | None = None
-    """Of these captures; without, those of the project."""
+    """Products of these captures; by default those of the project."""
     formats: _Formats | None = None
-    """Of their clouds; without, those of the project."""
+    """Formats of their clouds; by default those of the project."""
     settings: SettingsTable = SettingsTable()
 
 

@@ -1,32 +1,183 @@
-"""A project with its captures found: whose calibration belongs to each."""
+"""The products that can be made of each capture: nobody wants the plan of a room from a table that carries a bust."""
 
+import contextlib
 import glob
+import json
 import os
 import re
+import shlex
 import unicodedata
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime
 from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 
-from jaxscan.errors import ConfigError
-from jaxscan.files.capture import HEADER_NAME, CaptureHeader
-from jaxscan.files.remote import find_captures, is_remote
+from jaxscan.errors import CaptureError, ConfigError, JaxscanError
+from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, CaptureHeader, open_capture, parse_header
+from jaxscan.files.disk import (
+    MEGABYTE,
+    FolderLock,
+    is_outside,
+    make_folder,
+    open_regular,
+    parse_json,
+    read_bounded,
+    reported,
+    write_atomically,
+)
+from jaxscan.files.remote import find_captures, is_remote, read_remote
 from jaxscan.project.config import (
+    CapturesTable,
     Format,
     GroupTable,
     Name,
     Product,
     ProjectFile,
+    ProjectTable,
     RigTable,
     SettingsTable,
     load_project_file,
 )
-from jaxscan.project.fitting import fitting_products, header_of
 
 
-MOST_CAPTURES = 100_000
+UNFIT: Mapping[str, tuple[Product, ...]] = {
+    "object": ("plan", "panorama"),
+    "linear": ("panorama",),
+    "nothing": ("mesh", "plan", "panorama"),
+}
+"""Products by what the table in the header carries. A stage may move along the walls of a room, so a plan is tried."""
+_OF_MANY: tuple[Product, ...] = ("mesh", "plan", "panorama")
+"""Products of neighbouring profiles, which a single record has not."""
+_WHY = {
+    "object": "a table that carries the object turns no camera in a room",
+    "linear": "a stage does not turn the camera",
+    "nothing": "profiles of a scanner that stands still have no neighbours",
+}
+_SINGLE = "only one record"
+_OTHER_LINES = 8
+"""Lines of a journal that may be no records: a seal, events, a record that was taken twice."""
+_MOST_NAMES = 3
+
+
+class Fitting(NamedTuple):
+    """The products of the captures of one table."""
+
+    products: Mapping[Name, tuple[Product, ...]]
+    """Products of each capture, by its name."""
+    notes: tuple[str, ...]
+    """A sentence for all captures of which the same is left out."""
+
+
+def fitting_products(
+    path: str | Path,
+    table: CapturesTable,
+    wanted: ProjectTable,
+    captures: Mapping[Name, str],
+    headers: Mapping[str, CaptureHeader],
+) -> Fitting:
+    """The products of captures, without those that cannot be made of them.
+
+    A header is read only if something may be left out, and never for this alone from storage.
+
+    Args:
+        wanted: What the whole project has.
+        captures: Addresses, by name.
+        headers: Those that were read before, by address.
+
+    Raises:
+        ConfigError: If the table itself asks for a product that can be made of none of its captures.
+    """
+    asked = wanted.products if table.products is None else table.products
+    if not set(asked) & set(_OF_MANY):
+        return Fitting(dict.fromkeys(captures, asked), ())
+    products: dict[Name, tuple[Product, ...]] = {}
+    left: dict[tuple[str, tuple[Product, ...]], list[Name]] = defaultdict(list)
+    for name, address in captures.items():
+        why, unfit = _unfit(address, table.settings.every, headers.get(address))
+        gone = tuple(kind for kind in asked if kind in unfit)
+        products[name] = tuple(kind for kind in asked if kind not in gone)
+        if gone:
+            left[why, gone].append(name)
+    never = tuple(kind for kind in asked if not any(kind in some for some in products.values()))
+    # A header's word on the rig stays as it is, but a sweep of one record may be one that goes on.
+    if table.products is not None and never and all(why in UNFIT for why, _ in left):
+        raise ConfigError(
+            f'{path}: captures "{table.pattern}": {_and(never)} cannot be made of {_some(tuple(captures))}: '
+            f"{_said(next(iter(left))[0])}. {_instead(asked, never)}"
+        )
+    notes = []
+    for (why, gone), names in left.items():
+        more = f" {_instead(asked, gone)}" if why in UNFIT and len(names) == len(captures) else ""
+        notes.append(f'captures "{table.pattern}": no {_and(gone, "or")} of {_some(names)}: {_said(why)}.{more}')
+    return Fitting(products, tuple(notes))
+
+
+def _unfit(address: str, every: int, header: CaptureHeader | None) -> tuple[str, tuple[Product, ...]]:
+    """The word that says why some products cannot be made of a capture, and those; none if it cannot be read."""
+    try:
+        if header is None and not is_remote(address):
+            header = header_of(address)
+        carries = None if header is None or header.turntable is None else header.turntable.carries
+        if carries in UNFIT:
+            return str(carries), UNFIT[str(carries)]
+        if not is_remote(address) and _is_single(address, every):
+            return _SINGLE, _OF_MANY
+    except JaxscanError:
+        # Said by the step that makes its cloud; other captures go on.
+        pass
+    return "", ()
+
+
+def header_of(address: str) -> CaptureHeader:
+    """The header of a capture on this disk or on storage.
+
+    Raises:
+        JaxscanError: If it cannot be read.
+    """
+    name = f"{address}/{HEADER_NAME}"
+    text = read_remote(name, MEGABYTE) if is_remote(address) else read_bounded(name, MEGABYTE, error=ConfigError)
+    return parse_header(text, name=name)
+
+
+def _is_single(folder: str, every: int) -> bool:
+    """Whether one record is taken of a capture. Only a journal that is short enough for that is read as one."""
+    if is_longer(Path(folder), every + _OTHER_LINES):
+        return False
+    return len(open_capture(folder, compare=False).every(every)) == 1
+
+
+def is_longer(folder: Path, records: int) -> bool:
+    """Whether a journal has more lines; counting them takes less time than reading them."""
+    lines = 0
+    with open_regular(folder / JOURNAL_NAME, error=CaptureError) as file:
+        while lines <= records and (block := file.read(MEGABYTE)):
+            lines += block.count(b"\n")
+    return lines > records
+
+
+def _said(why: str) -> str:
+    return f'{HEADER_NAME} says carries = "{why}", and {_WHY[why]}' if why in _WHY else why
+
+
+def _instead(asked: Iterable[Product], gone: Iterable[Product]) -> str:
+    """The line to write, so that no more is asked for than there can be."""
+    left = [f'"{kind}"' for kind in asked if kind not in gone] or ['"cloud"']
+    return f"Write products = [{', '.join(left)}] there."
+
+
+def _and(words: Sequence[str], last: str = "and") -> str:
+    return f" {last} ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+
+
+def _some(names: Sequence[str]) -> str:
+    more = [f"{len(names) - _MOST_NAMES} more"] if len(names) > _MOST_NAMES else []
+    return _and([*names[:_MOST_NAMES], *more])
+
+
+FORMAT = "jaxscan-products/1"
+ABOUT, LOCK = "project.json", ".batch.lock"
 
 
 @dataclass(frozen=True)
@@ -40,7 +191,7 @@ class ProjectCapture:
     rig: RigTable
     settings: SettingsTable
     products: tuple[Product, ...]
-    """Those that are wanted and can be made of it."""
+    """The wanted products that can be made of a capture."""
     formats: tuple[Format, ...]
     """Of its cloud."""
 
@@ -60,6 +211,88 @@ class Project:
     def output(self) -> Path:
         """The folder of the products."""
         return self.file.parent / self.wanted.project.output
+
+
+@contextlib.contextmanager
+def claimed(project: Project, named: Path | None = None) -> Iterator[None]:
+    """Make the folder of the products this project's, and keep other batches out until the end of `with`.
+
+    Args:
+        project: The project, whose file may come from a stranger.
+        named: The folder of the products as the user names it: where it lies outside of the project's, the first batch
+            needs the user's own word.
+
+    Raises:
+        ConfigError: If it belongs to another project, is not the one that was named, lies outside and was not named,
+            another batch is at work, or it cannot be written.
+    """
+    output = project.output
+    _check_outside(project, named)
+    with reported(f"{output}: cannot be written", error=ConfigError):
+        make_folder(output)
+    busy, remedy = "another batch is writing here ({})", "wait for it, or end it"
+    with FolderLock(output / LOCK, error=ConfigError, busy=busy, remedy=remedy):
+        _take_over(project)
+        yield
+
+
+def _is_another(other: str, own: str) -> bool:
+    """Whether a file is there and is not this one, by another path."""
+    try:
+        return not os.path.samefile(other, own)
+    except (OSError, ValueError):
+        return False
+
+
+def _check_outside(project: Project, named: Path | None) -> None:
+    """Check that a folder outside of the project's is named by the user, or is known to be this project's.
+
+    All links are followed: a link in place of the folder leads outside too.
+    """
+    output, home = project.output, project.file.parent
+    if named is not None:
+        if os.path.realpath(named) != os.path.realpath(output):
+            raise ConfigError(f"{named}: is not the folder of the products, which {project.file} says is {output}.")
+    elif is_outside(output, home) and _owner(project) != str(project.file):
+        raise ConfigError(
+            f"{project.file}: output: {output} is outside of {home}, where a project writes only what you allow: "
+            f"call it once with {shlex.join(['--output', os.path.realpath(output)])}."
+        )
+
+
+def check_owner(project: Project) -> None:
+    """Check that the folder of the products is not another project's.
+
+    A project whose folder was moved is still the same; two files that are there are two projects.
+
+    Raises:
+        ConfigError: If it belongs to another one.
+    """
+    other = _owner(project)
+    if other is not None and other != str(project.file) and _is_another(other, str(project.file)):
+        raise ConfigError(f"{project.output}: holds the products of another project, {other}; choose another `output`.")
+
+
+def _take_over(project: Project) -> None:
+    check_owner(project)
+    own = str(project.file)
+    if _owner(project) != own:
+        about = {"format": FORMAT, "project": project.wanted.project.name, "file": own}
+        text = json.dumps(about, indent=2) + "\n"
+        write_atomically(project.output / ABOUT, text.encode(), error=ConfigError, links="replace")
+
+
+def _owner(project: Project) -> str | None:
+    path = project.output / ABOUT
+    if not os.path.lexists(path):
+        return None
+    content = read_bounded(path, MEGABYTE, error=ConfigError, links="refuse")
+    about = parse_json(content, name=str(path), error=ConfigError)
+    other = about.get("file") if isinstance(about, dict) else None
+    return other if isinstance(other, str) else None
+
+
+MOST_CAPTURES = 100_000
 
 
 def load_project(path: str | Path) -> Project:

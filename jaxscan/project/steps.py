@@ -1,32 +1,54 @@
-"""The graph of what a project makes: names, what needs what, and by which digests a step is the same as before."""
+"""Digests of what a project reads: captures, calibration files, and the code."""
 
+import functools
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-from jaxscan.api.ranges import ranges_of
+from jaxscan.api.sweeps import ranges_of
 from jaxscan.errors import CaptureError, ConfigError
-from jaxscan.files.capture import open_capture
-from jaxscan.files.remote import is_remote
+from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, open_capture
+from jaxscan.files.disk import MEGABYTE, file_digest, read_bounded
+from jaxscan.files.remote import is_remote, remote_digest
+from jaxscan.project.catalogue import Row
 from jaxscan.project.config import GroupTable, RigTable
-from jaxscan.project.fitting import is_longer
-from jaxscan.project.project import Project, ProjectCapture
+from jaxscan.project.project import Project, ProjectCapture, is_longer
 
 
-FORMAT = "jaxscan-step/1"
-_FILES = {
-    "measures": ("measures/{}.json",),
-    "mesh": ("meshes/{}.glb",),
-    "plan": ("plans/{}.dxf", "plans/{}.svg"),
-    "panorama": ("panoramas/{}.jpg", "panoramas/{}.depth.png", "panoramas/{}.normals.png"),
-    "report": ("reports/{}.html",),
+_CAPTURE = ("geometry", "stripes", "vision", "files/capture", "files/calibration", "api")
+_SWEEP = (*_CAPTURE, "reconstruction")
+_CLOUD = (*_SWEEP, "photographs", "files/clouds")
+_CALIBRATION = (*_CAPTURE, "observation", "calibration")
+_MEASURES = ("geometry", "measurement", "files/calibration", "files/clouds", "api")
+_OF_MERGED = ("geometry", "reconstruction", "files/clouds", "api")
+_PLAN = (*_MEASURES, "reconstruction", "drawing", "files/drawings")
+_REGISTER = (*_CALIBRATION, "reconstruction", "recalibration", "measurement", "files/known_room")
+CODE_OF: Mapping[str, tuple[str, ...]] = {
+    "calibration": _CALIBRATION,
+    "stripes": _SWEEP,
+    "cloud": _CLOUD,
+    "measures": _MEASURES,
+    "mesh": (*_MEASURES, "reconstruction", "surface", "files/meshes"),
+    "plan": _PLAN,
+    "panorama": _CLOUD,
+    "report": (*_MEASURES, "reconstruction", "calibration", "drawing", "vision", "report"),
+    "recalibration": _REGISTER,
+    "register": _REGISTER,
+    "station": _CLOUD,
+    "merged e57": _OF_MERGED,
+    "merged tiles": _OF_MERGED,
+    "merged plan": _PLAN,
 }
-"""Of each product that is made of a cloud."""
-_OF_CAPTURE = ("panorama",)
-"""Products that read the capture too."""
-_MERGED = {"e57": "groups/{}.e57", "tiles": "groups/{}.tiles.json", "plan": "groups/{}.dxf"}
+"""Rooms, folders or files, whose code decides a product, beside the one that makes them all: a change elsewhere, of the
+viewer say, leaves it as good as it was. Rooms that decide an input already are not named again."""
+_AT_A_TIME = 16
+"""Sources that are read at the same time: mostly they wait for disks and networks."""
+MOST_JOURNAL = 1 << 30
 
 
 class Step(NamedTuple):
@@ -44,6 +66,154 @@ class Step(NamedTuple):
     outputs: tuple[str, ...]
     """The files it writes, in the folder of the products."""
     settings: Mapping[str, Any]
+
+
+def digests_of(steps: Iterable[Step]) -> tuple[dict[str, str], dict[str, dict[str, str]]]:
+    """The digest of every step, and its parts.
+
+    Args:
+        steps: Each after those that it needs.
+
+    Returns:
+        digests: By key.
+        parts: By key, as `parts_of` gives them.
+
+    A capture that cannot be read has the digest of the reason: its steps fail when they are done, and no others.
+
+    Raises:
+        JaxscanError: If a file that many steps read is not there.
+    """
+    steps = tuple(steps)
+    roles = {address: role for step in steps for role, address in step.sources.items()}
+    with ThreadPoolExecutor(_AT_A_TIME) as pool:
+        found = dict(zip(roles, pool.map(_source, roles, roles.values()), strict=True))
+    digests: dict[str, str] = {}
+    parts: dict[str, dict[str, str]] = {}
+    for step in steps:
+        parts[step.key] = parts_of(step, found | {key: digests[key] for key in step.inputs}, code_digest(step.kind))
+        digests[step.key] = digest_of(step, parts[step.key])
+    return digests, parts
+
+
+@functools.cache
+def code_digest(kind: str) -> str:
+    """Digest of the code that makes products of a kind."""
+    root = Path(str(resources.files("jaxscan")))
+    digest = hashlib.sha256()
+    rooms = (*CODE_OF[kind], "project/work")
+    # A room is a folder, or one file.
+    files = {file for room in rooms for file in (*(root / room).rglob("*.py"), *root.glob(f"{room}.py"))}
+    for file in sorted(files):
+        digest.update(str(file.relative_to(root)).encode() + b"\0" + read_bounded(file, MEGABYTE, error=ConfigError))
+    return "sha256:" + digest.hexdigest()
+
+
+def _source(address: str, role: str) -> str:
+    capture = role.startswith(("capture", "boards"))
+    try:
+        if is_remote(address):
+            return remote_digest(address)
+        return _capture_digest(address) if capture else file_digest(address, error=ConfigError)
+    except CaptureError as problem:
+        if not capture:
+            raise
+        return "sha256:" + hashlib.sha256(f"cannot be read: {problem}".encode(errors="backslashreplace")).hexdigest()
+
+
+def _capture_digest(folder: str) -> str:
+    """A capture by its header and journal, which names the sha256 of every image."""
+    digest = hashlib.sha256()
+    for name in (HEADER_NAME, JOURNAL_NAME):
+        digest.update(file_digest(Path(folder, name), limit=MOST_JOURNAL, error=CaptureError).encode())
+    return "sha256:" + digest.hexdigest()
+
+
+State = Literal["done", "stale", "failed", "missing"]
+
+
+class Status(NamedTuple):
+    """The state of one step."""
+
+    step: Step
+    digest: str
+    """Of the step as it would be done now."""
+    parts: Mapping[str, str]
+    state: State
+    why: str
+    """The reason in a few words; the notes of a step that is done."""
+
+
+def states_of(
+    steps: Sequence[Step],
+    digests: Mapping[str, str],
+    parts: Mapping[str, Mapping[str, str]],
+    rows: Sequence[Row],
+    output: Path,
+) -> list[Status]:
+    """The state of every step, in their order.
+
+    Args:
+        steps: Each after those that it needs.
+        digests: Of each, by key, as it would be done now.
+        parts: What each depends on, by key.
+        rows: Of the catalogue, the oldest first.
+        output: The folder of the products; each is asked whether it is there, and for its size.
+    """
+    now = {(row.key, row.digest): row for row in rows}
+    last = {row.key: row for row in rows if row.state != "failed"}
+    made = {row.key for row in rows if row.state == "done"}
+    found = []
+    for step in steps:
+        row = now.get((step.key, digests[step.key]))
+        state, why = _state(parts[step.key], row, last.get(step.key), output)
+        if state == "stale" and step.key not in made:
+            state = "missing"
+        found.append(Status(step, digests[step.key], parts[step.key], state, why))
+    return found
+
+
+def _state(parts: Mapping[str, str], row: Row | None, last: Row | None, output: Path) -> tuple[State, str]:
+    """Args: the row of this digest, and the last one of any digest that wrote files or may have."""
+    if row is not None and row.state == "failed":
+        return "failed", row.message
+    if last is None:
+        return "missing", ""
+    if last.state == "begun":
+        return "stale", "was begun, and did not come to its end"
+    # Another digest, made later, wrote the same files.
+    if row is None or last.digest != row.digest:
+        return "stale", _changed(parts, last)
+    wrong = next((words for one in row.outputs if (words := _wrong(output / one.path, one.size))), "")
+    return ("stale", wrong) if wrong else ("done", row.message)
+
+
+def _wrong(path: Path, size: int) -> str:
+    try:
+        return "" if os.stat(path).st_size == size else f"{path.name} was changed"
+    except OSError:
+        return f"{path.name} is gone"
+
+
+def _changed(parts: Mapping[str, str], last: Row) -> str:
+    """The parts that differ from those when it was done last, in words."""
+    names = [name for name in parts if parts[name] != last.parts.get(name)]
+    names += [name for name in last.parts if name not in parts]
+    words = [f"the code, which was version {last.version}" if name == "code" else name for name in names]
+    return f"changed: {', '.join(words)}" if words else "was made anew with other inputs"
+
+
+FORMAT = "jaxscan-step/1"
+_FILES = {
+    "measures": ("measures/{}.json",),
+    "mesh": ("meshes/{}.glb",),
+    "plan": ("plans/{}.dxf", "plans/{}.svg"),
+    "panorama": ("panoramas/{}.jpg", "panoramas/{}.depth.png", "panoramas/{}.normals.png"),
+    "report": ("reports/{}.html",),
+}
+"""Of each product that is made of a cloud."""
+_OF_CAPTURE = ("panorama",)
+"""Products that read the capture too."""
+_MERGED = {"e57": "groups/{}.e57", "tiles": "groups/{}.tiles.json", "plan": "groups/{}.dxf"}
 
 
 def steps_of(project: Project) -> tuple[Step, ...]:
@@ -82,7 +252,6 @@ def parts_of(step: Step, digests: Mapping[str, str], code: str) -> dict[str, str
     """The inputs of a product, each by a digest: two products with the same parts are the same.
 
     Args:
-        step: The step.
         digests: Of its inputs, by key, and of its sources, by address.
         code: Digest of the code that does it.
 

@@ -1,29 +1,39 @@
 """Ordinary sweeps to a better scanner: the room as calibration target."""
 
-from jaxscan.recalibration.given import Given, KnownSphere, MeasuredLength, Place, RecalibrationSettings
-from jaxscan.recalibration.observed import (
-    KnownLength,
-    RoomObservations,
-    SurfacePoints,
-    Surfaces,
-    SweepStripes,
-    Tracks,
-)
-from jaxscan.recalibration.recalibrate import recalibrate
-from jaxscan.recalibration.renew import earlier_captures, refuse_used, renew_calibration, require_prior
-from jaxscan.recalibration.result import (
-    Adjusted,
-    Closure,
-    Drift,
-    FoundLength,
-    Gain,
-    HoldOut,
-    LengthGain,
-    Moved,
-    PanoramaOfWalls,
-    Recalibration,
-    Start,
-    TableFindings,
-)
-from jaxscan.recalibration.table import points_of_records
-from jaxscan.recalibration.tracks import FeatureEyes, observe_features
+from jaxscan.facades import TYPE_CHECKING, load_on_use
+
+
+if TYPE_CHECKING:
+    from jaxscan.recalibration.observed import (
+        Given,
+        KnownLength,
+        KnownSphere,
+        MeasuredLength,
+        Place,
+        RecalibrationSettings,
+        RoomObservations,
+        SurfacePoints,
+        Surfaces,
+        SweepStripes,
+        Tracks,
+    )
+    from jaxscan.recalibration.recalibrate import recalibrate
+    from jaxscan.recalibration.renew import earlier_captures, refuse_used, renew_calibration, require_prior
+    from jaxscan.recalibration.result import (
+        Adjusted,
+        Closure,
+        Drift,
+        FoundLength,
+        Gain,
+        HoldOut,
+        LengthGain,
+        Moved,
+        PanoramaOfWalls,
+        Recalibration,
+        Start,
+        TableFindings,
+    )
+    from jaxscan.recalibration.table import points_of_records
+    from jaxscan.recalibration.tracks import FeatureEyes, observe_features
+else:
+    load_on_use(__name__)

@@ -1,18 +1,25 @@
 """Known lengths by the places of their ends, as lengths between surfaces or targets."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxscan.errors import GivenError
-from jaxscan.geometry import Scanner
-from jaxscan.recalibration.adjust import triangulate_points
-from jaxscan.recalibration.given import MeasuredLength, Place
-from jaxscan.recalibration.observed import KnownLength, RoomObservations, Surfaces, SweepStripes, Tracks
+from jaxscan.geometry import Scanner, root_of
+from jaxscan.measurement.planes import facing, weighted_plane
+from jaxscan.recalibration.observed import (
+    KnownLength,
+    MeasuredLength,
+    Place,
+    RoomObservations,
+    Surfaces,
+    SweepStripes,
+    Tracks,
+)
 from jaxscan.recalibration.result import FoundLength, Start
 from jaxscan.recalibration.tracks import named_points
+from jaxscan.recalibration.triangulate import place_points, triangulate_points
 
 
 # An end that is farther than this from every surface was not meant.
@@ -21,14 +28,6 @@ _NEAR_M = 0.3
 _ON_M = 0.05
 # Walls between which there is one length: opposite ones, or steps of one wall.
 _PARALLEL = np.cos(np.radians(5.0))
-
-
-class _Near(NamedTuple):
-    """Surfaces, and points on them in the frame of the room."""
-
-    surfaces: Surfaces
-    room: np.ndarray
-    surface: np.ndarray
 
 
 def place_lengths(
@@ -47,12 +46,8 @@ def place_lengths(
     """
     if not lengths:
         return ()
-    points = observations.points
-    corrections = start.corrections or tuple(np.zeros(len(angle)) for angle in observations.angles)
-    begin = np.cumsum([0, *(len(angle) for angle in observations.angles)])[points.sweep]
-    angle = (np.concatenate(observations.angles) + np.concatenate(corrections))[begin + points.record]
-    poses = np.asarray(start.stations)[np.asarray(observations.station)[points.sweep]]
-    room, valid = triangulate_points(start.scanner, points.q, points.laser, angle, poses)
+    room, valid = place_points(start.scanner, observations, start.corrections, stations=start.stations)
+    near = room[valid], observations.points.surface[valid]
     found = []
     for number, length in enumerate(lengths):
         name = length.name or f"known length {number + 1}"
@@ -62,8 +57,7 @@ def place_lengths(
         if kinds[0]:
             ends = [_target(name, place, observations.tracks) for place in (length.first, length.second)]
         else:
-            near = _Near(observations.surfaces, room[valid], points.surface[valid])
-            ends = [_surface(name, place, near) for place in (length.first, length.second)]
+            ends = [_surface(name, place, observations.surfaces, *near) for place in (length.first, length.second)]
             _check_parallel(name, observations.surfaces, ends)
         if ends[0] == ends[1]:
             raise GivenError(f"{name}: both ends are on one surface or target; expected two.")
@@ -82,12 +76,13 @@ def _target(name: str, place: Place, tracks: Tracks | None) -> int:
     return known.index(str(place))
 
 
-def _surface(name: str, place: Place, near: _Near) -> int:
+def _surface(name: str, place: Place, surfaces: Surfaces, room: np.ndarray, surface: np.ndarray) -> int:
+    """The number of the surface at a place, by points of the room [n, 3] and the surface of each [n]."""
     point = np.asarray(place, np.float64)
-    for number, kind in enumerate(near.surfaces.kind):
-        if kind == "sphere" and np.linalg.norm(near.surfaces.centre[number] - point) < near.surfaces.distance[number]:
+    for number, kind in enumerate(surfaces.kind):
+        if kind == "sphere" and np.linalg.norm(surfaces.centre[number] - point) < surfaces.distance[number]:
             return number
-    away = np.linalg.norm(near.room - point, axis=1)
+    away = np.linalg.norm(room - point, axis=1)
     nearest = int(np.argmin(away)) if len(away) else -1
     if nearest < 0 or away[nearest] > _NEAR_M:
         where = ", ".join(f"{x:.2f}" for x in point)
@@ -96,9 +91,9 @@ def _surface(name: str, place: Place, near: _Near) -> int:
             f"{name}: no surface within {_NEAR_M:g} m of ({where}) m{far}; "
             "give a point on the wall as measured in the cloud."
         )
-    number = int(near.surface[nearest])
-    normal, distance = near.surfaces.normal[number], float(near.surfaces.distance[number])
-    if near.surfaces.kind[number] == "plane" and (off := abs(float(normal @ point) - distance)) > _ON_M:
+    number = int(surface[nearest])
+    off = abs(float(surfaces.normal[number] @ point) - float(surfaces.distance[number]))
+    if surfaces.kind[number] == "plane" and off > _ON_M:
         raise GivenError(
             f"{name}: found an end {100 * off:.0f} cm off the plane of the nearest flat surface, expected at most "
             f"{100 * _ON_M:.0f} cm; give a point on a wall as measured in the cloud."
@@ -163,12 +158,6 @@ _MISSED_SIGMAS = 10.0
 _POINTS = 200
 
 
-class _Found(NamedTuple):
-    metres: float
-    sigma_m: float
-    """By noise and by walls that are not flat, without the calibration."""
-
-
 def check_lengths(
     observations: RoomObservations, sweeps: Sequence[SweepStripes], stored: Scanner, loose: Scanner
 ) -> list[str]:
@@ -194,12 +183,13 @@ def check_lengths(
         found = _length(known, observations, sweeps, stored)
         if found is None:
             continue
+        metres, noise = found
         own, knocked = (_sigma_of_calibration(known, observations, sweeps, one) for one in (stored, loose))
-        measured = np.hypot(known.sigma_m, found.sigma_m)
+        measured = np.hypot(known.sigma_m, noise)
         limit = _SIGMAS * float(np.hypot(measured, own))
         farthest = max(limit, _LOOSE_SIGMAS * float(np.hypot(measured, knocked)))
-        said = f"known length {number + 1}: found {found.metres:.4f} m by the stored calibration, expected "
-        off = abs(found.metres - known.metres)
+        said = f"known length {number + 1}: found {metres:.4f} m by the stored calibration, expected "
+        off = abs(metres - known.metres)
         if off > farthest:
             raise GivenError(
                 f"{said}{known.metres:.4f} m within {1e3 * farthest:.2g} mm; check its number and its ends; if the "
@@ -227,11 +217,12 @@ def check_adjusted(observations: RoomObservations, sweeps: Sequence[SweepStripes
         found = _length(known, observations, sweeps, scanner)
         if found is None:
             continue
+        metres, noise = found
         own = _sigma_of_calibration(known, observations, sweeps, scanner)
-        limit = _MISSED_SIGMAS * float(np.linalg.norm([known.sigma_m, found.sigma_m, own]))
-        if abs(found.metres - known.metres) > limit:
+        limit = _MISSED_SIGMAS * float(np.linalg.norm([known.sigma_m, noise, own]))
+        if abs(metres - known.metres) > limit:
             raise GivenError(
-                f"known length {number + 1}: found {found.metres:.4f} m by these sweeps, expected "
+                f"known length {number + 1}: found {metres:.4f} m by these sweeps, expected "
                 f"{known.metres:.4f} m within {1e3 * limit:.2g} mm; it contradicts them or the other lengths: "
                 "measure it again in metres, or leave it out."
             )
@@ -251,80 +242,77 @@ def found_lengths(
         Without those whose ends no single sweep sees.
     """
     both = [(known, _length(known, observations, sweeps, scanner)) for known in observations.lengths]
-    return tuple(FoundLength(known.metres, known.sigma_m, found.metres) for known, found in both if found is not None)
+    return tuple(FoundLength(known.metres, known.sigma_m, found[0]) for known, found in both if found is not None)
 
 
 def _sigma_of_calibration(
     known: KnownLength, observations: RoomObservations, sweeps: Sequence[SweepStripes], stored: Scanner
 ) -> float:
     """Standard deviation of the length that the stored calibration causes [m]."""
-    values, vectors = np.linalg.eigh(np.asarray(stored.covariance, np.float64))
     # Both ways, so that a bend of the length over a sigma does not count.
     changes = []
-    for step in (vectors * np.sqrt(np.maximum(values, 0.0))).T:
+    for step in root_of(np.asarray(stored.covariance, np.float64)):
         if np.any(step):
             ends = [_length(known, observations, sweeps, stored.retract(way * step)) for way in (1.0, -1.0)]
-            changes.append((ends[0].metres - ends[1].metres) / 2 if ends[0] and ends[1] else 0.0)
+            changes.append((ends[0][0] - ends[1][0]) / 2 if ends[0] and ends[1] else 0.0)
     return float(np.linalg.norm(changes))
 
 
 def _length(
     known: KnownLength, observations: RoomObservations, sweeps: Sequence[SweepStripes], scanner: Scanner
-) -> _Found | None:
-    """A length within the sweep that sees both of its ends best."""
+) -> tuple[float, float] | None:
+    """A length within the sweep that sees both of its ends best, and its sigma by noise and by walls that are not
+    flat, without the calibration [m]."""
     if known.between == "tracks":
         return _between_targets(known, observations, sweeps, scanner)
     points, ends = observations.points, (known.first, known.second)
     seen = [np.bincount(points.sweep[points.surface == end], minlength=len(sweeps)) for end in ends]
     sweep = int(np.argmax(np.minimum(*seen)))
-    if min(count[sweep] for count in seen) < 3:
-        return None
     clouds = []
     for end in ends:
         mine = np.flatnonzero((points.surface == end) & (points.sweep == sweep))
-        some = points.take(mine[:: -(-len(mine) // _POINTS)])
+        some = points.take(mine[:: max(1, -(-len(mine) // _POINTS))])
         where, valid = triangulate_points(scanner, some.q, some.laser, sweeps[sweep].angle[some.record])
         clouds.append(where[valid])
     if min(len(cloud) for cloud in clouds) < 3:
         return None
     if observations.surfaces.kind[known.first] == "plane":
         return _between_planes(*clouds)
-    radius = [float(observations.surfaces.distance[end]) for end in ends]
-    return _Found(float(np.linalg.norm(_middle(clouds[0], radius[0]) - _middle(clouds[1], radius[1]))), 0.0)
+    middles = [
+        _middle(cloud, float(observations.surfaces.distance[end])) for cloud, end in zip(clouds, ends, strict=True)
+    ]
+    return float(np.linalg.norm(middles[0] - middles[1])), 0.0
 
 
-def _between_planes(first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "m 3"]) -> _Found:
+def _between_planes(first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "m 3"]) -> tuple[float, float]:
     """Along the mean normal, midway between the centres, as the adjustment has it."""
-    centres = [cloud.mean(0) for cloud in (first, second)]
-    a, b = (
-        np.linalg.svd(cloud - centre, full_matrices=False)[2][2]
-        for cloud, centre in zip((first, second), centres, strict=True)
-    )
-    b = b if a @ b > 0 else -b
-    mean, middle = (a + b) / np.linalg.norm(a + b), (centres[0] + centres[1]) / 2
-    along = [normal @ (centre - middle) / (normal @ mean) for normal, centre in zip((a, b), centres, strict=True)]
+    one, other = (weighted_plane(cloud, np.ones(len(cloud))) for cloud in (first, second))
+    other = facing(other, one.normal)
+    mean, middle = one.normal + other.normal, (one.centre + other.centre) / 2
+    mean = mean / np.linalg.norm(mean)
+    along = [plane.normal @ (plane.centre - middle) / (plane.normal @ mean) for plane in (one, other)]
     # Walls that are rough or bent by so much have their mean planes no better known than that.
     flat = [
-        np.mean(((cloud - centre) @ normal) ** 2)
-        for cloud, centre, normal in zip((first, second), centres, (a, b), strict=True)
+        np.mean(((cloud - plane.centre) @ plane.normal) ** 2)
+        for cloud, plane in zip((first, second), (one, other), strict=True)
     ]
-    return _Found(float(abs(along[0] - along[1])), float(np.sqrt(sum(flat))))
+    return float(abs(along[0] - along[1])), float(np.sqrt(sum(flat)))
 
 
 def _middle(cloud: Float[np.ndarray, "n 3"], radius: float) -> Float[np.ndarray, "3"]:
     """Middle of a sphere of which the near side is seen."""
+    # Imported here, so that nobody who does not recalibrate loads SciPy.
+    from scipy.optimize import least_squares  # type: ignore[import-untyped]
+
     near = cloud.mean(0)
-    middle = near + 0.6 * radius * near / np.linalg.norm(near)
-    for _ in range(8):
-        away = cloud - middle
-        distance = np.linalg.norm(away, axis=1)
-        middle = middle + np.linalg.lstsq(away / distance[:, None], distance - radius, rcond=None)[0]
+    start = near + 0.6 * radius * near / np.linalg.norm(near)
+    middle: np.ndarray = least_squares(lambda x: np.linalg.norm(cloud - x, axis=1) - radius, start, xtol=1e-12).x
     return middle
 
 
 def _between_targets(
     known: KnownLength, observations: RoomObservations, sweeps: Sequence[SweepStripes], scanner: Scanner
-) -> _Found | None:
+) -> tuple[float, float] | None:
     tracks = observations.tracks
     if tracks is None:
         return None
@@ -338,5 +326,5 @@ def _between_targets(
             between = ends[0][0] - ends[1][0]
             metres = float(np.linalg.norm(between))
             way = between / metres
-            return _Found(metres, float(np.sqrt(way @ (ends[0][1] + ends[1][1]) @ way)))
+            return metres, float(np.sqrt(way @ (ends[0][1] + ends[1][1]) @ way))
     return None

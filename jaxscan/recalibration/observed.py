@@ -1,13 +1,47 @@
-"""Observations of the scanner in ordinary sweeps: stripe points on surfaces, tracked features, known lengths."""
+"""All that goes into a recalibration: settings, stripes of sweeps, what is known of the room, observations of it."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.geometry import StripeAxis
+from jaxscan.geometry import StripeAxis, stripe_pixel
 from jaxscan.observation import Observations
+from jaxscan.reconstruction import ReconstructSettings
+
+
+@dataclass(frozen=True)
+class RecalibrationSettings:
+    """How sweeps refine a stored calibration."""
+
+    stations: bool = False
+    """Whether every sweep was taken from a place of its own."""
+    stripes: ReconstructSettings = field(default_factory=ReconstructSettings)
+    """How stripes are found in captures."""
+    wall_m: float | None = None
+    """Roughness of walls, a standard deviation [m]; None: learned from the residuals."""
+    closed: bool | None = None
+    """Whether the table's full turn is exactly one turn (a gear without slip); None: no assumption."""
+    angles: Literal["model", "steps"] = "model"
+    """Errors of the table's angles: `model`, its gain and errors once and twice per turn; `steps`, one angle per
+    step as well, smooth but for lost steps."""
+    angle_sigma: float | None = None
+    """Standard deviation of where the table stops about the angle of its record [rad]; None: learned from walls and
+    features; 0: it stops at the angle."""
+    features: bool | None = None
+    """Whether features of the laser-off images are tracked from step to step; None: where they have texture."""
+    marker_dictionary: str | None = None
+    """OpenCV's dictionary of printed markers in the room, such as "DICT_4X4_50"; None: any usual one."""
+    p_drift: float = 1e-3
+    """Chance below which the rig has drifted [1]."""
+    least_gain: float = 1.05
+    """Least gain of any direction for which a calibration is updated: old over new standard deviation [1]."""
+    points: int = 40_000
+    """Points on surfaces that are used at most."""
+    max_steps: int = 40
+    """Steps of one least-squares solve."""
 
 
 class SweepStripes(NamedTuple):
@@ -31,6 +65,14 @@ class SweepStripes(NamedTuple):
     stripe_axis: StripeAxis
     station: int = 0
     """The place in the room that it was taken from."""
+
+    def pixels(self, profile: Int[np.ndarray, " n"], line: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
+        """The pixels (u, v) of stripes [px]."""
+        return np.asarray(stripe_pixel(self.centre[profile, line].astype(np.float64), line * 1.0, self.stripe_axis))
+
+    def turned(self, correction: Float[np.ndarray, " records"]) -> "SweepStripes":
+        """The sweep with a correction added to the angles of its records [rad]."""
+        return self._replace(angle=self.angle + correction)
 
 
 SurfaceKind = Literal["plane", "sphere"]
@@ -89,6 +131,45 @@ class Tracks(NamedTuple):
     """A name for each point that is a target ("marker 7, corner 2"); empty for a feature that was tracked."""
 
 
+Place = str | Float[np.ndarray, "3"]
+"""The name of a target among the tracks, or a point on a plane or near the middle of a sphere, in the frame of the
+room as the stored calibration has it [m]."""
+
+
+class MeasuredLength(NamedTuple):
+    """A length that somebody measured, by the places of its ends."""
+
+    metres: float
+    sigma_m: float
+    first: Place
+    second: Place
+    name: str = ""
+    """For messages."""
+
+
+class KnownSphere(NamedTuple):
+    """A sphere that stands in the room."""
+
+    near: Float[np.ndarray, "3"]
+    """Its middle, roughly, in the frame of the room [m]."""
+    diameter_m: float
+    sweep: int | None = None
+    """The sweep that sees it; None: all of them are searched."""
+
+
+@dataclass(frozen=True)
+class Given:
+    """All that is known of the room beside its sweeps; everything may be absent."""
+
+    stations: Float[np.ndarray, "stations 4 4"] | None = None
+    """First poses T_room_scanner, the identity first; None: they are found from planes and targets."""
+    tracks: Tracks | None = None
+    lengths: tuple[MeasuredLength, ...] = ()
+    spheres: tuple[KnownSphere, ...] = ()
+    boards: Observations | None = None
+    """Boards captured with the rig as it is now."""
+
+
 class KnownLength(NamedTuple):
     """A length that somebody measured: between two planes, two spheres or two tracked targets."""
 
@@ -115,6 +196,15 @@ class RoomObservations(NamedTuple):
     lengths: tuple[KnownLength, ...] = ()
     boards: Observations | None = None
     """Corners and stripes of boards that were captured with the rig as it is now."""
+
+    def turned(self, corrections: Sequence[np.ndarray]) -> tuple[Float[np.ndarray, " records"], ...]:
+        """The angles of every sweep with corrections [rad]; without any, as they are."""
+        return tuple(map(np.add, self.angles, corrections)) if len(corrections) else self.angles
+
+    def angles_of(self, points: SurfacePoints, corrections: Sequence[np.ndarray] = ()) -> Float[np.ndarray, " points"]:
+        """The table's angle of each point, with the corrections of every sweep [rad]."""
+        ends = np.cumsum([0, *(len(angle) for angle in self.angles)])
+        return np.concatenate(self.turned(corrections))[ends[points.sweep] + points.record]
 
     def only(self, numbers: Sequence[int]) -> "RoomObservations":
         """Those of some surfaces, which are numbered anew; known lengths need both their ends."""

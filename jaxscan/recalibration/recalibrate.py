@@ -7,16 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration import Calibration
-from jaxscan.calibration.verdict import predict_lengths
+from jaxscan.calibration import Calibration, predict_lengths
 from jaxscan.errors import CalibrationError, GivenError
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration import judge
 from jaxscan.recalibration.adjust import adjust
-from jaxscan.recalibration.given import Given, RecalibrationSettings
 from jaxscan.recalibration.lengths import check_adjusted, check_lengths, found_lengths, lost_lengths
 from jaxscan.recalibration.observe import observe_room
-from jaxscan.recalibration.observed import RoomObservations, SweepStripes
+from jaxscan.recalibration.observed import Given, RecalibrationSettings, RoomObservations, SweepStripes
 from jaxscan.recalibration.renew import require_prior
 from jaxscan.recalibration.result import Adjusted, PanoramaOfWalls, Recalibration, Start, TableFindings
 from jaxscan.recalibration.segment import find_patches, flat
@@ -202,7 +200,7 @@ def _counter(progress: Progress | None) -> Callable[[], None]:
 def _corrected(job: _Job, corrections: Sequence[np.ndarray] = ()) -> list[SweepStripes]:
     """The sweeps with the table's angles put right, by its known faults where no corrections are given."""
     both = zip(job.sweeps, corrections or job.corrections, strict=True)
-    return [sweep._replace(angle=sweep.angle + correction) for sweep, correction in both]
+    return [sweep.turned(correction) for sweep, correction in both]
 
 
 def _first_stations(job: _Job) -> Float[np.ndarray, "stations 4 4"]:
@@ -221,7 +219,7 @@ def _panoramas(job: _Job, adjusted: Adjusted) -> tuple[tuple[PanoramaOfWalls, ..
     for number, sweep in enumerate(job.sweeps):
         corrections = adjusted.corrections[number]
         try:
-            labels = find_patches(sweep, adjusted.scanner, corrections).labels
+            labels = find_patches(sweep.turned(corrections), adjusted.scanner).labels
         except CalibrationError as problem:
             missed.append(f"no panorama of {sweep.name}: {problem}")
             continue

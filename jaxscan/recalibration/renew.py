@@ -6,8 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from jaxscan.calibration import Calibration, CalibrationSettings, Quality, Verdict
-from jaxscan.calibration.verdict import Lengths, measure_good_to, predict_lengths, refusal
+from jaxscan.calibration import (
+    Calibration,
+    CalibrationSettings,
+    Lengths,
+    Quality,
+    Verdict,
+    measure_good_to,
+    predict_lengths,
+    refusal,
+)
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Scanner, Turntable, root_of
 from jaxscan.recalibration.result import Recalibration

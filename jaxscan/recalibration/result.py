@@ -8,8 +8,7 @@ from jaxtyping import Bool, Float
 
 from jaxscan.calibration import Calibration, Fit
 from jaxscan.geometry import Scanner
-from jaxscan.recalibration.given import RecalibrationSettings
-from jaxscan.recalibration.observed import RoomObservations, Surfaces
+from jaxscan.recalibration.observed import RecalibrationSettings, RoomObservations, Surfaces
 
 
 class Start(NamedTuple):
@@ -40,7 +39,7 @@ class Adjusted:
     surfaces: Surfaces
     corrections: tuple[Float[np.ndarray, " records"], ...]
     """Added to the angles of each sweep's journal before the table's own model [rad]: the known faults of the start,
-    and with `angles="steps"` the correction found for each record."""
+    and the correction found for each image in which features are seen, or with `angles="steps"` for each record."""
     correction_sigma: tuple[Float[np.ndarray, " records"], ...]
     point_error: Float[np.ndarray, " points"]
     """Signed distance of each point from its surface [m]."""
@@ -67,7 +66,7 @@ class Adjusted:
     uneven_m: float = 0.0
     """Standard deviation of the walls' shape, which neighbouring points share [m]."""
     stop_sigma: float = 0.0
-    """Standard deviation of the table's stops about its angles [rad]; 0 where walls do not show it."""
+    """Standard deviation of the table's stops about its angles [rad]; 0 where neither walls nor features show it."""
     misfit: float = 1.0
     """Mean square of the kept points' errors over the variances that were stated before any was learned [1]."""
 

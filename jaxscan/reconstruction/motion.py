@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.geometry import Array, Rig, Scanner, Turntable, invert, poses, transform
+from jaxscan.geometry import Array, Rig, Scanner, Turntable, invert, median_sigma, poses, transform
 from jaxscan.reconstruction.cloud import PointCloud
 from jaxscan.reconstruction.sweep import SweepSource
 from jaxscan.stripes import box_mean
@@ -111,7 +111,7 @@ def refuse_other_motion(
     if len(agreed) < max(_FEW, _MOST * len(found)):
         return
     ratios = np.array([turn.ratio for turn in agreed])
-    sigma = max(1.4826 * float(np.median(np.abs(ratios - ratio))) / np.sqrt(len(ratios)), _FLOOR)
+    sigma = max(median_sigma(ratios - ratio) / np.sqrt(len(ratios)), _FLOOR)
     if abs(ratio - 1.0) <= max(_SIGMAS * sigma, _SCALE * max(1.0, abs(ratio))):
         return
     # Dirt on the lens stands still, and so does what is behind an object that turns.

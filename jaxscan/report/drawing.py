@@ -1,4 +1,4 @@
-"""Figures as small SVG elements, with text as text and without external references."""
+"""Figures in the colours of the report, as SVG, as PDF, and with a scale beside them."""
 
 import io
 import re
@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxscan.drawing import Drawing, layer_of, strokes
 from jaxscan.report.html import Html, element
 
 
@@ -82,7 +83,6 @@ def as_svg(figure: "Figure", name: str, description: str) -> Html:
     """A figure as markup.
 
     Args:
-        figure: The figure.
         name: A name that no other figure of the page has.
         description: Text for screen readers.
     """
@@ -130,3 +130,86 @@ def arrows(start: np.ndarray, vector: np.ndarray) -> Any:
 def _short(match: re.Match[str]) -> str:
     # 0.01 points are much less than a pixel of a screen.
     return f"{float(match[0]):.2f}".rstrip("0").rstrip(".")
+
+
+INCH_PER_M = 20.0 / 25.4
+"""1 : 50."""
+MARGIN_M = 0.25
+
+
+def pdf_of(drawing: Drawing) -> bytes:
+    """A drawing as one page of PDF, 1 : 50."""
+    # Imported here, so that only drawing loads matplotlib.
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    low, high = drawing.bounds()
+    low, high = low - MARGIN_M, high + MARGIN_M
+    figure = Figure(figsize=tuple(INCH_PER_M * (high - low)))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    lines, texts = strokes(drawing)
+    for line in lines:
+        look = layer_of(line.layer)
+        style = (0, (8, 5)) if look.dashed else "-"
+        axes.plot(*line.points.T, color=look.rgb, linewidth=look.width_mm * 72 / 25.4, linestyle=style)
+    for text in texts:
+        axes.text(
+            float(text.at[0]),
+            float(text.at[1]),
+            text.words,
+            color=layer_of(text.layer).rgb,
+            fontsize=1.2 * text.height_m * INCH_PER_M * 72,
+            rotation=float(text.angle * 180 / 3.141592653589793),
+            rotation_mode="anchor",
+            horizontalalignment="center",
+            verticalalignment="center",
+            parse_math=False,
+        )
+    written = io.BytesIO()
+    with matplotlib.rc_context({"pdf.fonttype": 42}):
+        figure.savefig(written, format="pdf", metadata={"Title": drawing.title, "CreationDate": None})
+    return written.getvalue()
+
+
+def with_scale(rgb: np.ndarray, pixel_m: float, words: str) -> np.ndarray:
+    """A picture with a strip below it: a scale in metres and words.
+
+    Args:
+        rgb: [rows, columns, 3], uint8.
+        pixel_m: Size of a pixel [m].
+        words: What is said beside the scale.
+
+    Returns:
+        [rows + strip, columns, 3], uint8; the picture itself is not changed.
+    """
+    # Imported here, so that only drawing loads matplotlib.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    columns = rgb.shape[1]
+    high = max(40, columns // 14)
+    dpi = 100
+    figure = Figure(figsize=(columns / dpi, high / dpi), dpi=dpi)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    axes.set_xlim(0.0, columns)
+    axes.set_ylim(0.0, high)
+    # Half of the width at most, in a round number of parts.
+    part = max(size for size in (0.001, 0.01, 0.1, 0.5, 1.0) if 4 * size < 0.5 * columns * pixel_m or size == 0.001)
+    left = 0.02 * columns
+    for number in range(4):
+        start = left + number * part / pixel_m
+        filled = INK if number % 2 == 0 else "white"
+        axes.fill_between([start, start + part / pixel_m], 0.55 * high, 0.75 * high, facecolor=filled, edgecolor=INK)
+    size = 0.24 * high * 72 / dpi
+    for number in (0, 2, 4):
+        axes.text(left + number * part / pixel_m, 0.2 * high, f"{number * part:g}", fontsize=size, ha="center")
+    axes.text(left + 4.35 * part / pixel_m, 0.5 * high, f"m.  {words}", fontsize=size, va="center", parse_math=False)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    strip = np.asarray(canvas.buffer_rgba())[:, :columns, :3]
+    strip = np.pad(strip, ((0, 0), (0, columns - strip.shape[1]), (0, 0)), constant_values=255)
+    return np.concatenate([rgb, strip])

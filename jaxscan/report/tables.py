@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxscan.calibration import Calibration, ModelTest, Quality
-from jaxscan.calibration.verdict import judge_views
+from jaxscan.calibration import Calibration, ModelTest, Quality, judge_views
 from jaxscan.geometry import AbstractMotion, LinearStage, Scanner, Turntable, make_layout
 from jaxscan.report.words import TESTS
 

@@ -5,8 +5,7 @@ import math
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from jaxscan.calibration import Calibration, ModelTest, Quality
-from jaxscan.calibration.verdict import GoodTo, is_named, judge_views, noise_kind
+from jaxscan.calibration import Calibration, GoodTo, ModelTest, Quality, is_named, judge_views, noise_kind
 
 
 TESTS = {
@@ -84,14 +83,14 @@ def headline(calibration: Calibration) -> Headline:
     if verdict.usable is None or good_to is None:
         reason = "The verdict of this file does not say how large the error is: calibrate again."
         return Headline("open", "Not judged", reason)
-    size, parts = _size(good_to), _parts(calibration.quality, good_to)
+    size, parts = good_to_words(good_to), _parts(calibration.quality, good_to)
     if verdict.usable is False:
         because = f"; {parts}" if parts else ""
         return Headline("bad", f"Good to only {size}", f"Refused: {verdict.refused or 'it cannot be used'}{because}.")
     return Headline("good", f"Good to {size}{f'; {parts}' if parts else ''}", _explanation(calibration, good_to))
 
 
-def _size(good_to: GoodTo) -> str:
+def good_to_words(good_to: GoodTo) -> str:
     """Millimetres at a distance for a rig, pixels for a camera alone."""
     if good_to.sigma_mm is not None and good_to.at_m is not None:
         return f"{millimetres(good_to.sigma_mm)} at {metres(good_to.at_m)}"

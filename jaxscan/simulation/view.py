@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxscan.simulation.rays import RayTable, project, ray_table
-from jaxscan.simulation.rig import Motion, TrueRig
+from jaxscan.simulation.rig import Motion, RayTable, TrueRig, project, ray_table
 from jaxscan.simulation.scene import Cone, Plane, Rays, Scene, points_on
 from jaxscan.simulation.settings import CameraSpec
 
@@ -26,7 +25,7 @@ _REACH = 0.4 * TILE
 """Reach of a point of an edge [px]: half the distance to the next one, half a pixel, and a margin."""
 
 
-class View(NamedTuple):
+class SceneView(NamedTuple):
     """Depth, triangle and light of every pixel, without a board."""
 
     depth: np.ndarray
@@ -36,7 +35,7 @@ class View(NamedTuple):
     ambient: np.ndarray
     """The scene in its own light, float32 [channels, height, width]; white in mean light is 1."""
     albedo: np.ndarray
-    """Of the surfaces in further channels, float32 [channels, height, width]."""
+    """Albedo of the surfaces in further channels, float32 [channels, height, width]."""
     flat: np.ndarray
     """A triangle of the one facet that a tile shows, int64 [rows of tiles, columns]; -1 where it may show several."""
 
@@ -49,13 +48,13 @@ class Tiles(NamedTuple):
     """A camera's rays by tiles, row by row; at the lower and right border they are filled up with the last pixels."""
 
     rays: Rays
-    """Of all pixels, [tiles, TILE^2]."""
+    """Rays of all pixels, [tiles, TILE^2]."""
     shape: tuple[int, int]
     """Rows and columns of tiles."""
     corners: np.ndarray
     """Rays of the corners, float32 [(rows + 1) (columns + 1), 3]."""
     cone: Cone
-    """Of all rays, camera frame."""
+    """The cone that holds the rays of each tile, camera frame."""
     step: float
     """Angle that is nowhere more than half a tile [rad]."""
 
@@ -96,15 +95,16 @@ def _angles(vectors: np.ndarray, table: RayTable) -> tuple[Cone, float]:
     return cone, 0.4 * TILE * narrowest
 
 
-def observe(rig: TrueRig, scene: Scene, pose: Motion, channels: np.ndarray, further: np.ndarray | None = None) -> View:
+def observe(
+    rig: TrueRig, scene: Scene, pose: Motion, channels: np.ndarray, further: np.ndarray | None = None
+) -> SceneView:
     """The scene from a pose of the camera.
 
     Args:
         rig: The camera.
-        scene: The scene.
         pose: T_scanner_cam.
         channels: Weights [3, channels] of R, G, B for the picture.
-        further: Weights [3, further] of R, G, B for `View.albedo`.
+        further: Weights [3, further] of R, G, B for `SceneView.albedo`.
     """
     tiles = tiles_of(rig.config.camera)
     count = channels.shape[1]
@@ -134,7 +134,7 @@ def observe(rig: TrueRig, scene: Scene, pose: Motion, channels: np.ndarray, furt
                 depth[batch], picture[:, batch] = plane.seen(tiles.rays.at(batch), weights, count, here)
     images = (_image(part, tiles.shape, rig.rays.shape) for part in (depth, triangle, picture))
     seen, hit, picture = images
-    return View(seen, hit, picture[:count], picture[count:], first.reshape(tiles.shape))
+    return SceneView(seen, hit, picture[:count], picture[count:], first.reshape(tiles.shape))
 
 
 def points_at(

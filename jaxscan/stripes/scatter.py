@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.optimize import nnls  # type: ignore[import-untyped]
 
 from jaxscan.stripes.correlation import INDEPENDENT, Correlation, alike_in_pixel
 
@@ -248,8 +247,20 @@ def _covariance(windows: np.ndarray) -> _Covariance | None:
     lags = range(_PRODUCTS[width] + 1)
     products = np.stack([np.sum(residuals[:, : width - k] * residuals[:, k:], 1) for k in lags], 1)
     weight = 1.0 / np.maximum(products.std(0), 1e-12)
-    found, _ = nnls(known * weight[:, None], products.mean(0) * weight)
+    found = _least_squares(known * weight[:, None], products.mean(0) * weight)
     return _Covariance(found[: _LAGS[width] + 1], usual, len(residuals))
+
+
+def _least_squares(design: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Coefficients of which none is negative: one after the other the most negative one is left out."""
+    found, used = np.zeros(design.shape[1]), np.ones(design.shape[1], bool)
+    while used.any():
+        part = np.linalg.lstsq(design[:, used], values, rcond=None)[0]
+        if part.min() >= 0:
+            found[used] = part
+            break
+        used[np.flatnonzero(used)[np.argmin(part)]] = False
+    return found
 
 
 @functools.cache

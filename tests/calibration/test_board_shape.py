@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_camera, calibrate_observations
-from jaxscan.calibration.board_shape.modes import bent_modes, corner_modes, smooth_modes
+from jaxscan.calibration.board_shape import bent_modes, corner_modes, smooth_modes
 from jaxscan.files.calibration import load_calibration, save_calibration
 from jaxscan.geometry import Chessboard, corner_frame
 from jaxscan.observation import Observations
@@ -47,6 +47,7 @@ def test_modes_hold_no_motion_no_scale_and_no_bow(size):
     assert not bent_modes(smooth).corner[:, :2].any()
 
 
+@pytest.mark.more
 def test_a_twisted_board_is_found_out_and_a_flat_one_left_alone(world, tmp_path):
     plan = {"free": 16, "placements": 4, "angles": 5}
     flat = seen(world, world.Rig(), **plan)

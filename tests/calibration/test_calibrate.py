@@ -248,8 +248,8 @@ def test_monte_carlo(world, perfect):
 
 
 def test_board_larger_than_a_bucket_of_corners_is_padded(world):
-    from jaxscan.calibration.solve.prepare import prepare
+    from jaxscan.calibration.problem import prepare
 
     data = prepare(world.observe(world.Rig(board=Chessboard(9, 7, 0.035)), free=4, placements=1, angles=2))
     assert data.board.shape == (96, 3) and data.corner_q.shape == (24, 96, 2)
-    assert not data.corner_valid[:, 63:].any() and not data.usable[6:].any()
+    assert not data.corner_valid[:, 63:].any() and not data.fixes_pose[6:].any()

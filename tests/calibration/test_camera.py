@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_camera
-from jaxscan.calibration.parameters import PRIORS
+from jaxscan.calibration.settings import PRIORS
 from jaxscan.files.calibration import load_calibration, save_calibration
 from jaxscan.geometry import Chessboard, fit_axis, fit_plane, plane_sigma
 from jaxscan.observation import BoardViews, Observations, StripeViews
@@ -140,9 +140,9 @@ def test_ciclop(detector, most):
     ("side", "detector"),
     [
         ("left", "auto"),
-        ("left", "classic"),
-        ("left", "sb"),
-        ("right", "auto"),
+        pytest.param("left", "classic", marks=pytest.mark.more),
+        pytest.param("left", "sb", marks=pytest.mark.more),
+        pytest.param("right", "auto", marks=pytest.mark.more),
         pytest.param("right", "classic", marks=pytest.mark.slow),
         pytest.param("right", "sb", marks=pytest.mark.slow),
     ],
@@ -163,6 +163,7 @@ def test_opencv_chessboards(side, detector):
     assert calibration.quality.board_warp_m[1] == pytest.approx(-1.7e-4, abs=4e-5)
 
 
+@pytest.mark.more
 def test_a_rational_lens_of_few_views_can_be_written(tmp_path):
     # k1 to k6 are nearly one direction here (condition 1e8): inverted without care, the covariance lost its symmetry.
     observed = pictures("opencv_stereo_chess/right*.jpg", Chessboard(9, 6, 0.025), "auto")

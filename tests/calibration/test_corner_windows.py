@@ -45,6 +45,7 @@ def solve(pattern, board, **options):
     return calibrate_camera(observations, settings=settings).quality, [path.stem for path in paths]
 
 
+@pytest.mark.more
 @pytest.mark.parametrize(
     ("pattern", "board", "most"),
     # cornerSubPix: 0.245, 0.170 and 0.174 px over all corners, outliers too.

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_camera, calibrate_observations
-from jaxscan.calibration.seed.camera import seed_camera
-from jaxscan.calibration.solve.prepare import prepare
+from jaxscan.calibration.first_values import seed_camera
+from jaxscan.calibration.problem import prepare
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration import export_camera, load_calibration, save_calibration
 from jaxscan.geometry import DoubleSphere
@@ -66,6 +66,7 @@ def test_errors_are_as_the_covariance_says(world, perfect, calibrated):
     assert (np.hypot(*(perfect.corners.q - np.array(rig.centre)).T) > radius).sum() > 50
 
 
+@pytest.mark.more
 def test_the_other_of_two_similar_lenses_is_told_apart(world):
     # A lens with xi = -0.195 is the same to a hundredth of a pixel, and its solve ends there.
     rig = world.Rig(focal=(362.4, 362.9), centre=(645.0, 505.0), lens=(0.29, 0.69))

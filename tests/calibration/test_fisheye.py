@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_camera, calibrate_observations
-from jaxscan.calibration.parameters import PRIORS
+from jaxscan.calibration.settings import PRIORS
 from jaxscan.geometry import Fisheye
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
-from jaxscan.calibration.verdict import length_sigma, measure_lengths, typical_lengths
-from jaxscan.calibration.verdict.propagate import ray_error, refusal
-from jaxscan.calibration.verdict.quality import GoodTo
+from jaxscan.calibration.advice import refusal
+from jaxscan.calibration.propagate import length_sigma, measure_lengths, ray_error, typical_lengths
+from jaxscan.calibration.result import GoodTo
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Pinhole
 
@@ -85,7 +85,13 @@ def true_error_mm(world, rig, found, shape):
     return 1e3 * np.sqrt(np.mean(np.sum((a @ turn - b) ** 2, axis=1)))
 
 
-@pytest.fixture(scope="module", params=CASES)
+QUICK = "board"
+"""The case of the fast tests; each of the others takes the same functions with another truth."""
+
+
+@pytest.fixture(
+    scope="module", params=[pytest.param(name, marks=() if name == QUICK else pytest.mark.more) for name in CASES]
+)
 def trials(request, world):
     """Of each kind of error: its name, and (rig, calibration, true error) of each seed."""
     found = [trial(world, request.param, seed) for seed in SEEDS]

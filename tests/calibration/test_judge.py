@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
-from jaxscan.calibration.verdict.cross_validation import deal_halves
-from jaxscan.calibration.verdict.limits import chance
-from jaxscan.calibration.verdict.structure import moving_twist
+from jaxscan.calibration.cross_validation import deal_halves
+from jaxscan.calibration.result import chance
+from jaxscan.calibration.structure import moving_twist
 from jaxscan.geometry import exponential, invert
 
 

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxscan.calibration.verdict.propagate import (
+from jaxscan.calibration.propagate import (
     depth_sigma,
     length_sigma,
     measure_lengths,

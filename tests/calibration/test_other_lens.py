@@ -9,6 +9,9 @@ from jaxscan.calibration import NOTHING_KNOWN, CalibrationSettings, calibrate_ca
 from jaxscan.calibration.other_lens import ray_difference
 
 
+pytestmark = pytest.mark.more
+
+
 PINHOLE = CalibrationSettings(free=tuple(b for b in CalibrationSettings().free if b != "shape"))
 
 

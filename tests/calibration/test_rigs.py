@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxscan.api.again import solve_again
+from jaxscan.api.calibration import solve_again
 from jaxscan.calibration import CalibrationSettings, KnownParts, calibrate_observations
 from jaxscan.errors import CalibrationError
 from jaxscan.files import load_calibration, save_calibration
@@ -52,6 +52,7 @@ def assert_stored(calibration, tmp_path):
     assert solve_again(again).reproduced is True
 
 
+@pytest.mark.more
 def test_a_linear_stage(world, seen, tmp_path):
     rig, observations = seen("linear")
     calibration = calibrate_observations(observations)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxscan.calibration.seed.camera import seed_camera
-from jaxscan.calibration.seed.sheets import lift_stripes
-from jaxscan.calibration.solve.prepare import prepare
+from jaxscan.calibration.first_values import seed_camera
+from jaxscan.calibration.problem import prepare
+from jaxscan.calibration.sheets import lift_stripes
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Fisheye
 
@@ -49,7 +49,7 @@ def test_lens_and_poses_are_near(world, lens, fov_deg):
     # A lens of one coefficient with its centre 10 px off stands for one of four: the focal length
     # and the distances come out to a tenth, far inside what the solve converges from.
     assert camera.fx == camera.fy == pytest.approx(rig.focal[0], rel=0.1)
-    views = np.flatnonzero(data.usable)
+    views = np.flatnonzero(data.fixes_pose)
     # The corner in the middle (9 x 7), by the true lens where the seed puts it. Lens and centre are
     # off by 10 px and more, so it must be within a square or two of where it was seen.
     middle = np.array([world.project(rig, pose[:3] @ np.append(data.board[31], 1.0)) for pose in poses[views]])
@@ -93,9 +93,9 @@ def test_degenerate_sets_are_refused(world):
     rig = rig_of(world, LENSES["equidistant"], 160)
     data = prepare(seen(world, rig))
     with pytest.raises(CalibrationError, match="not found in any view"):
-        seed_camera(data._replace(usable=np.zeros_like(data.usable)), "fisheye")
+        seed_camera(data._replace(fixes_pose=np.zeros_like(data.fixes_pose)), "fisheye")
     with pytest.raises(CalibrationError, match=r"2 view\(s\) and a camera needs at least 3"):
-        seed_camera(data._replace(usable=np.arange(len(data.usable)) < 2), "fisheye")
+        seed_camera(data._replace(fixes_pose=np.arange(len(data.fixes_pose)) < 2), "fisheye")
     random = np.random.default_rng(2)
     board = rig.board.corners() - rig.board.corners().mean(0)
     places = [np.array([x, y, 0.6]) for x in (-0.15, 0.0, 0.15) for y in (-0.15, 0.0, 0.15)]
@@ -103,7 +103,7 @@ def test_degenerate_sets_are_refused(world):
     flat = data.corner_q.copy()
     flat[: len(q), : q.shape[1]] = q + 0.1 * random.normal(size=q.shape)
     with pytest.raises(CalibrationError, match="same tilt"):
-        seed_camera(data._replace(corner_q=flat, usable=np.arange(len(data.usable)) < len(q)), "fisheye")
+        seed_camera(data._replace(corner_q=flat, fixes_pose=np.arange(len(data.fixes_pose)) < len(q)), "fisheye")
     nonsense = np.where(data.corner_valid[..., None], random.uniform(0, 1000, data.corner_q.shape), data.corner_q)
     with pytest.raises(CalibrationError, match="No wide-angle lens makes the corners"):
         seed_camera(data._replace(corner_q=nonsense), "fisheye")

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
-from jaxscan.calibration.seed import seed_sheets
-from jaxscan.calibration.solve import prepare
+from jaxscan.calibration.problem import prepare
+from jaxscan.calibration.sheets import seed_sheets
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Pinhole
 from jaxscan.observation import StripeViews
@@ -30,7 +30,7 @@ def true_poses(world, rig, observations):
     """Poses of the boards from perfect corners, by OpenCV."""
     cv2 = pytest.importorskip("cv2")
     matrix = np.array([[rig.focal[0], 0, rig.centre[0]], [0, rig.focal[1], rig.centre[1]], [0, 0, 1.0]])
-    poses = np.tile(np.eye(4), (len(prepare(observations).usable), 1, 1))
+    poses = np.tile(np.eye(4), (len(prepare(observations).fixes_pose), 1, 1))
     for view, q in enumerate(observations.corners.q):
         _, turn, place = cv2.solvePnP(rig.board.corners(), q, matrix, np.array(rig.lens))
         poses[view, :3, :3], poses[view, :3, 3] = cv2.Rodrigues(turn)[0], place[:, 0]

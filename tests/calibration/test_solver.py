@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings
-from jaxscan.calibration.parameters import BLOCKS, board_blocks
-from jaxscan.calibration.solve.adjustment import noise_by_class
-from jaxscan.calibration.solve.joint import linearise, priors, solve
-from jaxscan.calibration.solve.prepare import prepare
-from jaxscan.calibration.solve.problem import (
+from jaxscan.calibration.adjust import noise_by_class
+from jaxscan.calibration.joint import linearise, priors, solve
+from jaxscan.calibration.problem import (
     BoardModes,
     Problem,
     board_surface,
@@ -22,11 +20,13 @@ from jaxscan.calibration.solve.problem import (
     corner_pixels,
     move,
     parameter_scales,
+    prepare,
     prior_weights,
     shared_values,
     zero_step,
 )
-from jaxscan.calibration.solve.rows import stripe_rows
+from jaxscan.calibration.rows import stripe_rows
+from jaxscan.calibration.settings import BLOCKS, board_blocks
 from jaxscan.geometry import LaserSheet, Pinhole, Turntable, exponential, make_layout, stack_lasers
 from jaxscan.leastsq import Unknowns, solve_arrow
 
@@ -84,8 +84,8 @@ def problem(world):
         stripe_weight=np.where(data.stripe_valid[:4, :12], 2000.0, 0.0),
         stripe_view=data.stripe_view[:4],
         stripe_laser=data.stripe_laser[:4],
-        seen=np.ones(5, bool),
-        lit=np.ones(4, bool),
+        view_used=np.ones(5, bool),
+        stripe_used=np.ones(4, bool),
     )
 
 

@@ -5,9 +5,14 @@ import shutil
 from typing import NamedTuple
 
 import jax
+import numpy as np
 import pytest
 
+import jaxscan
 from jaxscan.cli.main import main
+from jaxscan.reconstruction import PointCloud
+
+from ..measurement.rooms import CUPBOARD, DOOR, WINDOW, seen_room
 
 
 class Ran(NamedTuple):
@@ -78,3 +83,25 @@ def kept(tmp_path):
     jax.config.update("jax_compilation_cache_dir", str(folder))
     yield folder
     jax.config.update("jax_compilation_cache_dir", before)
+
+
+@pytest.fixture(scope="session")
+def room(tmp_path_factory):
+    """A room of the shape of an L, as a file."""
+    seen = seen_room(niches=(DOOR, WINDOW), boxes=(CUPBOARD,), grid=(240, 80))
+    shape = seen.valid.shape
+    cloud = PointCloud(
+        xyz=seen.xyz,
+        rgb=seen.rgb,
+        intensity=np.full(shape, 100.0, np.float32),
+        normals=np.zeros((*shape, 3), np.float32),
+        sigma_random=seen.sigma_random,
+        sigma_systematic=np.zeros(shape, np.float32),
+        valid=seen.valid,
+        record=np.arange(shape[0]),
+        laser=seen.laser,
+        angle=seen.angle.astype(np.float32),
+    )
+    path = tmp_path_factory.mktemp("room") / "room.npz"
+    jaxscan.save_cloud(cloud, path)
+    return path

@@ -11,7 +11,6 @@ import pytest
 import jaxscan
 from jaxscan import api
 from jaxscan.reconstruction import PointCloud
-from jaxscan.vision import encode_png
 
 
 def journal(capture, change):
@@ -64,23 +63,10 @@ def planned(capture):
 
 
 class TestImages:
-    def test_missing(self, sweep, reconstruct):
-        (sweep / "on" / "000007.zst").unlink()
-        assert "on/000007.zst: no such file" in reconstruct(sweep)
-
     def test_truncated(self, sweep, reconstruct):
         image = sweep / "off" / "000011.zst"
         image.write_bytes(image.read_bytes()[:-2000])
         assert "off/000011.zst" in reconstruct(sweep)
-
-    def test_empty(self, sweep, reconstruct):
-        (sweep / "on" / "000000.zst").write_bytes(b"")
-        assert "on/000000.zst" in reconstruct(sweep)
-
-    def test_wrong_size(self, sweep, reconstruct):
-        (sweep / "on" / "000003.zst").write_bytes(encode_png(np.zeros((256, 318), np.uint8)))
-        message = reconstruct(sweep)
-        assert "on/000003.zst" in message and "318" in message and "320" in message
 
     def test_truncated_board(self, boards, calibrate):
         image = boards / "off" / "000002.zst"
@@ -98,52 +84,6 @@ class TestJournal:
         assert ran.code == 0 and ran.err == ""
         assert re.search(r"^note: .*line 21: .*left out", ran.out, re.MULTILINE)
         assert len(jaxscan.load_cloud(tmp_path / "a.npz").valid) == 20
-
-    def test_broken_middle_line_is_refused_with_its_number(self, sweep, reconstruct):
-        path = sweep / "frames.jsonl"
-        lines = path.read_text().splitlines()
-        lines[20] = lines[20][:-9]
-        path.write_text("\n".join(lines) + "\n")
-        assert "frames.jsonl: line 21: not a complete JSON object" in reconstruct(sweep)
-
-    @pytest.mark.parametrize("path", ["../secret.png", "/etc/passwd", "on/../../secret.png"])
-    def test_a_path_that_leaves_the_folder(self, sweep, reconstruct, path):
-        journal(sweep, lambda record: {**record, "on": path} if record["i"] == 4 else record)
-        message = reconstruct(sweep)
-        assert "line 5" in message and "inside the capture's folder" in message
-
-    def test_a_link_that_leaves_the_folder(self, sweep, tmp_path, reconstruct):
-        image = sweep / "on" / "000004.zst"
-        shutil.move(image, tmp_path / "elsewhere.png")
-        image.symlink_to(tmp_path / "elsewhere.png")
-        assert "leads out of the capture's folder" in reconstruct(sweep)
-
-    def test_missing(self, sweep, reconstruct):
-        (sweep / "frames.jsonl").unlink()
-        assert "frames.jsonl: no such file" in reconstruct(sweep)
-
-    def test_no_record(self, sweep, reconstruct):
-        (sweep / "frames.jsonl").write_text("")
-        assert "holds no complete record" in reconstruct(sweep)
-
-
-class TestHeader:
-    def test_unknown_key(self, sweep, reconstruct):
-        edit(sweep / "capture.toml", "width", "widht")
-        message = reconstruct(sweep)
-        assert "camera.widht: unknown key" in message and '"width"' in message
-
-    def test_missing(self, sweep, reconstruct):
-        (sweep / "capture.toml").unlink()
-        assert "capture.toml: no such file" in reconstruct(sweep)
-
-    def test_no_capture_at_all(self, tmp_path, reconstruct, calibrate):
-        assert "no such folder" in reconstruct(tmp_path / "nowhere")
-        assert "no such folder" in calibrate(tmp_path / "nowhere")
-
-    def test_broken(self, sweep, reconstruct):
-        edit(sweep / "capture.toml", "[camera]", "[camera")
-        assert "not valid TOML" in reconstruct(sweep)
 
 
 class TestWrongCapture:
@@ -211,22 +151,9 @@ class TestCalibration:
         edit(sweep / "capture.toml", 'carries = "scanner"', 'carries = "object"')
         assert "carries the object" in reconstruct(sweep)
 
-    @pytest.mark.parametrize("damage", ["", "{", "[]", "null", '{"format": "jaxscan-calibration/1"}', "\x00\xff"])
-    def test_corrupted(self, tiny, reconstruct, tmp_path, damage):
-        (tmp_path / "bad.json").write_text(damage, encoding="latin-1")
-        assert "bad.json" in reconstruct(tiny.sweep, calibration=tmp_path / "bad.json")
-
     def test_truncated(self, tiny, reconstruct, tmp_path):
         (tmp_path / "bad.json").write_bytes(tiny.calibration.read_bytes()[:1500])
         assert "bad.json: line" in reconstruct(tiny.sweep, calibration=tmp_path / "bad.json")
-
-    def test_not_a_number(self, tiny, reconstruct, tmp_path):
-        text = re.sub(r'"fx": [\d.]+', '"fx": NaN', tiny.calibration.read_text())
-        (tmp_path / "bad.json").write_text(text)
-        assert "NaN" in reconstruct(tiny.sweep, calibration=tmp_path / "bad.json")
-
-    def test_missing(self, tiny, reconstruct, tmp_path):
-        assert "no such file" in reconstruct(tiny.sweep, calibration=tmp_path / "nowhere.json")
 
 
 class TestOutput:
@@ -284,7 +211,7 @@ class TestOutput:
             ["measure", "distance", "{cloud}", "--a", "1", "0", "0", "--b", "1", "1", "0"],
             ["measure", "compare", "{cloud}", "{cloud}"],
             ["measure", "points", "{cloud}", "--a", "1", "0", "0", "--b", "1", "1", "0"],
-            ["measure", "sphere", "{cloud}", "--near", "1", "0", "0", "--radius", "0.1"],
+            ["measure", "sphere", "{cloud}", "--near", "1", "0", "0", "--radius-mm", "100"],
             ["measure", "deviations", "{cloud}", "--at", "1", "0", "0"],
             ["plan", "{cloud}", "-o", "{tmp}/a.svg"],
             ["orthophoto", "{cloud}", "-o", "{tmp}/walls"],
@@ -318,12 +245,6 @@ class TestOptions:
 
 
 class TestSimulate:
-    def test_unknown_key(self, tiny, refused, tmp_path):
-        config = tmp_path / "rig.toml"
-        config.write_text(tiny.config.read_text().replace("free_views", "free_view"))
-        message = refused("simulate", config, "-o", tmp_path / "s")
-        assert "boards.free_view: unknown key" in message and '"free_views"' in message
-
     def test_missing(self, refused, tmp_path):
         assert "no such file" in refused("simulate", tmp_path / "nowhere.toml", "-o", tmp_path / "s")
 
@@ -395,17 +316,6 @@ class TestDemo:
 
 
 class TestClouds:
-    def test_missing(self, refused, tmp_path):
-        for words in (
-            ["measure", "room", tmp_path / "nowhere.ply"],
-            ["convert", tmp_path / "nowhere.ply", tmp_path / "a.npz"],
-        ):
-            assert "no such file" in refused(*words)
-        assert list(tmp_path.iterdir()) == []
-
-    def test_unknown_suffix(self, refused, tmp_path):
-        assert '".stl"' in refused("measure", "room", tmp_path / "a.stl")
-
     def test_truncated(self, tiny, refused, tmp_path):
         (tmp_path / "a.ply").write_bytes(tiny.cloud.read_bytes()[:-1000])
         assert "a.ply" in refused("measure", "room", tmp_path / "a.ply")

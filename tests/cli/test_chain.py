@@ -139,7 +139,9 @@ def test_camera_alone(tiny, run, refused, tmp_path):
     assert not (tmp_path / "a.ply").exists()
 
 
-@pytest.mark.parametrize("calibrates", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "calibrates", [pytest.param(False, marks=pytest.mark.more), pytest.param(True, marks=pytest.mark.slow)]
+)
 def test_demo_of_a_tiny_rig(tiny, run, tmp_path, monkeypatch, calibrates):
     """The demo's own way, on the captures that are there already, and with the calibration that is."""
     from jaxscan import api

@@ -67,6 +67,7 @@ def test_what_is_refused(room, refused, run, tmp_path):
     assert not (tmp_path / "a").exists()
 
 
+@pytest.mark.more
 def test_a_cloud_does_not_depend_on_the_storage(tiny, run, tmp_path):
     assert run("convert", tiny.sweep, tmp_path / "fast", "--storage", "npy").code == 0
     clouds = []

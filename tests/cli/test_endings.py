@@ -11,9 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from jaxscan.cli.output import console, emit_json
-from jaxscan.cli.process.quiet import cache_folder
-from jaxscan.cli.process.terminal import table
+from jaxscan.cli.environment import cache_folder
+from jaxscan.cli.terminal import console, emit_json, table
 from jaxscan.errors import CloudError
 
 from ..files.clouds import make_cloud
@@ -32,11 +31,12 @@ def test_nothing_that_is_printed_is_a_command(capsys):
     assert all(one.isprintable() or one == "\n" for one in said)
 
 
+@pytest.mark.rig
 def test_a_terminal_shows_colours_but_obeys_no_name(monkeypatch):
     monkeypatch.delenv("NO_COLOR")
     ours, theirs = os.openpty()
     code = (
-        "import sys; from jaxscan.cli.output import console; from jaxscan.cli.process.terminal import table\n"
+        "import sys; from jaxscan.cli.terminal import console; from jaxscan.cli.terminal import table\n"
         f"console().print({EVIL!r}, style='bold red'); console().print(table('t', ('a',), [({EVIL!r},)]))"
     )
     subprocess.run(
@@ -152,6 +152,7 @@ def shell(command, cloud, **env):
     )
 
 
+@pytest.mark.rig
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
 def test_a_full_disk_under_standard_output(cloud):
     ran = shell("$J convert $A b.npz --json - > /dev/full", cloud)
@@ -171,6 +172,7 @@ def test_a_full_disk_under_standard_output(cloud):
     ) or ran.stderr == "jaxscan: standard output: No space left on device.\n"
 
 
+@pytest.mark.rig
 @pytest.mark.parametrize("words", ["convert $A b.npz", "convert $A b.npz --json -", "measure --help"])
 def test_nobody_reads(words, cloud):
     ran = shell(f"$J {words} | true; exit ${{PIPESTATUS[0]}}", cloud)
@@ -178,11 +180,13 @@ def test_nobody_reads(words, cloud):
     assert ran.returncode in (0, 141)
 
 
+@pytest.mark.rig
 def test_nobody_reads_errors(cloud):
     ran = shell("$J convert none.ply b.npz 2>&1 >/dev/null | true; exit ${PIPESTATUS[0]}", cloud)
     assert (ran.returncode, ran.stdout + ran.stderr) == (1, "")
 
 
+@pytest.mark.rig
 @pytest.mark.parametrize("closed", ["1>&-", "2>&-", "0<&-", "0<&- 1>&- 2>&-"])
 def test_closed_standard_files_are_not_replaced_by_outputs(closed, cloud):
     ran = shell(f"$J convert $A b.ply {closed}; echo $? > code", cloud)
@@ -191,6 +195,7 @@ def test_closed_standard_files_are_not_replaced_by_outputs(closed, cloud):
     assert (cloud.parent / "b.ply").read_bytes().startswith(b"ply\n")
 
 
+@pytest.mark.rig
 def test_json_where_standard_output_is_latin(cloud):
     ran = shell(
         "cp $A $'\\u0436\\xff.ply'; $J convert $'\\u0436\\xff.ply' b.npz --json -", cloud, PYTHONIOENCODING="latin-1"
@@ -219,13 +224,14 @@ LOADED = ("", "XDG_CACHE_HOME=/dev/null")
 """Where libraries are loaded that keep what they make: a home that is not there, and one that is no folder."""
 
 
+@pytest.mark.rig
 @pytest.mark.parametrize("home", ["", "HOME=/", "HOME=/nonexistent", "XDG_CACHE_HOME=/dev/null", "HOME=/root"])
 def test_no_home_and_an_unknown_user(cloud, open_folder, home):
     """As in `docker run -u 54321`: not in the list of users, and nothing of the installation may be written."""
     if os.getuid() != 0 or shell(f"{BECOME} true", cloud).returncode:
         pytest.skip("needs root and setpriv")
     # What the reports load, with a cache of its own.
-    loading = "from jaxscan.cli.process import quiet; quiet.choose_caches(); import matplotlib.pyplot"
+    loading = "from jaxscan.cli import environment; environment.choose_caches(); import matplotlib.pyplot"
     clean = f"env -i PATH=$PATH PYTHONPATH=$PYTHONPATH TMPDIR={open_folder}/tmp {home}"
     ran = shell(
         f'cd {open_folder}/free; P="{BECOME} {clean}"; $P $J convert $A b.npz; echo $?; '
@@ -249,9 +255,10 @@ def test_a_cache_that_others_may_write_is_not_used(tmp_path, monkeypatch):
     assert cache_folder() is None
 
 
+@pytest.mark.rig
 def test_what_libraries_say_comes_as_one_line(tmp_path):
     code = (
-        "import logging, sys, warnings; from jaxscan.cli.process import running\n"
+        "import logging, sys, warnings; from jaxscan.cli import running\n"
         "def work(words):\n"
         f"    warnings.warn({EVIL!r}); logging.getLogger('lib').warning({EVIL!r})\n"
         "    import threading; t = threading.Thread(target=lambda: 1 / 0); t.start(); t.join()\n"

@@ -6,10 +6,8 @@ import subprocess
 
 import pytest
 
-from jaxscan.cli.help.completion import SHELLS
-from jaxscan.cli.help.entries import entries_of, paragraphs
-from jaxscan.cli.help.page import GROUPS
-from jaxscan.cli.process.verbs import BELOW, DESCRIPTION, VERBS, load_verb
+from jaxscan.cli.help import GROUPS, SHELLS, entries_of, paragraphs
+from jaxscan.cli.verbs import BELOW, DESCRIPTION, VERBS, load_verb
 
 
 EVERY = [(verb,) for verb in VERBS if verb not in BELOW] + [(first, verb) for first in BELOW for verb in BELOW[first]]

@@ -22,6 +22,9 @@ from jaxscan.files.capture import open_capture, verify_capture
 from ..conftest import TINY
 
 
+pytestmark = pytest.mark.rig
+
+
 VERBS = {
     "demo": "demo -o demo",
     "simulate": "simulate rig.toml -o made --every 4 --json made.json",

@@ -57,6 +57,7 @@ def assert_camera(path):
     return calibration
 
 
+@pytest.mark.more
 def test_a_linear_stage(folder, run, refused, calibrated):
     capture = boards(folder, "linear", "linear", positions=(-0.1, -0.03, 0.04, 0.1))
     path, said = calibrated("linear", capture)
@@ -87,6 +88,7 @@ def test_a_linear_stage(folder, run, refused, calibrated):
     assert 'says carries = "scanner", the calibration "linear"' in message
 
 
+@pytest.mark.more
 def test_a_profile_scanner(folder, run, refused, calibrated):
     capture = boards(folder, "profile", "nothing", placements=0, free=12)
     path, said = calibrated("profile", capture)
@@ -119,6 +121,7 @@ def test_a_camera_alone(folder, run, refused, calibrated):
     assert "holds a camera alone, without a laser sheet" in message
 
 
+@pytest.mark.more
 def test_a_camera_and_an_axis_and_then_a_sheet(folder, run, refused, calibrated):
     capture = boards(folder, "axis", "scanner", lit=False, positions=TURNS)
     path, said = calibrated("axis", capture)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxscan import load_scanner, open_capture
-from jaxscan.cli.known import known_parts
+from jaxscan.cli.calibrate import known_parts
 from jaxscan.errors import OptionError
 
 

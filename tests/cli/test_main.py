@@ -10,7 +10,7 @@ import pytest
 
 import jaxscan
 from jaxscan.cli.main import main
-from jaxscan.cli.process.verbs import BELOW, VERBS, load_verb
+from jaxscan.cli.verbs import BELOW, VERBS, load_verb
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import WRITERS
 
@@ -100,6 +100,7 @@ def test_the_version(capsys):
     assert capsys.readouterr().out == f"jaxscan {jaxscan.__version__}\n"
 
 
+@pytest.mark.more
 def test_a_rig_without_its_extra_is_one_line(tmp_path):
     (tmp_path / "rig.toml").write_text("[camera]\nkind = 'opencv'\nwidth = 64\nheight = 48\ntrigger = 'free'\n")
     code = "import sys; sys.modules['serial'] = None; from jaxscan.cli.main import main; sys.exit(main(sys.argv[1:]))"

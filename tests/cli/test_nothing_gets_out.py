@@ -19,6 +19,9 @@ from tests.files.clouds import make_cloud
 from tests.files.e57s import with_xml, xml_of
 
 
+pytestmark = pytest.mark.rig
+
+
 ADDRESS = "http://127.0.0.1:9/asked-for"
 TREES = [
     *(sys.prefix, sys.base_prefix, Path(jaxscan.__file__).parent, Path(jaxscan.__file__).parents[1] / "hardware"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxscan
-from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
+from jaxscan.cli.options import calibration_at, capture_at, check_paths, file_at
 from jaxscan.errors import OptionError
 from jaxscan.vision import encode_png
 
@@ -47,7 +47,7 @@ MEASURES = (
     "measure plane a.ply --at 0 0 0",
     "measure compare b.ply a.ply -c cal.json",
     "measure points a.ply -c cal.json --a 0 0 0 --b 1 0 0",
-    "measure sphere a.ply -c cal.json --near 0 0 0 --radius 0.1",
+    "measure sphere a.ply -c cal.json --near 0 0 0 --radius-mm 100",
     "measure deviations a.ply --at 0 0 0",
     "plan a.ply -c cal.json -o plan.svg",
 )

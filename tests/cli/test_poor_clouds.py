@@ -69,7 +69,7 @@ VERBS = {
     "plane": ("measure", "plane", "CLOUD", "--at", 2, 0.2, 0.1),
     "distance": ("measure", "distance", "CLOUD", "--a", 2, 0.2, 0.1, "--b", -2, 0.2, 0.1, "--radius-mm", 100),
     "points": ("measure", "points", "CLOUD", "--a", 2, 0.2, 0.1, "--b", -2, 0.2, 0.1, "--within-mm", 100),
-    "sphere": ("measure", "sphere", "CLOUD", "--near", 2, 0.2, 0.1, "--radius", 0.1),
+    "sphere": ("measure", "sphere", "CLOUD", "--near", 2, 0.2, 0.1, "--radius-mm", 100),
     "deviations": ("measure", "deviations", "CLOUD", "--at", 2, 0.2, 0.1, "-o", "made.png"),
     "convert": ("convert", "CLOUD", "made.ptx"),
     "align": ("align", "CLOUD", "-o", "made.ply", "--room"),

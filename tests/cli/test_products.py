@@ -7,31 +7,8 @@ import numpy as np
 import pytest
 
 import jaxscan
-from jaxscan.reconstruction import PointCloud
 
-from ..measurement.rooms import CUPBOARD, DOOR, HEIGHT, WINDOW, seen_room
-
-
-@pytest.fixture(scope="module")
-def room(tmp_path_factory):
-    """A room of the shape of an L, as a file."""
-    seen = seen_room(niches=(DOOR, WINDOW), boxes=(CUPBOARD,), grid=(240, 80))
-    shape = seen.valid.shape
-    cloud = PointCloud(
-        xyz=seen.xyz,
-        rgb=seen.rgb,
-        intensity=np.full(shape, 100.0, np.float32),
-        normals=np.zeros((*shape, 3), np.float32),
-        sigma_random=seen.sigma_random,
-        sigma_systematic=np.zeros(shape, np.float32),
-        valid=seen.valid,
-        record=np.arange(shape[0]),
-        laser=seen.laser,
-        angle=seen.angle.astype(np.float32),
-    )
-    path = tmp_path_factory.mktemp("room") / "room.npz"
-    jaxscan.save_cloud(cloud, path)
-    return path
+from ..measurement.rooms import HEIGHT
 
 
 def numbers(value):
@@ -62,6 +39,22 @@ def test_plan(room, run, tmp_path):
 def test_section(room, run, tmp_path):
     ran = run("plan", room, "-o", tmp_path / "section.svg", "--section", 0.7, 1, 0.7, 2)
     assert ran.code == 0 and (tmp_path / "section.svg").read_bytes().startswith(b"<?xml")
+    # What was cut is said, not the walls of the plan.
+    assert "Section through (0.70, 1.00) and (0.70, 2.00) of the plan" in ran.out and "width" in ran.out
+    assert "W1" not in ran.out and "the plan's origin is at" in ran.out
+
+
+def test_section_before_a_wall(room, run, tmp_path):
+    """It is parallel to the wall and so far from it, inside of the room."""
+    ran = run("plan", room, "-o", tmp_path / "section.svg", "--section", "W1+0.9", "--json", tmp_path / "s.json")
+    assert ran.code == 0 and "0.9 m before W1" in ran.out
+    result = json.loads((tmp_path / "s.json").read_text())
+    a, b = np.array(result["section_m"])
+    corners = [np.array(wall["start_m"])[:2] for wall in result["walls"][:2]]
+    along = (corners[1] - corners[0]) / np.linalg.norm(corners[1] - corners[0])
+    np.testing.assert_allclose((b - a) / np.linalg.norm(b - a), along, atol=1e-9)
+    # Walls are in the order in which the room is to their left.
+    assert (a - corners[0]) @ [-along[1], along[0]] == pytest.approx(0.9, abs=2e-3)  # corners at the floor and at 1 m
 
 
 def test_orthophoto(room, run, tmp_path):
@@ -99,7 +92,7 @@ def test_points_of_a_cloud_in_millimetres(room, run):
 
 def test_sphere(room, refused):
     at = jaxscan.load_cloud(room).xyz[10, 40]
-    assert "No sphere" in refused("measure", "sphere", room, "--near", *at, "--radius", 0.1)
+    assert "No sphere" in refused("measure", "sphere", room, "--near", *at, "--radius-mm", 100)
 
 
 class TestRefusals:
@@ -113,6 +106,9 @@ class TestRefusals:
         assert "does not meet the room" in refused(*words, 50, 0, 50, 1)
         assert "are one" in refused(*words, 1, 1, 1, 1)
         assert "--section" in refused(*words, 1, 1, 1, "nan")
+        assert "expected a wall and metres" in refused(*words, 1, 1, 1)
+        assert "expected one of the plan's: W1, W2" in refused(*words, "W77+1")
+        assert "does not meet the room" in refused(*words, "W1+99")
         assert list(tmp_path.iterdir()) == []
 
     def test_names(self, room, refused, tmp_path):
@@ -124,7 +120,7 @@ class TestRefusals:
 
     @pytest.mark.parametrize("size", [0, -1, "nan", "inf"])
     def test_sizes(self, room, refused, tmp_path, size):
-        assert "--radius" in refused("measure", "sphere", room, "--near", 1, 0, 0, "--radius", size)
+        assert "--radius" in refused("measure", "sphere", room, "--near", 1, 0, 0, "--radius-mm", size)
         assert "--within-mm" in refused("measure", "points", room, "--a", 1, 0, 0, "--b", 0, 0, 0, "--within-mm", size)
         assert "--cell-mm" in refused("measure", "deviations", room, "--at", 1, 0, 0, "--cell-mm", size)
         assert "--pixel-mm" in refused("orthophoto", room, "-o", tmp_path / "walls", "--pixel-mm", size)
@@ -135,5 +131,5 @@ class TestRefusals:
         (tmp_path / "a.ply").write_text(text)
         refused("plan", tmp_path / "a.ply", "-o", tmp_path / "plan.dxf")
         assert "no sigmas" in refused("measure", "points", tmp_path / "a.ply", "--a", 0, 0, 1, "--b", 1, 0, 1)
-        assert "no sigmas" in refused("measure", "sphere", tmp_path / "a.ply", "--near", 0, 0, 1, "--radius", 1)
+        assert "no sigmas" in refused("measure", "sphere", tmp_path / "a.ply", "--near", 0, 0, 1, "--radius-mm", 1000)
         assert "no sigmas" in refused("measure", "deviations", tmp_path / "a.ply", "--at", 0, 0, 1)

@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from jaxscan.cli import progress
+from jaxscan.cli.scan import ScanDisplay
 
 
 PATIENCE_S = 60
@@ -117,3 +118,21 @@ def test_a_narrow_terminal_sees_the_stage(monkeypatch, width):
         shown.doing("solving again, with a verdict")
         if width == 40:
             assert screen.wait_for("solving again", "1/4")
+
+
+def test_a_scan_in_a_log_says_how_long_it_takes(capsys):
+    """A line after each tenth, with the time that is left at the rate so far; none where it goes fast."""
+    clock = [0.0]
+    display = ScanDisplay(total=40, now=lambda: clock[0])
+    for done in range(41):
+        display.progress(done, 40)
+        clock[0] += 3.0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "4 of 40 records, about 2 min left"
+    assert [line.split()[0] for line in lines] == ["4", "8", "12", "16", "20", "24", "28", "32", "36"]
+    assert lines[-1] == "36 of 40 records, about 12 s left"
+    fast = ScanDisplay(total=40, now=lambda: clock[0])
+    for done in range(41):
+        fast.progress(done, 40)
+        clock[0] += 0.1
+    assert capsys.readouterr().err == ""

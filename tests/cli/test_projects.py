@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from jaxscan.cli.products.view import with_projects
+from jaxscan.cli.view import with_projects
 from jaxscan.project import load_project
 from tests.museum import museum  # noqa: F401
 from tests.opened import edit, work
@@ -170,6 +170,7 @@ def test_two_rigs_of_one_name_and_no_days(museum, run):  # noqa: F811
     assert ran.code == 1 and ran.err.count("\n") == 1 and "calibration" in ran.err
 
 
+@pytest.mark.more
 def test_a_project_is_viewed_by_its_clouds(museum, run):  # noqa: F811
     ran = run("view", museum)
     assert ran.code == 1 and "has no cloud yet: jaxscan batch" in ran.err

@@ -11,10 +11,11 @@ import pytest
 
 import jaxscan
 from jaxscan.calibration import CalibrationSettings, ModelTest, Verdict, calibrate_camera
-from jaxscan.calibration.verdict import GoodTo, LaserLengths, Lengths, LengthSigma
-from jaxscan.cli.calibrate import calibration_settings
-from jaxscan.cli.output import console
-from jaxscan.cli.summary import print_summary
+from jaxscan.calibration.result import GoodTo, LaserLengths, Lengths, LengthSigma
+from jaxscan.cli.calibrate import calibration_settings, print_summary
+from jaxscan.cli.terminal import console
+from jaxscan.errors import CalibrationError, CaptureError
+from jaxscan.geometry import Still
 
 
 REFUSED = Verdict(
@@ -156,6 +157,55 @@ class TestCalibrate:
         verdict = json.loads((tmp_path / "result.json").read_text())["quality"]["verdict"]
         assert verdict["usable"] is True and verdict["good_to"]["sigma_mm"] == 2.0
         assert verdict["tests"][0]["effect_mm"] == 1.9
+
+    def test_without_an_axis_nothing_is_to_be_reconstructed(self, tiny, run, tmp_path, monkeypatch):
+        stored = jaxscan.load_calibration(tiny.calibration)
+        usable = dataclasses.replace(REFUSED, usable=True, refused=None)
+        judged = dataclasses.replace(
+            stored,
+            scanner=dataclasses.replace(stored.scanner, turntable=Still(), covariance=None),
+            quality=dataclasses.replace(stored.quality, verdict=usable),
+            missing=("no axis: no board placement was seen from two table angles",),
+        )
+        monkeypatch.setattr("jaxscan.api.calibrate", lambda captures, **options: judged)
+        monkeypatch.setattr("jaxscan.api.save_calibration", lambda result, output: None)
+        ran = run("calibrate", tiny.boards, "-o", tmp_path / "a.json")
+        assert ran.code == 0, ran.err
+        assert "no axis" in ran.out and "reconstruct" not in ran.out
+        assert ran.out.splitlines()[-1].startswith("next: jaxscan report")
+
+    def test_how_well_a_table_stops_is_read_from_the_header(self, tiny, tmp_path, monkeypatch):
+        boards = tmp_path / "boards"
+        shutil.copytree(tiny.boards, boards)
+        header, journal = boards / "capture.toml", boards / "frames.jsonl"
+        told = header.read_text()
+        # Without the seal, which is broken by another header.
+        journal.write_text("".join(line for line in journal.open() if '"event"' not in line))
+        given = []
+        for name in ("look_at_boards", "to_observations"):
+            monkeypatch.setattr(f"jaxscan.api.calibration.{name}", lambda *_, **__: None)
+
+        def estimate(observations, *, settings, **others):
+            given.append(settings.angle_sigma)
+            raise CalibrationError("enough")
+
+        monkeypatch.setattr("jaxscan.api.calibration.estimate", estimate)
+        for text, settings, expected in (
+            (told, None, None),
+            (told.replace("[turntable]", "[turntable]\nangle_sigma_deg = 0.01"), None, np.radians(0.01)),
+            (
+                told.replace("[turntable]", "[turntable]\nangle_sigma_deg = 0.01"),
+                CalibrationSettings(angle_sigma=1e-3),
+                1e-3,
+            ),
+        ):
+            header.write_text(text)
+            with pytest.raises(CalibrationError, match="enough"):
+                jaxscan.calibrate(jaxscan.open_capture(boards), settings=settings)
+            assert given.pop() == expected
+        header.write_text(told.replace("[turntable]", "[turntable]\nposition_sigma_mm = 0.01"))
+        with pytest.raises(CaptureError, match=r"position_sigma_mm: found 0\.01 with carries"):
+            jaxscan.open_capture(boards)
 
     def test_a_limit_that_cannot_be_meant(self, tiny, refused, tmp_path):
         assert "limit_mm: found 0, expected" in refused("calibrate", tiny.boards, "-o", tmp_path / "a", "--limit-mm", 0)

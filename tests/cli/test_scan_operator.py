@@ -4,7 +4,7 @@ import os
 import pty
 import tty
 
-from jaxscan.cli.scanning.operator import Lines
+from jaxscan.cli.boards import Lines
 
 
 def test_an_enter_of_impatience_answers_no_later_question():

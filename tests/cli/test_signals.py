@@ -10,9 +10,12 @@ import time
 import pytest
 
 
+pytestmark = pytest.mark.rig
+
+
 BEGIN = """
 import ctypes, hashlib, os, signal, sys, threading, time
-from jaxscan.cli.process import signals
+from jaxscan.cli import signals
 signals.listen()
 def ready():
     os.write(1, b"ready")
@@ -30,7 +33,7 @@ while True:
 """
 WITH_FILES = """
 from pathlib import Path
-from jaxscan.files.disk.partial import partial_file, partial_folder
+from jaxscan.files.disk.atomic import partial_file, partial_folder
 with partial_file(Path("cloud.ply")) as file, partial_folder(Path("captures")) as folder:
     file.write_bytes(b"half")
     (folder / "inner").mkdir()

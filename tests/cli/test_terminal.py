@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from jaxscan.cli.process.terminal import Terminal, table
+from jaxscan.cli.terminal import Terminal, table
 
 
 SHEET = table("Sides", ("", "m", "sigma mm", "not parallel by"), [("length", "4.0013", "0.52", "0.010°"), ("width",)])

@@ -15,7 +15,7 @@ from jaxscan.cli.console.serving import make_site
 from jaxscan.cli.console.sessions import Sessions
 from jaxscan.cli.console.slate import Slate
 from jaxscan.cli.console.works import Works
-from jaxscan.cli.process.terminal import Terminal
+from jaxscan.cli.terminal import Terminal
 from jaxscan.web import Server, open_address
 
 from ..browser.driver import browser as browser

@@ -12,7 +12,7 @@ from jaxscan.cli.console.painter import Painter, Seen
 from jaxscan.cli.console.silence import Silence
 from jaxscan.cli.console.slate import Slate
 from jaxscan.cli.console.works import Work, Works
-from jaxscan.cli.process.terminal import Terminal
+from jaxscan.cli.terminal import Terminal
 from jaxscan.vision import to_grey
 
 from .conftest import CONFIG

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 from scanrig.clock import ManualClock
-from scanrig.controllers.status import LinkCounts
+from scanrig.controllers.controller import LinkCounts
 
 from jaxscan.cli.console import silence
 from jaxscan.cli.console.silence import Silence

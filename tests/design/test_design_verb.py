@@ -5,7 +5,7 @@ import json
 import pytest
 
 import jaxscan
-from jaxscan.cli.design.quantities import DEGREES, METRES, MICROMETRES, quantity
+from jaxscan.cli.design import DEGREES, METRES, MICROMETRES, quantity
 from jaxscan.errors import OptionError
 
 from ..cli.conftest import refused, run  # noqa: F401
@@ -36,7 +36,7 @@ def test_design(run, tmp_path):  # noqa: F811
 
 def test_the_time_of_a_scan_is_that_of_the_firmware():
     """1800 steps of 16 microsteps at 400 to 4000 a second, 120 ms of a shot (PROTOCOL.md, section 4), 30 ms beside."""
-    from jaxscan.cli.design.design import _scan_seconds
+    from jaxscan.cli.design import _scan_seconds
 
     seconds = _scan_seconds(0.2)
     move = 2 * ((400**2 + 8000 * 16) ** 0.5 - 400) / 8000

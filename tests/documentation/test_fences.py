@@ -9,7 +9,7 @@ import tomllib
 
 import pytest
 
-from jaxscan.cli.process.verbs import parse
+from jaxscan.cli.verbs import parse
 from tests.documentation.pages import ROOT, fences, name_of, pages
 
 

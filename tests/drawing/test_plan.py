@@ -65,6 +65,16 @@ def test_a_section_is_as_wide_and_high_as_the_room(survey):
     assert [one.length_m for one in section.dimensions if one.offset_m != 0.0] == [pytest.approx(width)]
 
 
+def test_origin_axes_and_scale_bar_are_drawn(survey):
+    """Where a section is chosen, and how long a metre is, is in the drawing."""
+    for drawing, names in ((jaxscan.draw_plan(survey), "xy"), (jaxscan.draw_section(survey, (0.7, 1), (0.7, 2)), ())):
+        symbols = on(drawing, "A-ANNO-SYMB")
+        assert [line for line in symbols if np.allclose(line, [[0, 0], [0.4, 0]])]
+        assert [line for line in symbols if np.allclose(np.ptp(line, axis=0), [1.0, 0.0])]
+        words = [text.words for text in drawing.texts if text.layer == "A-ANNO-SYMB"]
+        assert {"0", "0.5", "1 m", *names} <= set(words)
+
+
 def test_a_room_with_a_pillar_is_cut_twice():
     """The pillar, as high as the room, divides a section through it."""
     cloud = seen_room(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from compare_clouds import Grid, cell_lines, compare, missed
-from tables.stripe_table import Figure, against_lines, change
+from stripe_accuracy import Figure, against_lines, change
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,10 @@ import jax
 import numpy as np
 import pytest
 
-from experiments.paper import contents, metrics, page
-from experiments.paper.figures.pair_angles import smallest_angle
-from experiments.paper.metrics import Metric
-from experiments.paper.rendering.sweeps import RenderedSweep
-from experiments.paper.worlds import smaller, windowed, windowed_scanner, world
+from experiments.paper import page, stage
+from experiments.paper.figure_9 import smallest_angle
+from experiments.paper.products import RenderedSweep
+from experiments.paper.stage import Metric, smaller, windowed, windowed_scanner, world
 from jaxscan.simulation import expect_record, make_rig, make_scene, true_scanner
 
 
@@ -53,11 +52,11 @@ def test_limits_are_kept_and_said():
     assert Metric("z", 0.9, "", low=0.8, high=1.2).met() and not Metric("z", 0.79, "", low=0.8, high=1.2).met()
     assert not Metric("z", np.nan, "mm").met()
     assert Metric("z", 1.0, "", low=0.8, high=1.2).wanted() == "0.8 ... 1.2"
-    assert "MISSED" in metrics.line(Metric("z", 0.61, "mm", high=0.6))
+    assert "MISSED" in stage.line(Metric("z", 0.61, "mm", high=0.6))
 
 
 def test_a_room_keeps_its_tenths_of_a_millimetre():
-    assert [metrics.shown(value) for value in (0.03525, 12.3456, 3820.33, np.inf)] == [
+    assert [stage.shown(value) for value in (0.03525, 12.3456, 3820.33, np.inf)] == [
         "0.03525",
         "12.35",
         "3820.33",
@@ -66,14 +65,14 @@ def test_a_room_keeps_its_tenths_of_a_millimetre():
 
 
 def test_the_baseline_keeps_other_experiments(tmp_path, monkeypatch):
-    monkeypatch.setattr(metrics, "BASELINE", tmp_path / "baseline")
-    assert metrics.load_baseline("kind") == {}
-    metrics.save_baseline("kind", "a", [Metric("x", 1.0, "mm", "near", 0.5), Metric("gone", 1.0, "mm")])
-    metrics.save_baseline("kind", "b", [Metric("y", 2.0, "mm", "less", 9.0)])
-    metrics.save_baseline("kind", "a", [Metric("x", 1.1, "mm", "near", 0.5)])
-    metrics.save_baseline("quick kind", "a", [Metric("x", 3.0, "mm")])
+    monkeypatch.setattr(stage, "BASELINE", tmp_path / "baseline")
+    assert stage.load_baseline("kind") == {}
+    stage.save_baseline("kind", "a", [Metric("x", 1.0, "mm", "near", 0.5), Metric("gone", 1.0, "mm")])
+    stage.save_baseline("kind", "b", [Metric("y", 2.0, "mm", "less", 9.0)])
+    stage.save_baseline("kind", "a", [Metric("x", 1.1, "mm", "near", 0.5)])
+    stage.save_baseline("quick kind", "a", [Metric("x", 3.0, "mm")])
     # A figure of which less is better may double at most, whatever its tolerance says.
-    assert metrics.load_baseline("kind") == {"a.x": (1.1, 0.5), "b.y": (2.0, 2.0)}
+    assert stage.load_baseline("kind") == {"a.x": (1.1, 0.5), "b.y": (2.0, 2.0)}
 
 
 def test_the_page_shows_both_worlds_and_marks_what_is_missed():
@@ -138,12 +137,12 @@ def test_the_quick_set_runs_in_both_worlds(tmp_path):
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     for name in ("kind", "unkind"):
-        results = json.loads(contents.results_path(tmp_path, name, True).read_text())
-        assert list(results) == list(contents.EXPERIMENTS)
+        results = json.loads(stage.results_path(tmp_path, name, True).read_text())
+        assert list(results) == list(stage.EXPERIMENTS)
         keys = set()
         for experiment, figures in results.items():
             assert list(tmp_path.glob(f"{experiment}*_{name}.png")), f"{experiment} has no picture"
             for one in figures["metrics"]:
                 assert np.isfinite(one["value"]), f"{experiment}.{one['key']}"
                 keys.add(f"{experiment}.{one['key']}")
-        assert keys == set(metrics.load_baseline(f"quick {name}"))
+        assert keys == set(stage.load_baseline(f"quick {name}"))

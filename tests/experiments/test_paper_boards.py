@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 import jaxscan
-from experiments.paper.methods.paper_way import PaperWay
-from experiments.paper.products.draws import load_paper_way, save_paper_way
-from experiments.paper.rendering import boards
-from experiments.paper.stage import Stage
-from experiments.paper.worlds import smaller, world
+from experiments.paper import products
+from experiments.paper.methods import PaperWay
+from experiments.paper.products import load_paper_way, save_paper_way
+from experiments.paper.stage import Stage, smaller, world
 
 
 SCALE = 0.5
@@ -21,13 +20,13 @@ def stage(request, tmp_path) -> Stage:
     return Stage(request.param, config, tmp_path / "work", tmp_path, quick=True)
 
 
-def last(plan: boards.BoardPlan) -> boards.BoardPlan:
+def last(plan: products.BoardPlan) -> products.BoardPlan:
     """One dark view and the last pair."""
-    return boards.BoardPlan([plan.placements[0], plan.placements[-1]], [False, True, True])
+    return products.BoardPlan([plan.placements[0], plan.placements[-1]], [False, True, True])
 
 
 def test_the_papers_protocol(stage) -> None:
-    plan = boards.paper_plan(stage)
+    plan = products.paper_plan(stage)
     jobs = plan.jobs()
     assert len(jobs) == 23
     assert [lit for *_, lit in jobs] == [False] * 19 + [True] * 4
@@ -35,17 +34,17 @@ def test_the_papers_protocol(stage) -> None:
     assert first is second
     assert np.rad2deg(turned - home) == pytest.approx(1.98)
     assert all(phi == 0 for _, phi, _ in jobs[:-1])
-    again = boards.paper_plan(stage)
+    again = products.paper_plan(stage)
     for one, other in zip(plan.placements, again.placements, strict=True):
         np.testing.assert_array_equal(one.scanner_from_board.translation, other.scanner_from_board.translation)
 
 
 def test_a_seed_draws_the_same_frames(stage, tmp_path) -> None:
-    plan = last(boards.paper_plan(stage))
-    records = boards.expect(stage, plan)
+    plan = last(products.paper_plan(stage))
+    records = products.expect(stage, plan)
     assert [record.laser.size > 0 for record in records] == [False, True, True]
     written = [
-        jaxscan.open_capture(boards.write_capture(stage, records, plan, seed, tmp_path / name))
+        jaxscan.open_capture(products.write_capture(stage, records, plan, seed, tmp_path / name))
         for name, seed in (("one", 1), ("again", 1), ("other", 2))
     ]
     assert np.rad2deg(written[0].records[-1].angle) == pytest.approx(1.98)
@@ -59,8 +58,8 @@ def test_a_seed_draws_the_same_frames(stage, tmp_path) -> None:
 
 
 def test_a_dark_view_is_the_room_without_the_laser(stage) -> None:
-    placement = boards.paper_plan(stage).placements[-1]
-    lit, dark = (boards.expect(stage, boards.BoardPlan([placement], [state] * 2)) for state in (True, False))
+    placement = products.paper_plan(stage).placements[-1]
+    lit, dark = (products.expect(stage, products.BoardPlan([placement], [state] * 2)) for state in (True, False))
     for one, other in zip(lit, dark, strict=True):
         # Single precision; a DN is 1.
         np.testing.assert_allclose(one.off, other.off, rtol=2e-6, atol=0)

@@ -11,11 +11,9 @@ import numpy as np
 import pytest
 
 import jaxscan
-from experiments.paper import metrics
+from experiments.paper import figure_5, figure_6
 from experiments.paper.__main__ import run_one
-from experiments.paper.figures import figure_5, figure_6
-from experiments.paper.stage import Stage
-from experiments.paper.worlds import world
+from experiments.paper.stage import Stage, load_baseline, world
 
 
 KEPT = Path(__file__).parent / "kept"
@@ -42,4 +40,4 @@ def test_figures_are_those_of_the_baseline(stage, observed, name):
     assert list(stage.pictures.glob(f"{name}*_kind.png"))
     assert all(np.isfinite(one["value"]) for one in found["metrics"])
     keys = {f"{name}.{one['key']}" for one in found["metrics"]}
-    assert keys == {key for key in metrics.load_baseline("quick kind") if key.startswith(f"{name}.")}
+    assert keys == {key for key in load_baseline("quick kind") if key.startswith(f"{name}.")}

@@ -4,11 +4,11 @@ import jax
 import numpy as np
 import pytest
 
-from experiments.paper.methods.paper_way import PaperWay
-from experiments.paper.rendering.boards import PAIR_DEG
-from experiments.paper.tables import quantities
-from experiments.paper.tables.honesty import compare
-from experiments.paper.worlds import world
+from experiments.paper import table_1
+from experiments.paper.methods import PaperWay
+from experiments.paper.products import PAIR_DEG
+from experiments.paper.stage import world
+from experiments.paper.table_1 import compare_honesty
 from jaxscan.geometry import Scanner
 from jaxscan.simulation import SimulationConfig, true_scanner
 
@@ -32,31 +32,31 @@ def perfect(config) -> PaperWay:
 
 
 def test_lengths_are_those_of_the_room(config) -> None:
-    lengths = quantities.across_half_a_turn(config)
-    true = dict(zip((one.key for one in quantities.QUANTITIES), quantities.true_values(config, lengths), strict=True))
+    lengths = table_1.across_half_a_turn(config)
+    true = dict(zip((one.key for one in table_1.QUANTITIES), table_1.true_values(config, lengths), strict=True))
     assert true["length_3820"] == pytest.approx(3820, abs=0.5)
     assert true["length_6150"] == pytest.approx(6150, abs=0.5)
 
 
 def test_a_perfect_calibration_by_the_papers_method_has_no_error(config, perfect) -> None:
-    lengths = quantities.across_half_a_turn(config)
-    found, true = quantities.of_paper_way(perfect, lengths), quantities.true_values(config, lengths)
+    lengths = table_1.across_half_a_turn(config)
+    found, true = table_1.of_paper_way(perfect, lengths), table_1.true_values(config, lengths)
     # Single precision at 6 m takes a few micrometres.
     np.testing.assert_allclose(found, true, rtol=2e-6, atol=2e-5)
-    for quantity, value in zip(quantities.QUANTITIES, true, strict=True):
+    for quantity, value in zip(table_1.QUANTITIES, true, strict=True):
         if quantity.paper is not None:
             assert value == pytest.approx(quantity.paper, rel=2e-3)
 
 
 def test_an_axis_that_is_off_counts_twice_across_half_a_turn(config, perfect) -> None:
-    lengths = quantities.across_half_a_turn(config)
+    lengths = table_1.across_half_a_turn(config)
     table = true_scanner(config).turntable
     # Farther from the camera along its view by 1 mm.
     point = np.asarray(table.point) + [0, 0, 0.001]
     with jax.enable_x64(True):
         moved = type(table).from_axis(table.direction, point).tr(perfect.pair_angle)
     tr = np.asarray(moved, np.float64)
-    change = quantities.of_paper_way(perfect._replace(tr=tr), lengths) - quantities.of_paper_way(perfect, lengths)
+    change = table_1.of_paper_way(perfect._replace(tr=tr), lengths) - table_1.of_paper_way(perfect, lengths)
     assert change[-2:] == pytest.approx([-2.0, -2.0], abs=0.05)
 
 
@@ -84,7 +84,7 @@ def test_a_bias_counts_as_an_error_and_not_as_spread(config) -> None:
         Scanner(*(jax.tree.map(np.asarray, part) for part in (one.camera, one.lasers, one.turntable)), each.covariance)
         for one, each in zip(moved, scanners, strict=True)
     ]
-    biased, unbiased = compare(moved, config), compare(scanners, config)
+    biased, unbiased = compare_honesty(moved, config), compare_honesty(scanners, config)
     assert biased.spread == pytest.approx(unbiased.spread, rel=1e-3)
     wanted = np.sqrt(unbiased.pooled**2 + 25 / len(unbiased.names))
     # Twice the product of bias and mean error of 40 draws: 1.6 of the 25, a standard deviation.
@@ -93,7 +93,7 @@ def test_a_bias_counts_as_an_error_and_not_as_spread(config) -> None:
 
 @pytest.mark.parametrize("factor", [1.0, 2.0])
 def test_errors_are_compared_with_their_covariance(config, factor) -> None:
-    honesty = compare(drawn(config, factor), config)
+    honesty = compare_honesty(drawn(config, factor), config)
     # 40 draws: a mean square of wholly dependent errors has a standard error of 22 %, its root of 11 %.
     assert "gain" not in honesty.names
     assert "fx" in honesty.names

@@ -4,11 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from experiments.paper.methods import equations, paper_way
-from experiments.paper.methods.board_check import Check
-from experiments.paper.methods.paper_way import BoardCorners, PaperWay
-from experiments.paper.methods.plain_stripes import gravity, highest
-from experiments.paper.worlds import smaller, world
+from experiments.paper import methods
+from experiments.paper.figure_6 import Check
+from experiments.paper.methods import BoardCorners, PaperWay, gravity, highest
+from experiments.paper.stage import smaller, world
 from jaxscan.geometry import Chessboard
 from jaxscan.simulation import render_sweep
 from jaxscan.vision import board_texture
@@ -58,18 +57,18 @@ def points_of_sheet(count=200):
 
 
 def test_exact_corners_give_the_exact_camera(corners, poses):
-    matrix, k, found = paper_way.calibrate_camera([None, *corners], (2048, 1638))
+    matrix, k, found = methods.calibrate_camera([None, *corners], (2048, 1638))
     # Corners are rounded to single precision, 1e-4 px.
     np.testing.assert_allclose(matrix, MATRIX, atol=0.02)
     assert k == pytest.approx(K, abs=1e-5)
     assert np.isnan(found[0]).all()
     np.testing.assert_allclose(found[1:], poses, atol=1e-5)
-    np.testing.assert_allclose(paper_way.board_pose(MATRIX, K, corners[0]), poses[0], atol=1e-6)
+    np.testing.assert_allclose(methods.board_pose(MATRIX, K, corners[0]), poses[0], atol=1e-6)
 
 
 def test_a_calibration_takes_three_boards(corners):
     with pytest.raises(ValueError, match="at least three boards, found 2 in 3 views"):
-        paper_way.calibrate_camera([corners[0], None, corners[1]], (2048, 1638))
+        methods.calibrate_camera([corners[0], None, corners[1]], (2048, 1638))
 
 
 def test_rays_and_boards_undo_the_projection(poses):
@@ -77,27 +76,27 @@ def test_rays_and_boards_undo_the_projection(poses):
     places = np.column_stack([random.uniform(0, 0.4, (50, 2)), np.zeros(50)])
     points = places @ poses[0][:3, :3].T + poses[0][:3, 3]
     uv = project(points)
-    np.testing.assert_allclose(equations.rays(MATRIX, K, uv), points / points[:, 2:], atol=1e-12)
-    np.testing.assert_allclose(equations.points_on_board(MATRIX, K, poses[0], uv), points, atol=1e-12)
+    np.testing.assert_allclose(methods.rays(MATRIX, K, uv), points / points[:, 2:], atol=1e-12)
+    np.testing.assert_allclose(methods.points_on_board(MATRIX, K, poses[0], uv), points, atol=1e-12)
 
 
 def test_an_exact_plane_comes_back():
     points = points_of_sheet()
-    np.testing.assert_allclose(equations.linear_plane(points), PLANE, rtol=1e-10)
-    np.testing.assert_allclose(equations.total_plane(points), PLANE, rtol=1e-10)
+    np.testing.assert_allclose(methods.linear_plane(points), PLANE, rtol=1e-10)
+    np.testing.assert_allclose(methods.total_plane(points), PLANE, rtol=1e-10)
 
 
 def test_noise_along_z_moves_only_the_total_fit():
     """Equation (8) minimises the errors along Z, so noise there alone leaves it without bias."""
     points = points_of_sheet(20000)
     points[:, 2] += 0.1 * np.random.default_rng(6).standard_normal(len(points))
-    linear, total = (fit(points)[0] / PLANE[0] - 1 for fit in (equations.linear_plane, equations.total_plane))
+    linear, total = (fit(points)[0] / PLANE[0] - 1 for fit in (methods.linear_plane, methods.total_plane))
     assert 4 * abs(linear) < abs(total)
 
 
 def test_tr_is_the_motion_between_two_views():
     board, turned = motion((0.2, -0.3, 0.1), (0.1, -0.1, 1.3)), motion((0, 0.0345, 0), (-0.0073, 0, 0.0002))
-    tr = equations.pair_motion(board, np.linalg.inv(turned) @ board)
+    tr = methods.pair_motion(board, np.linalg.inv(turned) @ board)
     np.testing.assert_allclose(tr, turned, atol=1e-14)
 
 
@@ -106,13 +105,13 @@ def test_powers_turn_by_multiples_of_the_angle():
     angle = np.deg2rad(1.98)
     tr = motion(angle * axis, (-0.00734, 0.0000031, 0.00021142))
     numbers = np.array([0, 1, 2, 7, 0.5, -1, 360 / 1.98, 1800])
-    found = equations.power(tr, numbers)
+    found = methods.power(tr, numbers)
     for n, each in zip(numbers, found, strict=True):
         np.testing.assert_allclose(each[:3, :3], cv2.Rodrigues(n * angle * axis)[0], atol=1e-9)
         if n == int(n):
             np.testing.assert_allclose(each, np.linalg.matrix_power(tr, int(n)), atol=1e-9)
     np.testing.assert_allclose(found[4] @ found[4], tr, atol=1e-14)
-    shifts = equations.power(motion((0, 0, 0), (0.0, 0.1, 0.2)), np.array([0.5, 3.0]))[:, :3, 3]
+    shifts = methods.power(motion((0, 0, 0), (0.0, 0.1, 0.2)), np.array([0.5, 3.0]))[:, :3, 3]
     np.testing.assert_allclose(shifts, [[0, 0.05, 0.1], [0, 0.3, 0.6]], atol=1e-15)
 
 
@@ -121,16 +120,16 @@ def test_a_fixed_point_stays_in_the_cloud():
     tr, pair = motion((0, -0.03, 0), (0.006, 0, 0.0001)), 0.03
     way = PaperWay(MATRIX, K, np.zeros((0, 4, 4)), [], PLANE, PLANE, tr, pair)
     fixed, angles = points_of_sheet(1)[0], np.array([0.0, 0.015, 0.06])
-    seen = paper_way.points_on_sheet(way, project(points_of_sheet()))
+    seen = methods.points_on_sheet(way, project(points_of_sheet()))
     np.testing.assert_allclose(seen, points_of_sheet(), atol=1e-11)
     # The camera moves with the table, so in its own frame the point has moved back; a sheet of its own meets it there.
-    for angle, moved in zip(angles, equations.power(tr, angles / pair), strict=True):
+    for angle, moved in zip(angles, methods.power(tr, angles / pair), strict=True):
         there = np.linalg.inv(moved) @ np.append(fixed, 1.0)
         own = way._replace(linear=np.array([*PLANE[:2], PLANE[:2] @ there[:2] + there[2]]))
         uv = project(there[None, :3])[0]
         rows = np.zeros((1, round(uv[1]) + 2))
         rows[0, round(uv[1])] = uv[0]
-        cloud = paper_way.cloud(own, rows, rows > 0, np.array([angle]))
+        cloud = methods.paper_cloud(own, rows, rows > 0, np.array([angle]))
         assert np.isfinite(cloud[0]).all(1).sum() == 1
         # Its row is a whole one: half a pixel off at the most.
         assert np.linalg.norm(cloud[0, round(uv[1])] - fixed) < 0.01 * np.linalg.norm(fixed)
@@ -138,7 +137,7 @@ def test_a_fixed_point_stays_in_the_cloud():
 
 def test_a_ray_that_misses_the_sheet_gives_no_point():
     way = PaperWay(MATRIX, K, np.zeros((0, 4, 4)), [], PLANE, PLANE, np.eye(4), 0.1)
-    assert np.isnan(paper_way.points_on_sheet(way, np.array([[1900.0, 800.0]]))).all()
+    assert np.isnan(methods.points_on_sheet(way, np.array([[1900.0, 800.0]]))).all()
 
 
 def test_a_board_is_found_in_one_order_however_it_is_turned():
@@ -146,14 +145,14 @@ def test_a_board_is_found_in_one_order_however_it_is_turned():
     image = np.full((500, 600), 255, np.uint8)
     image[70 : 70 + 9 * 36, 80 : 80 + 12 * 36] = board_texture(board, 36)
     image = cv2.GaussianBlur(image, None, 1.0)
-    found = paper_way.find_board(image, board.grid(), board.square)
-    turned = paper_way.find_board(np.ascontiguousarray(image[::-1, ::-1]), board.grid(), board.square)
+    found = methods.find_board(image, board.grid(), board.square)
+    turned = methods.find_board(np.ascontiguousarray(image[::-1, ::-1]), board.grid(), board.square)
     # The middle of the pixels' edge between the squares.
     true = np.array([80, 70]) - 0.5 + 36 * (1 + found.places[:, :2] / SQUARE)
     back = np.array([599, 499]) - turned.pixels
     assert min(np.abs(found.pixels - each).max() for each in (true, true[::-1])) < 0.05
     np.testing.assert_allclose(back, found.pixels, atol=0.05)
-    assert paper_way.find_board(np.full((300, 400), 90, np.uint8), board.grid(), board.square) is None
+    assert methods.find_board(np.full((300, 400), 90, np.uint8), board.grid(), board.square) is None
 
 
 def test_strays_on_a_board_are_left_out(poses):
@@ -164,7 +163,7 @@ def test_strays_on_a_board_are_left_out(poses):
     u[rows], valid[rows] = middle[0] + 0.2 * (rows - middle[1]), True
     u[rows[17]] += 25
     u[5], valid[5] = 3, True
-    kept = paper_way.stripe_on_board(MATRIX, K, poses[0], outline, (u, valid))
+    kept = methods.stripe_on_board(MATRIX, K, poses[0], outline, (u, valid))
     assert sorted(kept[:, 1]) == [row for row in rows if row != rows[17]]
 
 

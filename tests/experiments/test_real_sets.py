@@ -5,10 +5,19 @@ import subprocess
 import numpy as np
 import pytest
 
-from experiments.real_sets.plain.boards import Lens, calibrate, grid, pose_of
-from experiments.real_sets.plain.stripes import Plane, angle_deg, board_plane, centres, consensus, straight_line
-from experiments.real_sets.sets import BY_NAME
-from experiments.real_sets.source import Source
+from experiments.plain import (
+    Lens,
+    Plane,
+    angle_deg,
+    board_plane,
+    calibrate,
+    centres,
+    consensus,
+    grid,
+    pose_of,
+    straight_line,
+)
+from experiments.real_sets.sets import BY_NAME, Source
 
 
 def test_pictures_of_a_folder_and_of_its_git_snapshot_are_the_same(tmp_path):

@@ -8,10 +8,20 @@ import numpy as np
 import pytest
 
 import jaxscan
-from experiments.recalibration.calibrations import calibration_of, draw_truth
-from experiments.recalibration.crossings import room_from_rig
-from experiments.recalibration.surfaces import box_of, curved, stepped
-from experiments.recalibration.world import Noise, Sweeping, moved, shift_axis, sweep_of, true_sweep, turn_laser
+from experiments.recalibration.trial import calibration_of, draw_truth
+from experiments.recalibration.world import (
+    Noise,
+    Sweeping,
+    box_of,
+    curved,
+    moved,
+    room_from_rig,
+    shift_axis,
+    stepped,
+    sweep_of,
+    true_sweep,
+    turn_laser,
+)
 from jaxscan.simulation import SimulationConfig, true_scanner
 
 

@@ -56,6 +56,11 @@ class Folder:
         (self.path / "frames.jsonl").write_text("".join(line + "\n" for line in self.lines))
 
 
+def journal(path):
+    """The lines of a capture's journal."""
+    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
+
+
 @pytest.fixture
 def folder(tmp_path):
     return Folder(tmp_path / "room")

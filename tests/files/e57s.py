@@ -5,7 +5,7 @@ import struct
 
 import numpy as np
 
-from jaxscan.files.clouds.e57.pages import PAGE, PAYLOAD, checksums
+from jaxscan.files.clouds.e57 import PAGE, PAYLOAD, checksums
 
 
 def paged(payload):

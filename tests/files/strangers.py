@@ -650,6 +650,19 @@ STRANGERS = [
         unit=US_FOOT,
     ),
     Stranger(
+        "las size of a unit",
+        "GeoKeys with the ellipsoid and the size of a unit as doubles",
+        ".las",
+        lambda p: las(
+            p,
+            factor=US_FOOT,
+            keys=[(1024, 0, 1, 1), (2057, 34736, 1, 0), (3076, 0, 1, 32767), (3077, 34736, 1, 1)],
+            doubles=(6378137.0, US_FOOT),
+            version="1.2",
+        ),
+        unit=US_FOOT,
+    ),
+    Stranger(
         "las degrees",
         "GeoKeys of degrees",
         ".las",

@@ -17,7 +17,7 @@ from jaxscan.calibration import (
     Verdict,
     ViewQuality,
 )
-from jaxscan.calibration.verdict import DepthSigma, Direction, GoodTo, LaserLengths, Lengths, LengthSigma, PriorShare
+from jaxscan.calibration.result import DepthSigma, Direction, GoodTo, LaserLengths, Lengths, LengthSigma, PriorShare
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration import (
     calibration_digest,
@@ -27,7 +27,7 @@ from jaxscan.files.calibration import (
     load_scanner,
     save_calibration,
 )
-from jaxscan.files.calibration.quality import quality_table, read_quality
+from jaxscan.files.calibration.calibration import quality_table, read_quality
 from jaxscan.geometry import (
     Charuco,
     Chessboard,

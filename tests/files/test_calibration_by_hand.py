@@ -14,18 +14,10 @@ from jaxscan.errors import CalibrationError
 from jaxscan.files import load_calibration, load_scanner, save_calibration
 from jaxscan.files.calibration import calibration_notes
 
+from .test_calibration import edit
+
 
 GUIDE = Path(__file__).resolve().parents[2] / "docs" / "captures.md"
-
-
-def edit(data, path, value):
-    *parents, last = path
-    for key in parents:
-        data = data[key]
-    if value is KeyError:
-        del data[last]
-    else:
-        data[last] = value
 
 
 @pytest.fixture

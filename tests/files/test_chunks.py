@@ -10,7 +10,7 @@ import pytest
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import open_capture
-from jaxscan.files.capture.decode import Buffers, decode_ahead
+from jaxscan.files.capture.images import Buffers, decode_ahead
 
 
 class Made:

@@ -308,7 +308,7 @@ SEALED = (".ply", ".pcd")
 @pytest.mark.parametrize("joined", [False, True])
 def test_any_changed_bit_is_noticed(tmp_path, monkeypatch, suffix, joined):
     """Neither format has a checksum of its own; the digest is taken a block at a time."""
-    monkeypatch.setattr("jaxscan.files.clouds.seal._BLOCK_BYTES", 100)
+    monkeypatch.setattr("jaxscan.files.clouds.header._BLOCK_BYTES", 100)
     cloud = make_cloud()
     if joined:
         cloud = join_clouds([cloud, make_cloud(seed=1)], [np.eye(4)] * 2, [np.zeros((6, 6))] * 2)

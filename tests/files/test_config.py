@@ -10,8 +10,8 @@ import pytest
 
 from jaxscan.errors import ConfigError
 from jaxscan.files.disk import FileModel, Integer, Number, load_toml, parse_json
-from jaxscan.files.disk.bounded import MAX_DEPTH
 from jaxscan.files.disk.config import MAX_CONFIG_BYTES, MAX_PARTS, parse_toml
+from jaxscan.files.disk.reading import MAX_DEPTH
 
 
 class Round(FileModel):

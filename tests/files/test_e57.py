@@ -7,11 +7,11 @@ import pytest
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import load_cloud, save_cloud
-from jaxscan.files.clouds.e57.packets import Field, _unpacked
-from jaxscan.files.clouds.e57.pages import checksums
+from jaxscan.files.clouds.e57 import Field, _unpacked, checksums
 
 from .clouds import make_cloud
 from .e57s import made, with_xml, xml_of
+from .strangers import scaled, whole
 
 
 pytest.importorskip("pye57", reason="the extra `export` is not installed")
@@ -19,14 +19,6 @@ pytest.importorskip("pye57", reason="the extra `export` is not installed")
 
 def floats(single):
     return lambda e57, image: e57.FloatNode(image, 0.0, e57.E57_SINGLE if single else e57.E57_DOUBLE)
-
-
-def whole(least, most):
-    return lambda e57, image: e57.IntegerNode(image, least, least, most)
-
-
-def scaled(least, most, scale, offset):
-    return lambda e57, image: e57.ScaledIntegerNode(image, least, least, most, scale, offset)
 
 
 def test_checksums_are_those_of_the_standard():

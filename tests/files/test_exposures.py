@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import MAX_IMAGES, CaptureHeader, ImageRef, open_capture
-from jaxscan.files.capture.exposures import average
+from jaxscan.files.capture.images import average
 from jaxscan.files.recording import create_capture, resume_capture
 
 from .conftest import BOARD, LASER

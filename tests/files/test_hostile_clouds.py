@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import load_cloud, save_cloud
-from jaxscan.files.clouds.pcd.lzf import unpack
+from jaxscan.files.clouds.pcd import unpack
 from tests.fuzz.hardship import hardship
 
 from .clouds import make_cloud, unsealed
@@ -30,7 +30,7 @@ def good(suffix, folder):
     return _good[suffix]
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("suffix", (".ply", ".npz", *FORMATS))
 @settings(max_examples=150, deadline=None)
 @given(data=st.data())
 def test_any_damage_is_read_or_refused(tmp_path_factory, suffix, data):

@@ -11,7 +11,7 @@ from jaxscan.cli.main import main
 from jaxscan.errors import CaptureError, OptionError
 from jaxscan.files.importing import list_images
 from jaxscan.files.importing.listing import match, natural
-from jaxscan.files.importing.words import group, understand
+from jaxscan.files.importing.roles import group, understand
 from jaxscan.vision.video import is_cut_short
 
 

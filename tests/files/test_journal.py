@@ -14,8 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.journal import MAX_LINE_BYTES, read_journal
-from jaxscan.files.capture.references import is_plain, parse_reference
+from jaxscan.files.capture.journal import MAX_LINE_BYTES, is_plain, parse_reference, read_journal
 
 
 def read(data, kind="sweep", lasers=("red",)):

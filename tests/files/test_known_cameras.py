@@ -358,3 +358,31 @@ def refusal(path):
     message = str(caught.value)
     assert "\n" not in message and re.search(re.escape(path.name), message) and len(message) < 400
     return message
+
+
+def test_a_fisheye_of_camodocal_counts_its_coefficients_from_two(tmp_path):
+    """k2 to k5 of its Kannala-Brandt are k1 to k4 of OpenCV's fisheye; mu, mv, u0, v0 are its pixels."""
+    (tmp_path / "c.yaml").write_text(
+        "%YAML:1.0\n---\nmodel_type: KANNALA_BRANDT\nimage_width: 1280\nimage_height: 800\nprojection_parameters:\n"
+        "   k2: -0.01\n   k3: 0.02\n   k4: -0.003\n   k5: 0.0004\n"
+        "   mu: 400.5\n   mv: 401.0\n   u0: 640.0\n   v0: 400.0\n"
+    )
+    read = read_camera(tmp_path / "c.yaml")
+    np.testing.assert_array_equal(read.camera.parameters(), [400.5, 401.0, 640.0, 400.0, -0.01, 0.02, -0.003, 0.0004])
+    assert "every key is used" in read.note or "model_type" not in read.note.partition("not used")[2]
+
+
+@pytest.mark.parametrize(("columns", "found"), [(1241, (1241, 376)), (9, None)])
+def test_a_size_in_columns_and_rows_is_one_of_images_only_where_it_is_large(tmp_path, columns, found):
+    """Stella writes `cols` and `rows` beside the focal lengths; a board has them too."""
+    rows = 376 if found else 6
+    (tmp_path / "c.yaml").write_text(
+        "Camera:\n  model: perspective\n  fx: 718.856\n  fy: 718.856\n  cx: 607.19\n  cy: 185.21\n"
+        f"  k1: 0.0\n  k2: 0.0\n  p1: 0.0\n  p2: 0.0\n  k3: 0.0\n  cols: {columns}\n  rows: {rows}\n"
+    )
+    if found is None:
+        with pytest.raises(CalibrationError, match="size of the images"):
+            read_camera(tmp_path / "c.yaml")
+    else:
+        camera = read_camera(tmp_path / "c.yaml").camera
+        assert (camera.width, camera.height) == found

@@ -9,9 +9,9 @@ import time
 import pytest
 
 from jaxscan.errors import JaxscanError
+from jaxscan.files.disk import atomic as module
 from jaxscan.files.disk import forget_partials, partial_file, partial_folder, remove_left, write_atomically
-from jaxscan.files.disk import partial as module
-from jaxscan.files.disk.network import is_on_network
+from jaxscan.files.disk.lock import is_on_network
 
 
 LEFT = ".part-0123456789ab"

@@ -12,16 +12,13 @@ from fsspec.implementations.memory import MemoryFileSystem
 
 from jaxscan import open_capture
 from jaxscan.errors import CaptureError, DependencyError
+from jaxscan.files import remote
 from jaxscan.files.remote import (
-    copying,
     fetch_file,
     fetch_folder,
     find_captures,
     is_remote,
-    listing,
-    place,
     remote_digest,
-    search,
 )
 
 
@@ -61,7 +58,7 @@ class OwnStore(MemoryFileSystem):
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """As many tries, without the pauses between them."""
-    monkeypatch.setattr(place, "WAITS_S", (0.0,) * len(place.WAITS_S))
+    monkeypatch.setattr(remote, "WAITS_S", (0.0,) * len(remote.WAITS_S))
 
 
 def register(scheme, **methods):
@@ -104,7 +101,7 @@ def test_a_folder_is_copied(tmp_path):
 
 
 def test_large_files_are_copied_in_blocks(tmp_path, monkeypatch):
-    monkeypatch.setattr(copying, "BLOCK_BYTES", 7)
+    monkeypatch.setattr(remote, "BLOCK_BYTES", 7)
     blocks = []
 
     def cat_file(self, path, start=None, end=None):
@@ -151,7 +148,7 @@ def test_captures_on_this_disk_are_found_by_an_address(tmp_path):
 
 
 def test_a_pattern_that_finds_too_much_is_refused(monkeypatch):
-    monkeypatch.setattr(search, "MAX_FOUND", 3)
+    monkeypatch.setattr(remote, "MAX_FOUND", 3)
     register("own")
     for k in range(4):
         fill(f"own://rooms/{k}", ROOM)
@@ -247,7 +244,7 @@ def test_storage_that_always_fails_is_asked_five_times_and_said(tmp_path):
 def test_pauses_between_tries_grow(monkeypatch):
     waited = []
     monkeypatch.undo()
-    monkeypatch.setattr(place.time, "sleep", waited.append)
+    monkeypatch.setattr(remote.time, "sleep", waited.append)
 
     def info(self, path, **options):
         raise TimeoutError
@@ -336,7 +333,7 @@ def test_names_that_lead_elsewhere_are_refused(tmp_path, name, message):
     ],
 )
 def test_listings_that_are_hostile_are_refused(tmp_path, monkeypatch, entries, message):
-    monkeypatch.setattr(listing, "MAX_FILES", 10)
+    monkeypatch.setattr(remote, "MAX_FILES", 10)
     register("own", ls=listed(*entries))
     with pytest.raises(CaptureError, match=message):
         fetch_folder("own://one", tmp_path / "one", most_bytes=1000)
@@ -457,7 +454,7 @@ def test_a_capture_from_s3_is_the_same_to_the_last_bit(tiny, bucket, tmp_path):
 
 
 def test_large_objects_go_to_s3_and_back(bucket, tmp_path, monkeypatch):
-    monkeypatch.setattr(copying, "BLOCK_BYTES", 1 << 20)
+    monkeypatch.setattr(remote, "BLOCK_BYTES", 1 << 20)
     content = np.random.default_rng(4).bytes((5 << 20) + 3)
     (tmp_path / "cloud.ply").write_bytes(content)
     fsspec.filesystem("s3").put_file(str(tmp_path / "cloud.ply"), f"{bucket}/products/cloud.ply")

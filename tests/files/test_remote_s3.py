@@ -13,7 +13,10 @@ import fsspec.config
 import pytest
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.remote import fetch_file, fetch_folder, find_captures, listing, pages, place, reading, remote_digest
+from jaxscan.files import remote
+from jaxscan.files.remote import fetch_file, fetch_folder, find_captures, remote_digest
+
+from .test_remote import contents
 
 
 GIGABYTE = 1 << 30
@@ -116,7 +119,7 @@ def store(server, monkeypatch, tmp_path):
         monkeypatch.setenv(name, value)
     for name in ("AWS_PROFILE", "AWS_SESSION_TOKEN", "AWS_CA_BUNDLE"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(place, "WAITS_S", (0.0,) * len(place.WAITS_S))
+    monkeypatch.setattr(remote, "WAITS_S", (0.0,) * len(remote.WAITS_S))
     store = SimpleNamespace(files={}, asked=[], rule=lambda handler: False, config=tmp_path / "config")
     store.files = {f"one/{name}": content for name, content in ROOM.items()}
     server.store = store
@@ -124,10 +127,6 @@ def store(server, monkeypatch, tmp_path):
     kind.clear_instance_cache()
     yield store
     kind.clear_instance_cache()
-
-
-def contents(folder):
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 def asked_for_files(store):
@@ -178,7 +177,7 @@ def test_controls_of_a_terminal_are_left_out_of_messages():
         raise ValueError("\x1b[31mred\u202e\x00\nline")
 
     with pytest.raises(CaptureError, match=r"^one: cannot be read: \[31mred line\.$"):
-        place.asked(red, place.Place(SimpleNamespace(invalidate_cache=lambda path: None), "one", "one"))
+        remote.asked(red, remote.StoragePlace(SimpleNamespace(invalidate_cache=lambda path: None), "one", "one"))
 
 
 def test_a_server_that_fails_one_time_in_twenty_is_read_whole(store, tmp_path):
@@ -212,7 +211,7 @@ def test_after_a_failure_the_driver_reads_the_rest(store, tmp_path):
     store.rule = rule
     fetch_folder("s3://rooms/one", tmp_path / "one", most_bytes=GIGABYTE)
     assert contents(tmp_path / "one") == ROOM
-    assert sum(fast for *_, fast in store.asked) <= place.WORKERS
+    assert sum(fast for *_, fast in store.asked) <= remote.WORKERS
 
 
 def test_keys_given_to_the_driver_are_used_and_no_others(store, tmp_path, monkeypatch):
@@ -279,17 +278,17 @@ def test_what_is_not_plain_is_read_by_the_driver(store, monkeypatch, address, pr
     store.config.write_text(OWN_SECTION + profile)
     monkeypatch.setitem(fsspec.config.conf, "s3", given)
     monkeypatch.setattr(fsspec.get_filesystem_class("s3"), "connect_timeout", 1)
-    assert reading.reader_of(place.open_place(address)) is reading.by_driver
+    assert remote.reader_of(remote.open_place(address)) is remote.by_driver
     assert store.asked == []
 
 
 def test_a_plain_profile_is_read_by_the_faster_client(store):
     store.config.write_text(OWN_SECTION + "s3 =\n  addressing_style = path\n")
-    assert reading.reader_of(place.open_place("s3://rooms/one")) is not reading.by_driver
+    assert remote.reader_of(remote.open_place("s3://rooms/one")) is not remote.by_driver
 
 
 def test_lists_without_end_are_left_after_a_page_too_many(store, monkeypatch):
-    monkeypatch.setattr(listing, "MAX_FILES", 10)
+    monkeypatch.setattr(remote, "MAX_FILES", 10)
     numbers = iter(range(10**6))
 
     def rule(handler):
@@ -312,7 +311,7 @@ def test_empty_pages_without_end_are_left(store):
 
     store.rule = rule
     with pytest.raises(CaptureError, match="holds more than 10 files"):
-        pages.listed(place.open_place("s3://rooms/one"), 10)
+        remote.listed(remote.open_place("s3://rooms/one"), 10)
 
 
 def test_pages_are_put_together(store, tmp_path):

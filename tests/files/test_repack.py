@@ -1,6 +1,5 @@
 """Repacking: the same records with the same keys, their images stored in another way."""
 
-import json
 import os
 
 import numpy as np
@@ -10,16 +9,12 @@ from jaxscan.errors import CaptureError
 from jaxscan.files.capture import open_capture
 from jaxscan.files.recording import repack_capture, store
 
-from .conftest import BOARD, LASER
-
-
-def lines(path):
-    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
+from .conftest import BOARD, LASER, journal
 
 
 def records_of(path):
     """The lines of a journal that we wrote, without digests and seal."""
-    *values, end = lines(path)
+    *values, end = journal(path)
     assert end["event"] == "seal" and all("sha256" in value for value in values if "i" in value)
     return [{key: value for key, value in line.items() if key != "sha256"} for line in values]
 
@@ -58,7 +53,7 @@ def test_there_and_back(folder, tmp_path):
     assert done == [(k + 1, 5) for k in range(5)]
     assert [line["off"] for line in records_of(fast)] == [f"off/000000.npy#{k}" for k in range(5)]
     assert (fast / "capture.toml").read_bytes() == (folder.path / "capture.toml").read_bytes()
-    assert [without_names(line) for line in records_of(fast)] == [without_names(line) for line in lines(folder.path)]
+    assert [without_names(line) for line in records_of(fast)] == [without_names(line) for line in journal(folder.path)]
     same(folder.path, fast)
     (chunk,) = open_capture(fast).chunks(5)
     assert not chunk.on.flags.writeable
@@ -66,7 +61,7 @@ def test_there_and_back(folder, tmp_path):
     assert [line["off"] for line in records_of(tmp_path / "packed")] == [f"off/{k:06d}.zst" for k in range(5)]
     same(folder.path, tmp_path / "packed")
     repack_capture(tmp_path / "packed", tmp_path / "back", storage="png")
-    assert records_of(tmp_path / "back") == lines(folder.path)
+    assert records_of(tmp_path / "back") == journal(folder.path)
     same(folder.path, tmp_path / "back")
 
 
@@ -81,8 +76,8 @@ def test_retakes_events_and_a_torn_line(folder, tmp_path):
     _, target = same(folder.path, repack_capture(folder.path, tmp_path / "fast", storage="npy").path)
     assert target.notes == ()
     order = [line.get("i", line.get("event")) for line in records_of(target.path)]
-    assert order == [0, 1, 2, "fault", 3, "resume"] and lines(target.path)[1]["note"] == "again"
-    assert [line["on"] for line in lines(target.path) if "i" in line] == [f"on/000000.npy#{k}" for k in range(4)]
+    assert order == [0, 1, 2, "fault", 3, "resume"] and journal(target.path)[1]["note"] == "again"
+    assert [line["on"] for line in journal(target.path) if "i" in line] == [f"on/000000.npy#{k}" for k in range(4)]
 
 
 def test_a_calibration_with_lists_and_missing_keys(folder, tmp_path):

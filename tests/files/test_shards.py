@@ -19,6 +19,8 @@ from jaxscan.files.capture import CaptureHeader, open_capture
 from jaxscan.files.recording import create_capture, resume_capture, store
 from jaxscan.files.recording.store import SHARD_BYTES, ShardStore
 
+from .conftest import journal
+
 
 RNG = np.random.default_rng(5)
 FRAMES = RNG.integers(0, 256, (40, 4, 6), np.uint8)
@@ -32,10 +34,6 @@ def header(kind="sweep", **camera):
 
 def begin(path, **keys):
     return create_capture(path, header(), storage="npy", **keys)
-
-
-def journal(path):
-    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
 
 
 def fill(capture, count, start=0):

@@ -14,6 +14,8 @@ from jaxscan.errors import CaptureError
 from jaxscan.files.capture import cache_path, cached_stripes, frames_key, open_capture, save_stripes
 from jaxscan.files.capture.stripe_cache import load_stripes
 
+from .test_arrays import archive
+
 
 RNG = np.random.default_rng(7)
 ARRAYS = {
@@ -107,12 +109,6 @@ def test_rubbish_is_refused_or_harmless(cache, seed):
         # The damaged byte does not matter, as a time in the archive.
         assert arrays.keys() == ARRAYS.keys()
         assert all(np.array_equal(arrays[name], array) for name, array in ARRAYS.items())
-
-
-def archive(path, members, compression=zipfile.ZIP_STORED):
-    with zipfile.ZipFile(path, "w", compression) as made:
-        for name, content in members:
-            made.writestr(name, content)
 
 
 def npy(array):

@@ -11,6 +11,8 @@ from jaxscan.errors import CaptureError
 from jaxscan.files.capture import SEAL, CaptureHeader, open_capture, seal, seal_note, verify_capture
 from jaxscan.files.recording import create_capture, repack_capture, resume_capture
 
+from .conftest import journal
+
 
 RNG = np.random.default_rng(5)
 FRAMES = RNG.integers(0, 256, (12, 4, 6), np.uint8)
@@ -22,10 +24,6 @@ def write(path, *, count=4, storage="zstd", digests=True):
         for k in range(count):
             capture.append(angle_deg=0.1 * k, on=FRAMES[2 * k], off=FRAMES[2 * k + 1])
     return path
-
-
-def journal(path):
-    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
 
 
 def messages(path):

@@ -2,7 +2,6 @@
 
 import errno
 import functools
-import json
 import os
 import threading
 
@@ -13,6 +12,8 @@ from jaxscan.errors import CaptureError
 from jaxscan.files.capture import CaptureHeader, header_toml, open_capture, parse_header
 from jaxscan.files.disk import open_to_append
 from jaxscan.files.recording import create_capture, resume_capture, store
+
+from .conftest import journal
 
 
 RNG = np.random.default_rng(3)
@@ -32,10 +33,6 @@ def header(kind="sweep", **keys):
     if kind == "calibration":
         tables["board"] = {"type": "chessboard", "columns": 5, "rows": 4, "square_mm": 30.0}
     return CaptureHeader(kind=kind, **{**tables, **keys})
-
-
-def journal(path):
-    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
 
 
 @pytest.mark.parametrize("durable", [True, False])

@@ -5,7 +5,7 @@ import random
 import fsspec
 from fsspec.implementations.local import LocalFileSystem
 
-from jaxscan.fleet.work import do_order
+from jaxscan.fleet.batch import do_order
 
 
 ONE_IN = 20

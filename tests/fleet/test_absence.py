@@ -7,7 +7,7 @@ import distributed
 import pytest
 
 from jaxscan.errors import FleetError
-from jaxscan.fleet import absence
+from jaxscan.fleet import batch as module
 from jaxscan.fleet.batch import run_batch
 from jaxscan.project import load_project, order_of
 from tests.opened import catalogue_of, edit, states
@@ -26,8 +26,8 @@ class Silent:
 @pytest.fixture
 def client(monkeypatch):
     """Of a scheduler without workers."""
-    monkeypatch.setattr(absence, "LOOK_S", 0.1)
-    monkeypatch.setattr(absence, "TOLD_S", 0.3)
+    monkeypatch.setattr(module, "LOOK_S", 0.1)
+    monkeypatch.setattr(module, "TOLD_S", 0.3)
     with (
         distributed.LocalCluster(n_workers=0, processes=False, dashboard_address="127.0.0.1:0") as cluster,
         distributed.Client(cluster, set_as_default=False) as client,

@@ -1,6 +1,6 @@
 """Steps that find stripes go to workers with an accelerator, where there are any; others go anywhere."""
 
-from jaxscan.fleet.tasks import ACCELERATOR, by_resource
+from jaxscan.fleet.batch import ACCELERATOR, by_resource
 from jaxscan.project import Order, Step
 
 

@@ -8,6 +8,9 @@ from tests.fleet.clusters import scheduler, worker
 from tests.opened import catalogue_of, edit, products, states, work
 
 
+pytestmark = pytest.mark.rig
+
+
 @pytest.fixture(scope="module")
 def address():
     """The address of a running cluster."""

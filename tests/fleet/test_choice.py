@@ -9,7 +9,7 @@ import pytest
 from jaxscan.errors import DependencyError, OptionError
 from jaxscan.fleet import ClusterChoice, check_choice, open_cluster
 from jaxscan.fleet.clusters import opening
-from jaxscan.fleet.clusters.hosts import Host, read_hosts
+from jaxscan.fleet.clusters.choice import Host, read_hosts
 
 
 REFUSED = {

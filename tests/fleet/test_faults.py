@@ -14,25 +14,15 @@ import time
 import pytest
 
 from jaxscan.fleet import ClusterChoice, open_cluster
-from jaxscan.fleet.batch import run_batch
-from jaxscan.fleet.work import do_order
+from jaxscan.fleet.batch import do_order, run_batch
 from jaxscan.project import load_project, order_of
 from tests.fleet.clusters import scheduler, worker
 from tests.fleet.flaky import do_flaky_order
+from tests.fleet.test_absence import Silent
 from tests.opened import catalogue_of, edit, products, states, work
 
 
-pytestmark = pytest.mark.slow
-
-
-class Silent:
-    """Shows nothing."""
-
-    def working(self, key, done, total):
-        pass
-
-    def finished(self, row):
-        pass
+pytestmark = [pytest.mark.rig, pytest.mark.slow]
 
 
 class Killer(Silent):

@@ -47,6 +47,7 @@ def test_nothing_is_open_to_the_outside():
     assert not any(found["spec"][part]["spec"]["automountServiceAccountToken"] for part in containers(found))
 
 
+@pytest.mark.rig
 def test_pages_answer_to_nothing_but_the_probe():
     (worker,), (scheduler,) = containers(spec()).values()
     assert "--no-dashboard" in scheduler["command"] and scheduler["livenessProbe"]["httpGet"]["path"] == "/health"

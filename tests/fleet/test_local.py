@@ -11,10 +11,12 @@ import pytest
 
 from jaxscan.errors import OptionError
 from jaxscan.fleet import ClusterChoice, open_cluster
-from jaxscan.fleet.clusters.local import cores
+from jaxscan.fleet.clusters.checks import GIB, WorkerSizes, sizes_for
 from jaxscan.fleet.clusters.pinning import share_of
-from jaxscan.fleet.clusters.running import connected
-from jaxscan.fleet.clusters.sizes import GIB, Sizes, sizes_for
+from jaxscan.fleet.clusters.running import connected, cores
+
+
+pytestmark = pytest.mark.rig
 
 
 def told_by_worker(dask_worker):
@@ -158,7 +160,7 @@ def test_more_workers_than_cores_share_one():
     ],
 )
 def test_memory_is_shared_out(asked, free, expected):
-    assert sizes_for(*asked, cores=4, free_gib=free) == Sizes(expected[0], int(expected[1] * GIB))
+    assert sizes_for(*asked, cores=4, free_gib=free) == WorkerSizes(expected[0], int(expected[1] * GIB))
 
 
 @pytest.mark.parametrize(

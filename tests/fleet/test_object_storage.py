@@ -3,11 +3,12 @@
 import pytest
 
 from jaxscan.fleet import ClusterChoice, open_cluster
-from tests.fleet.test_faults import Silent, batch
+from tests.fleet.test_absence import Silent
+from tests.fleet.test_faults import batch
 from tests.opened import edit, products, states, work
 
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.rig, pytest.mark.slow]
 
 
 @pytest.fixture

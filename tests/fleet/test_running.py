@@ -15,14 +15,17 @@ from cryptography import x509
 
 from jaxscan.errors import OptionError, OutputError
 from jaxscan.fleet import ClusterChoice, make_certificates, open_cluster
-from jaxscan.fleet.clusters import running
+from jaxscan.fleet.clusters import running as module
 from jaxscan.fleet.clusters.certificates import security_of
+
+
+pytestmark = pytest.mark.rig
 
 
 @pytest.fixture
 def soon(monkeypatch):
     """What does not answer is given up after a second."""
-    monkeypatch.setattr(running, "ANSWER_S", 1.0)
+    monkeypatch.setattr(module, "ANSWER_S", 1.0)
 
 
 @contextlib.contextmanager

@@ -17,9 +17,12 @@ from jaxscan.fleet import ClusterChoice, open_cluster
 
 pytest.importorskip("dask_jobqueue", reason="the extra `fleet` is not installed")
 
-from jaxscan.fleet.clusters import jobs
+from jaxscan.fleet.clusters import slurm
 from jaxscan.fleet.clusters.settings import OURS
 from jaxscan.fleet.clusters.slurm import certificates_for_nodes, slurm_cluster
+
+
+pytestmark = pytest.mark.rig
 
 
 @pytest.fixture(autouse=True)
@@ -123,7 +126,7 @@ def programs(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
     # On a cluster it is installed for all nodes.
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))
-    monkeypatch.setattr(jobs, "LOOK_S", 0.2)
+    monkeypatch.setattr(slurm, "LOOK_S", 0.2)
 
     def written(test="exit 0;", shell="sh"):
         for name, text in (("sbatch", SBATCH), ("scancel", SCANCEL), ("squeue", SQUEUE)):

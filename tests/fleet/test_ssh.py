@@ -17,8 +17,11 @@ from jaxscan.fleet import ClusterChoice, open_cluster
 
 asyncssh = pytest.importorskip("asyncssh", reason="the extra `fleet` is not installed")
 
-from jaxscan.fleet.clusters.hosts import Host  # noqa: E402
+from jaxscan.fleet.clusters.choice import Host  # noqa: E402
 from jaxscan.fleet.clusters.ssh import scheduler_spec, worker_specs  # noqa: E402
+
+
+pytestmark = pytest.mark.rig
 
 
 @pytest.fixture

@@ -9,12 +9,14 @@ import distributed
 import pytest
 
 from jaxscan.errors import FleetError
-from jaxscan.fleet import absence
-from jaxscan.fleet.batch import run_batch
-from jaxscan.fleet.work import UnfitWorker
+from jaxscan.fleet import batch
+from jaxscan.fleet.batch import UnfitWorker, run_batch
 from jaxscan.project import Catalogue, Order, Step, begun_row, load_project, order_of, row_to_json
 from tests.fleet.test_absence import Silent
 from tests.opened import catalogue_of, products, states
+
+
+pytestmark = pytest.mark.rig
 
 
 def order(number, output="/tmp"):
@@ -62,7 +64,7 @@ def client():
 
 
 def test_a_worker_with_other_code_makes_nothing(museum, client, monkeypatch):
-    monkeypatch.setattr(absence, "LOOK_S", 0.1)
+    monkeypatch.setattr(batch, "LOOK_S", 0.1)
     wanted = states(museum)["cloud/room-1"]
     changed = wanted._replace(parts=wanted.parts | {"code": "sha256:of another version"})
     catalogue, output = catalogue_of(museum), load_project(museum).output
@@ -103,7 +105,7 @@ def test_two_batches_on_one_cluster_make_both_products(client, tmp_path):
 
 
 def test_an_answer_that_is_gone_with_its_worker_is_not_waited_for_without_end(client, tmp_path, monkeypatch):
-    monkeypatch.setattr(absence, "LOOK_S", 0.1)
+    monkeypatch.setattr(batch, "LOOK_S", 0.1)
     gather = client.gather
 
     def late(futures, errors):

@@ -13,16 +13,16 @@ import jaxscan
 from jaxscan import __version__
 from jaxscan.errors import OptionError
 from jaxscan.fleet import ClusterChoice, check_versions, open_cluster, package_digest
-from jaxscan.fleet.clusters.versions import digest_below, versions_here
+from jaxscan.fleet.clusters.checks import digest_below, versions_here
 
 
 WORKER = """
 import asyncio, sys
-from jaxscan.fleet.clusters import versions
+from jaxscan.fleet.clusters import checks
 import distributed
 
-versions.jaxscan.__version__ = "0.0.7"
-versions.package_digest = lambda: "sha256:" + 64 * "e"
+checks.jaxscan.__version__ = "0.0.7"
+checks.package_digest = lambda: "sha256:" + 64 * "e"
 
 async def work():
     worker = await distributed.Worker(sys.argv[1], nthreads=1, host="127.0.0.1", memory_limit=0)
@@ -33,6 +33,7 @@ asyncio.run(work())
 """A process that works for a cluster with another version of the package."""
 
 
+@pytest.mark.rig
 def test_a_worker_with_another_jaxscan_is_refused_with_both_versions():
     with distributed.LocalCluster(
         n_workers=0, processes=False, host="127.0.0.1", protocol="tcp://", dashboard_address="127.0.0.1:0"
@@ -72,6 +73,7 @@ class Told:
         return {"tcp://w:1": self.answer}
 
 
+@pytest.mark.rig
 def test_the_same_everywhere_is_silent():
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -99,7 +99,7 @@ def measure_cloud(draft: Draft) -> Case:
             ["plane", cloud, "--at", *numbers[:3]],
             ["distance", cloud, "--a", *numbers[:3], "--b", *numbers[3:]],
             ["points", cloud, "--a", *numbers[:3], "--b", *numbers[3:]],
-            ["sphere", cloud, "--near", *numbers[:3], "--radius", numbers[3]],
+            ["sphere", cloud, "--near", *numbers[:3], "--radius-mm", numbers[3]],
             ["deviations", cloud, "--at", *numbers[:3], "-o", draft.output("m.png")],
             ["compare", cloud, str(draft.take("cloud.npz"))]
             if not cloud.endswith("cloud.npz")

@@ -118,7 +118,7 @@ def _claim(file: Path) -> Callable[[], list[str]]:
     def drive() -> list[str]:
         from jaxscan.errors import JaxscanError
         from jaxscan.project import load_project
-        from jaxscan.project.claim import claimed
+        from jaxscan.project.project import claimed
 
         try:
             with claimed(load_project(file)):

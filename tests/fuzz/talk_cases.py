@@ -147,7 +147,7 @@ def wire_case(draft: Draft) -> Case:
         lines.append(change_bytes(rng, text) if rng.random() < 0.7 and text else text)
 
     def drive() -> list[str]:
-        from scanrig.controllers.grbl.report import read_report, read_settings
+        from scanrig.controllers.grbl.lines import read_report, read_settings
 
         for line in lines:
             text = line.decode("latin-1")

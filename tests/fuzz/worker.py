@@ -33,8 +33,7 @@ def main(corpus: Path, work: Path) -> None:
 
 def _prepare(corpus: Path, work: Path) -> Watch:
     """Make this process like that of the command line, but for pages, which would be served for ever."""
-    from jaxscan.cli.process import quiet
-    from jaxscan.cli.process.running import _keep_to_lines
+    from jaxscan.cli.running import _keep_to_lines
 
     # Compiled modules would be written beside the sources, outside of the case.
     sys.dont_write_bytecode = True

@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+from pathlib import Path
 
 import pytest
 
@@ -17,7 +18,7 @@ def _refuse_or_skip(reason):
 
 def missing_for_the_rig():
     """The missing tools of the simulated rig, as one line; "" if none is missing."""
-    from bench.build import missing_tools
+    from bench.processes import missing_tools
 
     packages = missing_tools()
     return f"the simulated rig needs {', '.join(packages)}: type `make bench-deps`" if packages else ""
@@ -44,10 +45,17 @@ NEEDS = {
 """Fixtures that need tools, with the functions that name missing ones."""
 
 
+@pytest.hookimpl(tryfirst=True)  # Before pytest leaves out what -m does not name.
 def pytest_collection_modifyitems(items):
-    """Skips tests whose tools are missing; with JAXSCAN_REQUIRE_BENCH=1 that is an error instead."""
+    """Marks the tests that need tools `rig`, and skips them where tools are missing.
+
+    With JAXSCAN_REQUIRE_BENCH=1 a missing tool is an error instead.
+    """
+    here = [item for item in items if item.path.is_relative_to(Path(__file__).parent)]
     for name, checks in NEEDS.items():
-        wanting = [item for item in items if name in getattr(item, "fixturenames", ())]
+        wanting = [item for item in here if name in getattr(item, "fixturenames", ())]
+        for item in wanting:
+            item.add_marker(pytest.mark.rig)
         if wanting and (reason := next((said for check in checks if (said := check())), "")):
             mark = _refuse_or_skip(reason)
             for item in wanting:

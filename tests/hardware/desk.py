@@ -3,15 +3,20 @@
 from collections.abc import Callable
 
 import numpy as np
-from scanrig.cameras.frame import Frame
-from scanrig.cameras.settings import CameraSettings
-from scanrig.cameras.simulated import SimulatedCamera
-from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
+from scanrig.cameras.camera import CameraSettings, Frame
+from scanrig.cameras.simulated import FrameShape, SimulatedCamera, SyntheticScene, draw
 from scanrig.clock import ManualClock
 from scanrig.config import RigConfig
-from scanrig.controllers.controller import Guarantees
-from scanrig.controllers.settings import Settings
-from scanrig.controllers.status import Counters, Firmware, LinkCounts, Reconnection, ShotDone, Status
+from scanrig.controllers.controller import (
+    Counters,
+    Firmware,
+    Guarantees,
+    LinkCounts,
+    Reconnection,
+    Settings,
+    ShotDone,
+    Status,
+)
 from scanrig.errors import CameraTimeout, ControllerReset, Fault, LinkLost, Reason, Refused, RigFault
 from scanrig.session import Devices, Hooks, SessionResult, run_calibration, run_sweep
 

@@ -4,9 +4,8 @@ from collections.abc import Iterable
 from typing import Any
 
 from bench import CLOCK_HZ, SimulatedRig
-from scanrig.controllers.jxs.connect import connect
-from scanrig.controllers.jxs.controller import JxsController
-from scanrig.controllers.settings import Settings
+from scanrig.controllers.controller import Settings
+from scanrig.controllers.jxs.controller import JxsController, connect
 
 
 PATIENT = 60_000

@@ -4,8 +4,7 @@ import os
 
 import numpy as np
 from bench.grbl import GrblBoard
-from scanrig.cameras.simulated import SimulatedCamera
-from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
+from scanrig.cameras.simulated import FrameShape, SimulatedCamera, SyntheticScene, draw
 from scanrig.config import RigConfig
 from scanrig.controllers import open_controller
 

@@ -15,10 +15,9 @@ from pathlib import Path
 
 import numpy as np
 from scanrig.cameras import open_camera
-from scanrig.cameras.simulated import SimulatedCamera
-from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
+from scanrig.cameras.simulated import FrameShape, SimulatedCamera, SyntheticScene, draw
 from scanrig.config import RigConfig
-from scanrig.controllers.jxs.connect import connect
+from scanrig.controllers.jxs.controller import connect
 from scanrig.session import Devices, Hooks, Interrupts, run_sweep
 
 from jaxscan.vision import images

@@ -7,11 +7,11 @@ import time
 import numpy as np
 import pytest
 import serial
-from bench.camera.follow import Exposure, LogReader, Plant
-from bench.errors import BenchError
+from bench.camera.rendered import Exposure, LogReader, Plant
+from bench.places import BenchError
 from bench.rig import CLOCK_HZ
-from scanrig.controllers.jxs.connect import connect
-from scanrig.controllers.settings import Settings
+from scanrig.controllers.controller import Settings
+from scanrig.controllers.jxs.controller import connect
 
 
 def pulses(edges, pin):

@@ -13,10 +13,10 @@ import pytest
 import serial
 from bench.camera.rendered import loopback
 from bench.places import WORLD
-from bench.sockets import ControlClient
+from bench.processes import ControlClient
 from scanrig.cameras import CameraSettings, open_camera
-from scanrig.controllers.jxs.connect import connect
-from scanrig.controllers.settings import Settings
+from scanrig.controllers.controller import Settings
+from scanrig.controllers.jxs.controller import connect
 from scanrig.errors import CameraLost, CameraTimeout
 
 from jaxscan.files.disk import load_toml

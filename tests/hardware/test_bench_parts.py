@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 from bench.camera import loopback
 from bench.desk import Desk, claimed
-from bench.errors import BenchError
-from bench.locks import held, own_folder, private_folder
+from bench.places import BenchError, held, own_folder, private_folder
 from bench.processes import launch
 
 

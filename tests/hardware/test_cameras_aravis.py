@@ -118,7 +118,7 @@ HEARTBEAT = 0x938
 @pytest.fixture
 def device(loopback):
     """The bench's camera within this process, whose registers a test may set."""
-    from bench.camera.aravis import GvCamera
+    from bench.camera.network import GvCamera
 
     one = GvCamera(lambda: np.zeros((512, 640), np.uint8), address=loopback)
     yield one

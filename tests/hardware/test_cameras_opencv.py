@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from scanrig.cameras import CameraSettings, open_camera
-from scanrig.cameras.opencv_setup import apply_settings, read_features
+from scanrig.cameras.opencv import apply_settings, read_features
 from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
 
@@ -280,7 +280,7 @@ class Driver:
 
 
 def differences_of(driver):
-    from scanrig.cameras.features import differences
+    from scanrig.cameras.camera import differences
 
     given = settings("0", gain_db=4.0)
     expected = apply_settings(driver, given, name="uvc")

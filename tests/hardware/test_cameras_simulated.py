@@ -7,8 +7,7 @@ import numpy as np
 import pydantic
 import pytest
 from scanrig.cameras import CameraSettings, Frame, open_camera
-from scanrig.cameras.features import differences
-from scanrig.cameras.numbers import FrameNumbers
+from scanrig.cameras.camera import FrameNumbers, differences
 from scanrig.cameras.simulated import SimulatedCamera
 from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
@@ -288,7 +287,7 @@ def test_folders_that_cannot_be_played(tmp_path, spoil):
 
 
 def test_a_cameras_own_words_cannot_steer_a_terminal():
-    from scanrig.cameras.aravis_binding import text
+    from scanrig.cameras.aravis import text
 
     assert text("Kamera №1".encode()) == "Kamera №1" and text(None) == ""
     assert text(b"\x1b[2JModel\r\n\xff") == "?[2JModel??\ufffd"

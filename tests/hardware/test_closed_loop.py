@@ -16,7 +16,7 @@ EXPERIMENT = Path(__file__).resolve().parents[2] / "experiments" / "closed_loop.
 @pytest.mark.usefixtures("rig")
 @pytest.mark.parametrize("options", [[], ["--two-lasers"]], ids=["one laser", "two lasers"])
 def test_walls_of_a_room_that_came_through_the_loop(tmp_path, options):
-    from bench.camera.aravis import aravis_is_there
+    from bench.camera.network import aravis_is_there
 
     if not aravis_is_there():
         pytest.skip("a camera on loopback needs libaravis-0.8-0: type `make bench-deps`")

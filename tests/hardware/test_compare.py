@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
+from scanrig.cameras.simulated import FrameShape, SyntheticScene, draw
 from scanrig.checks.compare import compare_pairs
 from scanrig.config import ChecksTable
 
@@ -94,7 +94,7 @@ def test_a_room_that_shows_nothing_is_not_compared_by(scene):
 
 def test_a_rendered_room_is_known_again_and_told_from_its_neighbourhood():
     pytest.importorskip("embreex")
-    from bench.camera.world import View, load_world
+    from bench.camera.rendered import View, load_world
 
     world = load_world()
     for number, base in enumerate((0.0, 150.0)):

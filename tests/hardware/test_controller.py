@@ -4,11 +4,9 @@ import random
 from itertools import pairwise
 
 import pytest
+from scanrig.controllers.controller import Settings, ShotDone
 from scanrig.controllers.jxs.controller import JxsController
-from scanrig.controllers.jxs.protocol import encode, seal
-from scanrig.controllers.jxs.wire_settings import wire_settings
-from scanrig.controllers.settings import Settings
-from scanrig.controllers.status import ShotDone
+from scanrig.controllers.jxs.protocol import encode, seal, wire_settings
 from scanrig.errors import (
     ControllerReset,
     Fault,

@@ -10,11 +10,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from scanrig import recording
 from scanrig.clock import SystemClock
 from scanrig.errors import SessionError
-from scanrig.recording import space
-from scanrig.recording.ledger import Ledger
-from scanrig.recording.lock import LOCK_NAME, folder_lock
+from scanrig.recording import LOCK_NAME, Ledger, folder_lock
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import CaptureHeader, open_capture, verify_capture
@@ -41,7 +40,7 @@ def require_safe_and_whole(folder, desk, records):
 
 
 def test_20_too_little_space_is_said_before_anything_moves(tmp_path, monkeypatch):
-    monkeypatch.setattr(space, "free_bytes", lambda folder: 100_000)
+    monkeypatch.setattr(recording, "free_bytes", lambda folder: 100_000)
     desk = Desk()
     result = sweep(desk, tmp_path / "room")
     # 20 frames of 128 x 96 px and a tenth more.
@@ -51,7 +50,7 @@ def test_20_too_little_space_is_said_before_anything_moves(tmp_path, monkeypatch
 
 def test_20_space_that_goes_while_the_sweep_runs(tmp_path, monkeypatch):
     desk, free = Desk(), [10**9]
-    monkeypatch.setattr(space, "free_bytes", lambda folder: free[0])
+    monkeypatch.setattr(recording, "free_bytes", lambda folder: free[0])
     desk.controller.before_shot[4] = lambda controller: free.__setitem__(0, 40_000)
     result = sweep(desk, tmp_path / "room")
     assert (result.status, result.records) == ("disk full", 4)
@@ -123,7 +122,7 @@ def small_disk(tmp_path):
 def test_20_a_real_disk_that_fills_up(small_disk, monkeypatch):
     """The check of free space is given a false value, so that the disk itself must refuse."""
     desk = Desk(sweep={"steps": 100, "turn_deg": 360.0})
-    monkeypatch.setattr(space, "free_bytes", lambda folder: 10**12)
+    monkeypatch.setattr(recording, "free_bytes", lambda folder: 10**12)
     result = sweep(desk, small_disk / "room")
     assert result.status == "disk full" and 10 < result.records < 100
     require_safe_and_whole(small_disk / "room", desk, result.records)

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from scanrig.cameras.synthetic import SyntheticScene
-from scanrig.doctor import Patient, examine
-from scanrig.doctor.gearing import fitting_gear, measure_turn
-from scanrig.doctor.light import stripe_level
+from scanrig.cameras.simulated import SyntheticScene
+from scanrig.doctor import Patient, examine, fitting_gear, measure_turn, stripe_level
 from scanrig.errors import Fault, FirmwareError, LinkLost, RigError, RigFault
 
 from .desk import Desk, PaperController

@@ -104,7 +104,7 @@ def test_a_scan_of_boards_and_room_on_the_bench(rig, rendered_camera, tmp_path, 
     command = tmp_path / "place.py"
     socket = str(camera.folder / "camera")
     command.write_text(
-        "import sys; from pathlib import Path; from bench.sockets import ControlClient\n"
+        "import sys; from pathlib import Path; from bench.processes import ControlClient\n"
         f"print(ControlClient(Path({socket!r})).ask('board ' + sys.argv[1]))\n"
     )
     words = ["--boards", "--place-command", f"{sys.executable} {command}"]

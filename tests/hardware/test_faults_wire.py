@@ -5,10 +5,9 @@ import time
 from dataclasses import replace
 
 import pytest
-from scanrig.controllers.jxs.connect import connect
-from scanrig.controllers.jxs.controller import JxsController
+from scanrig.controllers.controller import Settings
+from scanrig.controllers.jxs.controller import JxsController, connect
 from scanrig.controllers.jxs.protocol import encode, seal
-from scanrig.controllers.settings import Settings
 from scanrig.errors import ControllerReset, FirmwareError, LinkLost, PortError, Refused, RigFault
 from scanrig.wire import open_serial
 

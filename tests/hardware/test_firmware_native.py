@@ -19,10 +19,13 @@ FIRMWARE = ROOT / "hardware" / "firmware"
 VECTORS = json.loads((ROOT / "hardware" / "protocol_vectors.json").read_text())
 MISSING = [tool for tool in ("gcc", "make") if not shutil.which(tool)]
 
-pytestmark = pytest.mark.skipif(
-    bool(MISSING) and not os.environ.get("JAXSCAN_REQUIRE_BENCH"),
-    reason=f"the firmware's native build needs {', '.join(MISSING)}: type `make bench-deps`",
-)
+pytestmark = [
+    pytest.mark.rig,
+    pytest.mark.skipif(
+        bool(MISSING) and not os.environ.get("JAXSCAN_REQUIRE_BENCH"),
+        reason=f"the firmware's native build needs {', '.join(MISSING)}: type `make bench-deps`",
+    ),
+]
 
 LONGEST_ANSWER = 127
 ONE_LASER_DIALOGUES = 53
@@ -94,7 +97,7 @@ def test_answers_byte_for_byte(talk, dialogue):
 
 
 def test_the_vectors_are_what_their_generator_writes():
-    assert runpy.run_path(str(FIRMWARE / "host" / "vectors"))["vectors"]() == VECTORS
+    assert runpy.run_path(str(FIRMWARE / "host" / "vectors.py"))["vectors"]() == VECTORS
     assert len(VECTORS["dialogues"]) >= 40
     for entry in VECTORS["lines"]:
         assert entry["line"] == sealed(entry["text"]).decode().rstrip("\n")

@@ -1,13 +1,9 @@
 """Boards that speak dialects of GRBL: what they answer is shown as it came, and each state has its own cure."""
 
 import pytest
+from scanrig.controllers.controller import GrblTable, Settings
 from scanrig.controllers.grbl import GrblController
-from scanrig.controllers.grbl.dialects import FLUID_NC, GRBL, GRBL_HAL, dialect_of
-from scanrig.controllers.grbl.lines import GrblLines
-from scanrig.controllers.grbl.report import read_report
-from scanrig.controllers.grbl.units import TableUnits
-from scanrig.controllers.settings import Settings
-from scanrig.controllers.table import GrblTable
+from scanrig.controllers.grbl.lines import FLUID_NC, GRBL, GRBL_HAL, GrblLines, TableUnits, dialect_of, read_report
 from scanrig.errors import Fault, FirmwareError, RigError, RigFault
 
 

@@ -4,11 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scanrig.checks import guide as before
-from scanrig.checks.boardview import guess_focal, pose_of, view_board
-from scanrig.checks.guide import Guide
+from scanrig.checks import guide
+from scanrig.checks.guide import Guide, guess_focal, pose_of, view_board
 
-from jaxscan.calibration.verdict import advice as after
+from jaxscan.calibration import advice as after
 from jaxscan.geometry import Charuco, Chessboard
 
 
@@ -63,8 +62,8 @@ def poses():
 
 
 def test_the_limits_and_the_words_are_those_of_the_advice_afterwards():
-    assert before.coverage is after.coverage
-    for source in (Path(before.__file__).read_text(), Path(after.__file__).read_text()):
+    assert guide.coverage is after.coverage
+    for source in (Path(guide.__file__).read_text(), Path(after.__file__).read_text()):
         for name in ("PARTS", "TILT", "STRIPES", "DEPTHS", "PLACEMENTS"):
             assert f"coverage.ASK_FOR_{name}.format(" in source
         for name in ("MIN_TILT_DEG", "MIN_DEPTH_RATIO", "MIN_STRIPES", "MIN_PLACEMENTS", "count_cells", "empty_parts"):

@@ -10,9 +10,9 @@ import sys
 import time
 
 import pytest
-from scanrig.controllers.jxs.connect import connect
+from scanrig.controllers.controller import Settings
+from scanrig.controllers.jxs.controller import connect
 from scanrig.controllers.jxs.protocol import ABORT, encode
-from scanrig.controllers.settings import Settings
 from scanrig.errors import Fault
 
 from .driving import falls, milliseconds, ready, rises
@@ -21,9 +21,9 @@ from .driving import falls, milliseconds, ready, rises
 HOST = """
 import sys
 import time
-from scanrig.controllers.jxs.connect import connect
-from scanrig.controllers.settings import Settings
-from scanrig.session.signals import Interrupts
+from scanrig.controllers import Settings
+from scanrig.controllers.jxs import connect
+from scanrig.session import Interrupts
 
 port, doing = sys.argv[1:]
 with Interrupts() as should_stop, connect(port) as controller:

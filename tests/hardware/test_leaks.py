@@ -1,7 +1,7 @@
 """A laser that is slow to go out, told from wallpaper with stripes."""
 
 import numpy as np
-from scanrig.checks.leaks import PLACES, LeakWatch
+from scanrig.checks.compare import PLACES, LeakWatch
 
 
 def test_a_slow_laser_is_found_at_the_eighth_place():

@@ -8,17 +8,25 @@ from dataclasses import replace
 import pytest
 import serial
 from scanrig.clock import ManualClock, SystemClock, rfc3339
-from scanrig.controllers.jxs.connect import connect
-from scanrig.controllers.jxs.controller import JxsController
-from scanrig.controllers.settings import Settings
+from scanrig.controllers.controller import Settings
+from scanrig.controllers.jxs.controller import JxsController, connect
 from scanrig.errors import FirmwareError, LinkLost, PortError, TranscriptDifference
-from scanrig.wire import RecordingLink, TranscriptLink, open_serial
-from scanrig.wire.ports import PortInfo, by_id_names, choose_port, describe, find_again, find_ports, identify
-from scanrig.wire.serial import port_error
+from scanrig.wire import (
+    PortInfo,
+    by_id_names,
+    choose_port,
+    describe,
+    find_again,
+    find_ports,
+    identify,
+    open_serial,
+    port_error,
+)
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
 from .fake import FakeController
+from .transcript import RecordingLink, TranscriptLink
 
 
 UNO = PortInfo("/dev/ttyACM0", "/dev/serial/by-id/usb-Arduino_Uno_5573-if00", "Arduino Uno", "2341:0043", "5573")

@@ -11,6 +11,9 @@ import numpy as np
 import pytest
 
 
+pytestmark = pytest.mark.rig
+
+
 SOURCE = Path(__file__).resolve().parents[2] / "hardware" / "mount" / "mount.scad"
 GIVEN = {"baseline": 170.0, "laser_angle": 7.0, "lens_barrel": 34.0, "laser_barrel": 14.0}
 WALL, DEPTH, OVERHANG, EAR, AXIS_HEIGHT, TUBE = 5.0, 24.0, 8.0, 11.0, 32.0, 20.0

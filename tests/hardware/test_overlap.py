@@ -11,11 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scanrig.cameras.synthetic import FrameShape, draw
+from scanrig.cameras.simulated import FrameShape, draw
 from scanrig.errors import FrameError
 from scanrig.recording import AHEAD
-from scanrig.session import session
-from scanrig.session.steps import flights
+from scanrig.session import session, steps
 
 from jaxscan.files.capture import open_capture, verify_capture
 
@@ -67,7 +66,7 @@ def test_proof_and_disk_cost_no_time_on_the_rigs_clock(tmp_path, monkeypatch):
         desk = Desk(sweep={"steps": 30, "turn_deg": 30.0})
         clock, ends = desk.clock, {"proof": [0.0], "write": [0.0]}
 
-        class Timed(flights.Flights):
+        class Timed(steps.Flights):
             def begin(self, *arguments):
                 ends["proof"].append(max(clock.now(), ends["proof"][-1]) + proof_s)
                 ends["write"].append(max(ends["proof"][-1], ends["write"][-1]) + write_s)
@@ -94,7 +93,7 @@ def test_proof_and_disk_cost_no_time_on_the_rigs_clock(tmp_path, monkeypatch):
 
 
 def test_a_proof_may_end_after_the_next_step_was_taken(tmp_path, monkeypatch):
-    desk, shots, prove = Desk(), threading.Condition(), flights.prove
+    desk, shots, prove = Desk(), threading.Condition(), steps.prove
     shot, begun = desk.controller.shot, []
 
     def counting(to, id, **keys):
@@ -109,7 +108,7 @@ def test_a_proof_may_end_after_the_next_step_was_taken(tmp_path, monkeypatch):
         return prove(taken, config, laser)
 
     desk.controller.shot = counting
-    monkeypatch.setattr(flights, "prove", late)
+    monkeypatch.setattr(steps, "prove", late)
     assert desk.sweep(tmp_path / "room").status == "complete"
     assert [record["i"] for record in records(tmp_path / "room")] == list(range(10))
 
@@ -175,7 +174,7 @@ KILLED = """
 import os, signal, sys, threading
 from pathlib import Path
 from jaxscan.files.recording import store, writer
-from scanrig.session.steps import flights
+from scanrig.session import steps
 from tests.hardware.desk import Desk
 at, folder = sys.argv[1], Path(sys.argv[2])
 desk, begun = Desk(), threading.Event()
@@ -185,14 +184,14 @@ def die():
     while b'"i": 2,' not in (folder / "frames.jsonl").read_bytes():
         pass
     os.kill(os.getpid(), signal.SIGKILL)
-prove, write, append = flights.prove, store.write_atomically, writer.append_whole
+prove, write, append = steps.prove, store.write_atomically, writer.append_whole
 def proving(taken, *rest):
     return die() if at == "proving" and taken.position == 3 * 288 else prove(taken, *rest)
 def writing(path, content, **keys):
     return die() if at == "writing" and str(path).endswith("off/000003.zst") else write(path, content, **keys)
 def appending(file, line, **keys):
     return die() if at == "appending" and b'"i": 3,' in line else append(file, line, **keys)
-flights.prove, store.write_atomically, writer.append_whole = proving, writing, appending
+steps.prove, store.write_atomically, writer.append_whole = proving, writing, appending
 desk.sweep(folder)
 """
 
@@ -211,7 +210,7 @@ def test_killed_between_the_frames_and_the_journal_only_the_flight_is_lost(tmp_p
 @pytest.mark.parametrize("where", ["prove", "fields"])
 def test_an_error_in_the_background_comes_out_as_it_is(tmp_path, monkeypatch, where):
     desk = Desk()
-    target, name = (flights, "prove") if where == "prove" else (session, "record_fields")
+    target, name = (steps, "prove") if where == "prove" else (session, "record_fields")
     original, calls = getattr(target, name), []
 
     def fails(*arguments):

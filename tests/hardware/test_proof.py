@@ -5,7 +5,7 @@ import time
 import cv2
 import numpy as np
 import pytest
-from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
+from scanrig.cameras.simulated import FrameShape, SyntheticScene, draw
 from scanrig.checks import ProofLimits, prove_pair
 
 from jaxscan.stripes import LaserLine

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from scanrig.cameras.synthetic import SyntheticScene
+from scanrig.cameras.simulated import SyntheticScene
 from scanrig.errors import CameraError, SessionError
 
 from jaxscan.errors import CaptureError
@@ -238,7 +238,7 @@ def test_26_another_calibration_is_refused(tmp_path):
 
 
 def test_26_another_camera_is_refused(room):
-    from scanrig.cameras.frame import CameraIdentity
+    from scanrig.cameras.camera import CameraIdentity
 
     desk = Desk()
     desk.camera.identity = CameraIdentity("simulated", "synthetic", "SIM2")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import scanrig
-from scanrig.session import sentences
+from scanrig.session import job
 
 
 FILES = sorted(Path(scanrig.__file__).parent.rglob("*.py"))
@@ -21,4 +21,4 @@ def test_no_sentence_names_an_option(file):
 
 
 def test_the_file_of_sentences_is_looked_at():
-    assert Path(sentences.__file__) in FILES
+    assert Path(job.__file__) in FILES

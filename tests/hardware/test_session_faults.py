@@ -5,7 +5,7 @@ import threading
 
 import numpy as np
 import pytest
-from scanrig.cameras.synthetic import SyntheticScene
+from scanrig.cameras.simulated import SyntheticScene
 from scanrig.errors import CameraError, Fault, FrameError, LinkLost, RigFault
 from scanrig.recording import AHEAD
 

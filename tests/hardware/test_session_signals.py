@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from scanrig.recording import AHEAD
-from scanrig.session.signals import Interrupts
+from scanrig.session.job import Interrupts
 
 from jaxscan.files.capture import open_capture, verify_capture
 
@@ -153,7 +153,7 @@ HUNG_UP = """
 import sys, time
 from pathlib import Path
 from scanrig.recording import AHEAD
-from scanrig.session.signals import Interrupts
+from scanrig.session import Interrupts
 from tests.hardware.desk import Desk
 import fcntl, termios
 fcntl.ioctl(0, termios.TIOCSCTTY, 0)

@@ -6,9 +6,8 @@ from itertools import count
 
 import numpy as np
 import pytest
-from scanrig.cameras.simulated import SimulatedCamera
-from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
-from scanrig.controllers.jxs.connect import connect
+from scanrig.cameras.simulated import FrameShape, SimulatedCamera, SyntheticScene, draw
+from scanrig.controllers.jxs.controller import connect
 from scanrig.errors import Fault, FrameError, Refused, RigFault
 from scanrig.session import Devices, Hooks, run_sweep
 from scanrig.session.steps import FrameNumbers, Station, Step, take_pair

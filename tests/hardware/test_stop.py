@@ -5,7 +5,7 @@ import time
 
 import pytest
 from scanrig.clock import SystemClock
-from scanrig.controllers.jxs.exchange import Exchange
+from scanrig.controllers.jxs.conversation import Exchange
 from scanrig.wire import open_serial
 
 

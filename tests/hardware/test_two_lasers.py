@@ -5,8 +5,8 @@ import json
 from itertools import count
 
 import pytest
+from scanrig.controllers.controller import Settings
 from scanrig.controllers.jxs.controller import JxsController
-from scanrig.controllers.settings import Settings
 from scanrig.errors import FirmwareError, FrameError
 from scanrig.session.plan import controller_settings, estimate, placed_targets, placement_positions, plan_sweep
 

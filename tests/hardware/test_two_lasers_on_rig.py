@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 from scanrig.cameras.simulated import SimulatedCamera
-from scanrig.controllers.jxs.connect import connect
+from scanrig.controllers.jxs.controller import connect
 from scanrig.controllers.jxs.protocol import ABORT, encode
 from scanrig.errors import Refused
 from scanrig.session import Devices, run_sweep

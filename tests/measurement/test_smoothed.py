@@ -42,6 +42,7 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+@pytest.mark.more
 def test_sigma_of_a_wall_to_wall_distance_is_that_of_the_rows(box_room):
     whitened, forgotten, stated = [], [], []
     for seed in range(60):
@@ -64,6 +65,7 @@ def test_sigma_of_a_wall_to_wall_distance_is_that_of_the_rows(box_room):
     assert np.median(stated) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.more
 def test_sigma_of_a_distance_between_patches(box_room):
     """Patches are about as large as the windows: then rows beyond the patch help too."""
     whitened = []

@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from jaxscan.geometry import Chessboard
-from jaxscan.observation import FoundCorners
-from jaxscan.observation.observations import to_observations
+from jaxscan.observation import FoundCorners, to_observations
 
 
 def test_a_number_beyond_32_bits_is_kept():

@@ -9,7 +9,7 @@ import pytest
 
 from jaxscan.errors import CloudError
 from jaxscan.photographs import Photograph, Photographs, colour_points, make_occluder, surface_samples
-from jaxscan.photographs.blend import Tally, add, conclude
+from jaxscan.photographs.colour import Tally, add, conclude
 from jaxscan.photographs.photograph import packed, read_image
 from tests.photographs.rendered import WALL_X
 

@@ -15,7 +15,7 @@ from jaxscan.cli.main import main
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.files import CaptureHeader, create_capture
 from jaxscan.geometry import Fisheye, Pinhole
-from jaxscan.photographs import Frame, Panorama, as_rgb, describe_cameras, ideal_camera, undistort
+from jaxscan.photographs import Panorama, PanoramaFrame, as_rgb, describe_cameras, ideal_camera, undistort
 from jaxscan.simulation import make_rig
 from jaxscan.vision import decode_image
 
@@ -47,7 +47,7 @@ def jpeg_segments(data):
 
 
 def small_panorama(distances):
-    frame = Frame("equirectangular", 40, 12, np.pi / 2 - 4 * 2 * np.pi / 40)
+    frame = PanoramaFrame("equirectangular", 40, 12, np.pi / 2 - 4 * 2 * np.pi / 40)
     rgb = np.full((12, 40, 3), (200, 100, 50), np.uint8)
     if not distances:
         return Panorama(frame, rgb)

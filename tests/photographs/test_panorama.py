@@ -10,7 +10,7 @@ from jaxscan.files import CaptureHeader, create_capture
 from jaxscan.files.clouds import About, StoredCloud
 from jaxscan.geometry import LaserSheet, LinearStage, Pinhole, Scanner, Turntable
 from jaxscan.photographs import Panorama, Photograph, Photographs, make_panorama, panorama_frame
-from jaxscan.photographs.filling import fill_holes
+from jaxscan.photographs.colour import fill_holes
 from jaxscan.reconstruction import PointCloud
 from jaxscan.vision import decode_image
 from tests.photographs.rendered import BAR_AT, BAR_HALF, BAR_SLOPE, WALL_X

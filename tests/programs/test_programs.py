@@ -19,6 +19,9 @@ from .writers import WRITERS as OTHERS
 from .writers import given
 
 
+pytestmark = pytest.mark.rig
+
+
 BACK = ("reads", "points", "colours", "normals", "intensity")
 PAGE = Path(__file__).parents[2] / "docs" / "programs.md"
 CELLS = ("opens", "points", "colours", "normals", "sigmas", "grid", "pose", "frame")

@@ -16,6 +16,9 @@ from ..files.clouds import make_cloud
 from ..files.test_joined_clouds import COVARIANCE, SECOND
 
 
+pytestmark = pytest.mark.rig
+
+
 REQUIRED = "JAXSCAN_REQUIRE_PROGRAMS"
 Z_UP = [[3, 5, 1]]
 """Right, forward, up, by Rerun's numbers."""

@@ -3,7 +3,7 @@
 import pytest
 
 from jaxscan.errors import CalibrationError, GivenError
-from jaxscan.project.work import groups
+from jaxscan.project import work
 
 
 class Stopped(Exception):
@@ -12,13 +12,13 @@ class Stopped(Exception):
 
 @pytest.mark.parametrize(("problem", "raised"), [(GivenError("length 1"), GivenError), (CalibrationError(""), Stopped)])
 def test_a_contradiction_of_what_was_given_is_not_hidden_by_the_stored_calibration(monkeypatch, problem, raised):
-    def fail(desk):
+    def fail(workspace):
         raise problem
 
-    def save(desk, calibration, refused):
+    def save(workspace, calibration, refused):
         raise Stopped
 
-    monkeypatch.setattr(groups, "_recalibrated", fail)
-    monkeypatch.setattr(groups, "_save", save)
+    monkeypatch.setattr(work, "_recalibrated", fail)
+    monkeypatch.setattr(work, "_save", save)
     with pytest.raises(raised):
-        groups.refine_rig(object.__new__(groups.Desk))
+        work.refine_rig(object.__new__(work.StepWorkspace))

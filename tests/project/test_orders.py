@@ -2,18 +2,20 @@
 
 import json
 
-from jaxscan.project.work import orders
+from jaxscan.project import work as doing
 from tests.opened import edit, work
 
 
 def test_notes_end_where_they_end(museum, monkeypatch):
     edit(museum, '["cloud", "measures", "mesh"]', '["cloud"]')
-    monkeypatch.setitem(orders.WORK, "cloud", lambda desk: _say(desk, "the first note", "The second.", "is this one?"))
+    monkeypatch.setitem(
+        doing.WORK, "cloud", lambda workspace: _say(workspace, "the first note", "The second.", "is this one?")
+    )
     rows = work(museum)
     assert {row.message for row in rows} == {"the first note. The second. is this one?"}, json.dumps(str(rows))
 
 
-def _say(desk, *notes):
-    desk.notes.extend(notes)
-    for number in range(len(desk.step.outputs)):
-        desk.target(number).write_bytes(b"made")
+def _say(workspace, *notes):
+    workspace.notes.extend(notes)
+    for number in range(len(workspace.step.outputs)):
+        workspace.target(number).write_bytes(b"made")

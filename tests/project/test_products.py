@@ -8,7 +8,7 @@ import pytest
 from jaxscan.errors import ConfigError
 from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME
 from jaxscan.project import begun_row, digests_of, load_project, order_of, steps_of
-from jaxscan.project import fitting as fitting_room
+from jaxscan.project import project as module
 from tests.opened import catalogue_of, edit, states
 
 
@@ -143,7 +143,7 @@ def test_headers_are_read_only_where_they_matter(museum, monkeypatch):
     def read(address):
         raise AssertionError(address)
 
-    monkeypatch.setattr(fitting_room, "header_of", read)
+    monkeypatch.setattr(module, "header_of", read)
     edit(museum, '["cloud", "measures", "mesh"]', '["cloud", "measures", "report"]')
     assert load_project(museum).notes == ()
     # Storage is asked for no header.

@@ -12,8 +12,9 @@ import pytest
 import jaxscan
 from jaxscan.errors import ConfigError, DependencyError
 from jaxscan.files.capture import CACHE_NAME, JOURNAL_NAME
-from jaxscan.project import begun_row, digests, failed_row, load_project, order_of
-from jaxscan.project.work.orders import WORK
+from jaxscan.project import begun_row, failed_row, load_project, order_of, steps
+from jaxscan.project import work as doing
+from jaxscan.project.work import WORK
 from tests.opened import catalogue_of, edit, products, states, work
 
 
@@ -62,8 +63,8 @@ def test_a_project_from_nothing_to_done_and_stale_by_every_cause(museum, tiny, m
     assert states(museum)["cloud/room-1"].state == "done"
 
     # The code that makes meshes: clouds stay.
-    code = digests.code_digest
-    monkeypatch.setattr(digests, "code_digest", lambda kind: "other" if kind == "mesh" else code(kind))
+    code = steps.code_digest
+    monkeypatch.setattr(steps, "code_digest", lambda kind: "other" if kind == "mesh" else code(kind))
     assert in_state(museum, "stale") >= {"mesh/room-1"} and states(museum)["cloud/room-1"].state == "done"
     assert states(museum)["mesh/room-1"].why == f"changed: the code, which was version {jaxscan.__version__}"
 
@@ -83,12 +84,10 @@ def test_a_failed_capture_says_its_line_and_stops_no_other(museum):
 
 
 def test_a_defect_is_kept_with_its_place(museum, monkeypatch):
-    from jaxscan.project.work import orders
-
-    def broken(desk):
+    def broken(workspace):
         raise ZeroDivisionError("of the test")
 
-    monkeypatch.setattr(orders, "WORK", {**orders.WORK, "cloud": broken})
+    monkeypatch.setattr(doing, "WORK", {**doing.WORK, "cloud": broken})
     edit(museum, '["cloud", "measures", "mesh"]', '["cloud"]')
     row = work(museum)[0]
     assert row.message == "unexpected ZeroDivisionError: of the test" and "broken" in row.details
@@ -205,7 +204,7 @@ def test_addresses_of_catalogues(museum, monkeypatch):
 
 def test_every_room_whose_code_counts_is_there():
     root = Path(jaxscan.__file__).parent
-    for kind, rooms in digests.CODE_OF.items():
+    for kind, rooms in steps.CODE_OF.items():
         for room in rooms:
             assert (root / room).is_dir() or (root / f"{room}.py").is_file(), (kind, room)
-    assert set(digests.CODE_OF) == set(WORK)
+    assert set(steps.CODE_OF) == set(WORK)

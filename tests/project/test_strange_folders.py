@@ -15,7 +15,7 @@ from jaxscan.files.disk import open_to_write, refuse_links, remove_left
 from jaxscan.project import claimed, load_project, open_catalogue
 from jaxscan.project.catalogue import Catalogue
 from jaxscan.project.steps import Step
-from jaxscan.project.work.desk import Desk, publish
+from jaxscan.project.work import StepWorkspace, publish
 from tests.opened import edit, work
 
 
@@ -173,7 +173,7 @@ def test_a_product_takes_the_place_of_a_link(tmp_path, outside, place, there):
     (output / place).symlink_to(outside / ("letter" if there else "new"))
     before = fingerprint(outside)
     step = Step("report/room-1", "report", (), {}, {}, (place,), {})
-    publish(Desk(step, output, made, lambda done, total: None))
+    publish(StepWorkspace(step, output, made, lambda done, total: None))
     assert fingerprint(outside) == before
     assert not (output / place).is_symlink() and (output / place).read_text() == "made"
 
@@ -187,7 +187,7 @@ def test_a_folder_of_products_that_is_a_link_is_refused(tmp_path, outside, place
     before = fingerprint(outside)
     step = Step("report/room-1", "report", (), {}, {}, (place,), {})
     with pytest.raises(CaptureError, match="found a link"):
-        publish(Desk(step, output, made, lambda done, total: None))
+        publish(StepWorkspace(step, output, made, lambda done, total: None))
     assert fingerprint(outside) == before
 
 

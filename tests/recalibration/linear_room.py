@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxscan.geometry import Scanner, slopes
 from jaxscan.recalibration import Adjusted, RoomObservations
-from jaxscan.recalibration.adjust import point_gradient, triangulate_points
+from jaxscan.recalibration.triangulate import point_gradient, triangulate_points
 
 from .small_room import exact_sweep, observe, truth_scanner, with_covariance
 

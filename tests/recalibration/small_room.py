@@ -11,9 +11,9 @@ import jaxscan
 from experiments.recalibration.world import Noise, Sweeping, TrueSweep, true_sweep
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration import RoomObservations, SurfacePoints, Surfaces, SweepStripes
-from jaxscan.recalibration.adjust import triangulate_points
+from jaxscan.recalibration.triangulate import triangulate_points
 from jaxscan.simulation import SimulationConfig
-from jaxscan.simulation.truth import true_scanner
+from jaxscan.simulation.sweep import true_scanner
 
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "paper.toml"

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.recalibration.calibrations import observations_of
+from experiments.recalibration.trial import observations_of
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
 from jaxscan.errors import CalibrationError
 from jaxscan.recalibration import Start

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from jaxscan.recalibration.adjust.noise import shared_by_profiles
+from jaxscan.recalibration.adjust.wall_shape import learn_stops
 
 
 def grid_of(profiles=200, lines=10, apart=9):
@@ -41,3 +42,18 @@ def test_no_pair_reaches_over_two_walls_or_sweeps():
     # Neighbours of one wall are four profiles apart now, where nothing is shared.
     assert shared_by_profiles(error, grid) > 1.5 and shared_by_profiles(error, apart) == 1.0
     assert shared_by_profiles(np.zeros(0), np.zeros((0, 4), int)) == 1.0
+
+
+@pytest.mark.parametrize("prior", [2e-5, 1e-4, 5e-4])
+def test_stops_are_learned_whatever_they_were_taken_for(prior):
+    random = np.random.default_rng(4)
+    variance = np.linspace(1e-5, 6e-5, 2000) ** 2
+    noise = np.sqrt(variance) * random.standard_normal(2000)
+    # With a prior each is drawn towards 0, and known better than by itself.
+    after = 1.0 / (1.0 / variance + prior**-2)
+    for true in (6e-5, 3e-4):
+        found = (true * random.standard_normal(2000) + noise) * after / variance
+        # Of 2000 numbers the standard deviation is known to 1.6 %, and less well beside noise as large.
+        assert learn_stops(found, after, prior) == pytest.approx(true, rel=0.06)
+    assert learn_stops(noise * after / variance, after, prior) == 0.0
+    assert learn_stops(found[:4], after[:4], prior) == 0.0

@@ -8,19 +8,18 @@ import pytest
 
 from jaxscan.leastsq import covariance_of, solve_arrow
 from jaxscan.recalibration import KnownLength, RecalibrationSettings, Start, Tracks
-from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.adjust.prepare import prepare
-from jaxscan.recalibration.adjust.room import ANGLE_SCALE, length_values
-from jaxscan.recalibration.adjust.solver import linearise, step_of, unknowns_of
+from jaxscan.recalibration.adjust.room import ANGLE_SCALE, length_values, linearise, step_of, unknowns_of
+from jaxscan.recalibration.triangulate import triangulate_points
 from tests.recalibration.small_room import SIGMA, exact_sweep, observe, stored, truth_scanner, with_covariance
 
 
 SEED = 11
 
 
-@pytest.fixture(scope="module")
-def everything():
-    """Two stations, a sphere, two lengths, features, one angle per record: all kinds of unknowns at once."""
+@pytest.fixture(scope="module", params=["steps", "model"])
+def everything(request):
+    """Two stations, a sphere, two lengths, features, and one angle per record or per image: all kinds of unknowns."""
     random = np.random.default_rng(SEED)
     scanner = stored(truth_scanner(), random)
     every = observe(scanner, 0.1 * random.standard_normal((exact_sweep()[1].surface >= 0).sum()))
@@ -51,9 +50,9 @@ def everything():
     observations = replace_observations(every, some, surfaces, (angle, angle), tracks, lengths)
     stations = np.stack([np.eye(4), np.eye(4)])
     stations[1, :3, 3] = 2e-3, 1e-3, 0.0
-    settings = RecalibrationSettings(angles="steps", closed=True)
+    settings = RecalibrationSettings(angles=request.param, closed=True)
     with jax.enable_x64(True):
-        prepared = prepare(scanner, Start(scanner, stations), observations, settings, {})
+        prepared = prepare(scanner, Start(scanner, stations), observations, settings)
         weights = np.zeros(len(prepared.room.point_weight)), np.zeros(len(prepared.room.sighting_weight))
         weights[0][:400], weights[1][:count] = random.uniform(1, 10, 400), 3.0
         room = eqx.tree_at(lambda r: (r.point_weight, r.sighting_weight), prepared.room, weights)
@@ -84,7 +83,8 @@ def dense(room, y, at):
             row[:scanner] = part.scanner[k]
             if sight.station[k // each]:
                 row[scanner:begin] = part.station[k]
-            row[begin + int(sight.angle[k // each])] = part.angle[k]
+            if sight.angle[k // each] < angles:
+                row[begin + int(sight.angle[k // each])] = part.angle[k]
             place = wide + 3 * (first + int(sight.local[k // each]))
             row[place : place + 3] = part.local[k]
             rows.append(w * row)
@@ -92,18 +92,20 @@ def dense(room, y, at):
     lengths = np.zeros((len(room.lengths.metres), count))
     lengths[:, wide:] = jax.jacfwd(lambda x: length_values(room, x))(y.locals).reshape(len(lengths), -1)
     known = np.eye(count)[:scanner]
-    told = np.asarray(room.told) @ known
+    told = np.asarray(room.linear_rows) @ known
     of_angles = np.eye(count)[begin:wide] * ANGLE_SCALE
     steps = np.diff(of_angles, axis=0) * np.asarray(room.smooth)[:-1, None]
     weight = np.asarray(room.lengths.weight)
     size = ANGLE_SCALE * np.asarray(y.angles)
     rows += [lengths * weight[:, None], known, told, steps, np.asarray(room.held) @ of_angles]
+    rows += [np.asarray(room.stop)[:, None] * of_angles]
     values += [np.asarray(length_values(room, y.locals)) * weight, y.scanner]
-    values += [np.asarray(room.told @ y.scanner - room.told_value)]
-    values += [np.diff(size) * np.asarray(room.smooth)[:-1], np.asarray(room.held) @ size]
+    values += [np.asarray(room.linear_rows @ y.scanner - room.linear_values)]
+    values += [np.diff(size) * np.asarray(room.smooth)[:-1], np.asarray(room.held) @ size, room.stop * size]
     return np.concatenate([np.atleast_1d(value) for value in values]), np.vstack(rows)
 
 
+@pytest.mark.more
 def test_derivatives_are_those_of_differences(everything):
     room, y, at = everything
     random = np.random.default_rng(SEED)
@@ -115,7 +117,7 @@ def test_derivatives_are_those_of_differences(everything):
         own, ahead, behind = (part.rows if name == "points" else part for part in rows)
         station, angle, local = (np.repeat(np.asarray(a), each) for a in (sight.station, sight.angle, sight.local))
         expected = own.scanner @ np.asarray(way.scanner) + (own.station * steps[station]).sum(1)
-        expected += own.angle * np.asarray(way.angles)[angle] + (
+        expected += own.angle * np.append(way.angles, 0.0)[angle] + (
             own.local * np.asarray(way.locals)[offset + local]
         ).sum(1)
         found = (np.asarray(ahead.value) - np.asarray(behind.value)) / 2e-4
@@ -130,7 +132,8 @@ def test_step_and_covariance_are_those_of_a_dense_least_squares(everything):
     room, y, at = everything
     residual, jacobian = dense(room, y, at)
     used = np.abs(jacobian).max(0) > 0
-    assert used.sum() > 21 + 6 + 90 + 12
+    # Those of scanner, second station, angles (of 90 records, or of 40 images and more) and places.
+    assert used.sum() > 21 + 6 + 40 + 12
     size = np.linalg.norm(jacobian[:, used], axis=0)
     expected = np.linalg.lstsq(jacobian[:, used] / size, residual, rcond=None)[0]
     covariance = covariance_of(at.arrow)
@@ -154,7 +157,7 @@ def test_four_upright_walls_leave_three_directions_to_the_prior():
     observations = observe(scanner, 0.0)
     prior = with_covariance(scanner, np.diag(sigma**2))
     with jax.enable_x64(True):
-        prepared = prepare(prior, Start(prior, np.eye(4)[None]), observations, RecalibrationSettings(), {})
+        prepared = prepare(prior, Start(prior, np.eye(4)[None]), observations, RecalibrationSettings())
         weight = np.zeros(len(prepared.room.point_weight))
         # So precise, 1e-4 px, that all that planes show at all is known far better than before.
         weight[: len(observations.points.q)] = 1e4

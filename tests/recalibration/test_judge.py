@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxscan.calibration.chi_squared import chance_of
 from jaxscan.errors import CalibrationError
+from jaxscan.leastsq import chance_of
 from jaxscan.recalibration import Drift, HoldOut, RecalibrationSettings, Surfaces, Tracks
 from jaxscan.recalibration.judge import (
     closure_of,
@@ -38,7 +38,9 @@ def test_covariances_are_compared_direction_by_direction():
     prior = np.diag([4.0, 0.0, 1e-8])
     found = compare(prior, np.diag([1.0, 0.0, 1e-8 / 9]))
     np.testing.assert_allclose(found.factor, [2.0, 3.0], rtol=1e-9)
-    np.testing.assert_allclose(found.chance_variance(), np.diag([3.0, 0.0, 1e-8 * 8 / 9]), atol=1e-15)
+    np.testing.assert_allclose(
+        (found.direction * (1.0 - found.ratio)) @ found.direction.T, np.diag([3.0, 0.0, 1e-8 * 8 / 9]), atol=1e-15
+    )
 
 
 def test_scales_are_those_of_a_stretched_room(room):

@@ -102,10 +102,11 @@ def test_progress_ends_at_its_end(poor):
     assert calls == [(k, len(calls)) for k in range(1, len(calls) + 1)]
 
 
+@pytest.mark.more
 def test_a_laser_that_turned_is_found_and_put_right(drifted):
     assert drifted.updated and drifted.drift.drifted and drifted.drift.p < 1e-3
     assert "laser red" in drifted.drift.part and "degrees" in drifted.drift.size
-    from jaxscan.simulation.truth import true_scanner
+    from jaxscan.simulation.sweep import true_scanner
 
     truth = true_scanner(turn_laser(config(), 0.05, 3))
     error, names = departure(truth, drifted.scanner), truth.parameter_names()
@@ -210,6 +211,7 @@ def test_a_length_that_the_stored_calibration_contradicts_is_refused():
     assert check_lengths(given(exact + 0.05), sweeps, poor, poor) == []
 
 
+@pytest.mark.more
 @pytest.mark.parametrize(
     ("laser_deg", "said"),
     [

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CalibrationError
-from jaxscan.recalibration import RecalibrationSettings, SurfacePoints, Surfaces
-from jaxscan.recalibration.adjust import triangulate_points
+from jaxscan.recalibration import SurfacePoints, Surfaces
 from jaxscan.recalibration.segment import find_patches, find_sphere, observe_surfaces
+from jaxscan.recalibration.triangulate import triangulate_points
 from tests.recalibration.faces import Ball, Cylinder, Face, Taken, X, Y, Z, box, poor, rig, take
 
 
@@ -67,7 +67,7 @@ def test_a_panel_on_a_wall_is_not_the_wall():
     assert (faces_of(taken, points) == 0).sum() > 300
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.more) for seed in (2, 3))])
 def test_walls_that_a_poor_calibration_bends_are_planes(seed):
     stored, true = poor(seed)
     taken = take(box(), true)
@@ -137,8 +137,7 @@ def test_points_are_few_independent_and_even():
     taken = take(box(), rig())
     shared = 6.0 * np.ones_like(taken.sweep.shared_lines)
     sweep = taken.sweep._replace(shared_lines=shared)
-    settings = RecalibrationSettings(points=5000)
-    points, surfaces = observe_surfaces([sweep], rig(), HOME, settings=settings)
+    points, surfaces = observe_surfaces([sweep], rig(), HOME, 5000)
     assert 4500 < len(points.q) <= 5000
     order = np.lexsort((points.line, points.record))
     record, line = points.record[order], points.line[order]

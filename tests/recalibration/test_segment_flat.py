@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from jaxscan.recalibration import Adjusted, RoomObservations, SurfacePoints, Surfaces
-from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.segment import flat
+from jaxscan.recalibration.triangulate import triangulate_points
 from tests.recalibration.faces import Cylinder, Face, Taken, X, Y, box, rig, take
 
 
@@ -61,7 +61,7 @@ def adjusted(taken: Taken, walls: list[list[int]], wall_m: float = 3e-4, seed: i
     )
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.more) for seed in (1, 2))])
 def test_flat_walls_are_flat(seed):
     taken = take(box(), rig(), noise_px=NOISE_PX, seed=seed)
     assert flat(adjusted(taken, [[0], [1], [2], [3]], seed=seed)).all()

@@ -5,7 +5,7 @@ import pytest
 
 from jaxscan.recalibration.table import check_angles
 from jaxscan.recalibration.table.check import jumps_in, say_factor, say_jump, usual_ratio
-from jaxscan.recalibration.table.walls import Prior, Rows, fit_steps
+from jaxscan.recalibration.table.walls import Equations, fit_steps
 from tests.recalibration.table_room import FURNITURE, knocked, paper_scanner, sweep
 
 
@@ -94,7 +94,7 @@ def test_steps_of_all_records_equal_separate_fits():
     records, rows = 12, 90
     record = np.sort(rng.integers(0, records, rows))
     turn, nuisance, error = rng.standard_normal(rows), rng.standard_normal((rows, 4)), rng.standard_normal(rows)
-    test, _ = fit_steps(Rows(error, turn, nuisance, record), records, Prior(np.zeros(4), np.full(4, 1e6)))
+    test = fit_steps(Equations(error, turn, nuisance, record, np.zeros(4), np.full(4, 1e6)), records)
     for k in range(1, records):
         column = np.where(record >= k, turn, 0.0)
         both = np.column_stack([nuisance, column])

@@ -5,10 +5,8 @@ import pytest
 
 from jaxscan.recalibration import Tracks
 from jaxscan.recalibration.tracks import named_points, place_tracks
-from jaxscan.recalibration.tracks.consistency import Sightings, keep_consistent
-from jaxscan.recalibration.tracks.cylinder import Turning, unroll
-from jaxscan.recalibration.tracks.observe import choose_keys
-from jaxscan.recalibration.tracks.triangulate import project_all, rays_of, triangulate
+from jaxscan.recalibration.tracks.observe import Turning, choose_keys, unroll
+from jaxscan.recalibration.tracks.points import Sightings, keep_consistent, project_all, rays_of, triangulate
 from tests.vision.painted_room import Rig, pixel
 from tests.vision.room_capture import stripes_of, true_scanner
 

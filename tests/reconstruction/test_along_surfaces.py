@@ -64,6 +64,7 @@ SURFACES = {
 }
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("name", SURFACES)
 def test_what_is_left_is_stated(name):
     (truth, valid), sigma, correlation = SURFACES[name]
@@ -124,6 +125,7 @@ def test_an_error_that_rows_share_stays():
     assert 0.9 < rms(found.sigma[1::8]) / rms(error[1::8]) < 1.1
 
 
+@pytest.mark.more
 def test_the_lines_of_a_mosaic():
     """Every second line of a mosaic is smoothed as the lines of a plain camera are; a row alone shares nothing."""
     u = (300 + SLOPE * X[:120] + 0.1 * noise_of(0.0)[:, :120]).astype(np.float32)

@@ -49,6 +49,7 @@ def frames(light, colour, pixel_format, lit=1.0):
 
 
 # The same learning, whatever is reconstructed: RGB in the sweep of two lasers and in the stack below.
+@pytest.mark.more
 @pytest.mark.parametrize("pixel_format", ["mono8", pytest.param("rgb8", marks=pytest.mark.slow), "bayer_grbg8"])
 def test_a_sweep(scanner, centres, pixel_format):
     """With the colour learned the cloud is that of the colour given."""
@@ -68,6 +69,7 @@ def test_a_sweep(scanner, centres, pixel_format):
         assert np.median(red.sigma_random[red.valid]) > 2 * np.median(given.sigma_random[given.valid])
 
 
+@pytest.mark.more
 def test_each_laser_has_its_own(scanner, centres):
     """The second one is lit for the first time after the records that are looked at first."""
     number = np.array([0] * 9 + [1] * 3)
@@ -108,6 +110,7 @@ def test_what_cannot_be_learned_is_refused(scanner, centres):
 
 
 # Mono and Bayer in the sweeps above.
+@pytest.mark.more
 @pytest.mark.parametrize(
     "pixel_format",
     [pytest.param("mono8", marks=pytest.mark.slow), "rgb8", pytest.param("bayer_grbg8", marks=pytest.mark.slow)],

@@ -50,6 +50,7 @@ def stripes(sweep, scanner):
     return extract(sweep, scanner, noise=NOISE).stripes
 
 
+@pytest.mark.more
 def test_bright_and_faint_parts_both_give_points(sweep, scanner, stripes):
     # In one step from the frames: a bracket in test_devices.
     cloud = reconstruct(sweep, scanner, stripes=stripes)

@@ -25,6 +25,7 @@ def centres(light):
     return (light * u).sum(2) / np.maximum(light.sum(2), 1e-9), light.max(2) > 200
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("white_dn", [4.0, 130.0])
 def test_a_clipped_line_before_a_dark_room_is_found_in_all_channels(white_dn):
     world = room("rgb8", 150.0, seed=31, yaw_deg=50.0, white_dn=white_dn)

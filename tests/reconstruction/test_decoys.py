@@ -31,6 +31,7 @@ ROOMS = [
 FAST = 2
 
 
+@pytest.mark.more
 @pytest.mark.parametrize(
     ("pixel_format", "peak_dn", "has_off", "seed", "yaw_deg"),
     [pytest.param(*one, marks=[] if k < FAST else pytest.mark.slow) for k, one in enumerate(ROOMS)],
@@ -60,6 +61,7 @@ def test_with_a_stripe_and_without(pixel_format, peak_dn, has_off, seed, yaw_deg
 LIT = slice(100, 200)
 
 
+@pytest.mark.more
 @pytest.mark.parametrize(
     ("pixel_format", "seed", "yaw_deg", "false"),
     [pytest.param("rgb8", 10, 230.0, 0.01), pytest.param("mono8", 8, 50.0, 0.005, marks=pytest.mark.slow)],

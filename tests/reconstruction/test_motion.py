@@ -173,6 +173,7 @@ def test_nothing_is_compiled():
     assert [name for name in compiled if "compile" in name] == []
 
 
+@pytest.mark.more
 @pytest.mark.parametrize(
     "factor, words", [(1.0, ""), (np.pi / 180, "radians"), (-1.0, "wrong sign"), (0.9, "multiply")]
 )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxscan
-from jaxscan.api.ranges import cloud_of_ranges, ranges_of, stripes_of_range
+from jaxscan.api.sweeps import cloud_of_ranges, ranges_of, stripes_of_range
 from jaxscan.errors import CaptureError
 from jaxscan.reconstruction import ReconstructSettings
 
@@ -29,6 +29,7 @@ def same(one, other):
     assert (one.notes, one.noise) == (other.notes, other.noise)
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("ends", [(60,), (1, 60), (7, 33, 34, 60), (8, 16, 24, 32, 40, 48, 60)], ids=str)
 @pytest.mark.parametrize("smooth", ["edge", "off"])
 def test_parts_are_together_the_whole(sweep, scanner, ends, smooth):

@@ -165,6 +165,7 @@ def test_two_lasers_are_data(small_scanner, flat_stripes, frames):
         np.testing.assert_array_equal(cloud.rgb[chosen], single.rgb)
 
 
+@pytest.mark.more
 def test_columns_turn_the_picture(small_scanner, flat_stripes):
     scanner = small_scanner()
     frames = np.arange(HEIGHT * WIDTH, dtype=np.uint64).reshape(1, HEIGHT, WIDTH).astype(np.uint8)
@@ -264,6 +265,7 @@ def test_what_is_no_sweep_is_refused_in_one_line():
     assert run.stdout.startswith("Expected a sweep, got ndarray;") and run.stdout.count("\n") == 1
 
 
+@pytest.mark.more
 def test_little_is_compiled(tiny):
     """A cold reconstruction, with its notes and doubts: stripes, smoothing, points and normals, and one to spare."""
     code = (

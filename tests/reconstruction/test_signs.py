@@ -40,6 +40,7 @@ def check(cloud, tolerance):
         np.testing.assert_allclose(point, expected, atol=tolerance)
 
 
+@pytest.mark.more
 def test_signs_from_stripes(paper, angles):
     shape = (2, HEIGHT)
     valid = np.zeros(shape, bool)

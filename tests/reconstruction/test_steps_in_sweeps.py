@@ -52,6 +52,7 @@ def wrong(cloud):
     return (away & cloud.valid).mean(1)
 
 
+@pytest.mark.more
 def test_reflections_in_single_steps_are_put_right(sweep, scanner):
     plain = reconstruct(sweep, scanner, noise=NOISE)
     checked = reconstruct(sweep, scanner, settings=CHECKED, noise=NOISE)
@@ -82,6 +83,7 @@ def test_the_steps_of_each_laser_are_its_own(scanner):
     assert cloud.valid[~struck].mean() > 0.99 and cloud.valid[struck].mean() < 0.02
 
 
+@pytest.mark.more
 def test_bayer_lines_that_hold_no_site_hold_no_stripe(scanner, sweep):
     """On a mosaic the choice, like the stripes, lives on the lines of the laser's colour."""
     mosaic = Sweep(sweep.on, sweep.off, sweep.angles, pixel_format="bayer_rggb8", lasers=sweep.lasers)

@@ -13,9 +13,12 @@ from jaxscan.calibration import (
     Verdict,
     ViewQuality,
 )
-from jaxscan.calibration.verdict import DepthSigma, Direction, GoodTo, LaserLengths, Lengths, LengthSigma, PriorShare
+from jaxscan.calibration.result import DepthSigma, Direction, GoodTo, LaserLengths, Lengths, LengthSigma, PriorShare
 from jaxscan.geometry import Chessboard, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.measurement import measure_room
 from jaxscan.observation import BoardViews, Observations, StripeViews
+
+from .made_room import made_room
 
 
 CORNER_SIGMA, STRIPE_SIGMA, LEVERAGE = 0.1, 0.15, 0.2
@@ -64,18 +67,18 @@ def make_fit(observations, random, unknowns):
         corner_error=CORNER_SIGMA * left * random.normal(size=(views, corners, 2)),
         corner_sigma=np.full((views, corners), CORNER_SIGMA),
         corner_leverage=np.full((views, corners, 2), LEVERAGE),
-        corner_kept=kept,
+        corner_inlier=kept,
         stripe_error=STRIPE_SIGMA * left * random.normal(size=stripes),
         stripe_sigma=np.full(stripes, STRIPE_SIGMA),
         stripe_leverage=np.full(stripes, LEVERAGE),
-        stripe_kept=np.ones(stripes, bool),
+        stripe_inlier=np.ones(stripes, bool),
         covariance=np.eye(unknowns),
     )
 
 
 def make_quality(observations, fit, laser_names):
     rms = np.sqrt(np.mean(np.sum(fit.corner_error**2, -1), axis=1))
-    views, corners = fit.corner_kept.shape
+    views, corners = fit.corner_inlier.shape
     depths = tuple(DepthSigma(d, 900, d, 0.9 * d, 2 * d) for d in (1.0, 2.5, 4.0))
     lengths = (
         LengthSigma("along the stripe", depth_m=2.5, length_m=0.3, sigma_mm=0.0534),
@@ -95,14 +98,14 @@ def make_quality(observations, fit, laser_names):
         views=views,
         corners=views * corners,
         corners_rejected=1,
-        stripe_points=int(fit.stripe_kept.size),
+        stripe_points=int(fit.stripe_inlier.size),
         stripe_points_rejected=0,
         placements=views // 2 + 1,
         per_view=tuple(
             ViewQuality(
                 record=100 + view,
                 corners=corners,
-                corners_rejected=int((~fit.corner_kept[view]).sum()),
+                corners_rejected=int((~fit.corner_inlier[view]).sum()),
                 corner_rms_px=float(rms[view]),
                 stripe_points=10,
                 stripe_rms_px=0.15,
@@ -173,3 +176,14 @@ def made():
 def calibration():
     """One to look at; do not change it."""
     return make_calibration()
+
+
+@pytest.fixture(scope="session")
+def cloud():
+    """A made-up room."""
+    return made_room()
+
+
+@pytest.fixture(scope="session")
+def box(cloud):
+    return measure_room(cloud)

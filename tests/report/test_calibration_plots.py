@@ -7,16 +7,16 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from jaxscan.calibration.verdict import BoardMap
+from jaxscan.calibration.result import BoardMap
 from jaxscan.geometry import Chessboard
-from jaxscan.report import image_plots, residual_plots, uncertainty_plots
-from jaxscan.report.board_plots import board_map
+from jaxscan.report import plots
 from jaxscan.report.drawing import arrows, as_svg, plain
 from jaxscan.report.html import Html, element, escaped, table
+from jaxscan.report.plots import board_map
 
 
 def test_whitened_residuals_of_noise_are_a_unit_gaussian(calibration):
-    for values in residual_plots.whitened_residuals(calibration.fit).values():
+    for values in plots.whitened_residuals(calibration.fit).values():
         # At least 238 values: the standard deviation of theirs is 4.6 %, four of which are 0.18.
         assert np.std(values) == pytest.approx(1.0, abs=0.18)
 
@@ -24,12 +24,10 @@ def test_whitened_residuals_of_noise_are_a_unit_gaussian(calibration):
 def test_whitened_residuals_are_those_kept_and_not_all_taken_up_by_the_fit(calibration):
     leverage = calibration.fit.corner_leverage.copy()
     leverage[0, 0, 0] = 1.0
-    found = residual_plots.whitened_residuals(dataclasses.replace(calibration.fit, corner_leverage=leverage))
+    found = plots.whitened_residuals(dataclasses.replace(calibration.fit, corner_leverage=leverage))
     assert len(found["corners"]) == 2 * (6 * 20 - 1) - 1
-    none = np.zeros_like(calibration.fit.stripe_kept)
-    assert list(residual_plots.whitened_residuals(dataclasses.replace(calibration.fit, stripe_kept=none))) == [
-        "corners"
-    ]
+    none = np.zeros_like(calibration.fit.stripe_inlier)
+    assert list(plots.whitened_residuals(dataclasses.replace(calibration.fit, stripe_inlier=none))) == ["corners"]
 
 
 def test_means_of_cells_are_clear_where_there_is_more_than_noise():
@@ -37,7 +35,7 @@ def test_means_of_cells_are_clear_where_there_is_more_than_noise():
     q = random.uniform(0, 1200, (20_000, 2))
     error = 0.1 * random.normal(size=q.shape)
     error[(q < 100).all(1)] += (0.05, -0.03)
-    middle, mean, clear = image_plots.cell_means(q, error, np.full(len(q), 0.1), 1200, 1200)
+    middle, mean, clear = plots.cell_means(q, error, np.full(len(q), 0.1), 1200, 1200)
     assert len(middle) == 144
     corner = int(np.flatnonzero((middle == 50).all(1))[0])
     # 139 points: the mean is known to 0.1 / sqrt(139) = 0.0085, four of which are 0.034.
@@ -48,7 +46,7 @@ def test_means_of_cells_are_clear_where_there_is_more_than_noise():
 
 def test_means_of_pieces():
     x = np.linspace(0, 100, 5000)
-    middle, mean, noise = residual_plots.binned(x, 2 * x)
+    middle, mean, noise = plots.binned(x, 2 * x)
     # A straight line has its mean in the middle of each piece, but for the spacing of the samples.
     np.testing.assert_allclose(mean, 2 * middle, atol=0.05)
     # Within a piece of width w = 100 / 28 the line spreads by 2 w / sqrt(12); 178 points each.
@@ -59,19 +57,19 @@ def test_means_of_pieces():
 def test_the_scale_of_arrows_is_a_round_number(calibration, usual, scale):
     error = np.zeros_like(calibration.fit.corner_error)
     error[..., 0] = usual
-    assert image_plots.residual_scale(dataclasses.replace(calibration.fit, corner_error=error)) == pytest.approx(scale)
+    assert plots.residual_scale(dataclasses.replace(calibration.fit, corner_error=error)) == pytest.approx(scale)
 
 
 def test_stripes_along_columns_or_rows(calibration):
     observations = calibration.observations
-    assert residual_plots.stripe_direction(observations) == 1
+    assert plots.stripe_direction(observations) == 1
     turned = dataclasses.replace(observations.stripes, q=observations.stripes.q[..., ::-1])
-    assert residual_plots.stripe_direction(dataclasses.replace(observations, stripes=turned)) == 0
+    assert plots.stripe_direction(dataclasses.replace(observations, stripes=turned)) == 0
 
 
 def test_views_of_a_board_that_stood_still_while_the_table_turned(calibration):
     # Three free views, then three of one placement at different angles.
-    np.testing.assert_array_equal(residual_plots.turned_views(calibration.observations), [False] * 3 + [True] * 3)
+    np.testing.assert_array_equal(plots.turned_views(calibration.observations), [False] * 3 + [True] * 3)
 
 
 def test_arrows_lead_from_the_corner_along_the_residual():
@@ -81,14 +79,12 @@ def test_arrows_lead_from_the_corner_along_the_residual():
 
 
 def test_combinations_are_named_by_their_largest_parts():
-    assert uncertainty_plots.combination({"fx": -0.7, "fy": -0.6, "k1": 0.01, "d": 0.4}) == "fx + fy − d"
-    assert uncertainty_plots.combination({}) == "—"
+    assert plots.combination({"fx": -0.7, "fy": -0.6, "k1": 0.01, "d": 0.4}) == "fx + fy − d"
+    assert plots.combination({}) == "—"
 
 
 def test_figures_keep_no_name_twice_and_show_text_as_text(calibration):
-    first, second = (
-        as_svg(residual_plots.histogram(np.arange(-3.0, 3.0, 0.01)), name, "a <b> & c") for name in ("one", "two")
-    )
+    first, second = (as_svg(plots.histogram(np.arange(-3.0, 3.0, 0.01)), name, "a <b> & c") for name in ("one", "two"))
     assert ">unit Gaussian</text>" in first
     assert 'aria-label="a &lt;b&gt; &amp; c"' in first
     names = [set(re.findall(r' id="([^"]*)"', svg)) for svg in (first, second)]
@@ -98,7 +94,7 @@ def test_figures_keep_no_name_twice_and_show_text_as_text(calibration):
 
 def test_the_same_bytes_again_and_no_global_state_touched(calibration):
     before = dict(mpl.rcParams)
-    twice = {as_svg(residual_plots.along_stripe(calibration.observations, calibration.fit), "a", "b") for _ in "ab"}
+    twice = {as_svg(plots.along_stripe(calibration.observations, calibration.fit), "a", "b") for _ in "ab"}
     assert len(twice) == 1
     assert dict(mpl.rcParams) == before
 

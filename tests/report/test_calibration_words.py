@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import Missed, Quality, SecondLook
-from jaxscan.calibration.verdict import BoardMap, GoodTo, Lengths, judge_views
+from jaxscan.calibration.result import BoardMap, GoodTo, Lengths, judge_views
 from jaxscan.report import Parameter, outcome_rows, parameters, quality_rows, words
 from jaxscan.report.tables import view_rows
 
@@ -176,8 +176,8 @@ class TestBadViews:
         assert found == words.BadView(102, "9 of 20 corners rejected")
 
     def test_one_left_out_is_named_once(self, calibration):
-        fit = replace(calibration.fit, corner_kept=calibration.fit.corner_kept.copy())
-        fit.corner_kept[3] = False
+        fit = replace(calibration.fit, corner_inlier=calibration.fit.corner_inlier.copy())
+        fit.corner_inlier[3] = False
         warnings = ("record 103 was left out: far off", "record 1030: something else", "the lamp was on")
         views = list(calibration.quality.per_view)
         views[3] = replace(views[3], dropped=True)

@@ -6,22 +6,11 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CloudError
-from jaxscan.measurement import measure_room
 from jaxscan.report import Beside, cloud_page, facts_of
-from jaxscan.report.clouds.directions import directions_of
+from jaxscan.report.clouds.facts import directions_of
 
 from .made_room import ELEVATION, made_room, only
 from .test_calibration_page import HOSTILE, Document
-
-
-@pytest.fixture(scope="module")
-def cloud():
-    return made_room()
-
-
-@pytest.fixture(scope="module")
-def box(cloud):
-    return measure_room(cloud)
 
 
 @pytest.fixture(scope="module")

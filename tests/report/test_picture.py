@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from jaxscan.report.clouds import View, draw_cloud
+from jaxscan.report.clouds import Viewpoint, draw_cloud
 
 
 RED, GREEN, BLUE = (np.array(c, np.uint8) for c in ((220, 30, 30), (30, 200, 30), (30, 30, 220)))
 SIZE = (320, 180)
-FRONT = View(eye=(0.0, 0.0, 0.0), target=(1.0, 0.0, 0.0), fov_deg=60.0, cut_away=False)
+FRONT = Viewpoint(eye=(0.0, 0.0, 0.0), target=(1.0, 0.0, 0.0), fov_deg=60.0, cut_away=False)
 
 
 def square(distance, half, colour, step=0.004):

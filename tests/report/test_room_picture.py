@@ -9,21 +9,10 @@ import pytest
 from jaxscan.measurement import measure_room
 from jaxscan.reconstruction import Stations
 from jaxscan.report import dimension_text, room_picture
-from jaxscan.report.clouds.picture import BACKGROUND
-from jaxscan.report.clouds.room import room_of
+from jaxscan.report.clouds.picture import BACKGROUND, room_of
 
 from ..measurement.rooms import AT, HEIGHT
 from .made_room import ELEVATION, made_room, only
-
-
-@pytest.fixture(scope="module")
-def cloud():
-    return made_room()
-
-
-@pytest.fixture(scope="module")
-def box(cloud):
-    return measure_room(cloud)
 
 
 @pytest.fixture(scope="module")

@@ -20,10 +20,9 @@ from jaxscan.simulation import (
     make_scene,
 )
 from jaxscan.simulation.camera import integrate, psf_weights
-from jaxscan.simulation.planning import plan_boards
-from jaxscan.simulation.rays import distort
-from jaxscan.simulation.rig import Motion, rodrigues
+from jaxscan.simulation.rig import Motion, distort, rodrigues
 from jaxscan.simulation.scene import Material, Mesh, build_scene
+from jaxscan.simulation.sweep import plan_boards
 from jaxscan.vision import board_texture, find_corners
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from jaxscan.errors import DependencyError
 from jaxscan.simulation import SimulationConfig, make_rig, make_scene, true_scanner, truth
-from jaxscan.simulation.planning import plan_boards
 from jaxscan.simulation.scene import Caster
+from jaxscan.simulation.sweep import plan_boards
 
 
 CONFIGS = pathlib.Path(__file__).parents[2] / "configs"

@@ -13,7 +13,7 @@ from jaxscan.simulation import (
     expect_record,
     make_rig,
 )
-from jaxscan.simulation.light.fan import along
+from jaxscan.simulation.light.lit import along
 from jaxscan.simulation.scene import Material, Mesh, build_scene
 
 

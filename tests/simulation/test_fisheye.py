@@ -22,9 +22,8 @@ from jaxscan.simulation import (
     true_scanner,
     truth,
 )
-from jaxscan.simulation.planning import plan_boards
-from jaxscan.simulation.rays import distort, look, project, ray_table
-from jaxscan.simulation.rig import Motion, rodrigues
+from jaxscan.simulation.rig import Motion, distort, look, project, ray_table, rodrigues
+from jaxscan.simulation.sweep import plan_boards
 
 
 CAMERA = CameraSpec(

@@ -21,8 +21,7 @@ from jaxscan.simulation import (
     make_rig,
     take_frame,
 )
-from jaxscan.simulation.rays import project
-from jaxscan.simulation.rig import Motion, rodrigues
+from jaxscan.simulation.rig import Motion, project, rodrigues
 from jaxscan.simulation.scene import Material, Mesh, build_scene
 
 

@@ -16,7 +16,7 @@ from jaxscan.simulation import (
     true_scanner,
     truth,
 )
-from jaxscan.simulation.rays import distort, ray_table, undistort
+from jaxscan.simulation.rig import distort, ray_table, undistort
 from jaxscan.simulation.scene import room_from_scanner
 
 

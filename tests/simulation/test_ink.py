@@ -19,8 +19,7 @@ from jaxscan.simulation import (
     make_rig,
     make_scene,
 )
-from jaxscan.simulation.rays import distort
-from jaxscan.simulation.rig import Motion, rodrigues
+from jaxscan.simulation.rig import Motion, distort, rodrigues
 from jaxscan.stripes import NoiseModel, StripeSettings, extract_stripes
 
 

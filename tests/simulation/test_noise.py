@@ -5,8 +5,8 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from jaxscan.simulation.camera.noise import gaussian
-from jaxscan.simulation.printing import between_cells
+from jaxscan.simulation.boards import between_cells
+from jaxscan.simulation.camera import gaussian
 
 
 def _rng(seed: int) -> np.random.Generator:

@@ -8,7 +8,7 @@ import pytest
 from jaxscan.errors import ConfigError
 from jaxscan.files import load_toml
 from jaxscan.simulation import SimulationConfig
-from jaxscan.simulation.settings.laser import LaserSpec
+from jaxscan.simulation.settings import LaserSpec
 
 
 SMALL = """

@@ -60,6 +60,7 @@ class EstimatorContract:
         # Sums of float32 in another order.
         np.testing.assert_allclose(np.asarray(upright.u), np.asarray(lying.u), atol=1e-3)
 
+    @pytest.mark.more
     @pytest.mark.parametrize(("pixel_format", "colour"), [("bayer_rggb8", "red"), ("bayer_rggb8", "green")])
     def test_the_sites_of_a_mosaic(self, render, pixel_format, colour):
         scene = render(2.5, 120.0, rows=512)

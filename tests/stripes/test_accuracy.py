@@ -86,6 +86,7 @@ def test_undersampled_stripe(render, bound):
     assert 0.9 < np.sqrt(np.mean((error / sigma)[valid] ** 2)) < 1.1
 
 
+@pytest.mark.more
 def test_without_laser_off_frame(render, bound):
     for width, amplitude in ((1.0, 60.0), (2.0, 60.0), (3.0, 180.0)):
         scene = render(width, amplitude, ambient=40.0)

@@ -1,6 +1,7 @@
 """Channels of a colour camera as a bracket."""
 
 import numpy as np
+import pytest
 
 from jaxscan.stripes import ExtractionSetup, FrameFormat, LaserLine, StripeSettings, extract_stripes, prepare_engines
 
@@ -36,6 +37,7 @@ def test_other_channels_are_looked_at_only_where_the_own_is_clipped(sensor):
     np.testing.assert_allclose(engine.responses, [0.1, 0.05], rtol=0.05)
 
 
+@pytest.mark.more
 def test_where_red_is_clipped_green_gives_the_centre(sensor):
     on, off, u = pair(sensor, 1500.0)
     stripes = extract_stripes(on, off, pixel_format="rgb8")

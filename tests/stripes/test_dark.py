@@ -28,6 +28,7 @@ def errors(stripes, u):
     return np.abs(np.asarray(stripes.u)[0] - u), valid
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("peak", [60.0, 150.0, 700.0])
 def test_other_channels_are_nearly_as_good_as_a_laser_off_frame(sensor, peak):
     on, off, u = scene(sensor, peak)

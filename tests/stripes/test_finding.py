@@ -29,6 +29,7 @@ def _empty(stripes, rows):
         assert np.all(np.asarray(getattr(stripes, name))[:, rows] == 0), name
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("width", [1.0, 2.0, 3.0])
 def test_faint_stripe_is_located(width, render):
     u = np.random.default_rng(1).uniform(60, 1220, 1024)

@@ -53,6 +53,7 @@ def test_bayer_sites_are_those_of_the_tile(tile, colour):
     np.testing.assert_array_equal(claimed, _mosaic(tile, colour, (rows, columns)))
 
 
+@pytest.mark.more
 @pytest.mark.parametrize(
     ("tile", "colour"),
     [
@@ -103,6 +104,7 @@ def test_colour_of_no_sites_changes_nothing(render):
     _same(*planes)
 
 
+@pytest.mark.more
 def test_odd_sizes_of_a_bayer_image(render):
     scene = render(2.0, 100.0)
     on, off = scene.on[:, :2047, :95], scene.off[:, :2047, :95]
@@ -113,6 +115,7 @@ def test_odd_sizes_of_a_bayer_image(render):
     assert not np.asarray(stripes.valid)[0, 2046]
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("pixel_format", ["mono8", "bayer_grbg8"])
 def test_stripe_along_the_rows_is_the_transposed_one(pixel_format, render):
     scene = render(2.0, 100.0)

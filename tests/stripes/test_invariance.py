@@ -47,6 +47,7 @@ def test_shift_by_whole_pixels(render, shift, width):
     assert np.median(np.abs(difference)) < 2e-4
 
 
+@pytest.mark.more
 def test_more_frames_than_a_chunk(render):
     scene = render(1.5, 80.0, rows=64)
     on = np.concatenate([np.roll(scene.on, i, 1) for i in range(19)])
@@ -58,6 +59,7 @@ def test_more_frames_than_a_chunk(render):
     np.testing.assert_array_equal(np.asarray(stripes.record), np.arange(19))
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("first", [0, 1, 3, 11, 18])
 def test_frames_inside_of_a_larger_array_are_those_frames(first, render):
     # They go to the compiled function without a copy, with bytes of other frames around them.
@@ -85,6 +87,7 @@ def test_stripe_at_the_borders(u, share, render):
     assert 0.85 < np.sqrt(np.mean(pull**2)) < 1.15
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("columns", [23, 65])
 def test_images_of_any_size(columns, render):
     scene = render(1.0, 100.0, rows=64, columns=columns, u=np.full(64, columns / 2 - 0.3))

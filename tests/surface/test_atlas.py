@@ -7,17 +7,14 @@ from jaxscan.surface import Mesh, coloured_mesh, mesh_grid, simplify_mesh, textu
 from jaxscan.surface.charts import components, make_charts
 from tests.surface.conftest import scan
 
+from .test_texture import colour_of
+
 
 @pytest.fixture(scope="module")
 def few():
     """The room of 6000 faces, most of them large and some small."""
     cloud, eyes = scan(180, 76)
     return simplify_mesh(coloured_mesh(mesh_grid(cloud, eyes)), 6000)
-
-
-def colour_of(points):
-    """Colours that change evenly with the place."""
-    return np.clip(128 + 40 * points, 0, 255)
 
 
 def known(points, normals):

@@ -126,6 +126,14 @@ def test_the_verb_makes_a_mesh(small, tmp_path, capsys):
     assert "faces on" in capsys.readouterr().out
 
 
+def test_what_was_decided_about_a_foreign_cloud_is_said(tmp_path, capsys):
+    (tmp_path / "room.ply").write_text(HEADER.format(2) + "1000 0 3000\n2000 0 1000\n")
+    # Points without a grid become no mesh, but by then it is said what they were taken for.
+    assert main(["mesh", str(tmp_path / "room.ply"), "-o", str(tmp_path / "room.stl")]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "x, y, z by their names; the file does not say its unit" in said and "millimetres" in said
+
+
 @pytest.mark.parametrize(
     "words, said",
     [

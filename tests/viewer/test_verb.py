@@ -93,6 +93,7 @@ def test_without_aiohttp(run, tiny, monkeypatch):
     assert ran.code == 1 and ran.err == "jaxscan: The viewer needs aiohttp; type: pip install 'jaxscan[view]'\n"
 
 
+@pytest.mark.rig
 def test_the_address_is_said_and_a_signal_ends_it(tiny, tmp_path):
     command = [sys.executable, "-m", "jaxscan.cli.main", "view", str(tiny.cloud), "--web-port", "0"]
     command += ["--no-open", "--json", "served.json"]

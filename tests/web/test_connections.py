@@ -12,7 +12,7 @@ import time
 import pytest
 from aiohttp import web
 
-from jaxscan.cli.process.running import LogLines, say_line
+from jaxscan.cli.running import LogLines, say_line
 from jaxscan.web import Gate, Server, connections, open_address, server
 from jaxscan.web.connections import Connections
 

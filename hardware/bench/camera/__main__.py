@@ -11,10 +11,9 @@ import sys
 from pathlib import Path
 
 from bench.camera.network import ADDRESS, BenchCamera
-from bench.camera.world import load_world
-from bench.errors import BenchError
-from bench.places import WORLD
-from bench.sockets import ControlServer
+from bench.camera.rendered import load_world
+from bench.places import WORLD, BenchError
+from bench.processes import ControlServer
 
 
 PLACEMENT_REACH_DEG = 10.0

@@ -1,4 +1,4 @@
-"""Starts the camera on the bench in a process of its own, and talks to it."""
+"""The camera of the bench: a furnished room with a laser and a board, seen at each trigger in the log of the rig."""
 
 import contextlib
 import json
@@ -8,15 +8,273 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
-from bench.errors import BenchError
-from bench.locks import held, private_folder
-from bench.places import WORLD
-from bench.processes import end, epitaph, launch
-from bench.sockets import ControlClient
+import numpy as np
+
+from bench.places import WORLD, BenchError, held, private_folder
+from bench.processes import ControlClient, end, epitaph, launch
+from jaxscan.files.disk import load_toml
+from jaxscan.simulation import (
+    ExpectedRecord,
+    Placement,
+    SeenBoard,
+    SimulationConfig,
+    expect_record,
+    make_print,
+    make_rig,
+    make_scene,
+    plan_boards,
+    speckled,
+    take_frame,
+)
+from jaxscan.vision import board_texture
+
+
+NOMINAL_EXPOSURE_S = 0.01
+"""Exposure time at which the world is as bright as its file says."""
+
+TEXTURE_PX = 60
+"""Pixels per square of the picture from which boards are rendered."""
+
+_PLAN, _NOISE = 2, 7
+"""Streams of random numbers that are drawn from the world's seed."""
+
+
+class View(NamedTuple):
+    """The scene in front of the lens during an exposure."""
+
+    angle: float
+    """The table's true count of its angle, before the world's gain and harmonics [rad]."""
+    lights: tuple[float, ...] = (0.0,)
+    """Share of the exposure during which each laser shone, in the order of the world's file."""
+    board: int | None = None
+    """Number of the board's pose; None: no board."""
+    exposure: float = 1.0
+    """Exposure time and gain, as a factor on the nominal."""
+
+
+class World:
+    """Renders views; the last expectation is kept, since laser-on and laser-off frames of a step share it."""
+
+    def __init__(self, config: SimulationConfig, *, reach_deg: float = 0.0) -> None:
+        """A world from a simulation's configuration.
+
+        Args:
+            config: The rig, its room and its boards.
+            reach_deg: Only placements are kept from which the board is seen over at least this angle to both sides.
+        """
+        self.config = config
+        self.reach_deg = reach_deg
+        self._rig, self._scene = make_rig(config), make_scene(config)
+        self._boards = make_scene(config, boards=config.object is not None)
+        self._print = make_print(config.boards, board_texture(config.boards.board(), TEXTURE_PX))
+        self._poses: list[Placement] | None = None
+        self._last: tuple[tuple[float, int | None], dict[int, ExpectedRecord]] | None = None
+
+    def poses(self) -> list[Placement]:
+        """The board's poses, in order: free views at angle 0, then placements."""
+        if self._poses is None:
+            wanted = self.config.boards
+            plan = plan_boards(self._with_spare(), self._boards, self._generator(_PLAN, 0))
+            reach = np.deg2rad(self.reach_deg)
+            wide = [p for p in plan if p.number is not None and p.angles[0] <= -reach and p.angles[-1] >= reach]
+            if len(wide) < wanted.placements:
+                raise BenchError(
+                    f"Only {len(wide)} of {wanted.placements} placements of the board are seen over "
+                    f"{self.reach_deg}° to both sides: take a smaller board, or fewer degrees."
+                )
+            free = [p for p in plan if p.number is None]
+            self._poses = free + [p._replace(number=k) for k, p in enumerate(wide[: wanted.placements])]
+        return self._poses
+
+    def describe(self, board: int) -> dict[str, Any]:
+        """A pose of the board, as its holder knows it: free view or placement, and the angles that see it.
+
+        Raises:
+            BenchError: If there is no such pose.
+        """
+        poses = self.poses()
+        if not 0 <= board < len(poses):
+            raise BenchError(f"There is no pose {board} of the board: 0 … {len(poses) - 1}.")
+        pose = poses[board]
+        angles = [round(float(np.rad2deg(angle)), 2) for angle in pose.angles]
+        kind = "free" if pose.number is None else "placement"
+        return {"board": board, "kind": kind, "placement": pose.number, "angles_deg": angles, "poses": len(poses)}
+
+    def expect(self, angle: float, board: int | None = None, laser: int = 0) -> ExpectedRecord:
+        """Room light, and the light of one laser, at an angle [rad], without noise."""
+        if self._last is None or self._last[0] != (angle, board):
+            self._last = ((angle, board), {})
+        known = self._last[1]
+        if laser not in known:
+            seen = None
+            if board is not None:
+                pose = self.poses()[board]
+                seen = SeenBoard(self._print, pose.scanner_from_board.inverse() @ self._rig.pose(angle))
+            scene = self._scene if board is None else self._boards
+            known[laser] = expect_record(self._rig, scene, angle, laser=laser, board=seen)
+        return known[laser]
+
+    def frame(self, view: View, number: int, *, flash_dn: float = 0.0, blur_px: int = 0) -> np.ndarray:
+        """One frame, uint8 [rows, columns].
+
+        Args:
+            view: The scene in front of the lens.
+            number: Chooses the noise: the same view and number give the same frame.
+            flash_dn: Light that is added everywhere, as by a flash or an opened door.
+            blur_px: How far the image moves during the exposure, along the rows.
+        """
+        rng = self._generator(_NOISE, number)
+        lit = [(laser, share) for laser, share in enumerate(view.lights[: len(self.config.laser)]) if share > 0]
+        # Without a laser's light any record will do, and there is one already.
+        light = self.expect(view.angle, view.board, lit[0][0] if lit else self._known_laser()).off
+        for laser, share in lit:
+            record = self.expect(view.angle, view.board, laser)
+            light = light + np.float32(share) * speckled(record, self.config, rng)
+        light = light * np.float32(view.exposure) + np.float32(flash_dn)
+        if blur_px:
+            light = np.stack([np.roll(light, shift, axis=1) for shift in range(blur_px + 1)]).mean(0)
+        return take_frame(light, self.config, rng)
+
+    def _known_laser(self) -> int:
+        """The laser whose record was made last; the room looks the same in all."""
+        return next(reversed(self._last[1]), 0) if self._last is not None else 0
+
+    def _with_spare(self) -> Any:
+        """The rig with more placements than are wanted, to choose the wide ones from."""
+        spare = 8 * self.config.boards.placements if self.reach_deg > 0 else self.config.boards.placements
+        boards = self.config.boards.model_copy(update={"placements": spare})
+        return make_rig(self.config.model_copy(update={"boards": boards}))
+
+    def _generator(self, stream: int, number: int) -> np.random.Generator:
+        return np.random.Generator(np.random.SFC64(np.random.SeedSequence([self.config.seed, stream, number])))
+
+
+def load_world(path: Path = WORLD, *, reach_deg: float = 0.0) -> World:
+    """A world from a file that a simulation is described by, mono8.
+
+    Raises:
+        ConfigError: With the key that is unknown, missing or wrong.
+        BenchError: If it is not a monochrome one.
+    """
+    config = load_toml(path, SimulationConfig)
+    if config.sensor.pixel_format != "mono8":
+        raise BenchError(f"{path}: the camera on loopback is mono8, found {config.sensor.pixel_format}.")
+    return World(config, reach_deg=reach_deg)
+
+
+class Exposure(NamedTuple):
+    """One pulse of the trigger wire, with table and lasers during it."""
+
+    cycle: int
+    """When it began."""
+    position: int
+    """Microsteps from where the home switch closed last, on the way down."""
+    light: float
+    """Share of the pulse during which the first laser shone."""
+    light_2: float = 0.0
+    """Share of the pulse during which the second laser shone."""
+
+
+class LogReader:
+    """Complete lines of a log that grows, or that was cut back to its last complete line."""
+
+    def __init__(self, path: Path) -> None:
+        """Begin at the start of the file, which need not exist yet."""
+        self._path, self._read = path, 0
+
+    def lines(self) -> list[dict[str, Any]]:
+        """The objects that were written since the last call."""
+        if not self._path.exists():
+            return []
+        with open(self._path, "rb") as file:
+            file.seek(self._read)
+            text = file.read()
+        whole = text[: text.rfind(b"\n") + 1]
+        self._read += len(whole)
+        return [json.loads(line) for line in whole.splitlines()]
+
+
+@dataclass
+class Light:
+    """One laser's light, and for how much of a trigger pulse it shone."""
+
+    on: bool = False
+    cycles: int = 0
+    """Of this pulse, up to when it went off last."""
+    since: int | None = None
+
+    def switch(self, on: bool, cycle: int) -> None:
+        """It goes on or off."""
+        if self.on and not on and self.since is not None:
+            self.cycles += cycle - self.since
+        self.since = cycle if on else None
+        self.on = on
+
+    def begin(self, cycle: int) -> None:
+        """A pulse begins."""
+        self.cycles, self.since = 0, cycle if self.on else None
+
+    def share(self, began: int, cycle: int) -> float:
+        """The part of the pulse from `began` to `cycle` during which it shone."""
+        lit = self.cycles + (cycle - self.since if self.since is not None else 0)
+        return lit / max(cycle - began, 1)
+
+
+@dataclass
+class Plant:
+    """The plant as far as the log was read."""
+
+    microsteps_per_turn: int
+    position: int = 0
+    home: int = 0
+    """Position of the switch's edge when it closed last, on the way down."""
+    lights: dict[str, Light] = field(default_factory=lambda: {"light": Light(), "light_2": Light()})
+    """By their names in the log."""
+    down: bool = False
+    trigger_since: int | None = None
+    """Cycle at which the trigger rose; None while it is low."""
+    began_at: int = 0
+    """Position from home at that moment."""
+
+    def read(self, line: dict[str, Any]) -> tuple[bool, Exposure | None]:
+        """Take one line in.
+
+        Returns:
+            Whether the trigger rises here, and the exposure that ends here, if one does.
+        """
+        self.position = line["pos"]
+        pin, cycle = line.get("pin"), line["cycle"]
+        if pin == "dir":
+            self.down = bool(line["v"])
+        elif pin == "home_n" and not line["v"] and self.down and self.position % self.microsteps_per_turn == 0:
+            self.home = self.position
+        elif pin in self.lights:
+            self.lights[pin].switch(bool(line["v"]), cycle)
+        elif pin == "trig":
+            return self._trigger(bool(line["v"]), cycle)
+        return False, None
+
+    def from_home(self) -> int:
+        """Microsteps from home."""
+        return self.position - self.home
+
+    def _trigger(self, on: bool, cycle: int) -> tuple[bool, Exposure | None]:
+        if on:
+            self.trigger_since, self.began_at = cycle, self.from_home()
+            for light in self.lights.values():
+                light.begin(cycle)
+            return True, None
+        if self.trigger_since is None:
+            return False, None
+        shares = (light.share(self.trigger_since, cycle) for light in self.lights.values())
+        ended = Exposure(self.trigger_since, self.began_at, *shares)
+        self.trigger_since = None
+        return False, ended
 
 
 ADDRESS = "127.0.0.1"
@@ -40,9 +298,7 @@ class RenderedCamera:
 
         Args:
             folder: Holds its control socket and its ledger; made if it is not there.
-            edges: The rig's log.
             world: The world in front of it, a simulated rig.
-            microsteps_per_turn: Of the rig's plant.
             apart: Whether Ctrl-C at the terminal is kept from it.
         """
         self.folder, self.edges, self.world, self.address = Path(folder), edges, world, ADDRESS

@@ -25,10 +25,6 @@ uint16_t machine_boot(void) {
     return 17;
 }
 
-uint16_t machine_current_seq(void) {
-    return seq;
-}
-
 void machine_feed(void) {
     fake.link_ms = (uint32_t)settings[WD];
     fake.armed_ms = armed_idle_ms();

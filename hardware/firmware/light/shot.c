@@ -5,7 +5,6 @@
 #include "motion.h"
 #include "pins.h"
 #include "settings.h"
-#include "watch.h"
 
 #define TEST_MS 100
 
@@ -137,20 +136,17 @@ static bool passes(void) {
     return !left_ms || (readying() && camera_ready());
 }
 
-void shot_tick(void) {
-    if (phase == OVER) return;
-    if (phase == TRAVEL && motion_busy()) return;
+bool shot_tick(void) {
+    if (phase == OVER) return true;
+    if (phase == TRAVEL && motion_busy()) return true;
     if (readying()) { /* Entered only with a time to wait; left when the camera is ready or the time is over. */
-        if (!camera_ready()) {
-            if (--left_ms) return;
-            fault_enter(F_CAMERA);
-            return;
-        }
+        if (!camera_ready()) return --left_ms != 0;
     } else if (left_ms && --left_ms)
-        return;
+        return true;
     do
         advance();
     while (passes());
+    return true;
 }
 
 void shot_begin(const struct shot_order *order) {

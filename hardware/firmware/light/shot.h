@@ -8,7 +8,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "machine.h"
+#include "state.h"
 
 enum shot_kind { A_SHOT, AN_EXPOSURE, A_TEST };
 
@@ -21,7 +21,7 @@ void shot_begin(const struct shot_order *order);
 void expose_begin(uint16_t ms);
 void test_begin(void);
 void shot_cancel(void);
-void shot_tick(void);
+bool shot_tick(void); /* false where the camera was not ready in time: a fault */
 
 bool shot_running(void);
 bool shot_testing(void);

@@ -7,7 +7,7 @@
 #include "motor.h"
 #include "pins.h"
 #include "settings.h"
-#include "watch.h"
+#include "state.h"
 
 #define CLEARANCE 64 /* microsteps above the switch from which the slow approach begins */
 

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 #include "settings.h"
 
-#include "machine.h"
+#include "state.h"
 #include "text.h"
 
 const struct setting_row setting_rows[SETTINGS] PROGMEM = {

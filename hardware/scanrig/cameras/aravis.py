@@ -1,22 +1,414 @@
-"""GigE Vision and USB3 Vision cameras, through libaravis."""
+"""GenICam cameras through libaravis-0.8, by ctypes: found, taken over from a process that is gone, set up, and read."""
 
+import contextlib
 import ctypes
+import functools
+import ipaddress
 import time
 from collections.abc import Callable
-from typing import TypeVar
+from ctypes import (
+    CDLL,
+    POINTER,
+    Structure,
+    byref,
+    c_char_p,
+    c_double,
+    c_int,
+    c_int64,
+    c_size_t,
+    c_uint,
+    c_uint32,
+    c_uint64,
+    c_void_p,
+)
+from typing import Any, TypeVar
 
 import numpy as np
 
 from jaxscan.errors import DependencyError
-from jaxscan.stripes import frame_rank
-from scanrig.cameras.aravis_binding import STATUS, SUCCESS, AravisError, load_aravis, text
-from scanrig.cameras.aravis_control import Say
-from scanrig.cameras.aravis_setup import apply_settings, connect, read_features
-from scanrig.cameras.features import require, wanted
-from scanrig.cameras.frame import CameraIdentity, ClosedAtExit, Features, Frame
-from scanrig.cameras.numbers import FrameNumbers
-from scanrig.cameras.settings import CameraSettings, TriggerMode
+from jaxscan.stripes import PixelFormat, frame_rank
+from scanrig.cameras.camera import (
+    CameraIdentity,
+    CameraSettings,
+    ClosedAtExit,
+    Features,
+    Frame,
+    FrameNumbers,
+    TriggerMode,
+    require,
+    wanted,
+)
 from scanrig.errors import CameraError, CameraLost, CameraTimeout
+
+
+LIBRARY = "libaravis-0.8.so.0"
+SUCCESS = 0
+STATUS = {
+    -1: "unknown status",
+    0: "complete",
+    1: "empty",
+    2: "not all of it came in time",
+    3: "packets are missing",
+    4: "packets are out of order",
+    5: "of another size than announced",
+    6: "still being filled",
+    7: "aborted",
+    8: "of an unknown kind",
+}
+"""The meaning of a buffer's status (ArvBufferStatus)."""
+RANGE_CHECK = 1
+ACCESS_CHECK = 1
+
+
+class AravisError(Exception):
+    """An error of libaravis; callers turn it into an error with the camera's name."""
+
+
+class _GError(Structure):
+    _fields_ = (("domain", ctypes.c_uint32), ("code", c_int), ("message", c_char_p))
+
+
+_WITH_ERROR: dict[str, tuple[Any, tuple[Any, ...]]] = {
+    "arv_camera_new": (c_void_p, (c_char_p,)),
+    "arv_camera_get_vendor_name": (c_char_p, (c_void_p,)),
+    "arv_camera_get_model_name": (c_char_p, (c_void_p,)),
+    "arv_camera_get_device_id": (c_char_p, (c_void_p,)),
+    "arv_camera_get_device_serial_number": (c_char_p, (c_void_p,)),
+    "arv_camera_create_stream": (c_void_p, (c_void_p, c_void_p, c_void_p)),
+    "arv_camera_get_payload": (c_uint, (c_void_p,)),
+    "arv_camera_start_acquisition": (None, (c_void_p,)),
+    "arv_camera_stop_acquisition": (None, (c_void_p,)),
+    "arv_camera_software_trigger": (None, (c_void_p,)),
+    "arv_camera_clear_triggers": (None, (c_void_p,)),
+    "arv_camera_set_region": (None, (c_void_p, c_int, c_int, c_int, c_int)),
+    "arv_camera_get_region": (None, (c_void_p, POINTER(c_int), POINTER(c_int), POINTER(c_int), POINTER(c_int))),
+    "arv_camera_is_feature_available": (c_int, (c_void_p, c_char_p)),
+    "arv_camera_is_exposure_time_available": (c_int, (c_void_p,)),
+    "arv_camera_is_gain_available": (c_int, (c_void_p,)),
+    "arv_camera_set_exposure_time": (None, (c_void_p, c_double)),
+    "arv_camera_get_exposure_time": (c_double, (c_void_p,)),
+    "arv_camera_set_gain": (None, (c_void_p, c_double)),
+    "arv_camera_get_gain": (c_double, (c_void_p,)),
+    "arv_camera_set_string": (None, (c_void_p, c_char_p, c_char_p)),
+    "arv_camera_get_string": (c_char_p, (c_void_p, c_char_p)),
+    "arv_camera_get_integer": (c_int64, (c_void_p, c_char_p)),
+    "arv_camera_gv_set_packet_size": (None, (c_void_p, c_int)),
+    "arv_camera_gv_get_packet_size": (c_uint, (c_void_p,)),
+    "arv_device_read_register": (c_int, (c_void_p, c_uint64, POINTER(c_uint32))),
+    "arv_device_write_register": (c_int, (c_void_p, c_uint64, c_uint32)),
+    "arv_gv_device_take_control": (c_int, (c_void_p,)),
+}
+"""Functions whose last argument is a GError**: their results, and their arguments without it."""
+
+_PLAIN: dict[str, tuple[Any, tuple[Any, ...]]] = {
+    "arv_update_device_list": (None, ()),
+    "arv_get_n_devices": (c_uint, ()),
+    "arv_get_device_id": (c_char_p, (c_uint,)),
+    "arv_get_device_physical_id": (c_char_p, (c_uint,)),
+    "arv_get_device_address": (c_char_p, (c_uint,)),
+    "arv_get_device_vendor": (c_char_p, (c_uint,)),
+    "arv_get_device_model": (c_char_p, (c_uint,)),
+    "arv_get_device_serial_nbr": (c_char_p, (c_uint,)),
+    "arv_camera_get_device": (c_void_p, (c_void_p,)),
+    "arv_camera_is_gv_device": (c_int, (c_void_p,)),
+    "arv_camera_set_range_check_policy": (None, (c_void_p, c_int)),
+    "arv_camera_set_access_check_policy": (None, (c_void_p, c_int)),
+    "arv_gv_device_is_controller": (c_int, (c_void_p,)),
+    "arv_stream_push_buffer": (None, (c_void_p, c_void_p)),
+    "arv_stream_try_pop_buffer": (c_void_p, (c_void_p,)),
+    "arv_stream_timeout_pop_buffer": (c_void_p, (c_void_p, c_uint64)),
+    "arv_stream_get_statistics": (None, (c_void_p, POINTER(c_uint64), POINTER(c_uint64), POINTER(c_uint64))),
+    "arv_buffer_new_allocate": (c_void_p, (c_size_t,)),
+    "arv_buffer_get_status": (c_int, (c_void_p,)),
+    "arv_buffer_get_frame_id": (c_uint64, (c_void_p,)),
+    "arv_buffer_get_timestamp": (c_uint64, (c_void_p,)),
+    "arv_buffer_get_data": (c_void_p, (c_void_p, POINTER(c_size_t))),
+    "arv_buffer_get_image_width": (c_int, (c_void_p,)),
+    "arv_buffer_get_image_height": (c_int, (c_void_p,)),
+    "g_object_unref": (None, (c_void_p,)),
+    "g_clear_error": (None, (c_void_p,)),
+}
+
+
+class Aravis:
+    """The functions by short names: `camera_get_gain` is `arv_camera_get_gain`, `unref` is `g_object_unref`."""
+
+    def __init__(self, library: CDLL) -> None:
+        self._library = library
+        for name, (result, arguments) in _PLAIN.items():
+            function = getattr(library, name)
+            function.restype, function.argtypes = result, arguments
+            setattr(self, _short(name), function)
+        for name, (result, arguments) in _WITH_ERROR.items():
+            function = getattr(library, name)
+            function.restype, function.argtypes = result, (*arguments, POINTER(POINTER(_GError)))
+            setattr(self, _short(name), functools.partial(self._checked, function))
+
+    def __getattr__(self, name: str) -> Any:
+        raise AttributeError(f"libaravis: {name} is not declared")
+
+    def _checked(self, function: Any, *arguments: Any) -> Any:
+        problem = POINTER(_GError)()
+        result = function(*arguments, byref(problem))
+        if problem:
+            message = text(problem.contents.message)
+            self._library.g_clear_error(byref(problem))
+            raise AravisError(message or "no reason given")
+        return result
+
+
+def _short(name: str) -> str:
+    return name.removeprefix("arv_").removeprefix("g_object_").removeprefix("g_")
+
+
+@functools.cache
+def load_aravis() -> Aravis:
+    """Load the library.
+
+    Raises:
+        DependencyError: If it is not installed.
+    """
+    try:
+        return Aravis(CDLL(LIBRARY))
+    except (OSError, AttributeError) as problem:
+        raise DependencyError(
+            f"{LIBRARY}: cannot be loaded ({problem}); on Debian or Ubuntu: apt-get install libaravis-0.8-0."
+        ) from problem
+
+
+def text(value: bytes | None) -> str:
+    """A string from the library, "" for none. Unprintable characters are replaced, since it may reach a terminal."""
+    letters = (value or b"").decode("utf-8", "replace")
+    return "".join(letter if letter.isprintable() else "?" for letter in letters)
+
+
+Say = Callable[[str], None]
+"""Called with a sentence for people, before a long wait."""
+
+HEARTBEAT_MS = 3000
+"""The camera frees itself so long after its program was killed."""
+_HEARTBEAT_TIMEOUT, _APPLICATION_ADDRESS = 0x0938, 0x0A14
+"""Bootstrap registers of GigE Vision: milliseconds, and the address of the program that has control."""
+_MARGIN_S = 2.0
+_LONGEST_S = 60.0
+"""Longest wait, also for a camera that names a longer heartbeat timeout."""
+_AGAIN_S = 0.25
+
+
+def take_control(aravis: Aravis, camera: int, *, name: str, say: Say) -> None:
+    """Make sure that this program controls a camera; wait until another one that has ended holds it no longer.
+
+    A program that was killed leaves the camera under its control until the camera misses its heartbeat. Without control
+    nothing can be set, and no frame would ever come.
+
+    Raises:
+        CameraError: If another program keeps the control.
+    """
+    if not aravis.camera_is_gv_device(camera):
+        return
+    device = aravis.camera_get_device(camera)
+    if not aravis.gv_device_is_controller(device):
+        _await_control(aravis, device, name, say)
+    timeout_ms = _register(aravis, device, _HEARTBEAT_TIMEOUT)
+    if timeout_ms is not None and timeout_ms > HEARTBEAT_MS:
+        # Cameras that do not allow it keep their own.
+        with contextlib.suppress(AravisError):
+            aravis.device_write_register(device, _HEARTBEAT_TIMEOUT, HEARTBEAT_MS)
+
+
+def _await_control(aravis: Aravis, device: int, name: str, say: Say) -> None:
+    timeout_ms = _register(aravis, device, _HEARTBEAT_TIMEOUT) or HEARTBEAT_MS
+    patience = min(1e-3 * timeout_ms + _MARGIN_S, _LONGEST_S)
+    holder = _holder(aravis, device)
+    say(f"{name}: {holder} controls it; if that one has ended, the camera is free in at most {patience:.0f} s.")
+    end = time.monotonic() + patience
+    while True:
+        try:
+            if aravis.gv_device_take_control(device):
+                return
+        except AravisError:
+            pass  # Refused, as long as the other one's heartbeat lasts.
+        if time.monotonic() > end:
+            raise CameraError(f"{name}: {holder} controls it, and still did after {patience:.0f} s; close that one.")
+        time.sleep(_AGAIN_S)
+
+
+def _holder(aravis: Aravis, device: int) -> str:
+    address = _register(aravis, device, _APPLICATION_ADDRESS)
+    return f"another program at {ipaddress.IPv4Address(address)}" if address else "another program"
+
+
+def _register(aravis: Aravis, device: int, address: int) -> int | None:
+    """A register's content; None if the camera does not have it."""
+    value = ctypes.c_uint32()
+    try:
+        aravis.device_read_register(device, address, ctypes.byref(value))
+    except AravisError:
+        return None
+    return value.value
+
+
+PIXEL_FORMATS: dict[PixelFormat, tuple[str, ...]] = {
+    "mono8": ("Mono8",),
+    "rgb8": ("RGB8", "RGB8Packed"),
+    "bayer_rggb8": ("BayerRG8",),
+    "bayer_bggr8": ("BayerBG8",),
+    "bayer_grbg8": ("BayerGR8",),
+    "bayer_gbrg8": ("BayerGB8",),
+}
+"""GenICam's names of the pixel formats; the second name is used by older cameras."""
+
+AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto")
+"""Automatic functions of a camera, which are switched off."""
+
+
+def connect(aravis: Aravis, wanted: str, say: Say) -> int:
+    """Connect to a camera, take control of it, and end an acquisition that a killed program left running.
+
+    Args:
+        wanted: Device id, serial number or address; "" for the only camera.
+        say: Called before waiting for another program to lose control.
+
+    Raises:
+        CameraLost: If it is not found.
+        CameraError: If several cameras fit, or another program keeps control of it.
+    """
+    name = wanted if _is_address(wanted) else _found(aravis, wanted)
+    try:
+        camera = aravis.camera_new(name.encode())
+    except AravisError as problem:
+        raise CameraLost(f'camera "{name}": not found: {problem}; see that it has power and its cable.') from problem
+    try:
+        take_control(aravis, camera, name=f'camera "{name}"', say=say)
+    except CameraError:
+        aravis.unref(camera)
+        raise
+    # An acquisition that still runs would go on sending its frames to the program that began it.
+    with contextlib.suppress(AravisError):
+        aravis.camera_stop_acquisition(camera)
+    return camera
+
+
+def _is_address(name: str) -> bool:
+    # An address needs no search; a search takes a second and does not cross routers.
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _found(aravis: Aravis, wanted: str) -> str:
+    """Device id of the wanted camera."""
+    aravis.update_device_list()
+    kinds = "id", "physical_id", "serial_nbr", "address"
+    every = [[text(getattr(aravis, f"get_device_{kind}")(k)) for kind in kinds] for k in range(aravis.get_n_devices())]
+    meant = [names for names in every if wanted in names] if wanted else every
+    listed = ", ".join(f'"{names[0]}" (serial number {names[2]}, {names[3]})' for names in every) or "none"
+    if not meant:
+        which = f'camera "{wanted}"' if wanted else "a camera"
+        raise CameraLost(f"{which}: not found; found: {listed}. See that it has power and its cable.")
+    if len(meant) > 1:
+        raise CameraError(f"found {len(meant)} cameras: {listed}; give the `id` of one in [camera].")
+    return meant[0][0]
+
+
+def apply_settings(aravis: Aravis, camera: int, settings: CameraSettings, *, name: str) -> None:
+    """Apply all settings, and switch automatic functions off.
+
+    Raises:
+        CameraError: With the setting that the camera refuses, and the reason.
+    """
+    aravis.camera_set_range_check_policy(camera, RANGE_CHECK)
+    aravis.camera_set_access_check_policy(camera, ACCESS_CHECK)
+
+    def set_text(feature: str, value: str) -> None:
+        try:
+            aravis.camera_set_string(camera, feature.encode(), value.encode())
+        except AravisError as problem:
+            raise CameraError(f'{name}: {feature}: does not take "{value}": {problem}') from problem
+
+    def has(feature: str) -> bool:
+        return bool(aravis.camera_is_feature_available(camera, feature.encode()))
+
+    def attempt(failure: str, call: Callable[..., None], *arguments: float) -> None:
+        try:
+            call(camera, *arguments)
+        except AravisError as problem:
+            raise CameraError(f"{name}: {failure}: {problem}") from problem
+
+    set_text("AcquisitionMode", "Continuous")
+    _set_pixel_format(aravis, camera, settings, name)
+    size = settings.width, settings.height
+    attempt(f"does not take {size[0]} x {size[1]} px", aravis.camera_set_region, 0, 0, *size)
+    for feature in AUTOMATICS:
+        if has(feature):
+            set_text(feature, "Off")
+    attempt(
+        f"does not take exposure_ms = {settings.exposure_ms:g}",
+        aravis.camera_set_exposure_time,
+        1000.0 * settings.exposure_ms,
+    )
+    if aravis.camera_is_gain_available(camera):
+        attempt(f"does not take gain_db = {settings.gain_db:g}", aravis.camera_set_gain, settings.gain_db)
+    attempt("its triggers cannot be switched off", aravis.camera_clear_triggers)
+    if settings.trigger != "free":
+        set_text("TriggerSelector", "FrameStart")
+        set_text("TriggerSource", "Software" if settings.trigger == "software" else settings.trigger_source)
+        if settings.trigger == "hardware" and has("TriggerActivation"):
+            set_text("TriggerActivation", "RisingEdge")
+        set_text("TriggerMode", "On")
+    if settings.packet_size is not None and aravis.camera_is_gv_device(camera):
+        attempt("does not take its packet_size", aravis.camera_gv_set_packet_size, settings.packet_size)
+
+
+def _set_pixel_format(aravis: Aravis, camera: int, settings: CameraSettings, name: str) -> None:
+    problems = []
+    for known in PIXEL_FORMATS[settings.pixel_format]:
+        try:
+            aravis.camera_set_string(camera, b"PixelFormat", known.encode())
+        except AravisError as problem:
+            problems.append(str(problem))
+        else:
+            return
+    raise CameraError(f'{name}: does not take pixel_format = "{settings.pixel_format}": {"; ".join(problems)}')
+
+
+def read_features(aravis: Aravis, camera: int, settings: CameraSettings) -> Features:
+    """The camera's settings, read back from it; settings that it cannot report are absent."""
+    region = [ctypes.c_int() for _ in range(4)]
+    aravis.camera_get_region(camera, *(ctypes.byref(one) for one in region))
+    pixel_format = text(aravis.camera_get_string(camera, b"PixelFormat"))
+    ours = [name for name, known in PIXEL_FORMATS.items() if pixel_format in known]
+    features: Features = {
+        "width": region[2].value,
+        "height": region[3].value,
+        "offset_x": region[0].value,
+        "offset_y": region[1].value,
+        "pixel_format": ours[0] if ours else pixel_format,
+        "exposure_s": 1e-6 * aravis.camera_get_exposure_time(camera),
+    }
+    if aravis.camera_is_gain_available(camera):
+        features["gain_db"] = float(aravis.camera_get_gain(camera))
+    for feature in AUTOMATICS:
+        if aravis.camera_is_feature_available(camera, feature.encode()):
+            features[feature] = text(aravis.camera_get_string(camera, feature.encode()))
+    features |= _trigger(aravis, camera, settings)
+    if aravis.camera_is_gv_device(camera):
+        features["packet_size"] = int(aravis.camera_gv_get_packet_size(camera))
+    return features
+
+
+def _trigger(aravis: Aravis, camera: int, settings: CameraSettings) -> Features:
+    """Its trigger mode: "free", "software", or "hardware" if it listens to `trigger_source`."""
+    if not aravis.camera_is_feature_available(camera, b"TriggerMode"):
+        return {"trigger": "free"}
+    aravis.camera_set_string(camera, b"TriggerSelector", b"FrameStart")
+    if text(aravis.camera_get_string(camera, b"TriggerMode")) != "On":
+        return {"trigger": "free"}
+    source = text(aravis.camera_get_string(camera, b"TriggerSource"))
+    known = {"Software": "software", settings.trigger_source: "hardware"}
+    return {"trigger": known.get(source, source), "trigger_source": source}
 
 
 Result = TypeVar("Result")
@@ -38,7 +430,6 @@ class AravisCamera(ClosedAtExit):
         """Open the camera, apply `settings`, read them back and compare.
 
         Args:
-            settings: Camera and settings.
             say: Called with a sentence before a long wait, at every opening.
 
         Raises:

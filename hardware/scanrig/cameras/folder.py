@@ -17,9 +17,16 @@ from jaxscan.files.capture import (
     LaserTable,
     open_capture,
 )
-from scanrig.cameras.features import require, wanted
-from scanrig.cameras.frame import CameraIdentity, ClosedAtExit, Features, Frame
-from scanrig.cameras.settings import CameraSettings, TriggerMode
+from scanrig.cameras.camera import (
+    CameraIdentity,
+    CameraSettings,
+    ClosedAtExit,
+    Features,
+    Frame,
+    TriggerMode,
+    require,
+    wanted,
+)
 from scanrig.errors import CameraError, CameraLost
 
 

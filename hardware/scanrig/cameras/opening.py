@@ -2,9 +2,7 @@
 
 from collections.abc import Callable
 
-from scanrig.cameras.features import require_same
-from scanrig.cameras.frame import Camera, Features
-from scanrig.cameras.settings import CameraSettings
+from scanrig.cameras.camera import Camera, CameraSettings, Features, require_same
 from scanrig.clock import Clock
 from scanrig.errors import CameraError, CameraLost
 

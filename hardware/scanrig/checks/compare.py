@@ -1,12 +1,75 @@
-"""Compares a retaken pair with the first one."""
+"""Compares pairs: two of the same place, the leak of the laser over several, the light of the room over many."""
 
+from collections import deque
 from dataclasses import dataclass
+from statistics import median
 
 import numpy as np
 from jaxtyping import UInt8
 
 from jaxscan.stripes import LaserLine, PixelFormat, Response, decode_table, laser_plane, laser_sites
-from scanrig.checks.ridges import find_ridges
+from scanrig.checks.measures import find_ridges
+
+
+PLACES = 8
+"""Places over which a leak is judged: striped wallpaper along the laser's line looks like a leak at every third."""
+APART_DEG = 2.0
+"""Least turn after which the laser's line counts as falling on another place."""
+
+
+class LeakWatch:
+    """Follows the leak of the laser's line into the laser-off frames, from place to place.
+
+    Texture along the line looks like a leak of a tenth to a third, of either sign, but only at single places. A laser
+    that goes out slowly leaks at every place.
+    """
+
+    def __init__(self) -> None:
+        self._leaks: deque[float] = deque(maxlen=PLACES)
+        self._last_deg: float | None = None
+
+    def add(self, angle_deg: float | None, leak: float) -> float | None:
+        """Add a pair.
+
+        Args:
+            angle_deg: The table's angle; None if every pair shows another scene, as with boards.
+            leak: `PairProof.leak`.
+
+        Returns:
+            The median over the last `PLACES` places; None while there are fewer, and if the table has hardly moved
+            since the last.
+        """
+        if angle_deg is not None:
+            if self._last_deg is not None and abs(angle_deg - self._last_deg) < APART_DEG - 1e-9:
+                return None
+            self._last_deg = angle_deg
+        self._leaks.append(leak)
+        return median(self._leaks) if len(self._leaks) == PLACES else None
+
+
+_FACTOR = 2.0
+"""Change that is reported."""
+_BLACK_DN = 2.0
+"""Level that is added before the comparison: in the dark a count more or less is no change."""
+
+
+class LightWatch:
+    """Follows the mean level of the laser-off frames."""
+
+    def __init__(self) -> None:
+        self._level_dn: float | None = None
+
+    def add(self, level_dn: float) -> float | None:
+        """Add a pair.
+
+        Returns:
+            The level before [DN] if the light has changed by a factor of two since; None if not.
+        """
+        was = self._level_dn
+        if was is not None and 1 / _FACTOR < (level_dn + _BLACK_DN) / (was + _BLACK_DN) < _FACTOR:
+            return None
+        self._level_dn = level_dn
+        return was
 
 
 _WINDOW = 8

@@ -1,24 +1,53 @@
-"""The proof of a pair: the laser's line is in the laser-on frame and not in the laser-off frame."""
+"""The proof of a pair: whether its two frames show what they should, within configurable limits."""
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
+import pydantic
 from jaxtyping import Float, UInt8
 
+from jaxscan.files.disk import FileModel, Number
 from jaxscan.stripes import LaserLine, PixelFormat, Response
-from scanrig.checks.frame_pair import COLOURS, FramePair, check_frames, difference_of, gain_of, lines_of, with_colour
-from scanrig.checks.limits import ProofLimits
 from scanrig.checks.measures import (
+    COLOURS,
+    FramePair,
+    Relief,
+    check_frames,
+    difference_of,
     explained_part,
+    find_ridges,
+    gain_of,
+    heights,
     is_covered,
     leak_of,
+    lines_of,
     peak_heights,
     saturated_part,
     solid_part,
     unrest_of,
+    with_colour,
 )
-from scanrig.checks.ridges import Relief, find_ridges, heights
+
+
+Share = Annotated[Number, pydantic.Field(ge=0, le=1)]
+
+
+class ProofLimits(FileModel):
+    """Limits for the proof of a pair."""
+
+    lit_lines: Share = 0.02
+    """Least part of the frame's lines that must show the laser."""
+    peak_dn: Annotated[Number, pydantic.Field(ge=0, le=255)] = 0.0
+    """Least height of the stripe [DN]."""
+    leak: Share = 0.1
+    """Largest part of the stripe's light in the laser-off frames, over several places (`leaks`)."""
+    unrest: Annotated[Number, pydantic.Field(gt=0)] = 4.0
+    """Largest difference beside the laser, in standard deviations of the noise, at most 6."""
+    saturated: Share = 1.0
+    """Largest part of the lit lines that may be clipped."""
+    flooded: Share = 0.25
+    """Largest part of either frame that may be clipped."""
 
 
 Verdict = Literal["ok", "swapped", "stays on", "dark laser", "covered", "flooded", "changed", "too faint"]

@@ -3,8 +3,18 @@
 `jxs/` is for the scanner's own firmware (PROTOCOL.md), `grbl/` for boards that speak GRBL's G-code.
 """
 
-from scanrig.controllers.controller import UNCONFIRMED, Controller, Guarantees
+from scanrig.controllers.controller import (
+    UNCONFIRMED,
+    Controller,
+    ControllerTable,
+    Counters,
+    Firmware,
+    GrblTable,
+    Guarantees,
+    LinkCounts,
+    Reconnection,
+    Settings,
+    ShotDone,
+    Status,
+)
 from scanrig.controllers.opening import open_controller, require_allowed, shortcomings
-from scanrig.controllers.settings import Settings
-from scanrig.controllers.status import Counters, Firmware, LinkCounts, Reconnection, ShotDone, Status
-from scanrig.controllers.table import ControllerTable, GrblTable

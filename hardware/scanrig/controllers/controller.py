@@ -1,15 +1,210 @@
-"""The interface of every controller: it turns the table, switches the lasers, and may trigger the camera."""
+"""What every controller is: its tables in the configuration, settings, status, guarantees, and the interface."""
 
 import logging
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Annotated, Literal, Protocol, Self
 
-from scanrig.controllers.settings import Settings
-from scanrig.controllers.status import Counters, Firmware, LinkCounts, Reconnection, ShotDone, Status
-from scanrig.errors import RigError
+import pydantic
+
+from jaxscan.files.disk import FileModel, Integer, Number
+from scanrig.errors import Fault, RigError
 from scanrig.wire import Link
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Motion, waits and limits, in microsteps and milliseconds; a controller ignores those that it does not have."""
+
+    watchdog_ms: int = 500
+    """Milliseconds without a valid line after which the controller treats the link as lost."""
+    speed: int = 4000
+    """Microsteps per second."""
+    start_speed: int = 400
+    """Microsteps per second at the beginning of a ramp."""
+    acceleration: int = 8000
+    """Microsteps per second squared."""
+    home_speed: int = 200
+    """Microsteps per second of the slow approach to the home switch."""
+    backlash: int = 0
+    """Microsteps by which a downward motion overshoots, so that every target is approached from below."""
+    reverse: bool = False
+    """Inverts the direction pin."""
+    lasers: int = 1
+    """How many lasers the controller has to switch."""
+    settle_ms: int = 50
+    """Rest before a shot."""
+    laser_on_ms: int = 20
+    """From laser on to exposure."""
+    laser_off_ms: int = 20
+    """From laser off to exposure."""
+    exposure_ms: int = 10
+    """Trigger pulse."""
+    gap_ms: int = 5
+    """After each exposure."""
+    ready_ms: int = 0
+    """Longest wait for the camera's ready line before each trigger; 0: no wait."""
+    limits: tuple[int, int] | None = None
+    """Soft limits, microsteps from home; None: none."""
+
+
+_Command = Annotated[str, pydantic.Field(max_length=70, pattern=r"^[\x20-\x7e]*$")]
+_REALTIME = set("?!~")
+"""Characters that GRBL removes from a line and obeys at once."""
+
+
+class GrblTable(FileModel):
+    """Commands and units of a board that speaks GRBL's G-code or a dialect of it."""
+
+    greeting: Annotated[str, pydantic.Field(min_length=1, max_length=40)] = "Grbl"
+    """Beginning of the line that the board sends after a reset."""
+    axis: Literal["X", "Y", "Z", "A", "B", "C"] = "X"
+    """The axis that turns the table."""
+    units_per_turn: Annotated[Number, pydantic.Field(gt=0, le=1e6)] = 360.0
+    """Length of one turn of the table in the board's "millimetres": 360 for degrees."""
+    laser_on: Annotated[tuple[_Command, ...], pydantic.Field(min_length=1, max_length=8)] = ("M3 S1000",)
+    """Commands that switch a laser on, one for each laser."""
+    laser_off: Annotated[_Command, pydantic.Field(min_length=1)] = "M5"
+    """Command that switches all lasers off."""
+    home: _Command = "$H"
+    """Command for homing; "" without a home switch: home is then the table's position when a scan begins."""
+    enable: _Command = ""
+    """Command that switches the motor on; "" if it is always on."""
+    disable: _Command = ""
+    """Command that switches the motor off."""
+    check_settings: bool = True
+    """Whether to read the board's own settings ($$) and compare them with the configuration."""
+
+    @pydantic.field_validator("laser_on", mode="before")
+    @classmethod
+    def _listed(cls, commands: object) -> object:
+        return (commands,) if isinstance(commands, str) else tuple(commands) if isinstance(commands, list) else commands
+
+    @pydantic.model_validator(mode="after")
+    def _lines(self) -> "GrblTable":
+        for command in (*self.laser_on, self.laser_off, self.home, self.enable, self.disable):
+            if _REALTIME & set(command):
+                raise ValueError(
+                    f'found the command "{command}", expected none of ? ! ~ in it: GRBL obeys them at once'
+                )
+        if not all(command.strip() for command in self.laser_on):
+            raise ValueError('laser_on: found an empty command, expected one that switches a laser on, as "M3 S1000"')
+        return self
+
+
+class ControllerTable(FileModel):
+    """The controller and its port."""
+
+    type: Literal["jaxscan", "grbl"] = "jaxscan"
+    """"jaxscan": the firmware of hardware/firmware. "grbl": a board that speaks GRBL's G-code."""
+    port: Annotated[str, pydantic.Field(min_length=1, max_length=1024)] = "auto"
+    """Serial port; "auto": the only port that looks like a controller."""
+    baud: Annotated[Integer, pydantic.Field(ge=1200, le=4_000_000)] | None = None
+    """Bits per second; by default that of its type: 250000, for GRBL 115200."""
+    watchdog_ms: Annotated[Integer, pydantic.Field(ge=100, le=60_000)] = 500
+    """Time without a valid line from the host after which laser and motor are switched off; GRBL has no watchdog."""
+    reconnects: Annotated[Integer, pydantic.Field(ge=0, le=1000)] = 10
+    """Attempts to find a lost controller again, with growing pauses, before the scan ends."""
+    allow_laser_without_watchdog: bool = False
+    """Scan with a controller that leaves the laser on when the host dies or the cable is pulled."""
+    grbl: GrblTable = GrblTable()
+    """For `type = "grbl"`."""
+
+
+State = Literal["idle", "move", "home", "shot", "fault"]
+
+
+@dataclass(frozen=True)
+class Firmware:
+    """The firmware that answered."""
+
+    proto: int | str
+    """Number or name of its protocol."""
+    version: str
+    boot: int
+    """Counts resets: when it changes, position and settings are lost."""
+    lease_ms: int = 0
+    """Longest time for which the laser stays on without a command from the host; 0: no limit."""
+
+
+@dataclass(frozen=True)
+class Status:
+    """The present state."""
+
+    state: State
+    fault: Fault | None
+    """The fault that it is in, or None."""
+    position: int
+    """Microsteps from home."""
+    homed: bool
+    armed: bool
+    """Whether the laser may be switched on: the contactor in its supply is closed, if there is one."""
+    enabled: bool
+    """Whether the motor driver is on."""
+    laser: bool
+    exposures: int = 0
+    """Trigger pulses since boot, modulo 65536."""
+    home_switch: bool = False
+    """Whether the home switch is active."""
+    estop: bool = False
+    """Whether the emergency stop is pressed."""
+
+
+@dataclass(frozen=True)
+class Counters:
+    """A controller's counters of errors and wear."""
+
+    damaged: int
+    """Lines that arrived damaged at the controller."""
+    overruns: int
+    """Bytes that the controller lost."""
+    repeated: int
+    """Lines that arrived again and were answered but not carried out again."""
+    laser_cycles: int
+    """Times that the laser was switched on since boot."""
+    up_ms: int
+    watchdog_resets: int
+    """Resets by the processor's watchdog since it was programmed."""
+
+
+@dataclass(frozen=True)
+class ShotDone:
+    """A finished shot."""
+
+    position: int
+    """Microsteps from home, as reached."""
+    exposures: int
+    """Exposures since boot, modulo 65536: must have grown by the number of frames asked for."""
+
+
+@dataclass(frozen=True)
+class Reconnection:
+    """How the controller was found again."""
+
+    same_boot: bool
+    """It was not reset: its position is still valid."""
+    must_home: bool
+    status: Status
+
+
+@dataclass
+class LinkCounts:
+    """Counts of the lines sent to and received from the controller."""
+
+    sent: int = 0
+    """Lines sent, including resent ones."""
+    resent: int = 0
+    naks: int = 0
+    damaged: int = 0
+    """Lines that arrived damaged at the host."""
+    strays: int = 0
+    """Unexpected answers: second answers to lines that were resent."""
+    events: int = 0
+    events_missed: int = 0
+    events_by_name: dict[str, int] = field(default_factory=dict)
+    unanswered: int = 0
+    """Waits for an answer that came to nothing, and failures of the port, since a line was heard last."""
 
 
 log = logging.getLogger(__name__)
@@ -76,9 +271,6 @@ class Controller(Protocol):
     def reconnect(self, timeout_s: float = 60.0) -> Reconnection:
         """Find the controller again after LinkLost or ControllerReset. Motion is stopped, the laser off.
 
-        Args:
-            timeout_s: when to give up.
-
         Returns:
             Whether it kept its position, whether it must be homed, and its state.
 
@@ -97,7 +289,6 @@ class Controller(Protocol):
 
         Args:
             max_steps: how far to search, microsteps.
-            timeout_s: how long to wait.
 
         Returns:
             The position of the switch by the counter as it was before: 0 if no step was lost. None if the controller
@@ -113,7 +304,6 @@ class Controller(Protocol):
 
         Args:
             to: microsteps from home.
-            timeout_s: how long to wait.
 
         Returns:
             The position reached.
@@ -134,7 +324,6 @@ class Controller(Protocol):
         """Switch a laser on, renew its lease, or switch all lasers off.
 
         Args:
-            on: on or off.
             number: which one, from 1.
 
         Raises:

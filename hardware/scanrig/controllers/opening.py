@@ -2,8 +2,7 @@
 
 from jaxscan.errors import ConfigError
 from scanrig.clock import Clock
-from scanrig.controllers.controller import Controller, Guarantees
-from scanrig.controllers.table import ControllerTable
+from scanrig.controllers.controller import Controller, ControllerTable, Guarantees
 
 
 def open_controller(
@@ -12,10 +11,7 @@ def open_controller(
     """Open the controller's port. Nothing is sent before `Controller.hello`.
 
     Args:
-        table: Which controller, and where.
-        microsteps_per_turn: Of the table.
         port: Replaces the table's port: a path, a USB serial number, or "auto" for the only board.
-        clock: For every wait.
 
     Returns:
         A controller whose `reconnect` finds the same board again, even under another port number.

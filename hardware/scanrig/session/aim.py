@@ -10,10 +10,9 @@ import numpy as np
 from scanrig.checks import PairProof
 from scanrig.config import RigConfig
 from scanrig.controllers import require_allowed
-from scanrig.session.ending import ended_by, leave_safe
-from scanrig.session.job import Devices, Hooks
+from scanrig.session.job import Devices, Hooks, say_event
 from scanrig.session.recovery import RecoveringRig
-from scanrig.session.sentences import say_event
+from scanrig.session.run import ended_by, leave_safe
 from scanrig.session.steps import ProvenPair, prove
 
 
@@ -48,7 +47,6 @@ def run_aiming(config: RigConfig, devices: Devices, see: Callable[[Sight], None]
     """Take pairs at home until the operator asks to stop; nothing is written.
 
     Args:
-        config: The rig.
         devices: Controller and camera, open.
         see: Called with every look; with several lasers they take turns.
         hooks: Callbacks, of which `notify` and `should_stop` are used.

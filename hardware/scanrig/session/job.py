@@ -1,8 +1,12 @@
-"""The inputs and the result of a session."""
+"""A session's inputs, result and messages, and the signals that end it: the first after the step, the second now."""
 
-from collections.abc import Callable, Sequence
+import contextlib
+import os
+import signal
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import FrameType, TracebackType
 from typing import Any, Literal
 
 import numpy as np
@@ -11,6 +15,68 @@ from scanrig.cameras import Camera
 from scanrig.clock import Clock, SystemClock
 from scanrig.config import RigConfig
 from scanrig.controllers import Controller
+
+
+NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+_ANSWER = b"jaxscan: ends after this step; Ctrl-C again ends at once\n"
+
+
+class Interrupts:
+    """Within `with`, the first SIGINT, SIGTERM or SIGHUP is only noted and said, and the second raises
+    KeyboardInterrupt.
+
+    Pass it as `should_stop`. Further signals do nothing, so that switching the laser off is not interrupted.
+    Works only in the main thread, as all signal handlers of Python.
+
+    After the terminal has hung up, output is discarded, so that printing raises no error and the session ends in order.
+    Only a line that is being printed in that very moment fails with OSError.
+    """
+
+    def __init__(self) -> None:
+        self.received: list[str] = []
+        """Names of the signals received."""
+        self._before: dict[int, Any] = {}
+        self._terminals: list[int] = []
+
+    def __call__(self) -> bool:
+        """Whether the session is asked to end."""
+        return bool(self.received)
+
+    def __enter__(self) -> "Interrupts":
+        self._terminals = [number for number in (0, 1, 2) if os.isatty(number)]
+        for name in NAMES:
+            number = getattr(signal, name, None)  # Windows has no SIGHUP.
+            if number is not None:
+                self._before[number] = signal.signal(number, self._on_signal)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+        self._before.clear()
+        if isinstance(problem, KeyboardInterrupt) and not problem.args:
+            # Raised where the request was seen, which does not know the signal.
+            problem.args = tuple(self.received[:1])
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        self.received.append(signal.Signals(number).name)
+        self._let_go_of_dead_terminals()
+        if len(self.received) == 1:
+            # Not through `sys.stderr`, which the signal may have interrupted; below a bar that is being drawn.
+            with contextlib.suppress(OSError):
+                os.write(2, b"\n" * os.isatty(2) + _ANSWER)
+        if len(self.received) == 2:
+            raise KeyboardInterrupt(f"{self.received[0]}, then {self.received[1]}")
+
+    def _let_go_of_dead_terminals(self) -> None:
+        for number in self._terminals:
+            # A terminal that hung up is no terminal any more.
+            if not os.isatty(number):
+                nowhere = os.open(os.devnull, os.O_RDWR)
+                os.dup2(nowhere, number)
+                os.close(nowhere)
 
 
 Kind = Literal["sweep", "calibration"]
@@ -89,3 +155,36 @@ class Job:
     resume: bool
     calibration_digest: str | None = None
     """Digest of the calibration that is used during the scan."""
+
+
+def say_event(name: str, fields: Mapping[str, Any]) -> str:
+    """The sentence about an event; "" for most events."""
+    match name:
+        case "retake":
+            action = f"step {fields['step']}" if "step" in fields else "a look"
+            return f"{action} is taken again: {fields['reason']}"
+        case "fault":
+            return f"{fields['at']}: {fields['problem']}"
+        case "reconnected":
+            position = "kept its position" if fields["same_boot"] else "was reset"
+            return f"the controller is connected again and {position}"
+        case "compared" | "closing" if "correlation" not in fields:
+            return (
+                f"record {fields['record']}, taken again, was compared by the laser's line alone: the laser-off frames "
+                "have too little contrast. With more light in the room, lost steps are found more surely."
+            )
+        case "light":
+            return (
+                f"record {fields['record']}: the light changed from {fields['was_dn']:.0f} to {fields['is_dn']:.0f} DN."
+            )
+        case "camera":
+            return f"the camera is open again, after {fields['reopened']} attempts"
+        case "suspect":
+            runs = spoken_runs([(first, last) for first, last in fields["records"]])
+            return f"records {runs} are suspect: {fields['why']}"
+        case _:
+            return ""
+
+
+def spoken_runs(runs: Sequence[tuple[int, int]]) -> str:
+    return ", ".join(f"{first} to {last}" if last > first else str(first) for first, last in runs)

@@ -114,7 +114,6 @@ def placed_targets(
     """The records of a calibration, grouped by free view and by placement; at each position one for each laser.
 
     Args:
-        config: The rig.
         positions: From `placement_positions`.
 
     Returns:

@@ -66,7 +66,6 @@ def find_capture(folder: Path, *, progress: Callable[[int, int], None] | None = 
     """Read and verify a whole capture.
 
     Args:
-        folder: The capture.
         progress: Called while it is verified, with (records done, records in all).
 
     Raises:

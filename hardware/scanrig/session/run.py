@@ -1,16 +1,347 @@
-"""The two sessions that a caller may run: a sweep, or views of the calibration board."""
+"""Sessions from the lock to the seal: sweeps and calibrations, their ends, and the laser off at each of them."""
 
-from collections.abc import Sequence
+import contextlib
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from itertools import groupby
 from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
 
 from jaxscan.errors import ConfigError
+from jaxscan.files.capture import JOURNAL_NAME, SEAL
+from jaxscan.files.disk import make_folder
 from scanrig.config import RigConfig
-from scanrig.session.job import Devices, Hooks, Job, SessionResult
-from scanrig.session.lifecycle import run_job
-from scanrig.session.placements import Operator, take_placements
-from scanrig.session.plan import Target, placed_targets, placement_positions, plan_sweep
+from scanrig.controllers import UNCONFIRMED, Controller, require_allowed
+from scanrig.errors import Fault, LinkLost, RigError, RigFault, SessionError
+from scanrig.recording import folder_lock, is_full
+from scanrig.session.job import Devices, Hooks, Job, SessionResult, spoken_runs
+from scanrig.session.plan import Target, angle_deg, placed_targets, placement_bearing, placement_positions, plan_sweep
+from scanrig.session.resume import Found, find_capture, is_capture, ranges, require_same_plan
 from scanrig.session.session import Session
+
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Ending:
+    """The end of a session."""
+
+    status: str
+    """As in `SessionResult`; or "aborted" or "failed", and then `error` is raised."""
+    message: str
+    """The reason."""
+    error: BaseException | None = None
+
+
+def ended_by(problem: BaseException, controller: Controller) -> Ending:
+    """Classify an error: a regular end, or an error to raise.
+
+    After an interrupt everything is switched off first.
+    """
+    if isinstance(problem, KeyboardInterrupt):
+        with contextlib.suppress(LinkLost):
+            controller.abort()
+        return Ending("aborted", "aborted", problem)
+    if is_full(problem):
+        return Ending("disk full", str(problem))
+    if isinstance(problem, RigFault) and problem.fault is Fault.EMERGENCY_STOP:
+        return Ending("e-stop", str(problem))
+    return Ending("failed", f"{type(problem).__name__}: {problem}", problem)
+
+
+def counted(controller: Controller, *, answers: bool) -> dict[str, Any]:
+    """The counters of the controller and of its link: wear of the laser's switch, line errors.
+
+    Args:
+        controller: A controller that was made safe.
+        answers: Whether it answered then; otherwise it is not asked again.
+
+    Returns:
+        Fields for the journal; without the controller's counters if they cannot be read.
+    """
+    link: dict[str, Any] = {"link": asdict(controller.link_counts)}
+    if not answers:
+        return link
+    try:
+        counters = controller.counters()
+        return link if counters is None else {"controller": asdict(counters), **link}
+    except RigError as problem:
+        log.info("the controller's counters could not be asked for: %s", problem)
+        return link
+
+
+def leave_safe(controller: Controller) -> str:
+    """Laser off and contactor open, in every case.
+
+    Returns:
+        "" if the controller confirmed it, else the instruction to a person.
+    """
+    for _ in range(2):
+        try:
+            return "" if controller.make_safe() else _warning()
+        except KeyboardInterrupt:
+            # A further interrupt: switch off first.
+            with contextlib.suppress(LinkLost):
+                controller.abort()
+        except (RigError, OSError) as problem:
+            return _warning(problem)
+    return _warning()
+
+
+def _warning(problem: Exception | None = None) -> str:
+    says = UNCONFIRMED if problem is None else f"{UNCONFIRMED} ({problem})"
+    return f"{says[0].upper()}{says[1:]}."
+
+
+def run_job(job: Job, work: Callable[[Session], bool]) -> SessionResult:
+    """Run a session from the lock to the seal.
+
+    Args:
+        work: Takes the missing records; returns False if the operator asked to stop.
+
+    Raises:
+        JaxscanError: As for `run_sweep`. The laser is off, or the message says that this is not confirmed.
+    """
+    guarantees = job.devices.controller.guarantees
+    require_allowed(guarantees, job.config.controller)
+    if job.config.camera.trigger == "hardware" and not guarantees.hardware_trigger:
+        raise ConfigError(
+            'camera.trigger: found "hardware", expected "software" or "free": the controller has no wire to the camera.'
+        )
+    made = _folder(job.folder)
+    try:
+        with folder_lock(job.folder) as lock:
+            found = _look(job)
+            if found is not None and found.status == "complete" and not found.damaged and not found.suspect:
+                return _complete_already(job, found)
+            if job.resume and found is None:
+                job.hooks.notify(f"{job.folder}: no capture to resume; a new one begins.")
+            session = Session(job, found)
+            if lock.note:
+                job.hooks.notify(f"{job.folder}: {lock.note}.")
+                session.ledger.note("lock", message=lock.note)
+            return _run(session, work)
+    finally:
+        if made:
+            # Removes only an empty folder.
+            with contextlib.suppress(OSError):
+                job.folder.rmdir()
+
+
+def _run(session: Session, work: Callable[[Session], bool]) -> SessionResult:
+    job = session.job
+    try:
+        session.begin()
+        finished = work(session)
+        session.settle()
+        status = ("suspect" if session.suspect else "complete") if finished else "interrupted"
+        ending = Ending(status, "")
+    except BaseException as problem:
+        ending = ended_by(problem, job.devices.controller)
+    unsafe = leave_safe(job.devices.controller)
+    # Only now: it may wait for the disk.
+    session.end()
+    unsealed = session.ledger.end(
+        ending.status,
+        records=len(session.done),
+        taken=session.taken,
+        problem=ending.message,
+        laser_off=not unsafe,
+        **counted(job.devices.controller, answers=not unsafe),
+    )
+    for sentence in (unsafe, unsealed):
+        if sentence:
+            job.hooks.notify(sentence)
+    if ending.error is not None:
+        if unsafe and ending.error.args:
+            # Many programs show only one line of an error.
+            ending.error.args = (f"{str(ending.error).rstrip('.')}. {unsafe}", *ending.error.args[1:])
+        if session.ledger.events and session.done:
+            job.hooks.notify(
+                f"{job.folder}: {len(session.done)} of {job.planned} records are on the disk; "
+                "the capture can be resumed."
+            )
+        raise ending.error
+    return _result(session, ending, unsafe)
+
+
+def _result(session: Session, ending: Ending, unsafe: str) -> SessionResult:
+    job, count = session.job, len(session.done)
+    suspect = tuple(ranges(tuple(session.suspect)))
+    says = say_end(ending, job.folder, count=count, planned=job.planned, suspect=suspect)
+    return SessionResult(
+        status=ending.status,  # type: ignore[arg-type]
+        message=" ".join(part for part in (says, unsafe) if part),
+        records=count + len(session.suspect - session.done),
+        planned=job.planned,
+        taken=session.taken,
+        retakes=session.rig.rejected,
+        suspect=suspect,
+        events=tuple(session.ledger.events),
+        laser_off=not unsafe,
+    )
+
+
+def _folder(folder: Path) -> bool:
+    """Make the folder; True if it did not exist."""
+    try:
+        if folder.is_dir():
+            return False
+        make_folder(folder, durable=True)
+    except OSError as problem:
+        raise SessionError(f"{folder}: cannot be created: {problem.strerror or problem}.") from problem
+    return True
+
+
+def _look(job: Job) -> Found | None:
+    """The capture in the folder, if there is one and it may be continued.
+
+    Raises:
+        KeyboardInterrupt: If the operator asks to stop while it is verified.
+    """
+    if not is_capture(job.folder):
+        return None
+    if not job.resume:
+        raise SessionError(f"{job.folder}: holds a capture already; resume it, or choose another folder.")
+    job.hooks.notify(f"{job.folder}: verifying the capture.")
+
+    def end_if_asked(done: int, total: int) -> None:
+        # At the end nothing is saved by it.
+        if done < total and job.hooks.should_stop():
+            raise KeyboardInterrupt
+
+    found = find_capture(job.folder, progress=end_if_asked)
+    for problem in found.altered:
+        if not problem.lasting:
+            job.hooks.notify(str(problem))
+    require_same_plan(found, job.config, job.kind, folder=job.folder, calibration_digest=job.calibration_digest)
+    _require_seals(found)
+    return found
+
+
+def _require_seals(found: Found) -> None:
+    """Check that no seal is broken: new records do not mend it, and the whole capture could never be opened."""
+    for problem in found.altered:
+        if problem.lasting:
+            raise SessionError(
+                f"{problem.message.removesuffix('.')}; the capture cannot be continued: restore the file from a copy, "
+                f"or, if the change is meant, remove the lines with {SEAL} from {JOURNAL_NAME}."
+            )
+
+
+def _complete_already(job: Job, found: Found) -> SessionResult:
+    count = len(found.records)
+    message = f"{job.folder}: is complete already, {count} records; nothing was done."
+    return SessionResult("complete", message, count, job.planned, 0, 0, (), (), True)
+
+
+def say_end(ending: Ending, folder: Path, *, count: int, planned: int, suspect: Sequence[tuple[int, int]]) -> str:
+    """How a session ended, as one line.
+
+    Args:
+        planned: Records of the complete capture.
+    """
+    there = f"{count} of {planned} records"
+    says = {
+        "complete": f"complete, {count} records",
+        "suspect": f"steps were lost: records {spoken_runs(suspect)} are suspect; "
+        "resume the capture to take them again",
+        "interrupted": f"interrupted with {there}; it can be resumed",
+        "e-stop": f"{ending.message}. {there} are there; release the e-stop, then resume the capture",
+        "disk full": f"{ending.message} {there} are there",
+    }[ending.status]
+    # The message of an error may already begin with the folder.
+    return f"{folder}: {says.removeprefix(f'{folder}: ').rstrip('.')}."
+
+
+PlacementKind = Literal["free", "placement"]
+
+
+@dataclass(frozen=True)
+class PlacementRequest:
+    """A request to the operator to place the calibration board."""
+
+    kind: PlacementKind
+    """"free": hold it anywhere; "placement": stand it where it will not move while the table turns."""
+    number: int
+    """Counted from 0 within its kind."""
+    total: int
+    at_deg: float
+    """Where the table points meanwhile."""
+    advice: list[str]
+    """The most helpful poses, a sentence each."""
+    look: Callable[[], np.ndarray]
+    """Takes a frame without laser: uint8 [rows, columns] (rgb8: and 3). Recovers from faults as every step does, and
+    keeps the contactor open."""
+
+
+class Operator(Protocol):
+    """The person who moves the board."""
+
+    def place(self, request: PlacementRequest) -> bool:
+        """Return when the board is placed; False: no more of this kind."""
+
+
+def take_placements(session: Session, positions: Sequence[tuple[int, ...]], operator: Operator) -> bool:
+    """Take the free views at home, then each placement at its positions.
+
+    Every placement gets a new number. A placement that was half done when a session ended is begun again under another
+    number; its old records keep the old one.
+
+    Args:
+        session: A session that has begun.
+        positions: From `placement_positions`.
+        operator: The person who places the board.
+
+    Returns:
+        False if the operator asked to stop, or ended before any view was taken.
+    """
+    views, stands = placed_targets(session.config, positions)
+    session.start(compare=False)
+    kinds: tuple[tuple[PlacementKind, tuple[tuple[Target, ...], ...]], ...] = (("free", views), ("placement", stands))
+    for kind, asked in kinds:
+        for number, targets in enumerate(asked):
+            if all(target.record in session.done for target in targets):
+                continue
+            if session.should_stop():
+                return False
+            bearing = 0 if kind == "free" else placement_bearing(session.config, number)
+            session.face(bearing)
+            session.dark()
+            at_deg = angle_deg(bearing, session.config.microsteps_per_turn)
+            advice = [] if session.job.hooks.advise is None else list(session.job.hooks.advise())
+            placed = operator.place(PlacementRequest(kind, number, len(asked), at_deg, advice, session.rig.look))
+            if session.should_stop():
+                return False
+            if not placed:
+                break
+            session.light()
+            if not _take_placement(session, targets):
+                return False
+    if session.since_home:
+        session.close_placement(in_place=False)
+    return bool(session.done or session.suspect)
+
+
+def _take_placement(session: Session, targets: Sequence[Target]) -> bool:
+    label = session.next_placement()
+    # Records of an interrupted placement show the board at another place.
+    for target in targets:
+        session.done.discard(target.record)
+    for target in targets:
+        if session.should_stop():
+            session.settle()
+            return False
+        session.take(target.record, target.position, placement=label)
+    # Before the board is moved.
+    session.settle()
+    if len({target.position for target in targets}) > 1:
+        session.close_placement(in_place=True)
+    return True
 
 
 def run_sweep(
@@ -25,10 +356,8 @@ def run_sweep(
     """Capture a sweep, each pair proven and written while the table turns to the next.
 
     Args:
-        config: The rig.
         folder: Folder of the capture: new, or one to continue.
         devices: Controller and camera, open.
-        hooks: Callbacks.
         resume: Continue the capture in the folder; if there is none, begin it.
         calibration_digest: Digest of the calibration that is used during the scan; noted, and refused
             if it changed.

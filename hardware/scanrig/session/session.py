@@ -1,23 +1,137 @@
-"""A running session: takes records, and tracks which are on the disk and which are suspect."""
+"""Takes records, and tracks which are suspect: pairs are judged by others, steps are taken again."""
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from typing import Any
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from scanrig.cameras import require_same
-from scanrig.checks import Likeness, PairProof
-from scanrig.controllers import shortcomings
+from jaxscan.files.capture import CameraTable, CaptureHeader, PlanTable, TurntableTable
+from scanrig.cameras import Features, require_same
+from scanrig.checks import PLACES, LeakWatch, LightWatch, Likeness, PairProof, compare_pairs
+from scanrig.config import RigConfig
+from scanrig.controllers import Controller, Firmware, shortcomings
 from scanrig.errors import FrameError, SessionError
 from scanrig.recording import AHEAD, KEPT_PAIRS, Ledger, require_space
-from scanrig.session.job import Job
+from scanrig.session.job import Job, say_event
 from scanrig.session.plan import RESERVE, Target, angle_deg, frame_bytes
-from scanrig.session.records import Moment, capture_header, record_fields
 from scanrig.session.recovery import RecoveringRig
-from scanrig.session.resume import Found, ranges, require_same_camera
-from scanrig.session.sentences import say_event
+from scanrig.session.resume import Found, ranges, read_pair, require_same_camera
 from scanrig.session.steps import Flight, Flights, Place, ProvenPair, Step
-from scanrig.session.watch import PairWatch, compare_with_record
+
+
+class PairWatch:
+    """Follows the proofs of a session's pairs."""
+
+    def __init__(self, config: RigConfig, controller: Controller, note: Callable[..., None]) -> None:
+        """`note` gets changes of the light."""
+        self._allowed, self._controller, self._note = config.checks.proof.leak, controller, note
+        self._light = LightWatch()
+        self._leaks = tuple(LeakWatch() for _ in config.laser)
+
+    def add(self, record: int, laser: int, angle_deg: float | None, proof: PairProof) -> None:
+        """Add a pair; `angle_deg`: the table's angle, None if every pair shows another scene.
+
+        Raises:
+            FrameError: If the laser shines in the laser-off frames of many places; the contactor is open then.
+        """
+        ambient = proof.ambient_dn
+        if (was := self._light.add(ambient)) is not None:
+            self._note("light", record=record, was_dn=round(was, 2), is_dn=round(ambient, 2))
+        leak = self._leaks[laser].add(angle_deg, proof.leak)
+        if leak is None or leak <= self._allowed:
+            return
+        self._controller.arm(False)
+        raise FrameError(
+            f"step {record}: the laser stays on: {100 * leak:.0f} % of its line is in the laser-off frames of "
+            f"the last {PLACES} places too, expected at most {100 * self._allowed:.0f} %; give it more time to go out "
+            "([[laser]] off_ms), and check relay and wiring. The contactor has been opened."
+        )
+
+
+def compare_with_record(folder: Path, record: int, pair: ProvenPair, config: RigConfig) -> Likeness:
+    """Compare a pair with that of a record on the disk, taken at the same place.
+
+    Raises:
+        CaptureError: If the record is missing or damaged.
+    """
+    camera, line = config.camera, config.laser[pair.laser].line
+    again = pair.on.image, pair.off.image
+    first = read_pair(folder, record)
+    return compare_pairs(first, again, pixel_format=camera.pixel_format, response=camera.response, line=line)
+
+
+def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureHeader:
+    """The header of a new capture, with the settings that must not change when it is resumed."""
+    config, kind, identity = job.config, job.kind, job.devices.camera.identity
+    acquisition: dict[str, Any] = {
+        "software": f"jaxscan {version('jaxscan')}",
+        "started": job.devices.clock.utc(),
+        "config_sha256": config.digest(kind),
+        "microsteps_per_turn": config.microsteps_per_turn,
+        "firmware": firmware.version,
+        "protocol": firmware.proto,
+        "boot": firmware.boot,
+        "camera": asdict(identity),
+        "features": dict(features),
+        "config": config.frame_tables(kind),
+    }
+    if job.calibration_digest is not None:
+        acquisition["calibration"] = job.calibration_digest
+    camera = config.camera
+    return CaptureHeader(
+        kind=kind,
+        camera=CameraTable(
+            width=camera.width,
+            height=camera.height,
+            pixel_format=camera.pixel_format,
+            response=camera.response,
+            up=camera.up,
+        ),
+        turntable=TurntableTable(carries=config.turntable.carries, angle_sigma_deg=config.turntable.angle_sigma_deg),
+        laser=tuple(laser.table for laser in config.laser),
+        board=config.board if kind == "calibration" else None,
+        plan=PlanTable(steps=job.planned),
+        acquisition=acquisition,
+    )
+
+
+class Moment(NamedTuple):
+    """When a pair was taken."""
+
+    utc: str
+    """Time of day, RFC 3339."""
+    now_s: float
+    """Monotonic seconds."""
+
+
+def record_fields(pair: ProvenPair, config: RigConfig, features: Features, moment: Moment) -> dict[str, Any]:
+    """The fields of a record, without its images and their digests."""
+    n, proof = config.microsteps_per_turn, pair.proof
+    exposure = features.get("exposure_s", config.camera.exposure_ms / 1000)
+    fields: dict[str, Any] = {
+        "angle_deg": angle_deg(pair.position, n),
+        "time": moment.utc,
+        "time_s": round(moment.now_s, 6),
+        "microsteps": pair.position,
+        "microsteps_per_turn": n,
+        "exposure_s": exposure,
+        "retakes": len(pair.rejected),
+        "frame_ids": [pair.on.number, pair.off.number],
+        "statistics": {
+            "lit_lines": round(proof.lit_lines, 4),
+            "peak_dn": round(proof.peak_dn, 2),
+            "saturated": round(proof.saturated, 4),
+            "ambient_dn": round(proof.ambient_dn, 3),
+            "unrest": round(proof.unrest, 3),
+        },
+    }
+    if len(config.laser) > 1:
+        fields["lasers"] = [config.laser[pair.laser].name]
+    if pair.rejected:
+        fields["rejected"] = list(pair.rejected)
+    return fields
 
 
 class Session:

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxscan.cli.boards import CommandOperator
 from jaxscan.cli.console.guidance import guidance
 from jaxscan.cli.console.painter import Painter, Seen
 from jaxscan.cli.console.slate import Slate
-from jaxscan.cli.scanning.operator import CommandOperator
 
 
 if TYPE_CHECKING:

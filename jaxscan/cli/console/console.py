@@ -4,11 +4,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from jaxscan.cli.options import ConfigPath, OptionalCalibrationPath
-from jaxscan.cli.output import JsonTarget, check_json, emit_json
-from jaxscan.cli.output import console as console_of
-from jaxscan.cli.paths import calibration_at, check_paths, file_at
-from jaxscan.cli.process.needs import need_pages
+from jaxscan.cli.options import ConfigPath, OptionalCalibrationPath, calibration_at, check_paths, file_at, need_pages
+from jaxscan.cli.terminal import JsonTarget, check_json, emit_json
+from jaxscan.cli.terminal import console as console_of
 
 
 PORT = 8642

@@ -15,9 +15,9 @@ from jaxscan.cli.console.painter import Painter
 from jaxscan.cli.console.silence import Silence
 from jaxscan.cli.console.slate import Slate
 from jaxscan.cli.console.stopping import PAGE, Stopping
-from jaxscan.cli.process.running import answer_in_words
-from jaxscan.cli.process.signals import RigInUse
-from jaxscan.cli.process.terminal import Terminal
+from jaxscan.cli.running import answer_in_words
+from jaxscan.cli.signals import RigInUse
+from jaxscan.cli.terminal import Terminal
 from jaxscan.errors import JaxscanError, OptionError
 
 

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from jaxscan.cli.boards import line_finder
 from jaxscan.cli.console.outliving import outlived
 from jaxscan.cli.console.slate import Slate
-from jaxscan.cli.scanning.line_finder import line_finder
 from jaxscan.vision import encode_jpeg, to_grey
 
 

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import jaxscan
+from jaxscan.cli.boards import CommandOperator, make_guide
 from jaxscan.cli.console.boards import PageOperator, on_board_pair
 from jaxscan.cli.console.desk import Desk, Running, progress_of
 from jaxscan.cli.console.painter import Seen
 from jaxscan.cli.console.works import Work, Works
-from jaxscan.cli.scanning.boards import make_guide
-from jaxscan.cli.scanning.live import LiveCloud
-from jaxscan.cli.scanning.operator import CommandOperator
-from jaxscan.cli.scanning.plan import ScanPlan, sweep_header
+from jaxscan.cli.live import LiveCloud
+from jaxscan.cli.scan import ScanPlan, sweep_header
 from jaxscan.errors import CaptureError, OptionError
 from jaxscan.files.capture import HEADER_NAME
 
@@ -161,7 +160,7 @@ class Sessions:
 
     def list(self) -> None:
         """Show the captures in the folder, and the space that is left."""
-        from scanrig.recording.space import free_bytes
+        from scanrig.recording import free_bytes
 
         folder = self._captures.folder.absolute()
         there = next(path for path in (folder, *folder.parents) if path.exists())

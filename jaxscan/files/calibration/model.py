@@ -1,4 +1,4 @@
-"""The contents of a calibration file, key by key, and the conditions on the numbers."""
+"""The tables of a calibration file, as they are checked when it is read."""
 
 import dataclasses
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
@@ -6,21 +6,160 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 import numpy as np
 import pydantic
 
-from jaxscan.files.calibration.motions import MotionTable, TurntableTable
-from jaxscan.files.calibration.numbers import (
-    UNIT_TOLERANCE,
-    Basis,
-    Covariance,
-    Focal,
-    Limited,
-    Pair,
-    Triple,
-    arrays,
-    check_frame,
-)
 from jaxscan.files.disk import FileModel, ImageSize, Number
-from jaxscan.geometry import CAMERAS, AbstractCamera, LaserSheet, Scanner, Still, point_up, stack_lasers
+from jaxscan.geometry import (
+    CAMERAS,
+    AbstractCamera,
+    AbstractMotion,
+    LaserSheet,
+    LinearStage,
+    Scanner,
+    Still,
+    Turntable,
+    point_up,
+    stack_lasers,
+)
+from jaxscan.geometry.motions import Turns
 from jaxscan.geometry.scanner import UP_VECTORS, Up
+
+
+UNIT_TOLERANCE = 1e-6
+"""Accepted departure of a vector from unit length and from perpendicular: digits are lost when written by hand."""
+
+# Beyond these limits squares and quotients are not finite, in single precision at the latest.
+Limited = Annotated[Number, pydantic.Field(ge=-1e6, le=1e6)]
+"""Pixels, metres, coefficients, and components of vectors."""
+Focal = Annotated[Number, pydantic.Field(ge=0.1, le=1e6)]
+"""Focal length, px."""
+Bend = Annotated[Number, pydantic.Field(ge=-10, le=10)]
+"""Bows and harmonics, rad."""
+Covariance = Annotated[Number, pydantic.Field(ge=-1e12, le=1e12)]
+Pair = tuple[Bend, Bend]
+Triple = tuple[Limited, Limited, Limited]
+Basis = tuple[Triple, Triple]
+
+
+def arrays(*values: Any) -> tuple[np.ndarray, ...]:
+    """Numbers as float64 arrays."""
+    return tuple(np.array(value, np.float64) for value in values)
+
+
+def check_frame(name: str, direction: Triple, basis: Basis) -> None:
+    """Refuse a unit vector and a basis that are none.
+
+    Raises:
+        ValueError: With the value found.
+    """
+    length = float(np.linalg.norm(direction))
+    if abs(length - 1) > UNIT_TOLERANCE:
+        raise ValueError(f"{name}: found a vector of length {length:.9g}, expected 1")
+    frame = np.array([direction, *basis], np.float64)
+    if np.abs(frame @ frame.T - np.eye(3)).max() > UNIT_TOLERANCE:
+        raise ValueError(f"basis: expected two unit vectors, perpendicular to each other and to {name}")
+
+
+SLOWEST = 1e-6  # The least gain.
+
+
+class TurntableTable(FileModel):
+    """The axis in the camera frame at angle 0, and the model of the angle.
+
+    With a `basis` it is canonical: a unit direction on the image's up side, and the axis point nearest the camera.
+    Without one it was written by hand: any point of the axis, and a direction of any length and either sense.
+    """
+
+    carries: Turns = "scanner"
+    direction: Triple
+    point_m: Triple
+    gain: Limited = 1.0
+    """Turned angle, right-handed about `direction`, per angle of the table."""
+    harmonics: tuple[Bend, Bend, Bend, Bend] = (0.0, 0.0, 0.0, 0.0)
+    basis: Basis | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _meaningful(self) -> "TurntableTable":
+        self.motion()
+        return self
+
+    def motion(self) -> Turntable:
+        """The turntable of the geometry, its axis in the sense that the file has.
+
+        Raises:
+            ValueError: If there is no axis, or it is not canonical beside a basis.
+        """
+        if abs(self.gain) < SLOWEST:
+            raise ValueError(f"gain = {self.gain:g}: the table does not turn")
+        harmonics = np.array(self.harmonics, np.float64)
+        if self.basis is None:
+            flat = Turntable.from_axis(self.direction, self.point_m, gain=self.gain, carries=self.carries)
+            return dataclasses.replace(flat, harmonics=harmonics)
+        check_frame("direction", self.direction, self.basis)
+        along = float(np.dot(self.direction, self.point_m))
+        if abs(along) > UNIT_TOLERANCE * max(1.0, float(np.linalg.norm(self.point_m))):
+            raise ValueError(
+                f"direction · point_m = {along:.3g}, expected 0: point_m is the axis point nearest the camera"
+            )
+        direction, point, gain, basis = arrays(self.direction, self.point_m, self.gain, self.basis)
+        return Turntable(direction, point, gain, harmonics, basis, self.carries)
+
+
+class LinearTable(FileModel):
+    """The direction in which a linear stage moves the camera past the object, in the camera frame.
+
+    With a `basis` it is canonical: a unit direction. Without one it was written by hand: of any length.
+    """
+
+    carries: Literal["linear"]
+    direction: Triple
+    gain: Limited = 1.0
+    """Travel per commanded travel."""
+    basis: Basis | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _meaningful(self) -> "LinearTable":
+        self.motion()
+        return self
+
+    def motion(self) -> LinearStage:
+        """The linear stage of the geometry.
+
+        Raises:
+            ValueError: If there is no direction, or it is not canonical beside a basis.
+        """
+        if abs(self.gain) < SLOWEST or (self.gain < 0 and self.basis is not None):
+            raise ValueError(f"gain = {self.gain:g}: expected about 1")
+        if self.basis is None:
+            return LinearStage.from_direction(self.direction, gain=self.gain)
+        check_frame("direction", self.direction, self.basis)
+        return LinearStage(*arrays(self.direction, self.gain, self.basis))
+
+
+def _kind(value: Any) -> str:
+    carries = value.get("carries") if isinstance(value, dict) else getattr(value, "carries", None)
+    return "a line" if carries == "linear" else "an axis"
+
+
+MotionTable = Annotated[
+    Annotated[TurntableTable, pydantic.Tag("an axis")] | Annotated[LinearTable, pydantic.Tag("a line")],
+    pydantic.Discriminator(_kind),
+]
+"""The table of any motion."""
+
+
+def motion_table(motion: AbstractMotion) -> dict[str, Any] | None:
+    """A motion as its table in the file; None for a scanner that stands still."""
+    if isinstance(motion, LinearStage):
+        return {"carries": "linear", **{name: getattr(motion, name) for name in ("direction", "gain", "basis")}}
+    if not isinstance(motion, Turntable):
+        return None
+    return {
+        "carries": motion.carries,
+        "direction": motion.direction,
+        "point_m": motion.point,
+        "gain": motion.gain,
+        "harmonics": motion.harmonics,
+        "basis": motion.basis,
+    }
 
 
 CALIBRATION_FORMAT: Literal["jaxscan-calibration/1"] = "jaxscan-calibration/1"
@@ -189,9 +328,9 @@ class DigestTable(FileModel):
     """Digests as a program writes them; a person leaves them out."""
 
     values: str | None = None
-    """Of all other tables of the file."""
+    """Digest of all other tables of the file."""
     observations: str | None = None
-    """Of the file of observations beside it."""
+    """Digest of the file of observations beside it."""
 
 
 class CalibrationTable(FileModel):

@@ -1,4 +1,4 @@
-"""The header of a capture: `capture.toml`."""
+"""capture.toml: what was recorded, with what, and of which board."""
 
 import math
 import os
@@ -9,21 +9,134 @@ import pydantic
 import tomli_w
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.boards import BoardTable
 from jaxscan.files.disk import (
     MEGABYTE,
     FileModel,
     ImageSize,
     Integer,
+    Number,
     check,
     is_deep,
     load_toml,
     parse_toml,
     too_deep,
 )
-from jaxscan.geometry import AbstractBoard, Carries, StripeAxis
+from jaxscan.geometry import (
+    AbstractBoard,
+    AprilGrid,
+    Carries,
+    Charuco,
+    Chessboard,
+    Circles,
+    StripeAxis,
+    check_board,
+    known_dictionary,
+)
 from jaxscan.geometry.scanner import Up
 from jaxscan.stripes import PIXEL_FORMATS, LaserColour, LaserLine, PixelFormat, Response, frame_rank, known_response
+
+
+Count = Annotated[Integer, pydantic.Field(ge=1, le=1000)]
+Length = Annotated[Number, pydantic.Field(gt=0)]
+
+
+class CharucoTable(FileModel):
+    """A ChArUco board; columns and rows count squares."""
+
+    type: Literal["charuco"] = "charuco"
+    columns: Count
+    rows: Count
+    square_mm: Length
+    marker_mm: Length
+    dictionary: Annotated[str, pydantic.AfterValidator(known_dictionary)] = "DICT_5X5_250"
+    layout: Literal["standard", "legacy"] = "standard"
+    """ "legacy": of OpenCV before 4.6; differs where the number of rows is even."""
+
+    @pydantic.model_validator(mode="after")
+    def _possible(self) -> "CharucoTable":
+        check_board(self.board())
+        return self
+
+    def board(self) -> AbstractBoard:
+        """The board that the table describes."""
+        return Charuco(
+            columns=self.columns,
+            rows=self.rows,
+            square=self.square_mm / 1000,
+            marker=self.marker_mm / 1000,
+            dictionary=self.dictionary,
+            layout=self.layout,
+        )
+
+
+class ChessboardTable(FileModel):
+    """A plain chessboard; columns and rows count inner corners."""
+
+    type: Literal["chessboard"] = "chessboard"
+    columns: Count
+    rows: Count
+    square_mm: Length
+
+    @pydantic.model_validator(mode="after")
+    def _possible(self) -> "ChessboardTable":
+        check_board(self.board())
+        return self
+
+    def board(self) -> AbstractBoard:
+        """The board that the table describes."""
+        return Chessboard(columns=self.columns, rows=self.rows, square=self.square_mm / 1000)
+
+
+class CirclesTable(FileModel):
+    """A grid of circles; columns count the circles of a row."""
+
+    type: Literal["circles"] = "circles"
+    columns: Count
+    rows: Count
+    spacing_mm: Length
+    """Distance of two rows; of neighbours in a row too, or, asymmetric, half of that."""
+    diameter_mm: Length
+    layout: Literal["asymmetric", "symmetric"] = "asymmetric"
+
+    @pydantic.model_validator(mode="after")
+    def _possible(self) -> "CirclesTable":
+        check_board(self.board())
+        return self
+
+    def board(self) -> AbstractBoard:
+        """The board that the table describes."""
+        return Circles(
+            columns=self.columns,
+            rows=self.rows,
+            square=self.spacing_mm / 1000,
+            diameter=self.diameter_mm / 1000,
+            layout=self.layout,
+        )
+
+
+class AprilGridTable(FileModel):
+    """A grid of AprilTags as Kalibr prints it; columns and rows count tags."""
+
+    type: Literal["aprilgrid"] = "aprilgrid"
+    columns: Count
+    rows: Count
+    tag_mm: Length
+    gap_mm: Length
+    """Distance of neighbouring tags."""
+
+    @pydantic.model_validator(mode="after")
+    def _possible(self) -> "AprilGridTable":
+        check_board(self.board())
+        return self
+
+    def board(self) -> AbstractBoard:
+        """The board that the table describes."""
+        return AprilGrid(columns=self.columns, rows=self.rows, square=self.gap_mm / 1000, tag=self.tag_mm / 1000)
+
+
+BoardTable = Annotated[
+    CharucoTable | ChessboardTable | CirclesTable | AprilGridTable, pydantic.Field(discriminator="type")
+]
 
 
 CAPTURE_FORMAT: Literal["jaxscan-capture/1"] = "jaxscan-capture/1"
@@ -84,6 +197,28 @@ class TurntableTable(FileModel):
 
     carries: Carries = "scanner"
     """A turntable's "scanner", or "object" where the camera stands still; a "linear" stage; or "nothing"."""
+    angle_sigma_deg: Annotated[Number, pydantic.Field(ge=0, le=45)] | None = None
+    """Standard deviation of where a table stops about the angle of its record [deg]; None: learned from boards."""
+    position_sigma_mm: Annotated[Number, pydantic.Field(ge=0, lt=1000)] | None = None
+    """The same of a linear stage [mm]."""
+
+    @pydantic.model_validator(mode="after")
+    def _of_its_kind(self) -> "TurntableTable":
+        turns, linear = self.carries in ("scanner", "object"), self.carries == "linear"
+        for key, value, fits in (
+            ("angle_sigma_deg", self.angle_sigma_deg, turns),
+            ("position_sigma_mm", self.position_sigma_mm, linear),
+        ):
+            if value is not None and not fits:
+                raise ValueError(f'{key}: found {value:g} with carries = "{self.carries}", which has none')
+        return self
+
+    @property
+    def stop_sigma(self) -> float | None:
+        """Standard deviation of stops about the positions of their records [rad or m]; None where nobody says."""
+        if self.position_sigma_mm is not None:
+            return self.position_sigma_mm / 1000.0
+        return None if self.angle_sigma_deg is None else math.radians(self.angle_sigma_deg)
 
 
 class LaserTable(FileModel):
@@ -155,7 +290,6 @@ def record_position(
         angle_deg: As the record has it.
         position_m: As the record has it.
         rig: Kind of the capture, and the part that its table carries.
-        where: The record, for messages.
 
     Raises:
         CaptureError: If it is missing in a sweep, or belongs to another kind of motion.

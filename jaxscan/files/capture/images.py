@@ -1,20 +1,228 @@
-"""The frames of a capture, from image files and shards."""
+"""The images of a capture: read one by one, several for one frame joined, or decoded ahead into chunks."""
 
 import hashlib
-from collections.abc import Sequence
+import math
+import os
+import sys
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.exposures import exposure_levels, load_levels
 from jaxscan.files.capture.header import CaptureHeader, frame_shape, image_limit
-from jaxscan.files.capture.journal import Record
-from jaxscan.files.capture.references import Folder, ImageRef
+from jaxscan.files.capture.journal import Folder, ImageRef, Record
 from jaxscan.files.capture.seals import difference, frame_digest
 from jaxscan.files.capture.shards import Shards
 from jaxscan.files.disk import read_bounded
-from jaxscan.stripes import frame_rank
+from jaxscan.reconstruction import FrameChunk
+from jaxscan.stripes import frame_rank, level_exposures
+
+
+Load = Callable[[ImageRef, np.ndarray | None], np.ndarray]
+
+
+def exposure_levels(images: Sequence[ImageRef]) -> tuple[float, ...]:
+    """The different exposures of a frame [s], ascending; empty where the record names none."""
+    return tuple(sorted({one.exposure_s for one in images if one.exposure_s is not None}))
+
+
+def check_exposures(records: Sequence[Record], *, name: str, bits: int | None = None) -> None:
+    """Check that all frames of a sweep have the same exposures.
+
+    Args:
+        records: All records of the sweep.
+        bits: Bits of a sample, where frames are kept as levels.
+
+    Raises:
+        CaptureError: With the first record that differs from the first one, or in itself; or if they are not the levels
+            of so many bits.
+    """
+    expected = exposure_levels(records[0].on)
+    if bits is not None and not np.array_equal(expected, level_exposures(bits)):
+        raise CaptureError(
+            f"{name}: record {records[0].i}: found {_levels(expected)}, but the header has bits = {bits}: expected the "
+            f"relative exposures {', '.join(f'{one:g}' for one in level_exposures(bits))} of its levels."
+        )
+    for record in records:
+        for side, images in (("on", record.on), ("off", record.off)):
+            if images and exposure_levels(images) != expected:
+                raise CaptureError(
+                    f"{name}: record {record.i}: {side}: found {_levels(exposure_levels(images))}, but the sweep began "
+                    f"with {_levels(expected)}; all frames of a sweep need the same exposures."
+                )
+
+
+def load_levels(images: Sequence[ImageRef], target: np.ndarray, load: Load) -> None:
+    """Read a frame, exposures ascending, and average repetitions.
+
+    Args:
+        images: Images of the frame.
+        target: uint8 [exposures, rows, columns(, 3)], filled.
+        load: Reads one image, into the memory that it is given or elsewhere.
+    """
+    levels = exposure_levels(images)
+    for row, level in zip(target, levels, strict=True) if levels else [(target[0], None)]:
+        average([one for one in images if one.exposure_s == level], row, load)
+
+
+def average(images: Sequence[ImageRef], target: np.ndarray, load: Load) -> None:
+    """The mean of images, rounded to whole DN, halves to even so that the rounding has no bias.
+
+    Args:
+        images: One or more.
+        target: uint8 [rows, columns(, 3)], filled.
+        load: Reads one image, into the memory that it is given or elsewhere.
+    """
+    if len(images) == 1:
+        found = load(images[0], target)
+        if found is not target:
+            target[...] = found
+        return
+    # The sum of 16 images of 255 DN fits; in float32 the mean is exact where it is a half.
+    total = np.zeros(target.shape, np.uint16)
+    for one in images:
+        total += load(one, None)
+    target[...] = np.rint(total / np.float32(len(images)))
+
+
+def _levels(levels: Sequence[float]) -> str:
+    return "one image without exposure" if not levels else ", ".join(f"{1e3 * level:g}" for level in levels) + " ms"
+
+
+AHEAD = 2
+"""Chunks that are decoded ahead while the caller computes."""
+_KEPT = 2 * (AHEAD + 4)
+_ALIGNED = 64
+"""[bytes]."""
+
+
+Look = Callable[[int, np.ndarray, np.ndarray | None], None]
+"""Sees a record and its frames, laser on and laser off, in any order and in threads; keeps no frame."""
+
+
+@runtime_checkable
+class FrameSource(Protocol):
+    """Source of the laser-on, or the laser-off, frames of a sweep."""
+
+    def mapped(self, start: int, stop: int) -> np.ndarray | None:
+        """Frames of records start ... stop - 1 where they lie in memory in this order; else None."""
+        ...
+
+    def examine(self, record: int) -> None:
+        """Raise if a record's mapped frame is not as it was written; called in threads."""
+        ...
+
+    def load(self, record: int, target: np.ndarray) -> None:
+        """Fill `target` with one record's frame; called in threads."""
+        ...
+
+
+def decode_ahead(
+    count: int,
+    size: int,
+    shape: tuple[int, ...],
+    on: FrameSource,
+    off: FrameSource | None,
+    look: Look | None = None,
+) -> Iterator[FrameChunk]:
+    """Records 0 ... count - 1 in chunks, the next ones in decoding while the caller computes.
+
+    At most `AHEAD` + 1 chunks exist beside those that the caller holds. A caller may keep a chunk. When
+    neither the chunk nor a part of it is referred to any more, its memory is used again: this spares the
+    system the clearing of 20 000 pages per chunk.
+
+    Args:
+        count: Number of records.
+        size: Records in a chunk; the last may have fewer.
+        shape: Shape of one record's frame.
+        on: Laser-on frames.
+        off: Laser-off frames, if there are any.
+        look: Sees all frames while they are in the processor's caches.
+
+    Yields:
+        The chunks in order, read-only if nothing had to be copied. An error of a source is raised in place
+        of its chunk.
+    """
+    pool = ThreadPoolExecutor(cores(), thread_name_prefix="jaxscan-decode")
+    buffers = Buffers((size, *shape))
+    ahead: deque[tuple[FrameChunk, list[Future[None]]]] = deque()
+    starts = deque(range(0, count, size))
+
+    def begin(start: int) -> tuple[FrameChunk, list[Future[None]]]:
+        stop = min(start + size, count)
+        wanted: list[tuple[FrameSource, np.ndarray, bool]] = []
+        for source in (on, off):
+            if source is not None:
+                mapped = source.mapped(start, stop)
+                frames = buffers.take()[: stop - start] if mapped is None else mapped
+                wanted.append((source, frames, mapped is None))
+        chunk = FrameChunk(wanted[0][1], wanted[1][1] if off is not None else None)
+        return chunk, [pool.submit(_prepare, wanted, start + row, row, look) for row in range(stop - start)]
+
+    try:
+        while starts or ahead:
+            while starts and len(ahead) <= AHEAD:
+                ahead.append(begin(starts.popleft()))
+            chunk, futures = ahead.popleft()
+            for future in futures:
+                future.result()
+            del futures
+            yield chunk
+            # Drop the reference of this function, so that the memory can be used again.
+            del chunk
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _prepare(wanted: list[tuple[FrameSource, np.ndarray, bool]], record: int, row: int, look: Look | None) -> None:
+    for source, frames, empty in wanted:
+        if empty:
+            source.load(record, frames[row])
+        else:
+            source.examine(record)
+    if look is not None:
+        on, *off = (frames[row] for _, frames, _ in wanted)
+        look(record, on, off[0] if off else None)
+
+
+class Buffers:
+    """Arrays of one shape; each is used again when only this object refers to it.
+
+    They begin at a multiple of `_ALIGNED` and have so much room behind them: JAX takes them without a copy on a CPU.
+    """
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self._shape = shape
+        self._made: list[np.ndarray] = []
+        # Every view refers to the array that owns the memory.
+        self._unused = _references([np.empty(0, np.uint8)], 0)
+
+    def take(self) -> np.ndarray:
+        """An array with arbitrary contents."""
+        for number in range(len(self._made)):
+            if _references(self._made, number) == self._unused:
+                return self._within(self._made[number])
+        memory = np.empty(math.prod(self._shape) + 2 * _ALIGNED, np.uint8)
+        if len(self._made) < _KEPT:
+            self._made.append(memory)
+        return self._within(memory)
+
+    def _within(self, memory: np.ndarray) -> np.ndarray:
+        start = -memory.ctypes.data % _ALIGNED
+        return memory[start : start + math.prod(self._shape)].reshape(self._shape)
+
+
+def _references(buffers: list[np.ndarray], number: int) -> int:
+    return sys.getrefcount(buffers[number])
+
+
+def cores() -> int:
+    """Number of cores that this process may use; in a container it may be fewer than the machine has."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class ImageReader:
@@ -25,7 +233,7 @@ class ImageReader:
         self.compared = compare
         """Whether images are compared with their digests."""
         self.shape = frame_shape(header)
-        """Of one image: (rows, columns), or (rows, columns, 3)."""
+        """Shape of one image: (rows, columns), or (rows, columns, 3)."""
         self.shards = Shards(path, self.shape)
         self._records: Sequence[Record] = ()
 
@@ -53,7 +261,6 @@ class ImageReader:
         """One image as it is stored, uint8 [rows, columns(, 3)]; a read-only view where it is in a shard.
 
         Args:
-            reference: The image.
             out: Memory of its shape for it, which is used, and returned, where the file has to be decoded.
 
         Raises:

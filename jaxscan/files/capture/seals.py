@@ -14,9 +14,7 @@ import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.header import HEADER_NAME
-from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, journal_objects
-from jaxscan.files.capture.references import ImageRef
-from jaxscan.files.capture.texts import CaptureTexts
+from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, CaptureTexts, ImageRef, journal_objects
 from jaxscan.files.disk import MEGABYTE, read_bounded
 
 

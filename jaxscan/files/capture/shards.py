@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.references import Folder, ImageRef
+from jaxscan.files.capture.journal import Folder, ImageRef
 from jaxscan.files.disk import NPY_DAMAGE, open_regular, read_npy_header
 
 

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.decode import cores
 from jaxscan.files.capture.header import frame_shape, image_limit
-from jaxscan.files.capture.journal import Record
-from jaxscan.files.capture.references import Folder, ImageRef
+from jaxscan.files.capture.images import cores
+from jaxscan.files.capture.journal import CaptureTexts, Folder, ImageRef, Record, read_texts
 from jaxscan.files.capture.seals import difference, frame_digest, sealing
 from jaxscan.files.capture.shards import Shards
-from jaxscan.files.capture.texts import CaptureTexts, read_texts
 from jaxscan.files.disk import file_digest
 
 
@@ -48,7 +46,6 @@ def verify_capture(
     For records without digests, it is only checked that their images exist.
 
     Args:
-        path: The folder.
         texts: Its header and journal, where they were read before.
         progress: Called with (records done, records in all).
 

@@ -7,9 +7,9 @@ import jax
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.files.clouds.about import About, StoredCloud
 from jaxscan.files.clouds.columns import Reading
 from jaxscan.files.clouds.e57 import Surroundings, read_e57, write_e57, write_e57_stations
+from jaxscan.files.clouds.header import About, StoredCloud
 from jaxscan.files.clouds.las import read_las, write_las
 from jaxscan.files.clouds.npz import read_npz, write_npz
 from jaxscan.files.clouds.pcd import read_pcd, write_pcd
@@ -144,6 +144,9 @@ def save_stations(
 def load_cloud(path: str | Path) -> PointCloud:
     """Read a cloud, of this library or of another program.
 
+    `jaxscan.api.read_cloud` also gives what was decided about the columns, the colours and the unit of another
+    program's file, and `jaxscan.files.clouds.in_metres` scales the cloud by it.
+
     Args:
         path: Its suffix is one of `READERS` or `TEXTS`.
 
@@ -163,7 +166,6 @@ def read_cloud(path: str | Path, reading: Reading | None = None) -> StoredCloud:
     """Read a cloud as `load_cloud` does, and what its file says beside the points.
 
     Args:
-        path: As in `load_cloud`.
         reading: What a person says of the columns and colours of another program's file.
 
     Raises:

@@ -35,13 +35,13 @@ UNIT_WORDS: dict[Unit, str] = {
     "us-foot": "US survey feet",
 }
 SHORT_NAMES = {"i": "intensity", "r": "red", "g": "green", "b": "blue"}
-"""Of columns that a person lists."""
+"""Letters of columns in a list that a person types."""
 UNUSED = "-"
 """A column that a person leaves out."""
 
 
 class Reading(NamedTuple):
-    """What a person says of a file."""
+    """Columns and colours that a person states for a file."""
 
     columns: tuple[str, ...] | None = None
     """Names of its columns from the first on, of `USED` or `UNUSED`."""
@@ -129,8 +129,6 @@ def assign(names: Sequence[str], path: str, *, what: str = "the columns", ours: 
 
     Args:
         names: The columns of the file in their order; empty where one has no name.
-        path: For messages.
-        what: What has the names, for messages.
         ours: Whether this library wrote the file.
 
     Raises:
@@ -182,7 +180,6 @@ def listed(names: Sequence[str], reading: Reading, path: str) -> Columns:
     Args:
         names: The columns of the file in their order.
         reading: Has columns.
-        path: For messages.
 
     Raises:
         CloudError: If the file has fewer.
@@ -212,7 +209,7 @@ def plain_names(names: Iterable[str]) -> list[str]:
 
 
 class Extent(NamedTuple):
-    """What is known of the numbers of each column of a table [width], when all were seen."""
+    """Statistics of each column of a table [width], over all rows."""
 
     least: np.ndarray
     most: np.ndarray
@@ -225,7 +222,7 @@ class Extent(NamedTuple):
 
     @staticmethod
     def of(table: np.ndarray) -> "Extent":
-        """That of some rows [n, width]."""
+        """The statistics of some rows [n, width]."""
         width = table.shape[1]
         unit = np.zeros(width, bool)
         squares = table**2
@@ -243,7 +240,7 @@ class Extent(NamedTuple):
         return float(np.nan_to_num(self.most[at]).max()), bool(self.whole[at].all())
 
     def with_more(self, other: "Extent") -> "Extent":
-        """That of the rows of both, where the first of the other follow the last of this."""
+        """The statistics of these rows and those of `other`, which follow them in the file."""
         follows = self.counts and other.counts and other.least[0] == self.most[0] + 1
         return Extent(
             np.fmin(self.least, other.least),
@@ -265,7 +262,6 @@ def guessed(extent: Extent, path: str, *, points: int, counted: bool) -> Columns
 
     Args:
         extent: Of the columns.
-        path: For messages.
         points: Number of points.
         counted: Whether their number stands before them, as in a file of Leica's, where intensity comes before colours.
 
@@ -341,7 +337,7 @@ class Range(NamedTuple):
 
     @property
     def words(self) -> str:
-        """As people read it."""
+        """The range in words, for the note."""
         return f"colours 0 to {self.brightest:g} by {self.why}" if self.brightest else f"no colours: {self.why}"
 
 
@@ -352,7 +348,7 @@ _TOO_BRIGHT = 16383
 def range_of(
     kind: np.dtype, most: float, *, whole: bool = True, stated: float | None = None, reading: Reading | None = None
 ) -> Range:
-    """Which number is full brightness.
+    """Find the number of full brightness.
 
     Args:
         kind: Type of the numbers; one of floating point also where text does not tell.
@@ -464,7 +460,7 @@ class Decided(NamedTuple):
 
     points: Records
     words: tuple[str, ...]
-    """What was decided, by which evidence."""
+    """The decisions, each with its evidence."""
     unit: Unit | None
     """The unit that the names state."""
 
@@ -483,7 +479,6 @@ def decide(
 
     Args:
         points: The records of the file, with its own names.
-        path: For messages.
         ours: Whether this library wrote the file.
         reading: What a person says.
         columns: Where the reader has decided it.

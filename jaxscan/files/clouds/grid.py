@@ -7,9 +7,8 @@ import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import points as sizes
-from jaxscan.files.clouds.about import JOINED_FORMAT, lacking, version_of
+from jaxscan.files.clouds.header import JOINED_FORMAT, lacking, read_stations, version_of
 from jaxscan.files.clouds.points import PARTS, POINT
-from jaxscan.files.clouds.stations import read_stations
 from jaxscan.reconstruction import MAY_LACK, SMOOTHED, PointCloud, Stations
 
 
@@ -20,7 +19,7 @@ SPARSE_CELLS = 1 << 24
 SPARSE_CELLS_UNLISTED = 1 << 22
 """The same where it does not list them."""
 CELLS_PER_POINT = 256
-"""Of a larger grid with fewer points, the points are read alone."""
+"""A larger grid with fewer points is not built: its points become a single profile."""
 
 _LATER = {"angle", "record"}
 """Columns that files of the first versions do not have."""
@@ -44,7 +43,7 @@ class Records:
     """The points of a file, a block of records at a time, as often as they are asked for."""
 
     def __init__(self, dtype: np.dtype, count: int, read: Callable[[], Iterator[np.ndarray]]) -> None:
-        """Nothing is read yet.
+        """Store how to read the points; nothing is read yet.
 
         Args:
             dtype: Fields of `POINT`, of smoothed points and of stations, as far as there; others are not used. Colours
@@ -57,7 +56,7 @@ class Records:
 
     @staticmethod
     def of(points: np.ndarray) -> "Records":
-        """Those of a structured array."""
+        """The records of a structured array."""
         stride = sizes.BLOCK_POINTS
         parts = lambda: (points[start : start + stride] for start in range(0, len(points), stride))
         return Records(points.dtype, len(points), parts)
@@ -92,7 +91,6 @@ def cloud_of(
     Args:
         points: With the fields of `POINT`, of smoothed points and of stations, as far as there.
         lines: Text of the header; `about.header_lines` writes it.
-        name: Name of the file, for messages.
         profiles: Structured array [profiles] with angle, record and laser, where the file lists the profiles.
 
     Raises:
@@ -209,10 +207,8 @@ def on_grid(
     """The cloud of points that have step and row, on a grid of so many profiles and lines.
 
     Args:
-        points: The points.
         grid: Profiles and lines.
         profiles: As in `cloud_of`.
-        name: Name of the file, for messages.
         stations: Of a joined cloud.
         stations_of_points: Whether the points say which profile is of which station, and not yet `stations`.
         check: Looks at each block of points before it is used.
@@ -258,7 +254,7 @@ def on_grid(
 
 
 def _lacks(names: frozenset[str]) -> tuple[str, ...]:
-    """What the columns of a file do not have, of points on their grid."""
+    """Names of the fields that the columns of a file lack, for points on their grid."""
     needed = {field: set(PARTS[field][: 3 if field in ("rgb", "normals") else 1]) for field in MAY_LACK}
     return tuple(field for field in MAY_LACK if field != "grid" and not needed[field] <= names)
 
@@ -317,8 +313,6 @@ def _unorganised(points: Records, name: str, *, ours: bool, lacks: tuple[str, ..
     """The points as a single profile; what they lack is zero, and said.
 
     Args:
-        points: The points.
-        name: Name of the file, for messages.
         ours: Whether this library wrote the file or the one before it.
         lacks: What it says that it lacks.
 

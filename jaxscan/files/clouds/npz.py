@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.files.clouds.about import (
+from jaxscan.files.clouds.columns import Reading
+from jaxscan.files.clouds.header import (
     CLOUD_FORMAT,
     JOINED_FORMAT,
     About,
@@ -16,7 +17,6 @@ from jaxscan.files.clouds.about import (
     frame_of,
     lacking,
 )
-from jaxscan.files.clouds.columns import Reading
 from jaxscan.files.disk import Part, check_arrays, read_arrays, write_arrays
 from jaxscan.reconstruction import SMOOTHED, PointCloud, Stations
 

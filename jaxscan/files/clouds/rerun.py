@@ -37,7 +37,6 @@ def save_rerun(clouds: Mapping[str, PointCloud], path: Path) -> np.ndarray:
 
     Args:
         clouds: By their names, in metres, z up, with one valid point at least.
-        path: The file.
 
     Returns:
         The place that is 0 in the recording [3], m: not 0 itself where the first cloud is far from there.

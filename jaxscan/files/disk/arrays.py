@@ -15,8 +15,8 @@ from typing import BinaryIO, cast
 import numpy as np
 
 from jaxscan.errors import JaxscanError
-from jaxscan.files.disk.opening import Links, open_regular
-from jaxscan.files.disk.partial import Part
+from jaxscan.files.disk.atomic import Part
+from jaxscan.files.disk.reading import Links, open_regular
 
 
 MAX_ARRAYS_BYTES = 1 << 34
@@ -55,8 +55,6 @@ def read_arrays(
     """All arrays of an NPZ file, by name.
 
     Args:
-        path: The file.
-        error: Type of the error raised.
         limit: Most memory that the arrays may take together [bytes]; they also take at most `MAX_EXPANSION` times
             the size of the file, and a MiB.
         only: Read only the array of this name.
@@ -140,8 +138,6 @@ def check_arrays(
         arrays: By key.
         expected: Type and axes of each array; an axis is a size, or a name that stands for the same size everywhere.
         sizes: Sizes of axes that are known beforehand, by name.
-        name: Name of the file, for messages.
-        error: Type of the error raised.
 
     Returns:
         The size of every named axis.

@@ -12,7 +12,7 @@ import stat
 from pathlib import Path
 from typing import Literal
 
-from jaxscan.files.disk.opening import NO_LINK
+from jaxscan.files.disk.reading import NO_LINK
 
 
 Opened = Literal["make", "change", "append"]
@@ -83,7 +83,6 @@ def make_folder(
     """Make a folder and its missing parents; one that exists is kept.
 
     Args:
-        path: The folder.
         durable: Wait for the disk, so that they survive a loss of power.
         new: Refuse one that exists.
         own: A folder that may come from a stranger, in which `path` lies: no link is followed from there on.

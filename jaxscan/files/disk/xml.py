@@ -9,7 +9,7 @@ from typing import Any
 from xml.parsers import expat
 
 from jaxscan.errors import JaxscanError
-from jaxscan.files.disk.opening import MEGABYTE
+from jaxscan.files.disk.reading import MEGABYTE
 
 
 MAX_XML_DEPTH = 64
@@ -49,8 +49,6 @@ def parse_xml(data: bytes, *, name: str, error: type[JaxscanError], limit: int =
 
     Args:
         data: The whole document, UTF-8, with or without its mark.
-        name: Of the file, for messages.
-        error: Type of the error raised.
         limit: Most bytes.
 
     Raises:

@@ -25,11 +25,11 @@ class Depth(NamedTuple):
     """The samples of a camera in images of 16 bits."""
 
     bits: int
-    """Of the camera: 8, or one of `DEEP_BITS`."""
+    """Bits of the camera's samples: 8, or one of `DEEP_BITS`."""
     step: int
     """Distance of its levels in the images: more than 1 where they stand at the top of the 16 bits."""
     said: str
-    """By which evidence."""
+    """Evidence for these bits."""
 
     def samples(self, image: np.ndarray, name: str) -> np.ndarray:
         """An image as the camera gave it: uint16, or uint8 of 8 bits.
@@ -49,7 +49,7 @@ class Depth(NamedTuple):
 
 
 def depth_of(images: Iterable[np.ndarray], bits: int | None) -> Depth:
-    """How images of 16 bits hold the samples of the camera.
+    """Find how images of 16 bits hold the samples of the camera.
 
     Args:
         images: Some of them, uint16.
@@ -92,7 +92,7 @@ class FrameKind(NamedTuple):
     compression: str | None
     """"jpeg", "video", or None."""
     depth: Depth | None = None
-    """Where samples have 16 bits."""
+    """How the samples are stored; None for images of 8 bits."""
 
 
 class FrameReader:

@@ -1,5 +1,6 @@
-"""The images in a stranger's folder: regular files only, no links, and names that match patterns."""
+"""The images and videos of other programs: what there is, of which board, and the program that decodes them."""
 
+import math
 import os
 import re
 from collections import Counter
@@ -8,7 +9,126 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxscan.errors import CaptureError, OptionError
-from jaxscan.files.disk import shown
+from jaxscan.files.capture import BoardTable
+from jaxscan.files.disk import FileModel, check, shown
+
+
+# Layouts of the captures that other programs keep.
+#
+# Horus keeps no images of a scan and FreeLSS none but a thumbnail, so there is nothing to recognise; pictures that were
+# saved by hand, as those in the notebooks of Horus' author, are recognised by the words in their names.
+
+
+class Matched(NamedTuple):
+    """A file that a pattern names."""
+
+    name: str
+    """Relative to the folder, with "/" between its parts."""
+    key: tuple[int | str, ...]
+    """The text that the pattern leaves open, numbers as numbers: equal for files that belong together."""
+    frame: int | None = None
+    """Number of a frame, where the file is a video."""
+
+
+class ProgramCapture(NamedTuple):
+    """A capture in the layout of a known program."""
+
+    program: str
+    on: dict[str, list[Matched]]
+    """Laser-on images by the name of the laser."""
+    off: list[Matched]
+    step_deg: float | None
+    """The table's angle between consecutive numbers, where the program fixes it."""
+    said: str
+    """Explanation of the layout, for the plan that the user reads."""
+
+
+def find_program(names: Sequence[str]) -> ProgramCapture | None:
+    """The capture, if the names are those that a known program gives."""
+    return _fabscan(names) or _thot(names)
+
+
+def _fabscan(names: Sequence[str]) -> ProgramCapture | None:
+    """FabScanPi with `keep_raw_images`: raw_laser_raw/<scan>_NNN.jpg and, from a turn before, color_raw/<scan>_NNN.jpg.
+
+    It turns by 360 degrees over the number of pictures, and takes one laser picture more than that.
+    """
+    lit = _numbered(names, r"(?:.*/)?raw_laser_[^/]*/[^/]*_([0-9]+)\.jpe?g")
+    if not lit:
+        return None
+    coloured = _numbered(names, r"(?:.*/)?color_[^/]*/[^/]*_([0-9]+)\.jpe?g")
+    pictures = len(coloured) if coloured else len(lit) - 1
+    step = 360.0 / pictures if pictures > 0 else None
+    said = "the colour images come from another turn under other light, so they are no laser-off images"
+    return ProgramCapture("FabScanPi", {"": lit}, [], step, said)
+
+
+def _thot(names: Sequence[str]) -> ProgramCapture | None:
+    """thot, a command line for the Ciclop: color_NNN.png, laser0_NNN.png and laser1_NNN.png, NNN in degrees."""
+    lasers = {
+        name: _numbered(names, rf"(?:.*/)?laser{number}_([0-9]{{3}})\.png")
+        for name, number in (("left", 0), ("right", 1))
+    }
+    coloured = _numbered(names, r"(?:.*/)?color_([0-9]{3})\.png")
+    if not any(lasers.values()):
+        return None
+    on = {name: found for name, found in lasers.items() if found}
+    said = "the colour images were taken at the same angles with the lasers off"
+    first = next(iter(on.values()))
+    numbers = [int(image.key[0]) for image in first]
+    step = math.gcd(*(number - numbers[0] for number in numbers)) or 1
+    return ProgramCapture("thot", on if len(on) > 1 else {"": first}, coloured, float(step), said)
+
+
+def _numbered(names: Sequence[str], expression: str) -> list[Matched]:
+    found = [(name, re.fullmatch(expression, name, re.IGNORECASE)) for name in names]
+    return [Matched(name, (int(hit[1]),)) for name, hit in found if hit and len(hit[1]) <= 18]
+
+
+_FORMS = {
+    "chessboard": ("square_mm",),
+    "charuco": ("square_mm", "marker_mm"),
+    "circles": ("spacing_mm", "diameter_mm"),
+    "aprilgrid": ("tag_mm", "gap_mm"),
+}
+_EXAMPLES = (
+    '"chessboard 11x6 13mm" (inner corners, square), "charuco 12x9 30mm 22mm DICT_5X5_250" (squares, square, marker; '
+    "with the word legacy behind where OpenCV before 4.6 printed it), "
+    '"circles 4x11 20mm 16mm" (circles, distance of rows, diameter; with the word symmetric behind where no row is '
+    'shifted) or "aprilgrid 6x6 24mm 7.2mm" (tags, tag, gap)'
+)
+_LAYOUTS = ("legacy", "standard")
+_UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+
+
+class _Given(FileModel):
+    board: BoardTable
+
+
+def parse_board(text: str) -> BoardTable:
+    """The board that a text describes: its kind, its columns and rows, and its lengths.
+
+    Raises:
+        OptionError: If it is understood as none.
+    """
+    words = re.sub(r"(?<=[0-9]) +(?=(?:mm|cm|m)\b)", "", text[:200]).split()
+    kind = words[0].lower() if words else ""
+    counts = re.fullmatch(r"([0-9]{1,6})[xX×]([0-9]{1,6})", words[1]) if len(words) > 1 else None
+    lengths = [re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]{1,9})?)(mm|cm|m)", word) for word in words[2:]]
+    known = [length for length in lengths if length]
+    rest = [word for word, length in zip(words[2:], lengths, strict=True) if not length]
+    # Each word behind the lengths says one thing.
+    more = {"charuco": ("dictionary", "layout"), "circles": ("layout",)}.get(kind, ())
+    words_of = {
+        "layout" if word.lower() in _LAYOUTS or "dictionary" not in more else "dictionary": word for word in rest
+    }
+    understood = len(words_of) == len(rest) and set(words_of) <= set(more)
+    if kind not in _FORMS or counts is None or len(known) != len(_FORMS[kind]) or not understood:
+        raise OptionError(f"--board: found {text[:80]!r}, expected {_EXAMPLES}.")
+    table = {"type": kind, "columns": int(counts[1]), "rows": int(counts[2])}
+    table |= {key: float(hit[1]) * _UNITS[hit[2]] for key, hit in zip(_FORMS[kind], known, strict=True)}
+    table |= {key: word.lower() if key == "layout" else word for key, word in words_of.items()}
+    return check(_Given, {"board": table}, name="--board", error=OptionError).board
 
 
 MOST_FILES = 200_000
@@ -24,17 +144,6 @@ _OTHER_IMAGES = (
 _LONGEST_PATTERN = 1024
 
 
-class Matched(NamedTuple):
-    """A file that a pattern names."""
-
-    name: str
-    """Relative to the folder, with "/" between its parts."""
-    key: tuple[int | str, ...]
-    """The text that the pattern leaves open, numbers as numbers: equal for files that belong together."""
-    frame: int | None = None
-    """Number of a frame, where the file is a video."""
-
-
 class Listing(NamedTuple):
     """The files of a folder and the folders in it."""
 
@@ -44,7 +153,7 @@ class Listing(NamedTuple):
     """Numbers of files by suffix that are images, and not read."""
 
     def others_said(self) -> str:
-        """What is not read, and what to do about it; empty where there is nothing."""
+        """A note on files that are not read, with the remedy; empty where there are none."""
         if not self.others:
             return ""
         counts = ", ".join(f"{count} {suffix}" for suffix, count in self.others.most_common(4))
@@ -99,7 +208,6 @@ def match(pattern: str, names: Sequence[str], option: str) -> list[Matched]:
     Args:
         pattern: With `*`, `?` and `[...]`, as in a shell; `*` also stands for "/".
         names: All names in the folder.
-        option: The option that holds the pattern, for messages.
 
     Raises:
         OptionError: If the pattern leads out of the folder, or names no file.
@@ -138,7 +246,7 @@ class _Pattern:
         return "".join(letter if at in is_open else " " for at, letter in enumerate(name))
 
     def _spans(self, name: str) -> list[tuple[int, int]] | None:
-        """Where a name is open, by its first and last letters."""
+        """Positions of the open part of a name: its first and last letters."""
         (first, _), *middle = self._pieces
         hit = first.match(name)
         if hit is None:

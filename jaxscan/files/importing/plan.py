@@ -1,5 +1,8 @@
-"""The plan of an import: which images make which record."""
+"""The plan of an import: which images make which record, at which angle or position."""
 
+import itertools
+import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,10 +10,243 @@ from typing import NamedTuple
 
 from jaxscan.errors import CaptureError, OptionError
 from jaxscan.files.capture import BoardTable
-from jaxscan.files.importing.angles import Place, by_file, by_step
+from jaxscan.files.disk import MEGABYTE, read_bounded
 from jaxscan.files.importing.listing import Matched
-from jaxscan.files.importing.pairing import Columns, pair
 from jaxscan.geometry.motions import Carries
+
+
+Step = tuple[Matched, ...]
+"""The images of one side of a record: one, or one for each exposure."""
+_NAMED = 3
+
+
+class RecordImages(NamedTuple):
+    """Images in the order of the records."""
+
+    on: tuple[tuple[str, tuple[Step, ...]], ...]
+    """For each laser its name and its steps, of the same number."""
+    off: tuple[Step, ...]
+    """One for each step; empty without laser-off images."""
+    said: tuple[str, ...]
+
+
+def pair(
+    on: Sequence[tuple[str, tuple[Matched, ...]]], off: Sequence[tuple[Matched, ...]], exposures: int
+) -> RecordImages:
+    """Bring all images into the order of the records.
+
+    Args:
+        on: Groups of laser-on images, with the names of their lasers; of a bracket, a group for each exposure.
+        off: Groups of laser-off images: one, or one for each exposure.
+        exposures: Number of exposures; 0 where every image stands alone.
+
+    Raises:
+        OptionError: If the numbers of patterns do not fit.
+        CaptureError: If images have no partner; with their names.
+    """
+    if not on:
+        if off:
+            raise OptionError("--off: found laser-off images without laser-on images; --on names these, or --boards.")
+        return RecordImages((), (), ())
+    said: list[str] = []
+    if exposures:
+        if len(on) != exposures or len(off) not in (0, exposures):
+            raise OptionError(
+                f"--exposures-ms: found {exposures} exposures, {len(on)} patterns of --on and {len(off)} of --off; "
+                "expected a pattern for each exposure."
+            )
+        lasers = [("", _together([files for _, files in on], "laser-on", said))]
+        dark = _together(off, "laser-off", said) if off else ()
+    else:
+        lasers = [(name, tuple((file,) for file in files)) for name, files in on]
+        if len(off) > 1:
+            raise OptionError(f"--off: found {len(off)} patterns, expected one, or one for each of --exposures-ms.")
+        dark = tuple((file,) for file in off[0]) if off else ()
+    first = lasers[0][1]
+    ordered = [lasers[0]]
+    for name, steps in lasers[1:]:
+        ordered.append((name, _follow(first, steps, (lasers[0][0] or "laser on", name or "laser on"), said)))
+    if dark:
+        # One laser-off image for a whole sweep is one that was taken once.
+        if len(dark) == 1 and len(first) > 1:
+            said.append(f"{dark[0][0].name} serves as the laser-off image of all {len(first)} steps")
+            dark = dark * len(first)
+        else:
+            dark = _follow(first, dark, ("laser on", "laser off"), said)
+    return RecordImages(tuple(ordered), dark, tuple(dict.fromkeys(said)))
+
+
+def _together(groups: Sequence[tuple[Matched, ...]], kind: str, said: list[str]) -> tuple[Step, ...]:
+    """The exposures of every step."""
+    first = tuple((file,) for file in groups[0])
+    others = [_follow(first, tuple((file,) for file in group), (kind, kind), said) for group in groups[1:]]
+    return tuple(tuple(one[0] for one in step) for step in zip(first, *others, strict=True))
+
+
+def _follow(first: Sequence[Step], steps: Sequence[Step], kinds: tuple[str, str], said: list[str]) -> tuple[Step, ...]:
+    """`steps` in the order of `first`: those with the same open part of the name, or else one after the other."""
+    wanted, given = [step[0].key for step in first], {step[0].key: step for step in steps}
+    if len(given) == len(steps) and len(set(wanted)) == len(wanted) and set(wanted) == set(given):
+        said.append(f"{kinds[1]} images belong to {kinds[0]} images by their names")
+        return tuple(given[key] for key in wanted)
+    shared = len(set(wanted) & set(given))
+    if len(first) == len(steps) and 2 * shared <= len(first):
+        said.append(f"{kinds[1]} images belong to {kinds[0]} images by their order, for their names do not tell")
+        return tuple(steps)
+    alone = [step[0].name for step in first if step[0].key not in given]
+    spare = [step[0].name for step in steps if step[0].key not in set(wanted)]
+    raise CaptureError(
+        f"found {len(first)} {kinds[0]} images and {len(steps)} {kinds[1]} images, expected one of each in every step"
+        + (f"; without a partner: {_some(alone)}" if 0 < len(alone) < len(first) else "")
+        + (f"; too many: {_some(spare)}" if 0 < len(spare) < len(steps) else "")
+        + "; name others by --on and --off, or move the surplus away."
+    )
+
+
+def _some(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + more
+
+
+_MOST_DEG = 1e6
+
+
+class RecordPlace(NamedTuple):
+    """The table's angle [deg] or the stage's position [mm] in one record, and the placement of the board."""
+
+    value: float | None
+    placement: int | None = None
+
+
+def by_step(keys: Sequence[tuple[int | str, ...]], step: float, unit: str) -> tuple[list[RecordPlace], str]:
+    """Places from a step.
+
+    Where one number alone changes from name to name, it counts the steps, so that a missing image shifts no angle;
+    otherwise, or where the numbers are times, the images follow one another.
+
+    Args:
+        keys: The open part of every name, in natural order.
+        step: From one image to the next [deg or mm].
+        unit: Its unit, for the sentence.
+
+    Returns:
+        The places, and a sentence on them.
+
+    Raises:
+        CaptureError: If more steps are missing than there are.
+    """
+    numbers = _counting(keys)
+    pace = None if numbers is None else _pace(numbers)
+    if numbers is None or pace is None:
+        times = "" if numbers is None else f", for the numbers in their names ({numbers[0]} ...) do not count steps"
+        steps, said = list(range(len(keys))), "the images follow one another" + times
+    else:
+        steps = [(number - numbers[0]) // pace for number in numbers]
+        missing = steps[-1] + 1 - len(steps)
+        if missing > len(steps):
+            raise CaptureError(
+                f"the numbers in the names go from {numbers[0]} to {numbers[-1]}, and {missing} of {steps[-1] + 1} "
+                "steps would be missing: name the images of one scan by --on, or give their places by --angles or "
+                "--positions."
+            )
+        said = "by the numbers in the names" + (f", {missing} of which are missing" if missing else "")
+    values = [number * step for number in steps]
+    return [RecordPlace(value) for value in values], f"{values[0]:g} to {values[-1]:g} {unit} by {step:g}, {said}"
+
+
+def _pace(numbers: Sequence[int]) -> int | None:
+    """The number of counts from step to step; None where the numbers are times, or count no steps."""
+    gaps = [after - before for before, after in itertools.pairwise(numbers)]
+    clock = [_seconds(number) for number in numbers]
+    if all(second is not None for second in clock):
+        lengths = [int(after or 0) - int(before or 0) for before, after in itertools.pairwise(clock)]
+        # Across a minute a clock leaps by 41 where the numbers of steps would go on.
+        if lengths != gaps and max(lengths) - min(lengths) < max(gaps) - min(gaps):
+            return None
+    pace = math.gcd(*gaps)
+    missing = sum(gaps) // pace - len(gaps)
+    # Steps have their pace somewhere; times have it nowhere.
+    return pace if pace in gaps or 2 * missing <= len(numbers) else None
+
+
+def _seconds(number: int) -> int | None:
+    """The second of a day that a number HHMMSS says, perhaps behind a date; None where it says none."""
+    rest, second = divmod(number, 100)
+    rest, minute = divmod(rest, 100)
+    date, hour = divmod(rest, 100)
+    if number < 10_000 or second > 59 or minute > 59 or hour > 23 or not (date == 0 or 19_000_101 <= date < 21_000_000):
+        return None
+    return 86_400 * date + 3600 * hour + 60 * minute + second
+
+
+def _counting(keys: Sequence[tuple[int | str, ...]]) -> list[int] | None:
+    """The one number that rises from key to key while all else stays; None where there is none."""
+    if len(keys) < 2 or len({len(key) for key in keys}) != 1:
+        return None
+    changing = [at for at in range(len(keys[0])) if len({key[at] for key in keys}) > 1]
+    if len(changing) != 1:
+        return None
+    numbers = [key[changing[0]] for key in keys]
+    whole = [number for number in numbers if isinstance(number, int)]
+    rising = len(whole) == len(numbers) and all(b > a for a, b in itertools.pairwise(whole))
+    # So far apart they are times, not steps.
+    return whole if rising and whole[-1] - whole[0] < 100 * len(whole) else None
+
+
+def by_file(path: Path, names: Sequence[str]) -> tuple[list[RecordPlace], str]:
+    """Places from a text file: a line for each image, in order or with the image's name first.
+
+    A line holds the angle [deg] or position [mm], "-" where it is not known, and perhaps the number of the board's
+    placement, parted by blanks, commas or semicolons. Lines that begin with # are left out.
+
+    Args:
+        names: Names of the images, in natural order.
+
+    Raises:
+        CaptureError: With the line that is wrong, or both counts where they differ.
+    """
+    text = read_bounded(path, MEGABYTE, error=CaptureError).decode("utf-8", "replace")
+    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1)]
+    rows = [
+        (number, [word for word in re.split(r"[\s,;]+", line) if word])
+        for number, line in lines
+        if line and not line.startswith("#")
+    ]
+    named, plain = dict[str, RecordPlace](), list[RecordPlace]()
+    for number, words in rows:
+        name = None if _is_angle(words[0]) else words[0]
+        values = words if name is None else words[1:]
+        if not 1 <= len(values) <= 2 or not _is_angle(values[0]) or not all(one.isdecimal() for one in values[1:]):
+            raise CaptureError(
+                f"{path}: line {number}: found {' '.join(words)[:60]!r}, expected a number, or an image's name "
+                "and a number, and perhaps the number of a placement."
+            )
+        angle = None if values[0] == "-" else float(values[0])
+        place = RecordPlace(angle, int(values[1][:9]) if len(values) > 1 else None)
+        if name is None:
+            plain.append(place)
+        else:
+            named[name] = place
+    if named and plain:
+        raise CaptureError(f"{path}: some lines have a name and some have none; expected all or none.")
+    if not named:
+        if len(plain) != len(names):
+            raise CaptureError(f"{path}: found {len(plain)} lines, expected one for each of {len(names)} images.")
+        return plain, f"from {path.name}"
+    missing = [name for name in names if name not in named and name.rpartition("/")[2] not in named]
+    if missing:
+        more = f", and for {len(missing) - 1} more images" if len(missing) > 1 else ""
+        raise CaptureError(f"{path}: no line for {missing[0]}{more}.")
+    return [named.get(name) or named[name.rpartition("/")[2]] for name in names], f"from {path.name}, by name"
+
+
+def _is_angle(word: str) -> bool:
+    if word == "-":
+        return True
+    try:
+        return abs(float(word)) <= _MOST_DEG
+    except ValueError:
+        return False
 
 
 _MOST = 1e5
@@ -31,14 +267,14 @@ class ImportRequest:
     carries: Carries | None = None
     """The motion: it says whether there are angles, positions, or neither."""
     step: float | None = None
-    """Of the table [deg], or of a linear stage [mm]."""
+    """Step of the table [deg] or of a linear stage [mm] between records."""
     places: Path | None = None
     """File of angles [deg] or positions [mm]."""
     exposures_ms: tuple[float, ...] = ()
     lasers: tuple[str, ...] = ()
     """Names of the lasers."""
     every: int = 1
-    """Of a video, every so many frames."""
+    """Take every n-th frame of a video."""
 
 
 class Source(NamedTuple):
@@ -57,7 +293,7 @@ class PlannedRecord(NamedTuple):
     on: tuple[Source, ...]
     """One, or one for each exposure; empty without a laser."""
     off: tuple[Source, ...]
-    place: Place
+    place: RecordPlace
     laser: str | None
     """Name of the laser that is lit, where there are several."""
 
@@ -78,7 +314,7 @@ class ImportPlan:
     records: tuple[PlannedRecord, ...]
     rows: tuple[Row, ...]
     said: tuple[str, ...]
-    """How names, pairs and angles are understood, a sentence each."""
+    """Explanations of names, pairs and angles, a sentence each."""
     lasers: tuple[str, ...]
     request: ImportRequest
     exposures_s: tuple[float, ...] = ()
@@ -117,7 +353,7 @@ def plan_records(folder: Path, roles: Roles, request: ImportRequest) -> ImportPl
     records = _with_laser(columns, places, several=len({name for name, _ in columns.on}) > 1)
     if roles.boards and columns.on:
         # Boards beside pairs: of other poses, so they take no part in the turning.
-        records += [PlannedRecord((), (Source(one.name, one.frame),), Place(None), None) for one in roles.boards]
+        records += [PlannedRecord((), (Source(one.name, one.frame),), RecordPlace(None), None) for one in roles.boards]
     elif roles.boards:
         records = [
             PlannedRecord((), (Source(one.name, one.frame),), place, None)
@@ -134,7 +370,7 @@ def _sources(steps: Sequence[Sequence[Matched]]) -> tuple[Source, ...]:
     return tuple(Source(one.name, one.frame) for step in steps for one in step)
 
 
-def _with_laser(columns: Columns, places: Sequence[Place], *, several: bool) -> list[PlannedRecord]:
+def _with_laser(columns: RecordImages, places: Sequence[RecordPlace], *, several: bool) -> list[PlannedRecord]:
     made = []
     for at, place in enumerate(places if columns.on else []):
         off = tuple(Source(one.name, one.frame) for one in columns.off[at]) if columns.off else ()
@@ -146,7 +382,7 @@ def _with_laser(columns: Columns, places: Sequence[Place], *, several: bool) -> 
 
 def _places(
     keys: Sequence[tuple[int | str, ...]], names: Sequence[str], known: float | None, request: ImportRequest
-) -> tuple[list[Place], str | None]:
+) -> tuple[list[RecordPlace], str | None]:
     """The table's angle, or the position of the stage, in every record."""
     words = _MILLIMETRES if request.carries == "linear" else _DEGREES
     step = known if request.step is None else request.step
@@ -162,11 +398,11 @@ def _places(
             places = [place._replace(placement=0) for place in places]
             said += "; the board stood still meanwhile"
     elif request.board is not None:
-        return [Place(None) for _ in keys], "unknown; every image shows the board in another pose"
+        return [RecordPlace(None) for _ in keys], "unknown; every image shows the board in another pose"
     elif request.carries == "nothing":
-        return [Place(None) for _ in keys], None
+        return [RecordPlace(None) for _ in keys], None
     elif len(keys) == 1:
-        return [Place(0.0)], None
+        return [RecordPlace(0.0)], None
     else:
         turn = "" if words is _MILLIMETRES else f", which is {360 / len(keys):.4g} if they are one whole turn"
         raise OptionError(

@@ -34,9 +34,9 @@ class ImageSettings:
     """Properties of camera, lasers and table that no image says."""
 
     pixel_format: str | None = None
-    """None: grey or colour, as the images are."""
+    """Pixel format; None for that of the images, grey or colour."""
     response: str = "linear"
-    """As in a header, or "learn"."""
+    """Response of the camera as in a header, or "learn"."""
     shutter: str | None = None
     up: str = "-v"
     laser_colour: str = "auto"
@@ -123,7 +123,6 @@ def write_import(plan: ImportPlan, found: ImportedHeader, target: Path, progress
     """Write the capture: images packed without loss, with digests and a seal.
 
     Args:
-        plan: The plan.
         found: Header and kind of the images.
         target: Folder of the capture; it must not exist, and appears only when it is complete.
         progress: Called with (records done, records in all).

@@ -26,8 +26,7 @@ from jaxscan.files.capture import (
 )
 from jaxscan.files.disk import write_atomically
 from jaxscan.files.recording.store import Storage
-from jaxscan.files.recording.whole import check_new_folder, whole_capture
-from jaxscan.files.recording.writer import CaptureWriter, create_capture
+from jaxscan.files.recording.writer import CaptureWriter, check_new_folder, create_capture, whole_capture
 
 
 Progress = Callable[[int, int], None]
@@ -51,9 +50,6 @@ def repack_capture(
         target: Folder of the new one; it must not exist, and appears only when it is complete.
         storage: How images are stored there; see `create_capture`.
         progress: Called with (records done, records in all).
-
-    Returns:
-        The new capture.
 
     Raises:
         CaptureError: If the source is damaged, or the target exists or cannot be written. Then

@@ -100,7 +100,7 @@ class ShardStore:
         self._length[_shard_name(side, place.shard)] = place.length
 
     def _room(self, side: str, count: int) -> _Place:
-        """Where the next frame begins: its images lie in one shard, so that chunks of frames can be mapped."""
+        """Start a frame: all its images go into one shard, so that chunks of frames can be mapped."""
         place = self._place[side]
         if place.used + count <= place.length:
             return place

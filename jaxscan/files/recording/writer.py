@@ -1,14 +1,14 @@
-"""Writing a capture: first the images, then the line of the journal that names them."""
+"""A capture that is written: created, filled record by record, sealed or resumed."""
 
 import contextlib
 import math
 import os
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,16 +16,147 @@ from jaxscan.errors import CaptureError
 from jaxscan.files.capture import (
     HEADER_NAME,
     JOURNAL_NAME,
+    MAX_IMAGES,
     CaptureHeader,
+    ImageRef,
+    exposure_levels,
     frame_shape,
     header_toml,
     journal_line,
+    read_texts,
     seal,
 )
-from jaxscan.files.disk import append_whole, check_name, make_folder, open_to_append, reported, write_atomically
-from jaxscan.files.recording.folder import is_unused, require_no_links
-from jaxscan.files.recording.given import given_frame, named
+from jaxscan.files.disk import (
+    append_whole,
+    check_name,
+    make_folder,
+    open_to_append,
+    partial_folder,
+    reported,
+    sync_to_disk,
+    write_atomically,
+)
 from jaxscan.files.recording.store import Storage, WriteSettings, image_store
+from jaxscan.stripes import split_levels
+
+
+LOCK_NAME = ".scan.lock"
+"""Lock file in a folder during a capture."""
+
+
+def require_no_links(path: Path) -> None:
+    """Check that nothing can be written outside the folder of a capture.
+
+    Raises:
+        CaptureError: If a folder of images, the journal or the header is a link.
+    """
+    for name in ("on", "off", JOURNAL_NAME, HEADER_NAME):
+        if os.path.islink(path / name):
+            raise CaptureError(
+                f"{path / name}: found a link, which may lead anywhere, expected the capture's own; "
+                "nothing is written there."
+            )
+
+
+def is_unused(path: Path) -> bool:
+    """Whether a folder is empty, or holds only a capture that was begun and has no header yet."""
+    for entry in path.iterdir():
+        if entry.name.startswith(".part-") or entry.name == LOCK_NAME:
+            continue
+        if entry.name not in ("on", "off", JOURNAL_NAME):
+            return False
+        if any(entry.iterdir()) if entry.is_dir() else entry.stat().st_size > 0:
+            return False
+    return True
+
+
+class GivenFrame(NamedTuple):
+    """A frame, checked and copied."""
+
+    images: list[np.ndarray]
+    """Copies: the caller may reuse its buffers while threads still encode."""
+    entry: Any
+    """Its entry in the record, without the names of the files; None without a frame."""
+    levels: list[float]
+    """The different exposures [s], ascending; empty for a single image."""
+
+
+def given_frame(given: Any | None, shape: tuple[int, ...], where: str, bits: int | None = None) -> GivenFrame:
+    """A frame of a record; None without one. With `bits`, one of uint16 is kept as its levels.
+
+    Raises:
+        CaptureError: If the list is too long, an exposure is not a positive number, or an image is not uint8
+            of this shape.
+    """
+    if given is None:
+        return GivenFrame([], None, [])
+    if bits is not None:
+        if not isinstance(given, np.ndarray) or given.dtype != np.uint16:
+            raise CaptureError(f"{where}: expected one frame, uint16, for the header has bits = {bits}.")
+        given = split_levels(given, bits)
+    entry: Any = ""
+    levels: list[float] = []
+    if isinstance(given, list | tuple):
+        if not 1 <= len(given) <= MAX_IMAGES:
+            raise CaptureError(f"{where}: found a list of {len(given)} images, expected 1 to {MAX_IMAGES}.")
+        entry = [{"file": "", "exposure_s": float(exposure)} for _, exposure in given]
+        levels = sorted({one["exposure_s"] for one in entry})
+        if not all(math.isfinite(exposure) and 0 < exposure <= 1e6 for exposure in levels):
+            raise CaptureError(f"{where}: found the exposures {levels}, expected seconds above 0.")
+        images = [np.array(image) for image, _ in given]
+    else:
+        images = [np.array(given)]
+    for image in images:
+        if image.dtype != np.uint8 or image.shape != shape:
+            raise CaptureError(
+                f"{where}: found {image.dtype} with shape {image.shape}, expected uint8 with shape {shape}."
+            )
+    return GivenFrame(images, entry, levels)
+
+
+def named(entry: Any, names: Sequence[str]) -> Any:
+    """The entry of a frame with the names of its files; other keys of a list stay."""
+    if isinstance(entry, list):
+        return [{**one, "file": name} for one, name in zip(entry, names, strict=True)]
+    return names[0]
+
+
+@contextlib.contextmanager
+def whole_capture(target: Path) -> Iterator[Path]:
+    """A folder in work, which becomes `target` at the end, and of which nothing is left after an error.
+
+    Yields:
+        Its path.
+
+    Raises:
+        CaptureError: If the target exists or cannot be written.
+    """
+    target = Path(os.path.abspath(target))
+    check_new_folder(target)
+    with reported(f"{target}: cannot be created", error=CaptureError), partial_folder(target) as part:
+        yield part
+        # Check again: a folder may have appeared in the meantime.
+        check_new_folder(target)
+        # Wait for the disk here, once, so that the source may be deleted afterwards.
+        for place, _, names in os.walk(part):
+            for name in (*names, ""):
+                sync_to_disk(Path(place, name))
+        os.rename(part, target)
+        sync_to_disk(target.parent)
+
+
+def check_new_folder(target: str | Path) -> None:
+    """Check that a folder can be made under this name.
+
+    Raises:
+        CaptureError: If something exists there, or its own folder does not.
+    """
+    target = Path(os.path.abspath(target))
+    check_name(target, error=CaptureError)
+    if os.path.lexists(target):
+        raise CaptureError(f"{target}: exists; choose another folder, a capture is never overwritten.")
+    if not os.path.isdir(target.parent):
+        raise CaptureError(f"{target}: cannot be created, the folder {target.parent} does not exist; create it first.")
 
 
 _NO_DIGEST = "0" * 64
@@ -99,9 +230,6 @@ class CaptureWriter:
             i: The record's number; the next free one if not given. A number used before is a
                 retake, and replaces that record.
             extra: Further keys, as JSON holds them: `position_m` of a linear stage, `lasers`, `time`, ...
-
-        Returns:
-            The record's number.
 
         Raises:
             CaptureError: If the record does not fit the header, or this or an earlier record
@@ -295,3 +423,46 @@ def create_capture(
         # Last: a folder with a header is a capture.
         write_atomically(path / HEADER_NAME, toml, durable=durable, error=CaptureError, links="replace")
         return CaptureWriter(path, header, settings=WriteSettings(storage, durable, digests))
+
+
+def resume_capture(
+    path: str | Path, *, storage: Storage | None = None, durable: bool = True, digests: bool = False
+) -> CaptureWriter:
+    """Append to an existing capture.
+
+    A torn last line is removed, since lines will follow it, and the event "resume" is written.
+
+    Args:
+        storage: See `create_capture`; by default as in the last record, "zstd" without records.
+        durable: See `create_capture`.
+        digests: See `create_capture`.
+
+    Returns:
+        The writer; its next number follows the largest in the journal.
+
+    Raises:
+        CaptureError: If it is no capture, is damaged in another way, or has a link in place of a folder or the journal.
+    """
+    path = Path(path)
+    require_no_links(path)
+    texts = read_texts(path)
+    lines = [line + b"\n" for line in texts.journal_bytes.split(b"\n") if line.strip()]
+    journal = b"".join(lines[:-1] if texts.notes else lines)
+    if journal != texts.journal_bytes:
+        write_atomically(path / JOURNAL_NAME, journal, durable=durable, error=CaptureError, links="replace")
+    with reported(f"{path}: cannot be written", error=CaptureError):
+        for folder in ("on", "off"):
+            make_folder(path / folder, own=path)
+        levels = exposure_levels(texts.records[-1].on) if texts.records else None
+        images = (*texts.records[-1].on, *texts.records[-1].off) if texts.records else ()
+        settings = WriteSettings(storage or _stored(images), durable, digests)
+        writer = CaptureWriter(path, texts.header, settings=settings, taken=texts.takes, levels=levels)
+    writer.event("resume")
+    return writer
+
+
+def _stored(images: Sequence[ImageRef]) -> Storage:
+    """The storage of a record's images."""
+    if any(one.index is not None for one in images):
+        return "npy"
+    return "zstd" if all(one.path.endswith(".zst") for one in images) else "png"

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from jaxscan.errors import DependencyError
+from jaxscan.fleet.clusters.checks import check_versions
 from jaxscan.fleet.clusters.choice import ClusterChoice, Kind, check_choice, kind_of
-from jaxscan.fleet.clusters.versions import check_versions
 
 
 _NEEDED: dict[Kind, tuple[tuple[str, str, str], ...]] = {
@@ -54,7 +54,7 @@ def _need(module: str, package: str, extra: str) -> None:
 def _opener(kind: Kind) -> Any:
     # Imported here: each loads what only its kind of cluster needs.
     if kind == "local":
-        from jaxscan.fleet.clusters.local import open_local
+        from jaxscan.fleet.clusters.running import open_local
 
         return open_local
     if kind == "running":

@@ -18,8 +18,7 @@ from distributed.deploy.ssh import Scheduler, Worker
 
 from jaxscan.errors import OptionError
 from jaxscan.fleet.clusters.certificates import NAMES, Certificates, new_certificates, security_of
-from jaxscan.fleet.clusters.choice import ClusterChoice
-from jaxscan.fleet.clusters.hosts import Host, read_hosts
+from jaxscan.fleet.clusters.choice import ClusterChoice, Host, read_hosts
 from jaxscan.fleet.clusters.pinning import WORKERS
 from jaxscan.fleet.clusters.settings import LOOPBACK_PAGE, NO_PAGE, OURS, PINNING, run_apart
 

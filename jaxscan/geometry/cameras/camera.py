@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.geometry.arrays import Array, namespace, real
+from jaxscan.geometry.arrays import Array, ArrayModule, namespace, real
 from jaxscan.geometry.parameters import ParameterBlock
 
 
@@ -21,13 +21,13 @@ CENTRE = (ParameterBlock("centre", ("cx", "cy"), 20.0, "px", prior="centre_px", 
 """Principal point of every camera; expected in the middle of the image."""
 
 
-class AbstractCamera(eqx.Module):
+class AbstractCamera(ArrayModule):
     """A central camera: one pixel, one ray through the centre of projection.
 
     Its minimal coordinates are fx, fy, cx, cy and the coefficients of its lens, in this order. A
     model adds its name, the blocks of its coefficients, the projection with its slopes and its
     inverse, and first values from a radial curve. All three are written component by component, for
-    any leading axes, in the functions of a `namespace`: JAX's or NumPy's. `CAMERAS` in `registry.py` lists the models.
+    any leading axes, in the functions of a `namespace`: JAX's or NumPy's. `CAMERAS` lists the models.
     """
 
     model: eqx.AbstractClassVar[str]

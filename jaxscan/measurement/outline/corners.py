@@ -6,8 +6,9 @@ number that depends on corners is, to first order, a weighted sum of the planes'
 of points.
 """
 
+import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -16,8 +17,8 @@ from jaxscan.geometry import Scanner
 from jaxscan.measurement.checked import is_known
 from jaxscan.measurement.outline.level import Frame
 from jaxscan.measurement.planes import Plane
-from jaxscan.measurement.samples import Places, Samples
-from jaxscan.measurement.systematic import systematic_sigma
+from jaxscan.measurement.samples import Places
+from jaxscan.measurement.systematic import Effects, effects_of
 from jaxscan.measurement.walls import Wall, wall_weights
 
 
@@ -82,12 +83,15 @@ def corner_of(*surfaces: Surface) -> Corner:
     return Corner(at, (first, second, third))
 
 
-class Errors(NamedTuple):
+@dataclass(frozen=True)
+class Errors:
     """What is known of the errors of a cloud's points, in the frame of a plan."""
 
     scanner: Scanner | None
     places: Places
     frame: Frame
+    known: dict[int, tuple[Wall, Effects]] = field(default_factory=dict)
+    """Effects of scanner and stations in (offset, slopes) of walls, by their identity: many numbers share a wall."""
 
     def estimate(self, value: float, effects: Sequence[tuple[Surface, np.ndarray]]) -> Estimate:
         """A number with its standard deviations.
@@ -104,16 +108,20 @@ class Errors(NamedTuple):
         if not rows:
             return Estimate(value, 0.0, 0.0, 0.0)
         random = sum(float(row @ wall.plane.covariance @ row) for wall, row in rows.values())
-        known = self.scanner is not None or bool(self.places.covariance.any())
-        parts = [wall_weights(wall, row) for wall, row in rows.values()] if known else []
-        systematic = self._systematic(parts) if known else 0.0
+        systematic = 0.0
+        if self.scanner is not None or self.places.covariance.any():
+            parts = [self._effects(wall).weighted(row) for wall, row in rows.values()]
+            systematic = functools.reduce(Effects.plus, parts).sigma(self.scanner, self.places)
         return Estimate(value, float(np.hypot(np.sqrt(random), systematic)), float(np.sqrt(random)), systematic)
 
-    def _systematic(self, parts: list[tuple[Samples, np.ndarray]]) -> float:
-        joined = Samples.joined([part for part, _ in parts])
-        in_cloud = joined._replace(p=self.frame.back(joined.p), origin=self.frame.back(joined.origin))
-        weights = np.concatenate([weight for _, weight in parts]) @ self.frame.rotation
-        return systematic_sigma(self.scanner, self.places, in_cloud, weights)
+    def _effects(self, wall: Wall) -> Effects:
+        if id(wall) not in self.known:
+            part, weights = wall_weights(wall, np.eye(3))
+            in_cloud = part._replace(p=self.frame.back(part.p), origin=self.frame.back(part.origin))
+            found = effects_of(self.scanner, self.places, in_cloud, weights @ self.frame.rotation)
+            # With the wall, so that its identity stays its own.
+            self.known[id(wall)] = wall, found
+        return self.known[id(wall)][1]
 
 
 def length_between(start: Corner, end: Corner, errors: Errors) -> Estimate:

@@ -72,8 +72,15 @@ def fit_room_light(windows: Windows, paper: np.ndarray, lattice: Lattice, *, far
         kernel = lattice.kernel(Shared(0.0, 0.0, _INK, blur, across, along))
         return np.asarray(flat @ kernel.transpose(1, 0, 2).reshape(-1, samples), np.float64)
 
-    for number, limit in enumerate(_UNEXPLAINED_FAR if far else _UNEXPLAINED):
-        seen, root = see(*place), np.sqrt(weight)[..., None]
+    rounds = _UNEXPLAINED_FAR if far else _UNEXPLAINED
+    free = 0 if far else _HELD_ROUNDS
+    for number, limit in enumerate(rounds):
+        root = np.sqrt(weight)[..., None]
+        # The print moves by a few hundredths of a pixel, over which its derivatives hardly change.
+        if number == 0 or number > free:
+            seen = see(*place)
+        if number in (0, free + 1, len(rounds) - 1):
+            by_place = np.stack([(see(*(place + _STEP * unit)) - seen) / _STEP for unit in np.eye(3)], -1)
         level = np.stack([np.ones_like(s), s, seen, s * seen, s * s * seen, u * seen], -1)
         basis, found, doubt = _fit_level(level, root, windows.dark)
         brightness = found[2] + found[3] * s + found[4] * s * s + found[5] * u
@@ -84,14 +91,13 @@ def fit_room_light(windows: Windows, paper: np.ndarray, lattice: Lattice, *, far
             level, brightness = level[..., :2], np.zeros_like(brightness)
             basis, found, doubt = _fit_level(level, root, windows.dark)
         left = ((windows.dark - level @ found)[..., None] * root).reshape(-1)
-        slopes = np.stack([brightness * (see(*(place + _STEP * unit)) - seen) / _STEP for unit in np.eye(3)], -1)
-        slopes = (slopes * root).reshape(-1, 3)
+        slopes = (brightness[..., None] * by_place * root).reshape(-1, 3)
         # The part that level and brightness cannot explain.
         slopes = slopes - basis @ (basis.T @ slopes)
         scale = max(1.0, float(left @ left) / max(int(np.count_nonzero(weight)), 1))
         information = slopes.T @ slopes / scale + prior
         step = np.linalg.solve(information, slopes.T @ left / scale + prior @ (start - place))
-        place = place + (far or number >= _HELD_ROUNDS) * np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+        place = place + (number >= free) * np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
         place[0] = np.clip(place[0], *_LOG_BLURS)
         odd = left.reshape(lines, samples) ** 2 > _ODD**2 * scale
         rest = np.where(windows.used, np.square(windows.dark - level @ found) - 2.0 * variance, 0.0).sum(1)

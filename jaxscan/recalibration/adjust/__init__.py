@@ -1,5 +1,4 @@
 """The joint adjustment of scanner, stations, surfaces, tracked points and angles."""
 
 from jaxscan.recalibration.adjust.joint import adjust
-from jaxscan.recalibration.adjust.prepare import departure, prior_root
-from jaxscan.recalibration.adjust.triangulate import point_gradient, triangulate_points
+from jaxscan.recalibration.adjust.prepare import departure

@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration import CalibrationSettings
-from jaxscan.calibration.seed import average_placements, seed_poses
-from jaxscan.calibration.solve import Adjustment, Prepared, make_problem, prepare
-from jaxscan.calibration.solve import adjust as solve_boards
-from jaxscan.calibration.solve.joint import linearise
+from jaxscan.calibration.adjust import Adjustment
+from jaxscan.calibration.adjust import adjust as solve_boards
+from jaxscan.calibration.first_values import average_placements, seed_poses
+from jaxscan.calibration.joint import linearise
+from jaxscan.calibration.problem import Prepared, make_problem, prepare
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Rig, Scanner, square_root
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
@@ -59,7 +60,7 @@ def prepare_boards(observations: Observations, scanner: Scanner) -> Prepared:
     number = np.array([scanner.laser_names.index(name) for name in observations.laser_names], np.int32)
     stripes = replace(observations.stripes, laser=number[np.asarray(observations.stripes.laser)])
     data = prepare(replace(observations, stripes=stripes, laser_names=scanner.laser_names))
-    if not data.usable.any():
+    if not data.fixes_pose.any():
         raise CalibrationError("The board was found in no view of the captured boards, so they tell nothing.")
     return data
 
@@ -100,8 +101,8 @@ def board_equations(rig: Rig, data: Prepared, before: BoardEquations | None) -> 
 
 
 def with_boards(room: Room, z: Float[np.ndarray, " params"], equations: BoardEquations) -> Room:
-    """The room's problem with these equations of a step from the scanner at `z` in the last rows of `told`."""
+    """The room's problem with these equations of a step from the scanner at `z` in the last of its `linear_rows`."""
     rows = equations.rows @ room.root
-    told, value = np.array(room.told), np.array(room.told_value)
-    told[-len(rows) :], value[-len(rows) :] = rows, equations.value + rows @ z
-    return eqx.tree_at(lambda r: (r.told, r.told_value), room, (told, value))
+    every, values = np.array(room.linear_rows), np.array(room.linear_values)
+    every[-len(rows) :], values[-len(rows) :] = rows, equations.value + rows @ z
+    return eqx.tree_at(lambda r: (r.linear_rows, r.linear_values), room, (every, values))

@@ -1,23 +1,42 @@
-"""The joint adjustment round the solver: robust start, rejection of outliers, noise learned, covariance."""
+"""The joint adjustment: robust start, rejection of outliers, noise learned, walls that have a shape, covariance."""
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
+import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
+from jaxscan.calibration.problem import Prepared as BoardData
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
-from jaxscan.leastsq import Cauchy, Covariance, keep_inliers, robust_noise
-from jaxscan.recalibration.adjust.boards import board_equations, prepare_boards, with_boards
+from jaxscan.leastsq import Arrow, Cauchy, Covariance, covariance_of, keep_inliers, noise_component, robust_noise
+from jaxscan.recalibration.adjust.boards import BoardEquations, board_equations, prepare_boards, with_boards
 from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise, learn_noise, shared_by_profiles
-from jaxscan.recalibration.adjust.prepare import Prepared, prepare
-from jaxscan.recalibration.adjust.room import ANGLE_SCALE, Unknowns
-from jaxscan.recalibration.adjust.solver import linearise, solve, step_of
-from jaxscan.recalibration.adjust.state import State, conclude
-from jaxscan.recalibration.adjust.wall_shape import STOPS, beside_shape, learn_heights
-from jaxscan.recalibration.given import RecalibrationSettings
-from jaxscan.recalibration.observed import RoomObservations
+from jaxscan.recalibration.adjust.prepare import FIRST_STOP, HELD_STOP, Prepared, prepare
+from jaxscan.recalibration.adjust.room import (
+    ANGLE_SCALE,
+    LOCAL_SCALE,
+    STATION_SCALE,
+    Linearised,
+    Room,
+    Unknowns,
+    linearise,
+    solve,
+    step_of,
+)
+from jaxscan.recalibration.adjust.wall_shape import (
+    STOPS,
+    Wall,
+    beside_shape,
+    find_walls,
+    learn_heights,
+    learn_stops,
+    with_shape,
+)
+from jaxscan.recalibration.observed import RecalibrationSettings, RoomObservations, Surfaces
 from jaxscan.recalibration.result import Adjusted, Start
 
 
@@ -38,13 +57,196 @@ _PARTS = 0.5 ** np.arange(5)
 _RISE = 1e-9
 
 
+@dataclass(frozen=True)
+class State:
+    """An adjustment between its rounds; arrays as long as the observations, without padding."""
+
+    prepared: Prepared
+    observations: RoomObservations
+    linearised: Linearised
+    kept: Bool[np.ndarray, " points"]
+    sighting_kept: Bool[np.ndarray, " sightings"]
+    noise: Noise
+    board_data: BoardData | None = None
+    sighting_noise: float = 1.0
+    """Over the given sigmas [1]."""
+    heights: Float[np.ndarray, " sizes"] = field(default_factory=lambda: np.zeros(STOPS + 1))
+    """Standard deviation of the heights of patches of each size [m], and of the table's stops [rad]."""
+    stop_sigma: float = FIRST_STOP
+    """Standard deviation of the stops at the images of features [rad]."""
+    patched: Sequence[Wall] = ()
+    """Walls whose patches are kept; without any, patches follow the places of the points."""
+    stated_wall_m: float = FIRST_WALL_M
+    """Roughness of walls before any was learned [m]."""
+    boards: BoardEquations | None = None
+    """The information of captured boards, at the scanner of a few steps before."""
+    steps: int = 0
+    converged: bool = False
+
+    @property
+    def y(self) -> Unknowns:
+        """The unknowns."""
+        return self.linearised.y
+
+    @property
+    def usable(self) -> Bool[np.ndarray, " points"]:
+        """Points that are finite and whose rays meet the sheet; an error of 0 of the others is no observation."""
+        return self.prepared.usable & np.asarray(self.linearised.points.meets)[: len(self.kept)]
+
+    @property
+    def surface(self) -> Int[np.ndarray, " points"]:
+        """Surface of every point."""
+        return np.asarray(self.observations.points.surface)
+
+    @property
+    def error_px(self) -> Float[np.ndarray, " points"]:
+        """Seen minus predicted centres [px]."""
+        return np.asarray(self.linearised.points.rows.value)[: len(self.kept)]
+
+    @property
+    def reach(self) -> Float[np.ndarray, " points"]:
+        """Size of the change of the distance from the surface by one pixel [m / px]."""
+        return np.maximum(np.abs(np.asarray(self.linearised.points.reach)[: len(self.kept)]), 1e-7)
+
+    @property
+    def error(self) -> Float[np.ndarray, " points"]:
+        """Distances from the surfaces [m]."""
+        return self.error_px * np.asarray(self.linearised.points.reach)[: len(self.kept)]
+
+    @property
+    def given_px(self) -> Float[np.ndarray, " points"]:
+        """Given standard deviations of the centres [px]; 1 where there is none."""
+        return np.where(self.prepared.usable, self.observations.points.sigma, 1.0)
+
+    @property
+    def sigma_px(self) -> Float[np.ndarray, " points"]:
+        """Standard deviation of the centres by noise and roughness [px]."""
+        return self.noise.sigma(self.given_px, self.reach)
+
+    def whitened(self) -> Float[np.ndarray, " points"]:
+        """Errors over their standard deviations; 0 where there is none."""
+        return np.where(self.usable, self.error_px / self.sigma_px, 0.0)
+
+    def sighting_error(self) -> Float[np.ndarray, "sightings 2"]:
+        """Projected minus seen [px]."""
+        return np.asarray(self.linearised.sightings.value).reshape(-1, 2)[: len(self.sighting_kept)]
+
+    def sighting_sigma(self) -> Float[np.ndarray, " sightings"]:
+        """Given sigmas [px]; 1 where there is none."""
+        tracks = self.observations.tracks
+        given = np.zeros(0) if tracks is None else np.asarray(tracks.sigma)
+        return np.where(self.prepared.seen, given, 1.0)
+
+    def sighting_whitened(self) -> Float[np.ndarray, "sightings 2"]:
+        """Errors of sightings over the given sigmas; 0 where there is none."""
+        return np.where(self.prepared.seen[:, None], self.sighting_error() / self.sighting_sigma()[:, None], 0.0)
+
+    @cached_property
+    def walls(self) -> list[Wall]:
+        """All walls and their patches."""
+        points = self.observations.points
+        stop = self.prepared.angles.first[points.sweep] + points.record
+        return find_walls(self.prepared.room, self.linearised, self.kept, stop, self.patched)
+
+    @cached_property
+    def shaped(self) -> tuple[Arrow, float]:
+        """Normal equations in which walls have a shape, and how much less their sum of squares is."""
+        arrow = self.linearised.arrow
+        return with_shape(arrow, self.walls, self.heights) if self.heights.any() else (arrow, 0.0)
+
+    @cached_property
+    def covariance(self) -> Covariance:
+        """Of the unknowns, if this is the minimum."""
+        return covariance_of(self.shaped[0])
+
+    @property
+    def cost(self) -> float:
+        """Sum of squared whitened residuals with those of the prior, less the part that the shape of walls explains."""
+        return self.linearised.cost - self.shaped[1]
+
+    @property
+    def misfit(self) -> float:
+        """Mean square of the errors of kept points over their stated variance: no noise is learned here [1]."""
+        if not self.kept.any():
+            return 0.0
+        square = (self.error_px / Noise(1.0, self.stated_wall_m).sigma(self.given_px, self.reach)) ** 2
+        return float(np.sum(square[self.kept]) / np.sum(self.redundancy()[self.kept]))
+
+    @cached_property
+    def plain_covariance(self) -> Covariance:
+        """The same if all errors of points were independent."""
+        return covariance_of(self.linearised.arrow)
+
+    @property
+    def inflation(self) -> float:
+        """Mean factor of the variance of the scanner's numbers and the stations by errors that points share [1]."""
+        count = len(self.y.scanner) + len(self.y.stations)
+        plain = np.linalg.inv(self.plain_covariance.shared[:count, :count])
+        return float(np.trace(plain @ self.covariance.shared[:count, :count])) / count
+
+    @cached_property
+    def _free(self) -> float:
+        """Dense unknowns that the data determine rather than the priors."""
+        count, others = len(self.y.scanner), len(self.y.stations)
+        variance = np.diag(self.covariance.shared)
+        free = float(np.sum(1.0 - np.clip(variance[:count], 0.0, 1.0))) + others
+        if len(self.y.angles):
+            room, rows = self.prepared.room, self.linearised.points.rows
+            square = (np.asarray(rows.angle) * np.asarray(room.point_weight)) ** 2
+            known = np.bincount(np.asarray(room.points.angle), square, len(self.y.angles))[: len(self.y.angles)]
+            own = variance[count + others : count + others + len(known)]
+            free += float(np.sum(np.minimum(own * known, 1.0)))
+        return free
+
+    def redundancy(self) -> Float[np.ndarray, " points"]:
+        """Share of each error that the fit leaves [1]; the same for all points of a surface."""
+        count = np.bincount(self.surface[self.kept], minlength=len(self.observations.surfaces.kind))
+        every = max(int(self.kept.sum()), 1)
+        return np.clip(1.0 - 3.0 / np.maximum(count, 1)[self.surface] - self._free / every, 0.05, 1.0)
+
+    def learned_sighting_noise(self) -> float:
+        """Noise of the kept sightings over the given sigmas [1]."""
+        kept = self.sighting_kept
+        if not kept.any():
+            return 1.0
+        tracks = self.observations.tracks
+        points = len(np.unique(tracks.track[kept])) if tracks is not None else 0
+        values = self.sighting_whitened()[kept].ravel()
+        _, variance = self._stops
+        taken = 3.0 * points + float(np.sum(1.0 - variance / max(self.stop_sigma, HELD_STOP) ** 2))
+        return noise_component(values, np.full(len(values), min(taken / len(values), 0.9)))
+
+    @property
+    def _stops(self) -> tuple[Float[np.ndarray, " images"], Float[np.ndarray, " images"]]:
+        """Corrections of the images of features [rad], and their variances if all errors of points are independent."""
+        angles, begin = self.prepared.angles, len(self.y.scanner) + len(self.y.stations)
+        seen = np.flatnonzero(np.bincount(angles.knot, minlength=len(angles.stop))[: len(angles.stop)] * angles.stop)
+        variance = np.diag(self.plain_covariance.shared)[begin + seen]
+        return ANGLE_SCALE * np.asarray(self.y.angles)[seen], ANGLE_SCALE**2 * variance
+
+    def learned_stop_sigma(self) -> float:
+        """Standard deviation of the stops at the images of features, by their corrections [rad]."""
+        correction, variance = self._stops
+        return learn_stops(correction, variance, max(self.stop_sigma, HELD_STOP)) if len(correction) else 0.0
+
+    def weighted(self, points: np.ndarray | float, sightings: np.ndarray | float) -> Room:
+        """The problem with weights by the present noise, damped by factors of points and sightings."""
+        room = self.prepared.room
+        point = np.zeros(len(room.point_weight))
+        point[: len(self.kept)] = self.kept * points / self.sigma_px
+        sighting = np.zeros(len(room.sighting_weight))
+        sighting[: len(self.sighting_kept)] = (
+            self.sighting_kept * sightings / (self.sighting_sigma() * self.sighting_noise)
+        )
+        stop = np.where(self.prepared.angles.stop > 0, 1.0 / max(self.stop_sigma, HELD_STOP), 0.0)
+        return eqx.tree_at(lambda r: (r.point_weight, r.sighting_weight, r.stop), room, (point, sighting, stop))
+
+
 def adjust(
     prior: Scanner,
     start: Start,
     observations: RoomObservations,
     settings: RecalibrationSettings | None = None,
-    *,
-    loosened: Mapping[str, float] | None = None,
 ) -> Adjusted:
     """Scanner, stations, surfaces and angles in one least squares of all observations and the stored calibration.
 
@@ -57,8 +259,6 @@ def adjust(
         start: Where steps begin, poses of the stations, and known faults of angles.
         observations: Stripe points on surfaces; perhaps tracked features, known lengths and boards.
         settings: Of the recalibration.
-        loosened: Standard deviations that are added to the prior, by the name of a minimal coordinate: where a part
-            may have moved since [px, rad, m].
 
     Returns:
         The adjusted scanner with its covariance, stations, surfaces, and residuals of everything.
@@ -68,7 +268,7 @@ def adjust(
     """
     settings = settings or RecalibrationSettings()
     with jax.enable_x64(True):
-        prepared = prepare(prior, start, observations, settings, loosened or {})
+        prepared = prepare(prior, start, observations, settings)
         try:
             state = _robust(_begin(prepared, observations, settings, prior), settings)
             state = _shaped(_reject(state, settings), settings)
@@ -77,7 +277,7 @@ def adjust(
                 f"The captures contradict each other, so no adjustment fits them ({problem}): check that they are of "
                 "this rig and of one room."
             ) from problem
-        return conclude(state, prior, observations)
+        return _conclude(state, prior, observations)
 
 
 def _begin(
@@ -86,8 +286,9 @@ def _begin(
     wall = FIRST_WALL_M if settings.wall_m is None else settings.wall_m
     linearised = linearise(prepared.room, prepared.y)
     data = None if observations.boards is None else prepare_boards(observations.boards, prior)
-    seen = prepared.usable, prepared.seen
-    return State(prepared, observations, prepared.y, linearised, *seen, Noise(1.0, wall), data, stated_wall_m=wall)
+    seen, stop = (prepared.usable, prepared.seen), settings.angle_sigma or FIRST_STOP
+    state = State(prepared, observations, linearised, *seen, Noise(1.0, wall), data, stated_wall_m=wall)
+    return replace(state, stop_sigma=stop)
 
 
 def _robust(state: State, settings: RecalibrationSettings) -> State:
@@ -118,6 +319,8 @@ def _reject(state: State, settings: RecalibrationSettings) -> State:
         cleaned = replace(state, kept=kept, sighting_kept=sightings)
         cleaned = replace(cleaned, noise=_learned_noise(cleaned, settings))
         cleaned = _with_boards(replace(cleaned, sighting_noise=cleaned.learned_sighting_noise()))
+        if settings.angle_sigma is None:
+            cleaned = replace(cleaned, stop_sigma=cleaned.learned_stop_sigma())
         same = np.array_equal(kept, state.kept) and np.array_equal(sightings, state.sighting_kept)
         ratios = _ratios(cleaned, state)
         if round_number > 0 and same and max(abs(ratio - 1.0) for ratio in ratios) < _SETTLED:
@@ -130,7 +333,9 @@ def _shaped(state: State, settings: RecalibrationSettings) -> State:
     """Generalised least squares, in which walls have a shape of the size that the residuals show."""
     if not state.kept.any():
         return state
-    heights = learn_heights(state.walls, state.plain_covariance, settings.angle_sigma)
+    # Features see stops better than walls do.
+    stop_sigma = state.stop_sigma if state.prepared.angles.stop.any() else settings.angle_sigma
+    heights = learn_heights(state.walls, state.plain_covariance, stop_sigma)
     if heights[STOPS]:
         # Stops were taken for noise of the points.
         state = replace(state, noise=_learned_noise(state, settings, float(heights[STOPS])))
@@ -190,7 +395,7 @@ def _with_boards(state: State) -> State:
 
 
 def _moved(state: State, prepared: Prepared, y: Unknowns) -> State:
-    return replace(state, prepared=prepared, y=y, linearised=linearise(prepared.room, y))
+    return replace(state, prepared=prepared, linearised=linearise(prepared.room, y))
 
 
 def _ratios(after: State, before: State) -> tuple[float, ...]:
@@ -198,6 +403,7 @@ def _ratios(after: State, before: State) -> tuple[float, ...]:
     return (
         mean(after) / mean(before),
         after.sighting_noise / before.sighting_noise,
+        max(after.stop_sigma, HELD_STOP) / max(before.stop_sigma, HELD_STOP),
         # Boards look noisier from a scanner that does not fit them yet.
         *(_board_noise(after) / _board_noise(before)),
     )
@@ -214,7 +420,8 @@ def _board_noise(state: State) -> np.ndarray:
 def _learned_noise(state: State, settings: RecalibrationSettings, stop_sigma: float = 0.0) -> Noise:
     """The noise of the kept points, without the part of the stops."""
     kept = state.kept
-    by_stop = np.asarray(state.linearised.points.rows.angle)[: len(kept)] / ANGLE_SCALE
+    unknown = np.asarray(state.prepared.room.points.angle) < len(state.y.angles)
+    by_stop = np.where(unknown, 0.0, np.asarray(state.linearised.points.rows.angle) / ANGLE_SCALE)[: len(kept)]
     square = state.error_px[kept] ** 2 / state.redundancy()[kept] - (stop_sigma * by_stop[kept]) ** 2
     return learn_noise(square, state.given_px[kept], state.reach[kept], settings.wall_m)
 
@@ -240,8 +447,79 @@ def _solved(
     return replace(
         state,
         prepared=state.prepared._replace(room=room),
-        y=found.y,
-        linearised=found.linearised,
-        steps=state.steps + int(found.steps),
-        converged=bool(found.converged),
+        linearised=found,
+        steps=state.steps + found.steps,
+        converged=found.converged,
     )
+
+
+def _conclude(state: State, prior: Scanner, observations: RoomObservations) -> Adjusted:
+    """The result of an adjustment; call in 64 bit."""
+    room, y = state.prepared.room, state.y
+    scanner, stations, angles = room.counts
+    covariance = state.covariance.shared
+    departure = np.asarray(room.root @ y.scanner)
+    own = room.root @ covariance[:scanner, :scanner] @ room.root.T
+    moved = prior.with_rig(state.linearised.rig)
+    every = range(scanner, scanner + stations, 6)
+    poses = [np.zeros((6, 6))] + [covariance[k : k + 6, k : k + 6] * STATION_SCALE**2 for k in every]
+    begin = scanner + stations
+    spread = np.sqrt(np.diag(covariance))[begin : begin + angles] * ANGLE_SCALE
+    corrections, sigmas = _corrections(state, spread)
+    rows = int(state.kept.sum()) + 2 * int(state.sighting_kept.sum()) + len(observations.lengths)
+    tracks = observations.tracks
+    used = len(np.unique(tracks.track[state.sighting_kept])) if tracks is not None else 0
+    places = len(np.unique(state.surface[state.kept])) + used
+    return Adjusted(
+        scanner=eqx.tree_at(lambda s: s.covariance, moved, (own + own.T) / 2, is_leaf=lambda leaf: leaf is None),
+        prior=prior,
+        departure=departure,
+        stations=np.asarray(state.linearised.stations),
+        station_covariance=np.stack(poses),
+        surfaces=_moved_surfaces(state, observations.surfaces),
+        corrections=corrections,
+        correction_sigma=sigmas,
+        point_error=state.error,
+        point_sigma=state.sigma_px * state.reach,
+        point_kept=state.kept,
+        track_error=state.sighting_error(),
+        track_kept=state.sighting_kept,
+        wall_m=state.noise.wall_m,
+        inflation=state.inflation,
+        observations=observations,
+        cost=state.cost,
+        freedom=rows - 3 * places - stations,
+        converged=state.converged,
+        steps=state.steps,
+        uneven_m=float(np.sqrt(np.sum(state.heights[:STOPS] ** 2))),
+        stop_sigma=float(state.heights[STOPS]) or (state.stop_sigma if state.prepared.angles.stop.any() else 0.0),
+        misfit=state.misfit,
+    )
+
+
+def _moved_surfaces(state: State, surfaces: Surfaces) -> Surfaces:
+    """The surfaces where the adjustment has them."""
+    places, count = state.prepared.room.places, len(surfaces.kind)
+    step = LOCAL_SCALE * state.y.locals[:count]
+    sphere = np.asarray(places.sphere)[:count]
+    normal = places.normal[:count] + np.einsum("sk,skc->sc", step[:, :2], places.basis[:count])
+    normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    centre = np.asarray(places.centre[:count])
+    away = places.offset[:count] + step[:, 2]
+    return Surfaces(
+        kind=surfaces.kind,
+        normal=np.where(sphere[:, None], 0.0, normal),
+        distance=np.where(sphere, places.offset[:count], (normal * centre).sum(1) + away),
+        centre=np.where(sphere[:, None], centre + step, centre + away[:, None] * normal),
+    )
+
+
+def _corrections(
+    state: State, spread: Float[np.ndarray, " knots"]
+) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+    angles = state.prepared.angles
+    # Records without a correction have the number after the last one.
+    correction, spread = (np.append(values, 0.0)[angles.knot] for values in (ANGLE_SCALE * state.y.angles, spread))
+    begin = angles.first[1:]
+    found = [known + own for known, own in zip(angles.known, np.split(correction, begin), strict=True)]
+    return tuple(found), tuple(np.split(spread, begin))

@@ -1,6 +1,5 @@
 """Observations of a room made ready for the solver: checked, and padded to few different sizes."""
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
@@ -9,10 +8,9 @@ from jaxtyping import Bool, Float, Int
 
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner, Turntable, square_root
-from jaxscan.geometry.tangent import tangent_basis
+from jaxscan.geometry.rigid import tangent_basis
 from jaxscan.recalibration.adjust.room import Lengths, Places, Room, Sight, Unknowns
-from jaxscan.recalibration.given import RecalibrationSettings
-from jaxscan.recalibration.observed import RoomObservations
+from jaxscan.recalibration.observed import RecalibrationSettings, RoomObservations, SurfacePoints, Tracks
 from jaxscan.recalibration.result import Start
 
 
@@ -23,6 +21,11 @@ _HELD = 1e-6
 # Unknown corrections at most; beyond, neighbouring records share one.
 _MOST = 4_096
 _SIZES = (512, 1_024, 2_048, 4_096)
+# First standard deviation of where the table stops, while nothing is learned: that of 1,600 microsteps a turn, or more
+# of a finer table with backlash [rad]; and one that holds the angles as they are.
+FIRST_STOP, HELD_STOP = 5e-4, 1e-7
+# Numbers of images in which features are seen.
+_IMAGES = (128, 256, 512, 1_024)
 
 
 class Angles(NamedTuple):
@@ -35,15 +38,22 @@ class Angles(NamedTuple):
     known: tuple[Float[np.ndarray, " records"], ...]
     """The known faults of every sweep [rad]."""
     knot: Int[np.ndarray, " records"]
-    """The unknown correction of each record; 0 where there are none."""
+    """The unknown correction of each record; of a record without one the number of all."""
     smooth: Float[np.ndarray, " knots"]
     held: Float[np.ndarray, "held knots"]
+    stop: Float[np.ndarray, " knots"]
+    """1 / standard deviation of each correction by itself [1 / rad]; 0 where it is smooth instead."""
 
 
 def make_angles(
     observations: RoomObservations, start: Start, scanner: Scanner, settings: RecalibrationSettings
 ) -> Angles:
-    """The angles, and their corrections where the settings ask for one per step."""
+    """The angles, and their unknown corrections.
+
+    Where the settings ask for one per step every record has one. Otherwise each image in which features are seen has
+    one, the stop of the table beside its angle: all its sightings share that. Stops of other records are errors that
+    the points of their walls share, see `wall_shape`.
+    """
     journal = [np.asarray(angle, np.float64) for angle in observations.angles]
     known = start.corrections or tuple(np.zeros(len(angle)) for angle in journal)
     if [len(angle) for angle in journal] != [len(extra) for extra in known]:
@@ -53,7 +63,15 @@ def make_angles(
     corrected = [angle + extra for angle, extra in zip(journal, known, strict=True)]
     phi = np.concatenate(corrected)
     if settings.angles == "model" or not isinstance(scanner.turntable, Turntable):
-        return Angles(first, phi, known, np.zeros(len(phi), np.int32), np.zeros(0), np.zeros((0, 0)))
+        tracks, seen = observations.tracks, np.zeros(0, int)
+        exact = settings.angle_sigma == 0.0 or not isinstance(scanner.turntable, Turntable)
+        if tracks is not None and len(tracks.q) and not exact:
+            seen = np.unique(first[tracks.sweep] + tracks.record)
+        size = bucket(len(seen), (0, *_IMAGES))
+        knot = np.full(len(phi), size, np.int32)
+        knot[seen] = np.arange(len(seen))
+        stop = np.full(size, 1.0 / (settings.angle_sigma or FIRST_STOP))
+        return Angles(first, phi, known, knot, np.zeros(size), np.zeros((0, size)), stop)
     shared = -(-int(counts.sum()) // _MOST)
     knots = -(-counts // shared)
     begin = np.concatenate([[0], np.cumsum(knots)])
@@ -65,7 +83,7 @@ def make_angles(
         # Between two sweeps the table may have done anything.
         smooth[begin[sweep] : begin[sweep + 1] - 1] = 1.0 / (_STEP * np.sqrt(shared))
         held[6 * sweep : 6 * sweep + 6, inside] = _described(angle[::shared]).T
-    return Angles(first, phi, known, knot, smooth, held)
+    return Angles(first, phi, known, knot, smooth, held, np.zeros(size))
 
 
 def _described(phi: Float[np.ndarray, " knots"]) -> Float[np.ndarray, "knots 6"]:
@@ -108,29 +126,29 @@ def prepare(
     start: Start,
     observations: RoomObservations,
     settings: RecalibrationSettings,
-    loosened: Mapping[str, float],
 ) -> Prepared:
     """The joint problem seen from the stored scanner.
 
     Raises:
         CalibrationError: If the stored calibration has no covariance, or parts do not fit each other.
     """
-    root, inverse = prior_root(prior, loosened)
+    root, inverse = _prior_root(prior)
     angles = make_angles(observations, start, prior, settings)
-    told, told_value = _closed(prior, root, settings)
+    rows, values = _closed(prior, root, settings)
     if observations.boards is not None:
-        told = np.concatenate([told, np.zeros_like(root)])
-        told_value = np.append(told_value, np.zeros(len(root)))
+        rows = np.concatenate([rows, np.zeros_like(root)])
+        values = np.append(values, np.zeros(len(root)))
     points, usable = _sight_points(observations, angles)
     sightings, seen, first = _sight_tracks(observations, angles)
     room = Room(
         rig=prior.rig,
         root=root,
-        told=told,
-        told_value=told_value,
+        linear_rows=rows,
+        linear_values=values,
         stations=np.asarray(start.stations, np.float64),
         smooth=angles.smooth,
         held=angles.held,
+        stop=angles.stop,
         places=_places(observations, first),
         points=points,
         point_weight=np.zeros(len(points.phi)),
@@ -150,7 +168,7 @@ def prepare(
 
 def _closed(
     prior: Scanner, root: np.ndarray, settings: RecalibrationSettings
-) -> tuple[Float[np.ndarray, "told params"], Float[np.ndarray, " told"]]:
+) -> tuple[Float[np.ndarray, "rows params"], Float[np.ndarray, " rows"]]:
     """A full turn of a closed gear is one turn exactly."""
     if not settings.closed or not isinstance(prior.turntable, Turntable):
         return np.zeros((0, len(root))), np.zeros(0)
@@ -174,13 +192,7 @@ def _sight_points(observations: RoomObservations, angles: Angles) -> tuple[Sight
             raise CalibrationError("No stripe point lies on a surface of the room, so nothing can be adjusted.")
         zero = np.zeros(1, np.int32)
         return Sight(np.zeros((1, 2)), np.zeros(1), zero, zero, zero, zero), np.zeros(0, bool)
-    usable = np.isfinite(points.q).all(1) & np.isfinite(points.sigma) & (points.sigma > 0)
-    size = bucket(len(usable), _POINTS)
-    place = _places_of(points.sweep, points.record, angles, observations.station)
-    sight = Sight(np.asarray(points.q, np.float64), *place, _whole(points.surface), _whole(points.laser))
-    # Every padding is a point that can be computed.
-    sight = Sight(*(_filled(np.asarray(field), usable) for field in sight))
-    return Sight(*(pad(np.asarray(field), size) for field in sight)), usable
+    return _sight(points, points.surface, points.laser, observations, angles, _POINTS)
 
 
 def _sight_tracks(
@@ -190,21 +202,27 @@ def _sight_tracks(
     if tracks is None or not len(tracks.q):
         none = np.zeros(0, np.int32)
         return Sight(np.zeros((0, 2)), np.zeros(0), none, none, none, none), np.zeros(0, bool), np.zeros((0, 3))
-    seen = np.isfinite(tracks.q).all(1) & np.isfinite(tracks.sigma) & (tracks.sigma > 0)
-    place = _places_of(tracks.sweep, tracks.record, angles, observations.station)
-    sight = Sight(np.asarray(tracks.q, np.float64), *place, _whole(tracks.track), np.zeros(len(seen), np.int32))
-    sight = Sight(*(_filled(np.asarray(field), seen) for field in sight))
-    size = bucket(len(seen), _SIGHTINGS)
-    points = pad(np.asarray(tracks.point, np.float64), bucket(len(tracks.point), _TRACKS))
-    return Sight(*(pad(np.asarray(field), size) for field in sight)), seen, points
+    sight, seen = _sight(tracks, tracks.track, np.zeros(len(tracks.q)), observations, angles, _SIGHTINGS)
+    return sight, seen, pad(np.asarray(tracks.point, np.float64), bucket(len(tracks.point), _TRACKS))
 
 
-def _places_of(
-    sweep: Int[np.ndarray, " n"], record: Int[np.ndarray, " n"], angles: Angles, station: Int[np.ndarray, " sweeps"]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Angle, station and number of the correction of every point."""
-    number = angles.first[sweep] + record
-    return angles.phi[number], _whole(station[sweep]), _whole(angles.knot[number])
+def _sight(
+    seen: SurfacePoints | Tracks,
+    local: np.ndarray,
+    laser: np.ndarray,
+    observations: RoomObservations,
+    angles: Angles,
+    sizes: tuple[int, ...],
+) -> tuple[Sight, Bool[np.ndarray, " seen"]]:
+    """Points or sightings with their places, padded; and which of them are finite."""
+    usable = np.isfinite(seen.q).all(1) & np.isfinite(seen.sigma) & (seen.sigma > 0)
+    record = angles.first[seen.sweep] + seen.record
+    whole = (observations.station[seen.sweep], angles.knot[record], local, laser)
+    numbers = (np.asarray(field, np.int32) for field in whole)
+    # Every padding, and what is not finite, is a copy of the first that can be computed.
+    good = np.where(usable, np.arange(len(usable)), np.argmax(usable))
+    fields = np.asarray(seen.q, np.float64), angles.phi[record], *numbers
+    return Sight(*(pad(field[good], bucket(len(usable), sizes)) for field in fields)), usable
 
 
 def _places(observations: RoomObservations, points: Float[np.ndarray, "tracks 3"]) -> Places:
@@ -258,18 +276,7 @@ def pad(array: np.ndarray, size: int) -> np.ndarray:
     return np.concatenate([array, np.broadcast_to(array[:1], (size - len(array), *array.shape[1:]))])
 
 
-def _filled(field: np.ndarray, good: Bool[np.ndarray, " n"]) -> np.ndarray:
-    """The first good entry in place of those that are not."""
-    return np.where(good.reshape(good.shape + (1,) * (field.ndim - 1)), field, field[np.argmax(good)])
-
-
-def _whole(numbers: np.ndarray) -> np.ndarray:
-    return np.asarray(numbers, np.int32)
-
-
-def prior_root(
-    scanner: Scanner, loosened: Mapping[str, float]
-) -> tuple[Float[np.ndarray, "params params"], Float[np.ndarray, "params params"]]:
+def _prior_root(scanner: Scanner) -> tuple[Float[np.ndarray, "params params"], Float[np.ndarray, "params params"]]:
     r"""A square root A of the covariance, $C = A A^T$, by the eigenvectors of the correlations.
 
     A step of the scanner is $A z$ with $z$ normal: every unknown has size 1 however badly the covariance is
@@ -277,7 +284,6 @@ def prior_root(
 
     Args:
         scanner: With the covariance of its minimal coordinates.
-        loosened: Standard deviations that are added, by the name of the coordinate.
 
     Returns:
         root: A.
@@ -298,12 +304,7 @@ def prior_root(
             f"The stored calibration's covariance has shape {covariance.shape} or is not finite, expected "
             f"{len(names)} x {len(names)} numbers: calibrate from boards again."
         )
-    unknown = sorted(set(loosened) - set(names))
-    if unknown:
-        raise CalibrationError(f"loosened: found {unknown[0]!r}, expected one of {', '.join(names)}.")
-    added = np.array([loosened.get(name, 0.0) for name in names])
-    covariance = (covariance + covariance.T) / 2 + np.diag(added**2)
-    root = square_root(covariance)
+    root = square_root((covariance + covariance.T) / 2)
     return root.steps.T, root.inverse.T
 
 

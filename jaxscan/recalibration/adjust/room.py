@@ -1,13 +1,21 @@
-"""The joint problem: unknowns, observations and weights as arrays; residuals and their derivatives."""
+"""The joint problem: unknowns, observations and weights as arrays; residuals, derivatives and normal equations.
+
+Surfaces and tracked points are eliminated. Shared are the unknowns of scanner and stations, corrections of angles, and
+the ends of known lengths.
+"""
 
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array, Rig, exponential, invert, lit_points, pixels, poses, transform
+from jaxscan.leastsq import AbstractProblem, Arrow, Covariance, Linear, minimised
+from jaxscan.leastsq import Unknowns as Step
 
 
 STATION_SCALE = 1e-3
@@ -26,7 +34,7 @@ class Sight(NamedTuple):
     """The table's angle with known faults corrected [rad from home]."""
     station: Int[Array, " points"]
     angle: Int[Array, " points"]
-    """Unknown correction of its angle; 0 where there are none."""
+    """Unknown correction of its angle; where it has none, the number of all."""
     local: Int[Array, " points"]
     """Surface or track."""
     laser: Int[Array, " points"]
@@ -66,15 +74,17 @@ class Room(eqx.Module):
     """The stored one, from which the step of the scanner is counted."""
     root: Float[Array, "params params"]
     """Of its covariance: a step of the scanner is `root` times normal numbers."""
-    told: Float[Array, "told params"]
+    linear_rows: Float[Array, "rows params"]
     """More that is known of those numbers: rows of linear equations, each in standard deviations."""
-    told_value: Float[Array, " told"]
+    linear_values: Float[Array, " rows"]
     """Their right-hand sides."""
     stations: Float[Array, "stations 4 4"]
     smooth: Float[Array, " angles"]
     """1 / standard deviation of the step from each correction to the next [1 / rad]; 0 where anything may be."""
     held: Float[Array, "held angles"]
     """Combinations of corrections that the scanner's own numbers describe, each over its tolerance [1 / rad]."""
+    stop: Float[Array, " angles"]
+    """1 / standard deviation of each correction by itself [1 / rad]; 0 where nothing is known of it."""
     places: Places
     points: Sight
     point_weight: Float[Array, " points"]
@@ -111,9 +121,10 @@ def moved_station(station: Float[Array, "4 4"], step: Float[Array, "6"]) -> Floa
     return station @ exponential(STATION_SCALE * step)
 
 
-def moved_stations(room: Room, steps: Float[Array, " n"]) -> Float[Array, "stations 4 4"]:
-    """The poses of all stations after a step."""
-    return jax.vmap(moved_station)(room.stations, station_steps(steps))
+def moved_stations(room: Room, steps: Float[Array, " n"]) -> Float[np.ndarray, "stations 4 4"]:
+    """The poses of all stations after a step; on the host."""
+    each = np.concatenate([np.zeros((1, 6)), np.reshape(steps, (-1, 6))])
+    return np.asarray(room.stations) @ exponential(STATION_SCALE * each)
 
 
 def station_steps(steps: Float[Array, " n"]) -> Float[Array, "stations 6"]:
@@ -248,7 +259,10 @@ def sighting_rows(room: Room, y: Unknowns) -> Rows:
 
 
 def _angle(y: Unknowns, sight: Sight) -> Float[Array, ""]:
-    return y.angles[sight.angle] if len(y.angles) else jnp.zeros_like(sight.phi)
+    # JAX takes nothing from an array that is empty, not even what fills it.
+    if not len(y.angles):
+        return jnp.zeros_like(sight.phi)
+    return jnp.asarray(y.angles).at[sight.angle].get(mode="fill", fill_value=0.0)
 
 
 def length_values(room: Room, locals: Float[Array, "locals 3"]) -> Float[Array, " lengths"]:
@@ -291,33 +305,10 @@ class Residuals(NamedTuple):
     sightings: Float[Array, " rows"]
     lengths: Float[Array, " lengths"]
     prior: Float[Array, " params"]
-    told: Float[Array, " told"]
+    linear: Float[Array, " rows"]
     smooth: Float[Array, " angles"]
     held: Float[Array, " held"]
-
-
-class Observed(NamedTuple):
-    """Residuals at a step, and the rows they are made of."""
-
-    residuals: Residuals
-    points: PointRows
-    sightings: Rows
-
-
-def observe(y: Unknowns, room: Room) -> Observed:
-    """Residuals of a step, with their rows."""
-    points, sightings = point_rows(room, y), sighting_rows(room, y)
-    steps, held = angle_residuals(room, y.angles)
-    whitened = Residuals(
-        points.rows.value * room.point_weight,
-        sightings.value * twice(room.sighting_weight),
-        length_values(room, y.locals) * room.lengths.weight,
-        y.scanner,
-        room.told @ y.scanner - room.told_value,
-        steps,
-        held,
-    )
-    return Observed(whitened, points, sightings)
+    stops: Float[Array, " angles"]
 
 
 def twice(values: Array) -> Array:
@@ -325,7 +316,186 @@ def twice(values: Array) -> Array:
     return jnp.repeat(values, 2, total_repeat_length=2 * len(values))
 
 
-def angle_residuals(room: Room, angles: Float[Array, " angles"]) -> tuple[Array, Array]:
-    """Steps between neighbouring corrections, and the part of them that the scanner's own numbers describe."""
+def angle_residuals(room: Room, angles: Float[Array, " angles"]) -> tuple[Array, Array, Array]:
+    """Steps between neighbouring corrections, the part of them that the scanner's own numbers describe, and stops."""
     size = ANGLE_SCALE * angles
-    return (jnp.append(size[1:], size[-1:]) - size) * room.smooth, room.held @ size
+    return (jnp.append(size[1:], size[-1:]) - size) * room.smooth, room.held @ size, size * room.stop
+
+
+def form_blocks(room: Room, y: Unknowns, residual: Residuals, points: Rows, sightings: Rows) -> Arrow:
+    """J'J and J'r at a step, from the derivatives of points and sightings."""
+    scanner, stations, angles = room.counts
+    surfaces, count = len(room.places.sphere), len(y.locals)
+    dense = scanner + stations + angles
+    double = Sight(*(twice(field) for field in room.sightings))
+    double = double._replace(local=double.local + surfaces)
+    blocks = _of_rows(points, room.point_weight, residual.points, room.points, room, count)
+    if len(room.sighting_weight):
+        more = _of_rows(sightings, twice(room.sighting_weight), residual.sightings, double, room, count)
+        blocks = jax.tree.map(jnp.add, blocks, more)
+    prior = jnp.eye(scanner, dtype=blocks.shared.dtype) + room.linear_rows.T @ room.linear_rows
+    matrix = jnp.asarray(blocks.shared).at[:scanner, :scanner].add(prior)
+    gradient = (
+        jnp.asarray(blocks.shared_gradient).at[:scanner].add(residual.prior + room.linear_rows.T @ residual.linear)
+    )
+    if angles:
+        tie, by_angle = _ties(room, residual)
+        begin = scanner + stations
+        matrix = matrix.at[begin:dense, begin:dense].add(tie)
+        gradient = gradient.at[begin:dense].add(by_angle)
+    blocks = blocks._replace(shared=matrix, shared_gradient=gradient)
+    return _with_lengths(room, y, residual, blocks) if len(room.lengths.metres) else blocks
+
+
+def _of_rows(rows: Rows, weight: Array, values: Array, sight: Sight, room: Room, count: int) -> Arrow:
+    """The part of points or of sightings, by their rows, weights and whitened residuals."""
+    rows = Rows(*(field * (weight if field.ndim == 1 else weight[:, None]) for field in rows))
+    scanner, stations, angles = room.counts
+    few, dense = scanner + stations, scanner + stations + angles
+    # Each station has its own six columns; the first has none.
+    own = jax.nn.one_hot(sight.station - 1, stations // 6, dtype=values.dtype)
+    by_station = (own[:, :, None] * rows.station[:, None, :]).reshape(len(values), stations)
+    by_few = jnp.concatenate([rows.scanner, by_station], axis=1)
+    sums = lambda value: jnp.zeros((count, *value.shape[1:]), value.dtype).at[sight.local].add(value)
+    cross = sums(by_few[:, :, None] * rows.local[:, None, :])
+    local = sums(rows.local[:, :, None] * rows.local[:, None, :])
+    matrix, gradient = by_few.T @ by_few, by_few.T @ values
+    if angles:
+        # Of observations whose angle has no correction the number is out of range, and they are left out.
+        at_angle = lambda value: jnp.zeros((angles, *value.shape[1:]), value.dtype).at[sight.angle].add(value)
+        both = at_angle(by_few * rows.angle[:, None])
+        matrix = jnp.block([[matrix, both.T], [both, jnp.diag(at_angle(rows.angle**2))]])
+        gradient = jnp.append(gradient, at_angle(rows.angle * values))
+        wide = jnp.zeros((count, dense, 3), values.dtype).at[:, :few].set(cross)
+        cross = wide.at[sight.local, few + sight.angle].add(rows.local * rows.angle[:, None])
+    return Arrow(matrix, cross, local, gradient, sums(rows.local * values[:, None]))
+
+
+def _ties(room: Room, residual: Residuals) -> tuple[Float[Array, "angles angles"], Float[Array, " angles"]]:
+    """The priors of the corrections: small steps and nothing that the scanner's own numbers describe, or stops."""
+    size, held, stop = ANGLE_SCALE * room.smooth, ANGLE_SCALE * room.held, ANGLE_SCALE * room.stop
+    squared = size**2
+    before = jnp.pad(size, (1, 0))[:-1]
+    beside = jnp.diag(-squared[:-1], 1)
+    matrix = jnp.diag(squared + before**2 + stop**2) + beside + beside.T + held.T @ held
+    step = residual.smooth * size
+    return matrix, jnp.pad(step, (1, 0))[:-1] - step + held.T @ residual.held + stop * residual.stops
+
+
+def _with_lengths(room: Room, y: Unknowns, residual: Residuals, blocks: Arrow) -> Arrow:
+    """The ends of known lengths moved to the dense unknowns, since lengths tie them to each other."""
+    ends = promoted(room)
+    before, count = len(blocks.shared_gradient), len(ends)
+    there = first_of_each(ends)
+    keep = there[:, None, None].astype(blocks.local.dtype)
+    cross, local = blocks.cross[ends] * keep, blocks.local[ends] * keep
+    gradient = blocks.local_gradient[ends] * keep[:, 0]
+    beside = jnp.swapaxes(cross, 0, 1).reshape(before, 3 * count)
+    corner = jax.scipy.linalg.block_diag(*local)
+    matrix = jnp.block([[blocks.shared, beside], [beside.T, corner]])
+    slopes = jax.jacfwd(lambda locals: length_values(room, locals))(y.locals) * room.lengths.weight[:, None, None]
+    slopes = (slopes[:, ends] * keep[None, :, 0]).reshape(-1, 3 * count)
+    matrix = matrix.at[before:, before:].add(slopes.T @ slopes)
+    by_ends = gradient.ravel() + slopes.T @ residual.lengths
+    empty = jnp.asarray(blocks.cross).at[ends].set(0.0)
+    return Arrow(
+        matrix,
+        jnp.concatenate([empty, jnp.zeros((len(empty), 3 * count, 3), empty.dtype)], axis=1),
+        jnp.asarray(blocks.local).at[ends].set(0.0),
+        jnp.append(blocks.shared_gradient, by_ends),
+        jnp.asarray(blocks.local_gradient).at[ends].set(0.0),
+    )
+
+
+def promoted(room: Room) -> Array:
+    """Surfaces and tracked points that known lengths end at; dense unknowns, three each."""
+    return room.lengths.ends.ravel()
+
+
+def first_of_each(index: Array) -> Array:
+    """Which numbers of a list are not there before."""
+    same = index[:, None] == index[None, :]
+    return ~jnp.any(same & jnp.tril(jnp.ones_like(same), -1), axis=1)
+
+
+def unknowns_of(room: Room, dense: Float[Array, " dense"], local: Float[Array, "locals 3"]) -> Unknowns:
+    """The unknowns from those that are dense and the others; the ends of known lengths go to their places."""
+    scanner, stations, angles = room.counts
+    begin, end = scanner + stations, scanner + stations + angles
+    ends = promoted(room)
+    if len(ends):
+        # The second slot of a place that has two is empty.
+        local = jnp.asarray(local).at[ends].add(dense[end:].reshape(-1, 3))
+    return Unknowns(dense[:scanner], dense[scanner:begin], dense[begin:end], local)
+
+
+class Adjustment(AbstractProblem):
+    """The room with its weights."""
+
+    room: Room
+
+    def linearise(self, y: Unknowns) -> tuple[Residuals, Linear]:
+        """Derivatives are formed once per point, by the few unknowns that it meets."""
+        room = self.room
+        points, sightings = point_rows(room, y), sighting_rows(room, y)
+        residuals = Residuals(
+            points.rows.value * room.point_weight,
+            sightings.value * twice(room.sighting_weight),
+            length_values(room, y.locals) * room.lengths.weight,
+            y.scanner,
+            room.linear_rows @ y.scanner - room.linear_values,
+            *angle_residuals(room, y.angles),
+        )
+        return residuals, Linear(form_blocks(room, y, residuals, points.rows, sightings), (points, sightings))
+
+    def move(self, y: Unknowns, step: Step) -> Unknowns:
+        """Unknowns are themselves a step from the stored scanner, and are added to."""
+        return jax.tree.map(jnp.add, y, unknowns_of(self.room, step.shared, step.local))
+
+
+class Linearised(NamedTuple):
+    """The problem to first order where a solve ended; on the host."""
+
+    y: Unknowns
+    points: PointRows
+    sightings: Rows
+    arrow: Arrow
+    """The normal equations."""
+    cost: float
+    """Sum of squared whitened residuals, with those of the prior."""
+    rig: Rig
+    stations: Float[Array, "stations 4 4"]
+    steps: int
+    converged: bool
+
+
+def solve(room: Room, y: Unknowns, damping: float, tolerance: float, max_steps: int) -> Linearised:
+    """Minimise the sum of squares of all whitened residuals; call in 64 bit.
+
+    Args:
+        room: With its weights.
+        y: Where to begin.
+        damping: Of the first step, relative to the diagonal of J'J [1].
+        tolerance: Root mean square change of unknowns and of whitened residuals at which to stop [1].
+        max_steps: Evaluations at most.
+
+    Raises:
+        CalibrationError: If a number is not finite.
+    """
+    found = minimised(Adjustment(room), y, damping, tolerance, max_steps)
+    if not found.steps or not all(np.isfinite(part).all() for part in found.y):
+        raise CalibrationError("The adjustment left the range of numbers: the captures contradict each other.")
+    cost = sum(float(np.sum(part**2)) for part in found.residuals)
+    places = moved_rig(room, found.y.scanner), moved_stations(room, found.y.stations)
+    own = *found.linear.more, found.linear.arrow, cost, *places
+    return Linearised(found.y, *own, int(found.steps), bool(found.converged))
+
+
+def linearise(room: Room, y: Unknowns) -> Linearised:
+    """The problem to first order at a step; call in 64 bit."""
+    return solve(room, y, 1.0, 1.0, 1)
+
+
+def step_of(room: Room, arrow: Arrow, covariance: Covariance) -> Unknowns:
+    """The step of Gauss and Newton, (J'J)^-1 J'r; on the host."""
+    return Unknowns(*jax.tree.map(np.asarray, tuple(unknowns_of(room, *covariance.step(arrow)))))

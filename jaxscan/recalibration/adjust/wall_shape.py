@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.leastsq import Arrow, Covariance
-from jaxscan.recalibration.adjust.room import ANGLE_SCALE, Room
-from jaxscan.recalibration.adjust.solver import Linearised
+from jaxscan.recalibration.adjust.room import ANGLE_SCALE, Linearised, Room
 
 
 # Sizes of the patches [m]: a corner's light reaches some 0.3 m, a wall bows over metres.
@@ -35,7 +34,7 @@ _KINDS[:STOPS, 0], _KINDS[:STOPS, 1], _KINDS[STOPS, 2] = _SIZES == _SIZES[0], (_
 # Walls whose normals have a larger part than this along the axis hardly see the table turn [1].
 _LEVEL = 0.9
 # A kind of shape is believed from this many of its standard deviations.
-_BELIEVED = 1.5
+_SIGNIFICANT = 1.5
 
 
 class Patches(NamedTuple):
@@ -90,14 +89,15 @@ def _find_patches(
     members = [np.flatnonzero(kept & (surface[: len(kept)] == s)) for s in planes]
     extent = [np.prod(np.ptp(place[index], axis=0) + _SIZES[0]) for index in members]
     grown = max(1.0, float(np.sqrt(max(extent, default=0.0) / (_MOST * _SIZES[0] ** 2))))
-    weight, turning = np.asarray(room.point_weight), not room.counts[2]
+    weight, unknown = np.asarray(room.point_weight), np.asarray(room.points.angle) < room.counts[2]
     by_height = weight / _some(np.asarray(at.points.reach))
-    by_stop = weight * np.asarray(at.points.rows.angle) / ANGLE_SCALE
+    # A correction that is an unknown is no error.
+    by_stop = np.where(unknown, 0.0, weight * np.asarray(at.points.rows.angle) / ANGLE_SCALE)
     found = []
     for s, index in zip(planes, members, strict=True):
         patch, size = _patches(place[index], grown)
         by = np.broadcast_to(by_height[index], patch.shape)
-        if turning and abs(room.places.normal[s][2]) < _LEVEL:
+        if not unknown[index].all() and abs(room.places.normal[s][2]) < _LEVEL:
             names, record = np.unique(stop[index], return_inverse=True)
             patch = np.concatenate([patch, len(size) + record.reshape(1, -1)])
             by, size = np.concatenate([by, by_stop[None, index]]), np.append(size, np.full(len(names), STOPS))
@@ -118,7 +118,6 @@ def _wall(room: Room, at: Linearised, on: Patches) -> Wall:
     begin = scanner + stations
     # Ends of known lengths have dense unknowns of their own, which no patch reaches: see `form_blocks`.
     dense = np.zeros((count, begin + angles + 6 * len(room.lengths.metres)))
-    weight = weight
     columns_of = lambda values: np.stack([sums(column) for column in values.T], axis=1)
     dense[:, :scanner] = columns_of(weight[:, None] * rows.scanner[index])
     station = np.asarray(room.points.station)[index]
@@ -126,10 +125,10 @@ def _wall(room: Room, at: Linearised, on: Patches) -> Wall:
         columns = slice(scanner + 6 * (number - 1), scanner + 6 * number)
         dense[:, columns] = columns_of((weight * (station == number))[:, None] * rows.station[index])
     if angles:
-        turned = (weight * rows.angle[index])[None]
-        dense[:, begin : begin + angles] = _by_both(
-            patches, on.by_height, np.asarray(room.points.angle)[None, index], turned, (count, angles)
-        )
+        number = np.asarray(room.points.angle)[None, index]
+        turned = np.where(number < angles, weight * rows.angle[index], 0.0)
+        number = np.minimum(number, angles - 1)
+        dense[:, begin : begin + angles] = _by_both(patches, on.by_height, number, turned, (count, angles))
     local = columns_of(weight[:, None] * rows.local[index])
     ends = np.flatnonzero(np.asarray(room.lengths.ends).ravel() == on.surface)
     if len(ends):
@@ -187,7 +186,7 @@ def learn_heights(
         left = left - wall.local @ covariance.alone[wall.on.surface] @ wall.local.T
         size = np.diag(wall.gram)
         for number in range(count):
-            mine = wall.on.size == number
+            mine = (wall.on.size == number) & (size > 0)
             if not mine.any():
                 continue
             found[number] += np.sum(wall.residual[mine] ** 2 / size[mine])
@@ -202,13 +201,37 @@ def learn_heights(
     kinds, more = _KINDS, found - noise
     if stop_sigma is not None:
         kinds, more = kinds[:, :2], more - added[:, STOPS] * stop_sigma**2
-    variance = kinds @ _believed(added @ kinds * weight[:, None], more * weight)
+    variance = kinds @ _significant(added @ kinds * weight[:, None], more * weight)
     if stop_sigma is not None:
         variance[STOPS] = stop_sigma**2
     return np.sqrt(variance)
 
 
-def _believed(
+def learn_stops(
+    correction: Float[np.ndarray, " images"], variance: Float[np.ndarray, " images"], sigma: float
+) -> float:
+    """Standard deviation of the table's stops by the corrections of images of features [rad]; 0 where they show none.
+
+    Without its prior each correction has a variance of its own, beside which the corrections scatter by the stops.
+
+    Args:
+        correction: Found with stops of a standard deviation [rad].
+        variance: Of each, with that prior [rad^2].
+        sigma: That standard deviation [rad].
+    """
+    free = 1.0 / np.maximum(1.0 / variance - sigma**-2, 1e-6 * sigma**-2)
+    square = (correction * (free / sigma**2 + 1.0)) ** 2
+    found, spread = sigma**2, np.inf
+    for _ in range(50):
+        weight = (found + free) ** -2
+        wanted, spread = float(weight @ (square - free) / weight.sum()), float(np.sqrt(2.0 / weight.sum()))
+        before, found = found, max(wanted, 0.0)
+        if abs(found - before) <= 1e-4 * before:
+            break
+    return float(np.sqrt(found)) if found > _SIGNIFICANT * spread and len(free) >= _FEWEST else 0.0
+
+
+def _significant(
     matrix: Float[np.ndarray, "sizes kinds"], rhs: Float[np.ndarray, " sizes"]
 ) -> Float[np.ndarray, " kinds"]:
     """The best sum of kinds of which each is larger than chance makes it, by trying all sets."""
@@ -223,7 +246,7 @@ def _believed(
             value = spread @ (own.T @ rhs)
             left = rhs - own @ value
             # Another kind must explain more than chance does.
-            if np.all(value > _BELIEVED * np.sqrt(np.diag(spread))) and left @ left < lowest - 1.0:
+            if np.all(value > _SIGNIFICANT * np.sqrt(np.diag(spread))) and left @ left < lowest - 1.0:
                 best, lowest = np.zeros(kinds), float(left @ left)
                 best[list(some)] = value
     return best

@@ -5,12 +5,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.verdict import Lengths
-from jaxscan.geometry import Scanner, Turntable
-from jaxscan.recalibration.adjust import point_gradient, triangulate_points
-from jaxscan.recalibration.judge.hold_out import angles_of
+from jaxscan.calibration import Lengths
+from jaxscan.geometry import Scanner, Turntable, root_of, square_root
+from jaxscan.recalibration.grid import spread_over
 from jaxscan.recalibration.observed import RoomObservations
 from jaxscan.recalibration.result import Gain, LengthGain
+from jaxscan.recalibration.triangulate import point_gradient, triangulate_points
+
+
+# A ratio of variances below this is rounding.
+_ROUNDING = 1e-13
 
 
 class Compared(NamedTuple):
@@ -34,14 +38,6 @@ class Compared(NamedTuple):
         """Old over new standard deviation of each direction [1]."""
         return 1.0 / np.sqrt(self.ratio)
 
-    def chance_variance(self) -> Float[np.ndarray, "params params"]:
-        """Covariance of the departure where nothing moved: that before less that after."""
-        return (self.direction * (1.0 - self.ratio)) @ self.direction.T
-
-
-# Beyond this the prior's directions cannot be told from rounding.
-_ROUNDING = 1e-13
-
 
 def compare(prior: Float[np.ndarray, "params params"], posterior: Float[np.ndarray, "params params"]) -> Compared:
     """Two covariances side by side, by their generalised eigenvalues.
@@ -51,21 +47,13 @@ def compare(prior: Float[np.ndarray, "params params"], posterior: Float[np.ndarr
         posterior: After, in the same order.
     """
     prior, posterior = np.asarray(prior, np.float64), np.asarray(posterior, np.float64)
-    unit = np.sqrt(np.maximum(np.diag(prior), 0.0))
-    free = unit > 0
-    unit = unit[free]
-    # Pixels and radians differ by a million: in units of sigma all parameters are of one size.
-    values, vectors = np.linalg.eigh(prior[np.ix_(free, free)] / np.outer(unit, unit))
-    held = values <= _ROUNDING * values[-1] if len(values) else np.zeros(0, bool)
-    values, vectors = values[~held], vectors[:, ~held]
-    root = unit[:, None] * vectors * np.sqrt(values)
-    inverse = (vectors / np.sqrt(values)).T / unit
-    after = inverse @ posterior[np.ix_(free, free)] @ inverse.T
+    root = square_root(prior)
+    free = root.steps.any(1)
+    steps, inverse = root.steps[free].T, root.inverse[:, free].T
+    after = inverse @ posterior @ inverse.T
     ratio, turned = np.linalg.eigh((after + after.T) / 2.0)
     ratio, turned = ratio[::-1], turned[:, ::-1]
-    direction, whiten = np.zeros((len(prior), len(ratio))), np.zeros((len(ratio), len(prior)))
-    direction[free], whiten[:, free] = root @ turned, turned.T @ inverse
-    return Compared(prior, posterior, direction, whiten, np.maximum(ratio, _ROUNDING))
+    return Compared(prior, posterior, steps @ turned, turned.T @ inverse, np.maximum(ratio, _ROUNDING))
 
 
 def with_prior(
@@ -86,9 +74,8 @@ def with_prior(
     """
     information = np.maximum(1.0 / loose.ratio - 1.0, 0.0)
     gradient = (loose.whiten @ step) / loose.ratio
-    values, vectors = np.linalg.eigh(loose.whiten @ np.asarray(prior, np.float64) @ loose.whiten.T)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    inner = np.linalg.inv(np.eye(len(values)) + root.T @ (information[:, None] * root))
+    root = root_of(loose.whiten @ np.asarray(prior, np.float64) @ loose.whiten.T).T
+    inner = np.linalg.inv(np.eye(len(root)) + root.T @ (information[:, None] * root))
     posterior = loose.direction @ (root @ inner @ root.T) @ loose.direction.T
     return compare(prior, posterior), loose.direction @ (root @ (inner @ (root.T @ gradient)))
 
@@ -108,10 +95,8 @@ def scale_slopes(
         observations: Whose points stand for the room.
         corrections: Of the angles of each sweep [rad]; without any, none.
     """
-    points = observations.points
-    some = np.unique(np.linspace(0, len(points.q) - 1, _POINTS).round().astype(int))
-    angle = angles_of(observations, corrections, points.take(some))
-    where = points.q[some], points.laser[some], angle
+    points = observations.points.take(spread_over(np.arange(len(observations.points.q)), _POINTS))
+    where = points.q, points.laser, observations.angles_of(points, corrections)
     arm, valid = triangulate_points(scanner, *where)
     slope = point_gradient(scanner, *where)
     if not isinstance(scanner.turntable, Turntable):

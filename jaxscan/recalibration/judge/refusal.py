@@ -4,9 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxscan.recalibration.given import RecalibrationSettings
 from jaxscan.recalibration.judge.gain import Compared, scale_slopes
-from jaxscan.recalibration.observed import Surfaces
+from jaxscan.recalibration.observed import RecalibrationSettings, Surfaces
 from jaxscan.recalibration.result import Adjusted, Drift, HoldOut, LengthGain
 
 

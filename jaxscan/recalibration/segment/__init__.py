@@ -1,5 +1,5 @@
 """Sweeps to points on planes and spheres."""
 
 from jaxscan.recalibration.segment.flat import flat
-from jaxscan.recalibration.segment.observe import Patches, find_patches, observe_surfaces
 from jaxscan.recalibration.segment.spheres import Sphere, find_sphere
+from jaxscan.recalibration.segment.surfaces import Patches, find_patches, observe_surfaces

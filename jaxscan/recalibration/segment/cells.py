@@ -6,40 +6,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import Scanner, stripe_pixel
-from jaxscan.recalibration.adjust import triangulate_points
+from jaxscan.recalibration.grid import Windows, window_planes
 from jaxscan.recalibration.observed import SweepStripes
-
-
-class Windows(NamedTuple):
-    """A window around every cell, cut off at the ends of the grid."""
-
-    top: Int[np.ndarray, "rows columns"]
-    bottom: Int[np.ndarray, "rows columns"]
-    left: Int[np.ndarray, "rows columns"]
-    right: Int[np.ndarray, "rows columns"]
-
-    @staticmethod
-    def around(half_rows: np.ndarray, half_columns: np.ndarray) -> "Windows":
-        """Windows of 2 half + 1 cells in either direction."""
-        rows, columns = half_rows.shape
-        i, j = np.arange(rows)[:, None], np.arange(columns)[None, :]
-        return Windows(
-            np.maximum(i - half_rows, 0),
-            np.minimum(i + half_rows + 1, rows),
-            np.maximum(j - half_columns, 0),
-            np.minimum(j + half_columns + 1, columns),
-        )
-
-    def sums(self, field: Float[np.ndarray, "rows columns *more"]) -> Float[np.ndarray, "rows columns *more"]:
-        """Sums of a field over each window."""
-        s = np.zeros((field.shape[0] + 1, field.shape[1] + 1, *field.shape[2:]))
-        s[1:, 1:] = field.cumsum(0, dtype=np.float64).cumsum(1)
-        top, bottom, left, right = self
-        return s[bottom, right] - s[top, right] - s[bottom, left] + s[top, left]
-
-    def area(self) -> Int[np.ndarray, "rows columns"]:
-        """Cells of each window."""
-        return (self.bottom - self.top) * (self.right - self.left)
+from jaxscan.recalibration.triangulate import triangulate_points
 
 
 MOST_PROFILES, MOST_LINES = 400, 200
@@ -87,7 +56,7 @@ class Cells(NamedTuple):
         return np.repeat(np.repeat(field, rows, 0), columns, 1)[: len(self.profiles), : len(self.lines)]
 
 
-def cells_of(sweep: SweepStripes, scanner: Scanner, correction: Float[np.ndarray, " records"]) -> list[Cells]:
+def cells_of(sweep: SweepStripes, scanner: Scanner) -> list[Cells]:
     """The cells of every laser of a sweep.
 
     A flat wall stays flat: over a block the centre is linear in angle and line to 0.01 pixels, so the mean centre
@@ -96,21 +65,17 @@ def cells_of(sweep: SweepStripes, scanner: Scanner, correction: Float[np.ndarray
     Args:
         sweep: The stripes.
         scanner: The calibrated rig.
-        correction: Added to the angle of every record [rad].
     """
-    found = []
-    for laser in np.unique(sweep.laser):
-        profiles = np.flatnonzero(sweep.laser == laser)
-        found.append(_cells(sweep, scanner, correction, int(laser), profiles))
-    return found
+    return [_cells(sweep, scanner, int(laser)) for laser in np.unique(sweep.laser)]
 
 
-def _cells(sweep: SweepStripes, scanner: Scanner, correction: np.ndarray, laser: int, profiles: np.ndarray) -> Cells:
+def _cells(sweep: SweepStripes, scanner: Scanner, laser: int) -> Cells:
+    profiles = np.flatnonzero(sweep.laser == laser)
     # Lines without the laser's colour have no stripes.
     seen = np.count_nonzero(sweep.valid[profiles], 0)
     lines = np.flatnonzero(seen > _EMPTY * seen.max(initial=0))
     block = max(-(-len(profiles) // MOST_PROFILES), 1), max(-(-len(lines) // MOST_LINES), 1)
-    angle = (sweep.angle + correction)[sweep.record[profiles]]
+    angle = sweep.angle[sweep.record[profiles]]
     many = _AT_ONCE * block[0]
     parts = [
         _averaged(sweep, (profiles[first : first + many], lines), angle[first : first + many], block)
@@ -225,23 +190,11 @@ def surroundings(cells: Cells) -> Surroundings:
     """Normals, scatter and flatness of all neighbourhoods."""
     half = _halves(cells)
     windows = Windows.around(*half)
-    valid = cells.valid.astype(np.float64)
-    count = windows.sums(valid)
+    count, normal, variance = window_planes(cells.p, cells.valid, windows)
     full = cells.valid & (count >= _FULL * windows.area()) & (count >= 9)
-    safe = np.maximum(count, 1.0)[..., None]
-    mean = windows.sums(cells.p) / safe
-    upper = np.triu_indices(3)
-    second = windows.sums(cells.p[..., upper[0]] * cells.p[..., upper[1]]) / safe
-    second -= mean[..., upper[0]] * mean[..., upper[1]]
-    spread = np.zeros((*count.shape, 3, 3))
-    spread[..., upper[0], upper[1]] = spread[..., upper[1], upper[0]] = second
-    spread[~full] = np.eye(3)
-    values, vectors = np.linalg.eigh(spread)
-    normal = vectors[..., 0]
-    normal *= -np.sign((normal * cells.p).sum(-1))[..., None]
-    scatter = np.sqrt(np.maximum(values[..., 0], 0.0) * count / np.maximum(count - 3.0, 1.0))
+    scatter = np.sqrt(variance[..., 0] * count / np.maximum(count - 3.0, 1.0))
     promised = cells.across(normal)
-    broad = full & (np.sqrt(values[..., 1]) > 3.0 * scatter)
+    broad = full & (np.sqrt(variance[..., 1]) > 3.0 * scatter)
     factor = _factor(scatter[broad] / np.maximum(promised[broad], 1e-9))
     sigma = factor * promised
     limit = sigma**2 * (1.0 + 4.0 * np.sqrt(2.0 / np.maximum(count, 3.0))) + ROUGH_M**2

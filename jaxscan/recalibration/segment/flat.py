@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.result import Adjusted
+from jaxscan.recalibration.triangulate import place_points
 
 
 _LEAST_M, _MOST_M = 8e-4, 3e-3
@@ -50,7 +50,7 @@ def flat(adjusted: Adjusted) -> Bool[np.ndarray, " surfaces"]:
     with means over blocks; noise is widened by the errors that neighbours share. Spheres always pass.
     """
     surfaces, points = adjusted.surfaces, adjusted.observations.points
-    place = _places(adjusted)
+    place, _ = place_points(adjusted.scanner, adjusted.observations, adjusted.corrections, stations=adjusted.stations)
     # One bad wall makes all of them rough and their errors shared; it must not excuse itself with that.
     widened, wall = np.sqrt(np.clip(adjusted.inflation, 1.0, _SHARED)), adjusted.wall_m
     stripe = np.sqrt(np.maximum(adjusted.point_sigma**2 - wall**2, (0.1 * adjusted.point_sigma) ** 2))
@@ -156,15 +156,3 @@ def _in_plane(p: np.ndarray, normal: np.ndarray) -> np.ndarray:
         level = np.cross([1.0, 0.0, 0.0], normal)
     level = level / np.linalg.norm(level)
     return np.stack([p @ level, p @ np.cross(normal, level)], -1)
-
-
-def _places(adjusted: Adjusted) -> Float[np.ndarray, "points 3"]:
-    """The points in the frame of the room [m]."""
-    seen, points = adjusted.observations, adjusted.observations.points
-    phi = np.zeros(len(points.q))
-    for k, angle in enumerate(seen.angles):
-        own = points.sweep == k
-        added = adjusted.corrections[k] if adjusted.corrections else 0.0
-        phi[own] = (angle + added)[points.record[own]]
-    pose = adjusted.stations[seen.station[points.sweep]]
-    return triangulate_points(adjusted.scanner, points.q, points.laser, phi, pose)[0]

@@ -5,33 +5,51 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxscan.geometry import Scanner, root_of
+from jaxscan.measurement.planes import facing, weighted_plane
+from jaxscan.recalibration.grid import smooth_parts, spread_over
 from jaxscan.recalibration.segment.cells import ROUGH_M, Cells, Surroundings, surroundings
+from jaxscan.recalibration.triangulate import point_gradient
 
 
-def connected(right: Bool[np.ndarray, "rows columns"], down: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, " n"]:
-    """The smallest index of the part that each cell of a grid belongs to, [rows * columns].
+_LOOSE = {
+    "n1": 1e-3,
+    "n2": 1e-3,
+    "d": 3e-4,
+    "axis.d1": 1e-3,
+    "axis.d2": 1e-3,
+    "axis.p1": 3e-4,
+    "axis.p2": 3e-4,
+    "gain": 2e-4,
+    "c1": 3e-4,
+    "s1": 3e-4,
+    "c2": 3e-4,
+    "s2": 3e-4,
+}
+"""Standard deviations of a drift that no covariance states, by which walls may be bent as well [rad, m]."""
+_DIRECTIONS = 24
+"""Directions of the covariance that are used at most."""
 
-    Args:
-        right: Whether a cell is linked to its right neighbour; the last column is not read.
-        down: The same of the neighbour below; the last row is not read.
+
+def likely_steps(scanner: Scanner) -> Float[np.ndarray, "directions params"]:
+    """Steps of the scanner by one standard deviation, independent of one another: its covariance, and a drift.
+
+    The largest first.
     """
-    index = np.arange(right.size).reshape(right.shape)
-    a = np.concatenate([index[:, :-1][right[:, :-1]], index[:-1][down[:-1]]])
-    b = np.concatenate([index[:, 1:][right[:, :-1]], index[1:][down[:-1]]])
-    label = np.arange(right.size)
-    while True:
-        low, high = np.minimum(label[a], label[b]), np.maximum(label[a], label[b])
-        open_ = low < high
-        if not open_.any():
-            return label
-        a, b = a[open_], b[open_]
-        np.minimum.at(label, high[open_], low[open_])
-        # Every cell follows its label to the end.
-        while True:
-            further = label[label]
-            if np.array_equal(further, label):
-                break
-            label = further
+    names = scanner.parameter_names()
+    loose = np.array([_LOOSE.get(name, _LOOSE.get(name.rsplit(".", 1)[-1], 0.0)) for name in names])
+    covariance = np.diag(loose**2)
+    if scanner.covariance is not None:
+        covariance = covariance + np.asarray(scanner.covariance, np.float64)
+    steps = root_of(covariance)[::-1][:_DIRECTIONS]
+    return steps[steps.any(1)]
+
+
+def bending(scanner: Scanner, cells: Cells) -> Float[np.ndarray, "points 3 directions"]:
+    """Shifts of the valid cells of a grid [m] by each of the `likely_steps`."""
+    laser = np.full(int(cells.valid.sum()), cells.laser, np.int32)
+    by_scanner = point_gradient(scanner, cells.q[cells.valid], laser, cells.phi[cells.valid])
+    return (by_scanner @ likely_steps(scanner).T).astype(np.float32)
 
 
 _MOST = 1500
@@ -75,14 +93,12 @@ def bent_plane(
         sigma: Their standard deviations along the normal [m].
         bend: Shifts of the points by the likely steps [m].
     """
-    some = np.unique(np.linspace(0, len(p) - 1, min(len(p), _MOST)).round().astype(int))
+    some = spread_over(np.arange(len(p)), _MOST)
     p, bend, weight = p[some], bend[some], 1.0 / (sigma[some] ** 2 + ROUGH_M**2)
-    centre = weight @ p / weight.sum()
+    plane = weighted_plane(p, weight)
+    normal, _, centre, axes, _ = facing(plane, -plane.centre)
     apart = p - centre
-    vectors = np.linalg.eigh((apart * weight[:, None]).T @ apart)[1]
-    normal, axes = vectors[:, 0], vectors[:, :0:-1].T
-    normal = -normal if normal @ centre > 0 else normal
-    s, t = apart @ axes.T[:, 0], apart @ axes.T[:, 1]
+    s, t = apart @ axes[0], apart @ axes[1]
     flat = np.column_stack([np.ones(len(p)), s, t])
     height = apart @ normal
     shifts = np.einsum("nik,i->nk", bend, normal)
@@ -133,30 +149,34 @@ _REGIONS = 200
 
 
 class Region(NamedTuple):
-    """A part of one grid of cells."""
+    """A flat part of one grid of cells."""
 
+    grid: Cells
     cells: Int[np.ndarray, " cells"]
     """Flat indices."""
+    bend: Float[np.ndarray, "valid 3 directions"]
+    """Shifts of the valid cells of the grid by the likely steps of the calibration [m]."""
+    place: Int[np.ndarray, " grid"]
+    """Number of each cell of the grid among the valid ones."""
     plane: BentPlane
     bowed: bool
     """Whether it is curved as a whole."""
 
 
-def flat_regions(cells: Cells, bend: Float[np.ndarray, "points 3 directions"]) -> list[Region]:
+def flat_regions(cells: Cells, scanner: Scanner) -> list[Region]:
     """All flat regions of a grid, the largest first.
 
     Args:
         cells: The grid.
-        bend: Shifts of its valid cells, in the order of the grid, by the likely steps of the calibration [m].
+        scanner: Its covariance says how far it may bend a wall that is flat.
     """
-    around = surroundings(cells)
-    place = np.full(cells.valid.size, -1)
-    place[cells.valid.ravel()] = np.arange(len(bend))
-    part = _smooth_parts(cells, around)
-    names, sizes = np.unique(part[around.even.ravel()], return_counts=True)
+    around, bend = surroundings(cells), bending(scanner, cells)
+    place = np.cumsum(cells.valid.ravel()) - 1
+    part = smooth_parts(cells.p, around.normal, around.even, 4.0 * around.sigma + _STEP_M / 2, _TURN)
+    names, sizes = np.unique(part[around.even], return_counts=True)
     found: list[Region] = []
     for name in names[np.argsort(-sizes)]:
-        left = around.even & (part == name).reshape(around.even.shape)
+        left = part == name
         own: list[Region] = []
         while left.sum() >= _CELLS and len(found) + len(own) < _REGIONS:
             region, tried = _grown(cells, around, left, bend, place)
@@ -167,23 +187,6 @@ def flat_regions(cells: Cells, bend: Float[np.ndarray, "points 3 directions"]) -
     return sorted(found, key=lambda region: -len(region.cells))
 
 
-def _smooth_parts(cells: Cells, around: Surroundings) -> Int[np.ndarray, " n"]:
-    """Parts of the grid whose neighbours lie on each other's planes."""
-    p, normal, even = cells.p, around.normal, around.even
-    links = []
-    for axis in (0, 1):
-        here = (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
-        next_ = (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
-        way = p[next_] - p[here]
-        alike = (normal[here] * normal[next_]).sum(-1) > _TURN
-        off = np.maximum(np.abs((normal[here] * way).sum(-1)), np.abs((normal[next_] * way).sum(-1)))
-        near = off < 4.0 * (around.sigma[here] + around.sigma[next_]) + _STEP_M
-        link = np.zeros(even.shape, bool)
-        link[here] = even[here] & even[next_] & alike & near
-        links.append(link)
-    return connected(links[1], links[0])
-
-
 def _grown(
     cells: Cells,
     around: Surroundings,
@@ -192,27 +195,29 @@ def _grown(
     place: np.ndarray,
 ) -> tuple[Region | None, Bool[np.ndarray, "rows columns"]]:
     """A region around the best seed, if it is flat, and the cells that need not be tried again."""
+    from scipy.ndimage import label  # type: ignore[import-untyped]
+
     members = np.flatnonzero(left.ravel())
     p, sigma = cells.p.reshape(-1, 3), around.sigma.ravel()
     seed = _seed(around, left)
-    near = members[np.linalg.norm(p[members] - p[seed], axis=1) < _SEED_M]
+    region = members[np.linalg.norm(p[members] - p[seed], axis=1) < _SEED_M]
     tried = np.zeros_like(left)
-    tried.ravel()[near] = True
-    if len(near) < _CELLS:
+    tried.ravel()[region] = True
+    if len(region) < _CELLS:
         return None, tried
-    region = near
-    plane = bent_plane(p[region], sigma[region], bend[place[region]])
     for _ in range(_ROUNDS):
-        error = plane.error(p[members], bend[place[members]])
+        plane = bent_plane(p[region], sigma[region], bend[place[region]])
         fits = np.zeros(left.size, bool)
-        fits[members] = _fits(around, left, members, error)
-        now = _joined(fits.reshape(left.shape), seed)
+        fits[members] = _fits(around, left, members, plane.error(p[members], bend[place[members]]))
+        part = label(fits.reshape(left.shape))[0].ravel()
+        now = np.flatnonzero(fits & (part == part[seed]))
         if len(now) < _CELLS:
             return None, tried
         same = np.array_equal(now, region)
         region = now
         if same:
             break
+    else:
         plane = bent_plane(p[region], sigma[region], bend[place[region]])
     tried.ravel()[region] = True
     extent = np.ptp((p[region] - plane.centre) @ plane.axes.T, axis=0)
@@ -220,7 +225,7 @@ def _grown(
     bowed = plane.curvature > limit and plane.curvature * extent.max() ** 2 / 8 > _BOWED_M
     if extent.min() < _NARROW_M:
         return None, tried
-    return Region(region, plane, bowed), tried
+    return Region(cells, region, bend, place, plane, bowed), tried
 
 
 def _without_facets(around: Surroundings, regions: list[Region]) -> list[Region]:
@@ -258,12 +263,3 @@ def _fits(around: Surroundings, left: np.ndarray, members: np.ndarray, error: np
     mean = around.windows.sums(grid.reshape(left.shape)).ravel()[members] / count
     sigma = around.sigma.ravel()[members]
     return (np.abs(mean) < _STEP_M + 3.0 * sigma / np.sqrt(count)) & (np.abs(error) < 4.0 * sigma + 2.0 * _STEP_M)
-
-
-def _joined(fits: Bool[np.ndarray, "rows columns"], seed: int) -> Int[np.ndarray, " n"]:
-    """The cells that are connected with the seed."""
-    right, down = fits.copy(), fits.copy()
-    right[:, :-1] &= fits[:, 1:]
-    down[:-1] &= fits[1:]
-    part = connected(right, down)
-    return np.flatnonzero(fits.ravel() & (part == part[seed]))

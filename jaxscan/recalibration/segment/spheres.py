@@ -6,10 +6,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import Scanner, stripe_pixel
-from jaxscan.recalibration.adjust import triangulate_points
+from jaxscan.geometry import Scanner
+from jaxscan.measurement.spheres import spheres_through
 from jaxscan.recalibration.observed import SurfacePoints, SweepStripes
-from jaxscan.recalibration.segment.thin import far_apart
+from jaxscan.recalibration.segment.surfaces import far_apart
+from jaxscan.recalibration.triangulate import triangulate_points
 
 
 _AROUND_M = 0.25
@@ -42,41 +43,33 @@ class Sphere(NamedTuple):
     """On it, their sweep and surface both 0."""
 
 
-def find_sphere(
-    sweep: SweepStripes,
-    scanner: Scanner,
-    near: Float[np.ndarray, "3"],
-    diameter_m: float,
-    correction: Float[np.ndarray, " records"] | None = None,
-) -> Sphere:
+def find_sphere(sweep: SweepStripes, scanner: Scanner, near: Float[np.ndarray, "3"], diameter_m: float) -> Sphere:
     """The sphere of known diameter near a place.
 
     Args:
-        sweep: The stripes.
+        sweep: The stripes, known faults of the angles corrected.
         scanner: The calibrated rig.
         near: Its middle to 0.25 m, in the scanner's frame [m].
         diameter_m: Its diameter [m].
-        correction: Added to the angle of every record [rad].
 
     Raises:
         CalibrationError: If there is no such sphere.
     """
     near, radius = np.asarray(near, np.float64), diameter_m / 2
-    angle = sweep.angle if correction is None else sweep.angle + correction
-    profile, line = _around(sweep, scanner, angle, near, _AROUND_M + diameter_m)
-    p, sigma = _points(sweep, scanner, angle, profile, line)
+    profile, line = _around(sweep, scanner, near, _AROUND_M + diameter_m)
+    p, sigma = _points(sweep, scanner, profile, line)
     centre = _best(p, near, radius)
     found = "none"
     if centre is not None:
         for _ in range(8):
             centre, kept = _refined(p, sigma, centre, radius)
-        size = 2 * _own_radius(p, centre, radius)
         if kept.sum() >= _FEWEST and _seen(p[kept], centre, radius) >= _SHARE:
+            size = 2 * _own_radius(p, centre, radius)
             found = f"one of {1e3 * size:.0f} mm" if abs(size / diameter_m - 1) > _SIZE else ""
     if centre is None or found:
         place = ", ".join(f"{x:.2f}" for x in near)
         raise CalibrationError(
-            f"{sweep.name}: found {found or 'none'}, expected a sphere of {1e3 * diameter_m:.0f} mm within {_AROUND_M} "
+            f"{sweep.name}: found {found}, expected a sphere of {1e3 * diameter_m:.0f} mm within {_AROUND_M} "
             f"m of ({place}) m: measure its place and diameter again, or leave it out"
         )
     chosen = np.flatnonzero(kept)
@@ -85,7 +78,7 @@ def find_sphere(
     profile, line = profile[chosen], line[chosen]
     zero = np.zeros(len(chosen), int)
     points = SurfacePoints(
-        _pixels(sweep, profile, line),
+        sweep.pixels(profile, line),
         sweep.sigma[profile, line].astype(np.float64),
         zero,
         sweep.record[profile],
@@ -96,16 +89,11 @@ def find_sphere(
     return Sphere(centre, radius, points)
 
 
-def _pixels(sweep: SweepStripes, profile: np.ndarray, line: np.ndarray) -> np.ndarray:
-    centre = sweep.centre[profile, line].astype(np.float64)
-    return np.asarray(stripe_pixel(centre, line.astype(np.float64), sweep.stripe_axis))
-
-
 def _points(
-    sweep: SweepStripes, scanner: Scanner, angle: np.ndarray, profile: np.ndarray, line: np.ndarray
+    sweep: SweepStripes, scanner: Scanner, profile: np.ndarray, line: np.ndarray
 ) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, " points"]]:
     """Points and their standard deviations along the ray [m]; points that do not exist are far away."""
-    q, laser, phi = _pixels(sweep, profile, line), sweep.laser[profile], angle[sweep.record[profile]]
+    q, laser, phi = sweep.pixels(profile, line), sweep.laser[profile], sweep.angle[sweep.record[profile]]
     p, exists = triangulate_points(scanner, q, laser, phi)
     beside = q + (np.array([0.25, 0.0]) if sweep.stripe_axis == "rows" else np.array([0.0, 0.25]))
     moved, _ = triangulate_points(scanner, beside, laser, phi)
@@ -115,7 +103,7 @@ def _points(
 
 
 def _around(
-    sweep: SweepStripes, scanner: Scanner, angle: np.ndarray, near: np.ndarray, reach: float
+    sweep: SweepStripes, scanner: Scanner, near: np.ndarray, reach: float
 ) -> tuple[Int[np.ndarray, " stripes"], Int[np.ndarray, " stripes"]]:
     """Profiles and lines of the stripes within reach of a place, thinned where there are too many."""
     steps = [-(-size // _COARSE) for size in sweep.valid.shape]
@@ -123,7 +111,7 @@ def _around(
     coarse[:: steps[0], :: steps[1]] = True
     profile, line = np.nonzero(sweep.valid & coarse)
     p, _ = triangulate_points(
-        scanner, _pixels(sweep, profile, line), sweep.laser[profile], angle[sweep.record[profile]]
+        scanner, sweep.pixels(profile, line), sweep.laser[profile], sweep.angle[sweep.record[profile]]
     )
     close = np.linalg.norm(p - near, axis=1) < reach
     blocks = np.zeros([size // step + 1 for size, step in zip(sweep.valid.shape, steps, strict=True)], bool)
@@ -147,19 +135,8 @@ def _best(p: np.ndarray, near: np.ndarray, radius: float) -> np.ndarray | None:
     far = np.linalg.norm(beside - p[first][:, None], axis=-1)
     close = np.argsort(np.where((far > 0.2 * radius) & (far < 1.6 * radius), 0.0, 1.0), axis=1, kind="stable")[:, :2]
     a, b, c = p[first], *(np.take_along_axis(beside, close[:, k, None, None], 1)[:, 0] for k in (0, 1))
-    # The circle through three points, and from its middle along its axis away from the scanner.
-    u, v = b - a, c - a
-    normal = np.cross(u, v)
-    square = (normal * normal).sum(1)
-    safe = np.where(square > 1e-16, square, 1.0)
-    middle = (np.cross(normal, u) * (v * v).sum(1)[:, None] + np.cross(v, normal) * (u * u).sum(1)[:, None]) / (
-        2 * safe[:, None]
-    )
-    rest = radius**2 - (middle * middle).sum(1)
-    unit = normal / np.sqrt(safe)[:, None]
-    unit *= np.sign((unit * a).sum(1))[:, None]
-    centre = a + middle + np.sqrt(np.maximum(rest, 0.0))[:, None] * unit
-    good = (square > 1e-16) & (rest > 0) & (np.linalg.norm(centre - near, axis=1) < _AROUND_M)
+    centre, good = spheres_through(a, b, c, radius, away=a)
+    good &= np.linalg.norm(centre - near, axis=1) < _AROUND_M
     if not good.any():
         return None
     centre = centre[good]
@@ -167,14 +144,20 @@ def _best(p: np.ndarray, near: np.ndarray, radius: float) -> np.ndarray | None:
     return centre[int(np.argmax(votes))]
 
 
+def _look(p: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distance of points from a sphere's centre [m], their directions from there, and the cosines at which the rays
+    to them meet it."""
+    away = p - centre
+    length = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+    out = away / length[:, None]
+    return length, out, -(out * p).sum(1) / np.maximum(np.linalg.norm(p, axis=1), 1e-9)
+
+
 def _refined(
     p: np.ndarray, sigma: np.ndarray, centre: np.ndarray, radius: float
 ) -> tuple[Float[np.ndarray, "3"], np.ndarray]:
     """One step of least squares, and the points that lie on the sphere and face the scanner."""
-    away = p - centre
-    length = np.linalg.norm(away, axis=1)
-    out = away / np.maximum(length, 1e-9)[:, None]
-    facing = -(out * p).sum(1) / np.maximum(np.linalg.norm(p, axis=1), 1e-9)
+    length, out, facing = _look(p, centre)
     error, noise = length - radius, np.hypot(sigma * facing, 5e-4)
     kept = (facing > _GRAZING) & (np.abs(error) < np.maximum(_KEPT * noise, _NEAR_M / 2))
     if kept.sum() < _FEWEST:
@@ -192,20 +175,11 @@ def _seen(p: np.ndarray, centre: np.ndarray, radius: float) -> float:
 
 def _own_radius(p: np.ndarray, centre: np.ndarray, radius: float) -> float:
     """The radius of the sphere through the points about there [m], without knowing it."""
-    own = radius
-    for _ in range(20):
-        away = p - centre
-        length = np.linalg.norm(away, axis=1)
-        out = away / np.maximum(length, 1e-9)[:, None]
-        facing = -(out * p).sum(1) / np.maximum(np.linalg.norm(p, axis=1), 1e-9)
-        error = length - own
-        kept = (facing > _GRAZING) & (np.abs(error) < 0.15 * radius)
-        if kept.sum() < _FEWEST:
-            return own
-        # Of Geman and McClure: points behind the sphere do not count.
-        weight = (1.0 + (error[kept] / (0.03 * radius)) ** 2) ** -2
-        design = np.column_stack([out[kept], np.ones(kept.sum())])
-        normal = (design * weight[:, None]).T @ design + 1e-9 * np.eye(4)
-        step = np.linalg.solve(normal, (design * weight[:, None]).T @ error[kept])
-        centre, own = centre + step[:3], own + float(step[3])
-    return own
+    from scipy.optimize import least_squares  # type: ignore[import-untyped]
+
+    length, _, facing = _look(p, centre)
+    p = p[(facing > _GRAZING) & (np.abs(length - radius) < 0.15 * radius)]
+    from_sphere = lambda x: np.linalg.norm(p - x[:3], axis=1) - x[3]
+    # Points behind the sphere do not count.
+    found = least_squares(from_sphere, [*centre, radius], loss="cauchy", f_scale=0.03 * radius)
+    return float(found.x[3])

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import Scanner, lit_points, nearest_rotation, poses, rays, stripe_pixel, transform, turn
+from jaxscan.geometry import Scanner, lit_points, nearest_rotation, poses, rays, transform, turn
 from jaxscan.recalibration.observed import SweepStripes, Tracks
 
 
@@ -62,11 +62,7 @@ def _look(sweep: SweepStripes, scanner: Scanner, profiles: np.ndarray) -> View:
     grid = np.ix_(profiles, lines)
     valid = sweep.valid[grid].copy()
     row, column = np.nonzero(valid)
-    q = np.asarray(
-        stripe_pixel(
-            sweep.centre[grid][row, column].astype(np.float64), lines[column].astype(np.float64), sweep.stripe_axis
-        )
-    )
+    q = sweep.pixels(profiles[row], lines[column])
     phi = sweep.angle[sweep.record[profiles]].astype(np.float64)
     pose = np.asarray(poses(scanner.rig, phi[row]))
     p_cam, incidence = lit_points(scanner.rig, q, sweep.laser[profiles][row])
@@ -176,7 +172,7 @@ def pose_of(at: np.ndarray, of: np.ndarray) -> np.ndarray | None:
         rotation = nearest_rotation(both)
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = rotation, middle_at - rotation @ middle_of
-        apart = np.linalg.norm(of @ rotation.T + pose[:3, 3] - at, axis=1)
+        apart = np.linalg.norm(transform(pose, of) - at, axis=1)
         if apart.max() < AGREE_M:
             return pose
         keep = np.arange(len(at)) != apart.argmax()
@@ -217,6 +213,9 @@ def see_space(view: View) -> Space:
 
     A cell is free where at least two rays went through it and no point is in it or beside it.
     """
+    # Imported here, so that nobody who does not recalibrate loads SciPy.
+    from scipy.ndimage import binary_dilation  # type: ignore[import-untyped]
+
     low, high = np.percentile(view.points, [0.2, 99.8], axis=0)
     cell = max(CELL_M, float((high - low).max()) / CELLS)
     low = low - MARGIN * cell
@@ -229,8 +228,7 @@ def see_space(view: View) -> Space:
     filled.flat[index] = True
     passed = _passed(points, eyes, low, cell, shape)
     state = np.where(passed >= 2, FREE, UNSEEN).astype(np.uint8)
-    around = _grown(filled)
-    state[around] = AROUND
+    state[binary_dilation(filled, np.ones((3, 3, 3)))] = AROUND
     state[filled] = FILLED
     return Space(state, low, cell, points[first])
 
@@ -250,11 +248,3 @@ def _passed(points: np.ndarray, eyes: np.ndarray, low: np.ndarray, cell: float, 
         index = index[((index >= 0) & (index < shape)).all(1)]
         passed += np.bincount(np.ravel_multi_index(tuple(index.T), shape), minlength=len(passed)).astype(np.int32)
     return passed.reshape(shape)
-
-
-def _grown(filled: np.ndarray) -> np.ndarray:
-    """The cells of a mask and all that touch them."""
-    for axis in range(3):
-        ahead, behind = np.roll(filled, 1, axis), np.roll(filled, -1, axis)
-        filled = filled | ahead | behind
-    return filled

@@ -9,18 +9,16 @@ from jaxscan.geometry import Scanner, Turntable
 from jaxscan.leastsq import MEDIAN_TO_SIGMA
 from jaxscan.recalibration.observed import SweepStripes
 from jaxscan.recalibration.result import Adjusted, TableFindings
-from jaxscan.recalibration.table.factor import SURE, find_factor
-from jaxscan.recalibration.table.jumps import (
+from jaxscan.recalibration.table.steps import (
     LEAST_STEP,
-    LEAST_Z,
     MOST_JUMPS,
-    Place,
+    SURE,
+    find_factor,
     find_steps,
-    inflation,
-    place_step,
-    step_sigmas,
+    lost_steps,
+    standing_out,
 )
-from jaxscan.recalibration.table.walls import LOOSE, Prior, Rig, Rows, fit_steps, settle, start_rig, truncated_cost
+from jaxscan.recalibration.table.walls import LOOSE, Equations, Rig, iterate_fit, truncated_cost
 
 
 POWER, RATIO = 0.02, 5e-3
@@ -125,7 +123,7 @@ def check_angles(
         correction += (found - 1.0) * sweep.angle
         way = np.sign(float(table.gain)) * np.sign(sweep.angle[-1] - sweep.angle[0])
         seen = np.unique(sweep.record)
-        for (record, first, last), size, sigma in sorted(steps):
+        for record, first, last, size, sigma in sorted(steps):
             jumps.append((number, record, size / float(table.gain)))
             correction[record:] += size / float(table.gain)
             before = seen[seen < first]
@@ -135,19 +133,18 @@ def check_angles(
     return TableFindings(factor, tuple(jumps), tuple(corrections), tuple(sentences))
 
 
-def _faults(sweep: SweepStripes, scanner: Scanner, table: Turntable) -> tuple[float, list[tuple[Place, float, float]]]:
-    """Factor of the journal's angles, and steps about the axis: their place, angle and its sigma [rad]."""
+def _faults(
+    sweep: SweepStripes, scanner: Scanner, table: Turntable
+) -> tuple[float, list[tuple[tuple[int, int, int], float, float]]]:
+    """Factor of the journal's angles, and steps about the axis."""
     own = np.asarray(table.angle(sweep.angle))
-    factor = find_factor(sweep, start_rig(scanner, own))
+    factor = find_factor(sweep, Rig.start(scanner, own))
     if abs(factor - 1.0) >= ALIKE:
         factor = _usual(sweep, scanner, table, factor)
         rig = find_steps(sweep, _settled(sweep, scanner, table, factor))
     else:
         factor, rig = _steps_or_factor(sweep, scanner, table, factor)
-    sigmas = step_sigmas(sweep, rig)
-    places = [place_step(sweep, rig, number) for number in range(len(rig.steps))]
-    places = [place._replace(record=record) for place, (record, _) in zip(places, rig.steps, strict=True)]
-    steps = [(place, size, float(sigma)) for place, (_, size), sigma in zip(places, rig.steps, sigmas, strict=True)]
+    steps = lost_steps(sweep, rig)
     if factor == 1.0:
         # No other factor makes walls flatter, and the stored gain is known better than a free one of a few walls.
         return 1.0, steps
@@ -184,7 +181,7 @@ def _steps_or_factor(sweep: SweepStripes, scanner: Scanner, table: Turntable, fa
 
 def _free_factor(sweep: SweepStripes, rig: Rig, own: Float[np.ndarray, " records"]) -> float:
     """The factor of the angles `own` with the steps of the rig known, and the gain free."""
-    free = settle(sweep, rig, 3, LOOSE)
+    free = iterate_fit(sweep, rig, 3, LOOSE)
     stepless = free.theta.copy()
     for record, size in free.steps:
         stepless[record:] -= size
@@ -193,8 +190,8 @@ def _free_factor(sweep: SweepStripes, rig: Rig, own: Float[np.ndarray, " records
 
 def _settled(sweep: SweepStripes, scanner: Scanner, table: Turntable, factor: float) -> Rig:
     if factor == 1.0:
-        return start_rig(scanner, np.asarray(table.angle(sweep.angle)))
-    rough = settle(sweep, start_rig(scanner, np.asarray(table.angle(factor * sweep.angle))), 4, LOOSE)
+        return Rig.start(scanner, np.asarray(table.angle(sweep.angle)))
+    rough = iterate_fit(sweep, Rig.start(scanner, np.asarray(table.angle(factor * sweep.angle))), 4, LOOSE)
     # From here on the gain stays near to the one found.
     return rough._replace(table=np.zeros_like(rough.table))
 
@@ -237,19 +234,16 @@ def jumps_in(
     scale = np.full(count, max(scatter, 1e-3 * LEAST_STEP))
     waves = [wave(h * angle) for h in range(1, WAVES + 1) for wave in (np.sin, np.cos)]
     nuisance = [np.ones(count), angle, *waves]
-    found: list[tuple[int, float]] = []
+    found: list[int] = []
+    # Steps that are known stay free in size.
+    columns_of = lambda: np.stack([*nuisance, *(1.0 * (np.arange(count) >= record) for record in found)], axis=-1)
     while len(found) < MOST_JUMPS:
-        # Steps that are known stay free in size.
-        columns = np.stack([*nuisance, *(1.0 * (np.arange(count) >= record) for record, _ in found)], axis=-1)
-        rows = Rows(correction / scale, 1.0 / scale, columns / scale[:, None], np.arange(count))
-        test, left = fit_steps(rows, count, Prior(np.zeros(columns.shape[1]), np.full(columns.shape[1], 1.0)))
-        z = np.abs(test.size) / test.sigma / inflation(rows, left, count)
-        record = int(np.argmax(z))
-        if z[record] < LEAST_Z or abs(test.size[record]) < LEAST_STEP:
+        columns = columns_of()
+        free = np.zeros(columns.shape[1]), np.ones(columns.shape[1])
+        rows = Equations(correction / scale, 1.0 / scale, columns / scale[:, None], np.arange(count), *free)
+        step = standing_out(rows, count)
+        if step is None:
             break
-        found.append((record, float(test.size[record])))
-    if not found:
-        return []
-    columns = np.stack([*nuisance, *(1.0 * (np.arange(count) >= record) for record, _ in found)], axis=-1)
-    sizes = np.linalg.lstsq(columns, correction)[0][-len(found) :]
-    return [(record, float(size)) for (record, _), size in zip(found, sizes, strict=True)]
+        found.append(step[0])
+    sizes = np.linalg.lstsq(columns_of(), correction)[0][len(nuisance) :]
+    return [(record, float(size)) for record, size in zip(found, sizes, strict=True)]

@@ -1,17 +1,117 @@
-"""The walls of a sweep as equations for the angles of its records, and steps of the angle as unknowns of them."""
+"""The walls of a sweep as equations for the angles of its records, and steps of the angle as unknowns of them.
+
+Walls are flat patches of the grid [profile, line], found with a tolerance that a faulty table does not break.
+"""
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from jaxscan.geometry import Scanner, StripeAxis, points, slopes, stripe_pixel
-from jaxscan.geometry.motions.turntable import ANGLE_PARAMETERS
+from jaxscan.geometry import Scanner, points, slopes
+from jaxscan.geometry.motions import ANGLE_PARAMETERS
 from jaxscan.leastsq import MEDIAN_TO_SIGMA
-from jaxscan.recalibration.adjust import point_gradient
+from jaxscan.measurement.planes import Plane, facing, weighted_plane
+from jaxscan.recalibration.grid import Windows, smooth_parts, spread_over, window_planes
 from jaxscan.recalibration.observed import SweepStripes
-from jaxscan.recalibration.table.patches import Grid, find_patches, fit
+from jaxscan.recalibration.triangulate import point_gradient
+
+
+HALF = 2
+"""Cells on each side of a cell in whose window its normal is taken."""
+FLATNESS = 0.001
+"""Part of the range by which a window may depart from its plane, beside noise."""
+BEND = np.cos(np.deg2rad(2.5))
+"""Cosine of the angle between the normals of neighbours on one patch."""
+SAME = 0.005
+"""Part of the range by which the distances of two parts of one wall from the axis may differ."""
+LEAST_CELLS = 40
+FOLD, MOST_TILT = np.deg2rad(6.0), np.deg2rad(2.5)
+"""Between two parts of a wall that a lost step has broken: largest turn about the axis, and difference of tilts."""
+
+
+def flat_windows(
+    x: Float[np.ndarray, "profiles lines 3"],
+    noise: Float[np.ndarray, "profiles lines 3"],
+    valid: Bool[np.ndarray, "profiles lines"],
+) -> tuple[Float[np.ndarray, "profiles lines 3"], Bool[np.ndarray, "profiles lines"]]:
+    """Normal of the window about each cell, towards the axis, and whether that window is flat.
+
+    Args:
+        x: Points in the room [m].
+        noise: Their displacement by one sigma of the stripe [m].
+        valid: Where there is a point.
+    """
+    half = np.full(valid.shape, HALF)
+    count, normal, variance = window_planes(x, valid, Windows.around(half, half))
+    size, along = np.linalg.norm(x, axis=-1), np.linalg.norm(noise, axis=-1)
+    across = np.abs(np.sum(normal * noise, axis=-1))
+    thin = np.sqrt(variance[..., 0]) < 1.5 * across + FLATNESS * size
+    wide = np.sqrt(variance[..., 1]) > 3.0 * across + 5.0 * FLATNESS * size
+    return normal, valid & thin & wide & (count >= 0.6 * (2 * HALF + 1) ** 2) & (across > 0.1 * along)
+
+
+def label_patches(
+    x: Float[np.ndarray, "profiles lines 3"],
+    noise: Float[np.ndarray, "profiles lines 3"],
+    valid: Bool[np.ndarray, "profiles lines"],
+) -> Int[np.ndarray, "profiles lines"]:
+    """Number of the flat patch of each point; -1: none.
+
+    Neighbours belong together where windows about them are flat and have nearly the same plane. Parts of one wall that
+    a lost step turned against each other, or that furniture divides, get one number. Arguments as of `flat_windows`.
+    """
+    normal, flat = flat_windows(x, noise, valid)
+    across = np.abs(np.sum(normal * noise, axis=-1))
+    part = smooth_parts(x, normal, flat, 2.0 * (across + FLATNESS * np.linalg.norm(x, axis=-1)), BEND)
+    names, counts = np.unique(part[part >= 0], return_counts=True)
+    found: list[tuple[Plane, np.ndarray, int]] = []
+    labels, walls = np.full(part.shape, -1), 0
+    for name in names[np.argsort(-counts, kind="stable")][: np.count_nonzero(counts >= LEAST_CELLS)]:
+        own = x[part == name]
+        plane = robust_plane(own)
+        if plane is None:
+            continue
+        wall = next((wall for other, far, wall in found if _one_wall(plane, other, own, far)), walls)
+        walls = max(walls, wall + 1)
+        found.append((plane, own, wall))
+        labels[part == name] = wall
+    return labels
+
+
+def robust_plane(x: Float[np.ndarray, "points 3"]) -> Plane | None:
+    """The plane of least squares, with less weight for points that are far from it; None where there is none."""
+    weight = np.ones(len(x))
+    for _ in range(4):
+        used, plane = weight, weighted_plane(x, weight)
+        error = (x - plane.centre) @ plane.normal
+        weight = 1.0 / (1.0 + (error / (3.0 * np.median(np.abs(error)) + 1e-6)) ** 2)
+    narrowest = min(used @ ((x - plane.centre) @ axis) ** 2 for axis in plane.axes)
+    return facing(plane, plane.centre) if narrowest >= 4.0 * (used @ error**2) else None
+
+
+def _one_wall(a: Plane, b: Plane, x: np.ndarray, y: np.ndarray) -> bool:
+    """Whether a turn about the axis makes one plane of two, and they are neighbours."""
+    size = max(np.linalg.norm(a.centre), np.linalg.norm(b.centre))
+    if min(np.hypot(*a.normal[:2]), np.hypot(*b.normal[:2])) < 0.5:
+        # A turn about the axis leaves a floor where it is.
+        near = abs(a.distance - b.distance) < SAME * np.linalg.norm(a.centre)
+        return bool(near and a.normal @ b.normal > BEND)
+    turned, tilt = fold(a.normal, b.normal)
+    if abs(turned) > FOLD or abs(tilt) > MOST_TILT or abs(a.distance - b.distance) > SAME * size:
+        return False
+    along = np.cross([0.0, 0.0, 1.0], a.normal)
+    s, t = x @ along, y @ along
+    gap = max(np.min(s) - np.max(t), np.min(t) - np.max(s))
+    return bool(gap < 0.25 * size)
+
+
+def fold(a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*n 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """By how much normals are turned about the axis against others, and tilted against it [rad]."""
+    turned = np.arctan2(a[..., 1], a[..., 0]) - np.arctan2(b[..., 1], b[..., 0])
+    tilt = np.arcsin(np.clip(a[..., 2], -1, 1)) - np.arcsin(np.clip(b[..., 2], -1, 1))
+    return np.asarray((turned + np.pi) % (2 * np.pi) - np.pi), np.asarray(tilt)
 
 
 SPREAD = (
@@ -22,89 +122,49 @@ SPREAD = (
 """How far a coordinate of a poor calibration may be from the truth [px, rad, m]; 0.1 for others."""
 
 
-class Stripes(NamedTuple):
-    """Centres of stripes, in no order."""
-
-    centre: Float[np.ndarray, " points"]
-    """Across the line [px]."""
-    line: Int[np.ndarray, " points"]
-    laser: Int[np.ndarray, " points"]
-    """The scanner's sheet."""
-    axis: StripeAxis
-
-    def seen(self) -> tuple[Float[np.ndarray, "points 2"], Int[np.ndarray, " points"]]:
-        """Their pixels [px], and the sheet of each."""
-        q = stripe_pixel(self.centre.astype(np.float64), self.line.astype(np.float64), self.axis)
-        return np.asarray(q), self.laser
-
-    def take(self, index: np.ndarray, shift: Float[np.ndarray, " taken"]) -> "Stripes":
-        """The stripes at `index`, with centres that are `shift` px further."""
-        return Stripes(self.centre[index] + shift, self.line[index], self.laser[index], self.axis)
-
-
-def sheet_points(
-    scanner: Scanner, stripes: Stripes
-) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "points 3"]]:
-    """Points of stripes at angle 0 in the scanner frame, and how they move with the centre of the stripe.
-
-    A table turns them about z: the point at angle theta is `Rz(theta) x`.
-
-    Returns:
-        x: Points [m].
-        slope: Their derivative by the centre [m/px].
-    """
-    rig, (q, laser) = scanner.rig, stripes.seen()
-    across = 0 if stripes.axis == "rows" else 1
-    return np.asarray(points(rig, q, laser, 0.0)), np.asarray(slopes(rig, q, laser, 0.0))[..., across]
-
-
 def points_of_records(scanner: Scanner, sweep: SweepStripes) -> Callable[[int], Float[np.ndarray, "points 3"] | None]:
-    """`sheet_points` of the first stripe of each record, in the order along it; None for a record without a stripe."""
+    """Points at angle 0 of the first stripe of each record, in the order along it; None for a record without one."""
 
     def of(record: int) -> Float[np.ndarray, "points 3"] | None:
         profiles = np.flatnonzero(sweep.record == record)
         if not len(profiles):
             return None
-        first = int(profiles[0])
-        line = np.flatnonzero(sweep.valid[first])
-        laser = np.full(len(line), sweep.laser[first])
-        return sheet_points(scanner, Stripes(sweep.centre[first, line], line, laser, sweep.stripe_axis))[0]
+        line = np.flatnonzero(sweep.valid[profiles[0]])
+        profile = np.full(len(line), profiles[0])
+        return np.asarray(points(scanner.rig, sweep.pixels(profile, line), sweep.laser[profile], 0.0))
 
     return of
 
 
-def parameter_slopes(scanner: Scanner, stripes: Stripes) -> Float[np.ndarray, "points 3 params"]:
-    """Derivatives of `sheet_points` by the coordinates of camera, sheets and axis [m per px, rad, m]."""
-    q, laser = stripes.seen()
-    return point_gradient(scanner, q, laser, np.zeros(len(q)))[..., : -len(ANGLE_PARAMETERS)]
-
-
-def move(scanner: Scanner, step: Float[np.ndarray, " params"]) -> Scanner:
-    """The scanner moved by `step` in the coordinates of camera, sheets and axis [px, rad, m]."""
-    return scanner.retract(np.append(step, np.zeros(len(ANGLE_PARAMETERS))))
-
-
-def parameter_spread(scanner: Scanner) -> Float[np.ndarray, " params"]:
-    """How far the coordinates of `parameter_slopes` may be from the truth, generously [px, rad, m]."""
+def _parameter_spread(scanner: Scanner) -> Float[np.ndarray, " params"]:
+    """How far coordinates of camera, sheets and axis may be from the truth, generously [px, rad, m]."""
     names = scanner.parameter_names()[: -len(ANGLE_PARAMETERS)]
     return np.array([SPREAD.get(name, SPREAD.get(name.split(".")[-1], 0.1)) for name in names])
 
 
-class Rows(NamedTuple):
-    """Whitened equations `error = nuisance @ unknowns + turn * (angle of the record)`, sorted by record."""
+class Equations(NamedTuple):
+    """Whitened equations `error = nuisance @ unknowns + turn * (angle of the record)`, sorted by record, and what is
+    known of the unknowns beforehand."""
 
     error: Float[np.ndarray, " rows"]
     turn: Float[np.ndarray, " rows"]
     """Derivative by the angle about the axis of the row's record [1/rad]."""
     nuisance: Float[np.ndarray, "rows unknowns"]
     record: Int[np.ndarray, " rows"]
-
-
-class Prior(NamedTuple):
-    """Prior knowledge of the unknowns."""
-
     mean: Float[np.ndarray, " unknowns"]
     sigma: Float[np.ndarray, " unknowns"]
+
+    def solve(self) -> Float[np.ndarray, " unknowns"]:
+        """The unknowns of least squares; errors that are larger than noise widen all that is learned from them."""
+        n = self.nuisance
+        weight = max(1.0, float(np.mean(self.error**2))) / self.sigma**2
+        return np.linalg.solve(n.T @ n + np.diag(weight), n.T @ self.error + weight * self.mean)
+
+    def covariance(self) -> Float[np.ndarray, "unknowns unknowns"]:
+        """Of the unknowns."""
+        normal = self.nuisance.T @ self.nuisance + np.diag(1.0 / self.sigma**2)
+        scale = np.sqrt(np.diag(normal))
+        return np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
 
 
 class StepTest(NamedTuple):
@@ -114,16 +174,11 @@ class StepTest(NamedTuple):
     """Angle by which this and all later records stand ahead of their angle [rad]."""
     sigma: Float[np.ndarray, " records"]
     """Its standard deviation; infinite where nothing tells it [rad]."""
+    left: Float[np.ndarray, " rows"]
+    """Errors after the fit of the nuisance."""
 
 
-def solve(rows: Rows, prior: Prior) -> Float[np.ndarray, " unknowns"]:
-    """The unknowns of least squares; errors that are larger than noise widen all that is learned from them."""
-    n = rows.nuisance
-    weight = max(1.0, float(np.mean(rows.error**2))) / prior.sigma**2
-    return np.linalg.solve(n.T @ n + np.diag(weight), n.T @ rows.error + weight * prior.mean)
-
-
-def fit_steps(rows: Rows, records: int, prior: Prior) -> tuple[StepTest, Float[np.ndarray, " rows"]]:
+def fit_steps(rows: Equations, records: int) -> StepTest:
     r"""The step of every record, each fitted with all other unknowns but without the other steps.
 
     With N the nuisance, r the error after their fit, and c the column of a step (`turn` from its record on),
@@ -133,34 +188,24 @@ def fit_steps(rows: Rows, records: int, prior: Prior) -> tuple[StepTest, Float[n
     Args:
         rows: Equations.
         records: How many records there are.
-        prior: Of the unknowns.
-
-    Returns:
-        The steps, and the errors after the fit of the nuisance.
     """
-    n = rows.nuisance
-    normal = n.T @ n + np.diag(1.0 / prior.sigma**2)
-    scale = np.sqrt(np.diag(normal))
-    inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
-    left = rows.error - n @ (inverse @ (n.T @ rows.error + prior.mean / prior.sigma**2))
-    score = backwards(rows.turn * left, rows.record, records)
-    own = backwards(rows.turn**2, rows.record, records)
-    shared = backwards(rows.turn[:, None] * n, rows.record, records)
+    n, inverse = rows.nuisance, rows.covariance()
+    left = rows.error - n @ (inverse @ (n.T @ rows.error + rows.mean / rows.sigma**2))
+    score = _backwards(rows.turn * left, rows.record, records)
+    own = _backwards(rows.turn**2, rows.record, records)
+    shared = _backwards(rows.turn[:, None] * n, rows.record, records)
     power = own - np.sum((shared @ inverse) * shared, axis=1)
     known = power > 1e-6 * own[:1]
     safe = np.where(known, power, 1.0)
-    size = np.where(known, score / safe, 0.0)
-    return StepTest(size, np.where(known, 1.0 / np.sqrt(safe), np.inf)), left
+    return StepTest(np.where(known, score / safe, 0.0), np.where(known, 1.0 / np.sqrt(safe), np.inf), left)
 
 
-def backwards(values: np.ndarray, record: np.ndarray, records: int) -> np.ndarray:
+def _backwards(values: np.ndarray, record: np.ndarray, records: int) -> np.ndarray:
     """Sums over each record and all later ones."""
-    if len(record) == 0:
-        return np.zeros((records, *values.shape[1:]))
-    starts = np.searchsorted(record, np.arange(records))
-    whole = np.concatenate([values, np.zeros_like(values[:1])])
-    sums = np.add.reduceat(whole, starts, axis=0)
-    sums[np.diff(np.append(starts, len(record))) == 0] = 0.0
+    sums = np.zeros((records, *values.shape[1:]))
+    if len(record):
+        names, starts = np.unique(record, return_index=True)
+        sums[names] = np.add.reduceat(values, starts, axis=0)
     return np.cumsum(sums[::-1], axis=0)[::-1]
 
 
@@ -174,8 +219,6 @@ STEP_SPREAD = 0.1
 """How large a lost step may be [rad]."""
 LOOSE, TIGHT = (0.02, 3e-3), (1e-3, 7e-4)
 """How far gain and waves may be from the calibration's: where the factor is sought, and where steps are [1, rad]."""
-
-
 FEW_POINTS, FEW_LINES = 6_000, 15
 """With which the rig is refined."""
 MOST_COST = 25.0
@@ -197,59 +240,56 @@ class Rig(NamedTuple):
     steps: tuple[tuple[int, float], ...] = ()
     """First record and angle of each lost step that was found, in the order in which they were [rad]."""
 
+    @staticmethod
+    def start(scanner: Scanner, theta: Float[np.ndarray, " records"]) -> "Rig":
+        """With the angles of records by the journal or a factor of it [rad]."""
+        return Rig(scanner, theta, np.zeros(1 + 2 * HARMONICS))
+
 
 class Sample(NamedTuple):
-    """Points of a sweep at angle 0, on a grid of some lines of all profiles."""
+    """Points of a sweep at angle 0, on a grid of some lines of all profiles. The table turns them about z."""
 
     x: Float[np.ndarray, "points 3"]
     """Scanner frame [m]."""
     noise: Float[np.ndarray, "points 3"]
     """Displacement by one sigma of the stripe [m]."""
-    sigma: Float[np.ndarray, " points"]
-    """Of the centre [px]."""
-    stripes: Stripes
+    sigma: Float[np.ndarray, "points 2"]
+    """Of the centre, across the line [px]."""
+    q: Float[np.ndarray, "points 2"]
+    laser: Int[np.ndarray, " points"]
     profile: Int[np.ndarray, " points"]
     column: Int[np.ndarray, " points"]
     """Number among the chosen lines."""
     record: Int[np.ndarray, " points"]
 
-
-class Walls(NamedTuple):
-    """Equations of all walls, whitened, sorted by record."""
-
-    rows: Rows
-    prior: Prior
-    """Of the unknowns: three for each wall, the rig's, gain and waves, the steps."""
-    wall: Int[np.ndarray, " rows"]
+    def turned(self, theta: Float[np.ndarray, " records"]) -> tuple[np.ndarray, np.ndarray]:
+        """Points and their displacements by noise in the room, with the table at the angles `theta` [rad]."""
+        angle = theta[self.record]
+        return turn(angle, self.x), turn(angle, self.noise)
 
 
 def take_sample(sweep: SweepStripes, scanner: Scanner, profiles: int, points: int) -> Sample:
     """Points of so many profiles at most, on as many lines as that leaves."""
-    count = len(sweep.valid)
-    lit = np.nonzero(sweep.valid.any(axis=0))[0]
-    kept = np.unique(np.linspace(0, count - 1, min(profiles, count)).round().astype(int))
-    width = int(np.clip(points // max(len(kept), 1), 8, LINES))
-    return _sample(sweep, scanner, kept, spread_over(lit, width))
+    kept = spread_over(np.arange(len(sweep.valid)), profiles)
+    return _sample(sweep, scanner, kept, int(np.clip(points // max(len(kept), 1), 8, LINES)))
 
 
 def take_records(sweep: SweepStripes, scanner: Scanner, records: tuple[int, int], lines: int) -> Sample:
     """Points of all profiles of some records, from the first up to the last without it, on so many lines at most."""
     kept = np.flatnonzero((sweep.record >= records[0]) & (sweep.record < records[1]))
-    return _sample(sweep, scanner, kept, spread_over(np.flatnonzero(sweep.valid.any(axis=0)), lines))
+    return _sample(sweep, scanner, kept, lines)
 
 
-def spread_over(numbers: Int[np.ndarray, " n"], count: int) -> Int[np.ndarray, " some"]:
-    """So many of the numbers at most, evenly."""
-    return numbers[np.unique(np.linspace(0, len(numbers) - 1, min(count, len(numbers))).round().astype(int))]
-
-
-def _sample(sweep: SweepStripes, scanner: Scanner, kept: np.ndarray, chosen: np.ndarray) -> Sample:
+def _sample(sweep: SweepStripes, scanner: Scanner, kept: np.ndarray, lines: int) -> Sample:
+    chosen = spread_over(np.flatnonzero(sweep.valid.any(axis=0)), lines)
     row, column = np.nonzero(sweep.valid[np.ix_(kept, chosen)])
     profile, line = kept[row], chosen[column]
-    stripes = Stripes(sweep.centre[profile, line], line, sweep.laser[profile], sweep.stripe_axis)
-    x, slope = sheet_points(scanner, stripes)
-    sigma = sweep.sigma[profile, line].astype(np.float64)
-    return Sample(x, slope * sigma[:, None], sigma, stripes, profile, column, sweep.record[profile])
+    q, laser = sweep.pixels(profile, line), sweep.laser[profile]
+    across = np.array([1.0, 0.0] if sweep.stripe_axis == "rows" else [0.0, 1.0])
+    sigma = np.outer(sweep.sigma[profile, line].astype(np.float64), across)
+    x = np.asarray(points(scanner.rig, q, laser, 0.0))
+    noise = (np.asarray(slopes(scanner.rig, q, laser, 0.0)) @ sigma[..., None])[..., 0]
+    return Sample(x, noise, sigma, q, laser, profile, column, sweep.record[profile])
 
 
 def turn(
@@ -264,31 +304,24 @@ def turn(
 def label_points(sample: Sample, theta: Float[np.ndarray, " records"]) -> Int[np.ndarray, " points"]:
     """Number of the wall of each point, -1 for none, with the table at the angles `theta` [rad]."""
     label = np.full(len(sample.x), -1)
-    x, noise = turn(theta[sample.record], sample.x), turn(theta[sample.record], sample.noise)
-    first = 0
+    x, noise = sample.turned(theta)
     columns = int(sample.column.max(initial=0)) + 1
-    for laser in np.unique(sample.stripes.laser):
-        points = np.nonzero(sample.stripes.laser == laser)[0]
+    for laser in np.unique(sample.laser):
+        own = np.nonzero(sample.laser == laser)[0]
         # Each laser once per record: its profiles in the order of the table.
-        mine, place = np.unique(sample.record[points], return_inverse=True)
+        mine, place = np.unique(sample.record[own], return_inverse=True)
         index = np.full((len(mine), columns), -1)
-        index[place, sample.column[points]] = points
+        index[place, sample.column[own]] = own
         stride = max(1, len(mine) // PROFILES)
         coarse = index[::stride]
-        found = find_patches(Grid(x[coarse], noise[coarse], coarse >= 0))
+        found = label_patches(x[coarse], noise[coarse], coarse >= 0)
         # A point between two coarse profiles is on the wall on which both are.
         low = np.arange(len(mine)) // stride
         high = np.minimum(low + (np.arange(len(mine)) % stride > 0), len(coarse) - 1)
         fine = np.where(found[low] == found[high], found[low], -1)
         on = (index >= 0) & (fine >= 0)
-        label[index[on]] = fine[on] + first
-        first = max(first, int(label.max()) + 1)
+        label[index[on]] = fine[on] + int(label.max(initial=-1)) + 1
     return label
-
-
-def start_rig(scanner: Scanner, theta: Float[np.ndarray, " records"]) -> Rig:
-    """A scanner, and the angles of its records by the journal or a factor of it [rad]."""
-    return Rig(scanner, theta, np.zeros(1 + 2 * HARMONICS))
 
 
 def wall_equations(
@@ -297,7 +330,7 @@ def wall_equations(
     rig: Rig,
     spread: tuple[float, float] = LOOSE,
     robust: bool = True,
-) -> Walls:
+) -> Equations:
     """The equations of all points on walls.
 
     The unknowns are three for each wall, the coordinates of camera, sheets and axis, the gain, errors that repeat a few
@@ -314,14 +347,13 @@ def wall_equations(
     order = order[np.argsort(sample.record[order], kind="stable")]
     wall, record = label[order], sample.record[order]
     angle = rig.theta[record]
-    x, noise = turn(angle, sample.x[order]), turn(angle, sample.noise[order])
+    x, noise = (field[order] for field in sample.turned(rig.theta))
     count = int(wall.max(initial=-1)) + 1
-    error, sigma, lever = np.zeros(len(order)), np.ones(len(order)), np.zeros(len(order))
-    own = np.zeros((len(order), 3 * count))
-    normals, shift = np.zeros((len(order), 3)), np.zeros(len(order))
+    error, sigma, lever, shift = np.zeros(len(order)), np.ones(len(order)), np.zeros(len(order)), np.zeros(len(order))
+    own, normals = np.zeros((len(order), 3 * count)), np.zeros((len(order), 3))
     for k in range(count):
         on = wall == k
-        plane = fit(x[on])
+        plane = robust_plane(x[on])
         if plane is None:
             continue
         m = plane.normal
@@ -331,45 +363,42 @@ def wall_equations(
         shift[on] = np.clip(error[on] / (noise[on] @ m), -MOST_SHIFT, MOST_SHIFT)
         x[on] += shift[on, None] * noise[on]
         sigma[on] = np.hypot(noise[on] @ m, FLOOR * np.linalg.norm(x[on], axis=1))
-        whitened = error[on] / sigma[on]
         if robust:
             # Things that hang on the wall have little weight; a wall that is bent as a whole keeps its own.
+            whitened = error[on] / sigma[on]
             limit = ROBUST * max(1.0, MEDIAN_TO_SIGMA * float(np.median(np.abs(whitened))))
             sigma[on] *= 1.0 + (whitened / limit) ** 2
         lever[on] = m[1] * x[on, 0] - m[0] * x[on, 1]
-        first = np.cross(m, np.eye(3)[np.argmin(np.abs(m))])
-        offset = x[on] - plane.centre
-        own[on, 3 * k : 3 * k + 3] = np.stack([offset @ first, offset @ np.cross(m, first), -np.ones(len(offset))], -1)
-    slopes = parameter_slopes(rig.scanner, sample.stripes.take(order, shift * sample.sigma[order]))
-    parts = np.einsum("ni,nip->np", turn(-angle, normals), slopes)
+        own[on, 3 * k : 3 * k + 3] = np.column_stack([(x[on] - plane.centre) @ plane.axes.T, -np.ones(on.sum())])
+    q = sample.q[order] + shift[:, None] * sample.sigma[order]
+    by_scanner = point_gradient(rig.scanner, q, sample.laser[order], np.zeros(len(q)))[..., : -len(ANGLE_PARAMETERS)]
+    parts = np.einsum("ni,nip->np", turn(-angle, normals), by_scanner)
     waves = np.stack([angle, *(wave(h * angle) for h in range(1, HARMONICS + 1) for wave in (np.sin, np.cos))], -1)
     known = np.stack([np.zeros(len(order)), *(record >= first for first, _ in rig.steps)], -1)[:, 1:]
     nuisance = np.concatenate([own, parts, waves * lever[:, None], known * lever[:, None]], axis=1)
-    parameters = parameter_spread(rig.scanner)
+    parameters = _parameter_spread(rig.scanner)
     table = np.append(spread[0], np.full(2 * HARMONICS, spread[1]))
-    sigma_before = [np.ones(3 * count), parameters, table, np.full(len(rig.steps), STEP_SPREAD)]
-    mean = [np.zeros(3 * count + len(parameters)), -rig.table, np.zeros(len(rig.steps))]
-    rows = Rows(error / sigma, lever / sigma, nuisance / sigma[:, None], record)
-    return Walls(rows, Prior(np.concatenate(mean), np.concatenate(sigma_before)), wall)
+    before = np.concatenate([np.ones(3 * count), parameters, table, np.full(len(rig.steps), STEP_SPREAD)])
+    mean = np.concatenate([np.zeros(3 * count + len(parameters)), -rig.table, np.zeros(len(rig.steps))])
+    return Equations(error / sigma, lever / sigma, nuisance / sigma[:, None], record, mean, before)
 
 
-def refine(rig: Rig, walls: Walls) -> Rig:
-    """The rig after one step of least squares over all unknowns of `walls`."""
-    found = solve(walls.rows, walls.prior)
-    first, params = 3 * (int(walls.wall.max(initial=-1)) + 1), len(parameter_spread(rig.scanner))
-    scanner = move(rig.scanner, found[first : first + params])
-    table = found[first + params : first + params + 1 + 2 * HARMONICS]
+def _refined(rig: Rig, walls: Equations) -> Rig:
+    """The rig after one step of least squares over all unknowns of its walls."""
+    steps, params = len(rig.steps), len(_parameter_spread(rig.scanner))
+    own = walls.solve()[-steps - len(rig.table) - params :]
+    table, more = own[params : params + len(rig.table)], own[params + len(rig.table) :]
     theta = rig.theta * (1.0 + table[0])
     for h in range(1, HARMONICS + 1):
         theta = theta + table[2 * h - 1] * np.sin(h * rig.theta) + table[2 * h] * np.cos(h * rig.theta)
-    more = found[first + params + 1 + 2 * HARMONICS :]
     for (record, _), step in zip(rig.steps, more, strict=True):
         theta[record:] += step
-    steps = tuple((record, size + float(step)) for (record, size), step in zip(rig.steps, more, strict=True))
-    return Rig(scanner, theta, rig.table + table, steps)
+    scanner = rig.scanner.retract(np.append(own[:params], np.zeros(len(ANGLE_PARAMETERS))))
+    sizes = tuple((record, size + float(step)) for (record, size), step in zip(rig.steps, more, strict=True))
+    return Rig(scanner, theta, rig.table + table, sizes)
 
 
-def settle(
+def iterate_fit(
     sweep: SweepStripes, rig: Rig, times: int, spread: tuple[float, float] = LOOSE, points: int = FEW_POINTS
 ) -> Rig:
     """The rig after some steps of least squares, with few points if nothing else is said."""
@@ -378,7 +407,7 @@ def settle(
         label = label_points(sample, rig.theta)
         if label.max(initial=-1) < 0:
             return rig
-        rig = refine(rig, wall_equations(sample, label, rig, spread))
+        rig = _refined(rig, wall_equations(sample, label, rig, spread))
     return rig
 
 
@@ -386,15 +415,12 @@ def truncated_cost(sweep: SweepStripes, rig: Rig) -> tuple[float, int]:
     """Squared errors of points from their walls in sigmas, at most that of one on no wall; their number."""
     sample = take_sample(sweep, rig.scanner, FEW_POINTS // FEW_LINES, FEW_POINTS)
     label = label_points(sample, rig.theta)
-    angle = rig.theta[sample.record]
-    x, noise = turn(angle, sample.x), turn(angle, sample.noise)
-    cost = MOST_COST * float(np.count_nonzero(label < 0))
+    x, noise = sample.turned(rig.theta)
+    square = np.full(len(x), MOST_COST)
     for k in range(int(label.max(initial=-1)) + 1):
         on = label == k
-        plane = fit(x[on])
-        error = (x[on] @ plane.normal - plane.distance) if plane is not None else np.full(on.sum(), np.inf)
-        sigma = np.abs(noise[on] @ plane.normal) if plane is not None else np.ones(on.sum())
-        cost += float(
-            np.minimum((error / np.hypot(sigma, FLOOR * np.linalg.norm(x[on], axis=1))) ** 2, MOST_COST).sum()
-        )
-    return cost, len(label)
+        plane = robust_plane(x[on])
+        if plane is not None:
+            sigma = np.hypot(noise[on] @ plane.normal, FLOOR * np.linalg.norm(x[on], axis=1))
+            square[on] = np.minimum(((x[on] @ plane.normal - plane.distance) / sigma) ** 2, MOST_COST)
+    return float(square.sum()), len(label)

@@ -9,9 +9,9 @@ from jaxscan.report.words import Headline, metres, millimetres
 
 
 SMALLEST_P = 1e-6
-"""Smaller chances are not told apart."""
+"""Smaller p-values are shown as "less than" this one."""
 LARGEST_FACTOR = 1000.0
-"""Larger gains are not told apart."""
+"""Larger gains are shown as "more than" this one."""
 _NAMES = {"camera": "camera", "axis": "axis of the table"}
 
 

@@ -12,11 +12,16 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.simulation.camera import Blur, psf_weights, splat
-from jaxscan.simulation.light.fan import band
+from jaxscan.simulation.light.bounce import (
+    FanView,
+    lit_mirrors,
+    mirrored_light,
+    mirrored_sheet,
+    thrown_light,
+    thrown_sheet,
+)
 from jaxscan.simulation.light.flat import light_on
-from jaxscan.simulation.light.lit import LitScene, illuminate, stacked
-from jaxscan.simulation.light.mirror import lit_mirrors, mirrored_light, mirrored_sheet, thrown_light, thrown_sheet
-from jaxscan.simulation.light.open import FanView
+from jaxscan.simulation.light.lit import LitScene, band, illuminate, stacked
 from jaxscan.simulation.rig import Sheet, TrueRig
 from jaxscan.simulation.scene import Plane, Rays
 

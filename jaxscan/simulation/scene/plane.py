@@ -52,7 +52,7 @@ class Plane(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene, triangle: int, pose: Motion) -> "Plane":
-        """That of a triangle."""
+        """The plane of a triangle."""
         corner, normal = scene.outline.corners[triangle, 0], scene.outline.normal[triangle]
         normal = normal if normal @ (pose.translation - corner) > 0 else -normal
         return cls(scene, scene.mesh.surfaces[scene.surface[triangle]], pose, normal, float(normal @ corner))
@@ -124,7 +124,7 @@ class Plane(NamedTuple):
         return depth
 
     def _height(self) -> float:
-        """Of the lamp over the plane, on the camera's side [m]."""
+        """Height of the lamp over the plane, on the camera's side [m]."""
         return float(self.normal @ self.scene.lamp) - self.offset
 
     def _light(

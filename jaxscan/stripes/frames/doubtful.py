@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.geometry import Array
+from jaxscan.geometry import Array, median_sigma
 from jaxscan.stripes.frames.formats import FrameFormat, LaserLine, decode_table, laser_plane
 from jaxscan.stripes.stripes import NoiseModel
 
@@ -90,7 +90,7 @@ def noise_in_blocks(difference: Float[np.ndarray, "frames lines samples"]) -> li
         return []
     own, aside = (np.abs(_coefficients(difference, start)) for start in (0, _BLOCK // 2))
     # Coarse JPEG leaves no noise at all in most blocks.
-    limit = max(_NEAR_ZERO * float(np.median(aside)) / 0.6745, _LEAST)
+    limit = max(_NEAR_ZERO * median_sigma(aside), _LEAST)
     zeros, expected = float(np.mean(own < limit)), float(np.mean(aside < limit))
     error = np.sqrt(2.0 * expected / own.size)
     if zeros < max(_MANY_ZEROS * expected, expected + _LEAST_SIGMAS * error):

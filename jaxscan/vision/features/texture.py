@@ -6,6 +6,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from jaxscan.geometry import median_sigma
+
 
 _BLOCK = 11
 """Side of the window over which gradients are summed [px]."""
@@ -36,7 +38,7 @@ def image_noise(image: np.ndarray) -> float:
     """
     kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
     laplacian = cv2.filter2D(image, cv2.CV_32F, kernel)[1:-1:3, 1:-1:3]
-    return max(float(np.median(np.abs(laplacian))) / 0.6745 / 6.0, _LEAST_NOISE)
+    return max(median_sigma(laplacian) / 6.0, _LEAST_NOISE)
 
 
 def find_features(image: np.ndarray, sees: np.ndarray, taken: np.ndarray, apart: int, most: int) -> Corners:

@@ -3,5 +3,4 @@
 Source: "Grbl v1.1 Interface", "Grbl v1.1 Commands" and "Grbl v1.1 Laser Mode" of github.com/gnea/grbl.
 """
 
-from scanrig.controllers.grbl.connect import connect_grbl
-from scanrig.controllers.grbl.controller import GrblController
+from scanrig.controllers.grbl.controller import GrblController, connect_grbl

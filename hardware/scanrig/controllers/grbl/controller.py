@@ -1,19 +1,293 @@
-"""A `Controller` for boards that speak GRBL's G-code."""
+"""A controller that speaks GRBL: the device is identified, its axis measured, and driven as any controller."""
 
 import dataclasses
 import logging
+import re
 
-from scanrig.controllers.controller import Guarantees, SafelyClosed
-from scanrig.controllers.grbl.axis import TableAxis
-from scanrig.controllers.grbl.greeting import greet, require_fit, wake
-from scanrig.controllers.grbl.lines import GrblLines
-from scanrig.controllers.grbl.report import STATES
-from scanrig.controllers.grbl.units import TableUnits
-from scanrig.controllers.settings import Settings
-from scanrig.controllers.status import Firmware, LinkCounts, Reconnection, ShotDone, State, Status
-from scanrig.controllers.table import GrblTable
-from scanrig.errors import Fault, FirmwareError, LinkLost, PortError, Reason, Refused, RigError, RigFault
-from scanrig.wire.link import Link
+from scanrig.clock import Clock, SystemClock
+from scanrig.controllers.controller import (
+    ControllerTable,
+    Firmware,
+    GrblTable,
+    Guarantees,
+    LinkCounts,
+    Reconnection,
+    SafelyClosed,
+    Settings,
+    ShotDone,
+    State,
+    Status,
+)
+from scanrig.controllers.grbl.lines import (
+    BOOT_S,
+    HOLD,
+    POLL_S,
+    QUERY,
+    STATES,
+    GrblLines,
+    Report,
+    TableUnits,
+    is_old,
+    other_device,
+    read_report,
+    read_settings,
+)
+from scanrig.errors import Fault, FirmwareError, LinkLost, PortError, Reason, Refused, RigError, RigFault, RigTimeout
+from scanrig.wire import Link, choose_port, find_again, identify, open_serial
+
+
+AWAKE_S = 0.5
+_TOLERANCE = 1e-4
+"""Part by which a setting may differ: the board prints three decimals."""
+
+
+def wake(lines: GrblLines) -> None:
+    """Wait until the board answers: at once, or after its boot loader if opening the port has reset it.
+
+    Raises:
+        LinkLost: no answer.
+    """
+    lines.write(b"\n" + QUERY)
+    give_up = lines.clock.now() + AWAKE_S
+    while (left := give_up - lines.clock.now()) > 0:
+        texts = lines.read(left, tell_reset=False)
+        if any(read_report(text) for text in texts):
+            return
+        if lines.greeting and any(text == lines.greeting for text in texts):
+            return
+    if not lines.await_greeting(BOOT_S):
+        lines.reset()
+
+
+def greet(lines: GrblLines) -> str:
+    """Wait until the board answers, and check its greeting.
+
+    Returns:
+        Its version.
+
+    Raises:
+        FirmwareError: no answer, or another device; the message names it.
+        LinkLost: the port went away.
+    """
+    try:
+        wake(lines)
+        lines.reset()
+    except LinkLost as problem:
+        if lines.broken:
+            raise
+        last = _last_words(lines)
+        if read_report(last):
+            raise FirmwareError(
+                f"{lines.link.name}: found {last[:60]!r} in answer to '?', but no greeting after a reset; expected one "
+                f"that begins with '{lines.expected_greeting}': unlock the board ($X, or home it by $H), or write its "
+                "greeting into controller.grbl.greeting"
+            ) from problem
+        found = f"a device that sends {last[:60]!r}{other_device(last)}" if last else "silence"
+        raise FirmwareError(
+            f"{lines.link.name}: found {found}, needed a board that begins with '{lines.expected_greeting}'; "
+            "check port, power, controller.baud and controller.grbl.greeting"
+        ) from problem
+    if is_old(lines.greeting):
+        last = next((line for line in reversed(lines.odd) if line.startswith("<")), lines.greeting)
+        raise FirmwareError(lines.not_understood(last))
+    # FluidNC writes GRBL's version first, and its own in brackets.
+    own = re.search(r"FluidNC (v\S+)", lines.greeting)
+    words = lines.greeting.split()
+    return own[1] if own else words[1] if len(words) > 1 else "unknown"
+
+
+def _last_words(lines: GrblLines) -> str:
+    """The last line of a device that does not greet; one that takes whole lines alone answers to their end."""
+    if not lines.heard:
+        lines.write(b"\n$I\n")
+        lines.drain()
+    return lines.heard
+
+
+def require_fit(lines: GrblLines, table: GrblTable, units: TableUnits, settings: Settings) -> None:
+    """Check that the board's own settings fit the configuration. They belong to its owner and are never changed here.
+
+    Raises:
+        FirmwareError: with the settings to type on the board.
+    """
+    answer = lines.ask("$$")
+    says = read_settings(answer)
+    axis = "XYZABC".index(table.axis)
+    feed = 60 * settings.speed / units.steps_per_unit
+    if 100 + axis not in says:
+        name, found = lines.dialect.name, ", ".join(answer)[:60] or "nothing"
+        where = "its configuration file (config.yaml)" if not lines.dialect.listed else "its own settings"
+        raise FirmwareError(
+            f"{lines.link.name}: found {found} in answer to $$; {name} does not list its axes there. Look in {where} "
+            f"for steps_per_mm = {units.steps_per_unit:.10g} and max_rate = {feed:.10g} or more on axis {table.axis}, "
+            "then set check_settings = false under [controller.grbl]"
+        )
+    wanted = {1: 255.0, 13: 0.0, 32: 0.0, 100 + axis: units.steps_per_unit}
+    # A mask in grblHAL: homing is its first bit.
+    if table.home and not int(says.get(22, 0)) & 1:
+        wanted[22] = 1.0
+    wrong = {
+        number: value
+        for number, value in wanted.items()
+        if number not in says or abs(says[number] - value) > _TOLERANCE * max(1.0, abs(value))
+    }
+    if not int(says.get(10, 1)) & 1:
+        wrong[10] = 1.0
+    if says.get(110 + axis, feed) < feed * (1 - _TOLERANCE):
+        wrong[110 + axis] = feed
+    if wrong:
+        found = ", ".join(f"${number}={says.get(number, 'nothing')}" for number in wrong)
+        do = ", ".join(f"${number}={value:.10g}" for number, value in wrong.items())
+        raise FirmwareError(
+            f"{lines.link.name}: found {found}; expected {do}: type that on the board, or change the configuration"
+        )
+
+
+REST_S = 10.0
+"""Longest time that the table may take to stop."""
+_STILL = 3
+"""Reports of standstill after which a motion is over, wherever it ended."""
+
+
+_FAULTS = {"Door": Fault.EMERGENCY_STOP, "Sleep": Fault.ASLEEP, "Tool": Fault.TOOL_CHANGE}
+
+
+class TableAxis:
+    """The axis that turns the table, in microsteps from home.
+
+    Attributes:
+        units: units of the axis.
+        zero: coordinate of the axis at home; None while home is not known.
+        lost: whether home was known and was lost.
+    """
+
+    def __init__(self, lines: GrblLines, table: GrblTable, units: TableUnits) -> None:
+        self.units = units
+        self.zero: float | None = None
+        self.lost = False
+        self._lines, self._table = lines, table
+
+    def position(self, report: Report) -> int:
+        """The table's position in a report; counted from the axis's own zero while home is not known."""
+        return self.units.microsteps(self._reported(report) - (self.zero or 0.0))
+
+    def forget_home(self) -> None:
+        """Mark home as lost."""
+        self.lost = self.lost or self.zero is not None
+        self.zero = None
+
+    def find_home(self, speed: int, timeout_s: float) -> None:
+        """Search for the home switch; without a switch, home is the position at the first call.
+
+        Raises:
+            Refused: there is no switch, and the table's position was lost.
+            RigFault, RigTimeout: as for `go`.
+        """
+        lines = self._lines
+        if self._table.home:
+            self.zero, lines.alarm = None, None
+            if not lines.ask_long(self._table.home, timeout_s):
+                lines.reset()
+                raise RigTimeout(f"homing did not end within {timeout_s:.1f} s; it was stopped")
+            self._await_rest("homing", timeout_s)
+        elif self.zero is not None:
+            self.go(0, speed, timeout_s)
+        elif self.lost:
+            why = "there is no home switch, and where the table stands is not known any more"
+            raise Refused(Reason.NO_SUCH_PART, "home", why)
+        self.zero, self.lost = self._reported(lines.report()), False
+
+    def go(self, to: int, speed: int, timeout_s: float) -> int:
+        """Turn to a position and wait until the table stands still.
+
+        Args:
+            to: Microsteps from home.
+            speed: Microsteps per second.
+
+        Returns:
+            The position where it stands.
+
+        Raises:
+            RigFault: An alarm ended the motion.
+            RigTimeout: The motion did not end in time and was stopped.
+        """
+        target = (self.zero or 0.0) + self.units.units(to)
+        feed = 60 * speed / self.units.steps_per_unit
+        self._lines.ask(f"G21 G90 G94 G53 G1 {self._table.axis}{target:.4f} F{feed:.2f}")
+        return self._await_rest(f"moving to {to}", timeout_s, at=to)
+
+    def come_to_rest(self) -> bool:
+        """Stop the table; returns whether it was turning or held on its way."""
+        report = self._lines.report()
+        turned = report.moving or report.state == "Hold"
+        give_up = self._lines.clock.now() + REST_S
+        while report.moving and report.state != "Home":
+            if self._lines.clock.now() >= give_up:
+                raise LinkLost(f"{self._lines.link.name}: the table did not come to rest")
+            self._lines.write(HOLD)
+            self._lines.clock.sleep(POLL_S)
+            report = self._lines.report()
+        return turned
+
+    def fault(self, report: Report) -> Fault | None:
+        """The fault in a report, or None; home is lost after most faults."""
+        number = self._alarm(report)
+        if report.state == "Hold" and not report.moving:
+            # A table that is held has lost nothing.
+            return Fault.HELD
+        if report.state in _FAULTS:
+            fault = _FAULTS[report.state]
+        elif report.state == "Alarm" and number is not None:
+            fault = self._lines.dialect.alarms.get(number, Fault.UNKNOWN)
+        else:
+            return None
+        if number != 2:
+            self.forget_home()
+        return fault
+
+    def raise_fault(self, report: Report) -> None:
+        """Raise the fault in a report, if there is one."""
+        if (fault := self.fault(report)) is not None:
+            raise RigFault(fault, self.position(report), self.words(report))
+
+    def words(self, report: Report) -> str:
+        """What the board says of its fault."""
+        number, name = self._alarm(report), self._lines.dialect.name
+        if report.state == "Door":
+            door = "is open: close it" if report.part else "was open, and is closed again"
+            return f"{name} says Door:{report.part}: its safety door, or what is wired to that pin, {door}"
+        if number is not None:
+            return f"{name} says ALARM:{number}"
+        return f"{name} says {report.state}"
+
+    def _alarm(self, report: Report) -> int | None:
+        """The number of the alarm in a report, or said before it; None for the lock of a board that is not homed."""
+        number = report.part if report.state == "Alarm" and report.part else self._lines.alarm
+        return None if number in self._lines.dialect.unhomed else number
+
+    def _await_rest(self, motion: str, timeout_s: float, at: int | None = None) -> int:
+        """Wait until the table stands still; at another position than `at`, in several reports."""
+        clock = self._lines.clock
+        give_up = clock.now() + timeout_s
+        still = 0
+        while True:
+            report = self._lines.report()
+            self.raise_fault(report)
+            position = self.position(report)
+            still = still + 1 if report.state == "Idle" else 0
+            if still >= _STILL or (still and position == at):
+                return position
+            if clock.now() >= give_up:
+                self.come_to_rest()
+                self._lines.reset()
+                raise RigTimeout(f"{motion} did not end within {timeout_s:.1f} s; it was stopped")
+            clock.sleep(POLL_S)
+
+    def _reported(self, report: Report) -> float:
+        at = report.position(self._table.axis)
+        if at is None:
+            raise RigError(f"{self._lines.link.name}: its reports have no position of the machine; type $10=1")
+        return at
 
 
 log = logging.getLogger(__name__)
@@ -246,3 +520,31 @@ class GrblController(SafelyClosed):
             self._lines.ask(self._table.laser_off)
             return True
         return any(line.startswith("[GC:") and " M5 " in line for line in self._lines.ask("$G"))
+
+
+BAUD = 115_200
+
+
+def connect_grbl(
+    table: ControllerTable, microsteps_per_turn: int, *, port: str | None = None, clock: Clock | None = None
+) -> GrblController:
+    """Open a board's port. Nothing is sent before `hello`.
+
+    Args:
+        table: Port and commands of the board.
+        port: Replaces the table's port: a path, a USB serial number, or "auto".
+
+    Raises:
+        PortError: No port, several, port missing or in use, or no permission.
+    """
+    clock = clock or SystemClock()
+    path = choose_port(port or table.port)
+    baud = table.baud or BAUD
+    link = open_serial(path, baud, clock)
+    known = identify(path)
+
+    def reopen() -> Link:
+        return open_serial(find_again(known), baud, clock)
+
+    lines = GrblLines(link, clock, greeting=table.grbl.greeting, reopen=reopen)
+    return GrblController(lines, table.grbl, TableUnits(microsteps_per_turn, table.grbl.units_per_turn))

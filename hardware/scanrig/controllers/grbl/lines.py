@@ -1,16 +1,156 @@
-"""Stop-and-wait with a GRBL board: each line is answered by "ok" or "error:n"; single bytes work at any time."""
+"""Lines of G-code and their answers: units, dialects, reports, and the exchange with the board."""
 
 import logging
 import re
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
 
 from scanrig.clock import Clock
-from scanrig.controllers.grbl.dialects import Dialect, dialect_of, is_old
-from scanrig.controllers.grbl.report import STATES, Report, read_report
-from scanrig.controllers.status import LinkCounts
+from scanrig.controllers.controller import LinkCounts, State
 from scanrig.errors import ControllerReset, Fault, FirmwareError, LinkLost, Reason, Refused, RigFault
 from scanrig.wire import Link
+
+
+@dataclass(frozen=True)
+class TableUnits:
+    """Converts between microsteps of the table and units of a board's axis."""
+
+    microsteps_per_turn: int
+    units_per_turn: float
+    """In the board's "millimetres"."""
+    reverse: bool = False
+    """Whether the table's angle grows while the axis counts downwards."""
+
+    @property
+    def steps_per_unit(self) -> float:
+        """The value that the board's setting $100 must have."""
+        return self.microsteps_per_turn / self.units_per_turn
+
+    def units(self, microsteps: float) -> float:
+        """Microsteps in units of the axis."""
+        return (-microsteps if self.reverse else microsteps) / self.steps_per_unit
+
+    def microsteps(self, units: float) -> int:
+        """Units of the axis in microsteps, the nearest."""
+        return round((-units if self.reverse else units) * self.steps_per_unit)
+
+
+class Dialect(NamedTuple):
+    """What a family of boards says, and means by it."""
+
+    name: str
+    alarms: Mapping[int, Fault]
+    unhomed: frozenset[int] = frozenset()
+    """Alarms that only say that home is not known."""
+    listed: bool = True
+    """Whether `$$` lists the settings of the axes."""
+
+
+_ALARMS = {
+    1: Fault.LIMIT,
+    2: Fault.LIMIT,
+    3: Fault.ABORTED,
+    6: Fault.HOME_NOT_FOUND,
+    7: Fault.HOME_NOT_FOUND,
+    8: Fault.HOME_NOT_FOUND,
+    9: Fault.HOME_NOT_FOUND,
+}
+GRBL = Dialect("Grbl", _ALARMS)
+GRBL_HAL = Dialect(
+    "grblHAL",
+    {**_ALARMS, 10: Fault.EMERGENCY_STOP, 12: Fault.LIMIT, 15: Fault.HOME_NOT_FOUND, 18: Fault.HOME_NOT_FOUND},
+    unhomed=frozenset({11}),
+)
+FLUID_NC = Dialect(
+    "FluidNC",
+    {**_ALARMS, 11: Fault.EMERGENCY_STOP, 12: Fault.LIMIT, 13: Fault.LIMIT},
+    unhomed=frozenset({14, 15}),
+    listed=False,
+)
+_KNOWN = ((re.compile("fluidnc", re.IGNORECASE), FLUID_NC), (re.compile("grblhal", re.IGNORECASE), GRBL_HAL))
+_OLD = re.compile(r"<[A-Z][a-z]+,[MW]Pos:.*")
+_OTHERS = (
+    (re.compile(r"echo:|Marlin|start$"), "the firmware of a printer (Marlin or its like), which does not speak GRBL"),
+    (re.compile(r"\{.*\}$"), "a board that speaks JSON (TinyG, g2core), which is not GRBL"),
+    (re.compile(r"Smoothie|Build version:"), "Smoothieware; it speaks GRBL only with grbl_mode true"),
+)
+
+
+def dialect_of(greeting: str) -> Dialect:
+    """The dialect of a board, by its first line after a reset; GRBL's own where it names none."""
+    return next((dialect for sign, dialect in _KNOWN if sign.search(greeting)), GRBL)
+
+
+def is_old(greeting: str, answer: str = "") -> bool:
+    """Whether greeting or report are those of GRBL before 1.0, which reports in another form."""
+    return bool(re.match(r"Grbl 0\.", greeting) or _OLD.fullmatch(answer))
+
+
+def other_device(line: str) -> str:
+    """What else sends such a line, in words; empty where nobody knows."""
+    return next((f", {words}" for sign, words in _OTHERS if sign.search(line)), "")
+
+
+STATES: dict[str, State] = {
+    "Idle": "idle",
+    "Check": "idle",
+    "Run": "move",
+    "Jog": "move",
+    "Hold": "move",
+    "Home": "home",
+    "Alarm": "fault",
+    "Door": "fault",
+    "Sleep": "fault",
+    "Tool": "fault",
+}
+"""GRBL's states as a session's. "Alarm" without a number, as after power on, only means that home is not known."""
+
+_REPORT = re.compile(r"<([A-Z][a-z]+)(?::([0-9]{1,3}))?((?:\|[A-Za-z]+:[^|<>]*)*)>")
+_NUMBER = re.compile(r"-?[0-9]{1,9}(?:\.[0-9]{0,9})?")
+_SETTING = re.compile(rf"\$([0-9]{{1,3}})=({_NUMBER.pattern})")
+_AXES = "XYZABC"
+
+
+@dataclass(frozen=True)
+class Report:
+    """The answer to `?`."""
+
+    state: str
+    """Idle, Run, Hold, Jog, Home, Alarm, Door, Check, Sleep or Tool."""
+    part: int
+    """The number after the state: Hold:0 stands still, Hold:1 slows down, Alarm:10 is that alarm; 0 if there is none.
+    """
+    positions: tuple[float, ...] | None
+    """Machine coordinates of the axes; None if the board reports others ($10)."""
+
+    @property
+    def moving(self) -> bool:
+        """Whether the table turns."""
+        return self.state in ("Run", "Jog", "Home") or (self.state == "Hold" and self.part != 0)
+
+    def position(self, axis: str) -> float | None:
+        """Coordinate of one axis; None if it is not reported."""
+        at = _AXES.index(axis)
+        return None if self.positions is None or at >= len(self.positions) else self.positions[at]
+
+
+def read_report(line: str) -> Report | None:
+    """The state report in a line; None if it is no report, or damaged."""
+    match = _REPORT.fullmatch(line)
+    if match is None or match[1] not in STATES:
+        return None
+    fields = dict(field.split(":", 1) for field in match[3].split("|")[1:])
+    words = fields["MPos"].split(",") if "MPos" in fields else []
+    if not all(map(_NUMBER.fullmatch, words)):
+        return None
+    return Report(match[1], int(match[2] or 0), tuple(map(float, words)) if words else None)
+
+
+def read_settings(lines: list[str]) -> dict[int, float]:
+    """The settings among the lines of the answer to `$$`."""
+    return {int(match[1]): float(match[2]) for line in lines if (match := _SETTING.fullmatch(line))}
 
 
 log = logging.getLogger(__name__)

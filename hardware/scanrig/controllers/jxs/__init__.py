@@ -1,4 +1,3 @@
 """The scanner's own firmware: JXS/1, as PROTOCOL.md says it."""
 
-from scanrig.controllers.jxs.connect import connect
-from scanrig.controllers.jxs.controller import JxsController
+from scanrig.controllers.jxs.controller import JxsController, connect

@@ -1,21 +1,171 @@
-"""A `Controller` for the scanner's own firmware, with the verbs of PROTOCOL.md."""
+"""The scanner's own controller: which device is on the port, its verbs, and everything off and confirmed."""
 
+import logging
 import secrets
 from collections.abc import Callable
 
 from scanrig.clock import Clock, SystemClock
-from scanrig.controllers.controller import Guarantees, SafelyClosed
-from scanrig.controllers.jxs.answers import integer, read_counters
-from scanrig.controllers.jxs.conversation import Conversation
-from scanrig.controllers.jxs.exchange import Exchange
-from scanrig.controllers.jxs.greeting import Silence, greet, what_is_there
-from scanrig.controllers.jxs.protocol import PROTOCOL, Event
-from scanrig.controllers.jxs.safety import make_safe
-from scanrig.controllers.jxs.wire_settings import wire_settings
-from scanrig.controllers.settings import Settings
-from scanrig.controllers.status import Counters, Firmware, LinkCounts, Reconnection, ShotDone, Status
-from scanrig.errors import Fault, FirmwareError, LinkLost, PortError, Reason, Refused
-from scanrig.wire.link import Link
+from scanrig.controllers.controller import (
+    Counters,
+    Firmware,
+    Guarantees,
+    LinkCounts,
+    Reconnection,
+    SafelyClosed,
+    Settings,
+    ShotDone,
+    Status,
+)
+from scanrig.controllers.jxs.conversation import Conversation, Exchange
+from scanrig.controllers.jxs.protocol import (
+    PROTOCOL,
+    Event,
+    integer,
+    read_counters,
+    read_firmware,
+    read_status,
+    wire_settings,
+)
+from scanrig.errors import Fault, FirmwareError, LinkLost, PortError, Reason, Refused, RigError
+from scanrig.wire import Link, choose_port, find_again, identify, open_serial
+
+
+log = logging.getLogger(__name__)
+
+BOOT_S = 2.5
+"""Opening its port resets an Uno; its boot loader takes this long."""
+
+
+class Silence(Exception):
+    """No answer to HELLO."""
+
+
+def greet(wire: Exchange, clock: Clock, session: int) -> Firmware:
+    """Begin a session.
+
+    A running controller answers at once. One that was reset by opening its port sends BOOT first and is then greeted
+    again.
+
+    Args:
+        clock: for the wait for the boot loader.
+        session: 1 … 2³¹−1.
+
+    Returns:
+        The firmware that answered.
+
+    Raises:
+        Silence: no answer; `what_is_there` describes the lines that came instead.
+        FirmwareError: it answers but speaks another protocol.
+        LinkLost: the port went away.
+    """
+    wire.forget()
+    wire.odd_lines.clear()
+    opened = clock.now()
+    try:
+        fields = hello(wire, session, tries=1)
+    except Silence:
+        if _echoes(wire):
+            raise
+        if not wait_for_boot(wire, clock, opened + BOOT_S):
+            log.info("%s: no BOOT within %.1f s", wire.link.name, BOOT_S)
+        fields = hello(wire, session, tries=wire.tries)
+    found = fields.get("proto", "unknown")
+    if found != str(PROTOCOL):
+        raise FirmwareError(
+            f"{wire.link.name}: found firmware {fields.get('fw', 'unknown')} that speaks protocol {found}, needed "
+            f"protocol {PROTOCOL}; load the firmware that belongs to this version"
+        )
+    firmware = read_firmware(fields)
+    wire.boot = firmware.boot
+    wire.restarted = None
+    return firmware
+
+
+def hello(wire: Exchange, session: int, tries: int) -> dict[str, str]:
+    """Send HELLO, at most `tries` times."""
+    try:
+        return wire.ask("HELLO", ses=session, tries=tries)
+    except Refused as problem:
+        raise FirmwareError(f"{wire.link.name} does not begin a session: {problem}") from problem
+    except LinkLost as problem:
+        if problem.__cause__ is not None:
+            raise  # The port itself failed, which is not silence.
+        raise Silence(str(problem)) from problem
+
+
+def wait_for_boot(wire: Exchange, clock: Clock, until: float) -> bool:
+    """Listen until BOOT comes or the time `until` is reached; returns whether BOOT came."""
+    while not any(event.name == "BOOT" for event in wire.events):
+        left = until - clock.now()
+        if left <= 0:
+            return False
+        wire.listen(left)
+    return True
+
+
+def what_is_there(wire: Exchange) -> str:
+    """Describes, for messages, the lines that came from the port instead of an answer to HELLO."""
+    if not wire.odd_lines:
+        return "silence"
+    says = repr(wire.odd_lines[-1][:60])[1:]
+    return f"a device that echoes its input ({says})" if _echoes(wire) else f"a device that sends {says}"
+
+
+def _echoes(wire: Exchange) -> bool:
+    return any(b"HELLO" in line for line in wire.odd_lines)
+
+
+TRIES = 3
+"""Fewer tries than usual; then the abort byte is sent, which works without a valid line."""
+
+STOPPING_S = 0.5
+"""How long a shot may take to end after STOP."""
+
+
+def make_safe(wire: Exchange, clock: Clock) -> bool:
+    """Stop, laser off, contactor open; if that is not answered, abort.
+
+    Raises no error of the rig, so that every exit can call it.
+
+    Returns:
+        True if the controller confirmed that the laser is off, the contactor open, and nothing runs that could switch
+        it on again.
+    """
+    try:
+        _insist(wire, "STOP")
+        _insist(wire, "LASER", on=0)
+        _insist(wire, "ARM", on=0)
+        if is_dark(wire, clock):
+            return True
+    except RigError as problem:
+        # No answer, or an incomplete one: the abort byte needs neither.
+        log.warning("%s", problem)
+    try:
+        wire.abort()
+        return is_dark(wire, clock)
+    except RigError as problem:
+        log.warning("%s", problem)
+        return False
+
+
+def is_dark(wire: Exchange, clock: Clock) -> bool:
+    """Whether the controller confirms that the laser is off and stays off. Raises RigError if it does not answer."""
+    end = clock.now() + STOPPING_S
+    while True:
+        status = read_status(wire.ask("STAT", tries=TRIES))
+        if not status.laser and not status.armed and status.state != "shot":
+            return True
+        if clock.now() >= end:
+            return False
+        clock.sleep(0.02)
+
+
+def _insist(wire: Exchange, verb: str, **args: int) -> None:
+    """Send a command; a refusal is logged, so that the next command follows."""
+    try:
+        wire.ask(verb, tries=TRIES, **args)
+    except Refused as problem:
+        log.warning("%s", problem)
 
 
 REST_S = 5.0
@@ -42,8 +192,6 @@ class JxsController(SafelyClosed):
         """Nothing is sent yet.
 
         Args:
-            link: to the controller.
-            clock: for every wait.
             timeout_s: the longest wait for one answer.
             tries: the link counts as lost after `tries * timeout_s` without an answer.
             reopen: opens the port again for `reconnect`, even under another number.
@@ -177,7 +325,6 @@ class JxsController(SafelyClosed):
         """Switch a laser on, renew its lease, or switch all lasers off.
 
         Args:
-            on: on or off.
             ms: lease [ms], at most that of `hello`; by default all of it.
             number: which laser, from 1.
         """
@@ -201,7 +348,6 @@ class JxsController(SafelyClosed):
             to: microsteps from home.
             id: a number that identifies the shot.
             number: which laser, from 1.
-            lit: expose with the laser.
             dark: expose without.
         """
         self._talk.begin("SHOT", to=to, id=id, m=lit + 2 * dark, **_named(number))
@@ -267,3 +413,27 @@ class JxsController(SafelyClosed):
 def _named(number: int) -> dict[str, int]:
     """The laser's number as a field. The first laser is sent without it, since earlier firmware knows no numbers."""
     return {} if number == 1 else {"n": number}
+
+
+def connect(port: str = "auto", baud: int = 250_000, clock: Clock | None = None) -> JxsController:
+    """Open the controller's port. Nothing is sent before `hello`.
+
+    Args:
+        port: a path, a USB serial number, or "auto" for the only board.
+        baud: bits per second.
+
+    Returns:
+        A controller whose `reconnect` finds the same board again, by its USB serial number or its path under
+        /dev/serial/by-id, even under another port number.
+
+    Raises:
+        PortError: no port, several, port missing or in use, or no permission.
+    """
+    path = choose_port(port)
+    link = open_serial(path, baud, clock)
+    known = identify(path)
+
+    def reopen() -> Link:
+        return open_serial(find_again(known), baud, clock)
+
+    return JxsController(link, clock, reopen=reopen)

@@ -1,0 +1,685 @@
+"""The methods of the paper and of the best-known desk scanner, Horus, written from what is known of them.
+
+The paper's: Zhang's calibration with one radial coefficient, then its equations (3) to (12) as they stand, one after
+the other. It does not say how it found its stripe: a centre of gravity and the highest pixel are both here.
+
+Horus', of which nothing is copied: intrinsics by OpenCV from 15 views at most, rounded to three decimals; the stripe's
+centroids on boards, moved to a straight line; the sheet by RANSAC and the smallest singular vector; the axis from one
+corner of one board over the turn, by a plane and a circle. Choices that these facts leave open favour the method. The
+sheet is fitted to the stripes of all lit views of our protocol, not to one sweep of a near board. RANSAC includes the
+offset of its hypotheses, which the original omits, and its tolerance of 0.1 mm at desk distance grows with the square
+of the distance, as errors of stripes do. The axis comes from the placement with the longest arc. The original does not
+correct stripe points for the lens. A descendant of it does; so do the second sheet and `lens=True` of `horus_cloud`.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from experiments.plain import chessboard, principal_axes, rigid
+from jaxscan.files import Capture
+
+
+def rays(matrix: np.ndarray, k: float, uv: np.ndarray) -> np.ndarray:
+    """Directions of pixels: equation (3) solved for the undistorted radius by Newton's method.
+
+    Args:
+        matrix: A [3, 3], px.
+        uv: Pixels [..., 2].
+
+    Returns:
+        (x, y, 1) [..., 3], normalised coordinates.
+    """
+    distorted = np.stack([(uv[..., 0] - matrix[0, 2]) / matrix[0, 0], (uv[..., 1] - matrix[1, 2]) / matrix[1, 1]], -1)
+    wanted = np.linalg.norm(distorted, axis=-1)
+    radius = wanted.copy()
+    for _ in range(8):
+        radius -= (radius * (1 + k * radius**2) - wanted) / (1 + 3 * k * radius**2)
+    out = np.ones((*wanted.shape, 3))
+    out[..., :2] = distorted / (1 + k * radius**2)[..., None]
+    return out
+
+
+def points_on_board(matrix: np.ndarray, k: float, pose: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Points of a board at pixels: rays meet the board, equations (5) to (7).
+
+    Args:
+        matrix: A [3, 3], px.
+        pose: T_cam_board [4, 4].
+        uv: Pixels [n, 2].
+
+    Returns:
+        [n, 3], camera frame [m].
+    """
+    along, normal = rays(matrix, k, uv), pose[:3, 2]
+    return along * ((normal @ pose[:3, 3]) / (along @ normal))[:, None]
+
+
+def linear_plane(points: np.ndarray) -> np.ndarray:
+    """a, b, c of a X + b Y + Z = c from points [n, 3] by linear least squares, equation (8)."""
+    columns = np.column_stack([points[:, 0], points[:, 1], -np.ones(len(points))])
+    return np.linalg.lstsq(columns, -points[:, 2], rcond=None)[0]
+
+
+def total_plane(points: np.ndarray) -> np.ndarray:
+    """a, b, c of the same by total least squares: the sum of squared distances from the plane is least."""
+    middle, (_, _, normal) = principal_axes(points)
+    return np.array([normal[0], normal[1], normal @ middle]) / normal[2]
+
+
+def pair_motion(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Tr [4, 4] from the poses of one board that is seen from two table positions, equation (10)."""
+    return first @ np.linalg.inv(second)
+
+
+def power(tr: np.ndarray, n: np.ndarray) -> np.ndarray:
+    """Tr^n [n, 4, 4], n any real numbers [n]: equation (11), by the logarithm of the motion.
+
+    Source: exponential of a twist, Murray, Li and Sastry 1994, section 2.3.
+    """
+    turn = cv2.Rodrigues(np.ascontiguousarray(tr[:3, :3]))[0][:, 0]
+    angle = float(np.linalg.norm(turn))
+    axis = turn / angle if angle > 0 else np.array([0.0, 0.0, 1.0])
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+
+    def parts(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rotations by `theta`, and their integrals over the angle, [n, 3, 3]."""
+        s, c, t = (part[:, None, None] for part in (np.sin(theta), np.cos(theta), theta))
+        square = cross @ cross
+        return np.eye(3) + s * cross + (1 - c) * square, t * np.eye(3) + (1 - c) * cross + (t - s) * square
+
+    n = np.asarray(n, np.float64)
+    out = np.zeros((len(n), 4, 4))
+    out[:, 3, 3] = 1
+    if angle == 0:
+        out[:, :3, :3], out[:, :3, 3] = np.eye(3), n[:, None] * tr[:3, 3]
+        return out
+    velocity = np.linalg.solve(parts(np.array([angle]))[1][0], tr[:3, 3])
+    out[:, :3, :3], carried = parts(n * angle)
+    out[:, :3, 3] = carried @ velocity
+    return out
+
+
+THRESHOLD = 25
+"""Difference above which a pixel counts as the stripe's light [DN]: above the noise of all but the brightest pixels."""
+REACH = 8
+"""Pixels to both sides of the highest one that a centre of gravity may use."""
+
+
+def highest(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The whole pixel of each row at which the difference of the frames is highest.
+
+    Args:
+        on: Laser-on frames, uint8 [rows, columns] or [records, rows, columns].
+        off: Laser-off frames of the same shape.
+
+    Returns:
+        u: Column, float64 [(records,) rows]; zero where not valid. The first of equals.
+        valid: Whether it is above the threshold, bool of the same shape.
+    """
+    _, at, valid = _strongest(on, off)
+    return np.where(valid, at, 0).astype(np.float64), valid
+
+
+def gravity(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The centre of gravity of the difference, over the pixels round the highest one that are above the threshold.
+
+    Args:
+        on: Laser-on frames, uint8 [rows, columns] or [records, rows, columns].
+        off: Laser-off frames of the same shape.
+
+    Returns:
+        u: Column, float64 [(records,) rows]; zero where not valid.
+        valid: Whether the highest pixel is above the threshold, bool of the same shape.
+    """
+    light, at, valid = _strongest(on, off)
+    steps = np.arange(-REACH, REACH + 1)
+    columns = at[..., None] + steps
+    inside = (columns >= 0) & (columns < light.shape[-1])
+    near = np.take_along_axis(light, np.clip(columns, 0, light.shape[-1] - 1), -1).astype(np.float64)
+    over = inside & (near > THRESHOLD)
+    # A pixel counts if all between it and the highest one do.
+    right = np.logical_and.accumulate(over[..., REACH:], -1)
+    left = np.logical_and.accumulate(over[..., REACH::-1], -1)[..., ::-1]
+    weight = np.where(np.concatenate([left[..., :-1], right], -1), near, 0.0)
+    total = weight.sum(-1)
+    shift = (weight * steps).sum(-1) / np.where(total > 0, total, 1.0)
+    return np.where(valid, at + shift, 0.0), valid
+
+
+def _strongest(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Difference of the frames [DN], column of the highest pixel of each row, and whether it is above the threshold."""
+    if on.shape != off.shape or on.dtype != np.uint8 or off.dtype != np.uint8 or on.ndim not in (2, 3):
+        raise ValueError(
+            f"Frames must be uint8 [(records,) rows, columns] of one shape, got {on.dtype} {on.shape} and "
+            f"{off.dtype} {off.shape}."
+        )
+    light = on.astype(np.int16)
+    light -= off
+    at = light.argmax(-1)
+    top = np.take_along_axis(light, at[..., None], -1)[..., 0]
+    return light, at, top > THRESHOLD
+
+
+EXTRACTORS = {"gravity": gravity, "highest": highest}
+"""Both by name."""
+METHODS = {"gravity": "paper's method, centre of gravity", "highest": "paper's method, highest pixel"}
+"""The paper's method with either of them, in the words of tables and pictures."""
+
+
+Extract = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""A stripe finder of `plain_stripes`: frames on and off to columns [rows], and which are valid."""
+STRAY = 10.0
+"""Pixels farther than this from the straight line through a board's stripe do not belong to it [px]."""
+
+
+class PaperWay(NamedTuple):
+    """A calibration by the paper's method, with its poses and stripes. Lengths in metres."""
+
+    matrix: np.ndarray
+    """A of equation (1), [3, 3]; px."""
+    k: float
+    """The one radial coefficient of equation (3)."""
+    pose: np.ndarray
+    """T_cam_board of every view [views, 4, 4]; NaN where no board was found."""
+    stripe: list[np.ndarray]
+    """Pixels (u, v) of the stripe on the board [n, 2], of every view; empty where the view shows none."""
+    linear: np.ndarray
+    """a, b, c of equations (4) and (8): a X + b Y + Z = c [3]; c in metres."""
+    total: np.ndarray
+    """The same plane by total least squares [3]."""
+    tr: np.ndarray
+    """Tr of equation (10): the camera's motion from one table position to the other [4, 4]."""
+    pair_angle: float
+    """The table's angle between both positions, as commanded [rad]."""
+
+
+class BoardCorners(NamedTuple):
+    """Corners that were found, and where they are on the board."""
+
+    pixels: np.ndarray
+    """float32 [corners, 2]."""
+    places: np.ndarray
+    """float32 [corners, 3], m."""
+
+
+def calibrate_paper_way(capture: Capture, extract: Extract) -> PaperWay:
+    """The paper's calibration of a capture of boards.
+
+    All laser-off images give camera and poses; all pairs with the laser on give the sheet; the last two give Tr.
+
+    Args:
+        capture: Boards, plain chessboards; records without a laser-on image are views for the camera alone.
+        extract: How the stripe is found.
+
+    Returns:
+        The calibration.
+
+    Raises:
+        ValueError: If fewer than three boards are found, the last two are not, or no stripe is on any board.
+    """
+    board = capture.board
+    pairs = [capture.frames(index) for index in range(len(capture.records))]
+    found = [None if off is None else find_board(off, board.grid(), board.square) for _, off in pairs]
+    matrix, k, pose = calibrate_camera(found, capture.image_size)
+    if np.isnan(pose[-2:]).any():
+        raise ValueError("The board was not found in the last two views, from which Tr is made.")
+    stripe = [np.zeros((0, 2)) for _ in pairs]
+    for index, (on, off) in enumerate(pairs):
+        if on is not None and off is not None and np.isfinite(pose[index]).all():
+            stripe[index] = stripe_on_board(matrix, k, pose[index], board.outline(), extract(on, off))
+    lifted = [points_on_board(matrix, k, at, uv) for at, uv in zip(pose, stripe, strict=True) if len(uv)]
+    every = np.concatenate([*lifted, np.zeros((0, 3))])
+    if len(every) < 3:
+        raise ValueError("No stripe was found on a board.")
+    first, second = capture.records[-2:]
+    turn = float(second.angle - first.angle)
+    tr = pair_motion(*pose[-2:])
+    return PaperWay(matrix, k, pose, stripe, linear_plane(every), total_plane(every), tr, turn)
+
+
+def find_board(image: np.ndarray, grid: tuple[int, int], square: float) -> BoardCorners | None:
+    """The chessboard in an image, corners refined by OpenCV's `cornerSubPix`.
+
+    Args:
+        image: uint8 [rows, columns].
+        grid: Columns and rows of inner corners.
+        square: Side of a square [m].
+
+    Returns:
+        None if it is not found.
+    """
+    pixels = chessboard(image, grid, steps=50, least=1e-3, enlarged=True)
+    if pixels is None:
+        return None
+    pixels = _from_black(image, pixels).reshape(-1, 2)
+    x, y = np.meshgrid(np.arange(grid[0]), np.arange(grid[1]))
+    places = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * square
+    return BoardCorners(pixels, places.astype(np.float32))
+
+
+def calibrate_camera(found: list[BoardCorners | None], size: tuple[int, int]) -> tuple[np.ndarray, float, np.ndarray]:
+    """Zhang's calibration with one radial coefficient, equations (1) to (3), without skew.
+
+    Args:
+        size: Width and height of the images [px].
+
+    Returns:
+        matrix: A [3, 3].
+        k: The radial coefficient.
+        pose: T_cam_board of each view [views, 4, 4]; NaN where there is no board.
+
+    Raises:
+        ValueError: If there are fewer than three boards.
+    """
+    seen = [view for view in found if view is not None]
+    if len(seen) < 3:
+        raise ValueError(f"A calibration takes at least three boards, found {len(seen)} in {len(found)} views.")
+    flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
+    places, pixels = [view.places for view in seen], [view.pixels for view in seen]
+    _, matrix, lens, turns, shifts = cv2.calibrateCamera(places, pixels, size, None, None, flags=flags)
+    pose = np.full((len(found), 4, 4), np.nan)
+    which = [index for index, view in enumerate(found) if view is not None]
+    for index, turn, shift in zip(which, turns, shifts, strict=True):
+        pose[index] = rigid(turn, shift)
+    return matrix, float(lens.ravel()[0]), pose
+
+
+def board_pose(matrix: np.ndarray, k: float, found: BoardCorners) -> np.ndarray:
+    """T_cam_board [4, 4] of a board that took no part in the calibration, by OpenCV's `solvePnP`.
+
+    Args:
+        matrix: A [3, 3], px.
+    """
+    lens = np.array([k, 0.0, 0.0, 0.0])
+    _, turn, shift = cv2.solvePnP(found.places, found.pixels, matrix, lens, flags=cv2.SOLVEPNP_ITERATIVE)
+    return rigid(turn, shift)
+
+
+def in_window(way: PaperWay, first: int) -> PaperWay:
+    """The same calibration for a camera whose image begins at column `first` of the whole one."""
+    matrix = way.matrix.copy()
+    matrix[0, 2] -= first
+    return way._replace(matrix=matrix)
+
+
+def stripe_on_board(
+    matrix: np.ndarray, k: float, pose: np.ndarray, outline: np.ndarray, found: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """Pixels (u, v) [n, 2] of a stripe that lie on a board's print, without strays.
+
+    Args:
+        pose: T_cam_board [4, 4].
+        outline: Corners of the printed area in the board's frame [4, 2], m.
+        found: The stripe in the whole frame, of `Extract`.
+    """
+    u, valid = found
+    uv = np.column_stack([u, np.arange(len(u))])[valid]
+    points = points_on_board(matrix, k, pose, uv)
+    place = ((points - pose[:3, 3]) @ pose[:3, :3])[:, :2]
+    uv = uv[((place > outline[0]) & (place < outline[2])).all(1)]
+    return uv[_near_line(uv)]
+
+
+def points_on_sheet(way: PaperWay, uv: np.ndarray, plane: np.ndarray | None = None) -> np.ndarray:
+    """Points of the laser's sheet at pixels, equation (4).
+
+    Args:
+        uv: Pixels [..., 2].
+        plane: a, b, c; without it those of the linear fit.
+
+    Returns:
+        [..., 3], camera frame [m]; NaN where a ray does not meet the sheet in front of the camera.
+    """
+    a, b, c = way.linear if plane is None else plane
+    along = rays(way.matrix, way.k, np.asarray(uv, np.float64))
+    share = a * along[..., 0] + b * along[..., 1] + 1
+    depth = c / np.where(share * c > 0, share, np.nan)
+    return along * depth[..., None]
+
+
+def paper_cloud(way: PaperWay, u: np.ndarray, valid: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Points of a sweep, equations (4), (11) and (12).
+
+    Args:
+        u: Columns of the stripe [records, rows], px.
+        valid: Which of them are, bool [records, rows].
+        angles: The table's angle of each record [rad].
+
+    Returns:
+        float64 [records, rows, 3], m, in the camera's frame at angle 0; NaN where there is no point.
+    """
+    rows = np.broadcast_to(np.arange(u.shape[1]), u.shape)
+    points = points_on_sheet(way, np.stack([np.where(valid, u, np.nan), rows], -1))
+    motion = power(way.tr, np.asarray(angles) / way.pair_angle)
+    return np.einsum("nij,nrj->nri", motion[:, :3, :3], points) + motion[:, None, :3, 3]
+
+
+def _from_black(image: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    """Corners [rows, columns, 2] in the order that begins at a corner whose square between corners is black.
+
+    A board of one even and one odd number of corners then has one order in all views.
+    """
+    middles = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
+    at = np.clip(np.rint(middles).astype(int), 0, np.array(image.shape[::-1]) - 1)
+    bright = image[at[..., 1], at[..., 0]].astype(np.float64)
+    even = np.add.outer(np.arange(bright.shape[0]), np.arange(bright.shape[1])) % 2 == 0
+    return grid if bright[even].mean() < bright[~even].mean() else grid[::-1, ::-1]
+
+
+def _near_line(uv: np.ndarray) -> np.ndarray:
+    """Which pixels [n, 2] lie near the straight line u(v) through most of them."""
+    half = len(uv) // 2
+    if half == 0:
+        return np.zeros(len(uv), bool)
+    # Each pixel of the upper half with one of the lower: the median does not feel a few strays.
+    change = uv[half : 2 * half] - uv[:half]
+    rest = uv[:, 0] - np.median(change[:, 0] / change[:, 1]) * uv[:, 1]
+    return np.abs(rest - np.median(rest)) < STRAY
+
+
+HORUS_THRESHOLD, HORUS_BOARD_THRESHOLD = 50, 30
+"""Its thresholds, fixed, in 8-bit codes."""
+HORUS_TUNED_THRESHOLD = 15
+"""About three standard deviations of a pixel of the difference [DN]."""
+HORUS_REACH = 8
+"""Half of the window of its centroid [px]."""
+SMOOTHING = 2.0
+"""Standard deviation of its smoothing along the stripe [rows]."""
+
+
+def horus_centres(on: np.ndarray, off: np.ndarray, threshold: int = HORUS_THRESHOLD) -> tuple[np.ndarray, np.ndarray]:
+    """Centroids of one frame: 8-bit difference, threshold, box of 5 x 5, threshold again, 8 px round the highest pixel.
+
+    Args:
+        on: uint8 [rows, columns].
+        off: The same with the laser off.
+        threshold: Of the difference, before and after the blur [DN].
+
+    Returns:
+        u: Column, float32 [rows]; of no meaning where not valid.
+        valid: bool [rows].
+    """
+    image = cv2.subtract(on, off)
+    cv2.threshold(image, threshold, 255, cv2.THRESH_TOZERO, dst=image)
+    cv2.blur(image, (5, 5), dst=image)
+    cv2.threshold(image, threshold, 255, cv2.THRESH_TOZERO, dst=image)
+    return centroid(image, image.argmax(axis=1), HORUS_REACH, 0)
+
+
+def centroid(image: np.ndarray, peak: np.ndarray, reach: int, least: int) -> tuple[np.ndarray, np.ndarray]:
+    """Centre of gravity of each row within `reach` columns of its peak [rows], of pixels of at least `least`."""
+    columns = peak[:, None] + np.arange(-reach, reach + 1)
+    inside = (columns >= 0) & (columns < image.shape[1])
+    window = image[np.arange(len(image))[:, None], np.clip(columns, 0, image.shape[1] - 1)].astype(np.float32)
+    window[(window < least) | ~inside] = 0
+    total = window.sum(1)
+    return (window * columns).sum(1) / np.maximum(total, 1.0), total > 0
+
+
+def smoothed(u: np.ndarray, valid: np.ndarray, sigma: float = SMOOTHING) -> np.ndarray:
+    """Columns [rows] smoothed by a Gaussian along each unbroken segment, whose ends count as if they went on."""
+    out = u.astype(np.float64)
+    reach = int(4 * sigma + 0.5)
+    steps = np.arange(-reach, reach + 1)
+    weight = np.exp(-0.5 * (steps / sigma) ** 2)
+    weight /= weight.sum()
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], valid.astype(np.int8), [0]])))
+    for first, stop in zip(edges[::2], edges[1::2], strict=True):
+        padded = np.pad(out[first:stop], reach, mode="symmetric")
+        out[first:stop] = np.convolve(padded, weight, mode="valid")
+    return out
+
+
+def horus_scan(on: np.ndarray, off: np.ndarray, threshold: int = HORUS_THRESHOLD) -> tuple[np.ndarray, np.ndarray]:
+    """Smoothed centroids of a frame, or of several [records, rows, columns]: float64 and bool [(records,) rows]."""
+    if on.ndim == 3:
+        u, valid = zip(*(horus_scan(*pair, threshold) for pair in zip(on, off, strict=True)), strict=True)
+        return np.stack(u), np.stack(valid)
+    u, valid = horus_centres(on, off, threshold)
+    return np.where(valid, smoothed(u, valid), 0.0), valid
+
+
+def horus_tuned(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`scan` with a threshold low enough for far walls.
+
+    Args:
+        on: Laser-on frames, uint8 [rows, columns] or [records, rows, columns].
+        off: Laser-off frames of the same shape.
+
+    Returns:
+        u: Column, float64 [(records,) rows]; zero where not valid.
+        valid: bool of the same shape.
+    """
+    return horus_scan(on, off, HORUS_TUNED_THRESHOLD)
+
+
+VIEWS = 15
+DESK_M, DESK_TOLERANCE_M = 0.3, 1e-4
+TRIALS = 500
+LINE_PX = 2.0
+"""Distance from the straight line within which a row's centroid is of the stripe [px]."""
+
+
+class Horus(NamedTuple):
+    """A calibration by that method. Lengths in metres, camera frame at angle 0."""
+
+    matrix: np.ndarray
+    """[3, 3], px."""
+    lens: np.ndarray
+    """k1, k2, p1, p2, k3."""
+    normal: np.ndarray
+    """Of the sheet [3], unit."""
+    distance: float
+    """Of the sheet: normal . p = distance."""
+    lens_normal: np.ndarray
+    """The same sheet from stripe points that were corrected for the lens."""
+    lens_distance: float
+    direction: np.ndarray
+    """Of the axis [3], unit; the camera turns right-handed about it where the table's angle grows."""
+    point: np.ndarray
+    """On the axis [3]."""
+
+
+class Circle(NamedTuple):
+    """A circle in space through points."""
+
+    normal: np.ndarray
+    """Of its plane [3], unit."""
+    centre: np.ndarray
+    radius: float
+
+
+def calibrate_horus(capture: Capture, *, seed: int = 0) -> Horus:
+    """Calibrate from a capture of our protocol.
+
+    Args:
+        capture: Free views at angle 0, and placements that are seen from several angles; all with the stripe.
+
+    Raises:
+        ValueError: If too few boards are found.
+    """
+    board, records = capture.board, capture.records
+    # Twice: all frames at once are too many to keep.
+    found = [find_board(capture.frames(index)[1], board.grid(), board.square) for index in range(len(records))]
+    free = [view for view, record in zip(found, records, strict=True) if record.placement is None and view is not None]
+    chosen = [free[k] for k in np.unique(np.linspace(0, len(free) - 1, min(VIEWS, len(free))).astype(int))]
+    if len(chosen) < 3:
+        raise ValueError(f"A calibration takes at least three boards, found {len(chosen)}.")
+    places, pixels = [view.places for view in chosen], [view.pixels for view in chosen]
+    _, matrix, lens, _, _ = cv2.calibrateCamera(places, pixels, capture.image_size, None, None)
+    matrix, lens = np.round(matrix, 3), np.round(lens.ravel()[:5], 3)
+    pose, points = np.full((len(records), 4, 4), np.nan), []
+    for number, view in enumerate(found):
+        if view is None:
+            continue
+        on, off = capture.frames(number)
+        _, turn, shift = cv2.solvePnP(view.places, view.pixels, matrix, lens)
+        pose[number] = rigid(turn, shift)
+        if on is not None and off is not None:
+            edge = np.column_stack([board.outline(), np.zeros(4)])
+            quad = cv2.projectPoints(edge, turn, shift, matrix, lens)[0][:, 0]
+            uv = horus_stripe(on, off, quad)
+            lines = [straightened(uv), straightened(_corrected(matrix, lens, uv))]
+            # The lens is ideal: its correction is in the pixels, or is not made.
+            points.append([points_on_board(matrix, 0.0, pose[number], line) for line in lines])
+    sheets = [
+        ransac_plane(np.concatenate([np.zeros((0, 3)), *each]), np.random.default_rng(seed))
+        for each in zip(*points, strict=True)
+    ]
+    if not sheets:
+        raise ValueError("No stripe was found on a board.")
+    arcs = {}
+    for number, record in enumerate(records):
+        if record.placement is not None and np.isfinite(pose[number]).all():
+            # The board's first corner is its origin.
+            arcs.setdefault(record.placement, []).append((float(record.angle), pose[number, :3, 3]))
+    longest = max(arcs.values(), key=lambda arc: np.ptp([phi for phi, _ in arc]), default=[])
+    if len(longest) < 3:
+        raise ValueError("No placement of the board was seen from three angles.")
+    direction, point = axis_of([phi for phi, _ in longest], np.array([corner for _, corner in longest]))
+    return Horus(matrix, lens, *sheets[0], *sheets[1], direction, point)
+
+
+def horus_stripe(on: np.ndarray, off: np.ndarray, quad: np.ndarray) -> np.ndarray:
+    """Centroids (u, v) [n, 2] of the stripe on a board whose corners [4, 2] in the image are given; px."""
+    inside = np.zeros_like(on)
+    cv2.fillConvexPoly(inside, np.round(quad).astype(np.int32), 255)
+    u, valid = horus_centres(cv2.bitwise_and(on, inside), cv2.bitwise_and(off, inside), HORUS_BOARD_THRESHOLD)
+    return np.column_stack([u, np.arange(len(u))])[valid].astype(np.float64)
+
+
+def straightened(uv: np.ndarray) -> np.ndarray:
+    """Centroids [n, 2] moved along their rows to the straight line through most of them; strays are left out."""
+    if len(uv) < 2:
+        return np.zeros((0, 2))
+    u, v = uv.T
+    random = np.random.default_rng(len(uv))
+    best = np.zeros(len(uv), bool)
+    for _ in range(100):
+        i, k = random.choice(len(uv), 2, replace=False)
+        near = np.abs(u - u[i] - (u[k] - u[i]) / (v[k] - v[i]) * (v - v[i])) < LINE_PX
+        best = near if near.sum() > best.sum() else best
+    line = np.polyfit(v[best], u[best], 1)
+    return np.column_stack([np.polyval(line, v[best]), v[best]])
+
+
+def ransac_plane(points: np.ndarray, random: np.random.Generator) -> tuple[np.ndarray, float]:
+    """Plane normal . p = distance: the best of hypotheses from three points each, then SVD of the points near it.
+
+    Args:
+        points: [n, 3], m, origin at the camera.
+
+    Returns:
+        Unit normal [3], and the distance, which is positive.
+
+    Raises:
+        ValueError: If there are fewer than three points.
+    """
+    if len(points) < 3:
+        raise ValueError(f"A plane takes at least three points of a stripe, found {len(points)}.")
+    tolerance = DESK_TOLERANCE_M * (np.linalg.norm(points, axis=1) / DESK_M) ** 2
+    # All points judge the last fit, some of them the hypotheses.
+    some = points if len(points) <= 3000 else points[random.choice(len(points), 3000, replace=False)]
+    limit = DESK_TOLERANCE_M * (np.linalg.norm(some, axis=1) / DESK_M) ** 2
+    best, kept = 0, (np.array([0.0, 0.0, 1.0]), 0.0)
+    for _ in range(TRIALS):
+        a, b, c = some[random.choice(len(some), 3, replace=False)]
+        normal = np.cross(b - a, c - a)
+        size = np.linalg.norm(normal)
+        if size < 1e-9:
+            continue
+        normal = normal / size
+        count = int((np.abs((some - a) @ normal) < limit).sum())
+        if count > best:
+            best, kept = count, (normal, float(normal @ a))
+    near = points[np.abs(points @ kept[0] - kept[1]) < tolerance]
+    centre, (_, _, normal) = principal_axes(near)
+    normal = normal * np.sign(normal @ centre)
+    return normal, float(normal @ centre)
+
+
+def fit_circle(points: np.ndarray) -> Circle:
+    """Plane through points [n, 3], then the circle in it with the least algebraic error (Kasa 1976)."""
+    middle, (first, second, normal) = principal_axes(points)
+    x, y = (points - middle) @ first, (points - middle) @ second
+    a, b, c = np.linalg.lstsq(np.column_stack([2 * x, 2 * y, np.ones(len(x))]), x**2 + y**2, rcond=None)[0]
+    return Circle(normal, middle + a * first + b * second, float(np.sqrt(c + a * a + b * b)))
+
+
+def axis_of(angles: Sequence[float], corner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Direction and point of the axis from one corner at several angles of the table.
+
+    Args:
+        angles: [n], rad.
+        corner: The corner in the camera's frame [n, 3], m.
+
+    Returns:
+        Unit direction about which the camera turns right-handed with growing angle, and the circle's centre.
+    """
+    circle = fit_circle(corner)
+    order = np.argsort(angles)
+    first, last = corner[order[0]] - circle.centre, corner[order[-1]] - circle.centre
+    # Seen from the camera, the room turns in the opposite sense.
+    return -np.sign(np.cross(first, last) @ circle.normal) * circle.normal, circle.centre
+
+
+def horus_points(calibration: Horus, uv: np.ndarray, *, lens: bool = False) -> np.ndarray:
+    """Points [..., 3], m, camera frame, at pixels (u, v) [..., 2]; NaN where a ray does not meet the sheet.
+
+    Args:
+        lens: Whether the lens is corrected, as the original does not.
+    """
+    matrix, normal, distance = calibration.matrix, calibration.normal, calibration.distance
+    if lens:
+        uv, normal, distance = (
+            _corrected(matrix, calibration.lens, uv),
+            calibration.lens_normal,
+            calibration.lens_distance,
+        )
+    xy = (uv - matrix[:2, 2]) / matrix[[0, 1], [0, 1]]
+    ray = np.concatenate([xy, np.ones_like(xy[..., :1])], -1)
+    slope = ray @ normal
+    return ray * (distance / np.where(slope > 0, slope, np.nan))[..., None]
+
+
+def horus_cloud(
+    calibration: Horus, u: np.ndarray, valid: np.ndarray, angles: np.ndarray, *, lens: bool = False
+) -> np.ndarray:
+    """Points of a sweep in the camera's frame at angle 0, turned about the axis by the commanded angles.
+
+    Args:
+        u: Columns of the stripe [records, rows]; px.
+        valid: bool [records, rows].
+        angles: Of the table [records]; rad.
+        lens: As of `points_on_sheet`.
+
+    Returns:
+        float64 [records, rows, 3], m; NaN where there is no point.
+    """
+    rows = np.broadcast_to(np.arange(u.shape[1]), u.shape)
+    points = horus_points(calibration, np.stack([np.where(valid, u, np.nan), rows], -1), lens=lens)
+    turns = np.stack([cv2.Rodrigues(phi * calibration.direction)[0] for phi in np.asarray(angles, float)])
+    return np.einsum("nij,nrj->nri", turns, points - calibration.point) + calibration.point
+
+
+def save_horus(calibration: Horus, path: Path) -> None:
+    """Write a calibration, an npz file."""
+    np.savez(path, **calibration._asdict())
+
+
+def load_horus(path: Path) -> Horus:
+    """Read a file of `save`."""
+    with np.load(path) as file:
+        fields = dict(file)
+    return Horus(**fields | {name: float(fields[name]) for name in ("distance", "lens_distance")})
+
+
+def _corrected(matrix: np.ndarray, lens: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Pixels [..., 2] as a lens without distortion has them; NaN where they are."""
+    flat = np.ascontiguousarray(np.nan_to_num(uv.reshape(-1, 1, 2)), dtype=np.float64)
+    out = cv2.undistortPoints(flat, matrix, lens, P=matrix) if len(flat) else flat
+    return np.where(np.isfinite(uv), out.reshape(uv.shape), np.nan)

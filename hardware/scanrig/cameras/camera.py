@@ -1,0 +1,283 @@
+"""What every camera is: its settings and features, its frames with their numbers, and the interface."""
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Annotated, Literal, Protocol, Self
+
+import numpy as np
+import pydantic
+from jaxtyping import UInt8
+
+from jaxscan.files.disk import ImageSize, Integer, Number
+from jaxscan.geometry.scanner import Up
+from jaxscan.stripes import PixelFormat, Response, known_response
+from scanrig.errors import CameraError
+
+
+_WRAP = 65535
+"""GigE Vision counts 1 … 65535, then 1 again; 0 is not used."""
+
+
+class FrameNumbers:
+    """Turns a camera's wrapping frame ids into increasing numbers."""
+
+    def __init__(self) -> None:
+        self.last: int | None = None
+        """Highest number so far."""
+        self.missing = 0
+        """Frames missing between those received."""
+        self._raw, self._period = 0, _WRAP
+
+    def take(self, raw: int) -> tuple[int, int]:
+        """Unwrap the id of a frame.
+
+        Args:
+            raw: The camera's id of the frame.
+
+        Returns:
+            number: Its number; for the first frame its id.
+            advance: Difference to the highest number so far: 1 for the next frame, 0 for a repeated one, negative
+                for a late one.
+        """
+        if self.last is None:
+            self.last, self._raw = raw, raw
+            return raw, 1
+        advance = raw - self._raw
+        # Some cameras also use 0.
+        self._period = _WRAP + 1 if raw == 0 else self._period
+        if max(raw, self._raw) <= _WRAP and abs(advance) > _WRAP // 2:
+            advance += self._period if advance < 0 else -self._period
+        number = self.last + advance
+        if advance > 0:
+            self.missing += advance - 1
+            self.last, self._raw = number, raw
+        return number, advance
+
+
+CameraKind = Literal["aravis", "opencv", "folder", "simulated"]
+TriggerMode = Literal["hardware", "software", "free"]
+
+
+class CameraSettings(ImageSize):
+    """A camera and its settings; settings that are not listed here are left unchanged."""
+
+    kind: CameraKind
+    """"aravis" (GigE Vision and USB3 Vision), "opencv" (UVC), "folder" (plays images), or "simulated"."""
+    id: Annotated[str, pydantic.Field(max_length=1024)] = ""
+    """Aravis: device id, serial number or address, "" for the only camera. OpenCV: index, path or
+    URL. Folder: its path. Simulated: a TOML file of a synthetic scene, or ""."""
+    pixel_format: PixelFormat = "mono8"
+    """How a frame is to be read."""
+    response: Annotated[Response, pydantic.AfterValidator(known_response)] = "linear"
+    """"linear", "srgb" or "gamma 2.2"."""
+    up: Up = "-v"
+    """Which direction of the image is up."""
+    exposure_ms: Annotated[Number, pydantic.Field(gt=0, le=10_000)] = 10.0
+    """Exposure time of a frame [ms]."""
+    gain_db: Annotated[Number, pydantic.Field(ge=-100, le=100)] = 0.0
+    """Gain of the camera's amplifier [dB], or in the camera's own unit."""
+    trigger: TriggerMode = "hardware"
+    """"hardware" (a wire), "software" (a command per frame), or "free" (free-running)."""
+    trigger_source: Annotated[str, pydantic.Field(min_length=1, max_length=64, pattern=r"^[\x21-\x7e]+$")] = "Line1"
+    """GenICam's name of the input of the trigger wire."""
+    packet_size: Annotated[Integer, pydantic.Field(ge=200, le=65535)] | None = None
+    """Bytes per stream packet (GigE Vision); None: the camera's own value."""
+    flush_frames: Annotated[Integer, pydantic.Field(ge=0, le=100)] = 2
+    """Free-running cameras: least number of frames that are discarded before one counts as new."""
+
+    @pydantic.model_validator(mode="after")
+    def _meaningful(self) -> "CameraSettings":
+        if self.kind == "opencv" and self.trigger != "free":
+            raise ValueError(f'trigger: found "{self.trigger}", but a camera of kind "opencv" can only be "free"')
+        if self.kind == "opencv" and self.pixel_format not in ("mono8", "rgb8"):
+            raise ValueError(f'pixel_format: found "{self.pixel_format}", but kind "opencv" gives "mono8" or "rgb8"')
+        if self.kind == "folder" and not self.id:
+            raise ValueError('id: found "", but kind "folder" needs the path of a folder')
+        return self
+
+
+Features = dict[str, float | int | str]
+"""A camera's settings, read back from it: "width", "height" [px], "pixel_format", "exposure_s", "gain_db", "trigger",
+and further ones of its kind. Settings that a camera cannot read back are absent."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One frame, with its number and times."""
+
+    image: UInt8[np.ndarray, "rows columns *three"]
+    """uint8 [rows, columns], or RGB [rows, columns, 3]; owns its memory."""
+    number: int
+    """The camera's count of frames, unwrapped; −1: unknown. A gap means lost frames."""
+    camera_s: float | None
+    """The camera's own time stamp [s], of unknown origin; None: it has none."""
+    host_s: float
+    """Monotonic time of arrival [s]."""
+    complete: bool
+    """Whether the whole image arrived; missing parts are zero or older."""
+    note: str = ""
+    """A remark for the journal."""
+
+
+@dataclass(frozen=True)
+class CameraIdentity:
+    """Identifies a camera: a sweep can be resumed only with the same one."""
+
+    kind: str
+    model: str
+    serial: str
+
+    def __str__(self) -> str:
+        return " ".join(part for part in (self.kind, self.model, self.serial) if part)
+
+
+class Camera(Protocol):
+    """An open camera that is set up. Used from one thread; `close` may be called twice."""
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """Kind, model and serial number, as the device reports them."""
+
+    @property
+    def trigger_mode(self) -> TriggerMode:
+        """How its exposures are triggered."""
+
+    def features(self) -> Features:
+        """Its settings, read back from the device.
+
+        Raises:
+            CameraLost: If it does not answer.
+        """
+
+    def counts(self) -> dict[str, int]:
+        """Counts since opening: "frames" delivered, of these "incomplete"; "missing" by their numbers; "dropped"."""
+
+    def start(self) -> None:
+        """Start the acquisition; no effect if it runs.
+
+        Raises:
+            CameraError: If it cannot.
+        """
+
+    def drop(self) -> int:
+        """Discard waiting frames, and of a free-running camera also those exposed before this call.
+
+        Returns:
+            Number of waiting frames.
+        """
+
+    def next(self, timeout_s: float) -> Frame:
+        """The next frame in the order of exposure.
+
+        Raises:
+            CameraTimeout: If none came within `timeout_s`.
+            CameraLost: If the camera is gone; `reopen` may recover it.
+        """
+
+    def trigger(self) -> None:
+        """Expose one frame (trigger mode "software").
+
+        Raises:
+            CameraError: In another mode.
+            CameraLost: If the camera is gone.
+        """
+
+    def reopen(self) -> None:
+        """Open the camera again, apply the settings, check that it is the same one, and `start` it if it was started.
+
+        Raises:
+            CameraLost: If it is not found (yet).
+            CameraError: If it is another camera, or does not take a setting.
+        """
+
+    def close(self) -> None:
+        """Close the camera."""
+
+    def __enter__(self) -> "Camera": ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class ClosedAtExit(ABC):
+    """A camera that `with` closes."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the camera."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+_EXPOSURE_SHARE = 0.02
+_EXPOSURE_S = 50e-6
+"""An exposure is a whole number of line times of the sensor, tens of microseconds each."""
+_GAIN_DB = 0.2
+"""Amplifiers have steps of about a tenth of a decibel."""
+
+
+def wanted(settings: CameraSettings) -> Features:
+    """The features that a camera with these settings must report."""
+    return {
+        "width": settings.width,
+        "height": settings.height,
+        "pixel_format": settings.pixel_format,
+        "exposure_s": settings.exposure_ms * 1e-3,
+        "gain_db": settings.gain_db,
+        "trigger": settings.trigger,
+    }
+
+
+def differences(found: Features, expected: Features) -> list[str]:
+    """Reported features that differ from the expected ones: "name: found ..., expected ..."."""
+    return [
+        f"{name}: found {_show(found[name])}, expected {_show(value)}"
+        for name, value in expected.items()
+        if name in found and not _same(name, found[name], value)
+    ]
+
+
+def require(found: Features, expected: Features, *, name: str) -> None:
+    """Check that a camera took its settings.
+
+    Raises:
+        CameraError: With all differences, and the remedy.
+    """
+    if wrong := differences(found, expected):
+        raise CameraError(f"{name}: did not take its settings: {'; '.join(wrong)}. Set supported values in [camera].")
+
+
+def require_same(camera: Camera, expected: Features) -> None:
+    """Check that a camera's settings are those of the beginning.
+
+    Raises:
+        CameraError: With all differences.
+    """
+    if wrong := differences(camera.features(), expected):
+        raise CameraError(
+            f"{camera.identity}: is not set as it was when the capture began: {'; '.join(wrong)}. "
+            "Restore these settings, or begin a new capture."
+        )
+
+
+def _same(name: str, found: float | int | str, expected: float | int | str) -> bool:
+    if isinstance(found, str) or isinstance(expected, str):
+        return found == expected
+    if name == "exposure_s":
+        return math.isclose(found, expected, rel_tol=_EXPOSURE_SHARE, abs_tol=_EXPOSURE_S)
+    if name == "gain_db":
+        return math.isclose(found, expected, rel_tol=0.0, abs_tol=_GAIN_DB)
+    return math.isclose(found, expected, rel_tol=1e-6)
+
+
+def _show(value: float | int | str) -> str:
+    return f'"{value:.60}"' if isinstance(value, str) else f"{value:g}"

@@ -1,0 +1,602 @@
+"""Examines a rig, part after part: reports faults and remedies."""
+
+import dataclasses
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture import CameraTable, CaptureHeader, frame_shape
+from jaxscan.files.recording import create_capture
+from jaxscan.stripes import laser_plane
+from scanrig.cameras import Camera, Frame
+from scanrig.clock import Clock, SystemClock
+from scanrig.config import RigConfig
+from scanrig.controllers import Controller, Settings, shortcomings
+from scanrig.errors import CameraTimeout, Fault, FrameError, RigError, RigFault
+from scanrig.recording import free_bytes, readable
+from scanrig.session.plan import controller_settings, estimate, nearest, plan_sweep
+from scanrig.session.steps import ProvenPair, Station, Step, next_frame, rest, take_pair
+
+
+Verdict = Literal["works", "note", "wrong", "not checked"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The finding about one part."""
+
+    name: str
+    verdict: Verdict
+    """"note": works, with a remark; "wrong": a scan would fail or be spoilt."""
+    found: str
+    do: str = ""
+    """The remedy."""
+    values: Mapping[str, Any] = field(default_factory=dict)
+    """The measured values, for programs; units in the names."""
+
+
+Tell = Callable[[Finding], None]
+"""Called with each finding at once."""
+
+
+def looked_at(name: str, look: Callable[[], Finding], tell: Tell) -> Finding:
+    """Examine one part. An error of the rig becomes a finding; its message contains the remedy."""
+    try:
+        finding = look()
+    except RigError as problem:
+        finding = Finding(name, "wrong", " ".join(str(problem).split()))
+    tell(finding)
+    return finding
+
+
+_STORED_PAIRS = 6
+
+
+@dataclass(frozen=True)
+class Patient:
+    """The parts of a rig that can be examined. The examination closes none of them."""
+
+    controller: Controller | None
+    """Open; left safe."""
+    camera: Camera | None
+    """Open; the examination starts it."""
+    config: RigConfig | None
+    """Without it the controller is examined with default settings, and the camera is not examined."""
+    clock: Clock = field(default_factory=SystemClock)
+
+
+def examine(patient: Patient, *, folder: Path, tell: Tell, say: Callable[[str], None] = lambda sentence: None) -> None:
+    """Examine all parts of a rig; the table turns and the laser shines.
+
+    Args:
+        tell: Called with each finding.
+        say: Called with a sentence about the progress of long examinations.
+    """
+    controller, camera, config = patient.controller, patient.camera, patient.config
+    pair: ProvenPair | None = None
+    try:
+        homed = False if controller is None else examine_table(controller, config, tell, say)
+        if camera is not None and config is not None:
+            examine_camera(controller, camera, config, tell, patient.clock)
+            if controller is not None and homed:
+                pair = examine_light(controller, camera, config, tell, patient.clock)
+    finally:
+        if controller is not None:
+            tell(_laser_off(controller))
+    if config is not None:
+        looked_at("storage", lambda: _storage(config, folder, pair), tell)
+
+
+def _storage(config: RigConfig, folder: Path, pair: ProvenPair | None) -> Finding:
+    """Check free space, and the time to write a pair to the disk."""
+    targets, _ = plan_sweep(config)
+    needed = estimate(config, [target.position for target in targets])
+    free = free_bytes(folder)
+    seconds = _seconds_a_pair(config, folder, pair)
+    per_step = needed.seconds / len(targets)
+    values = {"free_bytes": free, "sweep_bytes": needed.bytes, "pair_s": seconds, "step_s": per_step}
+    found = (
+        f"{readable(free)} free, a sweep needs up to {readable(needed.bytes)}; a pair is written in "
+        f"{1e3 * seconds:.0f} ms, a step takes {1e3 * per_step:.0f} ms"
+    )
+    if free < needed.bytes:
+        return Finding("storage", "wrong", found, f"make room in {folder}, or write elsewhere", values)
+    if seconds > per_step:
+        return Finding(
+            "storage", "note", found, "the disk is the slowest part of the rig: write to another one", values
+        )
+    return Finding("storage", "works", found, values=values)
+
+
+def _seconds_a_pair(config: RigConfig, folder: Path, pair: ProvenPair | None) -> float:
+    camera = config.camera
+    table = CameraTable(width=camera.width, height=camera.height, pixel_format=camera.pixel_format)
+    header = CaptureHeader(kind="sweep", camera=table, laser=tuple(laser.table for laser in config.laser))
+    noise = np.random.default_rng(0).integers(20, 30, frame_shape(header), np.uint8)
+    on, off = (noise, noise) if pair is None else (pair.on.image, pair.off.image)
+    try:
+        with tempfile.TemporaryDirectory(prefix=".jaxscan-doctor-", dir=folder) as scratch:
+            start = time.perf_counter()
+            with create_capture(Path(scratch) / "pairs", header) as writer:
+                for number in range(_STORED_PAIRS):
+                    writer.append(angle_deg=float(number), on=on, off=off)
+            return (time.perf_counter() - start) / _STORED_PAIRS
+    except (OSError, CaptureError) as problem:
+        reason = getattr(problem, "strerror", None) or problem
+        raise RigError(f"{folder}: cannot be written ({reason}); choose another folder") from problem
+
+
+def _laser_off(controller: Controller) -> Finding:
+    try:
+        safe = controller.make_safe()
+    except RigError as problem:
+        return Finding("laser off", "wrong", str(problem), "switch the laser's supply off by hand")
+    if safe:
+        return Finding(
+            "laser off",
+            "works",
+            "confirmed by the controller"
+            + (", contactor open" if controller.guarantees.laser_off_without_host else ""),
+        )
+    return Finding("laser off", "wrong", "could not be confirmed", "switch the laser's supply off by hand")
+
+
+PULSES = 6
+_WANTED_DN = (200.0, 254.0)
+_BEST_DN = 225.0
+_BRIGHT_ROOM_DN = 100.0
+_CLIPPED = 0.25
+_LIT_DN = 12.0
+
+
+def examine_camera(controller: Controller | None, camera: Camera, config: RigConfig, tell: Tell, clock: Clock) -> None:
+    """Examine the camera and its trigger."""
+    looked_at("camera", lambda: _camera(camera), tell)
+    looked_at("trigger", lambda: _trigger(controller, camera, config, clock), tell)
+
+
+def examine_light(
+    controller: Controller, camera: Camera, config: RigConfig, tell: Tell, clock: Clock
+) -> ProvenPair | None:
+    """Examine each laser and the brightness of its line.
+
+    Args:
+        controller: Homed; its contactor is closed for each pair and opened again.
+        camera: Started.
+        tell: Called with each finding.
+
+    Returns:
+        The first proven pair, or None.
+    """
+    pairs: list[ProvenPair] = []
+    station = Station(_with_one_retake(config), controller, camera, clock)
+    for number in range(len(config.laser)):
+        known = len(pairs)
+        looked_at(_named("laser", config, number), partial(_laser, station, number, pairs), tell)
+        for pair in pairs[known:]:
+            looked_at(_named("exposure", config, number), partial(judge_exposure, pair, config), tell)
+    return pairs[0] if pairs else None
+
+
+def _named(part: str, config: RigConfig, number: int) -> str:
+    """The name of a finding; with several lasers it includes the laser's name."""
+    return part if len(config.laser) == 1 else f"{part} {config.laser[number].name}"
+
+
+def _camera(camera: Camera) -> Finding:
+    camera.start()
+    features = camera.features()
+    names = ("width", "height", "pixel_format", "exposure_s", "gain_db", "trigger")
+    says = ", ".join(f"{name} {features[name]}" for name in names if name in features)
+    return Finding("camera", "works", f"{camera.identity}: {says}", values=dict(features))
+
+
+def _trigger(controller: Controller | None, camera: Camera, config: RigConfig, clock: Clock) -> Finding:
+    """Check that each pulse gives one frame."""
+    mode = camera.trigger_mode
+    if mode == "hardware" and controller is None:
+        return Finding("trigger", "not checked", "its wire comes from the controller, which was not examined")
+    camera.drop()
+    frames: list[Frame] = []
+    pulse_s = controller_settings(config).exposure_ms / 1000
+    wait_s = config.camera.exposure_ms / 1000 + config.checks.late_s
+    exposing = controller if mode == "hardware" else None
+    before = 0 if controller is None else controller.stat().exposures
+    for _ in range(PULSES):
+        if mode == "hardware" and controller is not None:
+            controller.trigger()
+            rest(pulse_s + controller_settings(config).gap_ms / 1000, controller, clock)
+        elif mode == "software":
+            camera.trigger()
+        try:
+            frames.append(next_frame(camera, exposing, wait_s, clock))
+        except CameraTimeout:
+            continue
+    more = 0 if mode == "free" else camera.drop()
+    count, whole = len(frames) + more, sum(frame.complete for frame in frames)
+    values = {"pulses": PULSES, "frames": count, "complete": whole}
+    name = {"hardware": "pulses of the controller", "software": "commands", "free": "waits"}[mode]
+    found = f"{PULSES} {name} gave {count} frames, {whole} of them complete"
+    if mode == "hardware" and controller is not None:
+        counted = (controller.stat().exposures - before) % 65536
+        if counted != PULSES:
+            return Finding("trigger", "wrong", f"the controller counted {counted} of {PULSES} pulses", "", values)
+    if count == 0 and mode == "hardware":
+        do = f"check the wire from TRIG to the camera, and its input: trigger_source is {config.camera.trigger_source}"
+        return Finding("trigger", "wrong", found, do, values)
+    if count < PULSES:
+        do = "the camera misses triggers: expose shorter, or make trigger.gap_ms and laser.off_ms longer"
+        return Finding("trigger", "wrong", found, do, values)
+    if count > PULSES:
+        do = "the camera exposes by itself, or the wire picks up noise: check camera.trigger and the wire's shield"
+        return Finding("trigger", "wrong", found, do, values)
+    if whole < len(frames):
+        do = "frames arrive incomplete: check network card and cable; try camera.packet_size = 1400 or 8192"
+        return Finding("trigger", "wrong", found, do, values)
+    return Finding("trigger", "works", found, values=values)
+
+
+def _laser(station: Station, number: int, pairs: list[ProvenPair]) -> Finding:
+    name = _named("laser", station.config, number)
+    station.controller.arm(True)
+    try:
+        pair = take_pair(station, Step(0, number, number))
+    except FrameError as problem:
+        # The message names the problem: dark, swapped, always on, covered, flooded.
+        return Finding(name, "wrong", " ".join(str(problem).split()))
+    finally:
+        station.controller.arm(False)
+    pairs.append(pair)
+    proof = pair.proof
+    values = {"lit_lines": proof.lit_lines, "peak_dn": proof.peak_dn, "leak": proof.leak, "unrest": proof.unrest}
+    lit = f"{100 * proof.lit_lines:.0f} % of the lines, {proof.peak_dn:.0f} DN high"
+    found = f"in the lit frame on {lit}; not in the dark one"
+    if pair.rejected:
+        return Finding(name, "note", f"{found}; the first take was dropped: {pair.rejected[0]}", "", values)
+    return Finding(name, "works", found, values=values)
+
+
+def _with_one_retake(config: RigConfig) -> RigConfig:
+    checks = config.checks.model_copy(update={"retakes": 1})
+    return config.model_copy(update={"checks": checks})
+
+
+def judge_exposure(pair: ProvenPair, config: RigConfig) -> Finding:
+    """Whether the peak of the line is bright and not clipped, and what to change.
+
+    Args:
+        pair: A pair of the rig, proven or not.
+    """
+    name = _named("exposure", config, pair.laser)
+    peak, clipped = stripe_level(pair.on.image, pair.off.image, config, pair.laser)
+    ambient = pair.proof.ambient_dn
+    factor = 0.5 if clipped > _CLIPPED else _BEST_DN / max(peak, 1.0)
+    values = {"peak_dn": peak, "clipped": clipped, "ambient_dn": ambient, "factor": factor}
+    found = (
+        f"line {peak:.0f} DN, wanted {_WANTED_DN[0]:.0f} to 255; {100 * clipped:.0f} % clipped; room {ambient:.0f} DN"
+    )
+    now = config.camera.exposure_ms
+    if clipped > _CLIPPED:
+        do = f"expose shorter, about {factor:g} times: camera.exposure_ms = {now * factor:.3g} instead of {now:g}"
+        return Finding(name, "note", found, do, values)
+    if peak < _WANTED_DN[0]:
+        do = f"expose longer, {factor:.1f} times: camera.exposure_ms = {now * factor:.3g} instead of {now:g}"
+        if ambient * factor > _BRIGHT_ROOM_DN:
+            do += "; the room becomes bright then: darken it, or put a filter of the laser's colour on the lens"
+        return Finding(name, "note", found, do, values)
+    if ambient > _BRIGHT_ROOM_DN:
+        do = "darken the room, or put a filter of the laser's colour on the lens"
+        return Finding(name, "note", found, do, values)
+    return Finding(name, "works", found, values=values)
+
+
+def stripe_level(on: np.ndarray, off: np.ndarray, config: RigConfig, laser: int = 0) -> tuple[float, float]:
+    """90 % quantile of the peak levels of the lit lines [DN], and the part of lit lines that is clipped.
+
+    Args:
+        laser: The laser of the pair, counted from 0.
+    """
+    line = config.laser[laser].line
+    planes = (laser_plane(frame[None], pixel_format=config.camera.pixel_format, line=line) for frame in (on, off))
+    lit, dark = (np.asarray(plane)[0].astype(np.int16) for plane in planes)
+    rows = np.arange(len(lit))
+    at = (lit - dark).argmax(1)
+    seen = (lit - dark)[rows, at] > _LIT_DN
+    if not seen.any():
+        return 0.0, 0.0
+    level = lit[rows, at][seen]
+    return float(np.percentile(level, 90)), float(np.mean(level > _WANTED_DN[1] - 1))
+
+
+TOLERANCE = 8
+"""Microsteps by which the place of the switch may vary from turn to turn."""
+_PART = 36
+"""Motions begin at 1/36 of a turn above the switch, since the switch is wide."""
+_DOUBLINGS = 6
+_LARGEST_DENOMINATOR = 200
+_MOST_EDGES = 64
+_LEAST_S = 60.0
+
+
+def measure_turn(
+    controller: Controller,
+    guess: int,
+    *,
+    speed: float,
+    highest: int | None = None,
+    tell: Callable[[str], None] = lambda text: None,
+) -> int:
+    """Turn until the home switch comes again, and turn back the same way, so that no cable winds up.
+
+    Homing searches downwards. A motion that ends a little above one turn therefore finds the edge of that turn, and the
+    counter there is the length of one turn or of several; on the way back the edges in between are searched for.
+
+    Args:
+        controller: Enabled and homed.
+        guess: Expected length of a turn [microsteps].
+        speed: Speed of motions, for timeouts [microsteps/s].
+        highest: Highest allowed position, at least `needed(guess)`; None: no limit.
+        tell: Called with a sentence about each motion.
+
+    Returns:
+        Microsteps of a turn.
+
+    Raises:
+        RigError: If the switch does not come again within `2**_DOUBLINGS` times the expected turn.
+        RigFault, LinkLost: From the controller.
+    """
+    above = needed(guess) - guess
+
+    def to_switch_from(position: int, reach: int) -> int:
+        controller.move(position, _LEAST_S + 2.0 * (abs(position) + reach) / speed)
+        was = controller.home(reach, _LEAST_S + 4.0 * reach / speed)
+        if was is None:
+            raise RigError("the controller does not report where it found the home switch: a turn cannot be measured")
+        return was
+
+    top = guess + above
+    for _ in range(_DOUBLINGS):
+        tell(f"turning up to microstep {top}, then home")
+        turns = to_switch_from(top, top + guess)
+        if abs(turns) > TOLERANCE:
+            break
+        reached, top = top, 2 * top
+        if highest is not None and top > highest:
+            raise RigError(
+                f"the home switch did not come again within {reached} microsteps, and the limits forbid more: a turn "
+                f"has more than {guess} microsteps, or the table does not turn"
+            )
+    else:
+        raise RigError(
+            f"the home switch did not come again within {reached} microsteps, {2 ** (_DOUBLINGS - 1)} times a turn; "
+            "check whether the table turns at all"
+        )
+    rest = turns
+    for _ in range(_MOST_EDGES):
+        tell(f"back by {rest} microsteps, home on the way")
+        edge = -to_switch_from(-(rest // 2) + above, 2 * rest + guess)
+        if abs(edge - rest) <= TOLERANCE:
+            return rest
+        if not TOLERANCE < edge < rest:
+            break
+        rest -= edge
+    raise RigError(
+        f"the home switch was found at {edge} microsteps on the way back, expected at {rest} or before: steps are "
+        "lost, or the switch has moved; check belt, motor current and speed"
+    )
+
+
+def needed(guess: int) -> int:
+    """Least height above home to which the table must turn to measure a turn of `guess` microsteps."""
+    return guess + max(guess // _PART, 8)
+
+
+def fitting_gear(turn: int, motor_turn: int) -> tuple[int, int] | None:
+    """The simplest ratio of two integers that gives the turn within `TOLERANCE`; None if there is none.
+
+    Args:
+        turn: Microsteps of a turn of the table, as measured.
+        motor_turn: Microsteps of a turn of the motor.
+    """
+    for denominator in range(1, _LARGEST_DENOMINATOR + 1):
+        numerator = round(turn * denominator / motor_turn)
+        whole = (motor_turn * numerator) % denominator == 0
+        if numerator and whole and abs(Fraction(motor_turn * numerator, denominator) - turn) <= TOLERANCE:
+            return numerator, denominator
+    return None
+
+
+_REPEATS = 2
+_REPEATABLE = 2
+"""Microsteps by which the place of the home switch may vary."""
+_UNKNOWN_TURN = 3200
+"""First guess for a turn without a configuration [microsteps]: 200 full steps of 16."""
+
+
+def examine_table(controller: Controller, config: RigConfig | None, tell: Tell, say: Callable[[str], None]) -> bool:
+    """Examine the controller and turn its table.
+
+    Args:
+        controller: Open.
+        config: The rig; without it default settings are used, and a turn is measured without comparison.
+        tell: Called with each finding.
+        say: Called with a sentence about the progress of long examinations.
+
+    Returns:
+        Whether the table is homed and can be used.
+    """
+    if looked_at("firmware", lambda: _firmware(controller), tell).verdict == "wrong":
+        return False
+    if lacking := shortcomings(controller.guarantees):
+        tell(Finding("safety", "note", lacking[0], " ".join(lacking[1:])))
+    inputs = looked_at("inputs", lambda: _inputs(controller), tell)
+    settings = Settings() if config is None else controller_settings(config)
+    taken = looked_at("settings", lambda: _settings(controller, settings), tell)
+    if "wrong" in (inputs.verdict, taken.verdict):
+        return False
+    if looked_at("home", lambda: _home(controller, config), tell).verdict == "wrong":
+        return False
+    looked_at("steps per turn", lambda: _turn(controller, config, settings, say), tell)
+    # The examination may have left a fault; after clearing it a pair can still be taken.
+    return looked_at("at rest", lambda: _rest(controller, config), lambda finding: None).verdict == "works"
+
+
+def _firmware(controller: Controller) -> Finding:
+    firmware = controller.hello()
+    counters = controller.counters()
+    if counters is None:
+        return Finding("firmware", "works", f"{firmware.proto}, version {firmware.version}; it counts no errors")
+    values = {
+        "version": firmware.version,
+        "protocol": firmware.proto,
+        "boot": firmware.boot,
+        "watchdog_resets": counters.watchdog_resets,
+        "damaged_lines": counters.damaged,
+        "lost_bytes": counters.overruns,
+        "laser_cycles": counters.laser_cycles,
+    }
+    found = (
+        f"version {firmware.version}, protocol {firmware.proto}, boot {firmware.boot}, {counters.damaged} damaged "
+        f"lines, {counters.overruns} lost bytes, {counters.watchdog_resets} resets by its watchdog ever"
+    )
+    if counters.overruns or counters.damaged > 10:
+        return Finding("firmware", "note", found, "keep the serial cable short and away from the motor's", values)
+    return Finding("firmware", "works", found, values=values)
+
+
+def _inputs(controller: Controller) -> Finding:
+    controller.stop()
+    status = controller.stat()
+    if status.estop:
+        do = "release it; if it is not pressed, its wire is broken, since it opens a closed contact"
+        return Finding("inputs", "wrong", "the emergency stop is pressed", do)
+    if status.state == "fault":
+        controller.clear()
+    switch = "active" if status.home_switch else "not active"
+    left = f"; a fault of earlier was cleared: {status.fault}" if status.fault else ""
+    return Finding("inputs", "works", f"emergency stop released, home switch {switch}{left}")
+
+
+def _settings(controller: Controller, settings: Settings) -> Finding:
+    controller.configure(settings)
+    return Finding("settings", "works", "the controller is set as the configuration says")
+
+
+def _within(config: RigConfig | None) -> int:
+    """How far to search for the home switch [microsteps]."""
+    if config is None:
+        return 64 * _UNKNOWN_TURN
+    return nearest(config.turntable.home_within_deg, config.microsteps_per_turn)
+
+
+def _home(controller: Controller, config: RigConfig | None) -> Finding:
+    controller.enable(True)
+    within = _within(config)
+    try:
+        controller.home(within)
+    except RigFault as problem:
+        if problem.fault is not Fault.HOME_NOT_FOUND:
+            raise
+        controller.clear()
+        return Finding(
+            "home",
+            "wrong",
+            f"the switch was not found within {within} microsteps, or does not open",
+            "check that the table turns, in the right direction (turntable.reverse), and the switch closes by hand: "
+            "the inputs above then say active",
+        )
+    if not controller.guarantees.knows_missed_steps:
+        return Finding("home", "works", "found; the controller does not report whether at the same place again")
+    turn = _UNKNOWN_TURN if config is None else config.microsteps_per_turn
+    missed: list[int] = []
+    for _ in range(_REPEATS):
+        # Away from the switch, within the limits.
+        controller.move(_some_way(turn, config))
+        missed.append(controller.home(within) or 0)
+    values = {"missed_microsteps": max(missed, key=abs)}
+    found = f"found, and found again {' and '.join(f'{was:+d}' for was in missed)} microsteps beside it"
+    if max(map(abs, missed)) > _REPEATABLE:
+        do = "check belt, motor current, speed and the switch: steps are lost, or it does not close at the same place"
+        return Finding("home", "wrong", found, do, values)
+    return Finding("home", "works", found, values=values)
+
+
+def _some_way(turn: int, config: RigConfig | None) -> int:
+    limits = None if config is None else controller_settings(config).limits
+    way = max(turn // 12, 8)
+    return way if limits is None or limits[1] >= way else limits[1]
+
+
+def _turn(controller: Controller, config: RigConfig | None, settings: Settings, say: Callable[[str], None]) -> Finding:
+    if not controller.guarantees.knows_missed_steps:
+        return Finding(
+            "steps per turn",
+            "not checked",
+            "the controller does not report where it found the home switch",
+            "measure an angle by hand: 90 degrees by the configuration must be 90 degrees of the table",
+        )
+    expected = None if config is None else config.microsteps_per_turn
+    guess = expected or _UNKNOWN_TURN
+    highest = None if settings.limits is None else settings.limits[1]
+    if highest is not None and highest < needed(guess):
+        return Finding(
+            "steps per turn",
+            "not checked",
+            f"turntable.limits_deg forbids a turn and {360 * (needed(guess) - guess) / guess:.0f} degrees",
+            "measure an angle by hand: 90 degrees by the configuration must be 90 degrees of the table",
+        )
+    # The way back begins at the home of the next turn, where the limits would be wrong.
+    free = dataclasses.replace(settings, limits=None)
+    try:
+        controller.configure(free)
+        measured = measure_turn(controller, guess, speed=settings.speed, highest=highest, tell=say)
+    finally:
+        controller.configure(settings)
+    values = {"measured_microsteps": measured}
+    if config is None or expected is None:
+        return Finding("steps per turn", "works", f"{measured} microsteps from home to home", values=values)
+    values["expected_microsteps"] = expected
+    if abs(measured - expected) <= TOLERANCE:
+        return Finding(
+            "steps per turn", "works", f"{measured} from home to home, {expected} by the configuration", values=values
+        )
+    found = f"{measured} microsteps from home to home, expected {expected}"
+    return Finding("steps per turn", "wrong", found, _fitting(measured, config), values)
+
+
+def _fitting(measured: int, config: RigConfig) -> str:
+    """The change of the configuration that gives the measured turn."""
+    table = config.turntable
+    cures = []
+    gear = fitting_gear(measured, table.full_steps * table.microsteps)
+    if gear is not None:
+        cures.append(f"gear = [{gear[0]}, {gear[1]}]")
+    ratio = measured / config.microsteps_per_turn
+    microsteps = round(table.microsteps * ratio)
+    power_of_two = microsteps > 0 and microsteps & (microsteps - 1) == 0
+    if (
+        power_of_two
+        and abs(ratio * table.microsteps - microsteps) * config.microsteps_per_turn < TOLERANCE * microsteps
+    ):
+        cures.append(f"microsteps = {microsteps}, if the driver is set so")
+    if not cures:
+        return "no gear of two whole numbers fits: check whether steps are lost, or the belt slips"
+    return f"under [turntable] set {', or '.join(cures)}"
+
+
+def _rest(controller: Controller, config: RigConfig | None) -> Finding:
+    status = controller.stat()
+    if status.state == "fault":
+        controller.clear()
+    if not status.homed:
+        controller.enable(True)
+        controller.home(_within(config))
+    return Finding("at rest", "works", "")

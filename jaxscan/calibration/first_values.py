@@ -1,0 +1,485 @@
+"""First values of camera, board poses, laser planes, motion and placements, in closed form or by a coarse search."""
+
+import itertools
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxscan.calibration.problem import Prepared
+from jaxscan.calibration.rigs import MIN_TRAVEL_M, MIN_TURN_RAD
+from jaxscan.errors import CalibrationError
+from jaxscan.geometry import (
+    CAMERAS,
+    AbstractCamera,
+    AbstractMotion,
+    CameraModel,
+    Carries,
+    LaserSheet,
+    LinearStage,
+    Turntable,
+    fit_axis,
+    fit_plane,
+    nearest_rotation,
+    point_up,
+)
+from jaxscan.geometry.scanner import Up
+from jaxscan.leastsq import MEDIAN_TO_SIGMA
+
+
+# A board is looked at along its middle ray: beyond this cosine of the angle from it, tangents mean nothing.
+_MIN_COSINE = 0.1
+# Share of a view's corners that must be rays on one side of the camera: the rest may be wrong.
+_MIN_SHARE = 0.9
+# Boards whose normals differ by less show the camera one vanishing line: focal length and
+# principal point cannot be told apart.
+_MIN_TILT_DEG = 5.0
+# Stripe points reaching less far across than this share of their length are one line.
+_MIN_PLANE_SPREAD = 0.02
+
+
+def seed_camera(data: Prepared, model: CameraModel) -> tuple[list[AbstractCamera], np.ndarray]:
+    """First cameras, with square pixels and the principal point in the middle, and first board poses.
+
+    Returns:
+        One camera or several to try, with all coefficients that the model knows, and T_cam_board of
+        every view [views, 4, 4] (identity where it fixes no pose).
+
+    Raises:
+        CalibrationError: If the views do not determine a camera.
+    """
+    kind, views = CAMERAS[model], np.flatnonzero(data.fixes_pose)
+    if len(views) == 0:
+        raise CalibrationError(
+            "The board was not found in any view: "
+            "check `[board]` in capture.toml (type, columns, rows) and the exposure."
+        )
+    if len(views) < 3:
+        raise CalibrationError(
+            f"The board was found in {len(views)} view(s) and a camera needs at least 3: "
+            "capture 10 or more, tilted by 20 to 45 degrees in different directions."
+        )
+    centre = (np.array(data.size) - 1) / 2
+    seen = _Corners(data.board[:, :2], data.corner_q[views] - centre, data.corner_valid[views])
+    poses = np.tile(np.eye(4), (len(data.fixes_pose), 1, 1))
+    theta, radius, poses[views] = _seed_wide(seen) if kind.wide else _seed_narrow(seen, max(data.size))
+    cameras = [
+        kind(values[0], values[0], centre[0], centre[1], values[1:], *data.size)
+        for values in kind.fit_curve(theta, radius)
+    ]
+    return cameras, poses
+
+
+class _Corners(NamedTuple):
+    """Corners of the views that fix a pose."""
+
+    points: np.ndarray
+    """On the flat board [corners, 2], m."""
+    q: np.ndarray
+    """From the middle of the image [views, corners, 2], px."""
+    valid: np.ndarray
+    """[views, corners]."""
+
+
+def _seed_narrow(seen: _Corners, longest: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The lens and the board poses from homographies, without distortion.
+
+    Square pixels and a centred principal point are assumed, which keeps the estimate sound under
+    strong distortion; the solve frees both.
+
+    Returns:
+        Angles of the corners to the optical axis [n], rad; their distances from the middle of the image [n], px; and
+        T_cam_board of the views.
+
+    Source: Zhang, A flexible new technique for camera calibration (2000), section 3.1.
+    """
+    homographies = _fit_homographies(seen.points, seen.q, seen.valid)
+    found = _focal_length(homographies)
+    # Even with a wrong focal length the normals show whether the boards are tilted.
+    focal = found or 1.2 * longest
+    poses = _poses_from_homographies(homographies, focal)
+    check_tilts(poses, determined=found is not None)
+    radius = np.hypot(*seen.q[seen.valid].T)
+    return np.arctan2(radius, focal), radius, poses
+
+
+def check_tilts(poses: np.ndarray, *, determined: bool = True) -> None:
+    """See that boards at T_cam_board [views, 4, 4] are tilted differently.
+
+    Raises:
+        CalibrationError: If they are not, or the focal length was not `determined`.
+    """
+    normals = poses[:, :3, 2]
+    tilt = np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0))).max()
+    if not determined or tilt < _MIN_TILT_DEG:
+        raise CalibrationError(
+            f"All {len(poses)} views show the board at the same tilt (within {tilt:.1f} degrees), which determines no "
+            "camera: tilt the board by 20 to 45 degrees in different directions."
+        )
+
+
+def seed_plane(points: np.ndarray, name: str) -> LaserSheet:
+    """The laser plane through stripe points lifted to their boards [n, 3].
+
+    Raises:
+        CalibrationError: If there are no points, or they all lie on one line.
+
+    Source: the paper, equation (8), as total least squares.
+    """
+    if len(points) < 10:
+        raise CalibrationError(
+            f"No stripe of laser {name!r} was seen on the board, so its plane cannot be determined: "
+            "capture each board pose with the laser on and off."
+        )
+    for _ in range(5):
+        plane = fit_plane(points)
+        distance = np.abs(points @ plane.normal - plane.distance)
+        keep = distance <= 3.5 * MEDIAN_TO_SIGMA * np.median(distance) + 1e-9
+        if keep.all():
+            break
+        points = points[keep]
+    plane = fit_plane(points)
+    if plane.spread[1] < _MIN_PLANE_SPREAD * plane.spread[0]:
+        raise CalibrationError(
+            f"All stripes of laser {name!r} lie on one line in space, so its plane cannot be determined: "
+            "capture the stripe on board poses at different distances or tilts."
+        )
+    if plane.distance <= 0:
+        raise CalibrationError(f"The plane of laser {name!r} contains the camera centre: it shows no depth.")
+    return LaserSheet.from_plane(plane.normal, plane.distance)
+
+
+def _fit_homographies(points: np.ndarray, q: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Homographies [views, 3, 3] from board points [n, 2] to pixels [views, n, 2], robust against a few wrong corners.
+
+    Source: Hartley and Zisserman, Multiple View Geometry, normalised direct linear transformation.
+    """
+    keep, least = valid, np.maximum(6, valid.sum(1) // 2)[:, None]
+    for _ in range(3):
+        homographies = _direct_homographies(points, q, keep)
+        mapped = _homogeneous(points) @ np.swapaxes(homographies, 1, 2)
+        depth = np.where(np.abs(mapped[..., 2:]) < 1e-12, 1e-12, mapped[..., 2:])
+        distance = np.linalg.norm(mapped[..., :2] / depth - q, axis=-1)
+        # Lens distortion is no error here, so only corners far beyond the usual misfit are dropped.
+        trimmed = valid & (distance <= 6.0 * _median(distance, valid)[:, None] + 1e-9)
+        trimmed = np.where(trimmed.sum(1, keepdims=True) >= least, trimmed, keep)
+        if np.array_equal(trimmed, keep):
+            break
+        keep = trimmed
+    return homographies
+
+
+def _direct_homographies(points: np.ndarray, q: np.ndarray, keep: np.ndarray) -> np.ndarray:
+    count = np.maximum(keep.sum(1), 1)[:, None]
+
+    def normalised(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        centre = np.sum(np.where(keep[..., None], values, 0.0), axis=1) / count
+        away = np.where(keep[..., None], values - centre[:, None], 0.0)
+        size = np.maximum(np.sqrt(np.sum(away**2, axis=(1, 2)) / (2 * count[:, 0])), 1e-12)
+        to = np.tile(np.eye(3), (len(keep), 1, 1))
+        to[:, :2, 2], to[:, [0, 1], [0, 1]] = -centre / size[:, None], 1.0 / size[:, None]
+        return to, np.where(keep[..., None], _homogeneous(away / size[:, None, None]), 0.0)
+
+    (to_points, x), (to_seen, u) = normalised(np.broadcast_to(points, q.shape)), normalised(q)
+    rows = [np.concatenate([x, 0.0 * x], -1), np.concatenate([0.0 * x, x], -1)]
+    system = np.concatenate([np.concatenate([rows[k], -u[..., k : k + 1] * x], -1) for k in (0, 1)], axis=1)
+    # The triangle of its QR decomposition has the same null vector, and is small.
+    homographies = np.linalg.svd(np.linalg.qr(system, mode="r"))[2][:, -1].reshape(-1, 3, 3)
+    homographies = np.linalg.inv(to_seen) @ homographies @ to_points
+    return homographies / np.linalg.norm(homographies[:, :, :2], axis=(1, 2))[:, None, None]
+
+
+def _homogeneous(points: np.ndarray) -> np.ndarray:
+    return np.concatenate([points, np.ones_like(points[..., :1])], axis=-1)
+
+
+def _median(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Of the valid values of each row."""
+    return np.array([np.median(row[there]) if there.any() else 0.0 for row, there in zip(values, valid, strict=True)])
+
+
+def _poses_from_homographies(homographies: np.ndarray, focal: float) -> np.ndarray:
+    """T_cam_board [views, 4, 4] from homographies to pixels about the principal point."""
+    columns = homographies / np.array([[focal], [focal], [1.0]])
+    length = np.linalg.norm(columns[:, :, :2], axis=1).sum(1)
+    columns = columns * (np.where(columns[:, 2, 2] >= 0, 2.0, -2.0) / length)[:, None, None]
+    poses = np.tile(np.eye(4), (len(columns), 1, 1))
+    across = np.cross(columns[:, :, 0], columns[:, :, 1])
+    poses[:, :3, :3] = nearest_rotation(np.stack([columns[:, :, 0], columns[:, :, 1], across], axis=-1))
+    poses[:, :3, 3] = columns[:, :, 2]
+    return poses
+
+
+def _focal_length(homographies: np.ndarray) -> float | None:
+    # The columns are images of perpendicular vectors of equal length.
+    x, y = homographies[:, :, 0], homographies[:, :, 1]
+    dot = lambda one, other: np.sum(one[:, :2] * other[:, :2], axis=1)
+    size = np.maximum(np.sqrt(dot(x, x) * dot(y, y)), 1e-300)
+    a = np.concatenate([dot(x, y) / size, (dot(x, x) - dot(y, y)) / size])
+    b = np.concatenate([-x[:, 2] * y[:, 2] / size, (y[:, 2] ** 2 - x[:, 2] ** 2) / size])
+    inverse_square = float(a @ b / max(a @ a, 1e-300))
+    return float(1.0 / np.sqrt(inverse_square)) if inverse_square > 0 else None
+
+
+def seed_poses(data: Prepared, camera: AbstractCamera) -> np.ndarray:
+    """T_cam_board of every view [views, 4, 4], identity where not usable.
+
+    Seen along the middle ray of its view, a flat board is a homography, whatever its angle to the optical axis.
+
+    Raises:
+        CalibrationError: If no view shows the board where this camera has rays.
+    """
+    poses, views = np.tile(np.eye(4), (len(data.fixes_pose), 1, 1)), np.flatnonzero(data.fixes_pose)
+    rays = np.asarray(jax.tree.map(np.asarray, camera).unproject(data.corner_q[views]))
+    poses[views], share = _poses_from_rays(data.board[:, :2], rays, data.corner_valid[views])
+    if not (share >= _MIN_SHARE).any():
+        raise CalibrationError(
+            "The known camera sees the board in no view: check that it is the calibration of this camera, or calibrate "
+            "the camera too."
+        )
+    return poses
+
+
+def _poses_from_rays(points: np.ndarray, rays: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """T_cam_board [views, 4, 4] of board points [n, 2] along unit rays [views, n, 3], and the share of the rays used.
+
+    Where they are too few, the pose of any board in the direction of the rays.
+    """
+    count = np.maximum(valid.sum(1), 1)
+    mean = np.sum(np.where(valid[..., None], rays, 0.0), axis=1) / count[:, None]
+    # A rotation that turns the middle ray to +z.
+    z = np.where(valid.any(1)[:, None], mean, [0.0, 0.0, 1.0])
+    z = z / np.linalg.norm(z, axis=1, keepdims=True)
+    x = np.cross(np.eye(3)[np.argmin(np.abs(z), axis=1)], z)
+    x = x / np.linalg.norm(x, axis=1, keepdims=True)
+    towards = np.stack([x, np.cross(z, x), z], axis=1)
+    turned = rays @ np.swapaxes(towards, 1, 2)
+    ahead = valid & (turned[..., 2] > _MIN_COSINE)
+    share = ahead.sum(1) / count
+    poses, back = np.tile(np.eye(4), (2, len(rays), 1, 1))
+    poses[:, 2, 3], back[:, :3, :3] = 1.0, np.swapaxes(towards, 1, 2)
+    if (good := share >= _MIN_SHARE).any():
+        flat = turned[good, :, :2] / np.where(ahead[good], turned[good, :, 2], 1.0)[..., None]
+        poses[good] = _poses_from_homographies(_fit_homographies(points, flat, ahead[good]), 1.0)
+    return back @ poses, share
+
+
+# Field of view of the farthest corner, from the axis [rad]: from a mild lens to one that sees far
+# behind itself.
+_WIDEST, _NARROWEST = np.radians(130.0), np.radians(15.0)
+_FOCAL_STEPS = 16
+_REFINEMENTS = 10
+# The cubic term of real lenses, from the orthographic (-1/6) to the stereographic (1/12) and a little beyond.
+_CUBIC = (-0.12, -0.06, 0.0, 0.06)
+_CUBIC_RANGE = (-0.18, 0.12)
+# As many views as this, spread over all, tell the focal length well enough for a start.
+_SEARCH_VIEWS = 9
+# Misfit of a lens with one coefficient [share of the image's radius]: for real lenses below 0.02.
+_MAX_MISFIT = 0.1
+
+
+def _seed_wide(seen: _Corners) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    r"""Focal length, cubic distortion and board poses, also of boards beyond 90 degrees.
+
+    A trial lens $\theta_d = \theta (1 + k_1 \theta^2)$ makes rays of the corners; seen along the
+    middle ray of their view, those of a flat board are a homography of it, whatever the angle to
+    the optical axis. The lens that leaves the smallest distances in the image is taken. Square
+    pixels and a centred principal point are assumed; the solve frees both.
+
+    Returns:
+        As `_seed_narrow`, the distances being those at which the lens shows such angles.
+    """
+    chosen = np.unique(np.linspace(0, len(seen.q) - 1, _SEARCH_VIEWS).round().astype(int))
+    focal, cubic = _search(_Corners(seen.points, seen.q[chosen], seen.valid[chosen]))
+    poses, _ = _board_poses(seen, focal, cubic)
+    check_tilts(poses)
+    rays, exists = _rays(seen.q[seen.valid], focal, cubic)
+    theta = np.arccos(rays[exists, 2])
+    return theta, focal * theta * (1.0 + cubic * theta * theta), poses
+
+
+def _board_poses(seen: _Corners, focal: float, cubic: float) -> tuple[np.ndarray, np.ndarray]:
+    """T_cam_board of the views, and the shares of their corners that are rays of such a lens on one side of it."""
+    rays, exists = _rays(seen.q, focal, cubic)
+    there = seen.valid & exists
+    poses, share = _poses_from_rays(seen.points, rays, there)
+    return poses, share * there.sum(1) / seen.valid.sum(1)
+
+
+def _search(seen: _Corners) -> tuple[float, float]:
+    """Focal length [px/rad] and k1 with the smallest misfit."""
+    radius = float(np.linalg.norm(seen.q[seen.valid], axis=-1).max())
+    grid = np.log(radius / np.geomspace(_WIDEST, _NARROWEST, _FOCAL_STEPS))
+    step = grid[1] - grid[0]
+    misfit = lambda log_focal, cubic: _misfit(seen, float(np.exp(log_focal)), cubic)
+    coarse = np.array([[misfit(focal, cubic) for focal in grid] for cubic in _CUBIC])
+    row, column = np.unravel_index(np.argmin(coarse), coarse.shape)
+    focal, cubic, best = grid[column], _CUBIC[row], coarse[row, column]
+    if not best < _MAX_MISFIT * radius:
+        raise CalibrationError(
+            "No wide-angle lens makes the corners found those of a flat board: check `[board]` in capture.toml (type, "
+            "columns, rows), and that the images are neither cropped nor rectified."
+        )
+    step_cubic = _CUBIC[1] - _CUBIC[0]
+    # Focal length and cubic term nearly make up for each other, so steps along both at once too.
+    for _ in range(_REFINEMENTS):
+        trials = [
+            (focal + a * step, float(np.clip(cubic + b * step_cubic, *_CUBIC_RANGE)))
+            for a in (-1, 0, 1)
+            for b in (-1, 0, 1)
+            if a or b
+        ]
+        values = [misfit(*trial) for trial in trials]
+        if min(values) < best:
+            best = min(values)
+            focal, cubic = trials[int(np.argmin(values))]
+        else:
+            step, step_cubic = step / 2, step_cubic / 2
+    return float(np.exp(focal)), float(cubic)
+
+
+def _misfit(seen: _Corners, focal: float, cubic: float) -> float:
+    """Mean over the views of the median distance of the corners from their board [px]."""
+    poses, share = _board_poses(seen, focal, cubic)
+    if (share < _MIN_SHARE).any():
+        return np.inf
+    p = seen.points @ np.swapaxes(poses[:, :3, :2], 1, 2) + poses[:, None, :3, 3]
+    radius = np.hypot(p[..., 0], p[..., 1])
+    theta = np.arctan2(radius, p[..., 2])
+    scale = focal * theta * (1.0 + cubic * theta * theta) / np.maximum(radius, 1e-12)
+    distance = np.linalg.norm(scale[..., None] * p[..., :2] - seen.q, axis=-1)
+    return float(np.mean(_median(distance, seen.valid)))
+
+
+def _rays(q: np.ndarray, focal: float, cubic: float) -> tuple[np.ndarray, np.ndarray]:
+    """Unit rays [..., 3] of pixels about the principal point, and which exist."""
+    radius = np.linalg.norm(q, axis=-1)
+    # theta (1 + k1 theta^2) grows up to here. The table is linear to 1e-6 between its points.
+    last = np.pi if cubic >= 0 else min(np.pi, 1.0 / np.sqrt(-3.0 * cubic))
+    table = np.linspace(0.0, last, 1000)
+    grown = focal * table * (1.0 + cubic * table * table)
+    theta = np.interp(radius, grown, table)
+    aside = np.sin(theta) / np.maximum(radius, 1e-12)
+    return np.concatenate([aside[..., None] * q, np.cos(theta)[..., None]], axis=-1), radius < grown[-1]
+
+
+# Boards before a linear stage do not turn; their poses from a first camera may be off by less than this.
+_MAX_TILT_DEG = 5.0
+
+
+def seed_motion(poses: np.ndarray, data: Prepared, carries: Carries, up: Up) -> AbstractMotion:
+    """The motion from placements seen at several positions.
+
+    Args:
+        poses: T_cam_board of every view [views, 4, 4].
+        data: For the position and placement of each view.
+        carries: The kind of motion.
+        up: The image's up direction.
+
+    Raises:
+        CalibrationError: If no placement was seen from two positions, or the boards did not move like that.
+    """
+    if carries in ("scanner", "object"):
+        return _seed_axis(poses, data, carries, up)
+    return _seed_travel(poses, data)
+
+
+def _seed_axis(poses: np.ndarray, data: Prepared, carries: Carries, up: Up) -> AbstractMotion:
+    """Axis and sense of the table.
+
+    Source: the paper, equation (10), for all pairs of angles.
+    """
+    pairs = _pairs(data, MIN_TURN_RAD)
+    if not pairs:
+        raise CalibrationError(
+            "No board placement was seen from two table angles, so the axis cannot be determined: "
+            "leave the board standing and turn the table between images (same `placement`, other `angle_deg`)."
+        )
+    turn = np.array([data.angle[first] - data.angle[second] for first, second in pairs])
+    motion = np.array([poses[second] @ np.linalg.inv(poses[first]) for first, second in pairs])
+    try:
+        axis = fit_axis(motion)
+    except ValueError:
+        raise CalibrationError(
+            f"The commanded angles differ by up to {np.degrees(np.abs(turn).max()):.1f} degrees but the board did not "
+            "move in the image: the table did not turn, or the board turned with the camera."
+        ) from None
+    seen = _signed_angles(motion[:, :3, :3], axis.direction)
+    gain = _gain(turn, seen)
+    if not 0.8 < abs(gain) < 1.25:
+        raise CalibrationError(
+            f"The boards turned by {gain:.3f} times the commanded angles: check the steps per turn of the table, and "
+            "that records with the same `placement` saw the board unmoved."
+        )
+    start = Turntable.from_axis(axis.direction, axis.point, gain=float(np.sign(gain))).carrying(carries)
+    return point_up(start, up)
+
+
+def _seed_travel(poses: np.ndarray, data: Prepared) -> LinearStage:
+    """Direction of travel, as the mean of the boards' shifts over the commanded ones."""
+    pairs = _pairs(data, MIN_TRAVEL_M)
+    if not pairs:
+        raise CalibrationError(
+            "No board placement was seen from two positions of the stage, so its direction cannot be determined: leave "
+            "the board standing and move the stage between images (same `placement`, other `position_m`)."
+        )
+    first, second = np.array(pairs).T
+    travel = data.angle[second] - data.angle[first]
+    shift = poses[first, :3, 3] - poses[second, :3, 3]
+    turned = np.swapaxes(poses[first, :3, :3], 1, 2) @ poses[second, :3, :3]
+    tilt = np.degrees(np.arccos(np.clip((np.trace(turned, axis1=1, axis2=2) - 1) / 2, -1.0, 1.0)))
+    if np.median(tilt) > _MAX_TILT_DEG:
+        raise CalibrationError(
+            f"The boards turned by {np.median(tilt):.1f} degrees while the stage moved, and a linear stage only "
+            "shifts them: check `carries` in capture.toml, and that records with the same `placement` saw the board "
+            "unmoved."
+        )
+    direction = travel @ shift / (travel @ travel)
+    gain = float(np.linalg.norm(direction))
+    if not 0.8 < gain < 1.25:
+        raise CalibrationError(
+            f"The boards moved by {gain:.3f} times the commanded travel: check that position_m is in metres, the size "
+            "of the board's squares, and that records with the same `placement` saw the board unmoved."
+        )
+    return LinearStage.from_direction(direction)
+
+
+def _pairs(data: Prepared, least: float) -> list[tuple[int, int]]:
+    """Views of the same placement at positions that differ by more than `least`."""
+    pairs = []
+    for number in np.unique(data.placement[data.fixes_pose]):
+        views = np.flatnonzero(data.fixes_pose & (data.placement == number))
+        pairs += [
+            (i, j) for i, j in itertools.combinations(views.tolist(), 2) if abs(data.angle[i] - data.angle[j]) > least
+        ]
+    return pairs
+
+
+def average_placements(poses: np.ndarray, data: Prepared, motion: AbstractMotion) -> np.ndarray:
+    """T_cam0_board of every placement [views, 4, 4] (as many as views; the rest is identity)."""
+    motions = np.asarray(jax.tree.map(np.asarray, motion).motion(data.angle))
+    result = np.tile(np.eye(4), (len(data.fixes_pose), 1, 1))
+    for number in np.unique(data.placement[data.fixes_pose]):
+        views = np.flatnonzero(data.fixes_pose & (data.placement == number))
+        still = motions[views] @ poses[views]
+        result[number, :3, :3] = nearest_rotation(still[:, :3, :3].mean(0))
+        result[number, :3, 3] = np.median(still[:, :3, 3], axis=0)
+    return result
+
+
+def _signed_angles(rotations: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    skew = rotations - np.swapaxes(rotations, 1, 2)
+    vector = np.column_stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]]) / 2
+    return np.arctan2(vector @ direction, (np.trace(rotations, axis1=1, axis2=2) - 1) / 2)
+
+
+def _gain(commanded: np.ndarray, seen: np.ndarray) -> float:
+    """Seen over commanded angle, whichever sense fits; `seen` is known up to full turns."""
+    best, error = 0.0, np.inf
+    for sense in (1.0, -1.0):
+        full = seen + 2 * np.pi * np.round((sense * commanded - seen) / (2 * np.pi))
+        gain = float(commanded @ full / (commanded @ commanded))
+        misfit = float(np.abs(full - gain * commanded).mean() + np.abs(full - sense * commanded).mean())
+        if misfit < error:
+            best, error = gain, misfit
+    return best

@@ -1,1 +1,0 @@
-"""`jaxscan design`: words and numbers of a person to a rig, and back."""

@@ -1,0 +1,344 @@
+"""`jaxscan plan`, `orthophoto`, `panorama`: a room as a plan or a section, its walls, and all around."""
+
+import dataclasses
+import math
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+import tyro
+
+import jaxscan
+from jaxscan import api
+from jaxscan.cli.measure import calibrated, notes_first, upright
+from jaxscan.cli.options import (
+    CalibrationPath,
+    CapturePath,
+    CloudPath,
+    CloudUnit,
+    CloudUp,
+    OptionalCalibrationPath,
+    Place,
+    at_least,
+    calibration_at,
+    capture_at,
+    check_paths,
+    coordinates,
+    file_at,
+    positive,
+)
+from jaxscan.cli.progress import progress_bar
+from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
+from jaxscan.errors import OptionError
+from jaxscan.files import calibration as calibration_files
+from jaxscan.files import clouds as cloud_files
+
+
+if TYPE_CHECKING:
+    from jaxscan.drawing import Survey
+    from jaxscan.measurement import Estimate
+
+
+def plan(
+    cloud: CloudPath,
+    /,
+    *,
+    output: Annotated[
+        Path, tyro.conf.arg(aliases=["-o"], help="Drawing to write; the suffix chooses the format (.dxf .svg .pdf).")
+    ],
+    height: tuple[float, ...] = (1.0,),
+    section: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PLACE")] = (),
+    calibration: OptionalCalibrationPath = None,
+    unit: CloudUnit = None,
+    up: CloudUp = None,
+    json: JsonTarget = None,
+) -> None:
+    """Draw a room: `jaxscan plan room.ply -c calibration.json -o plan.dxf`.
+
+    Prints the length of every wall, what is in the walls, areas and the volume, each with one standard deviation.
+
+    Args:
+        cloud: Cloud of a room, scanned from inside.
+        output: Drawing to write.
+        height: Heights above the floor [m] at which the plan is cut; lengths and openings are those at the first.
+        section: Draws a vertical section instead: parallel to a wall of the plan, so many metres before it (W1+1.2); or
+            through two points of the plan [m], whose origin and axes are drawn in it.
+        calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
+        json: Write the result as JSON too.
+    """
+    from jaxscan.api import check_drawing_path
+    from jaxscan.drawing import section_before
+
+    for one in height:
+        positive("--height", one)
+        coordinates("--height", (one,))
+    cut = _section(section)
+    check_paths(
+        [*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)],
+        [*file_at("--output", output), *file_at("--json", json)],
+    )
+    check_drawing_path(output)
+    check_json(json)
+    scanner, notes = calibrated(calibration)
+    points, said = upright(cloud, unit, up)
+    notes += said
+    survey = jaxscan.survey_room(points, scanner=scanner)
+    ends = None
+    if isinstance(cut, str):
+        wall, _, before = cut.partition("+")
+        ends = section_before(survey, wall, float(before))
+    elif cut is not None:
+        ends = cut[:2], cut[2:]
+    drawing = jaxscan.draw_plan(survey, heights_m=height) if ends is None else jaxscan.draw_section(survey, *ends)
+    jaxscan.save_drawing(drawing, output)
+    out = notes_first(notes, json)
+    result = _numbers(survey, height[0])
+    if ends is None:
+        _print_walls(out, result, height[0])
+    else:
+        wall, _, metres = section[0].partition("+")
+        before = f", {float(metres):g} m before {wall}" if isinstance(cut, str) else ""
+        out.print(f"{drawing.title}{before}")
+        for one in drawing.dimensions:
+            out.print(f"  {'height' if one.offset_m == 0 else 'width'} {one.words}")
+        result["section_m"] = [list(end) for end in ends]
+    origin = " ".join(f"{value:.3f}" for value in survey.outline.frame.back(np.zeros(3)))
+    turned = math.degrees(math.atan2(survey.outline.frame.rotation[0, 1], survey.outline.frame.rotation[0, 0]))
+    out.print(f"the plan's origin is at {origin} m of the cloud, its x is the cloud's turned by {turned:.2f}°")
+    for name, unit in (("height", "m"), ("floor_area", "m²"), ("volume", "m³")):
+        found = result[name]
+        if found is not None:
+            out.print(f"{name.replace('_', ' ')}: {_length(found) if unit == 'm' else _area(found)} {unit}")
+    for remark in drawing.remarks:
+        out.print(f"note: {remark}")
+    out.print("± is one standard deviation" + ("" if scanner else "; --calibration adds the calibration's part") + ".")
+    out.print(f"written: {output}")
+    emit_json(json, "plan", result | {"drawing": str(output), "notes": [*notes, *drawing.remarks]})
+
+
+def _section(words: tuple[str, ...]) -> str | tuple[float, float, float, float] | None:
+    """What `--section` asks for: a wall and a distance in one word, or two points [m]; None for a plan."""
+    if not words or (len(words) == 1 and re.fullmatch(r"\w{1,40}\+\d{1,4}(\.\d{0,6})?", words[0])):
+        return words[0] if words else None
+    try:
+        ax, ay, bx, by = (float(word) for word in words)
+    except ValueError as problem:
+        found = " ".join(words)[:60]
+        raise OptionError(
+            f"--section: found {found}, expected a wall and metres, as W1+1.2, or two points AX AY BX BY."
+        ) from problem
+    coordinates("--section", (ax, ay, bx, by))
+    return ax, ay, bx, by
+
+
+def _print_walls(out: Terminal, result: dict[str, Any], height: float) -> None:
+    open_sides = not all(each["seen"] for each in result["walls"])
+    rows = [
+        (each["name"], _length(each["length"]), _area(each["area"]))
+        + ("" if each["seen"] else "not seen",) * open_sides
+        for each in result["walls"]
+    ]
+    out.print(table(f"Walls, {height:g} m above the floor", ("", "m", "m²", "")[: 3 + open_sides], rows))
+    for each in result["openings"]:
+        wide, high = (f"{_length(each[name])} m" if each[name] else "not known how" for name in ("width", "height"))
+        out.print(f"{each['wall']}: {each['kind']} {wide} wide, {high} high")
+
+
+def _numbers(survey: "Survey", height: float) -> dict[str, Any]:
+    room = survey.outline
+    lengths, corners = room.lengths(height), room.corners(height)
+    walls = [
+        {
+            "name": side.name,
+            "seen": side.seen,
+            "start_m": corners[number][i].at,
+            "length": _entry(lengths[number][i]),
+            "area": _entry(room.wall_area(number, i)),
+        }
+        for number, loop in enumerate(room.loops)
+        for i, side in enumerate(loop)
+    ]
+    openings = [
+        {"wall": one.side, "kind": one.kind, "depth_m": one.depth_m}
+        | {name: _entry(getattr(one, name)) for name in ("left", "right", "bottom", "top", "width", "height")}
+        for loop in survey.openings
+        for wall in loop
+        for one in wall
+    ]
+    frame = {"rotation": room.frame.rotation, "translation_m": room.frame.translation}
+    whole = {name: _entry(getattr(room, name)()) for name in ("height", "floor_area", "volume")}
+    return {"cut_m": height, "plan_from_cloud": frame, "walls": walls, "openings": openings} | whole
+
+
+def _entry(found: "Estimate | None") -> dict[str, float] | None:
+    return None if found is None or not found.known else dataclasses.asdict(found)
+
+
+def _length(entry: dict[str, float] | None) -> str:
+    return "" if entry is None else f"{entry['value']:.4f} ±{entry['sigma']:.4f}"
+
+
+def _area(entry: dict[str, float] | None) -> str:
+    return "" if entry is None else f"{entry['value']:.3f} ±{entry['sigma']:.3f}"
+
+
+def orthophoto(
+    cloud: CloudPath,
+    /,
+    *,
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    pixel_mm: float = 5.0,
+    calibration: OptionalCalibrationPath = None,
+    unit: CloudUnit = None,
+    up: CloudUp = None,
+    json: JsonTarget = None,
+) -> None:
+    """Draw the walls of a room straight on: `jaxscan orthophoto room.ply -o walls`.
+
+    Writes a picture of every wall, W1.png and so on, named as in the plan, with a scale below it.
+
+    Args:
+        cloud: Cloud of a room, scanned from inside.
+        output: Folder to write to; it is made where it is missing.
+        pixel_mm: Size of a pixel on the wall.
+        calibration: Calibration that the cloud was made with.
+        json: Write the result as JSON too.
+    """
+    # Imported here, so that `--help` does not load JAX.
+    from jaxscan.errors import OutputError
+    from jaxscan.files.disk import reported, whole_folder, write_atomically
+    from jaxscan.report import with_scale
+    from jaxscan.vision import encode_png
+
+    positive("--pixel-mm", pixel_mm)
+    reads = [*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)]
+    check_paths(reads, file_at("--json", json))
+    check_json(json)
+    if output.exists() and not output.is_dir():
+        raise OutputError(f"{output}: is a file; choose a folder with -o.")
+    scanner, notes = calibrated(calibration)
+    loaded, said = upright(cloud, unit, up)
+    notes += said
+    survey = jaxscan.survey_room(loaded, scanner=scanner)
+    notes += [f"{remark}." for remark in survey.outline.remarks]
+    pictures = jaxscan.draw_orthophotos(survey, np.asarray(loaded.rgb), pixel_m=pixel_mm / 1e3)
+    files = [output / f"{picture.side}.png" for picture in pictures]
+    check_paths(reads, [*(Place("the picture", file) for file in files), *file_at("--json", json)])
+    with reported(f"{output}: cannot be written", error=OutputError), whole_folder(output) as part:
+        for picture, file in zip(pictures, files, strict=True):
+            words = f"{picture.side}, {pixel_mm:g} mm per pixel"
+            content = encode_png(with_scale(picture.rgb, picture.pixel_m, words))
+            write_atomically(part / file.name, content, error=OutputError, durable=False)
+    out = notes_first(notes, json)
+    for picture, file in zip(pictures, files, strict=True):
+        out.print(f"written: {file}, {100 * picture.seen.mean():.0f} % seen")
+    walls = [
+        {"wall": picture.side, "file": str(file), "rows": picture.rgb.shape[0], "columns": picture.rgb.shape[1]}
+        | {"seen": float(picture.seen.mean())}
+        for picture, file in zip(pictures, files, strict=True)
+    ]
+    emit_json(json, "orthophoto", {"pixel_m": pixel_mm / 1e3, "walls": walls, "notes": notes})
+
+
+SMALLEST, LARGEST = 16, 65_500
+
+
+TARGET = "Picture to write; the suffix chooses: .jpg or .png, or .e57 for the cloud and its picture in one file."
+
+
+def panorama(
+    capture: CapturePath,
+    /,
+    *,
+    calibration: CalibrationPath,
+    output: Annotated[
+        Path | None,
+        tyro.conf.arg(aliases=["-o"], help="Picture to write; the suffix chooses: .jpg, .png, or .e57 with the cloud."),
+    ] = None,
+    cloud: Path | None = None,
+    projection: Literal["equirectangular", "cylinder"] = "equirectangular",
+    width: int | None = None,
+    transforms: Path | None = None,
+    undistort: bool = False,
+    photographs: bool = False,
+    json: JsonTarget = None,
+) -> None:
+    """Draw the room all around: `jaxscan panorama captures/room -c calibration.json -o room.jpg`.
+
+    Args:
+        capture: Folder of the captured sweep.
+        calibration: Calibration file.
+        cloud: Cloud of this sweep (.ply or .npz): its distances remove the parallax, and `<stem>.depth.png` (16 bit,
+            millimetres) and `<stem>.normals.png` are written beside the picture. In an .e57 it is the scan.
+        projection: `equirectangular` for viewers of panoramas, `cylinder` for paper.
+        width: Width of the whole turn [px]; the camera's own resolution if not given.
+        transforms: Folder for the photographs with their poses in `transforms.json`, for programs such as nerfstudio.
+        undistort: Write those photographs without the distortion of the lens.
+        photographs: Put the single photographs into the .e57 too, without distortion and with their poses.
+        json: Write the result as JSON too.
+    """
+    if output is None and transforms is None:
+        raise OptionError("--output: is missing, and --transforms too; at least one of the two is needed.")
+    at_least(SMALLEST, "--width", width)
+    if width is not None and width > LARGEST:
+        raise OptionError(f"--width: found {width}, expected {LARGEST} or less.")
+    scan = output is not None and output.suffix.lower() == ".e57"
+    if scan and (cloud is None or projection != "equirectangular"):
+        raise OptionError("--output: an .e57 holds a cloud with its equirectangular panorama; name the cloud: --cloud.")
+    if photographs and not scan:
+        raise OptionError("--photographs: go into an .e57 only; name one with -o, or take --transforms.")
+    with_cloud = cloud is not None and not scan
+    pictures = [] if output is None else api.panorama_paths(output, with_cloud=with_cloud)
+    check_paths(
+        reads=[
+            *capture_at("CAPTURE", capture),
+            *calibration_at("--calibration", calibration),
+            *file_at("--cloud", cloud),
+        ],
+        writes=[
+            *(place for path in pictures for place in file_at("--output", path)),
+            *file_at("--transforms", transforms),
+            *file_at("--json", json),
+        ],
+    )
+    if output is not None and scan:
+        cloud_files.check_cloud_path(output)
+    elif output is not None:
+        api.check_panorama_path(output, with_cloud=with_cloud)
+    check_json(json)
+    sweep, scanner = api.open_capture(capture), api.load_scanner(calibration)
+    out = console(json)
+    notes = [
+        *calibration_files.calibration_notes(calibration),
+        *sweep.notes,
+        *api.photograph_notes(sweep, scanner, "pictures"),
+    ]
+    for note in notes:
+        out.print(f"note: {note}")
+    result: dict[str, Any] = {"notes": notes}
+    if output is not None:
+        stored = None if cloud is None else api.read_cloud(cloud)
+        with progress_bar("Blending photographs") as progress:
+            drawn = api.draw_panorama(
+                sweep,
+                scanner,
+                cloud=None if stored is None else stored.cloud,
+                projection=projection,
+                width=width,
+                progress=progress,
+            )
+        if scan and stored is not None:
+            single = api.open_photographs(sweep, scanner) if photographs else None
+            files = [api.save_scan(stored, drawn, output, photographs=single, started_s=api.began(sweep))]
+        else:
+            files = api.save_panorama(drawn, output)
+        written = [str(path) for path in files]
+        out.print(f"written: {', '.join(written)} ({drawn.frame.width} x {drawn.frame.height} px)")
+        result |= {"pictures": written, "width_px": drawn.frame.width, "height_px": drawn.frame.height}
+    if transforms is not None:
+        with progress_bar("Writing photographs") as progress:
+            count = api.export_photographs(sweep, scanner, transforms, undistorted=undistort, progress=progress)
+        out.print(f"written: {transforms / 'transforms.json'} ({count} photographs)")
+        result |= {"transforms": str(transforms / "transforms.json"), "photographs": count}
+    emit_json(json, "panorama", result)

@@ -1,1 +1,0 @@
-"""Exchange with other programs: one file per verb."""

@@ -1,0 +1,395 @@
+"""Help: what a verb can be given, its page, answers to mistakes, and completion by shells."""
+
+import difflib
+import inspect
+import re
+import shutil
+import textwrap
+import types
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
+
+import tyro
+
+
+_LONGEST_CHOICES = 32
+"""Choices longer than this are told in the text, not in the place of the value."""
+
+
+class Entry(NamedTuple):
+    """An argument or option of a verb."""
+
+    names: tuple[str, ...]
+    """As pages show them, short ones first; none for an argument."""
+    value: str
+    """Stands for the value; "" for a switch."""
+    text: str
+    choices: tuple[str, ...] = ()
+    required: bool = False
+    kind: type = str
+    """Of one value."""
+    many: int | None = 1
+    """How many values there are; None for any number of them."""
+    unshown: tuple[str, ...] = ()
+    """Names that are understood too: those that switch off what is off."""
+
+
+def entries_of(function: Callable[..., Any]) -> list[Entry]:
+    """All arguments and options of a verb, as its function lists them."""
+    hints = get_type_hints(function, include_extras=True)
+    told = _told(function)
+    parameters = inspect.signature(function).parameters.values()
+    return [_entry(one, hints[one.name], told) for one in parameters]
+
+
+def paragraphs(function: Callable[..., Any]) -> list[str]:
+    """The docstring without its list of arguments, one string a paragraph."""
+    text = re.split(r"^(?:Args|Raises|Returns):$", inspect.getdoc(function) or "", flags=re.MULTILINE)[0]
+    return [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
+
+
+def _told(function: Callable[..., Any]) -> dict[str, str]:
+    """What the docstring says about each argument."""
+    found = re.search(r"^Args:\n((?:    .*\n?|\n)*)", inspect.getdoc(function) or "", flags=re.MULTILINE)
+    parts = re.split(r"^    (\w+): ", found[1], flags=re.MULTILINE)[1:] if found else []
+    return {name: " ".join(text.split()) for name, text in zip(parts[::2], parts[1::2], strict=True)}
+
+
+def _entry(parameter: inspect.Parameter, hint: Any, told: Mapping[str, str]) -> Entry:
+    kind, marks = _without_marks(hint)
+    settings: Any = next((mark for mark in marks if hasattr(mark, "metavar")), tyro.conf.arg())
+    name: str = settings.name or parameter.name
+    positional = parameter.kind is parameter.POSITIONAL_ONLY or tyro.conf.Positional in marks
+    kind = _without_none(kind)
+    one, count = _each(kind)
+    choices = tuple(map(str, get_args(one))) if get_origin(one) is Literal else ()
+    text: str = settings.help or told.get(parameter.name, "")
+    default = parameter.default
+    required = default is parameter.empty
+    if one is bool:
+        option = "--" + name.replace("_", "-")
+        against = () if tyro.conf.FlagCreatePairsOff in marks else ("--no-" + option.removeprefix("--"),)
+        if default is True:
+            return Entry((option, *against), "", f"{text} Default: on.", many=0)
+        return Entry((option,), "", text, many=0, unshown=against)
+    value = settings.metavar or " ".join([_value(name, one, choices, upper=positional)] * (count or 1))
+    if count is None:
+        value += " ..."
+    if choices and "|" not in value:
+        text = f"{text} One of {', '.join(choices)}."
+    if default not in (None, parameter.empty, ()):
+        shown = " ".join(map(str, default)) if isinstance(default, tuple) else str(default)
+        text = f"{text} Default: {'this folder' if default == Path() else shown}."
+    names = () if positional else (*(settings.aliases or ()), "--" + name.replace("_", "-"))
+    kind = one if isinstance(one, type) else str
+    return Entry(names, value, text, choices, required, kind, count)
+
+
+def _without_marks(hint: Any) -> tuple[Any, tuple[Any, ...]]:
+    return (get_args(hint)[0], get_args(hint)[1:]) if get_origin(hint) is Annotated else (hint, ())
+
+
+def _without_none(kind: Any) -> Any:
+    if get_origin(kind) not in (Union, types.UnionType):
+        return kind
+    (left,) = [one for one in get_args(kind) if one is not type(None)]
+    return _without_marks(left)[0]
+
+
+def _each(kind: Any) -> tuple[Any, int | None]:
+    """The type of one value, and how many there are; None for any number of them."""
+    if get_origin(kind) not in (tuple, list):
+        return kind, 1
+    inside = get_args(kind)
+    if get_origin(kind) is list or inside[-1] is Ellipsis:
+        return _without_marks(inside[0])[0], None
+    return inside[0], len(inside)
+
+
+def _value(name: str, one: Any, choices: tuple[str, ...], *, upper: bool) -> str:
+    """A plain word that stands for a value."""
+    if choices:
+        listed = "|".join(choices)
+        return listed if len(listed) <= _LONGEST_CHOICES else "NAME"
+    if upper:
+        return name.upper().replace("_", "-")
+    if one in (int, float):
+        return "ANGLE" if name.endswith("_deg") else "NUMBER"
+    return "PATH" if one is Path else "TEXT"
+
+
+GROUPS = {
+    "Begin": ("demo", "init", "design", "doctor"),
+    "Calibrate": ("board", "simulate", "calibrate", "recalibrate", "report"),
+    "Scan": ("scan", "console", "import", "reconstruct"),
+    "Look and measure": ("info", "view", "measure", "panorama", "plan", "orthophoto"),
+    "Give to other programs": ("convert", "clean", "align", "register", "mesh"),
+    "Many captures": ("project", "batch"),
+}
+"""The verbs as the first page lists them."""
+ALWAYS = (
+    Entry(("-h", "--help"), "", "Show this page."),
+    Entry(("--debug",), "", "Show where in the program an error arose."),
+)
+"""Options of every verb."""
+PROGRAM = (
+    Entry(("-h", "--help"), "", "Show this page."),
+    Entry(("--version",), "", "Show the version."),
+    Entry(("--completion",), "bash|zsh|fish", "Print what makes this shell complete verbs and options."),
+)
+"""Options of `jaxscan` without a verb."""
+_WIDEST, _NARROWEST = 100, 24
+_BESIDE = 60
+"""Narrower pages have each text below its name, not beside it."""
+
+
+def overview(prog: str, description: str, verbs: Mapping[str, str]) -> str:
+    """The page that lists verbs, each with the first words of its docstring."""
+    lines = [f"usage: {prog} [-h] VERB ...", "", *_folded(description)]
+    grouped = {title: [verb for verb in names if verb in verbs] for title, names in GROUPS.items()}
+    rest = [verb for verb in verbs if not any(verb in names for names in grouped.values())]
+    grouped["More" if len(rest) < len(verbs) else "Verbs"] = rest
+    for title, names in grouped.items():
+        if names:
+            lines += ["", f"{title}:", *_listed([(name, short(verbs[name])) for name in names])]
+    options = PROGRAM if prog == "jaxscan" else ALWAYS[:1]
+    lines += ["", "Options:", *_listed([(_names(entry), entry.text) for entry in options])]
+    lines += ["", *_folded(f"More about a verb, with an example: {prog} VERB --help")]
+    return "\n".join(lines) + "\n"
+
+
+def verb_page(prog: str, function: Callable[..., Any]) -> str:
+    """The page of one verb: how it is called, what it does, and what it can be given."""
+    entries = entries_of(function)
+    given = [entry for entry in entries if not entry.names]
+    needed = [entry for entry in entries if entry.names and entry.required]
+    others = [entry for entry in entries if entry.names and not entry.required]
+    call = [prog, "[-h]", *(entry.value if entry.required else f"[{entry.value}]" for entry in given)]
+    call += [f"{entry.names[-1]} {entry.value}" for entry in needed] + (["[OPTIONS]"] if others else [])
+    lines = textwrap.wrap(f"usage: {' '.join(call)}", _width(), subsequent_indent="  ", break_on_hyphens=False)
+    for paragraph in paragraphs(function):
+        lines += ["", *_folded(paragraph)]
+    for title, group in (("Arguments", given), ("Needed", needed), ("Options", [*others, *ALWAYS])):
+        if group:
+            lines += ["", f"{title}:", *_listed([(_names(entry), entry.text) for entry in group])]
+    return "\n".join(lines) + "\n"
+
+
+def short(line: str) -> str:
+    """What a verb does, without its example."""
+    return line.partition(": `")[0].partition(" (`")[0].rstrip(".") + "."
+
+
+def _names(entry: Entry) -> str:
+    return " ".join(part for part in (", ".join(entry.names), entry.value) if part)
+
+
+def _listed(rows: Sequence[tuple[str, str]]) -> list[str]:
+    """Names with their texts beside them, where there is room, else below."""
+    width = _width()
+    column = min(max(len(name) for name, _ in rows) + 4, 32)
+    if width < _BESIDE:
+        column = 6
+    lines = []
+    for name, text in rows:
+        folded = textwrap.wrap(text, width - column, break_on_hyphens=False)
+        if len(name) + 4 <= column:
+            lines.append(f"  {name}".ljust(column) + (folded.pop(0) if folded else ""))
+        else:
+            lines += textwrap.wrap(name, width, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False)
+        lines += [" " * column + line for line in folded]
+    return [line.rstrip() for line in lines]
+
+
+def _folded(text: str) -> list[str]:
+    return textwrap.wrap(text, _width(), break_on_hyphens=False)
+
+
+def _width() -> int:
+    return max(min(shutil.get_terminal_size().columns, _WIDEST), _NARROWEST)
+
+
+def unknown_verb(word: str, prog: str, verbs: Sequence[str]) -> str:
+    """One line on a word that is no verb of these."""
+    kind = "option" if word.startswith("-") else "verb"
+    options = [name for entry in (PROGRAM if prog == "jaxscan" else ALWAYS) for name in entry.names]
+    near = _near(word, options if kind == "option" else verbs)
+    return f'"{word}" is no {kind} of {prog}. {near}All there are: {prog} --help'
+
+
+def mistake(words: Sequence[str], prog: str, entries: Sequence[Entry]) -> str | None:
+    """One line on the first word that a verb does not understand, or on what is missing; None for neither."""
+    options = {name: entry for entry in (*entries, *ALWAYS) for name in (*entry.names, *entry.unshown)}
+    more = f"More: {prog} --help"
+    used, arguments, perhaps = set[str](), list[str](), 0
+    waiting = list(words)
+    while waiting:
+        word = waiting.pop(0)
+        name, given = _option(word)
+        if name not in options:
+            if re.match(r"--\w|-[a-zA-Z]", word):
+                return f'"{name}" is no option of {prog}. {_near(name, sorted(options))}All there are: {prog} --help'
+            arguments.append(word)
+            continue
+        used.add(name)
+        entry = options[name]
+        count = len(waiting) if entry.many is None else entry.many
+        values = given + [waiting.pop(0) for _ in range(count - len(given)) if waiting and _is_value(waiting, options)]
+        if len(values) < count and not (entry.many is None and values):
+            return f"{name} needs {entry.value}. {more}"
+        for value in values:
+            if not _fits(value, entry):
+                return f'{name}: found "{value}", expected {_expected(entry)}. {more}'
+        # What follows any number of values may be meant as arguments.
+        perhaps += len(values) if entry.many is None else 0
+    expected = [entry for entry in entries if not entry.names]
+    # Where any number is taken, the verb itself says that none is too few.
+    missing = [entry for entry in expected if entry.required and entry.many == 1][len(arguments) + perhaps :]
+    missing += [entry for entry in entries if entry.names and entry.required and not used & set(entry.names)]
+    if missing:
+        asked = " ".join([*missing[0].names[-1:], missing[0].value])
+        return f"{prog} needs {asked}: {missing[0].text} {more}"
+    if len(arguments) > len(expected) and all(entry.many == 1 for entry in expected):
+        return f'"{arguments[len(expected)]}" is one word too many for {prog}. {more}'
+    return None
+
+
+def _option(word: str) -> tuple[str, list[str]]:
+    """The name in a word, and the value that is in it too."""
+    name, sign, value = word.partition("=")
+    return (name.replace("_", "-") if name.startswith("--") else name), [value] if sign else []
+
+
+def _is_value(waiting: Sequence[str], options: Mapping[str, Entry]) -> bool:
+    return _option(waiting[0])[0] not in options
+
+
+def _fits(value: str, entry: Entry) -> bool:
+    if entry.choices:
+        return value in entry.choices
+    if entry.kind in (int, float):
+        try:
+            entry.kind(value)
+        except ValueError:
+            return False
+    return True
+
+
+def _expected(entry: Entry) -> str:
+    if entry.choices:
+        return f"one of {', '.join(entry.choices)}"
+    return "a whole number" if entry.kind is int else "a number"
+
+
+def _near(word: str, names: Sequence[str]) -> str:
+    """The name that was meant, as a question; also by its first letters."""
+    close = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
+    close = close or [name for name in names if len(word) > 3 and name.startswith(word)][:1]
+    return f'Did you mean "{close[0]}"? ' if close else ""
+
+
+SHELLS = ("bash", "zsh", "fish")
+
+
+class Verb(NamedTuple):
+    """A verb as completion knows it."""
+
+    words: tuple[str, ...]
+    """Its name, after that of a verb above it."""
+    says: str
+    entries: Sequence[Entry]
+
+
+def completion(shell: str, verbs: Sequence[Verb]) -> str:
+    """The script for one of `SHELLS`, to be evaluated by it."""
+    if shell == "fish":
+        return _fish(verbs)
+    # zsh runs the functions of bash.
+    before = "autoload -U +X compinit && compinit\nautoload -U +X bashcompinit && bashcompinit\n"
+    return (before if shell == "zsh" else "") + _bash(verbs)
+
+
+def _bash(verbs: Sequence[Verb]) -> str:
+    values, options = [], []
+    for verb in verbs:
+        name = " ".join(verb.words)
+        for entry in verb.entries:
+            if entry.choices:
+                asked = " | ".join(f"'{name} {option}'" for option in entry.names)
+                values.append(f"        {asked}) words='{' '.join(entry.choices)}' ;;")
+        options.append(f"        '{name}') words='{' '.join(_options(verb.entries))}' ;;")
+    below = [f"        {above}) words='{' '.join(names)}' ;;" for above, names in _below(verbs).items()]
+    first = [verb.words[0] for verb in verbs if len(verb.words) == 1]
+    first += [name for entry in PROGRAM for name in entry.names]
+    return "\n".join(
+        [
+            "_jaxscan() {",
+            '    local word="${COMP_WORDS[COMP_CWORD]}" before="${COMP_WORDS[COMP_CWORD-1]}" words=""',
+            '    local verb="${COMP_WORDS[1]}" depth=1',
+            f'    case "$verb" in {"|".join(_below(verbs))}) verb="$verb ${{COMP_WORDS[2]}}"; depth=2 ;; esac',
+            '    if [ "$COMP_CWORD" -eq 1 ]; then',
+            f"        words='{' '.join(first)}'",
+            '    elif [ "$COMP_CWORD" -eq "$depth" ]; then',
+            '        case "${COMP_WORDS[1]}" in',
+            *below,
+            "        esac",
+            "    else",
+            '        case "$verb $before" in',
+            *values,
+            "        esac",
+            "    fi",
+            '    if [ -z "$words" ] && [ "$COMP_CWORD" -gt "$depth" ] && [ "${word:0:1}" = "-" ]; then',
+            '        case "$verb" in',
+            *options,
+            "        esac",
+            "    fi",
+            "    COMPREPLY=()",
+            '    if [ -n "$words" ]; then COMPREPLY=($(compgen -W "$words" -- "$word")); fi',
+            "}",
+            "complete -o default -F _jaxscan jaxscan",
+            "",
+        ]
+    )
+
+
+def _fish(verbs: Sequence[Verb]) -> str:
+    lines = []
+    for entry in PROGRAM:
+        values = f" -x -a {_quoted(entry.value.replace('|', ' '))}" if entry.value else ""
+        lines.append(
+            f"complete -c jaxscan -n __fish_use_subcommand{_fish_names(entry)}{values} -d {_quoted(entry.text)}"
+        )
+    for verb in verbs:
+        *above, name = verb.words
+        here = "; and ".join(f"__fish_seen_subcommand_from {word}" for word in above) or "__fish_use_subcommand"
+        lines.append(f"complete -c jaxscan -n {_quoted(here)} -f -a {name} -d {_quoted(verb.says)}")
+        inside = _quoted("; and ".join(f"__fish_seen_subcommand_from {word}" for word in verb.words))
+        for entry in (*verb.entries, *ALWAYS):
+            if entry.names:
+                values = f" -x -a {_quoted(' '.join(entry.choices))}" if entry.choices else " -r" * bool(entry.value)
+                told = _quoted(entry.text.partition(". ")[0])
+                lines.append(f"complete -c jaxscan -n {inside}{_fish_names(entry)}{values} -d {told}")
+    return "\n".join(lines) + "\n"
+
+
+def _fish_names(entry: Entry) -> str:
+    return "".join(f" -l {name[2:]}" if name.startswith("--") else f" -s {name[1:]}" for name in entry.names)
+
+
+def _quoted(text: str) -> str:
+    """A word of fish that is nothing but this text."""
+    return "'" + text.replace("\\", "\\\\").replace("'", "\\'") + "'"
+
+
+def _options(entries: Sequence[Entry]) -> list[str]:
+    return [name for entry in (*entries, *ALWAYS) for name in entry.names]
+
+
+def _below(verbs: Sequence[Verb]) -> Mapping[str, list[str]]:
+    """The verbs below each verb that has some."""
+    found: dict[str, list[str]] = {}
+    for verb in verbs:
+        if len(verb.words) == 2:
+            found.setdefault(verb.words[0], []).append(verb.words[1])
+    return found

@@ -1,1 +1,0 @@
-"""Words about the verbs: pages of help, answers to mistyped names, and completion for shells."""

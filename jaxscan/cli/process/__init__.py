@@ -1,1 +1,0 @@
-"""The process of the command line: signals, errors, and the terminal."""

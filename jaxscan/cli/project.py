@@ -1,0 +1,395 @@
+"""`jaxscan project` and `batch`: many captures as one project, where it stands, and what makes the rest."""
+
+import contextlib
+import importlib.util
+import logging
+import os
+import shlex
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence, Sized
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, final
+
+import tyro
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+
+from jaxscan.cli.options import check_paths, file_at
+from jaxscan.cli.signals import leave_behind
+from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
+from jaxscan.errors import DependencyError, FleetError, JaxscanError, MeasurementError, OptionError
+from jaxscan.printable import printable
+
+
+if TYPE_CHECKING:
+    from jaxscan.project import Catalogue, Comparison, LengthChange, Project, Row, Status
+
+
+ProjectPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PROJECT")]
+STATES = ("done", "stale", "failed", "missing")
+
+
+def project() -> None:
+    """Many captures as one project: `jaxscan project init FOLDER` (`jaxscan project --help`)."""
+
+
+class Opened(NamedTuple):
+    """A project, and where it stands."""
+
+    project: "Project"
+    states: "Sequence[Status]"
+    catalogue: "Catalogue"
+
+
+@contextlib.contextmanager
+def opened(project: "Project", *, write: bool = False) -> Iterator[Opened]:
+    """Find what of a project's products is there; without `write`, nothing is made.
+
+    Raises:
+        JaxscanError: If a capture or the catalogue is not what it should be.
+    """
+    # Imported here, so that `--help` does not load JAX.
+    from jaxscan.project import check_owner, digests_of, open_catalogue, states_of, steps_of
+
+    check_owner(project)
+    steps = steps_of(project)
+    digests, parts = digests_of(steps)
+    catalogue = open_catalogue(project, write=write)
+    try:
+        yield Opened(project, states_of(steps, digests, parts, catalogue.rows(), project.output), catalogue)
+    finally:
+        catalogue.close()
+
+
+def counted(states: "Sequence[Status]") -> dict[str, int]:
+    """How many steps are in each state."""
+    found = Counter[str](status.state for status in states)
+    return {state: found[state] for state in STATES}
+
+
+def in_words(counts: dict[str, int]) -> str:
+    """The counts of states that there are, in a line."""
+    return ", ".join(f"{count} {state}" for state, count in counts.items() if count) or "nothing to do"
+
+
+NAME = "project.toml"
+
+
+def init(
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")] = Path(),
+    /,
+    *,
+    json: JsonTarget = None,
+) -> None:
+    """Write the project of what lies in a folder: `jaxscan project init FOLDER`.
+
+    Looks for captures and calibrations, four folders deep, and writes FOLDER/project.toml; an existing one is refused.
+
+    Args:
+        folder: The folder that holds captures and calibrations; without one, this one.
+        json: Write the result as JSON too.
+    """
+    # Imported here, so that `--help` does not load JAX.
+    from jaxscan.files.disk import write_atomically
+    from jaxscan.project import board_notes, load_project, project_text, steps_of
+
+    target = folder / NAME
+    check_paths([], [*file_at("FOLDER", target), *file_at("--json", json)])
+    check_json(json)
+    if os.path.lexists(target):
+        raise OptionError(f"{target}: exists, and may be yours; move it away.")
+    if not folder.is_dir():
+        raise OptionError(f"{folder}: is no folder.")
+    write_atomically(target, project_text(folder).encode(), links="replace")
+    try:
+        project = load_project(target)
+        steps, notes = len(steps_of(project)), [*project.notes, *board_notes(project)]
+    except JaxscanError:
+        # What is in the way, a name that two captures have say, is mended in the folder; then it is called again.
+        target.unlink()
+        raise
+    out = console(json)
+    out.print(f"written: {target} ({len(project.captures)} captures, {steps} steps)")
+    for note in notes:
+        out.print(f"note: {note}")
+    out.print(f"next: {shlex.join(['jaxscan', 'batch', str(target)])}")
+    names = [capture.name for capture in project.captures]
+    emit_json(json, "project-init", {"project": str(target), "captures": names, "notes": notes})
+
+
+_ORDER = ("failed", "stale", "missing", "done")
+_MOST_ROWS = 60
+"""Of the table; of more steps, only those that are not done, and so many of them."""
+
+
+def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False, json: JsonTarget = None) -> None:
+    """Say what is done, stale, failed and missing: `jaxscan project status project.toml`.
+
+    Below the table, each step that is not done has its reason, and each that is done its notes. A product is stale if
+    its capture, its calibration, the settings or the code that makes it have changed since, or if a file of it is gone.
+    Nothing is computed.
+
+    Args:
+        project: The project's file.
+        all: List every step, also those that are done.
+        json: Write the result as JSON too.
+    """
+    check_paths(file_at("PROJECT", project), file_at("--json", json))
+    check_json(json)
+    # Imported here, so that `--help` does not load JAX.
+    from jaxscan.project import load_project
+
+    with opened(load_project(project)) as found:
+        states = found.states
+    out, counts = console(json), counted(states)
+    shown = [one for one in states if all or len(states) <= _MOST_ROWS or one.state != "done"]
+    # What asks for something comes first.
+    shown.sort(key=lambda one: _ORDER.index(one.state))
+    listed = shown if all else shown[:_MOST_ROWS]
+    if listed:
+        out.print(table(f"{project}", ("", "state"), [(one.step.key, one.state) for one in listed]))
+    for one in listed:
+        if one.why:
+            out.print(f"{one.step.key} ({one.state}): {one.why}")
+    if len(listed) < len(shown):
+        out.print(f"... and {len(shown) - len(listed)} more (--all)")
+    for note in found.project.notes:
+        out.print(f"note: {note}")
+    out.print(in_words(counts))
+    if counts["done"] < len(states):
+        out.print(f"next: {shlex.join(['jaxscan', 'batch', str(project)])}")
+    left_out = list(found.project.notes)
+    result = {"counts": counts, "steps": [_as_json(one) for one in states], "left_out": left_out}
+    emit_json(json, "project-status", result)
+
+
+def _as_json(status: "Status") -> dict[str, Any]:
+    outputs = list(status.step.outputs)
+    return {"step": status.step.key, "state": status.state, "why": status.why, "outputs": outputs}
+
+
+def compare(
+    first: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FIRST")],
+    second: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SECOND")],
+    /,
+    *,
+    json: JsonTarget = None,
+) -> None:
+    """Lengths of two epochs or two versions: `jaxscan project compare old/project.toml new/project.toml`.
+
+    Captures with the same name are compared by their measures. Different captures: a length has changed if it differs
+    by three standard deviations. The same capture gives the same points, so there a tenth of the length's noise is a
+    change already, made by the code, the settings or the calibration. The exit code is 1 if a length has changed, or
+    if the second has it no more.
+
+    Args:
+        first: The project's file of the first epoch or version.
+        second: That of the second.
+        json: Write the result as JSON too.
+    """
+    # Imported here, so that `--help` does not load JAX.
+    from jaxscan.project import compare_projects, load_project
+
+    check_paths([*file_at("FIRST", first), *file_at("SECOND", second)], file_at("--json", json))
+    check_json(json)
+    found = compare_projects(load_project(first), load_project(second))
+    out = console(json)
+    columns = ("", "first m", "second m", "difference mm", "sigma mm", "")
+    out.print(table(f"{first} and {second}", columns, [_row(one) for one in found.lengths]))
+    if found.stale:
+        out.print(f"stale in {second}, so compared as they were made: {', '.join(found.stale)}")
+    only_first, only_second = (*found.only_first, *found.lost), (*found.only_second, *found.gained)
+    for names, path in ((only_first, first), (only_second, second)):
+        if names:
+            out.print(f"only in {path}: {', '.join(names)}")
+    result = found._asdict() | {
+        "lengths": [one._asdict() | {"difference_m": one.difference_m} for one in found.lengths]
+    }
+    emit_json(json, "project-compare", result)
+    changes = _changes(found)
+    if changes:
+        raise MeasurementError(f"{' and '.join(changes)}.")
+    out.print(f"{len(found.lengths)} lengths, none has changed")
+
+
+def _changes(found: "Comparison") -> list[str]:
+    """In words: lengths that have changed, and those that are lost."""
+    changes = []
+    if found.moved:
+        worst = max(found.moved, key=lambda one: abs(one.difference_m))
+        changes.append(
+            f"{len(found.moved)} of {len(found.lengths)} lengths have changed, {worst.capture} {worst.name} most: by "
+            f"{1e3 * worst.difference_m:+.3f} mm"
+        )
+    if found.lost:
+        number = len(found.lost)
+        changes.append(f"{number} length{' is' if number == 1 else 's are'} lost: {', '.join(found.lost)}")
+    return changes
+
+
+def _row(one: "LengthChange") -> tuple[str, ...]:
+    sigma = "same capture" if one.same_capture else f"{1e3 * one.sigma_m:.2f}"
+    name, difference = f"{one.capture} {one.name}", f"{1e3 * one.difference_m:+.3f}"
+    return name, f"{one.first_m:.4f}", f"{one.second_m:.4f}", difference, sigma, "changed" if one.moved else ""
+
+
+def batch(
+    project: ProjectPath = Path("project.toml"),
+    /,
+    *,
+    cluster: str | None = None,
+    slurm: bool = False,
+    kubernetes: bool = False,
+    ssh: Path | None = None,
+    workers: int | None = None,
+    memory_gib: float | None = None,
+    tls: Path | None = None,
+    output: Path | None = None,
+    json: JsonTarget = None,
+) -> None:
+    """Make what a project lacks: `jaxscan batch project.toml`.
+
+    What is missing or stale is made, and nothing else, on the cores of this machine or on a Dask cluster. A capture
+    that fails is said in a line and stops no other; then the exit code is 1. Ended in the middle and called again, it
+    goes on where it was.
+
+    Args:
+        project: The project's file.
+        cluster: Address of a Dask scheduler that runs already: tcp://host:port or tls://host:port.
+        slurm: Take workers from SLURM, as Dask's configuration says.
+        kubernetes: Take workers from Kubernetes, as Dask's configuration says.
+        ssh: File with a host on each line, on which workers are started by SSH.
+        workers: How many workers; without, one for each core of this machine, as far as memory reaches.
+        memory_gib: Memory of each worker [GiB].
+        tls: Folder with ca.pem, cert.pem and key.pem, for --cluster tls://host:port.
+        output: Folder of the products, as the project's file has it: needed once where that lies outside of the
+            project's folder.
+        json: Write the result as JSON too.
+    """
+    check_paths([*file_at("PROJECT", project), *file_at("--ssh", ssh)], file_at("--json", json))
+    check_json(json)
+    _need_dask()
+    # Imported here, so that `--help` does not load JAX.
+    from jaxscan.fleet import ClusterChoice, check_choice
+    from jaxscan.project import claimed, load_project
+
+    choice = ClusterChoice(cluster, workers, memory_gib, slurm=slurm, kubernetes=kubernetes, ssh=ssh, tls=tls)
+    check_choice(choice)
+    out, start = console(json), time.perf_counter()
+    wanted = load_project(project)
+    with claimed(wanted, output), opened(wanted, write=True) as found:
+        counts = counted(found.states)
+        out.print(f"{_many(found.project.captures, 'capture')}, {_many(found.states, 'step')}: {in_words(counts)}")
+        for note in wanted.notes:
+            out.print(f"note: {note}")
+        result: dict[str, Any] = {"done": [], "failed": {}, "not_begun": {}, "notes": {}}
+        if counts["done"] < len(found.states):
+            result = _work(found, choice, out)
+    seconds = time.perf_counter() - start
+    if result["done"]:
+        out.print(f"{_many(result['done'], 'step')} done in {seconds:.0f} s, in {found.project.output}")
+    if result["notes"]:
+        told = shlex.join(["jaxscan", "project", "status", "--all", str(project)])
+        out.print(f"notes on {_many(result['notes'], 'step')}: {told}")
+    about = {"output": str(found.project.output), "seconds_s": seconds, "left_out": list(wanted.notes)}
+    emit_json(json, "batch", result | about)
+    if result["failed"]:
+        failed, behind = _many(result["failed"], "step"), _many(result["not_begun"], "step")
+        again = shlex.join(["jaxscan", "batch", str(project)])
+        raise FleetError(f"{failed} failed, {behind} behind not begun; mend what failed and call again: {again}")
+
+
+def _many(listed: Sized, name: str) -> str:
+    return f"{len(listed)} {name}{'' if len(listed) == 1 else 's'}"
+
+
+def _work(found: Opened, choice: Any, out: Terminal) -> dict[str, Any]:
+    from jaxscan.fleet import open_cluster, patience_of
+    from jaxscan.fleet.batch import check_sight, run_batch
+    from jaxscan.project import order_of
+
+    # Errors of the cluster are said in one line; Dask would say them in many.
+    for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    output = found.project.output
+    todo = [order_of(status, output) for status in found.states if status.state != "done"]
+    with open_cluster(choice) as client, batch_display(out, len(todo)) as display:
+        check_sight(client, output)
+        report = run_batch(todo, found.catalogue, client, display, patience_s=patience_of(choice))
+    return {
+        "done": [row.key for row in report.rows if row.state == "done"],
+        "failed": {row.key: row.message for row in report.failed},
+        "not_begun": dict(report.left),
+        "notes": {row.key: row.message for row in report.rows if row.state == "done" and row.message},
+    }
+
+
+def _need_dask() -> None:
+    if importlib.util.find_spec("distributed") is None:
+        raise DependencyError('a batch needs Dask: pip install "jaxscan[fleet]".')
+
+
+_BELOW_BARS = b"\n\x1b[?25h"
+"""Begins a line, and shows the cursor that rich hides."""
+_MOST_LINES = 8
+"""Steps that have a line of their own."""
+
+
+@final
+class BatchDisplay:
+    """Lines for steps that fail, and bars for those at work; without a terminal a line for each that is done."""
+
+    def __init__(self, out: Terminal, bars: Progress | None, steps: int) -> None:
+        """Args: where lines go, bars that are shown or None, and the number of steps."""
+        self._out, self._bars, self._steps = out, bars, steps
+        self._lock = threading.Lock()
+        self._tasks: dict[str, TaskID] = {}
+        self._finished = set[str]()
+        self._all = None if bars is None else bars.add_task("all steps", total=steps)
+
+    def working(self, key: str, done: int, total: int) -> None:
+        """How far a step is; called from another thread."""
+        if self._bars is None:
+            return
+        with self._lock:
+            if key not in self._tasks:
+                # News of a step may come after its end.
+                if key in self._finished or len(self._tasks) >= _MOST_LINES:
+                    return
+                self._tasks[key] = self._bars.add_task(printable(key), total=total)
+            self._bars.update(self._tasks[key], completed=done, total=total)
+
+    def finished(self, row: "Row") -> None:
+        """A step was done, or failed; a failure is a line."""
+        if self._bars is not None and self._all is not None:
+            with self._lock:
+                self._finished.add(row.key)
+                task = self._tasks.pop(row.key, None)
+                if task is not None:
+                    self._bars.remove_task(task)
+                self._bars.advance(self._all)
+        if row.state == "failed" and self._bars is not None:
+            # Above the bars, which a line on another stream would run into.
+            self._bars.console.print(printable(f"failed: {row.key}: {row.message}"), style="red")
+        elif row.state == "failed":
+            self._out.print(f"failed: {row.key}: {row.message}", style="red")
+        elif self._bars is None:
+            self._out.print(f"done: {row.key} ({row.seconds:.1f} s)")
+
+
+@contextlib.contextmanager
+def batch_display(out: Terminal, steps: int) -> Iterator[BatchDisplay]:
+    """A display for so many steps; its bars are on standard error, and only on a terminal."""
+    terminal = Terminal(stderr=True)
+    if not terminal.is_terminal:
+        yield BatchDisplay(out, None, steps)
+        return
+    text = TextColumn("{task.description}", markup=False)
+    columns = (SpinnerColumn("line"), text, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=terminal.console, transient=True) as bars:
+        leave_behind(_BELOW_BARS)
+        try:
+            yield BatchDisplay(out, bars, steps)
+        finally:
+            leave_behind(b"")

@@ -1,1 +1,0 @@
-"""The verbs of projects: many captures by one file and one command."""

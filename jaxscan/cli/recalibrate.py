@@ -1,0 +1,255 @@
+"""`jaxscan recalibrate`: refines a stored calibration with ordinary sweeps of a room."""
+
+import shlex
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+import tyro
+
+from jaxscan import api, recalibration
+from jaxscan import report as calibration_reports
+from jaxscan.cli.options import (
+    CLOUD_SUFFIXES,
+    MAX_RANGE_M,
+    MIN_RANGE_M,
+    CalibrationPath,
+    OutputPath,
+    Place,
+    calibration_at,
+    capture_at,
+    check_paths,
+    file_at,
+    range_limits,
+)
+from jaxscan.cli.progress import progress_bar
+from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json
+from jaxscan.errors import CalibrationError, OptionError
+from jaxscan.files import calibration as calibration_files
+from jaxscan.files import capture as capture_files
+from jaxscan.files import clouds as cloud_files
+from jaxscan.files import disk
+from jaxscan.report import recalibration as reports
+
+
+if TYPE_CHECKING:
+    from jaxscan.calibration import Calibration
+    from jaxscan.recalibration import Given, Recalibration
+
+
+_Flag = tyro.conf.FlagCreatePairsOff[bool]
+
+
+def recalibrate(
+    sweeps: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SWEEP")],
+    /,
+    *,
+    calibration: CalibrationPath,
+    output: OutputPath,
+    boards: tuple[Path, ...] = (),
+    stations: _Flag = False,
+    known: Path | None = None,
+    angles: Literal["model", "steps"] = "model",
+    features: _Flag = False,
+    no_features: _Flag = False,
+    closed: _Flag = False,
+    no_closed: _Flag = False,
+    min_range: float = MIN_RANGE_M,
+    max_range: float = MAX_RANGE_M,
+    cloud: Annotated[
+        Path | None, tyro.conf.arg(help=f"Cloud of the sweeps with the new calibration ({CLOUD_SUFFIXES}).")
+    ] = None,
+    report: Path | None = None,
+    json: JsonTarget = None,
+) -> None:
+    """Recalibrate from sweeps of a room: `jaxscan recalibrate captures/room -c old.json -o new.json`.
+
+    The first line says whether the rig is as it was calibrated. The old calibration is not changed; where these
+    sweeps gain nothing, no calibration and no cloud is written and the exit code is 1.
+
+    Args:
+        sweeps: One or more sweeps of the same room with the rig as it is now.
+        calibration: Calibration of the rig, as `jaxscan calibrate` or this verb wrote it.
+        output: Calibration file to write.
+        boards: Captures of a calibration board with the rig as it is now, beside at least one sweep.
+        stations: Every sweep was taken from a place of its own.
+        known: Known lengths and spheres of the room (.toml).
+        angles: Errors of the table's angles: `model`, its gain and errors once and twice per turn; `steps`, one angle
+            per step as well.
+        features: Track features of the laser-off images, also where they have little texture; a note says where that
+            fails.
+        no_features: Track no features; without either, they are tracked where the images have texture.
+        closed: A full turn of the table is exactly one turn (a gear without slip).
+        no_closed: No such assumption, which is the default.
+        min_range: Smallest distance of points from the camera [m].
+        max_range: Largest distance of points from the camera [m].
+        report: Report to write: an HTML page by which to judge the recalibration.
+        json: Write the result as JSON too.
+    """
+    range_limits("--min-range", min_range, "--max-range", max_range)
+    settings = api.RecalibrationSettings(
+        stations=stations,
+        stripes=api.ReconstructSettings(min_range_m=min_range, max_range_m=max_range),
+        closed=_either("closed", closed, no_closed),
+        angles=angles,
+        features=_either("features", features, no_features),
+    )
+    check_paths(
+        reads=[
+            *(place for path in sweeps for place in capture_at("SWEEP", path)),
+            *(place for path in boards for place in capture_at("--boards", path)),
+            *calibration_at("--calibration", calibration),
+            *file_at("--known", known),
+        ],
+        writes=[
+            *calibration_at("--output", output),
+            *(place for option, path in _others(cloud, report, json) for place in file_at(option, path)),
+        ],
+        kept=[Place("the stripes", path / capture_files.CACHE_NAME) for path in sweeps],
+    )
+    calibration_files.check_calibration_path(output, with_observations=False)
+    if cloud is not None:
+        cloud_files.check_cloud_path(cloud)
+    if report is not None:
+        disk.check_writable(report)
+    check_json(json)
+    given = recalibration.Given() if known is None else _known_room(known)
+    captures, shown = ([api.open_capture(path) for path in paths] for paths in (sweeps, boards))
+    notes = calibration_files.calibration_notes(calibration)
+    with progress_bar("Recalibrating") as progress:
+        result = api.recalibrate(captures, calibration, boards=shown, given=given, settings=settings, progress=progress)
+    files: dict[str, str] = {}
+    if result.calibration is not None:
+        api.save_calibration(result.calibration, output)
+        files["calibration"] = str(output)
+        if cloud is not None:
+            api.save_recalibrated_cloud(
+                captures, result, cloud, calibration_digest=calibration_files.calibration_digest(output)
+            )
+            files["cloud"] = str(cloud)
+    # Whether the rig has drifted is worth knowing where nothing was updated too.
+    if report is not None:
+        title = f"{calibration.name} with {', '.join(path.name for path in (*sweeps, *boards))}"
+        disk.write_atomically(report, reports.recalibration_page(result, title=title, notes=tuple(notes)).encode())
+        files["report"] = str(report)
+    if result.calibration is not None:
+        out = console(json)
+        for note in notes:
+            out.print(f"note: {note}")
+        out.print(f"written: {', '.join(files.values())}")
+        print_recalibration(out, result)
+        out.print(_good_to(result.calibration, api.load_calibration(calibration)))
+        next_words = ["jaxscan", "reconstruct", str(sweeps[0]), "-c", str(output), "-o", f"{sweeps[0].name}.ply"]
+        out.print(f"next: {shlex.join(next_words)}")
+    emit_json(json, "recalibrate", files | recalibration_json(result))
+    if result.calibration is None:
+        raise CalibrationError(
+            " ".join(
+                (
+                    f"{calibration}: not updated: {result.refused.removesuffix('.')}.",
+                    *reports.table_lines(result),
+                    f"{reports.drift_words(result.drift)}.",
+                )
+            )
+        )
+
+
+def _good_to(new: "Calibration", old: "Calibration") -> str:
+    """How good the calibration is, in the same figure as `jaxscan calibrate`, and how good it was."""
+    found = [one.quality.verdict and one.quality.verdict.good_to for one in (new, old)]
+    said = [None if one is None else calibration_reports.words.good_to_words(one) for one in found]
+    return f"Good to {said[0] or 'not known'}, before {said[1] or 'not known'}."
+
+
+def _known_room(path: Path) -> "Given":
+    from jaxscan.files.known_room import load_known_room
+
+    return load_known_room(path)
+
+
+def _others(cloud: Path | None, report: Path | None, json: str | None) -> list[tuple[str, Path | str | None]]:
+    return [("--cloud", cloud), ("--report", report), ("--json", json)]
+
+
+def _either(option: str, yes: bool, no: bool) -> bool | None:
+    """A choice of two options; None where neither is given."""
+    if yes and no:
+        raise OptionError(f"--{option}: found with --no-{option}, expected one of them.")
+    return True if yes else False if no else None
+
+
+_STYLE = {"good": "bold green", "bad": "bold red", "open": "bold yellow"}
+_UNUSUAL = 3.0
+"""Changes beyond this many standard deviations are named."""
+
+
+def print_recalibration(out: Terminal, result: "Recalibration") -> None:
+    """Print gains, moves, walls, closure and open directions, and the drift verdict last."""
+    for text in reports.words.table_lines(result):
+        out.print(f"table: {text}", style="yellow")
+    blocks = {
+        "Uncertainty that the calibration alone causes (one standard deviation):": reports.words.length_lines(result),
+        "Directions in the space of the parameters:": reports.words.gain_lines(result.gains),
+        "Moved by more than chance:": moved_lines(result),
+    }
+    for title, lines in blocks.items():
+        if lines:
+            out.print(title)
+        for line in lines:
+            out.print(f"  {line}")
+    walls = (
+        *reports.words.wall_lines(result),
+        *reports.words.hold_out_lines(result),
+        *reports.words.closure_lines(result),
+    )
+    for text in (*reports.words.known_lines(result), *walls):
+        out.print(text)
+    for text in result.unobserved:
+        out.print(f"not told by these captures: {text}")
+    for text in result.notes:
+        out.print(f"note: {text}")
+    first = reports.words.headline(result)
+    out.print(f"{first.headline}.", style=_STYLE[first.kind])
+    out.print(first.explanation)
+
+
+def moved_lines(result: "Recalibration") -> list[str]:
+    """Parameters that moved further than chance moves them, and by how many sigmas."""
+    moved = [one for one in reports.words.by_sigmas(result.moved) if abs(one.sigmas) > _UNUSUAL]
+    return [
+        f"{one.name}: {one.scale * one.before:.7g} → {one.scale * one.after:.7g}{f' {one.unit}' if one.unit else ''}, "
+        f"{one.sigmas:+.1f} sigmas"
+        for one in moved
+    ]
+
+
+def recalibration_json(result: "Recalibration") -> dict[str, Any]:
+    """The same content as JSON."""
+    adjusted, table = result.adjusted, result.table
+    walls = [(panorama.sweep, *reports.words.flatness_mm(panorama)) for panorama in result.panoramas]
+    return calibration_files.finite(
+        {
+            "updated": result.updated,
+            "verdict": reports.words.headline(result)._asdict(),
+            "drift": asdict(result.drift),
+            "lengths": [asdict(one) for one in result.lengths],
+            "known_lengths": [asdict(one) for one in result.known],
+            "gains": [asdict(gain) | {"factor": gain.factor} for gain in result.gains],
+            "unobserved": result.unobserved,
+            "moved": [asdict(one) for one in reports.words.by_sigmas(result.moved)],
+            "walls": [{"sweep": name, "before_mm": before, "after_mm": after} for name, before, after in walls],
+            "hold_out": None if result.hold_out is None else asdict(result.hold_out),
+            "closure": None if result.closure is None else asdict(result.closure),
+            "table": {"factor": table.factor, "jumps": table.jumps, "sentences": table.sentences},
+            "stations": [
+                {"pose": pose, "covariance": covariance}
+                for pose, covariance in zip(adjusted.stations, adjusted.station_covariance, strict=True)
+            ],
+            "points": int(np.count_nonzero(adjusted.point_kept)),
+            "surfaces": len(adjusted.surfaces.kind),
+            "wall_m": adjusted.wall_m,
+            "inflation": adjusted.inflation,
+            "notes": result.notes,
+        }
+    )

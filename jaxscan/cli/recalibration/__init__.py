@@ -1,1 +1,0 @@
-"""Recalibration from sweeps on the command line."""

@@ -1,0 +1,412 @@
+"""`jaxscan scan`: drives a rig and takes a sweep, or a capture of boards; with a calibration also a live cloud."""
+
+import contextlib
+import math
+import shlex
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+import tyro
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+import jaxscan
+from jaxscan.cli.options import (
+    CLOUD_SUFFIXES,
+    ConfigPath,
+    OptionalCalibrationPath,
+    OutputPath,
+    calibration_at,
+    capture_at,
+    check_paths,
+    file_at,
+)
+from jaxscan.cli.progress import progress_bar
+from jaxscan.cli.signals import RigInUse
+from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json
+from jaxscan.errors import CaptureError, JaxscanError, OptionError
+from jaxscan.files import capture as capture_files
+
+
+if TYPE_CHECKING:
+    from scanrig.config import RigConfig
+    from scanrig.session import Devices, SessionResult
+
+    from jaxscan.cli.live import LiveCloud, LiveStatus
+    from jaxscan.files.capture import CaptureHeader
+
+
+class ScanError(JaxscanError):
+    """A scan that is not complete, or whose records are suspect."""
+
+
+def scan(
+    config: ConfigPath,
+    /,
+    *,
+    output: OutputPath,
+    boards: bool = False,
+    resume: bool = False,
+    port: str | None = None,
+    calibration: OptionalCalibrationPath = None,
+    cloud: Annotated[
+        Path | None, tyro.conf.arg(help=f"With --calibration: cloud to write at the end ({CLOUD_SUFFIXES}).")
+    ] = None,
+    smooth: Literal["off", "edge"] = "edge",
+    place_command: str | None = None,
+    json: JsonTarget = None,
+) -> None:
+    """Scan with a rig: `jaxscan scan scan.toml -o captures/room`.
+
+    Ctrl-C ends the scan after the current step and switches the laser off. A second Ctrl-C does so at once.
+
+    Args:
+        config: Configuration of the rig and of the scan (`jaxscan init scan.toml` writes one).
+        output: Folder of the capture.
+        boards: Take a capture of the calibration board instead of a sweep; shows which poses are missing.
+        resume: Continue a capture that was interrupted.
+        port: Serial port instead of the port in the configuration; "auto" takes the only controller there is.
+        calibration: Calibration of the rig; with it points are counted during the scan.
+        smooth: With --cloud: whether a point uses its neighbours along the stripe, as of `jaxscan reconstruct`.
+        place_command: With --boards: command that places the board; the number of the pose is appended to it.
+        json: Write the result as JSON too.
+    """
+    # Imported here, so that other verbs and `--help` load neither hardware drivers nor JAX.
+    from scanrig.cameras import open_camera
+    from scanrig.config import load_rig
+    from scanrig.controllers import open_controller
+    from scanrig.session import Devices, Interrupts
+
+    from jaxscan.cli.boards import scan_boards
+    from jaxscan.cli.live import LiveCloud
+    from jaxscan.files.calibration import calibration_notes
+    from jaxscan.files.capture import HEADER_NAME
+
+    _check_options(boards=boards, calibration=calibration, cloud=cloud, place_command=place_command)
+    check_paths(
+        reads=[
+            *file_at("CONFIG", config),
+            *calibration_at("--calibration", calibration),
+            *capture_at("--output", output),
+        ],
+        writes=[*file_at("--cloud", cloud), *file_at("--json", json)],
+    )
+    check_json(json)
+    rig = load_rig(config)
+    if boards and rig.board is None:
+        raise OptionError(f"{config}: has no [board] table, which --boards needs.")
+    if not resume and (output / HEADER_NAME).exists():
+        raise OptionError(f"--output: {output} holds a capture already; add --resume, or choose another folder.")
+    out = console(json)
+    plan = ScanPlan.of(rig, boards=boards)
+    plan.show(out, rig, output)
+    notes = [*plan.notes]
+    with contextlib.ExitStack() as stack:
+        live = None
+        if calibration is not None:
+            scanner = jaxscan.load_scanner(calibration)
+            doubts = calibration_notes(calibration)
+            for note in doubts:
+                out.print(f"note: {note}")
+            notes += doubts
+            settings = jaxscan.ReconstructSettings(smooth=smooth)
+            header = sweep_header(rig)
+            live = stack.enter_context(LiveCloud(output, header, scanner, steps=plan.records, settings=settings))
+            if resume and (output / HEADER_NAME).exists():
+                # A capture without records cannot be opened, and has none to add.
+                with contextlib.suppress(CaptureError):
+                    live.add_from_disk()
+        with contextlib.ExitStack() as opened:
+            in_use = opened.enter_context(RigInUse())
+            controller = opened.enter_context(open_controller(rig.controller, rig.microsteps_per_turn, port=port))
+            camera = opened.enter_context(open_camera(rig.camera, out.print))
+            opened.callback(in_use.closing)
+            # Not before: nobody sees its request while the program waits for a camera.
+            interrupts = opened.enter_context(Interrupts())
+            devices, folder = Devices(controller, camera), CaptureFolder(output, resume)
+            if boards:
+                result = scan_boards(rig, folder, devices, interrupts, place_command, out)
+            else:
+                result = _scan_sweep(rig, folder, devices, interrupts, calibration, live)
+        out.print(result.message)
+        done = _finish_cloud(live, result, output, cloud, calibration, out)
+        notes += done.get("notes", [])
+    if result.status == "complete":
+        out.print(f"next: {_next_command(boards, output, calibration, cloud)}")
+    emit_json(json, "scan", {**_as_json(result), "capture": str(output), **done, "notes": notes})
+    if result.status != "complete":
+        given = {"--port": port, "-c": calibration, "--cloud": cloud, "--place-command": place_command}
+        words = ["jaxscan", "scan", str(config), "-o", str(output), *(["--boards"] if boards else [])]
+        words += [str(word) for option in given.items() if option[1] is not None for word in option]
+        again = f"go on with: {shlex.join([*words, '--resume'])}"
+        if result.status == "interrupted" and interrupts():
+            out.print(again)
+            raise KeyboardInterrupt(interrupts.received[0])
+        raise ScanError(f"{output}: {result.status}; {again}")
+
+
+def _check_options(*, boards: bool, calibration: Path | None, cloud: Path | None, place_command: str | None) -> None:
+    if place_command is not None and not boards:
+        raise OptionError("--place-command: found without --boards, expected with it.")
+    if boards and calibration is not None:
+        raise OptionError("--calibration: found with --boards, expected for a sweep only.")
+    if cloud is not None:
+        if calibration is None:
+            raise OptionError("--cloud: found without --calibration, expected with it.")
+        from jaxscan.files.clouds import check_cloud_path
+
+        check_cloud_path(cloud)
+
+
+def _scan_sweep(
+    rig: "RigConfig",
+    folder: "CaptureFolder",
+    devices: "Devices",
+    should_stop: Callable[[], bool],
+    calibration: Path | None,
+    live: "LiveCloud | None",
+) -> "SessionResult":
+    from scanrig.doctor import stripe_level
+    from scanrig.session import Hooks, run_sweep
+    from scanrig.session.plan import plan_sweep
+
+    from jaxscan.files.calibration import calibration_digest
+
+    with ScanDisplay(None if live is None else live.status, total=len(plan_sweep(rig)[0])) as display:
+
+        def on_pair(number: int, angle: float, on: np.ndarray, off: np.ndarray) -> None:
+            display.pair(angle, lambda: stripe_level(on, off, rig, rig.laser_of(number))[0])
+            if live is not None:
+                live.add(number, angle, on, off)
+
+        return run_sweep(
+            rig,
+            folder.path,
+            devices,
+            Hooks(on_pair, display.progress, display.say, should_stop),
+            resume=folder.resume,
+            calibration_digest=None if calibration is None else calibration_digest(calibration),
+        )
+
+
+def _finish_cloud(
+    live: "LiveCloud | None",
+    result: "SessionResult",
+    capture: Path,
+    cloud: Path | None,
+    calibration: Path | None,
+    out: Terminal,
+) -> dict[str, Any]:
+    """Write the cloud, if one was asked for and all records are there: the same as `jaxscan reconstruct` writes."""
+    if live is None or cloud is None or calibration is None or result.status not in ("complete", "suspect"):
+        return {}
+    from jaxscan import api
+    from jaxscan.files.calibration import calibration_digest
+
+    with progress_bar("Finishing the cloud") as progress:
+        done = live.finish(progress)
+    sweep, points = api.open_capture(capture), done.cloud
+    notes = list(done.notes)
+    if api.has_photographs(sweep):
+        scanner = api.load_scanner(calibration)
+        notes += api.photograph_notes(sweep, scanner, "points")
+        with progress_bar("Colouring from photographs") as progress:
+            points = api.colour_cloud(points, sweep, scanner, progress=progress)
+    for note in notes:
+        out.print(f"note: {note}")
+    if done.noise:
+        out.print(f"noise: {done.noise}")
+    jaxscan.save_cloud(points, cloud, calibration_digest=calibration_digest(calibration))
+    count = int(np.count_nonzero(points.valid))
+    out.print(f"{count:,} points, written: {cloud}")
+    return {"cloud": str(cloud), "points": count, "live": done.live, "notes": notes, "noise": done.noise}
+
+
+def _as_json(result: "SessionResult") -> dict[str, Any]:
+    names = ("status", "message", "records", "planned", "taken", "retakes", "suspect", "laser_off")
+    return {name: getattr(result, name) for name in names}
+
+
+def _next_command(boards: bool, folder: Path, calibration: Path | None, cloud: Path | None) -> str:
+    if boards:
+        return f"jaxscan calibrate {folder} -o calibration.json --report calibration.html"
+    if cloud is not None:
+        return f"jaxscan measure room {cloud} -c {calibration}"
+    return f"jaxscan reconstruct {folder} -c {calibration or 'calibration.json'} -o {folder.name}.ply"
+
+
+_READABLE_S = 0.25
+_BETWEEN_LINES_S = 5.0
+"""Lines of progress in a log are at least so far apart."""
+
+
+class ScanDisplay:
+    """Sentences on standard error; with a progress bar if that is a terminal."""
+
+    def __init__(
+        self,
+        live: "Callable[[], LiveStatus] | None" = None,
+        *,
+        total: int | None = None,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Prepare the display; it is shown inside `with`.
+
+        Args:
+            live: Gives the status of the live cloud.
+            total: Records of the scan; None for no bar.
+            now: The time [s].
+        """
+        self.retakes = 0
+        self._live = live
+        self._console = Terminal(stderr=True)
+        self._fields: dict[str, Any] = {"angle": "   home", "peak": "", "retakes": "", "points": ""}
+        self._problem = ""
+        self._read_s = -math.inf
+        self._now = now
+        self._begun: tuple[float, int] | None = None
+        """Time [s] and records when the first record was there."""
+        self._said = (0.0, 0)
+        """The same of the last line."""
+        self._bars: Progress | None = None
+        if total is not None and self._console.is_terminal:
+            columns = (
+                TextColumn("{task.fields[angle]}", markup=False),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeRemainingColumn(),
+                TextColumn("{task.fields[peak]}{task.fields[retakes]}{task.fields[points]}", markup=False),
+            )
+            self._bars = Progress(*columns, console=self._console.console, transient=True)
+            self._task = self._bars.add_task("", total=total, **self._fields)
+
+    def __enter__(self) -> "ScanDisplay":
+        if self._bars is not None:
+            self._bars.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bars is not None:
+            self._bars.stop()
+
+    def pair(self, angle: float, peak_dn: Callable[[], float]) -> None:
+        """Show a pair that was taken: the table's angle [rad] and the peak level of the laser's line [DN].
+
+        The table waits meanwhile, so the peak is asked for only as often as people can read it.
+        """
+        self._fields["angle"] = f"{math.degrees(angle):7.2f}°"
+        if self._bars is not None and time.monotonic() - self._read_s >= _READABLE_S:
+            self._read_s = time.monotonic()
+            self._fields["peak"] = f"line {peak_dn():3.0f} DN"
+        self._fields["retakes"] = f", {self.retakes} retaken" if self.retakes else ""
+        if self._live is not None:
+            status = self._live()
+            self._fields["points"] = f", {status.points} points"
+            if status.problem and status.problem != self._problem:
+                self._problem = status.problem
+                self.say(f"the live cloud stopped: {status.problem}; the scan goes on")
+
+    def progress(self, done: int, planned: int) -> None:
+        """Show the number of records on the disk; where nobody watches, in a line after each tenth."""
+        if self._bars is not None:
+            self._bars.update(self._task, completed=done, total=planned, **self._fields)
+            return
+        now = self._now()
+        if self._begun is None:
+            self._begun, self._said = (now, done), (now, done)
+        (begun_s, before), (said_s, said) = self._begun, self._said
+        if now - said_s < _BETWEEN_LINES_S or 10 * done // planned == 10 * said // planned or done >= planned:
+            return
+        self._said = now, done
+        left = (now - begun_s) / (done - before) * (planned - done)
+        self._console.print(f"{done} of {planned} records, about {_duration(left)} left{self._fields['retakes']}")
+
+    def say(self, sentence: str) -> None:
+        """Print a sentence on an event."""
+        if " is taken again: " in sentence:
+            self.retakes += 1
+        self._console.print(sentence)
+
+
+class CaptureFolder(NamedTuple):
+    """The folder of a capture."""
+
+    path: Path
+    resume: bool
+    """Whether to continue the capture in it."""
+
+
+class ScanPlan(NamedTuple):
+    """The records of a scan, and its need of time and disk space."""
+
+    records: int
+    targets: str
+    """The targets in words."""
+    seconds: float
+    bytes: int
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, rig: "RigConfig", *, boards: bool) -> "ScanPlan":
+        """The plan of a sweep, or of a capture of boards.
+
+        Raises:
+            ConfigError: If the table cannot reach a target.
+        """
+        from scanrig.session.plan import estimate, placed_targets, placement_positions, plan_sweep
+
+        if not boards:
+            targets, notes = plan_sweep(rig)
+            needed = estimate(rig, [target.position for target in targets])
+            step = abs(rig.sweep.turn_deg) / rig.sweep.steps
+            steps = f"{rig.sweep.steps * rig.sweep.turns} steps of {step:.4g}°{_each(rig)}"
+            return cls(len(targets), steps, needed.seconds, needed.bytes, notes)
+        views = rig.calibration
+        free, stands = placed_targets(rig, placement_positions(rig))
+        records = [target.position for one in (*free, *stands) for target in one]
+        needed = estimate(rig, records)
+        places = (
+            f"{views.free_views} poses of the board, then {views.placements} places where it stands while the table "
+            f"turns to {len(views.angles_deg)} angles{_each(rig)}"
+        )
+        return cls(len(records), places, needed.seconds, needed.bytes)
+
+    def show(self, out: Terminal, rig: "RigConfig", folder: Path) -> None:
+        """Print the plan."""
+        from scanrig.recording import readable
+
+        out.print(f"{self.targets}: {2 * self.records} images of {rig.camera.width} x {rig.camera.height} to {folder}")
+        turn = f"{rig.microsteps_per_turn} microsteps per turn"
+        out.print(f"about {_duration(self.seconds)}, up to {readable(self.bytes)}, {turn}")
+        for note in self.notes:
+            out.print(f"note: {note}")
+
+
+def _each(rig: "RigConfig") -> str:
+    names = " and ".join(laser.name for laser in rig.laser)
+    return f", each with the lasers {names}" if len(rig.laser) > 1 else ""
+
+
+def _duration(seconds: float) -> str:
+    minutes = math.ceil(seconds / 60)
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def sweep_header(rig: "RigConfig") -> "CaptureHeader":
+    """The header that the capture is going to have, as far as it describes the frames."""
+    camera = rig.camera
+    table = capture_files.CameraTable(
+        width=camera.width,
+        height=camera.height,
+        pixel_format=camera.pixel_format,
+        response=camera.response,
+        up=camera.up,
+    )
+    turntable = capture_files.TurntableTable(carries=rig.turntable.carries)
+    return capture_files.CaptureHeader(
+        kind="sweep", camera=table, turntable=turntable, laser=tuple(one.table for one in rig.laser)
+    )

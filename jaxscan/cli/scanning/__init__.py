@@ -1,1 +1,0 @@
-"""The verbs that drive a rig."""

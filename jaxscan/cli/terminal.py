@@ -1,0 +1,163 @@
+"""What people and machines read: lines and tables that do not steer the terminal, and JSON (`--json`)."""
+
+import json
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, final
+
+import tyro
+from rich.console import Console
+from rich.measure import Measurement
+from rich.table import Table
+
+from jaxscan.errors import OutputError
+from jaxscan.printable import printable
+
+
+_WIDTH = 160
+"""Columns where the output is no terminal, and the environment names none."""
+
+_UNLIMITED = 1_000_000
+"""Columns for any table."""
+
+
+class Sheet(NamedTuple):
+    """A table to be printed: its first column is text, the others are numbers."""
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+@final
+class Terminal:
+    """Prints lines and tables, in colour where somebody sees it."""
+
+    def __init__(self, *, stderr: bool = False) -> None:
+        """Print to standard output, or to standard error.
+
+        The variables NO_COLOR and FORCE_COLOR of the environment forbid and demand colours; rich answers to the latter.
+        """
+        file = sys.stderr if stderr else sys.stdout
+        # Without wrapping, markup and emoji codes, so that printed paths and commands can be copied. Without a
+        # system of colours there is no bold either: nothing is printed for the terminal to obey.
+        self.console = Console(
+            file=file,
+            highlight=False,
+            markup=False,
+            emoji=False,
+            soft_wrap=True,
+            color_system=None if os.environ.get("NO_COLOR") else "auto",
+        )
+        """For moving displays, which have to print their own fields through `printable`."""
+        self.console.on_broken_pipe = _raise_again  # type: ignore[method-assign]
+        if not self.is_terminal and not os.environ.get("COLUMNS", "").isdecimal():
+            self.console.width = _WIDTH
+
+    @property
+    def is_terminal(self) -> bool:
+        """Whether a person may see it; colours that FORCE_COLOR demands make no terminal of a file."""
+        file = self.console.file
+        return self.console.is_terminal and not file.closed and file.isatty()
+
+    def print(self, text: str | Sheet, style: str = "") -> None:
+        """Print one line, or a table that `table` made; where it is too wide, one line for each of its numbers.
+
+        Raises:
+            OutputError: If it cannot be written.
+            BrokenPipeError: If nobody reads.
+        """
+        try:
+            for part in [printable(text)] if isinstance(text, str) else self._fitted(text):
+                self.console.print(part, style=style)
+        except BrokenPipeError:
+            raise
+        except OSError as problem:
+            raise OutputError(f"standard output: cannot be written: {problem.strerror}.") from problem
+
+    def _fitted(self, sheet: Sheet) -> Sequence[Table | str]:
+        whole = _drawn(sheet)
+        unlimited = self.console.options.update(width=_UNLIMITED)
+        if Measurement.get(self.console, unlimited, whole).maximum <= self.console.width:
+            return [whole]
+        lines = [sheet.title]
+        for name, *values in sheet.rows:
+            lines.append(name)
+            named = zip(sheet.columns[1:], values, strict=False)
+            lines += [f"  {column}: {value}" if column else f"  {value}" for column, value in named if value]
+        return [printable(line) for line in lines]
+
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Sheet:
+    """A table whose first column is text and whose others are numbers."""
+    return Sheet(title, columns, rows)
+
+
+def _drawn(sheet: Sheet) -> Table:
+    made = Table(title=printable(sheet.title), title_justify="left", title_style="bold")
+    for i, column in enumerate(sheet.columns):
+        made.add_column(printable(column), justify="left" if i == 0 else "right", no_wrap=True)
+    for row in sheet.rows:
+        made.add_row(*map(printable, row))
+    return made
+
+
+def _raise_again() -> None:
+    """In place of rich's own answer, which ends the process with code 1."""
+    raise
+
+
+JsonTarget = Annotated[
+    str | None, tyro.conf.arg(name="json", metavar="FILE", help="Write the result as JSON too (- for standard output).")
+]
+
+
+def check_json(target: str | None) -> None:
+    """Check that the JSON can be written, before the work begins.
+
+    Raises:
+        JaxscanError: If its folder is missing or cannot be written.
+    """
+    # Imported here and below, so that `--help` does not load JAX.
+    from jaxscan.files.disk import check_writable
+
+    if target is not None and target != "-":
+        check_writable(target)
+
+
+def emit_json(target: str | None, verb: str, result: dict[str, Any]) -> None:
+    """Write `result` as `jaxscan-<verb>/1` to a file, or to standard output for "-"; arrays become lists.
+
+    Raises:
+        JaxscanError: If it cannot be written.
+        BrokenPipeError: If nobody reads standard output.
+    """
+    from jaxscan.files.disk import write_atomically
+
+    if target is None:
+        return
+    entries = {"format": f"jaxscan-{verb}/1", **result}
+    text = json.dumps(entries, indent=2, allow_nan=False, default=lambda array: array.tolist()) + "\n"
+    if target == "-":
+        _print_json(text)
+    else:
+        write_atomically(Path(target), text.encode())
+
+
+def _print_json(text: str) -> None:
+    if sys.stdout is None:
+        raise OutputError("standard output: is closed, so that --json - cannot be written.")
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as problem:
+        raise OutputError(f"standard output: cannot be written: {problem.strerror}.") from problem
+
+
+def console(json_target: str | None = None) -> Terminal:
+    """The terminal for people: standard output, or standard error where the JSON goes to standard output."""
+    return Terminal(stderr=json_target == "-")

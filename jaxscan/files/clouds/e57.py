@@ -1,0 +1,1002 @@
+"""The binding of libE57 in pye57, and the names of our extension."""
+
+import contextlib
+import functools
+import itertools
+import math
+import os
+import struct
+import time
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+
+from jaxscan.errors import CloudError, DependencyError
+from jaxscan.files.clouds.columns import Reading, as_bytes, range_of
+from jaxscan.files.clouds.grid import Records, cloud_of
+from jaxscan.files.clouds.header import (
+    METRE,
+    About,
+    StoredCloud,
+    about_of,
+    covariance_text,
+    header_lines,
+    lines_of_grid,
+    version_of,
+)
+from jaxscan.files.clouds.placing import epsg_of, wkt_of
+from jaxscan.files.clouds.points import blocks, columns, known_names, smoothed_names
+from jaxscan.files.disk import Element, Part, open_regular, parse_xml
+from jaxscan.geometry import from_quaternion, quaternion
+from jaxscan.reconstruction import PointCloud, Stations, of_station
+
+
+NORMALS_URI = "http://www.libe57.org/E57_EXT_surface_normals.txt"
+"""Namespace of the normals `nor:normalX` and so on, an extension that other programs know."""
+OWN_URI = "https://jaxscan.invalid/e57"
+"""Namespace of ours: `jaxscan:header`, the lines of a header, and values of points by the names of their columns."""
+OWN = "jaxscan:"
+COLUMNS = {
+    "cartesianX": "x",
+    "cartesianY": "y",
+    "cartesianZ": "z",
+    "intensity": "intensity",
+    "colorRed": "red",
+    "colorGreen": "green",
+    "colorBlue": "blue",
+    "rowIndex": "row",
+    "columnIndex": "step",
+    "nor:normalX": "nx",
+    "nor:normalY": "ny",
+    "nor:normalZ": "nz",
+}
+"""Columns that the standard and the extension of normals know."""
+
+
+def load_libe57() -> Any:
+    """The module.
+
+    Raises:
+        DependencyError: If pye57 is not installed.
+    """
+    try:
+        import pye57
+    except ImportError as problem:
+        raise DependencyError('E57 needs pye57: pip install "jaxscan[export]"') from problem
+    return pye57.libe57
+
+
+# The pages of an E57 file: 1020 bytes each, and a checksum that is compared whenever a page is read.
+#
+# Source: ASTM E2807, 6.2; CRC-32C (Castagnoli) as in RFC 3720.
+
+PAGE, PAYLOAD = 1024, 1020
+_BLOCK = 1024
+"""Pages that are read at a time."""
+
+
+class Pages:
+    """The bytes of a file without their checksums."""
+
+    def __init__(self, file: BinaryIO, size: int) -> None:
+        """A file of so many bytes."""
+        self._file, self._pages = file, size // PAGE
+        self._first, self._held = 0, b""
+
+    def read(self, at: int, count: int) -> bytes:
+        """Bytes from a place that is counted without checksums.
+
+        Raises:
+            ValueError: If the file ends before, or a page is damaged.
+        """
+        if at < 0 or count < 0 or at + count > self._pages * PAYLOAD:
+            raise ValueError("a part of it lies behind its end")
+        parts = []
+        while count:
+            start = at - self._first * PAYLOAD
+            if not 0 <= start < len(self._held):
+                self._fill(at // PAYLOAD)
+                continue
+            part = self._held[start : start + count]
+            parts.append(part)
+            at, count = at + len(part), count - len(part)
+        return parts[0] if len(parts) == 1 else b"".join(parts)
+
+    def _fill(self, first: int) -> None:
+        self._file.seek(first * PAGE)
+        data = self._file.read(min(_BLOCK, self._pages - first) * PAGE)
+        if len(data) < PAGE:
+            raise ValueError("the file ends before its end")
+        pages = np.frombuffer(data, np.uint8, len(data) // PAGE * PAGE).reshape(-1, PAGE)
+        stated = np.ascontiguousarray(pages[:, PAYLOAD:]).view(">u4")[:, 0]
+        if wrong := np.flatnonzero(checksums(pages[:, :PAYLOAD]) != stated).tolist():
+            raise ValueError(f"the checksum of page {first + wrong[0]} is not that of its bytes")
+        self._first, self._held = first, pages[:, :PAYLOAD].tobytes()
+
+
+def without_checksums(place: int) -> int:
+    """A place in the file as it is counted without checksums; one within a checksum is the end of its page."""
+    return place // PAGE * PAYLOAD + min(place % PAGE, PAYLOAD)
+
+
+def checksums(pages: np.ndarray) -> np.ndarray:
+    """CRC-32C of rows of bytes, uint8 [n, 4 k], as uint32 [n]: all rows at once, four bytes at a time."""
+    low, high = _tables()
+    found = np.full(len(pages), 0xFFFFFFFF, np.uint32)
+    for word in np.ascontiguousarray(np.ascontiguousarray(pages).view("<u4").T):
+        found ^= word
+        found = low[found & np.uint32(0xFFFF)] ^ high[found >> np.uint32(16)]
+    return ~found
+
+
+@functools.cache
+def _tables() -> tuple[np.ndarray, np.ndarray]:
+    """Tables that update a checksum by four bytes: by the lower and by the upper two."""
+    table = np.arange(1 << 16, dtype=np.uint32)
+    halves = []
+    for _ in range(2):
+        for _ in range(16):
+            table = (table >> np.uint32(1)) ^ np.where(table & np.uint32(1), np.uint32(0x82F63B78), np.uint32(0))
+        halves.append(table)
+    return halves[1], halves[0]
+
+
+# The points of a scan in E57: packets with a part of each column, whose values are floats or packed bits.
+#
+# Source: ASTM E2807, 9.3 and 9.4.
+
+_SECTION, _DATA, _OTHERS = 1, 1, (0, 2)
+BLOCK_POINTS = 1 << 16
+"""Points that are decoded together; a multiple of eight."""
+
+
+class Field(NamedTuple):
+    """How the values of a column are stored."""
+
+    name: str
+    bits: int
+    """Bits of a value; 0 where all values are equal, and for texts, which are not read."""
+    single: bool | None = None
+    """Whether it is a single or a double; None of a whole number."""
+    least: int = 0
+    """The whole number that is stored as 0."""
+    scale: float | None = None
+    """Factor of a whole number; None where it is taken as it is."""
+    offset: float = 0.0
+    brightest: float = float("inf")
+    """Largest value that it can have."""
+    readable: bool = True
+
+    @property
+    def type(self) -> str:
+        """Type that holds the values."""
+        if self.single is not None:
+            return "f4" if self.single else "f8"
+        if self.scale is not None:
+            return "f8"
+        if self.least >= 0 and self.least + (1 << self.bits) <= 1 << 8:
+            return "u1"
+        return "i4" if self.least >= -(1 << 31) and self.least + (1 << self.bits) <= 1 << 31 else "i8"
+
+
+def read_blocks(
+    pages: Pages, place: int, count: int, fields: Sequence[Field], wanted: Sequence[int]
+) -> Iterator[list[np.ndarray]]:
+    """Values of some columns of a scan, of the same points each, from the first point to the last.
+
+    Args:
+        place: Where the section begins, counted with checksums.
+        count: Number of points.
+        fields: All columns in their order.
+        wanted: Numbers of the columns that are asked for.
+
+    Raises:
+        ValueError: If the section is damaged or ends too early.
+    """
+    columns = [_Column(fields[k]) for k in wanted]
+    packets = _packets(pages, place, len(fields))
+    for start in range(0, count, BLOCK_POINTS):
+        points = min(BLOCK_POINTS, count - start)
+        while any(column.whole < points for column in columns):
+            parts = next(packets, None)
+            if parts is None:
+                raise ValueError(f"the section of {count} points ends too early")
+            for k, column in zip(wanted, columns, strict=True):
+                column.hold(parts[k], count - start)
+        yield [column.take(points) for column in columns]
+
+
+def _packets(pages: Pages, place: int, columns: int) -> Iterator[list[bytes]]:
+    """The bytes of each column in one packet after the other."""
+    at = without_checksums(place)
+    section, length, data = struct.unpack("<B7xQQ8x", pages.read(at, 32))
+    if section != _SECTION:
+        raise ValueError("a scan has no section of points")
+    end, at = at + length, without_checksums(data)
+    while at < end:
+        kind, packet = struct.unpack("<BxH", pages.read(at, 4))
+        if kind == _DATA:
+            yield _parts(pages.read(at, packet + 1), columns)
+        elif kind not in _OTHERS:
+            raise ValueError("found an unknown packet")
+        at += packet + 1
+
+
+def _parts(packet: bytes, count: int) -> list[bytes]:
+    """The part of each column that a packet holds."""
+    if len(packet) < 6 + 2 * count or struct.unpack_from("<H", packet, 4) != (count,):
+        raise ValueError("a packet does not have the columns of its scan")
+    places = np.cumsum([6 + 2 * count, *struct.unpack_from(f"<{count}H", packet, 6)]).tolist()
+    if places[-1] > len(packet):
+        raise ValueError("a packet is shorter than its columns")
+    return [packet[start:stop] for start, stop in itertools.pairwise(places)]
+
+
+class _Column:
+    """The bytes of a column that are not decoded yet."""
+
+    def __init__(self, field: Field) -> None:
+        self._field, self._held = field, bytearray()
+
+    @property
+    def whole(self) -> float:
+        """Number of values that are there."""
+        return float(8 * len(self._held) // self._field.bits) if self._field.bits else math.inf
+
+    def hold(self, data: bytes, left: int) -> None:
+        """Keep the bytes of a packet, except what is more than the points that are left."""
+        if self.whole < left:
+            self._held += data
+
+    def take(self, count: int) -> np.ndarray:
+        """The next values: eight of them always end with a byte, and only the last block has another number."""
+        used = (count * self._field.bits + 7) // 8
+        found = _decoded(self._field, self._held[:used], count)
+        del self._held[:used]
+        return found
+
+
+def _decoded(field: Field, data: bytearray, count: int) -> np.ndarray:
+    if field.single is not None:
+        return np.frombuffer(data, f"<{field.type}", count)
+    # Differences of 64 bits wrap around, and so do their sums.
+    whole = _unpacked(data, field.bits, count).view(np.int64) + np.int64(field.least)
+    if field.scale is None:
+        return whole
+    return whole * field.scale + field.offset
+
+
+def _unpacked(data: bytearray, bits: int, count: int) -> np.ndarray:
+    """Whole numbers [count] of so many bits each, the lowest bit first."""
+    if bits == 0:
+        return np.zeros(count, np.uint64)
+    if bits in (8, 16, 32, 64):
+        return np.frombuffer(data, f"<u{bits // 8}", count).astype(np.uint64)
+    groups = -(-count // 8)
+    # Eight values take as many bytes as one has bits.
+    table = np.zeros((groups, bits), np.uint8)
+    table.reshape(-1)[: len(data)] = np.frombuffer(data, np.uint8)
+    found = np.zeros((groups, 8), np.uint64)
+    for k in range(8):
+        first, shift = divmod(k * bits, 8)
+        for place in range((shift + bits + 7) // 8):
+            part = table[:, first + place].astype(np.uint64)
+            move = 8 * place - shift
+            found[:, k] |= part << np.uint64(move) if move >= 0 else part >> np.uint64(-move)
+    mask = np.uint64((1 << bits) - 1)
+    return (found & mask).reshape(-1)[:count]
+
+
+_SINGLE_M = 128.0
+"""Coordinates up to which a single is good to 8 um."""
+_AXES, _NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
+_SPHERICAL = ("range", "azimuth", "elevation")
+
+Block = dict[str, np.ndarray]
+"""Columns of some points."""
+
+
+class Scan(NamedTuple):
+    """A scan as it is stored, in its own frame."""
+
+    points: int
+    """Number of points."""
+    types: dict[str, str]
+    """Type of each column."""
+    blocks: Callable[[Iterable[str]], Iterator[Block]]
+    """Reads some columns of all points, a block at a time."""
+    pose: np.ndarray
+    """T_file_scan [4, 4]."""
+    lines: list[str]
+    """The lines of our header; none where another program wrote it."""
+    unused: tuple[str, ...] = ()
+    """Columns that a cloud has no place for."""
+    colours: str = ""
+    """What was decided about the range of its colours."""
+
+
+def joined(scans: list[Scan], name: str) -> PointCloud:
+    """The cloud of all scans, in the frame of the file.
+
+    Of ours, on the grid with its stations; of others, the points as a single profile. Beside the cloud only a block of
+    points is in memory at a time.
+
+    Raises:
+        CloudError: If there is no point, or grid or stations cannot be.
+        ValueError: If the file is damaged.
+    """
+    lines = scans[0].lines
+    parts = [part for scan in scans if scan.points and (part := _in_file_frame(scan, name)).points]
+    if not parts:
+        raise CloudError(f"{name}: holds no valid point.")
+    together = sorted({field for part in parts for field in part.types})
+    types = {field: np.result_type(*(part.types[field] for part in parts if field in part.types)) for field in together}
+    # Of ours, profiles are counted through all stations, and steps in each.
+    profiles = bool(lines) and "profile" in types
+
+    def read() -> Iterator[np.ndarray]:
+        for part in parts:
+            for block in part.blocks(part.types):
+                points = np.zeros(len(block["x"]), list(types.items()))
+                for field, values in block.items():
+                    points[field] = values
+                if profiles:
+                    points["step"] = points["profile"]
+                yield points
+
+    return cloud_of(Records(np.dtype(list(types.items())), sum(part.points for part in parts), read), lines, name)
+
+
+def _in_file_frame(scan: Scan, name: str) -> Scan:
+    """The points that the scan calls valid with x, y and z, carried along by the pose, like their normals."""
+    cartesian = set(_AXES) <= set(scan.types)
+    if not (cartesian or set(_SPHERICAL) <= set(scan.types)):
+        raise CloudError(f"{name}: the points have no x, y and z.")
+    stored = [field for field in scan.types if cartesian is False or field not in _SPHERICAL]
+    kept = [field for field in stored if field not in (*_AXES, *_SPHERICAL, "invalid")]
+    turns = not np.array_equal(scan.pose, np.eye(4))
+
+    def blocks(columns: Iterable[str]) -> Iterator[Block]:
+        wanted = set(columns)
+        needed = [field for field in stored if field in wanted | {*_AXES, *_SPHERICAL, "invalid"}]
+        for block in scan.blocks(needed):
+            if "invalid" in block:
+                valid = block.pop("invalid") == 0
+                block = {field: values[valid] for field, values in block.items()}
+            block = block if cartesian else _cartesian(block)
+            if turns:
+                block |= _turned(block, _AXES, scan.pose[:3, :3], scan.pose[:3, 3])
+                if set(_NORMAL) <= set(block):
+                    block |= _turned(block, _NORMAL, scan.pose[:3, :3], np.zeros(3))
+            yield block
+
+    single = cartesian and all(np.dtype(scan.types[axis]).itemsize <= 4 for axis in _AXES)
+    count = scan.points
+    if "invalid" in scan.types or (turns and single):
+        # Singles suffice where nothing is lost by them; what is not finite is dropped later.
+        count, reach = 0, 0.0
+        for block in blocks(()):
+            count += len(block["x"])
+            places = np.abs([block[axis] for axis in _AXES])
+            reach = max(reach, float(np.max(places, where=np.isfinite(places), initial=0.0)))
+        single = single and (not turns or reach <= _SINGLE_M)
+    types = dict.fromkeys(_AXES, "f4" if single else "f8") | {field: scan.types[field] for field in kept}
+    return scan._replace(points=count, types=types, blocks=blocks, pose=np.eye(4))
+
+
+def _turned(block: Block, names: tuple[str, ...], turn: np.ndarray, shift: np.ndarray) -> Block:
+    moved = np.stack([block[name].astype(np.float64) for name in names], -1) @ turn.T + shift
+    return dict(zip(names, moved.T, strict=True))
+
+
+def _cartesian(block: Block) -> Block:
+    distance, azimuth, elevation = (block.pop(field).astype(np.float64) for field in _SPHERICAL)
+    flat = distance * np.cos(elevation)
+    return block | {"x": flat * np.cos(azimuth), "y": flat * np.sin(azimuth), "z": distance * np.sin(elevation)}
+
+
+class RoundPicture(NamedTuple):
+    """A whole turn as seen from the scanner's origin: its x axis in the middle, azimuth falling to the right.
+
+    Rows are equal steps of elevation, as wide as those of azimuth, and the horizon is half way down.
+    """
+
+    jpeg: bytes
+    width: int
+    height: int
+    """Pixels."""
+
+
+class FlatPicture(NamedTuple):
+    """A photograph by a camera without distortion."""
+
+    jpeg: bytes
+    width: int
+    height: int
+    """Pixels."""
+    focal_px: float
+    centre: tuple[float, float]
+    """Principal point (u, v) [px], from the centre of the first pixel."""
+    pose: np.ndarray
+    """T_scanner_camera [4, 4], metres; the camera's x right, y up, z backward, as the format has it."""
+
+
+class Surroundings(NamedTuple):
+    """Pictures and times of a scan."""
+
+    panorama: RoundPicture
+    photographs: Iterable[FlatPicture] = ()
+    """Read one after the other."""
+    started_s: float | None = None
+    """When the scan began, seconds since 1970; None where it is not known."""
+
+
+def append_panorama(e57: Any, image: Any, picture: RoundPicture, scan: Any) -> None:
+    """Append a picture that was taken where a scan was.
+
+    Args:
+        e57: The binding of libE57.
+        image: The file, with its scans.
+        picture: What is seen from the origin of the scan.
+        scan: Its node, whose pose and identity the picture takes.
+    """
+    node, sphere, pose = (e57.StructureNode(image) for _ in range(3))
+    for part, axes in (("rotation", "wxyz"), ("translation", "xyz")):
+        copied = e57.StructureNode(image)
+        for axis in axes:
+            copied.set(axis, e57.FloatNode(image, scan["pose"][part][axis].value()))
+        pose.set(part, copied)
+    node.set("pose", pose)
+    for key in ("pixelWidth", "pixelHeight"):
+        sphere.set(key, e57.FloatNode(image, 2 * np.pi / picture.width))
+    node.set("sphericalRepresentation", sphere)
+    _append(e57, image, (node, sphere), picture, scan, ("panorama", "laser-off images of the sweep, blended"))
+
+
+def append_photograph(e57: Any, image: Any, picture: FlatPicture, scan: Any, *, number: int, T_file_scan: Any) -> None:
+    """Append a photograph of a scan, in the format's pinhole representation."""
+    node, pinhole, pose = (e57.StructureNode(image) for _ in range(3))
+    placed = np.asarray(T_file_scan, np.float64) @ picture.pose
+    values = {"rotation": zip("wxyz", quaternion(placed[:3, :3]), strict=True)}
+    for part, numbers in (*values.items(), ("translation", zip("xyz", placed[:3, 3].tolist(), strict=True))):
+        made = e57.StructureNode(image)
+        for axis, value in numbers:
+            made.set(axis, e57.FloatNode(image, value))
+        pose.set(part, made)
+    node.set("pose", pose)
+    # Only ratios matter: the sensor's pixels are taken to be a micrometre.
+    sizes = {"focalLength": 1e-6 * picture.focal_px, "pixelWidth": 1e-6, "pixelHeight": 1e-6}
+    middle = {"principalPointX": picture.centre[0], "principalPointY": picture.centre[1]}
+    for key, value in {**sizes, **middle}.items():
+        pinhole.set(key, e57.FloatNode(image, value))
+    node.set("pinholeRepresentation", pinhole)
+    _append(e57, image, (node, pinhole), picture, scan, (f"photograph {number}", "laser-off image, without distortion"))
+
+
+def _append(
+    e57: Any, image: Any, nodes: tuple[Any, Any], picture: RoundPicture | FlatPicture, scan: Any, words: tuple[str, str]
+) -> None:
+    """Name a picture's node, fill in its representation, and write it."""
+    node, shown = nodes
+    node.set("guid", e57.StringNode(image, f"{{{uuid.uuid4()}}}"))
+    node.set("name", e57.StringNode(image, words[0]))
+    node.set("description", e57.StringNode(image, words[1]))
+    node.set("associatedData3DGuid", e57.StringNode(image, scan["guid"].value()))
+    blob = e57.BlobNode(image, len(picture.jpeg))
+    shown.set("jpegImage", blob)
+    for key, pixels in (("imageWidth", picture.width), ("imageHeight", picture.height)):
+        shown.set(key, e57.IntegerNode(image, pixels))
+    image.root()["images2D"].append(node)
+    # A blob has a place in the file only when its node has one.
+    blob.write(np.frombuffer(picture.jpeg, np.uint8).copy(), 0, len(picture.jpeg))
+
+
+# Reading E57: files of this library on their grid, others by rows and columns, or as a single row of points.
+#
+# The format is read here, in blocks, and not by libE57: its parser of XML follows what a file says, to other files and
+# addresses too, and hears no signal while it does.
+
+MAX_XML_BYTES = 1 << 24
+"""Of 1024 scans with their pictures, or of 64 stations that each name all others."""
+MAX_SCANS = 1024
+_SPHERICAL_NAMES = {"sphericalRange": "range", "sphericalAzimuth": "azimuth", "sphericalElevation": "elevation"}
+_COLOUR_LIMITS = {"red": "colorLimits/colorRedMaximum", "green": "colorLimits/colorGreenMaximum"}
+_COLOUR_LIMITS["blue"] = "colorLimits/colorBlueMaximum"
+_OWN_COLUMNS = {
+    f"{OWN}{name}": name
+    for name in (
+        *("sigma", "sigma_random", "sigma_systematic", "laser", "angle", "record", "profile", "station"),
+        *("sigma_row", "shift_px", "shared_lines"),
+    )
+}
+
+
+def read_e57(path: Path, reading: Reading | None = None) -> StoredCloud:
+    """A cloud of all scans of an E57 file, in the frame of the file.
+
+    Raises:
+        CloudError: If it is damaged or has no points.
+    """
+    reading = reading or Reading()
+    if reading.columns:
+        raise CloudError(f"{path}: the columns of E57 are named by the format; leave --columns out.")
+    with open_regular(path, error=CloudError) as file:
+        size = os.fstat(file.fileno()).st_size
+        place, length = _places(file.read(48), size, path)
+        pages = Pages(file, size)
+        try:
+            text = pages.read(without_checksums(place), length)
+            root = parse_xml(text, name=str(path), error=CloudError, limit=MAX_XML_BYTES)
+            scans = list(_read_scans(pages, root, size, path, reading))
+            if sum(scan.points for scan in scans) == 0:
+                raise CloudError(f"{path}: holds no points.")
+            lines = scans[0].lines
+            version_of(lines, str(path))
+            cloud = joined(scans, str(path))
+        except (ValueError, OverflowError, struct.error, OSError) as problem:
+            raise CloudError(f"{path}: not a readable E57 file: {problem!s:.100}.") from problem
+    about = about_of(lines)
+    frame = root.find("coordinateMetadata")
+    epsg = about.epsg if about.epsg is not None or frame is None else epsg_of(frame.text)
+    # The standard knows no other unit, and z up in the frame of a levelled scanner.
+    about = about._replace(epsg=epsg, metres=METRE, unit_by="the format", upright=True)
+    return StoredCloud(cloud, about, () if lines else _words(scans))
+
+
+def _words(scans: list[Scan]) -> tuple[str, ...]:
+    """The decisions in words, for the note."""
+    filled = [scan for scan in scans if scan.points]
+    known = {*COLUMNS.values(), *_SPHERICAL_NAMES.values()}
+    columns = dict.fromkeys(name for scan in filled for name in scan.types if name in known)
+    unused = dict.fromkeys(name for scan in filled for name in scan.unused)
+    ranges = dict.fromkeys(scan.colours for scan in filled if scan.colours)
+    return (
+        f"{', '.join(columns)} by the format",
+        *([f"not used: {', '.join(unused)[:80]}"] if unused else []),
+        *ranges,
+        *([f"{len(filled)} scans in one frame"] if len(filled) > 1 else []),
+    )
+
+
+def _places(head: bytes, size: int, path: Path) -> tuple[int, int]:
+    """Place and length of the XML, after a look at the sizes in the head."""
+    if len(head) < 48 or head[:8] != b"ASTM-E57":
+        raise CloudError(f"{path}: not an E57 file.")
+    (version,) = struct.unpack_from("<I", head, 8)
+    length, place, xml, page = struct.unpack_from("<QQQQ", head, 16)
+    if length > size or place > size or xml > min(size, MAX_XML_BYTES) or page != PAGE:
+        raise CloudError(f"{path}: the head announces more than the file holds; it is damaged or cut short.")
+    if version > 1:
+        raise CloudError(f"{path}: found version {version} of E57, expected 1.")
+    return place, xml
+
+
+def _read_scans(pages: Pages, root: Element, size: int, path: Path, reading: Reading) -> Iterator[Scan]:
+    listed = root.find("data3D")
+    scans = [] if listed is None else listed.children
+    if len(scans) > MAX_SCANS:
+        raise CloudError(f"{path}: found {len(scans)} scans, expected at most {MAX_SCANS}.")
+    left = 8 * size
+    for scan in scans:
+        points = scan.find("points")
+        if points is None:
+            continue
+        count = int(points.attributes.get("recordCount", "0"))
+        fields = _fields_of(points.find("prototype"))
+        # A point takes more than a byte; without data a file could announce any number of equal ones.
+        left -= max(8, sum(field.bits for field in fields)) * count
+        if count < 0 or left < 0:
+            raise CloudError(f"{path}: announces {count} points, which the file cannot hold; it is damaged.")
+        header = scan.find(f"{OWN}header")
+        lines = [] if header is None else header.text.splitlines()
+        yield _scan(pages, scan, points, count, fields, lines, reading)
+
+
+def _fields_of(prototype: Element | None) -> list[Field]:
+    """The columns of a scan in their order."""
+    found = [] if prototype is None else list(_leaves(prototype, ""))
+    if len({field.name for field in found}) < len(found):
+        raise ValueError("a scan has two columns of one name")
+    return found
+
+
+def _leaves(parent: Element, before: str) -> Iterator[Field]:
+    for child in parent.children:
+        name, kind = before + child.tag, child.attributes.get("type", "")
+        if kind in ("Structure", "Vector"):
+            yield from _leaves(child, f"{name}/")
+        else:
+            yield _field(name, kind, child.attributes)
+
+
+def _field(name: str, kind: str, words: dict[str, str]) -> Field:
+    if kind == "Float":
+        single = words.get("precision", "double") == "single"
+        brightest = float(words.get("maximum", "inf"))
+        return Field(name, 32 if single else 64, single, brightest=brightest)
+    if kind == "String":
+        return Field(name, 0, readable=False)
+    if kind not in ("Integer", "ScaledInteger"):
+        raise ValueError(f"a column has the unknown type {kind:.40}")
+    least, most = int(words.get("minimum", -(1 << 63))), int(words.get("maximum", (1 << 63) - 1))
+    if not -(1 << 63) <= least <= most < 1 << 63:
+        raise ValueError(f"the limits {least:.6g} and {most:.6g} of a column cannot be")
+    bits = (most - least).bit_length()
+    if kind == "Integer":
+        return Field(name, bits, least=least, brightest=most)
+    scale, offset = float(words.get("scale", "1")), float(words.get("offset", "0"))
+    return Field(name, bits, least=least, scale=scale, offset=offset, brightest=most * scale + offset)
+
+
+def _wanted(fields: list[Field]) -> dict[str, str]:
+    """Names of the columns that a cloud can use, by their names in the file."""
+    names = {field.name for field in fields if field.readable}
+    known = COLUMNS | _OWN_COLUMNS
+    cartesian = ("cartesianX", "cartesianY", "cartesianZ")
+    # Where both are there, the state of the one is not that of the other.
+    if set(cartesian) <= names:
+        known = known | {"cartesianInvalidState": "invalid"}
+    else:
+        known = {name: column for name, column in known.items() if name not in cartesian}
+        known |= _SPHERICAL_NAMES | {"sphericalInvalidState": "invalid"}
+    return {name: column for name, column in known.items() if name in names}
+
+
+def _scan(
+    pages: Pages,
+    scan: Element,
+    points: Element,
+    count: int,
+    fields: list[Field],
+    lines: list[str],
+    reading: Reading,
+) -> Scan:
+    """A scan with all columns that a cloud can use."""
+    wanted = _wanted(fields)
+    place = int(points.attributes.get("fileOffset", "0"))
+    numbers = {wanted[field.name]: k for k, field in enumerate(fields) if field.name in wanted}
+
+    def read(columns: Iterable[str]) -> Iterator[dict[str, np.ndarray]]:
+        names = list(columns)
+        for values in read_blocks(pages, place, count, fields, [numbers[name] for name in names]):
+            yield dict(zip(names, values, strict=True))
+
+    stated = _full_brightness(scan, fields)
+    full: dict[str, float] = {}
+    words = ""
+    if count and numbers.keys() >= stated.keys():
+        # By what they reach together: limits are not always true, and often not there.
+        kind = np.result_type(*(np.dtype(fields[numbers[colour]].type) for colour in stated))
+        most, whole = 0.0, True
+        for block in () if kind == np.uint8 else read(stated):
+            for values in map(np.nan_to_num, block.values()):
+                most, whole = max(most, float(values.max())), whole and bool((values == np.floor(values)).all())
+        found = [range_of(kind, most, whole=whole, stated=limit, reading=reading) for limit in stated.values()]
+        full = {colour: one.brightest for colour, one in zip(stated, found, strict=True)}
+        words = found[0].words
+    if not all(full.values()):
+        full = {}
+    numbers = {name: k for name, k in numbers.items() if name in full or name not in stated}
+    types = {name: "u1" if name in full else _stored(fields[k], name) for name, k in numbers.items()}
+
+    def blocks(columns: Iterable[str]) -> Iterator[dict[str, np.ndarray]]:
+        for block in read(columns):
+            for colour in full.keys() & block.keys():
+                block[colour] = as_bytes(block[colour], full[colour])
+            yield block
+
+    used = {*wanted, "cartesianInvalidState", "sphericalInvalidState"}
+    unused = tuple(field.name for field in fields if field.name not in used and not field.name.startswith("spherical"))
+    return Scan(count, types, blocks, _pose(scan), lines, unused, words)
+
+
+def _stored(field: Field, column: str) -> str:
+    """Type of a column: what is turned is a float, and what counts profiles or lines counts further in other scans."""
+    if column in ("x", "y", "z", "nx", "ny", "nz"):
+        return field.type if field.single is not None else "f8"
+    return "i4" if field.type == "u1" and column in ("step", "row", "profile", "record") else field.type
+
+
+def _full_brightness(scan: Element, fields: list[Field]) -> dict[str, float | None]:
+    """The number of full brightness of each colour: that of the scan, else that of the column; None where none is."""
+    most = {COLUMNS.get(field.name): field.brightest for field in fields}
+    found: dict[str, float | None] = {}
+    for colour, path in _COLOUR_LIMITS.items():
+        limit = scan.find(path)
+        stated = _number(limit, 0.0)
+        if not 0 < stated < math.inf:
+            stated = float(most.get(colour, math.inf))
+        found[colour] = stated if 0 < stated <= 65535 else None
+    return found
+
+
+def _number(element: Element | None, default: float) -> float:
+    """The number that an element holds: 0 where it is empty."""
+    return default if element is None else float(element.text.strip() or "0")
+
+
+_UNIT = 1e-2
+"""By how much the length of a quaternion may differ from 1, as it is written with few digits."""
+
+
+def _pose(scan: Element) -> np.ndarray:
+    """T_file_scan [4, 4]."""
+
+    def read(key: str, default: float) -> float:
+        return _number(scan.find(f"pose/{key}"), default)
+
+    pose = np.eye(4)
+    pose[:3, 3] = [read(f"translation/{axis}", 0.0) for axis in "xyz"]
+    q = np.array([read("rotation/w", 1.0), *(read(f"rotation/{axis}", 0.0) for axis in "xyz")])
+    if not (np.isfinite(q).all() and np.isfinite(pose).all() and abs(np.linalg.norm(q) - 1.0) < _UNIT):
+        raise ValueError(
+            f"the pose of a scan is no rigid motion: its quaternion has the length {np.linalg.norm(q):.4g}"
+        )
+    pose[:3, :3] = from_quaternion(q)
+    return pose
+
+
+_OURS = ("sigma", "sigma_random", "sigma_systematic", "laser", "angle", "record")
+"""Columns that only an extension has a place for."""
+_COLOURS = ("colorRed", "colorGreen", "colorBlue")
+_ENDS = ((0, "Minimum"), (1, "Maximum"))
+_GPS_EPOCH_S, _LEAP_S = 315964800, 18
+"""GPS time counts from 1980-01-06 without leap seconds."""
+
+
+def write_e57(cloud: PointCloud, path: Part, about: About, around: Surroundings | None = None) -> None:
+    """Write one scan for each station: metres, pose, row and column index, colour, intensity [DN], normals.
+
+    The column is the profile of the station, the row the line. Points are in the station's own frame; the pose of the
+    scan carries them into that of the room, and its description holds digest and covariance. Coordinates are float32,
+    or float64 where the cloud holds it; intensity is float32. Sigmas, laser, angle and record are an extension.
+    What is around belongs to the first scan.
+
+    Raises:
+        CloudError: If the EPSG code is none in metres.
+        DependencyError: If pye57, or pyproj for a code, is not installed.
+        OSError: If the file cannot be written.
+    """
+    e57 = load_libe57()
+    frame = "" if about.epsg is None else wkt_of(about.epsg)
+    try:
+        with contextlib.closing(e57.ImageFile(str(path), "w")) as image:
+            scans = _begin(e57, image, frame)
+            for scan in _scans(cloud, about):
+                _write_scan(e57, image, scans, scan)
+            if around is not None:
+                _add_surroundings(e57, image, around, cloud)
+    except e57.E57Exception as problem:
+        raise OSError(str(problem).splitlines()[0]) from problem
+
+
+def write_e57_stations(stations: Sequence[Callable[[], PointCloud]], path: Part, about: About) -> None:
+    """Write the clouds of several stations as `write_e57` writes the joined one; only one is in memory.
+
+    Args:
+        stations: Each gives the cloud of one station in the frame of the room, with its pose, whenever it is called:
+            twice, for the first scan already says where all stations are.
+        about: What is said of them all.
+
+    Raises:
+        CloudError: As `write_e57`, or if the clouds are not of one camera, or one has no pose.
+        DependencyError: If pye57, or pyproj for a code, is not installed.
+        OSError: If the file cannot be written.
+    """
+    e57 = load_libe57()
+    frame = "" if about.epsg is None else wkt_of(about.epsg)
+    known = [_known(load()) for load in stations]
+    if len({one.lines for one in known}) != 1:
+        raise CloudError(f"{path}: expected clouds of one camera, with the same number of lines.")
+    numbers = np.repeat(np.arange(len(known), dtype=np.int32), [one.profiles for one in known])
+    placed = Stations(numbers, np.stack([one.pose for one in known]), np.stack([one.covariance for one in known]))
+    header = "\n".join(lines_of_grid((len(numbers), known[0].lines), placed, about))
+    try:
+        with contextlib.closing(e57.ImageFile(str(path), "w")) as image:
+            scans, profiles = _begin(e57, image, frame), 0
+            for number, load in enumerate(stations):
+                for scan in _scans(load(), about, _Whole(header, number, profiles)):
+                    _write_scan(e57, image, scans, scan)
+                profiles += known[number].profiles
+    except e57.E57Exception as problem:
+        raise OSError(str(problem).splitlines()[0]) from problem
+
+
+class _Whole(NamedTuple):
+    """The joined cloud of which a cloud is one station."""
+
+    header: str
+    station: int
+    """Number of the station."""
+    profiles: int
+    """Number of profiles of the stations before it."""
+
+
+class _Known(NamedTuple):
+    """Extent and limits of a cloud, kept from the first of two passes."""
+
+    profiles: int
+    lines: int
+    pose: np.ndarray
+    covariance: np.ndarray
+
+
+def _known(cloud: PointCloud) -> _Known:
+    if cloud.stations is None or len(cloud.stations.pose) != 1:
+        raise CloudError("a scan of several: expected the cloud of one station with its pose.")
+    pose, covariance = (np.asarray(field, np.float64)[0] for field in (cloud.stations.pose, cloud.stations.covariance))
+    profiles, lines = cloud.valid.shape
+    return _Known(profiles, lines, pose, covariance)
+
+
+def _add_surroundings(e57: Any, image: Any, around: Surroundings, cloud: PointCloud) -> None:
+    scan = image.root()["data3D"][0]
+    pose = np.eye(4) if cloud.stations is None else np.asarray(cloud.stations.pose, np.float64)[0]
+    if around.started_s is not None:
+        scan.set("acquisitionStart", _moment(e57, image, around.started_s))
+    append_panorama(e57, image, around.panorama, scan)
+    for number, photograph in enumerate(around.photographs):
+        append_photograph(e57, image, photograph, scan, number=number, T_file_scan=pose)
+
+
+def _moment(e57: Any, image: Any, unix_s: float) -> Any:
+    node = e57.StructureNode(image)
+    node.set("dateTimeValue", e57.FloatNode(image, unix_s - _GPS_EPOCH_S + _LEAP_S))
+    node.set("isAtomicClockReferenced", e57.IntegerNode(image, 0))
+    return node
+
+
+class _Scan(NamedTuple):
+    name: str
+    description: str
+    header: str
+    rotation: tuple[float, float, float, float]
+    """Unit quaternion (w, x, y, z)."""
+    translation: tuple[float, float, float]
+    points: Callable[[], Iterator[dict[str, np.ndarray]]]
+    """Gives the columns of all points, a block at a time, by the names of the format."""
+    double: bool
+
+
+def _begin(e57: Any, image: Any, frame: str) -> Any:
+    """The head of the file; returns the list of scans."""
+    for prefix, uri in (("", e57.E57_V1_0_URI), ("nor", NORMALS_URI), (OWN.rstrip(":"), OWN_URI)):
+        image.extensionsAdd(prefix, uri)
+    root, scans = image.root(), e57.VectorNode(image, True)
+    for key, node in {
+        "formatName": e57.StringNode(image, "ASTM E57 3D Imaging Data File"),
+        "guid": e57.StringNode(image, f"{{{uuid.uuid4()}}}"),
+        "versionMajor": e57.IntegerNode(image, e57.E57_FORMAT_MAJOR),
+        "versionMinor": e57.IntegerNode(image, e57.E57_FORMAT_MINOR),
+        "e57LibraryVersion": e57.StringNode(image, e57.E57_LIBRARY_ID),
+        "coordinateMetadata": e57.StringNode(image, frame),
+        "creationDateTime": _moment(e57, image, time.time()),
+        "data3D": scans,
+        "images2D": e57.VectorNode(image, True),
+    }.items():
+        root.set(key, node)
+    return scans
+
+
+def _scans(cloud: PointCloud, about: About, whole: _Whole | None = None) -> Iterator[_Scan]:
+    """The stations that saw something, one at a time."""
+    poses = np.eye(4)[None] if cloud.stations is None else np.asarray(cloud.stations.pose, np.float64)
+    made = f"calibration {about.calibration}" if about.calibration else ""
+    header = "\n".join(header_lines(cloud, about)) if whole is None else whole.header
+    first, profiles = (0, 0) if whole is None else (whole.station, whole.profiles)
+    for number, pose in enumerate(poses):
+        name, described = ", ".join(filter(None, ("jaxscan", made))), "; ".join(filter(None, ("jaxscan", made)))
+        if cloud.stations is not None:
+            name = f"{name}, station {first + number}"
+            described = (
+                f"{described}; covariance of the pose, of a step (translation x y z [m], rotation x y z [rad]) in the "
+                f"scan's own frame, upper triangle by rows: {covariance_text(cloud.stations.covariance[number])}"
+            )
+        mine = of_station(cloud, number)
+        if not np.any(mine.valid):
+            continue
+        # The column counts the profiles of the scan.
+        profile = None if cloud.stations is None else profiles + np.flatnonzero(cloud.stations.number == number)
+        read = partial(_columns, mine, profile, first + number)
+        rotation, translation = quaternion(pose[:3, :3]), tuple(pose[:3, 3].tolist())
+        yield _Scan(name, described, header, rotation, translation, read, mine.xyz.dtype == np.float64)
+
+
+def _columns(cloud: PointCloud, profile: np.ndarray | None, station: int) -> Iterator[dict[str, np.ndarray]]:
+    """The columns of a scan, a block at a time; with the profile of the whole cloud where it has several stations."""
+    for points in blocks(cloud):
+        values = columns(points, cloud)
+        if profile is not None:
+            values |= {"profile": profile[points.step], "station": np.full(len(points.step), station)}
+        kept = set(known_names(values, cloud))
+        yield _fields({name: value for name, value in values.items() if name in kept}, smoothed_names(cloud))
+
+
+def _fields(values: Mapping[str, np.ndarray], smoothed: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Columns by the names of the format, in types that the binding takes."""
+    own = (*_OURS, *smoothed, *(name for name in ("profile", "station") if name in values))
+    named = COLUMNS | {f"{OWN}{name}": name for name in own}
+    named = {key: name for key, name in named.items() if name in values}
+    fields: dict[str, np.ndarray] = {
+        key: np.ascontiguousarray(values[name], _type_of(key, values[name])) for key, name in named.items()
+    }
+    # Takes no room in the file; some readers ask for it.
+    return fields | {"cartesianInvalidState": np.zeros(len(values["x"]), np.longlong)}
+
+
+def _type_of(key: str, values: np.ndarray) -> type:
+    """Bounds are checked in double. The binding takes NumPy's int64 for 32 bits, not longlong."""
+    if key in _COLOURS:
+        return np.uint8
+    return np.float64 if values.dtype.kind == "f" else np.longlong
+
+
+def _write_scan(e57: Any, image: Any, scans: Any, written: _Scan) -> None:
+    """Append a scan: the bounds of its columns, which stand before the points, and then the points."""
+    least_of: dict[str, np.ndarray] = {}
+    most_of: dict[str, np.ndarray] = {}
+    largest = 0
+    for block in written.points():
+        largest = max(largest, len(block["cartesianX"]))
+        for key, values in block.items():
+            least_of[key] = np.minimum(values.min(), least_of.get(key, values.min()))
+            most_of[key] = np.maximum(values.max(), most_of.get(key, values.max()))
+
+    def number(value: Any) -> Any:
+        return e57.IntegerNode(image, value) if isinstance(value, int) else e57.FloatNode(image, value)
+
+    def structure(entries: dict[str, int | float]) -> Any:
+        node = e57.StructureNode(image)
+        for key, value in entries.items():
+            node.set(key, number(value))
+        return node
+
+    def bounds(limits: dict[str, str]) -> Any:
+        return structure(
+            {
+                f"{key}{end}": limit[field].item()
+                for key, field in limits.items()
+                for end, limit in (("Minimum", least_of), ("Maximum", most_of))
+            }
+        )
+
+    scan, pose = e57.StructureNode(image), e57.StructureNode(image)
+    scan.set("guid", e57.StringNode(image, f"{{{uuid.uuid4()}}}"))
+    scan.set("name", e57.StringNode(image, written.name))
+    scan.set("description", e57.StringNode(image, written.description))
+    scan.set(f"{OWN}header", e57.StringNode(image, written.header))
+    if "rowIndex" in least_of:
+        scan.set("indexBounds", bounds({"row": "rowIndex", "column": "columnIndex"}))
+    if "intensity" in least_of:
+        scan.set("intensityLimits", bounds({"intensity": "intensity"}))
+    if set(_COLOURS) <= least_of.keys():
+        scan.set("colorLimits", structure({f"{key}{end}": k * 255 for key in _COLOURS for k, end in _ENDS}))
+    scan.set("cartesianBounds", bounds({axis: f"cartesian{axis.upper()}" for axis in "xyz"}))
+    scan.set("pose", pose)
+    pose.set("rotation", structure(dict(zip("wxyz", written.rotation, strict=True))))
+    pose.set("translation", structure(dict(zip("xyz", written.translation, strict=True))))
+    prototype, buffers = e57.StructureNode(image), e57.VectorSourceDestBuffer()
+    buffer = {key: np.empty(largest, value.dtype) for key, value in least_of.items()}
+    for key, values in buffer.items():
+        least, most = least_of[key].item(), most_of[key].item()
+        if values.dtype == np.float64:
+            double = key == f"{OWN}angle" or (written.double and key.startswith("cartesian"))
+            node = e57.FloatNode(image, least, e57.E57_DOUBLE if double else e57.E57_SINGLE, least, most)
+        else:
+            limits = (0, 255) if key in _COLOURS else (least, most)
+            node = e57.IntegerNode(image, limits[0], *limits)
+        prototype.set(key, node)
+        buffers.append(e57.SourceDestBuffer(image, key, values, len(values), True, True))
+    points = e57.CompressedVectorNode(image, prototype, e57.VectorNode(image, True))
+    scan.set("points", points)
+    scans.append(scan)
+    with contextlib.closing(points.writer(buffers)) as writer:
+        for block in written.points():
+            count = len(block["cartesianX"])
+            for key, values in block.items():
+                buffer[key][:count] = values
+            writer.write(count)

@@ -1,0 +1,386 @@
+"""Tables of points as text: `x y z r g b` as this library writes it, and what other programs write.
+
+A table has a separator and a sign for decimals, a line of names or none, words in some of its columns, and sometimes
+several scans, each behind a line with its number of points.
+"""
+
+import itertools
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+import numpy as np
+
+from jaxscan.errors import CloudError
+from jaxscan.files.clouds.columns import (
+    AXES,
+    COLOURS,
+    Columns,
+    Extent,
+    Reading,
+    assign,
+    decide,
+    guessed,
+    is_known,
+    listed,
+    unit_of_text,
+)
+from jaxscan.files.clouds.grid import Records, cloud_of
+from jaxscan.files.clouds.header import About, StoredCloud
+from jaxscan.files.clouds.points import LONGEST_LINE, blocks, numbers_of, text_lines
+from jaxscan.files.disk import Part, open_regular
+from jaxscan.reconstruction import PointCloud
+
+
+# A micrometre is far below any scanner's noise, and near the resolution of float32.
+_PLACE = "%.6f %.6f %.6f"
+_TITLE_LINES = 30
+_SAMPLE_LINES = 100
+_MOST_COLUMNS = 256
+_BLOCK_LINES = 1 << 15
+"""Lines at a time: as words and numbers of Python each takes ten times the memory."""
+_MOST_KEPT = 32 << 20
+"""Bytes of numbers that are kept between the two looks at a table."""
+_COMMENT = re.compile(r"\s*(?://|#|%|!)+\s*")
+_COMMA_NUMBER = re.compile(r"[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?\Z")
+_BETWEEN, _WITHIN = re.compile(r",[ ]"), re.compile(r"\d,\d")
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:\.\d{3})+,\d+\Z")
+
+
+def write_xyz(cloud: PointCloud, path: Part, about: About) -> None:
+    """Write `x y z r g b` of the valid points, a line each; metres. Without colours `x y z`."""
+    plain = "rgb" in cloud.lacks
+    line = _PLACE + ("\n" if plain else " %d %d %d\n")
+    with open(path, "w", encoding="ascii", newline="\n") as file:
+        for points in blocks(cloud, _BLOCK_LINES):
+            rows = zip(points.xyz.tolist(), points.rgb.tolist(), strict=True)
+            file.writelines(line % (*position, *(() if plain else colour)) for position, colour in rows)
+
+
+def read_xyz(path: Path, reading: Reading | None = None) -> StoredCloud:
+    """The points of a table of numbers, as a single profile.
+
+    Columns are those of the line of names where there is one; else x, y, z, and what their numbers show: three whole
+    numbers of 0 to 255 or three of 0 to 1 are a colour, a unit vector is a normal, one number that is left over the
+    intensity. Semicolons or blanks beside commas say that the commas are decimal.
+
+    Raises:
+        CloudError: If it is no table of numbers, has no points, or can be read in two ways.
+    """
+    reading = reading or Reading()
+    with open_regular(path, error=CloudError) as file:
+        size = os.fstat(file.fileno()).st_size
+        try:
+            table = _Table.of(file, size, path)
+            seen = _look_through(table)
+            columns, by = _columns_of(table, seen, reading, path)
+            points = _used(table, columns, seen)
+            decided = decide(
+                points,
+                str(path),
+                reading=reading,
+                columns=Columns({name: k for k, name in enumerate(points.dtype.names or ())}, columns.unused),
+                reached=seen.extent.colours(columns),
+                by=by,
+            )
+            cloud = cloud_of(decided.points, [], str(path))
+        except ValueError as problem:
+            raise CloudError(f"{path}: not a table of numbers: {str(problem)[:60]}.") from problem
+    metres, why = unit_of_text(columns.unit, table.comments)
+    words = (*decided.words, *seen.words, *([table.dialect.words] if table.dialect.words else []))
+    return StoredCloud(cloud, About(metres=metres, unit_by=why), words)
+
+
+# --- how numbers are written
+
+
+class _Dialect(NamedTuple):
+    """How the numbers of a line are separated."""
+
+    separator: str | None
+    """None where it is blank space."""
+    comma: bool
+    """Whether a comma is the sign for decimals."""
+
+    @property
+    def words(self) -> str:
+        """The dialect in words, for the note; empty for the usual one."""
+        return "commas are decimal, by what stands between the columns" if self.comma else ""
+
+    def cells(self, line: str) -> list[str]:
+        """The cells of a line; a separator at its end has none behind it."""
+        cells = [cell.strip().strip("\"'").strip() for cell in line.strip().split(self.separator)]
+        return cells[:-1] if len(cells) > 1 and not cells[-1] else cells
+
+    def plain(self, line: str) -> str:
+        """The same numbers with blanks between them and decimal points."""
+        if self.separator is not None:
+            line = line.replace(self.separator, " ")
+        if self.comma:
+            line = line.replace(",", ".")
+        return line.replace('"', " ") if '"' in line else line
+
+    def number(self, cell: str) -> str:
+        """A cell as NumPy reads it."""
+        return cell.replace(",", ".") if self.comma else cell
+
+
+def _dialect_of(lines: list[str]) -> _Dialect:
+    """How the numbers of some lines are written.
+
+    Raises:
+        ValueError: If a comma may be both.
+    """
+    text = "".join(lines)
+    if ";" in lines[0]:
+        separator: str | None = ";"
+    elif "\t" in lines[0].strip() and all(len(line.strip().split("\t")) >= 3 for line in lines):
+        separator = "\t"
+    else:
+        words = [word for line in lines[:20] for word in line.split()]
+        by_blanks = min(len(line.split()) for line in lines) >= 3
+        decimal = [word for word in words if "," in word]
+        if "," not in text or (by_blanks and decimal and all(_COMMA_NUMBER.match(word) for word in decimal)):
+            separator = None
+        else:
+            separator = ","
+    cells = [cell.strip().strip("\"'") for line in lines for cell in line.strip().split(separator)]
+    if separator == "," and _BETWEEN.search(text) and _WITHIN.search(text):
+        # A blank follows those between columns, and none those within numbers.
+        if all(_COMMA_NUMBER.match(cell) for line in lines for cell in line.strip().split(", ")):
+            return _Dialect(", ", comma=True)
+    if separator == ",":
+        _check_commas(lines)
+        return _Dialect(separator, comma=False)
+    if any(_THOUSANDS.match(cell) for cell in cells):
+        raise ValueError("points group thousands beside decimal commas; write the numbers without")
+    with_comma = [cell for cell in cells if "," in cell]
+    return _Dialect(separator, comma=any(_COMMA_NUMBER.match(cell) for cell in with_comma))
+
+
+def _check_commas(lines: list[str]) -> None:
+    """Refuse commas that are both decimal and between columns: fractions begin with zeros, whole numbers do not."""
+    rows = [[cell.strip() for cell in line.strip().split(",")] for line in lines]
+    numbers = [cell for row in rows for cell in row[1:] if cell.isdigit()]
+    if not any("." in cell for row in rows for cell in row) and any(len(one) > 1 and one[0] == "0" for one in numbers):
+        raise ValueError("commas are both decimal and between columns; write ; between them")
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+# --- a table
+
+
+class _Table(NamedTuple):
+    """A table in its file."""
+
+    file: BinaryIO
+    start: int
+    """Where its rows begin."""
+    size: int
+    dialect: _Dialect
+    titles: tuple[str, ...]
+    """Names of its columns; empty where there are none."""
+    title: str
+    """The line that holds them."""
+    width: int
+    texts: frozenset[int]
+    """Columns of words."""
+    comments: tuple[str, ...]
+    """Lines before it that are neither names nor numbers."""
+    stated: int | None
+    """The number of points that stands before them."""
+
+    @staticmethod
+    def of(file: BinaryIO, size: int, path: Path) -> "_Table":
+        """Find the table of a file, which is at its beginning.
+
+        Raises:
+            CloudError: If it has none, or names that are none of a cloud.
+            ValueError: If its numbers can be read in two ways.
+        """
+        before: list[str] = []
+        stated: int | None = None
+        mark = file.read(3)
+        if mark[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            raise CloudError(f"{path}: is text in UTF-16, expected UTF-8 or ASCII; save it so.")
+        file.seek(3 if mark == b"\xef\xbb\xbf" else 0)
+        while True:
+            start = file.tell()
+            line = file.readline(LONGEST_LINE).decode("utf-8", "replace")
+            words = re.split(r"[\s;,]+", line.strip())
+            if sum(map(_is_number, words)) >= 3 and not _COMMENT.match(line):
+                break
+            if len(words) == 2 and all(map(_is_number, words)):
+                raise CloudError(f"{path}: found 2 numbers a line, expected x, y and z at least.")
+            if not line or len(before) == _TITLE_LINES:
+                raise CloudError(f"{path}: not a table of numbers: the first {_TITLE_LINES} lines hold none.")
+            if len(words) == 1 and words[0].isascii() and words[0].isdigit() and len(words[0]) < 12:
+                stated = int(words[0])
+            before += [line.strip()] if line.strip() and not words[0].isdigit() else []
+        sample = [line, *(text for text in text_lines(file, _SAMPLE_LINES - 1) if text.strip())]
+        file.seek(start)
+        sample = [line for line in sample if sum(map(_is_number, re.split(r"[\s;,]+", line.strip()))) >= 3]
+        dialect = _dialect_of(sample)
+        width = len(dialect.cells(line))
+        rows = [dialect.cells(one) for one in sample]
+        if not 3 <= width <= _MOST_COLUMNS:
+            raise CloudError(f"{path}: found {width} numbers a line, expected x, y and z at least.")
+        texts = frozenset(
+            k for row in rows if len(row) == width for k in range(width) if not _is_number(dialect.number(row[k]))
+        )
+        titles, title = _titles_of(before, dialect, width, path)
+        comments = tuple(one for one in before if one != title)
+        return _Table(file, start, size, dialect, titles, title, width, texts, comments, stated)
+
+    def read(self) -> Iterator[tuple[int, np.ndarray]]:
+        """The numbers, float64 [n, width], some lines at a time, each with the number of its scan; words are NaN.
+
+        Raises:
+            ValueError: If a line is no row of the table, or a scan has fewer points than it says.
+        """
+        self.file.seek(self.start)
+        lines, dialect, scan = text_lines(self.file, self.size), self.dialect, 0
+        kinds = np.dtype([(f"column{k}", "f8") for k in range(self.width)])
+        stated, found = self.stated, 0
+        plain: list[str] = []
+
+        def taken() -> Iterator[tuple[int, np.ndarray]]:
+            nonlocal found
+            if plain:
+                table = numbers_of(iter(plain), kinds).view("f8").reshape(-1, self.width)
+                found += len(table)
+                plain.clear()
+                yield scan, table
+
+        for line in lines:
+            text = line.strip()
+            if not text or text[0] in "#%!" or text.startswith("//"):
+                continue
+            counted = len(text) < 12 and text.isascii() and text.isdigit()
+            if counted or text == self.title:
+                # Another scan; it may have both.
+                yield from taken()
+                if found:
+                    _check_count(stated, found, scan)
+                    scan, stated, found = scan + 1, None, 0
+                stated = int(text) if counted else stated
+                continue
+            plain.append(self._without_words(text) if self.texts else dialect.plain(text))
+            if len(plain) == _BLOCK_LINES:
+                yield from taken()
+        yield from taken()
+        _check_count(stated, found, scan)
+
+    def _without_words(self, text: str) -> str:
+        cells = self.dialect.cells(text)
+        if len(cells) != self.width:
+            raise ValueError(f"found {len(cells)} columns, expected {self.width}")
+        return " ".join("nan" if k in self.texts else self.dialect.number(cell) for k, cell in enumerate(cells))
+
+
+def _check_count(stated: int | None, found: int, scan: int) -> None:
+    if stated is not None and found < stated:
+        raise ValueError(f"scan {scan + 1} says that it has {stated} points, and has {found}")
+
+
+def _titles_of(before: list[str], dialect: _Dialect, width: int, path: Path) -> tuple[tuple[str, ...], str]:
+    """The names of the columns, and the line that holds them; none where no line does.
+
+    Raises:
+        CloudError: If a line has as many names, and they are none of a cloud.
+    """
+    for line in reversed(before):
+        text = _COMMENT.sub("", line, count=1)
+        ways = [dialect.cells(text), re.split(r"[\s;,]+", text.strip(" ;,"))]
+        names = next((cells for cells in ways if len(cells) == width), None)
+        known = max(sum(map(is_known, cells)) for cells in ways)
+        if names is None and known >= 3:
+            names = _with_blanks(ways[1], width, line, path)
+        if names is not None and (known >= 2 or (text == line and not any(map(_is_number, names)))):
+            return tuple(names), line
+    return (), ""
+
+
+def _with_blanks(words: list[str], width: int, line: str, path: Path) -> list[str]:
+    """Names of which some have blanks: those at both ends that are known, and one without a name between."""
+    left = len(list(itertools.takewhile(is_known, words)))
+    right = len(list(itertools.takewhile(is_known, reversed(words[left:]))))
+    if len(words) < width or left + right > width or left < 3:
+        raise CloudError(
+            f'{path}: the line "{line:.60}" names {len(words)} columns, and the table has {width}; say what they are '
+            "with jaxscan convert --columns."
+        )
+    between = width - left - right
+    middle = " ".join(words[left : len(words) - right])
+    return [*words[:left], *([middle] + [""] * (between - 1) if between else []), *words[len(words) - right :]]
+
+
+class _Seen(NamedTuple):
+    """The result of the first pass over a table."""
+
+    points: int
+    extent: Extent
+    words: tuple[str, ...]
+    rows: list[np.ndarray] | None
+    """The numbers themselves, so that the text of a small table is parsed once; None where they take much memory."""
+
+
+def _look_through(table: _Table) -> _Seen:
+    points, extent, scans = 0, None, 0
+    kept: list[np.ndarray] | None = []
+    for scan, rows in table.read():
+        points += len(rows)
+        if kept is not None:
+            kept = [*kept, rows] if points * rows[:1].nbytes <= _MOST_KEPT else None
+        one = Extent.of(rows)
+        extent = one if extent is None else extent.with_more(one)
+        scans = max(scans, scan + 1)
+    if extent is None:
+        raise ValueError("it has no rows")
+    words = (f"{scans} scans, one behind the other, in one frame",) if scans > 1 else ()
+    return _Seen(points, extent, words, kept)
+
+
+def _columns_of(table: _Table, seen: _Seen, reading: Reading, path: Path) -> tuple[Columns, str]:
+    """Decide which column is which; also the evidence."""
+    numbered = [f"column {k + 1}" for k in range(table.width)]
+    if reading.columns:
+        found, by = listed(table.titles or numbered, reading, str(path)), "--columns"
+    elif table.titles:
+        shown = f"{' '.join(table.title.split()):.60}"
+        found = assign(table.titles, str(path), what=f'the names of the line "{shown}"')
+        by = f'the line "{shown}"'
+    else:
+        found = guessed(seen.extent, str(path), points=seen.points, counted=table.stated is not None)
+        by = "their numbers" if len(found.places) > len(AXES) or found.unused else "their place"
+    if wrong := [name for name in AXES if found.places[name] in table.texts]:
+        raise CloudError(
+            f"{path}: the column of {wrong[0]} holds words, expected numbers; choose others with "
+            "jaxscan convert --columns."
+        )
+    return found._replace(places={name: k for name, k in found.places.items() if k not in table.texts}), by
+
+
+def _used(table: _Table, columns: Columns, seen: _Seen) -> Records:
+    """The points with the columns that a cloud uses."""
+    # Singles are exact for colours.
+    kinds = np.dtype([(name, "f4" if name in COLOURS else "f8") for name in columns.places])
+
+    def read() -> Iterator[np.ndarray]:
+        for rows in (rows for _, rows in table.read()) if seen.rows is None else seen.rows:
+            points = np.empty(len(rows), kinds)
+            for name, k in columns.places.items():
+                with np.errstate(over="ignore"):
+                    points[name] = rows[:, k]
+            yield points
+
+    return Records(kinds, seen.points, read)

@@ -1,0 +1,640 @@
+"""A step as text that travels to the process that does it, and what it answers."""
+
+import contextlib
+import json
+import os
+import platform
+import shutil
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Shaped
+
+import jaxscan
+from jaxscan import api
+from jaxscan.api.sweeps import cloud_of_ranges, stripes_of_range
+from jaxscan.calibration import Calibration
+from jaxscan.drawing import draw_plan, survey_room
+from jaxscan.errors import CalibrationError, CaptureError, CloudError, GivenError, JaxscanError, MeasurementError
+from jaxscan.files.calibration import calibration_digest, calibration_notes
+from jaxscan.files.capture import Capture, open_capture
+from jaxscan.files.clouds import save_stations
+from jaxscan.files.disk import (
+    MEGABYTE,
+    append_whole,
+    file_digest,
+    make_folder,
+    open_to_append,
+    parse_json,
+    partial_folder,
+    read_arrays,
+    read_bounded,
+    refuse_links,
+    reported,
+    write_arrays,
+    write_atomically,
+)
+from jaxscan.files.known_room import load_known_room
+from jaxscan.files.remote import fetch_file, fetch_folder, is_remote
+from jaxscan.geometry import Scanner
+from jaxscan.measurement import RoomBox, measure_room
+from jaxscan.project.catalogue import Output, Row
+from jaxscan.project.steps import Status, Step
+from jaxscan.recalibration import Recalibration
+from jaxscan.reconstruction import PointCloud, Progress, join_clouds, stack_placed
+
+
+@dataclass(frozen=True)
+class StepWorkspace:
+    """Workspace of one step: the files it reads, and a folder for what it writes."""
+
+    step: Step
+    output: Path
+    """The folder of the products."""
+    folder: Path
+    """Temporary folder; its files are moved to their places when all are complete."""
+    progress: Progress
+    """Called with (done, in all)."""
+    notes: list[str] = field(default_factory=list)
+    """Remarks for the user, a sentence each."""
+    owned: list[str] = field(default_factory=list)
+    """Folders among the products that hold only files of this step: older ones are removed from them."""
+
+    def capture(self, role: str = "capture") -> Capture:
+        """A capture. Its stripes are kept among the products: nothing is written into its own folder.
+
+        Raises:
+            CaptureError: If it is none, or cannot be fetched.
+        """
+        address = self.step.sources[role]
+        path, name = Path(address), Path(address).name
+        kept = self.output / "stripes"
+        if is_remote(address):
+            # Stripes of a copy serve no other one.
+            kept = self._fetched(role)
+            path = kept / name
+            make_folder(path, new=True)
+            free = shutil.disk_usage(path).free
+            fetch_folder(address, path, most_bytes=min(MOST_BYTES, int(_SHARE * free)))
+        _make(self.output if kept.is_relative_to(self.output / "stripes") else self.folder, kept)
+        capture = open_capture(path).keeping(kept / f"{self._name(role)}.npz")
+        self.notes.extend(capture.notes)
+        return capture
+
+    def _name(self, role: str) -> str:
+        """The name of a capture in the project: folders of two may be called alike."""
+        if role.startswith("capture "):
+            return role.removeprefix("capture ")
+        return self.step.key.split("/")[-1 if self.step.kind == "station" else 1]
+
+    def file(self, role: str) -> Path:
+        """A file that a step before made, or that was given."""
+        if role in self.step.products:
+            path = self.output / self.step.products[role]
+            with reported(f"{path}: cannot be read", error=CaptureError):
+                refuse_links(self.output, path)
+            return path
+        address = self.step.sources[role]
+        if not is_remote(address):
+            return Path(address)
+        path = self._fetched(role) / Path(address).name
+        make_folder(path.parent, own=self.folder)
+        if not path.exists():
+            fetch_file(address, path, most_bytes=MOST_BYTES)
+        return path
+
+    def _fetched(self, role: str) -> Path:
+        """A folder for what is fetched of one source: two may have one name."""
+        return self.folder / "fetched" / str(list(self.step.sources).index(role))
+
+    def target(self, number: int = 0) -> Path:
+        """Temporary path of an output of the step."""
+        return self.beside(self.step.outputs[number])
+
+    def beside(self, output: str) -> Path:
+        """Temporary path of a file that becomes `output` among the products."""
+        path = self.folder / "made" / output
+        make_folder(path.parent, own=self.folder)
+        return path
+
+    def made(self) -> list[str]:
+        """All that was written so far, by its place among the products."""
+        made = self.folder / "made"
+        return sorted(str(path.relative_to(made)) for path in made.rglob("*") if path.is_file())
+
+    def setting(self, name: str) -> Any:
+        """A setting of the step."""
+        return self.step.settings[name]
+
+
+def calibrate_rig(workspace: StepWorkspace) -> None:
+    """Calibrate from captures of a board, as `jaxscan calibrate` does.
+
+    Raises:
+        CalibrationError: If the result cannot be used.
+    """
+    captures = [workspace.capture(role) for role in workspace.step.sources]
+    boards = " and ".join(Path(address).name for address in workspace.step.sources.values())
+    try:
+        result = api.calibrate(captures, progress=workspace.progress)
+    except CalibrationError as problem:
+        raise CalibrationError(f"{boards}: {problem}") from problem
+    verdict = result.quality.verdict
+    if verdict is not None and verdict.refused is not None:
+        raise CalibrationError(f"{boards}: cannot be used: {verdict.refused}")
+    good_to = verdict.good_to if verdict is not None else None
+    if good_to is not None and good_to.sigma_mm is not None and good_to.at_m is not None:
+        workspace.notes.append(f"Good to {good_to.sigma_mm:.2g} mm at {good_to.at_m:.1f} m.")
+    workspace.notes.extend(result.missing)
+    api.save_calibration(result, workspace.target())
+
+
+def find_part(workspace: StepWorkspace) -> None:
+    """The stripes of some records of a large sweep."""
+    sweep, scanner = (
+        workspace.capture().every(workspace.setting("every")),
+        api.load_scanner(workspace.file("calibration")),
+    )
+    settings, records = reconstruct_settings(workspace), (workspace.setting("first"), workspace.setting("stop"))
+    arrays = stripes_of_range(sweep, scanner, records, settings=settings, progress=workspace.progress)
+    write_atomically(workspace.target(), partial(write_arrays, arrays=arrays), durable=False, error=CaptureError)
+
+
+def reconstruct_sweep(workspace: StepWorkspace) -> None:
+    """Reconstruct a sweep, as `jaxscan reconstruct` does, in all formats that are wanted."""
+    calibration = workspace.file("calibration")
+    workspace.notes.extend(calibration_notes(calibration))
+    sweep, scanner = workspace.capture().every(workspace.setting("every")), api.load_scanner(calibration)
+    parts = [workspace.file(role) for role in workspace.step.products if role.startswith("stripes ")]
+    if parts:
+        arrays = [read_arrays(path, error=CaptureError) for path in parts]
+        done = cloud_of_ranges(sweep, scanner, arrays, settings=reconstruct_settings(workspace))
+    else:
+        done = api.reconstruct_capture(
+            sweep, scanner, settings=reconstruct_settings(workspace), progress=workspace.progress
+        )
+    workspace.notes.extend(done.notes)
+    cloud = coloured(workspace, done.cloud, sweep, scanner)
+    digest = calibration_digest(calibration)
+    for number in range(len(workspace.step.outputs)):
+        api.save_cloud(cloud, workspace.target(number), calibration_digest=digest)
+
+
+def measure(workspace: StepWorkspace) -> None:
+    """The lengths of the room, and how good its points are, as JSON; two versions or epochs are compared by them."""
+    cloud, scanner = api.load_cloud(workspace.file("cloud")), api.load_scanner(workspace.file("calibration"))
+    valid = np.asarray(cloud.valid)
+    found: dict[str, Any] = {"format": MEASURES_FORMAT, "points": int(valid.sum())}
+    for name in ("sigma_random", "sigma_systematic"):
+        found[f"median_{name}_m"] = float(np.median(np.asarray(getattr(cloud, name))[valid]))
+    try:
+        found["lengths"] = _lengths(measure_room(cloud, scanner=scanner))
+    except MeasurementError as problem:
+        # A sweep of something other than a room has no lengths of a room.
+        found["lengths"] = {}
+        workspace.notes.append(str(problem))
+    text = json.dumps(found, indent=2, allow_nan=False) + "\n"
+    write_atomically(workspace.target(), text.encode())
+
+
+def make_mesh(workspace: StepWorkspace) -> None:
+    """The mesh of a cloud, in its colours."""
+    mesh = api.mesh_cloud(
+        api.load_cloud(workspace.file("cloud")), scanner=api.load_scanner(workspace.file("calibration"))
+    )
+    api.save_mesh(mesh, workspace.target())
+
+
+def draw_room(workspace: StepWorkspace) -> None:
+    """The plan of a room, a metre above its floor."""
+    cloud, scanner = api.load_cloud(workspace.file("cloud")), api.load_scanner(workspace.file("calibration"))
+    drawing = draw_plan(survey_room(cloud, scanner=scanner))
+    for number in range(len(workspace.step.outputs)):
+        api.save_drawing(drawing, workspace.target(number))
+
+
+def draw_panorama(workspace: StepWorkspace) -> None:
+    """The panorama of a sweep, with depths and normals."""
+    sweep, scanner = (
+        workspace.capture().every(workspace.setting("every")),
+        api.load_scanner(workspace.file("calibration")),
+    )
+    cloud = api.load_cloud(workspace.file("cloud"))
+    drawn = api.draw_panorama(sweep, scanner, cloud=cloud, progress=workspace.progress)
+    api.save_panorama(drawn, workspace.target())
+
+
+def write_report(workspace: StepWorkspace) -> None:
+    """The report of a cloud."""
+    # Imported here, because it loads matplotlib.
+    from jaxscan.api.reports import report_files
+
+    report_files(workspace.file("cloud"), workspace.file("calibration"), workspace.target())
+
+
+def register_stations(workspace: StepWorkspace) -> None:
+    """The places of all stations and a calibration that fits them all, in one least squares.
+
+    Where the sweeps gain nothing over the calibration they were given, that one is kept; the places are good anyhow.
+
+    Raises:
+        CalibrationError: If it did not converge.
+    """
+    names, result = workspace.setting("captures"), _recalibrated(workspace)
+    adjusted = result.adjusted
+    if not adjusted.converged:
+        raise CalibrationError(f"{workspace.step.key}: the places of the stations were not found: {result.refused}")
+    workspace.notes.extend(result.notes)
+    _save(workspace, result.calibration, result.refused)
+    for number, name in enumerate(names):
+        worst = float(np.sqrt(np.linalg.eigvalsh(adjusted.station_covariance[number][:3, :3])[-1]))
+        if worst > VAGUE_M:
+            workspace.notes.append(
+                f"The sweeps tell the place of {name} to {1e3 * worst:.0f} mm only, in some direction."
+            )
+    stations = [
+        {
+            "capture": name,
+            "pose": adjusted.stations[number].tolist(),
+            "covariance": adjusted.station_covariance[number].tolist(),
+            "corrections_rad": np.asarray(adjusted.corrections[number]).tolist(),
+        }
+        for number, name in enumerate(names)
+    ]
+    write_atomically(workspace.target(1), json.dumps({"format": STATIONS_FORMAT, "stations": stations}).encode())
+
+
+def refine_rig(workspace: StepWorkspace) -> None:
+    """The calibration of a rig with what the sweeps of one room tell of it.
+
+    It is as it was where they tell nothing, or cannot be used: then the other rooms still refine it.
+
+    Raises:
+        CaptureError: If storage cannot be read, which may be otherwise tomorrow.
+        GivenError: If a known length or place contradicts the sweeps.
+    """
+    calibration, refused = None, None
+    try:
+        result = _recalibrated(workspace)
+        calibration, refused = result.calibration, result.refused
+        workspace.notes.extend(result.notes)
+    except GivenError:
+        # A person can put it right; the stored calibration would hide it.
+        raise
+    except (CalibrationError, CaptureError) as problem:
+        if isinstance(problem, CaptureError) and any(map(is_remote, workspace.step.sources.values())):
+            raise
+        refused = str(problem)
+    _save(workspace, calibration, refused)
+
+
+def place_station(workspace: StepWorkspace) -> None:
+    """The cloud of one station, in the frame of the group."""
+    calibration, stations = workspace.file("calibration"), workspace.file("stations")
+    text = read_bounded(stations, _MOST_BYTES, error=CloudError)
+    station = parse_json(text, name=str(stations), error=CloudError)["stations"][workspace.setting("number")]
+    sweep, scanner = workspace.capture().every(workspace.setting("every")), api.load_scanner(calibration)
+    angles = (sweep.angles + np.array(station["corrections_rad"])).tolist()
+    records = tuple(replace(record, angle=angle) for record, angle in zip(sweep.records, angles, strict=True))
+    settings = reconstruct_settings(workspace)
+    turned = replace(sweep, records=records) if np.any(station["corrections_rad"]) else sweep
+    done = api.reconstruct_capture(turned, scanner, settings=settings, progress=workspace.progress)
+    workspace.notes.extend(done.notes)
+    cloud = coloured(workspace, done.cloud, sweep, scanner)
+    placed = join_clouds([cloud], [np.array(station["pose"])], [np.array(station["covariance"])])
+    api.save_cloud(placed, workspace.target(), calibration_digest=calibration_digest(calibration))
+
+
+def merge_e57(workspace: StepWorkspace) -> None:
+    """One E57 with a scan and its pose for each station."""
+    digest = calibration_digest(workspace.file("calibration"))
+    roles = [role for role in workspace.step.products if role.startswith("cloud ")]
+    loads = [partial(api.load_cloud, workspace.file(role)) for role in roles]
+    save_stations(loads, workspace.target(), calibration_digest=digest)
+
+
+def merge_tiles(workspace: StepWorkspace) -> None:
+    """Square tiles with the points of all stations, and a list of them."""
+    folder = str(Path(workspace.step.outputs[0]).with_suffix(""))
+    digest = calibration_digest(workspace.file("calibration"))
+    listed: list[dict[str, Any]] = []
+    with Tiles(workspace.folder / "spooled", workspace.setting("tile_m")) as tiles:
+        for cloud in _clouds(workspace):
+            tiles.add(cloud)
+        places = Counter[tuple[int, int]]()
+        for place, cloud in tiles.clouds():
+            places[place] += 1
+            more = "" if places[place] == 1 else f"_{places[place]}"
+            name = f"{folder}/{place[0]}_{place[1]}{more}.ply"
+            api.save_cloud(cloud, workspace.beside(name), calibration_digest=digest)
+            corner = [float(axis * workspace.setting("tile_m")) for axis in place]
+            points = int(np.asarray(cloud.valid).sum())
+            listed.append({"file": f"{Path(folder).name}/{Path(name).name}", "corner_m": corner, "points": points})
+    workspace.owned.append(folder)
+    about = {"format": TILES_FORMAT, "tile_m": workspace.setting("tile_m"), "tiles": listed}
+    write_atomically(workspace.target(), (json.dumps(about, indent=2) + "\n").encode())
+
+
+def merge_plan(workspace: StepWorkspace) -> None:
+    """One plan from the points of all stations."""
+    points = sum(int(np.asarray(cloud.valid).sum()) for cloud in _clouds(workspace))
+    every = max(1, -(-points // PLAN_POINTS))
+    # Thinned one by one, so that the whole is never in memory.
+    placed = stack_placed([stack_placed([cloud], every=every) for cloud in _clouds(workspace)])
+    drawing = draw_plan(survey_room(placed, scanner=api.load_scanner(workspace.file("calibration"))))
+    api.save_drawing(drawing, workspace.target())
+
+
+WORK: Mapping[str, Callable[[StepWorkspace], None]] = {
+    "calibration": calibrate_rig,
+    "recalibration": refine_rig,
+    "stripes": find_part,
+    "cloud": reconstruct_sweep,
+    "measures": measure,
+    "mesh": make_mesh,
+    "plan": draw_room,
+    "panorama": draw_panorama,
+    "report": write_report,
+    "register": register_stations,
+    "station": place_station,
+    "merged e57": merge_e57,
+    "merged tiles": merge_tiles,
+    "merged plan": merge_plan,
+}
+"""The function for each kind of step."""
+_LONGEST = 2000
+
+
+class Order(NamedTuple):
+    """A step, and where it is done."""
+
+    step: Step
+    digest: str
+    parts: Mapping[str, str]
+    output: str
+    """The folder of the products."""
+
+    def to_json(self) -> str:
+        """For its way to a worker."""
+        return json.dumps(self._asdict() | {"step": self.step._asdict()}, allow_nan=False)
+
+    @staticmethod
+    def from_json(text: str) -> "Order":
+        """The order of a text."""
+        fields = json.loads(text)
+        step = fields.pop("step")
+        lists = {name: tuple(step[name]) for name in ("inputs", "outputs")}
+        return Order(Step(**{**step, **lists}), **fields)
+
+
+def order_of(status: Status, output: Path) -> Order:
+    """The order to do a step."""
+    return Order(status.step, status.digest, status.parts, str(output))
+
+
+def do_step(order: Order, progress: Progress = None) -> Row:
+    """Do one step, and say how it went: no error leaves, so one failed capture does not stop the others.
+
+    Args:
+        order: The step.
+        progress: Called with (done, in all).
+    """
+    started = time.perf_counter()
+    try:
+        outputs, notes = _done(order, progress)
+    except JaxscanError as problem:
+        return failed_row(order, str(problem), seconds=time.perf_counter() - started)
+    except Exception as problem:
+        # A defect of jaxscan is the failure of one step too; where it arose is kept in the catalogue.
+        message = f"unexpected {type(problem).__name__}: {problem}".splitlines()[0]
+        return failed_row(order, message, seconds=time.perf_counter() - started, details=traceback.format_exc())
+    return _row(order, "done", _sentences(notes), time.perf_counter() - started)._replace(outputs=outputs)
+
+
+def _sentences(notes: Sequence[str]) -> str:
+    """Notes in one line, each with its full stop."""
+    return " ".join(note if note.endswith((".", "!", "?")) else f"{note}." for note in map(str.strip, notes) if note)
+
+
+def begun_row(order: Order) -> Row:
+    """The row of a step that is handed out now."""
+    return _row(order, "begun", "", 0.0)
+
+
+def failed_row(order: Order, message: str, *, seconds: float = 0.0, details: str = "") -> Row:
+    """The row of a step that failed now, after some time, with the line that says why."""
+    return _row(order, "failed", message, seconds)._replace(details=details)
+
+
+def _row(order: Order, state: str, message: str, seconds: float) -> Row:
+    host = f"{platform.node()} {os.getpid()}"
+    return Row(
+        order.step.key,
+        order.digest,
+        state,
+        message[:_LONGEST],
+        order.parts,
+        (),
+        started_s=time.time() - seconds,
+        seconds=seconds,
+        host=host,
+        version=jaxscan.__version__,
+    )
+
+
+def _done(order: Order, progress: Progress) -> tuple[tuple[Output, ...], list[str]]:
+    output = Path(order.output)
+    with workspace_of(order.step, output, progress) as workspace:
+        WORK[order.step.kind](workspace)
+        missing = next((name for name in order.step.outputs if name not in workspace.made()), None)
+        if missing is not None:
+            raise CaptureError(f"{order.step.key}: {missing} was not written.")
+        written = tuple(_described(path, workspace) for path in workspace.made())
+        publish(workspace)
+        return written, workspace.notes
+
+
+def _described(path: str, workspace: StepWorkspace) -> Output:
+    file = workspace.beside(path)
+    return Output(path, file.stat().st_size, file_digest(file))
+
+
+MOST_BYTES = 1 << 40
+"""Largest capture that is fetched [bytes]."""
+_SHARE = 0.9
+"""Share of the free disk that fetched captures may take."""
+
+
+@contextlib.contextmanager
+def workspace_of(step: Step, output: Path, progress: Progress) -> Iterator[StepWorkspace]:
+    """A workspace whose folder is removed at the end, and with a process that was killed by the next one.
+
+    Raises:
+        CaptureError: If the folder of the products cannot be written.
+    """
+    with contextlib.ExitStack() as stack:
+        with reported(f"{output}: cannot be written", error=CaptureError):
+            folder = stack.enter_context(partial_folder(output / "step"))
+        yield StepWorkspace(step, output, folder, progress)
+
+
+def publish(workspace: StepWorkspace) -> None:
+    """Give all that was written its place among the products; each file is there whole or not at all."""
+    made = workspace.made()
+    for path in made:
+        target = workspace.output / path
+        _make(workspace.output, target.parent)
+        workspace.beside(path).replace(target)
+    for folder in workspace.owned:
+        with reported(f"{workspace.output / folder}: cannot be written", error=CaptureError):
+            refuse_links(workspace.output, workspace.output / folder)
+        for old in (workspace.output / folder).iterdir():
+            if str(old.relative_to(workspace.output)) not in made and not old.is_dir():
+                old.unlink()
+
+
+def _make(own: Path, folder: Path) -> None:
+    with reported(f"{folder}: cannot be written", error=CaptureError):
+        make_folder(folder, own=own)
+
+
+def reconstruct_settings(workspace: StepWorkspace) -> api.ReconstructSettings:
+    """Settings of the reconstruction of a step's sweep."""
+    return api.ReconstructSettings(
+        smooth=workspace.setting("smooth"),
+        min_range_m=workspace.setting("min_range_m"),
+        max_range_m=workspace.setting("max_range_m"),
+    )
+
+
+def coloured(workspace: StepWorkspace, cloud: PointCloud, sweep: Capture, scanner: Scanner) -> PointCloud:
+    """The cloud in the colours that are wanted, as far as there are photographs."""
+    if workspace.setting("colour") != "photographs" or not api.has_photographs(sweep):
+        return cloud
+    return api.colour_cloud(cloud, sweep, scanner)
+
+
+MEASURES_FORMAT = "jaxscan-measures/1"
+SIDES = ("length", "width", "height")
+
+
+def _lengths(box: RoomBox) -> dict[str, Any]:
+    sides = {name: side for name in SIDES if (side := getattr(box, name)) is not None}
+    return {
+        name: {
+            "value_m": side.value_m,
+            "sigma_m": side.sigma_m,
+            "sigma_random_m": side.sigma_random_m,
+            "sigma_systematic_m": side.sigma_systematic_m,
+        }
+        for name, side in sides.items()
+    }
+
+
+MOST_POINTS = 10_000_000
+"""Points that are in memory at a time, and in one file."""
+_ROW = np.dtype(
+    [
+        ("xyz", np.float64, 3),
+        ("normals", np.float32, 3),
+        ("rgb", np.uint8, 3),
+        ("intensity", np.float32),
+        ("sigma_random", np.float32),
+        ("sigma_systematic", np.float32),
+    ]
+)
+
+
+class Tiles:
+    """Points, grouped by the square of the floor plan that they lie in."""
+
+    def __init__(self, folder: Path, side_m: float) -> None:
+        """Spool into a folder, which is made now and removed at the end of `with`."""
+        self._folder, self._side_m = folder, side_m
+        self._files: dict[tuple[int, int], Path] = {}
+
+    def __enter__(self) -> "Tiles":
+        make_folder(self._folder, new=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def add(self, cloud: PointCloud) -> None:
+        """Add the points of a cloud in the frame of the room [m]."""
+        points = cloud.points()
+        rows = np.empty(len(points.xyz), _ROW)
+        for name in _ROW.fields or ():
+            rows[name] = getattr(points, name)
+        squares = np.floor(rows["xyz"][:, :2] / self._side_m).astype(int)
+        places, of_place = np.unique(squares, axis=0, return_inverse=True)
+        order = np.argsort(of_place.ravel(), kind="stable")
+        ends = np.cumsum(np.bincount(of_place.ravel(), minlength=len(places)))
+        for place, some in zip(places.tolist(), np.split(rows[order], ends[:-1]), strict=True):
+            path = self._files.setdefault((place[0], place[1]), self._folder / f"{place[0]}_{place[1]}")
+            with open_to_append(path) as file:
+                append_whole(file, some.tobytes(), durable=False)
+
+    def clouds(self) -> Iterator[tuple[tuple[int, int], PointCloud]]:
+        """Each tile, by its place in steps of its side, as a cloud without a grid: one profile of all its points.
+
+        One of more than `MOST_POINTS` comes in several clouds.
+        """
+        for place, path in sorted(self._files.items()):
+            read = 0
+            while len(rows := np.fromfile(path, _ROW, MOST_POINTS, offset=read)):
+                read += rows.nbytes
+                yield place, _cloud(rows)
+            path.unlink()
+
+
+def _cloud(rows: Shaped[np.ndarray, " n"]) -> PointCloud:
+    zero = np.zeros(1, np.int32)
+    fields = {name: np.ascontiguousarray(rows[name])[None] for name in _ROW.fields or () if name != "xyz"}
+    xyz = rows["xyz"].astype(np.float32)[None]
+    valid = np.ones((1, len(rows)), np.bool_)
+    angle = np.zeros(1)
+    return PointCloud(xyz=xyz, valid=valid, **fields, record=zero, laser=zero, angle=angle, stations=None, absent=None)
+
+
+STATIONS_FORMAT = "jaxscan-stations/1"
+TILES_FORMAT = "jaxscan-tiles/1"
+PLAN_POINTS = 20_000_000
+"""Points that the plan of a group is drawn from; of more, only every n-th profile."""
+VAGUE_M = 0.02
+"""A note is given for a station whose place has a larger standard deviation [m]."""
+_MOST_BYTES = 64 * MEGABYTE
+
+
+def _recalibrated(workspace: StepWorkspace) -> Recalibration:
+    pairs = list(zip(workspace.setting("captures"), workspace.setting("every"), strict=True))
+    captures = [workspace.capture(f"capture {name}").every(every) for name, every in pairs]
+    given = load_known_room(workspace.file("known")) if "known" in workspace.step.sources else None
+    settings = api.RecalibrationSettings(stations=len(captures) > 1)
+    return api.recalibrate(
+        captures, workspace.file("calibration"), given=given, settings=settings, progress=workspace.progress
+    )
+
+
+def _save(workspace: StepWorkspace, calibration: Calibration | None, refused: str | None) -> None:
+    """Write a new calibration; where there is none, that which was given, and a note why."""
+    if calibration is None:
+        workspace.notes.append(f"The calibration is as it was: {refused}")
+        stored = read_bounded(workspace.file("calibration"), _MOST_BYTES, error=CalibrationError)
+        write_atomically(workspace.target(0), stored)
+    else:
+        api.save_calibration(calibration, workspace.target(0))
+
+
+def _clouds(workspace: StepWorkspace) -> Iterator[PointCloud]:
+    """The clouds of the stations, one after the other."""
+    for role in workspace.step.products:
+        if role.startswith("cloud "):
+            yield api.load_cloud(workspace.file(role))

@@ -1,0 +1,279 @@
+"""What walls say of a result: flatness of planes that were not used, the gap after a turn, and where points lie."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxscan.errors import CalibrationError
+from jaxscan.geometry import Scanner, Turntable
+from jaxscan.measurement.planes import facing, weighted_plane
+from jaxscan.recalibration.grid import spread_over
+from jaxscan.recalibration.observed import RoomObservations, Surfaces, SweepStripes
+from jaxscan.recalibration.result import Adjusted, Closure, HoldOut, PanoramaOfWalls
+from jaxscan.recalibration.triangulate import place_points, triangulate_points
+
+
+Fitting = Callable[[RoomObservations], Adjusted]
+# Points of one mean: so few that a wall has many, so many that noise is small beside a bend.
+_BLOCK = 40
+# A plane with fewer blocks than unknowns and some more says nothing.
+_LEAST_BLOCKS = 6
+# Smallest singular value of the normals of planes that place a station.
+_LEAST_SPREAD = 0.3
+# Flatness may come out worse by this share by chance.
+_BY_CHANCE = 1.1
+
+
+def hold_out(adjusted: Adjusted, stored: Scanner, fit: Fitting) -> HoldOut | None:
+    """Flatness of planes that were not used, with the stored scanner and with one fitted to the others.
+
+    Args:
+        adjusted: Of all planes; its observations are divided.
+        stored: The stored scanner.
+        fit: Adjusts the scanner to some of the observations as it was adjusted to all of them.
+
+    Returns:
+        RMS of means of neighbouring points over each half; None where there are fewer than two planes, or where those
+        of one half do not determine every station and the scanner.
+    """
+    points = adjusted.observations.points
+    numbers = _halves(adjusted.observations.surfaces, points.surface[adjusted.point_kept])
+    if any(len(half) == 0 or not _places_stations(adjusted, half) for half in numbers):
+        return None
+    before, after = [], []
+    for half in numbers:
+        try:
+            fitted = fit(hidden(adjusted.observations, half))
+        except CalibrationError:
+            # All planes together have an adjustment; these alone leave something open.
+            return None
+        test = adjusted.point_kept & np.isin(points.surface, half)
+        before.append(1e3 * flatness(stored, adjusted.observations, adjusted.corrections, test))
+        after.append(1e3 * flatness(fitted.scanner, adjusted.observations, adjusted.corrections, test))
+    worse = [new > _BY_CHANCE * old for old, new in zip(before, after, strict=True)]
+    return HoldOut(tuple(before), tuple(after), not all(worse))
+
+
+def _halves(surfaces: Surfaces, seen: Int[np.ndarray, " points"]) -> tuple[list[int], list[int]]:
+    """Numbers of planes in two halves, large ones first in turn: each half has walls in several directions."""
+    count = np.bincount(seen, minlength=len(surfaces.kind))
+    planes = [k for k, kind in enumerate(surfaces.kind) if kind == "plane" and count[k] >= _LEAST_BLOCKS * _BLOCK]
+    halves: tuple[list[int], list[int]] = ([], [])
+    size = [0, 0]
+    for number in sorted(planes, key=lambda k: -count[k]):
+        smaller = int(size[1] < size[0])
+        halves[smaller].append(number)
+        size[smaller] += int(count[number])
+    return halves
+
+
+def _places_stations(adjusted: Adjusted, without: list[int]) -> bool:
+    """Whether planes that are left show where every station is: those it shares with others look in all directions."""
+    observations, kept = adjusted.observations, adjusted.point_kept
+    if observations.tracks is not None and len(observations.tracks.q):
+        return True
+    surface, station = observations.points.surface[kept], observations.station[observations.points.sweep[kept]]
+    for number in range(1, int(observations.station.max()) + 1):
+        shared = np.intersect1d(surface[station == number], surface[station != number])
+        normals = adjusted.surfaces.normal[np.setdiff1d(shared, without)]
+        if len(normals) < 3 or np.linalg.svd(normals, compute_uv=False)[2] < _LEAST_SPREAD:
+            return False
+    return True
+
+
+def hidden(observations: RoomObservations, numbers: list[int]) -> RoomObservations:
+    """The observations without the points of some surfaces; arrays keep their sizes, for which a solve is compiled."""
+    points, lengths = observations.points, observations.lengths
+    sigma = np.where(np.isin(points.surface, numbers), np.inf, points.sigma)
+    own = [each for each in lengths if each.between == "tracks" or not {each.first, each.second} & {*numbers}]
+    return observations._replace(points=points._replace(sigma=sigma), lengths=tuple(own))
+
+
+def flatness(
+    scanner: Scanner,
+    observations: RoomObservations,
+    corrections: tuple[Float[np.ndarray, " records"], ...],
+    some: Bool[np.ndarray, " points"],
+) -> float:
+    """RMS of means of neighbouring points' distances from the best plane through each wall of each sweep [m].
+
+    Args:
+        scanner: That triangulates them.
+        observations: The points.
+        corrections: Of the angles of each sweep [rad].
+        some: Points that count.
+    """
+    points = observations.points.take(np.flatnonzero(some))
+    place, valid = place_points(scanner, observations, corrections, points=points)
+    points, place = points.take(np.flatnonzero(valid)), place[valid]
+    means = []
+    for sweep, surface in {*zip(points.sweep.tolist(), points.surface.tolist(), strict=True)}:
+        own = np.flatnonzero((points.sweep == sweep) & (points.surface == surface))
+        if len(own) >= _LEAST_BLOCKS * _BLOCK:
+            means.append(_block_means(_distances(place[own]), points.record[own], points.line[own]))
+    return float(np.sqrt(np.mean(np.concatenate(means) ** 2))) if means else 0.0
+
+
+def _distances(place: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+    """Of points from the plane through them, positive away from the origin [m]."""
+    plane = weighted_plane(place, np.ones(len(place)))
+    return np.asarray((place - plane.centre) @ facing(plane, plane.centre).normal)
+
+
+def _block_means(
+    error: Float[np.ndarray, " n"], record: Int[np.ndarray, " n"], line: Int[np.ndarray, " n"]
+) -> Float[np.ndarray, " blocks"]:
+    """Means over about `_BLOCK` points that are near each other on the grid."""
+    strips = max(1, round(np.sqrt(len(error) / _BLOCK)))
+    by_record = np.argsort(record, kind="stable")
+    found = []
+    for strip in np.array_split(by_record, strips):
+        by_line = strip[np.argsort(line[strip], kind="stable")]
+        found += [error[block].mean() for block in np.array_split(by_line, max(1, len(by_line) // _BLOCK))]
+    return np.array(found)
+
+
+RADIUS_M = 2.5
+"""Distance from the axis at which the gap is told [m]."""
+_TURN = 2.0 * np.pi
+# Fewer points of a plane say nothing of its direction.
+_LEAST_PASS = 30
+# A point of the room that is seen again after this turn closes it [rad].
+_NEARLY = np.radians(350.0)
+
+
+def closure_of(adjusted: Adjusted, stored: Scanner) -> Closure | None:
+    """The gap after a full turn, with the stored and with the new scanner.
+
+    Where a sweep overlaps itself the gap is measured: planes that the first pass saw against points of the second.
+    A table's gain need not be 1, so without an overlap the gap is that of the stored gain against the new one where
+    features close the turn, and nobody knows it where nothing does: then only its standard deviation is told.
+
+    Returns:
+        The gap; None without a full turn.
+    """
+    if not isinstance(stored.turntable, Turntable) or not isinstance(adjusted.scanner.turntable, Turntable):
+        return None
+    if not any(np.ptp(angle) > _NEARLY for angle in adjusted.observations.angles if len(angle)):
+        return None
+    before = _overlap_gap(stored, adjusted, ())
+    after = _overlap_gap(adjusted.scanner, adjusted, adjusted.corrections)
+    if before is not None and after is not None:
+        return Closure(_mm(before[0]), _mm(after[0]), _mm(after[1]), "overlap")
+    position = stored.parameter_names().index("gain")
+    sigma = float(np.sqrt(max(np.asarray(adjusted.scanner.covariance)[position, position], 0.0)))
+    if not _seen_again(adjusted):
+        return Closure(None, None, _mm(_TURN * sigma), "model")
+    change = float(adjusted.scanner.turntable.gain) - float(stored.turntable.gain)
+    return Closure(_mm(_TURN * change), None, _mm(_TURN * sigma), "features")
+
+
+def _mm(angle: float) -> float:
+    return 1e3 * RADIUS_M * abs(angle)
+
+
+def _seen_again(adjusted: Adjusted) -> bool:
+    """Whether a tracked point is seen at the beginning and at the end of a turn."""
+    tracks = adjusted.observations.tracks
+    if tracks is None:
+        return False
+    kept = np.flatnonzero(adjusted.track_kept)
+    for sweep, angle in enumerate(adjusted.observations.angles):
+        own = kept[tracks.sweep[kept] == sweep]
+        phi = angle[tracks.record[own]]
+        _, point = np.unique(tracks.track[own], return_inverse=True)
+        low, high = np.full(len(own), np.inf), np.full(len(own), -np.inf)
+        np.minimum.at(low, point, phi)
+        np.maximum.at(high, point, phi)
+        if len(own) and np.any(high - low > _NEARLY):
+            return True
+    return False
+
+
+def _overlap_gap(scanner: Scanner, adjusted: Adjusted, corrections: Sequence[np.ndarray]) -> tuple[float, float] | None:
+    """The angle by which the second pass is turned against the first, a weighted mean over planes and sweeps, and its
+    sigma [rad]."""
+    observations = adjusted.observations
+    kept = np.flatnonzero(adjusted.point_kept)
+    points = observations.points.take(kept)
+    journal = observations.angles_of(points)
+    place, valid = place_points(scanner, observations, corrections, points=points)
+    sigma = adjusted.point_sigma[kept]
+    weight = total = 0.0
+    for sweep, angle in enumerate(observations.angles):
+        way = 1.0 if angle[-1] >= angle[0] else -1.0
+        turned = way * (journal - angle[0])
+        end = float(np.max(way * (angle - angle[0])))
+        for surface in np.unique(points.surface[points.sweep == sweep]):
+            own = valid & (points.sweep == sweep) & (points.surface == surface)
+            if observations.surfaces.kind[surface] != "plane":
+                continue
+            first, second = own & (turned <= end - _TURN), own & (turned >= _TURN)
+            if min(first.sum(), second.sum()) >= _LEAST_PASS:
+                information, score = _turn_of_plane(place, sigma, first, second)
+                weight, total = weight + information, total + score
+    if weight <= 0.0:
+        return None
+    return total / weight, float(np.sqrt(adjusted.inflation / weight))
+
+
+def _turn_of_plane(
+    place: Float[np.ndarray, "n 3"], sigma: Float[np.ndarray, " n"], first: np.ndarray, second: np.ndarray
+) -> tuple[float, float]:
+    """Information on the turn between two passes over one plane, whose three unknowns are eliminated, and its score."""
+    both = np.concatenate([place[first], place[second]])
+    late = np.repeat([0.0, 1.0], [first.sum(), second.sum()])
+    own = np.concatenate([sigma[first], sigma[second]])
+    flat = weighted_plane(both, np.ones(len(both)))
+    arm, normal = both - flat.centre, flat.normal
+    # A turn about the scanner's z axis moves a point by z x p.
+    moved = late * (normal[1] * both[:, 0] - normal[0] * both[:, 1]) / own
+    plane = np.column_stack([arm @ flat.axes.T, np.ones(len(arm))]) / own[:, None]
+    basis, _ = np.linalg.qr(plane)
+    free = moved - basis @ (basis.T @ moved)
+    return float(free @ free), float(free @ (arm @ normal / own))
+
+
+# Cells of the picture at most, and points that are averaged in it.
+_PROFILES, _LINES, _POINTS = 720, 400, 300_000
+_LEAST_POINTS = 30
+
+
+def panorama_of(
+    sweep: SweepStripes,
+    labels: Int[np.ndarray, "profiles lines"],
+    scanners: tuple[Scanner, Scanner],
+    corrections: tuple[Float[np.ndarray, " records"], Float[np.ndarray, " records"]],
+) -> PanoramaOfWalls:
+    """Means over cells of the grid of the distances from the planes through each patch.
+
+    Args:
+        sweep: The stripes.
+        labels: Number of the plane of each point, -1 where there is none.
+        scanners: The stored and the new one.
+        corrections: Of the angles of every record, with each of them [rad].
+    """
+    profile, line = np.nonzero((labels >= 0) & sweep.valid)
+    some = spread_over(np.arange(len(profile)), _POINTS)
+    profile, line = profile[some], line[some]
+    number = labels[profile, line]
+    # Bounds of the cells: profiles that hold stripes are spread evenly.
+    height, width = min(_PROFILES, labels.shape[0]), min(_LINES, labels.shape[1])
+    cell = profile * height // labels.shape[0] * width + line * width // labels.shape[1]
+    q = sweep.pixels(profile, line)
+    record = sweep.record[profile]
+    pictures = []
+    for scanner, correction in zip(scanners, corrections, strict=True):
+        place, valid = triangulate_points(scanner, q, sweep.laser[profile], (sweep.angle + correction)[record])
+        error, known = np.zeros(len(place)), np.zeros(len(place), bool)
+        for each in np.unique(number[valid]):
+            own = np.flatnonzero(valid & (number == each))
+            if len(own) >= _LEAST_POINTS:
+                error[own], known[own] = _distances(place[own]), True
+        count = np.bincount(cell[known], minlength=height * width)
+        mean = np.bincount(cell[known], error[known], minlength=height * width) / np.maximum(count, 1)
+        pictures.append((mean.reshape(height, width), (count > 0).reshape(height, width)))
+    (before, seen), (after, again) = pictures
+    middle = (np.arange(height) * labels.shape[0] // height).clip(max=labels.shape[0] - 1)
+    return PanoramaOfWalls(sweep.name, before, after, seen & again, sweep.angle[sweep.record[middle]])

@@ -1,0 +1,121 @@
+"""Pictures of deviations between clouds, and of rigs that are yet to be built."""
+
+import io
+from typing import Any
+
+import numpy as np
+
+from jaxscan.design import RigChoice, RigDesign, spread_at
+from jaxscan.measurement import DeviationMap
+from jaxscan.report.drawing import GREEN, INK, SERIES, SOFT, new_axes, new_figure
+
+
+def deviation_picture(found: DeviationMap) -> bytes:
+    """A PNG of two maps in millimetres: deviations, towards the scanner positive, and one standard deviation."""
+    figure = new_figure(9.6, 4.4)
+    half = 0.5 * found.cell_m * np.array(found.seen.shape)
+    reach = max(float(np.percentile(np.abs(found.deviation_m[found.seen]), 99)), 1e-5)
+    largest = max(float(np.percentile(found.sigma_m[found.seen], 99)), 1e-5)
+    panels = (
+        ("deviation from the plane, mm", found.deviation_m, "RdBu_r", (-1e3 * reach, 1e3 * reach)),
+        ("one standard deviation, mm", found.sigma_m, "viridis", (0.0, 1e3 * largest)),
+    )
+    for place, (title, values, colours, (low, high)) in enumerate(panels):
+        axes = new_axes(figure, 121 + place, grid=False)
+        shown = np.ma.masked_where(~found.seen, 1e3 * values)
+        extent = (-half[1], half[1], -half[0], half[0])
+        image = axes.imshow(shown, origin="lower", extent=extent, cmap=colours, vmin=low, vmax=high)
+        axes.set_facecolor("#dfe3e8")
+        axes.set_title(title)
+        axes.set_xlabel("to the right, m")
+        if place == 0:
+            axes.set_ylabel("up, m")
+        figure.colorbar(image, ax=axes, shrink=0.85)
+    written = io.BytesIO()
+    figure.savefig(written, format="png", dpi=120)
+    return written.getvalue()
+
+
+_SHOWN = 4
+"""Baselines that are drawn beside the chosen one."""
+_SAMPLES = 60
+
+
+def design_picture(choice: RigChoice) -> bytes:
+    """A PNG: standard deviation of a point's depth by its distance, and the alternatives as a map."""
+    figure = new_figure(10.4, 4.6)
+    _curves(new_axes(figure, 121, xlabel="depth, m", ylabel="standard deviation of a point's depth, mm"), choice)
+    _map(new_axes(figure, 122, grid=False, xlabel="baseline, m", ylabel="lens, mm"), choice)
+    written = io.BytesIO()
+    figure.savefig(written, format="png", dpi=120)
+    return written.getvalue()
+
+
+def _curves(axes: Any, choice: RigChoice) -> None:
+    wish, chosen = choice.wish, choice.design
+    same_lens = sorted(
+        (one for one, _ in choice.alternatives if one.lens_mm == chosen.lens_mm and one != chosen),
+        key=lambda one: abs(np.log(one.baseline_m / chosen.baseline_m)),
+    )[:_SHOWN]
+    for number, design in enumerate(sorted((*same_lens, chosen), key=lambda one: one.baseline_m)):
+        depths = _depths(design, wish.range_m)
+        sigma = 1e3 * spread_at(design, depths.tolist(), wish.noise_px).depth
+        width, name = (2.8, " (chosen)") if design == chosen else (1.2, "")
+        colour = INK if design == chosen else SERIES[number % len(SERIES)]
+        axes.plot(depths, sigma, color=colour, linewidth=width, label=f"baseline {design.baseline_m:g} m{name}")
+    axes.axhline(1e3 * wish.sigma_m, color=GREEN, linestyle="--", linewidth=1.2)
+    axes.axvline(wish.range_m, color=GREEN, linestyle="--", linewidth=1.2)
+    axes.plot([wish.range_m], [1e3 * wish.sigma_m], "o", color=GREEN, label="wished")
+    axes.plot([wish.range_m], [1e3 * choice.sigma_m], "s", color=INK, markersize=5)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    for axis, values in ((axes.xaxis, _round(axes.get_xlim())), (axes.yaxis, _round(axes.get_ylim()))):
+        axis.set_ticks(values, [f"{value:g}" for value in values])
+        axis.set_ticks([], minor=True)
+    across, along = chosen.fields_deg
+    axes.set_title(
+        f"{chosen.lens_mm:g} mm lens, {across:.0f}° x {along:.0f}°, {chosen.sensor.width} x "
+        f"{chosen.sensor.height} px; curves begin where the stripe enters the image",
+        fontsize=8,
+        color=SOFT,
+    )
+    axes.legend(loc="upper left", frameon=False, fontsize=8.5)
+
+
+def _map(axes: Any, choice: RigChoice) -> None:
+    """Every lens with every baseline: its sigma, and whether it reaches the wish."""
+    baselines = sorted({one.baseline_m for one, _ in choice.alternatives})
+    lenses = sorted({one.lens_mm for one, _ in choice.alternatives})
+    ratio = np.full((len(lenses), len(baselines)), np.nan)
+    for design, sigma in choice.alternatives:
+        row, column = lenses.index(design.lens_mm), baselines.index(design.baseline_m)
+        ratio[row, column] = np.log2(sigma / choice.wish.sigma_m)
+        text = f"{1e3 * sigma:.3g}" if sigma < 0.1 else f"{1e3 * sigma:.0f}"
+        reaches = choice.reaches(design, sigma)
+        weight = "bold" if reaches else "normal"
+        axes.text(
+            column, row, text, ha="center", va="center", fontsize=7.5, weight=weight, color=INK if reaches else SOFT
+        )
+        if design == choice.design:
+            axes.plot([column], [row], "s", color=INK, markersize=21, fillstyle="none", markeredgewidth=1.6)
+    axes.imshow(np.ma.masked_invalid(ratio), cmap="RdYlGn_r", vmin=-3, vmax=3, aspect="auto", alpha=0.45)
+    axes.set_xticks(range(len(baselines)), [f"{value:g}" for value in baselines])
+    fields = {one.lens_mm: one.fields_deg[1] for one, _ in choice.alternatives}
+    axes.set_yticks(range(len(lenses)), [f"{lens:g} ({fields[lens]:.0f}°)" for lens in lenses])
+    axes.set_title(
+        f"sigma at {choice.wish.range_m:g} m, mm; bold reaches {1e3 * choice.wish.sigma_m:g} mm and "
+        f"{choice.wish.field_deg:g}° along the stripe",
+        fontsize=8,
+        color=SOFT,
+    )
+
+
+def _depths(design: RigDesign, range_m: float) -> np.ndarray:
+    near, far = design.view_m
+    return np.geomspace(max(near, 0.1 * range_m), min(far, 2.0 * range_m), _SAMPLES)
+
+
+def _round(limits: tuple[float, float]) -> list[float]:
+    low, high = limits
+    every = [digit * 10.0**power for power in range(-6, 6) for digit in (1, 2, 5)]
+    return [value for value in every if low <= value <= high]
