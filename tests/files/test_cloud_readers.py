@@ -11,7 +11,7 @@ from jaxscan.errors import CloudError
 from jaxscan.files.clouds import load_cloud, save_cloud
 from jaxscan.reconstruction import PointCloud
 
-from .clouds import LINES, PROFILES, make_cloud
+from .clouds import LINES, PROFILES, make_cloud, unsealed
 
 
 XYZ = np.array([[0.5, 1.5, -2.0], [3.0, 4.0, 5.0], [1e3, 0.0, 0.25]])

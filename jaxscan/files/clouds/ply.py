@@ -322,7 +322,8 @@ def _walk(data: bytes, element: _Element, most: int) -> tuple[np.ndarray, int, i
             break
         places.append(row)
         used = at
-    return np.array(places, np.int64).reshape(len(places), -1), used, at - used
+    width = sum(length is None for _, length in steps)
+    return np.array(places, np.int64).reshape(len(places), width), used, at - used
 
 
 # Int, not ushort, which Open3D's reader skips; the angle in double and the record are in the profiles.
