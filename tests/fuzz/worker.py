@@ -33,6 +33,7 @@ def main(corpus: Path, work: Path) -> None:
 
 def _prepare(corpus: Path, work: Path) -> Watch:
     """Make this process like that of the command line, but for pages, which would be served for ever."""
+    from jaxscan.cli.environment import hush_libraries, one_thread_per_product
     from jaxscan.cli.running import _keep_to_lines
 
     # Compiled modules would be written beside the sources, outside of the case.
@@ -40,8 +41,8 @@ def _prepare(corpus: Path, work: Path) -> Watch:
     for name in ("tmp", "home"):
         (work / name).mkdir(exist_ok=True)
     os.environ |= {"TMPDIR": str(work / "tmp"), "HOME": str(work / "home")}
-    quiet.hush_libraries()
-    quiet.one_thread_per_product()
+    hush_libraries()
+    one_thread_per_product()
     _keep_to_lines()
     # It asks on import whether this machine has IPv6.
     with contextlib.suppress(ImportError):
