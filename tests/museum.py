@@ -22,13 +22,17 @@ settings = { every = 2 }
 """
 
 
-@pytest.fixture
-def museum(tiny, tmp_path):
-    """The file of a project whose two captures are copies of the tiny sweep."""
+def make_museum(tiny, folder):
+    """The file of a project in a folder, whose two captures are copies of the tiny sweep."""
     for path in tiny.calibration.parent.glob(f"{tiny.calibration.stem}.*"):
-        shutil.copy(path, tmp_path / path.name)
+        shutil.copy(path, folder / path.name)
     for name in ("room-1", "room-2"):
-        shutil.copytree(tiny.sweep, tmp_path / name, ignore=shutil.ignore_patterns("stripes.npz"))
-    file = tmp_path / "project.toml"
+        shutil.copytree(tiny.sweep, folder / name, ignore=shutil.ignore_patterns("stripes.npz"))
+    file = folder / "project.toml"
     file.write_text(PROJECT)
     return file
+
+
+@pytest.fixture
+def museum(tiny, tmp_path):
+    return make_museum(tiny, tmp_path)

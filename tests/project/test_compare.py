@@ -8,6 +8,7 @@ import pytest
 
 from jaxscan.errors import ConfigError
 from jaxscan.project import compare_projects, load_project
+from tests.museum import make_museum
 from tests.opened import edit, work
 
 
@@ -19,16 +20,21 @@ def moved_by(file, metres):
     path.write_text(json.dumps(about))
 
 
-@pytest.fixture
-def two(museum, tmp_path):
-    """The project, done, and a copy of it."""
-    edit(museum, '["cloud", "measures", "mesh"]', '["cloud", "measures"]')
+@pytest.fixture(scope="module")
+def finished(tiny, tmp_path_factory):
+    """A project that is done. Copy, do not change."""
+    file = make_museum(tiny, tmp_path_factory.mktemp("finished"))
+    edit(file, '["cloud", "measures", "mesh"]', '["cloud", "measures"]')
     # Fewer profiles show no walls.
-    edit(museum, "every = 2", "every = 1")
-    assert all(row.state == "done" for row in work(museum))
-    other = tmp_path / "later"
-    shutil.copytree(museum.parent, other, ignore=shutil.ignore_patterns("later"))
-    return museum, other / museum.name
+    edit(file, "every = 2", "every = 1")
+    assert all(row.state == "done" for row in work(file))
+    return file
+
+
+@pytest.fixture
+def two(finished, tmp_path):
+    """Two copies of it."""
+    return [shutil.copytree(finished.parent, tmp_path / name) / finished.name for name in ("first", "second")]
 
 
 def test_one_capture_and_two_versions(two, run):
@@ -71,6 +77,7 @@ def test_objects_have_no_lengths(two):
         compare_projects(first, second)
 
 
+@pytest.mark.more
 def test_two_epochs(two):
     first, second = two
     for name in ("room-1", "room-2"):
@@ -90,6 +97,7 @@ def test_two_epochs(two):
     assert one.sigma_m == pytest.approx(np.hypot(*sigmas), rel=1e-9)
 
 
+@pytest.mark.more
 def test_what_failed_when_it_was_made_anew_is_lost(two, run):
     first, second = two
     for image in (second.parent / "room-1").glob("on/*"):
@@ -107,7 +115,7 @@ def test_measures_that_are_stale_are_named(two, run):
     assert ran.code == 0 and f"stale in {second}, so compared as they were made: room-1, room-2" in ran.out
 
 
-def test_projects_that_cannot_be_compared(museum, two, tmp_path):
+def test_projects_that_cannot_be_compared(two):
     first, second = two
     (second.parent / "products" / "measures" / "room-1.json").write_text("{}")
     with pytest.raises(ConfigError, match="holds no measures"):

@@ -15,7 +15,22 @@ from jaxscan.files.capture import CACHE_NAME, JOURNAL_NAME
 from jaxscan.project import begun_row, failed_row, load_project, order_of, steps
 from jaxscan.project import work as doing
 from jaxscan.project.work import WORK
+from tests.museum import make_museum
 from tests.opened import catalogue_of, edit, products, states, work
+
+
+@pytest.fixture(scope="module")
+def finished(tiny, tmp_path_factory):
+    """A project whose clouds are made. Copy, do not change."""
+    file = make_museum(tiny, tmp_path_factory.mktemp("finished"))
+    edit(file, '["cloud", "measures", "mesh"]', '["cloud"]')
+    assert all(row.state == "done" for row in work(file))
+    return file
+
+
+@pytest.fixture
+def clouds(finished, tmp_path):
+    return shutil.copytree(finished.parent, tmp_path / "clouds") / finished.name
 
 
 def in_state(file, state):
@@ -95,24 +110,22 @@ def test_a_defect_is_kept_with_its_place(museum, monkeypatch):
     assert kept[row.key] == row
 
 
-def test_one_row_of_each_step_however_often_it_is_written(museum):
-    catalogue = catalogue_of(museum)
-    edit(museum, '["cloud", "measures", "mesh"]', '["cloud"]')
-    rows = work(museum)
+def test_one_row_of_each_step_however_often_it_is_written(clouds):
+    catalogue = catalogue_of(clouds)
+    rows = catalogue.rows()
     catalogue.write(rows)
     catalogue.write([rows[0]._replace(message="again")])
     assert sorted(row.message for row in catalogue.rows() if row.key == rows[0].key) == ["again"]
-    assert len(catalogue.rows()) == len(rows)
+    assert len(catalogue.rows()) == len(rows) == 2
 
 
-def test_what_is_done_shows_its_notes(museum, run):
-    catalogue = catalogue_of(museum)
-    edit(museum, '["cloud", "measures", "mesh"]', '["cloud"]')
-    rows = work(museum)
+def test_what_is_done_shows_its_notes(clouds, run):
+    catalogue = catalogue_of(clouds)
+    rows = catalogue.rows()
     catalogue.write([rows[0]._replace(message="A note of the test.")])
     catalogue.close()
-    assert "A note of the test." in run("project", "status", museum).out
-    assert states(museum)[rows[0].key].state == "done"
+    assert "A note of the test." in run("project", "status", clouds).out
+    assert states(clouds)[rows[0].key].state == "done"
 
 
 def test_a_catalogue_that_cannot_be_written_is_one_line(museum):
@@ -126,6 +139,7 @@ def test_a_catalogue_that_cannot_be_written_is_one_line(museum):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.more
 def test_a_large_capture_in_pieces_gives_the_same_cloud(museum):
     edit(museum, '["cloud", "measures", "mesh"]', '["cloud"]')
     edit(museum, "every = 2", "every = 1")
@@ -170,15 +184,13 @@ def test_names_of_folders_that_an_address_would_take_for_more(museum):
     assert catalogue.rows() == [] and (strange / "catalogue.sqlite").exists()
 
 
-def test_a_step_that_was_begun_is_not_done(museum):
-    edit(museum, '["cloud", "measures", "mesh"]', '["cloud"]')
-    work(museum)
-    catalogue, output = catalogue_of(museum), load_project(museum).output
+def test_a_step_that_was_begun_is_not_done(clouds):
+    catalogue, output = catalogue_of(clouds), load_project(clouds).output
     # Other settings are begun, may have written files, and are taken back.
-    edit(museum, "every = 2", "every = 3")
-    catalogue.write([begun_row(order_of(states(museum)["cloud/room-1"], output))])
-    edit(museum, "every = 3", "every = 2")
-    found = states(museum)
+    edit(clouds, "every = 2", "every = 3")
+    catalogue.write([begun_row(order_of(states(clouds)["cloud/room-1"], output))])
+    edit(clouds, "every = 3", "every = 2")
+    found = states(clouds)
     assert found["cloud/room-1"].state == "stale" and "did not come to its end" in found["cloud/room-1"].why
     assert found["cloud/room-2"].state == "done"
     catalogue.close()

@@ -97,6 +97,7 @@ def towards_bright(z, stripes, part):
     return float(np.mean((z * np.sign(stripes.shift))[part]))
 
 
+@pytest.mark.more
 def test_unguarded_every_edge_pulls_by_many_times_the_noise(stripes):
     near = (np.abs(stripes.shift) > 0.1) & (np.abs(stripes.shift) < 0.35)
     assert near.mean() > 0.08

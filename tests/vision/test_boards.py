@@ -117,7 +117,7 @@ def test_an_uneven_grid_is_looked_for_again(monkeypatch):
     assert np.hypot(*(found.q - expected(CHESS, homography)).T).max() < 0.05
 
 
-@pytest.mark.parametrize("detector", ["sb", "classic"])
+@pytest.mark.parametrize("detector", ["classic", pytest.param("sb", marks=pytest.mark.more)])
 def test_order_of_an_ambiguous_board_is_right_handed_and_points_right(detector):
     board = Chessboard(7, 5, 0.03)
     for turn in (0.0, 0.6, -0.6):

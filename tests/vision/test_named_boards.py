@@ -1,5 +1,7 @@
 """The board that images show in place of the expected one is named, or nothing is said."""
 
+import functools
+
 import cv2
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ OLD = Charuco(8, 6, 0.03, 0.022, layout="legacy")
 GRID = AprilGrid(4, 4, 0.01, 0.03)
 
 
+@functools.cache
 def picture(board):
     """The board in perspective; a grid of tags is drawn straight."""
     if not isinstance(board, AprilGrid):
@@ -25,51 +28,42 @@ def picture(board):
     return (20 + 0.7 * small).astype(np.uint8)
 
 
+OTHERS = {
+    "kind": (CHESS, Charuco(12, 9, 0.02, 0.015, "DICT_5X5_250"), "a chessboard with 8 x 5 inner corners"),
+    "count": (CHESS, Chessboard(9, 6, 0.03), "a chessboard with 8 x 5 inner corners"),
+    "markers": (CHARUCO, Chessboard(9, 6, 0.03), "a ChArUco board (markers 0 to 23 of DICT_5X5)"),
+    "columns": (CHARUCO, Charuco(9, 6, 0.03, 0.022), "a ChArUco board with 8 columns of squares"),
+    "larger": (CHARUCO, Charuco(12, 9, 0.02, 0.015), "a ChArUco board with 8 columns of squares"),
+    "rows": (CHARUCO, Charuco(8, 4, 0.03, 0.022), "a larger board, with markers 0 to 23 (expected up to 15)"),
+    "dictionary": (
+        CHARUCO,
+        Charuco(8, 6, 0.03, 0.022, "DICT_4X4_50"),
+        "a board with markers of DICT_5X5, not of DICT_4X4_50",
+    ),
+    "legacy": (
+        OLD,
+        CHARUCO,
+        'a ChArUco board in the layout before OpenCV 4.6 (layout = "legacy", or that word behind import --board)',
+    ),
+    "not legacy": (
+        CHARUCO,
+        OLD,
+        'a ChArUco board in the layout since OpenCV 4.6 (layout = "standard", or that word behind import --board)',
+    ),
+    "legacy columns": (OLD, Charuco(9, 6, 0.03, 0.022), "a ChArUco board with 8 columns of squares"),
+    "tags": (CHARUCO, AprilGrid(6, 4, 0.01, 0.03), "a board with markers 0 to 23 of DICT_5X5"),
+    "tag columns": (GRID, AprilGrid(6, 6, 0.01, 0.03), "an AprilGrid with 4 columns of tags"),
+    "more tags": (GRID, AprilGrid(3, 3, 0.01, 0.03), "a board with markers 0 to 15 of DICT_APRILTAG_36h11"),
+    "tags for markers": (GRID, CHARUCO, "a board with markers of DICT_APRILTAG_36h11, not of DICT_5X5_250"),
+    "tags for squares": (GRID, CHESS, "an AprilGrid (markers 0 to 15 of DICT_APRILTAG_36h11)"),
+}
+FAST = ("kind", "dictionary", "tag columns")
+"""One of each kind of board; a search among all boards takes seconds."""
+
+
 @pytest.mark.parametrize(
     ("shown", "expected", "words"),
-    [
-        (CHESS, Charuco(12, 9, 0.02, 0.015, "DICT_5X5_250"), "a chessboard with 8 x 5 inner corners"),
-        (CHESS, Chessboard(9, 6, 0.03), "a chessboard with 8 x 5 inner corners"),
-        (CHARUCO, Chessboard(9, 6, 0.03), "a ChArUco board (markers 0 to 23 of DICT_5X5)"),
-        (CHARUCO, Charuco(9, 6, 0.03, 0.022), "a ChArUco board with 8 columns of squares"),
-        (CHARUCO, Charuco(12, 9, 0.02, 0.015), "a ChArUco board with 8 columns of squares"),
-        (CHARUCO, Charuco(8, 4, 0.03, 0.022), "a larger board, with markers 0 to 23 (expected up to 15)"),
-        (
-            CHARUCO,
-            Charuco(8, 6, 0.03, 0.022, "DICT_4X4_50"),
-            "a board with markers of DICT_5X5, not of DICT_4X4_50",
-        ),
-        (
-            OLD,
-            CHARUCO,
-            'a ChArUco board in the layout before OpenCV 4.6 (layout = "legacy", or that word behind import --board)',
-        ),
-        (
-            CHARUCO,
-            OLD,
-            'a ChArUco board in the layout since OpenCV 4.6 (layout = "standard", or that word behind import --board)',
-        ),
-        (OLD, Charuco(9, 6, 0.03, 0.022), "a ChArUco board with 8 columns of squares"),
-        (CHARUCO, AprilGrid(6, 4, 0.01, 0.03), "a board with markers 0 to 23 of DICT_5X5"),
-        (GRID, AprilGrid(6, 6, 0.01, 0.03), "an AprilGrid with 4 columns of tags"),
-        (GRID, AprilGrid(3, 3, 0.01, 0.03), "a board with markers 0 to 15 of DICT_APRILTAG_36h11"),
-        (GRID, CHARUCO, "a board with markers of DICT_APRILTAG_36h11, not of DICT_5X5_250"),
-        (GRID, CHESS, "an AprilGrid (markers 0 to 15 of DICT_APRILTAG_36h11)"),
-    ],
-    ids=[
-        "kind",
-        "count",
-        "markers",
-        "columns",
-        "larger",
-        "rows",
-        "dictionary",
-        "legacy",
-        "not legacy",
-        "legacy columns",
-        "tags",
-    ]
-    + ["tag columns", "more tags", "tags for markers", "tags for squares"],
+    [pytest.param(*case, id=name, marks=() if name in FAST else pytest.mark.more) for name, case in OTHERS.items()],
 )
 def test_the_other_board_is_named(shown, expected, words):
     assert name_other_board(picture(shown), expected) == words

@@ -52,6 +52,7 @@ def views(board):
     ]
 
 
+@pytest.mark.more
 @BOARDS
 def test_corners_are_where_they_are(board):
     found = views(board)

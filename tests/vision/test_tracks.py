@@ -64,6 +64,7 @@ def frame_of(point):
     return pose[:3, :3].T @ (point - pose[:3, 3])
 
 
+@pytest.mark.more
 def test_errors_are_as_large_as_their_sigmas_say(tracks):
     error = truth_errors(tracks)
     views = np.bincount(tracks.track)[tracks.track]
