@@ -369,11 +369,7 @@ def register(
         stations = _stack_clouds(sources, output)
     for path, station in zip(sources, stations, strict=False):
         where = " ".join(f"{value:.3f}" for value in station["at_m"])
-        sigma = (
-            ""
-            if station["sigma_m"] is None
-            else f", known to {1e3 * station['sigma_m']:.2f} mm or better in every direction"
-        )
+        sigma = "" if station["sigma_m"] is None else f", ±{1e3 * station['sigma_m']:.2f} mm where it is known least"
         out.print(f"{path}: stands at {where} m{sigma}")
     out.print(f"written: {output} ({len(stations)} stations)")
     emit_json(json, "register", {"cloud": str(output), "stations": stations})
