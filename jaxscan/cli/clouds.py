@@ -401,7 +401,8 @@ def _stack_clouds(paths: tuple[Path, ...], output: Path) -> list[dict[str, Any]]
     digests = {one.about.calibration for one in stored}
     together = reconstruction.stack_placed([one.cloud for one in stored])
     api.save_cloud(together, output, calibration_digest=digests.pop() if len(digests) == 1 else "")
-    return [_station(*pair) for pair in zip(together.stations.pose, together.stations.covariance, strict=True)]
+    placed = [one.cloud.stations for one in stored if one.cloud.stations is not None]
+    return [_station(*pair) for one in placed for pair in zip(one.pose, one.covariance, strict=True)]
 
 
 def _station(pose: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:
