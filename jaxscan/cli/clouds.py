@@ -369,7 +369,7 @@ def register(
         stations = _stack_clouds(sources, output)
     for path, station in zip(sources, stations, strict=False):
         where = " ".join(f"{value:.3f}" for value in station["at_m"])
-        sigma = "" if station["sigma_m"] is None else f", ±{1e3 * station['sigma_m']:.2f} mm where it is known least"
+        sigma = "" if station["sigma_m"] is None else f", ±{1e3 * station['sigma_m']:.2f} mm"
         out.print(f"{path}: stands at {where} m{sigma}")
     out.print(f"written: {output} ({len(stations)} stations)")
     emit_json(json, "register", {"cloud": str(output), "stations": stations})
@@ -401,8 +401,9 @@ def _stack_clouds(paths: tuple[Path, ...], output: Path) -> list[dict[str, Any]]
     digests = {one.about.calibration for one in stored}
     together = reconstruction.stack_placed([one.cloud for one in stored])
     api.save_cloud(together, output, calibration_digest=digests.pop() if len(digests) == 1 else "")
-    placed = [one.cloud.stations for one in stored if one.cloud.stations is not None]
-    return [_station(*pair) for one in placed for pair in zip(one.pose, one.covariance, strict=True)]
+    stations = together.stations
+    assert stations is not None  # Each of them has one.
+    return [_station(*pair) for pair in zip(stations.pose, stations.covariance, strict=True)]
 
 
 def _station(pose: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:
