@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 from report import Figure, command_line, conclude, progress
-from worlds import calibration_trials as trials
-from worlds.ideal_boards import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
+from worlds import exact_rig
+from worlds.exact_rig import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 
 from jaxscan.calibration import Length, calibrate_observations, length_sigma, measure_lengths, typical_lengths
 from jaxscan.simulation import SimulationConfig, true_scanner
@@ -44,16 +44,16 @@ class Run(NamedTuple):
 def run(config: SimulationConfig, poses: BoardPoses, lengths: list[Length], seed: int, correlation: float) -> Run:
     """Draw a truth and noise, calibrate, compare."""
     random = np.random.default_rng([17, seed])
-    truth = trials.drawn(config, random)
+    truth = exact_rig.drawn(config, random)
     noisy = add_noise(ideal_boards(truth, poses), random, correlation=correlation)
-    result = calibrate_observations(trials.observations(noisy, truth), settings=trials.SETTINGS)
+    result = calibrate_observations(exact_rig.observations(noisy, truth), settings=exact_rig.SETTINGS)
     quality, fit = result.quality, result.fit
     board = np.append(fit.warp - np.array(truth.boards.warp_mm) / 1000, fit.pitch)
     turned = np.eye(len(fit.covariance))
     count = len(result.order)
-    turned[:count, :count] = trials.to_true_tangents(result.scanner, truth)
+    turned[:count, :count] = exact_rig.to_true_tangents(result.scanner, truth)
     return Run(
-        turned @ np.concatenate([trials.errors(result.scanner, truth), board]),
+        turned @ np.concatenate([exact_rig.errors(result.scanner, truth), board]),
         turned @ fit.covariance @ turned.T,
         measure_lengths(result.scanner, lengths) - measure_lengths(true_scanner(truth), lengths),
         length_sigma(result.scanner, lengths),
@@ -111,7 +111,7 @@ def judged(label: str, runs: list[Run], names: tuple[str, ...], lengths: list[Le
 
 def prior_shares(covariance: np.ndarray, names: tuple[str, ...]) -> dict[str, float]:
     """Posterior over prior variance: how much of a parameter's information the prior is at most."""
-    priors = trials.SETTINGS.priors
+    priors = exact_rig.SETTINGS.priors
     sigma = dict.fromkeys(("cx", "cy"), priors["centre_px"]) | dict.fromkeys(("p1", "p2"), priors["tangential"])
     sigma |= {"k3": priors["k3"], "gain": priors["gain"]} | dict.fromkeys(("c1", "s1", "c2", "s2"), priors["harmonics"])
     sigma |= dict.fromkeys(("warp.x", "warp.y"), priors["warp"])
@@ -121,16 +121,16 @@ def prior_shares(covariance: np.ndarray, names: tuple[str, ...]) -> dict[str, fl
 def main() -> int:
     parser = command_line(__doc__, quick="few draws: shows that all runs, not how exact it is", json=True)
     parser.add_argument("--runs", type=int, default=200)
-    parser.add_argument("--noise", choices=[*trials.CORRELATIONS, "both"], default="both")
+    parser.add_argument("--noise", choices=[*exact_rig.CORRELATIONS, "both"], default="both")
     arguments = parser.parse_args()
     runs = 12 if arguments.quick else arguments.runs
-    config = trials.reference()
+    config = exact_rig.reference()
     poses = draw_poses(config, POSE_SEED, PosePlan(free_views=30, placements=4, angles=9))
     scanner = true_scanner(config)
     lengths = typical_lengths(scanner, 0)
     names = (*scanner.parameter_names(), "warp.x", "warp.y", "pitch")
     figures: list = []
-    for label, correlation in trials.CORRELATIONS.items():
+    for label, correlation in exact_rig.CORRELATIONS.items():
         if arguments.noise not in (label, "both"):
             continue
         started, found = time.perf_counter(), []

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 from report import Figure, command_line, conclude, progress
-from worlds import calibration_trials as trials
-from worlds.ideal_boards import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
+from worlds import exact_rig
+from worlds.exact_rig import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 
 from jaxscan.calibration import (
     Calibration,
@@ -93,7 +93,7 @@ def depth_error(scanner: Scanner, q: np.ndarray) -> float:
 
 def trial(observed: Observations, alone: Calibration, q: np.ndarray) -> Errors:
     """One draw of noise, solved jointly and after the camera alone."""
-    joint = calibrate_observations(observed, settings=trials.SETTINGS).scanner
+    joint = calibrate_observations(observed, settings=exact_rig.SETTINGS).scanner
     planes = sequential(observed, alone)
     # A plane's depth has nothing to do with the table.
     table = Turntable.from_axis([0.0, -1.0, 0.0], [0.0, 0.0, -0.1])
@@ -117,22 +117,22 @@ def main() -> int:
     parser.add_argument("--case", choices=CASES, help="one of the two alone")
     arguments = parser.parse_args()
     sets, draws = (2, 3) if arguments.quick else (arguments.sets, arguments.draws)
-    config = trials.reference()
+    config = exact_rig.reference()
     q = stripe_pixels(true_scanner(config), 0, DEPTH_M)
     figures = []
     for name, (views, stripes, most) in CASES.items():
         if arguments.case not in (None, name):
             continue
-        started, found = time.perf_counter(), {noise: [] for noise in trials.CORRELATIONS}
+        started, found = time.perf_counter(), {noise: [] for noise in exact_rig.CORRELATIONS}
         for number in range(sets):
             ideal = ideal_boards(config, poses_of(config, views, stripes, 100 + number))
             for draw in range(draws):
                 alone = None
-                for noise, correlation in trials.CORRELATIONS.items():
+                for noise, correlation in exact_rig.CORRELATIONS.items():
                     # The same corners for both: stripes draw their noise after them.
                     noisy = add_noise(ideal, np.random.default_rng([number, draw]), correlation=correlation)
-                    observed = trials.observations(noisy, config)
-                    alone = alone or calibrate_camera(observed, settings=trials.SETTINGS)
+                    observed = exact_rig.observations(noisy, config)
+                    alone = alone or calibrate_camera(observed, settings=exact_rig.SETTINGS)
                     found[noise].append(trial(observed, alone, q))
             progress(f"{name}: pose set {number + 1} of {sets}, {time.perf_counter() - started:.0f} s")
         for noise, every in found.items():

@@ -12,8 +12,8 @@ import time
 
 import numpy as np
 from report import Figure, command_line, conclude, progress
-from worlds import calibration_trials as trials
-from worlds.ideal_boards import IdealBoards, PosePlan, add_noise, draw_poses, ideal_boards
+from worlds import exact_rig
+from worlds.exact_rig import IdealBoards, PosePlan, add_noise, draw_poses, ideal_boards
 
 from jaxscan.calibration import calibrate_observations
 from jaxscan.simulation import true_scanner
@@ -45,7 +45,7 @@ def main() -> int:
     parser.add_argument("--draws", type=int, default=40)
     arguments = parser.parse_args()
     draws = 6 if arguments.quick else arguments.draws
-    config = trials.reference()
+    config = exact_rig.reference()
     ideal = ideal_boards(config, draw_poses(config, POSE_SEED, PosePlan(free_views=30, placements=4, angles=9)))
     names = true_scanner(config).parameter_names()
     found: dict[str, list] = {"clean": [], "both sides": [], "one side": []}
@@ -56,9 +56,9 @@ def main() -> int:
         for label in ("both sides", "one side"):
             cases[label] = spoiled(noisy, np.random.default_rng([32, draw]), both_sides=label == "both sides")
         for label, case in cases.items():
-            result = calibrate_observations(trials.observations(case, config), settings=trials.SETTINGS)
-            turned = trials.to_true_tangents(result.scanner, config)
-            error = turned @ trials.errors(result.scanner, config)
+            result = calibrate_observations(exact_rig.observations(case, config), settings=exact_rig.SETTINGS)
+            turned = exact_rig.to_true_tangents(result.scanner, config)
+            error = turned @ exact_rig.errors(result.scanner, config)
             found[label].append((error, np.sqrt(np.diag(turned @ result.covariance @ turned.T))))
         progress(f"{draw + 1} of {draws} draws, {time.perf_counter() - started:.0f} s")
     clean, clean_sigma = (np.array(part) for part in zip(*found["clean"], strict=True))

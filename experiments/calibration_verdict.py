@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 from report import Figure, command_line, conclude, progress
-from worlds import calibration_trials as trials
-from worlds.ideal_boards import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
+from worlds import exact_rig
+from worlds.exact_rig import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
 from jaxscan.simulation import SimulationConfig
@@ -61,13 +61,13 @@ def chance(
     poses = covering_poses(config, 100 + seed, around)
     ideal = ideal_boards(config, poses, lens_px=lens_px)
     noisy = add_noise(ideal, np.random.default_rng([23, seed]), correlation=correlation)
-    verdict = calibrate_observations(trials.observations(noisy, config), settings=settings).quality.verdict
+    verdict = calibrate_observations(exact_rig.observations(noisy, config), settings=settings).quality.verdict
     return verdict.p, min(verdict.tests, key=lambda test: test.p).name
 
 
 def cases() -> dict[str, tuple[bool, Callable[[int], tuple[float, str]]]]:
     """Name of each case: whether it is clean, and a trial of it by seed."""
-    config = trials.reference()
+    config = exact_rig.reference()
     default = CalibrationSettings()
     held = lambda block: CalibrationSettings(free=tuple(name for name in default.free if name != block))
     update = lambda part, **values: config.model_copy(update={part: getattr(config, part).model_copy(update=values)})
@@ -77,7 +77,7 @@ def cases() -> dict[str, tuple[bool, Callable[[int], tuple[float, str]]]]:
         update("turntable", harmonics=(ECCENTRICITY_RAD * c, ECCENTRICITY_RAD * s, 0.0, 0.0))
         for c, s in ((1.0, 0.0), (0.0, 1.0), (0.6, -0.8))
     ]
-    white, correlated = trials.CORRELATIONS["white"], trials.CORRELATIONS["correlated"]
+    white, correlated = exact_rig.CORRELATIONS["white"], exact_rig.CORRELATIONS["correlated"]
     return {
         "clean, white": (True, lambda seed: chance(config, seed, default, white)),
         "clean, correlated": (True, lambda seed: chance(config, seed, default, correlated)),

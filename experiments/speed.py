@@ -34,8 +34,8 @@ from measuring.speed_disk import CodecRow, measure_codecs
 from measuring.speed_memory import measure_memory, memory_figures, small_figures
 from measuring.speed_times import Contestant, Figure, Times, load, machine, take_turns
 from report import command_line, table, write_json
-from worlds import calibration_trials as trials
-from worlds.ideal_boards import PosePlan, add_noise, draw_poses, ideal_boards
+from worlds import exact_rig
+from worlds.exact_rig import PosePlan, add_noise, draw_poses, ideal_boards
 from worlds.speed_scene import (
     DISTINCT,
     make_frames,
@@ -91,9 +91,9 @@ def calibration_figures(repeats: int) -> list[Figure]:
 
 def camera_contest() -> tuple[Callable[[], Calibration], Callable[[], Any]]:
     """The camera from the same 23 views by ours, with seed, covariance and rejection, and by OpenCV's."""
-    config = trials.reference()
+    config = exact_rig.reference()
     poses = draw_poses(config, 5, PosePlan(free_views=CAMERA_VIEWS, placements=0, angles=1, lit=0))
-    observed = trials.observations(add_noise(ideal_boards(config, poses), np.random.default_rng(0)), config)
+    observed = exact_rig.observations(add_noise(ideal_boards(config, poses), np.random.default_rng(0)), config)
     points = [observed.board.corners().astype(np.float32)] * CAMERA_VIEWS
     pixels = [q.astype(np.float32) for q in observed.corners.q]
     size = (config.camera.width, config.camera.height)
@@ -106,10 +106,10 @@ def camera_contest() -> tuple[Callable[[], Calibration], Callable[[], Any]]:
 
 def _rig(views: int) -> Observations:
     """All views of a rig, with the noise of a detector."""
-    config = trials.reference()
+    config = exact_rig.reference()
     poses = draw_poses(config, 3, PosePlan(free_views=views - 9, placements=3, angles=3))
     noisy = add_noise(ideal_boards(config, poses, points=POINTS), np.random.default_rng(0))
-    return trials.observations(noisy, config)
+    return exact_rig.observations(noisy, config)
 
 
 def cold_figures(scratch: Path) -> list[Figure]:

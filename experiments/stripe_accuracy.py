@@ -6,8 +6,8 @@ Everything uses the public call with its default settings, on frames from an ind
 - cells: error over the bound, bias over the sub-pixel phase and honesty of sigma, width by amplitude;
 - narrow: the same at 0.7 px; over-exposed: at 2.4 times full scale;
 - faint: 12 DN in noise of 3 DN, and rows invented where there is no stripe;
-- reflections: rows mistaken in a furnished room (`stripe_reflections.py`);
-- speckle: error over the limit of coherent light, where it is the noise that counts (`stripe_speckle.py`);
+- reflections: rows mistaken in a furnished room;
+- speckle: error over the limit of coherent light, where it is the noise that counts;
 - peer: the centre of gravity, the plain estimator, beside the Gaussian on the same frames.
 
 Without --only and --quick a table and a plot are written to experiments/results. The exit code is

@@ -26,7 +26,7 @@ cloud, fits. The same frames serve all calibrations; form and size are those of 
 Errors are against the lengths as built; the standards take a reference with an uncertainty of a quarter of the limit.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import jax
@@ -78,6 +78,17 @@ class Measured(NamedTuple):
     """Predicted standard deviation [m]."""
 
 
+class _Points:
+    """Samples of several clouds as the fit of a sphere takes them from one."""
+
+    def __init__(self, samples: Samples) -> None:
+        self.samples, self.take = samples, samples.take
+
+    def chosen(self, rule: Callable[[Samples], np.ndarray]) -> np.ndarray:
+        """Numbers of the points for which a rule says True [n]."""
+        return np.flatnonzero(rule(self.samples))
+
+
 def fit_sphere(samples: Samples, click: np.ndarray, diameter: float, scanner: Scanner, *, free: bool) -> Fit:
     """The sphere next to a place, and what the calibration does to its centre.
 
@@ -94,7 +105,7 @@ def fit_sphere(samples: Samples, click: np.ndarray, diameter: float, scanner: Sc
         ValueError: If there are too few points, or none that lie on such a sphere.
     """
     try:
-        found = sphere_of(samples, click, diameter / 2, free=free)
+        found = sphere_of(_Points(samples), click, diameter / 2, free=free)
     except MeasurementError as problem:
         raise ValueError(str(problem)) from problem
     effect = _effect(found.members, found.normal, scanner, free)

@@ -38,7 +38,7 @@ from experiments.paper.products import PlainStripes, Room, horus_path, our_calib
 from experiments.paper.stage import Metric, Stage, plt, save
 from experiments.recalibration.trial import fitted
 from experiments.recalibration.world import Sweeping, TrueSweep, true_sweep
-from experiments.worlds.ideal_rig import IdealRig
+from experiments.worlds.exact_rig import IdealRig
 from jaxscan.geometry import lit_points
 from jaxscan.reconstruction.along import smooth_sweep
 from jaxscan.simulation import RoomSpec, true_scanner

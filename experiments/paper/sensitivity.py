@@ -24,8 +24,7 @@ import jaxscan
 from experiments.paper.stage import Metric, Stage, plt, save, windowed, world
 from experiments.recalibration.world import Noise, Sweeping, true_sweep
 from experiments.report import rms
-from experiments.worlds.calibration_trials import observations
-from experiments.worlds.ideal_boards import BoardPoses, add_noise, ideal_boards
+from experiments.worlds.exact_rig import BoardPoses, add_noise, ideal_boards, observations
 from jaxscan.calibration import USUALLY_FREE
 from jaxscan.recalibration import SweepStripes
 from jaxscan.simulation import SimulationConfig, make_rig, render_sweep

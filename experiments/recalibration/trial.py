@@ -9,8 +9,8 @@ from typing import Any, Literal, NamedTuple
 import jax
 import numpy as np
 
-from experiments.worlds import calibration_trials as trials
-from experiments.worlds.ideal_boards import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
+from experiments.worlds import exact_rig
+from experiments.worlds.exact_rig import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 from jaxscan.calibration import (
     USUALLY_FREE,
     Calibration,
@@ -41,7 +41,7 @@ STRIPE_POINTS = 150
 
 def draw_truth(config: SimulationConfig, seed: int) -> SimulationConfig:
     """The rig with values drawn from the priors where a calibration knows nothing else."""
-    return trials.drawn(config, np.random.default_rng([seed, 81]))
+    return exact_rig.drawn(config, np.random.default_rng([seed, 81]))
 
 
 def observations_of(config: SimulationConfig, kind: Kind, seed: int, stop_deg: float = 0.0) -> Observations:
@@ -50,7 +50,7 @@ def observations_of(config: SimulationConfig, kind: Kind, seed: int, stop_deg: f
     beside = np.deg2rad(stop_deg) * np.random.default_rng([seed, 89]).uniform(-0.5, 0.5, len(poses.angle))
     ideal = ideal_boards(config, poses._replace(angle=poses.angle + beside), points=STRIPE_POINTS)
     seen = add_noise(ideal, np.random.default_rng([seed, 82]))
-    return trials.observations(seen._replace(angle=poses.angle), config)
+    return exact_rig.observations(seen._replace(angle=poses.angle), config)
 
 
 def calibration_of(config: SimulationConfig, kind: Kind, seed: int, stop_deg: float = 0.0) -> Calibration:

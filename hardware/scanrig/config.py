@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 import pydantic
 
+from jaxscan.errors import ConfigError
 from jaxscan.files.capture import BoardTable, LaserTable
 from jaxscan.files.disk import FileModel, Integer, Number, load_toml
 from jaxscan.geometry.motions import Turns
@@ -214,6 +215,8 @@ class RigConfig(FileModel):
     sweep: SweepTable = SweepTable()
     calibration: CalibrationTable = CalibrationTable()
     checks: ChecksTable = ChecksTable()
+    goal_mm: Annotated[Number, pydantic.Field(gt=0, le=1000)] | None = None
+    """How well points are to be known [mm]: the console judges calibrations by it. None: it judges none."""
 
     @pydantic.field_validator("laser", mode="before")
     @classmethod
@@ -253,7 +256,7 @@ class RigConfig(FileModel):
 
         The controller, the limits of checks and the tables of the other kind may change within a capture.
         """
-        tables = self.model_dump(mode="json", exclude={"controller", "checks"}, exclude_none=True)
+        tables = self.model_dump(mode="json", exclude={"controller", "checks", "goal_mm"}, exclude_none=True)
         for name in ("calibration", "board") if kind == "sweep" else ("sweep",):
             tables.pop(name, None)
         # The camera may be plugged in elsewhere; its serial number identifies it.
@@ -265,6 +268,23 @@ class RigConfig(FileModel):
         """The sha256 of `frame_tables`, as "sha256:<hex>"."""
         text = json.dumps(self.frame_tables(kind), sort_keys=True, allow_nan=False)
         return "sha256:" + hashlib.sha256(text.encode()).hexdigest()
+
+
+def with_exposure(config: RigConfig, exposure_ms: float, gain_db: float) -> RigConfig:
+    """The same rig with another exposure time and gain of its camera.
+
+    Raises:
+        ConfigError: If they are outside their ranges.
+    """
+    if (exposure_ms, gain_db) == (config.camera.exposure_ms, config.camera.gain_db):
+        return config
+    tables = config.model_dump(mode="json", exclude_none=True)
+    tables["camera"] |= {"exposure_ms": exposure_ms, "gain_db": gain_db}
+    try:
+        return RigConfig.model_validate(tables)
+    except pydantic.ValidationError as problem:
+        first = problem.errors()[0]
+        raise ConfigError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}.") from problem
 
 
 def load_rig(path: str | Path) -> RigConfig:

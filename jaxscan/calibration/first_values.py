@@ -18,6 +18,8 @@ from jaxscan.geometry import (
     LaserSheet,
     LinearStage,
     Turntable,
+    apply_homography,
+    direct_homography,
     fit_axis,
     fit_plane,
     nearest_rotation,
@@ -156,10 +158,8 @@ def _fit_homographies(points: np.ndarray, q: np.ndarray, valid: np.ndarray) -> n
     """
     keep, least = valid, np.maximum(6, valid.sum(1) // 2)[:, None]
     for _ in range(3):
-        homographies = _direct_homographies(points, q, keep)
-        mapped = _homogeneous(points) @ np.swapaxes(homographies, 1, 2)
-        depth = np.where(np.abs(mapped[..., 2:]) < 1e-12, 1e-12, mapped[..., 2:])
-        distance = np.linalg.norm(mapped[..., :2] / depth - q, axis=-1)
+        homographies = direct_homography(points, q, keep)
+        distance = np.linalg.norm(apply_homography(homographies, points) - q, axis=-1)
         # Lens distortion is no error here, so only corners far beyond the usual misfit are dropped.
         trimmed = valid & (distance <= 6.0 * _median(distance, valid)[:, None] + 1e-9)
         trimmed = np.where(trimmed.sum(1, keepdims=True) >= least, trimmed, keep)
@@ -167,30 +167,6 @@ def _fit_homographies(points: np.ndarray, q: np.ndarray, valid: np.ndarray) -> n
             break
         keep = trimmed
     return homographies
-
-
-def _direct_homographies(points: np.ndarray, q: np.ndarray, keep: np.ndarray) -> np.ndarray:
-    count = np.maximum(keep.sum(1), 1)[:, None]
-
-    def normalised(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        centre = np.sum(np.where(keep[..., None], values, 0.0), axis=1) / count
-        away = np.where(keep[..., None], values - centre[:, None], 0.0)
-        size = np.maximum(np.sqrt(np.sum(away**2, axis=(1, 2)) / (2 * count[:, 0])), 1e-12)
-        to = np.tile(np.eye(3), (len(keep), 1, 1))
-        to[:, :2, 2], to[:, [0, 1], [0, 1]] = -centre / size[:, None], 1.0 / size[:, None]
-        return to, np.where(keep[..., None], _homogeneous(away / size[:, None, None]), 0.0)
-
-    (to_points, x), (to_seen, u) = normalised(np.broadcast_to(points, q.shape)), normalised(q)
-    rows = [np.concatenate([x, 0.0 * x], -1), np.concatenate([0.0 * x, x], -1)]
-    system = np.concatenate([np.concatenate([rows[k], -u[..., k : k + 1] * x], -1) for k in (0, 1)], axis=1)
-    # The triangle of its QR decomposition has the same null vector, and is small.
-    homographies = np.linalg.svd(np.linalg.qr(system, mode="r"))[2][:, -1].reshape(-1, 3, 3)
-    homographies = np.linalg.inv(to_seen) @ homographies @ to_points
-    return homographies / np.linalg.norm(homographies[:, :, :2], axis=(1, 2))[:, None, None]
-
-
-def _homogeneous(points: np.ndarray) -> np.ndarray:
-    return np.concatenate([points, np.ones_like(points[..., :1])], axis=-1)
 
 
 def _median(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -248,17 +224,18 @@ def _poses_from_rays(points: np.ndarray, rays: np.ndarray, valid: np.ndarray) ->
     count = np.maximum(valid.sum(1), 1)
     mean = np.sum(np.where(valid[..., None], rays, 0.0), axis=1) / count[:, None]
     # A rotation that turns the middle ray to +z.
-    z = np.where(valid.any(1)[:, None], mean, [0.0, 0.0, 1.0])
+    z = np.where(valid.sum(1, keepdims=True) > 0, mean, [0.0, 0.0, 1.0])
     z = z / np.linalg.norm(z, axis=1, keepdims=True)
     x = np.cross(np.eye(3)[np.argmin(np.abs(z), axis=1)], z)
     x = x / np.linalg.norm(x, axis=1, keepdims=True)
     towards = np.stack([x, np.cross(z, x), z], axis=1)
     turned = rays @ np.swapaxes(towards, 1, 2)
-    ahead = valid & (turned[..., 2] > _MIN_COSINE)
+    ahead = np.asarray(valid & (turned[..., 2] > _MIN_COSINE))
     share = ahead.sum(1) / count
     poses, back = np.tile(np.eye(4), (2, len(rays), 1, 1))
     poses[:, 2, 3], back[:, :3, :3] = 1.0, np.swapaxes(towards, 1, 2)
-    if (good := share >= _MIN_SHARE).any():
+    good = np.asarray(share >= _MIN_SHARE)
+    if good.any():
         flat = turned[good, :, :2] / np.where(ahead[good], turned[good, :, 2], 1.0)[..., None]
         poses[good] = _poses_from_homographies(_fit_homographies(points, flat, ahead[good]), 1.0)
     return back @ poses, share

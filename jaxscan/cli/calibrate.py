@@ -81,8 +81,10 @@ def calibrate(
         refine: Known parts to estimate from there: `camera`, `sheet`, `axis`.
         lens: Camera model; `fisheye` and `double_sphere` are for wide-angle lenses. `pinhole` if not given, or another
             one that explains the corners better by far.
-        free: Blocks of parameters to estimate in addition to the usual ones.
-        hold: Blocks of parameters not to estimate.
+        free: What to estimate beside the usual: of the lens `focal`, `centre`, `radial`, `tangential`, `k3`,
+            `rational`, `sphere`; of sheets `laser`, `bow`; of the motion `axis`, `gain`, `harmonics`, `travel`; of the
+            board its bend `warp`, its size `pitch` and its `shape`.
+        hold: What not to estimate; the same names as of --free.
         redetect: Take a second look at the images, where the first solve predicts corners and stripes.
         limit_mm: Refuse a rig whose points are not good to this.
         at_m: Depth at which points are judged; 2.5 m if not given, or as far as the rig reaches.

@@ -10,7 +10,8 @@ import numpy as np
 import tyro
 
 import jaxscan
-from jaxscan import api
+from jaxscan import api, vision
+from jaxscan import report as reports
 from jaxscan.cli.measure import calibrated, notes_first, upright
 from jaxscan.cli.options import (
     CalibrationPath,
@@ -33,6 +34,7 @@ from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit
 from jaxscan.errors import OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import clouds as cloud_files
+from jaxscan.files import disk
 
 
 if TYPE_CHECKING:
@@ -100,8 +102,8 @@ def plan(
         wall, _, metres = section[0].partition("+")
         before = f", {float(metres):g} m before {wall}" if isinstance(cut, str) else ""
         out.print(f"{drawing.title}{before}")
-        for one in drawing.dimensions:
-            out.print(f"  {'height' if one.offset_m == 0 else 'width'} {one.words}")
+        for line in drawing.dimensions:
+            out.print(f"  {'height' if line.offset_m == 0 else 'width'} {line.words}")
         result["section_m"] = [list(end) for end in ends]
     origin = " ".join(f"{value:.3f}" for value in survey.outline.frame.back(np.zeros(3)))
     turned = math.degrees(math.atan2(survey.outline.frame.rotation[0, 1], survey.outline.frame.rotation[0, 0]))
@@ -207,9 +209,6 @@ def orthophoto(
     """
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.errors import OutputError
-    from jaxscan.files.disk import reported, whole_folder, write_atomically
-    from jaxscan.report import with_scale
-    from jaxscan.vision import encode_png
 
     positive("--pixel-mm", pixel_mm)
     reads = [*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)]
@@ -225,11 +224,11 @@ def orthophoto(
     pictures = jaxscan.draw_orthophotos(survey, np.asarray(loaded.rgb), pixel_m=pixel_mm / 1e3)
     files = [output / f"{picture.side}.png" for picture in pictures]
     check_paths(reads, [*(Place("the picture", file) for file in files), *file_at("--json", json)])
-    with reported(f"{output}: cannot be written", error=OutputError), whole_folder(output) as part:
+    with disk.reported(f"{output}: cannot be written", error=OutputError), disk.whole_folder(output) as part:
         for picture, file in zip(pictures, files, strict=True):
             words = f"{picture.side}, {pixel_mm:g} mm per pixel"
-            content = encode_png(with_scale(picture.rgb, picture.pixel_m, words))
-            write_atomically(part / file.name, content, error=OutputError, durable=False)
+            content = vision.encode_png(reports.with_scale(picture.rgb, picture.pixel_m, words))
+            disk.write_atomically(part / file.name, content, error=OutputError, durable=False)
     out = notes_first(notes, json)
     for picture, file in zip(pictures, files, strict=True):
         out.print(f"written: {file}, {100 * picture.seen.mean():.0f} % seen")

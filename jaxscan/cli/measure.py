@@ -8,6 +8,7 @@ import numpy as np
 import tyro
 
 import jaxscan
+from jaxscan import measurement
 from jaxscan.cli.options import (
     CloudPath,
     CloudUnit,
@@ -21,6 +22,8 @@ from jaxscan.cli.options import (
 )
 from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
 from jaxscan.errors import MeasurementError
+from jaxscan.files import calibration as calibration_files
+from jaxscan.files import disk
 
 
 if TYPE_CHECKING:
@@ -175,9 +178,8 @@ def calibrated(path: Path | None) -> tuple["Scanner | None", list[str]]:
     """The scanner of a calibration, and notes for its users."""
     if path is None:
         return None, []
-    from jaxscan.files.calibration import calibration_notes
 
-    return jaxscan.load_scanner(path), calibration_notes(path)
+    return jaxscan.load_scanner(path), calibration_files.calibration_notes(path)
 
 
 def in_metres(path: Path, unit: "Unit | None") -> tuple["PointCloud", list[str]]:
@@ -200,13 +202,11 @@ def upright(path: Path, unit: "Unit | None", up: "Up | None") -> tuple["PointClo
 
 def _sigma_notes(cloud: "PointCloud") -> list[str]:
     """A note where the points have no uncertainty of their own."""
-    from jaxscan.measurement import SIGMA_FLOOR_M
-
     lost = [name for name in ("sigma_random", "sigma_systematic") if name in cloud.lacks]
     if "sigma_random" in lost:
         return [
-            f"the cloud has no sigmas: {1e3 * SIGMA_FLOOR_M:g} mm of noise a point is assumed, more where a plane "
-            "shows it, and what all points share is not known; a sigma of a result is a lower limit."
+            f"the cloud has no sigmas: {1e3 * measurement.SIGMA_FLOOR_M:g} mm of noise a point is assumed, more where "
+            "a plane shows it, and what all points share is not known; a sigma of a result is a lower limit."
         ]
     if lost:
         return ["the cloud has no systematic sigmas: what all points share is not known, and in no sigma of a result."]
@@ -353,12 +353,11 @@ def deviations(
     check_paths(file_at("CLOUD", cloud), [*file_at("--output", output), *file_at("--json", json)])
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.errors import OutputError
-    from jaxscan.files.disk import check_writable, write_atomically
 
     if output is not None:
         if output.suffix.lower() != ".png":
             raise OutputError(f'{output}: cannot write "{output.suffix}", known is .png.')
-        check_writable(output, error=OutputError)
+        disk.check_writable(output, error=OutputError)
     check_json(json)
     points, notes = in_metres(cloud, unit)
     found = jaxscan.measure_deviations(points, np.array(at), radius_m=radius_mm / 1e3, cell_m=cell_mm / 1e3)
@@ -374,7 +373,7 @@ def deviations(
     if output is not None:
         from jaxscan.report import deviation_picture
 
-        write_atomically(output, deviation_picture(found), error=OutputError)
+        disk.write_atomically(output, deviation_picture(found), error=OutputError)
         out.print(f"written: {output}")
     cells = {name: np.where(found.seen, getattr(found, name), None) for name in ("deviation_m", "sigma_m")}
     places = {name: getattr(found, name) for name in ("points", "cell_m", "origin_m", "across", "up", "normal")}

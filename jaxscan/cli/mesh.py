@@ -62,8 +62,8 @@ def mesh(
         faces: Most faces: the mesh is simplified where it is flat.
         poisson: One closed surface through all points, by Open3D: for several stations, and to fill holes.
         bridge: Fill single missing points between neighbours on one surface.
-        sigmas: Combined standard deviations by which the depths of neighbours may differ beyond their slopes.
-        bend: Departure of a neighbour from the surface, as a share of the distance of their rays.
+        sigmas: How many standard deviations the depths of neighbours may differ by, beyond what their slopes explain.
+        bend: How far a neighbour may lie off the surface, as a share of the distance between their rays.
         grazing_deg: Leave out faces seen from further beside their normal [degrees].
         json: Write the result as JSON too.
     """

@@ -11,6 +11,8 @@ from typing import Annotated, Literal, NamedTuple
 import tyro
 
 from jaxscan.errors import DependencyError, OptionError
+from jaxscan.files import calibration as calibration_files
+from jaxscan.files import capture as capture_files
 
 
 CapturePath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
@@ -153,10 +155,8 @@ def calibration_at(role: str, path: Path | None) -> list[Place]:
     """A calibration, with the file of its observations."""
     if path is None:
         return []
-    # Imported here and below, so that `--help` does not load JAX.
-    from jaxscan.files.calibration import observations_path
 
-    beside = observations_path(path) if path.name else path
+    beside = calibration_files.observations_path(path) if path.name else path
     return [Place(role, path), *([Place(f"the observations of {role},", beside)] if beside != path else [])]
 
 
@@ -243,13 +243,11 @@ def _is_of_capture(path: Path, identity: set[object], capture: Path) -> bool:
 
 
 def _files_of(capture: Path) -> Iterator[Path]:
-    from jaxscan.files.capture import CACHE_NAME, HEADER_NAME, JOURNAL_NAME, read_texts
-
-    for name in (HEADER_NAME, JOURNAL_NAME, CACHE_NAME):
+    for name in (capture_files.HEADER_NAME, capture_files.JOURNAL_NAME, capture_files.CACHE_NAME):
         yield capture / name
-    if not (capture / JOURNAL_NAME).is_file():
+    if not (capture / capture_files.JOURNAL_NAME).is_file():
         return
-    for record in read_texts(capture).records:
+    for record in capture_files.read_texts(capture).records:
         for image in (*record.on, *record.off):
             yield capture / image.path
 

@@ -16,6 +16,7 @@ from jaxscan.cli.options import ConfigPath, OutputPath, Paper, at_least, capture
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import JsonTarget, check_json, console, emit_json
 from jaxscan.errors import ConfigError, OptionError
+from jaxscan.files import disk
 
 
 Name = Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
@@ -37,9 +38,6 @@ def init(
         list: Say which configurations there are, in a line each.
         json: Write the result as JSON too.
     """
-    # Imported here, so that `--help` does not load JAX.
-    from jaxscan.files.disk import write_atomically
-
     with importlib.resources.as_file(importlib.resources.files("jaxscan.data") / "configs") as folder:
         known = {path.stem: path for path in sorted(folder.glob("*.toml"))}
         if list or name is None:
@@ -61,15 +59,13 @@ def init(
     check_json(json)
     if os.path.lexists(target):
         raise OptionError(f"{target}: exists, and may be yours; choose another name with -o, or move it away.")
-    write_atomically(target, text.encode())
+    disk.write_atomically(target, text.encode())
     console(json).print(f"written: {target}")
     emit_json(json, "init", {"written": str(target), "configuration": chosen.name})
 
 
 def _text(path: Path) -> str:
-    from jaxscan.files.disk import MEGABYTE, read_bounded
-
-    return read_bounded(path, MEGABYTE, error=ConfigError).decode()
+    return disk.read_bounded(path, disk.MEGABYTE, error=ConfigError).decode()
 
 
 def _first_sentence(text: str) -> str:

@@ -7,6 +7,7 @@ import numpy as np
 import tyro
 
 import jaxscan
+from jaxscan import report as reports
 from jaxscan.cli.options import (
     CLOUD_SUFFIXES,
     CloudUnit,
@@ -21,6 +22,9 @@ from jaxscan.cli.options import (
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import JsonTarget, check_json, console, emit_json
 from jaxscan.errors import OptionError
+from jaxscan.files import calibration as calibration_files
+from jaxscan.files import capture as capture_files
+from jaxscan.files import disk
 
 
 if TYPE_CHECKING:
@@ -54,10 +58,6 @@ def report(
             suspicious steps, which needs the calibration too.
         json: Write the result as JSON too.
     """
-    # Imported here, so that `--help` does not load JAX.
-    from jaxscan.files.capture import CACHE_NAME
-    from jaxscan.files.disk import check_writable
-
     is_cloud = result.suffix.lower() in CLOUD_SUFFIXES.split()
     for option, value in (("--calibration", calibration), ("--unit", unit), ("--up", up)):
         if value is not None and not is_cloud:
@@ -69,9 +69,9 @@ def report(
             *capture_at("--capture", capture),
         ],
         [*file_at("--output", output), *file_at("--json", json)],
-        kept=file_at("the stripes", capture / CACHE_NAME if capture is not None and is_cloud else None),
+        kept=file_at("the stripes", capture / capture_files.CACHE_NAME if capture is not None and is_cloud else None),
     )
-    check_writable(output)
+    disk.check_writable(output)
     check_json(json)
     if not is_cloud:
         _of_calibration(result, output, capture, json)
@@ -92,10 +92,9 @@ def report(
 
 def _of_calibration(path: Path, output: Path, capture: Path | None, json: str | None) -> None:
     from jaxscan.cli.calibrate import summary, write_page
-    from jaxscan.files.calibration import calibration_notes
 
     drawn, note, reproduced = _drawn(path)
-    notes = calibration_notes(path)
+    notes = calibration_files.calibration_notes(path)
     write_page(drawn, output, notes=(note, *notes), path=path, capture=capture)
     out = console(json)
     out.print(note, style="" if reproduced else "bold yellow")
@@ -154,8 +153,6 @@ def write_room_report(
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.api.reports import calibration_rows, look_again, save_report
     from jaxscan.files import clouds
-    from jaxscan.files.calibration import calibration_notes
-    from jaxscan.report import Beside
 
     if capture is not None and calibration is None:
         raise OptionError("--capture: of a cloud it is looked at with the rig's calibration: give -c calibration.json.")
@@ -166,7 +163,7 @@ def write_room_report(
     scanner, rows = None, []
     if calibration is not None:
         scanner = jaxscan.load_scanner(calibration)
-        notes += calibration_notes(calibration)
+        notes += calibration_files.calibration_notes(calibration)
         rows = calibration_rows(calibration, stored.about.calibration)
     elif stored.about.calibration:
         rows = [("digest", stored.about.calibration)]
@@ -177,7 +174,7 @@ def write_room_report(
             raise OptionError(f"--capture: {cloud} was not made of {capture}: its profiles have other angles.")
         with progress_bar("Looking at the capture") as progress:
             doubts, left_out = look_again(sweep, scanner, progress)
-    beside = Beside(cloud.name, tuple(notes), tuple(rows), doubts, left_out)
+    beside = reports.Beside(cloud.name, tuple(notes), tuple(rows), doubts, left_out)
     facts, box = save_report(points, output, scanner=scanner, beside=beside)
     sides = {} if box is None else {"length": box.length, "width": box.width, "height": box.height}
     seen = facts.directions[0]

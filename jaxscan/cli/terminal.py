@@ -13,6 +13,7 @@ from rich.measure import Measurement
 from rich.table import Table
 
 from jaxscan.errors import OutputError
+from jaxscan.files import disk
 from jaxscan.printable import printable
 
 
@@ -120,11 +121,8 @@ def check_json(target: str | None) -> None:
     Raises:
         JaxscanError: If its folder is missing or cannot be written.
     """
-    # Imported here and below, so that `--help` does not load JAX.
-    from jaxscan.files.disk import check_writable
-
     if target is not None and target != "-":
-        check_writable(target)
+        disk.check_writable(target)
 
 
 def emit_json(target: str | None, verb: str, result: dict[str, Any]) -> None:
@@ -134,8 +132,6 @@ def emit_json(target: str | None, verb: str, result: dict[str, Any]) -> None:
         JaxscanError: If it cannot be written.
         BrokenPipeError: If nobody reads standard output.
     """
-    from jaxscan.files.disk import write_atomically
-
     if target is None:
         return
     entries = {"format": f"jaxscan-{verb}/1", **result}
@@ -143,7 +139,7 @@ def emit_json(target: str | None, verb: str, result: dict[str, Any]) -> None:
     if target == "-":
         _print_json(text)
     else:
-        write_atomically(Path(target), text.encode())
+        disk.write_atomically(Path(target), text.encode())
 
 
 def _print_json(text: str) -> None:

@@ -1,4 +1,4 @@
-"""What somebody wants of a rig that is to be built."""
+"""The wish for a rig, the rig, and its depth uncertainty by the kinematics."""
 
 import math
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""DXF R2010 through ezdxf: layers, lines, texts and dimensions, in metres."""
+"""Drawings on disk: DXF through ezdxf for programs of architects, SVG for people and browsers."""
 
 import importlib.util
 import xml.etree.ElementTree as xml

@@ -1,4 +1,8 @@
-"""Places on storage behind fsspec, and requests to it that are tried again."""
+"""Captures on storage behind fsspec: `s3://`, `memory://`, `file://` and what else has a driver.
+
+Storage belongs to others: its listings are checked like any file of a stranger, requests are tried again, and copies
+are whole or not there.
+"""
 
 import concurrent.futures
 import datetime

@@ -1,4 +1,4 @@
-"""Notices that nobody works on a batch any more: its workers ended, and others have to come."""
+"""A batch on a cluster: orders go to workers, rows come back, and absent or unfit workers are noticed."""
 
 import asyncio
 import concurrent.futures

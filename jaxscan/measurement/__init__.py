@@ -4,10 +4,17 @@ from jaxscan.facades import TYPE_CHECKING, load_on_use
 
 
 if TYPE_CHECKING:
+    from jaxscan.measurement.angles import AngleMeasurement, measure_angle
     from jaxscan.measurement.clean import in_box, thinned, with_neighbours
     from jaxscan.measurement.compare import CloudComparison, ErrorStatistics, compare_clouds
     from jaxscan.measurement.deviations import DeviationMap, measure_deviations
-    from jaxscan.measurement.distances import DistanceMeasurement, length_words, measure_distance
+    from jaxscan.measurement.distances import (
+        DistanceMeasurement,
+        HeightMeasurement,
+        length_words,
+        measure_distance,
+        measure_height,
+    )
     from jaxscan.measurement.frames import RoomFrame, TargetFrame, align_room, align_targets
     from jaxscan.measurement.outline import (
         Estimate,

@@ -24,7 +24,7 @@ def thinned(cloud: Cloud, side_m: float) -> np.ndarray:
 def with_neighbours(cloud: Cloud, within_m: float, fewest: int) -> np.ndarray:
     """Which cells [profiles, lines] have a point with at least so many others within a distance [m] of it."""
     # Imported here, because only this needs it.
-    from scipy.spatial import cKDTree
+    from scipy.spatial import cKDTree  # type: ignore[import-untyped]
 
     cells = np.flatnonzero(cloud.valid)
     if len(cells) <= fewest:

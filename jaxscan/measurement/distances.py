@@ -80,18 +80,14 @@ def measure_distance(
             f"The two patches of radius {radius_m} m are only {value:.4f} m apart; "
             "pick points farther apart or a smaller radius."
         )
-    along = (means[1] - means[0]) / value
-    variance = sum(patch.covariance_of(np.full((1, len(patch.p)), 1 / len(patch.p)), along)[0, 0] for patch in patches)
-    shares = [np.full(len(patch.p), sign / len(patch.p)) for sign, patch in zip((-1, 1), patches, strict=True)]
-    weights = np.outer(np.concatenate(shares), along)
-    systematic = systematic_sigma(scanner, places_of(cloud), Samples.joined(patches), weights)
-    sigma = float(np.hypot(np.sqrt(variance), systematic))
+    random, systematic = _sigmas(cloud, patches, (means[1] - means[0]) / value, scanner)
+    sigma = float(np.hypot(random, systematic))
     require_known("distance", value, sigma)
     apart, apart_sigma = _between_planes(*(_flat(patch) for patch in patches))
     return DistanceMeasurement(
         value_m=value,
         sigma_m=sigma,
-        sigma_random_m=float(np.sqrt(variance)),
+        sigma_random_m=random,
         sigma_systematic_m=systematic,
         plane_to_plane_m=apart,
         plane_to_plane_sigma_m=apart_sigma,
@@ -99,6 +95,55 @@ def measure_distance(
         b_m=means[1],
         points=(len(patches[0].p), len(patches[1].p)),
     )
+
+
+@dataclass(frozen=True)
+class HeightMeasurement:
+    """How much higher the second of two patches of a cloud is."""
+
+    value_m: float
+    """Height of the mean of the second patch over that of the first [m]; negative where it is lower."""
+    sigma_m: float
+    """Its predicted standard deviation [m]: random and systematic together."""
+    points: tuple[int, int]
+    """Points in either patch."""
+
+    def words(self) -> str:
+        """As people read it."""
+        way = "higher" if self.value_m >= 0 else "lower"
+        length = length_words(abs(self.value_m), self.sigma_m)
+        return f"the second is {way} by {length}, from {self.points[0]} and {self.points[1]} points"
+
+
+def measure_height(
+    cloud: Cloud, a: Point, b: Point, *, radius_m: float = 0.02, scanner: Scanner | None = None
+) -> HeightMeasurement:
+    """How much higher a second picked point is than a first one along z, each averaged over the patch around it.
+
+    Args:
+        cloud: The cloud, z up.
+        a: First picked point [3], m, scanner frame.
+        b: Second picked point [3], m, scanner frame.
+        radius_m: Points within this distance of a picked point belong to its patch [m].
+        scanner: The scanner the cloud was made with; its covariance gives the systematic part.
+
+    Raises:
+        MeasurementError: If a patch has too few points.
+    """
+    samples = CloudSamples(cloud)
+    patches = [patch_around(samples, point, radius_m) for point in (a, b)]
+    low, high = (float(patch.p[:, 2].mean()) for patch in patches)
+    sigma = float(np.hypot(*_sigmas(cloud, patches, np.array([0.0, 0.0, 1.0]), scanner)))
+    return HeightMeasurement(high - low, sigma, (len(patches[0].p), len(patches[1].p)))
+
+
+def _sigmas(cloud: Cloud, patches: list[Samples], along: np.ndarray, scanner: Scanner | None) -> tuple[float, float]:
+    """Random and systematic standard deviation of the difference of the means of two patches along a direction [m]."""
+    variance = sum(patch.covariance_of(np.full((1, len(patch.p)), 1 / len(patch.p)), along)[0, 0] for patch in patches)
+    shares = [np.full(len(patch.p), sign / len(patch.p)) for sign, patch in zip((-1, 1), patches, strict=True)]
+    weights = np.outer(np.concatenate(shares), along)
+    systematic = systematic_sigma(scanner, places_of(cloud), Samples.joined(patches), weights)
+    return float(np.sqrt(variance)), systematic
 
 
 def _between_planes(first: Plane | None, second: Plane | None) -> tuple[float | None, float | None]:

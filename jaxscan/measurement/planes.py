@@ -60,14 +60,18 @@ def fitted_plane(samples: Samples, normal: np.ndarray) -> Plane:
     Neighbours that were smoothed share their noise: weights are those of the rows, and the covariance counts
     the noise that points share, scaled by the misfit where it is larger than their sigmas predict.
     """
-    weight = samples.weights_across(normal)
-    plane = weighted_plane(samples.p, weight)
-    apart = samples.p - plane.centre
-    design = np.column_stack([np.ones(len(samples.p)), apart @ plane.axes.T])
-    factors = np.linalg.pinv((design * weight[:, None]).T @ design) @ (design * weight[:, None]).T
-    whitened = apart @ plane.normal / samples.sigma_across(plane.normal)
+    plane = weighted_plane(samples.p, samples.weights_across(normal))
+    whitened = (samples.p - plane.centre) @ plane.normal / samples.sigma_across(plane.normal)
     misfit = whitened @ whitened / max(len(samples.p) - 3, 1)
+    factors = plane_factors(samples, plane)
     return plane._replace(covariance=samples.covariance_of(factors, plane.normal) * max(1.0, misfit))
+
+
+def plane_factors(samples: Samples, plane: Plane) -> np.ndarray:
+    """F [3, n]: points that move by x [n] along the normal move offset and slopes of the plane by F x."""
+    weight = samples.weights_across(plane.normal)
+    design = np.column_stack([np.ones(len(samples.p)), (samples.p - plane.centre) @ plane.axes.T])
+    return np.asarray(np.linalg.pinv((design * weight[:, None]).T @ design) @ (design * weight[:, None]).T)
 
 
 def facing(plane: Plane, direction: np.ndarray) -> Plane:
@@ -118,17 +122,26 @@ def measure_plane(cloud: Cloud, point: Point, *, radius_m: float = 0.2) -> Plane
     """
     patch = patch_around(CloudSamples(cloud), point, radius_m)
     plane = facing(weighted_plane(patch.p, np.ones(len(patch.p))), (patch.origin - patch.p).mean(0))
-    extent = np.sqrt(np.mean(((patch.p - plane.centre) @ plane.axes.T) ** 2, axis=0))
+    require_plane(patch, plane, point, radius_m)
     residual = patch.p @ plane.normal - plane.distance
+    low, high = np.percentile(residual, [2.5, 97.5])
     rms = float(np.sqrt(np.mean(residual**2)))
-    # Points along a line lie in many planes.
+    return PlaneMeasurement(plane.normal, plane.centre, rms, float(high - low), len(patch.p))
+
+
+def require_plane(patch: Samples, plane: Plane, point: Point, radius_m: float) -> None:
+    """Check that the points around a picked point determine their plane: those along a line lie in many.
+
+    Raises:
+        MeasurementError: If they do not.
+    """
+    apart = patch.p - plane.centre
+    extent, rms = np.sqrt(np.mean((apart @ plane.axes.T) ** 2, axis=0)), np.sqrt(np.mean((apart @ plane.normal) ** 2))
     if extent.min() <= max(2.0 * rms, 0.05 * extent.max()):
         raise MeasurementError(
             f"The {len(patch.p)} points within {radius_m} m of {_text(point)} determine no plane; "
             "pick a flat place or a larger radius."
         )
-    low, high = np.percentile(residual, [2.5, 97.5])
-    return PlaneMeasurement(plane.normal, plane.centre, rms, float(high - low), len(patch.p))
 
 
 def patch_around(samples: CloudSamples, point: Point, radius_m: float) -> Samples:

@@ -108,15 +108,16 @@ def _gradients(
     """
     angles, at = np.unique(angle, return_inverse=True)
     pose, layout = poses(rig, angles)[at], rig.layout()
-    p_cam, incidence = lit_points(rig, pixels(rig, p, angle), laser)
+    lit, incidence = lit_points(rig, pixels(rig, p, angle), laser)
+    p_cam = np.asarray(lit)
     range_m = np.linalg.norm(p_cam, axis=1, keepdims=True)
     ray = p_cam / np.where(range_m > 0, range_m, 1.0)
     in_camera = np.einsum("nji,knj->kni", pose[:, :3, :3], weights)
     by_pixel = np.einsum("kni,nij->knj", in_camera, lit_slopes(rig, p_cam, incidence, laser))
     along = np.einsum("kni,ni->kn", in_camera, ray)
     # Weights of the entries of a pose: few angles are shared by many points.
-    held = np.zeros((len(weights), len(angles), 3, 4))
-    np.add.at(held, (slice(None), at), weights[..., None] * np.append(p_cam, np.ones((len(p), 1)), 1)[:, None, :])
+    held = np.zeros((len(angles), len(weights), 3, 4))
+    np.add.at(held, at, np.einsum("kni,nj->nkij", weights, np.append(p_cam, np.ones((len(p), 1)), 1)))
 
     def change(j: int) -> np.ndarray:
         step = STEP * (np.arange(rig.parameter_count()) == j)
@@ -125,7 +126,7 @@ def _gradients(
             return -np.einsum("kni,ni->k", by_pixel, ahead.camera.project(p_cam) - behind.camera.project(p_cam))
         if layout.lasers.start <= j < layout.lasers.stop:
             return along @ (ahead.laser(laser).intersect(ray)[0] - behind.laser(laser).intersect(ray)[0])
-        return np.einsum("kaij,aij->k", held, (poses(ahead, angles) - poses(behind, angles))[:, :3])
+        return np.einsum("akij,aij->k", held, (poses(ahead, angles) - poses(behind, angles))[:, :3])
 
     changes = [change(j) for j in range(rig.parameter_count())]
-    return np.stack(changes, axis=1) / (2.0 * STEP), transform(pose, p_cam)
+    return np.stack(changes, axis=1) / (2.0 * STEP), np.asarray(transform(pose, p_cam))

@@ -1,4 +1,4 @@
-"""One colour of many observations, that come one after another and are not kept.
+"""Colours of points from the laser-off images of a sweep: a streaming blend, one image after another.
 
 Colours of a point that agree are added up. There is room for a few that do not: a pixel at an edge that shows the
 other side of it founds a colour of its own, and the one with most weight is that of the point. So memory does not grow

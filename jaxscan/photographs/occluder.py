@@ -1,4 +1,4 @@
-"""Points in blocks of one size, each as compact as can be, so that a view looks at few that it does not see."""
+"""What stands before what: the surface drawn into an image as distances, and points in compact blocks."""
 
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""Which of many photographs are looked at."""
+"""Photographs of a sweep: the choice among many, their lens and pose, and the projection of points."""
 
 import functools
 from collections.abc import Callable, Iterable, Iterator

@@ -1,4 +1,4 @@
-"""The products that can be made of each capture: nobody wants the plan of a room from a table that carries a bust."""
+"""A project: its captures found, their products, and the claim on the folder of the products."""
 
 import contextlib
 import glob

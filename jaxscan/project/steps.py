@@ -1,4 +1,4 @@
-"""Digests of what a project reads: captures, calibration files, and the code."""
+"""The steps of a project: their graph, digests of what they read, and which results are stale."""
 
 import functools
 import hashlib

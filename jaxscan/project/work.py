@@ -1,4 +1,4 @@
-"""A step as text that travels to the process that does it, and what it answers."""
+"""One step done in one process: its order as text, its workspace, and the work of each kind."""
 
 import contextlib
 import json

@@ -74,13 +74,12 @@ def _smooth(rows: ProfileRows, law: ScatterLaw, sites: Sites) -> SmoothedSweep:
     scatter = law.of(rows)
     u, valid = rows.u, rows.valid
     sigma = rows.sigma * scatter.scale
-    found = smooth_profiles(u, sigma, valid, sites)
-    # The mean of many rows whose next neighbours are alike: 1 + 2 r times the variance of independent ones.
-    alike = np.float32(np.sqrt(1 + 2 * scatter.correlation))
+    found = smooth_profiles(u, sigma, valid, sites, scatter.correlation)
     common = _spread_out(np.where(valid, scatter.common * sigma**2, 0), valid, _COMMON_LINES * sites.line_step)
     sigma = np.maximum(sigma, np.sqrt(common))
-    stated = np.minimum(np.sqrt((found.sigma * alike) ** 2 + common), sigma)
-    return SmoothedSweep(found.u, stated, np.where(valid, u - found.u, 0), sigma * alike, found.shared_lines)
+    stated = np.minimum(np.sqrt(found.sigma**2 + common), sigma)
+    alone = sigma * np.sqrt(found.alike)
+    return SmoothedSweep(found.u, stated, np.where(valid, u - found.u, 0), alone, found.shared_lines)
 
 
 def _spread_out(

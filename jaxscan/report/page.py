@@ -225,21 +225,17 @@ def _remarks(calibration: Calibration) -> Html:
         )
     ]
     bad = [
-        joined(["Record", linked_record(calibration, view.record), f": {_sentence(view.why)}"])
+        joined(["Record", linked_record(calibration, view.record), f": {words.sentence(view.why)}"])
         for view in words.bad_views(calibration)
     ]
     for title, lines in (
-        ("Warnings", [*map(_sentence, words.warnings(calibration))]),
+        ("Warnings", [*map(words.sentence, words.warnings(calibration))]),
         ("Records that stand out", bad),
-        ("Next captures", [*map(_sentence, words.advice(calibration))]),
+        ("Next captures", [*map(words.sentence, words.advice(calibration))]),
     ):
         if lines:
             parts += [element("h3", title), bullets(lines)]
     return section("In words", *parts)
-
-
-def _sentence(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:].removesuffix('.')}."
 
 
 def _tests(calibration: Calibration) -> Html | None:

@@ -1,4 +1,4 @@
-"""Numbers in drawings."""
+"""Boards on paper: sheets in true size, as PDF and SVG."""
 
 import math
 from collections.abc import Iterable, Sequence

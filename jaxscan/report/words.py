@@ -277,3 +277,8 @@ def calibration_date(calibration: Calibration, path: Path | None = None) -> str:
 def _shown(when: datetime.datetime) -> str:
     zone = when.astimezone(datetime.UTC) if when.tzinfo else when
     return f"{zone.day} {zone:%B %Y, %H:%M} UTC"
+
+
+def sentence(text: str) -> str:
+    """Text as a sentence: with a capital and a full stop."""
+    return f"{text[:1].upper()}{text[1:].removesuffix('.')}."

@@ -1,4 +1,4 @@
-"""The print of a calibration board: albedo of ink and paper, with the blur and the gloss that prints have."""
+"""Calibration boards of a simulated rig: their print, and how the camera sees it."""
 
 import math
 from dataclasses import dataclass, replace

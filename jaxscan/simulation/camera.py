@@ -1,4 +1,4 @@
-"""Pixels that differ: in gain, in offset, and some that are hot. They are the camera's own: the same in all frames."""
+"""The simulated camera: optics, sensor, noise, and pixels that differ."""
 
 import math
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""Rays of the pixels of a camera, as tables that are made once per camera.
+"""The true rig: camera, laser sheets and motion, written apart from `geometry`, and the rays of its pixels.
 
 The inverse distortion is a fixed point iteration in NumPy; for a wide-angle lens it is a table. It is
 independent of the inversion in `geometry`, so that an error in either shows as a difference.

@@ -1,4 +1,4 @@
-"""Ranges of the numbers in the configuration of a simulated rig: all finite, and all within the limits of rendering."""
+"""The configuration of a simulated rig, with the limits of every number."""
 
 import math
 from typing import Annotated, Any, Literal

@@ -1,4 +1,4 @@
-"""The truth of a simulated rig, for comparison with estimates; never an input of one."""
+"""Records of sweeps and boards: planned, rendered, developed, and their truth."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy.ndimage  # type: ignore[import-untyped]
 from jaxtyping import Bool, Float, Int16, Shaped, UInt8
 
 from jaxscan.geometry import Array
@@ -300,6 +299,9 @@ def warped(
     along = where[i] + down[:, None, None] * (where[i + 1] - where[i])
     places = along[:, j] + right[None, :, None] * (along[:, j + 1] - along[:, j])
     at = np.moveaxis(places, -1, 0)
+    # Imported here, because few sweeps need it.
+    import scipy.ndimage  # type: ignore[import-untyped]
+
     read = lambda plane: scipy.ndimage.map_coordinates(plane, at, np.float32, order=1, mode="nearest")
     return np.stack([read(plane) for plane in planes])
 

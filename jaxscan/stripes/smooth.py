@@ -14,6 +14,9 @@ Where an edge is in doubt, the values with and without it count by their odds, a
 A centre off the line on which its four neighbours agree, a reflection or a wrong candidate, stays as it is and has no
 part in others.
 
+Where the errors of neighbouring rows are alike, the figures of fits and tests are those of their correlation: see
+`correlation`.
+
 A row adds up the moments of its own window, neighbour by neighbour, about its own line, centre and slope: the numbers
 stay small, so that single precision is enough, and everything is elementwise over long rows.
 
@@ -23,6 +26,7 @@ selection, IEEE Trans. Signal Processing 47, 1999.
 """
 
 import functools
+import itertools
 import operator
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
@@ -36,21 +40,24 @@ from jaxtyping import Bool, Float, Int
 from jaxscan.compiling import compile_wide
 from jaxscan.geometry import Array
 from jaxscan.memory import kept
+from jaxscan.stripes.correlation import (
+    INDEPENDENT,
+    REACH,
+    SIZES,
+    SLOPES,
+    STRAIGHT,
+    Correlation,
+    Tables,
+    tables_of,
+    window_of,
+)
 from jaxscan.stripes.frames import Sites
 
 
-_SIZES = (3, 6, 10)
-"""Half sizes of windows, and lines on either side of a possible edge: of fewer lines more noise would be left, of more
-the surface itself would be smoothed."""
-_REACH = 20
-"""Rows and lines that a window reaches to one side at most."""
 _MARGIN = 32
 """Rows without weight on either side of a profile, so that neighbours are slices."""
 _GAP = 4.0
 """Largest distance of neighbouring lines on one surface."""
-_STRAIGHT = 4500.0
-"""How well it is known that surfaces are straight: information of a prior of the curvature, in that of two rows;
-corners of a few standard deviations a line are still seen, and spheres are not cut into pieces."""
 _EDGE, _DOUBT, _EVEN = 12.0, 5.0, 9.0
 """Chi-squared by which two straight lines are better than a parabola, from which there is an edge; from which there may
 be one; and at which that is as likely as not."""
@@ -79,7 +86,9 @@ class Smoothed(NamedTuple):
     """Its standard deviation [px]."""
     shared_lines: Float[np.ndarray, "profiles lines"]
     """Lines over which the noise of the centre is shared: its correlation with the k-th next line of the profile is
-    about 1 - k / shared_lines; 1 where the row is by itself."""
+    about 1 - k / shared_lines; 1 where the row is by itself and no other is like it."""
+    alike: Float[np.ndarray, "profiles lines"]
+    """Variance of the mean of many rows over that of independent ones [1]."""
 
 
 def smooth_profiles(
@@ -87,6 +96,7 @@ def smooth_profiles(
     sigma: Float[np.ndarray, "profiles lines"],
     valid: Bool[np.ndarray, "profiles lines"],
     sites: Sites = _EVERY_LINE,
+    correlation: Correlation = INDEPENDENT,
 ) -> Smoothed:
     """Centres that use their neighbours along the stripe, and none across an edge.
 
@@ -98,7 +108,9 @@ def smooth_profiles(
         sigma: Their standard deviations [px].
         valid: Which of them exist.
         sites: Where the laser's colour is seen: a mosaic has it on every second line only.
+        correlation: Of the errors of neighbouring rows that have the laser's colour.
     """
+    tables = tables_of(correlation)
     lines = np.s_[:, sites.first_line :: sites.line_step]
     whole = [np.asarray(field) for field in (u, sigma, valid)]
     fields = [field[lines] for field in whole]
@@ -110,7 +122,7 @@ def smooth_profiles(
             # Few sizes, so that little is compiled.
             room = _PROFILES if len(fields[0]) > _FEW else _FEW if count > 1 else 1
             part = [np.pad(field, ((0, max(room - count, 0)), (0, 0))) for field in part]
-            for to, field in zip(found, _smooth(*part), strict=True):
+            for to, field in zip(found, _smooth(*part, tables), strict=True):
                 to[first : first + count] = np.asarray(field)[:count]
     if sites == _EVERY_LINE:
         return Smoothed(*found)
@@ -136,6 +148,10 @@ class _Rows(NamedTuple):
     """Centre from which a row counts those of its neighbours; its own but of strays [px]."""
     slope: Float[Array, "profiles rows"]
     """The same for the slope [px/line]."""
+    steep: Int[Array, "profiles rows"]
+    """Which of `SLOPES` the stripe has, of ten lines."""
+    thin: Float[Array, "profiles rows"]
+    """Distance of the rows around [lines]."""
 
 
 class _Sums(NamedTuple):
@@ -152,7 +168,7 @@ class _Sums(NamedTuple):
 
 
 @compile_wide
-def _smooth(u: Array, sigma: Array, valid: Array) -> tuple[Array, Array, Array]:
+def _smooth(u: Array, sigma: Array, valid: Array, tables: Tables) -> tuple[Array, ...]:
     """Of the profiles of one laser, as `Smoothed`."""
     keep = functools.partial(kept, jnp.any(valid))
 
@@ -166,25 +182,26 @@ def _smooth(u: Array, sigma: Array, valid: Array) -> tuple[Array, Array, Array]:
 
     number, x, y, own = keep(_packed, u, sigma, valid)
     gap, near = padded(_gaps, x, own), keep(_near, x)
-    ground, slope = pair(_grounds, x, y, own, gap)
+    steep, thin = keep(_steepness, x, y, own)
+    ground, slope = pair(functools.partial(_grounds, tables), x, y, own, gap, steep)
     weight = padded(lambda own, y: jnp.where(_shifted(y) == ground, _shifted(own), 0.0), own, y)
-    rows = _Rows(x, y, own, weight, ground, slope)
+    rows = _Rows(x, y, own, weight, ground, slope, steep, thin)
 
     def look_for_edges(doubt, size):
         ends = padded(_ends, gap, near, doubt)
-        height = padded(_edge_heights, rows, ends, size)
+        height = padded(functools.partial(_edge_heights, tables), rows, ends, size)
         return padded(_doubts, doubt, height, size), None
 
-    doubt, _ = lax.scan(look_for_edges, jnp.zeros_like(x), jnp.asarray(_SIZES, jnp.int32))
+    doubt, _ = lax.scan(look_for_edges, jnp.zeros_like(x), jnp.asarray(SIZES, jnp.int32))
 
     def fit(state, again):
         def first(rows: _Rows, ends: Array) -> tuple[Array, ...]:
-            spread, window = pair(lambda *given: _windows(*given)[2:], rows, ends)
+            spread, window = pair(lambda *given: _windows(tables, *given)[2:4], rows, ends)
             word = window.astype(jnp.int32)
             most, at = pair(_most_doubtful, doubt, word)
             return _cut_short(ends, most, at.astype(jnp.int32)), spread * _lengths(rows.x, word), most
 
-        found = pair(lambda *given: _windows(*given)[:2], rows, state[0])
+        found = pair(lambda *given: _windows(tables, *given)[:2], rows, state[0])
         return lax.cond(again, lambda *_: state, first, rows, state[0]), found
 
     # At first with all windows, then with windows that end at the most doubtful edge in them.
@@ -194,7 +211,8 @@ def _smooth(u: Array, sigma: Array, valid: Array) -> tuple[Array, Array, Array]:
     found = keep(_mixed, rows, found, shared, most)
     back = jnp.minimum(number, valid.shape[1] - 1)
     on_lines = lambda field: jnp.where(valid, jnp.take_along_axis(field, back, 1), 0.0)
-    return on_lines(found[0]), on_lines(found[1]), on_lines(found[2])
+    alike = keep(lambda rows: _of_rows(tables, rows.steep, rows.thin)[2], rows)
+    return on_lines(found[0]), on_lines(found[1]), on_lines(found[2]), on_lines(alike)
 
 
 def _packed(u: Array, sigma: Array, valid: Array) -> tuple[Array, Array, Array, Array]:
@@ -217,7 +235,36 @@ def _shifted(field: Array, by: int = 0) -> Array:
     return field[:, _MARGIN + by : field.shape[1] - _MARGIN + by]
 
 
-def _grounds(x: Array, y: Array, own: Array, gap: Array) -> tuple[Array, Array]:
+def _steepness(x: Array, y: Array, own: Array) -> tuple[Array, Array]:
+    """Which of `SLOPES` the stripe has, and the distance of rows; the least slope there is, as edges seem steep."""
+    half = SIZES[-1] // 2
+    ends = [(-2 * half, 0), (-half, half), (0, 2 * half)]
+    slope, thin = jnp.full(_shifted(x).shape, jnp.inf), jnp.full(_shifted(x).shape, 1.0)
+    for low, high in ends:
+        there = (_shifted(own, low) > 0) & (_shifted(own, high) > 0)
+        over = jnp.where(there, _shifted(x, high) - _shifted(x, low), 1.0)
+        rise = jnp.abs(_shifted(y, high) - _shifted(y, low)) / over
+        slope = jnp.where(there, jnp.minimum(slope, rise), slope)
+        thin = jnp.where(there & (low + high == 0), over / (high - low), thin)
+    limits = [0.5 * (a + b) for a, b in itertools.pairwise(SLOPES)]
+    steps = [(slope > limit).astype(jnp.int32) for limit in limits]
+    return functools.reduce(operator.add, steps), thin
+
+
+def _looked_up(tables: Tables, table: Array, index: Array, thin: Array) -> Array:
+    """Entries of a table; of rows further apart they are nearer to 1."""
+    entries = lambda: 1.0 + (jnp.take(table, index, axis=0) - 1.0) / thin.reshape(*thin.shape, *(1,) * (table.ndim - 1))
+    one = lambda: jnp.ones((*index.shape, *table.shape[1:]), jnp.float32)
+    return lax.cond(tables.correlated, entries, one)
+
+
+def _of_rows(tables: Tables, steep: Array, thin: Array) -> tuple[Array, Array, Array]:
+    """Those of `Tables.rows`."""
+    found = _looked_up(tables, tables.rows, steep, thin)
+    return found[..., 0], found[..., 1], found[..., 2]
+
+
+def _grounds(tables: Tables, x: Array, y: Array, own: Array, gap: Array, steep: Array) -> tuple[Array, Array]:
     """The centre and the slope from which each row counts those of its neighbours [px, px/line].
 
     The centre is the row's own, but of a stray one, that lies off the straight line on which two neighbours on either
@@ -232,8 +279,10 @@ def _grounds(x: Array, y: Array, own: Array, gap: Array) -> tuple[Array, Array]:
     value, variance = r0 / p0 - l10 * slope, 1.0 / p0 + l10 * l10 / p1
     # Four of them, none beyond the ends, and near.
     agree = line.known & (sums.rows == 4.0) & (near[3][1] - near[0][1] <= 4.0 + _GAP)
-    agree &= sums.q - line.explained < _AGREE
-    stray = agree & (value * value > _STRAY**2 * (variance + 1.0 / jnp.where(_shifted(own) > 0, _shifted(own), 1.0)))
+    expected, likely, _ = _of_rows(tables, steep, jnp.ones_like(value))
+    agree &= sums.q - line.explained < _AGREE * expected
+    alone = 1.0 / jnp.where(_shifted(own) > 0, _shifted(own), 1.0)
+    stray = agree & (value * value > _STRAY**2 * likely * (variance + alone))
     sides = []
     for k, (_, over, rise) in zip((-1, 0), near[1:3], strict=True):
         apart = _shifted(gap, k)
@@ -252,9 +301,9 @@ def _gaps(x: Array, own: Array) -> Bool[Array, "profiles rows"]:
 def _near(x: Array) -> Int[Array, "profiles rows"]:
     """Rows before and behind each that lie within the reach of a window."""
     found = [jnp.zeros(_shifted(x).shape, jnp.int32) for _ in range(2)]
-    for k in range(1, _REACH + 1):
+    for k in range(1, REACH + 1):
         for side, sign in enumerate((-1, 1)):
-            found[side] += (jnp.abs(_shifted(x, sign * k) - _shifted(x)) <= _REACH).astype(jnp.int32)
+            found[side] += (jnp.abs(_shifted(x, sign * k) - _shifted(x)) <= REACH).astype(jnp.int32)
     return _word(*found)
 
 
@@ -262,7 +311,7 @@ def _ends(gap: Array, near: Array, doubt: Array) -> Int[Array, "profiles rows"]:
     """Rows before and behind each that a window can have, and whether an edge parts it from the next one."""
     edge = gap | (doubt > _EDGE)
     left, right = _sides(near)
-    for k in reversed(range(_REACH)):
+    for k in reversed(range(REACH)):
         left = jnp.where(_shifted(edge, -k - 1), jnp.minimum(left, k), left)
         right = jnp.where(_shifted(edge, k), jnp.minimum(right, k), right)
     return _word(left, right) | _shifted(edge).astype(jnp.int32) << 16
@@ -304,25 +353,28 @@ def _added(neighbours: Iterable[tuple[Array, Array, Array]]) -> _Sums:
     return _Sums(tuple(total[:5]), tuple(total[5:8]), *total[8:])
 
 
-def _edge_heights(rows: _Rows, ends: Array, size: Array) -> Array:
+def _edge_heights(tables: Tables, rows: _Rows, ends: Array, size: Array) -> Array:
     """Chi-squared by which straight lines on both sides of a place behind each row are better than one parabola."""
     left, right = _sides(_shifted(ends))[0], _sides(_shifted(ends, 1))[1]
     here = jnp.zeros_like(left)
     sides = (
-        _added(_neighbours(rows, jnp.minimum(left, size - 1), here, (_SIZES[-1] - 1, 0))),
-        _added(_neighbours(rows, here - 1, jnp.minimum(right, size - 1) + 1, (-1, _SIZES[-1]))),
+        _added(_neighbours(rows, jnp.minimum(left, size - 1), here, (SIZES[-1] - 1, 0))),
+        _added(_neighbours(rows, here - 1, jnp.minimum(right, size - 1) + 1, (-1, SIZES[-1]))),
     )
     both = jax.tree.map(jnp.add, *sides)
     one, other = (_solved(side, 2) for side in sides)
-    curved = _solved(both, 3, 0.25 * (_shifted(rows.weight) + _shifted(rows.weight, 1)) * _STRAIGHT)
+    curved = _solved(both, 3, 0.25 * (_shifted(rows.weight) + _shifted(rows.weight, 1)) * STRAIGHT)
     free = _shifted(ends) >> 16 == 0
     better = one.explained + other.explained - curved.explained
+    side = SIZES[-1] + 1
+    places = (rows.steep * side + jnp.minimum(left, size - 1) + 1) * side + jnp.minimum(right, size - 1) + 1
+    better = better / _looked_up(tables, tables.edges, places, rows.thin)
     return jnp.where(one.known & other.known & curved.known & free, better, 0.0)
 
 
 def _doubts(doubt: Array, height: Array, size: Array) -> Array:
     """Chi-squared of the places that may be edges, with those of a size; from `_EDGE` on they are."""
-    beside = [jnp.where(abs(k) < size, _shifted(height, k), 0.0) for k in range(1 - _SIZES[-1], _SIZES[-1])]
+    beside = [jnp.where(abs(k) < size, _shifted(height, k), 0.0) for k in range(1 - SIZES[-1], SIZES[-1])]
     own, before = _shifted(height), _shifted(doubt)
     marked = (own > _DOUBT) & (own >= functools.reduce(jnp.maximum, beside))
     return jnp.where(marked, jnp.maximum(before, own), before)
@@ -331,8 +383,8 @@ def _doubts(doubt: Array, height: Array, size: Array) -> Array:
 def _most_doubtful(doubt: Array, window: Array) -> tuple[Array, Array]:
     """The most doubtful edge in the window of each row, and how many rows on the row before it is."""
     low, high = _sides(window)
-    most, at = jnp.zeros(low.shape, doubt.dtype), jnp.full(low.shape, _REACH, jnp.int32)
-    for k in range(-_REACH, _REACH):
+    most, at = jnp.zeros(low.shape, doubt.dtype), jnp.full(low.shape, REACH, jnp.int32)
+    for k in range(-REACH, REACH):
         there = jnp.where((k >= -low) & (k < high), _shifted(doubt, k), 0.0)
         at, most = jnp.where(there > most, k, at), jnp.maximum(there, most)
     return most, at
@@ -344,36 +396,39 @@ def _cut_short(ends: Array, most: Array, at: Array) -> Array:
     return _word(jnp.where((most > 0) & (at < 0), -at - 1, left), jnp.where((most > 0) & (at >= 0), at, right))
 
 
-def _windows(rows: _Rows, ends: Array) -> tuple[Array, ...]:
+def _windows(tables: Tables, rows: _Rows, ends: Array) -> tuple[Array, ...]:
     """For every row a parabola in the largest window that it fits and whose value agrees with those of smaller ones.
 
     Returns:
-        Centre minus that of the row, its variance, that of the window's lines over their number, and the rows of the
-        window on either side in one word.
+        Centre minus that of the row, its variance, that of the window's lines over their number, the rows of the window
+        on either side in one word, and the variance that the centre had were rows independent.
     """
     left, right = _sides(ends)
-    weight = _shifted(rows.weight)
+    weight, many = _shifted(rows.weight), _of_rows(tables, rows.steep, rows.thin)[2]
     alone = 1.0 / jnp.where(weight > 0, weight, 1.0)
-    state: tuple[Array, ...] = jnp.zeros_like(alone), alone, alone, jnp.zeros_like(ends)
+    state: tuple[Array, ...] = jnp.zeros_like(alone), alone, many * alone, jnp.zeros_like(ends), alone
     goes_on = jnp.ones(alone.shape, jnp.bool_)
-    for size in _SIZES:
-        # A side that ends early is made up for on the other.
-        low = jnp.minimum(left, 2 * size - jnp.minimum(right, size))
-        high = jnp.minimum(right, 2 * size - jnp.minimum(left, size))
+    place = (rows.steep * (REACH + 1) + left) * (REACH + 1) + right
+    for number, size in enumerate(SIZES):
+        low, high = window_of(left, right, size)
         sums = _added(_neighbours(rows, low, high, (2 * size, 2 * size)))
         found, own, chi2 = _parabola(sums)
-        value, variance, _, window = state
+        value, variance, _, window, before = state
+        inflation, share, scatter, apart = jnp.moveaxis(
+            _looked_up(tables, tables.windows[number], place, rows.thin), -1, 0
+        )
         told = (sums.rows >= 5.0) & (own >= 0)
-        freedom = jnp.where(told, sums.rows - 3.0, 2.0)
-        single = window == 0
+        free = jnp.where(told, sums.rows - 3.0, 2.0)
+        freedom, single = share * free, window == 0
         most, far = jnp.where(single, _MISFIT[0], _MISFIT[1]), jnp.where(single, _APART[0], _APART[1])
-        fits_it = chi2 <= freedom + most * jnp.sqrt(2.0 * freedom)
-        fits_it &= jnp.abs(found - value) <= far * jnp.sqrt(jnp.maximum(variance - own, 0.0))
-        # Residuals of the parabola beyond the noise count as noise.
-        excess = jnp.maximum(chi2 / freedom, 1.0)
-        better = goes_on & told & fits_it & (excess * own < variance)
+        fits_it = chi2 <= freedom + most * scatter * jnp.sqrt(2.0 * free)
+        fits_it &= jnp.abs(found - value) <= far * jnp.sqrt(apart * jnp.maximum(before - own, 0.0))
+        # Residuals of the parabola beyond the noise count as noise of independent rows.
+        excess = jnp.maximum(chi2 - freedom, 0.0) / free
+        here = (inflation + excess) * own
+        better = goes_on & told & fits_it & (here < variance)
         total = jnp.where(sums.s[0] > 0, sums.s[0], 1.0)
-        new = found, excess * own, excess / total, _word(low, high)
+        new = found, here, (many + excess) / total, _word(low, high), (1.0 + excess) * own
         state = tuple(jnp.where(better, a, b) for a, b in zip(new, state, strict=True))
         goes_on &= fits_it | ~told
     return state

@@ -80,12 +80,18 @@ def mesh_grid(
 
 def coloured_mesh(grid: GridMesh) -> Mesh:
     """The mesh of all faces, with a vertex for each point that has one, in the colour of the cloud."""
+    places, faces = faces_of_cloud(grid)
+    lines = grid.cloud.valid.shape[1]
+    return Mesh(*vertex_fields(grid, places // lines, places % lines), faces)
+
+
+def faces_of_cloud(grid: GridMesh) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, "m 3"]]:
+    """Places of the cloud's own grid that are corners of faces, in order, and the faces with corners among these."""
     faces = grid.faces()
     lines = grid.cloud.valid.shape[1]
     # On the cloud's own grid the first profile of a closed sheet is there once.
     faces = (grid.lattice.profile[faces // lines] * lines + faces % lines).astype(np.int32)
-    places, faces = used_places(faces, grid.cloud.valid.size)
-    return Mesh(*vertex_fields(grid, places // lines, places % lines), faces)
+    return used_places(faces, grid.cloud.valid.size)
 
 
 def used_places(faces: Int[np.ndarray, "m 3"], size: int) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, "m 3"]]:

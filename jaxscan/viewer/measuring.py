@@ -15,14 +15,16 @@ from jaxscan.geometry import Scanner
 from jaxscan.measurement import (
     PlaneMeasurement,
     length_words,
+    measure_angle,
     measure_distance,
+    measure_height,
     measure_plane,
     measure_room,
 )
 from jaxscan.viewer.shown import ShownCloud
 
 
-Kind = Literal["point", "distance", "flatness", "room"]
+Kind = Literal["point", "distance", "height", "angle", "area", "flatness", "room", "box"]
 DISTANCE_RADIUS_M = 0.02
 PLANE_RADIUS_M = 0.2
 """As of `jaxscan measure`."""
@@ -32,7 +34,9 @@ _LEAST = 4
 _FORMULA = ("=", "+", "-", "@")
 _OPTIONS = ("calibration", "unit", "up")
 _PLACES = ("x1_m", "y1_m", "z1_m", "x2_m", "y2_m", "z2_m")
-_COLUMNS = ("kind", "what", "cloud", *_PLACES, "value_m", "sigma_m", "words")
+_COLUMNS = ("kind", "what", "cloud", *_PLACES, "value_m", "sigma_m", "words", "value", "sigma", "unit")
+_MOST_PLACES = 100
+"""Corners of an area."""
 
 
 class Measured(NamedTuple):
@@ -40,14 +44,15 @@ class Measured(NamedTuple):
 
     kind: Kind
     what: str
-    """Name of the value: "distance", "RMS", "length", "width" or "height"; "" where there is none."""
+    """Name of the value: "distance", "RMS", "length", "width", "height", "angle", "area" or "volume"; "" where there is
+    none."""
     cloud: str
     at: np.ndarray
     """The picked places, or the ends of a length of the room [k, 3], m, in the cloud's frame."""
-    value_m: float | None
-    """None of a point."""
-    sigma_m: float | None
-    """None where nobody knows it."""
+    value: float | None
+    """In `unit`; None of a point."""
+    sigma: float | None
+    """In `unit`; None where nobody knows it."""
     words: tuple[str, ...]
     """As `jaxscan measure` prints it."""
     plane: PlaneMeasurement | None = None
@@ -55,6 +60,17 @@ class Measured(NamedTuple):
     """Whether the axes are not those of the cloud's file."""
     options: Mapping[str, str] = MappingProxyType({})
     """Of `jaxscan measure`, by which it measures the same."""
+    unit: Literal["m", "deg", "m2", "m3"] = "m"
+
+    @property
+    def value_m(self) -> float | None:
+        """The value of a length [m]."""
+        return self.value if self.unit == "m" else None
+
+    @property
+    def sigma_m(self) -> float | None:
+        """Its standard deviation [m]."""
+        return self.sigma if self.unit == "m" else None
 
     def command(self) -> str:
         """The command that measures the same; "" if there is none."""
@@ -108,6 +124,68 @@ def measure_between(shown: ShownCloud, a: np.ndarray, b: np.ndarray, scanner: Sc
     return measured._replace(turned=shown.turned, options=shown.words)
 
 
+def measure_rise(shown: ShownCloud, a: np.ndarray, b: np.ndarray, scanner: Scanner | None) -> Measured:
+    """How much higher a second place is than a first one.
+
+    Raises:
+        MeasurementError: If it cannot be measured there.
+    """
+    at = np.stack([rounded(a), rounded(b)])
+    near = shown.around(at, DISTANCE_RADIUS_M, _LEAST)
+    found = measure_height(near, at[0], at[1], radius_m=DISTANCE_RADIUS_M, scanner=scanner)
+    return Measured(
+        "height", "height", shown.name, at, found.value_m, found.sigma_m, _finite((found.words(),)), turned=shown.turned
+    )
+
+
+def measure_corner(shown: ShownCloud, a: np.ndarray, b: np.ndarray, scanner: Scanner | None) -> Measured:
+    """The angle between the walls around two places.
+
+    Raises:
+        MeasurementError: If there is no plane.
+    """
+    at = np.stack([rounded(a), rounded(b)])
+    near = shown.around(at, PLANE_RADIUS_M, _LEAST)
+    found = measure_angle(near, at[0], at[1], radius_m=PLANE_RADIUS_M, scanner=scanner)
+    measured = Measured("angle", "angle", shown.name, at, found.value_deg, found.sigma_deg, _finite((found.words(),)))
+    return measured._replace(turned=shown.turned, unit="deg")
+
+
+def measure_area(shown: ShownCloud, places: list[np.ndarray]) -> Measured:
+    """The area of an outline that was clicked, in the plane nearest to its corners.
+
+    Its sigma is not known: that of clicks on corners nobody knows.
+
+    Raises:
+        MeasurementError: If there are too few corners, or too many.
+    """
+    if not 3 <= len(places) <= _MOST_PLACES:
+        raise MeasurementError(f"found {len(places)} corners, expected 3 to {_MOST_PLACES}.")
+    at = np.stack([rounded(place) for place in places])
+    apart = at - at.mean(0)
+    normal = np.linalg.svd(apart)[2][2]
+    off = np.abs(apart @ normal).max()
+    area = 0.5 * abs(np.cross(apart, np.roll(apart, -1, 0)).sum(0) @ normal)
+    around = np.linalg.norm(apart - np.roll(apart, -1, 0), axis=1).sum()
+    words = f"{area:.4f} m², {around:.3f} m around, its corners up to {1e3 * off:.1f} mm off their plane"
+    return Measured("area", "area", shown.name, at, float(area), None, (words,), turned=shown.turned, unit="m2")
+
+
+def measure_box(shown: ShownCloud, centre: np.ndarray, size_m: np.ndarray, points: int) -> Measured:
+    """The volume of the section's box.
+
+    Args:
+        shown: The cloud.
+        centre: Middle of the box [3], m, in the cloud's frame.
+        size_m: Its edges [3], m.
+        points: How many points are in it.
+    """
+    edges = " × ".join(f"{edge:.3f}" for edge in size_m)
+    volume = float(np.prod(size_m))
+    words = f"{volume:.4f} m³, {edges} m, {points:,} points in it"
+    return Measured("box", "volume", shown.name, rounded(centre)[None], volume, None, (words,), unit="m3")
+
+
 def measure_flatness(shown: ShownCloud, place: np.ndarray) -> Measured:
     """How flat a place is; as `jaxscan measure plane`.
 
@@ -155,11 +233,16 @@ def as_csv(measured: list[Measured]) -> bytes:
     writer = csv.writer(text)
     writer.writerow(_COLUMNS)
     for one in measured:
-        places = [f"{x:.{_DECIMALS}f}" for x in one.at.reshape(-1)] + [""] * (6 - one.at.size)
+        # An outline's further corners are in the JSON.
+        places = [f"{x:.{_DECIMALS}f}" for x in one.at[:2].reshape(-1)] + [""] * (6 - one.at[:2].size)
         # A table program would take such a name for a formula.
         name = f"'{one.cloud}" if one.cloud.startswith(_FORMULA) else one.cloud
-        numbers = ["" if number is None else f"{number:.6f}" for number in (one.value_m, one.sigma_m)]
-        writer.writerow([one.kind, one.what, name, *places, *numbers, "; ".join(one.words)])
+        lengths, values = (
+            ["" if number is None else f"{number:.6f}" for number in pair]
+            for pair in ((one.value_m, one.sigma_m), (one.value, one.sigma))
+        )
+        unit = "" if one.value is None else one.unit
+        writer.writerow([one.kind, one.what, name, *places, *lengths, "; ".join(one.words), *values, unit])
     return text.getvalue().encode()
 
 
@@ -173,6 +256,9 @@ def as_json(measured: list[Measured]) -> bytes:
             "at_m": one.at.tolist(),
             "value_m": one.value_m,
             "sigma_m": one.sigma_m,
+            "value": one.value,
+            "sigma": one.sigma,
+            "unit": None if one.value is None else one.unit,
             "words": list(one.words),
             "command": one.command(),
         }

@@ -11,8 +11,8 @@ from jaxscan.errors import OptionError
 MOST_BYTES = 1 << 16
 """Longest message of a page."""
 _MOST_M = 1e7
-Do = Literal["pick", "room", "undo", "remove", "clear", "save", "choose", "cancel"]
-_KINDS = ("point", "distance", "flatness")
+Do = Literal["pick", "close", "room", "box", "cut", "undo", "remove", "clear", "save", "choose", "cancel"]
+_KINDS = ("point", "distance", "height", "angle", "area", "flatness")
 _WIDEST_RAD = 0.2
 
 
@@ -41,6 +41,8 @@ class Order(NamedTuple):
     """Of the measurement that is to be removed."""
     backs: bool = True
     """Whether points are shown that are seen from behind."""
+    surface: bool = False
+    """Whether the surface between the points is shown, so that a click beside them means one of them too."""
 
 
 def parse_order(text: str, clouds: int) -> Order:
@@ -63,14 +65,16 @@ def parse_order(text: str, clouds: int) -> Order:
     match do, what:
         case "choose", str() if what in _KINDS:
             return Order("choose", what)
-        case "undo" | "clear" | "cancel", _:
+        case "undo" | "clear" | "cancel" | "close", _:
             return Order(do)
         case "remove", _:
             return Order("remove", id=int(_number(found.get("id"))))
         case "save", "csv" | "json":
             return Order("save", what)
-        case "room" | "pick", _:
+        case "room" | "pick" | "box" | "cut", _:
             section = found.get("section")
+            if section is None and do in ("box", "cut"):
+                raise OptionError("section: expected two corners.")
             return Order(
                 do,
                 ray=_ray(found) if do == "pick" else None,
@@ -78,6 +82,7 @@ def parse_order(text: str, clouds: int) -> Order:
                 section=None if section is None else np.stack([_place(section, k) for k in (0, 1)]),
                 turn_rad=_number(found.get("turn_rad", 0)),
                 backs=found.get("backs") is not False,
+                surface=found.get("surface") is True,
             )
     raise OptionError("no such order.")
 

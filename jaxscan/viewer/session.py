@@ -16,9 +16,13 @@ from jaxscan.viewer.measuring import (
     Measured,
     as_csv,
     as_json,
+    measure_area,
     measure_between,
+    measure_box,
+    measure_corner,
     measure_flatness,
     measure_point,
+    measure_rise,
     measure_sides,
 )
 from jaxscan.viewer.orders import Order, Ray
@@ -26,7 +30,20 @@ from jaxscan.viewer.picking import pick
 from jaxscan.viewer.shown import ShownCloud
 
 
-_WIDER = 4.0
+_WIDER, _WIDEST = 4.0, 10.0
+"""How much wider a click looks where it met nothing, and where the surface between the points is shown."""
+_WIDEST_RAD = 0.3
+_FAR_M = 1e5
+"""Edge of a box of which a side leaves nothing out."""
+_MOST_WORKS = 4
+"""Measurements of a page that go on at a time."""
+_PLANES = 50
+"""Planes of flatness that are kept after they were taken out: their colours may be on their way to the page."""
+_ASKS: dict[str, str] = {
+    "distance": "Now the other place, in the same cloud.",
+    "height": "Now the place whose height over it is wanted, in the same cloud.",
+    "angle": "Now the other wall, in the same cloud.",
+}
 
 
 class Entry(NamedTuple):
@@ -66,11 +83,12 @@ class Session:
         self.kind: Kind = "point"
         self.measured: list[Entry] = []
         self._ids, self._works = count(), count()
-        self._pending: int | None = None
-        """The measurement that goes on and whose answer is wanted."""
+        self._pending: list[int] = []
+        """The measurements that go on and whose answers are wanted."""
         self.message = ""
-        self._first: tuple[int, np.ndarray] | None = None
-        """The cloud and the first place of a distance."""
+        self._places: list[tuple[int, np.ndarray]] = []
+        """The clouds and the places that were clicked of a measurement that needs more of them."""
+        self._planes: dict[int, PlaneMeasurement] = {}
         self._lock = threading.Lock()
 
     def carry_out(self, order: Order) -> dict[str, Any] | None:
@@ -81,58 +99,77 @@ class Session:
     def begin(self, order: Order) -> dict[str, Any] | Work:
         """Do what is quick; returns what the page shows then, or the work that is left, for `finish`.
 
-        Whatever comes next but "save" and "remove" makes a work needless that is not finished.
+        Works go on beside each other; "cancel", "undo" and "clear" end them.
         """
         with self._lock:
             if order.do == "save":
                 return self._saved(order.what)
-            waited, self.message = self._pending, ""
-            if order.do != "remove":
-                self._pending = None
+            self.message = ""
             measure: Measure | None = None
             match order.do:
                 case "choose":
-                    self.kind, self._first = order.what, None  # type: ignore[assignment]
-                # Of a measurement that goes on there is nothing else to take back.
-                case "undo" if waited is None:
+                    self.kind, self._places = order.what, []  # type: ignore[assignment]
+                case "cancel" | "undo" | "clear" if self._pending:
+                    self._pending, self._places = [], []
+                    self.message = "Ended: what went on was not measured."
+                    if order.do == "clear":
+                        self.measured = []
+                case "undo":
                     self._undo()
-                case "undo" | "cancel" if waited is not None:
-                    self.message = "Ended: nothing was measured."
+                case "cancel":
+                    self._places = []
                 case "remove":
                     self.measured = [entry for entry in self.measured if entry.id != order.id]
                 case "clear":
-                    self.measured, self._first = [], None
-                case "room" if not order.shifts:
+                    self.measured, self._places = [], []
+                case "room" | "box" | "pick" if not order.shifts:
                     self.message = "No cloud is shown."
+                case "room" | "pick" if len(self._pending) >= _MOST_WORKS:
+                    self.message = f"{_MOST_WORKS} measurements go on: wait for one of them, or end them by Esc."
                 case "room":
                     measure = partial(self._room, order)
+                case "box":
+                    self._box(order)
+                case "close":
+                    measure = self._close()
                 case "pick" if order.ray is not None:
                     measure = self._pick(order, order.ray)
             if measure is None:
                 return self.state()
-            self._pending = next(self._works)
-            return Work(self._pending, measure)
+            work = Work(next(self._works), measure)
+            self._pending.append(work.id)
+            return work
 
     def finish(self, work: Work) -> dict[str, Any] | None:
-        """Measure what was begun; returns what the page shows then, None where an order has come since."""
-        wanted = lambda: self._pending == work.id
+        """Measure what was begun; returns what the page shows then, None where an order has ended it since."""
+        wanted = lambda: work.id in self._pending
         if not wanted():
             return None
         found, problem = work.measure(wanted)
         with self._lock:
             if not wanted():
                 return None
-            self._pending, self.message = None, problem
-            self.measured += [Entry(number, one, next(self._ids)) for number, one in found]
+            self._pending.remove(work.id)
+            self.message = problem
+            for number, one in found:
+                self._add(number, one)
             return self.state()
+
+    def _add(self, number: int, measured: Measured) -> None:
+        entry = Entry(number, measured, next(self._ids))
+        self.measured.append(entry)
+        if measured.plane is not None:
+            self._planes[entry.id] = measured.plane
+            while len(self._planes) > _PLANES:
+                del self._planes[next(iter(self._planes))]
 
     def state(self) -> dict[str, Any]:
         """What a page shows of it."""
         return {
             "kind": self.kind,
             "message": self.message,
-            "measuring": self._pending is not None,
-            "first": None if self._first is None else self._in_scene(*self._first),
+            "measuring": len(self._pending),
+            "places": [self._in_scene(*place) for place in self._places],
             "measured": [
                 {"id": key, "kind": one.kind, "words": one.words, "command": one.command(), "cloud": number}
                 | {"at": [self._in_scene(number, place) for place in one.at], "plane": one.plane is not None}
@@ -144,12 +181,12 @@ class Session:
         return {"cloud": number, "xyz": (place - self._clouds[number].origin).tolist()}
 
     def plane(self, key: int) -> PlaneMeasurement | None:
-        """The plane of a measurement of flatness, by its id."""
-        return next((entry.measured.plane for entry in self.measured if entry.id == key), None)
+        """The plane of a measurement of flatness, by its id; also of one that was just taken out."""
+        return self._planes.get(key)
 
     def _undo(self) -> None:
-        if self._first is not None:
-            self._first = None
+        if self._places:
+            self._places.pop()
         elif self.measured:
             self.measured.pop()
 
@@ -168,8 +205,11 @@ class Session:
 
     def _pick(self, order: Order, ray: Ray) -> Measure | None:
         """The measurement that a click asks for; None where that is done, or nothing was met."""
+        if self.kind == "area" and len(self._places) > 2 and self._meets_first(order, ray):
+            return self._close()
         # Between two profiles there may be no point within a finger's breadth.
-        hits = self._hits(order, ray) or self._hits(order, ray._replace(cone_rad=_WIDER * ray.cone_rad))
+        cones = [1.0, _WIDER] + [_WIDEST] * order.surface
+        hits = next((found for wider in cones if (found := self._hits(order, ray, wider))), None)
         if not hits:
             self.message = "There is no point: click on the cloud."
             return None
@@ -178,32 +218,68 @@ class Session:
         picked = measure_point(cloud, index)
         place = picked.at[0]
         if self.kind == "point":
-            self.measured.append(Entry(number, picked, next(self._ids)))
+            self._add(number, picked)
             return None
         if self.kind == "flatness":
             return partial(_one, number, partial(measure_flatness, cloud, place))
-        if self._first is None or self._first[0] != number:
-            self._first = (number, place)
-            self.message = "Now the other place, in the same cloud."
+        if self._places and self._places[0][0] != number:
+            self._places = []
+        self._places.append((number, place))
+        if self.kind == "area":
+            few = len(self._places) < 3
+            self.message = "Now the next corner." if few else "Now the next corner, or the first one to close it."
             return None
-        first, self._first = self._first[1], None
-        return partial(_one, number, partial(measure_between, cloud, first, place, self._scanner))
+        if len(self._places) < 2:
+            self.message = _ASKS[self.kind]
+            return None
+        (_, first), self._places = self._places[0], []
+        between = {"distance": measure_between, "height": measure_rise, "angle": measure_corner}[self.kind]
+        return partial(_one, number, partial(between, cloud, first, place, self._scanner))
 
-    def _hits(self, order: Order, ray: Ray) -> list[tuple[float, int, int]]:
+    def _meets_first(self, order: Order, ray: Ray) -> bool:
+        """Whether a click is on the first corner of the outline."""
+        number, place = self._places[0]
+        shift = next((shift for one, shift in order.shifts if one == number), None)
+        if shift is None:
+            return False
+        apart = place - self._clouds[number].origin + shift - ray.origin
+        along = float(apart @ ray.direction) / float(np.linalg.norm(ray.direction))
+        return bool(along > np.cos(2 * ray.cone_rad) * np.linalg.norm(apart))
+
+    def _close(self) -> Measure | None:
+        """The area of the outline, whose last corner was clicked."""
+        if len(self._places) < 3:
+            self.message = "An area has three corners at least: click the next one."
+            return None
+        number, places = self._places[0][0], [place for _, place in self._places]
+        self._places = []
+        return partial(_one, number, partial(measure_area, self._clouds[number], places))
+
+    def _box(self, order: Order) -> None:
+        """The volume of the box that is shown."""
+        if order.section is None:
+            return
+        size = order.section[1] - order.section[0]
+        # A side that leaves nothing out is far away.
+        if not 0 < size.max() < _FAR_M or size.min() <= 0:
+            self.message = "The box is open: move all of its sides, so that it ends where the volume does."
+            return
+        number, shift = order.shifts[0]
+        points = sum(
+            int(np.count_nonzero(inside_section(self._clouds[one], move, order))) for one, move in order.shifts
+        )
+        cloud = self._clouds[number]
+        centre = _turn(order).T @ order.section.mean(0) - shift + cloud.origin
+        self._add(number, measure_box(cloud, centre, size, points))
+
+    def _hits(self, order: Order, ray: Ray, wider: float) -> list[tuple[float, int, int]]:
         """The point of each cloud that a ray meets: distance, number of the cloud, point."""
-        hits = []
+        hits, cone = [], min(wider * ray.cone_rad, _WIDEST_RAD)
         for number, shift in order.shifts:
             xyz, origin = self._clouds[number].xyz, ray.origin - shift
-            shown = None
-            if order.section is not None:
-                c, s = np.cos(order.turn_rad), np.sin(order.turn_rad)
-                # Scene to box; the cloud's own shift is taken from the box, whose numbers are few.
-                turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
-                low, high = (order.section - turn @ shift).astype(np.float32)
-                within = xyz @ turn.T.astype(np.float32) if order.turn_rad else xyz
-                shown = ((within >= low) & (within <= high)).all(1)
+            shown = None if order.section is None else inside_section(self._clouds[number], shift, order)
             sides = None if order.backs else self._clouds[number].sides
-            index = pick(xyz, origin, ray.direction, cone_rad=ray.cone_rad, shown=shown, sides=sides)
+            index = pick(xyz, origin, ray.direction, cone_rad=cone, shown=shown, sides=sides)
             if index is not None:
                 hits.append((float(np.linalg.norm(xyz[index] - origin)), number, index))
         return hits
@@ -212,6 +288,23 @@ class Session:
         listed = [entry.measured for entry in self.measured]
         data = as_csv(listed) if what == "csv" else as_json(listed)
         return {"file": f"measured.{what}", "text": data.decode()}
+
+
+def inside_section(cloud: ShownCloud, shift: np.ndarray, order: Order) -> np.ndarray:
+    """Which points of a cloud that stands at `shift` are in the section of an order, bool [n]."""
+    if order.section is None:
+        return np.ones(len(cloud.xyz), np.bool_)
+    # Scene to box; the cloud's own shift is taken from the box, whose numbers are few.
+    turn = _turn(order)
+    low, high = (order.section - turn @ shift).astype(np.float32)
+    within = cloud.xyz @ turn.T.astype(np.float32) if order.turn_rad else cloud.xyz
+    return np.asarray(((within >= low) & (within <= high)).all(1))
+
+
+def _turn(order: Order) -> np.ndarray:
+    """From the scene to the frame of the section [3, 3]."""
+    c, s = np.cos(order.turn_rad), np.sin(order.turn_rad)
+    return np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
 
 
 def _one(number: int, measure: Callable[[], Measured], _: Callable[[], bool]) -> Found:

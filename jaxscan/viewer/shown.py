@@ -12,7 +12,7 @@ from jaxscan.reconstruction import PointCloud, some_points
 from jaxscan.viewer.colours import UNKNOWN, Colouring, Scale, brightened, coloured_normals, scale_of
 from jaxscan.viewer.gridded import gridded_normals
 from jaxscan.viewer.levels import Levels, make_levels
-from jaxscan.viewer.sides import hides_well, sides_of
+from jaxscan.viewer.sides import hides_well, sides_of, walls_of
 
 
 _MM = 1e3
@@ -91,6 +91,8 @@ class ShownCloud:
         """From which side the points were seen, int8 [n, 3]; None where the cloud does not know."""
         self.hides = self.sides is not None and hides_well(self.sides)
         """Whether what is seen from behind is better left out at first."""
+        self.walls = None if self.sides is None else walls_of(self.sides)
+        """By how much the walls are turned about z against the axes [rad]; None where that is not known."""
 
     @property
     def points(self) -> int:

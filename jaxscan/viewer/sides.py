@@ -16,6 +16,10 @@ _KNOWN = 0.5
 _REMAINS = 0.1
 """Share of points that is left from every side of a cloud of which the backs are hidden at first."""
 _SOME = 100_000
+_UPRIGHT, _NEAR_DEG = 0.2, 3.0
+"""Sine of the slope of a wall's normal, and how far normals of walls lie from where most do."""
+_LEAST_WALL, _STANDS_OUT = 100, 0.3
+"""Normals, and the share of them near one angle, by which walls are known; a seventh of chance directions are there."""
 
 
 def sides_of(
@@ -58,6 +62,28 @@ def hides_well(sides: Int8[np.ndarray, "n 3"]) -> bool:
     few = few[np.any(few != 0, axis=1)]
     ways = np.array(list(product((-1.0, 1.0), repeat=3)), np.float32)
     return bool(len(few) and (few @ ways.T > 0).mean(0).min() >= _REMAINS)
+
+
+def walls_of(sides: Int8[np.ndarray, "n 3"]) -> float | None:
+    """By how much the walls of a room are turned about z against the axes [rad], within a quarter of a turn about 0.
+
+    The angle at which most horizontal normals lie, whichever of the four ways they point.
+
+    Returns:
+        None where no such angle stands out.
+    """
+    few = sides[:: max(1, len(sides) // _SOME)].astype(np.float64)
+    upright = few[np.abs(few[:, 2]) < _UPRIGHT * np.linalg.norm(few, axis=1)]
+    if len(upright) < _LEAST_WALL:
+        return None
+    degrees = np.degrees(np.arctan2(upright[:, 1], upright[:, 0]))
+    counts = np.bincount(np.rint(degrees).astype(int) % 90, minlength=90)
+    near = degrees - counts.argmax()
+    near = near[np.abs((near + 45) % 90 - 45) <= _NEAR_DEG]
+    if len(near) < _STANDS_OUT * len(degrees):
+        return None
+    angle = counts.argmax() + float(np.median((near + 45) % 90 - 45))
+    return float(np.radians((angle + 45) % 90 - 45))
 
 
 def seen_from(sides: Int8[np.ndarray, "n 3"], xyz: Float[np.ndarray, "n 3"], eye: Float[np.ndarray, "3"]) -> np.ndarray:

@@ -18,9 +18,10 @@ from jaxscan.errors import JaxscanError, OptionError
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import PointCloud
 from jaxscan.viewer.colours import COLOURINGS, Scale
-from jaxscan.viewer.orders import MOST_BYTES
-from jaxscan.viewer.session import Session
+from jaxscan.viewer.orders import MOST_BYTES, Order, parse_order
+from jaxscan.viewer.session import Session, inside_section
 from jaxscan.viewer.shown import ShownCloud, middle_of
+from jaxscan.viewer.surface import Surface, has_grid, surface_bytes, surface_of
 from jaxscan.viewer.talking import AT_ONCE, talk, tell
 from jaxscan.web import Address, Gate, Resource, Server, resource_routes
 
@@ -38,6 +39,9 @@ _FILES = (
     "box.js",
     "hands.js",
     "marks.js",
+    "shading.js",
+    "surface.js",
+    "bearings.js",
     "icon.svg",
 )
 _HEARTBEAT_S = 10.0
@@ -112,6 +116,9 @@ def view_routes(prefix: str, find: Callable[[web.Request], Awaitable["View"]]) -
         "/scene": View.scene,
         f"/points/{chunk}": View.points,
         f"/colours/{chunk}": View.coloured,
+        r"/surface/{part:\d{1,3}}": View.surface,
+        r"/surface-colours/{part:\d{1,3}}": View.surface_coloured,
+        "/cut": View.cut,
         r"/panorama/{part:\d{1,3}}": View.panorama,
         "/scale": View.scale,
         "/products": View.products,
@@ -145,6 +152,8 @@ class View:
         self._colours: OrderedDict[tuple[Any, ...], tuple[list[np.ndarray], Scale | None]] = OrderedDict()
         self._colouring = asyncio.Lock()
         self._slots = asyncio.Semaphore(AT_ONCE)
+        self._surfaces: dict[int, Surface] = {}
+        self._joining = asyncio.Lock()
 
     async def scene(self, _: web.Request) -> web.Response:
         """What there is: clouds with the lists of their chunks, places to stand in, colourings."""
@@ -164,6 +173,8 @@ class View:
                 "high": cloud.high.tolist(),
                 "sides": cloud.sides is not None,
                 "hides": cloud.hides,
+                "walls": cloud.walls,
+                "surface": has_grid(cloud),
                 "panorama": None if seen is None else {"top": seen.top, "bottom": seen.bottom, "axes": cloud.axes()},
             }
             for cloud, seen in zip(self.clouds, self._panoramas, strict=True)
@@ -190,6 +201,52 @@ class View:
         colours, _ = await self._by(request)
         number = int(request.match_info["part"])
         return web.Response(body=colours[number][chunk.start : chunk.stop].tobytes(), content_type=_BINARY)
+
+    async def surface(self, request: web.Request) -> web.Response:
+        """The triangles of a cloud: `surface_bytes`."""
+        cloud, surface = await self._surface(request)
+        return web.Response(body=await asyncio.to_thread(surface_bytes, cloud, surface), content_type=_BINARY)
+
+    async def surface_coloured(self, request: web.Request) -> web.Response:
+        """Colours of the corners of these triangles, uint8."""
+        _, surface = await self._surface(request)
+        colours, _ = await self._by(request)
+        body = colours[int(request.match_info["part"])][surface.points].tobytes()
+        return web.Response(body=body, content_type=_BINARY)
+
+    async def _surface(self, request: web.Request) -> tuple[ShownCloud, Surface]:
+        number = int(request.match_info["part"])
+        if number >= len(self.clouds):
+            raise OptionError("there is no such cloud.")
+        async with self._joining:
+            if number not in self._surfaces:
+                self._surfaces[number] = await asyncio.to_thread(surface_of, self.clouds[number])
+        return self.clouds[number], self._surfaces[number]
+
+    async def cut(self, request: web.Request) -> web.Response:
+        """The points in the section of an order, as a PLY file in the frame of the first cloud."""
+        order = parse_order(request.query.get("order", ""), len(self.clouds))
+        if order.do != "cut":
+            raise OptionError("no such order.")
+        body = await asyncio.to_thread(self._cut, order)
+        headers = {"Content-Disposition": 'attachment; filename="section.ply"'}
+        return web.Response(body=body, content_type=_BINARY, headers=headers)
+
+    def _cut(self, order: Order) -> bytes:
+        found = []
+        for number, shift in order.shifts:
+            cloud = self.clouds[number]
+            inside = inside_section(cloud, shift, order)
+            part = np.zeros(np.count_nonzero(inside), [("xyz", "<f8", 3), ("rgb", "u1", 3)])
+            part["xyz"] = cloud.xyz[inside] + (shift + self.clouds[0].origin)
+            part["rgb"] = cloud.take(cloud.cloud.rgb)[inside]
+            found.append(part)
+        rows = np.concatenate(found) if found else np.zeros(0)
+        if not len(rows):
+            raise OptionError("There are no points in the section.")
+        fields = [f"property double {x}" for x in "xyz"] + [f"property uchar {x}" for x in ("red", "green", "blue")]
+        head = ["ply", "format binary_little_endian 1.0", "comment metres", f"element vertex {len(rows)}", *fields]
+        return "\n".join([*head, "end_header\n"]).encode() + rows.tobytes()
 
     async def panorama(self, request: web.Request) -> web.Response:
         """The panorama of a cloud, JPEG."""

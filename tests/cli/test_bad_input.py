@@ -279,7 +279,7 @@ class TestSimulate:
 
     def test_interrupted(self, tiny, run, tmp_path, monkeypatch):
         """Control-C after some pairs: exit code 130, and no folder."""
-        from jaxscan.cli import simulate
+        from jaxscan.cli import prepare
 
         @contextmanager
         def interrupting(task):
@@ -289,7 +289,7 @@ class TestSimulate:
 
             yield progress
 
-        monkeypatch.setattr(simulate, "progress_bar", interrupting)
+        monkeypatch.setattr(prepare, "progress_bar", interrupting)
         ran = run("simulate", tiny.config, "-o", tmp_path / "s")
         assert (ran.code, ran.out, ran.err) == (130, "", "jaxscan: interrupted\n")
         assert list(tmp_path.iterdir()) == []

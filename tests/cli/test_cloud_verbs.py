@@ -1,6 +1,7 @@
 """`jaxscan info`, `clean` and `register`: what a file is, fewer points, and stations joined."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -122,3 +123,21 @@ class TestRegister:
         assert "expected one for sweeps" in refused("register", tiny.sweep, tiny.sweep, *out)
         assert "does not say where its scanner stood" in refused("register", room, room, *out)
         assert list(tmp_path.iterdir()) == []
+
+    @pytest.mark.slow
+    def test_sweeps_from_two_places(self, tiny, run, tmp_path):
+        """Their walls say where the second stood."""
+        text = tiny.config.read_text()
+        found = re.search(r"rig_m = \[(.*?), (.*?), (.*?)\]", text)
+        x, y, z = map(float, found.groups())
+        text = text.replace(found[0], f"rig_m = [{x + 0.25}, {y - 0.2}, {z}]")
+        # One board, which nobody looks at.
+        text = re.sub(r"(free_views|placements|angles) = \d+", r"\1 = 1", text)
+        (tmp_path / "there.toml").write_text(text)
+        assert run("simulate", tmp_path / "there.toml", "-o", tmp_path / "there").code == 0
+        both = tmp_path / "both.npz"
+        ran = run("register", tiny.sweep, tmp_path / "there/sweep", "-c", tiny.calibration, "-o", both, "--json", "-")
+        assert ran.code == 0, ran
+        first, second = (np.array(one["at_m"]) for one in json.loads(ran.out)["stations"])
+        assert np.linalg.norm(second - first) == pytest.approx(np.hypot(0.25, 0.2), abs=0.01)
+        assert len(jaxscan.load_cloud(both).stations.pose) == 2

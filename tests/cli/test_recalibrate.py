@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -244,7 +245,9 @@ class TestOutput:
         ran = run("recalibrate", "room", "-c", "old.json", "-o", "new.json", "--report", "new.html")
         assert ran.code == 0, ran.err
         lines = ran.out.splitlines()
-        assert lines[-3] == "The rig has drifted: the plane of laser red moved by 0.050 degrees (p < 1e-6)."
+        assert lines[-4] == "The rig has drifted: the plane of laser red moved by 0.050 degrees (p < 1e-6)."
+        # In the figure of `jaxscan calibrate`; the old calibration was written by hand, without a verdict.
+        assert re.fullmatch(r"Good to .*(mm at .* m|px over the image), before not known\.", lines[-2])
         assert lines[-1] == "next: jaxscan reconstruct room -c new.json -o room.ply"
         assert "written: new.json, new.html" in lines
         said = " ".join(lines)
@@ -260,7 +263,7 @@ class TestOutput:
     def test_no_drift(self, recalibrated, run):
         recalibrated["drifted"] = False
         ran = run("recalibrate", "room", "-c", "old.json", "-o", "new.json")
-        *_, verdict, _, following = ran.out.splitlines()
+        *_, verdict, _, _, following = ran.out.splitlines()
         assert verdict == "The rig is as it was calibrated (p = 0.43)."
         assert following == "next: jaxscan reconstruct room -c new.json -o room.ply"
 

@@ -180,7 +180,7 @@ class TestCalibrate:
         header, journal = boards / "capture.toml", boards / "frames.jsonl"
         told = header.read_text()
         # Without the seal, which is broken by another header.
-        journal.write_text("".join(line for line in journal.open() if '"event"' not in line))
+        journal.write_text("".join(line for line in journal.read_text().splitlines(True) if '"event"' not in line))
         given = []
         for name in ("look_at_boards", "to_observations"):
             monkeypatch.setattr(f"jaxscan.api.calibration.{name}", lambda *_, **__: None)
@@ -190,15 +190,9 @@ class TestCalibrate:
             raise CalibrationError("enough")
 
         monkeypatch.setattr("jaxscan.api.calibration.estimate", estimate)
-        for text, settings, expected in (
-            (told, None, None),
-            (told.replace("[turntable]", "[turntable]\nangle_sigma_deg = 0.01"), None, np.radians(0.01)),
-            (
-                told.replace("[turntable]", "[turntable]\nangle_sigma_deg = 0.01"),
-                CalibrationSettings(angle_sigma=1e-3),
-                1e-3,
-            ),
-        ):
+        other = told.replace("[turntable]", "[turntable]\nangle_sigma_deg = 0.01")
+        own = CalibrationSettings(angle_sigma=1e-3)
+        for text, settings, expected in ((told, None, None), (other, None, np.radians(0.01)), (other, own, 1e-3)):
             header.write_text(text)
             with pytest.raises(CalibrationError, match="enough"):
                 jaxscan.calibrate(jaxscan.open_capture(boards), settings=settings)

@@ -1,9 +1,14 @@
 """What the console finds in its folder."""
 
 import json
+import os
 import shutil
 
+import pytest
+
 from jaxscan.cli.console.captures import Captures
+from jaxscan.errors import CaptureError
+from jaxscan.files.calibration import calibration_digest
 
 
 def test_the_newest_good_calibration_is_found(tiny, tmp_path):
@@ -38,3 +43,61 @@ def test_a_capture_is_complete_if_its_session_said_so(tiny, tmp_path):
         journal.write_bytes(records + end)
         (listed,) = Captures(tmp_path).listed()
         assert listed["complete"] is complete and not listed["problem"]
+
+
+def test_a_calibration_beside_the_folder_is_found_if_it_fits_the_rig(tiny, tmp_path):
+    folder = Captures(tmp_path / "captures")
+    shutil.copy(tiny.calibration, tmp_path / "better.json")
+    (tmp_path / "other.json").write_text('{"format": "something/1"}')
+    (tmp_path / "torn.json").write_text('{"format": "jaxscan-calibration/1", ')
+    (tmp_path / "link.json").symlink_to(tiny.calibration)
+    (one,) = folder.calibrations()
+    assert (one["file"], one["beside"], one["good"]) == ("better.json", True, True)
+    assert one["sigma_mm"] > 0 and one["headline"].startswith("Good to ")
+    assert folder.newest_calibration() == tmp_path / "better.json"
+    of_another = Captures(tmp_path / "captures", lambda found: False)
+    assert of_another.newest_calibration() is None and of_another.calibrations() == []
+    # A cloud's own is found all the same.
+    digest = calibration_digest(tmp_path / "better.json")
+    assert of_another.calibration_of(digest) == tmp_path / "better.json"
+
+
+def captured(tmp_path, tiny):
+    """A folder with a capture and what was made of it, beside a file of somebody else."""
+    shutil.copytree(tiny.sweep, tmp_path / "captures" / "room")
+    for suffix in (".ply", ".glb", ".plan.pdf", ".report.html", ".json"):
+        (tmp_path / "captures" / f"room{suffix}").write_text("made")
+    (tmp_path / "own.txt").write_text("mine")
+    return Captures(tmp_path / "captures")
+
+
+def there(folder):
+    return sorted(name.removeprefix("room") for name in os.listdir(folder.folder))
+
+
+def test_a_capture_is_deleted_with_what_was_made_of_it_and_no_more(tiny, tmp_path):
+    folder = captured(tmp_path, tiny)
+    assert folder.listed()[0]["made"] == ["plan", "mesh", "report"]
+    (folder.folder / "elsewhere").symlink_to(tiny.sweep)
+    (folder.folder / "empty").mkdir()
+    (folder.folder / "room" / "link").symlink_to(tmp_path / "own.txt")
+    for name in ("elsewhere", "empty", "nothing", "..", "../captures/room", "room/..", ""):
+        with pytest.raises(CaptureError):
+            folder.delete(name)
+    folder.delete("room")
+    # The calibration stays, and so does what a link in the capture leads to.
+    assert there(folder) == [".json", "elsewhere", "empty"]
+    assert (tmp_path / "own.txt").read_text() == "mine" and (tiny.sweep / "capture.toml").exists()
+
+
+def test_a_capture_is_renamed_with_what_was_made_of_it_unless_the_name_is_taken(tiny, tmp_path):
+    folder = captured(tmp_path, tiny)
+    (folder.folder / "taken.ply").write_text("another")
+    for other in ("taken", "room", "../out", ""):
+        with pytest.raises(CaptureError):
+            folder.rename("room", other)
+    assert there(folder) == ["", ".glb", ".json", ".plan.pdf", ".ply", ".report.html", "taken.ply"]
+    folder.rename("room", "hall")
+    halls = ["hall", "hall.glb", "hall.plan.pdf", "hall.ply", "hall.report.html"]
+    assert there(folder) == [".json", *halls, "taken.ply"]
+    assert [one["name"] for one in folder.listed()] == ["hall"]

@@ -15,6 +15,9 @@ def test_orders_that_are_understood():
     text = '{"do": "sweep", "name": "room_1.b-2", "resume": true}'
     assert parse_order(text) == Order("sweep", "room_1.b-2", resume=True)
     assert parse_order('{"do": "compare", "name": "a", "other": "b"}') == Order("compare", "a", "b")
+    assert parse_order('{"do": "jog", "deg": -10}') == Order("jog", deg=-10)
+    assert parse_order('{"do": "expose", "exposure_ms": 12.5, "gain_db": 0}') == Order("expose", exposure_ms=12.5)
+    assert parse_order('{"do": "light", "on": true}') == Order("light", on=True)
 
 
 NAMES = ["", "..", "../room", "a/../b", "/etc", "a/b", "a\\b", ".hidden", "-o", "a" * 65, "a\n", "a..b", "é"]
@@ -36,6 +39,13 @@ MESSAGES = [
     '{"do": "sweep", "name": "room", "resume": 1}',
     '{"do": "lost", "stop": "yes"}',
     "[" * 4000,
+    *(f'{{"do": "jog", "deg": {deg}}}' for deg in ("1e9", "NaN", "Infinity", "true", '"1"', "null", "[1]", "9" * 400)),
+    *(f'{{"do": "expose", "exposure_ms": {ms}, "gain_db": 0}}' for ms in ("0", "-1", "1e5", "NaN", "true")),
+    '{"do": "expose", "exposure_ms": 10, "gain_db": 101}',
+    '{"do": "light", "on": 1}',
+    '{"do": "delete", "name": "../room"}',
+    '{"do": "rename", "name": "room", "other": "../room"}',
+    '{"do": "rename", "name": "room"}',
     *(json.dumps({"do": "sweep", "name": name, "resume": False}) for name in NAMES),
 ]
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import time
 
 import numpy as np
 import pytest
@@ -136,6 +137,121 @@ def test_the_board_and_its_button_are_seen_together_on_a_telephone(visit, consol
     visit(work)
 
 
+def green(looks):
+    """The buttons that are the next step."""
+    script = """return Array.from(document.querySelectorAll("button.go"), (one) => one.textContent)"""
+    return looks.driver.execute_script(script)
+
+
+def press(looks, text, within="captures"):
+    """Presses the button with these words."""
+    script = """[...document.getElementById(arguments[1]).querySelectorAll("button")]
+        .find((one) => one.textContent === arguments[0]).click()"""
+    looks.driver.execute_script(script, text, within)
+
+
+def test_one_green_button_is_the_next_step_and_the_rig_is_set_by_hand(visit, console, paper):
+    paper.controller.trigger = lambda ms=None: paper.camera.expose(paper.table.position, paper.table.shines)
+
+    def work(looks, url):
+        looks.open(url, (1400, 900))
+        looks.until(lambda: green(looks) == ["Look"])
+        # Camera and cloud fill the desk, and captures are in sight.
+        boxes = looks.driver.execute_script(
+            """return ["picture", "cloud", "captures"].map((id) => {
+                 const box = document.getElementById(id).getBoundingClientRect();
+                 return [box.width, box.height, box.bottom];
+               })"""
+        )
+        assert min(boxes[0][0], boxes[1][0]) > 400 and min(boxes[0][1], boxes[1][1]) > 380 and boxes[2][2] <= 900
+        before = boxes[0][0]
+        looks.driver.execute_script("document.querySelector('.camera .enlarge').click()")
+        assert looks.at("picture").size["width"] > 1.8 * before and not looks.at("cloud").is_displayed()
+        looks.driver.execute_script("document.querySelector('.camera .enlarge').click()")
+        looks.click("aim")
+        looks.until(lambda: "of 255" in looks.text("peak-dn") and looks.colours("histogram") > 1)
+        press(looks, "+10°", "jog")
+        looks.until(lambda: looks.text("angle") == "table at 10.00°")
+        looks.click("light")
+        looks.until(lambda: looks.text("peak-dn") == "–")
+        assert not paper.table.contactor
+        looks.click("light")
+        looks.until(lambda: "of 255" in looks.text("peak-dn"))
+        looks.at("exposure-ms").clear()
+        looks.at("exposure-ms").send_keys("20\ue007")
+        looks.until(lambda: "camera.exposure_ms = 20" in looks.text("exposure"))
+        looks.click("auto")
+        looks.until(lambda: "Auto: " in looks.text("lines"))
+        looks.click("stop")
+        looks.until(lambda: looks.text("doing") == "ready")
+        assert not paper.table.contactor and looks.complaints() == []
+
+    visit(work)
+
+
+def test_a_verdict_has_the_colour_of_the_users_own_goal(visit, console):
+    verdict = {"kind": "good", "headline": "Good to 2.4 mm at 2.5 m", "explanation": ""}
+    about = {"capture": "boards", "well": True, "verdict": verdict, "sigma_mm": 2.4, "at_m": 2.5}
+
+    def work(looks, url):
+        looks.open(url)
+        looks.until(lambda: looks.text("doing") == "ready")
+        kind = lambda: looks.at("headline").get_attribute("class").split()[1:]
+        for goal, colour, said in ((None, [], "Write goal_mm"), (3.0, ["good"], ": met"), (1.0, ["open"], ": not met")):
+            console.slate.write(verdict=about, goal_mm=goal)
+            looks.until(lambda said=said: said in looks.text("goal"))
+            assert kind() == colour
+        calibrations = [
+            {"file": "better.json", "beside": True, "good": True, "headline": "Good to 0.9 mm", "at_m": 2.0}
+        ]
+        calibrations[0] |= {"sigma_mm": 0.9, "changed": time.time() - 7300}
+        console.slate.write(calibration="better.json", calibrations=calibrations, verdict=None)
+        looks.until(lambda: looks.text("calibration") == "Good to 0.9 mm; 2 hours ago")
+        assert looks.at("calibration").get_attribute("class") == "good"
+        assert looks.at("calibrations").get_attribute("value") == "better.json" and green(looks) == ["Scan"]
+
+    visit(work)
+
+
+def test_what_is_made_of_a_capture_and_that_it_is_deleted_only_when_asked_twice(visit, console, monkeypatch):
+    begun = []
+    monkeypatch.setattr("jaxscan.cli.console.works.Works.begin", lambda works, work: begun.append(work.words))
+    (console.captures.folder / "room").mkdir(parents=True)
+    (console.captures.folder / "room" / "capture.toml").write_text("")
+    console.calibration = console.captures.folder / "boards.json"
+    capture = {"name": "room", "kind": "sweep", "records": 1, "complete": True, "problem": "", "changed": 0.0}
+
+    def work(looks, url):
+        looks.open(url)
+        looks.until(lambda: looks.text("doing") == "ready")
+        console.slate.write(calibration="boards.json", captures=[capture | {"cloud": False, "made": []}])
+        looks.until(lambda: green(looks) == ["Reconstruct"])
+        assert "1 record" in looks.text("captures") and "1 records" not in looks.text("captures")
+        console.slate.write(captures=[capture | {"cloud": True, "made": ["plan"]}])
+        looks.until(lambda: green(looks) == ["Look around"])
+        for text in ("Recalibrate", "Mesh", "Report", "Reconstruct"):
+            press(looks, text)
+        looks.until(lambda: len(begun) == 4)
+        link = looks.driver.execute_script("return document.querySelector('#captures a.made').getAttribute('href')")
+        assert link == "/made/room/plan"
+        press(looks, "Delete …")
+        press(looks, "Keep it")
+        press(looks, "Rename …")
+        looks.driver.execute_script("document.querySelector('#captures input').value = 'hall'")
+        press(looks, "Rename")
+        looks.until(lambda: (console.captures.folder / "hall").is_dir())
+        looks.until(lambda: "hall" in looks.text("captures"))
+        press(looks, "Delete …")
+        press(looks, "Delete for good")
+        looks.until(lambda: not (console.captures.folder / "hall").exists())
+        looks.until(lambda: "nothing captured yet" in looks.text("captures"))
+        # The capture on the page has no pictures on the disk.
+        assert [line for line in looks.complaints() if "/pictures/" not in line] == []
+
+    visit(work)
+    assert [words[0] for words in begun] == ["recalibrate", "mesh", "report", "reconstruct"]
+
+
 def test_two_windows(visit):
     def work(looks, url):
         looks.open(url)
@@ -165,6 +281,12 @@ def test_on_a_telephone_nothing_is_cut_off_and_stop_is_at_hand(visit):
             "const b = document.getElementById('stop').getBoundingClientRect(); return [b.top, b.bottom, b.height]"
         )
         assert 0 <= box[0] and box[1] <= 844 and box[2] >= 44
+        # It covers no words: it is in the head of the page, wherever one reads.
+        scroll = "scrollTo(0, arguments[0]); return document.getElementById('stop').getBoundingClientRect().bottom"
+        for top in (0, 300, 600):
+            bottom = looks.driver.execute_script(scroll, top)
+            head = looks.driver.execute_script("return document.querySelector('header').getBoundingClientRect().bottom")
+            assert bottom <= head < 120
 
     visit(work)
 

@@ -1,6 +1,7 @@
 """The scan through pages of the console, on a rig on paper."""
 
 import asyncio
+import json
 import os
 import signal
 import socket
@@ -297,6 +298,72 @@ def test_aiming_shows_line_and_exposure_until_a_scan_takes_over(console, paper):
 
     console.run(pages)
     assert records(console) == 10 and dark(paper)
+
+
+def test_table_laser_and_exposure_by_hand_while_somebody_looks(console, paper):
+    paper.controller.trigger = lambda ms=None: paper.camera.expose(paper.table.position, paper.table.shines)
+
+    async def pages(console):
+        page = await console.open()
+        await page.order("jog", deg=10)
+        await page.until(lambda page: page.refused)
+        assert page.refused[0].startswith("press Look first")
+        await page.order("aim")
+        await page.until(lambda page: page.state.get("live", {}).get("exposure"))
+        assert len(page.state["live"]["histogram"]) == 64
+        await page.order("jog", deg=30)
+        await page.until(lambda page: page.state["live"].get("angle_deg") == 30.0)
+        await page.order("light", on=False)
+        await page.until(lambda page: page.state["live"].get("dark"))
+        assert dark(paper)
+        await page.order("light", on=True)
+        await page.until(lambda page: page.state["live"].get("dark") is False)
+        await page.order("expose", exposure_ms=12.5, gain_db=1.0)
+        await page.until(lambda page: page.state["wish"]["exposure_ms"] == 12.5)
+        async with asyncio.timeout(60):
+            while paper.controller.settings.exposure_ms != 13:
+                await asyncio.sleep(0.05)
+        await page.order("auto")
+        state = await page.until(lambda page: any("Auto: " in line["says"] for line in page.state["lines"]))
+        assert state["wish"]["exposure_ms"] != 12.5
+        # Not so short or long that the configuration would refuse it; another page than the one that operates may not.
+        watcher = await console.open()
+        await watcher.order("expose", exposure_ms=5.0, gain_db=0.0)
+        await watcher.until(lambda page: page.refused)
+        await page.order("expose", exposure_ms=20.0, gain_db=0.0)
+        await page.order("stop")
+        await page.until(lambda page: page.state["doing"] == "nothing")
+        assert dark(paper) and page.state["laser"] == "off"
+        # What follows is exposed as it was set.
+        await page.order("sweep", name="room", resume=False)
+        await page.done()
+
+    console.run(pages)
+    assert records(console) == 10 and dark(paper)
+    assert paper.controller.settings.exposure_ms == 20
+
+
+def test_captures_are_renamed_and_deleted_unless_something_is_done(console, paper, held):
+    waits, go = held(4)
+
+    async def pages(console):
+        page = await console.open()
+        await page.order("sweep", name="room", resume=False)
+        await waiting(waits)
+        for order in ({"do": "delete", "name": "room"}, {"do": "rename", "name": "room", "other": "hall"}):
+            await page.socket.send_str(json.dumps(order))
+        await page.until(lambda page: len(page.refused) == 2)
+        assert all("wait until it is done" in line for line in page.refused)
+        go.set()
+        await page.until(lambda page: page.state["finished"] == 1)
+        await page.order("rename", name="room", other="hall")
+        await page.until(lambda page: [one["name"] for one in page.state["captures"]] == ["hall"])
+        await page.order("delete", name="hall")
+        await page.until(lambda page: page.state["captures"] == [])
+        assert (await console.get("/made/hall/mesh"))[0] == 404 and (await console.get("/made/..%2f/mesh"))[0] == 404
+
+    console.run(pages)
+    assert not console.captures.path("hall").exists()
 
 
 def test_ctrl_c_ends_the_console_after_the_step(console, paper):

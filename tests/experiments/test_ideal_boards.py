@@ -5,8 +5,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from worlds.ideal_boards import PosePlan, add_noise, draw_poses, ideal_boards
-from worlds.ideal_rig import lens_flaw
+from worlds.exact_rig import PosePlan, add_noise, draw_poses, ideal_boards, lens_flaw
 
 import jaxscan
 from jaxscan.geometry import invert, transform

@@ -183,7 +183,7 @@ WANDER_DEG = 360.0 / 28_800 / np.sqrt(12.0)
 
 def seen_with_features(seed):
     """A sweep whose table stops anywhere within a microstep, points of its walls and features, and a calibration."""
-    how = Sweeping(*SMALL[:1], line_stride=SMALL[1], furniture=False, noise=Noise(px=0.0), wander_deg=WANDER_DEG)
+    how = Sweeping(SMALL[0], line_stride=SMALL[1], furniture=False, noise=Noise(px=0.0), wander_deg=WANDER_DEG)
     room, random = true_sweep(config(), seed, how), np.random.default_rng([seed, 9])
     prior = stored(truth_scanner(), random)
     noise = 0.1 * random.standard_normal(int((room[1].surface >= 0).sum()))

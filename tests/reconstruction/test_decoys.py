@@ -7,7 +7,7 @@ import pytest
 
 from jaxscan.errors import CaptureError
 from jaxscan.reconstruction import ReconstructSettings, Sweep, extract
-from jaxscan.reconstruction.decoys import DecoyWatch, judge
+from jaxscan.reconstruction.decoys import DecoyWatch, clearness, judge
 from jaxscan.reconstruction.sweep import Batch
 from jaxscan.stripes import ChunkStripes, FrameStripes
 
@@ -64,7 +64,7 @@ LIT = slice(100, 200)
 @pytest.mark.more
 @pytest.mark.parametrize(
     ("pixel_format", "seed", "yaw_deg", "false"),
-    [pytest.param("rgb8", 10, 230.0, 0.015), pytest.param("mono8", 8, 50.0, 0.04, marks=pytest.mark.slow)],
+    [pytest.param("rgb8", 10, 230.0, 0.01), pytest.param("mono8", 8, 50.0, 0.005, marks=pytest.mark.slow)],
 )
 def test_lines_that_no_laser_lights_do_not_refuse_the_others(pixel_format, seed, yaw_deg, false):
     """As of an object on a table, which is all of the picture that the laser reaches."""
@@ -131,6 +131,29 @@ def test_a_small_object_keeps_its_stripes_beside_a_clear_decoy(decoys):
     rng = np.random.default_rng(2)
     chance = _judged(_clear(rng, 320, 20.0), _clear(rng, decoys, 100.0), per_profile=40.0)
     assert chance.least == 0.0 and chance.note is None
+
+
+def test_a_line_beside_a_few_clearer_decoys_is_kept_and_said():
+    rng = np.random.default_rng(2)
+    chance = _judged(_clear(rng, 320, 20.0), _clear(rng, 12, 100.0), per_profile=40.0)
+    assert chance.least == 0.0 and chance.note is not None and "as clear as these" in chance.note
+
+
+def test_a_stripe_that_goes_on_is_clearer():
+    """One line with a gap, one that jumps, and one row by itself, of the same fits."""
+    lines = 40
+    u = np.tile(0.5 * np.arange(lines), (3, 1)).astype(np.float32)
+    u[1, ::2] += 30
+    valid = np.ones(u.shape, bool)
+    valid[0, 20], valid[2] = False, np.arange(lines) == 20
+    one = np.ones(u.shape, np.float32)
+    clear = clearness({"valid": valid, "u": u, "width": one, "sigma": 0.1 * one, "amplitude": 25 * one})
+    np.testing.assert_allclose(clear[0, 10], [10.0, 50.0], rtol=1e-5)
+    # A line that has no stripe is no end.
+    np.testing.assert_allclose(clear[0, 18], [10.0, 50.0], rtol=1e-5)
+    for row in (1, 2):
+        np.testing.assert_allclose(clear[row, 20], np.array([10.0, 50.0]) / 121, rtol=1e-5)
+    assert not clear[~valid].any()
 
 
 def test_decoys_raise_the_threshold():

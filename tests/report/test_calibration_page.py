@@ -234,7 +234,7 @@ def test_a_file_without_observations(calibration):
 
 def test_a_camera_alone(calibration):
     order = calibration.camera.parameter_names()
-    stripes = [f"stripe_{name}" for name in ("error", "sigma", "leverage", "kept")]
+    stripes = [f"stripe_{name}" for name in ("error", "sigma", "leverage", "inlier")]
     fit = dataclasses.replace(calibration.fit, **{name: getattr(calibration.fit, name)[:0] for name in stripes})
     alone = dataclasses.replace(
         calibration, scanner=None, order=order, covariance=calibration.covariance[:9, :9], fit=fit

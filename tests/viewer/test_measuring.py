@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxscan
+from jaxscan.errors import MeasurementError
 from jaxscan.viewer import Named, View
 from jaxscan.viewer.measuring import (
     as_csv,
@@ -141,9 +142,9 @@ def test_a_page_measures_undoes_and_saves(tiny, shown, flat):
     a, b = distant(flat)
     session.carry_out(Order("choose", "distance"))
     state = session.carry_out(Order("pick", ray=ray_to(shown, a), shifts=shifts))
-    assert state["first"] is not None and not state["measured"] and "other place" in state["message"]
+    assert len(state["places"]) == 1 and not state["measured"] and "other place" in state["message"]
     state = session.carry_out(Order("pick", ray=ray_to(shown, b), shifts=shifts))
-    assert state["first"] is None and len(state["measured"]) == 1
+    assert state["places"] == [] and len(state["measured"]) == 1
     # In the frame of the scene, for the page to draw.
     drawn = [np.array(end["xyz"]) + shown.origin for end in state["measured"][0]["at"]]
     assert np.linalg.norm(drawn[1] - drawn[0]) == pytest.approx(session.measured[0][1].value_m, abs=0.03)
@@ -179,26 +180,91 @@ def test_what_a_turned_section_hides_is_not_picked(shown, flat):
         assert len(session.measured) == hit
 
 
-def test_what_was_begun_is_dropped_when_something_else_is_wanted(shown, flat):
+def test_what_was_begun_ends_only_when_somebody_says_so(shown, flat):
     session = Session([shown, shown], None)
     shifts = ((0, np.zeros(3)), (1, np.zeros(3)))
     room, click = Order("room", shifts=shifts), Order("pick", ray=ray_to(shown, flat[0]), shifts=shifts)
-    for other in (Order("cancel"), Order("undo"), Order("clear"), Order("choose", "flatness"), click, room):
+    for other in (Order("cancel"), Order("undo"), Order("clear")):
         work = session.begin(room)
         assert isinstance(work, Work) and session.state()["measuring"] and session.finish(work._replace(id=-1)) is None
-        session.begin(other)
+        assert session.begin(other)["message"] == "Ended: what went on was not measured."
         assert session.finish(work) is None and session.measured == []
     # Nor is the second cloud measured for nobody.
     assert work.measure(lambda: False) == ([], "")
-    session.carry_out(Order("choose", "point"))
-    state = session.carry_out(click)
-    assert len(state["measured"]) == 1 and not state["measuring"]
-    # Entries of the list may be saved and taken out meanwhile; to take back is to end it.
+    # Another kind and another click drop nothing.
     work = session.begin(room)
+    session.carry_out(Order("choose", "flatness"))
+    assert session.carry_out(click)["measuring"] == 1
+    assert session.finish(work)["measuring"] == 0
+    assert [entry.measured.kind for entry in session.measured] == ["flatness", *6 * ["room"]]
+    # Not more than some go on at a time, and that is said.
+    works = [session.begin(room) for _ in range(4)]
+    assert session.begin(room)["message"].startswith("4 measurements go on")
+    # Entries of the list may be saved and taken out meanwhile; to take back is to end what goes on.
     assert session.begin(Order("save", "csv"))["file"] == "measured.csv"
-    assert session.begin(Order("remove", id=state["measured"][0]["id"]))["measuring"]
-    assert session.begin(Order("cancel"))["message"] == "Ended: nothing was measured."
-    assert session.begin(Order("cancel"))["message"] == ""
+    assert session.begin(Order("remove", id=session.measured[0].id))["measuring"] == 4
+    session.begin(Order("cancel"))
+    assert all(session.finish(work) is None for work in works)
+    assert session.begin(Order("cancel"))["message"] == "" and len(session.measured) == 6
+
+
+def is_flat(shown, place):
+    """Whether a plane is known there, and points enough within 20 mm."""
+    try:
+        found = measure_flatness(shown, place + shown.origin)
+    except MeasurementError:
+        return False
+    return found.value < 2e-3 and (np.linalg.norm(shown.xyz - place, axis=1) < 0.019).sum() >= 4
+
+
+def walls_of(shown):
+    """A place on each of two walls that meet, m, in the cloud's frame."""
+    turned = np.array([[np.cos(shown.walls), np.sin(shown.walls)], [-np.sin(shown.walls), np.cos(shown.walls)]])
+    along = shown.sides[:, :2] / 127.0 @ turned.T
+    walls = (shown.xyz[along[:, axis] > 0.995] for axis in (0, 1))
+    return [next(place for place in wall[::5] if is_flat(shown, place)) + shown.origin for wall in walls]
+
+
+def test_an_angle_a_height_and_an_area(shown):
+    session, shifts = Session([shown], None), ((0, np.zeros(3)),)
+    click = lambda place: session.carry_out(Order("pick", ray=ray_to(shown, place), shifts=shifts))
+    a, b = walls_of(shown)
+    for kind in ("angle", "height"):
+        session.carry_out(Order("choose", kind))
+        assert len(click(a)["places"]) == 1
+        state = click(b)
+        assert state["places"] == [] and state["message"] == ""
+    angle, height = (entry.measured for entry in session.measured)
+    # The room is a box.
+    assert abs(angle.value - 90) < 3 * angle.sigma < 3 and (angle.unit, angle.value_m) == ("deg", None)
+    low, high = height.at[:, 2]
+    assert height.value_m == pytest.approx(high - low, abs=0.02) and height.sigma_m > 0
+    session.carry_out(Order("choose", "area"))
+    assert "three corners" in session.carry_out(Order("close"))["message"]
+    corners = [a, b, a + [0, 0, 0.4]]
+    for corner in corners:
+        state = click(corner)
+    assert len(state["places"]) == 3
+    # The first corner again closes it.
+    assert click(a)["places"] == []
+    area = session.measured[-1].measured
+    p, q, r = area.at
+    assert area.value == pytest.approx(0.5 * np.linalg.norm(np.cross(q - p, r - p)), rel=1e-6)
+    (row,) = csv.DictReader(io.StringIO(as_csv([area]).decode()))
+    assert (row["unit"], row["value_m"]) == ("m2", "") and float(row["value"]) == pytest.approx(area.value, abs=1e-5)
+
+
+def test_the_volume_of_a_box_that_is_closed(shown):
+    session, shifts = Session([shown], None), ((0, np.zeros(3)),)
+    box = np.array([[-1.0, -1.0, -0.5], [1.0, 2.0, 0.5]])
+    state = session.carry_out(Order("box", shifts=shifts, section=box, turn_rad=0.3))
+    (found,) = session.measured
+    c, s = np.cos(0.3), np.sin(0.3)
+    inside = shown.xyz @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]).T
+    count = np.count_nonzero(((inside >= box[0]) & (inside <= box[1])).all(1))
+    assert found.measured.value == pytest.approx(6.0) and f"{count:,} points" in state["measured"][0]["words"][0]
+    box[1, 2] = 1e6
+    assert "is open" in session.carry_out(Order("box", shifts=shifts, section=box))["message"]
 
 
 def test_a_page_that_clicks_beside_is_told(shown):

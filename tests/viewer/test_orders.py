@@ -25,6 +25,8 @@ def test_a_good_one():
     assert parse_order(json.dumps({"do": "room", "clouds": []}), 1).shifts == ()
     assert parse_order('{"do": "save", "what": "csv"}', 1).what == "csv"
     assert parse_order('{"do": "remove", "id": 7}', 1).id == 7
+    assert parse_order('{"do": "close"}', 1).do == "close" and not order.surface
+    assert parse_order(json.dumps(GOOD | {"do": "cut", "surface": True}), 2).surface
     assert order.turn_rad == 0 and parse_order(json.dumps(GOOD | {"turn_rad": 0.5}), 2).turn_rad == 0.5
 
 
@@ -52,6 +54,8 @@ def test_a_good_one():
         {"clouds": [{"number": 0}]},
         {"clouds": 3 * [{"number": 0, "shift": [0, 0, 0]}]},
         {"section": [[0, 0, 0]]},
+        {"do": "box", "section": None},
+        {"do": "cut", "section": None},
         {"section": "all"},
         {"turn_rad": "much"},
         {"turn_rad": None},

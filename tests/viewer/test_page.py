@@ -331,7 +331,7 @@ def test_a_page_that_goes_while_something_is_measured_is_no_news(looks, url, cap
     assert caplog.text == ""
 
 
-def test_escape_and_a_click_end_a_long_measurement(opened, monkeypatch):
+def test_escape_ends_a_long_measurement_and_a_click_does_not(opened, monkeypatch):
     go, running = threading.Event(), []
 
     def slowly(*_):
@@ -346,17 +346,107 @@ def test_escape_and_a_click_end_a_long_measurement(opened, monkeypatch):
             opened.click("room")
             opened.until(lambda: running and "ends it" in opened.text("seconds"))
             opened.at("cloud").send_keys("\ue00c")
-            opened.until(lambda: opened.text("message") == "Ended: nothing was measured.")
+            opened.until(lambda: opened.text("message") == "Ended: what went on was not measured.")
             # A measurement that nobody waits for goes on; a click does not wait for it, and others do not pile up.
             for _ in range(4):
                 opened.click("room")
+            opened.click("room")
+            opened.until(lambda: opened.text("message").startswith("4 measurements go on"))
+            assert len(running) == AT_ONCE
+            opened.click("undo")
             measure_somewhere(opened, "point")
-            assert len(listed(opened)) == 1 and len(running) == AT_ONCE
+            assert len(listed(opened)) == 1
         finally:
             go.set()
     opened.until(lambda: not running)
     time.sleep(0.3)
     assert len(listed(opened)) == 1 and "too late" not in opened.text("message")
+    assert opened.complaints() == []
+
+
+def saved(looks, name):
+    """What a button saves: the name of the file, and its bytes."""
+    script = """
+        const [id, done] = arguments, make = URL.createObjectURL, click = HTMLAnchorElement.prototype.click;
+        let blob = null;
+        URL.createObjectURL = (one) => { blob = one; return make(one); };
+        HTMLAnchorElement.prototype.click = function () {
+          URL.createObjectURL = make; HTMLAnchorElement.prototype.click = click;
+          const reader = new FileReader();
+          reader.onload = () => done([this.download, reader.result.split(",")[1]]);
+          reader.readAsDataURL(blob);
+        };
+        document.getElementById(id).click();"""
+    file, text = looks.driver.execute_async_script(script, name)
+    return file, base64.b64decode(text)
+
+
+def test_bearings_the_surface_and_what_is_saved(opened, room):
+    # Names, axes and a scale bar.
+    assert opened.text("caption").endswith(f" · {2 * int(room.cloud.valid.sum()):,} points")
+    assert opened.text("bar-of-scale").split()[1] in ("m", "cm") and opened.colours("axes") > 3
+    # From above the walls lie along the picture: its upper and its left edge are full of points.
+    opened.click("above")
+    settle(opened)
+    seen = picture(opened, "cloud")[..., 1] > 40
+    rows, columns = np.nonzero(seen)
+    top, left = np.percentile(rows, 1), np.percentile(columns, 1)
+    assert np.ptp(columns[rows < top + 12]) > 0.7 * np.ptp(columns)
+    assert np.ptp(rows[columns < left + 12]) > 0.7 * np.ptp(rows)
+    opened.click("outside")
+    settle(opened)
+    # The surface closes the gaps between the points, and edges are shaded unless that is not wanted.
+    before = lit(opened)
+    opened.click("surface")
+    opened.until(lambda: lit(opened) > 1.2 * before)
+    opened.until(lambda: opened.colours("cloud") > 200)
+    settle(opened)
+    shaded = picture(opened, "cloud")
+    opened.click("shades")
+    opened.until(lambda: (picture(opened, "cloud") != shaded).any())
+    settle(opened)
+    plain = picture(opened, "cloud")
+    assert (plain[..., :3] >= shaded[..., :3]).all() and (plain > shaded).any()
+    # A click between the profiles means a point, now that there is a surface.
+    measure_somewhere(opened, "point")
+    file, png = saved(opened, "picture")
+    assert file == "view.png" and cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR).shape[:2] == WIDE[::-1]
+    # A box of the section: its volume, and its points as a file.
+    opened.driver.execute_script("for (const one of document.querySelectorAll('details')) one.open = true")
+    opened.click("volume")
+    opened.until(lambda: "is open" in opened.text("message"))
+    opened.driver.execute_script(
+        """for (const end of ["from", "to"]) for (const axis of ["x", "y", "z"]) {
+             const slider = document.getElementById(`${axis}-${end}`);
+             slider.value = Number(slider.value) + (end === "to" ? -0.3 : 0.1);
+             slider.dispatchEvent(new Event("input"));
+           }"""
+    )
+    opened.click("volume")
+    opened.until(lambda: "m³" in opened.text("measured"))
+    count = int(listed(opened)[-1].split(", ")[2].split()[0].replace(",", ""))
+    file, ply = saved(opened, "save-section")
+    head, _, body = ply.partition(b"end_header\n")
+    # The room's cloud is there twice.
+    assert file == "section.ply" and f"element vertex {count}\n".encode() in head and len(body) == 27 * count
+    assert 0 < count < 2 * room.cloud.valid.sum()
+    assert opened.complaints() == []
+
+
+def test_a_new_legend_has_no_old_colours_and_asks_for_nothing_that_is_not_there(opened):
+    colour_by(opened, "deviation")
+    opened.until(lambda: opened.text("message").startswith("Measure the flatness of a place first"))
+    # Colours that do not come.
+    opened.driver.execute_script(
+        """const fetched = window.fetch, never = new Promise(() => {});
+           window.fetch = (path, ...more) => String(path).startsWith("colours/") ? never : fetched(path, ...more);"""
+    )
+    colour_by(opened, "sigma")
+    opened.until(lambda: opened.text("scale-words").endswith(" mm"))
+    settle(opened)
+    seen = picture(opened, "cloud").astype(int)
+    grey = np.ptp(seen[seen[..., 1] > 40][:, :3], axis=1)
+    assert len(grey) and grey.max() == 0
     assert opened.complaints() == []
 
 

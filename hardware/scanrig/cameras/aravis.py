@@ -525,6 +525,10 @@ class AravisCamera(ClosedAtExit):
         if self._started:
             self.start()
 
+    def adopt(self, settings: CameraSettings) -> None:
+        self._settings = settings
+        self.reopen()
+
     def close(self) -> None:
         self._started = False
         self._let_go()

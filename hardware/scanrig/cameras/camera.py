@@ -192,6 +192,14 @@ class Camera(Protocol):
             CameraError: If it is another camera, or does not take a setting.
         """
 
+    def adopt(self, settings: CameraSettings) -> None:
+        """Take other settings of the same camera from now on: `reopen` with them.
+
+        Raises:
+            CameraLost: If it is not found (yet).
+            CameraError: If it does not take a setting.
+        """
+
     def close(self) -> None:
         """Close the camera."""
 

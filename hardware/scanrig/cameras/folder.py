@@ -106,6 +106,10 @@ class FolderCamera(ClosedAtExit):
         self._open()
         self._closed = False
 
+    def adopt(self, settings: CameraSettings) -> None:
+        self._settings = settings
+        self.reopen()
+
     def close(self) -> None:
         self._closed = True
 

@@ -184,6 +184,10 @@ class OpenCVCamera(ClosedAtExit):
         if started:
             self.start()
 
+    def adopt(self, settings: CameraSettings) -> None:
+        self._settings = settings
+        self.reopen()
+
     def close(self) -> None:
         self._stop.set()
         self._started = False

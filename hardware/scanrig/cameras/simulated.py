@@ -261,6 +261,10 @@ class SimulatedCamera(ClosedAtExit):
         self.device = {**wanted(self.settings), **self.after_reopen}
         require(self.device, wanted(self.settings), name=str(self.identity))
 
+    def adopt(self, settings: CameraSettings) -> None:
+        self.settings = settings
+        self.reopen()
+
     def close(self) -> None:
         with self._changed:
             self._closed = self._lost = True

@@ -5,6 +5,6 @@
 and `steps.py`, which takes, proves and writes one pair.
 """
 
-from scanrig.session.aim import Sight, run_aiming
+from scanrig.session.aim import Sight, Wish, run_aiming
 from scanrig.session.job import Devices, Hooks, Interrupts, SessionResult
 from scanrig.session.run import Operator, PlacementRequest, run_calibration, run_sweep

@@ -3,14 +3,16 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from scanrig.checks import PairProof
-from scanrig.config import RigConfig
+from scanrig.config import RigConfig, with_exposure
 from scanrig.controllers import require_allowed
+from scanrig.errors import CameraError
 from scanrig.session.job import Devices, Hooks, say_event
+from scanrig.session.plan import angle_deg, controller_settings, nearest
 from scanrig.session.recovery import RecoveringRig
 from scanrig.session.run import ended_by, leave_safe
 from scanrig.session.steps import ProvenPair, prove
@@ -20,36 +22,54 @@ PAUSE_S = 0.2
 """Rest between two looks, so that the laser is mostly dark."""
 
 
+class Wish(NamedTuple):
+    """What a person who aims wants to see."""
+
+    angle_deg: float = 0.0
+    """Where the table is to point; it goes no further than `turntable.limits_deg`."""
+    lit: bool = True
+    """Whether the laser is to shine, for the time of a frame each; else its contactor stays open."""
+    exposure_ms: float | None = None
+    """None: that of the configuration."""
+    gain_db: float | None = None
+
+
 @dataclass(frozen=True)
 class Sight:
-    """One look: two frames of the table's home angle."""
+    """One look."""
 
-    pair: ProvenPair
-    """Not proven where `proof.ok` says so."""
-
-    @property
-    def on(self) -> np.ndarray:
-        """The laser-on frame, uint8 [rows, columns] (rgb8: and 3)."""
-        return self.pair.on.image
-
-    @property
-    def off(self) -> np.ndarray:
-        """The laser-off frame."""
-        return self.pair.off.image
+    pair: ProvenPair | None
+    """Frames with and without the laser, not proven where `proof.ok` says so; None where it is to be dark."""
+    off: np.ndarray
+    """The laser-off frame, uint8 [rows, columns] (rgb8: and 3)."""
+    angle_deg: float
+    """Where the table points."""
 
     @property
-    def proof(self) -> PairProof:
+    def on(self) -> np.ndarray | None:
+        """The laser-on frame."""
+        return None if self.pair is None else self.pair.on.image
+
+    @property
+    def proof(self) -> PairProof | None:
         """What the frames show."""
-        return self.pair.proof
+        return None if self.pair is None else self.pair.proof
 
 
-def run_aiming(config: RigConfig, devices: Devices, see: Callable[[Sight], None], hooks: Hooks | None = None) -> str:
-    """Take pairs at home until the operator asks to stop; nothing is written.
+def run_aiming(
+    config: RigConfig,
+    devices: Devices,
+    see: Callable[[Sight], None],
+    hooks: Hooks | None = None,
+    wish: Callable[[], Wish] = Wish,
+) -> str:
+    """Take frames until the operator asks to stop; nothing is written.
 
     Args:
         devices: Controller and camera, open.
         see: Called with every look; with several lasers they take turns.
         hooks: Callbacks, of which `notify` and `should_stop` are used.
+        wish: What is to be seen next; asked before each look.
 
     Returns:
         A line for people where an e-stop ended it, or where it could not be confirmed that the laser is off; else "".
@@ -67,16 +87,27 @@ def run_aiming(config: RigConfig, devices: Devices, see: Callable[[Sight], None]
             hooks.notify(sentence)
 
     rig, said, error = RecoveringRig(config, devices, note), "", None
+    refused: RigConfig | None = None
     try:
         rig.prepare()
         rig.doing(lambda: rig.home("start"), "homing")
+        lit = True
         for number in count():
             if hooks.should_stop():
                 break
-            laser = config.laser_of(number)
-            taken, doubt = rig.grab(0, number)
-            proof = prove(taken, config, laser)
-            see(Sight(ProvenPair(taken.on, taken.off, proof, taken.position, doubt.reasons, laser)))
+            wanted = wish()
+            exposed = _exposed(config, wanted)
+            # What the camera refused once it is not asked again.
+            if exposed.camera != rig.config.camera and exposed != refused:
+                try:
+                    rig.adopt(exposed)
+                except CameraError as problem:
+                    refused = exposed
+                    hooks.notify(f"{problem} The former exposure stays.")
+            if wanted.lit != lit:
+                lit = wanted.lit
+                (rig.light if lit else rig.dark)()
+            see(_sight(rig, _reachable(config, wanted.angle_deg), number, lit=lit))
             devices.clock.sleep(PAUSE_S)
     except BaseException as problem:
         ending = ended_by(problem, devices.controller)
@@ -87,3 +118,31 @@ def run_aiming(config: RigConfig, devices: Devices, see: Callable[[Sight], None]
             error.args = (f"{str(error).rstrip('.')}. {unsafe}", *error.args[1:])
         raise error
     return " ".join(part for part in (said, unsafe) if part)
+
+
+def _sight(rig: RecoveringRig, to: int, number: int, *, lit: bool) -> Sight:
+    at = angle_deg(to, rig.config.microsteps_per_turn)
+    if not lit:
+        if to != rig.at:
+            rig.approach(to)
+        return Sight(None, rig.look(), at)
+    laser = rig.config.laser_of(number)
+    taken, doubt = rig.grab(to, number)
+    proof = prove(taken, rig.config, laser)
+    pair = ProvenPair(taken.on, taken.off, proof, taken.position, doubt.reasons, laser)
+    return Sight(pair, taken.off.image, at)
+
+
+def _exposed(config: RigConfig, wanted: Wish) -> RigConfig:
+    """The configuration with the exposure that is wanted."""
+    camera = config.camera
+    exposure = camera.exposure_ms if wanted.exposure_ms is None else wanted.exposure_ms
+    gain = camera.gain_db if wanted.gain_db is None else wanted.gain_db
+    return with_exposure(config, exposure, gain)
+
+
+def _reachable(config: RigConfig, angle: float) -> int:
+    """The position of an angle, or the nearest one within the table's limits [microsteps]."""
+    turn = config.microsteps_per_turn
+    low, high = controller_settings(config).limits or (-turn, turn)
+    return min(max(nearest(angle, turn), low), high)

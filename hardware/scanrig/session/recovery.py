@@ -11,6 +11,7 @@ from scanrig.cameras import Features, reopen_camera
 from scanrig.config import RigConfig
 from scanrig.controllers import Firmware, Status
 from scanrig.errors import (
+    CameraError,
     CameraLost,
     CameraTimeout,
     Fault,
@@ -145,6 +146,28 @@ class RecoveringRig:
         """Close the contactor again."""
         self._dark = False
         self.doing(lambda: self.arm(True), "closing the contactor")
+
+    def adopt(self, config: RigConfig) -> None:
+        """Go on with other settings of the same camera; the laser stays off until it has them.
+
+        Raises:
+            CameraError: If the camera does not take them. It has the former ones then.
+        """
+        before, self.config, refused = self.config, config, None
+        self._numbers.forget()
+        self._quieten()
+        try:
+            self.camera.adopt(config.camera)
+        except CameraError as problem:
+            self.config, refused = before, problem
+            self.camera.adopt(before.camera)
+        self.camera.start()
+        self.features = self.camera.features()
+        self.doing(lambda: self.controller.configure(controller_settings(self.config)), "other settings")
+        if not self._dark:
+            self.doing(lambda: self.arm(True), "closing the contactor")
+        if refused is not None:
+            raise refused
 
     def look(self) -> np.ndarray:
         """Take a frame without laser: uint8 [rows, columns] (rgb8: and 3).

@@ -2,6 +2,8 @@
 
 import json
 import os
+import shutil
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -9,11 +11,13 @@ from typing import Any
 import numpy as np
 
 from jaxscan import api
+from jaxscan.calibration import Calibration
 from jaxscan.cli.console.orders import NAME
 from jaxscan.cli.console.slate import MOST_POINTS, pack_points
 from jaxscan.errors import CaptureError, JaxscanError, OutputError
 from jaxscan.files.calibration import calibration_digest
 from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, Capture, journal_objects, read_texts
+from jaxscan.files.disk import open_regular
 from jaxscan.report import words
 from jaxscan.vision import encode_jpeg, to_grey
 
@@ -21,6 +25,11 @@ from jaxscan.vision import encode_jpeg, to_grey
 MOST = 200
 """Captures that are listed."""
 _CLOUD = ".ply"
+MADE = {"cloud": _CLOUD, "plan": ".plan.pdf", "mesh": ".glb", "report": ".report.html"}
+"""What is made of a capture, and how its file ends behind the capture's name."""
+_FORMAT, _HEAD = b'"jaxscan-calibration/', 200
+_MOST_FILES, _MOST_CALIBRATIONS, _MOST_BYTES = 2000, 20, 64 << 20
+"""Files that are looked at for calibrations, calibrations that are listed, and the size of one."""
 _THUMBNAIL = 240
 """Width of a thumbnail [px]."""
 _WIDE = 960
@@ -29,10 +38,16 @@ _WIDE = 960
 class Captures:
     """The captures in a folder; whoever made them is a stranger, and so are their names."""
 
-    def __init__(self, folder: Path) -> None:
-        """The folder need not exist yet."""
-        self.folder = folder
+    def __init__(self, folder: Path, fits: Callable[[Calibration], bool] = lambda one: True) -> None:
+        """The folder need not exist yet.
+
+        Args:
+            folder: Where they are.
+            fits: Whether a calibration is one of the rig.
+        """
+        self.folder, self._fits = folder, fits
         self._known: dict[str, tuple[tuple[int, int], dict[str, Any]]] = {}
+        self._described: dict[str, tuple[tuple[int, int], dict[str, Any] | None]] = {}
 
     def path(self, name: str) -> Path:
         """Where a capture of this name is, or would be.
@@ -53,23 +68,97 @@ class Captures:
         return self.path(name).with_name(name + ".json")
 
     def newest_calibration(self) -> Path | None:
-        """The calibration of the newest capture of the board that has one which may be used."""
-        for one in self.listed():
-            file = self.calibration(one["name"])
-            if one["kind"] != "calibration" or not os.path.isfile(file):
-                continue
+        """The newest calibration that lies in the folder or beside it, may be used, and fits the rig."""
+        return next((self.folder_of(one) / one["file"] for one in self.calibrations() if one["good"]), None)
+
+    def folder_of(self, calibration: dict[str, Any]) -> Path:
+        """Where a listed calibration lies."""
+        return self.folder.parent if calibration["beside"] else self.folder
+
+    def calibrations(self, *, of_any_rig: bool = False) -> list[dict[str, Any]]:
+        """The calibrations in the folder and beside it that fit the rig, or all of them, the newest first.
+
+        Beside it are those that were made in a terminal. A file with the name of a sweep was not made of it.
+        """
+        sweeps = {one["name"] for one in self.listed() if one["kind"] != "calibration"}
+        found: dict[str, dict[str, Any]] = {}
+        for beside, folder in ((False, self.folder), (True, self.folder.parent)):
+            for name in _names(folder)[:_MOST_FILES]:
+                path = folder / name
+                if not name.endswith(".json") or not NAME.fullmatch(name) or name in found or os.path.islink(path):
+                    continue
+                if not os.path.isfile(path) or name.removesuffix(".json") in sweeps:
+                    continue
+                about = self._calibration(path)
+                if about is not None and (about["fits"] or of_any_rig):
+                    found[name] = about | {"file": name, "beside": beside, "changed": _changed(path)[0] / 1e9}
+        return sorted(found.values(), key=lambda one: -float(one["changed"]))[:_MOST_CALIBRATIONS]
+
+    def _calibration(self, path: Path) -> dict[str, Any] | None:
+        """What is known of a calibration; None of another file."""
+        state = _changed(path)
+        if str(path) not in self._described or self._described[str(path)][0] != state:
+            about = None
+            # Many files end in .json, and some are large.
             with suppress(JaxscanError):
-                if words.headline(api.load_calibration(file)).kind == "good":
-                    return file
-        return None
+                with open_regular(path, error=CaptureError, limit=_MOST_BYTES, links="refuse") as file:
+                    head = file.read(_HEAD)
+                if _FORMAT in head:
+                    found = api.load_calibration(path)
+                    about = judged(found) | {"fits": self._fits(found)}
+            self._described[str(path)] = (state, about)
+        return self._described[str(path)][1]
 
     def calibration_of(self, digest: str) -> Path | None:
-        """The file in the folder that is the calibration of this digest."""
-        for one in self.listed():
-            file = self.calibration(one["name"])
-            if digest and os.path.isfile(file) and calibration_digest(file) == digest:
+        """The file in the folder or beside it that is the calibration of this digest."""
+        for one in self.calibrations(of_any_rig=True):
+            file = self.folder_of(one) / one["file"]
+            if digest and calibration_digest(file) == digest:
                 return file
         return None
+
+    def made(self, name: str, what: str) -> Path:
+        """What is made of a capture: one of `MADE`."""
+        return self.path(name).with_name(name + MADE[what])
+
+    def delete(self, name: str) -> None:
+        """Remove a capture, its cloud and what was made of it; calibrations stay.
+
+        Raises:
+            CaptureError: If it is none, or cannot be removed.
+        """
+        path = self._own(name)
+        try:
+            # It follows no links.
+            shutil.rmtree(path)
+            for suffix in MADE.values():
+                path.with_name(name + suffix).unlink(missing_ok=True)
+        except OSError as problem:
+            raise CaptureError(f"{name}: cannot be removed: {problem.strerror}.") from problem
+
+    def rename(self, name: str, other: str) -> None:
+        """Give a capture, its cloud and what was made of it another name.
+
+        Raises:
+            CaptureError: If it is none, or the name is taken.
+        """
+        path, to = self._own(name), self.path(other)
+        suffixes = [suffix for suffix in MADE.values() if os.path.lexists(path.with_name(name + suffix))]
+        if taken := [suffix for suffix in ("", *suffixes) if os.path.lexists(to.with_name(other + suffix))]:
+            raise CaptureError(f"{other}{taken[0]}: is there already; take another name.")
+        try:
+            os.rename(path, to)
+            for suffix in suffixes:
+                os.rename(path.with_name(name + suffix), to.with_name(other + suffix))
+        except OSError as problem:
+            raise CaptureError(f"{name}: cannot be renamed: {problem.strerror}.") from problem
+
+    def _own(self, name: str) -> Path:
+        """The folder of a capture that is in this folder itself, not elsewhere by a link."""
+        path = self.path(name)
+        if os.path.islink(path) or not os.path.isfile(path / HEADER_NAME):
+            raise CaptureError(f"{name}: found no capture of this name in {self.folder}.")
+        return path
 
     def listed(self) -> list[dict[str, Any]]:
         """What is known of each capture, the newest first."""
@@ -81,7 +170,9 @@ class Captures:
             state = _changed(journal)
             if name not in self._known or self._known[name][0] != state:
                 self._known[name] = (state, self._describe(name))
-            found.append(self._known[name][1] | {"cloud": os.path.isfile(self.cloud(name)), "changed": state[0] / 1e9})
+            made = [what for what in MADE if what != "cloud" and os.path.isfile(self.made(name, what))]
+            there = {"cloud": os.path.isfile(self.cloud(name)), "made": made, "changed": state[0] / 1e9}
+            found.append(self._known[name][1] | there)
         return sorted(found, key=lambda one: -float(one["changed"]))[:MOST]
 
     def _describe(self, name: str) -> dict[str, Any]:
@@ -129,6 +220,14 @@ class Captures:
         xyz, rgb = np.asarray(cloud.xyz)[valid], np.asarray(cloud.rgb)[valid]
         step = max(1, -(-len(xyz) // MOST_POINTS))
         return pack_points(xyz[::step], rgb[::step])
+
+
+def judged(calibration: Calibration) -> dict[str, Any]:
+    """How good a calibration is, as pages show it."""
+    first, verdict = words.headline(calibration), calibration.quality.verdict
+    good_to = None if verdict is None else verdict.good_to
+    size = {"sigma_mm": None, "at_m": None} if good_to is None else {"sigma_mm": good_to.sigma_mm, "at_m": good_to.at_m}
+    return {"good": first.kind == "good", "headline": first.headline, **size}
 
 
 def result_of(path: Path) -> dict[str, Any]:

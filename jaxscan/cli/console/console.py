@@ -2,12 +2,17 @@
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxscan.cli.options import ConfigPath, OptionalCalibrationPath, calibration_at, check_paths, file_at, need_pages
 from jaxscan.cli.terminal import JsonTarget, check_json, emit_json
 from jaxscan.cli.terminal import console as console_of
 
+
+if TYPE_CHECKING:
+    from scanrig.config import RigConfig
+
+    from jaxscan.calibration import Calibration
 
 PORT = 8642
 CAPTURES = Path("captures")
@@ -33,8 +38,8 @@ def console(
     Args:
         config: Configuration of the rig and of the scan (`jaxscan init scan.toml` writes one).
         captures: Folder in which captures, calibrations and clouds are kept.
-        calibration: Calibration of the rig; with it the cloud grows during the scan. Without it that of the newest
-            capture of the board in the folder, if it is good.
+        calibration: Calibration of the rig; with it the cloud grows during the scan. Without it the newest good one of
+            this rig in the folder or beside it.
         port: Serial port instead of the port in the configuration; "auto" takes the only controller there is.
         place_command: Command that places the board; the number of the pose is appended to it.
         host: Name or number of this machine at which the page is served. Everybody needs the token of the address that
@@ -62,7 +67,7 @@ def console(
 
         jaxscan.load_scanner(calibration)
     out = console_of(json)
-    folder = Captures(captures)
+    folder = Captures(captures, lambda found: _fits(found, rig))
     calibration = calibration or folder.newest_calibration()
     address = open_address(host, web_port, option="--web-port")
     slate = Slate(
@@ -73,6 +78,10 @@ def console(
         board_aspect=None if rig.board is None else _aspect(rig.board.board().outline()),
         steps=rig.sweep.steps * rig.sweep.turns,
         calibration=None if calibration is None else str(calibration),
+        calibrations=[],
+        goal_mm=rig.goal_mm,
+        camera={"exposure_ms": rig.camera.exposure_ms, "gain_db": rig.camera.gain_db},
+        wish={"angle_deg": 0.0, "lit": True, "exposure_ms": None, "gain_db": None, "auto": False},
         doing="nothing",
         finished=0,
         laser="off",
@@ -91,6 +100,16 @@ def console(
         out.print("Ctrl-C ends the console; the laser goes off.")
         emit_json(json, "console", {"url": address.url(), "captures": str(captures)})
         desk.attend()
+
+
+def _fits(found: "Calibration", rig: "RigConfig") -> bool:
+    """Whether a calibration may be one of this rig: its image is as large, and it has the same lasers."""
+    scanner, camera = found.scanner, rig.camera
+    if scanner is None:
+        return False
+    lasers = tuple(laser.name for laser in rig.laser)
+    size = scanner.camera.width, scanner.camera.height
+    return size == (camera.width, camera.height) and tuple(scanner.laser_names) == lasers
 
 
 def _aspect(outline: Any) -> float:

@@ -5,7 +5,7 @@ import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxscan.cli.console.boards import PageOperator
 from jaxscan.cli.console.captures import Captures
@@ -23,10 +23,14 @@ from jaxscan.errors import JaxscanError, OptionError
 
 if TYPE_CHECKING:
     from scanrig.config import RigConfig
-    from scanrig.session import Devices
+    from scanrig.session import Devices, Wish
 
 BUSY = "the rig is busy: stop or pause it first."
 _ANSWERS = {"take", "enough", "enough of all"}
+_WISHES = {"jog", "light", "expose", "auto"}
+_BEGINS = {"aim": "Look", "sweep": "Scan", "boards": "Capture of the board"}
+_AUTO_LOOKS = 8
+"""Looks in which "auto" finds the exposure."""
 
 
 class Chosen(NamedTuple):
@@ -69,6 +73,10 @@ class Desk:
         self._pausing = threading.Event()
         self._lock = threading.Lock()
         self._doing = ""
+        self._wish: Wish | None = None
+        """What a person who aims wants to see; its exposure serves the sessions after it, too."""
+        self.auto = 0
+        """Looks after which the exposure is still changed by itself."""
 
     # For any thread
 
@@ -87,8 +95,51 @@ class Desk:
             if self.operator is None:
                 raise OptionError("nobody asked for the board.")
             self.operator.answer(order.do)
+        elif order.do in _WISHES:
+            self._want(order)
         else:
             self._begin(order)
+
+    def wish(self) -> "Wish":
+        """What is to be seen next while somebody aims."""
+        from scanrig.session import Wish
+
+        return self._wish or Wish()
+
+    def expose(self, exposure_ms: float, gain_db: float) -> None:
+        """Take frames with this exposure from now on.
+
+        Raises:
+            JaxscanError: If it is outside the range of the configuration.
+        """
+        from scanrig.config import load_rig, with_exposure
+
+        with_exposure(load_rig(self.chosen.config), exposure_ms, gain_db)
+        self._change(exposure_ms=exposure_ms, gain_db=gain_db)
+
+    def _want(self, order: Order) -> None:
+        if order.do != "expose" and self._doing != "aim":
+            raise OptionError("press Look first: table and laser are moved by hand only while somebody looks.")
+        self.auto = _AUTO_LOOKS if order.do == "auto" else 0
+        match order.do:
+            case "expose":
+                self.expose(order.exposure_ms, order.gain_db)
+            case "jog":
+                self._change(angle_deg=order.deg)
+            case "light":
+                self._change(lit=order.on)
+            case "auto":
+                self._show_wish()
+
+    def _change(self, **fields: Any) -> None:
+        # "Auto" exposes in the main thread while a page turns the table.
+        with self._lock:
+            self._wish = self.wish()._replace(**fields)
+        self._show_wish()
+
+    def _show_wish(self) -> None:
+        wish = self.wish()
+        self.slate.write(wish=wish._asdict() | {"auto": self.auto > 0})
 
     def leave(self) -> None:
         """End `attend` once nothing is done any more."""
@@ -103,7 +154,10 @@ class Desk:
                 # Only looked at: the next session takes the rig over.
                 self._pausing.set()
             self._doing = order.do
+            # A look begins at home, with the laser.
+            self._wish, self.auto = self.wish()._replace(angle_deg=0.0, lit=True), 0
             self._orders.put(order)
+        self._show_wish()
 
     # For the main thread
 
@@ -117,12 +171,15 @@ class Desk:
             while (order := self._orders.get()) is not None:
                 self._pausing.clear()
                 self.slate.write(doing="opening", order=order._asdict(), problem="", ended="", estop=False)
+                self.slate.say(" ".join(part for part in (_BEGINS[order.do], order.name) if part) + " begins.")
                 said, problem = self._carry_out(order)
                 with self._lock:
                     waiting = not self._orders.empty()
                     self._doing = self._doing if waiting else ""
                 if said:
                     self.out.print(said)
+                if not problem:
+                    self.slate.say(said or f"{_BEGINS[order.do]} has ended.")
                 if problem:
                     self.out.print(f"jaxscan: {problem}")
                     self.slate.say(problem, "problem")
@@ -163,12 +220,14 @@ class Desk:
 
     def _open_and_run(self, order: Order) -> str:
         from scanrig.cameras import open_camera
-        from scanrig.config import load_rig
+        from scanrig.config import load_rig, with_exposure
         from scanrig.controllers import open_controller
         from scanrig.session import Devices, Interrupts
 
-        # Read anew, so that what was advised and changed is used.
-        rig = load_rig(self.chosen.config)
+        # Read anew, so that what was advised and changed is used; what was set on the page counts more.
+        rig, wish = load_rig(self.chosen.config), self.wish()
+        if order.do != "aim" and wish.exposure_ms is not None and wish.gain_db is not None:
+            rig = with_exposure(rig, wish.exposure_ms, wish.gain_db)
         with ExitStack() as stack:
             painter = stack.enter_context(Painter(rig, self.slate))
             with ExitStack() as opened:

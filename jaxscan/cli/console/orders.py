@@ -11,6 +11,13 @@ class BadOrder(JaxscanError):
     """A message that is no order."""
 
 
+class Range(NamedTuple):
+    """Numbers that a field may have."""
+
+    low: float
+    high: float
+
+
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 """Names of captures and clouds."""
 MOST_BYTES = 4096
@@ -31,6 +38,17 @@ _FIELDS: dict[str, dict[str, Any]] = {
     "reconstruct": {"name": NAME},
     "compare": {"name": NAME, "other": NAME},
     "lost": {"stop": bool},
+    "jog": {"deg": Range(-3600.0, 3600.0)},
+    "light": {"on": bool},
+    "expose": {"exposure_ms": Range(0.001, 10_000.0), "gain_db": Range(-100.0, 100.0)},
+    "auto": {},
+    "use": {"name": NAME},
+    "recalibrate": {"name": NAME},
+    "plan": {"name": NAME},
+    "mesh": {"name": NAME},
+    "report": {"name": NAME},
+    "delete": {"name": NAME},
+    "rename": {"name": NAME, "other": NAME},
 }
 """Orders, and the fields that belong to each."""
 
@@ -43,6 +61,11 @@ class Order(NamedTuple):
     other: str = ""
     resume: bool = False
     stop: bool = False
+    on: bool = False
+    deg: float = 0.0
+    """Where the table is to point."""
+    exposure_ms: float = 0.0
+    gain_db: float = 0.0
 
 
 def parse_order(text: str) -> Order:
@@ -60,11 +83,19 @@ def parse_order(text: str) -> Order:
     if wanted is None or set(found) != {"do", *wanted}:
         raise BadOrder("an order that is not known; load the page again.")
     for name, kind in wanted.items():
-        value = found[name]
-        if kind is bool:
-            right = isinstance(value, bool)
-        else:
-            right = isinstance(value, str) and kind.fullmatch(value) is not None and ".." not in value
-        if not right:
-            raise BadOrder(f"{name}: expected letters, digits, dots, dashes and underscores, 64 at most.")
-    return Order(**found)
+        if expected := _expected(found[name], kind):
+            raise BadOrder(f"{name}: expected {expected}.")
+    numbers = {name: float(found[name]) for name, kind in wanted.items() if isinstance(kind, Range)}
+    return Order(**found | numbers)
+
+
+def _expected(value: Any, kind: Any) -> str:
+    """What a field should be; "" if it is that."""
+    if isinstance(kind, Range):
+        # NaN is in no range; Python compares integers of any length.
+        right = isinstance(value, int | float) and not isinstance(value, bool) and kind.low <= value <= kind.high
+        return "" if right else f"a number of {kind.low:g} to {kind.high:g}"
+    if kind is bool:
+        return "" if isinstance(value, bool) else "true or false"
+    right = isinstance(value, str) and kind.fullmatch(value) is not None and ".." not in value
+    return "" if right else "letters, digits, dots, dashes and underscores, 64 at most"

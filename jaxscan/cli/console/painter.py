@@ -20,6 +20,8 @@ WIDTH = 960
 _QUALITY = 80
 _POINTS = 256
 """Points of the stripe that a page gets."""
+_BINS = 64
+"""Of the histogram of levels: four of 256 levels each."""
 _BETWEEN_S = 0.25
 """Least time between two pictures."""
 
@@ -94,6 +96,7 @@ class Painter:
         grey = to_grey(frame, camera.pixel_format)[::step, ::step]
         jpeg = encode_jpeg(np.repeat(np.ascontiguousarray(grey)[:, :, None], 3, 2), quality=_QUALITY)
         live = {"width": camera.width, "height": camera.height, "stripe": [], **seen.facts}
+        live["histogram"] = np.bincount(grey.ravel() >> 2, minlength=_BINS).tolist()
         if seen.on is not None:
             peak, clipped = stripe_level(seen.on, seen.off, self._rig, seen.laser)
             points = line_finder(self._rig, self._rig.laser[seen.laser].line)(seen.on, seen.off)

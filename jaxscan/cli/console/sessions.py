@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import jaxscan
+from jaxscan import api
 from jaxscan.cli.boards import CommandOperator, make_guide
 from jaxscan.cli.console.boards import PageOperator, on_board_pair
+from jaxscan.cli.console.captures import judged
 from jaxscan.cli.console.desk import Desk, Running, progress_of
 from jaxscan.cli.console.painter import Seen
 from jaxscan.cli.console.works import Work, Works
@@ -21,8 +24,11 @@ from jaxscan.files.capture import HEADER_NAME
 
 
 if TYPE_CHECKING:
+    from scanrig.doctor import Finding
     from scanrig.session import PlacementRequest, Sight
 
+_GOOD_ENOUGH, _AUTO_STEP, _SHORTEST_MS, _LONGEST_MS = 0.12, 4.0, 0.05, 2000.0
+"""How near to the best exposure "auto" ends, its largest step, and its limits."""
 _ENOUGH_PLACEMENTS = 2
 """Standing places after which a calibration is tried while others follow."""
 
@@ -41,18 +47,44 @@ class Sessions:
 
     def aim(self, running: Running) -> str:
         """Show the camera's picture with the laser's line, and how to expose."""
+        from scanrig.config import with_exposure
         from scanrig.doctor import judge_exposure
         from scanrig.session import Hooks, run_aiming
 
         def see(sight: "Sight") -> None:
-            facts: dict[str, Any] = {"proof": "" if sight.proof.ok else sight.proof.reason}
+            facts: dict[str, Any] = {"angle_deg": round(sight.angle_deg, 3), "proof": "", "dark": sight.pair is None}
+            if sight.pair is None or sight.proof is None:
+                running.painter.show(Seen(None, sight.off, 0, facts))
+                return
+            facts["proof"] = "" if sight.proof.ok else sight.proof.reason
+            wish = self._desk.wish()
+            ms = running.rig.camera.exposure_ms if wish.exposure_ms is None else wish.exposure_ms
+            gain = running.rig.camera.gain_db if wish.gain_db is None else wish.gain_db
+            found = judge_exposure(sight.pair, with_exposure(running.rig, ms, gain))
             if sight.proof.ok:
-                found = judge_exposure(sight.pair, running.rig)
                 facts["exposure"] = {"verdict": found.verdict, "found": found.found, "do": found.do}
             running.painter.show(Seen(sight.on, sight.off, sight.pair.laser, facts))
+            self._expose_better(found, ms, gain)
 
         hooks = Hooks(notify=self._desk.notify, should_stop=running.should_stop)
-        return run_aiming(running.rig, running.devices, see, hooks)
+        return run_aiming(running.rig, running.devices, see, hooks, self._desk.wish)
+
+    def _expose_better(self, found: "Finding", exposure_ms: float, gain_db: float) -> None:
+        """One step of "auto": the exposure with which the line would be as bright as it should be."""
+        desk, factor = self._desk, found.values["factor"]
+        if desk.auto <= 0:
+            return
+        desk.auto -= 1
+        clear = found.values["clipped"] == 0 and found.values["peak_dn"] > 0
+        if clear and abs(factor - 1) < _GOOD_ENOUGH:
+            desk.auto = 0
+            self._slate.say(f"Auto: the exposure is {exposure_ms:.3g} ms; {found.found}.")
+        low, high = 1 / _AUTO_STEP, _AUTO_STEP
+        better = float(min(max(exposure_ms * min(max(factor, low), high), _SHORTEST_MS), _LONGEST_MS))
+        if desk.auto > 0:
+            desk.expose(float(f"{better:.3g}"), gain_db)
+        elif not (clear and abs(factor - 1) < _GOOD_ENOUGH):
+            self._slate.say(f"Auto: found no better exposure than {exposure_ms:.3g} ms; {found.found}.", "problem")
 
     def sweep(self, running: Running) -> str:
         """Take a sweep; with a calibration the cloud grows meanwhile, and is written at the end."""
@@ -129,17 +161,52 @@ class Sessions:
             of: Of which part of it, as pages name it.
         """
         file = self._captures.calibration(name)
+        words = ["calibrate", str(self._captures.path(name)), "-o", str(file)]
+        self._works.begin(Work(f"calibrate {name}" + (f", {of}" if of else ""), words, self._judged(name, file)))
+
+    def recalibrate(self, name: str) -> None:
+        """Better the calibration by a sweep of a room; the new one is used from then on.
+
+        Raises:
+            OptionError: If there is no calibration.
+        """
+        old, file = self._needed(), self._captures.path(name).with_name(f"{name}.recalibrated.json")
+        words = ["recalibrate", str(self._captures.path(name)), "-c", str(old), "-o", str(file)]
+        self._works.begin(Work(f"recalibrate {name}", words, self._judged(name, file)))
+
+    def _judged(self, name: str, file: Path) -> Callable[[bool, dict[str, Any]], None]:
+        """What follows a calibration: its verdict is shown, and a good one is used."""
 
         def then(well: bool, result: dict[str, Any]) -> None:
             if result:
-                self._slate.write(verdict={"capture": name, "well": well} | _verdict(result))
+                size = judged(api.load_calibration(file)) if well else {}
+                self._slate.write(verdict={"capture": name, "well": well} | _verdict(result) | size)
             if well:
-                self.calibration = file
-                self._slate.write(calibration=str(file))
+                self._take(file)
             self.list()
 
-        words = ["calibrate", str(self._captures.path(name)), "-o", str(file)]
-        self._works.begin(Work(f"calibrate {name}" + (f", {of}" if of else ""), words, then))
+        return then
+
+    def use(self, file: str) -> None:
+        """Make clouds with another calibration of those that are listed.
+
+        Raises:
+            OptionError: If it is none of them, or may not be used.
+        """
+        found = next((one for one in self._captures.calibrations() if one["file"] == file), None)
+        if found is None or not found["good"]:
+            raise OptionError(f"{file}: is no calibration of this rig that may be used.")
+        self._take(self._captures.folder_of(found) / file)
+        self.list()
+
+    def _take(self, file: Path) -> None:
+        self.calibration = file
+        self._slate.write(calibration=str(file))
+
+    def _needed(self) -> Path:
+        if self.calibration is None:
+            raise OptionError("there is no calibration yet: capture the board first, or begin with --calibration.")
+        return self.calibration
 
     def reconstruct(self, name: str) -> None:
         """Make the cloud of a sweep.
@@ -147,11 +214,56 @@ class Sessions:
         Raises:
             OptionError: If there is no calibration.
         """
-        if self.calibration is None:
-            raise OptionError("there is no calibration yet: capture the board first, or begin with --calibration.")
-        cloud = self._captures.cloud(name)
-        words = ["reconstruct", str(self._captures.path(name)), "-c", str(self.calibration), "-o", str(cloud)]
-        self._works.begin(Work(f"reconstruct {name}", words, lambda well, result: self.list()))
+        self._make("reconstruct", name, self._captures.cloud(name), ["-c", str(self._needed())], of=None)
+
+    def draw_plan(self, name: str) -> None:
+        """Draw the plan of a cloud."""
+        self._make("plan", name, self._captures.made(name, "plan"), self._known())
+
+    def make_mesh(self, name: str) -> None:
+        """Make the mesh of a cloud, with the photographs of its capture on it."""
+        texture = ["--texture", str(self._captures.path(name)), "-c", str(self._needed())]
+        self._make("mesh", name, self._captures.made(name, "mesh"), texture)
+
+    def report(self, name: str) -> None:
+        """Write the report on a cloud."""
+        self._make("report", name, self._captures.made(name, "report"), [])
+
+    def _known(self) -> list[str]:
+        return [] if self.calibration is None else ["-c", str(self.calibration)]
+
+    def _make(self, verb: str, name: str, to: Path, options: list[str], of: str | None = "cloud") -> None:
+        """Begin a verb that makes something of a capture, or of its cloud."""
+        source = self._captures.path(name) if of is None else self._captures.cloud(name)
+        words = [verb, str(source), *options, "-o", str(to)]
+        self._works.begin(Work(f"{verb} {name}", words, lambda well, result: self.list()))
+
+    def delete(self, name: str) -> None:
+        """Remove a capture and what was made of it.
+
+        Raises:
+            OptionError: If something is done with it.
+        """
+        self._require_idle()
+        self._captures.delete(name)
+        self._slate.say(f"{name} was deleted.")
+        self.list()
+
+    def rename(self, name: str, other: str) -> None:
+        """Give a capture and what was made of it another name.
+
+        Raises:
+            OptionError: If something is done with it.
+        """
+        self._require_idle()
+        self._captures.rename(name, other)
+        self._slate.say(f"{name} is called {other} now.")
+        self.list()
+
+    def _require_idle(self) -> None:
+        # Not while somebody looks either: large folders take a while, and Stop would wait.
+        if self._slate.read("doing") != "nothing" or self._works.busy:
+            raise OptionError("something is captured or calculated: wait until it is done.")
 
     def compare(self, name: str, other: str) -> None:
         """Compare two clouds."""
@@ -164,7 +276,8 @@ class Sessions:
 
         folder = self._captures.folder.absolute()
         there = next(path for path in (folder, *folder.parents) if path.exists())
-        self._slate.write(captures=self._captures.listed(), free_bytes=free_bytes(there))
+        calibrations = self._captures.calibrations()
+        self._slate.write(captures=self._captures.listed(), calibrations=calibrations, free_bytes=free_bytes(there))
 
     def _expect(self, running: Running, plan: ScanPlan, *, by_hand: bool = False) -> None:
         for note in plan.notes:

@@ -65,6 +65,9 @@ class Works:
     def begin(self, work: Work) -> None:
         """Carry a work out as soon as those before it are done."""
         self._busy += 1
+        # What ended before is no news any more.
+        self._slate.write(ended="", problem="")
+        self._slate.say(f"{work.what} begins.")
         self._waiting.put(work)
 
     def _attend(self) -> None:
@@ -78,6 +81,7 @@ class Works:
             if shown["running"]:
                 shown |= {"running": False, "well": False}
             self._busy -= 1
+            self._slate.say(f"{work.what}: done." if shown["well"] else f"{work.what}: did not succeed.")
             self._tell()
 
     def _carry_out(self, work: Work, shown: dict[str, Any]) -> None:

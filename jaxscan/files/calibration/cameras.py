@@ -10,16 +10,9 @@ import numpy as np
 
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
-from jaxscan.files.calibration.calibration import (
-    Tree,
-    leaves,
-    load_parts,
-    numbers,
-    tree_of_json,
-    tree_of_xml,
-    tree_of_yaml,
-)
+from jaxscan.files.calibration.calibration import load_parts
 from jaxscan.files.calibration.model import CALIBRATION_FORMAT, CalibrationTable
+from jaxscan.files.calibration.trees import Tree, leaves, numbers, tree_of_json, tree_of_xml, tree_of_yaml
 from jaxscan.files.disk import MEGABYTE, check, check_writable, read_bounded, write_atomically
 from jaxscan.geometry import CAMERAS, AbstractCamera, AbstractMotion, LinearStage, Turntable, camera_doubts
 

@@ -1,4 +1,4 @@
-"""The binding of libE57 in pye57, and the names of our extension."""
+"""E57 (ASTM E2807), the exchange format of terrestrial scanning: read by our own bounded reader, written by libE57."""
 
 import contextlib
 import functools

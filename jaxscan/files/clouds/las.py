@@ -1,4 +1,4 @@
-"""laspy, and lazrs for compressed files."""
+"""LAS 1.4 and LAZ, the formats of surveying, through laspy, with the uncertainty of every point."""
 
 import os
 import struct

@@ -1,4 +1,4 @@
-"""LZF, with which the Point Cloud Library packs points."""
+"""PCD, the format of the Point Cloud Library and of ROS."""
 
 import os
 from collections.abc import Callable, Iterator

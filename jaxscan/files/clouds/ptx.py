@@ -1,4 +1,4 @@
-"""Reading PTX: every block is a station with its grid."""
+"""PTX: text that keeps the grid, with the pose of every station."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Whether a folder lies on another computer, whose disk may not know the locks that are held here."""
+"""A lock file that admits one program per folder; a program that has died holds it no longer."""
 
 import contextlib
 import errno

@@ -1,4 +1,4 @@
-"""Recognition of images by the words in their names."""
+"""The roles of images: by the user's patterns, by a known program's layout, or by the words in their names."""
 
 import fnmatch
 import itertools

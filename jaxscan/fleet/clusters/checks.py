@@ -1,4 +1,4 @@
-"""Compares the software of a cluster with that of the caller: products of two versions must not be mixed."""
+"""Whether workers fit: the versions of their software, their cores and their memory."""
 
 import functools
 import hashlib

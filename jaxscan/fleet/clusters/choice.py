@@ -1,4 +1,4 @@
-"""The machines of `--ssh hosts.txt`: one in each line."""
+"""The choice of a cluster, by options of the command line, and the hosts of `--ssh hosts.txt`."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""Opens the cluster that is meant."""
+"""One door to all kinds of clusters; what a kind needs is loaded when it is opened."""
 
 import contextlib
 import importlib

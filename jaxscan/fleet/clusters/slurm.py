@@ -1,4 +1,4 @@
-"""Jobs of SLURM while a batch goes on: those that ended, by their time or a broken node, get successors."""
+"""Workers as jobs of SLURM: jobs that end while a batch goes on get successors."""
 
 import contextlib
 import getpass

@@ -1,4 +1,4 @@
-"""A cloud as its scanner saw it: by azimuth and elevation."""
+"""Statistics of a cloud for its report: coverage by direction, sigmas by distance, doubts."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple

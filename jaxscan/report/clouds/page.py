@@ -1,4 +1,4 @@
-"""Maps of a cloud over all directions, and its sigmas against distance, as figures."""
+"""The report of a cloud: one HTML page, with maps over all directions."""
 
 import base64
 from collections.abc import Sequence

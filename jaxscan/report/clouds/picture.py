@@ -467,7 +467,7 @@ _BESIDE = 0.03
 """Dimension lines stand off the room by this share of its extent."""
 
 
-class DimensionLine(NamedTuple):
+class DimensionMark(NamedTuple):
     """A dimension in the picture."""
 
     ends: np.ndarray
@@ -537,7 +537,7 @@ def _near_zero(cloud: PointCloud, box: RoomBox | None) -> tuple[PointCloud, Room
     return moved, None if box is None else dataclasses.replace(box, centre_m=box.centre_m - place)
 
 
-def dimension_lines(room: DrawnRoom, eye: np.ndarray) -> list[DimensionLine]:
+def dimension_lines(room: DrawnRoom, eye: np.ndarray) -> list[DimensionMark]:
     """The dimensions of a room, along those of its edges where they hide nothing of it.
 
     Args:
@@ -555,12 +555,12 @@ def dimension_lines(room: DrawnRoom, eye: np.ndarray) -> list[DimensionLine]:
         ends[:, number] = 0.0, 1.0
         outwards = room.axes[aside].direction * (1.0 if near[aside] else -1.0)
         lines.append(
-            DimensionLine(room.at(ends) + _BESIDE * room.extent * outwards, dimension_text(axis.dimension), outwards)
+            DimensionMark(room.at(ends) + _BESIDE * room.extent * outwards, dimension_text(axis.dimension), outwards)
         )
     return lines
 
 
-def _marked(picture: np.ndarray, frame: Canvas, room: DrawnRoom, lines: list[DimensionLine]) -> RoomPicture:
+def _marked(picture: np.ndarray, frame: Canvas, room: DrawnRoom, lines: list[DimensionMark]) -> RoomPicture:
     # Imported here, so that only drawing loads matplotlib.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -611,7 +611,7 @@ def _halo() -> list[Any]:
     return [withStroke(linewidth=5, foreground=_PAPER)]
 
 
-def _draw_dimension(axes: Any, frame: Canvas, line: DimensionLine) -> Any:
+def _draw_dimension(axes: Any, frame: Canvas, line: DimensionMark) -> Any:
     start, end = frame.pixels(line.ends)
     along = (end - start) / np.linalg.norm(end - start)
     tip = frame.pixels(line.ends + 0.1 * line.outwards) - frame.pixels(line.ends)

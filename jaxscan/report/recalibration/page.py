@@ -6,7 +6,7 @@ from jaxscan.recalibration import PanoramaOfWalls, Recalibration
 from jaxscan.report.drawing import as_svg
 from jaxscan.report.html import Html, bullets, element, joined, page, section, table
 from jaxscan.report.recalibration import plots, words
-from jaxscan.report.words import metres, millimetres
+from jaxscan.report.words import metres, millimetres, sentence
 
 
 MAX_PANORAMAS = 6
@@ -77,7 +77,7 @@ def _remarks(result: Recalibration) -> Html | None:
         ("Notes", result.notes),
     ):
         if lines:
-            parts += [element("h3", title)] * bool(title) + [bullets(map(words.sentence, lines))]
+            parts += [element("h3", title)] * bool(title) + [bullets(map(sentence, lines))]
     return section("In words", *parts) if parts else None
 
 

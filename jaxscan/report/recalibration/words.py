@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from jaxscan.recalibration import Drift, Gain, Moved, PanoramaOfWalls, Recalibration
-from jaxscan.report.words import Headline, metres, millimetres
+from jaxscan.report.words import Headline, metres, millimetres, sentence
 
 
 SMALLEST_P = 1e-6
@@ -206,8 +206,3 @@ def _short(value: float) -> str:
 
 def _number(value: float, digits: int = 7) -> str:
     return f"{value:.{digits}g}"
-
-
-def sentence(text: str) -> str:
-    """Text as a sentence: with a capital and a full stop."""
-    return f"{text[:1].upper()}{text[1:].removesuffix('.')}."

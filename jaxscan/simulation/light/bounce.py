@@ -1,4 +1,4 @@
-"""A mirror on a wall shows the stripe again, and throws the laser's light onto other surfaces."""
+"""Light by way of other surfaces: mirrors on walls, and the glow that the stripe throws."""
 
 import math
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""The true centre of the stripe in every line."""
+"""The stripe on one plane: its light, and its true centre in every line."""
 
 import math
 from typing import NamedTuple

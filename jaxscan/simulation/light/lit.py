@@ -1,4 +1,4 @@
-"""The laser's light across its sheet and along its fan."""
+"""The laser's light across its sheet and along its fan, and where it meets surfaces."""
 
 import math
 from functools import lru_cache

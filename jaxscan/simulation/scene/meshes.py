@@ -1,4 +1,4 @@
-"""Triangles of simple solids, each with its surface: material and texture coordinates."""
+"""Triangles of simple solids with their surfaces, and rays cast at them."""
 
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple

@@ -1,4 +1,4 @@
-"""The furniture of a living room, and a small object on a plate.
+"""The scene: a furnished room or an object on a plate, its edges, and the shadows of its lamp.
 
 Room coordinates: origin in a corner on the floor, x and y along the walls, z up. Pieces stand
 along the walls or in corners. Their sizes are fixed, so small rooms are fuller; of each wall more

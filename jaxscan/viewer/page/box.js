@@ -8,12 +8,12 @@ const EDGES = CORNERS.flatMap((corner) => [1, 2, 4].filter((bit) => !(corner & b
 const turned = ([x, y, z], angle) => { const c = Math.cos(angle), s = Math.sin(angle); return [c * x - s * y, s * x + c * y, z]; };
 
 export class Box {
-  // Around a scene; `changed` is called when a side has moved.
-  constructor(low, high, changed) {
+  // Around a scene, along its walls; `changed` is called when a side has moved.
+  constructor(low, high, angle, changed) {
     this.scene = [low.map((one) => one - MARGIN_M), high.map((one) => one + MARGIN_M)];
     // The box turns about the middle of the scene.
     this.middle = low.map((one, k) => (one + high[k]) / 2);
-    this.changed = changed; this.held = -1; this.angle = 0;
+    this.changed = changed; this.held = -1; this.angle = angle;
     this.bound();
     // Of each axis from and to.
     this.sides = this.ends();
@@ -59,7 +59,7 @@ export class Box {
 
   tell() {
     this.rows.forEach(({ slider, told }, side) => {
-      if (side === 6) { slider.value = (180 * this.angle) / Math.PI; told.textContent = `${slider.value}°`; return; }
+      if (side === 6) { slider.value = (180 * this.angle) / Math.PI; told.textContent = `${((180 * this.angle) / Math.PI).toFixed(1)}°`; return; }
       Object.assign(slider, { min: this.least[side >> 1], max: this.most[side >> 1] });
       slider.value = this.sides[side]; told.textContent = this.full(side) ? "all" : `${this.sides[side].toFixed(2)} m`;
     });

@@ -13,11 +13,20 @@ export class Camera {
   // Takes the part of the picture that the panel leaves free.
   fit(width, height, right, below) { this.beside = right; this.below = below; this.aspect = ((1 - right) * width) / ((1 - below) * height); }
 
-  // Looks at a box from outside, or from above, so that balls in it, [centre, radius], fill what is free.
-  stand(low, high, balls, above = false) {
+  // Looks at a box from outside, so that balls in it, [centre, radius], fill what is free.
+  stand(low, high, balls) { this.enclose(low, high, balls, OUTSIDE); }
+
+  // Looks at it from above along walls that are turned by an angle, the longer ones across the picture where it is wide.
+  above(low, high, balls, walls) {
+    const ways = [0, 1].map((quarters) => ({ ...ABOVE, yaw: ABOVE.yaw + walls + (quarters * Math.PI) / 2 }));
+    const away = ways.map((way) => { this.enclose(low, high, balls, way); return this.away; });
+    if (away[0] <= away[1]) this.enclose(low, high, balls, ways[0]);
+  }
+
+  enclose(low, high, balls, way) {
     this.target = low.map((one, k) => (one + high[k]) / 2);
     this.wide = Math.max(Math.hypot(...low.map((one, k) => high[k] - one)), 0.1);
-    Object.assign(this, { standing: false, fov: FOV }, above ? ABOVE : OUTSIDE);
+    Object.assign(this, { standing: false, fov: FOV }, way);
     const tall = Math.tan(FOV / 2) * Math.max(1, 1 / this.aspect), broad = Math.tan(FOV / 2) * Math.max(1, this.aspect);
     const reach = (centre, radius, axis) => Math.abs(dot(centre, axis)) + radius, [right, up, back] = [this.right(), this.up(), this.back()];
     this.away = Math.max(0.05, ...balls.map(([place, radius]) => {
@@ -68,10 +77,16 @@ export class Camera {
   // The angle from the middle to the farthest corner of the picture.
   halfView(width, height) { return Math.atan(Math.hypot((1 + this.beside) * width, (1 + this.below) * height) / 2 / this.focal(width, height)); }
 
+  // By which WebGL's depths are metres: [k, w], a depth d of -1 to 1 is w / (d + k).
+  depths() {
+    const near = Math.max(0.02, 0.005 * this.away), far = this.away + 4 * this.wide;
+    return [(far + near) / (near - far), (2 * far * near) / (near - far)];
+  }
+
   // From the scene to the picture, in WebGL's order.
   matrix(width, height) {
     const r = this.right(), u = this.up(), b = this.back(), e = this.eye(), focal = this.focal(width, height), f = (2 * focal) / height, g = (2 * focal) / width;
-    const near = Math.max(0.02, 0.005 * this.away), far = this.away + 4 * this.wide, k = (far + near) / (near - far), w = (2 * far * near) / (near - far);
+    const [k, w] = this.depths();
     const rows = [r, u, b].map((axis) => [...axis, -dot(axis, e)]);
     const m = new Float32Array(16);
     for (let c = 0; c < 4; c++) {

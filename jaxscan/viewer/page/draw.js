@@ -1,4 +1,6 @@
 import { Panorama } from "./panorama.js";
+import { Shading } from "./shading.js";
+import { Surfaces } from "./surface.js";
 
 // Points in WebGL: of each tile as many as the view needs, fewer while it moves.
 // `side` points to where a point was seen from; it is zero where nobody knows.
@@ -13,6 +15,8 @@ void main() {
 const FRAGMENT = "precision mediump float; varying vec3 shown; void main() { gl_FragColor = vec4(shown, 1.0); }";
 const NO_SECTION = { section: [[-1e9, -1e9, -1e9], [1e9, 1e9, 1e9]], turn_rad: 0 };
 const AT_ONCE = 6, REST_MS = 150, MOVING_S = 1 / 24, RESTING_S = 0.4, LEAST = 5e3, LEAST_AT_REST = 1e5, GAP_PX = 1, KEPT = 3, ON_PLACE_M = 0.06;
+// Points a second from which a moving view is shaded, too; the colour of points whose own has not come yet.
+const FAST = 2e7, PLAIN = [0.45, 0.45, 0.45];
 // A chunk as the server lists it.
 const TILE = 0, COUNT = 1, SPACING = 7, PLACE_BYTES = 12;
 export const X = 2, RADIUS = 5, GAP = 6;
@@ -23,6 +27,8 @@ export class Drawing {
     this.gl = canvas.getContext("webgl", { antialias: false, preserveDrawingBuffer: true });
     this.clouds = []; this.kept = new Map(); this.asked = new Map(); this.query = ""; this.version = 0;
     this.budget = 2e6; this.size = 1; this.section = null;
+    // Whether edges are shaded, and whether surfaces are drawn in place of points.
+    this.shades = true; this.joined = false;
     // Whether points are drawn that are seen from behind.
     this.backs = true;
     // Points a second; slow until it is known.
@@ -40,7 +46,8 @@ export class Drawing {
   prepare() {
     const gl = this.gl, program = this.program = this.compiled(VERTEX, FRAGMENT);
     gl.enable(gl.DEPTH_TEST); gl.clearColor(0.05, 0.067, 0.082, 1);
-    this.panorama = new Panorama(gl, (...texts) => this.compiled(...texts));
+    const compiled = (...texts) => this.compiled(...texts);
+    this.panorama = new Panorama(gl, compiled); this.shading = new Shading(gl, compiled); this.surfaces = new Surfaces(gl, compiled);
     this.at = Object.fromEntries(["place", "colour", "side"].map((name) => [name, gl.getAttribLocation(program, name)]));
     this.uniform = Object.fromEntries(["view", "middle", "low", "high", "eye", "turn", "size", "behind"].map((name) => [name, gl.getUniformLocation(program, name)]));
   }
@@ -68,6 +75,15 @@ export class Drawing {
     clearTimeout(this.rest); this.rest = setTimeout(() => this.later(), REST_MS + 10);
   }
 
+  // Surfaces in place of points, of those clouds that have one; returns why others are shown as points.
+  async join(joined) {
+    this.joined = joined;
+    const problems = joined ? await Promise.all(this.clouds.filter((cloud) => cloud.surface).map((cloud) => this.surfaces.load(cloud))) : [];
+    this.moved();
+    return problems.filter(Boolean).join(" ");
+  }
+  joins(cloud) { return this.joined && this.surfaces.made.has(cloud.number); }
+
   // Other colours: those that are kept are asked for again.
   recolour(query) {
     this.query = query; this.version++;
@@ -76,6 +92,8 @@ export class Drawing {
   }
 
   later() { if (this.gl && !this.waiting) this.waiting = requestAnimationFrame(() => { this.waiting = 0; this.draw(); }); }
+  // Only what is drawn over the cloud has changed.
+  marked() { if (!this.waiting && !this.marking) this.marking = requestAnimationFrame(() => { this.marking = 0; if (!this.waiting) this.drawn(this.around()); }); }
   moves() { return performance.now() - this.movedAt < REST_MS; }
 
   draw() {
@@ -96,16 +114,22 @@ export class Drawing {
       const tile = 1000 * cloud.number + chunk[TILE];
       finest.set(tile, Math.min(chunk[SPACING], finest.get(tile) ?? Infinity));
     }
+    const shaded = this.shades && this.shading.works && (!moves || this.rate > FAST);
+    if (shaded) this.shading.begin(width, height, dense);
     gl.viewport(0, 0, width, height); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    const { section: [low, high], turn_rad: turn } = this.section ?? NO_SECTION, matrix = this.camera.matrix(width, height);
+    this.points = 0;
+    for (const cloud of this.clouds.filter((one) => one.visible && this.joins(one))) {
+      const view = { matrix, eye: this.camera.eye(), section: [low, high], turn, version: this.version };
+      this.points += this.surfaces.draw(cloud, { ...view, backs: this.backs || !cloud.sides });
+    }
     gl.useProgram(this.program); for (const one of Object.values(this.at)) gl.enableVertexAttribArray(one);
-    gl.uniformMatrix4fv(this.uniform.view, false, this.camera.matrix(width, height));
-    const { section: [low, high], turn_rad: turn } = this.section ?? NO_SECTION;
+    gl.uniformMatrix4fv(this.uniform.view, false, matrix);
     gl.uniform3fv(this.uniform.low, low); gl.uniform3fv(this.uniform.high, high);
     gl.uniform3fv(this.uniform.eye, this.camera.eye());
     gl.uniform2f(this.uniform.turn, Math.cos(turn), Math.sin(turn));
-    this.points = 0;
     for (const { key, cloud, chunk } of shown) {
-      const { place, colour } = this.kept.get(key);
+      const { place, colour, version } = this.kept.get(key);
       gl.uniform3f(this.uniform.middle, ...[0, 1, 2].map((k) => chunk[X + k] + cloud.shift[k]));
       gl.uniform1f(this.uniform.size, 1.3 * this.size * focal * finest.get(1000 * cloud.number + chunk[TILE]));
       gl.bindBuffer(gl.ARRAY_BUFFER, place); gl.vertexAttribPointer(this.at.place, 3, gl.FLOAT, false, 0, 0);
@@ -113,15 +137,21 @@ export class Drawing {
       const sides = cloud.sides ? PLACE_BYTES * chunk[COUNT] : 0;
       gl.vertexAttribPointer(this.at.side, 3, gl.BYTE, true, 0, sides);
       gl.uniform1f(this.uniform.behind, cloud.sides && !this.backs ? 0 : -1e9);
-      gl.bindBuffer(gl.ARRAY_BUFFER, colour); gl.vertexAttribPointer(this.at.colour, 3, gl.UNSIGNED_BYTE, true, 0, 0);
+      // Under a new legend no colour of the old one is shown.
+      if (version === this.version) {
+        gl.bindBuffer(gl.ARRAY_BUFFER, colour); gl.enableVertexAttribArray(this.at.colour); gl.vertexAttribPointer(this.at.colour, 3, gl.UNSIGNED_BYTE, true, 0, 0);
+      } else { gl.disableVertexAttribArray(this.at.colour); gl.vertexAttrib3f(this.at.colour, ...PLAIN); }
       gl.drawArrays(gl.POINTS, 0, chunk[COUNT]);
       this.points += chunk[COUNT];
     }
-    // Waits until it is drawn, so that the time is that of drawing.
+    for (const one of Object.values(this.at)) gl.disableVertexAttribArray(one);
+    // Waits until it is drawn, so that the time is that of drawing points.
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
     this.took = (performance.now() - begun) / 1000;
+    if (shaded) this.shading.end(this.camera.depths());
     if (this.points > 2000) this.rate += 0.3 * (this.points / this.took - this.rate);
     if (!moves) this.load(wanted);
+    if (!moves && this.joined) this.surfaces.recolour(this.query, this.version, () => this.later());
     this.drawn(null);
   }
 
@@ -129,7 +159,7 @@ export class Drawing {
   chosen(focal, halfView, budget) {
     const eye = this.camera.eye(), ahead = this.camera.forward(), found = [];
     for (const cloud of this.clouds) {
-      if (!cloud.visible) continue;
+      if (!cloud.visible || this.joins(cloud)) continue;
       cloud.chunks.forEach((chunk, index) => {
         const x = chunk[X] + cloud.shift[0] - eye[0], y = chunk[X + 1] + cloud.shift[1] - eye[1], z = chunk[X + 2] + cloud.shift[2] - eye[2];
         const distance = Math.max(Math.hypot(x, y, z), 1e-9), radius = chunk[RADIUS];

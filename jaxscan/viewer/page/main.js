@@ -1,4 +1,5 @@
 // The page: the server knows the points and measures; what is shown is chosen here.
+import { showBearings, takePicture } from "./bearings.js";
 import { Box } from "./box.js";
 import { Camera, OUTSIDE } from "./camera.js";
 import { Drawing, GAP as GAP_M, RADIUS, X } from "./draw.js";
@@ -7,7 +8,7 @@ import { drawMarks, showCross } from "./marks.js";
 import { at, make, say, sayWaiting, showProducts, showScale, showState, titles } from "./panel.js";
 
 const canvas = at("cloud"), camera = new Camera(), CLICK_PX = 8, FAR_M = 1000, GAP = 1.1, AWAY = "No connection to jaxscan view";
-let state = { kind: "point", message: "", measured: [], first: null }, socket = null, again = 0, box = null, scene = null;
+let state = { kind: "point", message: "", measured: [], places: [], measuring: 0 }, socket = null, again = 0, box = null, scene = null;
 // The quantity that the colours show, and the flatness that they are about.
 let by = "", plane = "";
 const several = () => drawing.clouds.length > 1, moved = (xyz, shift) => xyz.map((x, k) => x + shift[k]);
@@ -20,11 +21,19 @@ const drawing = new Drawing(canvas, camera, (panorama) => {
     state, place: placed, box: section && ((pen, width, height) => section.draw(pen, camera, width, height)),
     names: at("apart").checked ? drawing.clouds.filter((cloud) => cloud.visible).map((cloud) => [cloud.title, top(cloud)]) : [],
   });
+  showBearings(at("axes"), at("bar-of-scale"), camera, canvas.clientWidth, canvas.clientHeight);
   showCross(at("cross"), camera, canvas.matches(":focus-visible"), canvas.clientWidth, canvas.clientHeight);
   at("loading").hidden = (drawing.points > 0 || panorama !== null) && !none;
   at("loading").textContent = none ? "no cloud is shown" : "loading …";
   at("shown").textContent = panorama ? "a panorama is shown" : `${drawing.points.toLocaleString("en")} points shown`;
+  at("caption").textContent = caption();
 });
+
+// Which clouds are shown, and of how many points.
+function caption() {
+  const seen = drawing.clouds.filter((cloud) => cloud.visible), points = seen.reduce((sum, cloud) => sum + cloud.points, 0);
+  return seen.length ? `${seen.map((cloud) => cloud.title).join(", ")} · ${points.toLocaleString("en")} points` : "";
+}
 
 // Kept over a reload, so that its measurements are the same ones afterwards.
 function ownName() {
@@ -53,14 +62,14 @@ function hear(message) {
   if (message.file) return save(message);
   // The server began anew, perhaps with other clouds.
   if (message.scene && message.scene !== scene.id) return location.reload();
-  state = { ...state, measuring: false, ...message };
+  state = { ...state, measuring: 0, ...message };
   showState(state, (one) => (several() ? drawing.clouds[one.cloud].title : ""), (id) => order({ do: "remove", id }));
   if (by === "deviation" && lastPlane() !== plane) {
     // Deviations from a plane that was taken back are none.
     if (lastPlane() === "") at("by").value = scene.colourings[0];
     colour();
   }
-  drawing.later();
+  drawing.marked();
 }
 
 function order(what) {
@@ -69,13 +78,14 @@ function order(what) {
 }
 
 function measure(what) {
-  state.measuring = true; at("undo").disabled = false;
+  state.measuring++; at("undo").disabled = false;
   sayWaiting("measuring …"); order({ ...what, ...shown() });
 }
 
-function save({ file, text }) {
+const save = ({ file, text }) => keep(file, new Blob([text]));
+function keep(file, blob) {
   const link = make("a");
-  link.href = URL.createObjectURL(new Blob([text]));
+  link.href = URL.createObjectURL(blob);
   link.download = file;
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
@@ -83,8 +93,26 @@ function save({ file, text }) {
 
 const shown = () => ({
   clouds: drawing.clouds.filter((cloud) => cloud.visible).map(({ number, shift }) => ({ number, shift })),
-  ...(at("section").checked ? box.cut() : {}), backs: drawing.backs,
+  ...(at("section").checked ? box.cut() : {}), backs: drawing.backs, surface: drawing.joined,
 });
+
+async function savePicture() {
+  const legend = at("scale").hidden ? null : { bar: at("bar"), words: at("scale-words").textContent };
+  keep("view.png", await takePicture(canvas, at("marks"), camera, { caption: caption(), legend }));
+}
+
+// The points in the section as a file.
+async function saveSection() {
+  const answer = await fetch(`cut?${new URLSearchParams({ order: JSON.stringify({ do: "cut", ...shown(), ...box.cut() }) })}`).catch(() => null);
+  if (answer?.ok) keep("section.ply", await answer.blob());
+  else say(answer ? (await answer.text()).trim() : `${AWAY}: nothing was saved.`);
+}
+
+async function join() {
+  say(at("surface").checked ? "joining the points …" : "");
+  const problem = await drawing.join(at("surface").checked);
+  if (problem) say(problem); else hear({ measuring: state.measuring });
+}
 
 function pick(x, y) {
   const size = [canvas.clientWidth, canvas.clientHeight];
@@ -95,6 +123,11 @@ const lastPlane = () => state.measured.filter((one) => one.plane).at(-1)?.id ?? 
 
 async function colour() {
   const wanted = at("by").value, last = lastPlane();
+  if (wanted === "deviation" && last === "") {
+    say("Measure the flatness of a place first: deviations are those from its plane.");
+    at("by").value = by;
+    return;
+  }
   const query = new URLSearchParams({ by: wanted, page: ownName(), plane: last }).toString(), problem = await showScale(query);
   if (problem) { say(problem); at("by").value = by; return; }
   by = wanted; plane = last;
@@ -140,7 +173,7 @@ function apart() {
 
 // A section around all that is shown.
 function enclose() {
-  box = new Box(...bounds(), cut);
+  box = new Box(...bounds(), walls(), cut);
   cut();
 }
 
@@ -149,8 +182,12 @@ function cut() {
   drawing.moved();
 }
 
+// By how much the walls of the first cloud that knows them are turned.
+const walls = () => looked().find((cloud) => cloud.walls !== null)?.walls ?? 0;
+
 function look(where) {
-  if (typeof where === "string") camera.stand(...bounds(), looked().flatMap(balls), where === "above");
+  if (where === "above") camera.above(...bounds(), looked().flatMap(balls), walls());
+  else if (where === "outside") camera.stand(...bounds(), looked().flatMap(balls));
   else {
     drawing.standing = { cloud: where.cloud, place: moved(where.xyz, where.cloud.shift) };
     camera.enter(drawing.standing.place);
@@ -158,12 +195,13 @@ function look(where) {
   drawing.moved();
 }
 
+const close = () => order({ do: "close" });
 const choose = (what) => () => order({ do: "choose", what }), station = (number) => () => at(`station-${number}`)?.click();
 takeHands(canvas, camera, drawing, {
   box: sectioned, pick,
   keys: {
-    p: choose("point"), d: choose("distance"), f: choose("flatness"), u: () => order({ do: "undo" }),
-    Escape: () => { if (state.measuring) order({ do: "cancel" }); },
+    p: choose("point"), d: choose("distance"), h: choose("height"), n: choose("angle"), q: choose("area"), f: choose("flatness"), c: close,
+    u: () => order({ do: "undo" }), Escape: () => { if (state.measuring || state.places.length) order({ do: "cancel" }); },
     b: () => at("backs-part").hidden || at("backs").click(), o: () => look("outside"), a: () => look("above"), s: station(1),
     ...Object.fromEntries([1, 2, 3, 4, 5, 6, 7, 8, 9].map((number) => [number, station(number)])),
   },
@@ -173,9 +211,15 @@ canvas.addEventListener("webglcontextlost", () => { at("lost").hidden = false; }
 canvas.addEventListener("webglcontextrestored", () => { at("lost").hidden = true; });
 addEventListener("resize", fit);
 
-for (const kind of ["point", "distance", "flatness"]) at(kind).onclick = choose(kind);
+for (const kind of ["point", "distance", "height", "angle", "area", "flatness"]) at(kind).onclick = choose(kind);
 for (const what of ["undo", "clear"]) at(what).onclick = () => order({ do: what });
+at("close-outline").onclick = close;
 at("room").onclick = () => measure({ do: "room" });
+at("volume").onclick = () => order({ do: "box", ...shown(), ...box.cut() });
+at("save-section").onclick = saveSection;
+at("picture").onclick = savePicture;
+at("surface").onchange = join;
+at("shades").onchange = () => { drawing.shades = at("shades").checked; drawing.moved(); };
 for (const what of ["csv", "json"]) at(what).onclick = () => order({ do: "save", what });
 for (const where of ["outside", "above"]) at(where).onclick = () => look(where);
 at("by").onchange = colour;
@@ -222,9 +266,11 @@ async function begin() {
   if (sided.length < drawing.clouds.length) at("backs-of").textContent = sided.length === 1 ? `, of ${sided[0].title}` : `, of ${sided.length} of ${drawing.clouds.length} clouds`;
   at("backs").checked = drawing.clouds.some((cloud) => cloud.hides);
   drawing.backs = !at("backs").checked;
+  at("surface-part").hidden = !drawing.surfaces.works || !drawing.clouds.some((cloud) => cloud.surface);
+  at("shades-part").hidden = !drawing.shading.works;
   at("photographs-part").hidden = !drawing.clouds.some((cloud) => cloud.panorama);
   at("products-part").hidden = !scene.products;
-  at("products-part").ontoggle = () => { if (at("products-part").open) showProducts(); };
+  at("products-part").ontoggle = () => { if (scene.products && at("products-part").open) showProducts(); };
   at("look-again").onclick = showProducts;
   at("clouds-part").hidden = drawing.clouds.length < 2;
   for (const cloud of drawing.clouds) {

@@ -6,7 +6,7 @@ const empty = new WeakSet();
 // `state` is what was measured; `place` gives the place of an end in the scene, null where its cloud is hidden; `box` draws
 // itself, or is null; `names` are [text, the corners of the cloud's top].
 export function drawMarks(canvas, camera, { state, place, box, names }) {
-  const nothing = !(box || state.first || state.measured?.length || names.length);
+  const nothing = !(box || state.places?.length || state.measured?.length || names.length);
   if (nothing && empty.has(canvas)) return;
   if (nothing) empty.add(canvas); else empty.delete(canvas);
   const dense = Math.min(devicePixelRatio, 2), width = canvas.clientWidth, height = canvas.clientHeight;
@@ -31,7 +31,8 @@ export function drawMarks(canvas, camera, { state, place, box, names }) {
     if (at.every(Boolean)) tag(text, x - pen.measureText(text).width / 2 - 5, Math.min(...at.map((one) => one[1])) - 24, NAME);
   }
   pen.strokeStyle = pen.fillStyle = MARK;
-  if (state.first) { const at = seen(state.first); if (at) spot(at); }
+  const begun = (state.places ?? []).map(seen).filter(Boolean);
+  begun.forEach(spot); begun.slice(1).forEach((end, k) => line(begun[k], end));
   (state.measured ?? []).forEach((one, number) => {
     // The room's lengths lead closely by the eyes of one who stands in it.
     if (one.kind === "room" && camera.standing) return;
@@ -39,9 +40,11 @@ export function drawMarks(canvas, camera, { state, place, box, names }) {
     if (!ends.length || ends.some((end) => !end)) return;
     pen.fillStyle = MARK;
     if (ends.length === 2) line(...ends);
+    // An outline is closed.
+    if (ends.length > 2) ends.forEach((end, k) => line(ends.at(k - 1), end));
     ends.forEach(spot);
     // The room's lengths meet in its middle, so their words stand nearer to an end.
-    const share = one.kind === "room" ? 0.75 : 0.5, [x, y] = ends.length === 2 ? [0, 1].map((k) => (1 - share) * ends[0][k] + share * ends[1][k]) : ends[0];
+    const share = one.kind === "room" ? 0.75 : 0.5, at = (k) => (ends.length === 2 ? (1 - share) * ends[0][k] + share * ends[1][k] : ends.reduce((sum, end) => sum + end[k] / ends.length, 0)), [x, y] = [at(0), at(1)];
     tag(`${number + 1}: ${one.words[0].split(",")[0]}`, x + 8, y - 24, MARK);
   });
 }

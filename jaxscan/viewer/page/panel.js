@@ -11,6 +11,9 @@ export function make(tag, text = "", kind = "") {
 const ASKS = {
   point: "Click a point.",
   distance: "Click two places: each is averaged over 20 mm, as jaxscan measure distance does.",
+  height: "Click two places: how much higher the second is, each averaged over 20 mm.",
+  angle: "Click two walls: the angle between their planes within 200 mm, 90 degrees in a square corner.",
+  area: "Click the corners of an area, then the first one again.",
   flatness: "Click a flat place: its plane within 200 mm, as jaxscan measure plane does.",
 };
 
@@ -20,7 +23,8 @@ export function showState(state, nameOf, remove) {
     at(kind).classList.toggle("chosen", state.kind === kind);
     at(kind).setAttribute("aria-pressed", state.kind === kind);
   }
-  if (!state.measuring) say(state.message || ASKS[state.kind]);
+  if (state.message || !state.measuring) say(state.message || ASKS[state.kind]);
+  at("close-outline").hidden = state.kind !== "area" || state.places.length < 3;
   const focused = at("measured").contains(document.activeElement), some = state.measured.length > 0;
   at("measured").replaceChildren(...state.measured.map((one, number) => {
     const item = make("li"), name = nameOf(one);
@@ -37,7 +41,7 @@ export function showState(state, nameOf, remove) {
   }));
   at("measured").scrollTop = 1e6;
   for (const id of ["csv", "json", "clear"]) at(id).disabled = !some;
-  at("undo").disabled = !some && !state.first && !state.measuring;
+  at("undo").disabled = !some && !state.places.length && !state.measuring;
   // The button that was pressed is gone.
   if (focused) (at("measured").querySelector("li:last-child button:last-child") ?? at(state.kind)).focus();
 }

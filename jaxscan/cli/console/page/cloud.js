@@ -3,6 +3,8 @@ const VERTEX = `attribute vec3 place; attribute vec3 colour; uniform mat4 view; 
 void main() { gl_Position = view * vec4(place, 1.0); gl_PointSize = clamp(size / gl_Position.w, 1.5, 6.0); shown = sqrt(colour); }`;
 const FRAGMENT = "precision mediump float; varying vec3 shown; void main() { gl_FragColor = vec4(shown, 1.0); }";
 
+const FOCAL = 1.6;
+
 export class Cloud {
   constructor(canvas, missing, count, empty) {
     this.canvas = canvas; this.count = count; this.empty = empty;
@@ -10,6 +12,8 @@ export class Cloud {
     missing.hidden = Boolean(this.gl);
     canvas.hidden = !this.gl;
     this.turn = 0.6; this.tilt = 0.5; this.away = 9; this.number = 0; this.chunks = []; this.points = 0;
+    // Some of the places, by which the view is chosen until a person zooms: its middle, and how far all reach from it.
+    this.some = []; this.middle = [0, 0, 0]; this.radius = 3; this.zoomed = false;
     if (this.gl) { this.prepare(); this.listen(); this.draw(); }
     this.tell();
   }
@@ -27,7 +31,7 @@ export class Cloud {
 
   clear(number) {
     for (const chunk of this.chunks) { this.gl.deleteBuffer(chunk.place); this.gl.deleteBuffer(chunk.colour); }
-    this.number = number; this.chunks = []; this.points = 0;
+    this.number = number; this.chunks = []; this.points = 0; this.some = []; this.zoomed = false;
     this.tell(); this.later();
   }
 
@@ -43,7 +47,21 @@ export class Cloud {
       return made;
     };
     this.chunks.push({ points, place: buffer(new Float32Array(data, 0, 3 * points)), colour: buffer(new Uint8Array(data, 12 * points, 3 * points)) });
+    this.enclose(new Float32Array(data, 0, 3 * points));
     this.later();
+  }
+
+  // Without the outermost hundredth: strays are not the room.
+  enclose(places) {
+    const points = places.length / 3, step = Math.max(1, Math.floor(points / 200));
+    for (let k = 0; k < points; k += step) this.some.push([...places.subarray(3 * k, 3 * k + 3)]);
+    if (this.some.length > 4000) this.some = this.some.filter((_, k) => k % 2);
+    const ends = [0, 1, 2].map((axis) => {
+      const along = this.some.map((one) => one[axis]).sort((a, b) => a - b);
+      return [along[Math.floor(0.01 * along.length)], along[Math.ceil(0.99 * along.length) - 1]];
+    });
+    this.middle = ends.map(([low, high]) => (low + high) / 2);
+    this.radius = Math.max(0.2, Math.hypot(...ends.map(([low, high]) => (high - low) / 2)));
   }
 
   tell() { this.empty.hidden = !this.gl || this.points > 0; this.count.textContent = this.points ? `${this.points.toLocaleString("en")} points shown` : ""; }
@@ -63,13 +81,15 @@ export class Cloud {
   }
 
   go(turn, tilt) { this.turn += turn; this.tilt = Math.min(1.5, Math.max(-1.5, this.tilt + tilt)); this.later(); }
-  zoom(factor) { this.away = Math.min(60, Math.max(0.5, this.away * factor)); this.later(); }
+  zoom(factor) { this.zoomed = true; this.away = Math.min(60, Math.max(0.5, this.away * factor)); this.later(); }
   later() { if (!this.waiting && this.gl) this.waiting = requestAnimationFrame(() => { this.waiting = 0; this.draw(); }); }
 
   draw() {
     const gl = this.gl, canvas = this.canvas, dense = Math.min(devicePixelRatio, 2);
     const width = Math.max(1, Math.round(canvas.clientWidth * dense)), height = Math.max(1, Math.round(canvas.clientHeight * dense));
     if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
+    // The ball around all, as large as the narrower side of the picture.
+    if (!this.zoomed) this.away = this.radius * Math.hypot(1, FOCAL / Math.min(1, width / height)) * 0.74;
     gl.viewport(0, 0, width, height); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.uniformMatrix4fv(this.view, false, this.matrix(width / height)); gl.uniform1f(this.size, height / 60);
     for (const chunk of this.chunks) {
@@ -79,12 +99,14 @@ export class Cloud {
     }
   }
 
-  // Perspective times a camera that circles the scanner, z up; column after column.
+  // Perspective times a camera that circles the middle, z up; column after column.
   matrix(aspect) {
-    const f = 1.6, near = 0.05, far = 200, a = (far + near) / (near - far), b = (2 * far * near) / (near - far);
+    const f = FOCAL, near = 0.05, far = 200, a = (far + near) / (near - far), b = (2 * far * near) / (near - far);
     const [ct, st, ce, se] = [Math.cos(this.turn), Math.sin(this.turn), Math.cos(this.tilt), Math.sin(this.tilt)];
     const right = [-st, ct, 0], up = [-se * ct, -se * st, ce], back = [ce * ct, ce * st, se];
     const column = (i) => [(f / aspect) * right[i], f * up[i], a * back[i], -back[i]];
-    return new Float32Array([...column(0), ...column(1), ...column(2), 0, 0, -a * this.away + b, this.away]);
+    // The camera looks at the middle from `away`.
+    const moved = [0, 1, 2, 3].map((row) => -[0, 1, 2].reduce((sum, axis) => sum + column(axis)[row] * this.middle[axis], 0));
+    return new Float32Array([...column(0), ...column(1), ...column(2), moved[0], moved[1], moved[2] - a * this.away + b, moved[3] + this.away]);
   }
 }

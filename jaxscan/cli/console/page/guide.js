@@ -45,7 +45,10 @@ function tilts({ pose, next, min_tilt_deg }) {
 }
 
 function depths({ depth_m, pose }) {
-  const canvas = at("depths"), pen = canvas.getContext("2d"), far = 4, x = (depth) => 8 + (Math.min(depth, far) / far) * (canvas.width - 16);
+  const canvas = at("depths");
+  // As wide as it is seen, so that its letters are as large as others.
+  if (canvas.clientWidth) canvas.width = canvas.clientWidth;
+  const pen = canvas.getContext("2d"), far = 4, x = (depth) => 8 + (Math.min(depth, far) / far) * (canvas.width - 16);
   pen.clearRect(0, 0, canvas.width, canvas.height);
   pen.fillStyle = EMPTY; pen.fillRect(8, 24, canvas.width - 16, 12);
   if (depth_m) { pen.fillStyle = DONE; pen.fillRect(x(depth_m[0]), 24, Math.max(4, x(depth_m[1]) - x(depth_m[0])), 12); }

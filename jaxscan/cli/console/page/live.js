@@ -1,3 +1,5 @@
+import { exposureNote } from "/hand.js";
+
 // The camera's picture, with the laser's line, the board's corners, and the place where to hold the board next.
 const canvas = document.getElementById("picture"), pen = canvas.getContext("2d");
 let bitmap = null, known = {};
@@ -17,9 +19,10 @@ export function showLive(state) {
   document.getElementById("peak").value = live.peak_dn ?? 0;
   document.getElementById("peak-dn").textContent = lit ? `${live.peak_dn.toFixed(0)} of 255${live.clipped > 0.02 ? `, ${(100 * live.clipped).toFixed(0)} % clipped` : ""}` : "–";
   document.getElementById("angle").textContent = live.angle_deg === undefined ? "" : `table at ${live.angle_deg.toFixed(2)}°`;
-  const exposure = live.exposure;
-  const says = live.proof || (exposure ? exposure.do && `${exposure.do} (in ${state.config}; then End, and Look again)` || `exposure is good: ${exposure.found}` : "");
-  document.getElementById("exposure").textContent = says;
+  const exposure = live.exposure, looks = state.doing === "aim";
+  const said = live.proof || (exposure ? exposure.do && `${exposure.found}: ${exposure.do.startsWith("expose") ? "press Auto, or set it here" : exposure.do}` || `exposure is good: ${exposure.found}` : "");
+  // Of a look that has ended nothing is advised.
+  document.getElementById("exposure").textContent = [looks ? said : "", exposureNote(state)].filter(Boolean).join(". ");
   if (!bitmap) document.getElementById("no-picture").textContent = state.doing === "opening" ? "opening the rig …" : "Press Look to see what the camera sees.";
   draw(state);
 }

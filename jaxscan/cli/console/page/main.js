@@ -4,6 +4,7 @@ import { showLive, showPicture } from "/live.js";
 import { showGuide } from "/guide.js";
 import { Cloud } from "/cloud.js";
 import { showCaptures } from "/captures.js";
+import { showHand, takeHand } from "/hand.js";
 
 const PICTURE = 1, CLOUD = 2;
 const WORDS = { nothing: "ready", opening: "opening the rig …", aim: "looking", sweep: "scanning", boards: "capturing the board", placing: "place the board" };
@@ -60,18 +61,30 @@ function duration(seconds) {
 
 const size = (bytes) => (bytes >= 1e9 ? `${(bytes / 1e9).toFixed(1)} GB` : `${(bytes / 1e6).toFixed(1)} MB`);
 
-// What to do next, where nothing is done.
+// What to do next: in words, and the one button for it, by its id or as [capture, button].
 function next() {
-  if (state.doing !== "nothing" || !you.operates) return "";
+  if (!you.operates) return ["", ""];
+  if (state.doing === "placing") return ["", "take"];
+  if (state.doing === "aim") {
+    const { exposure, proof } = state.live ?? {};
+    if (proof || !exposure) return ["", ""];
+    if (exposure.do.startsWith("expose")) return ["Press Auto: it finds the exposure for what is seen now.", "auto"];
+    const well = exposure.do ? `Better: ${exposure.do}. Then` : "The line is good:";
+    return state.calibration || !state.has_board ? [`${well} Scan.`, "sweep"] : [`${well} Calibrate, with the board.`, "boards"];
+  }
+  if (state.doing !== "nothing") return ["", ""];
   const works = state.works.filter((work) => work.running).map((work) => work.what.split(" ")[0]);
-  if (works.includes("calibrate")) return "The calibration is calculated: wait for its verdict.";
-  if (works.includes("reconstruct")) return "The cloud is calculated; it can be looked at as soon as that is done.";
-  if (resumable()) return `Resume goes on with ${state.order.name}.`;
+  if (works.includes("calibrate")) return ["The calibration is calculated: wait for its verdict.", ""];
+  if (works.includes("recalibrate")) return ["The calibration is bettered: wait for its verdict.", ""];
+  if (works.includes("reconstruct")) return ["The cloud is calculated; it can be looked at as soon as that is done.", ""];
+  if (resumable()) return [`Resume goes on with ${state.order.name}.`, "resume"];
   const made = state.captures.find((capture) => capture.cloud);
-  if (made) return `${made.name} has its cloud: Look around, under Captures.`;
-  if (!state.calibration && state.verdict?.verdict) return "This calibration is not used: its verdict below says what to do.";
-  if (!state.calibration) return state.has_board ? "First Look, until the line is bright and sharp; then Calibrate with the board." : "First Look, until the line is bright and sharp; then Scan.";
-  return "Take the board out of the room; then Scan.";
+  if (made) return [`${made.name} has its cloud: Look around, under Captures; or Scan again.`, [made.name, "Look around"]];
+  if (!state.calibration && state.verdict?.verdict) return ["This calibration is not used: its verdict below says what to do.", "boards"];
+  if (!state.calibration) return [`First Look, until the line is bright and sharp; then ${state.has_board ? "Calibrate, with the board" : "Scan"}.`, !state.live ? "aim" : state.has_board ? "boards" : "sweep"];
+  const swept = state.captures.find((capture) => capture.kind === "sweep" && capture.complete);
+  if (swept) return [`Reconstruct ${swept.name}, under Captures, makes its cloud.`, [swept.name, "Reconstruct"]];
+  return ["Take the board out of the room; then Scan.", "sweep"];
 }
 
 const resumable = () => Boolean(state.order) && state.order.do !== "aim" && state.done < state.planned && known(state.order.name) && !known(state.order.name).complete;
@@ -80,9 +93,10 @@ const known = (name) => state.captures.find((capture) => capture.name === name);
 // A capture is not written over: a name that is taken gives way to the next one, but not under a person's hands.
 function nameAnew(id) {
   const field = at(id), [, stem, number] = field.value.match(/^(.*?)(?:-(\d+))?$/);
-  if (document.activeElement === field || !known(field.value)) return;
+  const taken = (name) => known(name) || (state.doing !== "nothing" && state.order?.name === name);
+  if (document.activeElement === field || !taken(field.value)) return;
   let next = Number(number ?? 1) + 1;
-  while (known(`${stem}-${next}`)) next++;
+  while (taken(`${stem}-${next}`)) next++;
   field.value = `${stem}-${next}`;
 }
 
@@ -97,7 +111,10 @@ function show() {
   at("take-over").hidden = operates;
   say("problem", state.problem);
   say("ended", state.ended);
-  at("next").textContent = next();
+  const [step, goes] = next();
+  at("next").textContent = step;
+  for (const button of document.querySelectorAll("button.go")) if (!button.closest("#captures")) button.classList.remove("go");
+  if (typeof goes === "string" && goes) at(goes).classList.add("go");
   at("estop").hidden = !state.estop;
   at("estop").textContent = `The emergency stop is pressed. Release it, then ${resumable() ? "press Resume" : "begin again"}.`;
   for (const id of ["aim", "boards", "sweep"]) at(id).disabled = !operates || running || (id === "aim" && busy);
@@ -106,7 +123,7 @@ function show() {
   at("pause").disabled = !operates || !busy;
   at("pause").textContent = state.doing === "aim" ? "End" : "Pause";
   at("resume").disabled = !operates || busy || !resumable();
-  if (!busy) for (const id of ["boards-name", "sweep-name"]) nameAnew(id);
+  for (const id of ["boards-name", "sweep-name"]) nameAnew(id);
   at("lost-stops").disabled = !operates;
   at("lost-stops").checked = state.lost === "stop";
   if (state.planned) {
@@ -124,20 +141,47 @@ function show() {
     return make("li", `${time}  ${line.says}`, line.kind);
   }));
   at("folder").textContent = state.folder;
-  at("calibration").textContent = state.calibration ? `calibration: ${state.calibration}` : "no calibration yet: the cloud grows once there is one";
+  showCalibration();
   showLive(state);
+  showHand(state, operates);
   showGuide(state);
   showVerdict(state.verdict);
-  showCaptures(state, you.operates, cloud, order);
+  showCaptures(state, you.operates, cloud, order, typeof goes === "string" ? ["", ""] : goes);
   showWorks(state.works);
+}
+
+function age(seconds) {
+  const [each, name] = [[86400, "day"], [3600, "hour"], [60, "minute"]].find(([each]) => seconds >= each) ?? [1, ""];
+  const count = Math.floor(seconds / each);
+  return name ? `${count} ${name}${count === 1 ? "" : "s"} ago` : "just now";
+}
+
+// By the user's own goal; a colour without one would judge what nobody asked for.
+const judged = (size) => (!state.goal_mm || !size ? "" : size <= state.goal_mm ? "good" : "open");
+
+// The calibration that is used, and those that may be used instead.
+function showCalibration() {
+  const known = state.calibrations ?? [], used = known.find((one) => state.calibration && state.calibration.split("/").at(-1) === one.file);
+  at("calibration").textContent = !state.calibration ? "none yet: the cloud grows once there is one" : used ? `${used.headline}; ${age(Date.now() / 1000 - used.changed)}` : state.calibration;
+  at("calibration").className = used ? judged(used.sigma_mm) : "";
+  const some = known.filter((one) => one.good), list = at("calibrations");
+  list.hidden = !some.length;
+  list.disabled = !you.operates;
+  const key = JSON.stringify([some.map((one) => one.file), used?.file]);
+  if (list.dataset.shown === key || document.activeElement === list) return;
+  list.dataset.shown = key;
+  fill(list, [...(used?.good ? [] : [make("option", state.calibration ?? "choose one")]), ...some.map((one) => { const made = make("option", one.file); made.value = one.file; return made; })]);
+  list.value = used?.file ?? list.options[0]?.value;
 }
 
 function showVerdict(verdict) {
   at("verdict").hidden = !verdict?.verdict;
   if (!verdict?.verdict) return;
-  const kinds = { good: "good", bad: "wrong", open: "open" };
+  const kinds = { good: judged(verdict.sigma_mm), bad: "wrong", open: "open" };
   at("headline").textContent = verdict.verdict.headline;
   at("headline").className = `headline ${kinds[verdict.verdict.kind] ?? ""}`;
+  const far = verdict.at_m ? ` of points at ${verdict.at_m.toFixed(1)} m` : "";
+  at("goal").textContent = !verdict.sigma_mm ? "" : state.goal_mm ? `${verdict.sigma_mm.toFixed(2)} mm${far}, your goal_mm is ${state.goal_mm}: ${verdict.sigma_mm <= state.goal_mm ? "met" : "not met"}.` : `${verdict.sigma_mm.toFixed(2)} mm${far}. Write goal_mm into ${state.config} to have it judged.`;
   at("explanation").textContent = verdict.verdict.explanation;
   fill(at("lengths"), (verdict.lengths ?? []).map((length) => {
     const row = make("tr");
@@ -167,6 +211,16 @@ at("enough").onclick = () => order("enough");
 at("enough-of-all").onclick = () => order("enough of all");
 at("resume").onclick = () => order(state.order.do, { name: state.order.name, resume: true });
 at("lost-stops").onchange = (event) => order("lost", { stop: event.target.checked });
+at("calibrations").onchange = (event) => { order("use", { name: event.target.value }); event.target.blur(); };
+takeHand(order);
+// One panel at a time is as large as the page; the button that made it large makes it small again.
+for (const button of document.querySelectorAll(".enlarge")) {
+  button.onclick = () => {
+    const panel = button.closest(".panel"), large = !panel.classList.contains("large");
+    for (const one of document.querySelectorAll(".panel")) one.classList.toggle("large", one === panel && large);
+    for (const one of document.querySelectorAll(".enlarge")) { one.textContent = one === button && large ? "make small" : "enlarge"; one.setAttribute("aria-pressed", one === button && large); }
+  };
+}
 at("boards-form").onsubmit = (event) => { event.preventDefault(); order("boards", named("boards-name")); };
 at("sweep-form").onsubmit = (event) => { event.preventDefault(); order("sweep", named("sweep-name")); };
 addEventListener("keydown", (event) => {

@@ -1,11 +1,13 @@
 """The console's addresses: its page, its socket, pictures of captures, their clouds, and the viewer."""
 
 import asyncio
+import os
 from collections.abc import Callable
 
 from aiohttp import web
 from aiohttp.typedefs import Handler
 
+from jaxscan.cli.console.captures import MADE
 from jaxscan.cli.console.desk import Desk
 from jaxscan.cli.console.orders import Order
 from jaxscan.cli.console.serving.hub import Hub
@@ -18,7 +20,18 @@ from jaxscan.web import Address, Gate, Resource, resource_routes
 
 _PACKAGE = "jaxscan.cli.console"
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
-_FILES = ("index.html", "style.css", "main.js", "dom.js", "live.js", "guide.js", "cloud.js", "captures.js", "icon.svg")
+_FILES = (
+    "index.html",
+    "style.css",
+    "main.js",
+    "dom.js",
+    "live.js",
+    "guide.js",
+    "cloud.js",
+    "captures.js",
+    "hand.js",
+    "icon.svg",
+)
 _JPEG, _BINARY = "image/jpeg", "application/octet-stream"
 
 
@@ -35,6 +48,20 @@ def make_site(address: Address, desk: Desk, sessions: Sessions) -> web.Applicati
                 sessions.reconstruct(order.name)
             case "compare":
                 sessions.compare(order.name, order.other)
+            case "use":
+                sessions.use(order.name)
+            case "recalibrate":
+                sessions.recalibrate(order.name)
+            case "plan":
+                sessions.draw_plan(order.name)
+            case "mesh":
+                sessions.make_mesh(order.name)
+            case "report":
+                sessions.report(order.name)
+            case "delete":
+                sessions.delete(order.name)
+            case "rename":
+                sessions.rename(order.name, order.other)
             case _:
                 desk.ask(order)
 
@@ -45,6 +72,17 @@ def make_site(address: Address, desk: Desk, sessions: Sessions) -> web.Applicati
         asked, query = request.match_info, request.query
         return captures.photograph(asked["name"], int(asked["index"]), lit="lit" in query, small="small" in query)
 
+    async def made(request: web.Request) -> web.StreamResponse:
+        """A file that was made of a capture, to be kept: a page of ours does not show it."""
+        try:
+            path = captures.made(request.match_info["name"], request.match_info["what"])
+        except JaxscanError as problem:
+            return web.Response(status=404, text=f"{problem}\n")
+        if os.path.islink(path) or not os.path.isfile(path):
+            return web.Response(status=404, text="it was not made yet.\n")
+        headers = {"Content-Disposition": f'attachment; filename="{path.name}"', "Content-Type": _BINARY}
+        return web.FileResponse(path, headers=headers)
+
     site = Gate(address).application()
     listed = {f"/{name}": Resource(_PACKAGE, f"page/{name}", _type(name)) for name in _FILES}
     listed["/"] = listed.pop("/index.html")
@@ -53,6 +91,7 @@ def make_site(address: Address, desk: Desk, sessions: Sessions) -> web.Applicati
         [
             web.get("/socket", hub.socket),
             web.get(r"/pictures/{name}/{index:\d{1,7}}", _answer(photograph, _JPEG)),
+            web.get(f"/made/{{name}}/{{what:{'|'.join(MADE)}}}", made),
             web.get("/clouds/{name}", _answer(lambda request: captures.points(request.match_info["name"]), _BINARY)),
         ]
     )

@@ -1,0 +1,173 @@
+r"""The correlation of the errors of neighbouring rows, and what it does to the fits of a window.
+
+Demosaicing, compression and blur make the errors of neighbouring rows alike. Least squares with the weights of
+independent rows stay unbiased, but other figures follow: with the errors' covariance C, the weights h of the value and
+the projection M onto the residuals, the value has the variance $h^\top C h$, and chi-squared the mean
+$\mathrm{tr}\,MC$ and the variance $2\,\mathrm{tr}\,(MC)^2$. Windows are few and rows of one are about equally good, so
+these are tabulated, over what they are of independent rows.
+
+Source: G. E. P. Box, Some theorems on quadratic forms applied in the study of analysis of variance problems, Ann.
+Math. Stat. 25, 1954.
+"""
+
+import functools
+from typing import NamedTuple, TypeVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.geometry import Array
+
+
+SIZES = (3, 6, 10)
+"""Half sizes of windows, and lines on either side of a possible edge: of fewer lines more noise would be left, of more
+the surface itself would be smoothed."""
+REACH = 20
+"""Rows and lines that a window reaches to one side at most."""
+STRAIGHT = 4500.0
+"""How well it is known that surfaces are straight: information of a prior of the curvature, in that of two rows;
+corners of a few standard deviations a line are still seen, and spheres are not cut into pieces."""
+SLOPES = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
+"""Slopes of a stripe that have tables of their own [px/line]."""
+_ALIKE_ENOUGH = 1e-9
+
+
+_Count = TypeVar("_Count", int, Array)
+
+
+class Correlation(NamedTuple):
+    """Of the errors of the rows of one profile. Hashable."""
+
+    near: tuple[float, ...] = ()
+    """Of a row with the k-th next one, for k = 1 on; 0 beyond [1]."""
+    pixel: float = 0.0
+    """Part of the variance that depends on where in its pixel the stripe lies [1]: rows of an upright stripe share it,
+    those of a steep one do not."""
+    way_px: float = 0.5
+    """Way of the stripe over which such an error stays alike, as a standard deviation [px]."""
+
+    def of(self, lag: np.ndarray, slope: float) -> np.ndarray:
+        """Of rows so far apart, of a stripe of such a slope [px/line]."""
+        near = np.array([1.0 - self.pixel, *self.near, 0.0])
+        return near[np.minimum(lag, len(near) - 1)] + self.pixel * alike_in_pixel(slope * lag, self.way_px)
+
+
+INDEPENDENT = Correlation()
+
+
+def alike_in_pixel(moved_px: np.ndarray, way_px: float) -> np.ndarray:
+    """Correlation of errors by the place in the pixel, of stripes so far apart."""
+    return np.exp(-0.5 * (moved_px / way_px) ** 2)
+
+
+class Tables(NamedTuple):
+    """Figures of fits over those of independent rows, float32; 1 where a window has too few rows."""
+
+    windows: Float[Array, "sizes windows 4"]
+    """Variance of a parabola's value, mean of chi-squared, its standard deviation, and the variance of the value's
+    difference to that of the next smaller window; by slope, and by the rows that are free before and behind."""
+    edges: Float[Array, " edges"]
+    """Mean gain in chi-squared of two lines over a parabola; by slope, and by the rows on both sides."""
+    rows: Float[Array, "slopes 3"]
+    """Chi-squared of four neighbours about a line, variance of a row's distance from that line, and that of the mean of
+    many rows."""
+    correlated: Array
+    """Whether any of them is not 1."""
+
+
+@functools.lru_cache(maxsize=16)
+def tables_of(correlation: Correlation) -> Tables:
+    """Tables for `smooth_profiles`."""
+    lag = np.abs(np.subtract.outer(np.arange(2 * REACH + 1), np.arange(2 * REACH + 1)))
+    parts = [_tables(correlation.of(lag, slope)) for slope in SLOPES]
+    windows, edges, rows = (np.stack(part).astype(np.float32) for part in zip(*parts, strict=True))
+    windows = windows.swapaxes(0, 1).reshape(len(SIZES), -1, 4)
+    return Tables(windows, edges.reshape(-1), rows, np.asarray(correlation != INDEPENDENT))
+
+
+def _tables(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of one slope, where the rows of the longest window have such a covariance."""
+    fits, weights, before = _windows()
+    shape = (len(SIZES), (REACH + 1) ** 2)
+    quadratic = lambda h: np.einsum("...i,ij,...j->...", h, covariance, h)
+    # Of equal weights h it is the same as before.
+    ratio = lambda h: np.where((h**2).sum(-1) > _ALIKE_ENOUGH, quadratic(h) / np.maximum((h**2).sum(-1), 1e-30), 1.0)
+    size = fits.projections.shape[1]
+    product = fits.projections @ covariance[:size, :size]
+    free = np.maximum(fits.rows - 3.0, 1.0)
+    mean = np.trace(product, axis1=1, axis2=2) / free
+    spread = np.sqrt(np.einsum("wij,wji->w", product, product) / free)
+    known = fits.rows > 3
+    own = [np.where(known, one, 1.0)[fits.number].reshape(shape) for one in (mean, spread)]
+    windows = np.stack([ratio(weights), *own, ratio(weights - before)], -1)
+    edges = np.ones((SIZES[-1] + 1, SIZES[-1] + 1))
+    for (left, right), gain in _gains().items():
+        edges[left, right] = np.sum(gain * covariance[: left + right, : left + right]) / np.trace(gain)
+    around = np.array([-2, -1, 1, 2])
+    line = _hat(np.stack([np.ones(4), around], 1))
+    agree = np.sum((np.eye(4) - line) * covariance[np.ix_(around + 2, around + 2)]) / 2.0
+    away = np.array([-0.25, -0.25, 1.0, -0.25, -0.25])
+    mean_of_many = covariance[0, 0] + 2.0 * covariance[0, 1 : REACH + 1].sum()
+    stray = away @ covariance[:5, :5] @ away / (away @ away)
+    return windows, edges, np.array([agree, stray, mean_of_many])
+
+
+class _Fits(NamedTuple):
+    projections: Float[np.ndarray, "windows rows rows"]
+    """Onto the residuals of a parabola, for each kind of window."""
+    rows: Float[np.ndarray, " windows"]
+    number: Float[np.ndarray, " all"]
+    """Which kind each size has, with the rows that are free before and behind."""
+
+
+@functools.cache
+def _windows() -> tuple[_Fits, np.ndarray, np.ndarray]:
+    """All windows; the weights of their values; and those of the next smaller ones [sizes, windows, rows]."""
+    kinds: dict[tuple[int, int], int] = {}
+    number = []
+    for size in SIZES:
+        for left in range(REACH + 1):
+            for right in range(REACH + 1):
+                kind = window_of(left, right, size)
+                number.append(kinds.setdefault(kind, len(kinds)))
+    most = 2 * SIZES[-1] + 1
+    projections, values = np.zeros((len(kinds), most, most)), np.zeros((len(kinds), 2 * REACH + 1))
+    for (low, high), k in kinds.items():
+        x, rows = np.arange(-low, high + 1), low + high + 1
+        if rows < 3:
+            values[k, REACH] = 1.0
+            continue
+        design = np.stack([np.ones(rows), x, x**2], 1)
+        projections[k, :rows, :rows] = np.eye(rows) - _hat(design)
+        values[k, REACH - low : REACH + high + 1] = _hat(design)[low]
+    weights = values[number].reshape(len(SIZES), -1, 2 * REACH + 1)
+    alone = np.zeros_like(weights[:1])
+    alone[..., REACH] = 1.0
+    lengths = np.array([low + high + 1.0 for low, high in kinds])
+    return _Fits(projections, lengths, np.array(number)), weights, np.concatenate([alone, weights[:-1]])
+
+
+@functools.cache
+def _gains() -> dict[tuple[int, int], np.ndarray]:
+    """Quadratic forms of the gain in chi-squared of two lines over a parabola, by the rows on both sides."""
+    found = {}
+    for left in range(2, SIZES[-1] + 1):
+        for right in range(2, SIZES[-1] + 1):
+            x = np.arange(1.0 - left, right + 1.0)
+            ones, before = np.ones(left + right), np.arange(left + right) < left
+            lines = np.stack([ones * before, x * before, ones * ~before, x * ~before], 1)
+            curved = np.stack([ones, x, x**2], 1)
+            found[left, right] = _hat(lines) - _hat(curved, np.diag([0.0, 0.0, 0.5 * STRAIGHT]))
+    return found
+
+
+def _hat(design: np.ndarray, prior: np.ndarray | float = 0.0) -> np.ndarray:
+    return design @ np.linalg.solve(design.T @ design + prior, design.T)
+
+
+def window_of(left: _Count, right: _Count, size: int) -> tuple[_Count, _Count]:
+    """Rows of a window on both sides of a row with so many free ones: a side that ends early is made up for on the
+    other."""
+    least = min if isinstance(left, int) else jnp.minimum
+    return least(left, 2 * size - least(right, size)), least(right, 2 * size - least(left, size))
