@@ -230,7 +230,7 @@ def _poses_from_rays(points: np.ndarray, rays: np.ndarray, valid: np.ndarray) ->
     x = x / np.linalg.norm(x, axis=1, keepdims=True)
     towards = np.stack([x, np.cross(z, x), z], axis=1)
     turned = rays @ np.swapaxes(towards, 1, 2)
-    ahead = valid & (turned[..., 2] > _MIN_COSINE)
+    ahead = np.asarray(valid & (turned[..., 2] > _MIN_COSINE))
     share = ahead.sum(1) / count
     poses, back = np.tile(np.eye(4), (2, len(rays), 1, 1))
     poses[:, 2, 3], back[:, :3, :3] = 1.0, np.swapaxes(towards, 1, 2)

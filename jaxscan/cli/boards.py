@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxscan import api
-from jaxscan.cli.scan import CaptureFolder, ScanDisplay
+from jaxscan.cli.scan_display import CaptureFolder, ScanDisplay
 from jaxscan.cli.terminal import Terminal
 from jaxscan.errors import OptionError
 from jaxscan.stripes import FrameFormat, LaserLine

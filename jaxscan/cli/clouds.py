@@ -401,7 +401,9 @@ def _stack_clouds(paths: tuple[Path, ...], output: Path) -> list[dict[str, Any]]
     digests = {one.about.calibration for one in stored}
     together = reconstruction.stack_placed([one.cloud for one in stored])
     api.save_cloud(together, output, calibration_digest=digests.pop() if len(digests) == 1 else "")
-    return [_station(*pair) for pair in zip(together.stations.pose, together.stations.covariance, strict=True)]
+    stations = together.stations
+    assert stations is not None  # Each of them has one.
+    return [_station(*pair) for pair in zip(stations.pose, stations.covariance, strict=True)]
 
 
 def _station(pose: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:

@@ -102,8 +102,8 @@ def plan(
         wall, _, metres = section[0].partition("+")
         before = f", {float(metres):g} m before {wall}" if isinstance(cut, str) else ""
         out.print(f"{drawing.title}{before}")
-        for one in drawing.dimensions:
-            out.print(f"  {'height' if one.offset_m == 0 else 'width'} {one.words}")
+        for line in drawing.dimensions:
+            out.print(f"  {'height' if line.offset_m == 0 else 'width'} {line.words}")
         result["section_m"] = [list(end) for end in ends]
     origin = " ".join(f"{value:.3f}" for value in survey.outline.frame.back(np.zeros(3)))
     turned = math.degrees(math.atan2(survey.outline.frame.rotation[0, 1], survey.outline.frame.rotation[0, 0]))

@@ -1,16 +1,13 @@
 """`jaxscan scan`: drives a rig and takes a sweep, or a capture of boards; with a calibration also a live cloud."""
 
 import contextlib
-import math
 import shlex
-import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tyro
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 import jaxscan
 from jaxscan.cli.options import (
@@ -24,18 +21,17 @@ from jaxscan.cli.options import (
     file_at,
 )
 from jaxscan.cli.progress import progress_bar
+from jaxscan.cli.scan_display import CaptureFolder, ScanDisplay, ScanPlan, sweep_header
 from jaxscan.cli.signals import RigInUse
 from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json
 from jaxscan.errors import CaptureError, JaxscanError, OptionError
-from jaxscan.files import capture as capture_files
 
 
 if TYPE_CHECKING:
     from scanrig.config import RigConfig
     from scanrig.session import Devices, SessionResult
 
-    from jaxscan.cli.live import LiveCloud, LiveStatus
-    from jaxscan.files.capture import CaptureHeader
+    from jaxscan.cli.live import LiveCloud
 
 
 class ScanError(JaxscanError):
@@ -235,178 +231,3 @@ def _next_command(boards: bool, folder: Path, calibration: Path | None, cloud: P
     if cloud is not None:
         return f"jaxscan measure room {cloud} -c {calibration}"
     return f"jaxscan reconstruct {folder} -c {calibration or 'calibration.json'} -o {folder.name}.ply"
-
-
-_READABLE_S = 0.25
-_BETWEEN_LINES_S = 5.0
-"""Lines of progress in a log are at least so far apart."""
-
-
-class ScanDisplay:
-    """Sentences on standard error; with a progress bar if that is a terminal."""
-
-    def __init__(
-        self,
-        live: "Callable[[], LiveStatus] | None" = None,
-        *,
-        total: int | None = None,
-        now: Callable[[], float] = time.monotonic,
-    ) -> None:
-        """Prepare the display; it is shown inside `with`.
-
-        Args:
-            live: Gives the status of the live cloud.
-            total: Records of the scan; None for no bar.
-            now: The time [s].
-        """
-        self.retakes = 0
-        self._live = live
-        self._console = Terminal(stderr=True)
-        self._fields: dict[str, Any] = {"angle": "   home", "peak": "", "retakes": "", "points": ""}
-        self._problem = ""
-        self._read_s = -math.inf
-        self._now = now
-        self._begun: tuple[float, int] | None = None
-        """Time [s] and records when the first record was there."""
-        self._said = (0.0, 0)
-        """The same of the last line."""
-        self._bars: Progress | None = None
-        if total is not None and self._console.is_terminal:
-            columns = (
-                TextColumn("{task.fields[angle]}", markup=False),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TimeRemainingColumn(),
-                TextColumn("{task.fields[peak]}{task.fields[retakes]}{task.fields[points]}", markup=False),
-            )
-            self._bars = Progress(*columns, console=self._console.console, transient=True)
-            self._task = self._bars.add_task("", total=total, **self._fields)
-
-    def __enter__(self) -> "ScanDisplay":
-        if self._bars is not None:
-            self._bars.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._bars is not None:
-            self._bars.stop()
-
-    def pair(self, angle: float, peak_dn: Callable[[], float]) -> None:
-        """Show a pair that was taken: the table's angle [rad] and the peak level of the laser's line [DN].
-
-        The table waits meanwhile, so the peak is asked for only as often as people can read it.
-        """
-        self._fields["angle"] = f"{math.degrees(angle):7.2f}°"
-        if self._bars is not None and time.monotonic() - self._read_s >= _READABLE_S:
-            self._read_s = time.monotonic()
-            self._fields["peak"] = f"line {peak_dn():3.0f} DN"
-        self._fields["retakes"] = f", {self.retakes} retaken" if self.retakes else ""
-        if self._live is not None:
-            status = self._live()
-            self._fields["points"] = f", {status.points} points"
-            if status.problem and status.problem != self._problem:
-                self._problem = status.problem
-                self.say(f"the live cloud stopped: {status.problem}; the scan goes on")
-
-    def progress(self, done: int, planned: int) -> None:
-        """Show the number of records on the disk; where nobody watches, in a line after each tenth."""
-        if self._bars is not None:
-            self._bars.update(self._task, completed=done, total=planned, **self._fields)
-            return
-        now = self._now()
-        if self._begun is None:
-            self._begun, self._said = (now, done), (now, done)
-        (begun_s, before), (said_s, said) = self._begun, self._said
-        if now - said_s < _BETWEEN_LINES_S or 10 * done // planned == 10 * said // planned or done >= planned:
-            return
-        self._said = now, done
-        left = (now - begun_s) / (done - before) * (planned - done)
-        self._console.print(f"{done} of {planned} records, about {_duration(left)} left{self._fields['retakes']}")
-
-    def say(self, sentence: str) -> None:
-        """Print a sentence on an event."""
-        if " is taken again: " in sentence:
-            self.retakes += 1
-        self._console.print(sentence)
-
-
-class CaptureFolder(NamedTuple):
-    """The folder of a capture."""
-
-    path: Path
-    resume: bool
-    """Whether to continue the capture in it."""
-
-
-class ScanPlan(NamedTuple):
-    """The records of a scan, and its need of time and disk space."""
-
-    records: int
-    targets: str
-    """The targets in words."""
-    seconds: float
-    bytes: int
-    notes: tuple[str, ...] = ()
-
-    @classmethod
-    def of(cls, rig: "RigConfig", *, boards: bool) -> "ScanPlan":
-        """The plan of a sweep, or of a capture of boards.
-
-        Raises:
-            ConfigError: If the table cannot reach a target.
-        """
-        from scanrig.session.plan import estimate, placed_targets, placement_positions, plan_sweep
-
-        if not boards:
-            targets, notes = plan_sweep(rig)
-            needed = estimate(rig, [target.position for target in targets])
-            step = abs(rig.sweep.turn_deg) / rig.sweep.steps
-            steps = f"{rig.sweep.steps * rig.sweep.turns} steps of {step:.4g}°{_each(rig)}"
-            return cls(len(targets), steps, needed.seconds, needed.bytes, notes)
-        views = rig.calibration
-        free, stands = placed_targets(rig, placement_positions(rig))
-        records = [target.position for one in (*free, *stands) for target in one]
-        needed = estimate(rig, records)
-        places = (
-            f"{views.free_views} poses of the board, then {views.placements} places where it stands while the table "
-            f"turns to {len(views.angles_deg)} angles{_each(rig)}"
-        )
-        return cls(len(records), places, needed.seconds, needed.bytes)
-
-    def show(self, out: Terminal, rig: "RigConfig", folder: Path) -> None:
-        """Print the plan."""
-        from scanrig.recording import readable
-
-        out.print(f"{self.targets}: {2 * self.records} images of {rig.camera.width} x {rig.camera.height} to {folder}")
-        turn = f"{rig.microsteps_per_turn} microsteps per turn"
-        out.print(f"about {_duration(self.seconds)}, up to {readable(self.bytes)}, {turn}")
-        for note in self.notes:
-            out.print(f"note: {note}")
-
-
-def _each(rig: "RigConfig") -> str:
-    names = " and ".join(laser.name for laser in rig.laser)
-    return f", each with the lasers {names}" if len(rig.laser) > 1 else ""
-
-
-def _duration(seconds: float) -> str:
-    minutes = math.ceil(seconds / 60)
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"
-
-
-def sweep_header(rig: "RigConfig") -> "CaptureHeader":
-    """The header that the capture is going to have, as far as it describes the frames."""
-    camera = rig.camera
-    table = capture_files.CameraTable(
-        width=camera.width,
-        height=camera.height,
-        pixel_format=camera.pixel_format,
-        response=camera.response,
-        up=camera.up,
-    )
-    turntable = capture_files.TurntableTable(carries=rig.turntable.carries)
-    return capture_files.CaptureHeader(
-        kind="sweep", camera=table, turntable=turntable, laser=tuple(one.table for one in rig.laser)
-    )

@@ -65,7 +65,7 @@ def _found(
         if not 0 <= index < len(sweeps):
             raise GivenError(f"sphere {number + 1}: names sweep {index}, found {len(sweeps)} sweeps.")
         pose = np.asarray(start.stations[sweeps[index].station], np.float64)
-        near = transform(invert(pose), np.asarray(sphere.near, np.float64))
+        near = np.asarray(transform(invert(pose), np.asarray(sphere.near, np.float64)))
         try:
             found.append((index, pose, find_sphere(sweeps[index], start.scanner, near, sphere.diameter_m)))
         except CalibrationError as missed:

@@ -180,6 +180,7 @@ def test_chance_makes_no_sheet_of_many_boards(world, clean, seed):
         seeded(world, rig, observed)
 
 
+@pytest.mark.more
 def test_a_laser_without_a_sheet_costs_the_other_nothing(world):
     rig = world.Rig(normals=((0.990, -0.010, 0.140), (0.95, 0.02, 0.30)), distances=(0.200, 0.26))
     clean, random = world.observe(rig, free=16, placements=4, angles=5, points=POINTS, seed=6), np.random.default_rng(3)
@@ -212,6 +213,7 @@ def test_a_calibration_with_false_lines_on_a_third_of_the_boards(world, clean):
     assert calibration.quality.stripe_points_rejected == 0
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("moved", [1, 7])
 def test_lines_that_were_left_out_count_by_their_number(world, moved):
     """The laser stood 9 px elsewhere on some of 21 boards: one is a slip, a third of them put the sheet in doubt."""

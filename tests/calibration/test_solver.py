@@ -259,7 +259,7 @@ def test_held_parameters_do_not_move(problem):
 
 def test_padding_changes_no_sum_and_has_no_error(problem):
     fields = ("corner_q", "corner_weight", "angle", "placement", "stripe_q", "stripe_weight", "stripe_view")
-    fields += ("stripe_laser", "seen", "lit", "stop")
+    fields += ("stripe_laser", "view_used", "stripe_used", "stop")
 
     def more(name):
         values = getattr(problem, name)

@@ -44,6 +44,7 @@ def test_exact_stops_change_nothing(exact):
     np.testing.assert_array_equal(learned.covariance, told.covariance)
 
 
+@pytest.mark.more
 def test_stops_are_learned_and_their_errors_stated(world, exact):
     found = [stopped_beside(exact, np.random.default_rng(seed)) for seed in range(6)]
     learned = [calibrated(one) for one in found]

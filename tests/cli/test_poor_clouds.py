@@ -71,6 +71,8 @@ VERBS = {
     "points": ("measure", "points", "CLOUD", "--a", 2, 0.2, 0.1, "--b", -2, 0.2, 0.1, "--within-mm", 100),
     "sphere": ("measure", "sphere", "CLOUD", "--near", 2, 0.2, 0.1, "--radius-mm", 100),
     "deviations": ("measure", "deviations", "CLOUD", "--at", 2, 0.2, 0.1, "-o", "made.png"),
+    "info": ("info", "CLOUD"),
+    "clean": ("clean", "CLOUD", "-o", "made.ply", "--isolated-mm", 50, "--thin-mm", 20),
     "convert": ("convert", "CLOUD", "made.ptx"),
     "align": ("align", "CLOUD", "-o", "made.ply", "--room"),
     "report": ("report", "CLOUD", "-o", "made.html"),

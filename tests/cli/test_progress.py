@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from jaxscan.cli import progress
-from jaxscan.cli.scan import ScanDisplay
+from jaxscan.cli.scan_display import ScanDisplay
 
 
 PATIENCE_S = 60

@@ -18,8 +18,9 @@ from jaxscan.vision import to_grey
 from .conftest import CONFIG
 
 
-def says(slate):
-    return [line["says"] for line in slate.state(0)[1]["lines"]]
+def says(slate, *kinds):
+    """The sentences of these kinds, or of all."""
+    return [line["says"] for line in slate.state(0)[1]["lines"] if not kinds or line["kind"] in kinds]
 
 
 def test_a_work_that_fails_takes_no_other_with_it(monkeypatch):
@@ -41,10 +42,11 @@ def test_a_work_that_fails_takes_no_other_with_it(monkeypatch):
         assert ended.wait(30)
         while works.busy:
             time.sleep(0.01)
-    assert says(slate) == [
+    assert says(slate, "problem") == [
         "reconstruct room: did not succeed: [Errno 24] Too many open files",
         "calibrate boards: did not succeed: no such capture",
     ]
+    assert says(slate, "note")[-2:] == ["compare begins.", "compare: done."]
     found = {one["what"]: (one["running"], one["well"]) for one in slate.read("works")}
     assert found == {
         "reconstruct room": (False, False),

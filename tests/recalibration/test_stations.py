@@ -35,6 +35,7 @@ def test_two_stations_are_placed_by_what_both_see(room):
     assert_near(found[1], np.linalg.inv(poses[0]) @ poses[1])
 
 
+@pytest.mark.more
 def test_three_stations_form_a_tree_and_sweeps_of_one_place_share_its_pose():
     sweeps = sweeps_of(FURNISHED, PLACES)
     again = sweep_of(FURNISHED, PLACES[1], seed=7, station=1)

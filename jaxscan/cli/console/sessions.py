@@ -18,7 +18,7 @@ from jaxscan.cli.console.desk import Desk, Running, progress_of
 from jaxscan.cli.console.painter import Seen
 from jaxscan.cli.console.works import Work, Works
 from jaxscan.cli.live import LiveCloud
-from jaxscan.cli.scan import ScanPlan, sweep_header
+from jaxscan.cli.scan_display import ScanPlan, sweep_header
 from jaxscan.errors import CaptureError, OptionError
 from jaxscan.files.capture import HEADER_NAME
 

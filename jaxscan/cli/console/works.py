@@ -67,7 +67,6 @@ class Works:
         self._busy += 1
         # What ended before is no news any more.
         self._slate.write(ended="", problem="")
-        self._slate.say(f"{work.what} begins.")
         self._waiting.put(work)
 
     def _attend(self) -> None:
@@ -75,13 +74,13 @@ class Works:
             shown: dict[str, Any] = {"what": work.what, "running": True, "well": None, "lines": [], "result": {}}
             self._shown = [shown, *self._shown][:20]
             self._tell()
+            self._slate.say(f"{work.what} begins.")
             # The works after it do not suffer from what happens to one.
             with outlived(self._slate, work.what):
                 self._carry_out(work, shown)
             if shown["running"]:
                 shown |= {"running": False, "well": False}
             self._busy -= 1
-            self._slate.say(f"{work.what}: done." if shown["well"] else f"{work.what}: did not succeed.")
             self._tell()
 
     def _carry_out(self, work: Work, shown: dict[str, Any]) -> None:
@@ -90,6 +89,10 @@ class Works:
             code = self._call([*work.words, "--json", str(answer)], shown["lines"])
             result = result_of(answer) if answer.exists() else {}
         shown |= {"running": False, "well": code == 0}
+        if code == 0:
+            self._slate.say(f"{work.what}: done.")
+        else:
+            self._slate.say(f"{work.what}: did not succeed; its last lines are under Calculations.", "problem")
         shown["result"] = {name: result[name] for name in _FOUND if name in result}
         if not self._ended:
             work.then(code == 0, result)

@@ -487,8 +487,9 @@ def solve(room: Room, y: Unknowns, damping: float, tolerance: float, max_steps: 
         raise CalibrationError("The adjustment left the range of numbers: the captures contradict each other.")
     cost = sum(float(np.sum(part**2)) for part in found.residuals)
     places = moved_rig(room, found.y.scanner), moved_stations(room, found.y.stations)
-    own = *found.linear.more, found.linear.arrow, cost, *places
-    return Linearised(found.y, *own, int(found.steps), bool(found.converged))
+    points, sightings = found.linear.more
+    arrow, (rig, stations) = found.linear.arrow, places
+    return Linearised(found.y, points, sightings, arrow, cost, rig, stations, int(found.steps), bool(found.converged))
 
 
 def linearise(room: Room, y: Unknowns) -> Linearised:

@@ -125,10 +125,10 @@ def _wall(room: Room, at: Linearised, on: Patches) -> Wall:
         columns = slice(scanner + 6 * (number - 1), scanner + 6 * number)
         dense[:, columns] = columns_of((weight * (station == number))[:, None] * rows.station[index])
     if angles:
-        number = np.asarray(room.points.angle)[None, index]
-        turned = np.where(number < angles, weight * rows.angle[index], 0.0)
-        number = np.minimum(number, angles - 1)
-        dense[:, begin : begin + angles] = _by_both(patches, on.by_height, number, turned, (count, angles))
+        stops = np.asarray(room.points.angle)[None, index]
+        turned = np.where(stops < angles, weight * rows.angle[index], 0.0)
+        stops = np.minimum(stops, angles - 1)
+        dense[:, begin : begin + angles] = _by_both(patches, on.by_height, stops, turned, (count, angles))
     local = columns_of(weight[:, None] * rows.local[index])
     ends = np.flatnonzero(np.asarray(room.lengths.ends).ravel() == on.surface)
     if len(ends):

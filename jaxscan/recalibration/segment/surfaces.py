@@ -108,16 +108,16 @@ def observe_surfaces(
     points, p = _joined(every).points.take(chosen), _joined(every).p[chosen]
     names, counts = np.unique(points.surface, return_counts=True)
     names = names[np.argsort(-counts, kind="stable")]
-    number = np.full(surface.max() + 1, -1)
-    number[names] = np.arange(len(names))
+    renumbered = np.full(surface.max() + 1, -1)
+    renumbered[names] = np.arange(len(names))
     planes = []
     for name in names:
         own_points = p[points.surface == name]
         towards = pieces[int(np.flatnonzero(surface == name)[0])].normal
         planes.append(facing(weighted_plane(own_points, np.ones(len(own_points))), towards))
     normals, centres = np.stack([plane.normal for plane in planes]), np.stack([plane.centre for plane in planes])
-    surfaces = Surfaces(("plane",) * len(names), normals, (normals * centres).sum(1), centres)
-    return points._replace(surface=number[points.surface]), surfaces
+    surfaces = Surfaces(tuple("plane" for _ in names), normals, (normals * centres).sum(1), centres)
+    return points._replace(surface=renumbered[points.surface]), surfaces
 
 
 _ALIKE = np.cos(np.radians(6.0))
@@ -167,8 +167,8 @@ class Piece(NamedTuple):
 def _piece(sweep: int, station: int, region: Region, pose: Float[np.ndarray, "4 4"]) -> Piece:
     """A flat region of a sweep, of one station, with T_room_scanner."""
     plane, cells = region.plane, region.grid
-    sampled = lambda count: transform(pose, cells.p.reshape(-1, 3)[spread_over(region.cells, count)])
-    normal, centre = pose[:3, :3] @ plane.normal, transform(pose, plane.centre)
+    sampled = lambda count: np.asarray(transform(pose, cells.p.reshape(-1, 3)[spread_over(region.cells, count)]))
+    normal, centre = pose[:3, :3] @ plane.normal, np.asarray(transform(pose, plane.centre))
     return Piece(
         sweep,
         station,
@@ -373,7 +373,7 @@ def _candidates(
     good &= ~_at_corners(piece, others, p)
     points = SurfacePoints(q, sigma, np.full(len(q), piece.sweep), record, line, laser, np.zeros(len(q), int))
     shared = np.maximum(sweep.shared_lines[profile, line].astype(np.float64), 1.0)
-    return Candidates(points.take(good), transform(pose, p)[good], shared[good], profile[good])
+    return Candidates(points.take(good), np.asarray(transform(pose, p))[good], shared[good], profile[good])
 
 
 def _joined(found: Sequence[Candidates]) -> Candidates:

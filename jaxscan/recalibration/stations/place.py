@@ -151,7 +151,7 @@ def _shifts(one: View, turned: View, axis: np.ndarray) -> np.ndarray:
             count[[0, -1]] = 0
             # A wall that lies between two bins is in both; the root keeps one large wall from deciding alone.
             lines.append(np.sqrt(np.convolve(count, [0.5, 1.0, 0.5], "same")))
-        score += np.correlate(*lines, "full")[size : 3 * size + 1]
+        score += np.correlate(lines[0], lines[1], "full")[size : 3 * size + 1]
     found: list[int] = []
     while len(found) < SHIFTS and score.max() > 0:
         best = int(score.argmax())
@@ -195,7 +195,7 @@ def align(one: View, other: View, pose: np.ndarray, *, few: bool = False) -> Ali
     apart, normals = np.zeros(0), np.zeros((0, 3))
     for near in NEAR_M:
         at, facing = transform(pose, p), n @ pose[:3, :3].T
-        index, close = _nearest(one, at, facing, near)
+        index, close = _nearest(one, np.asarray(at), facing, near)
         if close.sum() < 12:
             return Aligned(pose, 0, np.inf, 0.0)
         at, mean = at[close], one.normals[index[close]] + facing[close]
@@ -348,7 +348,7 @@ def _compare(one: Space, other: Space, poses: np.ndarray, some: int | None = Non
     for space, seen, moved in ((one, other, poses), (other, one, np.linalg.inv(poses))):
         points = seen.some[:: max(1, len(seen.some) // some) if some else 1]
         for k, T in enumerate(moved):
-            state = space.at(transform(T, points))
+            state = space.at(np.asarray(transform(T, points)))
             common[k] += np.count_nonzero(state == FILLED)
             denied[k] += np.count_nonzero(state == FREE)
     return common, denied

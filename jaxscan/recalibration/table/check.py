@@ -13,6 +13,7 @@ from jaxscan.recalibration.table.steps import (
     LEAST_STEP,
     MOST_JUMPS,
     SURE,
+    LostStep,
     find_factor,
     find_steps,
     lost_steps,
@@ -133,9 +134,7 @@ def check_angles(
     return TableFindings(factor, tuple(jumps), tuple(corrections), tuple(sentences))
 
 
-def _faults(
-    sweep: SweepStripes, scanner: Scanner, table: Turntable
-) -> tuple[float, list[tuple[tuple[int, int, int], float, float]]]:
+def _faults(sweep: SweepStripes, scanner: Scanner, table: Turntable) -> tuple[float, list[LostStep]]:
     """Factor of the journal's angles, and steps about the axis."""
     own = np.asarray(table.angle(sweep.angle))
     factor = find_factor(sweep, Rig.start(scanner, own))
