@@ -402,8 +402,10 @@ def _stack_clouds(paths: tuple[Path, ...], output: Path) -> list[dict[str, Any]]
     together = reconstruction.stack_placed([one.cloud for one in stored])
     api.save_cloud(together, output, calibration_digest=digests.pop() if len(digests) == 1 else "")
     stations = together.stations
-    assert stations is not None  # Each of them has one.
-    return [_station(*pair) for pair in zip(stations.pose, stations.covariance, strict=True)]
+    # Each of the clouds has some, or it was refused.
+    return (
+        [] if stations is None else [_station(*each) for each in zip(stations.pose, stations.covariance, strict=True)]
+    )
 
 
 def _station(pose: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:

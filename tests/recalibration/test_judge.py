@@ -150,10 +150,10 @@ def length(before, after):
 GAINED = (length(1.0, 0.5), length(1.0, 1.0))
 
 
-def refused(room, *, drifted=False, held_out=None, gained=True, lengths=GAINED, **changes):
+def refused(room, *, drifted=False, part="", held_out=None, gained=True, lengths=GAINED, **changes):
     adjusted = adjusted_of(changes.pop("scanner", room.scanner), room.observations, **changes)
     both = compare(room.prior, room.posterior() if gained else 0.99 * room.prior)
-    drift = Drift(30.0, 10, 1e-4 if drifted else 0.5, drifted)
+    drift = Drift(30.0, 10, 1e-4 if drifted else 0.5, drifted, part)
     return refuse_result(adjusted, both, drift, held_out, lengths, RecalibrationSettings())
 
 
@@ -171,6 +171,9 @@ def test_refusals_say_why(room):
     assert refused(room, gained=False, drifted=True) == ""
     lost = with_covariance(room.scanner, 1e4 * room.prior)
     assert "drifted" in refused(room, drifted=True, scanner=lost) and refused(room, scanner=lost) == ""
+    bent = refused(room, drifted=True, part="axis and table's angles")
+    assert "only if the axis and table's angles changed" in bent and "a wall that is curved" in bent
+    assert refused(room, drifted=True, part="laser red or table's angles") == ""
     error = np.zeros(len(room.observations.points.q))
     error[room.observations.points.surface == 2] = 0.02
     said = refused(room, cost=9.0 * len(error), point_error=error)

@@ -40,6 +40,7 @@ class Part(NamedTuple):
     """Coordinates that change by the same share of their tolerance: a lens that is refocused keeps square pixels."""
 
 
+TABLE_PART = "table's angles"
 # A part that was knocked is within a degree and a few millimetres of its place.
 _TILT, _SHIFT = np.radians(1.0), 5e-3
 # A sheet turns about its laser, which is within some 0.1 m of the point of the sheet nearest the camera.
@@ -64,7 +65,7 @@ def parts_of(scanner: Scanner) -> tuple[Part, ...]:
         (_FOCUS * focal[0], _FOCUS * focal[1], _CENTRE_PX, _CENTRE_PX),
         ("fx", "fy"),
     )
-    table = Part("table's angles", ("gain", "c1", "s1", "c2", "s2"), (_GAIN, *(_HARMONIC,) * 4))
+    table = Part(TABLE_PART, ("gain", "c1", "s1", "c2", "s2"), (_GAIN, *(_HARMONIC,) * 4))
     parts = [*lasers, axis, camera, table] if isinstance(scanner.turntable, Turntable) else [*lasers, camera]
     return tuple(part for part in parts if loosening([part], scanner).any())
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxscan.recalibration.judge.drift import TABLE_PART
 from jaxscan.recalibration.judge.gain import Compared, scale_slopes
 from jaxscan.recalibration.observed import RecalibrationSettings, Surfaces
 from jaxscan.recalibration.result import Adjusted, Drift, HoldOut, LengthGain
@@ -59,6 +60,13 @@ def refuse_result(
         return (
             f"planes that were not used became less flat ({before:.2f} mm before, {after:.2f} mm after), expected "
             "flatter ones: the walls are not flat enough, or something moved; sweep another room"
+        )
+    if drift.drifted and TABLE_PART in drift.part.partition(" or ")[0]:
+        # Steps that were lost or miscounted were found before; gears keep their errors, whatever hits the rig.
+        return (
+            f"the walls fit only if the {drift.part} changed ({drift.size}; p = {drift.p:.1g}), and no knock changes "
+            "the angles of a table, while a wall that is curved or has a step looks the same; sweep a room with flat "
+            "walls, or calibrate with boards if the table or its gear was changed"
         )
     if drift.drifted and adjusted_scale(adjusted) > _LEAST_SCALE:
         return (
