@@ -23,7 +23,7 @@ QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=fals
 demo: $(INSTALLED)
 	$(BIN)/jaxscan demo -o demo
 
-# Four tiers; pyproject.toml names their markers, and `.ci/run` runs all of them:
+# Four tiers; pyproject.toml names their markers, and `.ci/run` runs the first three:
 #   test       what a person runs: minutes. Nothing is built, no program is started but Python.
 #   test-rig   with other programs beside it: the firmware in a simulated processor, cameras on loopback, browsers, clusters.
 #   test-more  whole loops and further cameras, boards and seeds, with the types of all arguments and results checked.

@@ -403,9 +403,8 @@ def _stack_clouds(paths: tuple[Path, ...], output: Path) -> list[dict[str, Any]]
     api.save_cloud(together, output, calibration_digest=digests.pop() if len(digests) == 1 else "")
     stations = together.stations
     # Each of the clouds has some, or it was refused.
-    return (
-        [] if stations is None else [_station(*each) for each in zip(stations.pose, stations.covariance, strict=True)]
-    )
+    each = () if stations is None else zip(stations.pose, stations.covariance, strict=True)
+    return [_station(*one) for one in each]
 
 
 def _station(pose: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:
