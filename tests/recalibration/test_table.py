@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from jaxscan.recalibration.table import check_angles
-from jaxscan.recalibration.table.check import jumps_in, say_factor, say_jump, usual_ratio
+from jaxscan.recalibration.table.check import jumps_in, lasting, say_factor, say_jump, usual_ratio
+from jaxscan.recalibration.table.steps import LostStep
 from jaxscan.recalibration.table.walls import Equations, fit_steps
 from tests.recalibration.table_room import FURNITURE, knocked, paper_scanner, sweep
 
@@ -74,6 +75,15 @@ def test_two_lost_steps_are_told_apart():
     found, _ = checked(phi, true, seed=7)
     assert [record for _, record, _ in found.jumps] == pytest.approx([100, 240], abs=1)
     assert len(found.sentences) == 2
+
+
+def test_steps_that_undo_each_other_are_a_wall_that_stands_out():
+    """Of a pair, and of three; a step that lasts stays beside them."""
+    ahead, more, back = (LostStep(k, k, k, size, 3e-4) for k, size in ((87, 3e-3), (91, 5e-3), (113, -8e-3)))
+    last = LostStep(200, 200, 200, 3e-3, 3e-4)
+    assert lasting([back, ahead, more]) == []
+    assert lasting([ahead, more, back, last]) == [last]
+    assert lasting([last, ahead]) == [ahead, last]
 
 
 def test_nothing_is_said_without_walls_or_of_a_tiny_sweep():

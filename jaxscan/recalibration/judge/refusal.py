@@ -61,10 +61,11 @@ def refuse_result(
             f"planes that were not used became less flat ({before:.2f} mm before, {after:.2f} mm after), expected "
             "flatter ones: the walls are not flat enough, or something moved; sweep another room"
         )
-    if drift.drifted and TABLE_PART in drift.part.partition(" or ")[0]:
+    likeliest, size = (words.partition(" or ")[0] for words in (drift.part, drift.size))
+    if drift.drifted and TABLE_PART in likeliest:
         # Steps that were lost or miscounted were found before; gears keep their errors, whatever hits the rig.
         return (
-            f"the walls fit only if the {drift.part} changed ({drift.size}; p = {drift.p:.1g}), and no knock changes "
+            f"the walls fit only if the {likeliest} changed ({size}; p = {drift.p:.1g}), and no knock changes "
             "the angles of a table, while a wall that is curved or has a step looks the same; sweep a room with flat "
             "walls, or calibrate with boards if the table or its gear was changed"
         )

@@ -92,6 +92,9 @@ ALIKE, FEW_STEPS, AS_GOOD = 0.3, 3, 0.2
 BESIDE = 0.22
 """A factor so near to a power of two is compared with that [1]."""
 
+UNDONE = 3.0
+"""Standard deviations of a sum of steps, of which each is many, up to which they undo each other."""
+
 
 def check_angles(
     sweeps: Sequence[SweepStripes],
@@ -124,7 +127,7 @@ def check_angles(
         correction += (found - 1.0) * sweep.angle
         way = np.sign(float(table.gain)) * np.sign(sweep.angle[-1] - sweep.angle[0])
         seen = np.unique(sweep.record)
-        for record, first, last, size, sigma in sorted(steps):
+        for record, first, last, size, sigma in lasting(steps):
             jumps.append((number, record, size / float(table.gain)))
             correction[record:] += size / float(table.gain)
             before = seen[seen < first]
@@ -132,6 +135,20 @@ def check_angles(
             size_deg, sigma_deg = float(np.rad2deg(way * size)), float(np.rad2deg(sigma))
             sentences.append(say_jump(sweep.name, between, size_deg, sigma_deg))
     return TableFindings(factor, tuple(jumps), tuple(corrections), tuple(sentences))
+
+
+def lasting(steps: Sequence[LostStep]) -> list[LostStep]:
+    """Steps in their order, without neighbours that undo each other.
+
+    A part of a wall that stands out looks as if the table turned there and back; steps that a table loses stay lost.
+    """
+    left = sorted(steps)
+    for count in range(2, len(left) + 1):
+        for begin in range(len(left) - count + 1):
+            some = left[begin : begin + count]
+            if abs(sum(step.size for step in some)) < UNDONE * np.sqrt(sum(step.sigma**2 for step in some)):
+                return lasting([*left[:begin], *left[begin + count :]])
+    return left
 
 
 def _faults(sweep: SweepStripes, scanner: Scanner, table: Turntable) -> tuple[float, list[LostStep]]:
