@@ -36,8 +36,7 @@ Made by `python -m experiments.recalibration.table` from the trials beside it; a
   were run with one state of the code; later ones of the larger rows are older, from before stops were learned, which
   changes next to nothing where stops are exact. Path-traced rooms were not run, rendered ones not again.
 - A curved wall (10 mm over the wall) asks for other angles of the table, and the update is refused. Of a wall with a
-  step of 10 mm one trial is refused so too; in the other one two lost steps are found that undo each other, which is
-  false, and the lengths are right.
+  step of 10 mm one trial is refused so too; the other one is right.
 - Axis shifted since a recalibration (seed 201): whatever its direction, a shift of 0.2 mm across the axis adds 3 to 6
   to a chi-squared of 14 numbers, and 20 would be needed; the stored axis is known to 0.13 and 0.07 mm.
 - Two stations: with the true rig and the true pose the walls of seeds 201 to 203 already lie up to 0.16, 0.18 and
