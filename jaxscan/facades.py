@@ -6,10 +6,14 @@ that defines it, and a verb pays for what it uses.
 """
 
 import sys
-from types import ModuleType
 
 
 TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from types import ModuleType
+else:
+    # Nothing is loaded before signals are heard.
+    ModuleType = type(sys)
 
 
 def load_on_use(package: str, *others: str) -> None:
