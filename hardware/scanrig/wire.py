@@ -6,11 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-import serial
-
 from jaxscan.errors import DependencyError
 from scanrig.clock import Clock, SystemClock
 from scanrig.errors import LinkLost, PortError
+
+
+try:
+    import serial
+    from serial.tools import list_ports
+except ImportError as problem:
+    raise DependencyError('Serial ports need pyserial: pip install "jaxscan[rig]"') from problem
 
 
 class Link(Protocol):
@@ -32,12 +37,6 @@ class Link(Protocol):
     def close(self) -> None:
         """Close the port. Never raises."""
         ...
-
-
-try:
-    from serial.tools import list_ports
-except ImportError as problem:
-    raise DependencyError('Serial ports need pyserial: pip install "jaxscan[rig]"') from problem
 
 
 BY_ID = Path("/dev/serial/by-id")
