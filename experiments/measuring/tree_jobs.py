@@ -24,7 +24,6 @@ from report import command_line
 
 import jaxscan
 from jaxscan import api
-from jaxscan.cli.running import run_process
 from jaxscan.files.capture import Capture, open_capture
 from jaxscan.reconstruction import Sweep, reconstruct
 from jaxscan.vision import decode_image
@@ -90,6 +89,12 @@ def png(folder: Path, counts: list[int], repeats: int) -> dict[str, Any]:
 
 def command(folder: Path, counts: list[int], repeats: int) -> dict[str, Any]:
     """`jaxscan reconstruct` of the whole packed capture: seconds of each stage, and the memory at its end."""
+    # Where older trees have it, too.
+    try:
+        from jaxscan.cli.running import run_process
+    except ModuleNotFoundError:
+        from jaxscan.cli.process.running import run_process  # type: ignore[import-not-found,no-redef]
+
     del counts, repeats
     stages: dict[str, dict[str, float]] = {}
 
