@@ -14,6 +14,8 @@ import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds.grid import USED, Records
+from jaxscan.files.clouds.header import StoredCloud, about_of
+from jaxscan.reconstruction import PointCloud
 
 
 AXES, COLOURS, NORMALS = ("x", "y", "z"), ("red", "green", "blue"), ("nx", "ny", "nz")
@@ -463,6 +465,14 @@ class Decided(NamedTuple):
     """The decisions, each with its evidence."""
     unit: Unit | None
     """The unit that the names state."""
+
+    def stored(self, cloud: PointCloud, comments: Sequence[str], *, ours: bool) -> StoredCloud:
+        """A cloud with what its comments say; one of another program with its unit and the decisions."""
+        about = about_of(comments)
+        if ours:
+            return StoredCloud(cloud, about)
+        metres, why = unit_of_text(self.unit, comments)
+        return StoredCloud(cloud, about._replace(metres=metres, unit_by=why), self.words)
 
 
 def decide(

@@ -9,13 +9,12 @@ import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import points as sizes
-from jaxscan.files.clouds.columns import COLOURS, Reading, decide, plain_names, unit_of_text
+from jaxscan.files.clouds.columns import COLOURS, Reading, decide, plain_names
 from jaxscan.files.clouds.grid import Records, cloud_of
 from jaxscan.files.clouds.header import (
     SEAL_LINE,
     About,
     StoredCloud,
-    about_of,
     check_seal,
     header_lines,
     seal,
@@ -120,11 +119,7 @@ def read_pcd(path: Path, reading: Reading | None = None) -> StoredCloud:
         raise CloudError(f"{path}: the points cannot be read: {str(problem)[:60]}.") from problem
     except (OSError, EOFError) as problem:
         raise CloudError(f"{path}: cannot be read: {getattr(problem, 'strerror', None) or problem}.") from problem
-    about = about_of(header.comments)
-    if ours:
-        return StoredCloud(cloud, about)
-    metres, why = unit_of_text(decided.unit, header.comments)
-    return StoredCloud(cloud, about._replace(metres=metres, unit_by=why), decided.words)
+    return decided.stored(cloud, header.comments, ours=ours)
 
 
 def _read_header(file: BinaryIO, path: Path) -> _Header:
