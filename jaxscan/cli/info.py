@@ -148,7 +148,7 @@ def _day(seconds: float) -> str:
 
 def _line(name: str, value: Any) -> str:
     if name == "bytes":
-        return f"size: {value / 1e6:.1f} MB"
+        return f"size: {value / 1e6:.1f} MB" if value >= 1e5 else f"size: {value / 1e3:.1f} kB"
     if name in ("from", "to"):
         return f"{name}: {' '.join(f'{number:.3f}' for number in value)} m"
     what, _, unit = name.rpartition("_")
