@@ -142,6 +142,13 @@ class Drift:
     size: str = ""
     """How far it moved: "0.050 degrees, 0.03 mm"."""
 
+    @property
+    def moves(self) -> list[tuple[tuple[str, ...], str]]:
+        """The parts that moved together and how far, for each alternative; the likeliest first."""
+        parts, sizes = self.part.split(" or ") if self.part else [], self.size.split(" or ")
+        sizes = sizes if len(sizes) == len(parts) else [""] * len(parts)
+        return [(tuple(some.split(" and ")), size) for some, size in zip(parts, sizes, strict=True)]
+
 
 @dataclass(frozen=True)
 class HoldOut:

@@ -61,13 +61,13 @@ def refuse_result(
             f"planes that were not used became less flat ({before:.2f} mm before, {after:.2f} mm after), expected "
             "flatter ones: the walls are not flat enough, or something moved; sweep another room"
         )
-    likeliest, size = (words.partition(" or ")[0] for words in (drift.part, drift.size))
-    if drift.drifted and TABLE_PART in likeliest:
+    parts, size = drift.moves[0] if drift.moves else ((), "")
+    if drift.drifted and TABLE_PART in parts:
         # Steps that were lost or miscounted were found before; gears keep their errors, whatever hits the rig.
         return (
-            f"the walls fit only if the {likeliest} changed ({size}; p = {drift.p:.1g}), and no knock changes "
-            "the angles of a table, while a wall that is curved or has a step looks the same; sweep a room with flat "
-            "walls, or calibrate with boards if the table or its gear was changed"
+            f"the walls fit only if the {' and '.join(parts)} changed ({size}; p = {drift.p:.1g}), and no knock "
+            "changes the angles of a table, while a wall that is curved or has a step looks the same; sweep a room "
+            "with flat walls, or calibrate with boards if the table or its gear was changed"
         )
     if drift.drifted and adjusted_scale(adjusted) > _LEAST_SCALE:
         return (

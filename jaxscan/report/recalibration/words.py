@@ -22,15 +22,12 @@ def drift_words(drift: Drift) -> str:
         return f"The rig is as it was calibrated ({p})"
     if not drift.part:
         return f"The rig has drifted, and no single part explains it ({p})"
-    # Alternatives, likeliest first; each is one part or several.
-    parts, sizes = drift.part.split(" or "), drift.size.split(" or ") if drift.size else []
-    sizes = sizes if len(sizes) == len(parts) else [""] * len(parts)
-    moves = [_move(part.split(" and "), size) for part, size in zip(parts, sizes, strict=True)]
+    moves = [_move(parts, size) for parts, size in drift.moves]
     unsure = "; these sweeps cannot tell which" if len(moves) > 1 else ""
     return f"The rig has drifted: {', or '.join(moves)}{unsure} ({p})"
 
 
-def _move(names: list[str], size: str) -> str:
+def _move(names: tuple[str, ...], size: str) -> str:
     """How parts moved together."""
     parts = [_part(name) for name in names]
     if len(parts) == 1:
