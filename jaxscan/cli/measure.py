@@ -102,11 +102,7 @@ def distance(
     coordinates("--a", a)
     coordinates("--b", b)
     positive("--radius-mm", radius_mm)
-    check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
-    check_json(json)
-    scanner, notes = calibrated(calibration)
-    points, said = in_metres(cloud, unit)
-    notes += said
+    points, scanner, notes = opened(cloud, calibration, unit, json)
     found = jaxscan.measure_distance(points, np.array(a), np.array(b), radius_m=radius_mm / 1e3, scanner=scanner)
     result = finite(dataclasses.asdict(found))
     out = notes_first(notes, json)
@@ -172,6 +168,17 @@ def compare(
     out.print(f"{found.points:,} points compared; {100 * found.completeness:.1f} % of the true ones have a point")
     out.print(f"{found.false_points:,} points where the truth has none")
     emit_json(json, "measure-compare", result | {"notes": notes})
+
+
+def opened(
+    cloud: Path, calibration: Path | None, unit: "Unit | None", json: JsonTarget
+) -> tuple["PointCloud", "Scanner | None", list[str]]:
+    """A cloud in metres, the scanner of its calibration, and notes; paths are checked first."""
+    check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
+    check_json(json)
+    scanner, notes = calibrated(calibration)
+    points, said = in_metres(cloud, unit)
+    return points, scanner, [*notes, *said]
 
 
 def calibrated(path: Path | None) -> tuple["Scanner | None", list[str]]:
@@ -269,11 +276,7 @@ def points(
     coordinates("--a", a)
     coordinates("--b", b)
     positive("--within-mm", within_mm)
-    check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
-    check_json(json)
-    scanner, notes = calibrated(calibration)
-    measured, said = in_metres(cloud, unit)
-    notes += said
+    measured, scanner, notes = opened(cloud, calibration, unit, json)
     found = jaxscan.measure_points(measured, np.array(a), np.array(b), within_m=within_mm / 1e3, scanner=scanner)
     result = finite(dataclasses.asdict(found))
     out = notes_first(notes, json)
@@ -306,11 +309,7 @@ def sphere(
     coordinates("--near", near)
     positive("--radius-mm", radius_mm)
     coordinates("--radius-mm", (radius_mm,))
-    check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
-    check_json(json)
-    scanner, notes = calibrated(calibration)
-    points, said = in_metres(cloud, unit)
-    notes += said
+    points, scanner, notes = opened(cloud, calibration, unit, json)
     found = jaxscan.measure_sphere(points, np.array(near), radius_m=radius_mm / 1e3, held=held, scanner=scanner)
     result = finite(dataclasses.asdict(found))
     out = notes_first(notes, json)
