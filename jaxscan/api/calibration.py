@@ -4,7 +4,7 @@ import datetime
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib import metadata
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from jaxscan.calibration import (
     NOTHING_KNOWN,
@@ -26,6 +26,10 @@ from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.files.calibration import stored_settings
 from jaxscan.files.capture import Capture, common_board
 from jaxscan.observation import Eyes, Observations, Progress, look_again, look_at_boards, to_observations
+from jaxscan.recalibration import RecalibrationSettings
+
+
+_Settings = TypeVar("_Settings", CalibrationSettings, RecalibrationSettings)
 
 
 def observe_boards(
@@ -107,8 +111,7 @@ def calibrate(
     settings = settings or CalibrationSettings()
     settings = replace(settings, only="camera") if only_camera else settings
     stripes = bool(plan_calibration(captures, settings=settings, known=known).lasers)
-    if settings.angle_sigma is None:
-        settings = replace(settings, angle_sigma=captures[0].stop_sigma)
+    settings = with_stops(settings, captures)
     board, eyes, looks = common_board(captures, single_lasers=stripes), _eyes(), 2 if redetect else 1
     _part(progress, 0, looks)(0, sum(len(capture) for capture in captures))
     doing = getattr(progress, "doing", lambda words: None)
@@ -137,6 +140,14 @@ def calibrate(
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
     return replace(result, quality=quality, provenance=provenance)
+
+
+def with_stops(settings: _Settings, captures: Sequence[Capture]) -> _Settings:
+    """Settings of a calibration or a recalibration; where they do not say how well table or stage stops, the first
+    header that does."""
+    if settings.angle_sigma is not None:
+        return settings
+    return replace(settings, angle_sigma=next((one.stop_sigma for one in captures if one.stop_sigma is not None), None))
 
 
 def versions() -> dict[str, str]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxscan import recalibration
-from jaxscan.api.calibration import observe_boards, versions
+from jaxscan.api.calibration import observe_boards, versions, with_stops
 from jaxscan.api.sweeps import find_stripes, reconstruct_capture
 from jaxscan.calibration import Calibration
 from jaxscan.errors import CalibrationError, CaptureError
@@ -53,7 +53,7 @@ def recalibrate(
             found in them.
     """
     captures = [captures] if isinstance(captures, Capture) else list(captures)
-    settings, given = settings or RecalibrationSettings(), given or Given()
+    settings, given = with_stops(settings or RecalibrationSettings(), captures), given or Given()
     stored, origin = _stored(calibration)
     named = "the calibration" if isinstance(calibration, Calibration) else str(calibration)
     scanner = recalibration.require_prior(stored, named)

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 import jaxscan
+from jaxscan.api.calibration import with_stops
 from jaxscan.calibration import CalibrationSettings, ModelTest, Verdict, calibrate_camera
 from jaxscan.calibration.result import GoodTo, LaserLengths, Lengths, LengthSigma
 from jaxscan.cli.calibrate import calibration_settings, print_summary
 from jaxscan.cli.terminal import console
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Still
+from jaxscan.recalibration import RecalibrationSettings
 
 
 REFUSED = Verdict(
@@ -197,6 +199,8 @@ class TestCalibrate:
             with pytest.raises(CalibrationError, match="enough"):
                 jaxscan.calibrate(jaxscan.open_capture(boards), settings=settings)
             assert given.pop() == expected
+            captures, own_sigma = [jaxscan.open_capture(boards)], None if settings is None else settings.angle_sigma
+            assert with_stops(RecalibrationSettings(angle_sigma=own_sigma), captures).angle_sigma == expected
         header.write_text(told.replace("[turntable]", "[turntable]\nposition_sigma_mm = 0.01"))
         with pytest.raises(CaptureError, match=r"position_sigma_mm: found 0\.01 with carries"):
             jaxscan.open_capture(boards)
