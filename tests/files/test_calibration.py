@@ -416,6 +416,12 @@ def test_what_is_no_calibration(tmp_path, text, message):
     assert message in str(caught.value) and "c.json" in str(caught.value)
 
 
+def test_bytes_that_are_no_text(tmp_path):
+    (tmp_path / "c.json").write_bytes(b"\xff\xfe{")
+    with pytest.raises(CalibrationError, match=r"c\.json"):
+        load_scanner(tmp_path / "c.json")
+
+
 def test_a_missing_file(tmp_path):
     for load in (load_scanner, load_calibration):
         with pytest.raises(CalibrationError, match=r"c\.json: no such file"):

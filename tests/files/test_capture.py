@@ -349,5 +349,7 @@ def test_damaged_images_are_named_when_they_are_read(folder):
     assert "found a colour image" in read()
     (folder.path / "on/000001.png").write_bytes(bytes(3 << 20))
     assert "larger than" in read()
+    (folder.path / "on/000001.png").write_bytes(b"")
+    assert "found an empty file" in read()
     (folder.path / "on/000001.png").unlink()
     assert "no such file" in read()
