@@ -1,9 +1,10 @@
 """Stripes and points on an accelerator: differences from the CPU, and speed as a share of its memory's.
 
-The stacks are in the device's memory from the start. The memory's speed is that of a copy, counted one way: bytes read
-over time. The speed of stripes and points, one compiled function, is the bytes of the frames over its time. Compilation
-is not timed. Smoothing starts and ends in the host's memory, as in a reconstruction. The results are compared, field by
-field, with those of the same function on the CPU, and with the cloud of `reconstruct` as called on this machine.
+The stacks are in the device's memory from the start. The memory's speed is that of a copy, counted one way: bytes
+read over time. The speed of stripes and points, one compiled function, is the bytes of the frames over its time.
+Compilation is not timed. A reconstruction of all pairs begins and ends in the host's memory. Smoothing starts and
+ends in the host's memory, as in a reconstruction. The results are compared, field by field, with those of the same
+function on the CPU, and with the cloud of `reconstruct` as called on this machine.
 
     python experiments/gpu_speed.py [--dry] [--pairs 1024] [--chunk 128] [--json FILE]
 
@@ -185,6 +186,9 @@ def measure(device: jax.Device, chunks: int, size: int, copied: int, repeats: in
     found = whole(job, jax.device_put(first, device))
     stripes = jax.device_get(found.stripes)
     add("smooth", seconds(lambda: smooth(stripes), repeats) * chunks * size / len(first.on))
+    every = [np.concatenate([np.asarray(chunk[k]) for chunk in stacks]) for k in range(3)]
+    sweep = Sweep(every[0], every[1], every[2].astype(np.float64))
+    add("reconstruct, frames in the host's memory", seconds(lambda: reconstruct(sweep, scanner), min(repeats, 3)))
     figures += compare(fields_of(jax.device_get(found)), first, scanner, on_host)
     return figures + differences("smooth - CPU", smoothed(stripes, device), smoothed(stripes, jax.devices("cpu")[0]))
 
