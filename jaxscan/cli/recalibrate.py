@@ -180,7 +180,7 @@ def _either(option: str, yes: bool, no: bool) -> bool | None:
     return True if yes else False if no else None
 
 
-_STYLE = {"good": "bold green", "bad": "bold red", "open": "bold yellow"}
+_STYLE = {"good": "bold green", "plain": "bold", "bad": "bold red", "open": "bold yellow"}
 _UNUSUAL = 3.0
 """Changes beyond this many standard deviations are named."""
 

@@ -105,6 +105,11 @@ class Works:
             if hasattr(os, "setpriority"):
                 os.setpriority(os.PRIO_PROCESS, process.pid, _POLITE)
             for line in process.stdout or ():
+                # What to type next is no news on a page with buttons, and of the time that is left the newest counts.
+                if line.startswith("next: "):
+                    continue
+                if lines and lines[-1].endswith(" left") and line.rstrip().endswith(" left"):
+                    lines.pop()
                 lines.append(line.rstrip())
                 del lines[:-_LINES]
                 self._tell()
