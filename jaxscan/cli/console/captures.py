@@ -172,10 +172,10 @@ class Captures:
             state = _changed(journal)
             if name not in self._known or self._known[name][0] != state:
                 self._known[name] = (state, self._describe(name))
-            cloud = _changed(self.cloud(name))
+            when = {what: _changed(self.made(name, what))[0] for what in MADE}
             # What was made of an older cloud is made again.
-            made = [what for what in MADE if what != "cloud" and _changed(self.made(name, what)) > cloud]
-            there = {"cloud": cloud[0] > 0, "made_with": self._made_with(name), "made": made}
+            made = [what for what in MADE if what != "cloud" and when[what] and when[what] >= when["cloud"]]
+            there = {"cloud": when["cloud"] > 0, "made_with": self._made_with(name), "made": made}
             there |= {"changed": state[0] / 1e9}
             found.append(self._known[name][1] | there)
         return sorted(found, key=lambda one: -float(one["changed"]))[:MOST]
