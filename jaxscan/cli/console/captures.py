@@ -236,7 +236,11 @@ class Captures:
 
 def verdict_of(calibration: Calibration) -> dict[str, Any]:
     """The verdict of a calibration with the lines that it follows from, as pages show it."""
+    captures = calibration.provenance.get("captures")
+    # A file may say anything.
+    of = [one.get("name") for one in captures if isinstance(one, dict)] if isinstance(captures, list) else []
     return judged(calibration) | {
+        "of": of,
         "verdict": words.headline(calibration)._asdict(),
         "lengths": [line._asdict() for line in words.lengths(calibration)],
         "advice": words.advice(calibration),

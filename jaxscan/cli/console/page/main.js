@@ -81,7 +81,8 @@ function next() {
   if (resumable()) return [`Resume goes on with ${state.order.name}.`, "resume"];
   const made = state.captures.find((capture) => capture.cloud);
   if (made && isOld(made, state)) return [`Reconstruct ${made.name} again: its cloud was made with another calibration than the one that is used now.`, [made.name, "Reconstruct"]];
-  if (made) return [`${made.name} has its cloud: Look around, under Captures. Recalibrate betters the calibration by it, once; or Scan again.`, [made.name, "Look around"]];
+  const better = made && state.calibration && !(state.verdict?.of ?? []).includes(made.name) ? " Recalibrate betters the calibration by it." : "";
+  if (made) return [`${made.name} has its cloud: Look around, under Captures, or Scan again.${better}`, [made.name, "Look around"]];
   if (!state.calibration && state.verdict?.verdict) return ["This calibration is not used: its verdict below says what to do.", "boards"];
   if (!state.calibration) return [`First Look, until the line is bright and sharp; then ${state.has_board ? "Calibrate, with the board" : "Scan"}.`, !state.live ? "aim" : state.has_board ? "boards" : "sweep"];
   const swept = state.captures.find((capture) => capture.kind === "sweep" && capture.complete);
