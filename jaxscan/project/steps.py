@@ -96,11 +96,11 @@ def digests_of(steps: Iterable[Step]) -> tuple[dict[str, str], dict[str, dict[st
 
 
 @functools.cache
-def code_digest(kind: str) -> str:
-    """Digest of the code that makes products of a kind."""
+def code_digest(kind: str | None = None) -> str:
+    """Digest of the code that makes products of a kind; None for all code of the package."""
     root = Path(str(resources.files("jaxscan")))
     digest = hashlib.sha256()
-    rooms = (*CODE_OF[kind], "project/work")
+    rooms = (".",) if kind is None else (*CODE_OF[kind], "project/work")
     # A room is a folder, or one file.
     files = {file for room in rooms for file in (*(root / room).rglob("*.py"), *root.glob(f"{room}.py"))}
     for file in sorted(files):

@@ -13,12 +13,12 @@ import time
 
 import pytest
 
-from jaxscan.fleet import ClusterChoice, open_cluster
 from jaxscan.fleet.batch import do_order, run_batch
+from jaxscan.fleet.cluster import open_cluster
 from jaxscan.project import load_project, order_of
 from tests.fleet.clusters import scheduler, worker
 from tests.fleet.flaky import do_flaky_order
-from tests.fleet.test_absence import Silent
+from tests.fleet.test_batch import Silent
 from tests.opened import catalogue_of, edit, products, states, work
 
 
@@ -77,7 +77,7 @@ def undisturbed(museum):
 
 
 def test_a_worker_killed_in_the_middle(museum, undisturbed):
-    with open_cluster(ClusterChoice(workers=2)) as client:
+    with open_cluster(workers=2) as client:
         killer = Killer(client)
         report = batch(museum, client, killer)
     assert killer.killed.is_set() and not report.failed and not report.left
@@ -122,7 +122,7 @@ def test_the_batch_killed_in_the_middle(museum, undisturbed):
 
 def test_storage_that_fails_one_read_in_twenty(museum, undisturbed):
     edit(museum, 'pattern = "room-*"', f'pattern = "flaky://{museum.parent}/room-*"')
-    with open_cluster(ClusterChoice(workers=2)) as client:
+    with open_cluster(workers=2) as client:
         report = batch(museum, client, Silent(), task=do_flaky_order)
         failures = sum(client.run(failed_reads).values())
     assert failures > 0

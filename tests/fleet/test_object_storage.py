@@ -2,8 +2,8 @@
 
 import pytest
 
-from jaxscan.fleet import ClusterChoice, open_cluster
-from tests.fleet.test_absence import Silent
+from jaxscan.fleet.cluster import open_cluster
+from tests.fleet.test_batch import Silent
 from tests.fleet.test_faults import batch
 from tests.opened import edit, products, states, work
 
@@ -42,7 +42,7 @@ def test_a_batch_from_object_storage(museum, bucket):
             bucket.upload_file(str(path), "rooms", str(path.relative_to(museum.parent)))
     edit(museum, 'output = "local"', 'output = "remote"')
     edit(museum, 'pattern = "room-*"', 'pattern = "s3://rooms/room-*"')
-    with open_cluster(ClusterChoice(workers=2)) as client:
+    with open_cluster(workers=2) as client:
         report = batch(museum, client, Silent())
     assert not report.failed and not report.left
     assert products(museum) == expected
