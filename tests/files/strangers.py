@@ -637,6 +637,13 @@ STRANGERS = [
     ),
     Stranger("las wkt2", "WKT of version 2 in feet", ".las", lambda p: las(p, factor=0.3048, wkt=WKT2), unit=0.3048),
     Stranger(
+        "las unknown wkt",
+        "WKT without a projection",
+        ".las",
+        lambda p: las(p, wkt='PROJCS["site",UNIT["foot",0.3048]]'),
+        says="its WKT states no unit that is known",
+    ),
+    Stranger(
         "las behind",
         "WKT in a record behind the points",
         ".las",

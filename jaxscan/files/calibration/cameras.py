@@ -245,7 +245,7 @@ def _of_tree(
     tree: Tree, name: str, size: tuple[int, int] | None, unnamed: Literal["pinhole", "fisheye"]
 ) -> tuple[dict[str, Any], str]:
     keys = _Keys(tree, name)
-    model, without = _model(keys, unnamed)
+    model, without = _model(keys)
     pixels, lens_within = _pixels(keys)
     if model != "double_sphere" and (key := keys.of(frozenset(("xi",)), "xi")) is not None:
         raise CalibrationError(
@@ -276,7 +276,7 @@ def _note(model: str, table: Mapping[str, Any], lens: Sequence[float], source: s
     return f"{kind}; not used: {_listed(unused)}." if unused else f"{kind}; every key is used."
 
 
-def _model(keys: _Keys, unnamed: str) -> tuple[Model | None, bool]:
+def _model(keys: _Keys) -> tuple[Model | None, bool]:
     """The model that a file names, None where it names none; and whether it says that there are no coefficients."""
     found: list[tuple[str, str]] = []
     for names in (_MODEL, _CAMERA_MODEL):

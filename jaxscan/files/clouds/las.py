@@ -176,6 +176,7 @@ def read_las(path: Path, reading: Reading | None = None) -> StoredCloud:
     stated = [(frame_of_wkt(wkt), "WKT"), (frame_of_keys(*keys), "GeoKeys")]
     frame, why = next((one for one in stated if one[0] != FileFrame()), (FileFrame(), ""))
     why = f"the {why} of {path.name}" if frame.in_degrees else f"its {why}" if why else ""
+    why = why or ("its WKT states no unit that is known" if wkt else "")
     about = about._replace(metres=frame.metres, in_degrees=frame.in_degrees, unit_by=why)
     return StoredCloud(cloud, about, () if lines else decided.words)
 

@@ -117,8 +117,6 @@ def read_pcd(path: Path, reading: Reading | None = None) -> StoredCloud:
             cloud = cloud_of(decided.points, header.comments, str(path))
     except ValueError as problem:
         raise CloudError(f"{path}: the points cannot be read: {str(problem)[:60]}.") from problem
-    except (OSError, EOFError) as problem:
-        raise CloudError(f"{path}: cannot be read: {getattr(problem, 'strerror', None) or problem}.") from problem
     return decided.stored(cloud, header.comments, ours=ours)
 
 
