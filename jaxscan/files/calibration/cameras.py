@@ -12,8 +12,8 @@ from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration.calibration import load_parts
 from jaxscan.files.calibration.model import CALIBRATION_FORMAT, CalibrationTable
-from jaxscan.files.calibration.trees import Tree, leaves, numbers, tree_of_json, tree_of_xml, tree_of_yaml
-from jaxscan.files.disk import MEGABYTE, check, check_writable, read_bounded, write_atomically
+from jaxscan.files.calibration.trees import Tree, leaves, numbers, tree_of_xml, tree_of_yaml
+from jaxscan.files.disk import MEGABYTE, check, check_writable, parse_json, read_bounded, write_atomically
 from jaxscan.geometry import CAMERAS, AbstractCamera, AbstractMotion, LinearStage, Turntable, camera_doubts
 
 
@@ -115,7 +115,7 @@ def read_camera(
         raise CalibrationError(f'{path}: found "{path.suffix}", expected a camera as {_SUFFIXES}.')
     data = read_bounded(path, MAX_CAMERA_BYTES, error=CalibrationError)
     if suffix == ".json":
-        tree = tree_of_json(data, name)
+        tree = parse_json(data, name=name, error=CalibrationError)
         if isinstance(tree, dict) and str(tree.get("format", "")).startswith("jaxscan"):
             return ReadCamera(load_parts(path)[0], "")
     elif suffix == ".xml":

@@ -149,11 +149,11 @@ class CameraTable(ImageSize):
     bits: Literal[10, 12, 14, 16] | None = None
     """Bits of a sample as the camera gave it, where a sweep keeps frames as levels (`split_levels`); None for 8."""
 
-    def notes(self) -> list[str]:
-        """Notes on such images, a sentence each."""
+    def notes(self, compression: str | None) -> list[str]:
+        """Notes on such images of a compression, a sentence each."""
         notes = []
-        if self.compression is not None:
-            kind = "JPEG files" if self.compression == "jpeg" else "a video"
+        if compression is not None:
+            kind = "JPEG files" if compression == "jpeg" else "a video"
             notes.append(
                 f"the images come from {kind}: errors of neighbouring pixels belong together, and colour may have half "
                 "the resolution, so sigmas are estimates; PNG images would be better."
@@ -256,19 +256,19 @@ def image_limit(header: CaptureHeader) -> int:
 
 
 def record_position(
-    angle_deg: float | None, position_m: float | None, rig: tuple[str, Carries], *, where: str
+    angle_deg: float | None, position_m: float | None, *, kind: str, carries: Carries, where: str
 ) -> float | None:
     """Position of a record: the table's angle [rad], or the place of a stage [m]; None where unknown.
 
     Args:
         angle_deg: As the record has it.
         position_m: As the record has it.
-        rig: Kind of the capture, and the part that its table carries.
+        kind: Kind of the capture.
+        carries: The part that its table carries.
 
     Raises:
         CaptureError: If it is missing in a sweep, or belongs to another kind of motion.
     """
-    kind, carries = rig
     linear = carries == "linear"
     wanted, found = (position_m, angle_deg) if linear else (angle_deg, position_m)
     if wanted is not None:

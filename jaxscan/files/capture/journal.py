@@ -301,7 +301,7 @@ def read_journal(
         takes[i] = takes.get(i, 0) + 1
         if len(latest) > MAX_RECORDS:
             raise CaptureError(f"{name}: line {number}: more than {MAX_RECORDS} records; split the capture.")
-    records = tuple(_complete(i, latest.pop(i), name, kind, (laser_names, carries)) for i in sorted(latest))
+    records = tuple(_complete(i, latest.pop(i), name, kind, laser_names, carries) for i in sorted(latest))
     return Journal(records, (f"{torn}: the last line was cut off and is left out.",) if torn else (), takes)
 
 
@@ -376,22 +376,19 @@ def _may_be_deep(line: bytes) -> bool:
     return line.count(b"{") + line.count(b"[") > MAX_DEPTH
 
 
-def _complete(i: int, line: _Checked, name: str, kind: str, rig: tuple[tuple[str, ...], Carries]) -> Record:
-    laser_names, carries = rig
-    position = record_position(line.angle_deg, line.position_m, (kind, carries), where=f"{name}: line {line.number}")
-    if kind == "sweep":
-        if not line.on:
-            raise CaptureError(
-                f"{name}: line {line.number}: on: found null, but a sweep needs a laser-on image in every record."
-            )
-    elif not line.on and not line.off:
-        raise CaptureError(f"{name}: line {line.number}: on, off: both are null; a record needs an image.")
+def _complete(i: int, line: _Checked, name: str, kind: str, laser_names: tuple[str, ...], carries: Carries) -> Record:
+    where = f"{name}: line {line.number}"
+    position = record_position(line.angle_deg, line.position_m, kind=kind, carries=carries, where=where)
+    if kind == "sweep" and not line.on:
+        raise CaptureError(f"{where}: on: found null, but a sweep needs a laser-on image in every record.")
+    if not line.on and not line.off:
+        raise CaptureError(f"{where}: on, off: both are null; a record needs an image.")
     digests = line.sha256 or {}
     return Record(
         i=i,
         angle=position,
         placement=line.placement,
-        lasers=() if not line.on else _lit(line.lasers, f"{name}: line {line.number}", laser_names),
+        lasers=() if not line.on else _lit(line.lasers, where, laser_names),
         on=_with_digests(line.on, digests.get("on")),
         off=_with_digests(line.off, digests.get("off")),
     )
