@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
+from typing import Self
 
 from bench.places import BenchError
 
@@ -56,16 +57,6 @@ def launch(
     words = errors.read_text(errors="replace").strip().splitlines()
     name = Path(command[0]).name if len(command) < 3 or command[1] != "-m" else command[2]
     raise BenchError(f"{name} did not start: {words[-1] if words else 'it said nothing'}")
-
-
-def epitaph(name: str, process: "subprocess.Popen[str] | None", errors: Path) -> str:
-    """How a program ended by itself, as a sentence with its last words; "" if it runs, or there is none."""
-    status = None if process is None else process.poll()
-    if status is None:
-        return ""
-    words = errors.read_text(errors="replace").strip().splitlines() if errors.exists() else []
-    how = f"killed by signal {-status}" if status < 0 else f"exit code {status}"
-    return f"{name} has ended ({how})" + (f": {words[-1]}" if words and status > 0 else "")
 
 
 def end(process: "subprocess.Popen[str]", *, kill: bool = False) -> None:
@@ -134,6 +125,71 @@ class ControlClient:
     def close(self) -> None:
         """Hang up."""
         self._socket.close()
+
+
+class Part:
+    """A program of the bench in a folder of its own, switched on by `start` or `with`."""
+
+    name: str
+    socket: str
+    """Name of its control socket in the folder."""
+
+    def __init__(self, folder: str | Path) -> None:
+        """`folder` holds its files and sockets; made if it is not there."""
+        self.folder = Path(folder)
+        self.control_path = self.folder / self.socket
+        self._errors = self.folder / f"{self.socket}.err"
+        self._process: subprocess.Popen[str] | None = None
+        self._control: ControlClient | None = None
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def start(self) -> None:
+        """Switch on. Raises BenchError."""
+        raise NotImplementedError
+
+    def ask(self, text: str) -> str:
+        """Its answer to one command, see README.md.
+
+        Raises:
+            BenchError: If it is off, or does not answer.
+        """
+        if self._control is None:
+            raise BenchError(f"{self.folder}: {self.name} is off.")
+        return self._control.ask(text)
+
+    def died(self) -> str:
+        """How it ended by itself, as a sentence with its last words; "" if it runs or was switched off."""
+        status = None if self._process is None else self._process.poll()
+        if status is None:
+            return ""
+        words = self._errors.read_text(errors="replace").strip().splitlines() if self._errors.exists() else []
+        how = f"killed by signal {-status}" if status < 0 else f"exit code {status}"
+        return f"{self.name} has ended ({how})" + (f": {words[-1]}" if words and status > 0 else "")
+
+    def close(self, *, kill: bool = False) -> None:
+        """Switch off, or take the power away in the middle of any action. Doing so twice is doing it once."""
+        process, self._process = self._process, None
+        control, self._control = self._control, None
+        if control is not None:
+            control.close()
+        if process is not None:
+            end(process, kill=kill)
+            # One that was killed left its socket.
+            self.control_path.unlink(missing_ok=True)
+
+    def _launch(self, command: Sequence[str], *, within_s: float, apart: bool) -> None:
+        self._process = launch(command, folder=self.folder, errors=self._errors, within_s=within_s, apart=apart)
+        self._control = ControlClient(self.control_path)
+
+    def _require_off(self) -> None:
+        if self._process is not None:
+            raise BenchError(f"{self.folder}: {self.name} is on already.")
 
 
 class ControlServer:

@@ -1,7 +1,6 @@
 """A sweep on the simulated desk: records taken, files written, and their order."""
 
 import hashlib
-import json
 import math
 
 import numpy as np
@@ -12,19 +11,7 @@ from scanrig.recording import AHEAD
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import open_capture, verify_capture
 
-from .desk import Desk
-
-
-def journal(path):
-    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
-
-
-def events(path, name):
-    return [line for line in journal(path) if line.get("event") == name]
-
-
-def sweep(desk, folder, **options):
-    return desk.sweep(folder, **options)
+from .desk import Desk, events, journal
 
 
 def test_a_sweep_is_a_capture_of_proven_pairs_at_the_planned_angles(tmp_path):
@@ -35,7 +22,7 @@ def test_a_sweep_is_a_capture_of_proven_pairs_at_the_planned_angles(tmp_path):
         assert [line["i"] for line in journal(tmp_path / "room") if "i" in line][number] == number
         seen.append((number, angle, on, off))
 
-    result = sweep(desk, tmp_path / "room", on_pair=on_pair, progress=lambda *counts: told.append(counts))
+    result = desk.sweep(tmp_path / "room", on_pair=on_pair, progress=lambda *counts: told.append(counts))
     assert (result.status, result.records, result.planned, result.taken, result.retakes) == ("complete", 10, 10, 10, 0)
     assert result.laser_off and not desk.table.laser and not desk.table.contactor
     capture = open_capture(tmp_path / "room")
@@ -54,7 +41,7 @@ def test_a_sweep_is_a_capture_of_proven_pairs_at_the_planned_angles(tmp_path):
 
 def test_a_record_says_how_it_was_taken(tmp_path):
     desk = Desk()
-    sweep(desk, tmp_path / "room")
+    desk.sweep(tmp_path / "room")
     records = [line for line in journal(tmp_path / "room") if "i" in line]
     for k, record in enumerate(records):
         assert (record["microsteps"], record["microsteps_per_turn"], record["retakes"]) == (288 * k, 28800, 0)
@@ -71,7 +58,7 @@ def test_a_record_says_how_it_was_taken(tmp_path):
 
 
 def test_the_journal_tells_the_story(tmp_path):
-    sweep(Desk(), tmp_path / "room")
+    Desk().sweep(tmp_path / "room")
     names = [line["event"] for line in journal(tmp_path / "room") if "event" in line]
     assert names == ["start", "home", "closing", "home", "end"]
     end = journal(tmp_path / "room")[-1]
@@ -87,7 +74,7 @@ def test_the_journal_tells_the_story(tmp_path):
 def test_the_end_says_what_was_counted(tmp_path):
     """Each switching wears the laser's switch: ten steps and the closing one; the link's losses tell of its wiring."""
     desk = Desk()
-    sweep(desk, tmp_path / "room")
+    desk.sweep(tmp_path / "room")
     end = journal(tmp_path / "room")[-1]
     assert end["controller"] == {
         "damaged": 0,
@@ -110,7 +97,7 @@ def test_counters_that_cannot_be_asked_for_are_left_out(tmp_path, problem):
         raise problem
 
     desk.controller.counters = fails
-    assert sweep(desk, tmp_path / "room").status == "complete"
+    assert desk.sweep(tmp_path / "room").status == "complete"
     end = journal(tmp_path / "room")[-1]
     assert "controller" not in end and "link" in end and end["laser_off"] is True
 
@@ -119,7 +106,7 @@ def test_a_controller_that_is_gone_is_not_asked_what_it_counted(tmp_path):
     desk = Desk()
     desk.controller.before_shot[3] = lambda controller: controller.lose_link(attempts=1000)
     with pytest.raises(LinkLost):
-        sweep(desk, tmp_path / "room")
+        desk.sweep(tmp_path / "room")
     end = journal(tmp_path / "room")[-1]
     assert (end["status"], end["laser_off"]) == ("failed", False) and "controller" not in end and "link" in end
     assert "counters" not in desk.controller.log
@@ -127,7 +114,7 @@ def test_a_controller_that_is_gone_is_not_asked_what_it_counted(tmp_path):
 
 def test_the_header_says_with_what_it_was_taken(tmp_path):
     desk = Desk()
-    sweep(desk, tmp_path / "room", calibration_digest="sha256:abc")
+    desk.sweep(tmp_path / "room", calibration_digest="sha256:abc")
     header = open_capture(tmp_path / "room").header
     said = header.acquisition
     assert said["config_sha256"] == desk.config.digest("sweep")
@@ -140,7 +127,7 @@ def test_the_header_says_with_what_it_was_taken(tmp_path):
 
 def test_each_pass_is_closed_and_begins_at_home(tmp_path):
     desk = Desk(sweep={"steps": 4, "turn_deg": 360.0, "turns": 3})
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     assert result.status == "complete" and result.records == 12
     turn = [0, 7200, 14400, 21600, 0]
     assert desk.controller.shots == turn * 3
@@ -152,17 +139,17 @@ def test_downwards_home_is_looked_for_from_above(tmp_path):
     positions = []
     home = desk.controller.home
     desk.controller.home = lambda *a: (positions.append(desk.table.position), home(*a))[1]
-    assert sweep(desk, tmp_path / "room").status == "complete"
+    assert desk.sweep(tmp_path / "room").status == "complete"
     assert desk.controller.shots == [0, -3600, -7200, -10800, 0]
     assert positions[1] > 0
 
 
 def test_an_existing_capture_is_not_touched_without_resume(tmp_path):
-    sweep(Desk(), tmp_path / "room")
+    Desk().sweep(tmp_path / "room")
     before = (tmp_path / "room" / "frames.jsonl").read_bytes()
     desk = Desk()
     with pytest.raises(SessionError, match=r"holds a capture already; resume it, or choose another folder"):
-        sweep(desk, tmp_path / "room")
+        desk.sweep(tmp_path / "room")
     assert (tmp_path / "room" / "frames.jsonl").read_bytes() == before and desk.controller.log == []
 
 
@@ -171,7 +158,7 @@ def test_a_folder_with_anything_else_is_not_touched(tmp_path):
     (tmp_path / "room" / "thesis.txt").write_text("all of it")
     desk = Desk()
     with pytest.raises(CaptureError, match="exists and is not empty"):
-        sweep(desk, tmp_path / "room", resume=True)
+        desk.sweep(tmp_path / "room", resume=True)
     assert [path.name for path in (tmp_path / "room").iterdir()] == ["thesis.txt"]
     assert desk.controller.log[-2:] == ["make_safe", "counters"]
 
@@ -179,20 +166,20 @@ def test_a_folder_with_anything_else_is_not_touched(tmp_path):
 def test_a_folder_that_cannot_be_written_is_one_clear_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(SessionError, match=r"file/room: cannot be created: Not a directory"):
-        sweep(Desk(), tmp_path / "file" / "room")
+        Desk().sweep(tmp_path / "file" / "room")
 
 
 def test_without_a_rig_no_folder_is_left(tmp_path):
     desk = Desk()
     desk.controller.estop = True
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     assert result.status == "e-stop" and "release" in result.message and not (tmp_path / "room").exists()
 
 
 @pytest.mark.parametrize("trigger", ["software", "free"])
 def test_cameras_without_a_wire_are_served_from_here(tmp_path, trigger):
     desk = Desk(camera={"trigger": trigger})
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     assert (result.status, result.records, result.retakes) == ("complete", 10, 0)
     assert desk.controller.shots == []
     capture = open_capture(tmp_path / "room")
@@ -206,7 +193,7 @@ def test_the_laser_is_off_whenever_a_pair_is_handed_out(tmp_path):
     for trigger in ("hardware", "software", "free"):
         desk = Desk(camera={"trigger": trigger})
         dark = []
-        sweep(desk, tmp_path / trigger, on_pair=lambda *pair, desk=desk, dark=dark: dark.append(desk.table.laser))
+        desk.sweep(tmp_path / trigger, on_pair=lambda *pair, desk=desk, dark=dark: dark.append(desk.table.laser))
         assert dark == [False] * 10
 
 
@@ -218,18 +205,18 @@ def test_what_a_viewer_raises_ends_the_session_safely_and_loses_nothing(tmp_path
             raise RuntimeError("the window was closed")
 
     with pytest.raises(RuntimeError, match="window"):
-        sweep(desk, tmp_path / "room", on_pair=on_pair)
+        desk.sweep(tmp_path / "room", on_pair=on_pair)
     # The pairs that were in flight are stored too.
     assert 4 <= len(open_capture(tmp_path / "room")) <= 4 + AHEAD and not desk.table.contactor
     assert journal(tmp_path / "room")[-1]["status"] == "failed"
-    assert sweep(Desk(), tmp_path / "room", resume=True).status == "complete"
+    assert Desk().sweep(tmp_path / "room", resume=True).status == "complete"
     assert len(open_capture(tmp_path / "room")) == 10
 
 
 def test_a_laser_that_cannot_be_confirmed_off_is_said(tmp_path):
     desk = Desk()
     desk.controller.never_safe = True
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     assert not result.laser_off and "switch its supply off by hand" in result.message
     assert any("switch its supply off by hand" in sentence for sentence in desk.said)
     assert journal(tmp_path / "room")[-1]["laser_off"] is False
@@ -240,4 +227,4 @@ def test_a_laser_that_cannot_be_confirmed_off_is_said_with_the_error(tmp_path):
     desk.controller.never_safe = True
     desk.table.dead = True
     with pytest.raises(Exception, match=r"laser is dark.*switch its supply off by hand"):
-        sweep(desk, tmp_path / "room")
+        desk.sweep(tmp_path / "room")

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from scanrig.cameras import Camera
-from scanrig.clock import Clock, SystemClock
+from scanrig.clock import Clock
 from scanrig.config import RigConfig
 from scanrig.controllers import Controller
 
@@ -121,7 +121,7 @@ class Devices:
     """The session configures, homes and arms it, and leaves it safe."""
     camera: Camera
     """The session starts it."""
-    clock: Clock = field(default_factory=SystemClock)
+    clock: Clock = field(default_factory=Clock)
     """For waiting and for time stamps."""
 
 

@@ -4,19 +4,20 @@ import dataclasses
 import logging
 import re
 
-from scanrig.clock import Clock, SystemClock
+from scanrig.clock import Clock
 from scanrig.controllers.controller import (
+    Controller,
     ControllerTable,
     Firmware,
     GrblTable,
     Guarantees,
     LinkCounts,
     Reconnection,
-    SafelyClosed,
     Settings,
     ShotDone,
     State,
     Status,
+    with_growing_pauses,
 )
 from scanrig.controllers.grbl.lines import (
     BOOT_S,
@@ -33,7 +34,7 @@ from scanrig.controllers.grbl.lines import (
     read_settings,
 )
 from scanrig.errors import Fault, FirmwareError, LinkLost, PortError, Reason, Refused, RigError, RigFault, RigTimeout
-from scanrig.wire import Link, choose_port, find_again, identify, open_serial
+from scanrig.wire import Link, open_port
 
 
 AWAKE_S = 0.5
@@ -50,7 +51,7 @@ def wake(lines: GrblLines) -> None:
     lines.write(b"\n" + QUERY)
     give_up = lines.clock.now() + AWAKE_S
     while (left := give_up - lines.clock.now()) > 0:
-        texts = lines.read(left, tell_reset=False)
+        texts = lines.read(left, raise_resets=False)
         if any(read_report(text) for text in texts):
             return
         if lines.greeting and any(text == lines.greeting for text in texts):
@@ -153,18 +154,14 @@ _FAULTS = {"Door": Fault.EMERGENCY_STOP, "Sleep": Fault.ASLEEP, "Tool": Fault.TO
 
 
 class TableAxis:
-    """The axis that turns the table, in microsteps from home.
-
-    Attributes:
-        units: units of the axis.
-        zero: coordinate of the axis at home; None while home is not known.
-        lost: whether home was known and was lost.
-    """
+    """The axis that turns the table, in microsteps from home."""
 
     def __init__(self, lines: GrblLines, table: GrblTable, units: TableUnits) -> None:
         self.units = units
         self.zero: float | None = None
+        """Coordinate of the axis at home; None while home is not known."""
         self.lost = False
+        """Whether home was known and was lost."""
         self._lines, self._table = lines, table
 
     def position(self, report: Report) -> int:
@@ -172,7 +169,6 @@ class TableAxis:
         return self.units.microsteps(self._reported(report) - (self.zero or 0.0))
 
     def forget_home(self) -> None:
-        """Mark home as lost."""
         self.lost = self.lost or self.zero is not None
         self.zero = None
 
@@ -198,14 +194,7 @@ class TableAxis:
         self.zero, self.lost = self._reported(lines.report()), False
 
     def go(self, to: int, speed: int, timeout_s: float) -> int:
-        """Turn to a position and wait until the table stands still.
-
-        Args:
-            to: Microsteps from home.
-            speed: Microsteps per second.
-
-        Returns:
-            The position where it stands.
+        """Turn to a position [microsteps from home] at a speed [microsteps/s]; returns where the table stands then.
 
         Raises:
             RigFault: An alarm ended the motion.
@@ -293,8 +282,8 @@ class TableAxis:
 log = logging.getLogger(__name__)
 
 
-class GrblController(SafelyClosed):
-    """A session with a GRBL board; `Controller` documents the methods."""
+class GrblController(Controller):
+    """A session with a GRBL board."""
 
     guarantees = Guarantees(
         laser_off_without_host=False, knows_missed_steps=False, hardware_trigger=False, checked_lines=False
@@ -338,23 +327,20 @@ class GrblController(SafelyClosed):
     def reconnect(self, timeout_s: float = 60.0) -> Reconnection:
         """Find the board again, with growing pauses. Many boards are reset when their port is opened."""
         before = self._boot
-        give_up = self._lines.clock.now() + timeout_s
-        pause = 0.1
-        while True:
+
+        def found() -> Reconnection:
             try:
                 self._lines.open_again()
                 wake(self._lines)
                 self._begin()
                 if self._settings is not None:
                     self.configure(self._settings)
-                status = self.stat()
-                return Reconnection(self._boot == before, not status.homed, status)
-            except (LinkLost, PortError) as problem:
+                return Reconnection(self._boot == before, self.stat())
+            except (LinkLost, PortError):
                 self._lines.broken = True
-                if self._lines.clock.now() + pause > give_up:
-                    raise LinkLost(f"{self.name} did not come back within {timeout_s:.0f} s: {problem}") from problem
-            self._lines.clock.sleep(pause)
-            pause = min(2 * pause, 2.0)
+                raise
+
+        return with_growing_pauses(found, self._lines.clock, timeout_s, self.name)
 
     # Motion
 
@@ -522,29 +508,18 @@ class GrblController(SafelyClosed):
         return any(line.startswith("[GC:") and " M5 " in line for line in self._lines.ask("$G"))
 
 
-BAUD = 115_200
-
-
 def connect_grbl(
-    table: ControllerTable, microsteps_per_turn: int, *, port: str | None = None, clock: Clock | None = None
+    table: ControllerTable, microsteps_per_turn: int, *, port: str, clock: Clock | None = None
 ) -> GrblController:
     """Open a board's port. Nothing is sent before `hello`.
 
     Args:
-        table: Port and commands of the board.
-        port: Replaces the table's port: a path, a USB serial number, or "auto".
+        port: A path, a USB serial number, or "auto".
 
     Raises:
         PortError: No port, several, port missing or in use, or no permission.
     """
-    clock = clock or SystemClock()
-    path = choose_port(port or table.port)
-    baud = table.baud or BAUD
-    link = open_serial(path, baud, clock)
-    known = identify(path)
-
-    def reopen() -> Link:
-        return open_serial(find_again(known), baud, clock)
-
+    clock = clock or Clock()
+    link, reopen = open_port(port, table.baud or 115_200, clock)
     lines = GrblLines(link, clock, greeting=table.grbl.greeting, reopen=reopen)
     return GrblController(lines, table.grbl, TableUnits(microsteps_per_turn, table.grbl.units_per_turn))
