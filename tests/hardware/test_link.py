@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 import serial
 from scanrig.clock import Clock, rfc3339
+from scanrig.controllers import ControllerTable, open_controller
 from scanrig.controllers.jxs.controller import connect
 from scanrig.errors import FirmwareError, LinkLost, PortError
 from scanrig.wire import (
@@ -90,6 +91,14 @@ def test_bytes_go_through(terminal):
     os.write(master, b"=1 ok\r\n\x00\x1b")
     assert link.read(1.0) == b"=1 ok\r\n\x00\x1b"
     link.close()
+
+
+@pytest.mark.parametrize("kind", ["jaxscan", "grbl"])
+def test_a_controller_of_each_type_is_opened_at_its_port(terminal, kind):
+    table = ControllerTable(type=kind, port=terminal[1], allow_laser_without_watchdog=True)
+    controller = open_controller(table, 28800)
+    assert controller.name == terminal[1]
+    controller.link.close()
 
 
 def test_reading_nothing_takes_its_time(terminal):
