@@ -1,4 +1,4 @@
-"""A flood of half-open connections: each asks for nothing, or begins to ask and never ends, and holds its place."""
+"""A flood of half-open connections: each requests nothing, or begins a request that never ends, and holds its place."""
 
 import contextlib
 import selectors

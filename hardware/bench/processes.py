@@ -1,4 +1,4 @@
-"""The bench's programs: built, started until they say that they are ready, asked over sockets, ended for certain."""
+"""The bench's programs: built, started until they are ready, commanded over sockets, ended for certain."""
 
 import fcntl
 import os
@@ -60,7 +60,7 @@ def launch(
 
 
 def end(process: "subprocess.Popen[str]", *, kill: bool = False) -> None:
-    """End a program: asked first, unless `kill`, and by force where that does not help."""
+    """End a program: by a signal that it may handle, unless `kill`, and by force where that does not help."""
     if kill:
         process.kill()
     else:
@@ -233,7 +233,7 @@ class ControlServer:
                     text.write(answer + "\n")
                     text.flush()
                 except OSError:
-                    return  # Whoever asked does not wait for the answer.
+                    return  # The client does not wait for the answer.
 
 
 HERE = Path(__file__).resolve().parent

@@ -84,11 +84,7 @@ class Ledger:
         return self._writer is not None
 
     def create(self, header: CaptureHeader) -> None:
-        """Begin the capture.
-
-        Raises:
-            CaptureError: If the folder is not empty or cannot be written.
-        """
+        """Begin the capture. Raises CaptureError if the folder is not empty or cannot be written."""
         self._attach(create_capture(self.folder, header, digests=True))
 
     def resume(self) -> None:
@@ -103,16 +99,13 @@ class Ledger:
         self._attach(resume_capture(self.folder, digests=True))
 
     def note(self, name: str, **fields: Any) -> None:
-        """Note an event; it is on the disk when this returns, if the capture has begun.
-
-        Raises:
-            CaptureError: If it cannot be written.
-        """
+        """Note an event as `write` does."""
         self.write(self.event(name, **fields))
 
     def event(self, name: str, **fields: Any) -> dict[str, Any]:
         """An event of this moment, for `write`."""
-        event = self._event(name, fields)
+        now = {"time": self._clock.utc(), "time_s": round(self._clock.now(), 6)}
+        event = fitting({"event": name, **now, **fields})
         self.events.append(event)
         return event
 
@@ -151,8 +144,7 @@ class Ledger:
         with contextlib.suppress(CaptureError):  # The caller whose append failed has had the error.
             writer.close()
         try:
-            event = self._event("end", {"status": status, **fields, **seal(self.folder)})
-            self.events.append(event)
+            event = self.event("end", status=status, **fields, **seal(self.folder))
             _append_line(self.folder / JOURNAL_NAME, json.dumps(event).encode() + b"\n")
         except (CaptureError, OSError) as problem:
             return f"the end could not be noted in the journal: {problem}"
@@ -164,9 +156,6 @@ class Ledger:
         for event in waiting:
             writer.append_event(event)
         writer.flush()
-
-    def _event(self, name: str, fields: dict[str, Any]) -> dict[str, Any]:
-        return fitting({"event": name, "time": self._clock.utc(), "time_s": round(self._clock.now(), 6), **fields})
 
 
 def fitting(event: dict[str, Any]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from scanrig.recording import AHEAD
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import open_capture, verify_capture
 
-from .desk import Desk, events, journal
+from .desk import Desk, events, journal, records
 
 
 def test_a_sweep_is_a_capture_of_proven_pairs_at_the_planned_angles(tmp_path):
@@ -39,11 +39,17 @@ def test_a_sweep_is_a_capture_of_proven_pairs_at_the_planned_angles(tmp_path):
     assert sorted(path.name for path in (tmp_path / "room").iterdir()) == ["capture.toml", "frames.jsonl", "off", "on"]
 
 
-def test_a_record_says_how_it_was_taken(tmp_path):
-    desk = Desk()
-    desk.sweep(tmp_path / "room")
-    records = [line for line in journal(tmp_path / "room") if "i" in line]
-    for k, record in enumerate(records):
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """A desk after a sweep, and its capture."""
+    desk, room = Desk(), tmp_path_factory.mktemp("swept") / "room"
+    desk.sweep(room, calibration_digest="sha256:abc")
+    return desk, room
+
+
+def test_a_record_says_how_it_was_taken(swept):
+    _, room = swept
+    for k, record in enumerate(records(room)):
         assert (record["microsteps"], record["microsteps_per_turn"], record["retakes"]) == (288 * k, 28800, 0)
         assert record["exposure_s"] == 0.01
         assert record["frame_ids"] == [2 * k + 1, 2 * k + 2]
@@ -51,39 +57,31 @@ def test_a_record_says_how_it_was_taken(tmp_path):
         assert set(record["statistics"]) == {"lit_lines", "peak_dn", "saturated", "ambient_dn", "unrest"}
         assert 80 < record["statistics"]["peak_dn"] < 140 and record["statistics"]["lit_lines"] > 0.8
         for side in ("on", "off"):
-            data = (tmp_path / "room" / record[side]).read_bytes()
+            data = (room / record[side]).read_bytes()
             assert record["sha256"][side] == hashlib.sha256(data).hexdigest()
-    times = [record["time_s"] for record in records]
+    times = [record["time_s"] for record in records(room)]
     assert times == sorted(times)
 
 
-def test_the_journal_tells_the_story(tmp_path):
-    Desk().sweep(tmp_path / "room")
-    names = [line["event"] for line in journal(tmp_path / "room") if "event" in line]
-    assert names == ["start", "home", "closing", "home", "end"]
-    end = journal(tmp_path / "room")[-1]
-    before = b"".join((tmp_path / "room" / "frames.jsonl").read_bytes().splitlines(keepends=True)[:-1])
+def test_the_journal_holds_the_session(swept):
+    _, room = swept
+    assert [line["event"] for line in journal(room) if "event" in line] == ["start", "home", "closing", "home", "end"]
+    end = journal(room)[-1]
+    before = b"".join((room / "frames.jsonl").read_bytes().splitlines(keepends=True)[:-1])
     assert end["status"] == "complete" and end["journal_sha256"] == hashlib.sha256(before).hexdigest()
-    first, last = events(tmp_path / "room", "home")
+    first, last = events(room, "home")
     assert (first["was"], "missed" in first) == (-500, False)
     assert (last["was"], last["missed"], last["good"]) == (0, 0, True)
-    (closing,) = events(tmp_path / "room", "closing")
+    (closing,) = events(room, "closing")
     assert abs(closing["shift_px"]) < 0.1 and closing["correlation"] > 0.98 and closing["good"]
 
 
-def test_the_end_says_what_was_counted(tmp_path):
-    """Each switching wears the laser's switch: ten steps and the closing one; the link's losses tell of its wiring."""
-    desk = Desk()
-    desk.sweep(tmp_path / "room")
-    end = journal(tmp_path / "room")[-1]
-    assert end["controller"] == {
-        "damaged": 0,
-        "overruns": 0,
-        "repeated": 0,
-        "laser_cycles": 11,
-        "up_ms": 1000,
-        "watchdog_resets": 0,
-    }
+def test_the_end_holds_the_counters(swept):
+    """Each switching wears the laser's switch: ten steps and the closing one; the link's losses show its wiring."""
+    desk, room = swept
+    end = journal(room)[-1]
+    counted = {"damaged": 0, "overruns": 0, "repeated": 0, "laser_cycles": 11, "up_ms": 1000, "watchdog_resets": 0}
+    assert end["controller"] == counted
     assert end["link"]["sent"] > 30 and (end["link"]["resent"], end["link"]["events_by_name"]) == (0, {})
     # The question comes when everything is off, and after it nothing that could change that.
     assert desk.controller.log[-2:] == ["make_safe", "counters"]
@@ -112,10 +110,9 @@ def test_a_controller_that_is_gone_is_not_asked_what_it_counted(tmp_path):
     assert "counters" not in desk.controller.log
 
 
-def test_the_header_says_with_what_it_was_taken(tmp_path):
-    desk = Desk()
-    desk.sweep(tmp_path / "room", calibration_digest="sha256:abc")
-    header = open_capture(tmp_path / "room").header
+def test_the_header_says_with_what_it_was_taken(swept):
+    desk, room = swept
+    header = open_capture(room).header
     said = header.acquisition
     assert said["config_sha256"] == desk.config.digest("sweep")
     assert said["camera"] == {"kind": "simulated", "model": "synthetic", "serial": "SIM1"}
@@ -176,25 +173,17 @@ def test_without_a_rig_no_folder_is_left(tmp_path):
     assert result.status == "e-stop" and "release" in result.message and not (tmp_path / "room").exists()
 
 
-@pytest.mark.parametrize("trigger", ["software", "free"])
-def test_cameras_without_a_wire_are_served_from_here(tmp_path, trigger):
-    desk = Desk(camera={"trigger": trigger})
-    result = desk.sweep(tmp_path / "room")
+@pytest.mark.parametrize("trigger", ["hardware", "software", "free"])
+def test_with_every_trigger_pairs_are_good_and_handed_out_with_the_laser_off(tmp_path, trigger):
+    desk, lit = Desk(camera={"trigger": trigger}), []
+    result = desk.sweep(tmp_path / "room", on_pair=lambda *pair: lit.append(desk.table.laser))
     assert (result.status, result.records, result.retakes) == ("complete", 10, 0)
-    assert desk.controller.shots == []
+    assert lit == [False] * 10 and bool(desk.controller.shots) is (trigger == "hardware")
     capture = open_capture(tmp_path / "room")
     np.testing.assert_allclose(capture.angles, np.radians(np.arange(10) * 3.6), atol=1e-12)
     for k in range(10):
         on, off = capture.frames(k)
         assert on.astype(int).max() - off.astype(int).max() > 50
-
-
-def test_the_laser_is_off_whenever_a_pair_is_handed_out(tmp_path):
-    for trigger in ("hardware", "software", "free"):
-        desk = Desk(camera={"trigger": trigger})
-        dark = []
-        desk.sweep(tmp_path / trigger, on_pair=lambda *pair, desk=desk, dark=dark: dark.append(desk.table.laser))
-        assert dark == [False] * 10
 
 
 def test_what_a_viewer_raises_ends_the_session_safely_and_loses_nothing(tmp_path):
@@ -213,18 +202,14 @@ def test_what_a_viewer_raises_ends_the_session_safely_and_loses_nothing(tmp_path
     assert len(open_capture(tmp_path / "room")) == 10
 
 
-def test_a_laser_that_cannot_be_confirmed_off_is_said(tmp_path):
+def test_a_laser_that_cannot_be_confirmed_off_is_reported(tmp_path):
     desk = Desk()
     desk.controller.never_safe = True
     result = desk.sweep(tmp_path / "room")
     assert not result.laser_off and "switch its supply off by hand" in result.message
     assert any("switch its supply off by hand" in sentence for sentence in desk.said)
     assert journal(tmp_path / "room")[-1]["laser_off"] is False
-
-
-def test_a_laser_that_cannot_be_confirmed_off_is_said_with_the_error(tmp_path):
-    desk = Desk()
-    desk.controller.never_safe = True
+    # With the error, too.
     desk.table.dead = True
     with pytest.raises(Exception, match=r"laser is dark.*switch its supply off by hand"):
-        desk.sweep(tmp_path / "room")
+        desk.sweep(tmp_path / "other")

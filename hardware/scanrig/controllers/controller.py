@@ -176,7 +176,7 @@ class ShotDone:
     position: int
     """Microsteps from home, as reached."""
     exposures: int
-    """Exposures since boot, modulo 65536: must have grown by the number of frames asked for."""
+    """Exposures since boot, modulo 65536: has grown by the number of exposures of the shot."""
 
 
 @dataclass(frozen=True)

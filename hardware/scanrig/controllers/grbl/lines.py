@@ -38,7 +38,7 @@ class TableUnits:
 
 
 class Dialect(NamedTuple):
-    """What a family of boards says, and means by it."""
+    """The answers of a family of boards, and their meaning."""
 
     name: str
     alarms: Mapping[int, Fault]
