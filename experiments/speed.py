@@ -116,14 +116,14 @@ def memory(size: Size, scratch: Path) -> tuple[list[Figure], str]:
     u = {name: np.full((size.pairs, HEIGHT), np.nan, np.float32) for name in ("usual", "lean")}
     with ThreadPoolExecutor(THREADS) as pool:
 
-        def ours(name: str, settings: ReconstructSettings = ReconstructSettings()) -> Callable[[], None]:
+        def ours(name: str, settings: ReconstructSettings) -> Callable[[], None]:
             def run() -> None:
                 points[name] = float(reconstruct(sweep, scanner, settings=settings).valid.mean())
 
             return run
 
         runs = {
-            "ours": ours("ours"),
+            "ours": ours("ours", ReconstructSettings()),
             "ours, no normals": ours("ours, no normals", ReconstructSettings(normals=False)),
             "ours, centre of gravity": ours("ours, centre of gravity", plain),
             "usual": pipeline(horus_centres, scanner, frames, angle, u["usual"], pool),
