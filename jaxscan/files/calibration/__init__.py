@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         load_scanner,
         quality_table,
         save_calibration,
+        save_scanner,
         stored_settings,
     )
     from jaxscan.files.calibration.cameras import (
