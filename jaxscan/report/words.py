@@ -90,6 +90,8 @@ class LengthLine(NamedTuple):
 
     what: str
     sigma_mm: float
+    part: bool = False
+    """Whether it is a part of the line before, which its parts make up."""
 
 
 class BadView(NamedTuple):
@@ -246,9 +248,9 @@ def _part_lines(calibration: Calibration) -> list[LengthLine]:
     good_to = None if verdict is None else verdict.good_to
     if verdict is None or good_to is None or not good_to.parts or not good_to.sigma_mm:
         return []
-    found = [LengthLine(f"of that from {_part(part.name, calibration)}", part.sigma_mm) for part in good_to.parts]
+    found = [LengthLine(f"of that from {_part(part.name, calibration)}", part.sigma_mm, True) for part in good_to.parts]
     found += [
-        LengthLine(f"of that because {_cause(test, calibration.quality)}", test.effect_mm)
+        LengthLine(f"of that because {_cause(test, calibration.quality)}", test.effect_mm, True)
         for test in verdict.tests
         if test.effect_mm
     ]

@@ -81,7 +81,7 @@ def test_a_verdict_on_the_page_has_the_lines_that_it_follows_from(tiny):
     first = about["lengths"][0]
     assert " wall from " in first["what"]
     assert first["sigma_mm"] == pytest.approx(about["sigma_mm"], rel=1e-6)
-    parts = [line["sigma_mm"] for line in about["lengths"] if line["what"].startswith("of that ")]
+    parts = [line["sigma_mm"] for line in about["lengths"] if line["part"]]
     # Parts below a thirtieth are not listed.
     assert first["sigma_mm"] == pytest.approx(sum(part**2 for part in parts) ** 0.5, rel=5e-3)
 

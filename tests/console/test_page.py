@@ -193,7 +193,7 @@ def test_a_verdict_has_the_colour_of_the_users_own_goal(visit, console):
     verdict = {"kind": "plain", "headline": "Good to 2.4 mm for a 4 m wall from 2.5 m", "explanation": ""}
     lengths = [
         {"what": "4 m wall from 2.5 m", "sigma_mm": 2.4},
-        {"what": "of that from the angles of the table", "sigma_mm": 2.39},
+        {"what": "of that from the angles of the table", "sigma_mm": 2.39, "part": True},
         {"what": "300 mm along the stripe at 2.5 m", "sigma_mm": 0.0131},
     ]
     about = {"capture": "boards", "well": True, "verdict": verdict, "sigma_mm": 2.4, "lengths": lengths}
@@ -209,6 +209,8 @@ def test_a_verdict_has_the_colour_of_the_users_own_goal(visit, console):
         said = looks.text("lengths").splitlines()
         assert said[:2] == ["± 2.4 mm 4 m wall from 2.5 m", "± 2.4 mm of that from the angles of the table"]
         assert said[2].startswith("± 0.013 mm ")
+        shown = "return Array.from(document.querySelectorAll('#lengths tr'), (row) => row.className)"
+        assert looks.driver.execute_script(shown) == ["", "part", ""]
         calibrations = [{"file": "better.json", "beside": True, "good": True, "headline": "Good to 0.9 mm"}]
         calibrations[0] |= {"sigma_mm": 0.9, "changed": time.time() - 7300}
         console.slate.write(calibration="better.json", calibrations=calibrations, verdict=None)

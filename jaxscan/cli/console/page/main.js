@@ -187,7 +187,7 @@ function showVerdict(verdict) {
   at("goal").textContent = !verdict.sigma_mm ? "" : state.goal_mm ? `Your goal_mm is ${state.goal_mm}: ${verdict.sigma_mm <= state.goal_mm ? "met" : "not met"}.` : `Write goal_mm into ${state.config} to have it judged.`;
   at("explanation").textContent = verdict.verdict.explanation;
   fill(at("lengths"), (verdict.lengths ?? []).map((length) => {
-    const row = make("tr", undefined, length.what.startsWith("of that ") ? "part" : "");
+    const row = make("tr", undefined, length.part ? "part" : "");
     row.append(make("td", `± ${twoDigits(length.sigma_mm)} mm`), make("td", length.what));
     return row;
   }));
