@@ -23,7 +23,7 @@ class Record:
 
 class Source:
     path, records, pixel_format, response, image_size = "boards", (), "mono8", "linear", (480, 384)
-    compression = None
+    compression, bits = None, 8
     lasers, up, carries = (LaserLine(colour="red"),), "-v", None
 
     def frames(self, index):

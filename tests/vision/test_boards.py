@@ -149,7 +149,7 @@ def test_nothing_is_found_where_nothing_is():
 
 def test_a_wrong_picture_is_refused():
     with pytest.raises(ValueError, match="uint8"):
-        find_corners(np.zeros((10, 10), np.float32), CHESS)
+        find_corners(np.zeros((10, 10)), CHESS)
     with pytest.raises(ValueError, match="dictionary"):
         find_corners(np.zeros((100, 100), np.uint8), Charuco(5, 4, 0.03, 0.02, "DICT_NONE"))
 
