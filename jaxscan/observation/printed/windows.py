@@ -30,7 +30,7 @@ class Sight(NamedTuple):
     """DN of the planes that are one of 8 bits."""
 
     def decoded(self, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Linear levels of some codes [DN], and by how much these grow with the code [1]; more than 8 bits are linear."""
+        """Linear levels of some codes [DN], and how much they grow with the code [1]; more than 8 bits are linear."""
         if self.steps > 1:
             return codes.astype(np.float64), np.ones(codes.shape)
         level, slope = decode_table(self.frames.response)
