@@ -142,8 +142,8 @@ class Ledger:
         """Add a record; it is on the disk when this returns.
 
         Args:
-            on: Laser-on image, uint8.
-            off: Laser-off image, uint8.
+            on: Laser-on image, uint8, or uint16 where the header has `bits`.
+            off: Laser-off image, likewise.
             fields: The other fields of the record.
 
         Raises:

@@ -48,7 +48,7 @@ class Sight:
     @property
     def on(self) -> np.ndarray | None:
         """The laser-on frame."""
-        return None if self.pair is None else self.pair.on.image
+        return None if self.pair is None else self.pair.on.shown
 
     @property
     def proof(self) -> PairProof | None:
@@ -130,7 +130,7 @@ def _sight(rig: RecoveringRig, to: int, number: int, *, lit: bool) -> Sight:
     taken, doubt = rig.grab(to, number)
     proof = prove(taken, rig.config, laser)
     pair = ProvenPair(taken.on, taken.off, proof, taken.position, doubt.reasons, laser)
-    return Sight(pair, taken.off.image, at)
+    return Sight(pair, taken.off.shown, at)
 
 
 def _exposed(config: RigConfig, wanted: Wish) -> RigConfig:

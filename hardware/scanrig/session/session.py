@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxscan.files.capture import CameraTable, CaptureHeader, PlanTable, TurntableTable
+from jaxscan.files.capture import CaptureHeader, PlanTable, TurntableTable
 from scanrig.cameras import Features, require_same
 from scanrig.checks import PLACES, LeakWatch, LightWatch, Likeness, PairProof, compare_pairs
 from scanrig.config import RigConfig
@@ -57,9 +57,9 @@ def compare_with_record(folder: Path, record: int, pair: ProvenPair, config: Rig
         CaptureError: If the record is missing or damaged.
     """
     camera, line = config.camera, config.laser[pair.laser].line
-    again = pair.on.image, pair.off.image
+    again = pair.on.shown, pair.off.shown
     first = read_pair(folder, record)
-    return compare_pairs(first, again, pixel_format=camera.pixel_format, response=camera.response, line=line)
+    return compare_pairs(first, again, pixel_format=camera.layout, response=camera.response, line=line)
 
 
 def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureHeader:
@@ -79,16 +79,9 @@ def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureH
     }
     if job.calibration_digest is not None:
         acquisition["calibration"] = job.calibration_digest
-    camera = config.camera
     return CaptureHeader(
         kind=kind,
-        camera=CameraTable(
-            width=camera.width,
-            height=camera.height,
-            pixel_format=camera.pixel_format,
-            response=camera.response,
-            up=camera.up,
-        ),
+        camera=config.camera.table,
         turntable=TurntableTable(carries=config.turntable.carries, angle_sigma_deg=config.turntable.angle_sigma_deg),
         laser=tuple(laser.table for laser in config.laser),
         board=config.board if kind == "calibration" else None,
@@ -333,7 +326,7 @@ class Session:
             self._count(flight)
             if hooks.on_pair is not None:
                 angle = math.radians(self._angle_deg(flight))
-                hooks.on_pair(flight.record, angle, flight.taken.on.image, flight.taken.off.image)
+                hooks.on_pair(flight.record, angle, flight.taken.on.shown, flight.taken.off.shown)
             if hooks.progress is not None:
                 hooks.progress(len(self.done), self.job.planned)
 

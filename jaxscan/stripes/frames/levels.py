@@ -17,7 +17,7 @@ DEEP_FORMATS: dict[str, tuple[PixelFormat, int]] = {
     f"{lying.removesuffix('8')}{bits}": (lying, bits)
     for lying in PIXEL_FORMATS
     if lying != "rgb8"
-    for bits in (10, 12, 16)
+    for bits in DEEP_BITS
 }
 """Pixel formats of cameras of more than 8 bits, such as "mono12": how their pixels lie, and their bits."""
 _STEP_BITS, _MOST = 2, 3
