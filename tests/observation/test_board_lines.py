@@ -45,8 +45,8 @@ def boards(world):
 
 
 def render(rig, lines, random, light=1.0, bits=8):
-    """A pair of frames with lines [(points (u, v), brightness, half width)] on even paper; under less light on paper that
-    is lit unevenly; of more than 8 bits their levels.
+    """A pair of frames with lines [(points (u, v), brightness, half width)] on even paper, or in less light on paper
+    that is lit unevenly; of more than 8 bits their levels.
     """
     width, height = rig.size
     off = np.full((height, width), 60.0)
@@ -62,9 +62,8 @@ def render(rig, lines, random, light=1.0, bits=8):
 
     def noisy(image):
         steps = 1 << bits - 8
-        samples = np.clip(
-            np.rint(steps * (light * image + min(light**0.5, 1) * random.normal(size=image.shape))), 0, 256 * steps - 1
-        )
+        seen = light * image + light**0.5 * random.normal(size=image.shape)
+        samples = np.clip(np.rint(steps * seen), 0, 256 * steps - 1)
         if bits == 8:
             return samples.astype(np.uint8)
         return np.stack([level for level, _ in split_levels(samples.astype(np.uint16), bits)])
