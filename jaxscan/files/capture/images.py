@@ -51,8 +51,8 @@ def check_exposures(records: Sequence[Record], *, name: str, bits: int | None = 
         for side, images in (("on", record.on), ("off", record.off)):
             if images and exposure_levels(images) != expected:
                 raise CaptureError(
-                    f"{name}: record {record.i}: {side}: found {_levels(exposure_levels(images))}, but the first "
-                    f"record has {_levels(expected)}; all frames need the same exposures."
+                    f"{name}: record {record.i}: {side}: found {_levels(exposure_levels(images))}, but the "
+                    f"capture began with {_levels(expected)}; all its frames need the same exposures."
                 )
 
 
