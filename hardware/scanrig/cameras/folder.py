@@ -2,7 +2,6 @@
 
 import os
 import re
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,16 +18,7 @@ from jaxscan.files.capture import (
     open_capture,
 )
 from jaxscan.stripes import finest_steps, join_levels
-from scanrig.cameras.camera import (
-    CameraIdentity,
-    CameraSettings,
-    ClosedAtExit,
-    Features,
-    Frame,
-    TriggerMode,
-    require,
-    wanted,
-)
+from scanrig.cameras.camera import Camera, CameraIdentity, CameraSettings, Features, Frame, require, wanted
 from scanrig.errors import CameraError, CameraLost
 
 
@@ -37,7 +27,7 @@ MAX_FILES = 100_000
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
-class FolderCamera(ClosedAtExit):
+class FolderCamera(Camera):
     """Returns the images one after another, laser-on before laser-off, until none is left.
 
     It does not expose: no frames wait in it, so `drop` discards none, and a trigger has no effect.
@@ -49,9 +39,8 @@ class FolderCamera(ClosedAtExit):
         Raises:
             CameraError: If there are none, or the capture has another size or pixel format.
         """
-        self._settings, self._path = settings, Path(settings.id)
+        self.settings, self._path = settings, Path(settings.id)
         self.identity = CameraIdentity("folder", self._path.name, "")
-        self.trigger_mode: TriggerMode = settings.trigger
         self._closed = False
         self._open()
 
@@ -59,16 +48,16 @@ class FolderCamera(ClosedAtExit):
         try:
             if (self._path / HEADER_NAME).exists():
                 self._header, self._images = _of_capture(self._path)
-            elif self._settings.bits > 8:
+            elif self.settings.bits > 8:
                 raise CameraError(
                     f"{self._path}: found no capture, but pictures are played in 8 bits; import these with "
                     "`jaxscan import`, and play the capture."
                 )
             else:
-                self._header, self._images = _header(self._settings), _of_pictures(self._path)
+                self._header, self._images = _header(self.settings), _of_pictures(self._path)
         except CaptureError as problem:
             raise CameraError(f"{self._path}: cannot be played: {problem}") from problem
-        require(self.features(), wanted(self._settings), name=str(self._path))
+        require(self.features(), wanted(self.settings), name=str(self._path))
         self._reader = ImageReader(self._path, self._header)
         self._number = 0
 
@@ -76,9 +65,6 @@ class FolderCamera(ClosedAtExit):
         camera = self._header.camera
         pixel_format = f"{camera.pixel_format.removesuffix('8')}{camera.bits or 8}"
         return {"width": camera.width, "height": camera.height, "pixel_format": pixel_format}
-
-    def counts(self) -> dict[str, int]:
-        return {"frames": self._number, "incomplete": 0, "missing": 0, "dropped": 0}
 
     def start(self) -> None:
         if self._closed:
@@ -109,7 +95,7 @@ class FolderCamera(ClosedAtExit):
             image = join_levels(image, bits) * np.uint16((1 << bits - 8) // finest_steps(bits))
         self._number += 1
         note = " ".join(map(str, references))
-        return Frame(image, self._number, None, time.monotonic(), complete=True, note=note, bits=bits)
+        return Frame(image, self._number, complete=True, note=note, bits=bits)
 
     def trigger(self) -> None:
         if self.trigger_mode != "software":
@@ -118,10 +104,6 @@ class FolderCamera(ClosedAtExit):
     def reopen(self) -> None:
         self._open()
         self._closed = False
-
-    def adopt(self, settings: CameraSettings) -> None:
-        self._settings = settings
-        self.reopen()
 
     def close(self) -> None:
         self._closed = True

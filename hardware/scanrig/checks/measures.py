@@ -34,11 +34,7 @@ class FramePair(NamedTuple):
 
 
 def check_frames(on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat, bits: int = 8) -> None:
-    """Check type and shape of two frames.
-
-    Raises:
-        ValueError: If they are not two frames of the same shape.
-    """
+    """Raise ValueError if these are not two frames of the same shape."""
     rank = frame_rank(pixel_format)
     kind = np.dtype(np.uint16 if bits > 8 else np.uint8)
     if on.dtype != kind or on.ndim != rank or min(on.shape[:2]) < 64:

@@ -125,12 +125,9 @@ def prove_pair(
     on neighbouring rows; noise, texture, flicker and motion do not make such ridges (`ridges`).
 
     Args:
-        on: The frame that should show the laser's line, uint8 [rows, columns] (rgb8: and 3); uint16 above 8 bits.
-        off: The frame that should not, of the same shape.
-        pixel_format: How a frame is to be read.
-        response: "linear" or "srgb".
+        on: The frame that should show the laser's line, uint16 of more than 8 bits.
+        off: The frame that should not.
         line: The laser; for the colour "auto" the channel that changed most is used.
-        limits: The limits for the pair.
         bits: Bits of a sample. All measures are in DN of 8 bits.
 
     Raises:
