@@ -340,9 +340,9 @@ def measure_reflections(*, quick: bool, seed: int) -> list[Figure]:
 
 SECTIONS = ("cells", "narrow", "over_exposed", "faint", "reflections", "peer", "speckle")
 TITLES = {
-    "cells": "Width by amplitude (asked: RMS ≤ 1.05 of the bound, bias ≤ 0.005 px, sigma 0.9–1.1 of the error)",
-    "narrow": "Narrow stripes (asked: RMS ≤ 1.10 of the bound, sigma 0.9–1.1 of the error)",
-    "over_exposed": "Over-exposed 2.4 times (asked: RMS ≤ 0.02 px, sigma 0.9–1.1 of the error)",
+    "cells": "Width by amplitude (limits: RMS ≤ 1.05 of the bound, bias ≤ 0.005 px, sigma 0.9–1.1 of the error)",
+    "narrow": "Narrow stripes (limits: RMS ≤ 1.10 of the bound, sigma 0.9–1.1 of the error)",
+    "over_exposed": "Over-exposed 2.4 times (limits: RMS ≤ 0.02 px, sigma 0.9–1.1 of the error)",
     "faint": "A stripe of 12 DN, 2 px wide, in noise of 3 DN of the difference; and no stripe at all",
     "peer": "The plain estimator (centre of gravity) beside the default one, on the same frames, the noise known",
     "speckle": "Where speckle rules: contrast 1, 0.5, 0.2 at f/2.8, 5.6, 8; its limit is C lambda / (2 pi sin u')",
@@ -387,7 +387,7 @@ def main() -> int:
         cells += own_cells if section == "cells" else []
     missed = [figure.key for figure in figures if not figure.met()]
     asked = sum(figure.low is not None or figure.high is not None for figure in figures)
-    verdict = f"{asked - len(missed)} of {asked} figures are as asked."
+    verdict = f"{asked - len(missed)} of {asked} figures keep their limits."
     seconds = time.perf_counter() - start
     print(f"{verdict} {seconds:.0f} s", *missed, sep="\n  ", file=sys.stderr)
     head = [
