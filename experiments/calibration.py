@@ -128,12 +128,12 @@ def _honest(label: str, runs: list[Run], names: tuple[str, ...], lengths: list[L
     length_sigma = 1e3 * np.array([each.length_sigma for each in runs])
     for index, length in enumerate(lengths):
         title = f"{label}: {length.name} at {length.depth:g} m"
-        found, said = (np.sqrt(np.mean(values[:, index] ** 2)) for values in (length_error, length_sigma))
+        found, stated = (np.sqrt(np.mean(values[:, index] ** 2)) for values in (length_error, length_sigma))
         most = WALLS_MM.get(length.depth) if length.name == "half a turn" else None
         figures += [
-            Figure(f"{title}, predicted", said, "mm", high=most),
+            Figure(f"{title}, predicted", stated, "mm", high=most),
             Figure(f"{title}, sample", found, "mm", high=most if wide == 1 or most is None else most * high),
-            Figure(f"{title}, sample over predicted", found / said, "", low, high),
+            Figure(f"{title}, sample over predicted", found / stated, "", low, high),
         ]
     weights = np.array(runs[0].counts, float)
     chi2 = np.mean([each.chi2 for each in runs], axis=0)

@@ -124,13 +124,13 @@ class Ran(NamedTuple):
     code: int
     out: str
     problem: str
-    """What it wrote to its standard error."""
+    """Its standard error."""
     wall_s: float
     processor_s: float
     """Of the process and of those that it waited for."""
 
     def notes(self) -> list[str]:
-        """The notes among what it said."""
+        """Its notes."""
         return [line for line in self.out.splitlines() if line.startswith("note: ")]
 
     def last_words(self) -> str:

@@ -329,7 +329,7 @@ def measure_reflections(*, quick: bool, seed: int) -> list[Figure]:
         total = functools.reduce(stripe_world.Score.plus, [scores[variant.name] for scores in draws])
         key = "reflections_" + variant.name.replace(", ", "_").replace(" ", "_")
         affected = max(total.affected, 1)
-        out.append(Figure(f"{key}_right", total.right / affected, "of affected rows", low=variant.asked))
+        out.append(Figure(f"{key}_right", total.right / affected, "of affected rows", low=variant.least))
         out.append(Figure(f"{key}_on_the_reflection", total.reflected / affected, "of affected rows"))
         out.append(Figure(f"{key}_missing", total.missing / affected, "of affected rows"))
         out.append(Figure(f"{key}_affected", total.affected, "rows"))
@@ -386,8 +386,8 @@ def main() -> int:
         figures += own
         cells += own_cells if section == "cells" else []
     missed = [figure.key for figure in figures if not figure.met()]
-    asked = sum(figure.low is not None or figure.high is not None for figure in figures)
-    verdict = f"{asked - len(missed)} of {asked} figures keep their limits."
+    limited = sum(figure.low is not None or figure.high is not None for figure in figures)
+    verdict = f"{limited - len(missed)} of {limited} figures keep their limits."
     seconds = time.perf_counter() - start
     print(f"{verdict} {seconds:.0f} s", *missed, sep="\n  ", file=sys.stderr)
     head = [

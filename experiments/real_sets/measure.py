@@ -538,7 +538,7 @@ def reconstruct(capture: Path, rig: Path, table: Table, inner: float) -> dict[st
     found: dict[str, Any] = {
         "exit_code": ran.code,
         "seconds": ran.wall_s,
-        "said": [short(note) for note in ran.notes()],
+        "notes": [short(note) for note in ran.notes()],
         "error": short(ran.last_words()),
     }
     if not cloud.exists():

@@ -57,7 +57,7 @@ class Limit(NamedTuple):
         """Whether the figure is within its bounds."""
         return bool(self.low <= self.figure(trials) <= self.high)
 
-    def asked(self) -> str:
+    def bounds(self) -> str:
         """The bounds in words."""
         if self.low > -np.inf and self.high < np.inf:
             return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()

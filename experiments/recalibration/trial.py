@@ -9,8 +9,8 @@ from typing import Any, Literal, NamedTuple
 import jax
 import numpy as np
 
+from experiments import exact_rig
 from experiments.exact_rig import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
-from experiments.worlds import exact_rig
 from jaxscan.calibration import (
     USUALLY_FREE,
     Calibration,
@@ -120,7 +120,7 @@ def run(task: Task) -> tuple[dict[str, Any], Recalibration | None]:
         "walls": walls(task, result.scanner),
         "closure_mm": [open_after_a_turn(scanner, task.truth) for scanner in (before, result.scanner)],
         "parameters": parameters(before, result.scanner, task.truth),
-        **said(result),
+        **statements(result),
         **task.known,
         **(task.more(result) if task.more else {}),
         "seconds": seconds,
@@ -222,7 +222,7 @@ def parameters(before: Scanner, after: Scanner, truth: Scanner) -> dict[str, lis
     return out
 
 
-def said(result: Recalibration) -> dict[str, Any]:
+def statements(result: Recalibration) -> dict[str, Any]:
     """The statements of a recalibration."""
     drift, adjusted = result.drift, result.adjusted
     return {

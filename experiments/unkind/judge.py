@@ -223,8 +223,8 @@ def judge(folder: Path) -> dict[str, Any]:
         for name in ("boards", "sweep"):
             shutil.copytree(folder / name, Path(scratch) / name, ignore=shutil.ignore_patterns("stripes.npz"))
         simple = plain.estimate(scratch, world[0], world[1])
-        mine, says = ours.estimate(scratch, world[0])
-    return {"ours": figures(world, mine) | {"says": says}, "plain": figures(world, simple)}
+        mine = ours.estimate(scratch, world[0])
+    return {"ours": figures(world, mine), "plain": figures(world, simple)}
 
 
 def main() -> None:
