@@ -2,7 +2,7 @@
 
     python -m experiments.fleet scheduling [--quick] [--plot FILE]
     jaxscan demo -o demo
-    python -m experiments.fleet work demo [--copies 24] [--storage 6] [--rounds 3] [--json FILE]
+    python -m experiments.fleet work demo [--copies 24] [--json FILE]
 
 scheduling: captures without work, from 10 to 10,000, on two workers of this machine, each number of them in a process
 of its own. Captures that are folders with a header and a journal are found, their digests taken and compared with an
@@ -10,11 +10,9 @@ empty catalogue, each is handed to a worker that does nothing, and its row is wr
 captures in 60 s and 1 GB, and time that grows linearly: from 1,000 to 10,000 not more than tenfold with a tenth to
 spare.
 
-work: what a batch makes of two cores, and of object storage: copies of the demo's sweep, cloud and measures of each.
-Every batch is the command `jaxscan batch`, after one that has compiled all code. With --storage copies lie on a
-server of S3 (moto) that has a core of its own, and one worker has the other; batches from disk and from storage take
-turns. Limits, stated before: two workers do at least 1.7 times the work of one on one core; from storage at least 70
-% of the speed from disk, by the median of the pairs.
+work: what a batch makes of two cores: copies of the demo's sweep, cloud and measures of each. Every batch is the
+command `jaxscan batch`, after one that has compiled all code. Limit, stated before: two workers do at least 1.7 times
+the work of one on one core.
 """
 
 import argparse
@@ -22,20 +20,17 @@ import json
 import os
 import resource
 import shutil
-import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
 from experiments.report import command_line, verb, write_json
-from jaxscan.fleet import ClusterChoice, open_cluster
 from jaxscan.fleet.batch import run_batch
+from jaxscan.fleet.cluster import open_cluster
 from jaxscan.project import (
     Catalogue,
     Order,
@@ -104,7 +99,7 @@ def hand_out(count: int) -> dict[str, float]:
         states = states_of(steps, *digests_of(steps), catalogue.rows(), project.output)
         todo = [order_of(status, project.output) for status in states]
         planned = time.perf_counter() - start
-        with open_cluster(ClusterChoice(workers=2)) as client:
+        with open_cluster(workers=2) as client:
             start = time.perf_counter()
             run_batch(todo, catalogue, client, Silent(), work=do_nothing)
             handed_out = time.perf_counter() - start
@@ -148,25 +143,16 @@ def draw(found: list[dict[str, float]], path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-WORKERS_LIMIT, STORAGE_LIMIT = 1.7, 0.70
-KEYS = {"AWS_ACCESS_KEY_ID": "made", "AWS_SECRET_ACCESS_KEY": "up", "AWS_DEFAULT_REGION": "us-east-1"}
-BUCKET = "rooms"
-SERVER = """import time
-from moto.server import ThreadedMotoServer
-server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-server.start()
-print(server.get_host_and_port()[1], flush=True)
-time.sleep(1e6)
-"""
+WORKERS_LIMIT = 1.7
 
 
-def batch(home: Path, pattern: str, *, workers: int, cores: set[int], **environment: str) -> tuple[float, float]:
+def batch(home: Path, pattern: str, *, workers: int, cores: set[int]) -> tuple[float, float]:
     """Seconds of one batch from nothing, and of those the seconds that its steps were at work."""
     output = Path(tempfile.mkdtemp(prefix="products-", dir=home))
     file = home / "project.toml"
     products = '["cloud", "measures"]'
     file.write_text(PROJECT.format(name="copies", output=output.name, products=products, pattern=pattern))
-    ran = verb("batch", file, "--workers", str(workers), cores=cores, **environment)
+    ran = verb("batch", file, "--workers", str(workers), cores=cores)
     if ran.code:
         raise SystemExit(f"jaxscan batch: exit code {ran.code}: {ran.problem[-2000:]}")
     catalogue = Catalogue(output / "catalogue.sqlite", "copies")
@@ -192,52 +178,6 @@ def measure_workers(home: Path, copies: int, cores: list[int]) -> dict[str, floa
     return found
 
 
-def measure_storage(home: Path, rounds: int, cores: list[int]) -> dict[str, object]:
-    """Seconds from disk and from storage, in turn; one worker has a core, the server the other."""
-    pairs = []
-    with server(cores[1]) as address:
-        keys = KEYS | {"AWS_ENDPOINT_URL": address}
-        upload(home / "captures", keys)
-        for _ in range(rounds):
-            local, _ = batch(home, "captures/*", workers=1, cores=set(cores[:1]), **keys)
-            remote, _ = batch(home, f"s3://{BUCKET}/*", workers=1, cores=set(cores[:1]), **keys)
-            pairs.append((local, remote))
-            print(f"from disk {local:.1f} s, from storage {remote:.1f} s: {local / remote:.0%}")
-    share = statistics.median(local / remote for local, remote in pairs)
-    print(f"from storage {share:.0%} of the speed from disk, limit {STORAGE_LIMIT:.0%}")
-    return {"pairs_s": pairs, "share": share}
-
-
-@contextmanager
-def server(core: int) -> Iterator[str]:
-    """A server of S3 on loopback, with a core of its own."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", SERVER],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        preexec_fn=lambda: os.sched_setaffinity(0, {core}),
-    )
-    try:
-        assert process.stdout is not None
-        yield f"http://127.0.0.1:{int(process.stdout.readline())}"
-    finally:
-        process.kill()
-        process.wait()
-
-
-def upload(folder: Path, keys: dict[str, str]) -> None:
-    """Put all files of a folder into the bucket."""
-    import boto3
-
-    os.environ.update(keys)
-    client = boto3.client("s3", endpoint_url=keys["AWS_ENDPOINT_URL"])
-    client.create_bucket(Bucket=BUCKET)
-    for path in sorted(folder.rglob("*")):
-        if path.is_file():
-            client.upload_file(str(path), BUCKET, path.relative_to(folder).as_posix())
-
-
 def copies_of(demo: Path, home: Path, count: int) -> None:
     """Captures that share the bytes of the demo's sweep."""
     for path in demo.glob("calibration.*"):
@@ -252,23 +192,15 @@ def copies_of(demo: Path, home: Path, count: int) -> None:
 
 
 def work(options: argparse.Namespace) -> bool:
-    """Measure, print, and say whether the limits are kept."""
+    """Measure, print, and say whether the limit is kept."""
     cores = sorted(os.sched_getaffinity(0))[:2]
-    found: dict[str, dict] = {}
-    for count, name in ((options.copies, "workers"), (options.storage, "storage")):
-        if not count:
-            continue
-        with tempfile.TemporaryDirectory(dir=options.demo) as folder:
-            home = Path(folder).resolve()
-            copies_of(options.demo, home, count)
-            batch(home, "captures/room-00", workers=1, cores=set(cores))
-            if name == "workers":
-                found[name] = measure_workers(home, count, cores)
-            else:
-                found[name] = measure_storage(home, options.rounds, cores)
-    write_json(options.json, found)
-    kept = found.get("workers", {}).get("gain", WORKERS_LIMIT) >= WORKERS_LIMIT
-    return kept and found.get("storage", {}).get("share", STORAGE_LIMIT) >= STORAGE_LIMIT
+    with tempfile.TemporaryDirectory(dir=options.demo) as folder:
+        home = Path(folder).resolve()
+        copies_of(options.demo, home, options.copies)
+        batch(home, "captures/room-00", workers=1, cores=set(cores))
+        found = measure_workers(home, options.copies, cores)
+    write_json(options.json, {"workers": found})
+    return found["gain"] >= WORKERS_LIMIT
 
 
 def main() -> int:
@@ -281,9 +213,7 @@ def main() -> int:
     first.add_argument("--one", type=int, help=argparse.SUPPRESS)
     second = parts.add_parser("work")
     second.add_argument("demo", type=Path, help="folder that `jaxscan demo` wrote")
-    second.add_argument("--copies", type=int, default=24, help="for the workers; 0 leaves them out")
-    second.add_argument("--storage", type=int, default=6, help="copies on storage; 0 leaves it out")
-    second.add_argument("--rounds", type=int, default=3, help="pairs of batches from disk and from storage")
+    second.add_argument("--copies", type=int, default=24)
     second.add_argument("--json", type=Path)
     options = parser.parse_args()
     if getattr(options, "one", None):

@@ -88,9 +88,7 @@ def test_09_killed_fifty_times_on_the_whole_bench_it_goes_on(whole_bench, tmp_pa
     """The command line, the firmware, the GigE camera and the rendered room, as the experiment verifies it."""
     answer = tmp_path / "figures.json"
     command = [sys.executable, "-m", "experiments.kills", "--kills", "50", "--seed", "9", "--json", str(answer)]
-    done = subprocess.run(
-        command, cwd=ROOT, env=whole_bench, stdin=subprocess.DEVNULL, capture_output=True, text=True
-    )
+    done = subprocess.run(command, cwd=ROOT, env=whole_bench, stdin=subprocess.DEVNULL, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr[-4000:]
     figures = json.loads(answer.read_text())
     assert figures["kills"] == 50 and figures["kills_with_records"] >= 10
