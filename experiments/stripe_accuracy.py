@@ -240,7 +240,7 @@ def measure_cell(width: float, amplitude: float, *, quick: bool, seed: int) -> l
         error, sigma, truth = error[found], sigma[found], truth[found]
         phase = np.floor(PHASES * (truth + 0.5 - np.floor(truth + 0.5))).astype(int)
         bins = [error[phase == k] for k in range(PHASES)]
-        rms = float(np.sqrt(np.mean(error**2)))
+        found_rms = rms(error)
         cells.append(
             Cell(
                 width,
@@ -249,10 +249,10 @@ def measure_cell(width: float, amplitude: float, *, quick: bool, seed: int) -> l
                 rows=len(found),
                 valid=float(found.mean()),
                 bound=bound,
-                rms=rms,
+                rms=found_rms,
                 bias=max(abs(float(b.mean())) for b in bins),
                 bias_error=max(float(b.std()) / math.sqrt(len(b)) for b in bins),
-                honesty=float(np.sqrt(np.mean(sigma**2))) / rms,
+                honesty=rms(sigma) / found_rms,
             )
         )
     return cells
@@ -312,10 +312,9 @@ def measure_peer(*, quick: bool, seed: int) -> list[Figure]:
         for name in ESTIMATORS:
             error, sigma, valid = np.concatenate(rows[name], -1)
             error, sigma = error[valid > 0], sigma[valid > 0]
-            rms = float(np.sqrt(np.mean(error**2)))
             key = f"peer_{name}_{width:g}px_{amplitude:g}dn"
-            out.append(Figure(f"{key}_rms_over_bound", rms / bound, "1"))
-            out.append(Figure(f"{key}_sigma_over_error", float(np.sqrt(np.mean(sigma**2))) / rms, "1"))
+            out.append(Figure(f"{key}_rms_over_bound", rms(error) / bound, "1"))
+            out.append(Figure(f"{key}_sigma_over_error", rms(sigma) / rms(error), "1"))
             out.append(Figure(f"{key}_valid", float(np.mean(valid)), "of rows"))
     return out
 

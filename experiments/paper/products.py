@@ -240,7 +240,7 @@ class RenderedSweep:
         """Of a rig with one laser.
 
         Args:
-            config: The rig; `worlds.windowed` reads fewer columns.
+            config: The rig; `stage.windowed` reads fewer columns.
             angles: Commanded angles of the table [rad].
             scene: The surroundings, in place of the configuration's room.
             watch: Called with all frames as they are read, at every reading.

@@ -111,7 +111,7 @@ def rows(limits: tuple[Limit, ...], trials: dict[str, Trials]) -> tuple[list[lis
             found.append([limit.kind, limit.name, limit.bounds(), reason, "0", "**no**"])
             continue
         value = limit.figure(own)
-        free = not np.isfinite(limit.low) and not np.isfinite(limit.high)
+        free = limit.low is None and limit.high is None
         good = limit.met(own) and not failed
         verdict = "" if free else "yes" if good else "**no**"
         missed += not good
