@@ -171,15 +171,7 @@ def _each(rig: "RigConfig") -> str:
 
 def sweep_header(rig: "RigConfig") -> "CaptureHeader":
     """The header that the capture is going to have, as far as it describes the frames."""
-    camera = rig.camera
-    table = capture_files.CameraTable(
-        width=camera.width,
-        height=camera.height,
-        pixel_format=camera.pixel_format,
-        response=camera.response,
-        up=camera.up,
-    )
     turntable = capture_files.TurntableTable(carries=rig.turntable.carries)
     return capture_files.CaptureHeader(
-        kind="sweep", camera=table, turntable=turntable, laser=tuple(one.table for one in rig.laser)
+        kind="sweep", camera=rig.camera.table, turntable=turntable, laser=tuple(one.table for one in rig.laser)
     )

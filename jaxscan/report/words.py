@@ -40,7 +40,7 @@ TESTS = {
     ),
     "lines": (
         "Does the sheet stay where it is if the lines count that were left out?",
-        "the lines on some boards, left out, lie on another sheet",
+        "the lines on some boards, left out, lie on another sheet: boards or laser moved between pictures",
     ),
 }
 """The question of each test of the verdict, and the cause of harm when it finds structure."""

@@ -213,7 +213,7 @@ class Captures:
         capture: Capture = api.open_capture(self.path(name), compare=False)
         if not 0 <= index < len(capture):
             raise CaptureError(f"{name}: found no record {index}, expected 0 ... {len(capture) - 1}.")
-        on, off = capture.frames(index)
+        on, off = capture.pictures(index)
         frame = on if (lit or off is None) and on is not None else off
         if frame is None:
             raise CaptureError(f"{name}: record {index} has no image.")
