@@ -273,7 +273,7 @@ def _numbers(option: str, words: Sequence[str], count: int, meaning: str) -> np.
     return values
 
 
-_STYLE = {"good": "bold green", "bad": "bold red", "open": "bold yellow"}
+_STYLE = {"good": "bold green", "plain": "bold", "bad": "bold red", "open": "bold yellow"}
 
 
 def print_summary(out: Terminal, calibration: "Calibration", *, verbose: bool = False) -> None:
