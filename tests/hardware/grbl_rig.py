@@ -7,13 +7,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scanrig.cameras.simulated import FrameShape, SimulatedCamera, SyntheticScene, draw
+from scanrig.cameras.simulated import FrameShape, SyntheticScene, draw
 from scanrig.config import RigConfig
 from scanrig.controllers.grbl import GrblController
 from scanrig.controllers.grbl.lines import GrblLines, TableUnits
 from scanrig.errors import LinkLost, PortError
 
 from .fake import ANSWER_S, Mangle, ManualClock
+from .faulty_camera import FaultyCamera
 
 
 WIDTH, HEIGHT = 128, 96
@@ -344,7 +345,7 @@ def rig_config(*, steps=10, grbl=None, **controller):
     )
 
 
-def camera_of(board: GrblBoard, config: RigConfig) -> SimulatedCamera:
+def camera_of(board: GrblBoard, config: RigConfig) -> FaultyCamera:
     """A camera that sees where the table of a board truly stands, and whether its laser truly shines."""
     generator = np.random.default_rng(os.getpid())
 
@@ -355,7 +356,7 @@ def camera_of(board: GrblBoard, config: RigConfig) -> SimulatedCamera:
     def world():
         return STEPS_PER_TURN / 360 * (board.position - board.settings[27]), board.lit
 
-    return SimulatedCamera(config.camera, see, world=world, patience_s=0.0)
+    return FaultyCamera(config.camera, see, world=world)
 
 
 def open_board(board: GrblBoard, config: RigConfig) -> GrblController:
