@@ -49,11 +49,11 @@ class Table:
         """Which laser is on, from 1."""
         self.contactor = False
         self.welded = False
-        """The laser shines whatever it is told."""
+        """The laser shines whatever the command."""
         self.dead = False
-        """The laser is dark whatever it is told."""
+        """The laser is dark whatever the command."""
         self.dead_lasers: set[int] = set()
-        """Those that are dark whatever they are told."""
+        """Those that are dark whatever the command."""
         self.moved_px = 0
         """How far the camera was knocked."""
         self.lit_cycles = 0

@@ -14,7 +14,7 @@ exchanged with the one after; delivered only with the one after; and: the camera
 
 
 class FaultyCamera(SimulatedCamera):
-    """Whoever exposes it does so before it is asked for the frame."""
+    """It must be exposed before `next` is called."""
 
     patience_s = 0.0
 

@@ -121,7 +121,7 @@ class GrblBoard:
     # From outside
 
     def later(self, seconds: float, action: Callable[[], None]) -> None:
-        """Let something befall the board."""
+        """Run an action after so many seconds."""
         self._due.append((self.clock.now() + seconds, action))
 
     def unplug(self) -> None:
@@ -161,7 +161,7 @@ class GrblBoard:
     # Within
 
     def _require_cable(self) -> None:
-        self._befall()
+        self._run_due()
         if not self.plugged:
             raise LinkLost("grbl went away (unplugged)") from OSError(5, "unplugged")
 
@@ -170,7 +170,7 @@ class GrblBoard:
         own = [self._motion.end_s] if self._motion else []
         return [*own, *([] if self._homing_ends is None else [self._homing_ends]), *(at for at, _ in self._due)]
 
-    def _befall(self) -> None:
+    def _run_due(self) -> None:
         due = [entry for entry in self._due if entry[0] <= self.clock.now()]
         self._due = [entry for entry in self._due if entry not in due]
         for _, action in due:
@@ -213,7 +213,7 @@ class GrblBoard:
             self._held = True
 
     def _run(self) -> None:
-        self._befall()
+        self._run_due()
         now = self.clock.now()
         while self._motion is not None and now >= self._motion.end_s:
             ended, self._place, self._motion = self._motion.end_s, self._motion.end, None

@@ -84,7 +84,7 @@ def test_what_is_alike_does_not_depend_on_how_bright_it_is(ambient):
 
 
 @pytest.mark.parametrize("scene", [SyntheticScene(ambient_dn=0.5), SyntheticScene(contrast=0.0)])
-def test_a_room_that_shows_nothing_is_not_compared_by(scene):
+def test_a_room_without_contrast_is_not_compared(scene):
     found = compare(pair(scene), pair(scene, 1001.0))
     assert found.correlation is None and found.within(1.0, LEAST) and not found.within(1e-9, LEAST)
     assert "too little contrast to compare by" in str(found)
@@ -92,7 +92,7 @@ def test_a_room_that_shows_nothing_is_not_compared_by(scene):
     assert half.correlation is None
 
 
-def test_a_rendered_room_is_known_again_and_told_from_its_neighbourhood():
+def test_a_rendered_room_is_recognised_and_distinguished_from_its_neighbourhood():
     pytest.importorskip("embreex")
     from bench.camera.rendered import View, load_world
 

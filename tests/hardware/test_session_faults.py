@@ -88,7 +88,7 @@ def test_07_table_pushed_while_the_controller_was_off(tmp_path):
 
 
 def test_07_steps_lost_before_a_reset_are_found_by_the_last_record(tmp_path):
-    """The counter that would have told is gone with the reset: the picture of the last step tells."""
+    """The counter that would have shown it is gone with the reset: the picture of the last step shows it."""
     desk = Desk()
     desk.controller.before_shot[3] = lambda controller: controller.lose_steps(400)
     desk.controller.before_shot[6] = lambda controller: controller.reset()
@@ -166,7 +166,7 @@ def test_13_lost_steps_make_all_since_the_last_good_home_suspect(tmp_path, lost,
 
 
 def lose_link_in(desk, method, call):
-    """After the rig has done it the call-th time, nobody hears of it."""
+    """After the rig has done it the call-th time, the answer is lost."""
     do, count = getattr(desk.controller, method), []
 
     def done_unheard(*arguments):
@@ -393,7 +393,7 @@ def test_17_frame_fault_that_does_not_end(tmp_path, fault):
     assert len(open_capture(tmp_path / "room")) == 3
 
 
-def test_17_a_trigger_that_nobody_asked_for(tmp_path):
+def test_17_an_unexpected_trigger(tmp_path):
     desk = Desk()
 
     def noise(controller):
