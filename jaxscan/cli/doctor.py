@@ -60,8 +60,6 @@ OPTIONAL = (
     Optional("open3d", "open3d", "poisson", "mesh --poisson"),
     Optional("distributed", "distributed", "fleet", "batch"),
     Optional("sqlalchemy", "sqlalchemy", "fleet", "project, batch"),
-    Optional("s3fs", "s3fs", "s3", "captures on object storage"),
-    Optional("obstore", "obstore", "s3", "captures on object storage"),
 )
 
 _SHOWN = 100

@@ -16,7 +16,7 @@ from jaxscan.files.capture.header import CaptureHeader
 from jaxscan.files.capture.images import ImageReader, Look, RecordFrames, check_exposures, decode_ahead, exposure_levels
 from jaxscan.files.capture.journal import JOURNAL_NAME, ImageRef, Record, read_texts
 from jaxscan.files.capture.seals import require_whole, sealing
-from jaxscan.files.disk import shown
+from jaxscan.files.disk import COPY_FIRST, is_address, shown
 from jaxscan.geometry import AbstractBoard, Carries
 from jaxscan.geometry.scanner import Up
 from jaxscan.reconstruction import FrameChunk, journal_doubts
@@ -258,7 +258,8 @@ def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
     path = Path(path)
     if not os.path.isdir(path):
         found = "found a file" if os.path.exists(path) else "no such folder"
-        raise CaptureError(f"{shown(path)}: {found}, expected a capture's folder.")
+        remedy = f"; {COPY_FIRST}" if is_address(path) else ""
+        raise CaptureError(f"{shown(path)}: {found}, expected a capture's folder{remedy}.")
     journal_name, texts = str(path / JOURNAL_NAME), read_texts(path)
     header, records, seals = texts.header, texts.records, sealing(texts, path)
     require_whole(seals)
@@ -274,7 +275,7 @@ def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
         check_exposures(records, name=journal_name, bits=header.camera.bits)
     reader = ImageReader(path, header, compare=compare)
     reader.check(records)
-    notes = [*texts.notes, *((seals.note,) if seals.note else ()), *_image_notes(header, records)]
+    notes = [*texts.notes, *((seals.note,) if seals.note else ()), *header.camera.notes(_compression(header, records))]
     if header.kind == "sweep":
         turns = header.turntable is None or header.turntable.carries in ("scanner", "object")
         degrees = np.degrees([record.angle or 0.0 for record in records]) if turns else None
@@ -288,11 +289,6 @@ def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
 def _compression(header: CaptureHeader, records: tuple[Record, ...]) -> Literal["jpeg", "video"] | None:
     first = (*records[0].on, *records[0].off)[0].path.lower()
     return header.camera.compression or ("jpeg" if first.endswith((".jpg", ".jpeg")) else None)
-
-
-def _image_notes(header: CaptureHeader, records: tuple[Record, ...]) -> list[str]:
-    """Notes on the kind of images."""
-    return header.camera.model_copy(update={"compression": _compression(header, records)}).notes()
 
 
 def common_board(captures: Sequence[Capture], *, single_lasers: bool) -> AbstractBoard:
