@@ -1,5 +1,6 @@
 """A simulated camera with every fault that a camera can have, which does not wait for frames."""
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -44,7 +45,7 @@ class FaultyCamera(SimulatedCamera):
 
     def _arrive(self, image: np.ndarray) -> None:
         held, self._held = self._held, []
-        frame = Frame(image, self.exposures, complete=True)
+        frame = self._frame(image)
         match self.faults.get(self.exposures):
             case "missing":
                 arriving = []
@@ -53,9 +54,9 @@ class FaultyCamera(SimulatedCamera):
             case "incomplete":
                 torn = image.copy()
                 torn[len(torn) // 2 :] = 0
-                arriving = [Frame(torn, self.exposures, complete=False, note="half of its packets are missing")]
+                arriving = [replace(self._frame(torn), complete=False, note="half of its packets are missing")]
             case "stale":
-                arriving = [frame if self._last is None else Frame(self._last, self.exposures, complete=True)]
+                arriving = [frame if self._last is None else self._frame(self._last)]
             case "swapped" | "late":
                 self._held, arriving = [frame], []
             case "lost":
@@ -66,7 +67,10 @@ class FaultyCamera(SimulatedCamera):
             if self.faults.get(waiting.number) == "late":
                 self._queue.append(waiting)
             else:  # Swapped: the numbers are in order, the images are exchanged.
-                self._queue.append(Frame(image, waiting.number, complete=True))
-                arriving = [Frame(waiting.image, self.exposures, complete=True)]
+                self._queue.append(replace(self._frame(image), number=waiting.number))
+                arriving = [self._frame(waiting.image)]
         self._queue.extend(arriving)
         self._last = image
+
+    def _frame(self, image: np.ndarray) -> Frame:
+        return Frame(image, self.exposures, complete=True, bits=self.settings.bits)
