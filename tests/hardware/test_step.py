@@ -15,7 +15,7 @@ from scanrig.session.plan import controller_settings
 from scanrig.session.steps import FrameNumbers, Station, Step, take_pair
 
 from .desk import HEIGHT, WIDTH, Desk, rig_config
-from .nursery import Wire
+from .scanning import Wire
 
 
 def ready(desk):
