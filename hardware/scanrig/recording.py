@@ -63,7 +63,6 @@ def is_full(problem: BaseException) -> bool:
 
 
 def readable(size: int) -> str:
-    """A number of bytes for people."""
     return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.1f} MB"
 
 
@@ -99,7 +98,6 @@ class Ledger:
         self._attach(resume_capture(self.folder, digests=True))
 
     def note(self, name: str, **fields: Any) -> None:
-        """Note an event as `write` does."""
         self.write(self.event(name, **fields))
 
     def event(self, name: str, **fields: Any) -> dict[str, Any]:

@@ -259,7 +259,7 @@ def examine_rig(
         port: Serial port instead of the port in the configuration.
         config: The rig's configuration, where there is one.
         camera: Id of the camera instead of the id in the configuration.
-        tell: Called with every `scanrig.doctor.findings.Finding`.
+        tell: Called with every `scanrig.doctor.Finding`.
         say: Called with a sentence on each check that takes long.
 
     Raises:
