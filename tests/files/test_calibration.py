@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import os
+from functools import partial
 
 import jax
 import numpy as np
@@ -41,6 +42,8 @@ from jaxscan.geometry import (
     stack_lasers,
 )
 from jaxscan.observation import BoardViews, Observations, StripeViews
+
+from .conftest import refused
 
 
 QUALITY = Quality(
@@ -345,9 +348,7 @@ def test_every_wrong_number_is_named(tmp_path, path, value, message):
     edit(data, path, value)
     (tmp_path / "c.json").write_text(json.dumps(data))
     for load in (load_scanner, load_calibration):
-        with pytest.raises(CalibrationError) as caught:
-            load(tmp_path / "c.json")
-        assert message in str(caught.value) and "c.json" in str(caught.value) and "\n" not in str(caught.value)
+        refused(CalibrationError, partial(load, tmp_path / "c.json"), message, "c.json")
 
 
 @pytest.mark.parametrize(
@@ -368,9 +369,7 @@ def test_every_wrong_number_of_a_fisheye_is_named(tmp_path, path, value, message
     assert list(data["camera"]["distortion"]) == ["k1", "k2", "k3", "k4"] and data["camera"]["skew"] == 0
     edit(data, path, value)
     (tmp_path / "c.json").write_text(json.dumps(data))
-    with pytest.raises(CalibrationError) as caught:
-        load_calibration(tmp_path / "c.json")
-    assert message in str(caught.value) and "c.json" in str(caught.value) and "\n" not in str(caught.value)
+    refused(CalibrationError, lambda: load_calibration(tmp_path / "c.json"), message, "c.json")
 
 
 def test_every_wrong_number_of_a_double_sphere_is_named(tmp_path):
@@ -411,9 +410,7 @@ def test_a_covariance_that_is_none(tmp_path):
 )
 def test_what_is_no_calibration(tmp_path, text, message):
     (tmp_path / "c.json").write_text(text)
-    with pytest.raises(CalibrationError) as caught:
-        load_scanner(tmp_path / "c.json")
-    assert message in str(caught.value) and "c.json" in str(caught.value)
+    refused(CalibrationError, lambda: load_scanner(tmp_path / "c.json"), message, "c.json")
 
 
 def test_bytes_that_are_no_text(tmp_path):
@@ -449,9 +446,7 @@ def test_wrong_observations(tmp_path, name, value, message):
         arrays = {key: good[key] for key in good.files}
     arrays[name] = value
     np.savez(tmp_path / "c.npz", **{key: array for key, array in arrays.items() if array is not None})
-    with pytest.raises(CalibrationError) as caught:
-        load_calibration(tmp_path / "c.json")
-    assert message in str(caught.value) and "c.npz" in str(caught.value)
+    refused(CalibrationError, lambda: load_calibration(tmp_path / "c.json"), message, "c.npz")
     # The scanner itself is not touched by it.
     same_bits(load_scanner(tmp_path / "c.json"), make_scanner())
 

@@ -189,7 +189,7 @@ class TurntableTable(FileModel):
 
     @property
     def stop_sigma(self) -> float | None:
-        """Standard deviation of stops about the positions of their records [rad or m]; None where nobody says."""
+        """Standard deviation of stops about the positions of their records [rad or m]; None if not given."""
         if self.position_sigma_mm is not None:
             return self.position_sigma_mm / 1000.0
         return None if self.angle_sigma_deg is None else math.radians(self.angle_sigma_deg)

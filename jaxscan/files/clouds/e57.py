@@ -437,8 +437,8 @@ class Surroundings(NamedTuple):
 
 # Reading E57: files of this library on their grid, others by rows and columns, or as a single row of points.
 #
-# The format is read here, in blocks, and not by libE57: its parser of XML follows what a file says, to other files and
-# addresses too, and hears no signal while it does.
+# The format is read here, in blocks, and not by libE57: its XML parser resolves external entities, from files and over
+# the network, and cannot be interrupted meanwhile.
 
 MAX_XML_BYTES = 1 << 24
 """Of 1024 scans with their pictures, or of 64 stations that each name all others."""

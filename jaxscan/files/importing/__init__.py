@@ -1,4 +1,4 @@
-"""Images and videos of other programs, made captures."""
+"""Import of images and videos of other programs as captures."""
 
 from jaxscan.facades import TYPE_CHECKING, load_on_use
 

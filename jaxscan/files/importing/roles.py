@@ -129,7 +129,7 @@ def find_roles(folder: Path, listing: Listing, request: ImportRequest) -> Roles:
 
     Args:
         listing: All images and videos in it.
-        request: The wishes of the user.
+        request: The user's choices.
 
     Raises:
         OptionError: If patterns do not fit one another.
@@ -154,7 +154,7 @@ def _in_rows(files: Sequence[Matched], refused_in: Path | None = None) -> list[s
 
     Args:
         files: The images, one after the other.
-        refused_in: The stranger's folder, where rows that count alike are refused, for nobody has named them together.
+        refused_in: The folder of the images, where rows that count alike are refused unless a pattern names them.
 
     Raises:
         CaptureError: If they are refused.
