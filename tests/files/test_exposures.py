@@ -1,6 +1,7 @@
 """Several images for one frame: averaged where they repeat an exposure, a bracket where they do not."""
 
 import json
+import re
 from fractions import Fraction
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import MAX_IMAGES, ImageRef, open_capture
 from jaxscan.files.capture.images import average
+from jaxscan.files.capture.journal import parse_images
 from jaxscan.files.recording import create_capture, resume_capture
 
 from .conftest import BOARD, FRAMES, LASER, header
@@ -98,9 +100,8 @@ def test_all_records_need_the_same_exposures(folder):
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        ([], "on: found a list of 0 images, expected 1 to 16"),
-        (listed(*[0.1] * 17), "on: found a list of 17 images, expected 1 to 16"),
-        (listed(0.1) * 100_000, "longer than 64 KiB"),
+        ([], "found a list of 0 images, expected 1 to 16"),
+        (listed(*[0.1] * 17), "found a list of 17 images, expected 1 to 16"),
         (["on/000000.png"], "found 'on/000000.png' in a list"),
         ([listed(0.1)], "in a list, expected"),
         ([{"file": "on/000000.png"}], "in a list, expected"),
@@ -116,16 +117,12 @@ def test_all_records_need_the_same_exposures(folder):
         (listed(0.1, file=None), "found None, expected a path"),
         (listed(0.1, file=listed(0.1)), "expected a path"),
         (listed(0.1, file="../on.png"), '".."'),
-        (listed(0.1, file="/etc/hostname"), "not relative"),
-        (listed(0.1, file="on/a.npy"), "which image of the shard"),
         ({"file": "on/000000.png", "exposure_s": 0.1}, "expected a path, null, or a list"),
     ],
 )
-def test_lists_that_are_refused(folder, value, message):
-    folder.record(0)
-    folder.record(1, on=value)
-    folder.line('{"event": "end"}')
-    folder.refused(message)
+def test_lists_that_are_refused(value, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        parse_images(value)
 
 
 def test_a_calibration_averages_and_refuses_brackets(folder):

@@ -70,7 +70,14 @@ class CharucoTable(_Board):
 
     def board(self) -> AbstractBoard:
         square, marker = self.square_mm / 1000, self.marker_mm / 1000
-        return Charuco(self.columns, self.rows, square, marker, self.dictionary, self.layout)
+        return Charuco(
+            columns=self.columns,
+            rows=self.rows,
+            square=square,
+            marker=marker,
+            dictionary=self.dictionary,
+            layout=self.layout,
+        )
 
 
 class ChessboardTable(_Board):
@@ -80,7 +87,7 @@ class ChessboardTable(_Board):
     square_mm: Length
 
     def board(self) -> AbstractBoard:
-        return Chessboard(self.columns, self.rows, self.square_mm / 1000)
+        return Chessboard(columns=self.columns, rows=self.rows, square=self.square_mm / 1000)
 
 
 class CirclesTable(_Board):
@@ -93,7 +100,8 @@ class CirclesTable(_Board):
     layout: Literal["asymmetric", "symmetric"] = "asymmetric"
 
     def board(self) -> AbstractBoard:
-        return Circles(self.columns, self.rows, self.spacing_mm / 1000, self.diameter_mm / 1000, self.layout)
+        square, diameter = self.spacing_mm / 1000, self.diameter_mm / 1000
+        return Circles(columns=self.columns, rows=self.rows, square=square, diameter=diameter, layout=self.layout)
 
 
 class AprilGridTable(_Board):
@@ -105,7 +113,7 @@ class AprilGridTable(_Board):
     """Distance of neighbouring tags."""
 
     def board(self) -> AbstractBoard:
-        return AprilGrid(self.columns, self.rows, self.gap_mm / 1000, self.tag_mm / 1000)
+        return AprilGrid(columns=self.columns, rows=self.rows, square=self.gap_mm / 1000, tag=self.tag_mm / 1000)
 
 
 BoardTable = Annotated[
