@@ -13,6 +13,7 @@ import tyro
 from jaxscan.errors import DependencyError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
+from jaxscan.files.disk import COPY_FIRST, is_address
 
 
 CapturePath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
@@ -214,6 +215,8 @@ def _identity(place: Place) -> set[object]:
     except OSError as problem:
         if problem.errno == errno.ENAMETOOLONG:
             raise OptionError(f"{place}: the name is longer than the disk allows.") from problem
+        if is_address(place.path):
+            raise OptionError(f"{place}: is an address, expected a path on a disk; {COPY_FIRST}.") from problem
         return found
     return found | {(status.st_dev, status.st_ino)}
 

@@ -168,6 +168,8 @@ def test_acquisition_may_hold_anything(folder):
 
 
 def test_missing_parts(folder, tmp_path):
+    with pytest.raises(CaptureError, match=r"s3:/rooms/hall: no such folder, .*; copy it to a disk first"):
+        open_capture("s3://rooms/hall")
     with pytest.raises(CaptureError, match="nowhere: no such folder"):
         open_capture(tmp_path / "nowhere")
     folder.refused("frames.jsonl: no such file")

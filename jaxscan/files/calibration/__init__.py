@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         observations_path,
         quality_table,
         save_calibration,
+        save_scanner,
         stored_settings,
     )
     from jaxscan.files.calibration.cameras import (

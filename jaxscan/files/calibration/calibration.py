@@ -318,8 +318,11 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
         path: Ends in `.json`. Existing files are replaced when the new ones are complete.
 
     Raises:
-        CalibrationError: If the calibration is inconsistent, or cannot be written.
+        CalibrationError: If it is no calibration, is inconsistent, or cannot be written.
     """
+    if not isinstance(calibration, Calibration):
+        remedy = "; save_scanner writes a scanner" if isinstance(calibration, Scanner) else ""
+        raise CalibrationError(f"{path}: found a {type(calibration).__name__}, expected a Calibration{remedy}.")
     path = Path(path)
     check_calibration_path(path, with_observations=calibration.observations is not None)
     try:
@@ -349,6 +352,23 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
     if calibration.observations is None and _is_observations(beside):
         # They belong to the calibration that was just replaced.
         beside.unlink()
+
+
+def save_scanner(scanner: Scanner, path: str | Path) -> None:
+    """Write a scanner, as of `Scanner.from_parts`, as a calibration file that `load_scanner` reads.
+
+    Args:
+        scanner: The scanner; its covariance is written where it has one.
+        path: Ends in `.json`. An existing file is replaced when the new one is complete.
+
+    Raises:
+        CalibrationError: If it is no scanner, its numbers do not fit one another, or it cannot be written.
+    """
+    if not isinstance(scanner, Scanner):
+        raise CalibrationError(f"{path}: found a {type(scanner).__name__}, expected a Scanner.")
+    covariance = np.zeros((0, 0)) if scanner.covariance is None else np.asarray(scanner.covariance, np.float64)
+    order = scanner.parameter_names() if covariance.size else ()
+    save_calibration(Calibration(scanner.camera, scanner, order, covariance), path)
 
 
 def check_calibration_path(path: str | Path, *, with_observations: bool = True) -> None:

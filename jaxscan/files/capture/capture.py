@@ -16,7 +16,7 @@ from jaxscan.files.capture.header import CaptureHeader
 from jaxscan.files.capture.images import ImageReader, Look, RecordFrames, check_exposures, decode_ahead, exposure_levels
 from jaxscan.files.capture.journal import JOURNAL_NAME, ImageRef, Record, read_texts
 from jaxscan.files.capture.seals import require_whole, sealing
-from jaxscan.files.disk import shown
+from jaxscan.files.disk import COPY_FIRST, is_address, shown
 from jaxscan.geometry import AbstractBoard, Carries
 from jaxscan.geometry.scanner import Up
 from jaxscan.reconstruction import FrameChunk, journal_doubts
@@ -258,7 +258,8 @@ def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
     path = Path(path)
     if not os.path.isdir(path):
         found = "found a file" if os.path.exists(path) else "no such folder"
-        raise CaptureError(f"{shown(path)}: {found}, expected a capture's folder.")
+        remedy = f"; {COPY_FIRST}" if is_address(path) else ""
+        raise CaptureError(f"{shown(path)}: {found}, expected a capture's folder{remedy}.")
     journal_name, texts = str(path / JOURNAL_NAME), read_texts(path)
     header, records, seals = texts.header, texts.records, sealing(texts, path)
     require_whole(seals)
