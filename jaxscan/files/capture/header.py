@@ -263,38 +263,6 @@ def image_limit(header: CaptureHeader) -> int:
     return 4 * header.camera.width * header.camera.height + MEGABYTE
 
 
-def record_position(
-    angle_deg: float | None, position_m: float | None, *, kind: str, carries: Carries, where: str
-) -> float | None:
-    """Position of a record: the table's angle [rad], or the place of a stage [m]; None where unknown.
-
-    Args:
-        angle_deg: As the record has it.
-        position_m: As the record has it.
-        kind: Kind of the capture.
-        carries: The part that its table carries.
-
-    Raises:
-        CaptureError: If it is missing in a sweep, or belongs to another kind of motion.
-    """
-    linear = carries == "linear"
-    wanted, found = (position_m, angle_deg) if linear else (angle_deg, position_m)
-    if wanted is not None:
-        return wanted if linear else math.radians(wanted)
-    if found is not None and carries != "nothing":
-        key, other = ("position_m", "angle_deg") if linear else ("angle_deg", "position_m")
-        kinds = 'carries = "linear"' if linear else 'carries = "scanner" or "object"'
-        raise CaptureError(f"{where}: {key}: missing beside {other}, expected with {kinds} under [turntable].")
-    if kind != "sweep" or carries == "nothing":
-        return None
-    if linear:
-        raise CaptureError(f"{where}: position_m: found null, but a sweep needs the position of every record.")
-    raise CaptureError(
-        f"{where}: angle_deg: found null, but a sweep needs the angle of every record; of a scanner that stands still, "
-        'say carries = "nothing" under [turntable].'
-    )
-
-
 def parse_header(data: bytes, *, name: str) -> CaptureHeader:
     """A header from the bytes of its file.
 

@@ -173,8 +173,8 @@ def match(pattern: str, names: Sequence[str], option: str) -> list[Matched]:
         raise OptionError(f"{option}: found {pattern[:60]!r}, expected a pattern such as 'l_*.png'.")
     if plain.startswith("/") or re.match(r"[A-Za-z]:", plain) or ".." in plain.split("/"):
         raise OptionError(f"{option}: found {pattern[:60]!r}, expected a pattern of names inside the folder.")
-    shape = _Pattern(plain)
-    parts = [(name, shape.open_part(name)) for name in names]
+    shape = _compiled(plain)
+    parts = [(name, _open_part(shape, name)) for name in names]
     found = [Matched(name, numbers_and_words(text)) for name, text in parts if text is not None]
     if not found:
         raise OptionError(
@@ -184,46 +184,25 @@ def match(pattern: str, names: Sequence[str], option: str) -> list[Matched]:
     return found
 
 
-class _Pattern:
-    """A pattern in pieces between its stars; each piece has one length, so that nothing is tried twice."""
+def _compiled(pattern: str) -> re.Pattern[str]:
+    """A pattern as an expression with a group for each open part.
 
-    def __init__(self, pattern: str) -> None:
-        self._pieces = [_piece(text) for text in re.split(r"\*+", pattern)]
-        self._whole = "*" not in pattern
-
-    def open_part(self, name: str) -> str | None:
-        """A name with blanks for what the pattern says; None where it does not fit."""
-        spans = self._spans(name)
-        if spans is None:
-            return None
-        is_open = {at for start, end in spans for at in range(start, end)}
-        return "".join(letter if at in is_open else " " for at, letter in enumerate(name))
-
-    def _spans(self, name: str) -> list[tuple[int, int]] | None:
-        """Positions of the open part of a name: its first and last letters."""
-        (first, _), *middle = self._pieces
-        hit = first.match(name)
-        if hit is None:
-            return None
-        found, at = [*hit.regs[1:]], hit.end()
-        if self._whole:
-            return found if at == len(name) else None
-        last, length = middle.pop()
-        for expression, _ in middle:
-            hit = expression.search(name, at)
-            if hit is None:
-                return None
-            found += [(at, hit.start()), *hit.regs[1:]]
-            at = hit.end()
-        end = last.fullmatch(name, len(name) - length) if len(name) - length >= at else None
-        return None if end is None else [*found, (at, end.start()), *end.regs[1:]]
+    Each piece between two stars is looked for once, by an atomic group: no name makes a pattern slow.
+    """
+    first, *middle = (_piece(text) for text in re.split(r"\*+", pattern))
+    last = f"(.*){middle.pop()}" if middle else ""
+    try:
+        return re.compile("".join([first, *(f"(?>(.*?){piece})" for piece in middle), last]), re.DOTALL)
+    except re.error as problem:
+        raise OptionError(
+            f"{pattern[:60]!r}: found a pattern with wrong brackets ({problem}), expected [abc]."
+        ) from problem
 
 
-def _piece(text: str) -> tuple[re.Pattern[str], int]:
-    """A part of a pattern without stars as an expression, with groups for its open parts, and its length."""
-    letters = re.findall(r"\[!?\]?[^\]]*\]|.", text, re.DOTALL)
+def _piece(text: str) -> str:
+    """A part of a pattern without stars as an expression."""
     made = []
-    for letter in letters:
+    for letter in re.findall(r"\[!?\]?[^\]]*\]|.", text, re.DOTALL):
         if letter == "?":
             made.append("(.)")
         elif len(letter) > 1:
@@ -231,12 +210,16 @@ def _piece(text: str) -> tuple[re.Pattern[str], int]:
             made.append(f"([{'^' if letter[1] == '!' else ''}{inside}])")
         else:
             made.append(re.escape(letter))
-    try:
-        return re.compile("".join(made), re.DOTALL), len(letters)
-    except re.error as problem:
-        raise OptionError(
-            f"{text[:60]!r}: found a pattern with wrong brackets ({problem}), expected [abc]."
-        ) from problem
+    return "".join(made)
+
+
+def _open_part(shape: re.Pattern[str], name: str) -> str | None:
+    """A name with blanks in place of what its pattern fixes; None where it does not match."""
+    hit = shape.fullmatch(name)
+    if hit is None:
+        return None
+    is_open = {at for start, end in hit.regs[1:] for at in range(start, end)}
+    return "".join(letter if at in is_open else " " for at, letter in enumerate(name))
 
 
 def numbers_and_words(text: str) -> tuple[int | str, ...]:
