@@ -153,7 +153,6 @@ def test_a_canonical_file_without_its_bases_is_the_same_scanner(by_hand, tmp_pat
             "lasers[0].nomal: unknown key; the closest known one is",
         ),
         (["turntable", "direction"], [0.0, 0.0, 0.0], "turntable: direction: found [0.0, 0.0, 0.0]"),
-        (["turntable", "gain"], 0.0, "turntable: gain = 0"),
         (["turntable", "point_m"], KeyError, "turntable.point_m: missing"),
         (["turntable"], {"carries": "linear"}, "turntable.direction: missing"),
         (["turntable"], {"carries": "linear", "direction": [0, 0, 0]}, "turntable: direction: found [0.0, 0.0, 0.0]"),

@@ -135,7 +135,7 @@ def test_a_name_taken_by_another_process_is_not_used(tmp_path, monkeypatch):
 
 
 def test_a_folder_removed_before_it_is_opened_is_made_again(tmp_path, monkeypatch):
-    """Another process takes it for a left one between its making and its opening."""
+    """Another process takes it for one that a killed process left, between its making and its opening."""
     opened, tried = os.open, []
 
     def gone(path, *rest):
