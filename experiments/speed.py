@@ -510,7 +510,9 @@ def main() -> int:
         return 0
     figures: list[Figure] = []
     head = f"Written by `python -m experiments.speed`; {machine()}; load average {os.getloadavg()[0]:.1f} at the start."
-    page = ["# Speed of a reconstruction", head + " **Bold**: misses its limit, which is for a quiet machine."]
+    head += " **Bold**: misses its limit, which is for a quiet machine."
+    head += f" Sizes of --quick: {size.pairs} pairs in memory, {size.packed[-1]} packed." if options.quick else ""
+    page = ["# Speed of a reconstruction", head]
     for section in options.only:
         start, load = time.perf_counter(), os.getloadavg()[0]
         scratch = Path(tempfile.mkdtemp(prefix="jaxscan-speed-", dir=options.scratch))
