@@ -79,6 +79,7 @@ HOME_OF = {
     "fast_simplification": {"surface/decimate.py"},
     "pye57": {"files"},
     "ezdxf": {"files/drawings.py"},
+    "ifcopenshell": {"files/ifc.py"},
     "fsspec": {"files/remote.py"},
     "obstore": {"files/remote.py"},
     "s3fs": set(),
