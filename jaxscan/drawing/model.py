@@ -179,7 +179,8 @@ class Drawing:
     @property
     def layers(self) -> list[str]:
         """Names of the layers that are used, in the order of `LAYERS`."""
-        used = {one.layer for one in (*self.lines, *self.areas, *self.texts, *self.dimensions)}
+        drawn: list[Line | Area | Text | DimensionLine] = [*self.lines, *self.areas, *self.texts, *self.dimensions]
+        used = {one.layer for one in drawn}
         return sorted(used, key=lambda name: (list(LAYERS).index(group_of(name)), name))
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:

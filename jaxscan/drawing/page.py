@@ -46,7 +46,8 @@ class Page:
     @property
     def layers(self) -> list[str]:
         """Names of the layers that are used, in the order in which they are drawn."""
-        used = {one.layer for one in (*self.lines, *self.areas, *self.texts)}
+        drawn: list[Line | Area | Text] = [*self.lines, *self.areas, *self.texts]
+        used = {one.layer for one in drawn}
         return sorted(used, key=lambda name: (list(LAYERS).index(group_of(name)), name))
 
 
