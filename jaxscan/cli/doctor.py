@@ -61,8 +61,6 @@ OPTIONAL = (
     Optional("open3d", "open3d", "poisson", "mesh --poisson"),
     Optional("distributed", "distributed", "fleet", "batch"),
     Optional("sqlalchemy", "sqlalchemy", "fleet", "project, batch"),
-    Optional("s3fs", "s3fs", "s3", "captures on object storage"),
-    Optional("obstore", "obstore", "s3", "captures on object storage"),
 )
 
 _SHOWN = 100
@@ -271,7 +269,7 @@ def examine_rig(
     from scanrig.cameras import open_camera
     from scanrig.config import load_rig
     from scanrig.controllers import ControllerTable, open_controller
-    from scanrig.doctor import Finding, Patient, examine
+    from scanrig.doctor import Finding, examine
 
     rig = None if config is None else _with_camera(load_rig(config), camera)
 
@@ -293,7 +291,7 @@ def examine_rig(
         if device is not None:
             stack.enter_context(device)
         stack.callback(in_use.closing)
-        examine(Patient(controller, device, rig), folder=Path.cwd(), tell=tell, say=say)
+        examine(controller, device, rig, folder=Path.cwd(), tell=tell, say=say)
 
 
 def _with_camera(rig: "RigConfig", camera: str | None) -> "RigConfig":

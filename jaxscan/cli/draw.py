@@ -136,7 +136,7 @@ def plan(
         for line in drawing.dimensions:
             out.print(f"  {'height' if line.offset_m == 0 else 'width'} {line.words}")
         result["section_m"] = [list(end) for end in ends]
-    out.print(f"the plan's {survey.frame_words()}")
+    out.print(f"frame of the plan: {survey.frame_words()}")
     for what, of in (("height", "m"), ("floor_area", "m²"), ("volume", "m³")):
         found = result[what]
         if found is not None:

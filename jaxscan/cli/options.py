@@ -13,6 +13,8 @@ import tyro
 from jaxscan.errors import DependencyError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
+from jaxscan.files.clouds import FORMATS
+from jaxscan.files.disk import COPY_FIRST, is_address
 
 
 CapturePath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
@@ -42,7 +44,6 @@ CloudUp = Annotated[
 # Choices of other rooms, written out so that `--help` does not load them; a test compares them.
 Part = Literal["camera", "sheet", "axis"]
 RigKind = Literal["camera", "profile", "axis"]
-CameraModel = Literal["pinhole", "fisheye", "double_sphere"]
 Block = Literal[
     "focal",
     "centre",
@@ -72,7 +73,7 @@ LaserColour = Literal["auto", "red", "green", "blue"]
 StripeAxis = Literal["rows", "columns"]
 Carries = Literal["scanner", "object", "linear", "nothing"]
 ImageUp = Literal["-v", "+v", "+u", "-u"]
-CLOUD_SUFFIXES = ".ply .npz .e57 .las .laz .pcd .xyz .ptx"
+CLOUD_SUFFIXES = " ".join(FORMATS)
 """Suffixes of `jaxscan.files.clouds.WRITERS`, written out so that `--help` does not load the readers and writers."""
 CloudOutputPath = Annotated[
     Path,
@@ -214,6 +215,8 @@ def _identity(place: Place) -> set[object]:
     except OSError as problem:
         if problem.errno == errno.ENAMETOOLONG:
             raise OptionError(f"{place}: the name is longer than the disk allows.") from problem
+        if is_address(place.path):
+            raise OptionError(f"{place}: is an address, expected a path on a disk; {COPY_FIRST}.") from problem
         return found
     return found | {(status.st_dev, status.st_ino)}
 

@@ -14,7 +14,6 @@ from jaxscan.api.sweeps import ranges_of
 from jaxscan.errors import CaptureError, ConfigError
 from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, open_capture
 from jaxscan.files.disk import MEGABYTE, file_digest, read_bounded
-from jaxscan.files.remote import is_remote, remote_digest
 from jaxscan.project.catalogue import Row
 from jaxscan.project.config import GroupTable, RigTable
 from jaxscan.project.project import Project, ProjectCapture, is_longer
@@ -47,7 +46,7 @@ CODE_OF: Mapping[str, tuple[str, ...]] = {
 """Rooms, folders or files, whose code decides a product, beside the one that makes them all: a change elsewhere, of the
 viewer say, leaves it as good as it was. Rooms that decide an input already are not named again."""
 _AT_A_TIME = 16
-"""Sources that are read at the same time: mostly they wait for disks and networks."""
+"""Sources that are read at the same time: mostly they wait for disks."""
 MOST_JOURNAL = 1 << 30
 
 
@@ -96,11 +95,11 @@ def digests_of(steps: Iterable[Step]) -> tuple[dict[str, str], dict[str, dict[st
 
 
 @functools.cache
-def code_digest(kind: str) -> str:
-    """Digest of the code that makes products of a kind."""
+def code_digest(kind: str | None = None) -> str:
+    """Digest of the code that makes products of a kind; None for all code of the package."""
     root = Path(str(resources.files("jaxscan")))
     digest = hashlib.sha256()
-    rooms = (*CODE_OF[kind], "project/work")
+    rooms = (".",) if kind is None else (*CODE_OF[kind], "project/work")
     # A room is a folder, or one file.
     files = {file for room in rooms for file in (*(root / room).rglob("*.py"), *root.glob(f"{room}.py"))}
     for file in sorted(files):
@@ -111,8 +110,6 @@ def code_digest(kind: str) -> str:
 def _source(address: str, role: str) -> str:
     capture = role.startswith(("capture", "boards"))
     try:
-        if is_remote(address):
-            return remote_digest(address)
         return _capture_digest(address) if capture else file_digest(address, error=ConfigError)
     except CaptureError as problem:
         if not capture:
@@ -337,8 +334,8 @@ def _refining(project: Project, name: str, captures: list[ProjectCapture], known
 
 
 def _address(project: Project, place: str) -> str:
-    """A place as the file names it; remote ones, and those from the root of the disk, are whole already."""
-    return place if is_remote(place) else str(Path(project.file.parent, place))
+    """A place that the file names, from the root of the disk."""
+    return str(Path(project.file.parent, place))
 
 
 def _name_of(rig: RigTable) -> str:
@@ -384,12 +381,7 @@ def _of_capture(project: Project, capture: ProjectCapture, reads: _Reads) -> Ite
 
 
 def _parts(capture: ProjectCapture, records: int, reads: _Reads) -> Iterator[Step]:
-    """Pieces of a large capture, whose stripes are found apart; none of a small one, or one on object storage.
-
-    Workers would each fetch all of that.
-    """
-    if is_remote(capture.address):
-        return
+    """Pieces of a large capture, whose stripes are found apart; none of a small one."""
     name, settings = capture.name, capture.settings.model_dump(exclude={"colour"})
     try:
         if not is_longer(Path(capture.address), records):

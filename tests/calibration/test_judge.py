@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
+from jaxscan.calibration.advice import warn
 from jaxscan.calibration.cross_validation import deal_halves
 from jaxscan.calibration.result import chance
 from jaxscan.calibration.structure import moving_twist
@@ -31,6 +32,16 @@ def clean(world):
     return world.with_noise(world.observe(world.Rig()), 1)
 
 
+def test_directions_that_share_a_parameter_are_one_warning(clean):
+    quality = calibrate_observations(clean, settings=replace(CalibrationSettings(), judge=False)).quality
+    weak = ({"p1": 0.9, "cy": 0.4}, {"k1": 0.9}, {"p2": 0.8, "cx": 0.5}, {"cx": 0.7, "p1": 0.3}, {"k3": 0.9, "k1": 0.1})
+    held = [line for line in warn(replace(quality, unobserved=weak)) if "held by priors" in line]
+    assert sorted(sorted(line.partition(": ")[2].split(", ")) for line in held) == [
+        ["cx", "cy", "p1", "p2"],
+        ["k1", "k3"],
+    ]
+
+
 def test_clean_data_have_no_structure(clean):
     judged, tests = verdict(clean)
     assert judged.usable and judged.refused is None and judged.p > 0.01
@@ -42,6 +53,7 @@ def test_clean_data_have_no_structure(clean):
     assert isinstance(judged.advice, tuple)
 
 
+@pytest.mark.more
 @pytest.mark.parametrize(
     ("rig", "held", "name"),
     [
@@ -58,6 +70,7 @@ def test_what_is_wrong_is_named(world, rig, held, name):
     assert judged.usable and 0 < tests[name].effect_mm < judged.good_to.sigma_mm
 
 
+@pytest.mark.more
 def test_a_bowed_sheet_is_named(world, clean):
     # The stripe moved by half a sigma along a parabola, as no plane can; 1000 points show it.
     stripes = clean.stripes
@@ -70,6 +83,7 @@ def test_a_bowed_sheet_is_named(world, clean):
     assert tests["sheet"].p_structure == min(test.p_structure for test in tests.values())
 
 
+@pytest.mark.more
 def test_noise_that_was_promised_smaller_is_no_structure(world, clean):
     sigma = clean.corners.sigma / 3.0
     judged, tests = verdict(replace(clean, corners=replace(clean.corners, sigma=sigma)))

@@ -98,6 +98,10 @@ class TestWrongCapture:
         message = calibrate(tiny.boards, boards)
         assert "its [board] is not the same" in message
 
+    def test_an_address_of_object_storage(self, reconstruct):
+        message = reconstruct("s3://rooms/hall")
+        assert "is an address, expected a path on a disk; copy it to a disk first, such as with aws s3 sync" in message
+
     def test_no_capture_named(self, calibrate):
         assert "at least one capture" in calibrate()
 

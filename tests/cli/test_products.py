@@ -64,7 +64,7 @@ def test_section(room, run, tmp_path):
     assert ran.code == 0 and (tmp_path / "section.svg").read_bytes().startswith(b"<?xml")
     # What was cut is said, not the walls of the plan.
     assert "Section through (0.70, 1.00) and (0.70, 2.00) of the plan" in ran.out and "width" in ran.out
-    assert "W1" not in ran.out and "the plan's origin at" in ran.out
+    assert "W1" not in ran.out and "frame of the plan: origin at" in ran.out
 
 
 def test_section_before_a_wall(room, run, tmp_path):

@@ -141,8 +141,8 @@ def test_a_charuco_board(folder):
         ("width = 6", 'width = "6"', 'camera.width: found "6", expected a valid integer'),
         ("width = 6", "width = 0", "camera.width: found 0, expected greater than or equal to 1"),
         ("width = 6\nheight = 4", "width = 60000\nheight = 60000", "camera: 60000 x 60000 px are more than 100 mega"),
-        ('"mono8"', '"mono16"', '"mono16" is reserved: frames of 10 to 16 bits are kept as levels of 8 bits'),
-        ('"mono8"', '"bayer_rggb16"', "import them by `jaxscan import`, or convert to one of mono8"),
+        ('"mono8"', '"mono16"', '"mono16" is a format of cameras; a capture keeps such frames as levels of 8 bits'),
+        ('"mono8"', '"bayer_rggb16"', 'pixel_format = "bayer_rggb8" and bits = 16: import them by `jaxscan import`'),
         ('"mono8"', '"mono9"', 'camera.pixel_format: found "mono9", expected "mono8"'),
         ("capture/1", "capture/2", 'format: found "jaxscan-capture/2", expected "jaxscan-capture/1"'),
         ('format = "jaxscan-capture/1"', "", "format: missing, so this is no capture"),
@@ -176,6 +176,8 @@ def test_acquisition_may_hold_anything(folder):
 
 
 def test_missing_parts(folder, tmp_path):
+    with pytest.raises(CaptureError, match=r"s3:/rooms/hall: no such folder, .*; copy it to a disk first"):
+        open_capture("s3://rooms/hall")
     with pytest.raises(CaptureError, match="nowhere: no such folder"):
         open_capture(tmp_path / "nowhere")
     refused(folder, "frames.jsonl: no such file")

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
         load_calibration,
         load_parts,
         load_scanner,
+        observations_path,
         quality_table,
         save_calibration,
         save_scanner,
@@ -25,6 +26,5 @@ if TYPE_CHECKING:
         load_camera,
         read_camera,
     )
-    from jaxscan.files.calibration.observations import observations_path
 else:
     load_on_use(__name__)
