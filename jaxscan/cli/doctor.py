@@ -56,6 +56,7 @@ OPTIONAL = (
     Optional("lazrs", "lazrs", "export", "clouds as LAZ"),
     Optional("pyproj", "pyproj", "export", "convert --epsg"),
     Optional("ezdxf", "ezdxf", "plan", "drawings as DXF"),
+    Optional("ifcopenshell", "ifcopenshell", "ifc", "rooms as IFC"),
     Optional("fast-simplification", "fast_simplification", "mesh", "mesh --faces"),
     Optional("open3d", "open3d", "poisson", "mesh --poisson"),
     Optional("distributed", "distributed", "fleet", "batch"),
