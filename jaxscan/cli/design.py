@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from jaxscan.cli.options import check_paths, file_at
-from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
+from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import OptionError, OutputError
 
 
@@ -61,7 +61,7 @@ def design(
         raise OutputError(f'{output}: cannot write "{output.suffix}", known is .png.')
     if save_rig is not None and save_rig.suffix.lower() != ".toml":
         raise OutputError(f'{save_rig}: cannot write "{save_rig.suffix}", known is .toml.')
-    check_paths([], [*file_at("--output", output), *file_at("--save-rig", save_rig), *file_at("--json", json)])
+    check_paths([], [*file_at("--output", output), *file_at("--save-rig", save_rig)], json=json)
     options = {
         "range": quantity("--range", range, METRES, (0.05, 100.0)),
         "sigma": quantity("--sigma", sigma, METRES, (1e-7, 1.0)),
@@ -79,7 +79,6 @@ def design(
     for path in (output, save_rig):
         if path is not None:
             check_writable(path)
-    check_json(json)
     from jaxscan.design import design_rig
 
     choice = design_rig(wish)

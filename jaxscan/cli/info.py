@@ -11,7 +11,7 @@ import tyro
 from jaxscan import api
 from jaxscan import report as reports
 from jaxscan.cli.options import CLOUD_SUFFIXES, calibration_at, capture_at, check_paths, file_at
-from jaxscan.cli.terminal import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.terminal import JsonTarget, console, emit_json
 from jaxscan.errors import ConfigError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import disk
@@ -34,8 +34,7 @@ def info(
         json: Write the result as JSON too.
     """
     places = {True: capture_at, False: calibration_at if file.suffix.lower() == ".json" else file_at}[file.is_dir()]
-    check_paths(places("FILE", file), file_at("--json", json))
-    check_json(json)
+    check_paths(places("FILE", file), json=json)
     if file.is_dir():
         facts = _of_capture(file)
     elif file.suffix.lower() == ".json":
@@ -56,8 +55,7 @@ def info(
     for name, value in facts.items():
         if value is not None and name != "notes":
             out.print(_line(name, value))
-    for note in facts.get("notes", ()):
-        out.print(f"note: {note}")
+    out.notes(facts.get("notes", ()))
     emit_json(json, "info", {"file": str(file), **facts})
 
 

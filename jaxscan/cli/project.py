@@ -17,7 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 
 from jaxscan.cli.options import check_paths, file_at
 from jaxscan.cli.signals import leave_behind
-from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
+from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import DependencyError, FleetError, JaxscanError, MeasurementError, OptionError
 from jaxscan.printable import printable
 
@@ -95,8 +95,7 @@ def init(
     from jaxscan.project import board_notes, load_project, project_text, steps_of
 
     target = folder / NAME
-    check_paths([], [*file_at("FOLDER", target), *file_at("--json", json)])
-    check_json(json)
+    check_paths([], file_at("FOLDER", target), json=json)
     if os.path.lexists(target):
         raise OptionError(f"{target}: exists, and may be yours; move it away.")
     if not folder.is_dir():
@@ -111,8 +110,7 @@ def init(
         raise
     out = console(json)
     out.print(f"written: {target} ({len(project.captures)} captures, {steps} steps)")
-    for note in notes:
-        out.print(f"note: {note}")
+    out.notes(notes)
     out.print(f"next: {shlex.join(['jaxscan', 'batch', str(target)])}")
     names = [capture.name for capture in project.captures]
     emit_json(json, "project-init", {"project": str(target), "captures": names, "notes": notes})
@@ -135,8 +133,7 @@ def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False,
         all: List every step, also those that are done.
         json: Write the result as JSON too.
     """
-    check_paths(file_at("PROJECT", project), file_at("--json", json))
-    check_json(json)
+    check_paths(file_at("PROJECT", project), json=json)
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.project import load_project
 
@@ -154,8 +151,7 @@ def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False,
             out.print(f"{one.step.key} ({one.state}): {one.why}")
     if len(listed) < len(shown):
         out.print(f"... and {len(shown) - len(listed)} more (--all)")
-    for note in found.project.notes:
-        out.print(f"note: {note}")
+    out.notes(found.project.notes)
     out.print(in_words(counts))
     if counts["done"] < len(states):
         out.print(f"next: {shlex.join(['jaxscan', 'batch', str(project)])}")
@@ -191,8 +187,7 @@ def compare(
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.project import compare_projects, load_project
 
-    check_paths([*file_at("FIRST", first), *file_at("SECOND", second)], file_at("--json", json))
-    check_json(json)
+    check_paths([*file_at("FIRST", first), *file_at("SECOND", second)], json=json)
     found = compare_projects(load_project(first), load_project(second))
     out = console(json)
     columns = ("", "first m", "second m", "difference mm", "sigma mm", "")
@@ -260,8 +255,7 @@ def batch(
             project's folder.
         json: Write the result as JSON too.
     """
-    check_paths(file_at("PROJECT", project), file_at("--json", json))
-    check_json(json)
+    check_paths(file_at("PROJECT", project), json=json)
     if any(importlib.util.find_spec(package) is None for package in ("distributed", "cryptography")):
         raise DependencyError('a batch needs Dask and cryptography: pip install "jaxscan[fleet]".')
     # Imported here, so that `--help` does not load JAX.
@@ -274,8 +268,7 @@ def batch(
     with claimed(wanted, output), opened(wanted, write=True) as found:
         counts = counted(found.states)
         out.print(f"{_many(found.project.captures, 'capture')}, {_many(found.states, 'step')}: {in_words(counts)}")
-        for note in wanted.notes:
-            out.print(f"note: {note}")
+        out.notes(wanted.notes)
         result: dict[str, Any] = {"done": [], "failed": {}, "not_begun": {}, "notes": {}}
         if counts["done"] < len(found.states):
             # Errors of the cluster are one line; Dask would log many.

@@ -20,7 +20,7 @@ from jaxscan.cli.options import (
     file_at,
 )
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.terminal import JsonTarget, console, emit_json
 from jaxscan.errors import OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
@@ -68,19 +68,18 @@ def report(
             *calibration_at("--calibration", calibration),
             *capture_at("--capture", capture),
         ],
-        [*file_at("--output", output), *file_at("--json", json)],
+        file_at("--output", output),
         kept=file_at("the stripes", capture / capture_files.CACHE_NAME if capture is not None and is_cloud else None),
+        json=json,
     )
     disk.check_writable(output)
-    check_json(json)
     if not is_cloud:
         _of_calibration(result, output, capture, json)
         return
 
     numbers = write_room_report(result, output, calibration=calibration, capture=capture, unit=unit, up=up)
     out = console(json)
-    for note in numbers["notes"]:
-        out.print(f"note: {note}")
+    out.notes(numbers["notes"])
     for name, side in numbers["dimensions"].items():
         out.print(f"{name} {side['value_m']:.4f} m, sigma {1e3 * side['sigma_m']:.2f} mm")
     for doubt in numbers["doubts"]:
@@ -98,8 +97,7 @@ def _of_calibration(path: Path, output: Path, capture: Path | None, json: str | 
     write_page(drawn, output, notes=(note, *notes), path=path, capture=capture)
     out = console(json)
     out.print(note, style="" if reproduced else "bold yellow")
-    for other in notes:
-        out.print(f"note: {other}")
+    out.notes(notes)
     out.print(f"written: {output}")
     emit_json(
         json,

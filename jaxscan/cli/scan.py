@@ -23,7 +23,7 @@ from jaxscan.cli.options import (
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.scan_display import CaptureFolder, ScanDisplay, ScanPlan, sweep_header
 from jaxscan.cli.signals import RigInUse
-from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json
+from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json
 from jaxscan.errors import CaptureError, JaxscanError, OptionError
 
 
@@ -87,9 +87,9 @@ def scan(
             *calibration_at("--calibration", calibration),
             *capture_at("--output", output),
         ],
-        writes=[*file_at("--cloud", cloud), *file_at("--json", json)],
+        writes=file_at("--cloud", cloud),
+        json=json,
     )
-    check_json(json)
     rig = load_rig(config)
     if boards and rig.board is None:
         raise OptionError(f"{config}: has no [board] table, which --boards needs.")
@@ -104,8 +104,7 @@ def scan(
         if calibration is not None:
             scanner = jaxscan.load_scanner(calibration)
             doubts = calibration_notes(calibration)
-            for note in doubts:
-                out.print(f"note: {note}")
+            out.notes(doubts)
             notes += doubts
             settings = jaxscan.ReconstructSettings(smooth=smooth)
             header = sweep_header(rig)
@@ -210,8 +209,7 @@ def _finish_cloud(
         notes += api.photograph_notes(sweep, scanner, "points")
         with progress_bar("Colouring from photographs") as progress:
             points = api.colour_cloud(points, sweep, scanner, progress=progress)
-    for note in notes:
-        out.print(f"note: {note}")
+    out.notes(notes)
     if done.noise:
         out.print(f"noise: {done.noise}")
     jaxscan.save_cloud(points, cloud, calibration_digest=calibration_digest(calibration))

@@ -24,7 +24,7 @@ from jaxscan.cli.options import (
     file_at,
     need_pages,
 )
-from jaxscan.cli.terminal import JsonTarget, check_json, emit_json
+from jaxscan.cli.terminal import JsonTarget, emit_json
 from jaxscan.errors import CaptureError, CloudError, OptionError
 
 
@@ -83,9 +83,9 @@ def view(
             *(place for path in panorama for place in file_at("--panorama", path)),
             *calibration_at("--calibration", calibration),
         ],
-        [*file_at("--rerun", rerun), *file_at("--json", json)],
+        file_at("--rerun", rerun),
+        json=json,
     )
-    check_json(json)
     projects = [path for path in clouds if path.suffix.lower() == ".toml"]
     clouds, missing = with_projects(clouds)
     if not clouds:
