@@ -15,10 +15,12 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, final
 import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
+from jaxscan import project as projects
 from jaxscan.cli.options import check_paths, file_at
 from jaxscan.cli.signals import leave_behind
 from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import DependencyError, FleetError, JaxscanError, MeasurementError, OptionError
+from jaxscan.files import disk
 from jaxscan.printable import printable
 
 
@@ -49,15 +51,12 @@ def opened(project: "Project", *, write: bool = False) -> Iterator[Opened]:
     Raises:
         JaxscanError: If a capture or the catalogue is not what it should be.
     """
-    # Imported here, so that `--help` does not load JAX.
-    from jaxscan.project import check_owner, digests_of, open_catalogue, states_of, steps_of
-
-    check_owner(project)
-    steps = steps_of(project)
-    digests, parts = digests_of(steps)
-    catalogue = open_catalogue(project, write=write)
+    projects.check_owner(project)
+    steps = projects.steps_of(project)
+    digests, parts = projects.digests_of(steps)
+    catalogue = projects.open_catalogue(project, write=write)
     try:
-        yield Opened(project, states_of(steps, digests, parts, catalogue.rows(), project.output), catalogue)
+        yield Opened(project, projects.states_of(steps, digests, parts, catalogue.rows(), project.output), catalogue)
     finally:
         catalogue.close()
 
@@ -90,20 +89,16 @@ def init(
         folder: The folder that holds captures and calibrations; without one, this one.
         json: Write the result as JSON too.
     """
-    # Imported here, so that `--help` does not load JAX.
-    from jaxscan.files.disk import write_atomically
-    from jaxscan.project import board_notes, load_project, project_text, steps_of
-
     target = folder / NAME
     check_paths([], file_at("FOLDER", target), json=json)
     if os.path.lexists(target):
         raise OptionError(f"{target}: exists, and may be yours; move it away.")
     if not folder.is_dir():
         raise OptionError(f"{folder}: is no folder.")
-    write_atomically(target, project_text(folder).encode(), links="replace")
+    disk.write_atomically(target, projects.project_text(folder).encode(), links="replace")
     try:
-        project = load_project(target)
-        steps, notes = len(steps_of(project)), [*project.notes, *board_notes(project)]
+        project = projects.load_project(target)
+        steps, notes = len(projects.steps_of(project)), [*project.notes, *projects.board_notes(project)]
     except JaxscanError:
         # What is in the way, a name that two captures have say, is mended in the folder; then it is called again.
         target.unlink()
@@ -134,10 +129,7 @@ def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False,
         json: Write the result as JSON too.
     """
     check_paths(file_at("PROJECT", project), json=json)
-    # Imported here, so that `--help` does not load JAX.
-    from jaxscan.project import load_project
-
-    with opened(load_project(project)) as found:
+    with opened(projects.load_project(project)) as found:
         states = found.states
     out, counts = console(json), counted(states)
     shown = [one for one in states if all or len(states) <= _MOST_ROWS or one.state != "done"]
@@ -184,11 +176,8 @@ def compare(
         second: That of the second.
         json: Write the result as JSON too.
     """
-    # Imported here, so that `--help` does not load JAX.
-    from jaxscan.project import compare_projects, load_project
-
     check_paths([*file_at("FIRST", first), *file_at("SECOND", second)], json=json)
-    found = compare_projects(load_project(first), load_project(second))
+    found = projects.compare_projects(projects.load_project(first), projects.load_project(second))
     out = console(json)
     columns = ("", "first m", "second m", "difference mm", "sigma mm", "")
     out.print(table(f"{first} and {second}", columns, [_row(one) for one in found.lengths]))
@@ -260,12 +249,11 @@ def batch(
         raise DependencyError('a batch needs Dask and cryptography: pip install "jaxscan[fleet]".')
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.fleet.cluster import check_cluster, open_cluster
-    from jaxscan.project import claimed, load_project
 
     check_cluster(cluster, workers, memory_gib)
     out, start = console(json), time.perf_counter()
-    wanted = load_project(project)
-    with claimed(wanted, output), opened(wanted, write=True) as found:
+    wanted = projects.load_project(project)
+    with projects.claimed(wanted, output), opened(wanted, write=True) as found:
         counts = counted(found.states)
         out.print(f"{_many(found.project.captures, 'capture')}, {_many(found.states, 'step')}: {in_words(counts)}")
         out.notes(wanted.notes)
@@ -296,10 +284,9 @@ def _many(listed: Sized, name: str) -> str:
 
 def _work(found: Opened, client: Any, out: Terminal) -> dict[str, Any]:
     from jaxscan.fleet.batch import check_sight, run_batch
-    from jaxscan.project import order_of
 
     output = found.project.output
-    todo = [order_of(status, output) for status in found.states if status.state != "done"]
+    todo = [projects.order_of(status, output) for status in found.states if status.state != "done"]
     check_sight(client, output)
     with batch_display(out, len(todo)) as display:
         report = run_batch(todo, found.catalogue, client, display)
