@@ -6,14 +6,13 @@ The firmware runs in a simulated processor, and the camera serves rendered pictu
 (hardware/bench). The host is driven by the command line. The truth (the view of each frame, and
 the walls) is read only for the comparison at the end.
 
-    python experiments/closed_loop.py [--two-lasers] [--json FILE] [--keep DIR]
+    python -m experiments.closed_loop [--two-lasers] [--json FILE] [--keep DIR]
 
 Needs `make bench-deps`.
 """
 
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -23,27 +22,23 @@ from typing import Any
 import numpy as np
 from bench.desk import Desk, set_up
 from bench.places import TWO_LASERS, WORLD
-from report import command_line, write_json
 
 import jaxscan
+from experiments.report import ROOT, command_line, verb, write_json
 from jaxscan.simulation import SimulationConfig, expect_sweep, true_cloud, truth
 
 
-ROOT = Path(__file__).resolve().parent.parent
 CONFIG, CONFIG_TWO = (ROOT / "configs" / name for name in ("bench.toml", "bench_two_lasers.toml"))
 ON_PLANE_M = 1e-3
 """Distance at which a true point lies on a plane of the room."""
 
 
 def jaxscan_verb(*words: str) -> dict[str, Any]:
-    """Run one verb as a user does, and return its JSON."""
+    """The JSON of one verb, run as a user does."""
     with tempfile.NamedTemporaryFile(suffix=".json") as answer:
-        command = [sys.executable, "-m", "jaxscan.cli.main", *words, "--json", answer.name]
-        done = subprocess.run(command, cwd=ROOT, stdin=subprocess.DEVNULL, capture_output=True, text=True)
-        if done.returncode:
-            raise SystemExit(
-                f"{' '.join(words)}: exit code {done.returncode}: {done.stdout[-2000:]}{done.stderr[-2000:]}"
-            )
+        done = verb(*words, "--json", answer.name)
+        if done.code:
+            raise SystemExit(f"{' '.join(words)}: exit code {done.code}: {done.out[-2000:]}{done.problem[-2000:]}")
         return dict(json.loads(Path(answer.name).read_text()))
 
 

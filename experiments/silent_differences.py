@@ -12,7 +12,7 @@ changed, or a block is lost or exchanged. "sealed" files have the digest that ja
 A cloud has changed if a point reads another place, sigma or colour; where the file is refused, that of the unsealed one
 tells. Clouds are counted apart.
 
-    python experiments/silent_differences.py [--each N] [--seed S] [--only KIND] [--json FILE] [--results DIR]
+    python -m experiments.silent_differences [--each N] [--seed S] [--only KIND] [--json FILE] [--results DIR]
 """
 
 import hashlib
@@ -28,9 +28,10 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from report import command_line
 
 import jaxscan
+from experiments.report import command_line, write_json
+from experiments.report import table as markdown
 from jaxscan.api import reconstruct_capture
 from jaxscan.calibration import Calibration
 from jaxscan.errors import JaxscanError
@@ -589,7 +590,7 @@ def _reads_otherwise(one: PointCloud, other: PointCloud) -> bool:
 
 def table(outcomes: list[Outcome]) -> str:
     """Counts per kind, as Markdown."""
-    rows = ["| kind | sealed: noticed of changed | unsealed: noticed of changed |", "| --- | --- | --- |"]
+    rows = []
     totals: dict[str, list[int]] = {"sealed": [0, 0], "unsealed": [0, 0]}
     for kind in dict.fromkeys(one.kind for one in outcomes):
         cells = []
@@ -598,19 +599,19 @@ def table(outcomes: list[Outcome]) -> str:
             noticed = sum(one.noticed for one in own)
             totals[state] = [totals[state][0] + noticed, totals[state][1] + len(own)]
             cells.append(f"{noticed} of {len(own)}" if own else "–")
-        rows.append(f"| {kind} | {cells[0]} | {cells[1]} |")
+        rows.append([kind, *cells])
     parts = [f"{100 * seen / max(of, 1):.1f} % ({seen} of {of})" for seen, of in totals.values()]
-    return "\n".join([*rows, f"| **all** | **{parts[0]}** | **{parts[1]}** |"])
+    rows.append(["**all**", *(f"**{part}**" for part in parts)])
+    return markdown(["kind", "sealed: noticed of changed", "unsealed: noticed of changed"], rows)
 
 
 def main() -> int:
     """Run, print the table, and say whether the limits are met."""
-    parser = command_line(__doc__)
+    parser = command_line(__doc__, json=True)
     parser.add_argument("--each", type=int, default=10, help="mutations of each kind")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="kinds whose name has this text")
     parser.add_argument("--base", type=Path, help="folder for the rendered captures, used again if it exists")
-    parser.add_argument("--json", type=Path)
     parser.add_argument("--results", type=Path, help="folder for silent_differences.md")
     options = parser.parse_args()
     start = time.perf_counter()
@@ -630,10 +631,9 @@ def main() -> int:
     for state, asked in ASKED.items():
         own = [one for one in outcomes if one.capture == state and one.changed]
         met &= sum(one.noticed for one in own) >= asked * len(own)
-    if options.json:
-        options.json.write_text(json.dumps([one._asdict() for one in (*outcomes, *clouds)], indent=1) + "\n")
+    write_json(options.json, [one._asdict() for one in (*outcomes, *clouds)])
     if options.results:
-        command = f"python experiments/silent_differences.py --each {options.each} --seed {options.seed}"
+        command = f"python -m experiments.silent_differences --each {options.each} --seed {options.seed}"
         head = f"# Silent differences\n\nWritten by `{command}`; the file says how each column is counted.\n"
         (options.results / "silent_differences.md").write_text(f"{head}\n{text}\n")
     return 0 if met else 1

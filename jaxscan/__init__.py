@@ -60,6 +60,7 @@ if TYPE_CHECKING:
         open_capture,
         save_calibration,
         save_cloud,
+        save_scanner,
     )
     from jaxscan.geometry import (
         Charuco,

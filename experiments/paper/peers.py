@@ -19,6 +19,7 @@ import matplotlib as mpl
 import numpy as np
 
 import jaxscan
+from experiments.exact_rig import IdealRig
 from experiments.paper.figure_9 import (
     FARTHEST_M,
     NOT_MEASURED,
@@ -38,7 +39,6 @@ from experiments.paper.products import PlainStripes, Room, horus_path, our_calib
 from experiments.paper.stage import Metric, Stage, plt, save
 from experiments.recalibration.trial import fitted
 from experiments.recalibration.world import Sweeping, TrueSweep, true_sweep
-from experiments.worlds.exact_rig import IdealRig
 from jaxscan.geometry import lit_points
 from jaxscan.reconstruction.along import smooth_sweep
 from jaxscan.simulation import RoomSpec, true_scanner

@@ -21,10 +21,10 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxscan
+from experiments.exact_rig import BoardPoses, add_noise, ideal_boards, observations
 from experiments.paper.stage import Metric, Stage, plt, save, windowed, world
 from experiments.recalibration.world import Noise, Sweeping, true_sweep
 from experiments.report import rms
-from experiments.worlds.exact_rig import BoardPoses, add_noise, ideal_boards, observations
 from jaxscan.calibration import USUALLY_FREE
 from jaxscan.recalibration import SweepStripes
 from jaxscan.simulation import SimulationConfig, make_rig, render_sweep

@@ -15,10 +15,10 @@ import jax
 import numpy as np
 
 import jaxscan
+from experiments.exact_rig import errors, to_true_tangents
 from experiments.paper.methods import METHODS, PaperWay, points_on_sheet, power
 from experiments.paper.products import PAIR_DEG, draws, our_calibrations
 from experiments.paper.stage import Metric, Stage, plt, save
-from experiments.worlds.exact_rig import errors, to_true_tangents
 from jaxscan.calibration import Length, length_sigma, measure_lengths, stripe_pixels
 from jaxscan.geometry import Scanner, Turntable
 from jaxscan.geometry.motions import ANGLE_PARAMETERS

@@ -9,8 +9,8 @@ from typing import Any, Literal, NamedTuple
 import jax
 import numpy as np
 
+from experiments.exact_rig import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 from experiments.worlds import exact_rig
-from experiments.worlds.exact_rig import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 from jaxscan.calibration import (
     USUALLY_FREE,
     Calibration,

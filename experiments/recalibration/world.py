@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import uniform_filter1d  # type: ignore[import-untyped]
 
-from experiments.worlds.exact_rig import IdealRig
+from experiments.exact_rig import IdealRig
 from jaxscan.recalibration import SweepStripes, Tracks
 from jaxscan.simulation import Motion, RoomSpec, SimulationConfig, distort, make_rig, rodrigues, undistort
 from jaxscan.simulation.scene.meshes import Mesh

@@ -65,7 +65,7 @@ def recalibrate(
     sweeps, notes = [], []
     for number, (capture, plan) in enumerate(zip(captures, plans, strict=True)):
         found = find_stripes(capture, scanner, settings.stripes, progress=share.part(number))
-        along = smooth_stripes(capture, found.stripes)
+        along = found.smoothed or smooth_stripes(capture, found.stripes)
         valid = np.asarray(found.stripes.valid) & (along.sigma > 0)
         sweeps.append(
             SweepStripes(

@@ -109,7 +109,7 @@ def look_again(capture: Capture, scanner: Scanner, progress: Progress = None) ->
         CalibrationError: If the scanner is not that of the sweep.
     """
     found = find_stripes(capture, scanner, DEFAULTS, progress=progress)
-    cloud = reconstruct(capture, scanner, stripes=found.stripes)
+    cloud = reconstruct(capture, scanner, stripes=found.stripes, smoothed=found.smoothed)
     doubts = doubts_of(capture, scanner, cloud, found.seen)
     stripes, points = int(np.asarray(found.stripes.valid).sum()), int(np.asarray(cloud.valid).sum())
     sentence = (

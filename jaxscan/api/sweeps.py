@@ -18,6 +18,7 @@ from jaxscan.reconstruction import (
     Progress,
     ReconstructSettings,
     Seen,
+    SmoothedSweep,
     StripePart,
     can_be_split,
     cloud_points,
@@ -30,6 +31,7 @@ from jaxscan.reconstruction import (
     plan_sweep,
     reconstruct,
     refuse_other_motion,
+    smooth_stripes,
     sweep_doubts,
     usable_stripes,
 )
@@ -66,6 +68,8 @@ class FoundStripes(NamedTuple):
     """On stripes and pairs of frames, and on a folder that cannot be written; a sentence each."""
     noise: str
     """As of `Reconstruction`."""
+    smoothed: SmoothedSweep | None
+    """The centres smoothed along the stripes; None where the settings do not smooth, or there is no stripe."""
 
 
 def reconstruct_capture(
@@ -99,7 +103,9 @@ def reconstruct_capture(
     """
     found = find_stripes(capture, scanner, settings, noise=noise, progress=progress, cache=cache)
     again = progress if found.from_cache else None
-    cloud = reconstruct(capture, scanner, stripes=found.stripes, settings=settings, progress=again)
+    cloud = reconstruct(
+        capture, scanner, stripes=found.stripes, smoothed=found.smoothed, settings=settings, progress=again
+    )
     notes = (*found.notes, *doubts_of(capture, scanner, cloud, found.seen))
     return Reconstruction(cloud, found.from_cache, found.kept, notes, found.noise)
 
@@ -139,9 +145,11 @@ def find_stripes(
         seen = None if arrays is None else Seen.taken_from(arrays, len(capture))
         known = None if arrays is None or seen is None else usable_stripes(arrays, plan)
         if known is not None and seen is not None:
-            return FoundStripes(known.stripes, seen, from_cache=True, kept=True, notes=known.notes, noise=known.noise)
+            smoothed = known.smoothed or _smoothed(capture, known.stripes, settings)
+            return FoundStripes(known.stripes, seen, True, True, known.notes, known.noise, smoothed)
     watch = watch_of(capture, scanner)
     found = extract(capture.watched(watch.look), scanner, settings=settings, noise=noise, progress=progress)
+    found = found._replace(smoothed=_smoothed(capture, found.stripes, settings))
     notes, kept = (*found.notes, *pair_notes(capture, found.stripes, capture.frames, numbers_of(capture))), False
     if cache:
         try:
@@ -149,7 +157,12 @@ def find_stripes(
             kept = True
         except CaptureError as problem:
             notes = (*notes, f"the stripes are not kept for next time: {problem}")
-    return FoundStripes(found.stripes, watch.seen, from_cache=False, kept=kept, notes=notes, noise=found.noise)
+    return FoundStripes(found.stripes, watch.seen, False, kept, notes, found.noise, found.smoothed)
+
+
+def _smoothed(capture: Capture, stripes: Stripes, settings: ReconstructSettings) -> SmoothedSweep | None:
+    one_each = np.shape(stripes.u)[0] == len(capture.record)
+    return smooth_stripes(capture, stripes) if settings.smooths and one_each and np.any(stripes.valid) else None
 
 
 def doubts_of(capture: Capture, scanner: Scanner, cloud: PointCloud, seen: Seen) -> tuple[str, ...]:

@@ -267,7 +267,7 @@ def examine_rig(
     from scanrig.cameras import open_camera
     from scanrig.config import load_rig
     from scanrig.controllers import ControllerTable, open_controller
-    from scanrig.doctor import Finding, Patient, examine
+    from scanrig.doctor import Finding, examine
 
     rig = None if config is None else _with_camera(load_rig(config), camera)
 
@@ -289,7 +289,7 @@ def examine_rig(
         if device is not None:
             stack.enter_context(device)
         stack.callback(in_use.closing)
-        examine(Patient(controller, device, rig), folder=Path.cwd(), tell=tell, say=say)
+        examine(controller, device, rig, folder=Path.cwd(), tell=tell, say=say)
 
 
 def _with_camera(rig: "RigConfig", camera: str | None) -> "RigConfig":

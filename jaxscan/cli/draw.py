@@ -111,7 +111,7 @@ def plan(
     for name, unit in (("height", "m"), ("floor_area", "m²"), ("volume", "m³")):
         found = result[name]
         if found is not None:
-            out.print(f"{name.replace('_', ' ')}: {_length(found) if unit == 'm' else _area(found)} {unit}")
+            out.print(f"{name.replace('_', ' ')}: {_length(found, unit) if unit == 'm' else _area(found, unit)}")
     for remark in drawing.remarks:
         out.print(f"note: {remark}")
     out.print("± is one standard deviation" + ("" if scanner else "; --calibration adds the calibration's part") + ".")
@@ -137,13 +137,13 @@ def _section(words: tuple[str, ...]) -> str | tuple[float, float, float, float] 
 def _print_walls(out: Terminal, result: dict[str, Any], height: float) -> None:
     open_sides = not all(each["seen"] for each in result["walls"])
     rows = [
-        (each["name"], _length(each["length"]), _area(each["area"]))
+        (each["name"], _length(each["length"], "m"), _area(each["area"], "m²"))
         + ("" if each["seen"] else "not seen",) * open_sides
         for each in result["walls"]
     ]
-    out.print(table(f"Walls, {height:g} m above the floor", ("", "m", "m²", "")[: 3 + open_sides], rows))
+    out.print(table(f"Walls, {height:g} m above the floor", ("", "length", "area", "")[: 3 + open_sides], rows))
     for each in result["openings"]:
-        wide, high = (f"{_length(each[name])} m" if each[name] else "not known how" for name in ("width", "height"))
+        wide, high = (_length(each[name], "m") or "not known how" for name in ("width", "height"))
         out.print(f"{each['wall']}: {each['kind']} {wide} wide, {high} high")
 
 
@@ -177,12 +177,12 @@ def _entry(found: "Estimate | None") -> dict[str, float] | None:
     return None if found is None or not found.known else dataclasses.asdict(found)
 
 
-def _length(entry: dict[str, float] | None) -> str:
-    return "" if entry is None else f"{entry['value']:.4f} ±{entry['sigma']:.4f}"
+def _length(entry: dict[str, float] | None, unit: str) -> str:
+    return "" if entry is None else f"{entry['value']:.4f} ±{entry['sigma']:.4f} {unit}"
 
 
-def _area(entry: dict[str, float] | None) -> str:
-    return "" if entry is None else f"{entry['value']:.3f} ±{entry['sigma']:.3f}"
+def _area(entry: dict[str, float] | None, unit: str) -> str:
+    return "" if entry is None else f"{entry['value']:.3f} ±{entry['sigma']:.3f} {unit}"
 
 
 def orthophoto(

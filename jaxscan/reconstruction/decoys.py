@@ -4,7 +4,7 @@ Noise, texture and motion give as many stripes where laser-on and laser-off fram
 On every line the stripe competes with the decoy, and the decoys that win tell how many stripes are won by chance
 (J. E. Elias, S. P. Gygi, Target-decoy search strategy, Nature Methods 4, 2007). Lines on which no laser falls are won
 by either, so their number says nothing about the others: what counts is whether some clearness parts stripes from
-decoys.
+decoys. Where it leaves a small part of the stripes, many profiles must show a line that is clearer still.
 """
 
 import threading
@@ -36,9 +36,16 @@ _FAIR = 0.0025
 """Decoys of stripes that are as they should be [1]."""
 _LUCK = 2.5
 """Standard deviations by which decoys may be more than expected before they count; one more is always allowed."""
-_KEPT = 0.1
-"""Part of the stripes that a threshold must leave [1]: of a laser that is not lit it leaves 3 % at most."""
+_KEPT, _KEPT_SURELY = 0.1, 0.25
+"""Part of the stripes that a threshold must leave where a clear line is shown, and where none is [1]: of a laser that
+is not lit it leaves 3 % of a colour camera's and 22 % of a mono one's at most, which takes bright print for stripes."""
 _HELPS = "narrower range limits, one dark picture as --off of `jaxscan import`, or the right --laser-colour"
+_CLEARER = 1.5
+"""Clearness of a line that few rows show, over that of all decoys but one [1]: without a laser 2 % of the stripes are
+as clear at most."""
+_SHOWN, _RUN, _WITHIN = 0.35, 3, 5
+"""Part of the searched profiles that must show such a line [1]: without a laser a quarter does at most. It is a line
+where so many rows of so many neighbouring ones have it."""
 _CERTAIN = 4.0
 """Standard deviations by which stripes must be more than decoys."""
 _PER_PROFILE = 2.0
@@ -179,6 +186,24 @@ class _Contest(NamedTuple):
         return int(left[good[0]]), float(np.nextafter(np.float32(self.lost[good[0]]), np.float32(np.inf)))
 
 
+def _clear_lines(
+    stripes: Float[np.ndarray, "profiles lines measures"],
+    decoys: Float[np.ndarray, "profiles lines measures"],
+    contests: list[_Contest],
+) -> tuple[int, float, int] | None:
+    """Stripes that are clearer by half than decoys, the threshold, and by which measure; None where not enough profiles
+    have several in neighbouring rows."""
+    found = []
+    for measure, contest in enumerate(contests):
+        least, own = _CLEARER * contest.best(0.0)[1], stripes[..., measure]
+        kept = (own > decoys[..., measure]) & (own >= least) & (least > 0.0)
+        rows = np.lib.stride_tricks.sliding_window_view(kept, min(_WITHIN, kept.shape[1]), axis=1)
+        profiles = np.count_nonzero((np.count_nonzero(rows, axis=-1) >= _RUN).any(1))
+        if profiles >= _SHOWN * len(kept):
+            found.append((int(np.count_nonzero(kept)), float(least), measure))
+    return max(found, default=None)
+
+
 def judge(
     stripes: Float[np.ndarray, "profiles lines 2"],
     decoys: Float[np.ndarray, "profiles lines 2"],
@@ -193,7 +218,8 @@ def judge(
         per_profile: Stripes of a profile, on average over the whole sweep.
 
     Raises:
-        CaptureError: If the stripes are not more than those of chance, or no threshold parts them.
+        CaptureError: If the stripes are not more than those of chance, no threshold parts them, and no clear line is
+            shown by several profiles.
     """
     contests = [_Contest.of(stripes[..., k], decoys[..., k]) for k in range(stripes.shape[-1])]
     won, lost = min(((len(one.won), len(one.lost)) for one in contests), key=lambda both: both[1])
@@ -203,15 +229,25 @@ def judge(
     if lost <= _tolerated(won):
         return Chance()
     evident = won - lost > _CERTAIN * np.sqrt(won + lost)
+    shown = _clear_lines(stripes, decoys, contests)
     for share in _SHARES if evident else ():
         kept, least, measure = max((*one.best(share), k) for k, one in enumerate(contests))
-        if kept < _KEPT * won:
+        if kept < (_KEPT_SURELY if shown is None else _KEPT) * won:
             continue
         return Chance(
             least,
             measure,
             f"the sweep is doubtful: chance finds {100.0 * lost / won:.1f} % as many stripes; only the clearer "
             f"{min(100.0 * kept / won, 100.0):.0f} % of them were kept, among which it has about {100 * share:.2g} %; "
+            f"{_HELPS} would keep more",
+        )
+    if shown is not None:
+        kept, least, measure = shown
+        return Chance(
+            least,
+            measure,
+            f"the sweep is doubtful: chance finds {100.0 * lost / won:.0f} % as many stripes; only the "
+            f"{100.0 * kept / won:.0f} % of them were kept that are clearer than those by half; "
             f"{_HELPS} would keep more",
         )
     if lost <= _SHARES[-1] * won:

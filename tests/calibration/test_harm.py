@@ -13,6 +13,9 @@ from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Pinhole
 
 
+pytestmark = pytest.mark.more
+
+
 FREE = CalibrationSettings().free
 AT_M = 1.0
 """Boards are held at 0.7 to 1.3 m: what is stated there is no extrapolation."""

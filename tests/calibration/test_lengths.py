@@ -146,6 +146,7 @@ def test_where_the_cloud_lies_is_no_error():
     assert 1e3 * np.sqrt(np.mean(np.sum((true - moved) ** 2, axis=-1))) > 2 * entry.sigma_point_mm
 
 
+@pytest.mark.more
 def test_prediction_is_what_draws_show(realistic):
     lengths = typical_lengths(realistic, 0)
     q = stripe_pixels(realistic, 0, 2.5)[::400]

@@ -245,6 +245,14 @@ STRANGERS = [
         refused=True,
         says="says that it has 400 points, and has 399",
     ),
+    Stranger(
+        "pts with more points",
+        "another number in the first line",
+        ".pts",
+        text(str(COUNT - 100), rows(XYZ, WHOLE - 100, RGB)),
+        says="scan 1 says that it has 300 points, and has 400: all are read",
+        intensity=WHOLE - 100.0,
+    ),
     Stranger("faro", "FARO Scene, xyz", ".xyz", text(rows(XYZ, RGB)), says="by their numbers"),
     Stranger(
         "irgb or rgbi",
@@ -628,6 +636,13 @@ STRANGERS = [
         says="heights in metres",
     ),
     Stranger("las wkt2", "WKT of version 2 in feet", ".las", lambda p: las(p, factor=0.3048, wkt=WKT2), unit=0.3048),
+    Stranger(
+        "las unknown wkt",
+        "WKT without a projection",
+        ".las",
+        lambda p: las(p, wkt='PROJCS["site",UNIT["foot",0.3048]]'),
+        says="its WKT states no unit that is known",
+    ),
     Stranger(
         "las behind",
         "WKT in a record behind the points",

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CalibrationError
-from jaxscan.files import load_calibration, load_scanner, save_calibration
+from jaxscan.files import load_calibration, load_scanner, save_calibration, save_scanner
 from jaxscan.files.calibration import calibration_notes
+from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable
 
 from .test_calibration import edit
 
@@ -59,6 +60,34 @@ def test_the_file_of_the_guide(by_hand, tmp_path):
     again = load_scanner(tmp_path / "canonical.json")
     for one, other in zip(jax.tree.leaves(again), jax.tree.leaves(scanner), strict=True):
         assert np.asarray(one).tobytes() == np.asarray(other).tobytes()
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_scanner_from_parts_is_saved_and_read(tmp_path, known):
+    camera = Pinhole(*map(np.float64, (410.0, 411.0, 319.5, 255.5)), np.zeros(5), 640, 512, np.float64(0.0))
+    sheets = [LaserSheet.from_plane([0.99, 0.0, 0.14], 0.44), LaserSheet.from_plane([0.98, 0.0, -0.2], 0.4)]
+    scanner = Scanner.from_parts(camera, sheets, Turntable.from_axis([0.0, -1.0, 0.0], [0.0, 0.0, -0.05]))
+    if known:
+        covariance = np.diag(np.linspace(1e-8, 1e-6, len(scanner.parameter_names())))
+        scanner = dataclasses.replace(scanner, covariance=covariance)
+    save_scanner(scanner, tmp_path / "made.json")
+    again = load_scanner(tmp_path / "made.json")
+    assert again.laser_names == ("laser1", "laser2") and (again.covariance is not None) == known
+    for one, other in zip(jax.tree.leaves(again), jax.tree.leaves(scanner), strict=True):
+        # Unit vectors are normalised on reading.
+        np.testing.assert_allclose(one, other, rtol=1e-14, atol=1e-16)
+
+
+def test_a_scanner_is_no_calibration(by_hand, tmp_path):
+    scanner = load_scanner(by_hand())
+    with pytest.raises(CalibrationError, match=r"found a Scanner, expected a Calibration; save_scanner") as raised:
+        save_calibration(scanner, tmp_path / "c.json")
+    assert "\n" not in str(raised.value)
+    with pytest.raises(CalibrationError, match=r"found a str, expected a Calibration\.$"):
+        save_calibration("calibration", tmp_path / "c.json")
+    with pytest.raises(CalibrationError, match="found a Calibration, expected a Scanner"):
+        save_scanner(load_calibration(by_hand()), tmp_path / "c.json")
+    assert not (tmp_path / "c.json").exists()
 
 
 def test_that_it_counts_as_exact_is_said(by_hand):

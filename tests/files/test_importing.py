@@ -164,6 +164,19 @@ def test_a_pattern_that_names_two_scans_is_said(tmp_path, capsys):
     assert "kinds of files" not in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("copies", "taken"), [(3, "Snap_*.png"), (2, None)])
+def test_copies_with_painted_corners_are_no_boards(tmp_path, capsys, copies, taken):
+    """As many images, in a folder below whose name says what they show, are copies of those above."""
+    for k in range(3):
+        image(tmp_path / f"Snap_{k:03d}.png")
+    for k in range(copies):
+        image(tmp_path / "CalibrationGrids" / f"{k}.png")
+    assert main(["import", str(tmp_path), "--show", "--board", "chessboard 8x6 40mm"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert ("'Snap_*.png' (3) show the board" in said) is (taken is not None)
+    assert ("other images (3) are not used" in said) is (taken is None)
+
+
 def test_what_is_refused(tmp_path, capsys):
     for k in range(3):
         image(tmp_path / "in" / f"laser_{k}.png")

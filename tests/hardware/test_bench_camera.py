@@ -101,7 +101,7 @@ def test_no_frame_is_lost_that_was_not_asked_to_be(controller, rendered_camera):
         # 25 exposures, the next always while the frame before is on its way.
         for number in range(1, 13):
             shoot(controller, 80 * number, number)
-        controller.trigger(5)
+        controller.trigger()
         frames = [camera.next(WAIT_S) for _ in range(25)]
         assert np.all(np.diff([frame.number for frame in frames]) == 1)
         with pytest.raises(CameraTimeout):

@@ -22,7 +22,7 @@ from .test_session_killed import seen_at as seen_at
 
 
 TURN = 28800
-EXPERIMENT = Path(__file__).resolve().parents[2] / "experiments" / "kills.py"
+ROOT = Path(__file__).resolve().parents[2]
 
 
 class DrawnWorld:
@@ -87,8 +87,8 @@ def test_16_control_that_is_lost_in_mid_scan_is_taken_again(nursery, rig, gige, 
 def test_09_killed_fifty_times_on_the_whole_bench_it_goes_on(whole_bench, tmp_path):
     """The command line, the firmware, the GigE camera and the rendered room, as the experiment verifies it."""
     answer = tmp_path / "figures.json"
-    command = [sys.executable, str(EXPERIMENT), "--kills", "50", "--seed", "9", "--json", str(answer)]
-    done = subprocess.run(command, env=whole_bench, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+    command = [sys.executable, "-m", "experiments.kills", "--kills", "50", "--seed", "9", "--json", str(answer)]
+    done = subprocess.run(command, cwd=ROOT, env=whole_bench, stdin=subprocess.DEVNULL, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr[-4000:]
     figures = json.loads(answer.read_text())
     assert figures["kills"] == 50 and figures["kills_with_records"] >= 10

@@ -1,6 +1,5 @@
 """Proving and writing while the table turns: what overlaps, what is returned to, and what a death in between costs."""
 
-import json
 import os
 import signal
 import subprocess
@@ -18,18 +17,10 @@ from scanrig.session import session, steps
 
 from jaxscan.files.capture import open_capture, verify_capture
 
-from .desk import HEIGHT, WIDTH, Desk
+from .desk import HEIGHT, WIDTH, Desk, journal, records
 
 
 ROOT = Path(__file__).parents[2]
-
-
-def journal(path):
-    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
-
-
-def records(path):
-    return [line for line in journal(path) if "i" in line]
 
 
 class StillDesk(Desk):
@@ -102,10 +93,10 @@ def test_a_proof_may_end_after_the_next_step_was_taken(tmp_path, monkeypatch):
             begun.append(id)
             shots.notify_all()
 
-    def late(taken, config, laser):
+    def late(taken, config):
         with shots:
             assert shots.wait_for(lambda: len(begun) > taken.position // 288 + 1 or len(begun) == 10, timeout=60)
-        return prove(taken, config, laser)
+        return prove(taken, config)
 
     desk.controller.shot = counting
     monkeypatch.setattr(steps, "prove", late)

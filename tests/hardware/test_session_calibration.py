@@ -1,14 +1,12 @@
 """A calibration on the simulated desk: free views, placements, and resuming half done ones."""
 
-import json
-
 import numpy as np
 import pytest
 from scanrig.errors import CameraLost, CameraTimeout, Fault, LinkLost
 
 from jaxscan.files.capture import open_capture, verify_capture
 
-from .desk import Desk
+from .desk import Desk, events
 
 
 BOARD = {"type": "charuco", "columns": 12, "rows": 9, "square_mm": 30.0, "marker_mm": 22.0}
@@ -33,14 +31,6 @@ def make(**tables):
     return Desk(board=BOARD, calibration=PLAN, **tables)
 
 
-def calibration(desk, folder, operator, **options):
-    return desk.calibrate(folder, operator, **options)
-
-
-def journal(path):
-    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
-
-
 def records(path):
     """Number, angle and placement of each record."""
     capture = open_capture(path)
@@ -63,7 +53,7 @@ WHOLE = [
 def test_free_views_from_home_then_placements_at_all_angles(tmp_path):
     desk = make()
     somebody = Somebody(desk)
-    result = calibration(desk, tmp_path / "boards", somebody, advise=lambda: ["Tilt it."])
+    result = desk.calibrate(tmp_path / "boards", somebody, advise=lambda: ["Tilt it."])
     assert (result.status, result.records, result.planned) == ("complete", 9, 9)
     assert records(tmp_path / "boards") == WHOLE
     assert somebody.asked == [("free", k, 3) for k in range(3)] + [("placement", k, 2) for k in range(2)]
@@ -75,7 +65,7 @@ def test_free_views_from_home_then_placements_at_all_angles(tmp_path):
         on, off = capture.frames(k)
         assert on.astype(int).max() - off.astype(int).max() > 50
     assert verify_capture(tmp_path / "boards") == []
-    homes = [line["why"] for line in journal(tmp_path / "boards") if line.get("event") == "home"]
+    homes = [event["why"] for event in events(tmp_path / "boards", "home")]
     assert homes == ["start", "end of a placement", "end of a placement"]
 
 
@@ -84,7 +74,7 @@ def test_the_table_points_to_where_the_board_is_to_stand(tmp_path):
     somebody, stood = Somebody(desk), []
     place = somebody.place
     somebody.place = lambda request: (stood.append((request.at_deg, desk.table.position)), place(request))[1]
-    result = calibration(desk, tmp_path / "boards", somebody)
+    result = desk.calibrate(tmp_path / "boards", somebody)
     quarter = desk.config.microsteps_per_turn // 4
     assert stood == 4 * [(0.0, 0)] + [(90.0, quarter)]
     # Not while somebody is near it.
@@ -96,29 +86,29 @@ def test_the_table_points_to_where_the_board_is_to_stand(tmp_path):
 
 def test_the_operator_may_have_enough(tmp_path):
     desk = make()
-    result = calibration(desk, tmp_path / "boards", Somebody(desk, free=1, placements=1))
+    result = desk.calibrate(tmp_path / "boards", Somebody(desk, free=1, placements=1))
     assert (result.status, result.records) == ("complete", 4)
     assert [placement for *_, placement in records(tmp_path / "boards")] == [0, 1, 1, 1]
 
 
 def test_enough_of_nothing_is_no_calibration(tmp_path):
     desk = make()
-    result = calibration(desk, tmp_path / "boards", Somebody(desk, free=0, placements=0))
+    result = desk.calibrate(tmp_path / "boards", Somebody(desk, free=0, placements=0))
     assert (result.status, result.records) == ("interrupted", 0)
     assert "0 of 9 records" in result.message and "can be resumed" in result.message
     again = make()
-    assert calibration(again, tmp_path / "boards", Somebody(again), resume=True).records == 9
+    assert again.calibrate(tmp_path / "boards", Somebody(again), resume=True).records == 9
 
 
 def test_a_placement_that_was_half_done_is_begun_anew_under_another_number(tmp_path):
     desk = make()
     desk.controller.before_shot[8] = lambda controller: controller.lose_link(attempts=1000)
     with pytest.raises(LinkLost):
-        calibration(desk, tmp_path / "boards", Somebody(desk))
+        desk.calibrate(tmp_path / "boards", Somebody(desk))
     assert records(tmp_path / "boards") == WHOLE[:7]
     again = make()
     somebody = Somebody(again)
-    result = calibration(again, tmp_path / "boards", somebody, resume=True)
+    result = again.calibrate(tmp_path / "boards", somebody, resume=True)
     assert (result.status, result.records, result.taken) == ("complete", 9, 3)
     assert somebody.asked == [("placement", 1, 2)]
     # The three of the second placement saw one board that did not move: a new number for all of them.
@@ -129,22 +119,22 @@ def test_a_placement_that_was_half_done_is_begun_anew_under_another_number(tmp_p
 
 def test_a_complete_calibration_asks_for_nothing(tmp_path):
     desk = make()
-    calibration(desk, tmp_path / "boards", Somebody(desk))
+    desk.calibrate(tmp_path / "boards", Somebody(desk))
     again = make()
     somebody = Somebody(again)
-    assert calibration(again, tmp_path / "boards", somebody, resume=True).taken == 0
+    assert again.calibrate(tmp_path / "boards", somebody, resume=True).taken == 0
     assert somebody.asked == [] and again.controller.log == []
 
 
 def test_steps_lost_during_a_placement_make_it_suspect_and_it_alone(tmp_path):
     desk = make()
     desk.controller.before_shot[5] = lambda controller: controller.lose_steps(30)
-    result = calibration(desk, tmp_path / "boards", Somebody(desk))
+    result = desk.calibrate(tmp_path / "boards", Somebody(desk))
     # Free views stand at home like all since the last time home was found; they are in doubt as well.
     assert result.status == "suspect" and result.suspect == ((0, 5),)
     again = make()
     somebody = Somebody(again)
-    result = calibration(again, tmp_path / "boards", somebody, resume=True)
+    result = again.calibrate(tmp_path / "boards", somebody, resume=True)
     assert (result.status, result.suspect) == ("complete", ())
     assert somebody.asked == [("free", k, 3) for k in range(3)] + [("placement", 0, 2)]
 
@@ -159,7 +149,7 @@ class Looking(Somebody):
         self._arm = desk.controller.arm
         desk.controller.trigger, desk.controller.arm = self.trigger, self.arm
 
-    def trigger(self, ms=None):
+    def trigger(self):
         controller = self.desk.controller
         controller.stat()
         self.looks.append(1)
@@ -201,7 +191,7 @@ def lost_camera(controller):
 def test_what_befalls_the_rig_while_somebody_looks_through_the_camera_ends_nothing(tmp_path, befalls):
     desk = make()
     somebody = Looking(desk, look2=befalls)
-    result = calibration(desk, tmp_path / "boards", somebody)
+    result = desk.calibrate(tmp_path / "boards", somebody)
     assert (result.status, result.records, len(somebody.looks)) == ("complete", 9, 6)
     # Nothing that had to be recovered from has closed the contactor in front of whoever stands there.
     assert somebody.lit == [False] * 5
@@ -226,7 +216,7 @@ def test_a_link_that_is_lost_twice_while_the_camera_is_reopened_for_a_look_ends_
 
     desk.camera.reopen, controller.reconnect = losing(reopen), losing(reconnect)
     somebody = Looking(desk, **{f"look{k}": lambda controller: "no frame" for k in (2, 3)})
-    result = calibration(desk, tmp_path / "boards", somebody)
+    result = desk.calibrate(tmp_path / "boards", somebody)
     assert lost == ["reopen", "reconnect"]
     assert (result.status, result.records) == ("complete", 9)
     assert somebody.lit == [False] * 5
@@ -236,22 +226,22 @@ def test_a_camera_that_shows_nothing_any_more_is_an_error(tmp_path):
     desk = make(checks={"retakes": 2})
     somebody = Looking(desk, **{f"look{k}": lambda controller: "no frame" for k in (2, 3, 4)})
     with pytest.raises(CameraTimeout):
-        calibration(desk, tmp_path / "boards", somebody)
+        desk.calibrate(tmp_path / "boards", somebody)
     assert len(somebody.looks) == 4 and not desk.table.contactor
 
 
 def test_asked_to_stop_while_the_board_is_moved(tmp_path):
     desk = make()
     somebody = Somebody(desk)
-    result = calibration(desk, tmp_path / "boards", somebody, should_stop=lambda: len(somebody.asked) >= 2)
+    result = desk.calibrate(tmp_path / "boards", somebody, should_stop=lambda: len(somebody.asked) >= 2)
     assert (result.status, result.records) == ("interrupted", 1)
     again = make()
-    assert calibration(again, tmp_path / "boards", Somebody(again), resume=True).records == 9
+    assert again.calibrate(tmp_path / "boards", Somebody(again), resume=True).records == 9
     assert len(open_capture(tmp_path / "boards")) == 9
 
 
 def test_without_a_board_it_is_refused_before_anything_moves(tmp_path):
     desk = Desk(calibration=PLAN)
     with pytest.raises(Exception, match=r"\[board\]"):
-        calibration(desk, tmp_path / "boards", Somebody(desk))
+        desk.calibrate(tmp_path / "boards", Somebody(desk))
     assert desk.controller.log == [] and not (tmp_path / "boards").exists()

@@ -83,6 +83,40 @@ def test_lines_that_no_laser_lights_do_not_refuse_the_others(pixel_format, seed,
     assert any("one dark picture as --off" in note for note in found.notes)
 
 
+@pytest.mark.more
+@pytest.mark.parametrize(
+    ("pixel_format", "peak_dn", "seed", "yaw_deg", "rows"),
+    [
+        pytest.param("rgb8", 150.0, 10, 230.0, 15),
+        pytest.param("rgb8", 200.0, 12, 100.0, 15, marks=pytest.mark.slow),
+        pytest.param("mono8", 400.0, 9, 140.0, 15, marks=pytest.mark.slow),
+        pytest.param("rgb8", 150.0, 10, 230.0, 6, marks=pytest.mark.slow),
+    ],
+)
+def test_a_line_on_few_rows_is_kept(pixel_format, peak_dn, seed, yaw_deg, rows):
+    """As of a small thing in a large dark picture: nine lines in ten are chance, as often clearer turned round."""
+    world = room(pixel_format, peak_dn, seed=seed, yaw_deg=yaw_deg)
+    lit, on = slice(150 - rows // 2, 150 + rows - rows // 2), world.dark.copy()
+    on[:, lit] = world.on[:, lit]
+    sweep = Sweep(on, None, world.angles, pixel_format=pixel_format)
+    found = extract(sweep, world.scanner, settings=SETTINGS)
+    valid = np.asarray(found.stripes.valid)
+    good = world.lit(np.asarray(found.stripes.u), valid)
+    good[:, : lit.start] = good[:, lit.stop :] = False
+    assert np.count_nonzero(good) > 0.2 * STEPS * rows
+    assert np.count_nonzero(valid & ~good) <= 0.12 * np.count_nonzero(valid)
+    assert sum("doubtful" in note and "one dark picture as --off" in note for note in found.notes) == 1
+
+
+@pytest.mark.more
+@pytest.mark.slow
+def test_bright_print_before_a_mono_camera_is_no_laser():
+    """A fifth of what it shows is clearer than dark print is, and in a quarter of the profiles by half."""
+    world = room("mono8", 150.0, seed=3, yaw_deg=0.0)
+    with pytest.raises(CaptureError, match="not told from chance"):
+        extract(Sweep(world.dark, None, world.angles), world.scanner, settings=SETTINGS)
+
+
 def _clear(rng, count, scale):
     """Stripes of so much light, as clear as they are bright."""
     values = np.zeros(4000, np.float32)
@@ -186,6 +220,27 @@ def test_a_coin_is_tossed_for_lines_that_are_not_lit():
     true, chance, decoys = _clear(rng, 900, 60.0), _clear(rng, 2500, 4.0), _clear(rng, 2500, 4.0)
     found = _judged(np.maximum(true, chance), decoys, per_profile=300.0)
     assert 5.0 < found.least ** (1 / (1 + found.measure)) <= 6.1
+
+
+def _with_a_line(rng, profiles, clear):
+    """Chance on 500 rows of 16 profiles, as often turned round; and a line on ten rows of some profiles."""
+    stripes, decoys = (rng.uniform(1.0, 4.0, (16, 500)).astype(np.float32) for _ in range(2))
+    stripes[:profiles, 100:110] = clear
+    return stripes, decoys
+
+
+def test_a_line_on_few_rows_of_most_profiles_is_found():
+    stripes, decoys = _with_a_line(np.random.default_rng(7), 8, 20.0)
+    found = _judged(stripes, decoys, per_profile=250.0)
+    assert np.count_nonzero((stripes if found.measure == 0 else stripes**2) >= found.least) == 80
+    assert found.note is not None and "narrower range limits" in found.note
+
+
+@pytest.mark.parametrize(("profiles", "clear"), [(4, 20.0), (16, 4.5)])
+def test_a_line_that_chance_may_show_is_refused(profiles, clear):
+    """In a few profiles alone, or hardly clearer than chance."""
+    with pytest.raises(CaptureError, match="not told from chance"):
+        _judged(*_with_a_line(np.random.default_rng(7), profiles, clear), per_profile=250.0)
 
 
 def test_amplitude_parts_what_clearness_does_not():

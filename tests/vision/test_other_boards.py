@@ -67,6 +67,7 @@ def test_corners_are_where_they_are(board):
         assert np.abs(error).max() < 0.25
 
 
+@pytest.mark.more
 @BOARDS
 def test_sigmas_are_honest(board):
     errors = np.concatenate([(found.q - truth)[found.valid] for found, truth in views(board)])

@@ -10,8 +10,8 @@ import signal
 import sys
 from pathlib import Path
 
-from bench.camera.network import ADDRESS, BenchCamera
-from bench.camera.rendered import load_world
+from bench.camera.network import BenchCamera
+from bench.camera.rendered import ADDRESS, load_world
 from bench.places import WORLD, BenchError
 from bench.processes import ControlServer
 

@@ -18,7 +18,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from bench.camera.rendered import NOMINAL_EXPOSURE_S, Exposure, LogReader, Plant, View, World
+from bench.camera.rendered import ADDRESS, NOMINAL_EXPOSURE_S, Exposure, LogReader, Plant, View, World
 from bench.places import BenchError
 
 
@@ -92,20 +92,19 @@ class GvCamera:
     trigger, and a client that lets the camera run free, get the frame that `present` returns.
     """
 
-    def __init__(self, present: Fill, *, address: str = "127.0.0.1", serial: str = "BENCH") -> None:
+    def __init__(self, present: Fill, *, address: str = ADDRESS) -> None:
         """Start to answer.
 
         Args:
             present: Returns the view at this moment, uint8 [rows, columns]; called in a thread of libaravis.
             address: Of a local network interface.
-            serial: Serial number by which it is found.
 
         Raises:
             BenchError: If libaravis is missing or the address is taken.
         """
         self._library = _load()
         pointer, number = ctypes.c_void_p, ctypes.c_uint32
-        self._gv = self._library.arv_gv_fake_camera_new(address.encode(), serial.encode())
+        self._gv = self._library.arv_gv_fake_camera_new(address.encode(), b"BENCH")
         if not self._gv or not self._library.arv_gv_fake_camera_is_running(self._gv):
             raise BenchError(f"No camera can be started at {address}: is one running there already?")
         if ipaddress.ip_address(address).is_loopback:
@@ -142,11 +141,11 @@ class GvCamera:
         """Send one frame to the client. False if it has stopped acquiring."""
         self._taken.clear()
         self._handed = frame
-        self._library.arv_fake_camera_write_register(self._camera, FRAME_PERIOD_US, TRIGGERED_PERIOD_US)
-        self._library.arv_fake_camera_write_register(self._camera, TRIGGER_SOFTWARE, 1)
+        self.write(FRAME_PERIOD_US, TRIGGERED_PERIOD_US)
+        self.write(TRIGGER_SOFTWARE, 1)
         if self._taken.wait(timeout_s):
             return True
-        self._library.arv_fake_camera_write_register(self._camera, TRIGGER_SOFTWARE, 0)
+        self.write(TRIGGER_SOFTWARE, 0)
         self._handed = None
         return False
 
@@ -193,8 +192,6 @@ class GvCamera:
 
 POLL_S = 0.002
 """How often the log is looked at."""
-
-ADDRESS = "127.0.0.1"
 
 
 @dataclass

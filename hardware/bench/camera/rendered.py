@@ -1,22 +1,19 @@
 """The camera of the bench: a furnished room with a laser and a board, seen at each trigger in the log of the rig."""
 
-import contextlib
 import json
 import os
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bench.places import WORLD, BenchError, held, private_folder
-from bench.processes import ControlClient, end, epitaph, launch
+from bench.processes import Part
 from jaxscan.files.disk import load_toml
 from jaxscan.simulation import (
     ExpectedRecord,
@@ -282,8 +279,10 @@ READY_S = 90.0
 """How long the camera may take to start: it loads the simulator and makes a room, perhaps on a busy machine."""
 
 
-class RenderedCamera:
+class RenderedCamera(Part):
     """A GigE Vision camera at 127.0.0.1 that sees the plant of a simulated rig."""
+
+    name, socket = "the camera", "camera"
 
     def __init__(
         self,
@@ -294,27 +293,17 @@ class RenderedCamera:
         microsteps_per_turn: int = 28800,
         apart: bool = False,
     ) -> None:
-        """A camera that `start` (or `with`) switches on.
+        """A camera that is off.
 
         Args:
-            folder: Holds its control socket and its ledger; made if it is not there.
+            edges: The rig's log.
             world: The world in front of it, a simulated rig.
             apart: Whether Ctrl-C at the terminal is kept from it.
         """
-        self.folder, self.edges, self.world, self.address = Path(folder), edges, world, ADDRESS
+        super().__init__(folder)
+        self.edges, self.world, self.address = edges, world, ADDRESS
         self.ledger = self.folder / "frames.jsonl"
         self._microsteps_per_turn, self._apart = microsteps_per_turn, apart
-        self._process: subprocess.Popen[str] | None = None
-        self._control: ControlClient | None = None
-
-    def __enter__(self) -> "RenderedCamera":
-        self.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def start(self) -> None:
         """Switch on.
@@ -322,24 +311,14 @@ class RenderedCamera:
         Raises:
             BenchError: If libaravis is missing, the address is taken, or the world cannot be rendered.
         """
-        if self._process is not None:
-            raise BenchError(f"{self.folder}: this camera is on already.")
+        self._require_off()
         self.folder.mkdir(parents=True, exist_ok=True)
-        folder = self.folder.resolve()
-        command = [sys.executable, "-m", "bench.camera", "--edges", str(self.edges.resolve()), "--world"]
-        command += [
-            str(self.world.resolve()),
-            "--control",
-            str(folder / "camera"),
-            "--ledger",
-            str(self.ledger.resolve()),
-        ]
-        command += ["--microsteps-per-turn", str(self._microsteps_per_turn), "--address", self.address]
-        command += ["--owner", str(os.getpid())]
-        self._process = launch(
-            command, folder=folder, errors=folder / "camera.err", within_s=READY_S, apart=self._apart
-        )
-        self._control = ControlClient(folder / "camera")
+        paths = {"edges": self.edges, "world": self.world, "control": self.control_path, "ledger": self.ledger}
+        command = [sys.executable, "-m", "bench.camera", "--address", self.address, "--owner", str(os.getpid())]
+        command += ["--microsteps-per-turn", str(self._microsteps_per_turn)]
+        for name, path in paths.items():
+            command += [f"--{name}", str(path.resolve())]
+        self._launch(command, within_s=READY_S, apart=self._apart)
 
     def control(self, text: str) -> Any:
         """Give the camera one command (see README.md), and return its answer, parsed if it is JSON.
@@ -347,16 +326,10 @@ class RenderedCamera:
         Raises:
             BenchError: If it does not know it, or does not answer.
         """
-        if self._control is None:
-            raise BenchError(f"{self.folder}: this camera is off.")
-        answer = self._control.ask(text)
+        answer = self.ask(text)
         if answer.startswith("error: "):
             raise BenchError(answer.removeprefix("error: "))
         return answer if answer == "ok" else json.loads(answer)
-
-    def died(self) -> str:
-        """How its process ended by itself, "" if it runs or was switched off."""
-        return epitaph("the camera", self._process, self.folder / "camera.err")
 
     def frames(self) -> list[dict[str, Any]]:
         """The truth of every frame so far: `cycle`, `position`, `light`, `angle` [rad], `board`, `exposure`, `sent`."""
@@ -382,18 +355,6 @@ class RenderedCamera:
             if time.monotonic() > limit:
                 raise BenchError(f"{self.folder}: {pulses} pulses, of which the camera is done with {done}.")
             time.sleep(0.01)
-
-    def close(self) -> None:
-        """Switch off. Doing so twice is doing it once."""
-        process, self._process = self._process, None
-        control, self._control = self._control, None
-        if control is not None:
-            control.close()
-        if process is not None:
-            end(process)
-            # One that was killed left its socket.
-            with contextlib.suppress(FileNotFoundError):
-                (self.folder / "camera").unlink()
 
 
 @contextmanager

@@ -3,8 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Annotated, Literal, Protocol, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 import pydantic
@@ -14,46 +13,6 @@ from jaxscan.files.disk import ImageSize, Integer, Number
 from jaxscan.geometry.scanner import Up
 from jaxscan.stripes import PixelFormat, Response, known_response
 from scanrig.errors import CameraError
-
-
-_WRAP = 65535
-"""GigE Vision counts 1 … 65535, then 1 again; 0 is not used."""
-
-
-class FrameNumbers:
-    """Turns a camera's wrapping frame ids into increasing numbers."""
-
-    def __init__(self) -> None:
-        self.last: int | None = None
-        """Highest number so far."""
-        self.missing = 0
-        """Frames missing between those received."""
-        self._raw, self._period = 0, _WRAP
-
-    def take(self, raw: int) -> tuple[int, int]:
-        """Unwrap the id of a frame.
-
-        Args:
-            raw: The camera's id of the frame.
-
-        Returns:
-            number: Its number; for the first frame its id.
-            advance: Difference to the highest number so far: 1 for the next frame, 0 for a repeated one, negative
-                for a late one.
-        """
-        if self.last is None:
-            self.last, self._raw = raw, raw
-            return raw, 1
-        advance = raw - self._raw
-        # Some cameras also use 0.
-        self._period = _WRAP + 1 if raw == 0 else self._period
-        if max(raw, self._raw) <= _WRAP and abs(advance) > _WRAP // 2:
-            advance += self._period if advance < 0 else -self._period
-        number = self.last + advance
-        if advance > 0:
-            self.missing += advance - 1
-            self.last, self._raw = number, raw
-        return number, advance
 
 
 CameraKind = Literal["aravis", "opencv", "folder", "simulated"]
@@ -105,16 +64,12 @@ and further ones of its kind. Settings that a camera cannot read back are absent
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One frame, with its number and times."""
+    """One frame and its number."""
 
     image: UInt8[np.ndarray, "rows columns *three"]
     """uint8 [rows, columns], or RGB [rows, columns, 3]; owns its memory."""
     number: int
     """The camera's count of frames, unwrapped; −1: unknown. A gap means lost frames."""
-    camera_s: float | None
-    """The camera's own time stamp [s], of unknown origin; None: it has none."""
-    host_s: float
-    """Monotonic time of arrival [s]."""
     complete: bool
     """Whether the whole image arrived; missing parts are zero or older."""
     note: str = ""
@@ -133,17 +88,18 @@ class CameraIdentity:
         return " ".join(part for part in (self.kind, self.model, self.serial) if part)
 
 
-class Camera(Protocol):
-    """An open camera that is set up. Used from one thread; `close` may be called twice."""
+class Camera(ABC):
+    """An open camera that is set up. Used from one thread; `close`, which `with` calls, may be called twice."""
 
-    @property
-    def identity(self) -> CameraIdentity:
-        """Kind, model and serial number, as the device reports them."""
+    settings: CameraSettings
+    identity: CameraIdentity
 
     @property
     def trigger_mode(self) -> TriggerMode:
         """How its exposures are triggered."""
+        return self.settings.trigger
 
+    @abstractmethod
     def features(self) -> Features:
         """Its settings, read back from the device.
 
@@ -151,9 +107,7 @@ class Camera(Protocol):
             CameraLost: If it does not answer.
         """
 
-    def counts(self) -> dict[str, int]:
-        """Counts since opening: "frames" delivered, of these "incomplete"; "missing" by their numbers; "dropped"."""
-
+    @abstractmethod
     def start(self) -> None:
         """Start the acquisition; no effect if it runs.
 
@@ -161,6 +115,7 @@ class Camera(Protocol):
             CameraError: If it cannot.
         """
 
+    @abstractmethod
     def drop(self) -> int:
         """Discard waiting frames, and of a free-running camera also those exposed before this call.
 
@@ -168,6 +123,7 @@ class Camera(Protocol):
             Number of waiting frames.
         """
 
+    @abstractmethod
     def next(self, timeout_s: float) -> Frame:
         """The next frame in the order of exposure.
 
@@ -176,6 +132,7 @@ class Camera(Protocol):
             CameraLost: If the camera is gone; `reopen` may recover it.
         """
 
+    @abstractmethod
     def trigger(self) -> None:
         """Expose one frame (trigger mode "software").
 
@@ -184,6 +141,7 @@ class Camera(Protocol):
             CameraLost: If the camera is gone.
         """
 
+    @abstractmethod
     def reopen(self) -> None:
         """Open the camera again, apply the settings, check that it is the same one, and `start` it if it was started.
 
@@ -193,25 +151,9 @@ class Camera(Protocol):
         """
 
     def adopt(self, settings: CameraSettings) -> None:
-        """Take other settings of the same camera from now on: `reopen` with them.
-
-        Raises:
-            CameraLost: If it is not found (yet).
-            CameraError: If it does not take a setting.
-        """
-
-    def close(self) -> None:
-        """Close the camera."""
-
-    def __enter__(self) -> "Camera": ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
-
-
-class ClosedAtExit(ABC):
-    """A camera that `with` closes."""
+        """Take other settings of the same camera from now on: `reopen` with them, with its errors."""
+        self.settings = settings
+        self.reopen()
 
     @abstractmethod
     def close(self) -> None:
@@ -220,9 +162,7 @@ class ClosedAtExit(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

@@ -2,7 +2,6 @@
 
 import os
 import re
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,16 +16,7 @@ from jaxscan.files.capture import (
     LaserTable,
     open_capture,
 )
-from scanrig.cameras.camera import (
-    CameraIdentity,
-    CameraSettings,
-    ClosedAtExit,
-    Features,
-    Frame,
-    TriggerMode,
-    require,
-    wanted,
-)
+from scanrig.cameras.camera import Camera, CameraIdentity, CameraSettings, Features, Frame, require, wanted
 from scanrig.errors import CameraError, CameraLost
 
 
@@ -35,7 +25,7 @@ MAX_FILES = 100_000
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
-class FolderCamera(ClosedAtExit):
+class FolderCamera(Camera):
     """Returns the images one after another, laser-on before laser-off, until none is left.
 
     It does not expose: no frames wait in it, so `drop` discards none, and a trigger has no effect.
@@ -47,9 +37,8 @@ class FolderCamera(ClosedAtExit):
         Raises:
             CameraError: If there are none, or the capture has another size or pixel format.
         """
-        self._settings, self._path = settings, Path(settings.id)
+        self.settings, self._path = settings, Path(settings.id)
         self.identity = CameraIdentity("folder", self._path.name, "")
-        self.trigger_mode: TriggerMode = settings.trigger
         self._closed = False
         self._open()
 
@@ -58,19 +47,16 @@ class FolderCamera(ClosedAtExit):
             if (self._path / HEADER_NAME).exists():
                 self._header, self._images = _of_capture(self._path)
             else:
-                self._header, self._images = _header(self._settings), _of_pictures(self._path)
+                self._header, self._images = _header(self.settings), _of_pictures(self._path)
         except CaptureError as problem:
             raise CameraError(f"{self._path}: cannot be played: {problem}") from problem
-        require(self.features(), wanted(self._settings), name=str(self._path))
+        require(self.features(), wanted(self.settings), name=str(self._path))
         self._reader = ImageReader(self._path, self._header)
         self._number = 0
 
     def features(self) -> Features:
         camera = self._header.camera
         return {"width": camera.width, "height": camera.height, "pixel_format": camera.pixel_format}
-
-    def counts(self) -> dict[str, int]:
-        return {"frames": self._number, "incomplete": 0, "missing": 0, "dropped": 0}
 
     def start(self) -> None:
         if self._closed:
@@ -96,7 +82,7 @@ class FolderCamera(ClosedAtExit):
         except CaptureError as problem:
             raise CameraError(f"{self._path}: {problem}") from problem
         self._number += 1
-        return Frame(image, self._number, None, time.monotonic(), complete=True, note=str(reference))
+        return Frame(image, self._number, complete=True, note=str(reference))
 
     def trigger(self) -> None:
         if self.trigger_mode != "software":
@@ -105,10 +91,6 @@ class FolderCamera(ClosedAtExit):
     def reopen(self) -> None:
         self._open()
         self._closed = False
-
-    def adopt(self, settings: CameraSettings) -> None:
-        self._settings = settings
-        self.reopen()
 
     def close(self) -> None:
         self._closed = True

@@ -14,17 +14,7 @@ from jaxtyping import Float, UInt8
 from jaxscan.files.disk import FileModel, Integer, Number, load_toml
 from jaxscan.geometry import StripeAxis
 from jaxscan.stripes import Colour, PixelFormat, frame_rank
-from scanrig.cameras.camera import (
-    CameraIdentity,
-    CameraSettings,
-    ClosedAtExit,
-    Features,
-    Frame,
-    TriggerMode,
-    require,
-    wanted,
-)
-from scanrig.clock import Clock, SystemClock
+from scanrig.cameras.camera import Camera, CameraIdentity, CameraSettings, Features, Frame, require, wanted
 from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
 
@@ -105,13 +95,7 @@ def draw(
     shape: FrameShape,
     generator: np.random.Generator,
 ) -> UInt8[np.ndarray, "rows columns *three"]:
-    """One frame.
-
-    Args:
-        position: Position of the table [microsteps].
-        lit: Which laser is on, from 1; 0: none.
-        generator: Generator of the noise; its state advances.
-    """
+    """One frame at a position of the table [microsteps], with a laser on, from 1; 0: none."""
     width, height, pixel_format = shape
     across = scene.stripe_axis == "columns"
     lines, samples = (width, height) if across else (height, width)
@@ -146,7 +130,7 @@ Scene = Callable[[float, int], UInt8[np.ndarray, "rows columns *three"]]
 """Draws the frame at a position of the table [microsteps], with a laser on (from 1; 0: none)."""
 
 
-class SimulatedCamera(ClosedAtExit):
+class SimulatedCamera(Camera):
     """Exposes when `expose` is called (a wire), `trigger` (software), or `next` (free-running).
 
     Software triggers and free-running frames get position and laser from `world`; for `expose` they are arguments.
@@ -159,7 +143,6 @@ class SimulatedCamera(ClosedAtExit):
         *,
         world: Callable[[], tuple[float, int]] | None = None,
         faults: dict[int, Fault] | None = None,
-        clock: Clock | None = None,
         patience_s: float = float("inf"),
     ) -> None:
         """An open camera.
@@ -172,7 +155,6 @@ class SimulatedCamera(ClosedAtExit):
         """
         self.settings, self.faults = settings, dict(faults or {})
         self.identity = CameraIdentity("simulated", "synthetic", "SIM1")
-        self.trigger_mode: TriggerMode = settings.trigger
         self.device: Features = wanted(settings)
         """The camera's features; a test may change them."""
         self.after_reopen: Features = {}
@@ -184,21 +166,16 @@ class SimulatedCamera(ClosedAtExit):
         self._scene = _drawn(scene or SyntheticScene(), settings) if not callable(scene) else scene
         alternation = _alternation()
         self._world = world or (lambda: next(alternation))
-        self._clock, self._patience_s = clock or SystemClock(), patience_s
+        self._patience_s = patience_s
         self._changed = threading.Condition()
         self._queue: deque[Frame] = deque()
         self._held: list[Frame] = []
         self._last: np.ndarray | None = None
-        self._seen = 0
-        self._counts = {"frames": 0, "incomplete": 0, "missing": 0, "dropped": 0}
         self._running = self._lost = self._closed = False
 
     def features(self) -> Features:
         self._require_open()
         return dict(self.device)
-
-    def counts(self) -> dict[str, int]:
-        return dict(self._counts)
 
     def start(self) -> None:
         self._require_open()
@@ -208,7 +185,6 @@ class SimulatedCamera(ClosedAtExit):
         with self._changed:
             waiting = len(self._queue)
             self._queue.clear()
-            self._counts["dropped"] += waiting
             return waiting
 
     def next(self, timeout_s: float) -> Frame:
@@ -221,12 +197,7 @@ class SimulatedCamera(ClosedAtExit):
                 raise CameraLost(f"{self.identity}: the camera is gone (simulated).")
             if not here:
                 raise CameraTimeout(f"{self.identity}: no frame within {timeout_s:g} s; expected one per trigger.")
-            frame = self._queue.popleft()
-        self._counts["frames"] += 1
-        self._counts["incomplete"] += not frame.complete
-        self._counts["missing"] += max(0, frame.number - self._seen - 1)
-        self._seen = max(self._seen, frame.number)
-        return frame
+            return self._queue.popleft()
 
     def trigger(self) -> None:
         self._require_open()
@@ -245,12 +216,6 @@ class SimulatedCamera(ClosedAtExit):
             self._last = image
             self._changed.notify_all()
 
-    def push(self, frame: Frame) -> None:
-        """Append a frame as it is. From any thread."""
-        with self._changed:
-            self._queue.append(frame)
-            self._changed.notify_all()
-
     def reopen(self) -> None:
         if self._closed or not self.reachable:
             raise CameraLost(f"{self.identity}: not found; check its power and cable.")
@@ -260,10 +225,6 @@ class SimulatedCamera(ClosedAtExit):
             self._lost = False
         self.device = {**wanted(self.settings), **self.after_reopen}
         require(self.device, wanted(self.settings), name=str(self.identity))
-
-    def adopt(self, settings: CameraSettings) -> None:
-        self.settings = settings
-        self.reopen()
 
     def close(self) -> None:
         with self._changed:
@@ -305,16 +266,11 @@ class SimulatedCamera(ClosedAtExit):
         self._queue.extend(arriving)
 
     def _frame(self, image: np.ndarray, *, number: int | None = None, complete: bool = True, note: str = "") -> Frame:
-        now = self._clock.now()
-        return Frame(image, self.exposures if number is None else number, now, now, complete, note)
+        return Frame(image, self.exposures if number is None else number, complete, note)
 
 
 def open_simulated(settings: CameraSettings) -> SimulatedCamera:
-    """A camera in front of the synthetic scene in the file `settings.id`, or of the default scene.
-
-    Raises:
-        ConfigError: If the file does not describe a scene.
-    """
+    """A camera in front of the synthetic scene in the file `settings.id`, or of the default scene."""
     scene = load_toml(Path(settings.id), SyntheticScene) if settings.id else SyntheticScene()
     return SimulatedCamera(settings, scene)
 

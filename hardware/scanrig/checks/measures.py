@@ -32,11 +32,7 @@ class FramePair(NamedTuple):
 
 
 def check_frames(on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat) -> None:
-    """Check type and shape of two frames.
-
-    Raises:
-        ValueError: If they are not two frames of the same shape.
-    """
+    """Raise ValueError if these are not two frames of the same shape."""
     rank = frame_rank(pixel_format)
     if on.dtype != np.uint8 or on.ndim != rank or min(on.shape[:2]) < 64:
         raise ValueError(f"`on` must be uint8 with {rank} dimensions and 64 px, got {on.dtype} with shape {on.shape}.")

@@ -124,12 +124,9 @@ def prove_pair(
     on neighbouring rows; noise, texture, flicker and motion do not make such ridges (`ridges`).
 
     Args:
-        on: The frame that should show the laser's line, uint8 [rows, columns] (rgb8: and 3).
-        off: The frame that should not, of the same shape.
-        pixel_format: How a frame is to be read.
-        response: "linear" or "srgb".
+        on: The frame that should show the laser's line.
+        off: The frame that should not.
         line: The laser; for the colour "auto" the channel that changed most is used.
-        limits: The limits for the pair.
 
     Raises:
         ValueError: If the frames have another type or shape, or fewer than 64 px on a side.

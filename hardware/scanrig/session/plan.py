@@ -113,9 +113,6 @@ def placed_targets(
 ) -> tuple[tuple[tuple[Target, ...], ...], tuple[tuple[Target, ...], ...]]:
     """The records of a calibration, grouped by free view and by placement; at each position one for each laser.
 
-    Args:
-        positions: From `placement_positions`.
-
     Returns:
         free: The records of each free view.
         stands: The records of each placement.

@@ -275,7 +275,7 @@ def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
         check_exposures(records, name=journal_name, bits=header.camera.bits)
     reader = ImageReader(path, header, compare=compare)
     reader.check(records)
-    notes = [*texts.notes, *((seals.note,) if seals.note else ()), *_image_notes(header, records)]
+    notes = [*texts.notes, *((seals.note,) if seals.note else ()), *header.camera.notes(_compression(header, records))]
     if header.kind == "sweep":
         turns = header.turntable is None or header.turntable.carries in ("scanner", "object")
         degrees = np.degrees([record.angle or 0.0 for record in records]) if turns else None
@@ -289,11 +289,6 @@ def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
 def _compression(header: CaptureHeader, records: tuple[Record, ...]) -> Literal["jpeg", "video"] | None:
     first = (*records[0].on, *records[0].off)[0].path.lower()
     return header.camera.compression or ("jpeg" if first.endswith((".jpg", ".jpeg")) else None)
-
-
-def _image_notes(header: CaptureHeader, records: tuple[Record, ...]) -> list[str]:
-    """Notes on the kind of images."""
-    return header.camera.model_copy(update={"compression": _compression(header, records)}).notes()
 
 
 def common_board(captures: Sequence[Capture], *, single_lasers: bool) -> AbstractBoard:

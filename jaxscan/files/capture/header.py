@@ -1,9 +1,10 @@
 """capture.toml: what was recorded, with what, and of which board."""
 
+import abc
 import math
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import pydantic
 import tomli_w
@@ -40,98 +41,71 @@ Count = Annotated[Integer, pydantic.Field(ge=1, le=1000)]
 Length = Annotated[Number, pydantic.Field(gt=0)]
 
 
-class CharucoTable(FileModel):
+class _Board(FileModel):
+    """A board of one kind; lengths in millimetres."""
+
+    type: str
+    columns: Count
+    rows: Count
+
+    @pydantic.model_validator(mode="after")
+    def _possible(self) -> Self:
+        check_board(self.board())
+        return self
+
+    @abc.abstractmethod
+    def board(self) -> AbstractBoard:
+        """The board that the table describes, in metres."""
+
+
+class CharucoTable(_Board):
     """A ChArUco board; columns and rows count squares."""
 
     type: Literal["charuco"] = "charuco"
-    columns: Count
-    rows: Count
     square_mm: Length
     marker_mm: Length
     dictionary: Annotated[str, pydantic.AfterValidator(known_dictionary)] = "DICT_5X5_250"
     layout: Literal["standard", "legacy"] = "standard"
     """ "legacy": of OpenCV before 4.6; differs where the number of rows is even."""
 
-    @pydantic.model_validator(mode="after")
-    def _possible(self) -> "CharucoTable":
-        check_board(self.board())
-        return self
-
     def board(self) -> AbstractBoard:
-        """The board that the table describes."""
-        return Charuco(
-            columns=self.columns,
-            rows=self.rows,
-            square=self.square_mm / 1000,
-            marker=self.marker_mm / 1000,
-            dictionary=self.dictionary,
-            layout=self.layout,
-        )
+        square, marker = self.square_mm / 1000, self.marker_mm / 1000
+        return Charuco(self.columns, self.rows, square, marker, self.dictionary, self.layout)
 
 
-class ChessboardTable(FileModel):
+class ChessboardTable(_Board):
     """A plain chessboard; columns and rows count inner corners."""
 
     type: Literal["chessboard"] = "chessboard"
-    columns: Count
-    rows: Count
     square_mm: Length
 
-    @pydantic.model_validator(mode="after")
-    def _possible(self) -> "ChessboardTable":
-        check_board(self.board())
-        return self
-
     def board(self) -> AbstractBoard:
-        """The board that the table describes."""
-        return Chessboard(columns=self.columns, rows=self.rows, square=self.square_mm / 1000)
+        return Chessboard(self.columns, self.rows, self.square_mm / 1000)
 
 
-class CirclesTable(FileModel):
+class CirclesTable(_Board):
     """A grid of circles; columns count the circles of a row."""
 
     type: Literal["circles"] = "circles"
-    columns: Count
-    rows: Count
     spacing_mm: Length
     """Distance of two rows; of neighbours in a row too, or, asymmetric, half of that."""
     diameter_mm: Length
     layout: Literal["asymmetric", "symmetric"] = "asymmetric"
 
-    @pydantic.model_validator(mode="after")
-    def _possible(self) -> "CirclesTable":
-        check_board(self.board())
-        return self
-
     def board(self) -> AbstractBoard:
-        """The board that the table describes."""
-        return Circles(
-            columns=self.columns,
-            rows=self.rows,
-            square=self.spacing_mm / 1000,
-            diameter=self.diameter_mm / 1000,
-            layout=self.layout,
-        )
+        return Circles(self.columns, self.rows, self.spacing_mm / 1000, self.diameter_mm / 1000, self.layout)
 
 
-class AprilGridTable(FileModel):
+class AprilGridTable(_Board):
     """A grid of AprilTags as Kalibr prints it; columns and rows count tags."""
 
     type: Literal["aprilgrid"] = "aprilgrid"
-    columns: Count
-    rows: Count
     tag_mm: Length
     gap_mm: Length
     """Distance of neighbouring tags."""
 
-    @pydantic.model_validator(mode="after")
-    def _possible(self) -> "AprilGridTable":
-        check_board(self.board())
-        return self
-
     def board(self) -> AbstractBoard:
-        """The board that the table describes."""
-        return AprilGrid(columns=self.columns, rows=self.rows, square=self.gap_mm / 1000, tag=self.tag_mm / 1000)
+        return AprilGrid(self.columns, self.rows, self.gap_mm / 1000, self.tag_mm / 1000)
 
 
 BoardTable = Annotated[
@@ -175,11 +149,11 @@ class CameraTable(ImageSize):
     bits: Literal[10, 12, 14, 16] | None = None
     """Bits of a sample as the camera gave it, where a sweep keeps frames as levels (`split_levels`); None for 8."""
 
-    def notes(self) -> list[str]:
-        """Notes on such images, a sentence each."""
+    def notes(self, compression: str | None) -> list[str]:
+        """Notes on such images of a compression, a sentence each."""
         notes = []
-        if self.compression is not None:
-            kind = "JPEG files" if self.compression == "jpeg" else "a video"
+        if compression is not None:
+            kind = "JPEG files" if compression == "jpeg" else "a video"
             notes.append(
                 f"the images come from {kind}: errors of neighbouring pixels belong together, and colour may have half "
                 "the resolution, so sigmas are estimates; PNG images would be better."
@@ -282,19 +256,19 @@ def image_limit(header: CaptureHeader) -> int:
 
 
 def record_position(
-    angle_deg: float | None, position_m: float | None, rig: tuple[str, Carries], *, where: str
+    angle_deg: float | None, position_m: float | None, *, kind: str, carries: Carries, where: str
 ) -> float | None:
     """Position of a record: the table's angle [rad], or the place of a stage [m]; None where unknown.
 
     Args:
         angle_deg: As the record has it.
         position_m: As the record has it.
-        rig: Kind of the capture, and the part that its table carries.
+        kind: Kind of the capture.
+        carries: The part that its table carries.
 
     Raises:
         CaptureError: If it is missing in a sweep, or belongs to another kind of motion.
     """
-    kind, carries = rig
     linear = carries == "linear"
     wanted, found = (position_m, angle_deg) if linear else (angle_deg, position_m)
     if wanted is not None:

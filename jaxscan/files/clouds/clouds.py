@@ -15,7 +15,8 @@ from jaxscan.files.clouds.npz import read_npz, write_npz
 from jaxscan.files.clouds.pcd import read_pcd, write_pcd
 from jaxscan.files.clouds.ply import read_ply, write_ply
 from jaxscan.files.clouds.points import check_cloud
-from jaxscan.files.clouds.text import read_ptx, read_xyz, write_ptx, write_xyz
+from jaxscan.files.clouds.ptx import read_ptx, write_ptx
+from jaxscan.files.clouds.xyz import read_xyz, write_xyz
 from jaxscan.files.disk import Part, check_writable, write_atomically
 from jaxscan.reconstruction import PointCloud, join_clouds
 

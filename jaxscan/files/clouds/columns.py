@@ -371,13 +371,10 @@ def range_of(
     # A little above 1 is a rounding, or light that is brighter than white.
     if is_float and (most <= 1 or (most <= 2 and not whole)):
         return Range(1.0, f"the largest, {most:.3g}")
-    if most <= 255:
-        why = f"the largest, {most:.4g}" + (f", not the {stated:g} that the file states" if stated else "")
-        return Range(255.0, why)
-    if most <= 65535:
-        return Range(
-            65535.0, f"the largest, {most:.5g}" + (f", not the {stated:g} that the file states" if stated else "")
-        )
+    but = f", not the {stated:g} that the file states" if stated else ""
+    for brightest in (255.0, 65535.0):
+        if most <= brightest:
+            return Range(brightest, f"the largest, {most:.5g}{but}")
     return Range(0.0, f"they reach {most:.4g} (--colours)")
 
 

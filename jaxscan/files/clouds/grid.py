@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.files.clouds import points as sizes
 from jaxscan.files.clouds.header import JOINED_FORMAT, lacking, read_stations, version_of
 from jaxscan.files.clouds.points import PARTS, POINT
 from jaxscan.reconstruction import MAY_LACK, SMOOTHED, PointCloud, Stations
@@ -54,13 +53,6 @@ class Records:
         self.dtype, self._count, self._read = dtype, count, read
         self.names = frozenset(dtype.names or ())
 
-    @staticmethod
-    def of(points: np.ndarray) -> "Records":
-        """The records of a structured array."""
-        stride = sizes.BLOCK_POINTS
-        parts = lambda: (points[start : start + stride] for start in range(0, len(points), stride))
-        return Records(points.dtype, len(points), parts)
-
     def __len__(self) -> int:
         return self._count
 
@@ -80,9 +72,7 @@ class Records:
             raise ValueError(f"found {found} points of {self._count}")
 
 
-def cloud_of(
-    points: Records | np.ndarray, lines: Sequence[str], name: str, *, profiles: np.ndarray | None = None
-) -> PointCloud:
+def cloud_of(points: Records, lines: Sequence[str], name: str, *, profiles: np.ndarray | None = None) -> PointCloud:
     """The cloud of a file.
 
     On the grid where the file is ours and whole, or where another program has kept the numbers of steps and rows;
@@ -97,8 +87,6 @@ def cloud_of(
         CloudError: If grid, profiles, poses of stations, or numbers of points cannot be.
         ValueError: If the file changes while it is read.
     """
-    if isinstance(points, np.ndarray):
-        points = Records.of(points)
     version = version_of(lines, name)
     names = points.names
     if not {"x", "y", "z"} <= names:
@@ -195,7 +183,7 @@ def _regained_grid(points: Records) -> tuple[int, int] | None:
 
 
 def on_grid(
-    points: Records | np.ndarray,
+    points: Records,
     grid: tuple[int, int],
     profiles: np.ndarray | None,
     name: str,
@@ -216,8 +204,6 @@ def on_grid(
     Raises:
         CloudError: If two points have the same cell, or the list of profiles is another one's.
     """
-    if isinstance(points, np.ndarray):
-        points = Records.of(points)
     per_profile = _Profiles(points.names, grid[0], profiles, name)
     number = None if stations is None else np.array(stations.number, np.int32)
     valid = np.zeros(grid, bool)

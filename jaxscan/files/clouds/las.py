@@ -67,6 +67,11 @@ class Sizes(NamedTuple):
     point_bytes: int
     points: int
 
+    @property
+    def compressed(self) -> bool:
+        """Whether it is a LAZ file."""
+        return bool(self.kind & _COMPRESSED)
+
 
 def check_compressed(file: BinaryIO, sizes: Sizes, size: int) -> None:
     """Check the points, their parts, and the layers of each part.
@@ -149,11 +154,10 @@ def read_las(path: Path, reading: Reading | None = None) -> StoredCloud:
     with open_regular(path, error=CloudError) as file:
         size = os.fstat(file.fileno()).st_size
         given = _sizes_of(file, path)
-        compressed = bool(given.kind & _COMPRESSED)
-        laspy = load_laspy(compressed=compressed)
+        laspy = load_laspy(compressed=given.compressed)
         _check(file, given, size, path)
         try:
-            with _opened(laspy, file, compressed) as reader:
+            with _opened(laspy, file, given) as reader:
                 lines = _lines_of(reader.header)
                 wkt, keys = _wkt_of(reader.header) or _wkt_behind(file, size), _keys_of(reader.header)
             points, reached = _points_of(laspy, file, given)
@@ -176,15 +180,16 @@ def read_las(path: Path, reading: Reading | None = None) -> StoredCloud:
     stated = [(frame_of_wkt(wkt), "WKT"), (frame_of_keys(*keys), "GeoKeys")]
     frame, why = next((one for one in stated if one[0] != FileFrame()), (FileFrame(), ""))
     why = f"the {why} of {path.name}" if frame.in_degrees else f"its {why}" if why else ""
+    why = why or ("its WKT states no unit that is known" if wkt else "")
     about = about._replace(metres=frame.metres, in_degrees=frame.in_degrees, unit_by=why)
     return StoredCloud(cloud, about, () if lines else decided.words)
 
 
-def _opened(laspy: Any, file: BinaryIO, compressed: bool, only: Any = None) -> Any:
+def _opened(laspy: Any, file: BinaryIO, given: Sizes, only: Any = None) -> Any:
     """A reader of the file from its beginning; of compressed points perhaps of some parts only."""
     file.seek(0)
     # In one thread: several would take memory for each part as its size is stated.
-    backend = laspy.LazBackend.Lazrs if compressed else None
+    backend = laspy.LazBackend.Lazrs if given.compressed else None
     selected = {} if only is None else {"decompression_selection": only}
     return laspy.LasReader(file, closefd=False, laz_backend=backend, read_evlrs=False, **selected)
 
@@ -207,7 +212,7 @@ def _check(file: BinaryIO, sizes: Sizes, size: int, path: Path) -> None:
     # A record has a head of 54 bytes.
     if sizes.offset > size or sizes.records * 54 > sizes.offset:
         raise CloudError(f"{path}: the header is longer than the file; it is damaged or cut short.")
-    if sizes.kind & _COMPRESSED:
+    if sizes.compressed:
         try:
             check_compressed(file, sizes, size)
         except (ValueError, struct.error) as problem:
@@ -220,8 +225,7 @@ def _check(file: BinaryIO, sizes: Sizes, size: int, path: Path) -> None:
 
 def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> tuple[Records, tuple[float, bool]]:
     """All columns that a cloud may use, and the largest colour; without those of the format that are 0 throughout."""
-    compressed = bool(given.kind & _COMPRESSED)
-    with _opened(laspy, file, compressed) as reader:
+    with _opened(laspy, file, given) as reader:
         header = reader.header
     scales, offsets = np.array(header.scales), np.array(header.offsets)
     if not (np.isfinite(scales).all() and np.isfinite(offsets).all()):
@@ -253,7 +257,7 @@ def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> tuple[Records, tuple
         return np.dtype([(name, value.dtype.str) for name, value in values.items()])
 
     def read() -> Iterator[np.ndarray]:
-        with _opened(laspy, file, compressed) as reader:
+        with _opened(laspy, file, given) as reader:
             for chunk in reader.chunk_iterator(sizes.BLOCK_POINTS):
                 values = columns(chunk)
                 points = np.empty(len(chunk), typed(values))
@@ -271,17 +275,16 @@ def _looked_through(laspy: Any, file: BinaryIO, given: Sizes, coloured: bool) ->
     Raises:
         ValueError: If the file has another number of points than its header says.
     """
-    compressed = bool(given.kind & _COMPRESSED)
     parts = laspy.DecompressionSelection
     largest, brightest, loudest, found = np.zeros(3), 0, 0, 0
     wanted = parts.XY_RETURNS_CHANNEL | parts.Z | parts.RGB | parts.INTENSITY
-    with _opened(laspy, file, compressed, wanted) as reader:
+    with _opened(laspy, file, given, wanted) as reader:
         scales, offsets = np.array(reader.header.scales), np.array(reader.header.offsets)
         for chunk in reader.chunk_iterator(sizes.BLOCK_POINTS):
             xyz = np.stack([np.asarray(chunk[axis]) for axis in "XYZ"], -1) * scales + offsets
             largest = np.maximum(largest, np.abs(xyz).max(0))
             if coloured:
-                brightest = max(brightest, *(int(np.max(chunk[name])) for name in ("red", "green", "blue")))
+                brightest = max(brightest, *(int(np.max(chunk[name])) for name in COLOURS))
             loudest = max(loudest, int(np.max(chunk["intensity"])))
             found += len(chunk)
     if found != given.points:
@@ -426,9 +429,7 @@ def _record(laspy: Any, header: Any, points: CloudPoints, cloud: PointCloud, ext
     for axis, places in zip("xyz", points.xyz.astype(np.float64).T, strict=True):
         record[axis] = places
     if "rgb" not in cloud.lacks:
-        for name, colours in zip(
-            ("red", "green", "blue"), points.rgb.astype(np.uint16).T * np.uint16(257), strict=True
-        ):
+        for name, colours in zip(COLOURS, points.rgb.astype(np.uint16).T * np.uint16(257), strict=True):
             record[name] = colours
     record["intensity"] = np.clip(np.round(points.intensity.astype(np.float64) * scale), 0, 65535).astype(np.uint16)
     record["return_number"] = record["number_of_returns"] = np.ones(len(points.step), np.uint8)

@@ -23,7 +23,6 @@ _POINT = np.dtype(
     + [(name, "u1") for name in COLOURS]
     + [(name, "i4") for name in ("step", "row", "laser")],
 )
-_POINT_IN_SINGLES = np.dtype([(name, "f4" if name in "xyz" else _POINT[name]) for name in _POINT.names or ()])
 _SINGLE_M = 128.0
 """Coordinates up to which a single is good to 8 um."""
 _ROUNDED, _EXACT = 1e-3, 1e-9
@@ -184,9 +183,9 @@ def _joined(blocks: list[_Block], name: str, left: tuple[str, ...]) -> PointClou
         parts += block.parts
         start += block.columns
     single = max(np.abs(part[axis]).max() for part in parts for axis in "xyz") <= _SINGLE_M
-    whole = _POINT_IN_SINGLES if single else _POINT
-    kind = np.dtype([(name, whole[name]) for name in whole.names or () if name not in left])
-    points = Records(kind, sum(map(len, parts)), lambda: (part[list(kind.names or ())].astype(kind) for part in parts))
+    names = [name for name in _POINT.names or () if name not in left]
+    kind = np.dtype([(name, "f4" if single and name in "xyz" else _POINT[name]) for name in names])
+    points = Records(kind, sum(map(len, parts)), lambda: (part[names].astype(kind) for part in parts))
     lines = {block.rows for block in blocks}
     if len(lines) > 1 or len(poses) > MAX_STATIONS or max(part["laser"].max() for part in parts) > 255:
         return cloud_of(points, [], name)

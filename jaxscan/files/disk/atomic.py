@@ -285,32 +285,27 @@ def write_atomically(
     Raises:
         JaxscanError: Of type `error`, if the file cannot be written. Then nothing has changed.
     """
-    _write({path: content}, durable=durable, error=error, links=links)
+    write_together({path: content}, durable=durable, error=error, links=links)
 
 
 def write_together(
-    contents: Mapping[Path, bytes | Callable[[Part], None]], *, error: type[JaxscanError] = JaxscanError
+    contents: Mapping[Any, bytes | Callable[[Part], None]],
+    *,
+    durable: bool = True,
+    error: type[JaxscanError] = JaxscanError,
+    links: Literal["follow", "replace"] = "follow",
 ) -> None:
     """Write files that belong together: all are complete and on the disk before the first gets its name.
 
     Args:
         contents: The bytes of each file, or the function that writes it, as for `write_atomically`. They are called in
             their order, and the files get their names in it, with nothing between.
+        durable, links: As for `write_atomically`.
 
     Raises:
         JaxscanError: Of type `error`, if a file cannot be written. Then nothing has changed, unless the disk refused
             only the name of a later one.
     """
-    _write(contents, durable=True, error=error, links="follow")
-
-
-def _write(
-    contents: Mapping[Any, bytes | Callable[[Part], None]],
-    *,
-    durable: bool,
-    error: type[JaxscanError],
-    links: Literal["follow", "replace"],
-) -> None:
     parts: list[tuple[str | Path, Path, Part]] = []
     with contextlib.ExitStack() as stack:
         for path, content in contents.items():

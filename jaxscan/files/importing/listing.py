@@ -19,6 +19,17 @@ from jaxscan.files.disk import FileModel, check, shown
 # saved by hand, as those in the notebooks of Horus' author, are recognised by the words in their names.
 
 
+class Source(NamedTuple):
+    """An image file, or a frame of a video."""
+
+    name: str
+    """Relative to the folder, with "/" between its parts."""
+    frame: int | None = None
+
+    def __str__(self) -> str:
+        return self.name if self.frame is None else f"{self.name}#{self.frame}"
+
+
 class Matched(NamedTuple):
     """A file that a pattern names."""
 
@@ -28,6 +39,11 @@ class Matched(NamedTuple):
     """The text that the pattern leaves open, numbers as numbers: equal for files that belong together."""
     frame: int | None = None
     """Number of a frame, where the file is a video."""
+
+    @property
+    def source(self) -> Source:
+        """The file or frame alone."""
+        return Source(self.name, self.frame)
 
 
 class ProgramCapture(NamedTuple):

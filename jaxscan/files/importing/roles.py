@@ -6,7 +6,7 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Literal, NamedTuple
 
 from jaxscan.errors import CaptureError, OptionError
@@ -18,7 +18,6 @@ from jaxscan.files.importing.plan import ImportRequest, Roles
 Role = Literal["on", "off", "texture", "board"]
 _MOST_COMPARED = 100
 """Groups of names that are compared with one another."""
-ROLES: tuple[Role, ...] = ("on", "off", "texture", "board")
 
 # English, German, French, Spanish and Italian. A name with a word of a later row has its role, whatever else it says.
 _WORDS: dict[Role, str] = {
@@ -281,6 +280,12 @@ def _by_words(folder: Path, names: Sequence[str], request: ImportRequest) -> Rol
     found = recognise(names)
     on = tuple((side, tuple(files)) for side, files in sorted(found.on.items()))
     said = ["the roles of the images are read from the words in their names"]
+    if request.board is not None and not on and (plain := _painted(found)) is not None:
+        said = [
+            f"'{plain.pattern}' ({plain.files}) show the board: as many images in a folder below, as "
+            f"{found.board[0].name}, are taken for copies with painted corners; --boards names others"
+        ]
+        found = found._replace(board=match(plain.pattern, found.unknown, "--boards"), unknown=[])
     if found.texture:
         said.append(
             f"texture images ({len(found.texture)}) are not used, for they may have another exposure; where they do "
@@ -298,6 +303,18 @@ def _by_words(folder: Path, names: Sequence[str], request: ImportRequest) -> Rol
     if found.board and request.board is None:
         said.append(f"images of a board ({len(found.board)}) are not used: --board says which board it is")
     return Roles(_renamed(on, request), (tuple(found.off),) if found.off else (), boards, None, tuple(said))
+
+
+def _painted(found: Recognised) -> NameGroup | None:
+    """The images of which those of the board are copies: as many, in a folder above; None where they are no copies.
+
+    Programs that find corners paint them into copies, and put these into a folder that says what they show.
+    """
+    plain, copies = group(found.unknown), group([file.name for file in found.board])
+    if len(plain) != 1 or len(copies) != 1 or plain[0].files != copies[0].files:
+        return None
+    above = PurePath(plain[0].first).parent in PurePath(copies[0].first).parent.parents
+    return plain[0] if above else None
 
 
 def _not_recognised(folder: Path, names: Sequence[str], request: ImportRequest) -> str:

@@ -14,7 +14,7 @@ from jaxscan.files.capture import Capture, CaptureHeader, open_capture
 from jaxscan.files.disk import check
 from jaxscan.files.importing.frames import FrameKind, FrameReader
 from jaxscan.files.importing.listing import list_images
-from jaxscan.files.importing.plan import ImportPlan, ImportRequest, PlannedRecord, Source, plan_records
+from jaxscan.files.importing.plan import ImportPlan, ImportRequest, PlannedRecord, plan_records
 from jaxscan.files.importing.roles import find_roles
 from jaxscan.files.recording import create_capture, whole_capture
 from jaxscan.stripes import ExposurePair, LearnedResponse, learn_response, to_8_bits
@@ -75,8 +75,8 @@ def describe_images(plan: ImportPlan, settings: ImageSettings) -> ImportedHeader
         CaptureError: If an image cannot be read.
         OptionError: If the response cannot be learned, or a setting does not fit.
     """
-    first = _first(plan)
     sources = [source for record in plan.records for source in (*record.on, *record.off)]
+    first = sources[0]
     names = [source.name for source in sources]
     some = [sources[at] for at in np.unique(np.linspace(0, len(sources) - 1, _LOOKED_AT).astype(int))]
     with FrameReader(plan.folder) as reader:
@@ -146,10 +146,6 @@ def write_import(plan: ImportPlan, found: ImportedHeader, target: Path, progress
                     progress(done, len(plan.records))
             writer.seal()
     return open_capture(target)
-
-
-def _first(plan: ImportPlan) -> Source:
-    return next(source for record in plan.records for source in (*record.on, *record.off))
 
 
 def _is_jpeg(name: str) -> bool:

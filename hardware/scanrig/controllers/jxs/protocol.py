@@ -6,6 +6,7 @@ import binascii
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import get_args
 
 from scanrig.controllers.controller import Counters, Firmware, Settings, State, Status
 from scanrig.errors import Fault, FirmwareError, Reason
@@ -109,15 +110,11 @@ def command_text(verb: str, **args: int) -> str:
 
 
 def encode(seq: int, verb: str, **args: int) -> bytes:
-    """A command as the bytes of its line.
+    """A command as the bytes of its line, with CRC and newline.
 
     Args:
         seq: 1 … 65535.
-        verb: upper case.
-        args: integers, 32 bits signed; True and False count as 1 and 0.
-
-    Returns:
-        The line with CRC and newline.
+        args: 32 bits signed; True and False count as 1 and 0.
 
     Raises:
         ValueError: the command is no valid line of the protocol.
@@ -207,7 +204,7 @@ REFUSALS = {
 _INTEGER = re.compile(r"-?[0-9]{1,10}")
 """The firmware's integers have 32 bits."""
 
-STATES: dict[str, State] = {"idle": "idle", "move": "move", "home": "home", "shot": "shot", "fault": "fault"}
+_STATES: dict[str, State] = {state: state for state in get_args(State)}
 
 
 def read_fault(number: int) -> Fault:
@@ -230,9 +227,11 @@ def read_firmware(fields: Mapping[str, str]) -> Firmware:
 
 def read_status(fields: Mapping[str, str]) -> Status:
     """Status from the fields of STAT's answer."""
-    inputs = integer(fields, "in")
+    inputs, state = integer(fields, "in"), word(fields, "st")
+    if state not in _STATES:
+        raise FirmwareError(f"the controller says st={state:.20}, expected one of {', '.join(_STATES)}")
     return Status(
-        state=read_state(word(fields, "st")),
+        state=_STATES[state],
         fault=read_fault(number) if (number := integer(fields, "f")) else None,
         position=integer(fields, "pos"),
         homed=bool(integer(fields, "hm")),
@@ -243,13 +242,6 @@ def read_status(fields: Mapping[str, str]) -> Status:
         home_switch=bool(inputs & 1),
         estop=bool(inputs & 2),
     )
-
-
-def read_state(name: str) -> State:
-    """A state by its name."""
-    if name not in STATES:
-        raise FirmwareError(f"the controller says st={name:.20}, expected one of {', '.join(STATES)}")
-    return STATES[name]
 
 
 def read_counters(fields: Mapping[str, str]) -> Counters:

@@ -3,7 +3,6 @@
 Written in NumPy, independent of `geometry` and `calibration` on purpose, so that an error in either shows.
 """
 
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +14,6 @@ from jaxscan.errors import ConfigError
 from jaxscan.geometry import Scanner
 from jaxscan.observation import BoardViews, Observations, StripeViews
 from jaxscan.simulation import (
-    CameraSpec,
     LaserSpec,
     Motion,
     SimulationConfig,
@@ -23,7 +21,6 @@ from jaxscan.simulation import (
     rodrigues,
     true_scanner,
     turning_axis,
-    undistort,
 )
 
 
@@ -34,9 +31,8 @@ NEAREST_M = 0.05
 class IdealRig:
     """The true rig, as functions of plain arrays."""
 
-    def __init__(self, config: SimulationConfig, lens_px: float = 0.0) -> None:
+    def __init__(self, config: SimulationConfig) -> None:
         self.config = config
-        self.flaw = lens_flaw(config.camera, lens_px)
         self.direction, self.point = turning_axis(config)
         board = config.boards.board()
         self.outline = board.outline()[[0, 2]]
@@ -56,7 +52,7 @@ class IdealRig:
     def project(self, p: np.ndarray) -> np.ndarray:
         """Pixels [n, 2] of points [n, 3] in front of the camera."""
         x, y = p[:, 0] / p[:, 2], p[:, 1] / p[:, 2]
-        return np.stack(distort(self.config.camera, x, y), -1) + self.flaw(x, y)
+        return np.stack(distort(self.config.camera, x, y), -1)
 
     def bowed(self, xy: np.ndarray) -> np.ndarray:
         """Points [n, 3] of the board at (x, y) [n, 2]."""
@@ -123,33 +119,6 @@ class IdealRig:
         return q[on_board & self.inside(q, 0.0) & (p[:, 2] > NEAREST_M)]
 
 
-def lens_flaw(camera: CameraSpec, worth_px: float) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Shift [n, 2], px, at normalised coordinates: r^8 less the part that the lens model absorbs."""
-
-    def terms(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """r^8, and the shift by a change of each modelled parameter, as [2 n] and [2 n, 9]."""
-        r2, zero, one = x * x + y * y, np.zeros_like(x), np.ones_like(x)
-        pairs = [(x, zero), (zero, y), (one, zero), (zero, one)]
-        pairs += [(x * r2**power, y * r2**power) for power in (1, 2, 3)]
-        pairs += [(2 * x * y, r2 + 2 * y * y), (r2 + 2 * x * x, 2 * x * y)]
-        return np.concatenate([x * r2**4, y * r2**4]), np.stack([np.concatenate(pair) for pair in pairs], -1)
-
-    if worth_px == 0:
-        return lambda x, y: np.zeros((len(x), 2))
-    width, height = camera.width - 1, camera.height - 1
-    u, v = np.meshgrid(np.linspace(0, width, 49), np.linspace(0, height, 33))
-    target, basis = terms(*undistort(camera, u.ravel(), v.ravel()))
-    taken = np.linalg.lstsq(basis, target, rcond=None)[0]
-
-    def left(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        target, basis = terms(x, y)
-        return (target - basis @ taken).reshape(2, -1).T
-
-    ends = undistort(camera, np.array([0.0, width, 0.0, width]), np.array([0.0, 0.0, height, height]))
-    scale = worth_px / np.linalg.norm(left(*ends), axis=-1).mean()
-    return lambda x, y: scale * left(x, y)
-
-
 _MARGIN_PX = 8.0
 _TRIES = 5000
 # A board seen flatter than this cosine shows its corners badly.
@@ -196,9 +165,7 @@ class PosePlan(NamedTuple):
     angles: int = 1
     """Angles of each placement, evenly spread."""
     span_deg: float = 24.0
-    """Range of the angles."""
-    around_deg: Sequence[float | int] = (0.0,)
-    """Middles of that range, for one placement after the other."""
+    """Range of the angles, around 0."""
     lit: int | None = None
     """How many of the free views show a stripe, the last ones; None: all. The others stand anywhere
     in the image. Placements stand across the stripe, which leaves the board where the table has
@@ -221,18 +188,15 @@ def draw_poses(config: SimulationConfig, seed: int, plan: PosePlan) -> BoardPose
     boards, placement, angle = [], [], []
     for number in range(plan.free_views + plan.placements):
         free = number < plan.free_views
-        home = 0.0 if free else np.deg2rad(plan.around_deg[(number - plan.free_views) % len(plan.around_deg)])
-        stops = np.zeros(1) if free else home + turns
-        boards.append(_draw(config, random, stops, home, crossed=number >= dark))
+        stops = np.zeros(1) if free else turns
+        boards.append(_draw(config, random, stops, crossed=number >= dark))
         placement += [number] * len(stops)
         angle += list(stops)
     views = np.array(placement)
     return BoardPoses(boards, views, np.array(angle), views >= dark)
 
 
-def ideal_boards(
-    config: SimulationConfig, poses: BoardPoses, *, points: int = 300, lens_px: float = 0.0
-) -> IdealBoards:
+def ideal_boards(config: SimulationConfig, poses: BoardPoses, *, points: int = 300) -> IdealBoards:
     """Corners and stripes of boards in the given poses.
 
     Bow of board and sheets and errors of the table are those of `config`: an estimator is not to
@@ -241,10 +205,8 @@ def ideal_boards(
     Args:
         poses: Of `draw_poses`, perhaps for a rig that differs a little.
         points: Points of a stripe at most: of more rows, so many are taken, evenly spread.
-        lens_px: An error of the lens model, in the corners of the image [px]: the part of r^8 that
-            the five coefficients of the lens cannot take up.
     """
-    rig = IdealRig(config, lens_px)
+    rig = IdealRig(config)
     corners = rig.bowed(config.boards.board().corners()[:, :2])
     seen, rows = [], []
     for view, (number, phi, lit) in enumerate(zip(poses.placement, poses.angle, poses.lit, strict=True)):
@@ -308,9 +270,7 @@ def _beside(ideal: IdealBoards, shift: np.ndarray) -> np.ndarray:
     return moved
 
 
-def _draw(
-    config: SimulationConfig, random: np.random.Generator, stops: np.ndarray, home: float, *, crossed: bool
-) -> Motion:
+def _draw(config: SimulationConfig, random: np.random.Generator, stops: np.ndarray, *, crossed: bool) -> Motion:
     """T_cam0_board of a board that is wholly seen at every stop."""
     rig, spec = IdealRig(config), config.boards
     corners = np.column_stack([spec.board().corners()[:, :2], np.zeros(len(spec.board().corners()))])
@@ -330,10 +290,9 @@ def _draw(
         tilt, roll = np.deg2rad([random.uniform(*spec.tilt_deg), random.uniform(-_ROLL_DEG, _ROLL_DEG)])
         rotation = rodrigues(np.array([np.cos(way), np.sin(way), 0.0]), tilt)
         rotation = rotation @ rodrigues(np.array([0.0, 0.0, 1.0]), roll)
-        seen_home = Motion(rotation, np.array([x, y, z]) - rotation @ middle)
-        if crossed and not _crosses(rig, seen_home, laser):
+        pose = Motion(rotation, np.array([x, y, z]) - rotation @ middle)
+        if crossed and not _crosses(rig, pose, laser):
             continue
-        pose = rig.turned(home) @ seen_home
         if all(_shows(rig, rig.turned(phi).inverse() @ pose, corners) for phi in stops):
             return pose
     raise ConfigError(
@@ -363,7 +322,7 @@ CORRELATIONS = {"white": 0.0, "correlated": 0.6}
 """Noise along the stripe: between neighbouring points; at 0.6, n points are worth n / 4."""
 SETTINGS = CalibrationSettings(judge=False)
 """The tests of the models take longer than the solve and are not looked at here."""
-REFERENCE = Path(__file__).resolve().parents[2] / "configs" / "reference.toml"
+REFERENCE = Path(__file__).resolve().parents[1] / "configs" / "reference.toml"
 
 
 def reference() -> SimulationConfig:

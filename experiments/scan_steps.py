@@ -1,6 +1,6 @@
 """Time of a step while scanning, on the bench's clock: the real firmware in a simulated processor, full-size frames.
 
-    python experiments/measuring/scan_steps.py [--steps 120] [--settle-ms 20] [--json FILE]
+    python -m experiments.scan_steps [--steps 120] [--settle-ms 20] [--json FILE]
 
 The simulated rig runs as fast as the clock, so the host's work costs what it costs. A camera of 60 frames a second
 delivers each frame 1/60 s after its trigger. The time between the laser-on exposures of two steps is read from the log
@@ -9,7 +9,6 @@ of the firmware's pins, and compared with the time that motion, laser and camera
 Needs `make bench-deps`.
 """
 
-import argparse
 import json
 import resource
 import sys
@@ -25,6 +24,8 @@ from scanrig.config import RigConfig
 from scanrig.controllers.jxs import connect
 from scanrig.session import Devices, Hooks, run_sweep
 from scanrig.session.plan import move_s, shot_s
+
+from experiments.report import command_line, write_json
 
 
 WIDTH, HEIGHT, FRAME_S = 1280, 1024, 1.0 / 60.0
@@ -131,16 +132,14 @@ def measure(steps: int, settle_ms: int) -> dict[str, float]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_line(__doc__, json=True)
     parser.add_argument("--steps", type=int, default=120)
     parser.add_argument("--settle-ms", type=int, default=20)
-    parser.add_argument("--json", metavar="FILE", help="write the figures to a file")
     arguments = parser.parse_args()
     figures = measure(arguments.steps, arguments.settle_ms)
     for name, value in figures.items():
         print(f"{name:>16} {value:8.2f}")
-    if arguments.json:
-        Path(arguments.json).write_text(json.dumps(figures, indent=2) + "\n")
+    write_json(arguments.json, figures)
     return 0
 
 
