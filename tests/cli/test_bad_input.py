@@ -313,11 +313,6 @@ class TestDemo:
     def test_into_a_file(self, tiny, refused):
         assert "is a file" in refused("demo", "-o", tiny.config)
 
-    def test_a_broken_truth(self, refused, tmp_path):
-        (tmp_path / "captures").mkdir()
-        (tmp_path / "captures" / "truth.json").write_text("{")
-        assert "not valid JSON" in refused("demo", "-o", tmp_path)
-
 
 class TestClouds:
     def test_truncated(self, tiny, refused, tmp_path):
@@ -353,7 +348,7 @@ def _cloud(xyz):
     )
 
 
-@pytest.mark.parametrize("text", ["[]", "3", '"a"', "null", "[[", ""])
+@pytest.mark.parametrize("text", ["[]", "3", '"a"', "null", "[[", "{", ""])
 def test_a_demo_beside_a_truth_that_is_none(text, tmp_path, refused):
     (tmp_path / "demo" / "captures").mkdir(parents=True)
     (tmp_path / "demo" / "captures" / "truth.json").write_text(text)

@@ -174,17 +174,3 @@ def test_every_format_is_measured(run, tmp_path, suffix):
     for side, size in SIZE.items():
         # Steps of LAS of 0.1 mm, averaged over hundreds of points.
         assert found[side]["value_m"] == pytest.approx(size, abs=1e-4 if suffix in (".las", ".laz") else 1e-5)
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("1 2 3\n", "No two opposite walls"),
-        ("", "not a table of numbers"),
-        ("nan nan nan\nnan 1 1\n", "no finite point"),
-        ("1e30 0 0\n0 1 0\n0 0 1\n", "expected at most 1e+15"),
-    ],
-)
-def test_poor_clouds_are_refused_in_one_line(refused, tmp_path, text, says):
-    (tmp_path / "a.xyz").write_text(text)
-    assert says in refused("measure", "room", tmp_path / "a.xyz")
