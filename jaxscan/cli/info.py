@@ -9,8 +9,10 @@ import numpy as np
 import tyro
 
 from jaxscan import api
+from jaxscan import project as projects
 from jaxscan import report as reports
 from jaxscan.cli.options import CLOUD_SUFFIXES, calibration_at, capture_at, check_paths, file_at
+from jaxscan.cli.project import counted, in_words
 from jaxscan.cli.terminal import JsonTarget, console, emit_json
 from jaxscan.errors import ConfigError, OptionError
 from jaxscan.files import calibration as calibration_files
@@ -125,11 +127,7 @@ def _of_toml(path: Path) -> Facts:
         raise ConfigError(f"{path}: is no TOML: {problem}.") from problem
     if "project" not in tables:
         return {"kind": "configuration", "tables": list(tables)}
-    # Imported here: a project asks for more than the others.
-    from jaxscan.cli.project import counted, in_words, opened
-    from jaxscan.project import load_project
-
-    with opened(load_project(path)) as found:
+    with projects.opened(projects.load_project(path)) as found:
         project, counts = found.project, counted(found.states)
     return {
         "kind": "project",

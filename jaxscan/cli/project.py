@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Sequence, Sized
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, final
+from typing import Annotated, Any, final
 
 import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
@@ -24,10 +24,6 @@ from jaxscan.files import disk
 from jaxscan.printable import printable
 
 
-if TYPE_CHECKING:
-    from jaxscan.project import Catalogue, Comparison, LengthChange, Project, Row, Status
-
-
 ProjectPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PROJECT")]
 STATES = ("done", "stale", "failed", "missing")
 
@@ -36,32 +32,7 @@ def project() -> None:
     """Many captures as one project: `jaxscan project init FOLDER` (`jaxscan project --help`)."""
 
 
-class Opened(NamedTuple):
-    """A project, and where it stands."""
-
-    project: "Project"
-    states: "Sequence[Status]"
-    catalogue: "Catalogue"
-
-
-@contextlib.contextmanager
-def opened(project: "Project", *, write: bool = False) -> Iterator[Opened]:
-    """Find what of a project's products is there; without `write`, nothing is made.
-
-    Raises:
-        JaxscanError: If a capture or the catalogue is not what it should be.
-    """
-    projects.check_owner(project)
-    steps = projects.steps_of(project)
-    digests, parts = projects.digests_of(steps)
-    catalogue = projects.open_catalogue(project, write=write)
-    try:
-        yield Opened(project, projects.states_of(steps, digests, parts, catalogue.rows(), project.output), catalogue)
-    finally:
-        catalogue.close()
-
-
-def counted(states: "Sequence[Status]") -> dict[str, int]:
+def counted(states: "Sequence[projects.Status]") -> dict[str, int]:
     """How many steps are in each state."""
     found = Counter[str](status.state for status in states)
     return {state: found[state] for state in STATES}
@@ -129,7 +100,7 @@ def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False,
         json: Write the result as JSON too.
     """
     check_paths(file_at("PROJECT", project), json=json)
-    with opened(projects.load_project(project)) as found:
+    with projects.opened(projects.load_project(project)) as found:
         states = found.states
     out, counts = console(json), counted(states)
     shown = [one for one in states if all or len(states) <= _MOST_ROWS or one.state != "done"]
@@ -152,7 +123,7 @@ def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False,
     emit_json(json, "project-status", result)
 
 
-def _as_json(status: "Status") -> dict[str, Any]:
+def _as_json(status: "projects.Status") -> dict[str, Any]:
     outputs = list(status.step.outputs)
     return {"step": status.step.key, "state": status.state, "why": status.why, "outputs": outputs}
 
@@ -197,7 +168,7 @@ def compare(
     out.print(f"{len(found.lengths)} lengths, none has changed")
 
 
-def _changes(found: "Comparison") -> list[str]:
+def _changes(found: "projects.Comparison") -> list[str]:
     """In words: lengths that have changed, and those that are lost."""
     changes = []
     if found.moved:
@@ -212,7 +183,7 @@ def _changes(found: "Comparison") -> list[str]:
     return changes
 
 
-def _row(one: "LengthChange") -> tuple[str, ...]:
+def _row(one: "projects.LengthChange") -> tuple[str, ...]:
     sigma = "same capture" if one.same_capture else f"{1e3 * one.sigma_m:.2f}"
     name, difference = f"{one.capture} {one.name}", f"{1e3 * one.difference_m:+.3f}"
     return name, f"{one.first_m:.4f}", f"{one.second_m:.4f}", difference, sigma, "changed" if one.moved else ""
@@ -253,7 +224,7 @@ def batch(
     check_cluster(cluster, workers, memory_gib)
     out, start = console(json), time.perf_counter()
     wanted = projects.load_project(project)
-    with projects.claimed(wanted, output), opened(wanted, write=True) as found:
+    with projects.claimed(wanted, output), projects.opened(wanted, write=True) as found:
         counts = counted(found.states)
         out.print(f"{_many(found.project.captures, 'capture')}, {_many(found.states, 'step')}: {in_words(counts)}")
         out.notes(wanted.notes)
@@ -282,7 +253,7 @@ def _many(listed: Sized, name: str) -> str:
     return f"{len(listed)} {name}{'' if len(listed) == 1 else 's'}"
 
 
-def _work(found: Opened, client: Any, out: Terminal) -> dict[str, Any]:
+def _work(found: "projects.Opened", client: Any, out: Terminal) -> dict[str, Any]:
     from jaxscan.fleet.batch import check_sight, run_batch
 
     output = found.project.output
@@ -328,7 +299,7 @@ class BatchDisplay:
                 self._tasks[key] = self._bars.add_task(printable(key), total=total)
             self._bars.update(self._tasks[key], completed=done, total=total)
 
-    def finished(self, row: "Row") -> None:
+    def finished(self, row: "projects.Row") -> None:
         """A step was done, or failed; a failure is a line."""
         if self._bars is not None and self._all is not None:
             with self._lock:

@@ -8,6 +8,7 @@ import tyro
 
 import jaxscan
 from jaxscan import report as reports
+from jaxscan.cli.calibrate import summary, write_page
 from jaxscan.cli.options import (
     CLOUD_SUFFIXES,
     CloudUnit,
@@ -24,6 +25,7 @@ from jaxscan.cli.terminal import JsonTarget, console, emit_json
 from jaxscan.errors import OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
+from jaxscan.files import clouds as cloud_files
 from jaxscan.files import disk
 
 
@@ -90,8 +92,6 @@ def report(
 
 
 def _of_calibration(path: Path, output: Path, capture: Path | None, json: str | None) -> None:
-    from jaxscan.cli.calibrate import summary, write_page
-
     drawn, note, reproduced = _drawn(path)
     notes = calibration_files.calibration_notes(path)
     write_page(drawn, output, notes=(note, *notes), path=path, capture=capture)
@@ -150,13 +150,12 @@ def write_room_report(
     """
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.api.reports import calibration_rows, look_again, save_report
-    from jaxscan.files import clouds
 
     if capture is not None and calibration is None:
         raise OptionError("--capture: of a cloud it is looked at with the rig's calibration: give -c calibration.json.")
-    stored = clouds.read_cloud(cloud)
-    points, notes = clouds.in_metres(stored, unit)
-    points, more = clouds.with_z_up(stored, points, up)
+    stored = cloud_files.read_cloud(cloud)
+    points, notes = cloud_files.in_metres(stored, unit)
+    points, more = cloud_files.with_z_up(stored, points, up)
     notes = [*notes, *more]
     scanner, rows = None, []
     if calibration is not None:

@@ -1,5 +1,6 @@
 """The steps of a project: their graph, digests of what they read, and which results are stale."""
 
+import contextlib
 import functools
 import hashlib
 import json
@@ -14,9 +15,9 @@ from jaxscan.api.sweeps import ranges_of
 from jaxscan.errors import CaptureError, ConfigError
 from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, open_capture
 from jaxscan.files.disk import MEGABYTE, file_digest, read_bounded
-from jaxscan.project.catalogue import Row
+from jaxscan.project.catalogue import Catalogue, Row, open_catalogue
 from jaxscan.project.config import GroupTable, RigTable
-from jaxscan.project.project import Project, ProjectCapture, is_longer
+from jaxscan.project.project import Project, ProjectCapture, check_owner, is_longer
 
 
 _CAPTURE = ("geometry", "stripes", "vision", "files/capture", "files/calibration", "api")
@@ -197,6 +198,28 @@ def _changed(parts: Mapping[str, str], last: Row) -> str:
     names += [name for name in last.parts if name not in parts]
     words = [f"the code, which was version {last.version}" if name == "code" else name for name in names]
     return f"changed: {', '.join(words)}" if words else "was made anew with other inputs"
+
+
+class Opened(NamedTuple):
+    """A project, and where it stands."""
+
+    project: Project
+    states: Sequence[Status]
+    catalogue: Catalogue
+
+
+@contextlib.contextmanager
+def opened(project: Project, *, write: bool = False) -> Iterator[Opened]:
+    """Find which products of a project are there; without `write`, nothing is made.
+
+    Raises:
+        JaxscanError: If a capture or the catalogue is not what it should be.
+    """
+    check_owner(project)
+    steps = steps_of(project)
+    digests, parts = digests_of(steps)
+    with contextlib.closing(open_catalogue(project, write=write)) as catalogue:
+        yield Opened(project, states_of(steps, digests, parts, catalogue.rows(), project.output), catalogue)
 
 
 FORMAT = "jaxscan-step/1"
