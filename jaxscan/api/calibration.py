@@ -98,7 +98,7 @@ def calibrate(
         redetect: Look for corners and stripes again at the places that the first solve predicts,
             and solve again; `quality.redetected` holds the gain.
         progress: Called with (records done, records in all), of both looks together. If it has a method `doing`,
-            that is told in words what is being done.
+            that receives the current stage in words.
 
     Returns:
         The calibration, with its covariance, quality and observations.

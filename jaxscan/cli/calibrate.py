@@ -118,9 +118,9 @@ def calibrate(
         out.print(sentence)
     with progress_bar("Calibrating") as progress:
         result = api.calibrate(opened, settings=settings, known=known, redetect=redetect, progress=progress)
-    told = {_part(sentence) for sentence in plan.missing}
+    listed = {_part(sentence) for sentence in plan.missing}
     for sentence in result.missing:
-        if _part(sentence) not in told:
+        if _part(sentence) not in listed:
             out.print(sentence, style="yellow")
     api.save_calibration(result, output)
     files = {"calibration": str(output)}

@@ -81,7 +81,7 @@ def import_(
         shutter: `rolling` if rows are exposed one after another.
         up: Direction of the image that is up.
         pixel_format: Bayer pattern of raw images; grey and colour are seen.
-        bits: Bits of the camera in images of 16 bits; without, the images tell.
+        bits: Bits of the camera in images of 16 bits; without, they are found from the images.
         every: Of a video, take every so many frames.
         json: Write the result as JSON too.
     """

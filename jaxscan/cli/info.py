@@ -20,7 +20,7 @@ from jaxscan.files import disk
 
 
 Facts = dict[str, Any]
-"""What is said of a file, by name; None is left out."""
+"""Facts of a file by their names; None is left out."""
 
 
 def info(
@@ -148,11 +148,11 @@ def _line(name: str, value: Any) -> str:
     if name in ("from", "to"):
         return f"{name}: {' '.join(f'{number:.3f}' for number in value)} m"
     what, _, unit = name.rpartition("_")
-    said = name.replace("_", " ")
+    label = name.replace("_", " ")
     if unit == "m":
         return f"{what.replace('_', ' ')}: {1e3 * value:.2f} mm"
     if unit == "deg":
         return f"{what}: {value:.1f}°"
     if isinstance(value, list):
-        return f"{said}: {', '.join(map(str, value)) or 'none'}"
-    return f"{said}: {value:,}" if isinstance(value, int) else f"{said}: {value}"
+        return f"{label}: {', '.join(map(str, value)) or 'none'}"
+    return f"{label}: {value:,}" if isinstance(value, int) else f"{label}: {value}"

@@ -56,7 +56,7 @@ def mesh(
 
     Args:
         cloud: Cloud (.ply or .npz) that `jaxscan reconstruct` wrote.
-        calibration: Calibration file: it tells where the camera was, and where photographs show a point.
+        calibration: Calibration file, which gives the place of the camera, and where photographs show a point.
         texture: Folder of the captured sweep, whose laser-off images are drawn on the mesh (.glb and .obj).
         texels: Texels of the texture on each side of a cell of the grid; by default one for each pixel of the camera.
         faces: Most faces: the mesh is simplified where it is flat.

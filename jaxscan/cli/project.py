@@ -239,8 +239,8 @@ def batch(
     if result["done"]:
         out.print(f"{_many(result['done'], 'step')} done in {seconds:.0f} s, in {found.project.output}")
     if result["notes"]:
-        told = shlex.join(["jaxscan", "project", "status", "--all", str(project)])
-        out.print(f"notes on {_many(result['notes'], 'step')}: {told}")
+        command = shlex.join(["jaxscan", "project", "status", "--all", str(project)])
+        out.print(f"notes on {_many(result['notes'], 'step')}: {command}")
     about = {"output": str(found.project.output), "seconds_s": seconds, "left_out": list(wanted.notes)}
     emit_json(json, "batch", result | about)
     if result["failed"]:

@@ -159,8 +159,8 @@ def _good_to(new: "Calibration", old: "Calibration") -> str:
     """How good the calibration is, in the same figure as `jaxscan calibrate`, and how good it was."""
     verdicts = [one.quality.verdict for one in (new, old)]
     found = [None if one is None else one.good_to for one in verdicts]
-    said = [None if one is None else calibration_reports.words.good_to_words(one) for one in found]
-    return f"Good to {said[0] or 'not known'}, before {said[1] or 'not known'}."
+    words = [None if one is None else calibration_reports.words.good_to_words(one) for one in found]
+    return f"Good to {words[0] or 'not known'}, before {words[1] or 'not known'}."
 
 
 def _known_room(path: Path) -> "Given":

@@ -52,7 +52,7 @@ MOST_JOURNAL = 1 << 30
 
 
 class Step(NamedTuple):
-    """One thing to make. It holds names and numbers alone, so that any machine can be told of it as JSON."""
+    """One thing to make. It holds names and numbers alone, so that it can be sent to any machine as JSON."""
 
     key: str
     """Its name in the catalogue: "cloud/room-01"."""
@@ -155,7 +155,7 @@ def states_of(
         digests: Of each, by key, as it would be done now.
         parts: What each depends on, by key.
         rows: Of the catalogue, the oldest first.
-        output: The folder of the products; each is asked whether it is there, and for its size.
+        output: The folder of the products; each product is looked for, and its size compared.
     """
     now = {(row.key, row.digest): row for row in rows}
     last = {row.key: row for row in rows if row.state != "failed"}
@@ -337,7 +337,7 @@ def _refined(project: Project, rig: RigTable) -> _Refined:
     by_single = reads
     left -= set(singles)
     for group in groups:
-        # A sweep of two groups tells what it knows only once.
+        # A sweep in two groups is used only once.
         new = [mine[name] for name in group.captures if name in left]
         left -= set(group.captures)
         if new:
@@ -347,7 +347,7 @@ def _refined(project: Project, rig: RigTable) -> _Refined:
 
 
 def _refining(project: Project, name: str, captures: list[ProjectCapture], known: str | None, reads: _Reads) -> Step:
-    """The calibration with what the sweeps of one room tell."""
+    """The calibration, refined by the sweeps of one room."""
     sources = {f"capture {one.name}": one.address for one in captures} | reads.sources
     if known is not None:
         sources["known"] = _address(project, known)
