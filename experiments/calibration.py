@@ -23,7 +23,8 @@ import numpy as np
 
 from experiments import exact_rig
 from experiments.exact_rig import BoardPoses, IdealBoards, PosePlan, add_noise, draw_poses, ideal_boards
-from experiments.report import Figure, command_line, conclude, progress
+from experiments.plain import principal_axes
+from experiments.report import Figure, command_line, conclude, progress, rms
 from jaxscan.calibration import (
     Calibration,
     Length,
@@ -128,12 +129,12 @@ def _honest(label: str, runs: list[Run], names: tuple[str, ...], lengths: list[L
     length_sigma = 1e3 * np.array([each.length_sigma for each in runs])
     for index, length in enumerate(lengths):
         title = f"{label}: {length.name} at {length.depth:g} m"
-        found, said = (np.sqrt(np.mean(values[:, index] ** 2)) for values in (length_error, length_sigma))
+        found, stated = (rms(values[:, index]) for values in (length_error, length_sigma))
         most = WALLS_MM.get(length.depth) if length.name == "half a turn" else None
         figures += [
-            Figure(f"{title}, predicted", said, "mm", high=most),
+            Figure(f"{title}, predicted", stated, "mm", high=most),
             Figure(f"{title}, sample", found, "mm", high=most if wide == 1 or most is None else most * high),
-            Figure(f"{title}, sample over predicted", found / said, "", low, high),
+            Figure(f"{title}, sample over predicted", found / stated, "", low, high),
         ]
     weights = np.array(runs[0].counts, float)
     chi2 = np.mean([each.chi2 for each in runs], axis=0)
@@ -227,14 +228,13 @@ def _joint_poses(config: SimulationConfig, views: int, stripes: int, seed: int) 
 
 def _depth_errors(observed: Observations, alone: Calibration, q: np.ndarray) -> Errors:
     """One draw of noise, solved jointly and after the camera alone; at the pixels where the true depth is 2.5 m."""
-    error = lambda scanner: float(np.sqrt(np.mean((stripe_depths(scanner, 0, q) - DEPTH_M) ** 2)))
+    error = lambda scanner: rms(stripe_depths(scanner, 0, q) - DEPTH_M)
     solved = calibrate_observations(observed, settings=exact_rig.SETTINGS).scanner
     # A plane's depth has nothing to do with the table.
     table = Turntable.from_axis([0.0, -1.0, 0.0], [0.0, 0.0, -0.1])
     planes = _sequential(observed, alone)
     total, linear = (error(Scanner(alone.camera, stack_lasers([sheet]), table)) for sheet in planes)
-    predicted = np.sqrt(np.mean(depth_sigma(solved, 0, q) ** 2))
-    return Errors(error(solved), float(predicted), total, linear)
+    return Errors(error(solved), rms(depth_sigma(solved, 0, q)), total, linear)
 
 
 def _sequential(observed: Observations, result: Calibration) -> tuple[LaserSheet, LaserSheet]:
@@ -258,8 +258,7 @@ def _sequential(observed: Observations, result: Calibration) -> tuple[LaserSheet
             height = bow(((p - shift) @ rotation)[:, :2])
         points.append(p)
     p = np.concatenate(points)
-    middle = p.mean(0)
-    normal = np.linalg.svd(p - middle, full_matrices=False)[2][2]
+    middle, (_, _, normal) = principal_axes(p)
     a, b, c = np.linalg.lstsq(np.column_stack([p[:, :2], -np.ones(len(p))]), -p[:, 2], rcond=None)[0]
     return LaserSheet.from_plane(normal, normal @ middle), LaserSheet.from_abc(a, b, c)
 

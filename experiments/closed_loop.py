@@ -24,7 +24,7 @@ from bench.desk import Desk, set_up
 from bench.places import TWO_LASERS, WORLD
 
 import jaxscan
-from experiments.report import ROOT, command_line, verb, write_json
+from experiments.report import ROOT, command_line, rms, verb, write_json
 from jaxscan.simulation import SimulationConfig, expect_sweep, true_cloud, truth
 
 
@@ -89,7 +89,7 @@ def wall_errors(cloud: jaxscan.PointCloud, world: SimulationConfig) -> list[dict
                 "cells": int(seen.sum()),
                 "points": len(errors),
                 "median_m": float(np.median(errors)),
-                "rms_m": float(np.sqrt(np.mean(errors**2))),
+                "rms_m": rms(errors),
                 "p95_m": float(np.quantile(np.abs(errors), 0.95)),
                 "beyond_20_mm": float((np.abs(errors) > 0.02).mean()),
             }

@@ -29,8 +29,8 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from experiments.report import command_line, verb, write_json
-from jaxscan.fleet import ClusterChoice, open_cluster
 from jaxscan.fleet.batch import run_batch
+from jaxscan.fleet.cluster import open_cluster
 from jaxscan.project import (
     Catalogue,
     Order,
@@ -99,7 +99,7 @@ def hand_out(count: int) -> dict[str, float]:
         states = states_of(steps, *digests_of(steps), catalogue.rows(), project.output)
         todo = [order_of(status, project.output) for status in states]
         planned = time.perf_counter() - start
-        with open_cluster(ClusterChoice(workers=2)) as client:
+        with open_cluster(workers=2) as client:
             start = time.perf_counter()
             run_batch(todo, catalogue, client, Silent(), work=do_nothing)
             handed_out = time.perf_counter() - start

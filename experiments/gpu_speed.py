@@ -42,12 +42,12 @@ from jaxscan.stripes import (
 
 
 NOISE = NoiseModel(READ_DN, ELECTRONS_PER_DN)
-ASKED_SHARE = 0.4
+LIMIT_SHARE = 0.4
 """Of the speed of a copy."""
-ASKED_SIGMAS = 0.1
+LIMIT_SIGMAS = 0.1
 """Largest difference of nearly all centres from the CPU's, in their standard deviations."""
 NEARLY_ALL = 0.999
-ASKED_ONE_SIDED = 1e-3
+LIMIT_ONE_SIDED = 1e-3
 """Share of the stripes that only one of two results may have."""
 COPY_BYTES, DRY_COPY_BYTES = 4 << 30, 256 << 20
 UNITS = {"u": "px", "sigma": "px", "width": "px", "amplitude": "DN", "grey": "DN", "rgb": "DN", "intensity": "DN"}
@@ -141,14 +141,14 @@ def differences(name: str, found: dict[str, Any], expected: dict[str, Any]) -> l
             scaled = apart / expected["sigma"][both]
             values["nearly all, in sigmas"] = np.quantile(scaled, NEARLY_ALL) if scaled.size else 0.0
         for kind, value in values.items():
-            unit, asked = ("1", ASKED_SIGMAS) if "sigmas" in kind else (UNITS.get(key, "1"), None)
-            figures.append(Figure(f"{name}, {key}: {kind}", float(value), unit, high=asked))
+            unit, limit = ("1", LIMIT_SIGMAS) if "sigmas" in kind else (UNITS.get(key, "1"), None)
+            figures.append(Figure(f"{name}, {key}: {kind}", float(value), unit, high=limit))
     stripes = max(int(np.count_nonzero(expected["valid"])), 1)
     alone = int(np.count_nonzero(found["valid"] != expected["valid"])) / stripes
     return [
         *figures,
         Figure(f"{name}: valid in both", float(np.count_nonzero(both)), "lines"),
-        Figure(f"{name}: valid in one only", alone, "1", high=ASKED_ONE_SIDED),
+        Figure(f"{name}: valid in one only", alone, "1", high=LIMIT_ONE_SIDED),
     ]
 
 
@@ -172,14 +172,14 @@ def measure(device: jax.Device, chunks: int, size: int, copied: int, repeats: in
     on_host = prepare(first, scanner, NOISE)
     job = jax.device_put(on_host, device)
 
-    def add(name: str, taken: float, asked: bool = False) -> None:
+    def add(name: str, taken: float, limited: bool = False) -> None:
         figures.append(Figure(name, 1e6 * taken / (chunks * size), "us/pair"))
         rate = frame_bytes / taken / bandwidth
-        figures.append(Figure(f"{name}: frames' bytes of a copy", rate, "1", low=ASKED_SHARE if asked else None))
+        figures.append(Figure(f"{name}: frames' bytes of a copy", rate, "1", low=LIMIT_SHARE if limited else None))
 
     whole = jax.jit(points_of_pairs)
     # On a CPU the copy says little about what XLA computes there.
-    add("stripes and points", seconds(lambda: [whole(job, chunk) for chunk in stacks], repeats), asked=not dry)
+    add("stripes and points", seconds(lambda: [whole(job, chunk) for chunk in stacks], repeats), limited=not dry)
     found = whole(job, jax.device_put(first, device))
     stripes = jax.device_get(found.stripes)
     add("smooth", seconds(lambda: smooth(stripes), repeats) * chunks * size / len(first.on))

@@ -31,14 +31,24 @@ class Figure(NamedTuple):
 
     def met(self) -> bool:
         """Whether it is finite and within its limits."""
-        above = self.low is None or self.value >= self.low
-        return bool(np.isfinite(self.value) and above and (self.high is None or self.value <= self.high))
+        return within(self.value, self.low, self.high)
 
     def target(self) -> str:
         """Its limits in words."""
-        if self.low is None:
-            return "" if self.high is None else f"<= {self.high:g}"
-        return f">= {self.low:g}" if self.high is None else f"{self.low:g} ... {self.high:g}"
+        return limits_in_words(self.low, self.high)
+
+
+def within(value: float, low: float | None, high: float | None) -> bool:
+    """Whether a value is finite and within limits, if there are any."""
+    return bool(np.isfinite(value) and (low is None or value >= low) and (high is None or value <= high))
+
+
+def limits_in_words(low: float | None, high: float | None, unit: str = "") -> str:
+    """Limits as a table shows them; "" where there are none."""
+    after = f" {unit}" if unit else ""
+    if low is None:
+        return "" if high is None else f"≤ {high:g}{after}"
+    return f"≥ {low:g}{after}" if high is None else f"{low:g} ... {high:g}{after}"
 
 
 def command_line(description: str | None, *, quick: str = "", json: bool = False) -> argparse.ArgumentParser:
@@ -124,13 +134,13 @@ class Ran(NamedTuple):
     code: int
     out: str
     problem: str
-    """What it wrote to its standard error."""
+    """Its standard error."""
     wall_s: float
     processor_s: float
     """Of the process and of those that it waited for."""
 
     def notes(self) -> list[str]:
-        """The notes among what it said."""
+        """Its notes."""
         return [line for line in self.out.splitlines() if line.startswith("note: ")]
 
     def last_words(self) -> str:

@@ -398,7 +398,7 @@ MOVED = 3.0
 """Movement of a point that counts [sigma]."""
 POINTS = 10
 """Points that must have moved."""
-ASKED = {"sealed": 0.99, "unsealed": 0.90}
+LIMITS = {"sealed": 0.99, "unsealed": 0.90}
 """Share of the mutations that change the cloud which must be noticed."""
 
 
@@ -409,7 +409,7 @@ class Outcome(NamedTuple):
     capture: str
     changed: bool
     noticed: bool
-    said: str
+    notes: str
 
 
 def small(pixel_format: str, seed: int, yaw_deg: float) -> SimulationConfig:
@@ -445,7 +445,7 @@ def make(folder: Path, seed: int) -> Path:
 
 
 def reconstructed(place: Place, cache: bool) -> tuple[PointCloud | None, set[str]]:
-    """The cloud, and all that was said; no cloud after an error."""
+    """The cloud, and all notes; no cloud after an error."""
     try:
         capture = jaxscan.open_capture(place.sweep)
         notes = [*calibration_notes(place.calibration), *capture.notes]
@@ -509,10 +509,10 @@ def run(base: Path, each: int, seed: int, only: str) -> list[Outcome]:
                     continue
                 for k in range(each):
                     rng = np.random.default_rng([seed, k, zlib.crc32(kind.encode())])
-                    after, said = attempt(base, name, kind, mutate, rng)
+                    after, notes = attempt(base, name, kind, mutate, rng)
                     changed = matters.get((kind, k), True) if after is None else differs(before, after)
                     matters[kind, k] = changed
-                    new = said - usual
+                    new = notes - usual
                     outcomes.append(Outcome(kind, state, changed, bool(new), "; ".join(sorted(new))[:300]))
     return outcomes
 
@@ -573,11 +573,11 @@ def run_clouds(base: Path, each: int, seed: int, only: str) -> list[Outcome]:
                 data = bytearray(whole if state == "sealed" else whole.replace(b"seal blake2b", b"mark blake2b"))
                 path.write_bytes(change(data, rng))
                 try:
-                    changed, said = _reads_otherwise(before, load_cloud(path)), ""
+                    changed, notes = _reads_otherwise(before, load_cloud(path)), ""
                 except JaxscanError as problem:
-                    changed, said = matters.get(k, True), f"error: {problem}"
+                    changed, notes = matters.get(k, True), f"error: {problem}"
                 matters[k] = changed
-                outcomes.append(Outcome(kind, state, changed, bool(said), said[:300]))
+                outcomes.append(Outcome(kind, state, changed, bool(notes), notes[:300]))
     return outcomes
 
 
@@ -627,10 +627,10 @@ def main() -> int:
     print(f"{len(outcomes) + len(clouds)} mutations in {time.perf_counter() - start:.0f} s")
     sealed = [one.noticed for one in clouds if one.capture == "sealed" and one.changed]
     # Without a digest nothing compares the numbers of a cloud.
-    met = sum(sealed) >= ASKED["sealed"] * len(sealed)
-    for state, asked in ASKED.items():
+    met = sum(sealed) >= LIMITS["sealed"] * len(sealed)
+    for state, limit in LIMITS.items():
         own = [one for one in outcomes if one.capture == state and one.changed]
-        met &= sum(one.noticed for one in own) >= asked * len(own)
+        met &= sum(one.noticed for one in own) >= limit * len(own)
     write_json(options.json, [one._asdict() for one in (*outcomes, *clouds)])
     if options.results:
         command = f"python -m experiments.silent_differences --each {options.each} --seed {options.seed}"

@@ -55,7 +55,7 @@ class Sensor(NamedTuple):
 
     @classmethod
     def of_difference(cls, sigma_dn: float) -> "Sensor":
-        """The sensor whose difference of two dark frames has this standard deviation [DN], all told."""
+        """The sensor whose difference of two dark frames has this standard deviation [DN], noise of all kinds."""
         usual = cls()
         return usual._replace(
             read_dn=float(np.sqrt(0.5 * sigma_dn**2 - usual._replace(read_dn=0).background_variance()))
@@ -398,7 +398,7 @@ class Variant(NamedTuple):
     name: str
     draw: Callable[[ExpectedRecord, int, float, np.random.Generator], Reflection]
     strength: float
-    asked: float | None
+    least: float | None
     """Least share of right rows among the affected."""
 
 

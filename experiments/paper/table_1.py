@@ -211,8 +211,8 @@ def strips(series: list[Series], titles: list[str], headline: str, path: Path, *
             axis.plot([at - 0.3, at + 0.3], [mean, mean], color=one.colour, linewidth=2)
             aside = random.uniform(-0.2, 0.2, len(values))
             axis.plot(at + aside, values, ".", color=one.colour, markersize=5, label=one.name)
-            said = f"{mean:+.2g}\n± {spread:.2g}" if len(values) > 1 else f"{mean:+.2g}"
-            axis.text(at, -0.02, said, color=one.colour, ha="center", va="top", fontsize=8,
+            text = f"{mean:+.2g}\n± {spread:.2g}" if len(values) > 1 else f"{mean:+.2g}"
+            axis.text(at, -0.02, text, color=one.colour, ha="center", va="top", fontsize=8,
                       transform=axis.get_xaxis_transform())  # fmt: skip
         # Bars would otherwise end at the frame.
         axis.use_sticky_edges = False

@@ -41,7 +41,7 @@ NEAR_BOARD_M = 0.005
 
 
 def run(*words: str | Path) -> None:
-    """One verb of `jaxscan`, what it said, and how long it took; its failure is no end, for batches fail in part."""
+    """One verb of `jaxscan`, its output, and how long it took; its failure is no end, for batches fail in part."""
     ran = verb(*words)
     print(f"jaxscan {' '.join(map(str, words[:2]))}: exit code {ran.code}, {ran.wall_s:.0f} s")
     lines = (ran.out + ran.problem).splitlines()

@@ -164,7 +164,7 @@ def _sheet(one: RealSet, sheet: dict[str, Any], plain: dict[str, Any] | None) ->
 
 
 def _sweeps(sweeps: list[RealSet], results: dict[str, Any]) -> str:
-    head = ["set", "method", "points", "scene", "on table", "spread [mm]", "RMS [mm]", "tilt [°]", "said"]
+    head = ["set", "method", "points", "scene", "on table", "spread [mm]", "RMS [mm]", "tilt [°]", "notes"]
     rows = []
     for one in sweeps:
         found = results[one.name]
@@ -176,11 +176,11 @@ def _sweeps(sweeps: list[RealSet], results: dict[str, Any]) -> str:
         for k, (name, run) in enumerate(runs):
             if run is None:
                 continue
-            said = run.get("said", [])
-            said = said or [run["error"]] if run.get("error") else said
+            notes = run.get("notes", [])
+            notes = notes or [run["error"]] if run.get("error") else notes
             cells = [str(run.get(key, "–")) for key in ("points", "scene", "on_table")]
             cells += [number(run.get(key)) for key in ("spread_mm", "rms_mm")] + [number(run.get("tilt_deg"), "{:.2f}")]
-            text = " ".join(said).replace("|", "/") or "nothing"
+            text = " ".join(notes).replace("|", "/") or "nothing"
             rows.append([one.name if k == 0 else "", name, *cells, text if k < 2 else ""])
     return table(head, rows)
 

@@ -93,7 +93,7 @@ def _residual(lens: Lens, shape: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 def _off_plane(shape: np.ndarray) -> float:
     """RMS of the board's corners from their best plane; mm."""
-    return 1e3 * float(np.sqrt(np.mean(least_squares(shape).off(shape) ** 2)))
+    return 1e3 * rms(least_squares(shape).off(shape))
 
 
 def _sheet_figures(solved: Solved, halves: list[Solved] | None, laser: int) -> dict[str, Any]:
@@ -181,12 +181,6 @@ class Table(NamedTuple):
     """Of the axis, in the table's plane [m]."""
     plane: Plane
     """The table's surface."""
-    step_deg: float
-    """Right-handed about `direction`."""
-    step_scatter_deg: float
-    rms_px: float
-    sides_scatter_mm: float
-    """Scatter of the 16 sides of the markers."""
 
 
 def markers(grey: np.ndarray) -> np.ndarray | None:
@@ -199,11 +193,10 @@ def markers(grey: np.ndarray) -> np.ndarray | None:
     return np.concatenate([seen[name] for name in CENTRES]) if set(CENTRES) <= set(seen) else None
 
 
-def fit_table(steps: np.ndarray, corners: np.ndarray, lens: Lens) -> Table:
+def fit_table(corners: np.ndarray, lens: Lens) -> Table:
     """The table from corners of markers at many steps.
 
     Args:
-        steps: Number of the step of every picture [pictures].
         corners: Corners of the markers [pictures, 16, 2]; px.
     """
     square = 0.5 * SIDE * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
@@ -234,13 +227,10 @@ def fit_table(steps: np.ndarray, corners: np.ndarray, lens: Lens) -> Table:
         return np.append((seen - corners).ravel(), 1e6 * (_sides(points).mean() - SIDE))
 
     x = levenberg(error, np.concatenate([np.zeros(4), start.ravel(), angles[1:] - angles[0]]))
-    direction, centre, points, turned = parts(x)
+    direction, centre, points, _ = parts(x)
     plane = least_squares(points)
     point = centre + direction * ((plane.distance - centre @ plane.normal) / (direction @ plane.normal))
-    line = np.polyfit(steps, np.degrees(turned), 1)
-    scatter = float(np.std(np.degrees(turned) - np.polyval(line, steps)))
-    fit = rms(np.linalg.norm(error(x)[:-1].reshape(-1, 2), axis=1))
-    return Table(direction, point, plane, float(line[0]), scatter, fit, 1e3 * float(_sides(points).std()))
+    return Table(direction, point, plane)
 
 
 def _sides(points: np.ndarray) -> np.ndarray:
@@ -362,9 +352,8 @@ def boards(pictures: Pictures, kind: str, known: Lens | None = None) -> tuple[di
 def table_from(folder: Path, lens: Lens) -> Table:
     """The turntable of a capture, by the markers on it, seen through a lens."""
     pictures = Pictures(folder)
-    found = [(k, markers(pictures.grey(pictures.records[k]))) for k in range(0, len(pictures.records), EVERY)]
-    kept = [(k, q) for k, q in found if q is not None]
-    return fit_table(np.array([k for k, _ in kept]), np.array([q for _, q in kept]), lens)
+    seen = [markers(pictures.grey(record)) for record in pictures.records[::EVERY]]
+    return fit_table(np.array([q for q in seen if q is not None]), lens)
 
 
 class TableFrame:
@@ -538,7 +527,7 @@ def reconstruct(capture: Path, rig: Path, table: Table, inner: float) -> dict[st
     found: dict[str, Any] = {
         "exit_code": ran.code,
         "seconds": ran.wall_s,
-        "said": [short(note) for note in ran.notes()],
+        "notes": [short(note) for note in ran.notes()],
         "error": short(ran.last_words()),
     }
     if not cloud.exists():

@@ -62,7 +62,7 @@ Files = list[dict[str, Any]]
 
 
 class RealSet(NamedTuple):
-    """One capture of a stranger."""
+    """One capture of another maker."""
 
     name: str
     repository: str

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.report import rms
+from experiments.report import limits_in_words, rms, within
 
 
 FINAL_SEEDS = tuple(range(201, 231))
@@ -49,23 +49,17 @@ class Limit(NamedTuple):
     kind: str
     name: str
     figure: Callable[[Trials], float]
-    low: float = -np.inf
-    high: float = np.inf
+    low: float | None = None
+    high: float | None = None
     unit: str = ""
 
     def met(self, trials: Trials) -> bool:
         """Whether the figure is within its bounds."""
-        return bool(self.low <= self.figure(trials) <= self.high)
+        return within(self.figure(trials), self.low, self.high)
 
-    def asked(self) -> str:
+    def bounds(self) -> str:
         """The bounds in words."""
-        if self.low > -np.inf and self.high < np.inf:
-            return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
-        if self.low == -np.inf and self.high == np.inf:
-            return "none"
-        return (
-            f"at least {self.low:g} {self.unit}" if self.high == np.inf else f"at most {self.high:g} {self.unit}"
-        ).rstrip()
+        return limits_in_words(self.low, self.high, self.unit) or "none"
 
 
 def half_turns(trials: Trials, column: str) -> np.ndarray:

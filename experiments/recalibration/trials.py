@@ -86,7 +86,7 @@ Made by `python -m experiments.recalibration.trials judge` from the trials besid
 - "Stops": the table stops anywhere within a microstep of 28,800 a turn, at the boards and in the room.
 - "Rendered unkind" are ten rendered sweeps of `configs/unkind.toml`, "path-traced" five of another renderer, each with
   several paper-like calibrations.
-- A trial is run once and kept: most rows have fewer trials than are asked for. The first one to three of every row
+- A trial is run once and kept: most rows have fewer trials than were planned. The first one to three of every row
   were run with one state of the code; later ones of the larger rows are older, from before stops were learned, which
   changes next to nothing where stops are exact. Path-traced rooms were not run, rendered ones not again.
 - A curved wall (10 mm over the wall) asks for other angles of the table, and the update is refused. Of a wall with a
@@ -108,16 +108,16 @@ def rows(limits: tuple[Limit, ...], trials: dict[str, Trials]) -> tuple[list[lis
         if not own:
             missed += 1
             reason = f"{failed} trials gave no result" if failed else "not run"
-            found.append([limit.kind, limit.name, limit.asked(), reason, "0", "**no**"])
+            found.append([limit.kind, limit.name, limit.bounds(), reason, "0", "**no**"])
             continue
         value = limit.figure(own)
-        free = not np.isfinite(limit.low) and not np.isfinite(limit.high)
+        free = limit.low is None and limit.high is None
         good = limit.met(own) and not failed
         verdict = "" if free else "yes" if good else "**no**"
         missed += not good
         count = f"{len(own)}" + (f", {failed} gave no result" if failed else "")
         unit = f" {limit.unit}" if limit.unit else ""
-        found.append([limit.kind, limit.name, limit.asked(), f"{value:.3g}{unit}", count, verdict])
+        found.append([limit.kind, limit.name, limit.bounds(), f"{value:.3g}{unit}", count, verdict])
     return found, missed
 
 

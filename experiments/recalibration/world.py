@@ -350,7 +350,7 @@ class Sweeping:
     furniture: bool | None = None
     """None: as the configuration has it."""
     extras: Callable[[Mesh], None] | None = None
-    """Adds surfaces to the room: see `surfaces.stepped` and `surfaces.curved`."""
+    """Adds surfaces to the room: see `stepped` and `curved`."""
     rough_m: float = 0.0
     """Roughness of all surfaces, a standard deviation [m]."""
     rough_length_m: float = 0.05

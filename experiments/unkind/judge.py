@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.report import RESULTS, command_line, number, table
+from experiments.report import RESULTS, command_line, limits_in_words, number, table
 from experiments.unkind import ours, plain, truth
 from experiments.unkind.figures import (
     AMPLITUDES,
@@ -128,9 +128,8 @@ def limits_text() -> str:
     """The limits as they were set."""
     lines = []
     for limit in LIMITS:
-        bounds = [f"≥ {limit.low:g}"] if np.isfinite(limit.low) else []
-        bounds += [f"≤ {limit.high:g}"] if np.isfinite(limit.high) else []
-        lines.append(f"- {limit.name}{', in every class' if limit.classes else ''}: {' and '.join(bounds)}")
+        bounds = limits_in_words(limit.low, limit.high)
+        lines.append(f"- {limit.name}{', in every class' if limit.classes else ''}: {bounds}")
     walls = f"- walls: at least {WALLS_WITHIN_TWO:.0%} of all dimensions within two stated sigmas"
     first, last = FINAL_SEEDS[0], FINAL_SEEDS[-1]
     seeds = f"Final seeds: {first} to {last}; they and these limits were set before any of them was judged."
@@ -223,8 +222,8 @@ def judge(folder: Path) -> dict[str, Any]:
         for name in ("boards", "sweep"):
             shutil.copytree(folder / name, Path(scratch) / name, ignore=shutil.ignore_patterns("stripes.npz"))
         simple = plain.estimate(scratch, world[0], world[1])
-        mine, says = ours.estimate(scratch, world[0])
-    return {"ours": figures(world, mine) | {"says": says}, "plain": figures(world, simple)}
+        mine = ours.estimate(scratch, world[0])
+    return {"ours": figures(world, mine), "plain": figures(world, simple)}
 
 
 def main() -> None:

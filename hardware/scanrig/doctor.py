@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import CameraTable, CaptureHeader, frame_shape
+from jaxscan.files.capture import CaptureHeader, frame_shape
 from jaxscan.files.recording import create_capture
 from jaxscan.stripes import laser_plane
 from scanrig.cameras import Camera, Frame
@@ -118,9 +118,9 @@ def _storage(config: RigConfig, folder: Path, pair: ProvenPair | None) -> Findin
 
 def _seconds_a_pair(config: RigConfig, folder: Path, pair: ProvenPair | None) -> float:
     camera = config.camera
-    table = CameraTable(width=camera.width, height=camera.height, pixel_format=camera.pixel_format)
-    header = CaptureHeader(kind="sweep", camera=table, laser=tuple(laser.table for laser in config.laser))
-    noise = np.random.default_rng(0).integers(20, 30, frame_shape(header), np.uint8)
+    header = CaptureHeader(kind="sweep", camera=camera.table, laser=tuple(laser.table for laser in config.laser))
+    dark, kind = 20 << camera.bits - 8, np.uint16 if camera.bits > 8 else np.uint8
+    noise = np.random.default_rng(0).integers(dark, dark + 10, frame_shape(header), kind)
     on, off = (noise, noise) if pair is None else (pair.on.image, pair.off.image)
     try:
         with tempfile.TemporaryDirectory(prefix=".jaxscan-doctor-", dir=folder) as scratch:
@@ -253,7 +253,7 @@ def _with_one_retake(config: RigConfig) -> RigConfig:
 def judge_exposure(pair: ProvenPair, config: RigConfig) -> Finding:
     """Whether the peak of the line of a pair, proven or not, is bright and not clipped, and what to change."""
     name = _named("exposure", config, pair.laser)
-    peak, clipped = stripe_level(pair.on.image, pair.off.image, config, pair.laser)
+    peak, clipped = stripe_level(pair.on.shown, pair.off.shown, config, pair.laser)
     ambient = pair.proof.ambient_dn
     factor = 0.5 if clipped > _CLIPPED else _BEST_DN / max(peak, 1.0)
     values = {"peak_dn": peak, "clipped": clipped, "ambient_dn": ambient, "factor": factor}
@@ -277,7 +277,7 @@ def judge_exposure(pair: ProvenPair, config: RigConfig) -> Finding:
 def stripe_level(on: np.ndarray, off: np.ndarray, config: RigConfig, laser: int = 0) -> tuple[float, float]:
     """90 % quantile of the peak levels of the lit lines [DN], and the part of lit lines that is clipped."""
     line = config.laser[laser].line
-    planes = (laser_plane(frame[None], pixel_format=config.camera.pixel_format, line=line) for frame in (on, off))
+    planes = (laser_plane(frame[None], pixel_format=config.camera.layout, line=line) for frame in (on, off))
     lit, dark = (np.asarray(plane)[0].astype(np.int16) for plane in planes)
     rows = np.arange(len(lit))
     at = (lit - dark).argmax(1)

@@ -122,7 +122,8 @@ class Ledger:
             self._writer.flush()
 
     def add(self, number: int, on: np.ndarray, off: np.ndarray, fields: dict[str, Any]) -> None:
-        """Add a record with its other fields; it is on the disk when this returns.
+        """Add a record with its other fields, frames of uint16 where the header has `bits`; it is on the disk when this
+        returns.
 
         Raises:
             CaptureError: If it cannot be written; the capture ends with the record before it.

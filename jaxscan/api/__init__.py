@@ -28,7 +28,7 @@ if TYPE_CHECKING:
         save_panorama,
         save_scan,
     )
-    from jaxscan.api.recalibration import recalibrate, save_recalibrated_cloud
+    from jaxscan.api.recalibration import recalibrate, register, save_recalibrated_cloud
     from jaxscan.api.reports import board_photographs
     from jaxscan.api.simulation import load_simulation, save_designed_rig, simulate
     from jaxscan.api.sweeps import Reconstruction, reconstruct_capture

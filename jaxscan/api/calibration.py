@@ -21,6 +21,7 @@ from jaxscan.calibration import (
     planned_rig,
     settle_lens,
     solved_rig,
+    warn_of_missing_lines,
 )
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.files.calibration import stored_settings
@@ -130,8 +131,9 @@ def calibrate(
     doing("judging")
     result = judge(found, settings=settings, known=known)
     result = settle_lens(result, settings, to_observations(captures, seen), known)
-    missed = tuple(Missed(*record) for record in seen.missed())
-    warnings = (*result.quality.warnings, *seen.doubts(captures))
+    missed, rig = tuple(Missed(*record) for record in seen.missed()), solved_rig(found)
+    without = () if rig is None else warn_of_missing_lines(*seen.without_a_line(rig))
+    warnings = (*result.quality.warnings, *without, *seen.doubts(captures))
     quality = replace(result.quality, redetected=gains, records=len(seen.records), missed=missed, warnings=warnings)
     provenance = {
         **result.provenance,

@@ -15,9 +15,10 @@ from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.files.calibration import calibration_digest, load_calibration
 from jaxscan.files.capture import Capture, common_board, refuse_copies
 from jaxscan.files.clouds import save_cloud, save_clouds
+from jaxscan.geometry import Scanner
 from jaxscan.observation import Observations, Progress
-from jaxscan.recalibration import FeatureEyes, Given, Recalibration, RecalibrationSettings, SweepStripes
-from jaxscan.reconstruction import plan_sweep, refuse_other_motion, smooth_stripes
+from jaxscan.recalibration import Adjusted, FeatureEyes, Given, Recalibration, RecalibrationSettings, SweepStripes
+from jaxscan.reconstruction import Plan, ReconstructSettings, plan_sweep, refuse_other_motion, smooth_stripes
 
 
 def recalibrate(
@@ -62,28 +63,7 @@ def recalibrate(
     # Everything that is wrong with a header or a journal is reported before an image is read.
     plans = [_named(capture, plan_sweep, capture, scanner, settings.stripes) for capture in captures]
     share = _Share(progress, [*(len(capture) for capture in captures), sum(map(len, boards))])
-    sweeps, notes = [], []
-    for number, (capture, plan) in enumerate(zip(captures, plans, strict=True)):
-        found = find_stripes(capture, scanner, settings.stripes, progress=share.part(number))
-        along = found.smoothed or smooth_stripes(capture, found.stripes)
-        valid = np.asarray(found.stripes.valid) & (along.sigma > 0)
-        sweeps.append(
-            SweepStripes(
-                name=str(capture.path),
-                centre=along.u,
-                sigma=along.sigma,
-                shared_lines=along.shared_lines,
-                valid=valid,
-                record=np.asarray(found.stripes.record),
-                laser=np.asarray(plan.sheet),
-                angle=capture.angles,
-                stripe_axis=plan.stripe_axis,
-                station=number if settings.stations else 0,
-            )
-        )
-        shown = recalibration.points_of_records(scanner, sweeps[-1])
-        refuse_other_motion(capture, scanner, shown, capture.off_frame, str(capture.path))
-        notes += [f"{capture.path}: {note}" for note in (*capture.notes, *found.notes)]
+    sweeps, notes = _swept(captures, plans, scanner, settings, share)
     if boards:
         given = replace(given, boards=_observed(boards, scanner.laser_names, share.part(len(captures))))
     if given.tracks is None:
@@ -103,34 +83,127 @@ def recalibrate(
     return recalibration.renew_calibration(result, provenance)
 
 
+def register(
+    captures: Sequence[Capture], calibration: Calibration | str | Path, *, progress: Progress | None = None
+) -> tuple[Adjusted, tuple[str, ...]]:
+    """The places from which sweeps of one room were taken, by its walls; and notes on the captures.
+
+    Features of the images are tracked only where walls alone leave a station open.
+
+    Args:
+        captures: Sweeps, each from a place of its own; the first is in the middle of the frame.
+        calibration: The calibration of the rig that took them, or its file.
+        progress: Called with (work done, work in all).
+
+    Raises:
+        CaptureError: As of `recalibrate`.
+        CalibrationError: As of `recalibrate`, or if the places are not found.
+    """
+    captures, settings = list(captures), with_stops(RecalibrationSettings(stations=True), captures)
+    stored, _ = _stored(calibration)
+    scanner = recalibration.require_prior(
+        stored, "the calibration" if isinstance(calibration, Calibration) else str(calibration)
+    )
+    _check_captures(captures, (), scanner.camera.width, scanner.camera.height)
+    plans = [_named(capture, plan_sweep, capture, scanner, settings.stripes) for capture in captures]
+    share = _Share(progress, [len(capture) for capture in captures])
+    sweeps, notes = _swept(captures, plans, scanner, settings, share)
+    try:
+        found = recalibration.register(sweeps, stored, settings, progress=share.last())
+        if found.converged and not _open(found):
+            return found, tuple(notes)
+    except CalibrationError:
+        # Features may tell what walls do not.
+        found = None
+    tracks, said = recalibration.observe_features(captures, sweeps, scanner, _feature_eyes(), settings, None)
+    if tracks is not None:
+        found = recalibration.register(sweeps, stored, settings, Given(tracks=tracks), progress=share.last())
+        notes += said
+    if found is None or not found.converged:
+        raise CalibrationError(
+            "the places of the stations were not found: walls and features of the images fit no arrangement; take the "
+            "sweeps from places that see the same walls."
+        )
+    return found, tuple(notes)
+
+
+_OPEN_M = 0.01
+"""A station whose place is known no better than this one standard deviation is open to the walls [m]."""
+
+
+def _open(found: Adjusted) -> bool:
+    """Whether the place of a station is not told."""
+    places = np.asarray(found.station_covariance)[1:, :3, :3]
+    return bool(len(places)) and float(np.linalg.eigvalsh(places).max()) > _OPEN_M**2
+
+
 def save_recalibrated_cloud(
-    captures: Sequence[Capture], result: Recalibration, path: str | Path, *, calibration_digest: str = ""
+    captures: Sequence[Capture],
+    adjusted: Adjusted,
+    scanner: Scanner,
+    path: str | Path,
+    *,
+    settings: ReconstructSettings | None = None,
+    calibration_digest: str = "",
 ) -> None:
-    """Write the cloud of all sweeps with the new scanner, in the frame of the room.
+    """Write the cloud of all sweeps with one scanner, in the frame of the room.
 
     Angles of the table that were found wrong are put right, and each sweep is turned to its station.
 
     Args:
-        captures: The sweeps that were recalibrated from.
-        result: As `recalibrate` gave it.
+        captures: The sweeps that were adjusted.
+        adjusted: As `recalibrate` and `register` give it.
+        scanner: With which points are computed.
         path: Its suffix chooses the format, as of `save_cloud`.
-        calibration_digest: Digest of the new calibration's file.
+        settings: Of the stripes.
+        calibration_digest: Digest of the scanner's calibration file.
 
     Raises:
         CaptureError: If a sweep cannot be read.
         CloudError: If the cloud cannot be written.
     """
-    adjusted = result.adjusted
     clouds = []
     for number, capture in enumerate(captures):
         turned = _turned(capture, adjusted.corrections[number])
-        cloud = reconstruct_capture(turned, result.scanner, settings=result.settings.stripes).cloud
+        cloud = reconstruct_capture(turned, scanner, settings=settings).cloud
         place = int(adjusted.observations.station[number])
         clouds.append((cloud, adjusted.stations[place], adjusted.station_covariance[place]))
     if len(clouds) == 1:
         save_cloud(clouds[0][0], path, calibration_digest=calibration_digest)
     else:
         save_clouds(clouds, path, calibration_digest=calibration_digest)
+
+
+def _swept(
+    captures: Sequence[Capture],
+    plans: Sequence[Plan],
+    scanner: Scanner,
+    settings: RecalibrationSettings,
+    share: "_Share",
+) -> tuple[list[SweepStripes], list[str]]:
+    """The stripes of every sweep, and notes on them."""
+    sweeps, notes = list[SweepStripes](), list[str]()
+    for number, (capture, plan) in enumerate(zip(captures, plans, strict=True)):
+        found = find_stripes(capture, scanner, settings.stripes, progress=share.part(number))
+        along = found.smoothed or smooth_stripes(capture, found.stripes)
+        sweeps.append(
+            SweepStripes(
+                name=str(capture.path),
+                centre=along.u,
+                sigma=along.sigma,
+                shared_lines=along.shared_lines,
+                valid=np.asarray(found.stripes.valid) & (along.sigma > 0),
+                record=np.asarray(found.stripes.record),
+                laser=np.asarray(plan.sheet),
+                angle=capture.angles,
+                stripe_axis=plan.stripe_axis,
+                station=number if settings.stations else 0,
+            )
+        )
+        shown = recalibration.points_of_records(scanner, sweeps[-1])
+        refuse_other_motion(capture, scanner, shown, capture.off_frame, str(capture.path))
+        notes += [f"{capture.path}: {note}" for note in (*capture.notes, *found.notes)]
+    return sweeps, notes
 
 
 def _stored(calibration: Calibration | str | Path) -> tuple[Calibration, dict[str, str]]:

@@ -82,7 +82,7 @@ def board_photographs(capture: Capture, calibration: Calibration) -> dict[int, b
     for index, record in enumerate(capture.records):
         if record.i not in wanted:
             continue
-        lit, dark = capture.frames(index)
+        lit, dark = capture.pictures(index)
         frame = lit if dark is None else dark
         if frame is not None:
             found[record.i] = thumbnail(frame, capture.pixel_format)

@@ -4,7 +4,7 @@ from jaxscan.facades import TYPE_CHECKING, load_on_use
 
 
 if TYPE_CHECKING:
-    from jaxscan.calibration.advice import refusal
+    from jaxscan.calibration.advice import refusal, warn_of_missing_lines
     from jaxscan.calibration.calibrate import (
         Estimate,
         calibrate_camera,
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         Direction,
         Fit,
         GoodTo,
+        GoodToPart,
         JudgedView,
         LaserLengths,
         Lengths,

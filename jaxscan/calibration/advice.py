@@ -47,8 +47,8 @@ def warn(quality: Quality) -> tuple[str, ...]:
     if elsewhere:
         lit = sum(view.stripe_points > 0 or view.stripe_elsewhere for view in quality.per_view)
         warnings.append(
-            f"the line found on {len(elsewhere)} of {lit} boards is not the laser's and was left out: records "
-            f"{_listed(elsewhere)}"
+            f"the lines found on {len(elsewhere)} of {lit} boards lie on no sheet with the others and were left out, "
+            f"records {_listed(elsewhere)}: boards or laser moved between pictures, or something else shines"
         )
     # Records of several captures may have the same number, so views are gone through one by one.
     sizes = [view.corner_rms_px or 0.0 for view in quality.per_view]
@@ -63,14 +63,37 @@ def warn(quality: Quality) -> tuple[str, ...]:
             warnings.append(
                 f"record {view.record}: its corners are {size:.2f} px off, those of other views {usual:.2f}"
             )
-    for direction in quality.unobserved:
-        # The table's own angle errors are meant to be held by the priors.
-        if not set(direction) & set(ANGLE_PARAMETERS):
-            warnings.append(f"held by priors rather than by data: {', '.join(direction)}")
+    # The table's own angle errors are meant to be held by the priors.
+    held = [direction for direction in quality.unobserved if not set(direction) & set(ANGLE_PARAMETERS)]
+    warnings += [f"held by priors rather than by data: {', '.join(names)}" for names in _joined(held)]
     return tuple(warnings)
 
 
-def _listed(records: list[int]) -> str:
+def warn_of_missing_lines(records: Sequence[int], lit: int) -> tuple[str, ...]:
+    """A warning about boards that a sheet meets and on which no line was found.
+
+    Args:
+        records: Their numbers.
+        lit: Boards that a sheet meets.
+    """
+    if not records:
+        return ()
+    return (
+        f"no line was found on {len(records)} of {lit} boards that the laser's sheet meets: records {_listed(records)}",
+    )
+
+
+def _joined(directions: Sequence[dict[str, float]]) -> list[list[str]]:
+    """The names in the directions, of those together that have one in common: they are one fact."""
+    groups: list[list[str]] = []
+    for direction in directions:
+        own = [group for group in groups if set(group) & set(direction)]
+        together = list(dict.fromkeys([name for group in own for name in group] + list(direction)))
+        groups = [group for group in groups if group not in own] + [together]
+    return groups
+
+
+def _listed(records: Sequence[int]) -> str:
     """The first few numbers, and how many more there are."""
     more = len(records) - _NAMED
     return ", ".join(map(str, records[:_NAMED])) + (f" and {more} more" if more > 0 else "")

@@ -14,7 +14,6 @@ from jaxscan import calibration as calibrating
 from jaxscan import report as reports
 from jaxscan.cli.options import (
     Block,
-    CameraModel,
     OutputPath,
     Part,
     RigKind,
@@ -29,6 +28,7 @@ from jaxscan.errors import CalibrationError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
 from jaxscan.files import disk
+from jaxscan.geometry import CameraModel
 
 
 if TYPE_CHECKING:
@@ -269,7 +269,7 @@ def _numbers(option: str, words: Sequence[str], count: int, meaning: str) -> np.
     return values
 
 
-_STYLE = {"good": "bold green", "bad": "bold red", "open": "bold yellow"}
+_STYLE = {"good": "bold green", "plain": "bold", "bad": "bold red", "open": "bold yellow"}
 
 
 def print_summary(out: Terminal, calibration: "Calibration", *, verbose: bool = False) -> None:

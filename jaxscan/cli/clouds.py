@@ -33,7 +33,7 @@ from jaxscan.cli.options import (
 )
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
-from jaxscan.errors import CalibrationError, CloudError, OptionError
+from jaxscan.errors import CloudError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import clouds as cloud_files
 from jaxscan.files import recording
@@ -374,14 +374,10 @@ def register(
 def _register_sweeps(sweeps: list[Path], calibration: Path, output: Path, out: Terminal) -> list[dict[str, Any]]:
     captures = [api.open_capture(path) for path in sweeps]
     with progress_bar("Registering") as progress:
-        settings = api.RecalibrationSettings(stations=True)
-        result = api.recalibrate(captures, calibration, settings=settings, progress=progress)
-    adjusted = result.adjusted
-    if not adjusted.converged:
-        raise CalibrationError(f"the places of the stations were not found: {result.refused}")
-    out.notes([*calibration_files.calibration_notes(calibration), *result.notes])
+        adjusted, notes = api.register(captures, calibration, progress=progress)
+    out.notes([*calibration_files.calibration_notes(calibration), *notes])
     digest = calibration_files.calibration_digest(calibration)
-    api.save_recalibrated_cloud(captures, result, output, calibration_digest=digest)
+    api.save_recalibrated_cloud(captures, adjusted, adjusted.scanner, output, calibration_digest=digest)
     return [_station(*one) for one in zip(adjusted.stations, adjusted.station_covariance, strict=True)]
 
 

@@ -3,6 +3,7 @@
 import difflib
 import inspect
 import re
+import shlex
 import shutil
 import textwrap
 import types
@@ -249,10 +250,19 @@ def mistake(words: Sequence[str], prog: str, entries: Sequence[Entry]) -> str | 
     missing += [entry for entry in entries if entry.names and entry.required and not used & set(entry.names)]
     if missing:
         needed = " ".join([*missing[0].names[-1:], missing[0].value])
-        return f"{prog} needs {needed}: {missing[0].text} {more}"
+        return f"{prog} needs {needed}: {missing[0].text} {_to_type(prog, words, arguments, missing)}{more}"
     if len(arguments) > len(expected) and all(entry.many == 1 for entry in expected):
         return f'"{arguments[len(expected)]}" is one word too many for {prog}. {more}'
     return None
+
+
+def _to_type(prog: str, words: Sequence[str], arguments: Sequence[str], missing: Sequence[Entry]) -> str:
+    """The whole command, where nothing but a file to write is missing whose suffix is known; else empty."""
+    suffix = re.search(r"\((\.\w+)", missing[0].text)
+    if suffix is None or len(missing) > 1 or not arguments or "--output" not in missing[0].names:
+        return ""
+    output = f"{Path(arguments[0]).stem}-{prog.split()[-1]}{suffix[1]}"
+    return f"Type for example: {prog} {shlex.join([*words, '-o', output])}. "
 
 
 def _option(word: str) -> tuple[str, list[str]]:

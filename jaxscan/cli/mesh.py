@@ -114,6 +114,8 @@ def mesh(
     if made.texture is not None:
         out.print(f"texture of {made.texture.shape[1]} x {made.texture.shape[0]} px")
     out.print(f"written: {', '.join(map(str, written))}")
+    if output.suffix.lower() == ".obj":
+        out.print("z is up in it: choose Z as the axis that is up where it is imported; a GLB stands upright by itself")
     result = {
         "notes": notes,
         "meshes": [str(path) for path in written],

@@ -14,6 +14,7 @@ from jaxscan.cli.terminal import check_json
 from jaxscan.errors import DependencyError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
+from jaxscan.files.clouds import FORMATS
 from jaxscan.files.disk import COPY_FIRST, is_address
 
 
@@ -44,7 +45,6 @@ CloudUp = Annotated[
 # Choices of other rooms, written out so that `--help` does not load them; a test compares them.
 Part = Literal["camera", "sheet", "axis"]
 RigKind = Literal["camera", "profile", "axis"]
-CameraModel = Literal["pinhole", "fisheye", "double_sphere"]
 Block = Literal[
     "focal",
     "centre",
@@ -74,7 +74,7 @@ LaserColour = Literal["auto", "red", "green", "blue"]
 StripeAxis = Literal["rows", "columns"]
 Carries = Literal["scanner", "object", "linear", "nothing"]
 ImageUp = Literal["-v", "+v", "+u", "-u"]
-CLOUD_SUFFIXES = ".ply .npz .e57 .las .laz .pcd .xyz .ptx"
+CLOUD_SUFFIXES = " ".join(FORMATS)
 """Suffixes of `jaxscan.files.clouds.WRITERS`, written out so that `--help` does not load the readers and writers."""
 CloudOutputPath = Annotated[
     Path,

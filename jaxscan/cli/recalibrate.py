@@ -125,8 +125,14 @@ def recalibrate(
         api.save_calibration(result.calibration, output)
         files["calibration"] = str(output)
         if cloud is not None:
+            digest = calibration_files.calibration_digest(output)
             api.save_recalibrated_cloud(
-                captures, result, cloud, calibration_digest=calibration_files.calibration_digest(output)
+                captures,
+                result.adjusted,
+                result.scanner,
+                cloud,
+                settings=result.settings.stripes,
+                calibration_digest=digest,
             )
             files["cloud"] = str(cloud)
     # Whether the rig has drifted is worth knowing where nothing was updated too.
@@ -176,7 +182,7 @@ def _either(option: str, yes: bool, no: bool) -> bool | None:
     return True if yes else False if no else None
 
 
-_STYLE = {"good": "bold green", "bad": "bold red", "open": "bold yellow"}
+_STYLE = {"good": "bold green", "plain": "bold", "bad": "bold red", "open": "bold yellow"}
 _UNUSUAL = 3.0
 """Changes beyond this many standard deviations are named."""
 

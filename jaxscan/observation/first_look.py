@@ -14,10 +14,10 @@ from jaxscan.observation.board_map import FoundCorners
 from jaxscan.observation.board_stripes import BATCH_RECORDS, LearnedFrames, find_stripes, learn_colours
 from jaxscan.observation.missed import MissedRecord, count_reasons, measure_light, missed_records
 from jaxscan.observation.observations import BoardViews, Observations, StripeViews
-from jaxscan.observation.prediction import PredictedCorners, SolvedRig
+from jaxscan.observation.prediction import PredictedCorners, SolvedRig, predict_stripe
 from jaxscan.observation.records import BoardSource, SeenRecord, ToGrey
 from jaxscan.observation.stripes_on_board import MOST_POINTS, BoardStripe
-from jaxscan.stripes import LaserLine
+from jaxscan.stripes import LaserLine, level_exposures
 
 
 # Frames of so many bytes are kept for the second look; of larger captures they are read again.
@@ -28,10 +28,12 @@ _LOOKED_AT = 6
 _AGREE = 2
 # Boards with the line in the laser-off image, and how many times the points of the laser-on images, are clear.
 _EXCHANGED, _TIMES = 3, 3
+# Rows of the image on which a line should be seen on a board before it is missed.
+_LEAST_ROWS = 24
 
 Progress = Callable[[int, int], None]
 FindCorners = Callable[[np.ndarray, AbstractBoard], FoundCorners | None]
-"""Finds the corners of a board in a grey image; None where the board is not found."""
+"""Finds the corners of a board in a grey image, uint8, or float32 of more than 8 bits; None where it is not found."""
 
 RefitCorners = Callable[[np.ndarray, AbstractBoard, PredictedCorners, float, FoundCorners | None], FoundCorners | None]
 """Fits the corners of a board in a grey image at predicted places, within a reach [px]; those of the first look are
@@ -67,6 +69,29 @@ class Look(NamedTuple):
         """The records in which the board was not found, with the likely reasons."""
         seen = [(view.record.i, view.corners is not None, view.light) for view in self.records]
         return missed_records(seen, len(self.board.corners()))
+
+    def without_a_line(self, rig: SolvedRig) -> tuple[list[int], int]:
+        """Numbers of the records that show no line on their boards though the sheet of their laser meets these, and how
+        many it meets.
+
+        Args:
+            rig: Solved from these records.
+        """
+        views = [view for view in self.records if view.corners is not None]
+        missed, met = list[int](), 0
+        for view, pose, used in zip(views, rig.poses, rig.used, strict=True):
+            if self.lines is None or not used or not view.record.lasers or not view.record.on:
+                continue
+            line = self.lines[view.capture][view.laser]
+            if line.name not in rig.laser_names:
+                continue
+            stripe = predict_stripe(rig, pose, rig.laser_names.index(line.name), line.stripe_axis)
+            across = rig.camera.width if line.stripe_axis == "rows" else rig.camera.height
+            inside = stripe.on_board & (stripe.u >= 0.0) & (stripe.u <= across - 1.0)
+            if np.count_nonzero(inside) >= _LEAST_ROWS:
+                met += 1
+                missed += [] if view.stripes else [view.record.i]
+        return missed, met
 
     def doubts(self, captures: Sequence[BoardSource]) -> tuple[str, ...]:
         """Signs that codes are no levels of a sensor, a sentence each; of each capture those of its first laser that
@@ -123,7 +148,8 @@ def look_at_boards(
 
 def _bytes_of(capture: BoardSource) -> int:
     """Of all frames, decoded."""
-    return 2 * len(capture.records) * int(np.prod(capture.image_size)) * (3 if capture.pixel_format == "rgb8" else 1)
+    frame = int(np.prod(capture.image_size)) * (3 if capture.pixel_format == "rgb8" else 1)
+    return 2 * len(capture.records) * frame * len(level_exposures(capture.bits))
 
 
 def _refuse_exchanged(

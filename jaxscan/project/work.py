@@ -130,7 +130,8 @@ def calibrate_rig(workspace: StepWorkspace) -> None:
         raise CalibrationError(f"{boards}: cannot be used: {verdict.refused}")
     good_to = verdict.good_to if verdict is not None else None
     if good_to is not None and good_to.sigma_mm is not None and good_to.at_m is not None:
-        workspace.notes.append(f"Good to {good_to.sigma_mm:.2g} mm at {good_to.at_m:.1f} m.")
+        length = f" for {good_to.length_m:.2g} m" if good_to.length_m is not None else ""
+        workspace.notes.append(f"Good to {good_to.sigma_mm:.2g} mm{length} at {good_to.at_m:.1f} m.")
     workspace.notes.extend(result.missing)
     api.save_calibration(result, workspace.target())
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
+from jaxscan.calibration.advice import warn
 from jaxscan.calibration.cross_validation import deal_halves
 from jaxscan.calibration.result import chance
 from jaxscan.calibration.structure import moving_twist
@@ -29,6 +30,16 @@ def verdict(observed, settings=None):
 @pytest.fixture(scope="module")
 def clean(world):
     return world.with_noise(world.observe(world.Rig()), 1)
+
+
+def test_directions_that_share_a_parameter_are_one_warning(clean):
+    quality = calibrate_observations(clean, settings=replace(CalibrationSettings(), judge=False)).quality
+    weak = ({"p1": 0.9, "cy": 0.4}, {"k1": 0.9}, {"p2": 0.8, "cx": 0.5}, {"cx": 0.7, "p1": 0.3}, {"k3": 0.9, "k1": 0.1})
+    held = [line for line in warn(replace(quality, unobserved=weak)) if "held by priors" in line]
+    assert sorted(sorted(line.partition(": ")[2].split(", ")) for line in held) == [
+        ["cx", "cy", "p1", "p2"],
+        ["k1", "k3"],
+    ]
 
 
 def test_clean_data_have_no_structure(clean):

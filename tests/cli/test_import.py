@@ -10,7 +10,7 @@ import PIL.Image
 import pytest
 
 from jaxscan.files.capture import open_capture, verify_capture
-from jaxscan.stripes import level_exposures, split_levels, to_8_bits
+from jaxscan.stripes import level_exposures, split_levels
 
 
 DATA = Path(__file__).resolve().parents[1] / "data"
@@ -385,12 +385,14 @@ def test_bits_that_are_said(run, refused, tmp_path):
     assert ran.code == 1 and "found 8 bits, expected 16" in ran.err and not (tmp_path / "e").exists()
 
 
-def test_boards_of_16_bits_are_kept_in_8(run, tmp_path):
+def test_boards_of_12_bits_keep_them(run, tmp_path):
     folder = save(tmp_path / "in", ["1.png", "2.png"], DEEP)
     ran = run("import", folder, "-o", tmp_path / "boards", "--board", "chessboard 6x4 25mm")
-    assert ran.code == 0 and "kept in 8 bits" in ran.out
+    assert ran.code == 0 and "kept in 3 levels of 8 bits" in ran.out
     capture = open_capture(tmp_path / "boards")
-    np.testing.assert_array_equal(capture.frames(0)[1], to_8_bits(DEEP[0], 12))
+    kept = [image for image, _ in split_levels(DEEP[0], 12)]
+    np.testing.assert_array_equal(capture.frames(0)[1], kept)
+    np.testing.assert_array_equal(capture.pictures(0)[1], kept[0])
 
 
 def test_colours_of_ink_are_no_damage(refused, tmp_path):

@@ -307,7 +307,8 @@ class Desk:
         return camera
 
     def see(self, position: float, lit: int) -> np.ndarray:
-        image = draw(self.scene, position, lit, FrameShape(WIDTH, HEIGHT), self._generator)
+        camera = self.config.camera
+        image = draw(self.scene, position, lit, FrameShape(WIDTH, HEIGHT, camera.layout, camera.bits), self._generator)
         return np.ascontiguousarray(np.roll(image, self.table.moved_px, 1))
 
     @property

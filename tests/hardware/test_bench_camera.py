@@ -93,6 +93,21 @@ def test_frames_are_what_the_simulator_renders_at_the_plants_angle(controller, r
         assert [frame["position"] for frame in truth] == [160, 160, 7200, 7200]
 
 
+def test_frames_of_16_bits_have_the_same_light_in_finer_steps(controller, rendered_camera):
+    world = load_toml(WORLD, SimulationConfig)
+    record = expect_record(make_rig(world), make_scene(world), 2 * np.pi * 160 / TURN)
+    rendered_camera(controller.simulated)
+    with open_camera(SETTINGS.model_copy(update={"pixel_format": "mono16"})) as camera:
+        camera.start()
+        shoot(controller, 160, 1)
+        frames = [camera.next(WAIT_S) for _ in range(2)]
+    for frame, expected in zip(frames, (record.off + record.laser, record.off), strict=True):
+        assert frame.complete and frame.image.dtype == np.uint16 and frame.bits == 16
+        # Of less variance than in 8 bits by that of their rounding, some per cent.
+        assert departure(frame.image / 256.0, expected, world.sensor) == pytest.approx(1, abs=0.08)
+        assert np.count_nonzero(frame.image % 256) > 0.9 * frame.image.size
+
+
 @pytest.mark.slow
 def test_no_frame_is_lost_that_was_not_asked_to_be(controller, rendered_camera):
     bench = rendered_camera(controller.simulated)

@@ -226,7 +226,9 @@ def test_hardware_trigger_waits_for_the_wire(server):
             camera.trigger()
 
 
-@pytest.mark.parametrize("pixel_format, shape", [("rgb8", (240, 320, 3)), ("bayer_grbg8", (240, 320))])
+@pytest.mark.parametrize(
+    "pixel_format, shape", [("rgb8", (240, 320, 3)), ("bayer_grbg8", (240, 320)), ("mono16", (240, 320))]
+)
 def test_pixel_formats_and_free_running(server, pixel_format, shape):
     server.start()
     with opened(pixel_format=pixel_format, trigger="free", packet_size=4000) as camera:
@@ -234,6 +236,7 @@ def test_pixel_formats_and_free_running(server, pixel_format, shape):
         camera.start()
         first = camera.next(5.0)
         assert first.image.shape == shape and first.complete
+        assert first.image.dtype == (np.uint16 if pixel_format == "mono16" else np.uint8)
         time.sleep(0.3)
         assert camera.drop() >= 2
         assert camera.next(5.0).number > first.number + 2

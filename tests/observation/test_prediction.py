@@ -1,12 +1,16 @@
 """Where a board and the stripe on it will be seen, against a forward model written apart."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate, choose, estimate, solved_rig
+from jaxscan.calibration.advice import warn_of_missing_lines
+from jaxscan.observation import FoundCorners, Look, SeenRecord
 from jaxscan.observation.prediction import lift_to_board, predict_corners, predict_stripe, turn_boards
+from jaxscan.stripes import LaserLine
 
 
 @pytest.fixture(scope="module")
@@ -123,3 +127,24 @@ def test_a_second_estimate_is_kept_unless_it_explains_less(estimated):
     for worse in (astray, without_motion, without_sheet):
         kept, look = choose(first, worse)
         assert kept is first and not look.kept
+
+
+def test_boards_that_show_no_line_though_the_sheet_meets_them_are_named(solved):
+    """Of boards that it does not meet, or that no laser lit, nothing is missed."""
+    _, observed, rig = solved
+    corners, lit = observed.corners, set(observed.stripes.view.tolist())
+    lost, dark = sorted(lit)[:2], sorted(lit)[2]
+    views = []
+    for view in range(len(corners.q)):
+        record = SimpleNamespace(i=100 + view, lasers=() if view == dark else (0,), on=("on",))
+        found = () if view in lost or view == dark or view not in lit else (object(),)
+        seen = FoundCorners(corners.q[view], corners.sigma[view], corners.valid[view])
+        views.append(SeenRecord(0, record, corners=seen, stripes=found))
+    look = Look(observed.board, views, ((LaserLine(name=observed.laser_names[0]),),), {})
+    missed, met = look.without_a_line(rig)
+    assert missed == [100 + view for view in lost] and met == len(lit) - 1
+    (warning,) = warn_of_missing_lines(missed, met)
+    assert (
+        warning.startswith(f"no line was found on 2 of {met} boards") and f"records {missed[0]}, {missed[1]}" in warning
+    )
+    assert look._replace(lines=None).without_a_line(rig) == ([], 0) and warn_of_missing_lines([], met) == ()

@@ -167,4 +167,4 @@ def test_tags_of_one_row_are_refused():
     image = picture(APRIL, texture(APRIL), PER_SQUARE[APRIL], motion)
     truth = seen_at(APRIL, motion).reshape(2 * APRIL.rows, 2 * APRIL.columns, 2)
     image[int(truth[1, :, 1].max()) + 12 :] = 128
-    assert find_april_grid(image, APRIL) is None
+    assert find_april_grid(image, image, APRIL) is None

@@ -14,7 +14,7 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, Literal, TextIO
 
 import numpy as np
 
@@ -26,7 +26,8 @@ LIBRARY = "libaravis-0.8.so.0"
 
 WIDTH, HEIGHT, GAIN, EXPOSURE_US, LEFT, TOP = 0x100, 0x104, 0x110, 0x120, 0x130, 0x134
 FRAME_PERIOD_US, TRIGGER_SOFTWARE, ACQUISITION, CONTROL_CHANNEL_PRIVILEGE = 0x138, 0x30C, 0x124, 0xA00
-"""Registers of the fake camera."""
+PIXEL_FORMAT, MONO16 = 0x128, 0x01100007
+"""Registers of the fake camera, and GenICam's number of a pixel format."""
 
 BROADCAST = "255.255.255.255", 3956
 
@@ -96,7 +97,7 @@ class GvCamera:
         """Start to answer.
 
         Args:
-            present: Returns the view at this moment, uint8 [rows, columns]; called in a thread of libaravis.
+            present: Returns the view at this moment [rows, columns], uint8 or uint16 by `bits`; called in a thread.
             address: Of a local network interface.
 
         Raises:
@@ -127,6 +128,11 @@ class GvCamera:
     def write(self, address: int, value: int) -> None:
         """Set a register."""
         self._library.arv_fake_camera_write_register(self._camera, address, value)
+
+    @property
+    def bits(self) -> Literal[8, 16]:
+        """Bits of a sample that the client asked for: those of Mono8 or Mono16."""
+        return 16 if self.register(PIXEL_FORMAT) == MONO16 else 8
 
     def armed(self) -> bool:
         """Whether a trigger would be taken: a client acquires, and has switched triggering on."""
@@ -183,8 +189,8 @@ class GvCamera:
         """The client's region of interest; black where it reaches beyond the sensor."""
         width, height, left, top = (self.register(address) for address in (WIDTH, HEIGHT, LEFT, TOP))
         if (height, width, left, top) == (*frame.shape, 0, 0):
-            return np.ascontiguousarray(frame, np.uint8)
-        window = np.zeros((height, width), np.uint8)
+            return np.ascontiguousarray(frame)
+        window = np.zeros((height, width), frame.dtype)
         part = frame[top : top + height, left : left + width]
         window[: part.shape[0], : part.shape[1]] = part
         return window
@@ -403,7 +409,9 @@ class BenchCamera:
         if trouble.covered:
             view = view._replace(exposure=0.0)
         with self._world_lock:
-            return self.world.frame(view, number, flash_dn=flash, blur_px=blur)
+            wire = self._wire
+            bits = 8 if wire is None else wire.bits
+            return self.world.frame(view, number, flash_dn=flash, blur_px=blur, bits=bits)
 
     def _send(self, exposure: Exposure, view: View, picture: np.ndarray) -> None:
         with self._wire_lock:

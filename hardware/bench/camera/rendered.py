@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -65,6 +65,10 @@ class World:
             reach_deg: Only placements are kept from which the board is seen over at least this angle to both sides.
         """
         self.config = config
+        self._config_of = {
+            bits: config.model_copy(update={"sensor": config.sensor.model_copy(update={"bits": bits})})
+            for bits in (8, 16)
+        }
         self.reach_deg = reach_deg
         self._rig, self._scene = make_rig(config), make_scene(config)
         self._boards = make_scene(config, boards=config.object is not None)
@@ -116,14 +120,17 @@ class World:
             known[laser] = expect_record(self._rig, scene, angle, laser=laser, board=seen)
         return known[laser]
 
-    def frame(self, view: View, number: int, *, flash_dn: float = 0.0, blur_px: int = 0) -> np.ndarray:
-        """One frame, uint8 [rows, columns].
+    def frame(
+        self, view: View, number: int, *, flash_dn: float = 0.0, blur_px: int = 0, bits: Literal[8, 16] = 8
+    ) -> np.ndarray:
+        """One frame, uint8 [rows, columns]; uint16 of 16 bits.
 
         Args:
             view: The scene in front of the lens.
             number: Chooses the noise: the same view and number give the same frame.
             flash_dn: Light that is added everywhere, as by a flash or an opened door.
             blur_px: How far the image moves during the exposure, along the rows.
+            bits: Bits of a sample: the same light and noise, in finer steps.
         """
         rng = self._generator(_NOISE, number)
         lit = [(laser, share) for laser, share in enumerate(view.lights[: len(self.config.laser)]) if share > 0]
@@ -135,7 +142,7 @@ class World:
         light = light * np.float32(view.exposure) + np.float32(flash_dn)
         if blur_px:
             light = np.stack([np.roll(light, shift, axis=1) for shift in range(blur_px + 1)]).mean(0)
-        return take_frame(light, self.config, rng)
+        return take_frame(light, self._config_of[bits], rng)
 
     def _known_laser(self) -> int:
         """The laser whose record was made last; the room looks the same in all."""

@@ -26,7 +26,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from jaxscan.errors import DependencyError
-from jaxscan.stripes import PixelFormat, frame_rank
+from jaxscan.stripes import DEEP_BITS, frame_rank
 from scanrig.cameras.camera import Camera, CameraIdentity, CameraSettings, Features, Frame, require, wanted
 from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
@@ -232,15 +232,14 @@ def _register(aravis: Aravis, device: int, address: int) -> int | None:
     return value.value
 
 
-PIXEL_FORMATS: dict[PixelFormat, tuple[str, ...]] = {
-    "mono8": ("Mono8",),
+_BAYER = {"rggb": "RG", "bggr": "BG", "grbg": "GR", "gbrg": "GB"}
+PIXEL_FORMATS: dict[str, tuple[str, ...]] = {
     "rgb8": ("RGB8", "RGB8Packed"),
-    "bayer_rggb8": ("BayerRG8",),
-    "bayer_bggr8": ("BayerBG8",),
-    "bayer_grbg8": ("BayerGR8",),
-    "bayer_gbrg8": ("BayerGB8",),
+    **{f"mono{bits}": (f"Mono{bits}",) for bits in (8, *DEEP_BITS)},
+    **{f"bayer_{one}{bits}": (f"Bayer{tile}{bits}",) for one, tile in _BAYER.items() for bits in (8, *DEEP_BITS)},
 }
-"""GenICam's names of the pixel formats; the second name is used by older cameras."""
+"""GenICam's names of the pixel formats; the second name is used by older cameras. Those of more than 8 bits have
+two bytes for each sample, the lower first; the packed ones ("Mono12p", "Mono12Packed") are not asked for."""
 
 AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto")
 """Automatic functions of a camera, which are switched off."""
@@ -453,8 +452,9 @@ class AravisCamera(Camera):
         """
         self._aravis, self.settings, self._say = load_aravis(), settings, say
         shape = settings.height, settings.width, 3
-        self._shape = shape[: frame_rank(settings.pixel_format)]
-        self._bytes = int(np.prod(self._shape))
+        self._shape = shape[: frame_rank(settings.layout)]
+        self._type = np.dtype("<u2" if settings.bits > 8 else np.uint8)
+        self._bytes = int(np.prod(self._shape)) * self._type.itemsize
         self._camera: int | None = None
         self._stream: int | None = None
         self._running = self._started = self._lost = False
@@ -626,8 +626,8 @@ class AravisCamera(Camera):
         complete = not notes
         if advance != 1:
             notes.append(f"{advance - 1} frames are missing before it" if advance > 1 else "out of order")
-        image = np.frombuffer(ctypes.string_at(data, self._bytes), np.uint8).reshape(self._shape).copy()
-        return Frame(image, number, complete, "; ".join(notes))
+        image = np.frombuffer(ctypes.string_at(data, self._bytes), self._type).reshape(self._shape).copy()
+        return Frame(image, number, complete, "; ".join(notes), self.settings.bits)
 
     def _release(self, buffer: int) -> None:
         """Give a buffer back unread; its frame does not count as missing."""

@@ -1,22 +1,30 @@
 """What every camera is: its settings and features, its frames with their numbers, and the interface."""
 
+import functools
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, cast
 
 import numpy as np
 import pydantic
-from jaxtyping import UInt8
+from jaxtyping import UInt8, UInt16
 
+from jaxscan.files.capture import CameraTable
 from jaxscan.files.disk import ImageSize, Integer, Number
 from jaxscan.geometry.scanner import Up
-from jaxscan.stripes import PixelFormat, Response, known_response
+from jaxscan.stripes import DEEP_FORMATS, PIXEL_FORMATS, PixelFormat, Response, known_response, to_8_bits
 from scanrig.errors import CameraError
 
 
 CameraKind = Literal["aravis", "opencv", "folder", "simulated"]
 TriggerMode = Literal["hardware", "software", "free"]
+
+
+def _known_format(pixel_format: str) -> str:
+    if pixel_format in PIXEL_FORMATS or pixel_format in DEEP_FORMATS:
+        return pixel_format
+    raise ValueError(f'found "{pixel_format[:60]}", expected one of {", ".join((*PIXEL_FORMATS, *DEEP_FORMATS))}')
 
 
 class CameraSettings(ImageSize):
@@ -27,8 +35,8 @@ class CameraSettings(ImageSize):
     id: Annotated[str, pydantic.Field(max_length=1024)] = ""
     """Aravis: device id, serial number or address, "" for the only camera. OpenCV: index, path or
     URL. Folder: its path. Simulated: a TOML file of a synthetic scene, or ""."""
-    pixel_format: PixelFormat = "mono8"
-    """How a frame is to be read."""
+    pixel_format: Annotated[str, pydantic.AfterValidator(_known_format)] = "mono8"
+    """How the camera gives a frame: one of `PIXEL_FORMATS`, or of `DEEP_FORMATS`, such as "mono12"."""
     response: Annotated[Response, pydantic.AfterValidator(known_response)] = "linear"
     """"linear", "srgb" or "gamma 2.2"."""
     up: Up = "-v"
@@ -54,7 +62,31 @@ class CameraSettings(ImageSize):
             raise ValueError(f'pixel_format: found "{self.pixel_format}", but kind "opencv" gives "mono8" or "rgb8"')
         if self.kind == "folder" and not self.id:
             raise ValueError('id: found "", but kind "folder" needs the path of a folder')
+        if self.bits > 8 and self.response != "linear":
+            raise ValueError(f'response: found "{self.response}", but frames of {self.bits} bits are "linear"')
         return self
+
+    @property
+    def layout(self) -> PixelFormat:
+        """How the pixels of a frame lie, whatever its bits: the pixel format of captures, and of `Frame.shown`."""
+        return DEEP_FORMATS[self.pixel_format][0] if self.bits > 8 else cast(PixelFormat, self.pixel_format)
+
+    @property
+    def bits(self) -> int:
+        """Bits of a sample."""
+        return DEEP_FORMATS[self.pixel_format][1] if self.pixel_format in DEEP_FORMATS else 8
+
+    @property
+    def table(self) -> CameraTable:
+        """The camera as in a capture's header."""
+        return CameraTable(
+            width=self.width,
+            height=self.height,
+            pixel_format=self.layout,
+            response=self.response,
+            up=self.up,
+            bits=self.bits if self.bits > 8 else None,
+        )
 
 
 Features = dict[str, float | int | str]
@@ -66,14 +98,21 @@ and further ones of its kind. Settings that a camera cannot read back are absent
 class Frame:
     """One frame and its number."""
 
-    image: UInt8[np.ndarray, "rows columns *three"]
-    """uint8 [rows, columns], or RGB [rows, columns, 3]; owns its memory."""
+    image: UInt8[np.ndarray, "rows columns *three"] | UInt16[np.ndarray, "rows columns"]
+    """uint8 [rows, columns], or RGB [rows, columns, 3]; uint16 of more than 8 bits; owns its memory."""
     number: int
     """The camera's count of frames, unwrapped; −1: unknown. A gap means lost frames."""
     complete: bool
     """Whether the whole image arrived; missing parts are zero or older."""
     note: str = ""
     """A remark for the journal."""
+    bits: int = 8
+    """Bits of a sample."""
+
+    @functools.cached_property
+    def shown(self) -> UInt8[np.ndarray, "rows columns *three"]:
+        """The image in 8 bits, for pages, and for all that need not measure finer."""
+        return to_8_bits(self.image, self.bits) if self.bits > 8 else self.image
 
 
 @dataclass(frozen=True)

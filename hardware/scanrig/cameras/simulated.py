@@ -9,7 +9,7 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import pydantic
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, UInt8, UInt16
 
 from jaxscan.files.disk import FileModel, Integer, Number, load_toml
 from jaxscan.geometry import StripeAxis
@@ -60,6 +60,8 @@ class FrameShape(NamedTuple):
     height: int
     """[px]"""
     pixel_format: PixelFormat = "mono8"
+    """How its pixels lie."""
+    bits: int = 8
 
 
 def stripe_centre(scene: SyntheticScene, position: float, lines: int, samples: int) -> Float[np.ndarray, " lines"]:
@@ -94,9 +96,12 @@ def draw(
     lit: int,
     shape: FrameShape,
     generator: np.random.Generator,
-) -> UInt8[np.ndarray, "rows columns *three"]:
-    """One frame at a position of the table [microsteps], with a laser on, from 1; 0: none."""
-    width, height, pixel_format = shape
+) -> UInt8[np.ndarray, "rows columns *three"] | UInt16[np.ndarray, "rows columns"]:
+    """One frame at a position of the table [microsteps], with a laser on, from 1; 0: none.
+
+    Of more than 8 bits it has the light and the noise of one of 8, in finer steps.
+    """
+    width, height, pixel_format, bits = shape
     across = scene.stripe_axis == "columns"
     lines, samples = (width, height) if across else (height, width)
     room = wall(scene, position, lines, samples)
@@ -111,7 +116,8 @@ def draw(
     # With more than a few electrons the noise is nearly Gaussian, which is drawn ten times as fast.
     variance = light * np.float32(1.0 / scene.electrons_per_dn) + np.float32(scene.read_dn**2)
     noisy = light + np.sqrt(variance) * generator.standard_normal(light.shape, np.float32)
-    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+    finer = 1 << bits - 8
+    return np.clip(np.rint(noisy * np.float32(finer)), 0, 256 * finer - 1).astype(np.uint16 if bits > 8 else np.uint8)
 
 
 def _mosaic(light: Float[np.ndarray, "rows columns 3"], pixel_format: str) -> Float[np.ndarray, "rows columns"]:
@@ -126,7 +132,7 @@ def _mosaic(light: Float[np.ndarray, "rows columns 3"], pixel_format: str) -> Fl
 Fault = Literal["missing", "duplicate", "incomplete", "stale", "swapped", "late", "lost"]
 """Faults of an exposure: its frame is not delivered; delivered twice; half delivered; replaced by the one before;
 exchanged with the one after; delivered only with the one after; and: the camera is gone from here on."""
-Scene = Callable[[float, int], UInt8[np.ndarray, "rows columns *three"]]
+Scene = Callable[[float, int], UInt8[np.ndarray, "rows columns *three"] | UInt16[np.ndarray, "rows columns"]]
 """Draws the frame at a position of the table [microsteps], with a laser on (from 1; 0: none)."""
 
 
@@ -266,7 +272,8 @@ class SimulatedCamera(Camera):
         self._queue.extend(arriving)
 
     def _frame(self, image: np.ndarray, *, number: int | None = None, complete: bool = True, note: str = "") -> Frame:
-        return Frame(image, self.exposures if number is None else number, complete, note)
+        number = self.exposures if number is None else number
+        return Frame(image, number, complete, note, self.settings.bits)
 
 
 def open_simulated(settings: CameraSettings) -> SimulatedCamera:
@@ -277,7 +284,7 @@ def open_simulated(settings: CameraSettings) -> SimulatedCamera:
 
 def _drawn(scene: SyntheticScene, settings: CameraSettings) -> Scene:
     generator = np.random.default_rng(scene.seed)
-    shape = FrameShape(settings.width, settings.height, settings.pixel_format)
+    shape = FrameShape(settings.width, settings.height, settings.layout, settings.bits)
     return lambda position, lit: draw(scene, position, lit, shape, generator)
 
 

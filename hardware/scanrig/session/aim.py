@@ -48,7 +48,7 @@ class Sight:
     @property
     def on(self) -> np.ndarray | None:
         """The laser-on frame."""
-        return None if self.pair is None else self.pair.on.image
+        return None if self.pair is None else self.pair.on.shown
 
     @property
     def proof(self) -> PairProof | None:
@@ -125,7 +125,7 @@ def _sight(rig: RecoveringRig, to: int, number: int, *, lit: bool) -> Sight:
         return Sight(None, rig.look(), at)
     taken, rejections = rig.grab(to, number)
     pair = ProvenPair(*taken, prove(taken, rig.config), rejections.reasons)
-    return Sight(pair, taken.off.image, at)
+    return Sight(pair, taken.off.shown, at)
 
 
 def _exposed(config: RigConfig, wanted: Wish) -> RigConfig:

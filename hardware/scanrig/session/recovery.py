@@ -190,7 +190,7 @@ class RecoveringRig:
         if attempt > 0 and attempt % 2 == 0:
             # Here, where a fault during the reopening is recovered too.
             self._open_anew("a look")
-        return plain_frame(self._station("a look")).image
+        return plain_frame(self._station("a look")).shown
 
     def take(self, to: int, number: int, before: Rejections | None = None) -> ProvenPair:
         """Take one record, with the laser of its number, until it is proven; `before`: earlier takes, rejected.

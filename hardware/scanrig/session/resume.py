@@ -133,7 +133,7 @@ def _checked(folder: Path, event: dict[str, Any], key: str, kind: pydantic.TypeA
 
 
 def read_pair(folder: Path, number: int) -> tuple[np.ndarray, np.ndarray]:
-    """The laser-on and laser-off frame of one record; other records may be damaged.
+    """The laser-on and laser-off frame of one record in 8 bits; other records may be damaged.
 
     Raises:
         CaptureError: If they are missing or damaged.
@@ -144,7 +144,8 @@ def read_pair(folder: Path, number: int) -> tuple[np.ndarray, np.ndarray]:
         if record.i == number:
             on, off = reader.frame(record.on), reader.frame(record.off)
             if on is not None and off is not None:
-                return on, off
+                # Of more than 8 bits the first level holds the whole range.
+                return (on, off) if texts.header.camera.bits is None else (on[0], off[0])
     raise CaptureError(f"{folder}: record {number} lacks a frame, so nothing can be compared with it.")
 
 

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
-from jaxscan.files.capture import CameraTable, CaptureHeader, PlanTable, TurntableTable
+from jaxscan.files.capture import CaptureHeader, PlanTable, TurntableTable
 from scanrig.cameras import Features, require_same
 from scanrig.checks import PLACES, LeakWatch, LightWatch, Likeness, PairProof, compare_pairs
 from scanrig.config import RigConfig
@@ -66,16 +66,9 @@ def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureH
     }
     if job.calibration_digest is not None:
         acquisition["calibration"] = job.calibration_digest
-    camera = config.camera
     return CaptureHeader(
         kind=kind,
-        camera=CameraTable(
-            width=camera.width,
-            height=camera.height,
-            pixel_format=camera.pixel_format,
-            response=camera.response,
-            up=camera.up,
-        ),
+        camera=config.camera.table,
         turntable=TurntableTable(carries=config.turntable.carries, angle_sigma_deg=config.turntable.angle_sigma_deg),
         laser=tuple(laser.table for laser in config.laser),
         board=config.board if kind == "calibration" else None,
@@ -295,7 +288,7 @@ class Session:
             self._count(flight)
             if hooks.on_pair is not None:
                 angle = math.radians(angle_deg(flight.taken.position, self.config.microsteps_per_turn))
-                hooks.on_pair(flight.record, angle, flight.taken.on.image, flight.taken.off.image)
+                hooks.on_pair(flight.record, angle, flight.taken.on.shown, flight.taken.off.shown)
             if hooks.progress is not None:
                 hooks.progress(len(self.done), self.job.planned)
 
@@ -363,8 +356,8 @@ class Session:
         self._flights.wait()
         likeness = compare_pairs(
             read_pair(self.job.folder, record),
-            (pair.on.image, pair.off.image),
-            pixel_format=self.config.camera.pixel_format,
+            (pair.on.shown, pair.off.shown),
+            pixel_format=self.config.camera.layout,
             response=self.config.camera.response,
             line=self.config.laser[pair.laser].line,
         )

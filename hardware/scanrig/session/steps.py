@@ -352,7 +352,7 @@ def _keep_alive(controller: Controller, *, lit: int | None) -> None:
 def _look(camera: Camera, config: RigConfig) -> Frame:
     frame = camera.next(LOOK_S)
     size = config.camera
-    expected = (size.height, size.width, 3)[: frame_rank(size.pixel_format)]
+    expected = (size.height, size.width, 3)[: frame_rank(size.layout)]
     if frame.image.shape != expected:
         raise CameraError(f"found a frame of the shape {frame.image.shape}, expected {expected}; see [camera].")
     return frame
@@ -382,10 +382,11 @@ def prove(taken: TakenPair, config: RigConfig) -> PairProof:
     return prove_pair(
         taken.on.image,
         taken.off.image,
-        pixel_format=config.camera.pixel_format,
+        pixel_format=config.camera.layout,
         response=config.camera.response,
         line=config.laser[taken.laser].line,
         limits=config.checks.proof,
+        bits=config.camera.bits,
     )
 
 

@@ -184,14 +184,14 @@ class Capture:
 
         Returns:
             on, off: uint8 [rows, columns], or RGB [rows, columns, 3] for rgb8; where a sweep has a
-                bracket, [exposures, rows, columns(, 3)].
+                bracket, or the camera gave more than 8 bits, [exposures, rows, columns(, 3)].
 
         Raises:
             CaptureError: With the name of the file that is missing, damaged or of the wrong size;
                 and where a calibration capture has a bracket.
         """
         record = self.records[index]
-        if self.header.kind == "calibration":
+        if self.header.kind == "calibration" and self.bits == 8:
             levels = exposure_levels((*record.on, *record.off))
             if len(levels) > 1:
                 raise CaptureError(
@@ -199,6 +199,14 @@ class Capture:
                     "images of one exposure."
                 )
         return self._reader.frame(record.on), self._reader.frame(record.off)
+
+    def pictures(self, index: int) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """The images of one record for people, uint8 [rows, columns(, 3)]: as `frames`, but of a bracket the middle
+        exposure, and of more than 8 bits the level that has their whole range."""
+        shown = 0 if self.bits > 8 else len(self.exposures) // 2
+        several = len(self.exposures) > 1
+        on, off = (one if one is None or not several else one[shown] for one in self.frames(index))
+        return on, off
 
     def off_frame(self, index: int) -> np.ndarray | None:
         """The laser-off image of one record, where there is one, as in `frames`; no other image is read."""
@@ -271,7 +279,7 @@ def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
             f"{journal_name}: record {without_off[0].i} has no laser-off image, but others have; "
             f"a sweep needs them all, or none."
         )
-    if header.kind == "sweep":
+    if header.kind == "sweep" or header.camera.bits is not None:
         check_exposures(records, name=journal_name, bits=header.camera.bits)
     reader = ImageReader(path, header, compare=compare)
     reader.check(records)

@@ -34,7 +34,7 @@ from jaxscan.geometry import (
     known_dictionary,
 )
 from jaxscan.geometry.scanner import Up
-from jaxscan.stripes import PIXEL_FORMATS, LaserColour, LaserLine, PixelFormat, Response, frame_rank, known_response
+from jaxscan.stripes import DEEP_FORMATS, LaserColour, LaserLine, PixelFormat, Response, frame_rank, known_response
 
 
 Count = Annotated[Integer, pydantic.Field(ge=1, le=1000)]
@@ -116,14 +116,14 @@ BoardTable = Annotated[
 CAPTURE_FORMAT: Literal["jaxscan-capture/1"] = "jaxscan-capture/1"
 HEADER_NAME = "capture.toml"
 MAX_HEADER_BYTES = MEGABYTE
-RESERVED_FORMATS = ("mono16", "bayer_rggb16", "bayer_bggr16", "bayer_grbg16", "bayer_gbrg16")
 
 
 def _supported(pixel_format: Any) -> Any:
-    if pixel_format in RESERVED_FORMATS:
+    if isinstance(pixel_format, str) and pixel_format in DEEP_FORMATS:
+        lying, bits = DEEP_FORMATS[pixel_format]
         raise ValueError(
-            f'"{pixel_format}" is reserved: frames of 10 to 16 bits are kept as levels of 8 bits, with bits = 12 or '
-            "the like; import them by `jaxscan import`, or convert to one of " + ", ".join(PIXEL_FORMATS)
+            f'"{pixel_format}" is a format of cameras; a capture keeps such frames as levels of 8 bits, with '
+            f'pixel_format = "{lying}" and bits = {bits}: import them by `jaxscan import`'
         )
     return pixel_format
 
@@ -147,7 +147,7 @@ class CameraTable(ImageSize):
     """The lossy compression of the images before they were stored; None without one."""
 
     bits: Literal[10, 12, 14, 16] | None = None
-    """Bits of a sample as the camera gave it, where a sweep keeps frames as levels (`split_levels`); None for 8."""
+    """Bits of a sample as the camera gave it, where frames are kept as levels (`split_levels`); None for 8."""
 
     def notes(self, compression: str | None) -> list[str]:
         """Notes on such images of a compression, a sentence each."""

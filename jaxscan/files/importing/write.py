@@ -17,7 +17,7 @@ from jaxscan.files.importing.listing import list_images
 from jaxscan.files.importing.plan import ImportPlan, ImportRequest, PlannedRecord, plan_records
 from jaxscan.files.importing.roles import find_roles
 from jaxscan.files.recording import create_capture, whole_capture
-from jaxscan.stripes import ExposurePair, LearnedResponse, learn_response, to_8_bits
+from jaxscan.stripes import ExposurePair, LearnedResponse, learn_response
 
 
 Progress = Callable[[int, int], None]
@@ -96,7 +96,7 @@ def describe_images(plan: ImportPlan, settings: ImageSettings) -> ImportedHeader
         "response": settings.response if learned is None else learned.response,
         "up": settings.up,
         "shutter": settings.shutter,
-        "bits": kind.depth.bits if deep and kind.depth is not None and plan.request.board is None else None,
+        "bits": kind.depth.bits if deep and kind.depth is not None else None,
         "compression": kind.compression or ("jpeg" if any(_is_jpeg(name) for name in names) else None),
     }
     rank = 3 if camera["pixel_format"] == "rgb8" else 2
@@ -166,10 +166,6 @@ def _extra(record: PlannedRecord, *, linear: bool) -> dict[str, Any]:
 def _given(images: list[np.ndarray], exposures_s: tuple[float, ...], found: ImportedHeader) -> Any:
     if not images:
         return None
-    depth = found.kind.depth
-    if depth is not None and depth.bits > 8:
-        # The corners of a board are found in bytes.
-        return images[0] if found.header.camera.bits else to_8_bits(images[0], depth.bits)
     return list(zip(images, exposures_s, strict=True)) if exposures_s else images[0]
 
 
