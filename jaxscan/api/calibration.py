@@ -99,8 +99,8 @@ def calibrate(
         only_camera: Calibrate the camera alone, as with `only="camera"` in the settings.
         redetect: Look for corners and stripes again at the places that the first solve predicts,
             and solve again; `quality.redetected` holds the gain.
-        progress: Called with (work done, work in all). If it has a method `doing`, that is told in words what is
-            being done.
+        progress: Called with (work done, work in all). If it has a method `doing`, that receives the current stage in
+            words.
 
     Returns:
         The calibration, with its covariance, quality and observations.

@@ -19,7 +19,7 @@ from jaxscan.files.clouds import save_cloud, save_clouds
 from jaxscan.geometry import Scanner
 from jaxscan.observation import Observations, Progress
 from jaxscan.recalibration import Adjusted, FeatureEyes, Given, Recalibration, RecalibrationSettings, SweepStripes
-from jaxscan.reconstruction import Plan, ReconstructSettings, plan_sweep, refuse_other_motion, smooth_stripes
+from jaxscan.reconstruction import DEFAULTS, Plan, ReconstructSettings, plan_sweep, refuse_other_motion, smooth_stripes
 
 
 def recalibrate(
@@ -33,8 +33,8 @@ def recalibrate(
 ) -> Recalibration:
     """Refine a stored calibration with ordinary sweeps of a room.
 
-    The walls must be flat; nothing else need be known of them. The stored calibration holds the directions of which
-    sweeps tell nothing. Stripes are kept beside each capture, so that a second time only a few images are read.
+    The walls must be flat; nothing else need be known of them. The stored calibration holds the directions that
+    sweeps do not determine. Stripes are kept beside each capture, so that a second time only a few images are read.
 
     Args:
         captures: Sweeps of one room, taken with the rig as it is now.
@@ -61,7 +61,7 @@ def recalibrate(
     scanner = recalibration.require_prior(stored, named)
     _check_captures(captures, boards, scanner.camera.width, scanner.camera.height)
     recalibration.refuse_used([(str(one.path), one.digest()) for one in (*captures, *boards)], stored.provenance, named)
-    # Everything that is wrong with a header or a journal is said before an image is read.
+    # Everything that is wrong with a header or a journal is reported before an image is read.
     plans = [_named(capture, plan_sweep, capture, scanner, settings.stripes) for capture in captures]
     stages = _stages(progress, captures, boards, _SOLVES)
     sweeps, notes = _swept(captures, plans, scanner, settings, stages)
@@ -69,8 +69,8 @@ def recalibrate(
         given = replace(given, boards=_observed(boards, scanner.laser_names, stages.part(len(captures))))
     if given.tracks is None:
         board = boards[0].board if boards else None
-        tracks, said = recalibration.observe_features(captures, sweeps, scanner, _feature_eyes(), settings, board)
-        given, notes = replace(given, tracks=tracks), [*notes, *said]
+        tracks, more = recalibration.observe_features(captures, sweeps, scanner, _feature_eyes(), settings, board)
+        given, notes = replace(given, tracks=tracks), [*notes, *more]
     stages.done(len(captures) + 1)
     solving = lambda done, total: stages.done(len(captures) + 1 + done)
     result = recalibration.recalibrate(sweeps, stored, settings, given, progress=solving)
@@ -147,7 +147,7 @@ def save_recalibrated_cloud(
     scanner: Scanner,
     path: str | Path,
     *,
-    settings: ReconstructSettings | None = None,
+    settings: ReconstructSettings = DEFAULTS,
     calibration_digest: str = "",
 ) -> None:
     """Write the cloud of all sweeps with one scanner, in the frame of the room.
@@ -280,7 +280,7 @@ def _turned(capture: Capture, correction: np.ndarray) -> Capture:
 
 
 def _judgement(result: Recalibration) -> dict[str, Any]:
-    """The recalibration that a file tells of."""
+    """What a file records of a recalibration."""
     return {
         "settings": asdict(result.settings),
         "drift": asdict(result.drift),

@@ -263,10 +263,10 @@ def cloud_of_ranges(
             sweep has no stripe.
         CalibrationError: If no point is in range.
     """
-    told = sorted((_about(part, capture) for part in parts), key=lambda one: one[0]["records"])
-    _check(told, capture, settings)
-    found = join_parts(plan_sweep(capture, scanner, settings), [_part(about, part) for about, part in told])
-    seen = _seen([part for _, part in told], len(capture))
+    described = sorted((_about(part, capture) for part in parts), key=lambda one: one[0]["records"])
+    _check(described, capture, settings)
+    found = join_parts(plan_sweep(capture, scanner, settings), [_part(about, part) for about, part in described])
+    seen = _seen([part for _, part in described], len(capture))
     pairs = pair_notes(capture, found.stripes, capture.frames, numbers_of(capture))
     cloud = reconstruct(capture, scanner, stripes=found.stripes, settings=settings)
     notes = (*found.notes, *pairs, *doubts_of(capture, scanner, cloud, seen))
@@ -291,12 +291,12 @@ def _about(part: Part, capture: Capture) -> tuple[dict[str, Any], Part]:
         raise CaptureError(f"{capture.path}: a part of its stripes is none ({FORMAT}).") from problem
 
 
-def _check(told: Sequence[tuple[dict[str, Any], Part]], capture: Capture, settings: ReconstructSettings) -> None:
-    if any(about["key"] != _key(capture, settings) for about, _ in told):
+def _check(described: Sequence[tuple[dict[str, Any], Part]], capture: Capture, settings: ReconstructSettings) -> None:
+    if any(about["key"] != _key(capture, settings) for about, _ in described):
         raise CaptureError(
             f"{capture.path}: parts of stripes are of another sweep, other settings or another code; find them again."
         )
-    ranges = [tuple(about["records"]) for about, _ in told]
+    ranges = [tuple(about["records"]) for about, _ in described]
     ends = [0, *(stop for _, stop in ranges)]
     if [first for first, _ in ranges] != ends[:-1] or ends[-1] != len(capture):
         listed = ", ".join(f"{first}-{stop}" for first, stop in ranges)

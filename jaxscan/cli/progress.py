@@ -1,4 +1,4 @@
-"""Progress: on a terminal it moves and says what is being done; in a log it is a line after each tenth."""
+"""Progress: a moving bar and the current stage on a terminal; a line after each tenth in a log."""
 
 import math
 import threading
@@ -102,12 +102,12 @@ class Shown:
             self._log.print(f"{self._task}: {100 * done // total} %, {line}")
 
     def doing(self, words: str) -> None:
-        """Say what is being done."""
+        """Show the current stage."""
         self._doing = words
         self._describe()
 
     def heard(self, event: str, duration_secs: float, **_: Any) -> None:
-        """Say while some thread compiles; a listener of `jax.monitoring`."""
+        """Show that some thread compiles; a listener of `jax.monitoring`."""
         if event not in (LOWERED, COMPILED):
             return
         with self._lock:
@@ -120,10 +120,10 @@ class Shown:
     def _describe(self) -> None:
         if self._bars is None:
             return
-        said = [words for words in (self._doing, "compiling" if self._compiling else "") if words]
-        task = [] if self._brief and said else [self._task]
-        told = ": ".join([*task, *([", ".join(said)] if said else [])])
-        self._bars.update(self._number, description=printable(told))
+        stage = [words for words in (self._doing, "compiling" if self._compiling else "") if words]
+        task = [] if self._brief and stage else [self._task]
+        description = ": ".join([*task, *([", ".join(stage)] if stage else [])])
+        self._bars.update(self._number, description=printable(description))
 
 
 @final
@@ -148,8 +148,8 @@ class _Left(ProgressColumn):
 def progress_bar(task: str) -> Iterator[Shown]:
     """A bar on standard error, as a callback `(done, total)`; without a terminal lines with the time that is left.
 
-    A wheel turns and the seconds count while nothing is done, and "compiling" is said while a function is compiled;
-    the callback's `doing` says what else is being done.
+    A wheel turns and the seconds count during a long step, and "compiling" is shown while a function is compiled; the
+    callback's `doing` shows any other stage.
     """
     terminal = Terminal(stderr=True)
     if not terminal.is_terminal:

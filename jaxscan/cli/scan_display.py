@@ -160,8 +160,7 @@ class ScanPlan(NamedTuple):
         out.print(f"{self.targets}: {2 * self.records} images of {rig.camera.width} x {rig.camera.height} to {folder}")
         turn = f"{rig.microsteps_per_turn} microsteps per turn"
         out.print(f"about {duration(self.seconds)}, up to {readable(self.bytes)}, {turn}")
-        for note in self.notes:
-            out.print(f"note: {note}")
+        out.notes(self.notes)
 
 
 def _each(rig: "RigConfig") -> str:
