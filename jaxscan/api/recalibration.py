@@ -112,17 +112,21 @@ def register(
     stages = _stages(progress, captures, (), _PLACED, features=0.0)
     sweeps, notes = _swept(captures, plans, scanner, settings, stages)
     solving = lambda done, total: stages.done(len(captures) + 1 + done)
+    found: Adjusted | None = None
+    problem: CalibrationError | None = None
     try:
         found = recalibration.register(sweeps, stored, settings, progress=solving)
         if found.converged and not _open(found):
             return found, tuple(notes)
-    except CalibrationError:
-        # Features may tell what walls do not.
-        found = None
+    except CalibrationError as raised:
+        problem = raised
+    # Features may tell what walls do not.
     tracks, said = recalibration.observe_features(captures, sweeps, scanner, _feature_eyes(), settings, None)
     if tracks is not None:
         found = recalibration.register(sweeps, stored, settings, Given(tracks=tracks))
         notes += said
+    elif problem is not None:
+        raise problem
     if found is None or not found.converged:
         raise CalibrationError(
             "the places of the stations were not found: walls and features of the images fit no arrangement; take the "
