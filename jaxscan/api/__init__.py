@@ -8,9 +8,11 @@ if TYPE_CHECKING:
     from jaxscan.api.drawings import (
         BoardSheets,
         check_drawing_path,
+        check_ifc_path,
         draw_board,
         save_board,
         save_drawing,
+        save_ifc,
         write_sheets,
     )
     from jaxscan.api.frames import align_cloud

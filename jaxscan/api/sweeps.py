@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxscan.api.stages import Stage, Stages, megapixels
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import Capture, cache_path, cached_stripes, code_digest, frames_key, save_stripes
 from jaxscan.geometry import Scanner
@@ -90,7 +91,7 @@ def reconstruct_capture(
         scanner: The calibrated rig.
         settings: Range limits, and how stripes are found.
         noise: Noise of a frame; estimated from the start of the sweep where not given.
-        progress: Called with (records done, records in all); from frames, of finding the stripes.
+        progress: Called with (work done, work in all).
         cache: Whether stripes are looked for in the capture's folder and kept there.
 
     Returns:
@@ -101,11 +102,15 @@ def reconstruct_capture(
             than the angles say.
         CalibrationError: If the scanner is not that of the sweep, or no point is in range.
     """
-    found = find_stripes(capture, scanner, settings, noise=noise, progress=progress, cache=cache)
-    again = progress if found.from_cache else None
+    pixels = megapixels(*capture.image_size, len(capture))
+    # Of a sweep of 180 pairs of 640 x 512 px on one processor.
+    stages = Stages(progress, (Stage(3.1, 0.035 * pixels), Stage(4.2, 1e-3 * pixels)))
+    found = find_stripes(capture, scanner, settings, noise=noise, progress=stages.part(0), cache=cache)
+    stages.done(0)
     cloud = reconstruct(
-        capture, scanner, stripes=found.stripes, smoothed=found.smoothed, settings=settings, progress=again
+        capture, scanner, stripes=found.stripes, smoothed=found.smoothed, settings=settings, progress=stages.part(1)
     )
+    stages.done(1)
     notes = (*found.notes, *doubts_of(capture, scanner, cloud, found.seen))
     return Reconstruction(cloud, found.from_cache, found.kept, notes, found.noise)
 

@@ -56,6 +56,7 @@ OPTIONAL = (
     Optional("lazrs", "lazrs", "export", "clouds as LAZ"),
     Optional("pyproj", "pyproj", "export", "convert --epsg"),
     Optional("ezdxf", "ezdxf", "plan", "drawings as DXF"),
+    Optional("ifcopenshell", "ifcopenshell", "ifc", "rooms as IFC"),
     Optional("fast-simplification", "fast_simplification", "mesh", "mesh --faces"),
     Optional("open3d", "open3d", "poisson", "mesh --poisson"),
     Optional("distributed", "distributed", "fleet", "batch"),
@@ -258,7 +259,7 @@ def examine_rig(
         port: Serial port instead of the port in the configuration.
         config: The rig's configuration, where there is one.
         camera: Id of the camera instead of the id in the configuration.
-        tell: Called with every `scanrig.doctor.findings.Finding`.
+        tell: Called with every `scanrig.doctor.Finding`.
         say: Called with a sentence on each check that takes long.
 
     Raises:

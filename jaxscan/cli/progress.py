@@ -90,14 +90,14 @@ class Shown:
         self._remaining = Remaining()
         self._compiling: set[int] = set()
         self._lock = threading.Lock()
-        self._number = TaskID(0) if bars is None else bars.add_task(printable(task), total=None, left="")
+        self._number = TaskID(0) if bars is None else bars.add_task(printable(task), total=None, ends=None)
 
     def __call__(self, done: int, total: int) -> None:
         """Show that `done` of `total` are done."""
         if self._bars is not None:
-            left = self._remaining(done, total) if 10 * done >= total else None
-            said = "" if left is None or done >= total else f"about {duration(left)} left"
-            self._bars.update(self._number, completed=done, total=total, left=said)
+            left = self._remaining(done, total) if 10 * done >= total > done else None
+            ends = None if left is None else time.monotonic() + left
+            self._bars.update(self._number, completed=done, total=total, ends=ends)
         elif self._log is not None and (line := self._remaining.line(done, total)):
             self._log.print(f"{self._task}: {100 * done // total} %, {line}")
 
@@ -134,6 +134,16 @@ class _Count(ProgressColumn):
         return Text("" if task.total is None else f"{int(task.completed)}/{int(task.total)}")
 
 
+@final
+class _Left(ProgressColumn):
+    """The time that is left, which becomes less while a long stage says nothing."""
+
+    def render(self, task: Task) -> Text:
+        ends = task.fields["ends"]
+        left = 0.0 if ends is None else ends - time.monotonic()
+        return Text(f"about {duration(left)} left" if left > 0 else "")
+
+
 @contextmanager
 def progress_bar(task: str) -> Iterator[Shown]:
     """A bar on standard error, as a callback `(done, total)`; without a terminal lines with the time that is left.
@@ -147,8 +157,7 @@ def progress_bar(task: str) -> Iterator[Shown]:
         return
     text = TextColumn("{task.description}", markup=False)
     brief = terminal.console.width < _BESIDE_BAR
-    left = TextColumn("{task.fields[left]}")
-    wide = (SpinnerColumn("line"), text, BarColumn(), _Count(), TimeElapsedColumn(), left)
+    wide = (SpinnerColumn("line"), text, BarColumn(), _Count(), TimeElapsedColumn(), _Left())
     columns = (SpinnerColumn("line"), text, _Count()) if brief else wide
     leave_behind(_WITHOUT_BAR)
     try:

@@ -97,7 +97,6 @@ def reconstruct(
     out.notes(before)
     start = time.perf_counter()
     with progress_bar("Reconstructing") as progress:
-        progress(0, len(sweep))
         progress.doing("finding stripes, compiling first where needed")
         done = api.reconstruct_capture(sweep, scanner, settings=settings, progress=progress, cache=cache)
     cloud = done.cloud

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 
 _READABLE_S = 0.25
-_POSE = 8
-"""A new pose of the board takes as long as about so many records, by hand or by a command."""
+_POSE = 4
+"""A new pose of the board takes as long as about so many records: more by hand, less on the bench."""
 
 
 class ScanDisplay:
