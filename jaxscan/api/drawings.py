@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from jaxscan.drawing import Drawing, Sheet, Survey
 from jaxscan.errors import OptionError, OutputError
 from jaxscan.files.disk import Part, check_writable, write_atomically, write_together
-from jaxscan.files.drawings import check_dxf, write_dxf
+from jaxscan.files.drawings import check_dxf, svg_of, write_dxf
 from jaxscan.files.ifc import check_ifc, write_ifc
 from jaxscan.geometry import AbstractBoard
 
@@ -18,7 +18,11 @@ if TYPE_CHECKING:
 
 DPI = 200.0
 """Dots per inch of a picture."""
-FINEST_
+FINEST_DPI = 1200.0
+
+
+def _write_svg(drawing: Drawing, path: Part, dpi: float) -> None:
+    path.write_bytes(svg_of(drawing))
 
 
 def _write_pdf(drawing: Drawing, path: Part, dpi: float) -> None:
