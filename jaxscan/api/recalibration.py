@@ -19,7 +19,7 @@ from jaxscan.files.clouds import save_cloud, save_clouds
 from jaxscan.geometry import Scanner
 from jaxscan.observation import Observations, Progress
 from jaxscan.recalibration import Adjusted, FeatureEyes, Given, Recalibration, RecalibrationSettings, SweepStripes
-from jaxscan.reconstruction import Plan, ReconstructSettings, plan_sweep, refuse_other_motion, smooth_stripes
+from jaxscan.reconstruction import DEFAULTS, Plan, ReconstructSettings, plan_sweep, refuse_other_motion, smooth_stripes
 
 
 def recalibrate(
@@ -147,7 +147,7 @@ def save_recalibrated_cloud(
     scanner: Scanner,
     path: str | Path,
     *,
-    settings: ReconstructSettings | None = None,
+    settings: ReconstructSettings = DEFAULTS,
     calibration_digest: str = "",
 ) -> None:
     """Write the cloud of all sweeps with one scanner, in the frame of the room.

@@ -89,7 +89,7 @@ def view(
         file_at("--rerun", rerun),
         json=json,
     )
-    projects = [path for path in clouds if path.suffix.lower() == ".toml"]
+    files = [path for path in clouds if path.suffix.lower() == ".toml"]
     clouds, missing = with_projects(clouds)
     if not clouds:
         raise CloudError("name one cloud or more: jaxscan view room.ply")
@@ -117,7 +117,7 @@ def view(
     out = notes_first(notes, json)
     address = open_address(host, web_port, option="--web-port")
     with ExitStack() as stack:
-        products = partial(products_of, projects) if projects else None
+        products = partial(products_of, files) if files else None
         stack.enter_context(serve_clouds(address, named, scanner, products))
         for line in address.invitation():
             out.print(line)
@@ -193,10 +193,10 @@ def with_projects(paths: Sequence[Path]) -> tuple[tuple[Path, ...], list[str]]:
     return tuple(clouds), notes
 
 
-def products_of(projects: Sequence[Path]) -> list[tuple[str, str, str]]:
+def products_of(paths: Sequence[Path]) -> list[tuple[str, str, str]]:
     """The products of projects as they are now: name, state, and why, or the notes of one that is done."""
     rows = []
-    for path in projects:
+    for path in paths:
         with projects.opened(projects.load_project(path)) as found:
             rows += [(one.step.key, str(one.state), one.why) for one in found.states]
     return rows

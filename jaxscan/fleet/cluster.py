@@ -299,7 +299,7 @@ def check_versions(client: distributed.Client) -> None:
         OptionError: If jaxscan, Python or Dask are of other versions there, or a worker has no jaxscan.
     """
     here = versions_here()
-    reported = client.get_versions(packages=list(_PACKAGES))
+    reported: Any = client.get_versions(packages=list(_PACKAGES))
     # What Dask itself reports comes first: with another Python or Dask, a function may not arrive there.
     for place, found in (("the scheduler", reported["scheduler"]), *sorted(reported["workers"].items())):
         _compare(here, _from_dask(found), place)
