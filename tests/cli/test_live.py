@@ -24,6 +24,9 @@ from jaxscan.reconstruction import IncomingStripes
 from jaxscan.stripes import learn_noise
 
 
+pytestmark = pytest.mark.more
+
+
 FIELDS = ("xyz", "rgb", "intensity", "normals", "sigma_random", "sigma_systematic", "valid", "record", "laser", "angle")
 
 
