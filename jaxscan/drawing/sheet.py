@@ -71,8 +71,13 @@ class Sheet:
 
     @property
     def paper_m(self) -> float:
-        """What a millimetre of the paper is in the drawing [m]; the sheet must have a scale."""
-        assert self.scale is not None
+        """What a millimetre of the paper is in the drawing [m].
+
+        Raises:
+            ValueError: If the sheet has no scale.
+        """
+        if self.scale is None:
+            raise ValueError("The sheet has no scale yet; `fitted` gives it one.")
         return self.scale / 1e3
 
     def fitted(self, size_m: np.ndarray) -> "Sheet":
