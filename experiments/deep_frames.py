@@ -1,6 +1,6 @@
 """What frames of 12 bits gain: stripes of one brightness after the other, in 8 bits and as levels of 12.
 
-    python experiments/deep_frames.py
+    python -m experiments.deep_frames
 
 A sensor of 10,000 electrons with 4 electrons of read noise, and a room at 2 % of its range. Nothing but the frames is
 given: the noise is learned from them. Prints a table for docs/captures.md; some seconds on two cores.

@@ -6,7 +6,7 @@ Compilation is not timed. A reconstruction of all pairs begins and ends in the h
 ends in the host's memory, as in a reconstruction. The results are compared, field by field, with those of the same
 function on the CPU, and with the cloud of `reconstruct` as called on this machine.
 
-    python experiments/gpu_speed.py [--dry] [--pairs 1024] [--chunk 128] [--json FILE]
+    python -m experiments.gpu_speed [--dry] [--pairs 1024] [--chunk 128] [--json FILE]
 
 Without an accelerator --dry runs everything on the CPU with few pairs, to see that it works: the
 times then mean nothing, and both sides of a difference are computed there.
@@ -21,10 +21,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, UInt8
-from measuring.speed_times import Figure
-from report import command_line, write_json
-from worlds.speed_scene import DISTINCT, ELECTRONS_PER_DN, READ_DN, make_angles, make_frames, make_scanner
 
+from experiments.report import Figure, command_line, conclude
+from experiments.speed_scene import DISTINCT, ELECTRONS_PER_DN, READ_DN, make_angles, make_frames, make_scanner
 from jaxscan.geometry import Array, Scanner
 from jaxscan.reconstruction import FrameChunk, ReconstructSettings, Sweep, plan_sweep, reconstruct
 from jaxscan.reconstruction.colours import stripe_colours
@@ -43,12 +42,12 @@ from jaxscan.stripes import (
 
 
 NOISE = NoiseModel(READ_DN, ELECTRONS_PER_DN)
-ASKED_SHARE = 0.4
+LIMIT_SHARE = 0.4
 """Of the speed of a copy."""
-ASKED_SIGMAS = 0.1
+LIMIT_SIGMAS = 0.1
 """Largest difference of nearly all centres from the CPU's, in their standard deviations."""
 NEARLY_ALL = 0.999
-ASKED_ONE_SIDED = 1e-3
+LIMIT_ONE_SIDED = 1e-3
 """Share of the stripes that only one of two results may have."""
 COPY_BYTES, DRY_COPY_BYTES = 4 << 30, 256 << 20
 UNITS = {"u": "px", "sigma": "px", "width": "px", "amplitude": "DN", "grey": "DN", "rgb": "DN", "intensity": "DN"}
@@ -142,14 +141,14 @@ def differences(name: str, found: dict[str, Any], expected: dict[str, Any]) -> l
             scaled = apart / expected["sigma"][both]
             values["nearly all, in sigmas"] = np.quantile(scaled, NEARLY_ALL) if scaled.size else 0.0
         for kind, value in values.items():
-            unit, asked = ("1", ASKED_SIGMAS) if "sigmas" in kind else (UNITS.get(key, "1"), None)
-            figures.append(Figure(f"{name}, {key}: {kind}", float(value), unit, "lower", 1.0, asked))
+            unit, limit = ("1", LIMIT_SIGMAS) if "sigmas" in kind else (UNITS.get(key, "1"), None)
+            figures.append(Figure(f"{name}, {key}: {kind}", float(value), unit, high=limit))
     stripes = max(int(np.count_nonzero(expected["valid"])), 1)
     alone = int(np.count_nonzero(found["valid"] != expected["valid"])) / stripes
     return [
         *figures,
-        Figure(f"{name}: valid in both", float(np.count_nonzero(both)), "lines", "none", 0.0),
-        Figure(f"{name}: valid in one only", alone, "1", "lower", 1.0, ASKED_ONE_SIDED),
+        Figure(f"{name}: valid in both", float(np.count_nonzero(both)), "lines"),
+        Figure(f"{name}: valid in one only", alone, "1", high=LIMIT_ONE_SIDED),
     ]
 
 
@@ -166,23 +165,21 @@ def measure(device: jax.Device, chunks: int, size: int, copied: int, repeats: in
     """Speed of stripes and points on one device, and how far its results are from the CPU's."""
     scanner = make_scanner()
     bandwidth = copy_bandwidth(device, copied, repeats)
-    figures = [Figure("copy, one way", bandwidth / 1e9, "GB/s", "higher", 0.1)]
+    figures = [Figure("copy, one way", bandwidth / 1e9, "GB/s")]
     stacks = resident(chunks, size, device)
     frame_bytes = sum(chunk.on.nbytes + chunk.off.nbytes for chunk in stacks)
     first = jax.tree.map(lambda leaf: np.asarray(leaf)[:DISTINCT], stacks[0])
     on_host = prepare(first, scanner, NOISE)
     job = jax.device_put(on_host, device)
 
-    def add(name: str, taken: float, asked: bool = False) -> None:
-        figures.append(Figure(name, 1e6 * taken / (chunks * size), "us/pair", "lower", 0.2))
+    def add(name: str, taken: float, limited: bool = False) -> None:
+        figures.append(Figure(name, 1e6 * taken / (chunks * size), "us/pair"))
         rate = frame_bytes / taken / bandwidth
-        figures.append(
-            Figure(f"{name}: frames' bytes of a copy", rate, "1", "higher", 0.2, ASKED_SHARE if asked else None)
-        )
+        figures.append(Figure(f"{name}: frames' bytes of a copy", rate, "1", low=LIMIT_SHARE if limited else None))
 
     whole = jax.jit(points_of_pairs)
     # On a CPU the copy says little about what XLA computes there.
-    add("stripes and points", seconds(lambda: [whole(job, chunk) for chunk in stacks], repeats), asked=not dry)
+    add("stripes and points", seconds(lambda: [whole(job, chunk) for chunk in stacks], repeats), limited=not dry)
     found = whole(job, jax.device_put(first, device))
     stripes = jax.device_get(found.stripes)
     add("smooth", seconds(lambda: smooth(stripes), repeats) * chunks * size / len(first.on))
@@ -236,12 +233,7 @@ def main() -> int:
             chunks = max(1, options.pairs // options.chunk)
             figures = measure(device, chunks, options.chunk, COPY_BYTES, 7, dry=False)
     print(f"{device.device_kind} ({device.platform})")
-    for figure in figures:
-        verdict = {None: "", True: f"asked {figure.asked}: met", False: f"asked {figure.asked}: MISSED"}[figure.met()]
-        print(f"{figure.key:>52} {figure.value:12.5g} {figure.unit:8} {verdict}")
-    document = {"format": "jaxscan-experiment-gpu-speed/1", "device": device.device_kind, "dry": options.dry}
-    write_json(options.json, document | {"metrics": [figure._asdict() for figure in figures]})
-    return 1 if any(figure.met() is False for figure in figures) else 0
+    return conclude("gpu-speed", figures, options.json, device=device.device_kind, dry=options.dry)
 
 
 if __name__ == "__main__":

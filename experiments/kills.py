@@ -5,7 +5,7 @@ leaves real things behind: an open serial port, a table in motion, a lit laser, 
 process that is gone. Every second session is a fresh process; the others are forked, so that they reach the camera
 within a fraction of a second, before its heartbeat has ended.
 
-    python experiments/kills.py [--kills 50] [--seed 1] [--steps 40] [--load 0] [--console] [--json FILE]
+    python -m experiments.kills [--kills 50] [--seed 1] [--steps 40] [--load 0] [--console] [--json FILE]
 
 With --console it is `jaxscan console` that scans, by the order of a page that shows the token and leaves; as long as it
 lives, a flood of half-open connections from the loopback stands at its door. Just before each kill a page that has the
@@ -46,16 +46,15 @@ from bench.camera.rendered import View, World, load_world
 from bench.desk import Desk, set_up
 from bench.flood import Flood
 from bench.places import WORLD
-from report import command_line, write_json
 from scanrig.config import load_rig
 from scanrig.recording import AHEAD
 from scanrig.session.plan import controller_settings
 
+from experiments.report import ROOT, command_line, verb, write_json
 from jaxscan.cli.main import main as jaxscan_main
 from jaxscan.files.capture import open_capture, verify_capture
 
 
-ROOT = Path(__file__).resolve().parent.parent
 CONFIG = ROOT / "configs" / "bench.toml"
 SESSION_S = 300.0
 """A session that is not killed must end within this time."""
@@ -407,8 +406,7 @@ def verdict(tally: Tally, ledger: list[dict[str, Any]], steps: int) -> dict[str,
     for capture in tally.captures:
         records = [record.i for record in open_capture(capture).records]
         complete += records == list(range(steps)) and verify_capture(capture) == []
-        command = [sys.executable, "-m", "jaxscan.cli.main", "doctor", "--capture", str(capture)]
-        clean += subprocess.run(command, stdout=subprocess.DEVNULL, cwd=ROOT).returncode == 0
+        clean += verb("doctor", "--capture", capture).code == 0
         more, good = pixels_right(capture, ledger, world)
         images, right = images + more, right + good
     return {

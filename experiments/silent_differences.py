@@ -12,7 +12,7 @@ changed, or a block is lost or exchanged. "sealed" files have the digest that ja
 A cloud has changed if a point reads another place, sigma or colour; where the file is refused, that of the unsealed one
 tells. Clouds are counted apart.
 
-    python experiments/silent_differences.py [--each N] [--seed S] [--only KIND] [--json FILE] [--results DIR]
+    python -m experiments.silent_differences [--each N] [--seed S] [--only KIND] [--json FILE] [--results DIR]
 """
 
 import hashlib
@@ -28,9 +28,10 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from report import command_line
 
 import jaxscan
+from experiments.report import command_line, write_json
+from experiments.report import table as markdown
 from jaxscan.api import reconstruct_capture
 from jaxscan.calibration import Calibration
 from jaxscan.errors import JaxscanError
@@ -397,7 +398,7 @@ MOVED = 3.0
 """Movement of a point that counts [sigma]."""
 POINTS = 10
 """Points that must have moved."""
-ASKED = {"sealed": 0.99, "unsealed": 0.90}
+LIMITS = {"sealed": 0.99, "unsealed": 0.90}
 """Share of the mutations that change the cloud which must be noticed."""
 
 
@@ -408,7 +409,7 @@ class Outcome(NamedTuple):
     capture: str
     changed: bool
     noticed: bool
-    said: str
+    notes: str
 
 
 def small(pixel_format: str, seed: int, yaw_deg: float) -> SimulationConfig:
@@ -444,7 +445,7 @@ def make(folder: Path, seed: int) -> Path:
 
 
 def reconstructed(place: Place, cache: bool) -> tuple[PointCloud | None, set[str]]:
-    """The cloud, and all that was said; no cloud after an error."""
+    """The cloud, and all notes; no cloud after an error."""
     try:
         capture = jaxscan.open_capture(place.sweep)
         notes = [*calibration_notes(place.calibration), *capture.notes]
@@ -508,10 +509,10 @@ def run(base: Path, each: int, seed: int, only: str) -> list[Outcome]:
                     continue
                 for k in range(each):
                     rng = np.random.default_rng([seed, k, zlib.crc32(kind.encode())])
-                    after, said = attempt(base, name, kind, mutate, rng)
+                    after, notes = attempt(base, name, kind, mutate, rng)
                     changed = matters.get((kind, k), True) if after is None else differs(before, after)
                     matters[kind, k] = changed
-                    new = said - usual
+                    new = notes - usual
                     outcomes.append(Outcome(kind, state, changed, bool(new), "; ".join(sorted(new))[:300]))
     return outcomes
 
@@ -572,11 +573,11 @@ def run_clouds(base: Path, each: int, seed: int, only: str) -> list[Outcome]:
                 data = bytearray(whole if state == "sealed" else whole.replace(b"seal blake2b", b"mark blake2b"))
                 path.write_bytes(change(data, rng))
                 try:
-                    changed, said = _reads_otherwise(before, load_cloud(path)), ""
+                    changed, notes = _reads_otherwise(before, load_cloud(path)), ""
                 except JaxscanError as problem:
-                    changed, said = matters.get(k, True), f"error: {problem}"
+                    changed, notes = matters.get(k, True), f"error: {problem}"
                 matters[k] = changed
-                outcomes.append(Outcome(kind, state, changed, bool(said), said[:300]))
+                outcomes.append(Outcome(kind, state, changed, bool(notes), notes[:300]))
     return outcomes
 
 
@@ -589,7 +590,7 @@ def _reads_otherwise(one: PointCloud, other: PointCloud) -> bool:
 
 def table(outcomes: list[Outcome]) -> str:
     """Counts per kind, as Markdown."""
-    rows = ["| kind | sealed: noticed of changed | unsealed: noticed of changed |", "| --- | --- | --- |"]
+    rows = []
     totals: dict[str, list[int]] = {"sealed": [0, 0], "unsealed": [0, 0]}
     for kind in dict.fromkeys(one.kind for one in outcomes):
         cells = []
@@ -598,19 +599,19 @@ def table(outcomes: list[Outcome]) -> str:
             noticed = sum(one.noticed for one in own)
             totals[state] = [totals[state][0] + noticed, totals[state][1] + len(own)]
             cells.append(f"{noticed} of {len(own)}" if own else "–")
-        rows.append(f"| {kind} | {cells[0]} | {cells[1]} |")
+        rows.append([kind, *cells])
     parts = [f"{100 * seen / max(of, 1):.1f} % ({seen} of {of})" for seen, of in totals.values()]
-    return "\n".join([*rows, f"| **all** | **{parts[0]}** | **{parts[1]}** |"])
+    rows.append(["**all**", *(f"**{part}**" for part in parts)])
+    return markdown(["kind", "sealed: noticed of changed", "unsealed: noticed of changed"], rows)
 
 
 def main() -> int:
     """Run, print the table, and say whether the limits are met."""
-    parser = command_line(__doc__)
+    parser = command_line(__doc__, json=True)
     parser.add_argument("--each", type=int, default=10, help="mutations of each kind")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="kinds whose name has this text")
     parser.add_argument("--base", type=Path, help="folder for the rendered captures, used again if it exists")
-    parser.add_argument("--json", type=Path)
     parser.add_argument("--results", type=Path, help="folder for silent_differences.md")
     options = parser.parse_args()
     start = time.perf_counter()
@@ -626,14 +627,13 @@ def main() -> int:
     print(f"{len(outcomes) + len(clouds)} mutations in {time.perf_counter() - start:.0f} s")
     sealed = [one.noticed for one in clouds if one.capture == "sealed" and one.changed]
     # Without a digest nothing compares the numbers of a cloud.
-    met = sum(sealed) >= ASKED["sealed"] * len(sealed)
-    for state, asked in ASKED.items():
+    met = sum(sealed) >= LIMITS["sealed"] * len(sealed)
+    for state, limit in LIMITS.items():
         own = [one for one in outcomes if one.capture == state and one.changed]
-        met &= sum(one.noticed for one in own) >= asked * len(own)
-    if options.json:
-        options.json.write_text(json.dumps([one._asdict() for one in (*outcomes, *clouds)], indent=1) + "\n")
+        met &= sum(one.noticed for one in own) >= limit * len(own)
+    write_json(options.json, [one._asdict() for one in (*outcomes, *clouds)])
     if options.results:
-        command = f"python experiments/silent_differences.py --each {options.each} --seed {options.seed}"
+        command = f"python -m experiments.silent_differences --each {options.each} --seed {options.seed}"
         head = f"# Silent differences\n\nWritten by `{command}`; the file says how each column is counted.\n"
         (options.results / "silent_differences.md").write_text(f"{head}\n{text}\n")
     return 0 if met else 1

@@ -1,271 +1,88 @@
-"""Speed of a whole reconstruction beside other pipelines and the limits of the machine, in one run.
+"""Speed and memory of a reconstruction beside plain pipelines, of codecs, of calibrations, and of the first result.
 
-All contestants get the same stacks in memory and take turns. Ours and the other pipelines end in
-coloured points. Ours also fits sub-pixel centres with their noise, chooses among several
-reflections, and gives normals and two sigmas per point. "fused" is the least work for peak and
-centroid, "read" the least for the bytes alone. Then whole sweeps from files: PNG against decoding
-alone, many pairs as new captures store them and as shards, other lengths, and clouds from known
-stripes. Then lossless codecs, and warm calibrations.
-Compilation is not timed, except in the last section, the first result: the demo and a calibration
-of its boards as commands, with nothing compiled and again. The frames come from `speed_scene.py`.
+    python -m experiments.speed [--only SECTION …] [--quick] [--scratch DIR] [--json FILE] [--results DIR]
 
-    python experiments/speed.py [--quick] [--only SECTION] [--scratch DIR] [--json FILE] [--results DIR]
+- memory: pairs in memory to coloured points. Ours fits sub-pixel centres with their noise, chooses among several
+  reflections, and gives normals and two sigmas a point; `usual` is the method of the best-known desk scanner for all
+  rows at once, `lean` the least that gives a centroid, `read` one pass over the bytes. All get the same stacks, in
+  turn.
+- packed: a sweep from files, in a process of its own: time by the number of records, memory without the pages of files
+  and how it grows with the sweep, and a cloud again from cached stripes.
+- codecs: size and time of the storage of captures beside PNG, JPEG-LS and JPEG XL, if imagecodecs is there.
+- calibration: warm solves, and the camera alone beside OpenCV's.
+- cold: the demo and a calibration of its boards as commands, with nothing compiled, and again.
 
-Without --quick and --only the tables and the plot in experiments/results are written anew.
+Compilation is not timed, but in `cold`. Limits are for a quiet machine with two cores; where others use it, processor
+time tells more than wall time. Without --quick and --only the page experiments/results/speed.md is written anew.
 """
 
+import argparse
+import ctypes
+import dataclasses
+import gc
+import importlib.util
 import json
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import jax
 import numpy as np
-from matplotlib.figure import Figure as Picture
-from measuring import speed_disk
-from measuring.speed_disk import CodecRow, measure_codecs
-from measuring.speed_memory import measure_memory, memory_figures, small_figures
-from measuring.speed_times import Contestant, Figure, Times, load, machine, take_turns
-from report import command_line, table, write_json
-from worlds import exact_rig
-from worlds.exact_rig import PosePlan, add_noise, draw_poses, ideal_boards
-from worlds.speed_scene import (
+
+from experiments import exact_rig
+from experiments.exact_rig import PosePlan, add_noise, draw_poses, ideal_boards
+from experiments.paper.methods import centroid, horus_centres
+from experiments.report import RESULTS, Figure, command_line, conclude, figure_table, machine, progress, table, verb
+from experiments.speed_scene import (
     DISTINCT,
+    DISTORTION,
+    HEIGHT,
+    WIDTH,
+    Frames,
+    make_angles,
     make_frames,
     make_scanner,
 )
-
-from jaxscan.calibration import Calibration, CalibrationSettings, calibrate_camera, calibrate_observations
+from jaxscan.calibration import CalibrationSettings, calibrate_camera, calibrate_observations
+from jaxscan.files.capture import Capture, cache_path, cached_stripes, frames_key, open_capture, save_stripes
+from jaxscan.geometry import Scanner
 from jaxscan.observation import Observations
+from jaxscan.reconstruction import PointCloud, ReconstructSettings, Sweep, extract, reconstruct
+from jaxscan.stripes import Stripes, StripeSettings, extract_stripes
+from jaxscan.vision import decode_image, encode_png, encode_zstd
 
 
-VIEWS, POINTS, CAMERA_VIEWS = 40, 1000, 23
-FEWER_VIEWS = 37
-"""Of a second calibration in the same process, which should compile nothing."""
-COMPILING = "/jax/core/compile/backend_compile_duration"
+THREADS = 2
+"""As many as there are cores: frames over threads, since NumPy and OpenCV let go of the lock."""
 
 
-def calibration_figures(repeats: int) -> list[Figure]:
-    """Warm times, and the time of compiling for another number of views."""
-    rig, fewer = _rig(VIEWS), _rig(FEWER_VIEWS)
-    plain = CalibrationSettings(judge=False)
-    first = time.perf_counter()
-    calibrate_observations(rig)
-    first = time.perf_counter() - first
-    compiled: list[float] = []
+class Times(NamedTuple):
+    """Times of several runs of one function [s]."""
 
-    def listen(event: str, duration: float, **_: object) -> None:
-        if event == COMPILING:
-            compiled.append(duration)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    calibrate_observations(fewer)
-    others, seconds = len(compiled), sum(compiled)
-    ours, theirs = camera_contest()
-    times = take_turns(
-        {
-            "plain": lambda: calibrate_observations(rig, settings=plain),
-            "judged": lambda: calibrate_observations(rig),
-            "ours": ours,
-            "opencv": theirs,
-        },
-        repeats,
-    )
-    return [
-        Figure("calibrate_observations, 40 views, first call", first, "s", "lower", 0.3),
-        Figure("calibrate_observations, 40 views, warm", times["plain"].best, "s", "lower", 0.2, 0.4),
-        Figure("calibrate_observations, 40 views, models judged", times["judged"].best, "s", "lower", 0.2),
-        Figure(f"functions compiled for {FEWER_VIEWS} views after {VIEWS}", others, "", "lower", 0.0, 0.0),
-        Figure("time of compiling these", seconds, "s", "lower", 0.3),
-        Figure("camera alone", 1e3 * times["ours"].best, "ms", "lower", 0.2),
-        Figure("camera alone / OpenCV", times["ours"].best / times["opencv"].best, "1", "lower", 0.2, 1.0),
-    ]
+    best: float
+    processor: float
+    """Least time of all cores together; unlike wall time, it hardly depends on the load of the machine."""
 
 
-def camera_contest() -> tuple[Callable[[], Calibration], Callable[[], Any]]:
-    """The camera from the same 23 views by ours, with seed, covariance and rejection, and by OpenCV's."""
-    config = exact_rig.reference()
-    poses = draw_poses(config, 5, PosePlan(free_views=CAMERA_VIEWS, placements=0, angles=1, lit=0))
-    observed = exact_rig.observations(add_noise(ideal_boards(config, poses), np.random.default_rng(0)), config)
-    points = [observed.board.corners().astype(np.float32)] * CAMERA_VIEWS
-    pixels = [q.astype(np.float32) for q in observed.corners.q]
-    size = (config.camera.width, config.camera.height)
-    plain = CalibrationSettings(judge=False)
-    return (
-        lambda: calibrate_camera(observed, settings=plain),
-        lambda: cv2.calibrateCamera(points, pixels, size, None, None),
-    )
-
-
-def _rig(views: int) -> Observations:
-    """All views of a rig, with the noise of a detector."""
-    config = exact_rig.reference()
-    poses = draw_poses(config, 3, PosePlan(free_views=views - 9, placements=3, angles=3))
-    noisy = add_noise(ideal_boards(config, poses, points=POINTS), np.random.default_rng(0))
-    return exact_rig.observations(noisy, config)
-
-
-def cold_figures(scratch: Path) -> list[Figure]:
-    """Seconds of the demo and of a calibration, cold and again.
-
-    Args:
-        scratch: Empty folder for captures and compiled code.
-    """
-    figures = []
-    for run, demo_s, boards_s in (("cold", 60.0, 20.0), ("again", 35.0, 8.0)):
-        demo, wall, processor = _run(scratch / "of demo", "demo", "-o", str(scratch / run))
-        figures.append(Figure(f"demo, {run}", wall, "s", "lower", 0.2, demo_s))
-        figures.append(Figure(f"demo, {run}, processor", processor, "s", "lower", 0.1))
-        figures += [
-            Figure(f"demo, {run}, of that {part}", demo["seconds_s"][part], "s", "lower", 0.3)
-            for part in ("render", "calibrate", "reconstruct", "measure")
-        ]
-        boards = str(scratch / "cold" / "captures" / "boards")
-        _, wall, processor = _run(scratch / "of boards", "calibrate", boards, "-o", str(scratch / f"{run}.json"))
-        figures.append(Figure(f"calibrate 50 boards, {run}", wall, "s", "lower", 0.2, boards_s))
-        figures.append(Figure(f"calibrate 50 boards, {run}, processor", processor, "s", "lower", 0.1))
-    return figures
-
-
-def _run(cache: Path, *words: str) -> tuple[dict[str, Any], float, float]:
-    """The JSON that `jaxscan` prints, its wall time and its processor time [s]."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
-    environment |= {"XDG_CACHE_HOME": str(cache)}
-    command = [sys.executable, "-m", "jaxscan.cli.main", *words, "--json", "-"]
-    started, before = time.perf_counter(), os.times()
-    done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True)
-    wall, after = time.perf_counter() - started, os.times()
-    used = after.children_user + after.children_system - before.children_user - before.children_system
-    return json.loads(done.stdout), wall, used
-
-
-class Found(NamedTuple):
-    """All that was measured; empty lists where a section was left out."""
-
-    rows: list[Contestant]
-    codecs: list[CodecRow]
-    figures: list[Figure]
-
-
-def write_results(folder: Path, about: dict[str, str], found: Found, pairs: int) -> None:
-    """`speed.md`, `speed.json` and `speed.png`."""
-    rows, codecs, figures = found
-    folder.mkdir(exist_ok=True)
-    parts = [_head(about, pairs), _asked(figures)]
-    if rows:
-        parts.append(_contestants(rows))
-    if codecs:
-        parts.append(_codecs(codecs))
-    parts.append(_rest(figures))
-    (folder / "speed.md").write_text("\n".join(parts))
-    document = {"format": "jaxscan-experiment-speed/1", **about, "metrics": [figure._asdict() for figure in figures]}
-    write_json(folder / "speed.json", document)
-    if rows:
-        bars = [(row.name, 1e3 * row.times.best) for row in rows]
-        draw(folder / "speed.png", bars)
-
-
-def _head(about: dict[str, str], pairs: int) -> str:
-    return f"""# Speed of a reconstruction
-
-Written by `python experiments/speed.py`; {about["date"]}.
-
-- Processor: {about["processor"]}; load average {about["load"]} at the start, {about["load_at_end"]} at the end
-- {about["versions"]}
-- Frames: 1280 x 1024, 8 bit, on and off, a room with texture, noise, depth steps, stripes of 20 to 200 DN,
-  rows without a stripe and rows with two; {pairs} pairs in memory, the same for all, contestants in turn
-- Best run of several, and the median; compilation excluded
-"""
-
-
-def _asked(figures: list[Figure]) -> str:
-    lines = []
-    for figure in figures:
-        if figure.asked is not None:
-            sign = "<=" if figure.direction == "lower" else ">="
-            unit = "" if figure.unit == "1" else f" {figure.unit}"
-            verdict = "yes" if figure.met() else "**no**"
-            lines.append([figure.key, f"{figure.value:.3g}{unit}", f"{sign} {figure.asked:g}{unit}", verdict])
-    return "## Limits\n\n" + table(["figure", "found", "limit", "met"], lines) + "\n"
-
-
-def _contestants(rows: list[Contestant]) -> str:
-    own = next(row.times.best for row in rows if row.name == "ours")
-    lines = []
-    for row in rows:
-        shares = ["" if share is None else f"{100 * share:.1f} %" for share in (row.points, row.right)]
-        times = [f"{1e3 * t:.3f}" for t in row.times]
-        lines.append([row.name, row.gives, *times, f"{row.times.best / own:.2f}", *shares])
-    head = ["", "gives", "best, ms/pair", "median", "processor", "over ours", "lines with a point", "stripes found"]
-    text = """## From frames in memory
-
-"Processor" is the time of both cores together. "Lines with a point" counts all lines of all pairs, points on
-reflections too; "stripes found" are the stripes drawn whose centre was found within 1 px.
-
-"""
-    return text + table(head, lines) + "\n"
-
-
-def _codecs(codecs: list[CodecRow]) -> str:
-    lines = []
-    for row in codecs:
-        times = [f"{1e3 * t:.2f}" for t in (row.encode, row.decode, row.decode_all_cores)]
-        lines.append([row.codec, row.frames, f"{100 * row.size:.1f} %", *times])
-    head = ["codec", "frames", "size", "encode, ms on one core", "decode", "decode, ms on all cores"]
-    text = """## Lossless codecs
-
-Of a frame; what comes back is compared. Differences of frames are taken modulo 256.
-
-"""
-    return text + table(head, lines) + "\n"
-
-
-def _rest(figures: list[Figure]) -> str:
-    lines = [[figure.key, f"{figure.value:.4g}", "" if figure.unit == "1" else figure.unit] for figure in figures]
-    return "## All figures\n\n" + table(["figure", "value", "unit"], lines) + "\n"
-
-
-OWN, OTHER, BOUND = "#1f6f8b", "#b8b8b8", "#e0a458"
-
-
-def draw(path: Path, contestants: list[tuple[str, float]]) -> None:
-    """Bars of ms/pair on a logarithmic axis, the slowest on top."""
-    ordered = sorted(contestants, key=lambda bar: -bar[1])
-    bars = [(name, time, _colour(name)) for name, time in ordered]
-    figure = Picture(figsize=(8.0, 0.36 * len(bars) + 1.3), layout="constrained")
-    axes = figure.subplots()
-    place = range(len(bars))
-    axes.barh(place, [time for _, time, _ in bars], color=[colour for *_, colour in bars])
-    for at, (_, taken, _) in zip(place, bars, strict=True):
-        axes.annotate(f"{taken:.3g}", (taken, at), (4, 0), textcoords="offset points", va="center", fontsize=9)
-    axes.set_yticks(list(place), [name for name, *_ in bars])
-    axes.invert_yaxis()
-    axes.set_xscale("log")
-    axes.set_xlim(0.4 * min(time for _, time, _ in bars), 2.0 * max(time for _, time, _ in bars))
-    axes.xaxis.set_major_formatter(lambda time, _: f"{time:g}")
-    axes.set_xlabel("ms per pair of 1280 x 1024, two cores")
-    axes.set_title("Frames in memory to coloured points (grey: others, amber: bounds)", fontsize=10, loc="left")
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, dpi=110)
-
-
-def _colour(name: str) -> str:
-    if name.startswith("ours"):
-        return OWN
-    return BOUND if name in ("fused", "read") else OTHER
-
-
-SECTIONS = ("memory", "png", "packed", "shards", "codecs", "calibration", "cold")
-CODEC_FRAMES = 8
-"""Pairs on which codecs are compared."""
-RESULTS = Path(__file__).resolve().parent / "results"
+def take_turns(functions: dict[str, Callable[[], object]], repeats: int) -> dict[str, Times]:
+    """Times of all functions, taken in turn, after one run each to compile and to touch the memory."""
+    runs: dict[str, list[tuple[float, float]]] = {name: [] for name in functions}
+    for repeat in range(repeats + 1):
+        for name, function in functions.items():
+            start, used = time.perf_counter(), time.process_time()
+            function()
+            if repeat > 0:
+                runs[name].append((time.perf_counter() - start, time.process_time() - used))
+    return {name: Times(*map(min, zip(*found, strict=True))) for name, found in runs.items()}
 
 
 class Size(NamedTuple):
@@ -274,114 +91,407 @@ class Size(NamedTuple):
     pairs: int
     """In memory; far more than any cache holds."""
     repeats: int
-    png_records: int
-    stored_records: tuple[int, ...]
-    """Of the captures as new ones are stored, and of the shards."""
-    stored_repeats: int
+    packed: tuple[int, ...]
 
 
-STORED_LIMITS = {"packed": (6.0, 1.5), "shards": (10.0, 2.0)}
-"""Of the longest sweep: seconds, and memory without the pages of files [GB]."""
-FULL = Size(512, 5, 512, (100, 400, 1200, 3600), 2)
-QUICK = Size(48, 2, 24, (50, 100), 1)
+FULL, QUICK = Size(512, 5, (400, 1200, 3600)), Size(48, 1, (50, 100))
 
 
-def png_figures(folder: Path, size: Size) -> list[Figure]:
-    """A capture of PNG files: decoding, and all of it."""
-    found = speed_disk.measure_png(folder, min(size.repeats, 5))
-    times, records = found["times"], found["records"]
+Centres = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""A frame's laser-on and laser-off image to the stripe's centre on every row, and where it is."""
+
+
+def memory(size: Size, scratch: Path) -> tuple[list[Figure], str]:
+    """Whole pipelines on all frames."""
+    frames, scanner = make_frames(size.pairs, make_scanner()), make_scanner()
+    angle = make_angles(size.pairs)
+    sweep = Sweep(frames.on, frames.off, angle)
+    plain = ReconstructSettings(stripes=StripeSettings(estimator="centre_of_gravity"))
+    words = [stack.reshape(-1).view(np.uint64) for stack in (frames.on, frames.off)]
+    parts = [part for whole in words for part in np.array_split(whole, 8 * THREADS)]
+    # OpenCV's own threads would only compete with the threads over frames.
+    cv2.setNumThreads(1)
+    points: dict[str, float] = {}
+    u = {name: np.full((size.pairs, HEIGHT), np.nan, np.float32) for name in ("usual", "lean")}
+    with ThreadPoolExecutor(THREADS) as pool:
+
+        def ours(name: str, settings: ReconstructSettings) -> Callable[[], None]:
+            def run() -> None:
+                points[name] = float(reconstruct(sweep, scanner, settings=settings).valid.mean())
+
+            return run
+
+        runs = {
+            "ours": ours("ours", ReconstructSettings()),
+            "ours, no normals": ours("ours, no normals", ReconstructSettings(normals=False)),
+            "ours, centre of gravity": ours("ours, centre of gravity", plain),
+            "usual": pipeline(horus_centres, scanner, frames, angle, u["usual"], pool),
+            "lean": pipeline(lean_centres, scanner, frames, angle, u["lean"], pool),
+            "read": lambda: list(pool.map(np.sum, parts)),
+        }
+        times = take_turns(runs, size.repeats)
+    cv2.setNumThreads(-1)
+    found = extract_stripes(frames.on[:DISTINCT], frames.off[:DISTINCT])
+    right = {name: _right(own, frames) for name, own in u.items()}
+    right["ours"] = _right(np.where(found.valid, found.u, np.nan), frames)
+    points |= {name: float(np.isfinite(own).mean()) for name, own in u.items()}
     figures = [
-        Figure("png_decode", 1e3 * times["decode"].best / records, "ms/pair", "lower", 0.2),
-        Figure("png_chunks", 1e3 * times["chunks"].best / records, "ms/pair", "lower", 0.2),
-        Figure("png_whole", 1e3 * times["whole"].best / records, "ms/pair", "lower", 0.2),
-        Figure("png_whole_median", 1e3 * times["whole"].median / records, "ms/pair", "lower", 0.2),
+        Figure("ours over usual, processor", times["ours"].processor / times["usual"].processor, "1"),
+        Figure("ours over lean, processor", times["ours"].processor / times["lean"].processor, "1"),
+        Figure("ours over read, wall", times["ours"].best / times["read"].best, "1"),
     ]
-    return [*figures, Figure("png whole / decode", times["whole"].best / times["decode"].best, "1", "lower", 0.1, 1.1)]
+    rows = []
+    for name, one in times.items():
+        each = [f"{1e3 * seconds / size.pairs:.3f}" for seconds in one]
+        shares = ["" if name not in of else f"{100 * of[name]:.1f} %" for of in (points, right)]
+        rows.append([name, *each, *shares])
+    head = ["", "best, ms/pair", "processor, ms/pair", "lines with a point", "stripes within 1 px"]
+    return figures, table(head, rows)
 
 
-def stored_figures(folder: Path, size: Size) -> list[Figure]:
-    """A long sweep from files, in the storage that the folder is named after: seconds, memory, other lengths, and from
-    known stripes."""
-    name, counts = folder.name, list(size.stored_records)
-    found = speed_disk.measure_stored(folder, counts, size.stored_repeats)
-    walls = {int(count): runs for count, runs in found["walls"].items()}
-    most, full = max(counts), max(counts) == max(FULL.stored_records)
-    seconds, gigabytes = STORED_LIMITS[name]
-    chunks, again, cached = (Times(*found[key]) for key in ("chunks", "again", "cached"))
+def lean_centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The least that gives a centroid: one blurred row at a time, one threshold."""
+    difference = cv2.subtract(on, off)
+    blurred = cv2.GaussianBlur(difference, (5, 1), 0)
+    peak = blurred.argmax(axis=1)
+    u, _ = centroid(difference, peak, 6, 6)
+    return u, blurred[np.arange(HEIGHT), peak] > 12
+
+
+def pipeline(
+    centres: Centres,
+    scanner: Scanner,
+    frames: Frames,
+    angle: np.ndarray,
+    every_u: np.ndarray,
+    pool: ThreadPoolExecutor,
+) -> Callable[[], object]:
+    """From centres to coloured points in single precision, with distortion; all prepared that can be.
+
+    Args:
+        every_u: Takes the centres of a run [pairs, rows], px; NaN where there is none.
+    """
+    camera = scanner.camera
+    matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], float)
+    normal, distance = np.asarray(scanner.lasers.normal[0], np.float32), float(scanner.lasers.distance[0])
+    with jax.enable_x64(True):
+        poses = np.asarray(jax.jit(jax.vmap(scanner.as_dtype(np.float64).pose))(angle)).astype(np.float32)
+    shape = (len(angle), HEIGHT, 3)
+    xyz, rgb = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
+
+    def one(number: int) -> None:
+        off = frames.off[number]
+        u, valid = centres(frames.on[number], off)
+        found = np.flatnonzero(valid)
+        q = np.stack([u[valid], found.astype(np.float32)], -1)[:, None, :].astype(np.float32)
+        x = cv2.undistortPoints(q, matrix, DISTORTION)[:, 0]
+        ray = np.column_stack([x, np.ones(len(x), np.float32)])
+        p = ray * (distance / (ray @ normal))[:, None]
+        xyz[number, found] = p @ poses[number, :3, :3].T + poses[number, :3, 3]
+        left = np.clip(q[:, 0, 0].astype(int), 0, WIDTH - 2)
+        weight = q[:, 0, 0] - left
+        grey = (1 - weight) * off[found, left] + weight * off[found, left + 1]
+        rgb[number, found] = np.round(grey)[:, None].astype(np.uint8)
+        every_u[number] = np.where(valid, u, np.nan)
+
+    return lambda: list(pool.map(one, range(len(angle))))
+
+
+def _right(u: np.ndarray, frames: Frames) -> float:
+    """Share of the stripes drawn whose centre was found within 1 px, among the distinct pairs."""
+    first = slice(0, min(DISTINCT, len(u)))
+    close = np.abs(np.nan_to_num(u[first], nan=-1e6) - frames.u[first]) < 1.0
+    return float(close[frames.lit[first]].mean())
+
+
+HEADER = f"""format = "jaxscan-capture/1"
+kind = "sweep"
+[camera]
+width = {WIDTH}
+height = {HEIGHT}
+pixel_format = "mono8"
+[laser]
+name = "laser"
+"""
+CHUNK = 16
+"""Records at a time where memory is compared: so few that the shortest sweep has as many chunks in flight as any."""
+GROWTH_BYTES = 60.0
+"""Most that a cell of the cloud's grid may take: 40 for the cloud's fields, the rest for its records."""
+ALLOCATOR = {"MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_ARENA_MAX": "2"}
+"""Arrays are mapped one by one and unmapped when they are free, so that resident memory is used memory."""
+
+
+def write_capture(folder: Path, records: int) -> None:
+    """A capture with the scene's frames, over and over, as captures are stored; every record has files of its own."""
+    folder.mkdir()
+    frames = make_frames(DISTINCT, make_scanner())
+    for kind, stack in (("on", frames.on), ("off", frames.off)):
+        data = [encode_zstd(frame) for frame in stack]
+        for number in range(records):
+            (folder / f"{kind}{number}.zst").write_bytes(data[number % DISTINCT])
+    (folder / "capture.toml").write_text(HEADER)
+    with open(folder / "frames.jsonl", "w") as journal:
+        for i in range(records):
+            images = {kind: f"{kind}{i}.zst" for kind in ("on", "off")}
+            journal.write(json.dumps({"i": i, "angle_deg": 360.0 * i / records, **images}) + "\n")
+
+
+def packed(size: Size, scratch: Path) -> tuple[list[Figure], str]:
+    """A long sweep as captures are stored: time and memory by its length, and again from cached stripes."""
+    counts, most = size.packed, size.packed[-1]
+    write_capture(scratch / "packed", most)
+    words = [sys.executable, "-m", "experiments.speed", "--inside", str(scratch / "packed")]
+    words += ["--quick"] if size == QUICK else []
+    done = subprocess.run(words, stdout=subprocess.PIPE, check=True, env={**os.environ, **ALLOCATOR})
+    found = json.loads(done.stdout)
+    full = most == FULL.packed[-1]
     figures = [
-        Figure(f"{name} {most} pairs, best", min(walls[most]), "s", "lower", 0.2, seconds if full else None),
-        Figure(f"{name} {most} pairs, median", float(np.median(walls[most])), "s", "lower", 0.2),
-        Figure(f"{name}_decode", 1e3 * chunks.best / most, "ms/pair", "lower", 0.3),
-        Figure(f"{name}_points", found["points"], "of lines", "higher", 0.02),
-        Figure(f"{name} peak memory without file pages", found["peak_bytes"] / 1e9, "GB", "lower", 0.1, gigabytes),
+        Figure(f"{most} pairs, best", found["walls"][-1], "s", high=6.0 if full else None),
+        Figure("peak memory without file pages", found["peak_bytes"] / 1e9, "GB", high=1.5),
+        Figure("memory by the length of the sweep", found["growth_bytes"], "B/cell", high=GROWTH_BYTES),
+        Figure(f"again from cached stripes, {most} pairs", found["again_s"], "s", high=3.0 if full else None),
     ]
-    each = {count: 1e3 * min(walls[count]) / count for count in counts}
-    figures += [Figure(f"{name}_{count}_pairs", each[count], "ms/pair", "lower", 0.2) for count in counts]
-    middle = float(np.median(list(each.values())))
-    spread = max(abs(value / middle - 1.0) for value in each.values())
-    figures.append(Figure(f"{name} largest change of ms/pair with length", spread, "1", "lower", 0.5, 0.15))
-    asked = 3.0 if full else None
-    for kind, times in (("stripes", again), ("kept stripes", cached)):
-        figures.append(Figure(f"{name}: again from {kind}, {most} pairs, best", times.best, "s", "lower", 0.2, asked))
-        figures.append(Figure(f"{name}: again from {kind}, {most} pairs, median", times.median, "s", "lower", 0.2))
-    return figures
-
-
-def codec_figures(rows: list[CodecRow]) -> list[Figure]:
-    """The storage of new captures beside PNG, by the laser-on frames."""
-    on = {row.codec: row for row in rows if row.frames == "on"}
-    ours, png = on["zstd of rows' differences"], on["PNG"]
-    return [
-        Figure("new store: decode rate / PNG's", png.decode / ours.decode, "1", "higher", 0.2, 5.0),
-        Figure("new store: size / PNG's", ours.size / png.size, "1", "lower", 0.05, 1.3),
+    rows = [
+        [f"{count}", f"{1e3 * wall / count:.3f}", f"{1e3 * used / count:.3f}", f"{need / 1e6:.0f}"]
+        for count, wall, used, need in zip(counts, found["walls"], found["used"], found["needed_bytes"], strict=True)
     ]
+    return figures, table(["pairs", "best, ms/pair", "processor, ms/pair", "memory of small chunks, MB"], rows)
 
 
-def main() -> None:
+def packed_inside(folder: Path, size: Size) -> dict[str, Any]:
+    """Seconds and memory at each length, the peak, the growth for each cell, and seconds from cached stripes."""
+    capture, scanner = open_capture(folder), make_scanner()
+    small = ReconstructSettings(chunk_records=CHUNK)
+    part = lambda count: dataclasses.replace(capture, records=capture.records[:count])
+    functions = {str(count): lambda count=count: reconstruct(part(count), scanner) for count in size.packed}
+    with Watch() as watch:
+        times = take_turns(functions, min(size.repeats, 2))
+    needed, cells = [], []
+    for count in size.packed:
+        # The compiler's memory varies by more than a cloud: the first of two passes is for it.
+        for _ in range(2):
+            cloud: PointCloud | None = None
+            gc.collect()
+            ctypes.CDLL(None).malloc_trim(0)
+            before = anonymous_bytes()
+            with Watch() as own:
+                cloud = reconstruct(part(count), scanner, settings=small)
+        assert cloud is not None
+        needed.append(own.peak - before)
+        cells.append(cloud.valid.size)
+    stripes = extract(capture, scanner).stripes
+    fields = {field.name: np.asarray(getattr(stripes, field.name)) for field in dataclasses.fields(stripes)}
+    save_stripes(cache_path(capture), fields, {"frames": frames_key(capture)})
+    again = take_turns({"again": lambda: _from_cache(capture, scanner)}, 2)["again"]
+    return {
+        "walls": [times[str(count)].best for count in size.packed],
+        "used": [times[str(count)].processor for count in size.packed],
+        "peak_bytes": watch.peak,
+        "needed_bytes": needed,
+        "growth_bytes": (needed[-1] - needed[0]) / (cells[-1] - cells[0]),
+        "again_s": again.best,
+    }
+
+
+def _from_cache(capture: Capture, scanner: Scanner) -> PointCloud:
+    kept = cached_stripes(cache_path(capture), {"frames": frames_key(capture)})
+    assert kept is not None
+    return reconstruct(capture, scanner, stripes=Stripes(**kept))
+
+
+class Watch:
+    """Largest anonymous memory of this process while open; pages of mapped files do not count."""
+
+    def __init__(self) -> None:
+        self.peak = anonymous_bytes()
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._look, daemon=True)
+
+    def __enter__(self) -> "Watch":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *problem: object) -> None:
+        self._done.set()
+        self._thread.join()
+
+    def _look(self) -> None:
+        while not self._done.wait(0.005):
+            self.peak = max(self.peak, anonymous_bytes())
+
+
+def anonymous_bytes() -> int:
+    """Resident memory of this process that belongs to no file [bytes]."""
+    with open("/proc/self/status") as status:
+        fields = dict(line.split(":", 1) for line in status)
+    return 1024 * sum(int(fields[name].split()[0]) for name in ("RssAnon", "RssShmem"))
+
+
+class Codec(NamedTuple):
+    """A lossless codec of frames."""
+
+    name: str
+    encode: Callable[[np.ndarray], bytes]
+    decode: Callable[[bytes], np.ndarray]
+
+
+def codecs(size: Size, scratch: Path) -> tuple[list[Figure], str]:
+    """Size and time of a frame on one core; every frame that comes back is compared. Differences are modulo 256."""
+    frames = make_frames(8, make_scanner())
+    kinds = {"on": frames.on, "off": frames.off, "off - on": frames.off - frames.on}
+    known, rows = {}, []
+    cv2.setNumThreads(1)
+    for kind, stack in kinds.items():
+        for codec in _codecs():
+            data = [codec.encode(frame) for frame in stack]
+            if not all(np.array_equal(codec.decode(one), frame) for one, frame in zip(data, stack, strict=True)):
+                raise AssertionError(f"{codec.name} has lost something.")
+            functions = {
+                "encode": lambda codec=codec, stack=stack: [codec.encode(frame) for frame in stack],
+                "decode": lambda codec=codec, data=data: [codec.decode(one) for one in data],
+            }
+            times = take_turns(functions, size.repeats)
+            share = sum(map(len, data)) / stack.nbytes
+            known[codec.name, kind] = share, times["decode"].processor
+            each = [f"{1e3 * times[name].processor / len(stack):.2f}" for name in ("encode", "decode")]
+            rows.append([codec.name, kind, f"{100 * share:.1f} %", *each])
+    cv2.setNumThreads(-1)
+    (ours, decode), (theirs, of_png) = known["packed", "on"], known["PNG", "on"]
+    figures = [
+        Figure("packed: decode rate over PNG's", of_png / decode, "1", low=5.0),
+        Figure("packed: size over PNG's", ours / theirs, "1", high=1.3),
+    ]
+    return figures, table(["codec", "frames", "size", "encode, ms of a core", "decode, ms of a core"], rows)
+
+
+def _codecs() -> list[Codec]:
+    ours = lambda data: decode_image(data, name="frame", rank=None, size=None)
+    found = [Codec("packed", encode_zstd, ours), Codec("PNG", encode_png, ours)]
+    if importlib.util.find_spec("imagecodecs"):
+        import imagecodecs as ic
+
+        found += [
+            Codec("JPEG-LS", ic.jpegls_encode, ic.jpegls_decode),
+            Codec(
+                "JPEG XL, effort 1",
+                lambda frame: ic.jpegxl_encode(frame, lossless=True, effort=1, numthreads=1),
+                lambda data: ic.jpegxl_decode(data, numthreads=1),
+            ),
+        ]
+    return found
+
+
+VIEWS, FEWER_VIEWS, CAMERA_VIEWS = 40, 37, 23
+COMPILING = "/jax/core/compile/backend_compile_duration"
+
+
+def calibration(size: Size, scratch: Path) -> tuple[list[Figure], str]:
+    """Warm times, the camera alone beside OpenCV's, and what another number of views compiles: nothing."""
+    rig, plain = _boards(PosePlan(free_views=VIEWS - 9, placements=3, angles=3)), CalibrationSettings(judge=False)
+    compiled: list[float] = []
+
+    def listen(event: str, duration: float, **_: object) -> None:
+        if event == COMPILING:
+            compiled.append(duration)
+
+    calibrate_observations(rig)
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    calibrate_observations(_boards(PosePlan(free_views=FEWER_VIEWS - 9, placements=3, angles=3)))
+    others = len(compiled)
+    corners = _boards(PosePlan(free_views=CAMERA_VIEWS, lit=0))
+    points = [corners.board.corners().astype(np.float32)] * CAMERA_VIEWS
+    pixels = [q.astype(np.float32) for q in corners.corners.q]
+    image = (corners.width, corners.height)
+    times = take_turns(
+        {
+            f"rig, {VIEWS} views": lambda: calibrate_observations(rig, settings=plain),
+            f"rig, {VIEWS} views, models judged": lambda: calibrate_observations(rig),
+            f"camera alone, {CAMERA_VIEWS} views": lambda: calibrate_camera(corners, settings=plain),
+            f"camera alone, {CAMERA_VIEWS} views, OpenCV": lambda: cv2.calibrateCamera(
+                points, pixels, image, None, None
+            ),
+        },
+        size.repeats,
+    )
+    solve, _, ours, theirs = times.values()
+    figures = [
+        Figure(f"rig, {VIEWS} views, best", solve.best, "s", high=0.4),
+        Figure("camera alone over OpenCV", ours.best / theirs.best, "1", high=1.0),
+        Figure(f"functions compiled for {FEWER_VIEWS} views after {VIEWS}", others, "", high=0.0),
+    ]
+    return figures, table(
+        ["warm", "best, s", "processor, s"], [[name, *map("{:.3f}".format, one)] for name, one in times.items()]
+    )
+
+
+def _boards(plan: PosePlan) -> Observations:
+    """Views of the reference rig, with the noise of a detector."""
+    config = exact_rig.reference()
+    noisy = add_noise(ideal_boards(config, draw_poses(config, 3, plan), points=1000), np.random.default_rng(0))
+    return exact_rig.observations(noisy, config)
+
+
+def cold(size: Size, scratch: Path) -> tuple[list[Figure], str]:
+    """The demo and a calibration of its boards, cold and again."""
+    figures, rows = [], []
+    for run, demo_s, boards_s in (("cold", 60.0, 20.0), ("again", 35.0, 8.0)):
+        for name, words, limit in (
+            ("demo", ("demo", "-o", scratch / run), demo_s),
+            (
+                "boards",
+                ("calibrate", scratch / "cold" / "captures" / "boards", "-o", scratch / f"{run}.json"),
+                boards_s,
+            ),
+        ):
+            done = verb(*words, XDG_CACHE_HOME=str(scratch / f"cache of {name}"))
+            if done.code:
+                raise SystemExit(f"jaxscan {name}: exit code {done.code}: {done.problem[-2000:]}")
+            figures.append(Figure(f"{name}, {run}", done.wall_s, "s", high=limit))
+            rows.append([f"{name}, {run}", f"{done.wall_s:.1f}", f"{done.processor_s:.1f}"])
+    return figures, table(["command", "wall, s", "processor, s"], rows)
+
+
+SECTIONS: dict[str, Callable[[Size, Path], tuple[list[Figure], str]]] = {
+    "memory": memory,
+    "packed": packed,
+    "codecs": codecs,
+    "calibration": calibration,
+    "cold": cold,
+}
+
+
+def main() -> int:
+    """The command."""
     parser = command_line(__doc__, quick="few pairs: to see that it runs", json=True)
-    parser.add_argument("--only", choices=SECTIONS, help="one section")
-    parser.add_argument("--scratch", type=Path, metavar="DIR", help="where captures go for a while: up to 10 GB")
-    parser.add_argument("--results", type=Path, metavar="DIR", help="write tables and plot there")
+    parser.add_argument("--only", nargs="*", choices=SECTIONS, default=list(SECTIONS), help="some sections")
+    parser.add_argument("--scratch", type=Path, metavar="DIR", help="where captures go for a while: up to 6 GB")
+    parser.add_argument("--results", type=Path, metavar="DIR", help="write the page there")
+    parser.add_argument("--inside", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     size = QUICK if options.quick else FULL
-    sections = [options.only] if options.only else list(SECTIONS)
-    about, scanner = machine(), make_scanner()
-    rows, codecs, figures = [], [], []
-    if "memory" in sections:
-        frames = make_frames(size.pairs, scanner)
-        rows = measure_memory(frames, size.repeats)
-        figures += memory_figures(rows) + small_figures(frames, size.repeats)
-        del frames
-    for section, write, records, measure in (
-        ("png", speed_disk.write_png_capture, size.png_records, png_figures),
-        ("packed", speed_disk.write_packed_capture, max(size.stored_records), stored_figures),
-        ("shards", speed_disk.write_shard_capture, max(size.stored_records), stored_figures),
-    ):
-        if section in sections:
-            scratch = Path(tempfile.mkdtemp(prefix="jaxscan-speed-", dir=options.scratch))
-            try:
-                write(scratch / section, make_frames(DISTINCT, scanner), records)
-                figures += measure(scratch / section, size)
-            finally:
-                shutil.rmtree(scratch)
-    if "codecs" in sections:
-        codecs = measure_codecs(make_frames(CODEC_FRAMES, scanner), repeats=size.repeats)
-        figures += codec_figures(codecs)
-    if "calibration" in sections:
-        figures += calibration_figures(size.repeats)
-    if "cold" in sections and not (options.quick and options.only != "cold"):
-        with tempfile.TemporaryDirectory(prefix="jaxscan-speed-", dir=options.scratch) as scratch:
-            figures += cold_figures(Path(scratch))
-    about |= {"load_at_end": load()}
-    for figure in figures:
-        verdict = {None: "", True: f"asked {figure.asked}: met", False: f"asked {figure.asked}: MISSED"}[figure.met()]
-        print(f"{figure.key:>48} {figure.value:10.3f} {figure.unit:8} {verdict}", file=sys.stderr)
-    results = options.results or (None if options.quick or options.only else RESULTS)
+    if options.inside:
+        print(json.dumps(packed_inside(options.inside, size)))
+        return 0
+    figures: list[Figure] = []
+    head = f"Written by `python -m experiments.speed`; {machine()}; load average {os.getloadavg()[0]:.1f} at the start."
+    head += " **Bold**: misses its limit, which is for a quiet machine."
+    head += f" Sizes of --quick: {size.pairs} pairs in memory, {size.packed[-1]} packed." if options.quick else ""
+    page = ["# Speed of a reconstruction", head]
+    for section in options.only:
+        start, load = time.perf_counter(), os.getloadavg()[0]
+        scratch = Path(tempfile.mkdtemp(prefix="jaxscan-speed-", dir=options.scratch))
+        try:
+            own, text = SECTIONS[section](size, scratch)
+        finally:
+            shutil.rmtree(scratch)
+        progress(f"{section}: {time.perf_counter() - start:.0f} s, load average {load:.1f}\n{text}")
+        figures += [figure._replace(key=f"{section}: {figure.key}") for figure in own]
+        page += [f"## {section}", text, figure_table(own)]
+    results = options.results or (RESULTS if len(options.only) == len(SECTIONS) and not options.quick else None)
     if results is not None:
-        write_results(results, about, Found(rows, codecs, figures), size.pairs)
-    document = {"format": "jaxscan-experiment-speed/1", "quick": options.quick, **about}
-    write_json(options.json, document | {"metrics": [figure._asdict() for figure in figures]})
+        (results / "speed.md").write_text("\n\n".join(page) + "\n")
+    return conclude("speed", figures, options.json, quick=options.quick)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -13,32 +13,24 @@ Everything uses the public call with its default settings, on frames from an ind
 Without --only and --quick a table and a plot are written to experiments/results. The exit code is
 1 if a figure misses its limit.
 
-    python experiments/stripe_accuracy.py [--only SECTION] [--quick] [--json FILE] [--results DIR]
-    python experiments/stripe_accuracy.py --against BEFORE [--now NOW]
-
-With --against the figures are compared with those of a file that --json has written, by this or another version of the
-code; with --now those of a second file are, and nothing is measured. The exit code is then 1 if a figure is worse by
-more than 2 % of itself.
+    python -m experiments.stripe_accuracy [--only SECTION] [--quick] [--json FILE] [--results DIR]
 """
 
 import functools
-import json
 import math
-import platform
 import sys
 import time
-from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
 import matplotlib
 import numpy as np
 from matplotlib import pyplot as plt
-from measuring.speed_times import machine
-from report import Figure, command_line, rms, write_json
-from worlds import stripe_world
-from worlds.stripe_world import (
+
+import jaxscan
+from experiments import stripe_world
+from experiments.report import RESULTS, Figure, command_line, machine, rms, table, write_json
+from experiments.stripe_world import (
     Course,
     Sensor,
     Speckle,
@@ -49,51 +41,11 @@ from worlds.stripe_world import (
     render_coherent,
     scattered_course,
 )
-
-import jaxscan
 from jaxscan.reconstruction.along import smooth_sweep
 from jaxscan.stripes import ESTIMATORS, NoiseModel, StripeSettings
 
 
 matplotlib.use("agg")
-
-
-MORE = ("_valid", "_within_1px", "_right", "_right_of_all", "_found_on_clean_frames")
-"""Ends of the keys of figures that are better where they are larger; of most others less is better."""
-SCENE = ("_bound", "_at_the_bound", "_limit", "_rows", "_affected")
-"""Ends of the keys of figures of the frames, which no code changes; those "over" one of them are of the code."""
-WORSE = 0.02
-"""Part of itself by which a figure may be worse."""
-
-
-def change(key: str, before: float, now: float) -> float:
-    """How much worse a figure is than it was, as a part of what it was; negative: better; infinite: was zero.
-
-    The sigma over the error is worse where it is farther from 1.
-    """
-    if (key.endswith(SCENE) and "_over_" not in key) or now == before:
-        return 0.0
-    if "_sigma_over_error" in key:
-        return (abs(now - 1.0) - abs(before - 1.0)) / before
-    worse = before - now if key.endswith(MORE) else now - before
-    return worse / before if before > 0 else float(np.sign(worse)) * np.inf
-
-
-def against_lines(figures: list[Figure], before: dict[str, float]) -> tuple[list[str], list[str]]:
-    """A Markdown table of the figures that changed by more than `WORSE`, and the keys of those that are worse."""
-    out = ["| figure | before | now | worse by | |", "|---|---:|---:|---:|---|"]
-    worse = []
-    for figure in figures:
-        if figure.key not in before:
-            continue
-        by = change(figure.key, before[figure.key], figure.value)
-        if not abs(by) <= WORSE:
-            worse += [figure.key] if not by <= WORSE else []
-            out.append(
-                f"| {figure.key} | {before[figure.key]:.5g} | {figure.value:.5g} | {100 * by:+.1f} % | "
-                f"{'' if by <= WORSE else 'WORSE'} |"
-            )
-    return out, worse
 
 
 class Cell(NamedTuple):
@@ -136,19 +88,15 @@ def cell_figures(cells: list[Cell], section: str) -> list[Figure]:
 
 def cell_lines(cells: list[Cell], section: str) -> list[str]:
     """A Markdown table: a row per cell, both noise models side by side."""
-    out = [
-        "| width px | amplitude DN | rows | bound px | valid | RMS px | RMS/bound | bias px | ± px | sigma/error | |",
-        "|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---|",
-    ]
+    head = ["width px", "amplitude DN", "rows", "bound px", "valid", "RMS px", "RMS/bound", "bias px", "± px"]
+    out = []
     pairs = zip(cells[::2], cells[1::2], strict=True)
     for known, estimated in pairs:
         both = [f"{getattr(known, name):{form}}, {getattr(estimated, name):{form}}" for name, form in _COLUMNS]
         holds = all(figure.met() for figure in cell_figures([known, estimated], section))
-        out.append(
-            f"| {known.width:g} | {known.amplitude:g} | {known.rows} | {known.bound:.4f} | "
-            f"{' | '.join(both[:4])} | {known.bias_error:.4f} | {both[4]} | {'' if holds else 'MISSED'} |"
-        )
-    return out
+        place = [f"{known.width:g}", f"{known.amplitude:g}", f"{known.rows}", f"{known.bound:.4f}"]
+        out.append([*place, *both[:4], f"{known.bias_error:.4f}", both[4], "" if holds else "MISSED"])
+    return table([*head, "sigma/error", ""], out).splitlines()
 
 
 _COLUMNS = (("valid", ".4f"), ("rms", ".4f"), ("ratio", ".3f"), ("bias", ".4f"), ("honesty", ".3f"))
@@ -156,13 +104,12 @@ _COLUMNS = (("valid", ".4f"), ("rms", ".4f"), ("ratio", ".3f"), ("bias", ".4f"),
 
 def figure_lines(figures: list[Figure]) -> list[str]:
     """A Markdown table of figures."""
-    out = ["| figure | value | unit | asked | |", "|---|---:|---|---|---|"]
+    out = []
     for figure in figures:
-        limits = [f"{sign} {limit:g}" for sign, limit in (("≥", figure.low), ("≤", figure.high)) if limit is not None]
         text = f"{figure.value:.0f}" if figure.unit.endswith("rows") and figure.value > 1 else f"{figure.value:.4g}"
         verdict = "" if figure.met() else "MISSED"
-        out.append(f"| {figure.key.replace('_', ' ')} | {text} | {figure.unit} | {' and '.join(limits)} | {verdict} |")
-    return out
+        out.append([figure.key.replace("_", " "), text, figure.unit, figure.target(), verdict])
+    return table(["figure", "value", "unit", "limit", ""], out).splitlines()
 
 
 def draw(cells: list[Cell], path: Path) -> None:
@@ -293,7 +240,7 @@ def measure_cell(width: float, amplitude: float, *, quick: bool, seed: int) -> l
         error, sigma, truth = error[found], sigma[found], truth[found]
         phase = np.floor(PHASES * (truth + 0.5 - np.floor(truth + 0.5))).astype(int)
         bins = [error[phase == k] for k in range(PHASES)]
-        rms = float(np.sqrt(np.mean(error**2)))
+        found_rms = rms(error)
         cells.append(
             Cell(
                 width,
@@ -302,10 +249,10 @@ def measure_cell(width: float, amplitude: float, *, quick: bool, seed: int) -> l
                 rows=len(found),
                 valid=float(found.mean()),
                 bound=bound,
-                rms=rms,
+                rms=found_rms,
                 bias=max(abs(float(b.mean())) for b in bins),
                 bias_error=max(float(b.std()) / math.sqrt(len(b)) for b in bins),
-                honesty=float(np.sqrt(np.mean(sigma**2))) / rms,
+                honesty=rms(sigma) / found_rms,
             )
         )
     return cells
@@ -365,10 +312,9 @@ def measure_peer(*, quick: bool, seed: int) -> list[Figure]:
         for name in ESTIMATORS:
             error, sigma, valid = np.concatenate(rows[name], -1)
             error, sigma = error[valid > 0], sigma[valid > 0]
-            rms = float(np.sqrt(np.mean(error**2)))
             key = f"peer_{name}_{width:g}px_{amplitude:g}dn"
-            out.append(Figure(f"{key}_rms_over_bound", rms / bound, "1"))
-            out.append(Figure(f"{key}_sigma_over_error", float(np.sqrt(np.mean(sigma**2))) / rms, "1"))
+            out.append(Figure(f"{key}_rms_over_bound", rms(error) / bound, "1"))
+            out.append(Figure(f"{key}_sigma_over_error", rms(sigma) / rms(error), "1"))
             out.append(Figure(f"{key}_valid", float(np.mean(valid)), "of rows"))
     return out
 
@@ -382,7 +328,7 @@ def measure_reflections(*, quick: bool, seed: int) -> list[Figure]:
         total = functools.reduce(stripe_world.Score.plus, [scores[variant.name] for scores in draws])
         key = "reflections_" + variant.name.replace(", ", "_").replace(" ", "_")
         affected = max(total.affected, 1)
-        out.append(Figure(f"{key}_right", total.right / affected, "of affected rows", low=variant.asked))
+        out.append(Figure(f"{key}_right", total.right / affected, "of affected rows", low=variant.least))
         out.append(Figure(f"{key}_on_the_reflection", total.reflected / affected, "of affected rows"))
         out.append(Figure(f"{key}_missing", total.missing / affected, "of affected rows"))
         out.append(Figure(f"{key}_affected", total.affected, "rows"))
@@ -393,9 +339,9 @@ def measure_reflections(*, quick: bool, seed: int) -> list[Figure]:
 
 SECTIONS = ("cells", "narrow", "over_exposed", "faint", "reflections", "peer", "speckle")
 TITLES = {
-    "cells": "Width by amplitude (asked: RMS ≤ 1.05 of the bound, bias ≤ 0.005 px, sigma 0.9–1.1 of the error)",
-    "narrow": "Narrow stripes (asked: RMS ≤ 1.10 of the bound, sigma 0.9–1.1 of the error)",
-    "over_exposed": "Over-exposed 2.4 times (asked: RMS ≤ 0.02 px, sigma 0.9–1.1 of the error)",
+    "cells": "Width by amplitude (limits: RMS ≤ 1.05 of the bound, bias ≤ 0.005 px, sigma 0.9–1.1 of the error)",
+    "narrow": "Narrow stripes (limits: RMS ≤ 1.10 of the bound, sigma 0.9–1.1 of the error)",
+    "over_exposed": "Over-exposed 2.4 times (limits: RMS ≤ 0.02 px, sigma 0.9–1.1 of the error)",
     "faint": "A stripe of 12 DN, 2 px wide, in noise of 3 DN of the difference; and no stripe at all",
     "peer": "The plain estimator (centre of gravity) beside the default one, on the same frames, the noise known",
     "speckle": "Where speckle rules: contrast 1, 0.5, 0.2 at f/2.8, 5.6, 8; its limit is C lambda / (2 pi sin u')",
@@ -425,31 +371,12 @@ def measure(section: str, *, quick: bool, seed: int) -> tuple[list[str], list[Fi
     return figure_lines(figures), figures, []
 
 
-def read_figures(path: Path) -> list[Figure]:
-    """The figures of a file that --json has written."""
-    metrics = json.loads(path.read_text())["metrics"]
-    return [Figure(**{name: one[name] for name in Figure._fields}) for one in metrics]
-
-
-def print_against(path: Path, figures: list[Figure]) -> int:
-    """Prints the figures that differ from those of an earlier run; 1 if one is worse."""
-    before = {figure.key: figure.value for figure in read_figures(path)}
-    lines, worse = against_lines(figures, before)
-    common = sum(figure.key in before for figure in figures)
-    print(*lines, "", f"{len(worse)} of {common} figures are worse by more than {100 * WORSE:g} %.", sep="\n")
-    return 1 if worse else 0
-
-
 def main() -> int:
     parser = command_line(__doc__, quick="few rows: to see that it runs, its verdicts mean little", json=True)
     parser.add_argument("--only", choices=SECTIONS, action="append", help="a section; may be given several times")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results", help="folder of the table")
-    parser.add_argument("--against", type=Path, metavar="FILE", help="compare with the figures of an earlier run")
-    parser.add_argument("--now", type=Path, metavar="FILE", help="with --against: these figures, nothing is measured")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the table")
     arguments = parser.parse_args()
-    if arguments.against and arguments.now:
-        return print_against(arguments.against, read_figures(arguments.now))
     start, lines, figures, cells = time.perf_counter(), [], [], []
     for section in arguments.only or SECTIONS:
         found, own, own_cells = measure(section, quick=arguments.quick, seed=arguments.seed)
@@ -458,17 +385,15 @@ def main() -> int:
         figures += own
         cells += own_cells if section == "cells" else []
     missed = [figure.key for figure in figures if not figure.met()]
-    asked = sum(figure.low is not None or figure.high is not None for figure in figures)
-    verdict = f"{asked - len(missed)} of {asked} figures are as asked."
+    limited = sum(figure.low is not None or figure.high is not None for figure in figures)
+    verdict = f"{limited - len(missed)} of {limited} figures keep their limits."
     seconds = time.perf_counter() - start
     print(f"{verdict} {seconds:.0f} s", *missed, sep="\n  ", file=sys.stderr)
-    packages = ", ".join(f"{name} {version(name)}" for name in ("jaxscan", "jax", "numpy"))
-    today, python, processor = f"{datetime.now(UTC):%Y-%m-%d}", platform.python_version(), machine()["processor"]
     head = [
         "# Stripe centres: accuracy",
         "",
-        f"{today}, {processor}, Python {python}, {packages}; {seconds:.0f} s.",
-        f"{verdict} Written by `python experiments/stripe_accuracy.py`; default settings, one configuration for all.",
+        f"{machine()}; {seconds:.0f} s.",
+        f"{verdict} Written by `python -m experiments.stripe_accuracy`; default settings, one configuration for all.",
         "Noise: read 1 DN, 40 e-/DN, rounding to 8 bits, clipping at 255, ambient light of 10 DN in both images.",
         "Where two numbers stand in a field, the first is with the noise known, the second with it estimated",
         "from the frames (whose background has one level only, so that the gain is left at its default, which is",
@@ -488,8 +413,6 @@ def main() -> int:
         write_json(
             arguments.json, {"format": "jaxscan-stripe-accuracy/1", "quick": arguments.quick, "metrics": metrics}
         )
-    if arguments.against:
-        return print_against(arguments.against, figures)
     return 1 if missed and not arguments.quick else 0
 
 

@@ -4,27 +4,25 @@ A furnished room of the simulator, 48 steps of 2 degrees, in mono and in colour,
 real pictures of tests/data/ciclop. Found: lines with the laser's light within 1.5 px, of all that the pair gives.
 False: stripes off the laser's light, of all that are accepted. A table goes to experiments/results/without_off.md.
 
-    python experiments/without_off.py [--steps N]
+    python -m experiments.without_off [--steps N]
 """
 
 import itertools
 import tomllib
 from dataclasses import replace
 from importlib.resources import files
-from pathlib import Path
 
 import cv2
 import numpy as np
-from report import command_line
 
 import jaxscan
+from experiments.report import RESULTS, ROOT, command_line, table
 from jaxscan.errors import CaptureError
 from jaxscan.reconstruction import ReconstructSettings, Sweep, extract
 from jaxscan.simulation import SimulationConfig, develop, expect_sweep, expose, true_scanner
 
 
-RESULTS = Path(__file__).parent / "results" / "without_off.md"
-CICLOP = Path(__file__).parents[1] / "tests" / "data" / "ciclop"
+CICLOP = ROOT / "tests" / "data" / "ciclop"
 SETTINGS = ReconstructSettings(min_range_m=0.5, max_range_m=5.0)
 WORLDS = (("mono8", 150.0), ("mono8", 40.0), ("rgb8", 150.0), ("rgb8", 40.0), ("rgb8", 900.0), ("bayer_rggb8", 150.0))
 SEED = 7
@@ -40,7 +38,7 @@ def found_in(sweep: Sweep, scanner: jaxscan.Scanner) -> tuple[np.ndarray, np.nda
     return np.asarray(stripes.u), np.asarray(stripes.valid), "doubtful" if notes else "accepted"
 
 
-def room_rows(pixel_format: str, peak_dn: float, steps: int) -> list[str]:
+def room_rows(pixel_format: str, peak_dn: float, steps: int) -> list[list[str]]:
     """Rows of the table for one simulated room."""
     config = tomllib.loads(files("jaxscan.data").joinpath("demo.toml").read_text())
     config["sensor"]["pixel_format"], config["laser"]["peak_dn"] = pixel_format, peak_dn
@@ -62,9 +60,9 @@ def room_rows(pixel_format: str, peak_dn: float, steps: int) -> list[str]:
     )
     for name, one in cases:
         own, seen, verdict = found_in(one, scanner)
-        title = f"| {pixel_format}, {peak_dn:.0f} DN, {name} | {verdict} |"
+        title = [f"{pixel_format}, {peak_dn:.0f} DN, {name}", verdict]
         if verdict == "refused" or not seen.any():
-            rows.append(f"{title} {np.count_nonzero(seen)} lines | | |")
+            rows.append([*title, f"{np.count_nonzero(seen)} lines", "", ""])
             continue
         at = np.clip(np.rint(own).astype(int)[..., None] + np.arange(-3, 4), 0, light.shape[2] - 1)
         good = seen & (np.take_along_axis(light, at, 2).max(-1) > 1.0)
@@ -74,11 +72,11 @@ def room_rows(pixel_format: str, peak_dn: float, steps: int) -> list[str]:
             np.count_nonzero(same) / np.count_nonzero(valid),
             1 - np.count_nonzero(good) / np.count_nonzero(seen),
         )
-        rows.append(f"{title} {100 * share:.1f} % | {100 * false:.2f} % | {error:.3f} px |")
+        rows.append([*title, f"{100 * share:.1f} %", f"{100 * false:.2f} %", f"{error:.3f} px"])
     return rows
 
 
-def ciclop_rows() -> list[str]:
+def ciclop_rows() -> list[list[str]]:
     """Rows of the table for the real pictures: the pair is the reference."""
     rows = []
     names = (
@@ -96,7 +94,8 @@ def ciclop_rows() -> list[str]:
         good = valid & (apart < 3)
         share, false = np.count_nonzero(good) / np.count_nonzero(bright), np.count_nonzero(valid & ~good) / valid.sum()
         middle = np.median(apart[good])
-        rows.append(f"| ciclop, {lit}, without | | {100 * share:.1f} % | {100 * false:.2f} % | {middle:.3f} px |")
+        numbers = [f"{100 * share:.1f} %", f"{100 * false:.2f} %", f"{middle:.3f} px"]
+        rows.append([f"ciclop, {lit}, without", "", *numbers])
     return rows
 
 
@@ -105,17 +104,18 @@ def main() -> None:
     parser = command_line(__doc__)
     parser.add_argument("--steps", type=int, default=48)
     steps = parser.parse_args().steps
-    lines = ["| sweep | verdict | found | false | median error |", "|---|---|---|---|---|"]
+    rows = []
     for pixel_format, peak_dn in WORLDS:
-        lines += room_rows(pixel_format, peak_dn, steps)
-        print("\n".join(lines[-4:]), flush=True)
-    lines += ciclop_rows() if CICLOP.is_dir() else []
+        rows += room_rows(pixel_format, peak_dn, steps)
+        print(*rows[-4:], sep="\n", flush=True)
+    rows += ciclop_rows() if CICLOP.is_dir() else []
     head = (
-        "# Sweeps without laser-off images\n\n`experiments/without_off.py` measures it: the demo's room "
+        "# Sweeps without laser-off images\n\nWritten by `python -m experiments.without_off`: the demo's room "
         f"({steps} steps of 2 degrees, 640 x 512 px, seed {SEED}) with and without laser-off images, with and without "
         "a lit laser. The error is that of the centres against the truth; of ciclop's pictures against the pair.\n\n"
     )
-    RESULTS.write_text(head + "\n".join(lines) + "\n")
+    text = table(["sweep", "verdict", "found", "false", "median error"], rows)
+    (RESULTS / "without_off.md").write_text(f"{head}{text}\n")
 
 
 if __name__ == "__main__":

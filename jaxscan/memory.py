@@ -24,9 +24,10 @@ def kept(some: Bool[Array, ""], make: Callable[..., Any], *fields: Any) -> Any:
     Else it would be computed again for each neighbour that looks at it, and for each of several results. `some` must
     not be known before the program runs.
     """
-    shapes = jax.eval_shape(make, *fields)
-    nothing = jax.tree.map(lambda field: jnp.zeros(field.shape, field.dtype), shapes)
-    return lax.cond(some, make, lambda *_: nothing, *fields)
+    # Compiled, so that it is traced once, for its shapes and for the branch.
+    once = jax.jit(make, inline=True)
+    nothing = jax.tree.map(lambda field: jnp.zeros(field.shape, field.dtype), jax.eval_shape(once, *fields))
+    return lax.cond(some, once, lambda *_: nothing, *fields)
 
 
 def folded(operation: Callable[[Array, Array], Array], rows: Array) -> Array:

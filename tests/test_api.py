@@ -132,6 +132,7 @@ def test_the_example_of_the_readme(tiny, tmp_path, monkeypatch, capsys):
     assert (tmp_path / "room.ply").stat().st_size > 100_000
 
 
+@pytest.mark.more
 def test_type_checkers_accept_the_example_of_the_readme(tmp_path):
     (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     (tmp_path / "example.py").write_text(example)
@@ -156,6 +157,7 @@ def in_memory(tiny):
     return jaxscan.Sweep(on=on, off=off, angles=capture.angles, lasers=capture.lasers, carries=capture.carries)
 
 
+@pytest.mark.more
 def test_a_sweep_in_memory_gives_what_its_capture_gives(tiny, in_memory):
     scanner = jaxscan.load_scanner(tiny.calibration)
     seen = []
@@ -166,6 +168,7 @@ def test_a_sweep_in_memory_gives_what_its_capture_gives(tiny, in_memory):
     assert seen[-1] == (60, 60) and seen == sorted(seen)
 
 
+@pytest.mark.more
 def test_python_gives_what_the_command_line_gives(tiny, in_memory):
     """Which goes by way of the stripes, so that it can keep them."""
     scanner = jaxscan.load_scanner(tiny.calibration)
@@ -194,6 +197,7 @@ def test_stripes_of_a_whole_sweep_serve_again(tiny, in_memory):
     np.testing.assert_allclose(again.xyz, whole.xyz, rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.more
 def test_stripes_found_before_give_the_same_cloud(tiny, in_memory):
     """`extract_stripes` and `reconstruct` are the two halves of one way."""
     scanner = jaxscan.load_scanner(tiny.calibration)

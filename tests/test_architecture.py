@@ -79,9 +79,7 @@ HOME_OF = {
     "fast_simplification": {"surface/decimate.py"},
     "pye57": {"files"},
     "ezdxf": {"files/drawings.py"},
-    "fsspec": {"files/remote.py"},
-    "obstore": {"files/remote.py"},
-    "s3fs": set(),
+    "ifcopenshell": {"files/ifc.py"},
     "laspy": {"files"},
     "pyproj": {"files"},
     "rerun": {"files/clouds/rerun.py"},
@@ -106,11 +104,6 @@ HOME_OF = {
     "pydantic": {"files", "simulation", "project/config.py"},
     "dask": {"fleet"},
     "distributed": {"fleet"},
-    "dask_jobqueue": {"fleet"},
-    "dask_kubernetes": {"fleet"},
-    "kr8s": {"fleet"},
-    "asyncssh": {"fleet"},
-    "cryptography": {"fleet"},
     "psutil": {"fleet"},
     "sqlalchemy": {"project/catalogue.py"},
 }
@@ -297,14 +290,12 @@ MAY_OPEN = {
     "files/capture/shards.py": {"mmap"},
     "vision/video.py": {"VideoCapture"},
     "cli/environment.py": {"os.open"},
-    "fleet/clusters/ssh.py": {".open"},
     "cli/running.py": {"os.open"},
     "web/pages.py": {".read_bytes"},
     "facades.py": {"open"},
 }
 """Files that open others by themselves: the door, what it writes with, archives behind it, videos whose
-beginning was read through the door, the null device, what the system tells of processes, new files on other machines,
-our own."""
+beginning was read through the door, the null device, what the system tells of processes, our own."""
 OPENERS = {"ZipFile", "memmap", "mmap", "imread", "genfromtxt", "VideoCapture"}
 
 
@@ -401,15 +392,13 @@ def test_xml_is_read_through_one_door(path):
 MAY_WRITE = {
     "jaxscan/files/disk/": {"os.open", "open", ".open", "os.mkdir", ".write_bytes", ".touch", "Part"},
     "jaxscan/project/catalogue.py": {"connect", "create_engine"},
-    "jaxscan/fleet/clusters/ssh.py": {".mkdir", ".open"},
     "jaxscan/cli/environment.py": {".mkdir"},
     "jaxscan/recalibration/judge/drift.py": {"Part"},
     "jaxscan/web/opening.py": {".touch", ".write_text"},
 }
 """Places that write by themselves: the door, and what it hands out; the database, whose file is looked at and made
-through the door before SQLite opens it; new files on other machines, through their SFTP; the folder of caches, which
-is made before any library is loaded and checked to be the user's own; parts of something else; a page in a new folder
- that only this account can enter."""
+through the door before SQLite opens it; the folder of caches, which is made before any library is loaded and checked to
+be the user's own; parts of something else; a page in a new folder that only this account can enter."""
 MAKERS = {"mkdir", "makedirs", "symlink", "link", "mkfifo", "mknod", "truncate", "copy", "copy2", "copyfile"}
 MAKERS |= {"copytree", "move", "save", "savez", "savez_compressed", "savetxt", "imwrite", "VideoWriter", "Part"}
 MAKERS |= {"connect", "create_engine", "RotatingFileHandler", "FileHandler"}
@@ -571,7 +560,6 @@ def imported():
         "aiohttp",
         "cv2",
         "embreex",
-        "fsspec",
         "serial",
         "matplotlib",
         "pye57",

@@ -61,6 +61,7 @@ def scanned(tiny):
     )
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("pose", [CORNER, MAP], ids=["corner", "map"])
 def test_photographs(scanned, pose):
     cloud, capture, scanner = scanned
@@ -74,6 +75,7 @@ def test_photographs(scanned, pose):
     assert np.mean(np.abs(around[1].distance_m - around[0].distance_m) > 2e-5) < 1e-3
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("pose", [CORNER, MAP], ids=["corner", "map"])
 def test_meshes(scanned, pose):
     cloud, capture, scanner = scanned

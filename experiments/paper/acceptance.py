@@ -40,6 +40,7 @@ import jaxscan
 from experiments.paper.products import RenderedSweep, our_calibrations
 from experiments.paper.stage import Metric, Stage, plt, save, windowed, windowed_scanner
 from experiments.paper.targets import HALL, Hall, Plate, hall_config, make_hall
+from experiments.plain import principal_axes
 from experiments.report import rms
 from jaxscan import Scanner
 from jaxscan.errors import MeasurementError
@@ -365,8 +366,8 @@ def _flat(samples: Samples, plate: Plate) -> np.ndarray:
     apart = samples.p - plate.centre
     inside = np.all(np.abs(apart @ axes.T) < length / 2 - _EDGE, 1)
     p = samples.p[inside & (np.abs(apart @ np.cross(*axes)) < _BESIDE)]
-    middle = p.mean(0)
-    return (p - middle) @ np.linalg.svd(p - middle, full_matrices=False)[2][2]
+    middle, (_, _, normal) = principal_axes(p)
+    return (p - middle) @ normal
 
 
 def _metrics(hall: Hall, tests: list[Tested], *, limits: bool) -> list[Metric]:

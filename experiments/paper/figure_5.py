@@ -159,9 +159,9 @@ def _picture(stage: Stage, board: SeenStripe, metrics: list[Metric]) -> None:
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     value = {metric.key: metric.value for metric in metrics}
     errors = [f"{words} {value[f'{way}_rms']:.3f} ({value[f'{way}_median']:.3f})" for way, words in WAYS.items()]
-    said = "; ".join(errors[:2]) + "\n" + "; ".join(errors[2:])
+    text = "; ".join(errors[:2]) + "\n" + "; ".join(errors[2:])
     title = f"Figure 5, {stage.world} world: the stripe on a board at 1.3 m"
-    figure.suptitle(f"{title}\nerrors on white squares of all boards, rms (median absolute) [px]: {said}", fontsize=10)
+    figure.suptitle(f"{title}\nerrors on white squares of all boards, rms (median absolute) [px]: {text}", fontsize=10)
     save(figure, stage.picture("figure_5"), 120)
 
 

@@ -42,8 +42,6 @@ from jaxscan.observation import Observations, StripeViews
 from jaxscan.stripes import smooth_profiles
 
 
-_POINTS = 512
-"""Most points of a stripe on a board, and most corners."""
 _STEP_PX = 0.01
 _FITTED = ("even print", "weak edge", "strong edge")
 _CONTRASTS = (*_FITTED, *(f"{name}, not through the print" for name in _FITTED))

@@ -20,6 +20,7 @@ import jaxscan
 from experiments.paper.products import RenderedSweep, expect_each, our_plan, write_captures
 from experiments.paper.stage import CONFIGS, Metric, Stage, plt, save, smaller
 from experiments.paper.table_1 import AGREE
+from experiments.report import rms
 from jaxscan.calibration import CalibrationSettings
 from jaxscan.measurement.room import Dimension, RoomBox
 from jaxscan.report.clouds import Viewpoint, draw_cloud
@@ -163,7 +164,7 @@ def _metrics(
         label = f"fisheye, one turn: room's {name} ({1e3 * true:.0f} mm)"
         out.append(Metric(f"{name}_error", abs(error), "mm", "less", 2.0, label=f"{label}, absolute error"))
         out.append(Metric(f"{name}_sigma", sigma, "mm", "less", 0.3, label=f"{label}, predicted standard deviation"))
-    ratio = float(np.sqrt(np.mean(np.square(ratios))))
+    ratio = rms(ratios)
     label = "fisheye, one turn: rms of error over predicted standard deviation, three dimensions"
     limits = AGREE if full else (None, None)
     out.append(Metric("observed_over_predicted", ratio, "1", "less", 1.0, None, *limits, label))

@@ -444,7 +444,7 @@ def horus_scan(on: np.ndarray, off: np.ndarray, threshold: int = HORUS_THRESHOLD
 
 
 def horus_tuned(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`scan` with a threshold low enough for far walls.
+    """`horus_scan` with a threshold low enough for far walls.
 
     Args:
         on: Laser-on frames, uint8 [rows, columns] or [records, rows, columns].
@@ -655,7 +655,7 @@ def horus_cloud(
         u: Columns of the stripe [records, rows]; px.
         valid: bool [records, rows].
         angles: Of the table [records]; rad.
-        lens: As of `points_on_sheet`.
+        lens: As of `horus_points`.
 
     Returns:
         float64 [records, rows, 3], m; NaN where there is no point.
@@ -672,7 +672,7 @@ def save_horus(calibration: Horus, path: Path) -> None:
 
 
 def load_horus(path: Path) -> Horus:
-    """Read a file of `save`."""
+    """Read a file of `save_horus`."""
     with np.load(path) as file:
         fields = dict(file)
     return Horus(**fields | {name: float(fields[name]) for name in ("distance", "lens_distance")})

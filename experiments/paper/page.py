@@ -2,8 +2,8 @@
 
     python -m experiments.paper.page [--quick] FOLDER
 
-Takes the figures that `python -m experiments.paper --out FOLDER` wrote. Writes experiments/results/paper.md and the
-table in experiments/README.md; with `--quick` it only prints them.
+Takes the figures that `python -m experiments.paper --out FOLDER` wrote, and writes experiments/results/paper.md; with
+`--quick` it prints the page.
 """
 
 import json
@@ -15,31 +15,24 @@ from experiments import report
 from experiments.paper.stage import EXPERIMENTS, WORLDS, Metric, results_path, shown
 
 
-ROOT = Path(__file__).resolve().parents[1]
-PAGE, README = ROOT / "results" / "paper.md", ROOT / "README.md"
-HEADLINES = (
-    *(f"table_1.{way}_{key}_mean" for way in ("paper_way", "ours") for key in ("fx", "fy", "cx", "cy")),
-    *(
-        f"table_1.{way}_length_{size}_{part}"
-        for way in ("paper_way", "ours")
-        for size in (3820, 6150)
-        for part in ("bias", "spread")
-    ),
-    *(f"table_1.our_protocol_length_{size}_rms" for size in (3820, 6150)),
-    *(f"table_2.{way}_{key}_mean" for way in ("paper_way_linear", "paper_way_total", "ours") for key in "abc"),
-    *(f"figure_7.{way}_picked_std" for way in ("paper_way_gravity", "paper_way_highest", "ours")),
-    *(f"figure_9.{way}_{side}" for way in ("ours_boards", "ours_recalibrated") for side in ("width", "length")),
-    *(f"figure_9.paper_way_gravity_{side}_{part}" for side in ("width", "length") for part in ("median", "rms")),
-    *(f"figure_9.pair_angle_for_{side}{kind}" for side in ("width", "length") for kind in ("", "_rms")),
-    *(f"fisheye.{side}_error" for side in ("length", "width", "height")),
-    *(f"peers.{way}_{side}" for way in ("ours", "horus", "tuned") for side in ("width", "length", "rows")),
-)
-"""Figures without a limit that the table in the README shows too."""
-BEGIN, END = "<!-- figures -->", "<!-- end of figures -->"
+PAGE = report.RESULTS / "paper.md"
 HEAD = """# The paper's tables and figures
 
 `make experiments` writes this page. Every figure comes from rendered images through the whole chain, unless its
-experiment says otherwise; the truth is used in the comparison alone. **Bold**: the figure misses its limit.
+experiment says otherwise; the truth is used in the comparison alone. **Bold**: the figure misses its limit. The worlds,
+and what the figures do not show, are described in [the table of contents](../README.md#the-paper).
+
+![The room of Fig. 9 from above: ours without and with colour, and by the paper's method](paper/figure_9_kind.png)
+
+*The room of Fig. 9 in the kind world, from 3600 steps.*
+
+![The four walls of the room, without and with colour](paper/figure_9_sides_kind.png)
+
+*Its walls from within. The camera of the paper sees 32° up and down.*
+
+![Two objects, without and with colour](paper/figure_8_kind.png)
+
+*Fig. 8: two textured objects at 1.3 m.*
 """
 
 
@@ -74,15 +67,9 @@ def rows_of(worlds: dict[str, dict[str, Any]], name: str) -> dict[str, Row]:
     return {key: Row(metrics) for key, metrics in found.items()}
 
 
-def table(rows: list[list[str]], *before: str) -> list[str]:
-    """Lines of a table; `before` are the titles of columns before those of a `Row`."""
-    head = [*before, "figure", "unit", "paper", *(f"{name} world" for name in WORLDS), "limit"]
-    return report.table(head, rows).splitlines()
-
-
 def page(worlds: dict[str, dict[str, Any]]) -> str:
     """The whole page."""
-    lines = [HEAD]
+    lines, head = [HEAD], ["figure", "unit", "paper", *(f"{name} world" for name in WORLDS), "limit"]
     for name in EXPERIMENTS:
         if not (rows := rows_of(worlds, name)):
             continue
@@ -91,22 +78,10 @@ def page(worlds: dict[str, dict[str, Any]]) -> str:
             f"## {name}",
             f"`python -m experiments.paper {name}` ({', '.join(seconds)})",
             "",
-            *table([row.cells() for row in rows.values()]),
+            report.table(head, [row.cells() for row in rows.values()]),
             "",
         ]
     return "\n".join(lines)
-
-
-def headline(worlds: dict[str, dict[str, Any]]) -> list[str]:
-    """Figures that have a limit, and a few that are worth reading beside them."""
-    limited = lambda row: any(one.wanted() for one in row.metrics.values())
-    rows = [
-        [name, *row.cells()]
-        for name in EXPERIMENTS
-        for key, row in rows_of(worlds, name).items()
-        if f"{name}.{key}" in HEADLINES or limited(row)
-    ]
-    return table(rows, "experiment")
 
 
 def main() -> int:
@@ -120,11 +95,8 @@ def main() -> int:
         parser.error(f"{options.folder}: there are no figures; run `python -m experiments.paper` first")
     if options.quick:
         print(page(worlds))
-        return 0
-    PAGE.write_text(page(worlds))
-    text = README.read_text()
-    before, after = text.split(BEGIN)[0], text.split(END)[1]
-    README.write_text(before + "\n".join([BEGIN, *headline(worlds), END]) + after)
+    else:
+        PAGE.write_text(page(worlds))
     return 0
 
 

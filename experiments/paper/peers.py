@@ -19,6 +19,7 @@ import matplotlib as mpl
 import numpy as np
 
 import jaxscan
+from experiments.exact_rig import IdealRig
 from experiments.paper.figure_9 import (
     FARTHEST_M,
     NOT_MEASURED,
@@ -38,7 +39,7 @@ from experiments.paper.products import PlainStripes, Room, horus_path, our_calib
 from experiments.paper.stage import Metric, Stage, plt, save
 from experiments.recalibration.trial import fitted
 from experiments.recalibration.world import Sweeping, TrueSweep, true_sweep
-from experiments.worlds.exact_rig import IdealRig
+from experiments.report import rms
 from jaxscan.geometry import lit_points
 from jaxscan.reconstruction.along import smooth_sweep
 from jaxscan.simulation import RoomSpec, true_scanner
@@ -180,7 +181,7 @@ def _rows(seen: Seen, truth: TrueSweep) -> dict[str, float]:
     near = np.abs(error) < STRAY_PX
     return {
         "rows": 100 * float(there.sum() / lit.sum()),
-        "stripe": float(np.sqrt(np.mean(error[near] ** 2))) if near.any() else np.nan,
+        "stripe": rms(error[near]),
         "strays": 100 * float(np.mean(~near)) if len(near) else np.nan,
     }
 
@@ -202,8 +203,7 @@ def _patches(found: dict[str, Seen], truth: TrueSweep) -> list[np.ndarray]:
 
 def _flatness(seen: Seen, patches: list[np.ndarray]) -> float:
     """Root mean square distance of points from the planes of their patches [mm]."""
-    rms = [fitted(seen.xyz[patch])[2] for patch in patches]
-    return 1e3 * float(np.sqrt(np.mean(np.square(rms)))) if rms else np.nan
+    return 1e3 * rms([fitted(seen.xyz[patch])[2] for patch in patches])
 
 
 def _depth_error(stage: Stage, rigs: list[Rig], name: str, depth: float) -> float:
@@ -225,7 +225,7 @@ def _depth_error(stage: Stage, rigs: list[Rig], name: str, depth: float) -> floa
             uv = np.column_stack([np.rint(uv[:, 0]), uv[:, 1]]) if name == "whole" else uv
             z = horus_points(rig.theirs, uv, lens=name != "horus")[:, 2]
         errors.append(z - depth)
-    return 1e3 * float(np.sqrt(np.mean(np.square(errors))))
+    return 1e3 * rms(errors)
 
 
 def _on_our_sheet(scanner: jaxscan.Scanner, q: np.ndarray) -> float:

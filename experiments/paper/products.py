@@ -240,7 +240,7 @@ class RenderedSweep:
         """Of a rig with one laser.
 
         Args:
-            config: The rig; `worlds.windowed` reads fewer columns.
+            config: The rig; `stage.windowed` reads fewer columns.
             angles: Commanded angles of the table [rad].
             scene: The surroundings, in place of the configuration's room.
             watch: Called with all frames as they are read, at every reading.
@@ -604,12 +604,12 @@ def _sweep(stage: Stage) -> Room:
             plain[name].u[part] = np.where(valid, u + first, 0)
             plain[name].valid[part] = valid
 
-    told = 0
+    fifths = 0
 
     def tell(done: int, total: int) -> None:
-        nonlocal told
-        if done * 5 // total > told:
-            told = done * 5 // total
+        nonlocal fifths
+        if done * 5 // total > fifths:
+            fifths = done * 5 // total
             stage.say(f"sweep of the room: {done} of {total} records")
 
     sweep = RenderedSweep(windowed(config, first, stop), angles, seed=config.seed, watch=watch)

@@ -1,6 +1,7 @@
 """Errors of the dimensions of the room by each source of error alone, and by all together.
 
-Not from rendered images. Pixels come from the independent equations of `ideal_room`: boards in poses of our own
+Not from rendered images. Pixels come from the independent equations of
+`experiments.recalibration.world`: boards in poses of our own
 protocol, a joint calibration, a sweep of the empty room, and the distances of its walls. Each source acts alone, all
 others are zero. "All together" has them all. The predicted standard deviation is compared with the errors of all but
 two: jitter, whose size a calibration learns from its boards (`quality.angle_sigma`) but which moves the room by the
@@ -21,10 +22,10 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxscan
+from experiments.exact_rig import BoardPoses, add_noise, ideal_boards, observations
 from experiments.paper.stage import Metric, Stage, plt, save, windowed, world
 from experiments.recalibration.world import Noise, Sweeping, true_sweep
 from experiments.report import rms
-from experiments.worlds.exact_rig import BoardPoses, add_noise, ideal_boards, observations
 from jaxscan.calibration import USUALLY_FREE
 from jaxscan.recalibration import SweepStripes
 from jaxscan.simulation import SimulationConfig, make_rig, render_sweep
@@ -280,7 +281,7 @@ def row_error(stage: Stage, config: SimulationConfig) -> float:
     found = jaxscan.extract_stripes(*(np.stack([getattr(one, side) for one in records]) for side in ("on", "off")))
     error = np.asarray(found.u) - np.stack([one.truth.u for one in records])
     there = np.asarray(found.valid) & np.stack([one.truth.valid for one in records]) & (np.abs(error) < 1)
-    return float(np.sqrt(np.mean(error[there] ** 2)))
+    return rms(error[there])
 
 
 def draw_chart(stage: Stage, errors: dict[str, np.ndarray], sigma: np.ndarray, labels: dict[str, str]) -> None:

@@ -12,6 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxscan
+from experiments.report import limits_in_words, within
 from jaxscan.simulation import CameraSpec, SimulationConfig
 
 
@@ -137,15 +138,11 @@ class Metric(NamedTuple):
 
     def met(self) -> bool:
         """Whether it is finite and within its limits, if it has any."""
-        if not np.isfinite(self.value):
-            return False
-        return (self.low is None or self.value >= self.low) and (self.high is None or self.value <= self.high)
+        return within(self.value, self.low, self.high)
 
     def wanted(self) -> str:
         """Its limits in words."""
-        if self.low is not None and self.high is not None:
-            return f"{self.low:g} ... {self.high:g}"
-        return f"≤ {self.high:g}" if self.high is not None else f"≥ {self.low:g}" if self.low is not None else ""
+        return limits_in_words(self.low, self.high)
 
     def worse_than(self, baseline: float, tolerance: float) -> bool:
         """Whether it is worse than the baseline by more than the baseline's tolerance."""

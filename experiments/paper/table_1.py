@@ -15,10 +15,10 @@ import jax
 import numpy as np
 
 import jaxscan
+from experiments.exact_rig import errors, to_true_tangents
 from experiments.paper.methods import METHODS, PaperWay, points_on_sheet, power
 from experiments.paper.products import PAIR_DEG, draws, our_calibrations
 from experiments.paper.stage import Metric, Stage, plt, save
-from experiments.worlds.exact_rig import errors, to_true_tangents
 from jaxscan.calibration import Length, length_sigma, measure_lengths, stripe_pixels
 from jaxscan.geometry import Scanner, Turntable
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
@@ -211,8 +211,8 @@ def strips(series: list[Series], titles: list[str], headline: str, path: Path, *
             axis.plot([at - 0.3, at + 0.3], [mean, mean], color=one.colour, linewidth=2)
             aside = random.uniform(-0.2, 0.2, len(values))
             axis.plot(at + aside, values, ".", color=one.colour, markersize=5, label=one.name)
-            said = f"{mean:+.2g}\n± {spread:.2g}" if len(values) > 1 else f"{mean:+.2g}"
-            axis.text(at, -0.02, said, color=one.colour, ha="center", va="top", fontsize=8,
+            text = f"{mean:+.2g}\n± {spread:.2g}" if len(values) > 1 else f"{mean:+.2g}"
+            axis.text(at, -0.02, text, color=one.colour, ha="center", va="top", fontsize=8,
                       transform=axis.get_xaxis_transform())  # fmt: skip
         # Bars would otherwise end at the frame.
         axis.use_sticky_edges = False

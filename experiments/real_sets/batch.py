@@ -1,4 +1,4 @@
-"""Strangers' captures as one project: begun, made, made again, and with another setting.
+"""Captures of other makers as one project: begun, made, made again, and with another setting.
 
     python -m experiments.real_sets.batch DESK LINES FOLDER
 
@@ -10,9 +10,6 @@ by the verbs of `jaxscan`, some minutes on two cores; the figures are printed.
 
 import json
 import re
-import subprocess
-import sys
-import time
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -23,10 +20,17 @@ import tomli_w
 
 import jaxscan
 from experiments.plain import Lens, grid, pose_of, spread
-from experiments.real_sets.convert import convert
-from experiments.real_sets.measure import Pictures, TableFrame, read_solved, table_figures, table_from, write_rig
-from experiments.real_sets.sets import BY_NAME, Source
-from experiments.report import command_line
+from experiments.real_sets.measure import (
+    Pictures,
+    TableFrame,
+    points_of,
+    read_solved,
+    table_figures,
+    table_from,
+    write_rig,
+)
+from experiments.real_sets.sets import BY_NAME, Source, convert
+from experiments.report import command_line, verb
 
 
 COVERED_M = {"table": 0.0, "toy": BY_NAME["srv_toy"].inner_m}
@@ -36,15 +40,12 @@ NEAR_BOARD_M = 0.005
 """Points farther from a board are of things behind it."""
 
 
-def verb(*words: str | Path) -> str:
-    """One verb of `jaxscan`, and how long it took; its failure is no end, for batches fail in part."""
-    start = time.perf_counter()
-    command = [sys.executable, "-m", "jaxscan", *map(str, words)]
-    ran = subprocess.run(command, capture_output=True, text=True, check=False)
-    print(f"jaxscan {' '.join(map(str, words[:2]))}: exit code {ran.returncode}, {time.perf_counter() - start:.0f} s")
-    said = "\n".join(line for line in (ran.stdout + ran.stderr).splitlines() if not line.startswith("note: "))
-    print(said, flush=True)
-    return said
+def run(*words: str | Path) -> None:
+    """One verb of `jaxscan`, its output, and how long it took; its failure is no end, for batches fail in part."""
+    ran = verb(*words)
+    print(f"jaxscan {' '.join(map(str, words[:2]))}: exit code {ran.code}, {ran.wall_s:.0f} s")
+    lines = (ran.out + ran.problem).splitlines()
+    print("\n".join(line for line in lines if not line.startswith("note: ")), flush=True)
 
 
 def capture(name: str, source: Source, folder: Path, **header: Any) -> Path:
@@ -64,12 +65,12 @@ def calibrate_desk(folder: Path) -> TableFrame:
     """
     boards, sweep = folder / "captures" / "boards", folder / "captures" / "table"
     first = folder.with_name(f"{folder.name}.first.json")
-    verb("calibrate", boards, "-o", first)
+    run("calibrate", boards, "-o", first)
     solved = read_solved(first, Pictures(boards))
     table = table_from(sweep, solved.lens)
     by_hand, cloud = first.with_suffix(".hand.json"), first.with_suffix(".ply")
     write_rig(by_hand, Pictures(sweep).size, solved.lens, solved.sheets[0], table)
-    verb("reconstruct", sweep, "-c", by_hand, "-o", cloud, "--max-range", "2", "--no-cache")
+    run("reconstruct", sweep, "-c", by_hand, "-o", cloud, "--max-range", "2", "--no-cache")
     frame = TableFrame(table)
     seen = table_figures(points_of(cloud), frame.height, frame.normal, 0.0)
     scale = 1.0 - 1e-3 * seen["height_mm"] / abs(table.plane.distance)
@@ -79,14 +80,8 @@ def calibrate_desk(folder: Path) -> TableFrame:
     )
     axis = [f"{value:.6f}" for value in (*table.point, *table.direction)]
     (folder / "calibrations").mkdir()
-    verb("calibrate", boards, "-o", folder / "calibrations" / "desk.json", "--axis", *axis)
+    run("calibrate", boards, "-o", folder / "calibrations" / "desk.json", "--axis", *axis)
     return TableFrame(table)
-
-
-def points_of(path: Path) -> np.ndarray:
-    """All points [n, 3] of a cloud; m."""
-    cloud = jaxscan.load_cloud(path)
-    return np.asarray(cloud.xyz, np.float64)[np.asarray(cloud.valid)]
 
 
 def boards_figures(cloud_path: Path, calibration: Path, folder: Path) -> dict[str, float]:
@@ -177,25 +172,25 @@ def main() -> int:
     capture("zhaocongyang", lines, captures / "pairs", turntable=still)
     capture("zhaocongyang", lines, captures / "profiles", kind="sweep", turntable=still, board=None)
     frame = calibrate_desk(folder)
-    verb("project", "init", folder)
+    run("project", "init", folder)
     project = folder / "project.toml"
     # All of them for all captures: what cannot be made is left out.
     text = re.sub(r'(rig = ".*"\n)products = .*\n', r"\1", project.read_text())
     text = text.replace('"measures"]', '"measures", "mesh", "report"]')
     project.write_text(text.replace('formats = ["ply"]', 'formats = ["ply", "e57", "laz", "xyz"]'))
     print(project.read_text())
-    verb("batch", project, "--workers", "2")
+    run("batch", project, "--workers", "2")
     figures(folder, frame)
-    verb("batch", project, "--workers", "2")
+    run("batch", project, "--workers", "2")
     # The wall behind the table does not turn with it, and would be a ring around the axis.
     text = project.read_text()
     own = 'toy"\nrig = "rig-2"\n'
     assert own in text
     project.write_text(text.replace(own, own + "settings = { max_range_m = 0.5 }\n"))
-    verb("project", "status", project)
-    verb("batch", project, "--workers", "2")
+    run("project", "status", project)
+    run("batch", project, "--workers", "2")
     figures(folder, frame)
-    verb("project", "compare", project, project)
+    run("project", "compare", project, project)
     return 0
 
 

@@ -1,10 +1,10 @@
-"""jaxscan and a plain method on strangers' captures: `experiments/results/real_sets.md`.
+"""jaxscan and a plain method on captures of other makers: `experiments/results/real_sets.md`.
 
-    python -m experiments.real_sets.compare CAPTURES [--only NAME …] [--measure after|before|plain …] [--work FOLDER]
+    python -m experiments.real_sets.compare CAPTURES [--only NAME …] [--measure ours|plain …] [--work FOLDER]
 
-CAPTURES holds the captures that `convert` makes, by their names; sets that are not there are skipped. Earlier figures
-are kept in `real_sets.json` beside the table. Every run measures the code as it is now ("after"), and the rest if it is
-asked for. With --work, a run that was broken off goes on with the set at which it ended.
+CAPTURES holds the captures that `experiments.real_sets.sets` makes, by their names; sets that are not there are
+skipped. Earlier figures are kept in `real_sets.json` beside the page. With --work, a run that was interrupted goes on
+with the set at which it ended.
 """
 
 import json
@@ -22,7 +22,6 @@ from experiments.real_sets.measure import (
     Pictures,
     PlainBoards,
     Solved,
-    Version,
     boards,
     calibrate_by_verb,
     read_solved,
@@ -32,19 +31,18 @@ from experiments.real_sets.measure import (
     write_rig,
 )
 from experiments.real_sets.sets import SETS, RealSet
-from experiments.report import command_line, number, table, write_json
+from experiments.report import RESULTS, command_line, number, table, write_json
 
 
-HEAD = """# Strangers' captures
+HEAD = """# Captures of other makers
 
-`python -m experiments.real_sets.compare CAPTURES` writes this page; `experiments.real_sets.convert` makes the
-captures from copies of the public repositories, whose pictures are not part of this project. "before" is commit
-41c6dff, "now" the code beside this page. The plain method (`experiments/plain.py`) is OpenCV's
-`findChessboardCorners`, `cornerSubPix` and `calibrateCamera`, a centroid on every line, and RANSAC for lines and
-planes; "free" is `calibrateCameraRO`, in which every corner of the board is free. Nothing here has a known truth:
-held-out figures are of views that had no part in the solve but for their own pose. Distances of corners are lengths
-of vectors, √2 of the deviation of one coordinate. The plain method finds its own corners, so its figures are of other
-corners than jaxscan's.
+`python -m experiments.real_sets.compare CAPTURES` writes this page; `python -m experiments.real_sets.sets` makes the
+captures from copies of the public repositories, whose pictures are not part of this project. The plain method
+(`experiments/plain.py`) is OpenCV's `findChessboardCorners`, `cornerSubPix` and `calibrateCamera`, a centroid on
+every line, and RANSAC for lines and planes; "free" is `calibrateCameraRO`, in which every corner of the board is
+free. Nothing here has a known truth: held-out figures are of views that had no part in the solve but for their own
+pose. Distances of corners are lengths of vectors, √2 of the deviation of one coordinate. The plain method finds its
+own corners, so its figures are of other corners than jaxscan's.
 """
 
 
@@ -72,17 +70,13 @@ The spread is 1.48 times the median distance of the line's points on the boards 
 the sheet of the other half of the views, "halves" the angle between the sheets of both halves.
 """
 SWEEPS = """
-Camera and sheet come from `srv_laser_1707`, the axis from the ArUco markers on the table. Before, no sheet was found,
-so that the plain method's camera, sheet and axis are given to jaxscan as a file written by hand; "own rig" is with
-jaxscan's own camera and sheet. "scene" counts the points less than 125 mm from the axis, up to 200 mm above the
-table; "on table" those within 6 mm of the plane of its surface, of whose distances the spread is 1.48 of the median
-and the RMS is given; "tilt" is the angle of that plane against the plane of the markers. That plane itself moves by
-0.03° when other steps of the table are taken, so smaller differences say nothing.
+Camera and sheet come from `srv_laser_1707`, the axis from the ArUco markers on the table. "Plain rig" is the plain
+method's camera and sheet, given to jaxscan as a file written by hand; "own rig" is with jaxscan's own. "scene" counts
+the points less than 125 mm from the axis, up to 200 mm above the table; "on table" those within 6 mm of the plane of
+its surface, of whose distances the spread is 1.48 of the median and the RMS is given; "tilt" is the angle of that
+plane against the plane of the markers. That plane itself moves by 0.03° when other steps of the table are taken, so
+smaller differences say nothing.
 """
-
-
-def _change(found: dict[str, Any], key: str, form: str = "{:.3f}") -> str:
-    return " → ".join(number(found.get(which, {}).get(key), form) for which in ("before", "after"))
 
 
 def _sets(known: list[RealSet]) -> str:
@@ -96,69 +90,41 @@ def _sets(known: list[RealSet]) -> str:
 def _sentences(boards: list[RealSet], results: dict[str, Any]) -> str:
     rows = []
     for one in boards:
-        for which in ("before", "after"):
-            found = results[one.name].get(which)
-            if found is None:
-                continue
-            plan = found.get("plan", "")
-            text = f"({plan}) {found['first']}" if plan else found["first"]
-            text = text.replace("|", "/")
-            # The version before knew no board of circles, and was given centres that OpenCV found.
-            how = "With centres found by OpenCV"
-            if found["options"].startswith("--camera"):
-                how = "With the known camera"
-            elif "--only" in found["options"]:
-                how = "With `--only camera`"
-            if found["runs"] > 1:
-                text += f" **{how}:** {found['sentence']}".replace("|", "/")
-            name = one.name if which == "before" else ""
-            when = "before" if which == "before" else "now"
-            rows.append([name, when, str(found["exit_code"]), text])
-    return table(["set", "", "exit code", "first sentence"], rows)
+        found = results[one.name].get("ours")
+        if found is None:
+            continue
+        text = f"({found['plan']}) {found['first']}" if found.get("plan") else found["first"]
+        if found["runs"] > 1:
+            how = "With the known camera" if found["options"].startswith("--camera") else "With `--only camera`"
+            text += f" **{how}:** {found['sentence']}"
+        rows.append([one.name, str(found["exit_code"]), text.replace("|", "/")])
+    return table(["set", "exit code", "first sentence"], rows)
 
 
 def _corners(boards: list[RealSet], results: dict[str, Any]) -> str:
-    head = [
-        "set",
-        "views",
-        "plain",
-        "ratio",
-        "RMS [px]",
-        "plain",
-        "held out [px]",
-        "plain",
-        "free",
-        "shape [mm]",
-        "free",
-    ]
+    head = ["set", "views", "plain", "ratio", "RMS [px]", "plain", "held out [px]", "plain", "free"]
     rows = []
     for one in boards:
-        found = results[one.name]
-        plain = found.get("plain", {})
+        ours, plain = (results[one.name].get(which, {}) for which in ("ours", "plain"))
+        held_out = number(ours.get("held_out_px"))
+        if ours.get("held_out_px") is None and ours.get("held_out_own_px") is not None:
+            held_out = f"({number(ours['held_out_own_px'])})"
         rows.append(
             [
                 one.name,
-                _change(found, "views", "{:.0f}"),
+                number(ours.get("views"), "{:.0f}"),
                 f"{plain.get('views', 0)} of {plain.get('records', 0)}",
-                _change(found, "corner_noise_over_sigma", "{:.2f}"),
-                _change(found, "corner_rms_px"),
+                number(ours.get("corner_noise_over_sigma"), "{:.2f}"),
+                number(ours.get("corner_rms_px")),
                 number(plain.get("corner_rms_px")),
-                _held_out(found),
+                held_out,
                 number(plain.get("held_out_px")),
                 number(plain.get("held_out_free_px")),
-                _change(found, "shape_mm"),
+                number(ours.get("shape_mm")),
                 number(plain.get("free_shape_mm")),
             ]
         )
-    return table(head, rows)
-
-
-def _held_out(found: dict[str, Any]) -> str:
-    """The halves' figure, or in brackets that of the solve itself, where the halves could not be solved."""
-    now = found.get("after", {})
-    if now.get("held_out_px") is None and now.get("held_out_own_px") is not None:
-        return f"{number(found.get('before', {}).get('held_out_px'))} → ({number(now['held_out_own_px'])})"
-    return _change(found, "held_out_px")
+    return table([*head, "shape [mm]", "free"], rows)
 
 
 PUBLISHED = {"zhaocongyang": (np.array([-0.13051671, -6.3959525, 1.0]), 304.91858)}
@@ -172,9 +138,9 @@ def _lines(boards: list[RealSet], results: dict[str, Any]) -> str:
         if not one.header.get("laser"):
             continue
         plain = (results[one.name].get("plain", {}).get("sheets") or [None])[0]
-        for which, name in (("before", "before"), ("after", "now"), ("plain", "plain")):
+        for which, name in (("ours", "jaxscan"), ("plain", "plain")):
             sheet = (results[one.name].get(which, {}).get("sheets") or [None])[0]
-            cells = [one.name if which == "before" else "", name]
+            cells = [one.name if which == "ours" else "", name]
             rows.append(cells + (["no sheet"] + ["–"] * 5 if sheet is None else _sheet(one, sheet, plain)))
     return table(head, rows)
 
@@ -198,25 +164,24 @@ def _sheet(one: RealSet, sheet: dict[str, Any], plain: dict[str, Any] | None) ->
 
 
 def _sweeps(sweeps: list[RealSet], results: dict[str, Any]) -> str:
-    head = ["set", "method", "points", "scene", "on table", "spread [mm]", "RMS [mm]", "tilt [°]", "said"]
+    head = ["set", "method", "points", "scene", "on table", "spread [mm]", "RMS [mm]", "tilt [°]", "notes"]
     rows = []
     for one in sweeps:
         found = results[one.name]
         runs = [
-            ("before, plain rig", found.get("before", {}).get("with_plain_rig")),
-            ("now, plain rig", found.get("after", {}).get("with_plain_rig")),
-            ("now, own rig", found.get("after", {}).get("with_own_rig")),
+            ("jaxscan, plain rig", found.get("ours", {}).get("with_plain_rig")),
+            ("jaxscan, own rig", found.get("ours", {}).get("with_own_rig")),
             ("plain", found.get("plain")),
         ]
         for k, (name, run) in enumerate(runs):
             if run is None:
                 continue
-            said = run.get("said", [])
-            said = said or [run["error"]] if run.get("error") else said
+            notes = run.get("notes", [])
+            notes = notes or [run["error"]] if run.get("error") else notes
             cells = [str(run.get(key, "–")) for key in ("points", "scene", "on_table")]
             cells += [number(run.get(key)) for key in ("spread_mm", "rms_mm")] + [number(run.get("tilt_deg"), "{:.2f}")]
-            text = " ".join(said).replace("|", "/") or "nothing"
-            rows.append([one.name if k == 0 else "", name, *cells, text if k < 3 else ""])
+            text = " ".join(notes).replace("|", "/") or "nothing"
+            rows.append([one.name if k == 0 else "", name, *cells, text if k < 2 else ""])
     return table(head, rows)
 
 
@@ -229,19 +194,19 @@ SWEEP_FIGURES = (("scene", MORE), ("on_table", MORE), ("spread_mm", LESS), ("rms
 
 
 def worse(results: dict[str, Any]) -> str:
-    """A list of all figures in which the code as it is now is worse."""
+    """A list of all figures in which jaxscan is worse."""
     found: list[str] = []
     compared = 0
     for one in SETS:
-        now, plain = results.get(one.name, {}).get("after"), results.get(one.name, {}).get("plain")
-        if now is None or plain is None:
+        own, plain = results.get(one.name, {}).get("ours"), results.get(one.name, {}).get("plain")
+        if own is None or plain is None:
             continue
-        pairs = [(f"{one.name}, boards", BOARD_FIGURES, now, plain)]
+        pairs = [(f"{one.name}, boards", BOARD_FIGURES, own, plain)]
         if one.header["kind"] == "sweep":
             rigs = (("plain rig", "with_plain_rig"), ("own rig", "with_own_rig"))
-            pairs = [(f"{one.name}, {name}", SWEEP_FIGURES, now[key], plain) for name, key in rigs if key in now]
+            pairs = [(f"{one.name}, {name}", SWEEP_FIGURES, own[key], plain) for name, key in rigs if key in own]
         elif plain.get("sheets"):
-            sheet = (now.get("sheets") or [{}])[0]
+            sheet = (own.get("sheets") or [{}])[0]
             pairs.append((f"{one.name}, lines on boards", LINE_FIGURES, sheet, plain["sheets"][0]))
         for name, wanted, ours, theirs in pairs:
             known = [(key, sense) for key, sense in wanted if theirs.get(key) is not None]
@@ -264,8 +229,6 @@ def _text(value: float | None) -> str:
     return "missing" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
-ROOT = Path(__file__).resolve().parents[2]
-RESULTS = ROOT / "experiments" / "results"
 BOARDS_OF_SWEEPS = "srv_laser_1707"
 """The capture that gives camera and sheet of the sweeps."""
 MARKED = "srv_table"
@@ -277,15 +240,13 @@ def kind_of(one: RealSet) -> str:
     return "fisheye" if "fisheye" in one.lens else "flat"
 
 
-def measure_boards(one: RealSet, capture: Path, version: Version, work: Path) -> dict[str, Any]:
+def measure_boards(one: RealSet, capture: Path, work: Path) -> dict[str, Any]:
     """`jaxscan calibrate` as a user types it first, and with fewer wishes where that gives nothing."""
     output = work / f"{one.name}.json"
-    runs = [calibrate_by_verb(version, capture, output, one.lens)]
-    if "views" not in runs[-1] and one.camera and version.folder == ROOT:
-        # The version before takes no known camera.
-        runs.append(calibrate_by_verb(version, capture, output, ("--camera", str(write_camera(one, capture, work)))))
-    elif "views" not in runs[-1]:
-        runs.append(calibrate_by_verb(version, capture, output, ("--only", "camera", *one.lens)))
+    runs = [calibrate_by_verb(capture, output, one.lens)]
+    if "views" not in runs[-1]:
+        fewer = ("--camera", str(write_camera(one, capture, work))) if one.camera else ("--only", "camera", *one.lens)
+        runs.append(calibrate_by_verb(capture, output, fewer))
     return runs[-1] | {"first": runs[0]["sentence"], "first_exit_code": runs[0]["exit_code"], "runs": len(runs)}
 
 
@@ -315,7 +276,7 @@ def plain_rig(captures: Path) -> Solved:
     return PlainBoards(Pictures(captures / BOARDS_OF_SWEEPS), "flat").solve()
 
 
-def measure_sweep(one: RealSet, captures: Path, version: Version, work: Path) -> dict[str, Any]:
+def measure_sweep(one: RealSet, captures: Path, work: Path) -> dict[str, Any]:
     """`jaxscan reconstruct` with the plain method's rig, and with the calibration's own camera and sheet."""
     found: dict[str, Any] = {}
     own = work / f"{BOARDS_OF_SWEEPS}.json"
@@ -327,7 +288,7 @@ def measure_sweep(one: RealSet, captures: Path, version: Version, work: Path) ->
         table = table_from(captures / MARKED, rig.lens)
         place = work / f"{name}.json"
         write_rig(place, Pictures(captures / one.name).size, rig.lens, rig.sheets[0], table)
-        found[name] = reconstruct(version, captures / one.name, place, table, one.inner_m)
+        found[name] = reconstruct(captures / one.name, place, table, one.inner_m)
     return found
 
 
@@ -340,14 +301,13 @@ def measure_plain(one: RealSet, captures: Path) -> dict[str, Any]:
     return sweep(pictures, rig.lens, rig.sheets[0], table_from(captures / MARKED, rig.lens), one.inner_m)
 
 
-def measure(one: RealSet, captures: Path, version: Path | None, work: Path) -> dict[str, Any]:
-    """One set by one version, or by the plain method where that is None."""
-    if version is None:
+def measure(one: RealSet, captures: Path, which: str, work: Path) -> dict[str, Any]:
+    """One set by jaxscan, or by the plain method."""
+    if which == "plain":
         return measure_plain(one, captures)
-    code = Version(version.resolve())
     if one.header["kind"] == "calibration":
-        return measure_boards(one, captures / one.name, code, work)
-    return measure_sweep(one, captures, code, work)
+        return measure_boards(one, captures / one.name, work)
+    return measure_sweep(one, captures, work)
 
 
 def main() -> int:
@@ -355,8 +315,7 @@ def main() -> int:
     parser = command_line(__doc__)
     parser.add_argument("captures", type=Path)
     parser.add_argument("--only", nargs="*", default=[one.name for one in SETS], metavar="NAME")
-    parser.add_argument("--measure", nargs="*", default=["after"], choices=["before", "after", "plain"])
-    parser.add_argument("--before", type=Path, help="sources of the version before, for `--measure before`")
+    parser.add_argument("--measure", nargs="*", default=["ours"], choices=["ours", "plain"])
     parser.add_argument("--work", type=Path, help="folder for calibrations and clouds; a finished set is not run again")
     parser.add_argument("--results", type=Path, default=RESULTS)
     options = parser.parse_args()
@@ -370,17 +329,16 @@ def main() -> int:
                 continue
             capture = captures / one.name
             if not (capture / "capture.toml").exists():
-                print(f"{one.name}: skipped, {capture} is missing; make it with experiments.real_sets.convert")
+                print(f"{one.name}: skipped, {capture} is missing; make it with experiments.real_sets.sets")
                 continue
             for which in options.measure:
-                version = {"plain": None, "before": options.before, "after": ROOT}[which]
                 folder = work / which
                 folder.mkdir(parents=True, exist_ok=True)
                 done = folder / f"{one.name}.done"
                 if done.exists():
                     continue
                 start = time.perf_counter()
-                results.setdefault(one.name, {})[which] = measure(one, captures, version, folder)
+                results.setdefault(one.name, {})[which] = measure(one, captures, which, folder)
                 write_json(kept, results)
                 done.touch()
                 print(f"{one.name}, {which}: {time.perf_counter() - start:.0f} s", flush=True)

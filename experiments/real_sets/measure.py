@@ -1,9 +1,7 @@
 """Figures of a calibration and of a cloud, the same for every method: by the command line, and by the plain one."""
 
+import dataclasses
 import json
-import os
-import subprocess
-import sys
 import time
 import tomllib
 from pathlib import Path
@@ -12,6 +10,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+import jaxscan
 from experiments.plain import (
     Lens,
     Plane,
@@ -31,7 +30,9 @@ from experiments.plain import (
     spread,
     straight_line,
 )
-from experiments.report import rms
+from experiments.report import rms, verb
+from jaxscan.calibration import calibrate_camera
+from jaxscan.observation import Observations
 
 
 RIM = 0.115
@@ -92,7 +93,7 @@ def _residual(lens: Lens, shape: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 def _off_plane(shape: np.ndarray) -> float:
     """RMS of the board's corners from their best plane; mm."""
-    return 1e3 * float(np.sqrt(np.mean(least_squares(shape).off(shape) ** 2)))
+    return 1e3 * rms(least_squares(shape).off(shape))
 
 
 def _sheet_figures(solved: Solved, halves: list[Solved] | None, laser: int) -> dict[str, Any]:
@@ -180,12 +181,6 @@ class Table(NamedTuple):
     """Of the axis, in the table's plane [m]."""
     plane: Plane
     """The table's surface."""
-    step_deg: float
-    """Right-handed about `direction`."""
-    step_scatter_deg: float
-    rms_px: float
-    sides_scatter_mm: float
-    """Scatter of the 16 sides of the markers."""
 
 
 def markers(grey: np.ndarray) -> np.ndarray | None:
@@ -198,11 +193,10 @@ def markers(grey: np.ndarray) -> np.ndarray | None:
     return np.concatenate([seen[name] for name in CENTRES]) if set(CENTRES) <= set(seen) else None
 
 
-def fit_table(steps: np.ndarray, corners: np.ndarray, lens: Lens) -> Table:
+def fit_table(corners: np.ndarray, lens: Lens) -> Table:
     """The table from corners of markers at many steps.
 
     Args:
-        steps: Number of the step of every picture [pictures].
         corners: Corners of the markers [pictures, 16, 2]; px.
     """
     square = 0.5 * SIDE * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
@@ -233,13 +227,10 @@ def fit_table(steps: np.ndarray, corners: np.ndarray, lens: Lens) -> Table:
         return np.append((seen - corners).ravel(), 1e6 * (_sides(points).mean() - SIDE))
 
     x = levenberg(error, np.concatenate([np.zeros(4), start.ravel(), angles[1:] - angles[0]]))
-    direction, centre, points, turned = parts(x)
+    direction, centre, points, _ = parts(x)
     plane = least_squares(points)
     point = centre + direction * ((plane.distance - centre @ plane.normal) / (direction @ plane.normal))
-    line = np.polyfit(steps, np.degrees(turned), 1)
-    scatter = float(np.std(np.degrees(turned) - np.polyval(line, steps)))
-    fit = rms(np.linalg.norm(error(x)[:-1].reshape(-1, 2), axis=1))
-    return Table(direction, point, plane, float(line[0]), scatter, fit, 1e3 * float(_sides(points).std()))
+    return Table(direction, point, plane)
 
 
 def _sides(points: np.ndarray) -> np.ndarray:
@@ -358,11 +349,11 @@ def boards(pictures: Pictures, kind: str, known: Lens | None = None) -> tuple[di
     return figures, whole
 
 
-def table_of(pictures: Pictures, lens: Lens) -> Table:
-    """The turntable, from the markers on it."""
-    found = [(k, markers(pictures.grey(pictures.records[k]))) for k in range(0, len(pictures.records), EVERY)]
-    kept = [(k, q) for k, q in found if q is not None]
-    return fit_table(np.array([k for k, _ in kept]), np.array([q for _, q in kept]), lens)
+def table_from(folder: Path, lens: Lens) -> Table:
+    """The turntable of a capture, by the markers on it, seen through a lens."""
+    pictures = Pictures(folder)
+    seen = [markers(pictures.grey(record)) for record in pictures.records[::EVERY]]
+    return fit_table(np.array([q for q in seen if q is not None]), lens)
 
 
 class TableFrame:
@@ -398,72 +389,75 @@ def sweep(pictures: Pictures, lens: Lens, sheet: Plane, table: Table, inner: flo
     return figures | {"seconds": time.perf_counter() - start, "records": len(pictures.records)}
 
 
-LIMIT_S = 1800
-"""A run that takes longer is ended."""
-ORDER = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-HALVES = Path(__file__).parent / "halves.py"
+RADIAL_TANGENTIAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+"""OpenCV's order of the coefficients."""
 
 
-class Version(NamedTuple):
-    """One version of jaxscan: the folder of its sources."""
-
-    folder: Path
-
-    def run(self, *arguments: str) -> tuple[int, str, str, float]:
-        """Exit code, standard output, standard error and seconds of a Python command of this version."""
-        places = os.pathsep.join([str(self.folder), str(self.folder / "hardware")])
-        environment = os.environ | {"PYTHONPATH": places, "COLUMNS": "200"}
-        start = time.perf_counter()
-        command = [sys.executable, *arguments]
-        done = subprocess.run(
-            command, env=environment, capture_output=True, text=True, timeout=LIMIT_S, cwd=self.folder
-        )
-        return done.returncode, done.stdout, done.stderr, time.perf_counter() - start
-
-    def verb(self, *arguments: str) -> tuple[int, str, str, float]:
-        """The same of a verb of the command line."""
-        return self.run("-m", "jaxscan.cli.main", *arguments)
-
-
-def calibrate_by_verb(version: Version, capture: Path, output: Path, options: tuple[str, ...]) -> dict[str, Any]:
+def calibrate_by_verb(capture: Path, output: Path, options: tuple[str, ...]) -> dict[str, Any]:
     """One run of `jaxscan calibrate`: the first sentence that its user reads, and figures if it wrote a calibration."""
     for old in output.parent.glob(f"{output.stem}.*"):
         old.unlink()
     summary = output.with_suffix(".summary")
-    target = ("-o", str(output), "--json", str(summary))
-    code, out, problem, seconds = version.verb("calibrate", str(capture), *target, *options)
-    plan = [line for line in out.splitlines() if line.startswith("solving for ")]
-    notes = [line.replace(str(capture), capture.name) for line in out.splitlines() if line.startswith("note: ")]
-    ended = problem.strip().splitlines()
-    told = json.loads(summary.read_text()) if summary.exists() else {}
-    verdict = told.get("verdict", {})
-    sentence = f"{verdict['headline']}. {verdict['explanation']}" if verdict else (ended or [""])[-1]
+    ran = verb("calibrate", capture, "-o", output, "--json", summary, *options)
+    short = lambda text: text.replace(str(capture), capture.name).replace(str(output), output.name)
+    plan = [line for line in ran.out.splitlines() if line.startswith("solving for ")]
+    summary_of = json.loads(summary.read_text()) if summary.exists() else {}
+    verdict = summary_of.get("verdict", {})
+    sentence = f"{verdict['headline']}. {verdict['explanation']}" if verdict else ran.last_words()
     found: dict[str, Any] = {
         "options": " ".join(options).replace(str(output.parent), "").replace("/", ""),
         "plan": plan[0] if plan else "",
-        "exit_code": code,
-        "seconds": seconds,
-        "sentence": sentence.replace(str(capture), capture.name).replace(str(output), output.name),
-        "notes": notes,
-        "error": ended[-1].replace(str(output), output.name).replace(str(capture), capture.name) if ended else "",
+        "exit_code": ran.code,
+        "seconds": ran.wall_s,
+        "sentence": short(sentence),
+        "notes": [short(note) for note in ran.notes()],
+        "error": short(ran.last_words()),
     }
     if not output.exists():
         return found
-    quality = told.get("quality", {})
+    quality = summary_of.get("quality", {})
     kept = ("corner_noise_over_sigma", "stripe_noise_over_sigma", "corners_rejected", "corners", "stripe_points")
     found |= {key: quality.get(key) for key in (*kept, "stripe_rms_px", "converged")}
     board = quality.get("board") or {}
     found |= {"free": board.get("free"), "held_out_own_px": board.get("held_out_rms_px")}
-    halves = version.run(str(HALVES), str(output), str(output.with_name(f"{output.stem}_half")))
-    found["halves_seconds"] = halves[3]
-    if halves[0]:
-        found["halves_error"] = (halves[2].strip().splitlines() or [""])[-1]
     whole = read_solved(output, Pictures(capture))
     if whole is not None:
-        names = [output.with_name(f"{output.stem}_half.{which}.json") for which in ("even", "odd")]
-        parts = None if halves[0] else [read_solved(name, Pictures(capture)) for name in names]
-        found |= board_figures(whole, parts)  # type: ignore[arg-type]
+        found |= board_figures(whole, _halves(output, Pictures(capture)))
     return found
+
+
+def _halves(path: Path, pictures: Pictures) -> list[Solved] | None:
+    """The same solve from the observations of its even and of its odd views; None where one has no solution."""
+    whole = jaxscan.load_calibration(path)
+    assert whole.observations is not None
+    settings = jaxscan.CalibrationSettings(camera=whole.camera.model)
+    solve = calibrate_camera if whole.scanner is None else jaxscan.calibrate_observations
+    found = []
+    for first in (0, 1):
+        views = np.arange(first, len(np.asarray(whole.observations.corners.record)), 2)
+        place = path.with_name(f"{path.stem}_half.{first}.json")
+        try:
+            jaxscan.save_calibration(solve(_some_views(whole.observations, views), settings=settings), place)
+        except jaxscan.JaxscanError:
+            return None
+        found.append(read_solved(place, pictures))
+    return found  # type: ignore[return-value]
+
+
+def _some_views(whole: Observations, views: np.ndarray) -> Observations:
+    """Observations of some views [k], in that order; each is a placement of its own."""
+    corners, stripes = whole.corners, whole.stripes
+    chosen = {one.name: np.asarray(getattr(corners, one.name))[views] for one in dataclasses.fields(corners)}
+    row = np.full(len(np.asarray(corners.record)), -1)
+    row[views] = np.arange(len(views))
+    kept = row[np.asarray(stripes.view)] >= 0
+    lines = {one.name: getattr(stripes, one.name) for one in dataclasses.fields(stripes)}
+    lines = {name: None if field is None else np.asarray(field)[kept] for name, field in lines.items()}
+    return dataclasses.replace(
+        whole,
+        corners=type(corners)(**chosen | {"placement": np.arange(len(views), dtype=np.int32)}),
+        stripes=type(stripes)(**lines | {"view": row[lines["view"]].astype(np.int32)}),
+    )
 
 
 def read_solved(path: Path, pictures: Pictures) -> Solved | None:
@@ -476,7 +470,7 @@ def read_solved(path: Path, pictures: Pictures) -> Solved | None:
         [[camera["fx"], camera.get("skew", 0.0), camera["cx"]], [0.0, camera["fy"], camera["cy"]], [0.0, 0.0, 1.0]]
     )
     lens = camera["distortion"]
-    names = ("k1", "k2", "k3", "k4") if camera["model"] == "fisheye" else ORDER
+    names = ("k1", "k2", "k3", "k4") if camera["model"] == "fisheye" else RADIAL_TANGENTIAL
     values = np.array([lens.get(name) or 0.0 for name in names])
     if camera["model"] == "pinhole" and not values[5:].any():
         values = values[:5]
@@ -500,15 +494,9 @@ def board_shape(tables: dict[str, Any], pictures: Pictures) -> np.ndarray:
     return flat + np.column_stack([np.array(found["shift_m"]), np.array(found["height_m"])])
 
 
-def table_from(folder: Path, lens: Lens) -> Table:
-    """The turntable by the markers on it, seen through a lens."""
-    return table_of(Pictures(folder), lens)
-
-
 def write_rig(path: Path, size: tuple[int, int], lens: Lens, sheet: Plane, table: Table) -> None:
     """A calibration as a user writes it by hand: lens, sheet and axis."""
-    names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-    values = dict(zip(names, [float(x) for x in np.ravel(lens.distortion)], strict=False))
+    values = dict(zip(RADIAL_TANGENTIAL, [float(x) for x in np.ravel(lens.distortion)], strict=False))
     matrix = lens.matrix
     pixels = {"fx": matrix[0, 0], "fy": matrix[1, 1], "cx": matrix[0, 2], "cy": matrix[1, 2]}
     tables = {
@@ -530,46 +518,25 @@ def write_rig(path: Path, size: tuple[int, int], lens: Lens, sheet: Plane, table
     path.write_text(json.dumps(tables, indent=1))
 
 
-def reconstruct(version: Version, capture: Path, rig: Path, table: Table, inner: float) -> dict[str, Any]:
+def reconstruct(capture: Path, rig: Path, table: Table, inner: float) -> dict[str, Any]:
     """One run of `jaxscan reconstruct`, and the figures of its cloud."""
     cloud = rig.with_name(f"{rig.stem}_{capture.name}.ply")
     cloud.unlink(missing_ok=True)
-    arguments = ("reconstruct", str(capture), "-c", str(rig), "-o", str(cloud), "--no-cache", "--max-range", "2")
-    code, out, problem, seconds = version.verb(*arguments)
-    said = [line.replace(str(capture), capture.name) for line in out.splitlines() if line.startswith("note: ")]
-    ended = problem.strip().splitlines()
+    ran = verb("reconstruct", capture, "-c", rig, "-o", cloud, "--no-cache", "--max-range", "2")
+    short = lambda text: text.replace(str(capture), capture.name)
     found: dict[str, Any] = {
-        "exit_code": code,
-        "seconds": seconds,
-        "said": said,
-        "error": ended[-1].replace(str(capture), capture.name) if ended else "",
+        "exit_code": ran.code,
+        "seconds": ran.wall_s,
+        "notes": [short(note) for note in ran.notes()],
+        "error": short(ran.last_words()),
     }
     if not cloud.exists():
         return found
     frame = TableFrame(table)
-    return found | table_figures(read_points(cloud), frame.height, frame.normal, inner)
+    return found | table_figures(points_of(cloud), frame.height, frame.normal, inner)
 
 
-def read_points(path: Path) -> np.ndarray:
-    """Points [n, 3] of a binary PLY file of jaxscan; m."""
-    data = path.read_bytes()
-    end = data.index(b"end_header\n") + len(b"end_header\n")
-    kinds = {
-        "float": "<f4",
-        "double": "<f8",
-        "uchar": "u1",
-        "int": "<i4",
-        "uint": "<u4",
-        "ushort": "<u2",
-        "short": "<i2",
-    }
-    fields, count, in_vertex = [], 0, False
-    for line in data[:end].decode().splitlines():
-        words = line.split()
-        if words[0] == "element":
-            in_vertex = words[1] == "vertex"
-            count = int(words[2]) if in_vertex else count
-        elif words[0] == "property" and in_vertex:
-            fields.append((words[2], kinds[words[1]]))
-    points = np.frombuffer(data, np.dtype(fields), count, end)
-    return np.stack([points["x"], points["y"], points["z"]], axis=1).astype(np.float64)
+def points_of(path: Path) -> np.ndarray:
+    """All points [n, 3] of a cloud; m."""
+    cloud = jaxscan.load_cloud(path)
+    return np.asarray(cloud.xyz, np.float64)[np.asarray(cloud.valid)]

@@ -9,8 +9,10 @@ from typing import Any, Literal, NamedTuple
 import jax
 import numpy as np
 
-from experiments.worlds import exact_rig
-from experiments.worlds.exact_rig import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
+from experiments import exact_rig
+from experiments.exact_rig import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
+from experiments.plain import principal_axes
+from experiments.report import rms
 from jaxscan.calibration import (
     USUALLY_FREE,
     Calibration,
@@ -120,7 +122,7 @@ def run(task: Task) -> tuple[dict[str, Any], Recalibration | None]:
         "walls": walls(task, result.scanner),
         "closure_mm": [open_after_a_turn(scanner, task.truth) for scanner in (before, result.scanner)],
         "parameters": parameters(before, result.scanner, task.truth),
-        **said(result),
+        **statements(result),
         **task.known,
         **(task.more(result) if task.more else {}),
         "seconds": seconds,
@@ -158,7 +160,7 @@ def walls(task: Task, after: Scanner) -> dict[str, Any]:
         if all(first in found and second in found for found in planes):
             errors = [1e3 * (distance(found[first], found[second]) - metres) for found in planes]
             out["apart"].append({"walls": [first, second], "before": errors[0], "after": errors[1]})
-    out["flat"] = [1e3 * float(np.sqrt(np.mean([one[2] ** 2 for one in found.values()]))) for found in planes]
+    out["flat"] = [1e3 * rms([one[2] for one in found.values()]) for found in planes]
     return out
 
 
@@ -177,12 +179,11 @@ def wall_points(scanner: Scanner, task: Task, wall: int) -> np.ndarray:
 def fitted(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Centre and normal of a plane through points, and their root mean square from it [m]; strays left out."""
     for _ in range(4):
-        centre = points.mean(0)
-        normal = np.linalg.svd(points - centre, full_matrices=False)[2][2]
+        centre, (_, _, normal) = principal_axes(points)
         off = (points - centre) @ normal
-        rms = float(np.sqrt(np.mean(off**2)))
-        points = points[np.abs(off) < 4 * max(rms, 1e-6)]
-    return centre, normal, rms
+        size = rms(off)
+        points = points[np.abs(off) < 4 * max(size, 1e-6)]
+    return centre, normal, size
 
 
 def distance(first: tuple[np.ndarray, np.ndarray, float], second: tuple[np.ndarray, np.ndarray, float]) -> float:
@@ -222,7 +223,7 @@ def parameters(before: Scanner, after: Scanner, truth: Scanner) -> dict[str, lis
     return out
 
 
-def said(result: Recalibration) -> dict[str, Any]:
+def statements(result: Recalibration) -> dict[str, Any]:
     """The statements of a recalibration."""
     drift, adjusted = result.drift, result.adjusted
     return {

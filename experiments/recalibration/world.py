@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import uniform_filter1d  # type: ignore[import-untyped]
 
-from experiments.worlds.exact_rig import IdealRig
+from experiments.exact_rig import IdealRig
 from jaxscan.recalibration import SweepStripes, Tracks
 from jaxscan.simulation import Motion, RoomSpec, SimulationConfig, distort, make_rig, rodrigues, undistort
 from jaxscan.simulation.scene.meshes import Mesh
@@ -350,7 +350,7 @@ class Sweeping:
     furniture: bool | None = None
     """None: as the configuration has it."""
     extras: Callable[[Mesh], None] | None = None
-    """Adds surfaces to the room: see `surfaces.stepped` and `surfaces.curved`."""
+    """Adds surfaces to the room: see `stepped` and `curved`."""
     rough_m: float = 0.0
     """Roughness of all surfaces, a standard deviation [m]."""
     rough_length_m: float = 0.05

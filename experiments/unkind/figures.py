@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.interpolate import PchipInterpolator  # type: ignore[import-untyped]
 
-from experiments.report import rms
+from experiments.report import rms, within
 from experiments.unkind.scene import look
 from experiments.unkind.truth import Dimension, Rig, Rows, TrueStripes, Truth
 
@@ -254,8 +254,8 @@ class Limit(NamedTuple):
 
     name: str
     path: tuple[str, ...]
-    low: float = -np.inf
-    high: float = np.inf
+    low: float | None = None
+    high: float | None = None
     classes: bool = False
     """Whether `path` leads to classes, each of which has the figure `last`."""
     last: str = ""
@@ -308,7 +308,7 @@ def values(measured: dict[str, Any], limit: Limit) -> dict[str, float]:
 def broken(measured: dict[str, Any], limit: Limit) -> list[str]:
     """The values outside of a limit's bounds, as text."""
     found = values(measured, limit)
-    out = {name: value for name, value in found.items() if not limit.low <= value <= limit.high}
+    out = {name: value for name, value in found.items() if not within(value, limit.low, limit.high)}
     return [f"{name + ': ' if name else ''}{value:.4g}" for name, value in out.items()]
 
 

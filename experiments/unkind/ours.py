@@ -1,4 +1,4 @@
-"""jaxscan's own word on a world, through its public functions alone."""
+"""jaxscan on a world, through its public functions alone."""
 
 import numpy as np
 
@@ -68,8 +68,8 @@ def dimensions(cloud: jaxscan.PointCloud, scanner: jaxscan.Scanner, truth: Truth
     return found
 
 
-def estimate(folder: str, truth: Truth) -> tuple[Estimate, dict[str, object]]:
-    """jaxscan on both captures of a world, and its verdict on its own calibration."""
+def estimate(folder: str, truth: Truth) -> Estimate:
+    """jaxscan on both captures of a world."""
     start = clocks()
     boards = jaxscan.open_capture(f"{folder}/boards")
     calibration = jaxscan.calibrate(boards)
@@ -82,7 +82,7 @@ def estimate(folder: str, truth: Truth) -> tuple[Estimate, dict[str, object]]:
     seconds = passed(start, calibrated, clocks())
     rows = Rows(*(np.asarray(part) for part in (stripes.u, stripes.sigma, stripes.valid)))
     rows = rows._replace(u=rows.u.astype(float), sigma=rows.sigma.astype(float))
-    found = Estimate(
+    return Estimate(
         own_rig(scanner, truth),
         board_rows(calibration, len(boards), int(truth.size[1]), solved=True),
         board_rows(calibration, len(boards), int(truth.size[1]), solved=False),
@@ -91,5 +91,3 @@ def estimate(folder: str, truth: Truth) -> tuple[Estimate, dict[str, object]]:
         dimensions(cloud, scanner, truth),
         seconds,
     )
-    says: dict[str, object] = {"views": len(np.unique(calibration.observations.stripes.view))}  # type: ignore[union-attr]
-    return found, says

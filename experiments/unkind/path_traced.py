@@ -3,7 +3,9 @@
     python -m experiments.unkind.path_traced SEED FOLDER
 
 FOLDER/boards and FOLDER/sweep are captures in the format of docs/formats.md; FOLDER/truth.npz is beside them. Of
-jaxscan only the writer of captures is used.
+jaxscan only the writer of captures is used: `scene` draws the rig, the room, the boards and the sensor, in NumPy
+alone, and `tracer` asks Mitsuba. That needs `pip install -e '.[worlds]'` and a libLLVM of the system, 16 or newer
+(`libllvm19` on Debian; LLVM 15 crashes). Whoever judges worlds needs neither.
 """
 
 from functools import lru_cache

@@ -498,9 +498,3 @@ def expose(light: np.ndarray, sensor: Sensor, rng: np.random.Generator) -> np.nd
     electrons = rng.poisson(np.maximum(light, 0.0) * sensor.electrons_per_dn)
     level = electrons / sensor.electrons_per_dn + sensor.black_dn + sensor.read_dn * rng.standard_normal(light.shape)
     return np.clip(np.rint(level), 0, 255).astype(np.uint8)
-
-
-def difference_sigma(background: np.ndarray, sensor: Sensor) -> np.ndarray:
-    """Standard deviation of a pixel of on minus off beside the stripe [DN], where `background` is light above black."""
-    one = sensor.read_dn**2 + 1 / 12 + np.maximum(background, 0.0) / sensor.electrons_per_dn
-    return np.sqrt(2 * one)

@@ -1,4 +1,4 @@
-"""The truth of a world, in a file beside its captures; an input of the judge alone. And what a method says of a world.
+"""The truth of a world, in a file beside its captures, which the judge alone reads; and the result of a method.
 
 Stripes are kept on grids [records, rows, crossings]: where the middle of the sheet meets a surface, brightest first."""
 

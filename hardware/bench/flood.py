@@ -1,4 +1,4 @@
-"""A flood of half-open connections: each asks for nothing, or begins to ask and never ends, and holds its place."""
+"""A flood of half-open connections: each requests nothing, or begins a request that never ends, and holds its place."""
 
 import contextlib
 import selectors
@@ -6,7 +6,6 @@ import socket
 import struct
 import threading
 import time
-from types import TracebackType
 
 
 LOOPBACK = "127.0.0.1"
@@ -44,9 +43,7 @@ class Flood:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, problem: BaseException | None, trace: object) -> None:
         self._end.set()
         self._thread.join()
         if self._problem is not None and problem is None:

@@ -1,4 +1,4 @@
-"""The bench's programs: built, started until they say that they are ready, asked over sockets, ended for certain."""
+"""The bench's programs: built, started until they are ready, commanded over sockets, ended for certain."""
 
 import fcntl
 import os
@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
+from typing import Self
 
 from bench.places import BenchError
 
@@ -58,18 +59,7 @@ def launch(
     raise BenchError(f"{name} did not start: {words[-1] if words else 'it said nothing'}")
 
 
-def epitaph(name: str, process: "subprocess.Popen[str] | None", errors: Path) -> str:
-    """How a program ended by itself, as a sentence with its last words; "" if it runs, or there is none."""
-    status = None if process is None else process.poll()
-    if status is None:
-        return ""
-    words = errors.read_text(errors="replace").strip().splitlines() if errors.exists() else []
-    how = f"killed by signal {-status}" if status < 0 else f"exit code {status}"
-    return f"{name} has ended ({how})" + (f": {words[-1]}" if words and status > 0 else "")
-
-
 def end(process: "subprocess.Popen[str]", *, kill: bool = False) -> None:
-    """End a program: asked first, unless `kill`, and by force where that does not help."""
     if kill:
         process.kill()
     else:
@@ -136,6 +126,71 @@ class ControlClient:
         self._socket.close()
 
 
+class Part:
+    """A program of the bench in a folder of its own, switched on by `start` or `with`."""
+
+    name: str
+    socket: str
+    """Name of its control socket in the folder."""
+
+    def __init__(self, folder: str | Path) -> None:
+        """`folder` holds its files and sockets; made if it is not there."""
+        self.folder = Path(folder)
+        self.control_path = self.folder / self.socket
+        self._errors = self.folder / f"{self.socket}.err"
+        self._process: subprocess.Popen[str] | None = None
+        self._control: ControlClient | None = None
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def start(self) -> None:
+        """Switch on. Raises BenchError."""
+        raise NotImplementedError
+
+    def ask(self, text: str) -> str:
+        """Its answer to one command, see README.md.
+
+        Raises:
+            BenchError: If it is off, or does not answer.
+        """
+        if self._control is None:
+            raise BenchError(f"{self.folder}: {self.name} is off.")
+        return self._control.ask(text)
+
+    def died(self) -> str:
+        """How it ended by itself, as a sentence with its last words; "" if it runs or was switched off."""
+        status = None if self._process is None else self._process.poll()
+        if status is None:
+            return ""
+        words = self._errors.read_text(errors="replace").strip().splitlines() if self._errors.exists() else []
+        how = f"killed by signal {-status}" if status < 0 else f"exit code {status}"
+        return f"{self.name} has ended ({how})" + (f": {words[-1]}" if words and status > 0 else "")
+
+    def close(self, *, kill: bool = False) -> None:
+        """Switch off, or take the power away in the middle of any action. Doing so twice is doing it once."""
+        process, self._process = self._process, None
+        control, self._control = self._control, None
+        if control is not None:
+            control.close()
+        if process is not None:
+            end(process, kill=kill)
+            # One that was killed left its socket.
+            self.control_path.unlink(missing_ok=True)
+
+    def _launch(self, command: Sequence[str], *, within_s: float, apart: bool) -> None:
+        self._process = launch(command, folder=self.folder, errors=self._errors, within_s=within_s, apart=apart)
+        self._control = ControlClient(self.control_path)
+
+    def _require_off(self) -> None:
+        if self._process is not None:
+            raise BenchError(f"{self.folder}: {self.name} is on already.")
+
+
 class ControlServer:
     """Answers at a socket, in threads of its own, until it is closed."""
 
@@ -177,7 +232,7 @@ class ControlServer:
                     text.write(answer + "\n")
                     text.flush()
                 except OSError:
-                    return  # Whoever asked does not wait for the answer.
+                    return  # The client does not wait for the answer.
 
 
 HERE = Path(__file__).resolve().parent

@@ -1,17 +1,14 @@
 """A rig without hardware: the real firmware in a simulated processor, on a serial port of its own."""
 
-import contextlib
 import json
 import os
-import subprocess
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from bench.places import BenchError
-from bench.processes import SIMRUN, ControlClient, build, end, epitaph, launch
+from bench.processes import SIMRUN, Part, build
 
 
 CLOCK_HZ = 16_000_000
@@ -45,7 +42,7 @@ class RigOptions:
     """Whether Ctrl-C at the terminal is kept from it."""
 
     def plant(self) -> list[str]:
-        """The words by which the runner is told of the plant."""
+        """The runner's options that describe the plant."""
         words = ["--microsteps-per-turn", str(self.microsteps_per_turn), "--home-width", str(self.home_width)]
         return [*words, "--bounce", str(self.bounce_us), *(["--autoreset"] if self.autoreset else [])]
 
@@ -53,36 +50,22 @@ class RigOptions:
 RIG_DEFAULTS = RigOptions()
 
 
-class SimulatedRig:
-    """Firmware, turntable, switches and laser, in a folder of their own.
+class SimulatedRig(Part):
+    """Firmware, turntable, switches and laser, in a folder of their own: port, log, sockets, the EEPROM's content.
 
     Start it from a thread that lives as long as the rig: the kernel ends the runner with it.
 
     Tests assert on `edges()` and `plant()`, the pins and the table, not on the firmware's own words.
     """
 
-    def __init__(self, folder: str | Path, options: RigOptions = RIG_DEFAULTS) -> None:
-        """A rig that `start` (or `with`) switches on.
+    name, socket = "the simulator", "control"
 
-        Args:
-            folder: Holds port, log, sockets and the EEPROM's content; made if it is not there.
-        """
-        self.folder = Path(folder)
+    def __init__(self, folder: str | Path, options: RigOptions = RIG_DEFAULTS) -> None:
+        """A rig that is off."""
+        super().__init__(folder)
         self.port = str(self.folder / "port")
         self.edges_path = self.folder / "edges.jsonl"
-        self.control_path = self.folder / "control"
         self._options = options
-        self._process: subprocess.Popen[str] | None = None
-        self._control: ControlClient | None = None
-
-    def __enter__(self) -> "SimulatedRig":
-        self.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def start(self) -> None:
         """Switch on. After `kill` or `close` it goes on where it stood: position, EEPROM and log stay.
@@ -90,8 +73,7 @@ class SimulatedRig:
         Raises:
             BenchError: If the build fails or the runner does not come up.
         """
-        if self._process is not None:
-            raise BenchError(f"{self.folder}: this rig is on already.")
+        self._require_off()
         options = self._options
         image = build(options.firmware) if isinstance(options.firmware, str) else options.firmware
         if isinstance(options.firmware, Path):
@@ -99,11 +81,9 @@ class SimulatedRig:
         self.folder.mkdir(parents=True, exist_ok=True)
         cycle, position = self._last()
         command = [str(SIMRUN), "--firmware", str(Path(image).resolve()), "--port", "port", "--edges", "edges.jsonl"]
-        command += ["--control", "control", "--eeprom", "eeprom.bin", "--speed", str(options.speed)]
+        command += ["--control", self.socket, "--eeprom", "eeprom.bin", "--speed", str(options.speed)]
         command += ["--begin", str(cycle), "--start", str(position), "--seed", str(options.seed), *options.plant()]
-        errors = self.folder / "simrun.err"
-        self._process = launch(command, folder=self.folder, errors=errors, within_s=READY_S, apart=options.apart)
-        self._control = ControlClient(self.control_path)
+        self._launch(command, within_s=READY_S, apart=options.apart)
 
     def control(self, text: str) -> str:
         """Give the runner one command, see README.md.
@@ -111,9 +91,7 @@ class SimulatedRig:
         Raises:
             BenchError: If it does not know it, or does not answer.
         """
-        if self._control is None:
-            raise BenchError(f"{self.folder}: this rig is off.")
-        answer = self._control.ask(text)
+        answer = self.ask(text)
         if answer.startswith("unknown"):
             raise BenchError(f"simrun does not know {text!r}.")
         return answer
@@ -122,15 +100,11 @@ class SimulatedRig:
         """The true state of table, laser and line, now."""
         return dict(json.loads(self.control("state")))
 
-    def died(self) -> str:
-        """How the runner ended by itself, "" if it runs or was switched off."""
-        return epitaph("the simulator", self._process, self.folder / "simrun.err")
-
     def edges(self) -> list[dict[str, Any]]:
         """The log so far: `cycle`, `pin`, `v`, `pos`; or `cycle`, `pos` and one of `host`, `reset`, `line`, `stop`."""
         if not self.edges_path.exists():
             return []
-        if self._control is not None:
+        if self._process is not None:
             self.plant()  # Its answer comes after all earlier events are in the log.
         lines = self.edges_path.read_text().split("\n")
         return [json.loads(line) for line in lines[:-1]]
@@ -153,33 +127,19 @@ class SimulatedRig:
         self.control("unplug")
 
     def plug(self) -> None:
-        """Plug it in again."""
         self.control("plug")
 
     def kill(self) -> None:
-        """Take the power away, in the middle of any action."""
-        self._end(kill=True)
+        self.close(kill=True)
 
     def restart(self) -> None:
-        """Power off and on again."""
         self.kill()
         self.start()
 
-    def close(self) -> None:
-        """Switch off. Doing so twice is doing it once."""
-        self._end(kill=False)
-
-    def _end(self, *, kill: bool) -> None:
-        process, self._process = self._process, None
-        control, self._control = self._control, None
-        if control is not None:
-            control.close()
-        if process is None:
-            return
-        end(process, kill=kill)
-        for left in (Path(self.port), self.control_path):
-            with contextlib.suppress(FileNotFoundError):
-                left.unlink()
+    def close(self, *, kill: bool = False) -> None:
+        if self._process is not None:
+            super().close(kill=kill)
+            Path(self.port).unlink(missing_ok=True)
 
     def _last(self) -> tuple[int, int]:
         """Cycle and position at the end of the log, where a rig that was on before goes on."""

@@ -28,7 +28,6 @@ _Angle = Annotated[Number, pydantic.Field(ge=-360, le=360)]
 _Limit = Annotated[Number, pydantic.Field(ge=-3600, le=3600)]
 _Count = Annotated[Integer, pydantic.Field(ge=1, le=100_000)]
 
-
 _RATES = {
     "speed_deg_s": (50.0, 50, 10_000),
     "start_speed_deg_s": (5.0, 20, 10_000),
@@ -88,10 +87,7 @@ class TurntableTable(FileModel):
         return self
 
     def rate(self, name: str) -> int:
-        """A speed or acceleration in the controller's units.
-
-        Returns:
-            Microsteps per second, or per second squared.
+        """A speed or acceleration in microsteps per second, or per second squared.
 
         Raises:
             ValueError: If it is outside the controller's range.
@@ -109,7 +105,6 @@ class TurntableTable(FileModel):
 
     @property
     def microsteps_per_turn(self) -> int:
-        """Microsteps per turn of the table."""
         return self.full_steps * self.microsteps * self.gear[0] // self.gear[1]
 
 
@@ -244,7 +239,6 @@ class RigConfig(FileModel):
 
     @property
     def microsteps_per_turn(self) -> int:
-        """Microsteps per turn of the table, N."""
         return self.turntable.microsteps_per_turn
 
     def laser_of(self, record: int) -> int:

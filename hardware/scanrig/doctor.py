@@ -13,11 +13,11 @@ from typing import Any, Literal
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import CameraTable, CaptureHeader, frame_shape
+from jaxscan.files.capture import CaptureHeader, frame_shape
 from jaxscan.files.recording import create_capture
 from jaxscan.stripes import laser_plane
 from scanrig.cameras import Camera, Frame
-from scanrig.clock import Clock, SystemClock
+from scanrig.clock import Clock
 from scanrig.config import RigConfig
 from scanrig.controllers import Controller, Settings, shortcomings
 from scanrig.errors import CameraTimeout, Fault, FrameError, RigError, RigFault
@@ -60,34 +60,35 @@ def looked_at(name: str, look: Callable[[], Finding], tell: Tell) -> Finding:
 _STORED_PAIRS = 6
 
 
-@dataclass(frozen=True)
-class Patient:
-    """The parts of a rig that can be examined. The examination closes none of them."""
-
-    controller: Controller | None
-    """Open; left safe."""
-    camera: Camera | None
-    """Open; the examination starts it."""
-    config: RigConfig | None
-    """Without it the controller is examined with default settings, and the camera is not examined."""
-    clock: Clock = field(default_factory=SystemClock)
-
-
-def examine(patient: Patient, *, folder: Path, tell: Tell, say: Callable[[str], None] = lambda sentence: None) -> None:
-    """Examine all parts of a rig; the table turns and the laser shines.
+def examine(
+    controller: Controller | None,
+    camera: Camera | None,
+    config: RigConfig | None,
+    *,
+    folder: Path,
+    tell: Tell,
+    say: Callable[[str], None] = lambda sentence: None,
+    clock: Clock | None = None,
+) -> None:
+    """Examine all parts of a rig; the table turns and the laser shines. None of them is closed.
 
     Args:
+        controller: Open; it is left safe.
+        camera: Open; it is started.
+        config: Without it the controller is examined with default settings, and the camera is not examined.
+        folder: Where captures would be written.
         tell: Called with each finding.
         say: Called with a sentence about the progress of long examinations.
     """
-    controller, camera, config = patient.controller, patient.camera, patient.config
+    clock = clock or Clock()
     pair: ProvenPair | None = None
     try:
         homed = False if controller is None else examine_table(controller, config, tell, say)
         if camera is not None and config is not None:
-            examine_camera(controller, camera, config, tell, patient.clock)
+            looked_at("camera", lambda: _camera(camera), tell)
+            looked_at("trigger", lambda: _trigger(controller, camera, config, clock), tell)
             if controller is not None and homed:
-                pair = examine_light(controller, camera, config, tell, patient.clock)
+                pair = examine_light(controller, camera, config, tell, clock)
     finally:
         if controller is not None:
             tell(_laser_off(controller))
@@ -110,17 +111,16 @@ def _storage(config: RigConfig, folder: Path, pair: ProvenPair | None) -> Findin
     if free < needed.bytes:
         return Finding("storage", "wrong", found, f"make room in {folder}, or write elsewhere", values)
     if seconds > per_step:
-        return Finding(
-            "storage", "note", found, "the disk is the slowest part of the rig: write to another one", values
-        )
+        do = "the disk is the slowest part of the rig: write to another one"
+        return Finding("storage", "note", found, do, values)
     return Finding("storage", "works", found, values=values)
 
 
 def _seconds_a_pair(config: RigConfig, folder: Path, pair: ProvenPair | None) -> float:
     camera = config.camera
-    table = CameraTable(width=camera.width, height=camera.height, pixel_format=camera.pixel_format)
-    header = CaptureHeader(kind="sweep", camera=table, laser=tuple(laser.table for laser in config.laser))
-    noise = np.random.default_rng(0).integers(20, 30, frame_shape(header), np.uint8)
+    header = CaptureHeader(kind="sweep", camera=camera.table, laser=tuple(laser.table for laser in config.laser))
+    dark, kind = 20 << camera.bits - 8, np.uint16 if camera.bits > 8 else np.uint8
+    noise = np.random.default_rng(0).integers(dark, dark + 10, frame_shape(header), kind)
     on, off = (noise, noise) if pair is None else (pair.on.image, pair.off.image)
     try:
         with tempfile.TemporaryDirectory(prefix=".jaxscan-doctor-", dir=folder) as scratch:
@@ -135,18 +135,14 @@ def _seconds_a_pair(config: RigConfig, folder: Path, pair: ProvenPair | None) ->
 
 
 def _laser_off(controller: Controller) -> Finding:
+    found = "could not be confirmed"
     try:
-        safe = controller.make_safe()
+        if controller.make_safe():
+            contactor = ", contactor open" if controller.guarantees.laser_off_without_host else ""
+            return Finding("laser off", "works", f"confirmed by the controller{contactor}")
     except RigError as problem:
-        return Finding("laser off", "wrong", str(problem), "switch the laser's supply off by hand")
-    if safe:
-        return Finding(
-            "laser off",
-            "works",
-            "confirmed by the controller"
-            + (", contactor open" if controller.guarantees.laser_off_without_host else ""),
-        )
-    return Finding("laser off", "wrong", "could not be confirmed", "switch the laser's supply off by hand")
+        found = str(problem)
+    return Finding("laser off", "wrong", found, "switch the laser's supply off by hand")
 
 
 PULSES = 6
@@ -157,24 +153,12 @@ _CLIPPED = 0.25
 _LIT_DN = 12.0
 
 
-def examine_camera(controller: Controller | None, camera: Camera, config: RigConfig, tell: Tell, clock: Clock) -> None:
-    """Examine the camera and its trigger."""
-    looked_at("camera", lambda: _camera(camera), tell)
-    looked_at("trigger", lambda: _trigger(controller, camera, config, clock), tell)
-
-
 def examine_light(
     controller: Controller, camera: Camera, config: RigConfig, tell: Tell, clock: Clock
 ) -> ProvenPair | None:
-    """Examine each laser and the brightness of its line.
+    """Examine each laser and the brightness of its line; returns the first proven pair, or None.
 
-    Args:
-        controller: Homed; its contactor is closed for each pair and opened again.
-        camera: Started.
-        tell: Called with each finding.
-
-    Returns:
-        The first proven pair, or None.
+    The controller is homed, and its contactor is closed for each pair and opened again; the camera is started.
     """
     pairs: list[ProvenPair] = []
     station = Station(_with_one_retake(config), controller, camera, clock)
@@ -200,7 +184,6 @@ def _camera(camera: Camera) -> Finding:
 
 
 def _trigger(controller: Controller | None, camera: Camera, config: RigConfig, clock: Clock) -> Finding:
-    """Check that each pulse gives one frame."""
     mode = camera.trigger_mode
     if mode == "hardware" and controller is None:
         return Finding("trigger", "not checked", "its wire comes from the controller, which was not examined")
@@ -229,19 +212,16 @@ def _trigger(controller: Controller | None, camera: Camera, config: RigConfig, c
         counted = (controller.stat().exposures - before) % 65536
         if counted != PULSES:
             return Finding("trigger", "wrong", f"the controller counted {counted} of {PULSES} pulses", "", values)
+    do = ""
     if count == 0 and mode == "hardware":
         do = f"check the wire from TRIG to the camera, and its input: trigger_source is {config.camera.trigger_source}"
-        return Finding("trigger", "wrong", found, do, values)
-    if count < PULSES:
+    elif count < PULSES:
         do = "the camera misses triggers: expose shorter, or make trigger.gap_ms and laser.off_ms longer"
-        return Finding("trigger", "wrong", found, do, values)
-    if count > PULSES:
+    elif count > PULSES:
         do = "the camera exposes by itself, or the wire picks up noise: check camera.trigger and the wire's shield"
-        return Finding("trigger", "wrong", found, do, values)
-    if whole < len(frames):
+    elif whole < len(frames):
         do = "frames arrive incomplete: check network card and cable; try camera.packet_size = 1400 or 8192"
-        return Finding("trigger", "wrong", found, do, values)
-    return Finding("trigger", "works", found, values=values)
+    return Finding("trigger", "wrong" if do else "works", found, do, values)
 
 
 def _laser(station: Station, number: int, pairs: list[ProvenPair]) -> Finding:
@@ -270,13 +250,9 @@ def _with_one_retake(config: RigConfig) -> RigConfig:
 
 
 def judge_exposure(pair: ProvenPair, config: RigConfig) -> Finding:
-    """Whether the peak of the line is bright and not clipped, and what to change.
-
-    Args:
-        pair: A pair of the rig, proven or not.
-    """
+    """Whether the peak of the line of a pair, proven or not, is bright and not clipped, and what to change."""
     name = _named("exposure", config, pair.laser)
-    peak, clipped = stripe_level(pair.on.image, pair.off.image, config, pair.laser)
+    peak, clipped = stripe_level(pair.on.shown, pair.off.shown, config, pair.laser)
     ambient = pair.proof.ambient_dn
     factor = 0.5 if clipped > _CLIPPED else _BEST_DN / max(peak, 1.0)
     values = {"peak_dn": peak, "clipped": clipped, "ambient_dn": ambient, "factor": factor}
@@ -284,28 +260,23 @@ def judge_exposure(pair: ProvenPair, config: RigConfig) -> Finding:
         f"line {peak:.0f} DN, wanted {_WANTED_DN[0]:.0f} to 255; {100 * clipped:.0f} % clipped; room {ambient:.0f} DN"
     )
     now = config.camera.exposure_ms
+    change = f"camera.exposure_ms = {now * factor:.3g} instead of {now:g}"
+    do = ""
     if clipped > _CLIPPED:
-        do = f"expose shorter, about {factor:g} times: camera.exposure_ms = {now * factor:.3g} instead of {now:g}"
-        return Finding(name, "note", found, do, values)
-    if peak < _WANTED_DN[0]:
-        do = f"expose longer, {factor:.1f} times: camera.exposure_ms = {now * factor:.3g} instead of {now:g}"
+        do = f"expose shorter, about {factor:g} times: {change}"
+    elif peak < _WANTED_DN[0]:
+        do = f"expose longer, {factor:.1f} times: {change}"
         if ambient * factor > _BRIGHT_ROOM_DN:
             do += "; the room becomes bright then: darken it, or put a filter of the laser's colour on the lens"
-        return Finding(name, "note", found, do, values)
-    if ambient > _BRIGHT_ROOM_DN:
+    elif ambient > _BRIGHT_ROOM_DN:
         do = "darken the room, or put a filter of the laser's colour on the lens"
-        return Finding(name, "note", found, do, values)
-    return Finding(name, "works", found, values=values)
+    return Finding(name, "note" if do else "works", found, do, values)
 
 
 def stripe_level(on: np.ndarray, off: np.ndarray, config: RigConfig, laser: int = 0) -> tuple[float, float]:
-    """90 % quantile of the peak levels of the lit lines [DN], and the part of lit lines that is clipped.
-
-    Args:
-        laser: The laser of the pair, counted from 0.
-    """
+    """90 % quantile of the peak levels of the lit lines [DN], and the part of lit lines that is clipped."""
     line = config.laser[laser].line
-    planes = (laser_plane(frame[None], pixel_format=config.camera.pixel_format, line=line) for frame in (on, off))
+    planes = (laser_plane(frame[None], pixel_format=config.camera.layout, line=line) for frame in (on, off))
     lit, dark = (np.asarray(plane)[0].astype(np.int16) for plane in planes)
     rows = np.arange(len(lit))
     at = (lit - dark).argmax(1)
@@ -332,7 +303,7 @@ def measure_turn(
     *,
     speed: float,
     highest: int | None = None,
-    tell: Callable[[str], None] = lambda text: None,
+    say: Callable[[str], None] = lambda sentence: None,
 ) -> int:
     """Turn until the home switch comes again, and turn back the same way, so that no cable winds up.
 
@@ -344,7 +315,7 @@ def measure_turn(
         guess: Expected length of a turn [microsteps].
         speed: Speed of motions, for timeouts [microsteps/s].
         highest: Highest allowed position, at least `needed(guess)`; None: no limit.
-        tell: Called with a sentence about each motion.
+        say: Called with a sentence about each motion.
 
     Returns:
         Microsteps of a turn.
@@ -364,7 +335,7 @@ def measure_turn(
 
     top = guess + above
     for _ in range(_DOUBLINGS):
-        tell(f"turning up to microstep {top}, then home")
+        say(f"turning up to microstep {top}, then home")
         turns = to_switch_from(top, top + guess)
         if abs(turns) > TOLERANCE:
             break
@@ -379,17 +350,17 @@ def measure_turn(
             f"the home switch did not come again within {reached} microsteps, {2 ** (_DOUBLINGS - 1)} times a turn; "
             "check whether the table turns at all"
         )
-    rest = turns
+    left = turns
     for _ in range(_MOST_EDGES):
-        tell(f"back by {rest} microsteps, home on the way")
-        edge = -to_switch_from(-(rest // 2) + above, 2 * rest + guess)
-        if abs(edge - rest) <= TOLERANCE:
-            return rest
-        if not TOLERANCE < edge < rest:
+        say(f"back by {left} microsteps, home on the way")
+        edge = -to_switch_from(-(left // 2) + above, 2 * left + guess)
+        if abs(edge - left) <= TOLERANCE:
+            return left
+        if not TOLERANCE < edge < left:
             break
-        rest -= edge
+        left -= edge
     raise RigError(
-        f"the home switch was found at {edge} microsteps on the way back, expected at {rest} or before: steps are "
+        f"the home switch was found at {edge} microsteps on the way back, expected at {left} or before: steps are "
         "lost, or the switch has moved; check belt, motor current and speed"
     )
 
@@ -400,12 +371,7 @@ def needed(guess: int) -> int:
 
 
 def fitting_gear(turn: int, motor_turn: int) -> tuple[int, int] | None:
-    """The simplest ratio of two integers that gives the turn within `TOLERANCE`; None if there is none.
-
-    Args:
-        turn: Microsteps of a turn of the table, as measured.
-        motor_turn: Microsteps of a turn of the motor.
-    """
+    """The simplest ratio of two integers that gives the turn of the table, by that of the motor, within `TOLERANCE`."""
     for denominator in range(1, _LARGEST_DENOMINATOR + 1):
         numerator = round(turn * denominator / motor_turn)
         whole = (motor_turn * numerator) % denominator == 0
@@ -422,13 +388,7 @@ _UNKNOWN_TURN = 3200
 
 
 def examine_table(controller: Controller, config: RigConfig | None, tell: Tell, say: Callable[[str], None]) -> bool:
-    """Examine the controller and turn its table.
-
-    Args:
-        controller: Open.
-        config: The rig; without it default settings are used, and a turn is measured without comparison.
-        tell: Called with each finding.
-        say: Called with a sentence about the progress of long examinations.
+    """Examine the controller and turn its table; without a configuration, a turn is measured without comparison.
 
     Returns:
         Whether the table is homed and can be used.
@@ -439,7 +399,12 @@ def examine_table(controller: Controller, config: RigConfig | None, tell: Tell, 
         tell(Finding("safety", "note", lacking[0], " ".join(lacking[1:])))
     inputs = looked_at("inputs", lambda: _inputs(controller), tell)
     settings = Settings() if config is None else controller_settings(config)
-    taken = looked_at("settings", lambda: _settings(controller, settings), tell)
+
+    def configured() -> Finding:
+        controller.configure(settings)
+        return Finding("settings", "works", "the controller is set as the configuration says")
+
+    taken = looked_at("settings", configured, tell)
     if "wrong" in (inputs.verdict, taken.verdict):
         return False
     if looked_at("home", lambda: _home(controller, config), tell).verdict == "wrong":
@@ -485,11 +450,6 @@ def _inputs(controller: Controller) -> Finding:
     return Finding("inputs", "works", f"emergency stop released, home switch {switch}{left}")
 
 
-def _settings(controller: Controller, settings: Settings) -> Finding:
-    controller.configure(settings)
-    return Finding("settings", "works", "the controller is set as the configuration says")
-
-
 def _within(config: RigConfig | None) -> int:
     """How far to search for the home switch [microsteps]."""
     if config is None:
@@ -506,13 +466,12 @@ def _home(controller: Controller, config: RigConfig | None) -> Finding:
         if problem.fault is not Fault.HOME_NOT_FOUND:
             raise
         controller.clear()
-        return Finding(
-            "home",
-            "wrong",
-            f"the switch was not found within {within} microsteps, or does not open",
+        found = f"the switch was not found within {within} microsteps, or does not open"
+        do = (
             "check that the table turns, in the right direction (turntable.reverse), and the switch closes by hand: "
-            "the inputs above then say active",
+            "the inputs above then say active"
         )
+        return Finding("home", "wrong", found, do)
     if not controller.guarantees.knows_missed_steps:
         return Finding("home", "works", "found; the controller does not report whether at the same place again")
     turn = _UNKNOWN_TURN if config is None else config.microsteps_per_turn
@@ -532,32 +491,24 @@ def _home(controller: Controller, config: RigConfig | None) -> Finding:
 def _some_way(turn: int, config: RigConfig | None) -> int:
     limits = None if config is None else controller_settings(config).limits
     way = max(turn // 12, 8)
-    return way if limits is None or limits[1] >= way else limits[1]
+    return way if limits is None else min(way, limits[1])
 
 
 def _turn(controller: Controller, config: RigConfig | None, settings: Settings, say: Callable[[str], None]) -> Finding:
+    by_hand = "measure an angle by hand: 90 degrees by the configuration must be 90 degrees of the table"
     if not controller.guarantees.knows_missed_steps:
-        return Finding(
-            "steps per turn",
-            "not checked",
-            "the controller does not report where it found the home switch",
-            "measure an angle by hand: 90 degrees by the configuration must be 90 degrees of the table",
-        )
+        found = "the controller does not report where it found the home switch"
+        return Finding("steps per turn", "not checked", found, by_hand)
     expected = None if config is None else config.microsteps_per_turn
     guess = expected or _UNKNOWN_TURN
     highest = None if settings.limits is None else settings.limits[1]
     if highest is not None and highest < needed(guess):
-        return Finding(
-            "steps per turn",
-            "not checked",
-            f"turntable.limits_deg forbids a turn and {360 * (needed(guess) - guess) / guess:.0f} degrees",
-            "measure an angle by hand: 90 degrees by the configuration must be 90 degrees of the table",
-        )
-    # The way back begins at the home of the next turn, where the limits would be wrong.
-    free = dataclasses.replace(settings, limits=None)
+        found = f"turntable.limits_deg forbids a turn and {360 * (needed(guess) - guess) / guess:.0f} degrees"
+        return Finding("steps per turn", "not checked", found, by_hand)
     try:
-        controller.configure(free)
-        measured = measure_turn(controller, guess, speed=settings.speed, highest=highest, tell=say)
+        # The way back begins at the home of the next turn, where the limits would be wrong.
+        controller.configure(dataclasses.replace(settings, limits=None))
+        measured = measure_turn(controller, guess, speed=settings.speed, highest=highest, say=say)
     finally:
         controller.configure(settings)
     values = {"measured_microsteps": measured}
@@ -565,9 +516,8 @@ def _turn(controller: Controller, config: RigConfig | None, settings: Settings, 
         return Finding("steps per turn", "works", f"{measured} microsteps from home to home", values=values)
     values["expected_microsteps"] = expected
     if abs(measured - expected) <= TOLERANCE:
-        return Finding(
-            "steps per turn", "works", f"{measured} from home to home, {expected} by the configuration", values=values
-        )
+        found = f"{measured} from home to home, {expected} by the configuration"
+        return Finding("steps per turn", "works", found, values=values)
     found = f"{measured} microsteps from home to home, expected {expected}"
     return Finding("steps per turn", "wrong", found, _fitting(measured, config), values)
 

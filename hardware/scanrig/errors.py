@@ -1,6 +1,5 @@
 """Errors of the rig. Each message states the finding, the expectation and the remedy."""
 
-from collections.abc import Sequence
 from enum import StrEnum
 
 from jaxscan.errors import JaxscanError
@@ -63,15 +62,7 @@ class RigError(JaxscanError):
 
 
 class PortError(RigError):
-    """No serial port can be opened: none found, missing, no permission, in use.
-
-    Attributes:
-        candidates: ports that exist, as messages name them.
-    """
-
-    def __init__(self, message: str, candidates: Sequence[str] = ()):
-        super().__init__(message)
-        self.candidates = tuple(candidates)
+    """No serial port can be opened: none found, missing, no permission, in use."""
 
 
 class FirmwareError(RigError):
@@ -90,33 +81,21 @@ class ControllerReset(LinkLost):
         super().__init__(
             f"the controller was reset{was}: its position and settings are gone; reconnect, configure and home again"
         )
-        self.before = before
-        self.now = now
 
 
 class Refused(RigError):
-    """The controller received a command intact and did not carry it out.
-
-    Attributes:
-        reason: why.
-        command: the command as it was sent.
-    """
+    """The controller received a command intact and did not carry it out."""
 
     def __init__(self, reason: Reason, command: str, said: str = ""):
         super().__init__(f"the controller refused '{command}': {reason}" + (f" ({said})" if said else ""))
         self.reason = reason
-        self.command = command
 
 
 class RigFault(RigError):
-    """The controller stopped by itself: laser off, motor stopped.
-
-    Attributes:
-        fault: the fault.
-        position: where it stopped, microsteps from home; None if not known.
-    """
+    """The controller stopped by itself: laser off, motor stopped."""
 
     def __init__(self, fault: Fault, position: int | None = None, said: str = ""):
+        """`position`: where it stopped, microsteps from home."""
         where = "" if position is None else f" at microstep {position}"
         words = f" ({said})" if said else ""
         super().__init__(f"fault{where}: {fault}{words}; {CURES[fault]}")
@@ -126,10 +105,6 @@ class RigFault(RigError):
 
 class RigTimeout(RigError):
     """The controller answers, but a motion or shot did not end in time."""
-
-
-class TranscriptDifference(RigError):
-    """A write differs from the transcript that is replayed."""
 
 
 class CameraError(RigError):

@@ -1,21 +1,18 @@
-"""A session's files: the journal of a capture, written in the background, the lock of its folder, and free space."""
+"""A session's files: the journal of a capture, the lock of its folder, and free space."""
 
 import contextlib
 import errno
 import json
 import os
 import shutil
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import JOURNAL_NAME, MAX_LINE_BYTES, CaptureHeader, seal
-from jaxscan.files.disk import FolderLock, append_whole, open_to_write, remove_left
+from jaxscan.files.disk import FolderLock, append_whole, open_to_write, remove_stale
 from jaxscan.files.recording import LOCK_NAME, CaptureWriter, create_capture, require_no_links, resume_capture
 from scanrig.clock import Clock
 from scanrig.errors import SessionError
@@ -37,15 +34,10 @@ class DiskFull(SessionError):
 
 
 def require_space(folder: Path, needed: int, *, purpose: str) -> None:
-    """Check that there is enough space.
-
-    Args:
-        folder: A folder on the disk.
-        needed: Space needed [bytes].
-        purpose: Its use, for the message.
+    """Check that the disk of a folder has so much space [bytes]; `purpose` is for the message.
 
     Raises:
-        DiskFull: If there is less.
+        DiskFull: If it has less.
     """
     free = free_bytes(folder)
     if free < needed:
@@ -64,16 +56,13 @@ def is_full(problem: BaseException) -> bool:
     """Whether an error, or one of its causes, is a full disk."""
     cause: BaseException | None = problem
     while cause is not None:
-        if isinstance(cause, DiskFull):
-            return True
-        if isinstance(cause, OSError) and cause.errno in _FULL:
+        if isinstance(cause, DiskFull) or (isinstance(cause, OSError) and cause.errno in _FULL):
             return True
         cause = cause.__cause__
     return False
 
 
 def readable(size: int) -> str:
-    """A number of bytes for people."""
     return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.1f} MB"
 
 
@@ -94,11 +83,7 @@ class Ledger:
         return self._writer is not None
 
     def create(self, header: CaptureHeader) -> None:
-        """Begin the capture.
-
-        Raises:
-            CaptureError: If the folder is not empty or cannot be written.
-        """
+        """Begin the capture. Raises CaptureError if the folder is not empty or cannot be written."""
         self._attach(create_capture(self.folder, header, digests=True))
 
     def resume(self) -> None:
@@ -109,20 +94,16 @@ class Ledger:
         """
         require_no_links(self.folder)
         for folder in (self.folder, self.folder / "on", self.folder / "off"):
-            remove_left(folder)
+            remove_stale(folder)
         self._attach(resume_capture(self.folder, digests=True))
 
     def note(self, name: str, **fields: Any) -> None:
-        """Note an event; it is on the disk when this returns, if the capture has begun.
-
-        Raises:
-            CaptureError: If it cannot be written.
-        """
         self.write(self.event(name, **fields))
 
     def event(self, name: str, **fields: Any) -> dict[str, Any]:
         """An event of this moment, for `write`."""
-        event = self._event(name, fields)
+        now = {"time": self._clock.utc(), "time_s": round(self._clock.now(), 6)}
+        event = fitting({"event": name, **now, **fields})
         self.events.append(event)
         return event
 
@@ -139,12 +120,8 @@ class Ledger:
             self._writer.flush()
 
     def add(self, number: int, on: np.ndarray, off: np.ndarray, fields: dict[str, Any]) -> None:
-        """Add a record; it is on the disk when this returns.
-
-        Args:
-            on: Laser-on image, uint8.
-            off: Laser-off image, uint8.
-            fields: The other fields of the record.
+        """Add a record with its other fields, frames of uint16 where the header has `bits`; it is on the disk when this
+        returns.
 
         Raises:
             CaptureError: If it cannot be written; the capture ends with the record before it.
@@ -166,8 +143,7 @@ class Ledger:
         with contextlib.suppress(CaptureError):  # The caller whose append failed has had the error.
             writer.close()
         try:
-            event = self._event("end", {"status": status, **fields, **seal(self.folder)})
-            self.events.append(event)
+            event = self.event("end", status=status, **fields, **seal(self.folder))
             _append_line(self.folder / JOURNAL_NAME, json.dumps(event).encode() + b"\n")
         except (CaptureError, OSError) as problem:
             return f"the end could not be noted in the journal: {problem}"
@@ -179,9 +155,6 @@ class Ledger:
         for event in waiting:
             writer.append_event(event)
         writer.flush()
-
-    def _event(self, name: str, fields: dict[str, Any]) -> dict[str, Any]:
-        return fitting({"event": name, "time": self._clock.utc(), "time_s": round(self._clock.now(), 6), **fields})
 
 
 def fitting(event: dict[str, Any]) -> dict[str, Any]:
@@ -204,56 +177,5 @@ def _append_line(path: Path, line: bytes) -> None:
         append_whole(journal, line, durable=True)
 
 
-T = TypeVar("T")
-
 AHEAD = 4
 """Pairs that may wait to be proven and written; the table stands still while there are more."""
-
-
-class Background:
-    """Two threads: one proves, one writes. Each does its work in the order in which it was given.
-
-    After the first failure nothing more is written, so that a capture never has a gap that nobody knows of.
-    """
-
-    def __init__(self) -> None:
-        """No thread runs before there is work."""
-        self._prover = ThreadPoolExecutor(1, thread_name_prefix="scanrig-prove")
-        self._writer = ThreadPoolExecutor(1, thread_name_prefix="scanrig-write")
-        self._failed: BaseException | None = None
-
-    def prove(self, work: Callable[[], T]) -> Future[T]:
-        """Begin a proof."""
-        return self._prover.submit(work)
-
-    def write(self, work: Callable[[], T]) -> Future[T]:
-        """Write something after all that was given before; it may wait for a proof.
-
-        Raises:
-            BaseException: What earlier work raised.
-        """
-        if self._failed is not None:
-            raise self._failed
-        return self._writer.submit(partial(self._unless_failed, work))
-
-    def wait(self) -> None:
-        """Wait until all is written.
-
-        Raises:
-            BaseException: What it raised.
-        """
-        self.write(lambda: None).result()
-
-    def end(self) -> None:
-        """Wait for what was given, and end the threads; raises nothing of theirs."""
-        self._prover.shutdown()
-        self._writer.shutdown()
-
-    def _unless_failed(self, work: Callable[[], T]) -> T:
-        if self._failed is not None:
-            raise self._failed
-        try:
-            return work()
-        except BaseException as problem:
-            self._failed = problem
-            raise

@@ -1,13 +1,14 @@
 """The link to a controller: serial ports, and finding them again."""
 
+import contextlib
 import errno
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 from jaxscan.errors import DependencyError
-from scanrig.clock import Clock, SystemClock
+from scanrig.clock import Clock
 from scanrig.errors import LinkLost, PortError
 
 
@@ -24,19 +25,15 @@ class Link(Protocol):
     @property
     def name(self) -> str:
         """Its name for messages: the port's path."""
-        ...
 
     def write(self, data: bytes) -> None:
         """Send all of data. Raises LinkLost."""
-        ...
 
     def read(self, timeout_s: float) -> bytes:
         """The bytes received, as soon as there are any; b"" after timeout_s without any. Raises LinkLost."""
-        ...
 
     def close(self) -> None:
         """Close the port. Never raises."""
-        ...
 
 
 BY_ID = Path("/dev/serial/by-id")
@@ -106,14 +103,11 @@ def describe(info: PortInfo) -> str:
 
 
 def choose_port(wanted: str = "", ports: Iterable[PortInfo] | None = None) -> str:
-    """The path of the port to open.
+    """The path of the port to open, under /dev/serial/by-id if possible.
 
     Args:
         wanted: a path, which is used as it is; a USB serial number; "" or "auto" for the only board.
         ports: the ports to choose from; by default those of `find_ports`.
-
-    Returns:
-        The path, under /dev/serial/by-id if possible.
 
     Raises:
         PortError: no port fits, or several do and a person must choose.
@@ -121,7 +115,6 @@ def choose_port(wanted: str = "", ports: Iterable[PortInfo] | None = None) -> st
     if "/" in wanted or wanted.upper().startswith("COM"):
         return wanted
     found = list(find_ports() if ports is None else ports)
-    names = [describe(info) for info in found]
     if wanted not in ("", "auto"):
         fitting = [info for info in found if info.serial_number == wanted]
         missing = f"no port with serial number '{wanted}'"
@@ -131,9 +124,14 @@ def choose_port(wanted: str = "", ports: Iterable[PortInfo] | None = None) -> st
     if len(fitting) == 1:
         return fitting[0].by_id or fitting[0].device
     if not fitting:
-        others = f"; ports found: {', '.join(names)}" if names else "; no serial port was found at all"
-        raise PortError(f"{missing}{others}", names)
-    raise PortError(f"{len(fitting)} ports could be the controller, name one: {', '.join(names)}", names)
+        raise PortError(f"{missing}; {_listed(found)}")
+    names = ", ".join(map(describe, found))
+    raise PortError(f"{len(fitting)} ports could be the controller, name one: {names}")
+
+
+def _listed(ports: Iterable[PortInfo]) -> str:
+    names = ", ".join(map(describe, ports))
+    return f"ports found: {names}" if names else "no serial port was found at all"
 
 
 def identify(path: str, ports: Iterable[PortInfo] | None = None) -> PortInfo:
@@ -153,15 +151,13 @@ def find_again(known: PortInfo, ports: Iterable[PortInfo] | None = None) -> str:
     Raises:
         PortError: no port has its serial number; the port at its old path belongs to another board.
     """
+    if not known.serial_number:
+        return known.by_id or known.device
     found = list(find_ports() if ports is None else ports)
-    if known.serial_number:
-        for info in found:
-            if (info.vid_pid, info.serial_number) == (known.vid_pid, known.serial_number):
-                return info.device
-        names = [describe(info) for info in found]
-        others = f"ports found: {', '.join(names)}" if names else "no serial port was found at all"
-        raise PortError(f"{describe(known)} is not there any more; {others}", names)
-    return known.by_id or known.device
+    for info in found:
+        if (info.vid_pid, info.serial_number) == (known.vid_pid, known.serial_number):
+            return info.device
+    raise PortError(f"{describe(known)} is not there any more; {_listed(found)}")
 
 
 try:
@@ -169,8 +165,8 @@ try:
 except ImportError:  # Windows has no termios; its ports do not raise this error.
     _TerminalError = OSError  # type: ignore[assignment, misc]
 
-POLL_S = 0.02
-WRITE_TIMEOUT_S = 1.0
+_POLL_S = 0.02
+_WRITE_TIMEOUT_S = 1.0
 
 
 class SerialLink:
@@ -182,19 +178,16 @@ class SerialLink:
 
     @property
     def name(self) -> str:
-        """The port's path."""
         return str(self._port.port)
 
     def write(self, data: bytes) -> None:
-        """Send all of data. Raises LinkLost."""
         self._require_open()
         try:
             self._port.write(data)
         except OSError as problem:
-            raise LinkLost(lost(self.name, problem)) from problem
+            raise self._lost(problem) from problem
 
     def read(self, timeout_s: float) -> bytes:
-        """The bytes received, as soon as there are any; b"" after timeout_s. Raises LinkLost."""
         self._require_open()
         end = self._clock.now() + timeout_s
         # A port raises SerialException, which is an OSError, or a plain OSError from in_waiting.
@@ -205,36 +198,41 @@ class SerialLink:
             waiting = self._port.in_waiting
             return bytes(first + self._port.read(waiting)) if waiting else bytes(first)
         except OSError as problem:
-            raise LinkLost(lost(self.name, problem)) from problem
+            raise self._lost(problem) from problem
+
+    def close(self) -> None:
+        # A port that went away cannot be closed and need not be.
+        with contextlib.suppress(OSError):
+            self._port.close()
 
     def _require_open(self) -> None:
         if not self._port.is_open:
             raise LinkLost(f"{self.name} is closed") from OSError(errno.EBADF, "closed")
 
-    def close(self) -> None:
-        """Close the port."""
-        try:
-            self._port.close()
-        except OSError:
-            # A port that went away cannot be closed and need not be.
-            return
+    def _lost(self, problem: OSError) -> LinkLost:
+        return LinkLost(f"{self.name} went away ({reason(problem)}); check cable and power")
 
 
-def lost(name: str, problem: OSError) -> str:
-    """The message about a port that stopped working."""
-    return f"{name} went away ({reason(problem)}); check cable and power"
+def open_port(wanted: str, baud: int, clock: Clock | None = None) -> tuple[SerialLink, Callable[[], SerialLink]]:
+    """Open the port of a board.
+
+    Args:
+        wanted: as for `choose_port`.
+
+    Returns:
+        The open link, and a function that finds the same board again, even under another port number, and opens it.
+
+    Raises:
+        PortError: no port, several, port missing or in use, or no permission.
+    """
+    path = choose_port(wanted)
+    link = open_serial(path, baud, clock)
+    known = identify(path)
+    return link, lambda: open_serial(find_again(known), baud, clock)
 
 
 def open_serial(port: str, baud: int = 250_000, clock: Clock | None = None) -> SerialLink:
     """Open a serial port for exclusive use, with DTR and RTS off.
-
-    Args:
-        port: its path, preferably the one under /dev/serial/by-id, which stays the same when it is plugged in again.
-        baud: bits per second.
-        clock: for the waits of reading.
-
-    Returns:
-        The open link.
 
     Raises:
         PortError: it is missing, in use, no serial port, or there is no permission; the message says how to mend it.
@@ -242,8 +240,8 @@ def open_serial(port: str, baud: int = 250_000, clock: Clock | None = None) -> S
     device = serial.Serial()
     device.port = port
     device.baudrate = baud
-    device.timeout = POLL_S
-    device.write_timeout = WRITE_TIMEOUT_S
+    device.timeout = _POLL_S
+    device.write_timeout = _WRITE_TIMEOUT_S
     device.exclusive = True
     device.dtr = False
     device.rts = False
@@ -252,13 +250,12 @@ def open_serial(port: str, baud: int = 250_000, clock: Clock | None = None) -> S
     except (OSError, ValueError, _TerminalError) as problem:
         # A port that goes away during setup raises termios.error through pyserial, which is no OSError.
         raise port_error(port, problem) from problem
-    return SerialLink(device, clock or SystemClock())
+    return SerialLink(device, clock or Clock())
 
 
 def port_error(port: str, problem: Exception) -> PortError:
     """The error for a failure to open, with its remedy."""
-    candidates = [describe(info) for info in find_ports()]
-    there = "; ports found: " + ", ".join(candidates) if candidates else "; no serial port was found at all"
+    there = f"; {_listed(find_ports())}"
     code = getattr(problem, "errno", None)
     if isinstance(problem, _TerminalError) and problem.args:
         code = problem.args[0]
@@ -278,7 +275,7 @@ def port_error(port: str, problem: Exception) -> PortError:
         says = f"{port} is no serial port ({reason(problem)}){there}"
     else:
         says = f"cannot open {port} ({reason(problem)}){there}"
-    return PortError(says, candidates)
+    return PortError(says)
 
 
 def reason(problem: Exception) -> str:

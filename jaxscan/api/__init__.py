@@ -4,9 +4,17 @@ from jaxscan.facades import TYPE_CHECKING, load_on_use
 
 
 if TYPE_CHECKING:
-    from jaxscan.api.boards import BoardSheets, draw_board, save_board, write_sheets
     from jaxscan.api.calibration import calibrate, observe_boards, plan_calibration
-    from jaxscan.api.drawings import check_drawing_path, save_drawing
+    from jaxscan.api.drawings import (
+        BoardSheets,
+        check_drawing_path,
+        check_ifc_path,
+        draw_board,
+        save_board,
+        save_drawing,
+        save_ifc,
+        write_sheets,
+    )
     from jaxscan.api.frames import align_cloud
     from jaxscan.api.meshes import Texture, draw_texture, mesh_cloud, poisson_mesh, textured_mesh
     from jaxscan.api.photographs import (
@@ -22,7 +30,7 @@ if TYPE_CHECKING:
         save_panorama,
         save_scan,
     )
-    from jaxscan.api.recalibration import recalibrate, save_recalibrated_cloud
+    from jaxscan.api.recalibration import recalibrate, register, save_recalibrated_cloud
     from jaxscan.api.reports import board_photographs
     from jaxscan.api.simulation import load_simulation, save_designed_rig, simulate
     from jaxscan.api.sweeps import Reconstruction, reconstruct_capture

@@ -9,15 +9,17 @@ import numpy as np
 
 from jaxscan import recalibration
 from jaxscan.api.calibration import observe_boards, versions, with_stops
+from jaxscan.api.stages import Stage, Stages, megapixels
 from jaxscan.api.sweeps import find_stripes, reconstruct_capture
 from jaxscan.calibration import Calibration
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.files.calibration import calibration_digest, load_calibration
 from jaxscan.files.capture import Capture, common_board, refuse_copies
 from jaxscan.files.clouds import save_cloud, save_clouds
+from jaxscan.geometry import Scanner
 from jaxscan.observation import Observations, Progress
-from jaxscan.recalibration import FeatureEyes, Given, Recalibration, RecalibrationSettings, SweepStripes
-from jaxscan.reconstruction import plan_sweep, refuse_other_motion, smooth_stripes
+from jaxscan.recalibration import Adjusted, FeatureEyes, Given, Recalibration, RecalibrationSettings, SweepStripes
+from jaxscan.reconstruction import DEFAULTS, Plan, ReconstructSettings, plan_sweep, refuse_other_motion, smooth_stripes
 
 
 def recalibrate(
@@ -31,8 +33,8 @@ def recalibrate(
 ) -> Recalibration:
     """Refine a stored calibration with ordinary sweeps of a room.
 
-    The walls must be flat; nothing else need be known of them. The stored calibration holds the directions of which
-    sweeps tell nothing. Stripes are kept beside each capture, so that a second time only a few images are read.
+    The walls must be flat; nothing else need be known of them. The stored calibration holds the directions that
+    sweeps do not determine. Stripes are kept beside each capture, so that a second time only a few images are read.
 
     Args:
         captures: Sweeps of one room, taken with the rig as it is now.
@@ -59,38 +61,19 @@ def recalibrate(
     scanner = recalibration.require_prior(stored, named)
     _check_captures(captures, boards, scanner.camera.width, scanner.camera.height)
     recalibration.refuse_used([(str(one.path), one.digest()) for one in (*captures, *boards)], stored.provenance, named)
-    # Everything that is wrong with a header or a journal is said before an image is read.
+    # Everything that is wrong with a header or a journal is reported before an image is read.
     plans = [_named(capture, plan_sweep, capture, scanner, settings.stripes) for capture in captures]
-    share = _Share(progress, [*(len(capture) for capture in captures), sum(map(len, boards))])
-    sweeps, notes = [], []
-    for number, (capture, plan) in enumerate(zip(captures, plans, strict=True)):
-        found = find_stripes(capture, scanner, settings.stripes, progress=share.part(number))
-        along = smooth_stripes(capture, found.stripes)
-        valid = np.asarray(found.stripes.valid) & (along.sigma > 0)
-        sweeps.append(
-            SweepStripes(
-                name=str(capture.path),
-                centre=along.u,
-                sigma=along.sigma,
-                shared_lines=along.shared_lines,
-                valid=valid,
-                record=np.asarray(found.stripes.record),
-                laser=np.asarray(plan.sheet),
-                angle=capture.angles,
-                stripe_axis=plan.stripe_axis,
-                station=number if settings.stations else 0,
-            )
-        )
-        shown = recalibration.points_of_records(scanner, sweeps[-1])
-        refuse_other_motion(capture, scanner, shown, capture.off_frame, str(capture.path))
-        notes += [f"{capture.path}: {note}" for note in (*capture.notes, *found.notes)]
+    stages = _stages(progress, captures, boards, _SOLVES)
+    sweeps, notes = _swept(captures, plans, scanner, settings, stages)
     if boards:
-        given = replace(given, boards=_observed(boards, scanner.laser_names, share.part(len(captures))))
+        given = replace(given, boards=_observed(boards, scanner.laser_names, stages.part(len(captures))))
     if given.tracks is None:
         board = boards[0].board if boards else None
-        tracks, said = recalibration.observe_features(captures, sweeps, scanner, _feature_eyes(), settings, board)
-        given, notes = replace(given, tracks=tracks), [*notes, *said]
-    result = recalibration.recalibrate(sweeps, stored, settings, given, progress=share.last())
+        tracks, more = recalibration.observe_features(captures, sweeps, scanner, _feature_eyes(), settings, board)
+        given, notes = replace(given, tracks=tracks), [*notes, *more]
+    stages.done(len(captures) + 1)
+    solving = lambda done, total: stages.done(len(captures) + 1 + done)
+    result = recalibration.recalibrate(sweeps, stored, settings, given, progress=solving)
     result = replace(result, notes=(*notes, *result.notes), settings=settings)
     provenance = {
         "captures": [{"name": one.path.name, "digest": one.digest()} for one in (*captures, *boards)],
@@ -103,34 +86,128 @@ def recalibrate(
     return recalibration.renew_calibration(result, provenance)
 
 
+def register(
+    captures: Sequence[Capture], calibration: Calibration | str | Path, *, progress: Progress | None = None
+) -> tuple[Adjusted, tuple[str, ...]]:
+    """The places from which sweeps of one room were taken, by its walls; and notes on the captures.
+
+    Features of the images are tracked only where walls alone leave a station open.
+
+    Args:
+        captures: Sweeps, each from a place of its own; the first is in the middle of the frame.
+        calibration: The calibration of the rig that took them, or its file.
+        progress: Called with (work done, work in all).
+
+    Raises:
+        CaptureError: As of `recalibrate`.
+        CalibrationError: As of `recalibrate`, or if the places are not found.
+    """
+    captures, settings = list(captures), with_stops(RecalibrationSettings(stations=True), captures)
+    stored, _ = _stored(calibration)
+    scanner = recalibration.require_prior(
+        stored, "the calibration" if isinstance(calibration, Calibration) else str(calibration)
+    )
+    _check_captures(captures, (), scanner.camera.width, scanner.camera.height)
+    plans = [_named(capture, plan_sweep, capture, scanner, settings.stripes) for capture in captures]
+    stages = _stages(progress, captures, (), _PLACED, features=0.0)
+    sweeps, notes = _swept(captures, plans, scanner, settings, stages)
+    solving = lambda done, total: stages.done(len(captures) + 1 + done)
+    try:
+        found = recalibration.register(sweeps, stored, settings, progress=solving)
+        if found.converged and not _open(found):
+            return found, tuple(notes)
+    except CalibrationError:
+        # Features may tell what walls do not.
+        found = None
+    tracks, said = recalibration.observe_features(captures, sweeps, scanner, _feature_eyes(), settings, None)
+    if tracks is not None:
+        found = recalibration.register(sweeps, stored, settings, Given(tracks=tracks))
+        notes += said
+    if found is None or not found.converged:
+        raise CalibrationError(
+            "the places of the stations were not found: walls and features of the images fit no arrangement; take the "
+            "sweeps from places that see the same walls."
+        )
+    return found, tuple(notes)
+
+
+_OPEN_M = 0.01
+"""A station whose place is known no better than this one standard deviation is open to the walls [m]."""
+
+
+def _open(found: Adjusted) -> bool:
+    """Whether the place of a station is not told."""
+    places = np.asarray(found.station_covariance)[1:, :3, :3]
+    return bool(len(places)) and float(np.linalg.eigvalsh(places).max()) > _OPEN_M**2
+
+
 def save_recalibrated_cloud(
-    captures: Sequence[Capture], result: Recalibration, path: str | Path, *, calibration_digest: str = ""
+    captures: Sequence[Capture],
+    adjusted: Adjusted,
+    scanner: Scanner,
+    path: str | Path,
+    *,
+    settings: ReconstructSettings = DEFAULTS,
+    calibration_digest: str = "",
 ) -> None:
-    """Write the cloud of all sweeps with the new scanner, in the frame of the room.
+    """Write the cloud of all sweeps with one scanner, in the frame of the room.
 
     Angles of the table that were found wrong are put right, and each sweep is turned to its station.
 
     Args:
-        captures: The sweeps that were recalibrated from.
-        result: As `recalibrate` gave it.
+        captures: The sweeps that were adjusted.
+        adjusted: As `recalibrate` and `register` give it.
+        scanner: With which points are computed.
         path: Its suffix chooses the format, as of `save_cloud`.
-        calibration_digest: Digest of the new calibration's file.
+        settings: Of the stripes.
+        calibration_digest: Digest of the scanner's calibration file.
 
     Raises:
         CaptureError: If a sweep cannot be read.
         CloudError: If the cloud cannot be written.
     """
-    adjusted = result.adjusted
     clouds = []
     for number, capture in enumerate(captures):
         turned = _turned(capture, adjusted.corrections[number])
-        cloud = reconstruct_capture(turned, result.scanner, settings=result.settings.stripes).cloud
+        cloud = reconstruct_capture(turned, scanner, settings=settings).cloud
         place = int(adjusted.observations.station[number])
         clouds.append((cloud, adjusted.stations[place], adjusted.station_covariance[place]))
     if len(clouds) == 1:
         save_cloud(clouds[0][0], path, calibration_digest=calibration_digest)
     else:
         save_clouds(clouds, path, calibration_digest=calibration_digest)
+
+
+def _swept(
+    captures: Sequence[Capture],
+    plans: Sequence[Plan],
+    scanner: Scanner,
+    settings: RecalibrationSettings,
+    stages: Stages,
+) -> tuple[list[SweepStripes], list[str]]:
+    """The stripes of every sweep, and notes on them."""
+    sweeps, notes = list[SweepStripes](), list[str]()
+    for number, (capture, plan) in enumerate(zip(captures, plans, strict=True)):
+        found = find_stripes(capture, scanner, settings.stripes, progress=stages.part(number))
+        along = found.smoothed or smooth_stripes(capture, found.stripes)
+        sweeps.append(
+            SweepStripes(
+                name=str(capture.path),
+                centre=along.u,
+                sigma=along.sigma,
+                shared_lines=along.shared_lines,
+                valid=np.asarray(found.stripes.valid) & (along.sigma > 0),
+                record=np.asarray(found.stripes.record),
+                laser=np.asarray(plan.sheet),
+                angle=capture.angles,
+                stripe_axis=plan.stripe_axis,
+                station=number if settings.stations else 0,
+            )
+        )
+        shown = recalibration.points_of_records(scanner, sweeps[-1])
+        refuse_other_motion(capture, scanner, shown, capture.off_frame, str(capture.path))
+        notes += [f"{capture.path}: {note}" for note in (*capture.notes, *found.notes)]
+    return sweeps, notes
 
 
 def _stored(calibration: Calibration | str | Path) -> tuple[Calibration, dict[str, str]]:
@@ -203,7 +280,7 @@ def _turned(capture: Capture, correction: np.ndarray) -> Capture:
 
 
 def _judgement(result: Recalibration) -> dict[str, Any]:
-    """The recalibration that a file tells of."""
+    """What a file records of a recalibration."""
     return {
         "settings": asdict(result.settings),
         "drift": asdict(result.drift),
@@ -214,21 +291,24 @@ def _judgement(result: Recalibration) -> dict[str, Any]:
     }
 
 
-class _Share:
-    """Parts of one progress: sweeps and boards by their records, and at the end the solve, half of it all."""
+# What the stages of both take, in seconds of one processor, of a sweep of 180 pairs of 640 x 512 px whose images have
+# texture: faults of the table, places of the stations, a rough solve, walls, a solve, one more where a wall is not
+# flat, drift, two halves, the rest.
+_SOLVES = (0.2, 0.2, 25.0, 0.7, 16.0, 9.0, 13.0, 23.0, 1.5)
+_PLACED = (0.2, 8.0, 1.5, 12.0)
 
-    def __init__(self, progress: Progress | None, sizes: Sequence[int]) -> None:
-        self._progress, self._before = progress, [sum(sizes[:k]) for k in range(len(sizes) + 1)]
 
-    def part(self, number: int) -> Progress | None:
-        """Progress of one of the sizes."""
-        before, total = self._before[number], 2 * self._before[-1]
-        return None if self._progress is None else self._of(before, total)
-
-    def last(self) -> Progress | None:
-        """Progress of the solve."""
-        progress, half = self._progress, self._before[-1]
-        return None if progress is None else lambda done, total: progress(half + half * done // max(total, 1), 2 * half)
-
-    def _of(self, before: int, total: int) -> Progress:
-        return lambda done, _: self._progress(before + done, total) if self._progress is not None else None
+def _stages(
+    progress: Progress | None,
+    captures: Sequence[Capture],
+    boards: Sequence[Capture],
+    solves: Sequence[float],
+    *,
+    features: float = 0.06,
+) -> Stages:
+    """Every capture, the boards, features of so many seconds a megapixel, and the solves."""
+    pixels = [megapixels(*capture.image_size, len(capture)) for capture in captures]
+    shown = sum(megapixels(*capture.image_size, len(capture)) for capture in boards)
+    looks = [Stage(0.0 if number else 3.4, 0.03 * size) for number, size in enumerate(pixels)]
+    boards_stage = Stage(2.0, 0.14 * shown) if boards else Stage(0.0)
+    return Stages(progress, (*looks, boards_stage, Stage(features * sum(pixels)), *map(Stage, solves)))

@@ -82,7 +82,7 @@ def board_photographs(capture: Capture, calibration: Calibration) -> dict[int, b
     for index, record in enumerate(capture.records):
         if record.i not in wanted:
             continue
-        lit, dark = capture.frames(index)
+        lit, dark = capture.pictures(index)
         frame = lit if dark is None else dark
         if frame is not None:
             found[record.i] = thumbnail(frame, capture.pixel_format)
@@ -109,7 +109,7 @@ def look_again(capture: Capture, scanner: Scanner, progress: Progress = None) ->
         CalibrationError: If the scanner is not that of the sweep.
     """
     found = find_stripes(capture, scanner, DEFAULTS, progress=progress)
-    cloud = reconstruct(capture, scanner, stripes=found.stripes)
+    cloud = reconstruct(capture, scanner, stripes=found.stripes, smoothed=found.smoothed)
     doubts = doubts_of(capture, scanner, cloud, found.seen)
     stripes, points = int(np.asarray(found.stripes.valid).sum()), int(np.asarray(cloud.valid).sum())
     sentence = (

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxscan.api.stages import Stage, Stages, megapixels
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import Capture, cache_path, cached_stripes, code_digest, frames_key, save_stripes
 from jaxscan.geometry import Scanner
@@ -18,6 +19,7 @@ from jaxscan.reconstruction import (
     Progress,
     ReconstructSettings,
     Seen,
+    SmoothedSweep,
     StripePart,
     can_be_split,
     cloud_points,
@@ -30,6 +32,7 @@ from jaxscan.reconstruction import (
     plan_sweep,
     reconstruct,
     refuse_other_motion,
+    smooth_stripes,
     sweep_doubts,
     usable_stripes,
 )
@@ -66,6 +69,8 @@ class FoundStripes(NamedTuple):
     """On stripes and pairs of frames, and on a folder that cannot be written; a sentence each."""
     noise: str
     """As of `Reconstruction`."""
+    smoothed: SmoothedSweep | None
+    """The centres smoothed along the stripes; None where the settings do not smooth, or there is no stripe."""
 
 
 def reconstruct_capture(
@@ -86,7 +91,7 @@ def reconstruct_capture(
         scanner: The calibrated rig.
         settings: Range limits, and how stripes are found.
         noise: Noise of a frame; estimated from the start of the sweep where not given.
-        progress: Called with (records done, records in all); from frames, of finding the stripes.
+        progress: Called with (work done, work in all).
         cache: Whether stripes are looked for in the capture's folder and kept there.
 
     Returns:
@@ -97,9 +102,15 @@ def reconstruct_capture(
             than the angles say.
         CalibrationError: If the scanner is not that of the sweep, or no point is in range.
     """
-    found = find_stripes(capture, scanner, settings, noise=noise, progress=progress, cache=cache)
-    again = progress if found.from_cache else None
-    cloud = reconstruct(capture, scanner, stripes=found.stripes, settings=settings, progress=again)
+    pixels = megapixels(*capture.image_size, len(capture))
+    # Of a sweep of 180 pairs of 640 x 512 px on one processor.
+    stages = Stages(progress, (Stage(3.1, 0.035 * pixels), Stage(4.2, 1e-3 * pixels)))
+    found = find_stripes(capture, scanner, settings, noise=noise, progress=stages.part(0), cache=cache)
+    stages.done(0)
+    cloud = reconstruct(
+        capture, scanner, stripes=found.stripes, smoothed=found.smoothed, settings=settings, progress=stages.part(1)
+    )
+    stages.done(1)
     notes = (*found.notes, *doubts_of(capture, scanner, cloud, found.seen))
     return Reconstruction(cloud, found.from_cache, found.kept, notes, found.noise)
 
@@ -139,9 +150,11 @@ def find_stripes(
         seen = None if arrays is None else Seen.taken_from(arrays, len(capture))
         known = None if arrays is None or seen is None else usable_stripes(arrays, plan)
         if known is not None and seen is not None:
-            return FoundStripes(known.stripes, seen, from_cache=True, kept=True, notes=known.notes, noise=known.noise)
+            smoothed = known.smoothed or _smoothed(capture, known.stripes, settings)
+            return FoundStripes(known.stripes, seen, True, True, known.notes, known.noise, smoothed)
     watch = watch_of(capture, scanner)
     found = extract(capture.watched(watch.look), scanner, settings=settings, noise=noise, progress=progress)
+    found = found._replace(smoothed=_smoothed(capture, found.stripes, settings))
     notes, kept = (*found.notes, *pair_notes(capture, found.stripes, capture.frames, numbers_of(capture))), False
     if cache:
         try:
@@ -149,7 +162,12 @@ def find_stripes(
             kept = True
         except CaptureError as problem:
             notes = (*notes, f"the stripes are not kept for next time: {problem}")
-    return FoundStripes(found.stripes, watch.seen, from_cache=False, kept=kept, notes=notes, noise=found.noise)
+    return FoundStripes(found.stripes, watch.seen, False, kept, notes, found.noise, found.smoothed)
+
+
+def _smoothed(capture: Capture, stripes: Stripes, settings: ReconstructSettings) -> SmoothedSweep | None:
+    one_each = np.shape(stripes.u)[0] == len(capture.record)
+    return smooth_stripes(capture, stripes) if settings.smooths and one_each and np.any(stripes.valid) else None
 
 
 def doubts_of(capture: Capture, scanner: Scanner, cloud: PointCloud, seen: Seen) -> tuple[str, ...]:
@@ -245,10 +263,10 @@ def cloud_of_ranges(
             sweep has no stripe.
         CalibrationError: If no point is in range.
     """
-    told = sorted((_about(part, capture) for part in parts), key=lambda one: one[0]["records"])
-    _check(told, capture, settings)
-    found = join_parts(plan_sweep(capture, scanner, settings), [_part(about, part) for about, part in told])
-    seen = _seen([part for _, part in told], len(capture))
+    described = sorted((_about(part, capture) for part in parts), key=lambda one: one[0]["records"])
+    _check(described, capture, settings)
+    found = join_parts(plan_sweep(capture, scanner, settings), [_part(about, part) for about, part in described])
+    seen = _seen([part for _, part in described], len(capture))
     pairs = pair_notes(capture, found.stripes, capture.frames, numbers_of(capture))
     cloud = reconstruct(capture, scanner, stripes=found.stripes, settings=settings)
     notes = (*found.notes, *pairs, *doubts_of(capture, scanner, cloud, seen))
@@ -273,12 +291,12 @@ def _about(part: Part, capture: Capture) -> tuple[dict[str, Any], Part]:
         raise CaptureError(f"{capture.path}: a part of its stripes is none ({FORMAT}).") from problem
 
 
-def _check(told: Sequence[tuple[dict[str, Any], Part]], capture: Capture, settings: ReconstructSettings) -> None:
-    if any(about["key"] != _key(capture, settings) for about, _ in told):
+def _check(described: Sequence[tuple[dict[str, Any], Part]], capture: Capture, settings: ReconstructSettings) -> None:
+    if any(about["key"] != _key(capture, settings) for about, _ in described):
         raise CaptureError(
             f"{capture.path}: parts of stripes are of another sweep, other settings or another code; find them again."
         )
-    ranges = [tuple(about["records"]) for about, _ in told]
+    ranges = [tuple(about["records"]) for about, _ in described]
     ends = [0, *(stop for _, stop in ranges)]
     if [first for first, _ in ranges] != ends[:-1] or ends[-1] != len(capture):
         listed = ", ".join(f"{first}-{stop}" for first, stop in ranges)

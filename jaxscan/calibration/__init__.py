@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         Direction,
         Fit,
         GoodTo,
+        GoodToPart,
         JudgedView,
         LaserLengths,
         Lengths,

@@ -93,7 +93,7 @@ def conclude(
         refused = refusal(good_to, camera, settings, has_sheets=bool(lasers), focal=focal)
         quality = replace(
             quality,
-            lengths=None if scanner is None else predict_lengths(scanner),
+            lengths=None if scanner is None else predict_lengths(scanner, settings.at_m),
             verdict=Verdict(
                 refused is None,
                 good_to,

@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.result import DepthSigma, GoodTo, LaserLengths, Lengths, LengthSigma, ModelTest
-from jaxscan.geometry import AbstractCamera, LinearStage, Rig, Scanner, Still, Turntable, lit_points, points, root_of
+from jaxscan.calibration.result import DepthSigma, GoodTo, GoodToPart, LaserLengths, Lengths, LengthSigma, ModelTest
+from jaxscan.geometry import AbstractCamera, LinearStage, Rig, Scanner, Turntable, lit_points, points, root_of
+from jaxscan.geometry.motions import ANGLE_PARAMETERS
 
 
 DEPTHS_M = (0.1, 0.15, 0.25, 0.4, 0.6, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 15.0, 25.0)
@@ -26,6 +27,9 @@ TRAVEL_M = 0.5
 # As long, for its depth, as 300 mm at 2.5 m, by which scanners of rooms are compared.
 _LENGTH_SHARE = 0.12
 _COMMON_DEPTH_M = 2.5
+# A wall 4 m long from 2.5 m away: its length, and the depth of its ends, for its distance.
+_WALL_SHARE = 1.6
+_WALL_ENDS = float(np.hypot(1.0, _WALL_SHARE / 2))
 # Beyond the depth where one pixel is worth more than this share of it, nobody scans.
 _MAX_PIXEL_SHARE = 0.02
 # An object on a table: it ends within this share of the axis' depth from the axis.
@@ -212,8 +216,7 @@ def _typical(scanner: Scanner, laser: int, reached: list[Lit]) -> list[Length]:
         move = length / float(table.gain)
     elif isinstance(table, Turntable):
         # Turned so far that the point in the middle of the stripe moves by the length.
-        point = np.asarray(lit_points(scanner.rig, lit.middle()[None], laser)[0])[0]
-        radius = float(np.linalg.norm(np.cross(np.asarray(table.direction), point - np.asarray(table.point))))
+        radius = _radius(scanner, table, laser, lit)
         if length <= 2.0 * radius:
             move = 2.0 * np.arcsin(length / (2.0 * radius)) / abs(float(table.gain))
         farthest = reached[-1].depth
@@ -225,6 +228,72 @@ def _typical(scanner: Scanner, laser: int, reached: list[Lit]) -> list[Length]:
     return found + [
         Length("half a turn", one.depth, laser, twice(one), np.array([0.0, np.pi])) for one in opposite if len(one.q)
     ]
+
+
+def _radius(scanner: Scanner, table: Turntable, laser: int, lit: Lit) -> float:
+    """Distance of the point in the middle of the stripe from the axis of the scanner's table [m]."""
+    point = np.asarray(lit_points(scanner.rig, lit.middle()[None], laser)[0])[0]
+    return float(np.linalg.norm(np.cross(np.asarray(table.direction), point - np.asarray(table.point))))
+
+
+class _Wall(NamedTuple):
+    """Many lengths of one kind, all around: what a calibration is judged by."""
+
+    at_m: float
+    """How far from the camera the wall is, or the depth of the points [m]."""
+    length_m: float
+    q: Float[np.ndarray, "ends 2"]
+    """Pixels of the ends, two after two [px]."""
+    angle: Float[np.ndarray, " ends"]
+    """Table angle [rad] or position [m] of each."""
+
+    def sigma_mm(self, rig: Rig, laser: int, steps: np.ndarray) -> float:
+        """Root mean square standard deviation of the lengths by some steps [mm]."""
+
+        def measure(rig: Rig) -> np.ndarray:
+            p = np.asarray(points(rig, self.q, np.full(len(self.q), laser), self.angle))
+            return np.linalg.norm(p[1::2] - p[0::2], axis=-1)
+
+        return 1e3 * float(np.sqrt(np.mean(_sigma(spread(rig, _SMALL * steps, measure) / _SMALL) ** 2)))
+
+
+def _wall(scanner: Scanner, laser: int, depth: float) -> _Wall | None:
+    """A wall 4 m long from 2.5 m away, or as long for its distance; of an object, a quarter turn at a depth.
+
+    Both ends are seen on different lines of the image, so that a wrong lens changes the length too. Of a stage: points
+    half a metre of travel apart.
+
+    Returns:
+        None without a motion, or where the stripe is not seen there.
+    """
+    motion, lit = scanner.turntable, lit_lines(scanner, laser, depth)
+    if not isinstance(motion, LinearStage | Turntable) or not len(lit.q):
+        return None
+    begins = 2.0 * np.pi * np.arange(_TURN_STOPS) / _TURN_STOPS
+    if isinstance(motion, LinearStage):
+        length, begins, move = TRAVEL_M, np.array([-0.5 * TRAVEL_M]), TRAVEL_M / float(motion.gain)
+    elif motion.carries == "object":
+        length, move = np.sqrt(2.0) * _radius(scanner, motion, laser, lit), 0.5 * np.pi
+    else:
+        far = lit_lines(scanner, laser, _WALL_ENDS * depth)
+        # Where the ends would be out of reach, the wall is nearer.
+        depth, lit = (depth, far) if len(far.q) else (depth / _WALL_ENDS, lit)
+        diameter = 2.0 * _radius(scanner, motion, laser, lit)
+        length = min(_WALL_SHARE * depth, diameter)
+        move = 2.0 * np.arcsin(length / diameter) / abs(float(motion.gain))
+    first = lit.q[np.unique(np.linspace(0, len(lit.q) - 1, _TURN_LINES).round().astype(int))]
+    pairs = np.stack([first, np.roll(first, len(first) // 2, axis=0)], axis=1)
+    q = np.tile(pairs, (len(begins), 1, 1)).reshape(-1, 2)
+    angle = np.repeat(begins, len(first))[:, None] + np.array([0.0, move])
+    return _Wall(depth, float(length), q, angle.ravel())
+
+
+def _judged_depth(scanner: Scanner, laser: int) -> float | None:
+    """2.5 m, or the middle one of the depths in reach; of an object on a table its near side; None where none is."""
+    table, reached = scanner.turntable, _in_reach(scanner, laser)
+    if not reached:
+        return None
+    return _near_side(table) if isinstance(table, Turntable) and table.carries == "object" else _middle(reached).depth
 
 
 def measure_lengths(scanner: Scanner, lengths: Sequence[Length]) -> Float[np.ndarray, " lengths"]:
@@ -249,15 +318,16 @@ def _measured(rig: Rig, lengths: Sequence[Length]) -> np.ndarray:
     return np.linalg.norm(p[1::2] - p[0::2], axis=-1)
 
 
-def predict_lengths(scanner: Scanner) -> Lengths:
+def predict_lengths(scanner: Scanner, at_m: float | None = None) -> Lengths:
     """Standard deviations that the calibration causes in lengths that people measure; noise of the stripe is on top.
 
     Args:
         scanner: With its covariance.
+        at_m: Distance of the wall [m]; None as in `measure_good_to`.
 
     Returns:
-        For every laser the depths that the rig reaches, and its `typical_lengths`; those out of
-        reach or out of the image are left out, so both may be empty.
+        For every laser the depths that the rig reaches, the wall by which it is judged, and its `typical_lengths`;
+        those out of reach or out of the image are left out, so both may be empty.
 
     Raises:
         ValueError: If the scanner has no covariance.
@@ -269,10 +339,12 @@ def predict_lengths(scanner: Scanner) -> Lengths:
         reached = _in_reach(scanner, index)
         lengths = _typical(scanner, index, reached)
         measured = zip(lengths, measure_lengths(scanner, lengths), length_sigma(scanner, lengths), strict=True)
-        told = tuple(
-            LengthSigma(one.name, one.depth, float(value), 1e3 * float(sigma)) for one, value, sigma in measured
-        )
-        lasers.append(LaserLengths(name, _at_depths(scanner, index, reached, steps), told))
+        told = [LengthSigma(one.name, one.depth, float(value), 1e3 * float(sigma)) for one, value, sigma in measured]
+        depth = _judged_depth(scanner, index) if at_m is None else at_m
+        wall = None if depth is None else _wall(scanner, index, depth)
+        if wall is not None:
+            told.insert(0, LengthSigma("wall", wall.at_m, wall.length_m, wall.sigma_mm(scanner.rig, index, steps)))
+        lasers.append(LaserLengths(name, _at_depths(scanner, index, reached, steps), tuple(told)))
     return Lengths(tuple(lasers))
 
 
@@ -342,42 +414,80 @@ def measure_good_to(
     structure: Sequence[tuple[ModelTest, np.ndarray]],
     at_m: float | None,
 ) -> tuple[GoodTo, tuple[ModelTest, ...]]:
-    """The error of rays and of scanned points, and the part of each cause.
+    """The error of rays and of a wall's length, and the part of each cause.
 
     Args:
         camera: The calibrated camera, with its size.
         rig: The calibrated scanner; None of a camera alone.
         statistical: Steps of noise, in the minimal coordinates of the rig, those of the camera first.
         structure: The tests, each with the steps of its structure, none where there is none.
-        at_m: Depth of the points [m]; None: 2.5 m, or the middle one of the depths in reach; of an object on a table
+        at_m: Distance of the wall [m]; None: 2.5 m, or the middle one of the depths in reach; of an object on a table
             its near side.
 
     Returns:
-        The errors, those of points of the laser that is worst, and the tests with their parts of them.
+        The errors, those of the laser that is worst, and the tests with their parts of them.
     """
     groups = [statistical, *(steps for _, steps in structure)]
     px = [ray_error(camera, steps[:, : len(camera.parameter_names())]) for steps in groups]
-    mm, worst = list[float](), None
+    mm, shares = list[float](), tuple[GoodToPart, ...]()
+    far: float | None = None
+    length: float | None = None
     for scanner, laser in [] if rig is None else [(rig, laser) for laser in range(len(rig.laser_names))]:
-        depth, table = at_m, scanner.turntable
-        if depth is None and (reached := _in_reach(scanner, laser)):
-            depth = _middle(reached).depth
-            if isinstance(table, Turntable) and table.carries == "object":
-                depth = _near_side(table)
-        lit = None if depth is None else lit_lines(scanner, laser, depth)
-        if lit is None or not len(lit.q):
+        depth = _judged_depth(scanner, laser) if at_m is None else at_m
+        error = None if depth is None else _error_at(scanner, laser, depth)
+        if error is None:
             continue
-        found = [_at_depths(scanner, laser, [lit], steps)[0] for steps in groups]
-        # Without a motion, errors of the range.
-        errors = [one.sigma_range_mm if isinstance(table, Still) else one.sigma_point_mm for one in found]
-        if np.linalg.norm(errors) > np.linalg.norm(mm):
-            mm, worst = errors, depth
+        at, ends, measure = error
+        found = [measure(steps) for steps in groups]
+        if np.linalg.norm(found) > np.linalg.norm(mm):
+            mm, far, length = found, at, ends
+            shares = tuple(GoodToPart(name, measure(steps)) for name, steps in _by_part(scanner, statistical))
     tests = [
         replace(test, effect_px=px[index], effect_mm=mm[index] if mm else None) if len(steps) else test
         for index, (test, steps) in enumerate(structure, 1)
     ]
     whole = lambda parts: float(np.linalg.norm(parts)) if parts else None
-    return GoodTo(whole(mm), mm[0] if mm else None, worst, whole(px), px[0]), tuple(tests)
+    return GoodTo(whole(mm), mm[0] if mm else None, far, whole(px), px[0], length, shares), tuple(tests)
+
+
+def _error_at(
+    scanner: Scanner, laser: int, depth: float
+) -> tuple[float, float | None, Callable[[np.ndarray], float]] | None:
+    """Distance and length of a wall [m], and its error by some steps [mm]; without a motion that of the range."""
+    wall = _wall(scanner, laser, depth)
+    if wall is not None:
+        return wall.at_m, wall.length_m, lambda steps: wall.sigma_mm(scanner.rig, laser, steps)
+    lit = lit_lines(scanner, laser, depth)
+    if not len(lit.q):
+        return None
+    return depth, None, lambda steps: _at_depths(scanner, laser, [lit], steps)[0].sigma_range_mm
+
+
+def _by_part(scanner: Scanner, steps: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    """Steps of noise, parted by the part of the rig that is not known.
+
+    The covariance is $C = C_1 + C_2 + ...$, where $C_1$ is what would go if the first part were known exactly, $C_2$
+    what would go if the second were known as well, and so on: the squares of errors add up.
+    """
+    layout, left = scanner.layout(), steps.T @ steps
+    motion = layout.names[layout.turntable]
+    number = np.arange(len(layout.names))
+    of_angles = np.isin(layout.names, [name for name in motion if name in ANGLE_PARAMETERS])
+    of = lambda part: np.isin(number, number[part]) & ~of_angles
+    parts = {"angles": of_angles, "axis": of(layout.turntable), "sheet": of(layout.lasers), "camera": of(layout.camera)}
+    found = []
+    for name, own in parts.items():
+        size = np.sqrt(np.clip(np.diag(left), 0.0, None))
+        own = own & (size > 0)
+        if own.any():
+            unit = np.where(size > 0, size, 1.0)
+            scaled = left / np.outer(unit, unit)
+            inverse = np.linalg.pinv(scaled[np.ix_(own, own)], rcond=1e-12, hermitian=True)
+            explained = np.outer(unit, unit) * (scaled[:, own] @ inverse @ scaled[own])
+            found.append((name, root_of(0.5 * (explained + explained.T))))
+            # Exactly: what rounding leaves has no scale, and would be taken for a direction.
+            left = np.where(own[:, None] | own, 0.0, left - explained)
+    return found
 
 
 def ray_error(camera: AbstractCamera, steps: Float[np.ndarray, "steps params"]) -> float:

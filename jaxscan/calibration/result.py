@@ -127,6 +127,15 @@ class ModelTest:
 
 
 @dataclass(frozen=True)
+class GoodToPart:
+    """What one part of the rig adds to an error."""
+
+    name: str
+    """"angles" (of the table), "axis" (or the direction of a stage), "sheet" or "camera"."""
+    sigma_mm: float
+
+
+@dataclass(frozen=True)
 class GoodTo:
     """Uses of a calibration: one standard deviation that it causes, with the structure that its models leave.
 
@@ -134,16 +143,21 @@ class GoodTo:
     """
 
     sigma_mm: float | None = None
-    """Distance of the points of one full turn (or of half a metre of travel) at `at_m` from where they should be, after
-    the best rigid motion of them all; without a motion the error of the range [mm]. None without a sheet."""
+    """Of the length of a wall, 4 m from 2.5 m away or as long for its distance, all around; of an object's points a
+    quarter turn apart, or half a metre of travel apart; without a motion the error of the range [mm]. None without a
+    sheet."""
     statistical_mm: float | None = None
     """The part of it that noise causes."""
     at_m: float | None = None
-    """Depth z of those points in the camera frame."""
+    """How far away that wall is, or depth z of the points in the camera frame [m]."""
     sigma_px: float | None = None
     """Distance of a ray from where it should be, root mean square over the image after the best rotation [px]."""
     statistical_px: float | None = None
     """The part of it that noise causes."""
+    length_m: float | None = None
+    """Of that wall; None without a motion, and in files of earlier versions, whose error is that of points."""
+    parts: tuple[GoodToPart, ...] = ()
+    """What each part of the rig adds to `statistical_mm`; their squares add up to its square."""
 
 
 @dataclass(frozen=True)
@@ -230,7 +244,7 @@ class LengthSigma:
     """Standard deviation that the calibration causes in one length."""
 
     name: str
-    """"along the stripe", "across the sweep" or "half a turn"."""
+    """"wall" (that of `GoodTo`), "along the stripe", "across the sweep" or "half a turn"."""
     depth_m: float
     length_m: float
     sigma_mm: float

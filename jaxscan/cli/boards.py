@@ -88,7 +88,7 @@ def make_guide(rig: "RigConfig") -> "Guide":
     board = rig.board.board()
 
     def detect(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        found = find_corners(to_grey(frame, camera.pixel_format), board)
+        found = find_corners(to_grey(frame, camera.layout), board)
         return None if found is None else (found.q, found.valid)
 
     finders = {laser.name: line_finder(rig, laser.line) for laser in rig.laser}
@@ -243,7 +243,7 @@ def coverage_lines(seen: "Coverage", *, laser: bool = True) -> list[str]:
 
 def line_finder(rig: "RigConfig", line: LaserLine) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """A function of a laser-on and a laser-off frame that gives the stripe's centres [n, 2] [px]."""
-    return partial(_find_line, FrameFormat(rig.camera.pixel_format, rig.camera.response), line)
+    return partial(_find_line, FrameFormat(rig.camera.layout, rig.camera.response), line)
 
 
 def _find_line(frames: FrameFormat, line: LaserLine, on: np.ndarray, off: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ import tyro
 from jaxscan.cli.options import capture_at, check_paths, file_at
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.signals import RigInUse
-from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
+from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import CaptureError, DependencyError, JaxscanError, OptionError
 
 
@@ -56,12 +56,11 @@ OPTIONAL = (
     Optional("lazrs", "lazrs", "export", "clouds as LAZ"),
     Optional("pyproj", "pyproj", "export", "convert --epsg"),
     Optional("ezdxf", "ezdxf", "plan", "drawings as DXF"),
+    Optional("ifcopenshell", "ifcopenshell", "ifc", "rooms as IFC"),
     Optional("fast-simplification", "fast_simplification", "mesh", "mesh --faces"),
     Optional("open3d", "open3d", "poisson", "mesh --poisson"),
     Optional("distributed", "distributed", "fleet", "batch"),
     Optional("sqlalchemy", "sqlalchemy", "fleet", "project, batch"),
-    Optional("s3fs", "s3fs", "s3", "captures on object storage"),
-    Optional("obstore", "obstore", "s3", "captures on object storage"),
 )
 
 _SHOWN = 100
@@ -95,8 +94,7 @@ def doctor(
         raise OptionError(
             "--camera: found without --config, expected with it: the configuration holds the settings of the camera."
         )
-    check_paths([*file_at("--config", config), *capture_at("--capture", capture)], file_at("--json", json))
-    check_json(json)
+    check_paths([*file_at("--config", config), *capture_at("--capture", capture)], json=json)
     out = console(json)
     if capture is not None:
         _verify(capture, out, json)
@@ -261,7 +259,7 @@ def examine_rig(
         port: Serial port instead of the port in the configuration.
         config: The rig's configuration, where there is one.
         camera: Id of the camera instead of the id in the configuration.
-        tell: Called with every `scanrig.doctor.findings.Finding`.
+        tell: Called with every `scanrig.doctor.Finding`.
         say: Called with a sentence on each check that takes long.
 
     Raises:
@@ -270,7 +268,7 @@ def examine_rig(
     from scanrig.cameras import open_camera
     from scanrig.config import load_rig
     from scanrig.controllers import ControllerTable, open_controller
-    from scanrig.doctor import Finding, Patient, examine
+    from scanrig.doctor import Finding, examine
 
     rig = None if config is None else _with_camera(load_rig(config), camera)
 
@@ -292,7 +290,7 @@ def examine_rig(
         if device is not None:
             stack.enter_context(device)
         stack.callback(in_use.closing)
-        examine(Patient(controller, device, rig), folder=Path.cwd(), tell=tell, say=say)
+        examine(controller, device, rig, folder=Path.cwd(), tell=tell, say=say)
 
 
 def _with_camera(rig: "RigConfig", camera: str | None) -> "RigConfig":

@@ -21,6 +21,7 @@ from jaxscan.reconstruction import (
     RecordedPair,
     Show,
 )
+from jaxscan.stripes import level_exposures
 
 
 _PATIENCE_S = 5.0
@@ -86,9 +87,20 @@ class LiveCloud:
         """
         camera, size = header.camera, (header.camera.width, header.camera.height)
         carries = None if header.turntable is None else header.turntable.carries
+        bits = camera.bits or 8
         sweep = PlannedSweep(
-            camera.pixel_format, camera.response, header.lasers, size, carries, steps, compression=camera.compression
+            camera.pixel_format,
+            camera.response,
+            header.lasers,
+            size,
+            carries,
+            steps,
+            exposures=level_exposures(bits),
+            compression=camera.compression,
+            bits=bits,
         )
+        # The frames that come are in 8 bits; on the disk are the levels of more.
+        self._reads_all = bits > 8
         self._stripes = IncomingStripes(sweep, scanner, settings, show)
         self._folder, self._scanner, self._settings, self._steps = folder, scanner, settings, steps
         self._first: dict[int, RecordedPair] = {}
@@ -111,7 +123,7 @@ class LiveCloud:
         Args:
             number: Number of the record; a number that came before is a retake.
             angle: The table's angle [rad from home].
-            on: Laser-on frame, uint8 [rows, columns(, 3)].
+            on: Laser-on frame, uint8 [rows, columns(, 3)]; that of a camera of more than 8 bits is read from the disk.
             off: Laser-off frame.
         """
         if self._problem is not None or not 0 <= number < self._steps:
@@ -121,6 +133,10 @@ class LiveCloud:
         with self._lock:
             self._notice(number)
             self._later.discard(number)
+            if self._reads_all:
+                self._later.add(number)
+                self._changes += 1
+                return
             try:
                 self._queue.put_nowait(pair)
             except queue.Full:

@@ -10,9 +10,12 @@ from typing import Annotated, Literal, NamedTuple
 
 import tyro
 
+from jaxscan.cli.terminal import check_json
 from jaxscan.errors import DependencyError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
+from jaxscan.files.clouds import FORMATS
+from jaxscan.files.disk import COPY_FIRST, is_address
 
 
 CapturePath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
@@ -42,7 +45,6 @@ CloudUp = Annotated[
 # Choices of other rooms, written out so that `--help` does not load them; a test compares them.
 Part = Literal["camera", "sheet", "axis"]
 RigKind = Literal["camera", "profile", "axis"]
-CameraModel = Literal["pinhole", "fisheye", "double_sphere"]
 Block = Literal[
     "focal",
     "centre",
@@ -72,7 +74,7 @@ LaserColour = Literal["auto", "red", "green", "blue"]
 StripeAxis = Literal["rows", "columns"]
 Carries = Literal["scanner", "object", "linear", "nothing"]
 ImageUp = Literal["-v", "+v", "+u", "-u"]
-CLOUD_SUFFIXES = ".ply .npz .e57 .las .laz .pcd .xyz .ptx"
+CLOUD_SUFFIXES = " ".join(FORMATS)
 """Suffixes of `jaxscan.files.clouds.WRITERS`, written out so that `--help` does not load the readers and writers."""
 CloudOutputPath = Annotated[
     Path,
@@ -165,21 +167,26 @@ def capture_at(role: str, path: Path | None) -> list[Place]:
     return [] if path is None else [Place(role, path, is_capture=True)]
 
 
-def check_paths(reads: Sequence[Place], writes: Sequence[Place], *, kept: Sequence[Place] = ()) -> None:
-    """Refuse an output that is an input, or another output, also under another name or as a link.
+def check_paths(
+    reads: Sequence[Place], writes: Sequence[Place] = (), *, kept: Sequence[Place] = (), json: str | None = None
+) -> None:
+    """Refuse an output that is an input, or another output, also under another name or as a link; and a place for the
+    JSON that cannot be written.
 
     Args:
         reads: All files that the verb reads.
         writes: All files that it writes; in the folder of a capture that it reads, only files that are not of it.
         kept: Files of the capture itself that the verb writes.
+        json: Where the result is written as JSON too, "-" for standard output.
 
     Raises:
+        JaxscanError: If the JSON cannot be written.
         OptionError: With both names; nothing is changed. Also if a name is none that a disk can have, or if an output
             would follow a link in the folder of a capture: whoever made the capture chose where it leads.
     """
     _reads[:] = [place.path for place in reads]
     known = [(place, _identity(place)) for place in (*reads, *kept)]
-    for place in writes:
+    for place in (*writes, *file_at("--json", json)):
         identity = _identity(place)
         for other, theirs in known:
             if identity & theirs:
@@ -197,6 +204,7 @@ def check_paths(reads: Sequence[Place], writes: Sequence[Place], *, kept: Sequen
         for other in reads:
             if _identity(place) & _identity(other):
                 raise OptionError(f"{other}: is the file in which {place.role} are kept; move it to another folder.")
+    check_json(json)
 
 
 def inputs_in_words() -> str:
@@ -214,6 +222,8 @@ def _identity(place: Place) -> set[object]:
     except OSError as problem:
         if problem.errno == errno.ENAMETOOLONG:
             raise OptionError(f"{place}: the name is longer than the disk allows.") from problem
+        if is_address(place.path):
+            raise OptionError(f"{place}: is an address, expected a path on a disk; {COPY_FIRST}.") from problem
         return found
     return found | {(status.st_dev, status.st_ino)}
 

@@ -1,7 +1,9 @@
-"""Progress on a terminal, which moves and says what is being done; elsewhere nothing is printed."""
+"""Progress: a moving bar and the current stage on a terminal; a line after each tenth in a log."""
 
+import math
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, final
 
@@ -31,30 +33,81 @@ COMPILED = "/jax/core/compile/backend_compile_duration"
 """JAX reports these at the start and at the end of compiling a function, in the thread that compiles it."""
 
 
+_BETWEEN_LINES_S = 5.0
+"""Lines of progress in a log are at least so far apart."""
+
+
+def duration(seconds: float) -> str:
+    """A time that is left, in words."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    # Half a minute more or less is a third of the first ones.
+    minutes = round(seconds / 30) / 2 if seconds < 600 else float(math.ceil(seconds / 60))
+    return f"{minutes:g} min" if minutes < 90 else f"{int(minutes) // 60} h {int(minutes) % 60} min"
+
+
+@final
+class Remaining:
+    """How long something still takes, by what was done so far."""
+
+    def __init__(self, now: Callable[[], float] = time.monotonic, *, from_first: bool = False) -> None:
+        """The clock runs from here, or from the first call.
+
+        Args:
+            now: The time [s].
+            from_first: What comes before the first call is not like what comes after it.
+        """
+        self._now = now
+        self._begun: tuple[float, int] | None = None if from_first else (now(), 0)
+        self._said = (self._now(), 0)
+
+    def __call__(self, done: int, total: int) -> float | None:
+        """Seconds that are left; None where nothing tells."""
+        if self._begun is None:
+            self._begun = self._now(), done
+        begun_s, before = self._begun
+        return (self._now() - begun_s) / (done - before) * (total - done) if done > before else None
+
+    def line(self, done: int, total: int) -> str | None:
+        """A line for a log, after each tenth: about how long it takes; None where there is nothing to say yet."""
+        left, (said_s, said) = self(done, total), self._said
+        if total <= 0 or left is None or done >= total or self._now() - said_s < _BETWEEN_LINES_S:
+            return None
+        if 10 * done // total == 10 * said // total:
+            return None
+        self._said = self._now(), done
+        return f"about {duration(left)} left"
+
+
 @final
 class Shown:
-    """The callback of a progress bar."""
+    """The callback of a progress bar, or of lines in a log."""
 
-    def __init__(self, task: str, bars: Progress | None, *, brief: bool = False) -> None:
-        """Show a task on some bars; None shows nothing. If brief, what is done now stands in the task's place."""
+    def __init__(self, task: str, bars: Progress | None, log: Terminal | None = None, *, brief: bool = False) -> None:
+        """Show a task on some bars, or in a log. If brief, what is done now stands in the task's place."""
         self._brief = brief
-        self._bars, self._task, self._doing = bars, task, ""
+        self._bars, self._log, self._task, self._doing = bars, log, task, ""
+        self._remaining = Remaining()
         self._compiling: set[int] = set()
         self._lock = threading.Lock()
-        self._number = TaskID(0) if bars is None else bars.add_task(printable(task), total=None)
+        self._number = TaskID(0) if bars is None else bars.add_task(printable(task), total=None, ends=None)
 
     def __call__(self, done: int, total: int) -> None:
         """Show that `done` of `total` are done."""
         if self._bars is not None:
-            self._bars.update(self._number, completed=done, total=total)
+            left = self._remaining(done, total) if 10 * done >= total > done else None
+            ends = None if left is None else time.monotonic() + left
+            self._bars.update(self._number, completed=done, total=total, ends=ends)
+        elif self._log is not None and (line := self._remaining.line(done, total)):
+            self._log.print(f"{self._task}: {100 * done // total} %, {line}")
 
     def doing(self, words: str) -> None:
-        """Say what is being done."""
+        """Show the current stage."""
         self._doing = words
         self._describe()
 
     def heard(self, event: str, duration_secs: float, **_: Any) -> None:
-        """Say while some thread compiles; a listener of `jax.monitoring`."""
+        """Show that some thread compiles; a listener of `jax.monitoring`."""
         if event not in (LOWERED, COMPILED):
             return
         with self._lock:
@@ -67,10 +120,10 @@ class Shown:
     def _describe(self) -> None:
         if self._bars is None:
             return
-        said = [words for words in (self._doing, "compiling" if self._compiling else "") if words]
-        task = [] if self._brief and said else [self._task]
-        told = ": ".join([*task, *([", ".join(said)] if said else [])])
-        self._bars.update(self._number, description=printable(told))
+        stage = [words for words in (self._doing, "compiling" if self._compiling else "") if words]
+        task = [] if self._brief and stage else [self._task]
+        description = ": ".join([*task, *([", ".join(stage)] if stage else [])])
+        self._bars.update(self._number, description=printable(description))
 
 
 @final
@@ -81,20 +134,30 @@ class _Count(ProgressColumn):
         return Text("" if task.total is None else f"{int(task.completed)}/{int(task.total)}")
 
 
+@final
+class _Left(ProgressColumn):
+    """The time that is left, which becomes less while a long stage says nothing."""
+
+    def render(self, task: Task) -> Text:
+        ends = task.fields["ends"]
+        left = 0.0 if ends is None else ends - time.monotonic()
+        return Text(f"about {duration(left)} left" if left > 0 else "")
+
+
 @contextmanager
 def progress_bar(task: str) -> Iterator[Shown]:
-    """A bar on standard error, as a callback `(done, total)`; without a terminal the callback does nothing.
+    """A bar on standard error, as a callback `(done, total)`; without a terminal lines with the time that is left.
 
-    A wheel turns and the seconds count while nothing is done, and "compiling" is said while a function is compiled;
-    the callback's `doing` says what else is being done.
+    A wheel turns and the seconds count during a long step, and "compiling" is shown while a function is compiled; the
+    callback's `doing` shows any other stage.
     """
     terminal = Terminal(stderr=True)
     if not terminal.is_terminal:
-        yield Shown(task, None)
+        yield Shown(task, None, terminal)
         return
     text = TextColumn("{task.description}", markup=False)
     brief = terminal.console.width < _BESIDE_BAR
-    wide = (SpinnerColumn("line"), text, BarColumn(), _Count(), TimeElapsedColumn())
+    wide = (SpinnerColumn("line"), text, BarColumn(), _Count(), TimeElapsedColumn(), _Left())
     columns = (SpinnerColumn("line"), text, _Count()) if brief else wide
     leave_behind(_WITHOUT_BAR)
     try:

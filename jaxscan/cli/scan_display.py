@@ -1,5 +1,6 @@
 """The plan of a scan, shown before it begins, and its progress: records, time that is left, one line for each event."""
 
+import itertools
 import math
 import time
 from collections.abc import Callable
@@ -8,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from jaxscan.cli.progress import Remaining, duration
 from jaxscan.cli.terminal import Terminal
 from jaxscan.files import capture as capture_files
 
@@ -20,8 +22,8 @@ if TYPE_CHECKING:
 
 
 _READABLE_S = 0.25
-_BETWEEN_LINES_S = 5.0
-"""Lines of progress in a log are at least so far apart."""
+_POSE = 4
+"""A new pose of the board takes as long as about so many records: more by hand, less on the bench."""
 
 
 class ScanDisplay:
@@ -47,11 +49,8 @@ class ScanDisplay:
         self._fields: dict[str, Any] = {"angle": "   home", "peak": "", "retakes": "", "points": ""}
         self._problem = ""
         self._read_s = -math.inf
-        self._now = now
-        self._begun: tuple[float, int] | None = None
-        """Time [s] and records when the first record was there."""
-        self._said = (0.0, 0)
-        """The same of the last line."""
+        # The first record waits for the table to be found.
+        self._remaining = Remaining(now, from_first=True)
         self._bars: Progress | None = None
         if total is not None and self._console.is_terminal:
             columns = (
@@ -95,15 +94,8 @@ class ScanDisplay:
         if self._bars is not None:
             self._bars.update(self._task, completed=done, total=planned, **self._fields)
             return
-        now = self._now()
-        if self._begun is None:
-            self._begun, self._said = (now, done), (now, done)
-        (begun_s, before), (said_s, said) = self._begun, self._said
-        if now - said_s < _BETWEEN_LINES_S or 10 * done // planned == 10 * said // planned or done >= planned:
-            return
-        self._said = now, done
-        left = (now - begun_s) / (done - before) * (planned - done)
-        self._console.print(f"{done} of {planned} records, about {_duration(left)} left{self._fields['retakes']}")
+        if line := self._remaining.line(done, planned):
+            self._console.print(f"{done} of {planned} records, {line}{self._fields['retakes']}")
 
     def say(self, sentence: str) -> None:
         """Print a sentence on an event."""
@@ -129,6 +121,9 @@ class ScanPlan(NamedTuple):
     seconds: float
     bytes: int
     notes: tuple[str, ...] = ()
+    work: tuple[int, ...] = ()
+    """Of boards: the part of the work that is done after each number of records, from 0. A board that is brought into
+    another pose takes longer than a record."""
 
     @classmethod
     def of(cls, rig: "RigConfig", *, boards: bool) -> "ScanPlan":
@@ -148,12 +143,15 @@ class ScanPlan(NamedTuple):
         views = rig.calibration
         free, stands = placed_targets(rig, placement_positions(rig))
         records = [target.position for one in (*free, *stands) for target in one]
+        work = [_POSE * (number == 0) + 1 for one in (*free, *stands) for number in range(len(one))]
         needed = estimate(rig, records)
         places = (
             f"{views.free_views} poses of the board, then {views.placements} places where it stands while the table "
             f"turns to {len(views.angles_deg)} angles{_each(rig)}"
         )
-        return cls(len(records), places, needed.seconds, needed.bytes)
+        return cls(
+            len(records), places, needed.seconds, needed.bytes, work=tuple(itertools.accumulate(work, initial=0))
+        )
 
     def show(self, out: Terminal, rig: "RigConfig", folder: Path) -> None:
         """Print the plan."""
@@ -161,9 +159,8 @@ class ScanPlan(NamedTuple):
 
         out.print(f"{self.targets}: {2 * self.records} images of {rig.camera.width} x {rig.camera.height} to {folder}")
         turn = f"{rig.microsteps_per_turn} microsteps per turn"
-        out.print(f"about {_duration(self.seconds)}, up to {readable(self.bytes)}, {turn}")
-        for note in self.notes:
-            out.print(f"note: {note}")
+        out.print(f"about {duration(self.seconds)}, up to {readable(self.bytes)}, {turn}")
+        out.notes(self.notes)
 
 
 def _each(rig: "RigConfig") -> str:
@@ -171,24 +168,9 @@ def _each(rig: "RigConfig") -> str:
     return f", each with the lasers {names}" if len(rig.laser) > 1 else ""
 
 
-def _duration(seconds: float) -> str:
-    minutes = math.ceil(seconds / 60)
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"
-
-
 def sweep_header(rig: "RigConfig") -> "CaptureHeader":
     """The header that the capture is going to have, as far as it describes the frames."""
-    camera = rig.camera
-    table = capture_files.CameraTable(
-        width=camera.width,
-        height=camera.height,
-        pixel_format=camera.pixel_format,
-        response=camera.response,
-        up=camera.up,
-    )
     turntable = capture_files.TurntableTable(carries=rig.turntable.carries)
     return capture_files.CaptureHeader(
-        kind="sweep", camera=table, turntable=turntable, laser=tuple(one.table for one in rig.laser)
+        kind="sweep", camera=rig.camera.table, turntable=turntable, laser=tuple(one.table for one in rig.laser)
     )

@@ -80,10 +80,10 @@ def write_obj(mesh: Mesh, path: Part, name: str) -> None:
         _write_rows(file, f"f {corner} {corner} {corner}\n", mesh.faces, repeat=3 if textured else 2)
 
 
-def write_materials(path: Part, name: str) -> None:
-    """Write the material that `write_obj` names: the picture as it is, without shine."""
+def materials(name: str) -> bytes:
+    """The file of the material that `write_obj` names: the picture as it is, without shine."""
     lines = ("newmtl scan", "Ka 1 1 1", "Kd 1 1 1", "Ks 0 0 0", "illum 1", f"map_Ka {name}.jpg", f"map_Kd {name}.jpg")
-    path.write_text("\n".join(lines) + "\n", encoding="ascii", newline="\n")
+    return ("\n".join(lines) + "\n").encode("ascii")
 
 
 def _write_rows(file, line: str, values: np.ndarray, repeat: int = 0) -> None:
@@ -271,21 +271,12 @@ def save_mesh(mesh: Mesh, path: str | Path) -> list[Path]:
     if not np.isfinite(mesh.vertices).all():
         raise OutputError(f"{path}: a vertex of the mesh is not finite.")
     name, writer = safe_stem(path), _WRITERS[path.suffix.lower()]
-    contents: dict[Path, Callable[[Part], None]] = {path: lambda part: writer(mesh, part, name)}
+    contents: dict[Path, bytes | Callable[[Part], None]] = {path: lambda part: writer(mesh, part, name)}
     paths = mesh_paths(path, textured=textured)
     if len(paths) > 1 and mesh.texture is not None:
         # Here, so that a mesh without a texture does not load OpenCV.
         from jaxscan.vision import encode_jpeg
 
-        picture = encode_jpeg(mesh.texture)
-        contents = {
-            paths[0]: lambda part: _write(part, picture),
-            paths[1]: lambda part: write_materials(part, name),
-            **contents,
-        }
+        contents = {paths[0]: encode_jpeg(mesh.texture), paths[1]: materials(name), **contents}
     write_together(contents, error=OutputError)
     return paths
-
-
-def _write(path: Part, data: bytes) -> None:
-    path.write_bytes(data)

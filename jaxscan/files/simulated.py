@@ -143,7 +143,9 @@ def _write_capture(
     progress: Progress | None,
 ) -> list[RenderedRecord]:
     """Write records as a capture; returns them without their frames."""
-    sensor: dict[str, str] = {"pixel_format": config.sensor.pixel_format}
+    sensor: dict[str, str | int] = {"pixel_format": config.sensor.pixel_format}
+    if config.sensor.bits > 8:
+        sensor["bits"] = config.sensor.bits
     if config.sensor.stated:
         sensor["response"] = config.sensor.response
     if config.sensor.stated and config.sensor.jpeg_quality is not None:

@@ -1,4 +1,8 @@
-"""A batch on a cluster: orders go to workers, rows come back, and absent or unfit workers are noticed."""
+"""A batch on a cluster: orders go to workers, rows come back, and absent or unfit workers are noticed.
+
+This process keeps the graph of steps and writes the catalogue. Dask's scheduler hands tasks to workers, and gives those
+of a worker that died to another.
+"""
 
 import asyncio
 import concurrent.futures
@@ -30,68 +34,37 @@ from jaxscan.project import (
 )
 
 
-LOOK_S = 5.0
-"""Between two questions to the scheduler."""
-TOLD_S = 60.0
-"""After so much time it is said, once for each absence."""
+PATIENCE_S = 300.0
+"""How long a batch waits where no worker is there."""
 
 
-@final
-class Absence:
-    """How long no worker has had a task of a batch that waits for some."""
+@runtime_checkable
+class Show(Protocol):
+    """Receives the progress of a batch."""
 
-    def __init__(self, client: distributed.Client, patience_s: float) -> None:
-        """Args: the client of the cluster, and how long a worker may be awaited [s]."""
-        self._client, self._patience_s = client, patience_s
-        self._looked = self._busy = time.monotonic()
-        self._told = False
+    def working(self, key: str, done: int, total: int) -> None:
+        """How far a step is."""
 
-    def look(self) -> None:
-        """Ask whether somebody works, if the last question was a while ago.
-
-        Raises:
-            FleetError: If nobody has worked for as long as was allowed.
-        """
-        now = time.monotonic()
-        if now - self._looked < LOOK_S or self._client.status != "running":
-            return
-        self._looked = now
-        if any(self._client.processing().values()):
-            self._busy, self._told = now, False
-        elif now - self._busy > self._patience_s:
-            raise FleetError(
-                f"no worker of the cluster came for {self._patience_s / 60:.0f} min; start workers and call the same "
-                "command, which goes on where it was."
-            )
-        elif now - self._busy > TOLD_S and not self._told:
-            self._told = True
-            warnings.warn(
-                f"no worker of the cluster has worked for {TOLD_S:.0f} s; the batch waits for one at most "
-                f"{self._patience_s / 60:.0f} min.",
-                RuntimeWarning,
-                stacklevel=2,
-            )
+    def finished(self, row: Row) -> None:
+        """A step was done, or failed."""
 
 
-TOPIC = "jaxscan-progress"
-_QUIET_S = 0.5
-"""Between two messages of one step."""
+class Report(NamedTuple):
+    """The outcome of a batch."""
 
+    rows: tuple[Row, ...]
+    """Of the steps that were done or failed."""
+    left: Mapping[str, str]
+    """Steps that were not begun, with the step that failed before them."""
 
-class UnfitWorker(Exception):
-    """A worker that can do nothing for a batch: one that joined later than those that were compared at its start."""
-
-    def __init__(self, address: str, reason: str) -> None:
-        """Args: where the worker is, and what it lacks."""
-        super().__init__(address, reason)
-        self.address, self.reason = address, reason
-
-    def __str__(self) -> str:
-        return f"the worker {self.address} {self.reason}."
+    @property
+    def failed(self) -> tuple[Row, ...]:
+        """The steps that failed."""
+        return tuple(row for row in self.rows if row.state == "failed")
 
 
 def do_order(text: str) -> str:
-    """Do the step of an order, and tell how far it is.
+    """Do the step of an order in a worker, and report its progress.
 
     Args:
         text: As `Order.to_json` has it.
@@ -107,7 +80,90 @@ def do_order(text: str) -> str:
         raise UnfitWorker(distributed.get_worker().address, "runs other code of jaxscan than the batch")
     if not os.access(order.output, os.W_OK | os.X_OK):
         raise UnfitWorker(distributed.get_worker().address, f"cannot write in {order.output}")
-    return row_to_json(do_step(order, _teller(order.step.key)))
+    return row_to_json(do_step(order, _reporter(order.step.key)))
+
+
+class UnfitWorker(Exception):
+    """A worker that can do nothing for a batch: it joined after the versions were compared."""
+
+    def __init__(self, address: str, reason: str) -> None:
+        """Args: where the worker is, and what it lacks."""
+        super().__init__(address, reason)
+        self.address, self.reason = address, reason
+
+    def __str__(self) -> str:
+        return f"the worker {self.address} {self.reason}."
+
+
+def run_batch(
+    todo: Sequence[Order],
+    catalogue: Catalogue,
+    client: distributed.Client,
+    show: Show,
+    *,
+    patience_s: float = PATIENCE_S,
+    work: Callable[[str], str] = do_order,
+) -> Report:
+    """Do steps, each after those that it needs.
+
+    Args:
+        todo: For the steps that are not done; inputs come first.
+        catalogue: Gets a row for each step as it comes back.
+        client: Of the cluster.
+        show: Receives the progress.
+        patience_s: How long it waits where no worker is there.
+        work: What a worker does with an order; a function of a module.
+
+    Raises:
+        FleetError: If the scheduler is lost, or no worker is there for too long. What was done is in the catalogue.
+    """
+    orders = {order.step.key: order for order in todo}
+    before = {key: {need for need in order.step.inputs if need in orders} for key, order in orders.items()}
+    after: dict[str, list[str]] = defaultdict(list)
+    for key, needs in before.items():
+        for need in needs:
+            after[need].append(key)
+    ready = deque(key for key, needs in before.items() if not needs)
+    rows: list[Row] = []
+    left: dict[str, str] = {}
+    tasks = Tasks(client, work, patience_s)
+    with contextlib.closing(tasks), _Writer(catalogue) as writer, _progress(client, show):
+        while ready or tasks.busy:
+            if ready and tasks.room:
+                given = [orders[ready.popleft()] for _ in range(min(len(ready), tasks.room))]
+                writer.begun(given)
+                tasks.hand_out(given)
+            for row in tasks.ended():
+                writer.add(row)
+                rows.append(row)
+                show.finished(row)
+                for key in after[row.key] if row.state == "done" else ():
+                    before[key].discard(row.key)
+                    if not before[key]:
+                        ready.append(key)
+                if row.state == "failed":
+                    left |= dict.fromkeys(_behind(row.key, after), row.key)
+            if not tasks.more:
+                writer.flush()
+    return Report(tuple(rows), left)
+
+
+def check_sight(client: distributed.Client, output: Path) -> None:
+    """Check that every worker sees the folder of the products, before any work.
+
+    Raises:
+        FleetError: With the worker that does not.
+    """
+    name = f".seen-{secrets.token_hex(8)}"
+    open_to_write(output / name, "make").close()
+    try:
+        # A worker that ends meanwhile needs no sight.
+        seen = client.run(sees, str(output), name, on_error="ignore")
+    finally:
+        (output / name).unlink()
+    blind = next((worker for worker, sight in seen.items() if not sight), None)
+    if blind is not None:
+        raise FleetError(f"{output}: the worker {blind} cannot write there; all workers need this folder at this path.")
 
 
 def sees(folder: str, name: str) -> bool:
@@ -123,17 +179,82 @@ def sees(folder: str, name: str) -> bool:
     return seen
 
 
-def _teller(key: str) -> Callable[[int, int], None]:
+def _behind(key: str, after: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """All steps that need a step, also by way of others."""
+    waiting, seen = deque(after.get(key, ())), set()
+    while waiting:
+        one = waiting.popleft()
+        if one not in seen:
+            seen.add(one)
+            yield one
+            waiting.extend(after.get(one, ()))
+
+
+_WRITTEN_S = 0.5
+"""Between two transactions of the catalogue."""
+
+
+class _Writer:
+    """Writes rows to the catalogue, many in one transaction; steps whose row is lost at a crash are done again."""
+
+    def __init__(self, catalogue: Catalogue) -> None:
+        self._catalogue, self._rows, self._last = catalogue, list[Row](), time.monotonic()
+
+    def __enter__(self) -> "_Writer":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.flush()
+
+    def begun(self, orders: Sequence[Order]) -> None:
+        """Write that steps are begun, before they are: files of a step that did not end must not look older."""
+        self._catalogue.write([*self._rows, *map(begun_row, orders)])
+        self._rows, self._last = [], time.monotonic()
+
+    def add(self, row: Row) -> None:
+        """Take a row, and write all rows if the last transaction is a while ago."""
+        self._rows.append(row)
+        if time.monotonic() - self._last > _WRITTEN_S:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write all rows now."""
+        self._catalogue.write(self._rows)
+        self._rows, self._last = [], time.monotonic()
+
+
+_TOPIC = "jaxscan-progress"
+_QUIET_S = 0.5
+"""Between two messages of one step."""
+
+
+def _reporter(key: str) -> Callable[[int, int], None]:
+    """A callback in a worker that sends its progress to the client."""
     worker, last = distributed.get_worker(), 0.0
 
-    def tell(done: int, total: int) -> None:
+    def report(done: int, total: int) -> None:
         nonlocal last
         now = time.monotonic()
         if now - last > _QUIET_S:
             last = now
-            worker.log_event(TOPIC, [key, int(done), int(total)])
+            worker.log_event(_TOPIC, [key, int(done), int(total)])
 
-    return tell
+    return report
+
+
+@contextlib.contextmanager
+def _progress(client: distributed.Client, show: Show) -> Iterator[None]:
+    """Show what workers report, until the end of `with`."""
+
+    def heard(event: tuple[float, tuple[str, int, int]]) -> None:
+        show.working(*event[1])
+
+    client.subscribe_topic(_TOPIC, heard)
+    try:
+        yield
+    finally:
+        if client.status == "running":
+            client.unsubscribe_topic(_TOPIC)
 
 
 MOST_AT_ONCE = 512
@@ -151,7 +272,7 @@ class Tasks:
     """The orders that a cluster has.
 
     A worker that dies has often been given several tasks, and Dask blames all of them. So an order that is blamed is
-    handed out once more when nothing else is at work, and only if its workers die then too it has failed.
+    handed out once more when nothing else is at work, and fails only if its workers die then too.
     """
 
     def __init__(self, client: distributed.Client, work: Callable[[str], str], patience_s: float) -> None:
@@ -181,7 +302,7 @@ class Tasks:
 
     def hand_out(self, orders: Sequence[Order]) -> None:
         """Give orders to the cluster."""
-        with _said_if_lost():
+        with _reported_if_lost():
             for resources, some in by_resource(orders, accelerated=self._accelerated):
                 # Each name is new: Dask remembers what became of another.
                 self._given += 1
@@ -203,7 +324,7 @@ class Tasks:
         if not self._running:
             self._alone = self._blamed.popleft()
             self.hand_out([self._alone])
-        with _said_if_lost():
+        with _reported_if_lost():
             while not self._coming.has_ready():
                 self._wait()
             ended = self._coming.next_batch(block=False)
@@ -227,7 +348,7 @@ class Tasks:
         time.sleep(_POLL_S)
 
     def _gathered(self, futures: Sequence[distributed.Future]) -> list[Row]:
-        """The rows of tasks, by one question for all; of those whose worker is gone with its answer there is none."""
+        """The rows of tasks, by one request for all; a task whose worker is gone with its result has none."""
         if not futures:
             return []
         # The scheduler has lost tasks done again, for which workers may have to come first.
@@ -250,7 +371,7 @@ class Tasks:
             self._running[future] = order
             self._coming.add(future)
         elif isinstance(problem, UnfitWorker):
-            self._send_home(problem)
+            self._retire(problem)
             self.hand_out([order])
         elif isinstance(problem, distributed.KilledWorker) and order is not self._alone:
             self._blamed.append(order)
@@ -259,7 +380,7 @@ class Tasks:
             message = f"the cluster could not do it: {type(problem).__name__}: {problem}".splitlines()[0]
             yield self._settled(failed_row(order, _KILLED if killed else message))
 
-    def _send_home(self, problem: UnfitWorker) -> None:
+    def _retire(self, problem: UnfitWorker) -> None:
         """End a worker that can do nothing for this batch; else it would fail all orders in no time."""
         if problem.address not in self._unfit:
             self._unfit.add(problem.address)
@@ -286,167 +407,52 @@ def _by_own_clock(row: Row) -> Row:
 
 
 @contextlib.contextmanager
-def _said_if_lost() -> Iterator[None]:
-    """Dask's many ways to end without its scheduler, in one line."""
+def _reported_if_lost() -> Iterator[None]:
+    """One error for the many ways in which Dask ends without its scheduler."""
     try:
         yield
     except (OSError, asyncio.CancelledError, concurrent.futures.CancelledError) as problem:
         raise FleetError(_LOST) from problem
 
 
-# The steps of a project on a Dask cluster: ready ones are handed out, and their rows go into the catalogue.
-#
-# This process keeps the graph and writes the catalogue; the scheduler hands out tasks, and gives those of a worker that
-# died to another.
-
-_WRITTEN_S = 0.5
-"""Between two transactions of the catalogue."""
+LOOK_S = 5.0
+"""Between two questions to the scheduler."""
+WARN_S = 60.0
+"""After so much time without a worker there is a warning, once for each absence."""
 
 
-@runtime_checkable
-class Show(Protocol):
-    """Hears of a batch while it goes on."""
+@final
+class Absence:
+    """How long no worker has had a task of a batch that waits for some."""
 
-    def working(self, key: str, done: int, total: int) -> None:
-        """How far a step is."""
+    def __init__(self, client: distributed.Client, patience_s: float) -> None:
+        """Args: the client of the cluster, and how long a worker may be awaited [s]."""
+        self._client, self._patience_s = client, patience_s
+        self._looked = self._busy = time.monotonic()
+        self._warned = False
 
-    def finished(self, row: Row) -> None:
-        """A step was done, or failed."""
+    def look(self) -> None:
+        """Ask whether somebody works, if the last question was a while ago.
 
-
-class Report(NamedTuple):
-    """The outcome of a batch."""
-
-    rows: tuple[Row, ...]
-    """Of the steps that were done or failed."""
-    left: Mapping[str, str]
-    """Steps that were not begun, with the step that failed before them."""
-
-    @property
-    def failed(self) -> tuple[Row, ...]:
-        """The steps that failed."""
-        return tuple(row for row in self.rows if row.state == "failed")
-
-
-def run_batch(
-    todo: Sequence[Order],
-    catalogue: Catalogue,
-    client: distributed.Client,
-    show: Show,
-    *,
-    patience_s: float = 300.0,
-    work: Callable[[str], str] = do_order,
-) -> Report:
-    """Do steps, each after those that it needs.
-
-    Args:
-        todo: For the steps that are not done; inputs come first.
-        catalogue: Gets a row for each step as it comes back.
-        client: Of the cluster.
-        show: Receives what happens, for people to read.
-        patience_s: How long it waits where no worker is there.
-        work: What a worker does with an order; a function of a module.
-
-    Raises:
-        FleetError: If the scheduler is lost, or no worker is there for too long. What was done is in the catalogue.
-    """
-    orders = {order.step.key: order for order in todo}
-    before = {key: {need for need in order.step.inputs if need in orders} for key, order in orders.items()}
-    after: dict[str, list[str]] = defaultdict(list)
-    for key, needs in before.items():
-        for need in needs:
-            after[need].append(key)
-    ready = deque(key for key, needs in before.items() if not needs)
-    rows: list[Row] = []
-    left: dict[str, str] = {}
-    tasks = Tasks(client, work, patience_s)
-    with contextlib.closing(tasks), _Written(catalogue) as written, _progress(client, show):
-        while ready or tasks.busy:
-            if ready and tasks.room:
-                given = [orders[ready.popleft()] for _ in range(min(len(ready), tasks.room))]
-                written.begun(given)
-                tasks.hand_out(given)
-            for row in tasks.ended():
-                written.add(row)
-                rows.append(row)
-                show.finished(row)
-                for key in after[row.key] if row.state == "done" else ():
-                    before[key].discard(row.key)
-                    if not before[key]:
-                        ready.append(key)
-                if row.state == "failed":
-                    left |= dict.fromkeys(_behind(row.key, after), row.key)
-            if not tasks.more:
-                written.flush()
-    return Report(tuple(rows), left)
-
-
-class _Written:
-    """Rows on their way to the catalogue, many in one transaction; those of the last moment are done again if lost."""
-
-    def __init__(self, catalogue: Catalogue) -> None:
-        self._catalogue, self._rows, self._last = catalogue, list[Row](), time.monotonic()
-
-    def __enter__(self) -> "_Written":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.flush()
-
-    def begun(self, orders: Sequence[Order]) -> None:
-        """Write that steps are begun, before they are: what they wrote is not taken for what was there before."""
-        self._catalogue.write([*self._rows, *map(begun_row, orders)])
-        self._rows, self._last = [], time.monotonic()
-
-    def add(self, row: Row) -> None:
-        """Take a row, and write all after some time in which there is no pause."""
-        self._rows.append(row)
-        if time.monotonic() - self._last > _WRITTEN_S:
-            self.flush()
-
-    def flush(self) -> None:
-        """Write all rows now."""
-        self._catalogue.write(self._rows)
-        self._rows, self._last = [], time.monotonic()
-
-
-def check_sight(client: distributed.Client, output: Path) -> None:
-    """Check that every worker sees the folder of the products, before any work.
-
-    Raises:
-        FleetError: With the worker that does not.
-    """
-    name = f".seen-{secrets.token_hex(8)}"
-    open_to_write(output / name, "make").close()
-    try:
-        # A worker that ends while it is asked is none.
-        seen = client.run(sees, str(output), name, on_error="ignore")
-    finally:
-        (output / name).unlink()
-    blind = next((worker for worker, sight in seen.items() if not sight), None)
-    if blind is not None:
-        raise FleetError(f"{output}: the worker {blind} cannot write there; all workers need this folder at this path.")
-
-
-def _behind(key: str, after: Mapping[str, Sequence[str]]) -> Iterator[str]:
-    """All steps that need a step, also by way of others."""
-    waiting, seen = deque(after.get(key, ())), set()
-    while waiting:
-        one = waiting.popleft()
-        if one not in seen:
-            seen.add(one)
-            yield one
-            waiting.extend(after.get(one, ()))
-
-
-@contextlib.contextmanager
-def _progress(client: distributed.Client, show: Show) -> Iterator[None]:
-    def heard(event: tuple[float, tuple[str, int, int]]) -> None:
-        show.working(*event[1])
-
-    client.subscribe_topic(TOPIC, heard)
-    try:
-        yield
-    finally:
-        if client.status == "running":
-            client.unsubscribe_topic(TOPIC)
+        Raises:
+            FleetError: If nobody has worked for as long as was allowed.
+        """
+        now = time.monotonic()
+        if now - self._looked < LOOK_S or self._client.status != "running":
+            return
+        self._looked = now
+        if any(self._client.processing().values()):
+            self._busy, self._warned = now, False
+        elif now - self._busy > self._patience_s:
+            raise FleetError(
+                f"no worker of the cluster came for {self._patience_s / 60:.0f} min; start workers and call the same "
+                "command, which goes on where it was."
+            )
+        elif now - self._busy > WARN_S and not self._warned:
+            self._warned = True
+            warnings.warn(
+                f"no worker of the cluster has worked for {WARN_S:.0f} s; the batch waits for one at most "
+                f"{self._patience_s / 60:.0f} min.",
+                RuntimeWarning,
+                stacklevel=2,
+            )

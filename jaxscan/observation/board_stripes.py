@@ -4,7 +4,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -24,8 +24,12 @@ from jaxscan.stripes import (
     LaserLine,
     NoiseModel,
     StripeSettings,
+    clear_level,
     decode_table,
+    finest_steps,
+    join_levels,
     learn_noise,
+    level_exposures,
     predict_off,
     prepare_engines,
     with_colour,
@@ -86,14 +90,12 @@ def find_stripes(
             if not group:
                 continue
             seen = [views[i] for i in group]
-            on, off, frames = _frames_of(seen, capture, line)
+            frames = _Frames.of(seen, capture, line)
             key = seen[0].capture, laser, with_off
             if key not in learned:
                 # From whole frames: outside the band there would be no noise.
-                compressed = capture.compression is not None or not with_off
-                noise, _, doubts, _ = learn_noise(on, off, frames=frames, line=line, compressed=compressed)
-                learned[key] = noise if compressed else with_speckle(on, off, frames, line, noise), doubts
-            stripes, sights = _extract(seen, (on, off, frames), line, learned[key][0], rig)
+                learned[key] = frames.learn(line, compressed=capture.compression is not None or not with_off)
+            stripes, sights = _extract(seen, frames, line, learned[key][0], rig)
             found = [Candidates.of(stripes, row, line.stripe_axis) for row in range(len(group))]
             with ThreadPoolExecutor(os.cpu_count()) as pool:
                 on_boards = list(pool.map(lambda *one: _lines_of(board, rig, *one), seen, found, sights))
@@ -106,7 +108,9 @@ def with_speckle(
     on: np.ndarray, off: np.ndarray, frames: FrameFormat, line: LaserLine, noise: NoiseModel
 ) -> NoiseModel:
     """The noise with the speckle of stripes on even print: edges of the print scatter centres and widths too."""
-    (engine,) = prepare_engines(on, off, [_setup_of(on, frames, line)], noise=noise)
+    size = int(on.shape[2]), int(on.shape[1])
+    setup = ExtractionSetup(size, frames, line, _SETTINGS, all_candidates=True)
+    (engine,) = prepare_engines(on, off, [setup], noise=noise)
     engine = engine.own_channel()
     dark = np.asarray(engine.setup.plane(off))
     sites, levels = engine.setup.sites, decode_table(frames.response)[0]
@@ -127,10 +131,6 @@ def with_speckle(
         return even
 
     return replace(noise, speckle=engine.learn(on, off, BATCH_RECORDS, on_even_print).noise.speckle)
-
-
-def _setup_of(on: np.ndarray, frames: FrameFormat, line: LaserLine) -> ExtractionSetup:
-    return ExtractionSetup((int(on.shape[2]), int(on.shape[1])), frames, line, _SETTINGS, all_candidates=True)
 
 
 def _lines_of(
@@ -167,46 +167,92 @@ def _learn_colour(capture: BoardSource, laser: int) -> LaserLine:
     lit = [i for i in lit if capture.records[i].off] or lit
     chosen = np.unique(np.linspace(0, len(lit) - 1, _COLOUR_RECORDS).astype(int))
     on, off = zip(*(capture.frames(lit[i]) for i in chosen), strict=True)
+    # Levels of one frame serve like so many frames.
+    put = np.concatenate if capture.bits > 8 else np.stack
     try:
-        return with_colour(line, np.stack(on), None if off[0] is None else np.stack(off), capture.pixel_format)
+        return with_colour(line, put(on), None if off[0] is None else put(off), capture.pixel_format)
     except ValueError as problem:
         raise CaptureError(
             f'{capture.path}: the colour of the laser "{line.name}" is "auto" and cannot be learned: {problem}'
         ) from problem
 
 
-def _frames_of(
-    views: list[SeenRecord], capture: BoardSource, line: LaserLine
-) -> tuple[np.ndarray, np.ndarray, FrameFormat]:
+class _Frames(NamedTuple):
     """Frames of some records, laser on and off. All have a laser-off frame, or none has and it is predicted."""
-    on = np.stack([view.on for view in views if view.on is not None])
-    dark = [view.off for view in views if view.off is not None]
-    off = np.stack(dark) if dark else predict_off(on, capture.pixel_format, line)
-    return on, off, FrameFormat(capture.pixel_format, capture.response)
+
+    on: np.ndarray
+    """uint8 [records, rows, columns(, 3)]; of more than 8 bits [records, levels, rows, columns(, 3)]."""
+    off: np.ndarray
+    kind: FrameFormat
+    bits: int
+    size: tuple[int, int]
+    """Width and height [px]."""
+
+    @staticmethod
+    def of(views: list[SeenRecord], capture: BoardSource, line: LaserLine) -> "_Frames":
+        on = np.stack([view.on for view in views if view.on is not None])
+        dark = [view.off for view in views if view.off is not None]
+        if dark:
+            off = np.stack(dark)
+        elif capture.bits > 8:
+            off = np.stack([predict_off(on[:, k], capture.pixel_format, line) for k in range(on.shape[1])], 1)
+        else:
+            off = predict_off(on, capture.pixel_format, line)
+        kind = FrameFormat(capture.pixel_format, capture.response)
+        return _Frames(on, off, kind, capture.bits, capture.image_size)
+
+    @property
+    def exposures(self) -> tuple[float, ...]:
+        """Relative exposures of the levels, 1 for the first."""
+        levels = level_exposures(self.bits)
+        return tuple(one / levels[0] for one in levels)
+
+    @property
+    def clearest(self) -> int | None:
+        """The finest level that most of the picture does not clip; None of 8 bits."""
+        return clear_level(self.off) if self.bits > 8 else None
+
+    def level(self, number: int | None) -> tuple[np.ndarray, np.ndarray]:
+        """One level of all frames, laser on and off."""
+        return (self.on, self.off) if number is None else (self.on[:, number], self.off[:, number])
+
+    def learn(self, line: LaserLine, *, compressed: bool) -> tuple[NoiseModel, tuple[str, ...]]:
+        """The noise of a frame in steps of 8 bits, and doubts about it."""
+        clear = self.clearest
+        noise, _, doubts, _ = learn_noise(*self.level(clear), frames=self.kind, line=line, compressed=compressed)
+        if not compressed:
+            noise = with_speckle(*self.level(clear), self.kind, line, noise)
+        return noise if clear is None else noise.in_finer_steps(1.0 / self.exposures[clear]), doubts
 
 
 def _extract(
-    views: list[SeenRecord],
-    seen: tuple[np.ndarray, np.ndarray, FrameFormat],
-    line: LaserLine,
-    noise: NoiseModel,
-    rig: SolvedRig | None,
+    views: list[SeenRecord], seen: _Frames, line: LaserLine, noise: NoiseModel, rig: SolvedRig | None
 ) -> tuple[ChunkStripes, Sequence[Sight | None]]:
     """Stripes of one laser, and its samples where the print is known."""
-    whole, off, frames = seen
-    on = whole
+    on, deep = seen.on, seen.bits > 8
     if rig is not None and line.name in rig.believed:
         near = np.stack([_band(view, rig, line) for view in views])
-        on = np.where(near if on.ndim == 3 else near[..., None], on, off)
-    (engine,) = prepare_engines(on, off, [_setup_of(on, frames, line)], noise=noise)
-    stripes = engine.extract_shared(on, off, BATCH_RECORDS)
+        near = near[:, None] if deep else near
+        on = np.where(near if on.ndim == near.ndim else near[..., None], on, seen.off)
+    setup = ExtractionSetup(
+        seen.size, seen.kind, line, _SETTINGS, seen.exposures, 0 if deep else None, all_candidates=True
+    )
+    (engine,) = prepare_engines(on, seen.off, [setup], noise=noise)
+    stripes = engine.extract_shared(on, seen.off, BATCH_RECORDS)
     if rig is None or rig.picture is None or views[0].off is None:
         return stripes, [None] * len(views)
-    on_plane, off_plane = (np.asarray(engine.setup.plane(part)) for part in (whole, off))
-    ratios = engine.lamp_ratios(on_plane, off_plane).tolist()
+    clear = seen.clearest
+    clearest = engine if not clear else engine.channels[clear - 1]
+    ratios = clearest.lamp_ratios(*(np.asarray(engine.setup.plane(part)) for part in seen.level(clear))).tolist()
+    on, off, steps = seen.on, seen.off, 1
+    if deep:
+        # The print is fitted at once to all that the levels hold, in their finest steps.
+        steps = finest_steps(seen.bits)
+        on, off = (np.stack([join_levels(one, seen.bits) for one in part]) for part in (on, off))
+    planes = [np.asarray(engine.setup.plane(part)) for part in (on, off)]
     return stripes, [
-        Sight(lit, dark, ratio, engine.setup.sites, frames, line, noise)
-        for lit, dark, ratio in zip(on_plane, off_plane, ratios, strict=True)
+        Sight(lit, dark, ratio, engine.setup.sites, seen.kind, line, noise.in_finer_steps(steps), steps)
+        for lit, dark, ratio in zip(*planes, ratios, strict=True)
     ]
 
 

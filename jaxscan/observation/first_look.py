@@ -17,7 +17,7 @@ from jaxscan.observation.observations import BoardViews, Observations, StripeVie
 from jaxscan.observation.prediction import PredictedCorners, SolvedRig, predict_stripe
 from jaxscan.observation.records import BoardSource, SeenRecord, ToGrey
 from jaxscan.observation.stripes_on_board import MOST_POINTS, BoardStripe
-from jaxscan.stripes import LaserLine
+from jaxscan.stripes import LaserLine, level_exposures
 
 
 # Frames of so many bytes are kept for the second look; of larger captures they are read again.
@@ -33,7 +33,7 @@ _LEAST_ROWS = 24
 
 Progress = Callable[[int, int], None]
 FindCorners = Callable[[np.ndarray, AbstractBoard], FoundCorners | None]
-"""Finds the corners of a board in a grey image; None where the board is not found."""
+"""Finds the corners of a board in a grey image, uint8, or float32 of more than 8 bits; None where it is not found."""
 
 RefitCorners = Callable[[np.ndarray, AbstractBoard, PredictedCorners, float, FoundCorners | None], FoundCorners | None]
 """Fits the corners of a board in a grey image at predicted places, within a reach [px]; those of the first look are
@@ -148,7 +148,8 @@ def look_at_boards(
 
 def _bytes_of(capture: BoardSource) -> int:
     """Of all frames, decoded."""
-    return 2 * len(capture.records) * int(np.prod(capture.image_size)) * (3 if capture.pixel_format == "rgb8" else 1)
+    frame = int(np.prod(capture.image_size)) * (3 if capture.pixel_format == "rgb8" else 1)
+    return 2 * len(capture.records) * frame * len(level_exposures(capture.bits))
 
 
 def _refuse_exchanged(

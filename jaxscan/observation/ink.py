@@ -53,7 +53,7 @@ def ink_shift(image: np.ndarray, line: np.ndarray, centre: np.ndarray, width: np
     small shifts are mostly error, so only a part of them is subtracted.
 
     Args:
-        image: Laser-off image [lines, samples], DN.
+        image: Laser-off image [lines, samples], DN of 8 bits.
         line: Line of each point [points].
         centre: Measured centre of the stripe [points], px.
         width: Measured standard deviation of its profile [points], px.
@@ -62,8 +62,10 @@ def ink_shift(image: np.ndarray, line: np.ndarray, centre: np.ndarray, width: np
     Source: Curless and Levoy, Better optical triangulation through spacetime analysis (1995), for
     the error at edges of reflectance; the identity is that of a product of two Gaussians.
     """
+    # Rounding to whole DN gives at least 0.3 DN; more than 8 bits are rounded far below their noise.
+    rounding = 0.3 if image.dtype == np.uint8 else 0.0
     image = np.asarray(image, np.float64)
-    error = np.hypot(_PREDICTION_PX, _PREDICTION_NOISE * width * _relative_noise(image, line, centre))
+    error = np.hypot(_PREDICTION_PX, _PREDICTION_NOISE * width * _relative_noise(image, line, centre, rounding))
     # The mean of three lines: the print hardly changes within them, and the noise is averaged.
     image = np.pad(image, ((1, 1), (_PAD, _PAD)), mode="edge")
     image = (image[:-2] + image[1:-1] + image[2:]) / 3.0
@@ -76,16 +78,16 @@ def ink_shift(image: np.ndarray, line: np.ndarray, centre: np.ndarray, width: np
     return InkShift(shift, believed * shift, left)
 
 
-def _relative_noise(image: np.ndarray, line: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Noise of the mean of three lines, divided by the level under the stripe [points]."""
+def _relative_noise(image: np.ndarray, line: np.ndarray, centre: np.ndarray, least: float) -> np.ndarray:
+    """Noise of the mean of three lines, divided by the level under the stripe [points]; `least`: of one line [DN]."""
     first, last = np.clip(line - 1, 0, len(image) - 1), np.clip(line + 1, 0, len(image) - 1)
     sample = np.clip(np.rint(centre).astype(int)[:, None] + np.arange(-2, 3), 0, image.shape[1] - 1)
     above, here, below = (image[at[:, None], sample] for at in (first, line, last))
     # At least half of the points lie on no edge: there a line differs from the mean of its neighbours
-    # by noise alone. Rounding to whole DN gives at least 0.3 DN.
+    # by noise alone.
     noise = median_sigma(here - 0.5 * (above + below)) / np.sqrt(1.5)
     level = (above + here + below).mean(1) / 3.0
-    return max(noise, 0.3) / np.sqrt(3.0) / np.maximum(level, 1.0)
+    return max(noise, least) / np.sqrt(3.0) / np.maximum(level, 1.0)
 
 
 def _own_width(line: np.ndarray, width: np.ndarray, shift: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Real
 
 
 # Brightest level of an image that is too dark [DN]; share of clipped pixels of one that is too bright [1].
@@ -42,17 +42,17 @@ class MissedRecord(NamedTuple):
     why: str
 
 
-def measure_light(grey: UInt8[np.ndarray, "rows columns"], *, crossings: bool) -> Light:
-    """The light of one image; with `crossings` its crossings of squares are counted."""
+def measure_light(grey: Real[np.ndarray, "rows columns"], *, crossings: bool) -> Light:
+    """The light of one image [DN of 8 bits]; with `crossings` its crossings of squares are counted."""
     some = grey[::4]
     low, high = np.percentile(some[:, ::4], (1, 99))
-    steps = np.abs(np.diff(some.astype(np.int16), axis=1))
+    steps = np.abs(np.diff(some.astype(np.float32), axis=1))
     sharpness = float(np.percentile(steps, 99.5)) / max(float(high - low), 1.0)
     count = count_crossings(grey) if crossings else 0
     return Light(float(high), float(np.mean(some >= _CLIPPED_DN)), sharpness, count)
 
 
-def count_crossings(grey: UInt8[np.ndarray, "rows columns"]) -> int:
+def count_crossings(grey: Real[np.ndarray, "rows columns"]) -> int:
     """Places where the image is a saddle as steep as black and white squares that meet.
 
     Source: the determinant of the Hessian, as in corner detectors for chessboards.

@@ -10,11 +10,11 @@ from jaxscan.geometry.scanner import Up
 from jaxscan.observation.board_map import FoundCorners
 from jaxscan.observation.missed import Light
 from jaxscan.observation.stripes_on_board import BoardStripe
-from jaxscan.stripes import LaserLine, PixelFormat, Response
+from jaxscan.stripes import LaserLine, PixelFormat, Response, finest_steps, join_levels
 
 
 ToGrey = Callable[[np.ndarray, PixelFormat], np.ndarray]
-"""Converts a captured frame to uint8 [rows, columns] of the same size."""
+"""Converts a captured frame to [rows, columns] of the same size and type, uint8 or uint16."""
 
 
 @runtime_checkable
@@ -61,6 +61,10 @@ class BoardSource(Protocol):
     @property
     def response(self) -> Response: ...
     @property
+    def bits(self) -> int:
+        """Bits of a sample as the camera gave it; frames of more than 8 come as their levels."""
+
+    @property
     def lasers(self) -> tuple[LaserLine, ...]:
         """The lasers, in the order of the numbers in `BoardRecord.lasers`."""
 
@@ -79,7 +83,11 @@ class BoardSource(Protocol):
         """Whether the table carries the scanner or the object, where known."""
 
     def frames(self, index: int) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """The laser-on and the laser-off frame of a record; None where there is none."""
+        """The laser-on and the laser-off frame of a record; None where there is none.
+
+        Returns:
+            on, off: uint8 [rows, columns(, 3)]; of more than 8 bits [levels, rows, columns(, 3)].
+        """
         ...
 
 
@@ -90,11 +98,12 @@ class SeenRecord(NamedTuple):
     """Index of its capture."""
     record: BoardRecord
     on: np.ndarray | None = None
-    """Laser-on frame; those of large captures are dropped after use, to save memory."""
+    """Laser-on frame, as of `BoardSource.frames`; those of large captures are dropped after use, to save memory."""
     off: np.ndarray | None = None
     """Laser-off frame."""
     grey: np.ndarray | None = None
-    """The laser-off frame in grey, or the laser-on frame where there is no other."""
+    """The laser-off frame in grey, or the laser-on frame where there is no other [DN of 8 bits]: uint8, or float32
+    where the camera gives more bits."""
     corners: FoundCorners | None = None
     stripes: tuple[BoardStripe, ...] = ()
     """Straight lines on the board that may be the laser's, the likeliest first."""
@@ -109,7 +118,13 @@ class SeenRecord(NamedTuple):
         capture = captures[number]
         on, off = capture.frames(index)
         shown = on if off is None else off
-        grey = None if shown is None else to_grey(shown, capture.pixel_format)
+        if shown is None:
+            grey = None
+        elif capture.bits > 8:
+            joined = to_grey(join_levels(shown, capture.bits), capture.pixel_format)
+            grey = joined * np.float32(1.0 / finest_steps(capture.bits))
+        else:
+            grey = to_grey(shown, capture.pixel_format)
         return SeenRecord(number, capture.records[index], on, off, grey)
 
     @property

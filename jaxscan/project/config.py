@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import pydantic
 
-from jaxscan.files.disk import FileModel, Integer, load_toml
+from jaxscan.files.disk import COPY_FIRST, FileModel, Integer, is_address, load_toml
 
 
 Product = Literal["cloud", "measures", "mesh", "plan", "panorama", "report"]
@@ -17,7 +17,20 @@ MOST_PARTS = 10_000
 _Products = Annotated[tuple[Product, ...], pydantic.Field(min_length=1, max_length=6)]
 _Formats = Annotated[tuple[Format, ...], pydantic.Field(min_length=1, max_length=8)]
 Name = Annotated[str, pydantic.Strict(), pydantic.Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
-_Place = Annotated[str, pydantic.Strict(), pydantic.Field(max_length=1000, pattern=r"^[^\x00-\x1f\x7f]+$")]
+
+
+def _on_a_disk(place: str) -> str:
+    if is_address(place):
+        raise ValueError(f"found the address {place:.80}, expected a path; {COPY_FIRST}")
+    return place
+
+
+_Place = Annotated[
+    str,
+    pydantic.Strict(),
+    pydantic.Field(max_length=1000, pattern=r"^[^\x00-\x1f\x7f]+$"),
+    pydantic.AfterValidator(_on_a_disk),
+]
 
 
 class SettingsTable(FileModel):
@@ -84,7 +97,7 @@ class CapturesTable(FileModel):
     """Captures of one rig."""
 
     pattern: _Place
-    """A folder, or a pattern of folders, from the project's own; or on object storage ("s3://bucket/rooms/*")."""
+    """A folder, or a pattern of folders, from the project's own."""
     rig: Name
     products: _Products | None = None
     """Products of these captures; by default those of the project."""

@@ -27,7 +27,6 @@ from jaxscan.files.disk import (
     reported,
     write_atomically,
 )
-from jaxscan.files.remote import find_captures, is_remote, read_remote
 from jaxscan.project.config import (
     CapturesTable,
     Format,
@@ -79,7 +78,7 @@ def fitting_products(
 ) -> Fitting:
     """The products of captures, without those that cannot be made of them.
 
-    A header is read only if something may be left out, and never for this alone from storage.
+    A header is read only if something may be left out.
 
     Args:
         wanted: What the whole project has.
@@ -105,24 +104,23 @@ def fitting_products(
     if table.products is not None and never and all(why in UNFIT for why, _ in left):
         raise ConfigError(
             f'{path}: captures "{table.pattern}": {_and(never)} cannot be made of {_some(tuple(captures))}: '
-            f"{_said(next(iter(left))[0])}. {_instead(asked, never)}"
+            f"{_reason(next(iter(left))[0])}. {_instead(asked, never)}"
         )
     notes = []
     for (why, gone), names in left.items():
         more = f" {_instead(asked, gone)}" if why in UNFIT and len(names) == len(captures) else ""
-        notes.append(f'captures "{table.pattern}": no {_and(gone, "or")} of {_some(names)}: {_said(why)}.{more}')
+        notes.append(f'captures "{table.pattern}": no {_and(gone, "or")} of {_some(names)}: {_reason(why)}.{more}')
     return Fitting(products, tuple(notes))
 
 
 def _unfit(address: str, every: int, header: CaptureHeader | None) -> tuple[str, tuple[Product, ...]]:
-    """The word that says why some products cannot be made of a capture, and those; none if it cannot be read."""
+    """The reason why some products cannot be made of a capture, and those; none if it cannot be read."""
     try:
-        if header is None and not is_remote(address):
-            header = header_of(address)
-        carries = None if header is None or header.turntable is None else header.turntable.carries
+        header = header_of(address) if header is None else header
+        carries = None if header.turntable is None else header.turntable.carries
         if carries in UNFIT:
             return str(carries), UNFIT[str(carries)]
-        if not is_remote(address) and _is_single(address, every):
+        if _is_single(address, every):
             return _SINGLE, _OF_MANY
     except JaxscanError:
         # Said by the step that makes its cloud; other captures go on.
@@ -131,14 +129,13 @@ def _unfit(address: str, every: int, header: CaptureHeader | None) -> tuple[str,
 
 
 def header_of(address: str) -> CaptureHeader:
-    """The header of a capture on this disk or on storage.
+    """The header of a capture.
 
     Raises:
         JaxscanError: If it cannot be read.
     """
     name = f"{address}/{HEADER_NAME}"
-    text = read_remote(name, MEGABYTE) if is_remote(address) else read_bounded(name, MEGABYTE, error=ConfigError)
-    return parse_header(text, name=name)
+    return parse_header(read_bounded(name, MEGABYTE, error=ConfigError), name=name)
 
 
 def _is_single(folder: str, every: int) -> bool:
@@ -157,7 +154,7 @@ def is_longer(folder: Path, records: int) -> bool:
     return lines > records
 
 
-def _said(why: str) -> str:
+def _reason(why: str) -> str:
     return f'{HEADER_NAME} says carries = "{why}", and {_WHY[why]}' if why in _WHY else why
 
 
@@ -187,7 +184,7 @@ class ProjectCapture:
     name: Name
     """Made of that of its folder: the key of its products."""
     address: str
-    """Its folder, or where it is on object storage."""
+    """Its folder."""
     rig: RigTable
     settings: SettingsTable
     products: tuple[Product, ...]
@@ -298,8 +295,8 @@ MOST_CAPTURES = 100_000
 def load_project(path: str | Path) -> Project:
     """A project, its patterns followed.
 
-    Captures are looked at only where calibrations of a rig need their day, and on this disk where a product that is
-    wanted cannot be made of every capture.
+    Captures are looked at only where calibrations of a rig need their day, and where a product that is wanted cannot be
+    made of every capture.
 
     Raises:
         ConfigError: If the file is none, a pattern finds nothing, two captures have one name, not exactly one
@@ -308,8 +305,6 @@ def load_project(path: str | Path) -> Project:
     """
     file = Path(path).absolute()
     wanted = load_project_file(file)
-    if is_remote(wanted.project.output):
-        raise ConfigError(f"{path}: output: found {wanted.project.output}, expected a folder that all workers reach.")
     rigs = defaultdict(list)
     for rig in wanted.rig:
         rigs[rig.name].append(rig)
@@ -348,7 +343,7 @@ def _check_output(path: str | Path, project: Project) -> None:
     output = Path(os.path.realpath(project.output))
     inside = {output, *output.parents}
     for capture in project.captures:
-        if not is_remote(capture.address) and Path(os.path.realpath(capture.address)) in inside:
+        if Path(os.path.realpath(capture.address)) in inside:
             raise ConfigError(
                 f"{path}: output: {project.wanted.project.output} is in the capture {capture.name}, expected a folder "
                 "of its own."
@@ -357,8 +352,6 @@ def _check_output(path: str | Path, project: Project) -> None:
 
 def _captures(home: Path, pattern: str) -> Sequence[str]:
     """The addresses of the captures that a pattern finds."""
-    if is_remote(pattern):
-        return find_captures(pattern)
     places = sorted(glob.glob(pattern, root_dir=home))
     if len(places) > MOST_CAPTURES:
         raise ConfigError(f'the pattern "{pattern}" finds {len(places)} places, expected at most {MOST_CAPTURES}.')
@@ -367,7 +360,7 @@ def _captures(home: Path, pattern: str) -> Sequence[str]:
 
 def _place(home: Path, address: str) -> str:
     """The same text for the same place."""
-    return address if is_remote(address) else os.path.realpath(home / address)
+    return os.path.realpath(home / address)
 
 
 def _name_of(path: str | Path, address: str, pattern: str) -> Name:

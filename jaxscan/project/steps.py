@@ -1,5 +1,6 @@
 """The steps of a project: their graph, digests of what they read, and which results are stale."""
 
+import contextlib
 import functools
 import hashlib
 import json
@@ -14,10 +15,9 @@ from jaxscan.api.sweeps import ranges_of
 from jaxscan.errors import CaptureError, ConfigError
 from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, open_capture
 from jaxscan.files.disk import MEGABYTE, file_digest, read_bounded
-from jaxscan.files.remote import is_remote, remote_digest
-from jaxscan.project.catalogue import Row
+from jaxscan.project.catalogue import Catalogue, Row, open_catalogue
 from jaxscan.project.config import GroupTable, RigTable
-from jaxscan.project.project import Project, ProjectCapture, is_longer
+from jaxscan.project.project import Project, ProjectCapture, check_owner, is_longer
 
 
 _CAPTURE = ("geometry", "stripes", "vision", "files/capture", "files/calibration", "api")
@@ -47,12 +47,12 @@ CODE_OF: Mapping[str, tuple[str, ...]] = {
 """Rooms, folders or files, whose code decides a product, beside the one that makes them all: a change elsewhere, of the
 viewer say, leaves it as good as it was. Rooms that decide an input already are not named again."""
 _AT_A_TIME = 16
-"""Sources that are read at the same time: mostly they wait for disks and networks."""
+"""Sources that are read at the same time: mostly they wait for disks."""
 MOST_JOURNAL = 1 << 30
 
 
 class Step(NamedTuple):
-    """One thing to make. It holds names and numbers alone, so that any machine can be told of it as JSON."""
+    """One thing to make. It holds names and numbers alone, so that it can be sent to any machine as JSON."""
 
     key: str
     """Its name in the catalogue: "cloud/room-01"."""
@@ -96,11 +96,11 @@ def digests_of(steps: Iterable[Step]) -> tuple[dict[str, str], dict[str, dict[st
 
 
 @functools.cache
-def code_digest(kind: str) -> str:
-    """Digest of the code that makes products of a kind."""
+def code_digest(kind: str | None = None) -> str:
+    """Digest of the code that makes products of a kind; None for all code of the package."""
     root = Path(str(resources.files("jaxscan")))
     digest = hashlib.sha256()
-    rooms = (*CODE_OF[kind], "project/work")
+    rooms = (".",) if kind is None else (*CODE_OF[kind], "project/work")
     # A room is a folder, or one file.
     files = {file for room in rooms for file in (*(root / room).rglob("*.py"), *root.glob(f"{room}.py"))}
     for file in sorted(files):
@@ -111,8 +111,6 @@ def code_digest(kind: str) -> str:
 def _source(address: str, role: str) -> str:
     capture = role.startswith(("capture", "boards"))
     try:
-        if is_remote(address):
-            return remote_digest(address)
         return _capture_digest(address) if capture else file_digest(address, error=ConfigError)
     except CaptureError as problem:
         if not capture:
@@ -157,7 +155,7 @@ def states_of(
         digests: Of each, by key, as it would be done now.
         parts: What each depends on, by key.
         rows: Of the catalogue, the oldest first.
-        output: The folder of the products; each is asked whether it is there, and for its size.
+        output: The folder of the products; each product is looked for, and its size compared.
     """
     now = {(row.key, row.digest): row for row in rows}
     last = {row.key: row for row in rows if row.state != "failed"}
@@ -200,6 +198,28 @@ def _changed(parts: Mapping[str, str], last: Row) -> str:
     names += [name for name in last.parts if name not in parts]
     words = [f"the code, which was version {last.version}" if name == "code" else name for name in names]
     return f"changed: {', '.join(words)}" if words else "was made anew with other inputs"
+
+
+class Opened(NamedTuple):
+    """A project, and where it stands."""
+
+    project: Project
+    states: Sequence[Status]
+    catalogue: Catalogue
+
+
+@contextlib.contextmanager
+def opened(project: Project, *, write: bool = False) -> Iterator[Opened]:
+    """Find which products of a project are there; without `write`, nothing is made.
+
+    Raises:
+        JaxscanError: If a capture or the catalogue is not what it should be.
+    """
+    check_owner(project)
+    steps = steps_of(project)
+    digests, parts = digests_of(steps)
+    with contextlib.closing(open_catalogue(project, write=write)) as catalogue:
+        yield Opened(project, states_of(steps, digests, parts, catalogue.rows(), project.output), catalogue)
 
 
 FORMAT = "jaxscan-step/1"
@@ -317,7 +337,7 @@ def _refined(project: Project, rig: RigTable) -> _Refined:
     by_single = reads
     left -= set(singles)
     for group in groups:
-        # A sweep of two groups tells what it knows only once.
+        # A sweep in two groups is used only once.
         new = [mine[name] for name in group.captures if name in left]
         left -= set(group.captures)
         if new:
@@ -327,7 +347,7 @@ def _refined(project: Project, rig: RigTable) -> _Refined:
 
 
 def _refining(project: Project, name: str, captures: list[ProjectCapture], known: str | None, reads: _Reads) -> Step:
-    """The calibration with what the sweeps of one room tell."""
+    """The calibration, refined by the sweeps of one room."""
     sources = {f"capture {one.name}": one.address for one in captures} | reads.sources
     if known is not None:
         sources["known"] = _address(project, known)
@@ -337,8 +357,8 @@ def _refining(project: Project, name: str, captures: list[ProjectCapture], known
 
 
 def _address(project: Project, place: str) -> str:
-    """A place as the file names it; remote ones, and those from the root of the disk, are whole already."""
-    return place if is_remote(place) else str(Path(project.file.parent, place))
+    """A place that the file names, from the root of the disk."""
+    return str(Path(project.file.parent, place))
 
 
 def _name_of(rig: RigTable) -> str:
@@ -384,12 +404,7 @@ def _of_capture(project: Project, capture: ProjectCapture, reads: _Reads) -> Ite
 
 
 def _parts(capture: ProjectCapture, records: int, reads: _Reads) -> Iterator[Step]:
-    """Pieces of a large capture, whose stripes are found apart; none of a small one, or one on object storage.
-
-    Workers would each fetch all of that.
-    """
-    if is_remote(capture.address):
-        return
+    """Pieces of a large capture, whose stripes are found apart; none of a small one."""
     name, settings = capture.name, capture.settings.model_dump(exclude={"colour"})
     try:
         if not is_longer(Path(capture.address), records):

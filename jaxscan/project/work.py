@@ -42,7 +42,6 @@ from jaxscan.files.disk import (
     write_atomically,
 )
 from jaxscan.files.known_room import load_known_room
-from jaxscan.files.remote import fetch_file, fetch_folder, is_remote
 from jaxscan.geometry import Scanner
 from jaxscan.measurement import RoomBox, measure_room
 from jaxscan.project.catalogue import Output, Row
@@ -71,20 +70,11 @@ class StepWorkspace:
         """A capture. Its stripes are kept among the products: nothing is written into its own folder.
 
         Raises:
-            CaptureError: If it is none, or cannot be fetched.
+            CaptureError: If it is none.
         """
-        address = self.step.sources[role]
-        path, name = Path(address), Path(address).name
         kept = self.output / "stripes"
-        if is_remote(address):
-            # Stripes of a copy serve no other one.
-            kept = self._fetched(role)
-            path = kept / name
-            make_folder(path, new=True)
-            free = shutil.disk_usage(path).free
-            fetch_folder(address, path, most_bytes=min(MOST_BYTES, int(_SHARE * free)))
-        _make(self.output if kept.is_relative_to(self.output / "stripes") else self.folder, kept)
-        capture = open_capture(path).keeping(kept / f"{self._name(role)}.npz")
+        _make(self.output, kept)
+        capture = open_capture(self.step.sources[role]).keeping(kept / f"{self._name(role)}.npz")
         self.notes.extend(capture.notes)
         return capture
 
@@ -101,18 +91,7 @@ class StepWorkspace:
             with reported(f"{path}: cannot be read", error=CaptureError):
                 refuse_links(self.output, path)
             return path
-        address = self.step.sources[role]
-        if not is_remote(address):
-            return Path(address)
-        path = self._fetched(role) / Path(address).name
-        make_folder(path.parent, own=self.folder)
-        if not path.exists():
-            fetch_file(address, path, most_bytes=MOST_BYTES)
-        return path
-
-    def _fetched(self, role: str) -> Path:
-        """A folder for what is fetched of one source: two may have one name."""
-        return self.folder / "fetched" / str(list(self.step.sources).index(role))
+        return Path(self.step.sources[role])
 
     def target(self, number: int = 0) -> Path:
         """Temporary path of an output of the step."""
@@ -151,7 +130,8 @@ def calibrate_rig(workspace: StepWorkspace) -> None:
         raise CalibrationError(f"{boards}: cannot be used: {verdict.refused}")
     good_to = verdict.good_to if verdict is not None else None
     if good_to is not None and good_to.sigma_mm is not None and good_to.at_m is not None:
-        workspace.notes.append(f"Good to {good_to.sigma_mm:.2g} mm at {good_to.at_m:.1f} m.")
+        length = f" for {good_to.length_m:.2g} m" if good_to.length_m is not None else ""
+        workspace.notes.append(f"Good to {good_to.sigma_mm:.2g} mm{length} at {good_to.at_m:.1f} m.")
     workspace.notes.extend(result.missing)
     api.save_calibration(result, workspace.target())
 
@@ -257,7 +237,7 @@ def register_stations(workspace: StepWorkspace) -> None:
         worst = float(np.sqrt(np.linalg.eigvalsh(adjusted.station_covariance[number][:3, :3])[-1]))
         if worst > VAGUE_M:
             workspace.notes.append(
-                f"The sweeps tell the place of {name} to {1e3 * worst:.0f} mm only, in some direction."
+                f"The sweeps determine the place of {name} only to {1e3 * worst:.0f} mm in some direction."
             )
     stations = [
         {
@@ -272,12 +252,11 @@ def register_stations(workspace: StepWorkspace) -> None:
 
 
 def refine_rig(workspace: StepWorkspace) -> None:
-    """The calibration of a rig with what the sweeps of one room tell of it.
+    """The calibration of a rig, refined by the sweeps of one room.
 
-    It is as it was where they tell nothing, or cannot be used: then the other rooms still refine it.
+    It is unchanged where they add nothing, or cannot be used: then the other rooms still refine it.
 
     Raises:
-        CaptureError: If storage cannot be read, which may be otherwise tomorrow.
         GivenError: If a known length or place contradicts the sweeps.
     """
     calibration, refused = None, None
@@ -289,8 +268,6 @@ def refine_rig(workspace: StepWorkspace) -> None:
         # A person can put it right; the stored calibration would hide it.
         raise
     except (CalibrationError, CaptureError) as problem:
-        if isinstance(problem, CaptureError) and any(map(is_remote, workspace.step.sources.values())):
-            raise
         refused = str(problem)
     _save(workspace, calibration, refused)
 
@@ -464,12 +441,6 @@ def _done(order: Order, progress: Progress) -> tuple[tuple[Output, ...], list[st
 def _described(path: str, workspace: StepWorkspace) -> Output:
     file = workspace.beside(path)
     return Output(path, file.stat().st_size, file_digest(file))
-
-
-MOST_BYTES = 1 << 40
-"""Largest capture that is fetched [bytes]."""
-_SHARE = 0.9
-"""Share of the free disk that fetched captures may take."""
 
 
 @contextlib.contextmanager

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
         SweepStripes,
         Tracks,
     )
-    from jaxscan.recalibration.recalibrate import recalibrate
+    from jaxscan.recalibration.recalibrate import recalibrate, register
     from jaxscan.recalibration.renew import earlier_captures, refuse_used, renew_calibration, require_prior
     from jaxscan.recalibration.result import (
         Adjusted,

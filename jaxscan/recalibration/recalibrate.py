@@ -24,7 +24,7 @@ from jaxscan.recalibration.tracks import place_tracks
 
 
 Progress = Callable[[int, int], None]
-_STAGES = 9
+_STAGES, _REGISTERED = 9, 4
 
 
 class _Job(NamedTuple):
@@ -115,6 +115,49 @@ def recalibrate(
     return replace(result, notes=(*job.table.sentences, *result.notes, *notes, *doubts, *lost))
 
 
+def register(
+    sweeps: Sequence[SweepStripes],
+    stored: Calibration,
+    settings: RecalibrationSettings | None = None,
+    given: Given | None = None,
+    *,
+    progress: Progress | None = None,
+) -> Adjusted:
+    """The places of the stations of several sweeps, in one least squares with the stored calibration as prior.
+
+    Nothing is judged, and no calibration is refined to be kept: that is `recalibrate`, which takes many solves.
+
+    Args:
+        sweeps: Stripes of each sweep; their `station` tells from where each was taken.
+        stored: As of `recalibrate`; without a covariance of its own nothing can be registered.
+        settings: Of the adjustment.
+        given: Beside the sweeps, as of `recalibrate`.
+        progress: Called with (stages done, stages in all).
+
+    Raises:
+        CalibrationError: If nothing can be adjusted, as of `recalibrate`, or no wall is flat.
+    """
+    settings, given = settings or RecalibrationSettings(), given or Given()
+    scanner = require_prior(stored)
+    _check(sweeps, scanner)
+    done = _counter(progress, _REGISTERED)
+    job = _Job(sweeps, scanner, settings, given, check_angles(sweeps, scanner))
+    done()
+    stations = _first_stations(job)
+    done()
+    start = Start(scanner, stations, job.corrections)
+    observed = observe_room(sweeps, start, given, settings)
+    done()
+    found = adjust(scanner, start, observed, settings)
+    kept = np.flatnonzero(flat(found))
+    if "plane" not in {found.surfaces.kind[k] for k in kept}:
+        raise CalibrationError(judge.none_is_flat(found))
+    if len(kept) < len(found.surfaces.kind):
+        found = adjust(scanner, _after(job, found), observed.only(kept.tolist()), settings)
+    done()
+    return found
+
+
 def _check_without(job: _Job, observed: RoomObservations, start: Start, doubt: str) -> None:
     """Refuse lengths that the stored calibration contradicts where the sweeps alone show no drift that explains them.
 
@@ -192,9 +235,9 @@ def _check(sweeps: Sequence[SweepStripes], scanner: Scanner) -> None:
             )
 
 
-def _counter(progress: Progress | None) -> Callable[[], None]:
-    stages = iter(range(1, _STAGES + 1))
-    return lambda: None if progress is None else progress(next(stages), _STAGES)
+def _counter(progress: Progress | None, stages: int = _STAGES) -> Callable[[], None]:
+    numbers = iter(range(1, stages + 1))
+    return lambda: None if progress is None else progress(next(numbers), stages)
 
 
 def _corrected(job: _Job, corrections: Sequence[np.ndarray] = ()) -> list[SweepStripes]:

@@ -5,7 +5,7 @@ from jaxscan.facades import TYPE_CHECKING, load_on_use
 
 if TYPE_CHECKING:
     from jaxscan.reconstruction.ahead import Progress
-    from jaxscan.reconstruction.along import smooth_sweep
+    from jaxscan.reconstruction.along import SmoothedSweep, smooth_sweep
     from jaxscan.reconstruction.cloud import (
         MAY_LACK,
         SMOOTHED,

@@ -14,6 +14,7 @@ import numpy as np
 from jaxscan.errors import CaptureError
 from jaxscan.geometry import Array, Scanner
 from jaxscan.reconstruction.ahead import Progress, map_ahead, workers
+from jaxscan.reconstruction.along import SmoothedSweep
 from jaxscan.reconstruction.colours import stripe_colours
 from jaxscan.reconstruction.decoys import Chance, DecoyWatch, clearness, judge
 from jaxscan.reconstruction.plan import Plan, plan_sweep
@@ -58,6 +59,8 @@ class Extraction(NamedTuple):
     """Doubts about noise and stripes, a sentence each."""
     noise: str = ""
     """Noise of a frame and speckle as they were learned, in a line; empty where the noise was given."""
+    smoothed: SmoothedSweep | None = None
+    """The centres smoothed along the stripes, where that is done already."""
 
 
 def extract(

@@ -5,10 +5,14 @@ from typing import Any
 
 import numpy as np
 
+from jaxscan.reconstruction.along import SmoothedSweep
 from jaxscan.reconstruction.extraction import Extraction, empty_stripes
 from jaxscan.reconstruction.plan import Plan
 from jaxscan.reconstruction.settings import ReconstructSettings
 from jaxscan.stripes import LineGate, NoiseModel, Stripes
+
+
+_SMOOTHED = "smoothed_"
 
 
 def extraction_key(settings: ReconstructSettings, noise: NoiseModel | None) -> dict[str, Any]:
@@ -24,8 +28,11 @@ def extraction_key(settings: ReconstructSettings, noise: NoiseModel | None) -> d
 
 
 def kept_arrays(found: Extraction, plan: Plan) -> dict[str, np.ndarray]:
-    """The stripes, notes on them and, of each laser, the searched part of lines and the near side."""
+    """The stripes, smoothed too where they are; notes on them and, of each laser, the searched part of lines and the
+    near side."""
     fields = {name: np.asarray(field) for name, field in vars(found.stripes).items() if field is not None}
+    if found.smoothed is not None:
+        fields |= {_SMOOTHED + name: field for name, field in found.smoothed._asdict().items()}
     texts = {"notes": "\n".join(found.notes), "noise": found.noise}
     return fields | _searched(plan.gates) | {name: np.frombuffer(t.encode(), np.uint8) for name, t in texts.items()}
 
@@ -49,10 +56,18 @@ def usable_stripes(arrays: dict[str, np.ndarray], plan: Plan) -> Extraction | No
             if not np.all(empty | ((searched[0] <= wanted[0]) & (wanted[1] <= searched[1]))):
                 return None
     texts = [fields.pop(name, np.zeros(0)) for name in ("notes", "noise")]
+    smoothed = {name: fields.pop(_SMOOTHED + name) for name in SmoothedSweep._fields if _SMOOTHED + name in fields}
     if any(text.dtype != np.uint8 for text in texts) or not _fit(fields, plan):
         return None
+    grid = fields["u"]
+    if smoothed and not all(name in smoothed for name in SmoothedSweep._fields):
+        return None
+    if any(field.dtype != np.float32 or field.shape != grid.shape for field in smoothed.values()):
+        return None
     notes, noise = (text.tobytes().decode(errors="replace") for text in texts)
-    return Extraction(Stripes(**fields), tuple(notes.splitlines()), noise)
+    return Extraction(
+        Stripes(**fields), tuple(notes.splitlines()), noise, SmoothedSweep(**smoothed) if smoothed else None
+    )
 
 
 def _fit(fields: dict[str, np.ndarray], plan: Plan) -> bool:

@@ -27,7 +27,7 @@ class RecordedPair(NamedTuple):
     angle: float
     """[rad from home]"""
     on: np.ndarray
-    """uint8 [rows, columns(, 3)]"""
+    """uint8 [rows, columns(, 3)]; where there are several exposures, or levels, [exposures, rows, columns(, 3)]"""
     off: np.ndarray
 
 

@@ -26,6 +26,7 @@ def reconstruct(
     scanner: Scanner,
     *,
     stripes: Stripes | None = None,
+    smoothed: SmoothedSweep | None = None,
     settings: ReconstructSettings = DEFAULTS,
     noise: NoiseModel | None = None,
     progress: Progress = None,
@@ -42,6 +43,7 @@ def reconstruct(
             sweep, and by number otherwise.
         stripes: Stripe centres of this sweep where they are known already (`extract`);
             frames are then read for the colour only, and not at all if the stripes have it.
+        smoothed: Those stripes smoothed, where that is done already (`smooth_stripes`).
         settings: Range limits, and how stripes are found.
         noise: Noise of a frame; estimated from the start of the sweep where not given.
         progress: Called with (records done, records in all) after every chunk.
@@ -76,7 +78,7 @@ def reconstruct(
     along, centres = None, Centres(np.asarray(stripes.u), np.asarray(stripes.sigma), valid)
     # Several candidates of a line are no neighbours of those of the next one.
     if settings.smooths and each == 1:
-        along = smooth_stripes(sweep, stripes, progress if stripes.rgb is not None else None)
+        along = smoothed or smooth_stripes(sweep, stripes, progress if stripes.rgb is not None else None)
         centres = Centres(along.u, along.sigma, valid)
     fields = _points(plan, centres, each)
     there = fields["valid"]
@@ -165,9 +167,8 @@ def _colours(plan: Plan, centres: Centres, each: int, progress: Progress) -> np.
 
 def _beside(along: SmoothedSweep, sigma_random: np.ndarray) -> dict[str, np.ndarray]:
     """The fields that a cloud has where its points use their neighbours."""
-    # In place: of a large sweep each field is large. The same factor turns both sigmas from px into m.
-    missing, sigma_row = ~(sigma_random > 0), along.sigma_row
-    sigma_row /= np.where(missing, np.float32(1), along.sigma)
-    sigma_row *= sigma_random
-    along.shift[missing] = along.shared_lines[missing] = 0
-    return {"sigma_row": sigma_row, "shift_px": along.shift, "shared_lines": along.shared_lines}
+    there = sigma_random > 0
+    # The same factor turns both sigmas from px into m.
+    metres = sigma_random / np.where(there, along.sigma, np.float32(1))
+    shift, shared = (np.where(there, field, np.float32(0)) for field in (along.shift, along.shared_lines))
+    return {"sigma_row": along.sigma_row * metres, "shift_px": shift, "shared_lines": shared}

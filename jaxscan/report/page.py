@@ -194,13 +194,16 @@ def _turns(calibration: Calibration) -> bool:
 
 def _verdict(calibration: Calibration) -> Html:
     first = words.headline(calibration)
+    lines = words.lengths(calibration)
     tiles = [
         element("div", element("b", f"± {words.millimetres(line.sigma_mm)}"), element("span", line.what), class_="tile")
-        for line in words.lengths(calibration)
+        for line in lines
+        if not line.part
     ]
-    card = element(
-        "div", element("strong", first.headline), element("p", first.explanation), class_=f"verdict {first.kind}"
-    )
+    parts = [element("li", f"{words.millimetres(line.sigma_mm)} {line.what}") for line in lines if line.part]
+    said = [element("strong", first.headline), element("p", first.explanation)]
+    # The squares of the parts add up to the square of the figure in the headline.
+    card = element("div", *said, *([element("ul", *parts)] if parts else []), class_=f"verdict {first.kind}")
     if not tiles:
         return card
     scale = (

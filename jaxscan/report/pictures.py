@@ -7,17 +7,41 @@ import numpy as np
 
 from jaxscan.design import RigChoice, RigDesign, spread_at
 from jaxscan.measurement import DeviationMap
-from jaxscan.report.drawing import GREEN, INK, SERIES, SOFT, new_axes, new_figure
+from jaxscan.report.drawing import GREEN, INK, LINE, ORANGE, SERIES, SOFT, new_axes, new_figure
+
+
+ROBUST = 5.0
+"""Colours of deviations end at so many robust standard deviations; what lies farther is no scatter of the surface."""
+
+
+def deviation_reach(found: DeviationMap) -> float:
+    """Where the colours of a map of deviations end [m].
+
+    The scale is that of the median absolute deviation, which a recess does not change before it fills half the map. It
+    ends with the largest deviation where nothing lies beyond.
+
+    Source: Rousseeuw and Croux, Alternatives to the median absolute deviation, 1993.
+    """
+    size = np.abs(found.deviation_m[found.seen])
+    scatter = 1.4826 * float(np.median(size))
+    return max(min(ROBUST * scatter, float(size.max())), 1e-5)
 
 
 def deviation_picture(found: DeviationMap) -> bytes:
-    """A PNG of two maps in millimetres: deviations, towards the scanner positive, and one standard deviation."""
-    figure = new_figure(9.6, 4.4)
+    """A PNG of two maps in millimetres: deviations, towards the scanner positive, and one standard deviation.
+
+    Cells beyond the scale of the deviations have colours of their own, and the legend counts them.
+    """
+    import matplotlib
+    from matplotlib.patches import Patch
+
+    figure = new_figure(9.6, 4.8)
     half = 0.5 * found.cell_m * np.array(found.seen.shape)
-    reach = max(float(np.percentile(np.abs(found.deviation_m[found.seen]), 99)), 1e-5)
+    reach = deviation_reach(found)
     largest = max(float(np.percentile(found.sigma_m[found.seen], 99)), 1e-5)
+    diverging = matplotlib.colormaps["RdBu_r"].with_extremes(under=GREEN, over=ORANGE)
     panels = (
-        ("deviation from the plane, mm", found.deviation_m, "RdBu_r", (-1e3 * reach, 1e3 * reach)),
+        ("deviation from the plane, mm", found.deviation_m, diverging, (-1e3 * reach, 1e3 * reach)),
         ("one standard deviation, mm", found.sigma_m, "viridis", (0.0, 1e3 * largest)),
     )
     for place, (title, values, colours, (low, high)) in enumerate(panels):
@@ -25,15 +49,33 @@ def deviation_picture(found: DeviationMap) -> bytes:
         shown = np.ma.masked_where(~found.seen, 1e3 * values)
         extent = (-half[1], half[1], -half[0], half[0])
         image = axes.imshow(shown, origin="lower", extent=extent, cmap=colours, vmin=low, vmax=high)
-        axes.set_facecolor("#dfe3e8")
+        axes.set_facecolor(LINE)
         axes.set_title(title)
         axes.set_xlabel("to the right, m")
         if place == 0:
             axes.set_ylabel("up, m")
-        figure.colorbar(image, ax=axes, shrink=0.85)
+        figure.colorbar(image, ax=axes, shrink=0.85, extend="neither" if place == 0 else "max")
+    said = _beyond_words(found, reach)
+    marks = [Patch(facecolor=colour, label=words) for colour, words in said]
+    marks += [Patch(facecolor=LINE, label="no points")] * bool((~found.seen).any())
+    if marks:
+        figure.legend(handles=marks, loc="outside lower left", ncols=len(marks), frameon=False, fontsize=8.5)
     written = io.BytesIO()
     figure.savefig(written, format="png", dpi=120)
     return written.getvalue()
+
+
+def _beyond_words(found: DeviationMap, reach: float) -> list[tuple[str, str]]:
+    """Colours of the cells beyond the scale, and what the legend says of them."""
+    values = found.deviation_m[found.seen]
+    said = []
+    for colour, far, where in ((GREEN, values[values < -reach], "deeper"), (ORANGE, values[values > reach], "raised")):
+        if len(far):
+            low, high = f"{1e3 * far.min():.1f}", f"{1e3 * far.max():.1f}"
+            size = f"{low} mm" if low == high else f"{low} to {high} mm"
+            share = 100 * len(far) / len(values)
+            said.append((colour, f"{where}, {size}: {len(far)} of {len(values)} cells, {share:.1f} %"))
+    return said
 
 
 _SHOWN = 4

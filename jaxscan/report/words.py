@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from jaxscan.calibration import Calibration, GoodTo, ModelTest, Quality, is_named, judge_views, noise_kind
+from jaxscan.geometry import LinearStage
 
 
 TESTS = {
@@ -45,6 +46,31 @@ TESTS = {
 """The question of each test of the verdict, and the cause of harm when it finds structure."""
 
 
+_PARTS = {
+    "angles": "the angles of the table",
+    "axis": "where the axis is",
+    "sheet": "the laser's sheet",
+    "camera": "camera and lens",
+}
+"""The parts of a rig of which an error is made up."""
+_BETTER = {
+    "angles": "boards that stand still while the table turns all around (0, 90, 180 and 270 degrees), or a sweep of a "
+    "room (`jaxscan recalibrate`)",
+    "axis": "boards that stand still while the table turns farther, or a sweep of a room (`jaxscan recalibrate`)",
+    "sheet": "the laser's line on boards at clearly different distances",
+    "camera": "more boards, tilted by 20 to 45 degrees and right into the corners of the image",
+}
+"""What makes each of them better known."""
+_BETTER_BY_SWEEPS = dict.fromkeys(("angles", "axis"), "more sweeps") | dict.fromkeys(
+    ("sheet", "camera"), "a length in the room that is known (`--known`), or more boards"
+)
+"""The same of a calibration that sweeps have refined already."""
+# The squares of smaller parts add less than a thousandth.
+_LEAST_PART = 0.03
+
+# Shorter ones are no walls.
+_WALL_M = 1.0
+
 # Records that are named in one line.
 _NAMED = 12
 
@@ -52,7 +78,9 @@ _NAMED = 12
 class Headline(NamedTuple):
     """The first sentences of a report."""
 
-    kind: Literal["good", "bad", "open"]
+    kind: Literal["good", "plain", "bad", "open"]
+    """"good": within a limit that was set; "plain": of use, and nobody has said how good it must be; "bad": refused;
+    "open": not judged."""
     headline: str
     explanation: str
 
@@ -62,6 +90,8 @@ class LengthLine(NamedTuple):
 
     what: str
     sigma_mm: float
+    part: bool = False
+    """Whether it is a part of the line before, which its parts make up."""
 
 
 class BadView(NamedTuple):
@@ -87,13 +117,23 @@ def headline(calibration: Calibration) -> Headline:
     if verdict.usable is False:
         because = f"; {parts}" if parts else ""
         return Headline("bad", f"Good to only {size}", f"Refused: {verdict.refused or 'it cannot be used'}{because}.")
-    return Headline("good", f"Good to {size}{f'; {parts}' if parts else ''}", _explanation(calibration, good_to))
+    kind: Literal["good", "plain"] = "good" if _limited(calibration) else "plain"
+    return Headline(kind, f"Good to {size}{f'; {parts}' if parts else ''}", _explanation(calibration, good_to))
+
+
+def _limited(calibration: Calibration) -> bool:
+    """Whether a limit was set that the calibration keeps; a file may say anything."""
+    settings = calibration.provenance.get("settings")
+    return isinstance(settings, dict) and any(settings.get(key) is not None for key in ("limit_mm", "limit_px"))
 
 
 def good_to_words(good_to: GoodTo) -> str:
-    """Millimetres at a distance for a rig, pixels for a camera alone."""
+    """Millimetres of a length for a rig, pixels for a camera alone."""
     if good_to.sigma_mm is not None and good_to.at_m is not None:
-        return f"{millimetres(good_to.sigma_mm)} at {metres(good_to.at_m)}"
+        if good_to.length_m is None:
+            return f"{millimetres(good_to.sigma_mm)} at {metres(good_to.at_m)}"
+        article = "a " if good_to.length_m >= _WALL_M else ""
+        return f"{millimetres(good_to.sigma_mm)} for {article}{length_words('wall', good_to.length_m, good_to.at_m)}"
     return "an unknown size" if good_to.sigma_px is None else f"{good_to.sigma_px:.2g} px over the image"
 
 
@@ -133,6 +173,8 @@ def _explanation(calibration: Calibration, good_to: GoodTo) -> str:
         sentences = [f"All sigmas include this; noise alone would give {alone}."]
     elif "noisy" in results:
         sentences = ["The noise has no structure but is larger than the detectors promise; the sigmas include that."]
+    if halved := _halved(calibration, good_to):
+        sentences.append(halved)
     if good_to.sigma_mm is not None and good_to.sigma_px is not None:
         sentences.append(f"Its rays are good to {good_to.sigma_px:.2g} px.")
     if board is not None and board.free != "parabola":
@@ -142,6 +184,34 @@ def _explanation(calibration: Calibration, good_to: GoodTo) -> str:
     return " ".join(sentences)
 
 
+def _halved(calibration: Calibration, good_to: GoodTo) -> str:
+    """The largest part of the error, and what would halve it; "" where the parts are not known."""
+    verdict, whole = calibration.quality.verdict, good_to.sigma_mm
+    if not good_to.parts or not whole or verdict is None:
+        return ""
+    largest = max(good_to.parts, key=lambda part: part.sigma_mm)
+    test = max(verdict.tests, key=lambda test: test.effect_mm or 0.0, default=None)
+    size, cure = largest.sigma_mm, _BETTER[largest.name]
+    if "recalibration" in calibration.provenance:
+        cure = _BETTER_BY_SWEEPS[largest.name]
+    said = f"Its largest part, {millimetres(size)}, comes from {_part(largest.name, calibration)}"
+    if test is not None and (test.effect_mm or 0.0) > size:
+        # The headline has named it.
+        size, cure = test.effect_mm or 0.0, verdict.advice[0] if verdict.advice else ""
+        said = "That is its largest part"
+    if not cure:
+        return f"{said}."
+    halves = math.sqrt(max(0.0, whole**2 - size**2)) <= whole / 2
+    return (
+        f"{said}; {'what would halve it' if halves else 'no part alone would halve it, and the first step is'}: {cure}."
+    )
+
+
+def _part(name: str, calibration: Calibration) -> str:
+    stage = calibration.scanner is not None and isinstance(calibration.scanner.turntable, LinearStage)
+    return "the direction of the travel" if stage and name == "axis" else _PARTS[name]
+
+
 def _held(calibration: Calibration) -> list[str]:
     """The parts that were given and held; a file may say anything."""
     said = calibration.provenance.get("held")
@@ -149,17 +219,43 @@ def _held(calibration: Calibration) -> list[str]:
 
 
 def lengths(calibration: Calibration) -> list[LengthLine]:
-    """Standard deviations of typical lengths, in words."""
+    """Standard deviations of typical lengths, in words; that of the verdict with its parts, which make it up."""
     if calibration.quality.converged is False:
         return []
-    lines, lasers = [], calibration.quality.lasers()
+    lines, lasers, parts = [], calibration.quality.lasers(), _part_lines(calibration)
+    worst = max((one.sigma_mm for laser in lasers for one in laser.lengths if one.name == "wall"), default=None)
     for laser in lasers:
         beside = f", laser {laser.name}" if len(lasers) > 1 else ""
         for length in laser.lengths:
-            turned = length.name == "half a turn"
-            place = "between points half a turn apart" if turned else f"{length.name} at {metres(length.depth_m)}"
-            lines.append(LengthLine(f"{metres(length.length_m)} {place}{beside}", length.sigma_mm))
+            words = length_words(length.name, length.length_m, length.depth_m)
+            lines.append(LengthLine(f"{words}{beside}", length.sigma_mm))
+            if length.name == "wall" and length.sigma_mm == worst:
+                lines += parts
     return lines
+
+
+def length_words(name: str, length_m: float, depth_m: float) -> str:
+    """A typical length in words: 4 m wall from 2.5 m."""
+    if name == "wall":
+        return f"{metres(length_m)} {'wall from' if length_m >= _WALL_M else 'at'} {metres(depth_m)}"
+    place = "between points half a turn apart" if name == "half a turn" else f"{name} at {metres(depth_m)}"
+    return f"{metres(length_m)} {place}"
+
+
+def _part_lines(calibration: Calibration) -> list[LengthLine]:
+    """What makes up the error of the verdict, the largest first; the squares add up."""
+    verdict = calibration.quality.verdict
+    good_to = None if verdict is None else verdict.good_to
+    if verdict is None or good_to is None or not good_to.parts or not good_to.sigma_mm:
+        return []
+    found = [LengthLine(f"of that from {_part(part.name, calibration)}", part.sigma_mm, True) for part in good_to.parts]
+    found += [
+        LengthLine(f"of that because {_cause(test, calibration.quality)}", test.effect_mm, True)
+        for test in verdict.tests
+        if test.effect_mm
+    ]
+    kept = [line for line in found if line.sigma_mm > _LEAST_PART * good_to.sigma_mm]
+    return sorted(kept, key=lambda line: -line.sigma_mm)
 
 
 def noise_lines(calibration: Calibration) -> list[str]:
@@ -255,7 +351,8 @@ def millimetres(sigma_mm: float) -> str:
     """A standard deviation with two significant digits."""
     if sigma_mm <= 0:
         return "0 mm"
-    decimals = max(0, 1 - math.floor(math.log10(sigma_mm)))
+    # 0.00997 has its second digit where 0.01 has it.
+    decimals = max(0, 1 - math.floor(math.log10(float(f"{sigma_mm:.1e}"))))
     return f"{sigma_mm:.{min(decimals, 6)}f} mm"
 
 

@@ -137,7 +137,7 @@ def expose(expected: np.ndarray, sensor: SensorSpec, rng: np.random.Generator) -
     Shot noise is drawn from the Gaussian with the variance of the Poisson law, which is good
     above about 30 electrons; below, with the usual 40 electrons per DN, less than one DN is at
     stake. Read noise is added, the response is applied, and the result is rounded and clipped
-    at 0 and 255. The sensor adds the black level to everything, before the response.
+    at 0 and the largest code. The sensor adds the black level to everything, before the response.
 
     Args:
         expected: float32, linear light in DN, of any shape.
@@ -145,9 +145,9 @@ def expose(expected: np.ndarray, sensor: SensorSpec, rng: np.random.Generator) -
         rng: Source of the noise.
 
     Returns:
-        uint8 of the same shape.
+        uint8 of the same shape; uint16 of more than 8 bits.
     """
-    codes = np.empty(expected.shape, np.uint8)
+    codes = np.empty(expected.shape, np.uint8 if sensor.bits == 8 else np.uint16)
     # Some rows at a time, which stay in the processor's cache.
     rows = max(1, _AT_ONCE // max(1, expected[0].size)) if expected.ndim > 1 else max(1, len(expected))
     for start in range(0, len(expected), rows):
@@ -168,9 +168,10 @@ def _exposed(expected: np.ndarray, sensor: SensorSpec, rng: np.random.Generator)
     elif sensor.response != "linear":
         exponent = np.float32(1 / float(sensor.response.split()[1]))
         level = np.float32(255) * np.clip(level / np.float32(255), 0, 1) ** exponent
+    level *= np.float32(1 << sensor.bits - 8)
     np.rint(level, out=level)
-    np.clip(level, 0, 255, out=level)
-    return level.astype(np.uint8)
+    np.clip(level, 0, (1 << sensor.bits) - 1, out=level)
+    return level.astype(np.uint8 if sensor.bits == 8 else np.uint16)
 
 
 def encode_srgb(linear: np.ndarray) -> np.ndarray:

@@ -214,6 +214,8 @@ class SensorSpec(Section):
     pixel_format: PixelFormat = "mono8"
     response: Annotated[str, Field(pattern=r"^(linear|srgb|gamma [1-4](\.\d{1,6})?)$")] = "linear"
     """"linear", "srgb", or "gamma 2.2": code = 255 (level / 255)^(1 / 2.2)."""
+    bits: Literal[8, 10, 12, 14, 16] = 8
+    """Bits of a sample. More than 8 give the same range and noise in finer steps; all levels here are DN of 8 bits."""
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
     """The images are compressed to JPEGs of this quality and unpacked again; None: they are not."""
     stated: bool = True
@@ -249,6 +251,12 @@ class SensorSpec(Section):
     """Depth at which the lens is sharp."""
     defocus_px_m: Annotated[float, Field(ge=0, le=50)] = 0.0
     """Blur by defocus, in px for each 1/m of difference to `focus_m`; it adds to `psf_px` in variance."""
+
+    @model_validator(mode="after")
+    def _linear(self) -> "SensorSpec":
+        if self.bits > 8 and (self.response != "linear" or self.jpeg_quality is not None):
+            raise ValueError(f"bits: found {self.bits} with a response or JPEG, expected a linear sensor without")
+        return self
 
 
 class LaserSpec(Section):

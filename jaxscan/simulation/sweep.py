@@ -436,7 +436,7 @@ class RenderedRecord(NamedTuple):
     """The table's own count [rad]."""
     placement: int | None
     on: np.ndarray
-    """uint8 [rows, columns] (rgb8: and 3)."""
+    """uint8 [rows, columns] (rgb8: and 3); uint16 of more than 8 bits."""
     off: np.ndarray
     truth: RowTruth
     laser_index: int = 0
@@ -465,7 +465,7 @@ def take_frame(light: np.ndarray, config: SimulationConfig, rng: np.random.Gener
         rng: Source of the noise.
 
     Returns:
-        uint8 of the same shape.
+        uint8 of the same shape; uint16 of more than 8 bits.
     """
     image = expose(flawed(light, config), config.sensor, rng)
     if config.sensor.jpeg_quality is None:

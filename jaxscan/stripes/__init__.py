@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from jaxscan.stripes.extract import extract_stripes
     from jaxscan.stripes.frames import (
         DEEP_BITS,
+        DEEP_FORMATS,
         PIXEL_FORMATS,
         BlackLevelError,
         Colour,
@@ -30,7 +31,9 @@ if TYPE_CHECKING:
         clear_level,
         decode_table,
         estimate_noise,
+        finest_steps,
         frame_rank,
+        join_levels,
         known_response,
         laser_plane,
         laser_sites,

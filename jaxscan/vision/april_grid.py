@@ -23,11 +23,12 @@ _NEAR = 0.25
 _TEXTURE_BORDER = 2
 
 
-def find_april_grid(image: np.ndarray, board: AprilGrid) -> FoundCorners | None:
+def find_april_grid(image: np.ndarray, shown: np.ndarray, board: AprilGrid) -> FoundCorners | None:
     """Find the tags of the board that are visible, each with its four corners.
 
     Args:
-        image: uint8 [rows, columns].
+        image: uint8 or float32 [rows, columns], in which corners are measured.
+        shown: The same in bytes, in which tags are read (`to_bytes`).
         board: The grid. The black border of its tags may be two cells wide, as Kalibr prints it, or one.
 
     Returns:
@@ -37,8 +38,8 @@ def find_april_grid(image: np.ndarray, board: AprilGrid) -> FoundCorners | None:
     for border in (2, 1):
         for thinned in (0, 3, 5):
             # The small squares touch the tags at their corners, and less ink parts them.
-            shown = image if thinned == 0 else cv2.dilate(image, np.ones((thinned, thinned), np.uint8))
-            corners, ids, _ = _detector(border).detectMarkers(shown)
+            seen = shown if thinned == 0 else cv2.dilate(shown, np.ones((thinned, thinned), np.uint8))
+            corners, ids, _ = _detector(border).detectMarkers(seen)
             found = None if ids is None else _numbered(board, np.ravel(ids), np.reshape(corners, (-1, 4, 2)))
             if found is not None and (best is None or found.valid.sum() > best.valid.sum()):
                 best = found

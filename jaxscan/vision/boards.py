@@ -17,6 +17,7 @@ from jaxscan.vision.corners import (
     marker_gap,
     square_sizes,
 )
+from jaxscan.vision.frames import to_bytes
 
 
 Detector = Literal["auto", "sb", "classic"]
@@ -46,7 +47,8 @@ def find_corners(
     by more than 90 degrees in its plane between views of one placement.
 
     Args:
-        image: uint8 [rows, columns].
+        image: uint8 [rows, columns], or float32 in DN of 8 bits where the camera gives more: the board is looked for in
+            bytes that are stretched over its range, and its corners are measured in the image itself.
         board: The board to look for.
         detector: "auto": chessboards by OpenCV's first detector, or by the sector based one where
             that finds no even grid; corners refined by `fit_corners`, or by `cornerSubPix` where its
@@ -61,21 +63,24 @@ def find_corners(
         on one line.
 
     Raises:
-        ValueError: If the image is not uint8 [rows, columns].
+        ValueError: If the image is neither uint8 nor float32 [rows, columns].
     """
-    if image.ndim != 2 or image.dtype != np.uint8:
-        raise ValueError(f"`image` must be uint8 [rows, columns], got {image.dtype} with shape {image.shape}.")
+    if image.ndim != 2 or image.dtype not in (np.uint8, np.float32):
+        raise ValueError(
+            f"`image` must be uint8 or float32 [rows, columns], got {image.dtype} with shape {image.shape}."
+        )
     if min(image.shape) < _SMALLEST_PX:
         return None
     image = np.ascontiguousarray(image)
+    shown = to_bytes(image)
     if isinstance(board, Circles):
-        return find_circles(image, board)
+        return find_circles(image, shown, board)
     if isinstance(board, Charuco):
-        found = _find_charuco(image, board, half_window)
+        found = _find_charuco(image, shown, board, half_window)
     elif isinstance(board, AprilGrid):
-        found = find_april_grid(image, board)
+        found = find_april_grid(image, shown, board)
     elif isinstance(board, Chessboard):
-        found = _find_chessboard(image, board, detector, half_window)
+        found = _find_chessboard(image, shown, board, detector, half_window)
     else:
         raise ValueError(f"No corner detector for a board of type {type(board).__name__}.")
     return fit_found_corners(image, found, board, half_window) if found is not None and detector == "auto" else found
@@ -102,14 +107,14 @@ def board_texture(board: AbstractBoard, pixels_per_square: int) -> np.ndarray:
 
 
 def _find_chessboard(
-    image: np.ndarray, board: Chessboard, detector: Detector, half_window: int | None
+    image: np.ndarray, shown: np.ndarray, board: Chessboard, detector: Detector, half_window: int | None
 ) -> FoundCorners | None:
-    q = _find_squares(image, board) if detector == "auto" else None
+    q = _find_squares(shown, board) if detector == "auto" else None
     if q is None and detector in ("auto", "sb"):
-        q = _find_sectors(image, board, accurate=detector == "sb")
+        q = _find_sectors(shown, board, accurate=detector == "sb")
     if q is None and detector in ("auto", "classic"):
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-        found, corners = cv2.findChessboardCorners(image, board.grid(), flags=flags)
+        found, corners = cv2.findChessboardCorners(shown, board.grid(), flags=flags)
         q = _points(corners) if found else None
     if q is None or len(q) != board.columns * board.rows:
         return None
@@ -202,8 +207,8 @@ def opencv_charuco(
     return board
 
 
-def _find_charuco(image: np.ndarray, board: Charuco, half_window: int | None) -> FoundCorners | None:
-    corners, ids, _, _ = cv2.aruco.CharucoDetector(_charuco(board)).detectBoard(image)
+def _find_charuco(image: np.ndarray, shown: np.ndarray, board: Charuco, half_window: int | None) -> FoundCorners | None:
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(_charuco(board)).detectBoard(shown)
     if ids is None or len(np.ravel(ids)) < _MIN_CORNERS:
         return None
     count = len(board.corners())

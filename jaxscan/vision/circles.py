@@ -27,7 +27,7 @@ _FLOOR_PX, _CORRECTION_SHARE = 0.01, 0.1
 _CUBIC_FROM = 30
 
 
-def find_circles(image: np.ndarray, board: Circles) -> FoundCorners | None:
+def find_circles(image: np.ndarray, shown: np.ndarray, board: Circles) -> FoundCorners | None:
     r"""Find all circles of the board, and where their centres are seen.
 
     The centre of a circle's picture is not the picture of its centre: it is the mean of the map $f$ from board to
@@ -38,7 +38,8 @@ def find_circles(image: np.ndarray, board: Circles) -> FoundCorners | None:
     The map (homography and a cubic for the lens) is fitted to the centres, and the difference is taken off.
 
     Args:
-        image: uint8 [rows, columns].
+        image: uint8 or float32 [rows, columns], in which ink is weighed.
+        shown: The same in bytes, in which circles are found (`to_bytes`).
         board: The grid, which must be wholly visible.
 
     Returns:
@@ -46,7 +47,7 @@ def find_circles(image: np.ndarray, board: Circles) -> FoundCorners | None:
 
     Source: Heikkilä, Geometric camera calibration using circular control points (2000), for the difference.
     """
-    q = _find(image, board)
+    q = _find(shown, board)
     if q is None:
         return None
     places, radius = board.places(), board.diameter / 2

@@ -19,6 +19,8 @@ _MAX_MISFIT = 0.25
 # The same holds for residuals this many times the median of the image, and for a lower contrast.
 _ODD = 3.0
 _MIN_CONTRAST_DN = 2.0
+# Of images of more than 8 bits, whose rounding hides nothing.
+_MIN_FINE_DN = 0.2
 # The edges must cross at this angle at least, and stay within this angle of their first directions [rad].
 _MIN_CROSSING = 0.25
 _MAX_TURN = 0.35
@@ -56,7 +58,7 @@ def fit_corners(
     are the same on opposite sides of a corner and do not move it.
 
     Args:
-        image: uint8 or float [rows, columns].
+        image: uint8, or float in DN of 8 bits [rows, columns].
         start: First values [corners, 2], px.
         edges: Unit vectors along the two edges [corners, 2 (edge), 2 (u, v)].
         half: Half the window's side [corners], px; taken as 4 ... 10. The window must not reach
@@ -81,7 +83,8 @@ def fit_corners(
     window = _cut(image, start, half, angle, clear)
     if bend is not None:
         window = _straightened(window, angle, bend)
-    return _judged(window, _fit(window, _start(window, angle)), start, angle, half)
+    least = _MIN_CONTRAST_DN if image.dtype == np.uint8 else _MIN_FINE_DN
+    return _judged(window, _fit(window, _start(window, angle)), start, angle, half, least)
 
 
 class _Window(NamedTuple):
@@ -244,7 +247,9 @@ def _edge(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.copysign(1.0 - series * bell, t), 0.79788456 * bell
 
 
-def _judged(window: _Window, fit: _Fit, start: np.ndarray, angle: np.ndarray, half: np.ndarray) -> FoundCorners:
+def _judged(
+    window: _Window, fit: _Fit, start: np.ndarray, angle: np.ndarray, half: np.ndarray, least: float
+) -> FoundCorners:
     unknowns, jacobian = fit.unknowns, fit.jacobian
     count = window.weight.sum(1)
     normal = (jacobian @ jacobian.transpose(0, 2, 1)).astype(np.float64)
@@ -259,7 +264,7 @@ def _judged(window: _Window, fit: _Fit, start: np.ndarray, angle: np.ndarray, ha
     crossing = np.abs((unknowns[:, 2] - unknowns[:, 3] + np.pi / 2) % np.pi - np.pi / 2)
     moved = np.hypot(unknowns[:, 0], unknowns[:, 1])
     valid = (window.seen >= _MIN_SEEN) & (count > 3 * _UNKNOWNS) & np.isfinite(unknowns).all(1)
-    valid &= (contrast >= _MIN_CONTRAST_DN) & (noise <= _MAX_MISFIT * contrast)
+    valid &= (contrast >= least) & (noise <= _MAX_MISFIT * contrast)
     valid &= (turned <= _MAX_TURN) & (crossing >= _MIN_CROSSING) & (blur <= half / 2.5)
     valid &= moved <= np.maximum(half / 3.0, 1.0)
     if valid.any():

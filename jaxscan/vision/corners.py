@@ -26,7 +26,7 @@ def fit_found_corners(
     """Corners refined by `fit_corners` where its model fits; the others unchanged.
 
     Args:
-        image: uint8 [rows, columns].
+        image: uint8 or float32 [rows, columns].
         found: Corners to within a pixel or so.
         board: The board in it.
         half_window: Half the side of the window [px], instead of a share of the squares.
@@ -55,7 +55,7 @@ def refit_corners(
     """Fit every corner that should be visible, starting from its prediction.
 
     Args:
-        image: uint8 [rows, columns].
+        image: uint8 or float32 [rows, columns].
         board: The board in it.
         predicted: Its predicted corners in this view.
         reach: A corner found farther than this from its prediction is rejected [px].

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from jaxscan.geometry import AbstractBoard, AprilGrid, Charuco, Chessboard, direct_homography
+from jaxscan.vision.frames import to_bytes
 
 
 # Each holds the smaller ones of its kind. The larger a marker's code, the less another kind is taken for it: those of
@@ -27,9 +28,10 @@ def name_other_board(image: np.ndarray, board: AbstractBoard) -> str | None:
     """The board that an image shows, in words; None where it shows none, or may show the expected one.
 
     Args:
-        image: uint8 [rows, columns].
+        image: uint8 [rows, columns], or float32 in DN of 8 bits.
         board: The expected board, which was not found.
     """
+    image = to_bytes(image)
     scale = min(1.0, _LARGEST_PX / max(image.shape))
     shown = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1.0 else image
     for name in (_APRIL_TAGS, *_FAMILIES):

@@ -12,15 +12,15 @@ from pathlib import Path
 import pytest
 
 
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("name", ["joint", "honesty", "outliers"])
 def test_quick_form_meets_its_targets(name):
-    script = EXPERIMENTS / f"calibration_{name}.py"
-    run = subprocess.run([sys.executable, script, "--quick", "--json", "-"], capture_output=True, text=True)
+    command = [sys.executable, "-m", "experiments.calibration", name, "--quick", "--json", "-"]
+    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert run.stdout, run.stderr
     found = json.loads(run.stdout)
     assert found["format"] == f"jaxscan-calibration-{name}/1"

@@ -13,6 +13,9 @@ from jaxscan.observation import Observations
 from jaxscan.report import calibration_page
 
 
+pytestmark = pytest.mark.more
+
+
 QUICK = CalibrationSettings(judge=False)
 PARABOLA = CalibrationSettings(judge=False, free=tuple(block for block in QUICK.free if block != "shape"))
 

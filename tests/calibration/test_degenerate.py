@@ -103,6 +103,7 @@ def test_stripes_on_one_board_pose(observed):
     assert "axis.d1" in order and "laser.laser.d" not in order
 
 
+@pytest.mark.more
 def test_board_never_seen_from_two_angles(observed):
     count = len(observed.corners.placement)
     corners = replace(observed.corners, placement=np.arange(count, dtype=np.int32))
@@ -144,6 +145,7 @@ def test_what_is_not_determined_is_named(world):
     assert "capture placements" in message
 
 
+@pytest.mark.more
 class TestConvergence:
     """Nothing is diagnosed from a solve that did not end at a minimum."""
 

@@ -15,6 +15,9 @@ from jaxscan.files.calibration import export_camera, load_calibration, save_cali
 from jaxscan.geometry import DoubleSphere
 
 
+pytestmark = pytest.mark.more
+
+
 SETTINGS = CalibrationSettings(camera="double_sphere", judge=False)
 
 

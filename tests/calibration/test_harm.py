@@ -13,6 +13,9 @@ from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Pinhole
 
 
+pytestmark = pytest.mark.more
+
+
 FREE = CalibrationSettings().free
 AT_M = 1.0
 """Boards are held at 0.7 to 1.3 m: what is stated there is no extrapolation."""
@@ -67,22 +70,27 @@ def true_numbers(rig):
 
 
 def true_error_mm(world, rig, found, shape):
-    """Error of the points of a full turn at AT_M after the best rigid motion; by plain NumPy on both sides."""
-    n, d = rig.normal(), rig.distances[0]
-    y = np.linspace(-0.38, 0.38, 9)
-    p = np.column_stack([(d - n[1] * y - n[2] * AT_M) / n[0], y, np.full(9, AT_M)])
+    """Error of the length of a wall from AT_M, all around; by plain NumPy on both sides."""
+    n, d, depth = rig.normal(), rig.distances[0], AT_M * np.hypot(1.0, 0.8)
+    y = np.linspace(-0.48, 0.48, 8)
+    p = np.column_stack([(d - n[1] * y - n[2] * depth) / n[0], y, np.full(8, depth)])
     q = world.project(rig, p)
-    q, phi = np.tile(q, (24, 1)), np.repeat(2 * np.pi * np.arange(24) / 24, 9)
-    true = world.scanned(*true_numbers(rig), q, phi)
-    measured = world.scanned(*numbers(found.scanner), q + (bend(q) if shape == "sheet" else 0.0), phi)
-    if shape == "axis":
-        # The axis wobbles in sweeps too.
-        tilts = np.array(rig.wobble)[:24].repeat(9, axis=0)
-        measured = measured + np.cross(tilts, measured - rig.foot())
-    a, b = true - true.mean(0), measured - measured.mean(0)
-    u, _, vt = np.linalg.svd(a.T @ b)
-    turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
-    return 1e3 * np.sqrt(np.mean(np.sum((a @ turn - b) ** 2, axis=1)))
+    radius = np.linalg.norm(np.cross(rig.direction(), p.mean(0) - rig.foot()))
+    begins, move = 2 * np.pi * np.arange(24) / 24, 2 * np.arcsin(0.8 * AT_M / radius)
+
+    def ends(numbers, shift, wobble):
+        """Both ends of every wall, the second on another line of the image."""
+        for rows, turned, number in ((q, 0.0, 0), (np.roll(q, 4, axis=0), move, 16)):
+            rows, phi = np.tile(rows, (24, 1)), np.repeat(begins + turned, 8)
+            p = world.scanned(*numbers, rows + (bend(rows) if shift else 0.0), phi)
+            # The axis wobbles in sweeps too.
+            tilts = np.array(rig.wobble)[number : number + 24].repeat(8, axis=0) if wobble else np.zeros((192, 3))
+            yield p + np.cross(tilts, p - rig.foot())
+
+    first, second = ends(true_numbers(rig), False, False)
+    also, other = ends(numbers(found.scanner), shape == "sheet", shape == "axis")
+    error = np.linalg.norm(other - also, axis=1) - np.linalg.norm(second - first, axis=1)
+    return 1e3 * np.sqrt(np.mean(error**2))
 
 
 QUICK = "board"

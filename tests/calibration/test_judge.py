@@ -53,6 +53,7 @@ def test_clean_data_have_no_structure(clean):
     assert isinstance(judged.advice, tuple)
 
 
+@pytest.mark.more
 @pytest.mark.parametrize(
     ("rig", "held", "name"),
     [
@@ -69,6 +70,7 @@ def test_what_is_wrong_is_named(world, rig, held, name):
     assert judged.usable and 0 < tests[name].effect_mm < judged.good_to.sigma_mm
 
 
+@pytest.mark.more
 def test_a_bowed_sheet_is_named(world, clean):
     # The stripe moved by half a sigma along a parabola, as no plane can; 1000 points show it.
     stripes = clean.stripes
@@ -81,6 +83,7 @@ def test_a_bowed_sheet_is_named(world, clean):
     assert tests["sheet"].p_structure == min(test.p_structure for test in tests.values())
 
 
+@pytest.mark.more
 def test_noise_that_was_promised_smaller_is_no_structure(world, clean):
     sigma = clean.corners.sigma / 3.0
     judged, tests = verdict(replace(clean, corners=replace(clean.corners, sigma=sigma)))

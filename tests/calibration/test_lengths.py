@@ -9,13 +9,14 @@ import pytest
 from jaxscan.calibration.propagate import (
     depth_sigma,
     length_sigma,
+    measure_good_to,
     measure_lengths,
     predict_lengths,
     stripe_depths,
     stripe_pixels,
     typical_lengths,
 )
-from jaxscan.geometry import Fisheye, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.geometry import Fisheye, LaserSheet, LinearStage, Pinhole, Scanner, Still, Turntable, root_of, stack_lasers
 
 
 def room_rig(covariance=None, *, bow=(0.0, 0.0), distortion=(-0.1, 0.06, 2e-4, -1e-4, 0.0)):
@@ -89,7 +90,7 @@ def test_a_fisheye_is_judged_alike():
     np.testing.assert_allclose(stripe_depths(scanner, 0, q), 2.5, atol=1e-9)
     np.testing.assert_allclose(depth_sigma(scanner, 0, q), 2.5 / float(scanner.lasers.distance[0]) * 1e-4, rtol=1e-9)
     names = [length.name for length in predict_lengths(scanner).lasers[0].lengths]
-    assert names == ["along the stripe", "across the sweep", "half a turn", "half a turn"]
+    assert names == ["wall", "along the stripe", "across the sweep", "half a turn", "half a turn"]
 
 
 def test_an_angle_scale_stretches_across_the_sweep_alone():
@@ -127,6 +128,52 @@ def test_scale_stretches_every_length_alike():
     assert entry.sigma_point_mm == pytest.approx(np.hypot(2.56, 0.68) * 1e3 * share, rel=0.03)
 
 
+def test_a_verdict_is_that_of_the_wall_and_its_parts_make_it_up():
+    scanner = uncertain(room_rig(), gain=1e-3, d=1e-4, fx=0.1)
+    steps = root_of(np.asarray(scanner.covariance))
+    found, _ = measure_good_to(scanner.camera, scanner, steps, (), None)
+    wall = predict_lengths(scanner).lasers[0].lengths[0]
+    assert (wall.name, wall.length_m, wall.depth_m) == ("wall", 4.0, 2.5) == ("wall", found.length_m, found.at_m)
+    assert found.sigma_mm == pytest.approx(wall.sigma_mm, rel=1e-9)
+    assert found.sigma_mm == pytest.approx(np.linalg.norm([part.sigma_mm for part in found.parts]), rel=1e-6)
+    parts = {part.name: part.sigma_mm for part in found.parts}
+    assert set(parts) == {"angles", "sheet", "camera"}
+    # Independent errors: each part is what it would be alone.
+    for name, alone in (("angles", {"gain": 1e-3}), ("sheet", {"d": 1e-4}), ("camera", {"fx": 0.1})):
+        other = uncertain(room_rig(), **alone)
+        single, _ = measure_good_to(other.camera, other, root_of(np.asarray(other.covariance)), (), None)
+        assert single.sigma_mm == pytest.approx(parts[name], rel=1e-6)
+    # A chord of 4 m at 3.2 m, and higher or lower at its other end.
+    radius = np.hypot(2.5, 2.0) + 0.05
+    half = np.arcsin(2.0 / radius)
+    assert 0.7 < parts["angles"] / (radius * np.cos(half) * 2 * half) < 1.0
+
+
+def test_errors_that_go_together_are_a_part_of_the_first_that_would_explain_them():
+    # The sheet and the focal length are wrong by one common step: known angles leave it, a known sheet does not.
+    scanner = room_rig()
+    names, step = scanner.parameter_names(), np.zeros(len(scanner.parameter_names()))
+    step[[names.index("fx"), names.index("laser.laser.d")]] = 0.1, 1e-4
+    found, _ = measure_good_to(scanner.camera, scanner, step[None], (), 2.0)
+    assert [part.name for part in found.parts] == ["sheet"] and found.at_m == 2.0 and found.length_m == 3.2
+    assert found.parts[0].sigma_mm == pytest.approx(found.sigma_mm, rel=1e-6)
+
+
+def test_an_object_and_a_stage_have_lengths_of_their_own():
+    table = Turntable.from_axis([0.0, -1.0, 0.0], [0.1, 0.0, 1.5], carries="object")
+    on_table = uncertain(replace(room_rig(), turntable=table), d=1e-5)
+    along = uncertain(replace(room_rig(), turntable=LinearStage.from_direction([1.0, 0.1, 0.0])), d=1e-5)
+    near, of_stage, still = (
+        measure_good_to(one.camera, one, root_of(np.asarray(one.covariance)), (), at)[0]
+        for one, at in ((on_table, 1.2), (along, 2.5), (uncertain(replace(room_rig(), turntable=Still()), d=1e-5), 2.5))
+    )
+    assert 0 < near.length_m < 1.0 and near.at_m == 1.2 and near.sigma_mm > 0
+    assert of_stage.length_m == 0.5 and of_stage.sigma_mm > 0
+    assert still.length_m is None and still.sigma_mm == pytest.approx(
+        1e-5 * 2.5e3 / float(along.lasers.distance[0]), rel=0.2
+    )
+
+
 def test_where_the_cloud_lies_is_no_error():
     # c1 (cos phi - 1) turns all points alike by its constant, and shifts them by half of its wave.
     scanner = uncertain(room_rig(), c1=1e-4)
@@ -146,6 +193,7 @@ def test_where_the_cloud_lies_is_no_error():
     assert 1e3 * np.sqrt(np.mean(np.sum((true - moved) ** 2, axis=-1))) > 2 * entry.sigma_point_mm
 
 
+@pytest.mark.more
 def test_prediction_is_what_draws_show(realistic):
     lengths = typical_lengths(realistic, 0)
     q = stripe_pixels(realistic, 0, 2.5)[::400]

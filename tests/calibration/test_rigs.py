@@ -90,6 +90,7 @@ def test_a_camera_and_an_axis(world, seen, tmp_path):
     assert_stored(calibration, tmp_path)
 
 
+@pytest.mark.more
 def test_one_of_two_lasers_that_no_board_shows_is_left_out(world):
     rig = world.Rig(normals=((0.990, -0.010, 0.140), (-0.990, 0.0, 0.140)), distances=(0.2, 0.2))
     observations = world.with_noise(world.observe(rig, placements=3), 0)
@@ -102,6 +103,7 @@ def test_one_of_two_lasers_that_no_board_shows_is_left_out(world):
     assert_found(calibration, replace(rig, normals=rig.normals[:1], distances=rig.distances[:1]), world)
 
 
+@pytest.mark.more
 @pytest.mark.parametrize(
     ("only", "has", "lacks"),
     [
@@ -115,6 +117,7 @@ def test_a_smaller_rig_on_purpose(seen, only, has, lacks):
     assert has in calibration.order and lacks not in calibration.order and calibration.missing == ()
 
 
+@pytest.mark.more
 class TestKnownParts:
     def camera(self, rig):
         return Pinhole(*rig.focal, *rig.centre, np.array(rig.lens), *rig.size)
@@ -179,6 +182,7 @@ class TestKnownParts:
             assert words in str(caught.value) and "\n" not in str(caught.value)
 
 
+@pytest.mark.more
 @pytest.mark.parametrize(
     ("change", "words"),
     [

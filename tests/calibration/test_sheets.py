@@ -195,6 +195,7 @@ def test_a_laser_without_a_sheet_costs_the_other_nothing(world):
     assert angle_deg(found.scanner.laser(0), rig) < MOST_DEG
 
 
+@pytest.mark.more
 def test_a_calibration_with_false_lines_on_a_third_of_the_boards(world, clean):
     rig, random = world.Rig(), np.random.default_rng(4)
     lit = np.unique(clean.stripes.view)

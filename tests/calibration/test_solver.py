@@ -220,6 +220,7 @@ def test_the_minimum_is_that_of_dense_least_squares(problem):
     np.testing.assert_allclose(ours_too, same, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.more
 def test_stripe_rows_are_the_distance_of_the_lifted_point_from_the_sheet(problem):
     rows, by_q = jax.jit(stripe_rows)(jax.tree.map(jnp.asarray, problem))
     poses = np.asarray(jax.jit(camera_from_board)(problem))
@@ -257,6 +258,7 @@ def test_held_parameters_do_not_move(problem):
     assert free == {"fx", "fy", "laser.0.n1", "laser.0.n2", "laser.0.d"}
 
 
+@pytest.mark.more
 def test_padding_changes_no_sum_and_has_no_error(problem):
     fields = ("corner_q", "corner_weight", "angle", "placement", "stripe_q", "stripe_weight", "stripe_view")
     fields += ("stripe_laser", "view_used", "stripe_used", "stop")

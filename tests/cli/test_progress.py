@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import pytest
 from rich.console import Console
 
+from jaxscan.api.stages import Stage, Stages
 from jaxscan.cli import progress
 from jaxscan.cli.scan_display import ScanDisplay
 
@@ -136,3 +137,54 @@ def test_a_scan_in_a_log_says_how_long_it_takes(capsys):
         fast.progress(done, 40)
         clock[0] += 0.1
     assert capsys.readouterr().err == ""
+
+
+def test_what_takes_long_says_in_a_log_how_long(capsys, monkeypatch):
+    clock = [0.0]
+    remaining = progress.Remaining(lambda: clock[0])
+    monkeypatch.setattr(progress, "Remaining", lambda: remaining)
+    with progress.progress_bar("Calibrating") as shown:
+        for done in range(21):
+            shown(done, 20)
+            clock[0] += 4.0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "Calibrating: 10 %, about 72 s left" and lines[-1] == "Calibrating: 90 %, about 8 s left"
+
+
+def test_a_terminal_is_told_the_time_that_is_left_after_a_tenth(screen, monkeypatch):
+    clock = [0.0]
+    remaining = progress.Remaining(lambda: clock[0])
+    monkeypatch.setattr(progress, "Remaining", lambda: remaining)
+    with progress.progress_bar("Looking") as shown:
+        shown(1, 20)
+        clock[0] = 20.0
+        shown(2, 20)
+        assert screen.wait_for("about 3 min left")
+    assert screen.getvalue().count("left") == screen.getvalue().count("about 3 min left")
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(12.3, "12 s"), (100.0, "1.5 min"), (200.0, "3.5 min"), (601.0, "11 min"), (7300.0, "2 h 2 min")],
+)
+def test_durations(seconds, words):
+    assert progress.duration(seconds) == words
+
+
+def test_stages_of_different_cost_are_one_progress():
+    told = []
+    stages = Stages(lambda done, total: told.append((done, total)), (Stage(3.0, 1.0), Stage(0.0), Stage(2.0, 4.0)))
+    stages.part(0)(0, 10)
+    stages.part(0)(1, 10)
+    stages.part(0)(10, 10)
+    stages.done(1)
+    stages.part(2)(1, 2)
+    stages.done(2)
+    assert told == [(0, 100), (31, 100), (40, 100), (40, 100), (80, 100), (100, 100)]
+    assert Stages(None, (Stage(1.0),)).part(0) is None
+    Stages(None, (Stage(1.0),)).done(0)
+    # Where the stages take what they say, the time that is left is right from the first part on.
+    clock = [0.0]
+    remaining = progress.Remaining(lambda: clock[0])
+    clock[0] = 2 * 3.1
+    assert remaining(*told[1]) == pytest.approx(2 * 6.9, rel=0.03)

@@ -145,7 +145,7 @@ def test_status_computes_and_writes_nothing(museum, run):  # noqa: F811
     [
         ('pattern = "room-*"', 'pattern = "hall-*"', 'the pattern "hall-*" finds no capture'),
         ('name = "museum"', "", "name: missing"),
-        ('name = "museum"', 'name = "museum"\noutput = "s3://bucket/x"', "expected a folder that all workers reach"),
+        ('pattern = "room-*"', 'pattern = "s3://bucket/room-*"', "copy it to a disk first, such as with aws s3 sync"),
         ('name = "museum"', 'name = "museum"\noutput = "room-2/out"', "is in the capture room-2"),
         ('name = "museum"', 'name = "museum"\ncatalogue = "nonsense"', "the catalogue: cannot be opened"),
         ('calibration = "calibration.json"', 'calibration = "none.json"', "none.json"),

@@ -33,7 +33,7 @@ def seen(console, paper, tiny, monkeypatch):
     desk.camera.close = lambda: None
     controller = paper.controller
     controller.table, controller.camera = desk.table, desk.camera
-    controller.trigger = lambda ms=None: desk.camera.expose(desk.table.position, desk.table.shines)
+    controller.trigger = lambda: desk.camera.expose(desk.table.position, desk.table.shines)
     monkeypatch.setattr("scanrig.cameras.open_camera", lambda settings, say: desk.camera)
     text = CONFIG.replace("width = 128", "width = 320").replace("height = 96", "height = 256")
     console.config.write_text(text + BOARD)

@@ -6,9 +6,10 @@ import shutil
 
 import pytest
 
-from jaxscan.cli.console.captures import Captures
+from jaxscan.cli.console.captures import Captures, verdict_of
+from jaxscan.cli.console.works import keep
 from jaxscan.errors import CaptureError
-from jaxscan.files.calibration import calibration_digest
+from jaxscan.files.calibration import calibration_digest, load_calibration
 
 
 def test_the_newest_good_calibration_is_found(tiny, tmp_path):
@@ -60,6 +61,41 @@ def test_a_calibration_beside_the_folder_is_found_if_it_fits_the_rig(tiny, tmp_p
     # A cloud's own is found all the same.
     digest = calibration_digest(tmp_path / "better.json")
     assert of_another.calibration_of(digest) == tmp_path / "better.json"
+
+
+def test_a_cloud_says_which_calibration_made_it_and_what_was_made_of_an_older_cloud_is_old(tiny, tmp_path):
+    folder = captured(tmp_path, tiny)
+    assert folder.listed()[0]["made_with"] == ""
+    digest = calibration_digest(tiny.calibration)
+    folder.cloud("room").write_bytes(b"ply\nformat ascii 1.0\ncomment calibration %s\n" % digest.encode())
+    os.utime(folder.cloud("room"), (2e9, 2e9))
+    (listed,) = folder.listed()
+    assert listed["cloud"] and listed["made_with"] == digest and listed["made"] == []
+    folder.cloud("room").unlink()
+    folder.cloud("room").symlink_to(tiny.calibration)
+    assert folder.listed()[0]["made_with"] == ""
+
+
+def test_a_verdict_on_the_page_has_the_lines_that_it_follows_from(tiny):
+    about = verdict_of(load_calibration(tiny.calibration))
+    first = about["lengths"][0]
+    assert " wall from " in first["what"]
+    assert first["sigma_mm"] == pytest.approx(about["sigma_mm"], rel=1e-6)
+    parts = [line["sigma_mm"] for line in about["lengths"] if line["part"]]
+    # Parts below a thirtieth are not listed.
+    assert first["sigma_mm"] == pytest.approx(sum(part**2 for part in parts) ** 0.5, rel=5e-3)
+
+
+def test_of_what_a_verb_says_pages_keep_the_news():
+    lines = []
+    for line in (
+        "note: a",
+        "Calibrating: 10 %, about 60 s left",
+        "Calibrating: 20 %, about 50 s left",
+        "next: jaxscan",
+    ):
+        keep(lines, line)
+    assert lines == ["note: a", "Calibrating: 20 %, about 50 s left"]
 
 
 def captured(tmp_path, tiny):

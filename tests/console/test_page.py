@@ -190,8 +190,13 @@ def test_one_green_button_is_the_next_step_and_the_rig_is_set_by_hand(visit, con
 
 
 def test_a_verdict_has_the_colour_of_the_users_own_goal(visit, console):
-    verdict = {"kind": "good", "headline": "Good to 2.4 mm at 2.5 m", "explanation": ""}
-    about = {"capture": "boards", "well": True, "verdict": verdict, "sigma_mm": 2.4, "at_m": 2.5}
+    verdict = {"kind": "plain", "headline": "Good to 2.4 mm for a 4 m wall from 2.5 m", "explanation": ""}
+    lengths = [
+        {"what": "4 m wall from 2.5 m", "sigma_mm": 2.4},
+        {"what": "of that from the angles of the table", "sigma_mm": 2.39, "part": True},
+        {"what": "300 mm along the stripe at 2.5 m", "sigma_mm": 0.0131},
+    ]
+    about = {"capture": "boards", "well": True, "verdict": verdict, "sigma_mm": 2.4, "lengths": lengths}
 
     def work(looks, url):
         looks.open(url)
@@ -201,14 +206,34 @@ def test_a_verdict_has_the_colour_of_the_users_own_goal(visit, console):
             console.slate.write(verdict=about, goal_mm=goal)
             looks.until(lambda said=said: said in looks.text("goal"))
             assert kind() == colour
-        calibrations = [
-            {"file": "better.json", "beside": True, "good": True, "headline": "Good to 0.9 mm", "at_m": 2.0}
-        ]
+        said = looks.text("lengths").splitlines()
+        assert said[:2] == ["± 2.4 mm 4 m wall from 2.5 m", "± 2.4 mm of that from the angles of the table"]
+        assert said[2].startswith("± 0.013 mm ")
+        shown = "return Array.from(document.querySelectorAll('#lengths tr'), (row) => row.className)"
+        assert looks.driver.execute_script(shown) == ["", "part", ""]
+        calibrations = [{"file": "better.json", "beside": True, "good": True, "headline": "Good to 0.9 mm"}]
         calibrations[0] |= {"sigma_mm": 0.9, "changed": time.time() - 7300}
         console.slate.write(calibration="better.json", calibrations=calibrations, verdict=None)
         looks.until(lambda: looks.text("calibration") == "Good to 0.9 mm; 2 hours ago")
         assert looks.at("calibration").get_attribute("class") == "good"
         assert looks.at("calibrations").get_attribute("value") == "better.json" and green(looks) == ["Scan"]
+
+    visit(work)
+
+
+def test_a_cloud_of_another_calibration_is_to_be_made_again(visit, console):
+    capture = {"name": "room", "kind": "sweep", "records": 0, "complete": True, "problem": "", "changed": 0.0}
+
+    def work(looks, url):
+        looks.open(url)
+        looks.until(lambda: looks.text("doing") == "ready")
+        made = capture | {"cloud": True, "made": [], "made_with": "sha256:a"}
+        console.slate.write(calibration="better.json", calibration_digest="sha256:b", captures=[made])
+        looks.until(lambda: looks.text("next").startswith("Reconstruct room again"))
+        assert green(looks) == ["Reconstruct"] and "its cloud is of another calibration" in looks.text("captures")
+        console.slate.write(calibration_digest="sha256:a")
+        looks.until(lambda: green(looks) == ["Look around"])
+        assert "another calibration" not in looks.text("captures")
 
     visit(work)
 

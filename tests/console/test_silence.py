@@ -4,7 +4,6 @@ import asyncio
 from types import SimpleNamespace
 
 import pytest
-from scanrig.clock import ManualClock
 from scanrig.controllers.controller import LinkCounts
 
 from jaxscan.cli.console import silence
@@ -12,6 +11,7 @@ from jaxscan.cli.console.silence import Silence
 from jaxscan.cli.console.slate import Slate
 
 from ..browser.driver import Looks
+from ..hardware.fake import ManualClock
 
 
 @pytest.fixture

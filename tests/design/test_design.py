@@ -80,6 +80,7 @@ def test_the_choice_reaches_the_wish_and_no_simpler_rig_does():
         design_rig(RigWish(range_m=3.0, sigma_m=1e-3, sensors=fewer))
 
 
+@pytest.mark.more
 def test_what_an_impossible_wish_is_told_is_possible():
     with pytest.raises(OptionError) as told:
         design_rig(RigWish(range_m=4.0, sigma_m=5e-4))

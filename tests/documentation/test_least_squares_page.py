@@ -5,7 +5,12 @@ import re
 import subprocess
 import sys
 
+import pytest
+
 from tests.documentation.pages import ROOT, fences
+
+
+pytestmark = pytest.mark.more
 
 
 NUMBER = re.compile(r"\d+\.\d+")

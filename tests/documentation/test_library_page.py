@@ -10,6 +10,9 @@ import pytest
 from tests.documentation.pages import ROOT, fences
 
 
+pytestmark = pytest.mark.more
+
+
 NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?")
 EVERY = fences(ROOT / "docs" / "library.md")
 

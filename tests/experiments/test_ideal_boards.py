@@ -5,9 +5,9 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from worlds.exact_rig import PosePlan, add_noise, draw_poses, ideal_boards, lens_flaw
 
 import jaxscan
+from experiments.exact_rig import PosePlan, add_noise, draw_poses, ideal_boards
 from jaxscan.geometry import invert, transform
 from jaxscan.simulation import SimulationConfig, true_scanner
 
@@ -85,19 +85,6 @@ def test_stripe_points_lie_on_sheet_and_board(world):
     assert ideal.stripe_valid.sum(1).max() <= 60
 
 
-def test_placements_stand_round_the_table():
-    config = load("reference")
-    poses = draw_poses(
-        config, 0, PosePlan(free_views=0, placements=4, angles=3, span_deg=20.0, around_deg=(0, 90, 180, 270))
-    )
-    angle = np.rad2deg(poses.angle).reshape(4, 3)
-    np.testing.assert_allclose(angle, np.array([[0], [90], [180], [270]]) + [-10, 0, 10], atol=1e-12)
-    # Seen from the axis they stand in four directions.
-    where = np.array([board.translation - np.array([0.2, 0.0, -0.05]) for board in poses.boards])
-    turned = np.rad2deg(np.arctan2(where[:, 0], where[:, 2])) % 360
-    assert np.all(np.sort(np.diff(np.sort(turned))) > 40)
-
-
 def test_poses_are_drawn_from_the_seed_and_lit_as_told():
     config = load("reference")
     one, two, other = (
@@ -106,29 +93,6 @@ def test_poses_are_drawn_from_the_seed_and_lit_as_told():
     np.testing.assert_array_equal(one.boards[3].rotation, two.boards[3].rotation)
     assert not np.allclose(one.boards[3].rotation, other.boards[3].rotation)
     np.testing.assert_array_equal(one.lit, [False] * 3 + [True] * 4)
-
-
-def test_the_flaw_of_a_lens_is_what_the_model_cannot_hold():
-    config = load("reference")
-    flaw, camera = lens_flaw(config.camera, 0.3), true_scanner(config).camera
-    u, v = np.meshgrid(np.linspace(0, 1919, 97), np.linspace(0, 1199, 61))
-    q = np.stack([u.ravel(), v.ravel()], -1)
-    rays = np.asarray(jax.jit(jax.vmap(camera.unproject))(q))
-    shift = flaw(*(rays[:, :2] / rays[:, 2:]).T)
-    corners = np.linalg.norm(shift.reshape(61, 97, 2)[[0, 0, -1, -1], [0, -1, 0, -1]], axis=-1)
-    # The principal point is half a pixel beside the middle, so the corners differ a little.
-    np.testing.assert_allclose(corners, 0.3, rtol=0.03)
-    # No change of the nine parameters of the geometry's own camera makes it smaller.
-    project = lambda step, p: camera.retract(step).project(p)
-    slopes = jax.jit(jax.vmap(jax.jacfwd(project), (None, 0)))(np.zeros(9), rays)
-    columns = np.asarray(slopes).reshape(-1, 9)
-    left = shift.ravel() - columns @ np.linalg.lstsq(columns, shift.ravel(), rcond=None)[0]
-    # The grid of the generator is half as fine: 5 % either way.
-    assert np.std(left) > 0.95 * np.std(shift)
-    # Boards see it.
-    poses = draw_poses(config, 0, PosePlan(free_views=10, placements=0))
-    plain, flawed = (ideal_boards(config, poses, lens_px=px).corner_q for px in (0.0, 0.3))
-    assert 0.05 < np.abs(flawed - plain).max() < 0.3
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.6])

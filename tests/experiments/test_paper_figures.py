@@ -16,6 +16,9 @@ from experiments.paper.__main__ import run_one
 from experiments.paper.stage import Stage, load_baseline, world
 
 
+pytestmark = pytest.mark.more
+
+
 KEPT = Path(__file__).parent / "kept"
 
 

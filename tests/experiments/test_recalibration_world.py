@@ -25,6 +25,9 @@ from experiments.recalibration.world import (
 from jaxscan.simulation import SimulationConfig, true_scanner
 
 
+pytestmark = pytest.mark.more
+
+
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 EXACT = Noise(px=0.0)
 BOXES = {"room": {}, "empty": {"furniture": False}}

@@ -1,6 +1,6 @@
 """Whatever dies in the middle: the batch completes, and every product is that of an undisturbed run.
 
-Limits and seeds: one read in twenty fails, seed 20. A worker is killed when the first step tells how far it is; the
+A worker is killed when the first step tells how far it is; the
 scheduler when the first step is in the catalogue.
 """
 
@@ -13,12 +13,11 @@ import time
 
 import pytest
 
-from jaxscan.fleet import ClusterChoice, open_cluster
-from jaxscan.fleet.batch import do_order, run_batch
+from jaxscan.fleet.batch import run_batch
+from jaxscan.fleet.cluster import open_cluster
 from jaxscan.project import load_project, order_of
 from tests.fleet.clusters import scheduler, worker
-from tests.fleet.flaky import do_flaky_order
-from tests.fleet.test_absence import Silent
+from tests.fleet.test_batch import Silent
 from tests.opened import catalogue_of, edit, products, states, work
 
 
@@ -45,12 +44,12 @@ class Killer(Silent):
         os.kill(pid, signal.SIGKILL)
 
 
-def batch(file, client, show, task=do_order):
+def batch(file, client, show):
     catalogue = catalogue_of(file)
     output = load_project(file).output
     todo = [order_of(status, output) for status in states(file).values() if status.state != "done"]
     try:
-        return run_batch(todo, catalogue, client, show, work=task)
+        return run_batch(todo, catalogue, client, show)
     finally:
         catalogue.close()
 
@@ -77,7 +76,7 @@ def undisturbed(museum):
 
 
 def test_a_worker_killed_in_the_middle(museum, undisturbed):
-    with open_cluster(ClusterChoice(workers=2)) as client:
+    with open_cluster(workers=2) as client:
         killer = Killer(client)
         report = batch(museum, client, killer)
     assert killer.killed.is_set() and not report.failed and not report.left
@@ -118,20 +117,3 @@ def test_the_batch_killed_in_the_middle(museum, undisturbed):
     second = subprocess.run(words, capture_output=True, text=True, env=environment, timeout=300)
     assert second.returncode == 0, second.stderr
     assert complete(museum, undisturbed)
-
-
-def test_storage_that_fails_one_read_in_twenty(museum, undisturbed):
-    edit(museum, 'pattern = "room-*"', f'pattern = "flaky://{museum.parent}/room-*"')
-    with open_cluster(ClusterChoice(workers=2)) as client:
-        report = batch(museum, client, Silent(), task=do_flaky_order)
-        failures = sum(client.run(failed_reads).values())
-    assert failures > 0
-    assert not report.failed and not report.left
-    assert complete(museum, undisturbed)
-
-
-def failed_reads():
-    """Reads that failed in a worker."""
-    from tests.fleet.flaky import FlakyFileSystem
-
-    return FlakyFileSystem.failed

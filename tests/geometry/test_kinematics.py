@@ -54,9 +54,12 @@ def make_rig(camera="pinhole", motion="turntable"):
 
 
 KINDS = [*((camera, "turntable") for camera in CAMERAS), *(("pinhole", motion) for motion in list(MOTIONS)[1:])]
+_FAST = (("pinhole", "turntable"), ("fisheye", "turntable"), ("pinhole", "object"))
 
 
-@pytest.fixture(params=KINDS, ids="-".join)
+@pytest.fixture(
+    params=[pytest.param(kind, id="-".join(kind), marks=() if kind in _FAST else pytest.mark.more) for kind in KINDS]
+)
 def rig(request):
     """Every camera on a turntable, and every other motion with a pinhole camera."""
     return make_rig(*request.param)

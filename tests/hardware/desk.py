@@ -1,13 +1,16 @@
 """A rig on paper: a controller that obeys at once, in front of a simulated camera, with faults on demand."""
 
+import json
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scanrig.cameras.camera import CameraSettings, Frame
-from scanrig.cameras.simulated import FrameShape, SimulatedCamera, SyntheticScene, draw
-from scanrig.clock import ManualClock
+from scanrig.cameras.simulated import FrameShape, SyntheticScene, draw
 from scanrig.config import RigConfig
 from scanrig.controllers.controller import (
+    Controller,
     Counters,
     Firmware,
     Guarantees,
@@ -19,8 +22,10 @@ from scanrig.controllers.controller import (
 )
 from scanrig.errors import CameraTimeout, ControllerReset, Fault, LinkLost, Reason, Refused, RigFault
 from scanrig.session import Devices, Hooks, SessionResult, run_calibration, run_sweep
+from scanrig.wire import Link
 
-from .fake import ARMED_IDLE_S
+from .fake import ARMED_IDLE_S, ManualClock
+from .faulty_camera import FaultyCamera
 
 
 WIDTH, HEIGHT = 128, 96
@@ -44,11 +49,11 @@ class Table:
         """Which laser is on, from 1."""
         self.contactor = False
         self.welded = False
-        """The laser shines whatever it is told."""
+        """The laser shines whatever the command."""
         self.dead = False
-        """The laser is dark whatever it is told."""
+        """The laser is dark whatever the command."""
         self.dead_lasers: set[int] = set()
-        """Those that are dark whatever they are told."""
+        """Those that are dark whatever the command."""
         self.moved_px = 0
         """How far the camera was knocked."""
         self.lit_cycles = 0
@@ -63,12 +68,12 @@ class Table:
         )
 
 
-class PaperController:
+class PaperController(Controller):
     """A `Controller` without a wire; `before_shot[n]` is called before the n-th shot."""
 
     guarantees = Guarantees(True, True, True, True)
 
-    def __init__(self, table: Table, camera: SimulatedCamera, clock: ManualClock) -> None:
+    def __init__(self, table: Table, camera: FaultyCamera, clock: ManualClock) -> None:
         self.table, self.camera, self.clock = table, camera, clock
         self.before_shot: dict[int, Callable[[PaperController], None]] = {}
         self.shots: list[int] = []
@@ -85,7 +90,7 @@ class PaperController:
         """How many attempts to reconnect fail."""
         self.lost = False
         self.never_safe = False
-        self.link_counts = LinkCounts()
+        self.counts = LinkCounts()
         self._heard = clock.now()
 
     # Injected faults
@@ -113,9 +118,15 @@ class PaperController:
 
     # Actions
 
+    name = "paper"
+
     @property
-    def name(self) -> str:
-        return "paper"
+    def link(self) -> Link:
+        raise NotImplementedError
+
+    @property
+    def link_counts(self) -> LinkCounts:
+        return self.counts
 
     def _alive(self, verb: str) -> None:
         self.log.append(verb)
@@ -154,7 +165,7 @@ class PaperController:
         self.clock.sleep(self.gone * 2.0)
         self.gone, self.lost = 0, False
         self._open_contactor()  # It is greeted.
-        return Reconnection(self.settings is not None, not self.homed, self.stat())
+        return Reconnection(self.settings is not None, self.stat())
 
     def enable(self, on: bool) -> None:
         self._alive("enable")
@@ -191,7 +202,7 @@ class PaperController:
         self.table.laser = number if on else 0
         self.table.lit_cycles += on
 
-    def trigger(self, ms: int | None = None) -> None:
+    def trigger(self) -> None:
         self._alive("trigger")
 
     def shot(self, to: int, id: int, *, number: int = 1) -> None:
@@ -276,12 +287,12 @@ class Desk:
         self.controller = PaperController(self.table, self.camera, self.clock)
         self.said: list[str] = []
 
-    def _camera(self, settings: CameraSettings) -> SimulatedCamera:
+    def _camera(self, settings: CameraSettings) -> FaultyCamera:
         def world() -> tuple[float, int]:
             self.clock.sleep(0.03)
             return float(self.table.position), self.table.shines
 
-        camera = SimulatedCamera(settings, lambda *at: self.see(*at), world=world, clock=self.clock, patience_s=0.0)
+        camera = FaultyCamera(settings, lambda *at: self.see(*at), world=world)
         next_frame = camera.next
 
         def waited(timeout_s: float) -> Frame:
@@ -297,7 +308,8 @@ class Desk:
         return camera
 
     def see(self, position: float, lit: int) -> np.ndarray:
-        image = draw(self.scene, position, lit, FrameShape(WIDTH, HEIGHT), self._generator)
+        camera = self.config.camera
+        image = draw(self.scene, position, lit, FrameShape(WIDTH, HEIGHT, camera.layout, camera.bits), self._generator)
         return np.ascontiguousarray(np.roll(image, self.table.moved_px, 1))
 
     @property
@@ -315,3 +327,29 @@ class Desk:
         """Views of the board; `hooks` are those of a session."""
         called = Hooks(**{"notify": self.said.append, **hooks})
         return run_calibration(self.config, folder, self.devices, operator, called, resume=resume)
+
+
+def journal(folder: Path) -> list[dict[str, Any]]:
+    """All lines of a capture's journal."""
+    return [json.loads(line) for line in (folder / "frames.jsonl").read_text().splitlines()]
+
+
+def events(folder: Path, name: str) -> list[dict[str, Any]]:
+    """The events of one kind."""
+    return [line for line in journal(folder) if line.get("event") == name]
+
+
+def records(folder: Path) -> list[dict[str, Any]]:
+    """The lines of records."""
+    return [line for line in journal(folder) if "i" in line]
+
+
+class After:
+    """Asks to stop when so many steps are there."""
+
+    def __init__(self, steps: int) -> None:
+        self.left = steps
+
+    def __call__(self) -> bool:
+        self.left -= 1
+        return self.left < 0

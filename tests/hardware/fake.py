@@ -5,8 +5,9 @@ Assertions about a rig belong on `SimulatedRig`, which runs the real firmware.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 
-from scanrig.clock import ManualClock
+from scanrig.clock import Clock, rfc3339
 from scanrig.controllers.jxs.protocol import ABORT, crc, seal
 from scanrig.errors import LinkLost
 
@@ -22,6 +23,23 @@ DEFAULTS = {
 }
 
 Mangle = Callable[[bytes], bytes]
+
+
+@dataclass
+class ManualClock(Clock):
+    """A clock that moves only when `sleep` is called or `time_s` is set."""
+
+    time_s: float = 0.0
+    start: datetime = datetime(2000, 1, 1, tzinfo=UTC)
+
+    def now(self) -> float:
+        return self.time_s
+
+    def utc(self) -> str:
+        return rfc3339(self.start + timedelta(seconds=self.time_s))
+
+    def sleep(self, s: float) -> None:
+        self.time_s += max(s, 0.0)
 
 
 @dataclass

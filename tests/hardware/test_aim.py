@@ -81,7 +81,7 @@ def aim_by_hand(desk, wishes, after=lambda looks: None):
 
 def test_the_table_goes_where_it_may_and_the_laser_stays_dark_where_it_should():
     desk = Desk(turntable={"limits_deg": [-20.0, 90.0]})
-    desk.controller.trigger = lambda ms=None: desk.camera.expose(desk.table.position, desk.table.shines)
+    desk.controller.trigger = lambda: desk.camera.expose(desk.table.position, desk.table.shines)
     contactor = []
     wishes = [Wish(), Wish(45.0), Wish(400.0), Wish(45.0, lit=False), Wish(10.0, lit=False), Wish(10.0)]
     seen, _ = aim_by_hand(desk, wishes, lambda looks: contactor.append(desk.table.contactor))

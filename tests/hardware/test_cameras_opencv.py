@@ -35,7 +35,7 @@ def number_in(image):
 
 
 class Stream:
-    """Frames that are counted from when the camera was switched on, whoever looks; `stalled` and `over` are told."""
+    """Frames that are counted from when the camera was switched on; tests set `stalled` and `over`."""
 
     def __init__(self):
         self.start, self.stalled, self.over = time.monotonic(), threading.Event(), threading.Event()
@@ -108,21 +108,11 @@ def camera(stream):
         yield made
 
 
-def test_a_naive_reader_is_a_second_late(stream):
-    """The purpose of the reading thread."""
-    capture = cv2.VideoCapture(stream.url, cv2.CAP_FFMPEG)
-    for _ in range(3):
-        capture.read()
-    time.sleep(1.0)
-    age = stream.now() - number_in(capture.read()[1])
-    capture.release()
-    assert age > 15
-
-
 def test_after_a_pause_the_next_frame_is_new(stream, camera):
     camera.next(10.0)
-    for _ in range(3):
-        time.sleep(1.0)
+    for _ in range(2):
+        # Ten frames wait by then.
+        time.sleep(0.4)
         asked = stream.now()
         camera.drop()
         frame = camera.next(10.0)
@@ -131,10 +121,10 @@ def test_after_a_pause_the_next_frame_is_new(stream, camera):
         assert number_in(frame.image) <= stream.now()
 
 
-def test_at_least_so_many_frames_are_discarded(stream):
-    with open_camera(settings(stream.url, flush_frames=5)) as made:
+def test_at_least_so_many_frames_are_discarded_and_mono_ones_have_one_channel(stream):
+    with open_camera(settings(stream.url, pixel_format="mono8", flush_frames=5)) as made:
         made.start()
-        made.next(10.0)
+        assert made.next(10.0).image.shape == (HEIGHT, WIDTH)
         asked = stream.now()
         made.drop()
         assert number_in(made.next(10.0).image) > asked + 4
@@ -150,18 +140,14 @@ def test_colours_are_red_green_blue(camera):
     assert frame.image.shape == (HEIGHT, WIDTH, 3) and frame.image.dtype == np.uint8
     left, right = frame.image[100, 20].astype(int), frame.image[100, WIDTH - 20].astype(int)
     assert left[2] > 200 > 60 > left[0] and right[0] > 200 > 60 > right[2]
-    assert frame.number == -1 and frame.complete and abs(frame.host_s - time.monotonic()) < 10
-
-
-def test_mono_frames(stream):
-    with open_camera(settings(stream.url, pixel_format="mono8")) as made:
-        made.start()
-        assert made.next(10.0).image.shape == (HEIGHT, WIDTH)
+    assert frame.number == -1 and frame.complete
 
 
 def test_what_the_backend_cannot_say_is_noted(camera):
     assert "exposure_s" not in camera.features() and camera.features()["backend"] == "FFMPEG"
     assert "not known" in camera.next(10.0).note
+    with pytest.raises(CameraError, match="no triggers"):
+        camera.trigger()
 
 
 def test_a_stall_is_a_timeout_and_passes(stream, camera):
@@ -191,12 +177,6 @@ def test_the_end_is_a_loss_and_reopening_brings_it_back():
     with pytest.raises(CameraLost):
         made.next(0.1)
     made.close()
-
-
-def test_reopening(stream, camera):
-    camera.next(10.0)
-    camera.reopen()
-    assert number_in(camera.next(10.0).image) > 0
 
 
 def test_frames_of_another_size_are_refused(stream):
@@ -251,16 +231,11 @@ def test_a_device_whose_name_is_not_text_is_listed(tmp_path, monkeypatch):
     assert opencv.found_by_opencv() == ['opencv "/dev/video0": Cam\ufffd\ufffd']
 
 
-def test_it_takes_no_triggers(camera):
-    with pytest.raises(CameraError, match="no triggers"):
-        camera.trigger()
-
-
 # A driver with properties, which no test machine has: a stand-in for `cv2.VideoCapture`.
 
 
 class Driver:
-    """Takes properties like V4L2 does, but for those that it is told to refuse or to change."""
+    """Takes properties like V4L2 does, but for those in `refuses` and `changes`."""
 
     def __init__(self, refuses=(), changes=None):
         self.values = {cv2.CAP_PROP_AUTO_WB: 1.0, cv2.CAP_PROP_AUTOFOCUS: -1.0, cv2.CAP_PROP_AUTO_EXPOSURE: 3.0}

@@ -6,8 +6,9 @@ import time
 import numpy as np
 import pydantic
 import pytest
-from scanrig.cameras import CameraSettings, Frame, open_camera
-from scanrig.cameras.camera import FrameNumbers, differences
+from scanrig.cameras import CameraSettings, open_camera
+from scanrig.cameras.aravis import FrameNumbers, text
+from scanrig.cameras.camera import differences
 from scanrig.cameras.simulated import SimulatedCamera
 from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
@@ -15,6 +16,8 @@ from jaxscan.errors import ConfigError
 from jaxscan.files.capture import CameraTable, CaptureHeader, LaserTable
 from jaxscan.files.recording import create_capture
 from jaxscan.vision import encode_png
+
+from .faulty_camera import FaultyCamera
 
 
 SETTINGS = CameraSettings(kind="simulated", width=96, height=64)
@@ -29,8 +32,9 @@ def shown(frame):
     return int(frame.image[0, 0]) // 2, bool(frame.image[0, 0] % 2)
 
 
-def camera(**options):
-    made = SimulatedCamera(SETTINGS, numbered, patience_s=0.0, **options)
+def camera(faults=None):
+    made = FaultyCamera(SETTINGS, numbered)
+    made.faults = faults or {}
     made.start()
     return made
 
@@ -60,7 +64,6 @@ def test_frames_come_in_order():
     assert [shown(frame) for frame in frames] == [(3, True), (3, False), (4, True), (4, False)]
     assert [frame.number for frame in frames] == [1, 2, 3, 4]
     assert all(frame.complete for frame in frames)
-    assert made.counts() == {"frames": 4, "incomplete": 0, "missing": 0, "dropped": 0}
 
 
 @pytest.mark.parametrize(
@@ -79,7 +82,6 @@ def test_faults_are_what_they_say(fault, numbers, seen):
     frames = waiting(made)
     assert [frame.number for frame in frames] == numbers
     assert [shown(frame) for frame in frames] == seen
-    assert made.counts()["missing"] == (fault == "missing")
 
 
 def test_an_incomplete_frame_says_so():
@@ -88,7 +90,6 @@ def test_an_incomplete_frame_says_so():
     torn, whole = waiting(made)
     assert not torn.complete and "missing" in torn.note and whole.complete
     assert torn.image[0].all() and not torn.image[-1].any()
-    assert made.counts()["incomplete"] == 1
 
 
 def test_a_lost_camera_comes_back():
@@ -141,18 +142,12 @@ def test_drop_throws_away_what_waits():
     assert [shown(frame) for frame in waiting(made)] == [(3, True)]
 
 
-def test_a_frame_from_elsewhere():
-    made = camera()
-    made.push(Frame(numbered(5, True), -1, None, 0.0, complete=True))
-    assert shown(made.next(1.0)) == (5, True)
-
-
 def test_only_software_triggers_trigger():
     made = camera()
     with pytest.raises(CameraError, match="software"):
         made.trigger()
     settings = SETTINGS.model_copy(update={"trigger": "software"})
-    made = SimulatedCamera(settings, numbered, world=lambda: (6.0, True), patience_s=0.0)
+    made = FaultyCamera(settings, numbered, world=lambda: (6.0, True))
     made.start()
     made.trigger()
     assert shown(made.next(1.0)) == (6, True)
@@ -203,28 +198,22 @@ def test_features_are_compared_as_finely_as_cameras_can_be_set():
     assert differences({"width": 640}, expected) == []
 
 
-def numbers_of(raws):
-    count = FrameNumbers()
-    return [count.take(raw) for raw in raws], count.missing
-
-
 @pytest.mark.parametrize(
-    "raws, numbers, missing",
+    "raws, numbers, advances",
     [
-        ([10, 11, 12], [10, 11, 12], 0),
-        ([65534, 65535, 1, 2], [65534, 65535, 65536, 65537], 0),
-        ([65535, 0, 1], [65535, 65536, 65537], 0),
-        ([65533, 2], [65533, 65537], 3),
-        ([1, 5], [1, 5], 3),
-        ([5, 5, 6], [5, 5, 6], 0),
-        ([5, 7, 6, 8], [5, 7, 6, 8], 1),
-        ([1 << 40, (1 << 40) + 2], [1 << 40, (1 << 40) + 2], 1),
+        ([10, 11, 12], [10, 11, 12], [1, 1, 1]),
+        ([65534, 65535, 1, 2], [65534, 65535, 65536, 65537], [1, 1, 1, 1]),
+        ([65535, 0, 1], [65535, 65536, 65537], [1, 1, 1]),
+        ([65533, 2], [65533, 65537], [1, 4]),
+        ([1, 5], [1, 5], [1, 4]),
+        ([5, 5, 6], [5, 5, 6], [1, 0, 1]),
+        ([5, 7, 6, 8], [5, 7, 6, 8], [1, 2, -1, 1]),
+        ([1 << 40, (1 << 40) + 2], [1 << 40, (1 << 40) + 2], [1, 2]),
     ],
 )
-def test_frame_ids_wrap(raws, numbers, missing):
-    taken, lost = numbers_of(raws)
-    assert [number for number, _ in taken] == numbers
-    assert lost == missing
+def test_frame_ids_wrap(raws, numbers, advances):
+    count = FrameNumbers()
+    assert [count.take(raw) for raw in raws] == list(zip(numbers, advances, strict=True))
 
 
 # Folders.
@@ -287,7 +276,5 @@ def test_folders_that_cannot_be_played(tmp_path, spoil):
 
 
 def test_a_cameras_own_words_cannot_steer_a_terminal():
-    from scanrig.cameras.aravis import text
-
     assert text("Kamera №1".encode()) == "Kamera №1" and text(None) == ""
     assert text(b"\x1b[2JModel\r\n\xff") == "?[2JModel??\ufffd"

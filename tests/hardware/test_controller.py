@@ -14,7 +14,6 @@ from scanrig.errors import (
     LinkLost,
     Reason,
     Refused,
-    RigError,
     RigFault,
     RigTimeout,
 )
@@ -48,12 +47,12 @@ def lossy(seed, share):
     return mangle
 
 
-def losing(lines, count):
-    """A line that loses the next `count` lines that begin with `lines`."""
+def losing(part, count):
+    """A line that loses the next `count` lines in which `part` is."""
     left = [count]
 
     def mangle(data):
-        if data.startswith(lines) and left[0]:
+        if part in data and left[0]:
             left[0] -= 1
             return b""
         return data
@@ -129,16 +128,6 @@ def test_a_lost_homed_event_loses_no_lost_step(fake, controller):
     assert controller.home(30000) == -3
 
 
-def test_a_shot(fake, controller):
-    controller.shot(800, 1)
-    assert controller.wait_shot(1) == ShotDone(800, 2)
-    controller.shot(800, 2, lit=False)
-    assert controller.wait_shot(2) == ShotDone(800, 3)
-    controller.shot(800, 3, dark=False)
-    assert controller.wait_shot(3) == ShotDone(800, 4)
-    assert (fake.pulses, fake.exposures) == (2, 4)
-
-
 def test_a_lost_event_is_asked_for(fake, controller):
     fake.to_host = losing(b"!", 1)
     controller.shot(800, 1)
@@ -149,7 +138,7 @@ def test_a_lost_event_is_asked_for(fake, controller):
 def test_the_event_of_an_earlier_shot_ends_no_later_one(fake, controller):
     controller.shot(8, 1)
     fake.clock.sleep(0.3)
-    controller.stat()  # its event has come by now, and nobody has looked at it
+    controller.stat()  # its event has come by now, and is not read yet
     controller.shot(8000, 1)
     assert controller.wait_shot(1).position == 8000
 
@@ -170,17 +159,9 @@ def test_the_link_watchdog_is_fed_while_something_runs(fake, controller):
 
 
 def test_two_lines_lost_in_a_row_do_not_starve_the_watchdog(fake, controller):
-    left = [2]
-
-    def lose(data):
-        if b"STAT" in data and left[0]:
-            left[0] -= 1
-            return b""
-        return data
-
-    fake.to_controller = lose
+    fake.to_controller = losing(b"STAT", 2)
     assert controller.move(8000) == 8000
-    assert left == [0] and fake.seconds_between_lines <= 0.35
+    assert fake.seconds_between_lines <= 0.35
 
 
 def test_half_a_line_does_not_spoil_the_next(fake, controller):
@@ -235,7 +216,7 @@ def test_a_refusal_names_command_and_reason(fake, controller):
     controller.arm(False)
     with pytest.raises(Refused, match=r"'LASER on=1 ms=100': the laser is not armed \(error 14\)") as refusal:
         controller.laser(True, 100)
-    assert (refusal.value.reason, refusal.value.command) == (Reason.NOT_ARMED, "LASER on=1 ms=100")
+    assert refusal.value.reason is Reason.NOT_ARMED
 
 
 def test_a_fault_ends_the_wait_and_says_where(fake, controller):
@@ -265,13 +246,6 @@ def test_in_a_fault_commands_raise_the_fault(fake, controller):
     controller.clear()
     with pytest.raises(Refused, match="driver is off"):
         controller.move(0)
-
-
-def test_poll_raises_the_fault(fake, controller):
-    assert controller.poll().state == "idle"
-    fake.fail(3)
-    with pytest.raises(RigFault, match="lease"):
-        controller.poll()
 
 
 def test_a_driver_that_the_emergency_stop_switched_off_is_no_reset(fake, controller):
@@ -315,10 +289,10 @@ def test_what_does_not_end_is_stopped(fake, controller):
     assert fake.state == "idle"
 
 
-@pytest.mark.parametrize("told", [True, False], ids=["by BOOT", "with BOOT lost"])
-def test_a_reset_is_noticed_while_waiting(fake, controller, told):
+@pytest.mark.parametrize("reported", [True, False], ids=["by BOOT", "with BOOT lost"])
+def test_a_reset_is_noticed_while_waiting(fake, controller, reported):
     controller.shot(8000, 1)
-    fake.to_host = losing(b"!", 0 if told else 1)
+    fake.to_host = losing(b"!", 0 if reported else 1)
     fake.reset()
     with pytest.raises(ControllerReset, match="position and settings are gone"):
         controller.wait_shot(1)
@@ -340,36 +314,24 @@ def test_after_a_reset_settings_are_sent_and_home_is_asked_for(fake, controller)
     with pytest.raises(ControllerReset, match="boot 7 → 8"):
         controller.stat()
     found = controller.reconnect()
-    assert (found.same_boot, found.must_home) == (False, True)
+    assert (found.same_boot, not found.status.homed) == (False, True)
     assert fake.settings["shot"]["settl"] == 77
     controller.enable(True)
     controller.home(30000)
 
 
-def test_after_a_pulled_cable_the_position_is_still_good(fake, controller):
+@pytest.mark.parametrize("pause_s", [0.0, 2.0], ids=["for a moment", "until the watchdog has stopped the table"])
+def test_after_a_pulled_cable_the_position_is_still_good(fake, controller, pause_s):
     controller.move(400)
     controller.shot(8000, 1)
     fake.unplugged = True
     with pytest.raises(LinkLost, match="unplugged"):
         controller.wait_shot(1)
-    fake.clock.sleep(2.0)
+    fake.clock.sleep(pause_s)
     fake.unplugged = False
     found = controller.reconnect()
-    assert (found.same_boot, found.must_home) == (True, False)
-    assert found.status.fault is None
-    controller.arm(True)
-    controller.shot(8000, 1)
-    assert controller.wait_shot(1).position == fake.position == 8000
-
-
-def test_a_cable_pulled_for_a_moment_in_a_move(fake, controller):
-    controller.shot(8000, 1)
-    fake.unplugged = True
-    with pytest.raises(LinkLost):
-        controller.wait_shot(1)
-    fake.unplugged = False
-    found = controller.reconnect()
-    assert (found.same_boot, found.must_home, found.status.state) == (True, False, "idle")
+    assert (found.same_boot, found.status.homed) == (True, True)
+    assert (found.status.state, found.status.fault) == ("idle", None)
     controller.arm(True)
     controller.shot(8000, 1)
     assert controller.wait_shot(1).position == fake.position == 8000
@@ -406,46 +368,21 @@ def test_another_protocol_is_refused(fake):
         JxsController(fake, fake.clock).hello()
 
 
-def test_silence_is_no_controller(fake):
-    fake.to_host, fake.out = lambda data: b"", b""
-    with pytest.raises(FirmwareError, match="found silence, needed a scanner controller"):
-        JxsController(fake, fake.clock).hello()
-    assert fake.clock.now() < 5.0
-
-
-def test_an_echo_is_no_controller(fake):
+@pytest.mark.parametrize(
+    ("answer", "said", "within_s"),
+    [
+        (lambda data: b"", "found silence, needed a scanner controller", 6.0),
+        (lambda data: data, "echoes its input", 1.0),
+        (lambda data: b"Grbl 1.1h ['$' for help]\r\nerror:1\r\n", "a device that sends 'error:1'", 6.0),
+    ],
+    ids=["silence", "echo", "another device"],
+)
+def test_another_device_is_described(fake, answer, said, within_s):
     fake.out = b""
-    fake.write = lambda data: setattr(fake, "out", fake.out + data)
-    with pytest.raises(FirmwareError, match="echoes its input"):
+    fake.write = lambda data: setattr(fake, "out", answer(data))
+    with pytest.raises(FirmwareError, match=said):
         JxsController(fake, fake.clock).hello()
-    assert fake.clock.now() < 1.0
-
-
-def test_another_device_is_quoted(fake):
-    fake.out = b""
-    fake.write = lambda data: setattr(fake, "out", b"Grbl 1.1h ['$' for help]\r\nerror:1\r\n")
-    with pytest.raises(FirmwareError, match="a device that sends 'error:1'"):
-        JxsController(fake, fake.clock).hello()
-    assert fake.clock.now() < 6.0
-
-
-def test_leaving_makes_safe(fake):
-    with JxsController(fake, fake.clock) as controller:
-        controller.hello()
-        controller.arm(True)
-        controller.laser(True)
-        assert fake.laser
-    assert not fake.laser and not fake.armed
-
-
-@pytest.mark.parametrize("error", [ZeroDivisionError, KeyboardInterrupt, SystemExit, RigFault])
-def test_leaving_by_any_error_makes_safe(fake, error):
-    with pytest.raises(error), JxsController(fake, fake.clock) as controller:
-        controller.hello()
-        controller.arm(True)
-        controller.laser(True)
-        raise error(Fault.ABORTED)
-    assert not fake.laser and not fake.armed
+    assert fake.clock.now() < within_s
 
 
 def test_making_safe_ends_a_shot(fake, controller):
@@ -496,15 +433,6 @@ def test_a_state_that_cannot_be_read_is_no_reason_not_to_abort(fake, controller,
     assert fake.fault == 5 and not fake.laser and not fake.armed
 
 
-def test_what_could_not_be_made_safe_is_said_aloud(fake):
-    controller = JxsController(fake, fake.clock)
-    controller.hello()
-    fake.unplugged = True
-    with pytest.raises(RigError, match="switch its supply off by hand"):
-        controller.close()
-    controller.close()
-
-
 def test_what_could_not_be_made_safe_does_not_hide_the_error(fake):
     with pytest.raises(ZeroDivisionError) as error, JxsController(fake, fake.clock) as controller:
         controller.hello()
@@ -524,9 +452,3 @@ def test_events_count_on_after_the_last_number(fake, controller):
     controller.stat()
     assert fake.events == 3
     assert controller.link_counts.events_missed == before
-
-
-def test_the_counters(fake, controller):
-    controller.shot(8, 1)
-    controller.wait_shot(1)
-    assert controller.counters().laser_cycles == 1

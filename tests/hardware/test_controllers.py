@@ -1,33 +1,27 @@
 """The controllers that there are, held to the contract of all: the real firmware on the bench, GRBL simulated."""
 
 import contextlib
-import time
 
 import pytest
-from bench.grbl import GrblBoard
 from scanrig.controllers.jxs import connect
 from scanrig.errors import Fault, RigError
 
 from .controller_contract import ControllerContract
-from .grbl_rig import open_board, rig_config
+from .grbl_rig import GrblBoard, open_board, rig_config
 
 
 class GrblPlant:
-    def __init__(self, folder):
-        self.board = GrblBoard(folder)
-        self.board.start()
+    def __init__(self):
+        self.board = GrblBoard()
         self.controller = open_board(self.board, rig_config())
-        self.unplug, self.plug = self.board.unplug, self.board.plug
+        self.reset, self.unplug, self.plug = self.board.power_cycle, self.board.unplug, self.board.plug
+        self.wait = self.board.clock.sleep
 
     def position(self):
         return 80 * self.board.position
 
     def lit(self):
         return self.board.lit
-
-    def reset(self):
-        self.board.power_cycle()
-        time.sleep(0.05)
 
     def fault(self):
         self.board.hit_limit()
@@ -36,21 +30,11 @@ class GrblPlant:
     def release(self):
         pass
 
-    def wait(self, seconds):
-        time.sleep(seconds)
-
-    def close(self):
-        with contextlib.suppress(RigError):
-            self.controller.close()
-        self.board.close()
-
 
 class TestGrbl(ControllerContract):
     @pytest.fixture
-    def plant(self, tmp_path):
-        plant = GrblPlant(tmp_path)
-        yield plant
-        plant.close()
+    def plant(self):
+        return GrblPlant()
 
 
 class FirmwarePlant:

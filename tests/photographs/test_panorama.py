@@ -33,6 +33,7 @@ def test_rays_and_pixels_are_inverse(world, projection):
     assert frame.pixels(np.array([1.0, 0.5, 0.0]))[0] < 99 and frame.pixels(np.array([1.0, 0.0, 0.2]))[1] < 60
 
 
+@pytest.mark.more
 def test_a_straight_line_is_straight_to_half_a_pixel(world, panorama):
     """The bar on the wall, seen again in every column; its places are carried back to the wall along their rays."""
     frame, rays = panorama.frame, panorama.frame.rays()
@@ -62,6 +63,7 @@ def test_distances_and_normals_are_those_of_the_wall(world, panorama):
     np.testing.assert_allclose(panorama.normals[row, column], np.broadcast_to([-1.0, 0, 0], (*y.shape, 3)), atol=0.02)
 
 
+@pytest.mark.more
 def test_without_a_cloud_what_is_as_far_away_as_is_said_is_in_its_place(world):
     frame = panorama_frame(world.scanner, width=600)
     found = make_panorama(world.photographs, frame, distance_m=WALL_X)
@@ -103,6 +105,7 @@ def _sheet():
     return LaserSheet.from_plane(np.array([1.0, 0.0, 0.1]), 0.3)
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("with_cloud", [True, False])
 def test_there_are_no_seams_where_light_is_constant(with_cloud):
     """Also where exposures differ by 20 %: neighbouring pixels differ by 1 grey level at most, all the way round."""

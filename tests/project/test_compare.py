@@ -37,6 +37,7 @@ def two(finished, tmp_path):
     return [shutil.copytree(finished.parent, tmp_path / name) / finished.name for name in ("first", "second")]
 
 
+@pytest.mark.more
 def test_one_capture_and_two_versions(two, run):
     first, second = two
     same = compare_projects(load_project(first), load_project(second))

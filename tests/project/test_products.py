@@ -2,7 +2,6 @@
 
 import json
 
-import fsspec
 import pytest
 
 from jaxscan.errors import ConfigError
@@ -146,12 +145,3 @@ def test_headers_are_read_only_where_they_matter(museum, monkeypatch):
     monkeypatch.setattr(module, "header_of", read)
     edit(museum, '["cloud", "measures", "mesh"]', '["cloud", "measures", "report"]')
     assert load_project(museum).notes == ()
-    # Storage is asked for no header.
-    edit(museum, '["cloud", "measures", "report"]', ALL)
-    storage = fsspec.filesystem("memory")
-    storage.put(f"{museum.parent / 'room-1'}/", "/products/room-9", recursive=True)
-    try:
-        edit(museum, 'pattern = "room-*"', 'pattern = "memory://products/room-*"')
-        assert [one.name for one in load_project(museum).captures] == ["room-9"]
-    finally:
-        storage.rm("/products", recursive=True)

@@ -37,6 +37,7 @@ def in_state(file, state):
     return {key for key, one in states(file).items() if one.state == state}
 
 
+@pytest.mark.more
 def test_a_project_from_nothing_to_done_and_stale_by_every_cause(museum, tiny, monkeypatch):
     assert in_state(museum, "missing") == set(states(museum))
     rows = work(museum)

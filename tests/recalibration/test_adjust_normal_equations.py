@@ -17,7 +17,7 @@ from tests.recalibration.small_room import SIGMA, exact_sweep, observe, stored, 
 SEED = 11
 
 
-@pytest.fixture(scope="module", params=["steps", "model"])
+@pytest.fixture(scope="module", params=["steps", pytest.param("model", marks=pytest.mark.more)])
 def everything(request):
     """Two stations, a sphere, two lengths, features, and one angle per record or per image: all kinds of unknowns."""
     random = np.random.default_rng(SEED)

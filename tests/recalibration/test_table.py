@@ -32,6 +32,7 @@ def test_a_good_table_is_left_alone(turn_deg, seed):
     assert not np.any(found.corrections[0])
 
 
+@pytest.mark.more
 @pytest.mark.parametrize(("factor", "words"), [(0.5, "6400 microsteps"), (2.0, "1600 microsteps"), (10 / 9, "2880")])
 def test_wrong_steps_per_turn_are_found_and_named(factor, words):
     phi = np.linspace(0.0, 2 * np.pi, 240, endpoint=False)
@@ -43,6 +44,7 @@ def test_wrong_steps_per_turn_are_found_and_named(factor, words):
     assert np.abs(error).max() < 3e-4 * factor * 2 * np.pi + 1e-3
 
 
+@pytest.mark.more
 def test_a_ratio_that_is_not_usual_is_named_roughly():
     phi = np.linspace(0.0, 2 * np.pi, 240, endpoint=False)
     found, _ = checked(phi, 0.965 * phi, seed=5)
@@ -51,7 +53,10 @@ def test_a_ratio_that_is_not_usual_is_named_roughly():
     assert "about 0.96" in found.sentences[0]
 
 
-@pytest.mark.parametrize(("degrees", "record"), [(0.2, 130), (0.9, 60), (1.8, 170)])
+@pytest.mark.parametrize(
+    ("degrees", "record"),
+    [(0.2, 130), *(pytest.param(*one, marks=pytest.mark.more) for one in ((0.9, 60), (1.8, 170)))],
+)
 def test_a_lost_step_is_found_and_repaired(degrees, record):
     phi = np.linspace(0.0, 2 * np.pi, 240, endpoint=False)
     true = poor_table(phi)
@@ -67,6 +72,7 @@ def test_a_lost_step_is_found_and_repaired(degrees, record):
     assert np.abs(error[away]).max() < np.deg2rad(0.05) + 3e-4 * 2 * np.pi + 1e-3
 
 
+@pytest.mark.more
 def test_two_lost_steps_are_told_apart():
     phi = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
     true = phi.copy()

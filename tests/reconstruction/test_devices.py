@@ -15,6 +15,9 @@ from jaxscan.stripes import NoiseModel
 from .rendered import ELECTRONS_PER_DN, READ_DN, expose, stripe
 
 
+pytestmark = pytest.mark.more
+
+
 WIDTH, HEIGHT, RECORDS = 128, 48, 7
 """An odd number of records, of which the last chunk is padded."""
 NORMAL = np.array([0.9, 0.4, 0.17]) / np.linalg.norm([0.9, 0.4, 0.17])

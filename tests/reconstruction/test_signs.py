@@ -8,6 +8,9 @@ from jaxscan.reconstruction import Sweep, reconstruct
 from jaxscan.stripes import NoiseModel, Stripes
 
 
+pytestmark = pytest.mark.more
+
+
 WIDTH, HEIGHT = 2048, 1638
 TR = np.array(
     [

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import Missed, Quality, SecondLook
-from jaxscan.calibration.result import BoardMap, GoodTo, Lengths, judge_views
+from jaxscan.calibration.result import BoardMap, GoodTo, GoodToPart, Lengths, LengthSigma, judge_views
 from jaxscan.report import Parameter, outcome_rows, parameters, quality_rows, words
 from jaxscan.report.tables import view_rows
 
@@ -35,8 +35,42 @@ class TestHeadline:
     def test_without_structure(self, calibration):
         found = words.headline(calibration)
         assert found == words.Headline(
-            "good", "Good to 0.80 mm at 2.5 m", "The residuals look like noise. Its rays are good to 0.1 px."
+            "plain", "Good to 0.80 mm at 2.5 m", "The residuals look like noise. Its rays are good to 0.1 px."
         )
+
+    def test_a_limit_that_was_set_and_is_kept_makes_it_good(self, calibration):
+        for settings, kind in (({"limit_mm": 1.0}, "good"), ({"limit_mm": None}, "plain"), ("nonsense", "plain")):
+            assert words.headline(replace(calibration, provenance={"settings": settings})).kind == kind
+
+    def test_says_which_length_its_largest_part_and_what_would_halve_it(self, calibration):
+        parts = (GoodToPart("angles", 1.9), GoodToPart("sheet", 0.6), GoodToPart("axis", 0.01))
+        whole = float(np.hypot(1.9, 0.6))
+        good_to = GoodTo(whole, whole, 2.5, 0.1, 0.1, 4.0, parts)
+        wall = LengthSigma("wall", 2.5, 4.0, whole)
+        lengths = Lengths(tuple(replace(one, lengths=(wall, *one.lengths)) for one in calibration.quality.lasers()))
+        found = having(judged(calibration, good_to=good_to), lengths=lengths)
+        first = words.headline(found)
+        assert first.headline == "Good to 2.0 mm for a 4 m wall from 2.5 m"
+        assert "Its largest part, 1.9 mm, comes from the angles of the table; what would halve it: boards" in (
+            first.explanation
+        )
+        # The figure of the verdict is the first line, and the squares of the next ones make it up.
+        lines = words.lengths(found)
+        assert [line.what for line in lines[:3]] == [
+            "4 m wall from 2.5 m, laser red", "of that from the angles of the table", "of that from the laser's sheet"
+        ]  # fmt: skip
+        assert lines[0].sigma_mm == whole == pytest.approx(np.hypot(lines[1].sigma_mm, lines[2].sigma_mm))
+        alike = replace(good_to, parts=(GoodToPart("camera", 1.5), GoodToPart("sheet", 1.3)))
+        said = words.headline(judged(found, good_to=alike)).explanation
+        assert "comes from camera and lens; no part alone would halve it, and the first step is: more boards" in said
+        swept = replace(judged(found, good_to=good_to), provenance={"recalibration": {}})
+        assert "what would halve it: more sweeps" in words.headline(swept).explanation
+
+    def test_a_wrong_model_may_be_the_largest_part(self, calibration):
+        good_to = GoodTo(1.0, 0.3, 2.5, 0.1, 0.1, 4.0, (GoodToPart("angles", 0.3),))
+        found = judged(calibration, structured(calibration, lens=0.95), good_to=good_to)
+        said = words.headline(found).explanation
+        assert "That is its largest part; what would halve it: Capture the board in the corners" in said
 
     def test_of_a_camera_alone(self, calibration):
         alone = GoodTo(sigma_px=0.123, statistical_px=0.05)
@@ -51,7 +85,7 @@ class TestHeadline:
     @pytest.mark.parametrize(("index", "name"), list(enumerate(words.TESTS)))
     def test_says_the_cause_and_its_size(self, calibration, index, name):
         found = words.headline(judged(calibration, structured(calibration, **{name: 0.5})))
-        assert found.kind == "good"
+        assert found.kind == "plain"
         for other, (_, cause) in words.TESTS.items():
             assert (f"; 0.50 mm of that because {cause}" in found.headline) == (other == name)
 
@@ -79,7 +113,7 @@ class TestHeadline:
         tests = [replace(test, p=1e-9) for test in calibration.quality.verdict.tests]
         noisy = judged(calibration, tests)
         found = words.headline(noisy)
-        assert found.kind == "good" and "larger than the detectors promise" in found.explanation
+        assert found.kind == "plain" and "larger than the detectors promise" in found.explanation
         assert {row[6] for row in outcome_rows(noisy)} == {"noisy"}
 
     def test_one_of_many_tests_may_be_a_little_unlikely(self, calibration):
@@ -238,3 +272,18 @@ class TestParameters:
 def test_numbers_of_the_solve_that_are_not_there_are_left_out(calibration):
     assert ("corner RMS, px", "0.1400") in quality_rows(calibration)
     assert quality_rows(replace(calibration, quality=Quality())) == []
+
+
+@pytest.mark.parametrize(
+    ("size", "said"),
+    [
+        (0.0, "0 mm"),
+        (0.00997, "0.010 mm"),
+        (0.0131, "0.013 mm"),
+        (0.997, "1.0 mm"),
+        (2.44, "2.4 mm"),
+        (123.4, "123 mm"),
+    ],
+)
+def test_sizes_have_two_digits(size, said):
+    assert words.millimetres(size) == said

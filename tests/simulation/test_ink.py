@@ -106,6 +106,7 @@ def test_unguarded_every_edge_pulls_by_many_times_the_noise(stripes):
     assert np.sqrt(np.mean((stripes.error / stripes.sigma) ** 2)) > 1.8
 
 
+@pytest.mark.more
 def test_corrected_it_is_noise_again(stripes):
     use = np.abs(stripes.shift) <= 0.35
     z = stripes.corrected / stripes.total

@@ -122,6 +122,7 @@ def test_numpy_and_jax_frames(render):
 SETUP = ExtractionSetup((96, 64), FrameFormat(), LaserLine(), StripeSettings())
 
 
+@pytest.mark.more
 def test_extraction_gives_what_the_pure_function_does_inside_a_larger_jit(render):
     scene = render(1.5, 80.0, rows=64)
     on, off = (np.concatenate([frame, frame[:, ::-1]]) for frame in (scene.on, scene.off))

@@ -65,6 +65,7 @@ def levels(frames):
 
 
 # Measured: 0.83 of the error of 8 bits for faint stripes, the same for bright ones.
+@pytest.mark.more
 @pytest.mark.parametrize(("peak", "most"), [(80.0, 0.9), (320.0, 0.95), (3000.0, 1.01)])
 def test_a_faint_stripe_gains_and_a_bright_one_loses_nothing(peak, most):
     u, on, off = photographed(peak)

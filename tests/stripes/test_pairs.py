@@ -26,6 +26,7 @@ def judged(on, off):
     return judge_pairs(on, off, extract_stripes(on, off), line=LaserLine())
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("leaking", [0.0, 0.05, 0.2])
 def test_what_leaks_is_measured(profile, sensor, leaking):
     found = judged(*_pair(profile, sensor, leaking))

@@ -9,6 +9,9 @@ import pytest
 from jaxscan.stripes import extract_stripes
 
 
+pytestmark = pytest.mark.more
+
+
 SCENE = Path(__file__).parents[1] / "data" / "ciclop" / "scene"
 
 

@@ -74,6 +74,7 @@ def reflected(request, profile, sensor):
     return camera.expose(AMBIENT + light), camera.expose(np.full_like(light, AMBIENT)), truth, affected
 
 
+@pytest.mark.more
 def test_the_true_stripe_is_chosen(reflected):
     on, off, truth, affected = reflected
     assert 0.18 < affected.mean() < 0.25

@@ -27,6 +27,7 @@ def rms(error):
     return float(np.sqrt(np.mean(np.square(error))))
 
 
+@pytest.mark.more
 def test_a_parabola_by_least_squares():
     # Without noise nothing is an edge and everything fits: the window is that of 10 lines on either side.
     u = 100 + 0.3 * X + 1e-3 * (X - 120) ** 2 + 0.02 * np.sin(X / 4)
@@ -44,6 +45,7 @@ def test_a_parabola_by_least_squares():
         assert found.sigma[0, i] == pytest.approx(np.sqrt(covariance[0, 0]), rel=1e-5)
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("curvature", [0.0, 0.05, 0.2])
 def test_noise_falls_and_is_stated_in_every_class(curvature):
     # Sigmas from 0.02 to 0.4 px; curved by so many of them per line squared.
@@ -121,6 +123,7 @@ def test_nothing_is_carried_over_a_gap_of_more_than_three_lines():
     np.testing.assert_array_equal(one.u[:, :100], other.u[:, :100])
 
 
+@pytest.mark.more
 def test_every_second_line_of_a_mosaic():
     u = noisy(300 + SLOPE * X[:120], 0.1)
     wide, valid = np.zeros((PROFILES, LINES), np.float32), np.zeros((PROFILES, LINES), bool)
@@ -195,6 +198,7 @@ def test_rows_that_are_alike_are_noticed(weight):
     assert scatter.scale.max() < 1.05
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("shape", [(0, 0), (1, 1), (2, 7)])
 def test_hardly_any_rows(shape):
     u, valid = np.full(shape, 5, np.float32), np.ones(shape, bool)

@@ -75,6 +75,7 @@ def _learned(on, off, noise=KNOWN, settings=None):
 
 
 # Grains of half a pixel, and of one and a half: then neighbouring pixels and rows share them.
+@pytest.mark.more
 @pytest.mark.parametrize(("contrast", "grain"), [(0.5, 0.5), (0.5, 1.5), (0.25, 1.0)])
 def test_sigma_is_honest_where_speckle_rules(contrast, grain):
     on, off, u = _scene(contrast, grain)
@@ -204,6 +205,7 @@ def test_the_reasons_where_nothing_is_learned():
     assert reason(on, off, plain) == "the estimator does not tell it"
 
 
+@pytest.mark.more
 def test_only_the_first_frames_are_learned_from():
     on, off, _ = _scene(0.5)
     setup = ExtractionSetup((COLUMNS, ROWS), FrameFormat(), LaserLine(), StripeSettings())

@@ -116,6 +116,7 @@ def test_the_ends_of_a_sweep(profile):
     np.testing.assert_array_equal(np.delete(found, profile, 0), 0)
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("profiles", [1, 2])
 def test_few_profiles_are_left_alone(profiles):
     rng = np.random.default_rng(3)

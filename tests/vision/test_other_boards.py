@@ -67,6 +67,7 @@ def test_corners_are_where_they_are(board):
         assert np.abs(error).max() < 0.25
 
 
+@pytest.mark.more
 @BOARDS
 def test_sigmas_are_honest(board):
     errors = np.concatenate([(found.q - truth)[found.valid] for found, truth in views(board)])
@@ -166,4 +167,4 @@ def test_tags_of_one_row_are_refused():
     image = picture(APRIL, texture(APRIL), PER_SQUARE[APRIL], motion)
     truth = seen_at(APRIL, motion).reshape(2 * APRIL.rows, 2 * APRIL.columns, 2)
     image[int(truth[1, :, 1].max()) + 12 :] = 128
-    assert find_april_grid(image, APRIL) is None
+    assert find_april_grid(image, image, APRIL) is None

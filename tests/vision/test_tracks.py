@@ -78,6 +78,7 @@ def test_errors_are_as_large_as_their_sigmas_say(tracks):
     assert np.median(tracks.sigma) < 0.1
 
 
+@pytest.mark.more
 def test_hardly_a_track_is_wrong(tracks):
     size = np.linalg.norm(truth_errors(tracks), axis=1) / tracks.sigma
     worst = np.zeros(len(tracks.point))

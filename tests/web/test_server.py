@@ -51,6 +51,7 @@ def end_with_open_connections(asking):
     return [str(one.message) for one in said if one.category is ResourceWarning], took
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("asking", [False, True])
 def test_no_connection_outlives_the_server(asking):
     # Who connects in the last moment is accepted in time or not: several tries, for it to happen.

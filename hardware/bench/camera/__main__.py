@@ -10,8 +10,8 @@ import signal
 import sys
 from pathlib import Path
 
-from bench.camera.network import ADDRESS, BenchCamera
-from bench.camera.rendered import load_world
+from bench.camera.network import BenchCamera
+from bench.camera.rendered import ADDRESS, load_world
 from bench.places import WORLD, BenchError
 from bench.processes import ControlServer
 
@@ -21,7 +21,6 @@ PLACEMENT_REACH_DEG = 10.0
 
 
 def main() -> int:
-    """The command line."""
     parser = argparse.ArgumentParser(prog="bench.camera", description="A GigE Vision camera that sees a simulated rig.")
     parser.add_argument("--edges", type=Path, required=True, help="the rig's log, edges.jsonl")
     parser.add_argument("--control", type=Path, required=True, help="the socket to make")

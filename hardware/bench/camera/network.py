@@ -14,11 +14,11 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, Literal, TextIO
 
 import numpy as np
 
-from bench.camera.rendered import NOMINAL_EXPOSURE_S, Exposure, LogReader, Plant, View, World
+from bench.camera.rendered import ADDRESS, NOMINAL_EXPOSURE_S, Exposure, LogReader, Plant, View, World
 from bench.places import BenchError
 
 
@@ -26,7 +26,8 @@ LIBRARY = "libaravis-0.8.so.0"
 
 WIDTH, HEIGHT, GAIN, EXPOSURE_US, LEFT, TOP = 0x100, 0x104, 0x110, 0x120, 0x130, 0x134
 FRAME_PERIOD_US, TRIGGER_SOFTWARE, ACQUISITION, CONTROL_CHANNEL_PRIVILEGE = 0x138, 0x30C, 0x124, 0xA00
-"""Registers of the fake camera."""
+PIXEL_FORMAT, MONO16 = 0x128, 0x01100007
+"""Registers of the fake camera, and GenICam's number of a pixel format."""
 
 BROADCAST = "255.255.255.255", 3956
 
@@ -37,7 +38,6 @@ Fill = Callable[[], np.ndarray]
 
 
 def aravis_is_there() -> bool:
-    """Whether the library is installed."""
     try:
         ctypes.CDLL(LIBRARY)
     except OSError:
@@ -88,24 +88,23 @@ def _keep_to_loopback() -> None:
 class GvCamera:
     """A GigE Vision camera on a local address; there can be one per machine, port 3956 is the standard's.
 
-    A frame leaves in one of three ways: `deliver` hands over one that a trigger's wire asked for; a client's software
+    A frame leaves in one of three ways: `deliver` hands over one that the trigger wire requested; a client's software
     trigger, and a client that lets the camera run free, get the frame that `present` returns.
     """
 
-    def __init__(self, present: Fill, *, address: str = "127.0.0.1", serial: str = "BENCH") -> None:
+    def __init__(self, present: Fill, *, address: str = ADDRESS) -> None:
         """Start to answer.
 
         Args:
-            present: Returns the view at this moment, uint8 [rows, columns]; called in a thread of libaravis.
+            present: Returns the view at this moment [rows, columns], uint8 or uint16 by `bits`; called in a thread.
             address: Of a local network interface.
-            serial: Serial number by which it is found.
 
         Raises:
             BenchError: If libaravis is missing or the address is taken.
         """
         self._library = _load()
         pointer, number = ctypes.c_void_p, ctypes.c_uint32
-        self._gv = self._library.arv_gv_fake_camera_new(address.encode(), serial.encode())
+        self._gv = self._library.arv_gv_fake_camera_new(address.encode(), b"BENCH")
         if not self._gv or not self._library.arv_gv_fake_camera_is_running(self._gv):
             raise BenchError(f"No camera can be started at {address}: is one running there already?")
         if ipaddress.ip_address(address).is_loopback:
@@ -120,14 +119,17 @@ class GvCamera:
         self._library.arv_fake_camera_set_fill_pattern(self._camera, self._callback, None)
 
     def register(self, address: int) -> int:
-        """Content of a register."""
         value = ctypes.c_uint32()
         self._library.arv_fake_camera_read_register(self._camera, address, ctypes.byref(value))
         return value.value
 
     def write(self, address: int, value: int) -> None:
-        """Set a register."""
         self._library.arv_fake_camera_write_register(self._camera, address, value)
+
+    @property
+    def bits(self) -> Literal[8, 16]:
+        """Bits of a sample that the client requested: those of Mono8 or Mono16."""
+        return 16 if self.register(PIXEL_FORMAT) == MONO16 else 8
 
     def armed(self) -> bool:
         """Whether a trigger would be taken: a client acquires, and has switched triggering on."""
@@ -142,11 +144,11 @@ class GvCamera:
         """Send one frame to the client. False if it has stopped acquiring."""
         self._taken.clear()
         self._handed = frame
-        self._library.arv_fake_camera_write_register(self._camera, FRAME_PERIOD_US, TRIGGERED_PERIOD_US)
-        self._library.arv_fake_camera_write_register(self._camera, TRIGGER_SOFTWARE, 1)
+        self.write(FRAME_PERIOD_US, TRIGGERED_PERIOD_US)
+        self.write(TRIGGER_SOFTWARE, 1)
         if self._taken.wait(timeout_s):
             return True
-        self._library.arv_fake_camera_write_register(self._camera, TRIGGER_SOFTWARE, 0)
+        self.write(TRIGGER_SOFTWARE, 0)
         self._handed = None
         return False
 
@@ -162,7 +164,6 @@ class GvCamera:
         self.write(CONTROL_CHANNEL_PRIVILEGE, 0)
 
     def close(self) -> None:
-        """Disappear."""
         if self._gv:
             self._library.g_object_unref(self._gv)
             self._gv = None
@@ -184,8 +185,8 @@ class GvCamera:
         """The client's region of interest; black where it reaches beyond the sensor."""
         width, height, left, top = (self.register(address) for address in (WIDTH, HEIGHT, LEFT, TOP))
         if (height, width, left, top) == (*frame.shape, 0, 0):
-            return np.ascontiguousarray(frame, np.uint8)
-        window = np.zeros((height, width), np.uint8)
+            return np.ascontiguousarray(frame)
+        window = np.zeros((height, width), frame.dtype)
         part = frame[top : top + height, left : left + width]
         window[: part.shape[0], : part.shape[1]] = part
         return window
@@ -193,8 +194,6 @@ class GvCamera:
 
 POLL_S = 0.002
 """How often the log is looked at."""
-
-ADDRESS = "127.0.0.1"
 
 
 @dataclass
@@ -221,7 +220,7 @@ class Counts:
 
 @dataclass
 class BenchCamera:
-    """Renders and sends the frames that the log asks for; `ledger` gets the true view of each."""
+    """Renders and sends the frames that the log requires; `ledger` gets the true view of each."""
 
     world: World
     edges: Path
@@ -342,7 +341,6 @@ class BenchCamera:
                 self._wire.forget_controller()
 
     def stop(self) -> None:
-        """End `run`."""
         self._stop.set()
 
     def _state(self) -> dict[str, Any]:
@@ -406,7 +404,9 @@ class BenchCamera:
         if trouble.covered:
             view = view._replace(exposure=0.0)
         with self._world_lock:
-            return self.world.frame(view, number, flash_dn=flash, blur_px=blur)
+            wire = self._wire
+            bits = 8 if wire is None else wire.bits
+            return self.world.frame(view, number, flash_dn=flash, blur_px=blur, bits=bits)
 
     def _send(self, exposure: Exposure, view: View, picture: np.ndarray) -> None:
         with self._wire_lock:

@@ -1,22 +1,19 @@
 """The camera of the bench: a furnished room with a laser and a board, seen at each trigger in the log of the rig."""
 
-import contextlib
 import json
 import os
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from bench.places import WORLD, BenchError, held, private_folder
-from bench.processes import ControlClient, end, epitaph, launch
+from bench.processes import Part
 from jaxscan.files.disk import load_toml
 from jaxscan.simulation import (
     ExpectedRecord,
@@ -68,6 +65,10 @@ class World:
             reach_deg: Only placements are kept from which the board is seen over at least this angle to both sides.
         """
         self.config = config
+        self._config_of = {
+            bits: config.model_copy(update={"sensor": config.sensor.model_copy(update={"bits": bits})})
+            for bits in (8, 16)
+        }
         self.reach_deg = reach_deg
         self._rig, self._scene = make_rig(config), make_scene(config)
         self._boards = make_scene(config, boards=config.object is not None)
@@ -119,14 +120,17 @@ class World:
             known[laser] = expect_record(self._rig, scene, angle, laser=laser, board=seen)
         return known[laser]
 
-    def frame(self, view: View, number: int, *, flash_dn: float = 0.0, blur_px: int = 0) -> np.ndarray:
-        """One frame, uint8 [rows, columns].
+    def frame(
+        self, view: View, number: int, *, flash_dn: float = 0.0, blur_px: int = 0, bits: Literal[8, 16] = 8
+    ) -> np.ndarray:
+        """One frame, uint8 [rows, columns]; uint16 of 16 bits.
 
         Args:
             view: The scene in front of the lens.
             number: Chooses the noise: the same view and number give the same frame.
             flash_dn: Light that is added everywhere, as by a flash or an opened door.
             blur_px: How far the image moves during the exposure, along the rows.
+            bits: Bits of a sample: the same light and noise, in finer steps.
         """
         rng = self._generator(_NOISE, number)
         lit = [(laser, share) for laser, share in enumerate(view.lights[: len(self.config.laser)]) if share > 0]
@@ -138,7 +142,7 @@ class World:
         light = light * np.float32(view.exposure) + np.float32(flash_dn)
         if blur_px:
             light = np.stack([np.roll(light, shift, axis=1) for shift in range(blur_px + 1)]).mean(0)
-        return take_frame(light, self.config, rng)
+        return take_frame(light, self._config_of[bits], rng)
 
     def _known_laser(self) -> int:
         """The laser whose record was made last; the room looks the same in all."""
@@ -209,14 +213,12 @@ class Light:
     since: int | None = None
 
     def switch(self, on: bool, cycle: int) -> None:
-        """It goes on or off."""
         if self.on and not on and self.since is not None:
             self.cycles += cycle - self.since
         self.since = cycle if on else None
         self.on = on
 
     def begin(self, cycle: int) -> None:
-        """A pulse begins."""
         self.cycles, self.since = 0, cycle if self.on else None
 
     def share(self, began: int, cycle: int) -> float:
@@ -260,7 +262,6 @@ class Plant:
         return False, None
 
     def from_home(self) -> int:
-        """Microsteps from home."""
         return self.position - self.home
 
     def _trigger(self, on: bool, cycle: int) -> tuple[bool, Exposure | None]:
@@ -282,8 +283,10 @@ READY_S = 90.0
 """How long the camera may take to start: it loads the simulator and makes a room, perhaps on a busy machine."""
 
 
-class RenderedCamera:
+class RenderedCamera(Part):
     """A GigE Vision camera at 127.0.0.1 that sees the plant of a simulated rig."""
+
+    name, socket = "the camera", "camera"
 
     def __init__(
         self,
@@ -294,27 +297,17 @@ class RenderedCamera:
         microsteps_per_turn: int = 28800,
         apart: bool = False,
     ) -> None:
-        """A camera that `start` (or `with`) switches on.
+        """A camera that is off.
 
         Args:
-            folder: Holds its control socket and its ledger; made if it is not there.
+            edges: The rig's log.
             world: The world in front of it, a simulated rig.
             apart: Whether Ctrl-C at the terminal is kept from it.
         """
-        self.folder, self.edges, self.world, self.address = Path(folder), edges, world, ADDRESS
+        super().__init__(folder)
+        self.edges, self.world, self.address = edges, world, ADDRESS
         self.ledger = self.folder / "frames.jsonl"
         self._microsteps_per_turn, self._apart = microsteps_per_turn, apart
-        self._process: subprocess.Popen[str] | None = None
-        self._control: ControlClient | None = None
-
-    def __enter__(self) -> "RenderedCamera":
-        self.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def start(self) -> None:
         """Switch on.
@@ -322,24 +315,14 @@ class RenderedCamera:
         Raises:
             BenchError: If libaravis is missing, the address is taken, or the world cannot be rendered.
         """
-        if self._process is not None:
-            raise BenchError(f"{self.folder}: this camera is on already.")
+        self._require_off()
         self.folder.mkdir(parents=True, exist_ok=True)
-        folder = self.folder.resolve()
-        command = [sys.executable, "-m", "bench.camera", "--edges", str(self.edges.resolve()), "--world"]
-        command += [
-            str(self.world.resolve()),
-            "--control",
-            str(folder / "camera"),
-            "--ledger",
-            str(self.ledger.resolve()),
-        ]
-        command += ["--microsteps-per-turn", str(self._microsteps_per_turn), "--address", self.address]
-        command += ["--owner", str(os.getpid())]
-        self._process = launch(
-            command, folder=folder, errors=folder / "camera.err", within_s=READY_S, apart=self._apart
-        )
-        self._control = ControlClient(folder / "camera")
+        paths = {"edges": self.edges, "world": self.world, "control": self.control_path, "ledger": self.ledger}
+        command = [sys.executable, "-m", "bench.camera", "--address", self.address, "--owner", str(os.getpid())]
+        command += ["--microsteps-per-turn", str(self._microsteps_per_turn)]
+        for name, path in paths.items():
+            command += [f"--{name}", str(path.resolve())]
+        self._launch(command, within_s=READY_S, apart=self._apart)
 
     def control(self, text: str) -> Any:
         """Give the camera one command (see README.md), and return its answer, parsed if it is JSON.
@@ -347,16 +330,10 @@ class RenderedCamera:
         Raises:
             BenchError: If it does not know it, or does not answer.
         """
-        if self._control is None:
-            raise BenchError(f"{self.folder}: this camera is off.")
-        answer = self._control.ask(text)
+        answer = self.ask(text)
         if answer.startswith("error: "):
             raise BenchError(answer.removeprefix("error: "))
         return answer if answer == "ok" else json.loads(answer)
-
-    def died(self) -> str:
-        """How its process ended by itself, "" if it runs or was switched off."""
-        return epitaph("the camera", self._process, self.folder / "camera.err")
 
     def frames(self) -> list[dict[str, Any]]:
         """The truth of every frame so far: `cycle`, `position`, `light`, `angle` [rad], `board`, `exposure`, `sent`."""
@@ -382,18 +359,6 @@ class RenderedCamera:
             if time.monotonic() > limit:
                 raise BenchError(f"{self.folder}: {pulses} pulses, of which the camera is done with {done}.")
             time.sleep(0.01)
-
-    def close(self) -> None:
-        """Switch off. Doing so twice is doing it once."""
-        process, self._process = self._process, None
-        control, self._control = self._control, None
-        if control is not None:
-            control.close()
-        if process is not None:
-            end(process)
-            # One that was killed left its socket.
-            with contextlib.suppress(FileNotFoundError):
-                (self.folder / "camera").unlink()
 
 
 @contextmanager

@@ -26,18 +26,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from jaxscan.errors import DependencyError
-from jaxscan.stripes import PixelFormat, frame_rank
-from scanrig.cameras.camera import (
-    CameraIdentity,
-    CameraSettings,
-    ClosedAtExit,
-    Features,
-    Frame,
-    FrameNumbers,
-    TriggerMode,
-    require,
-    wanted,
-)
+from jaxscan.stripes import DEEP_BITS, frame_rank
+from scanrig.cameras.camera import Camera, CameraIdentity, CameraSettings, Features, Frame, require, wanted
 from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
 
@@ -72,7 +62,6 @@ _WITH_ERROR: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_camera_new": (c_void_p, (c_char_p,)),
     "arv_camera_get_vendor_name": (c_char_p, (c_void_p,)),
     "arv_camera_get_model_name": (c_char_p, (c_void_p,)),
-    "arv_camera_get_device_id": (c_char_p, (c_void_p,)),
     "arv_camera_get_device_serial_number": (c_char_p, (c_void_p,)),
     "arv_camera_create_stream": (c_void_p, (c_void_p, c_void_p, c_void_p)),
     "arv_camera_get_payload": (c_uint, (c_void_p,)),
@@ -121,7 +110,6 @@ _PLAIN: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_buffer_new_allocate": (c_void_p, (c_size_t,)),
     "arv_buffer_get_status": (c_int, (c_void_p,)),
     "arv_buffer_get_frame_id": (c_uint64, (c_void_p,)),
-    "arv_buffer_get_timestamp": (c_uint64, (c_void_p,)),
     "arv_buffer_get_data": (c_void_p, (c_void_p, POINTER(c_size_t))),
     "arv_buffer_get_image_width": (c_int, (c_void_p,)),
     "arv_buffer_get_image_height": (c_int, (c_void_p,)),
@@ -163,11 +151,7 @@ def _short(name: str) -> str:
 
 @functools.cache
 def load_aravis() -> Aravis:
-    """Load the library.
-
-    Raises:
-        DependencyError: If it is not installed.
-    """
+    """Load the library. Raises DependencyError."""
     try:
         return Aravis(CDLL(LIBRARY))
     except (OSError, AttributeError) as problem:
@@ -248,15 +232,14 @@ def _register(aravis: Aravis, device: int, address: int) -> int | None:
     return value.value
 
 
-PIXEL_FORMATS: dict[PixelFormat, tuple[str, ...]] = {
-    "mono8": ("Mono8",),
+_BAYER = {"rggb": "RG", "bggr": "BG", "grbg": "GR", "gbrg": "GB"}
+PIXEL_FORMATS: dict[str, tuple[str, ...]] = {
     "rgb8": ("RGB8", "RGB8Packed"),
-    "bayer_rggb8": ("BayerRG8",),
-    "bayer_bggr8": ("BayerBG8",),
-    "bayer_grbg8": ("BayerGR8",),
-    "bayer_gbrg8": ("BayerGB8",),
+    **{f"mono{bits}": (f"Mono{bits}",) for bits in (8, *DEEP_BITS)},
+    **{f"bayer_{one}{bits}": (f"Bayer{tile}{bits}",) for one, tile in _BAYER.items() for bits in (8, *DEEP_BITS)},
 }
-"""GenICam's names of the pixel formats; the second name is used by older cameras."""
+"""GenICam's names of the pixel formats; the second name is used by older cameras. Those of more than 8 bits have
+two bytes for each sample, the lower first; the packed ones ("Mono12p", "Mono12Packed") are never requested."""
 
 AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto")
 """Automatic functions of a camera, which are switched off."""
@@ -411,6 +394,39 @@ def _trigger(aravis: Aravis, camera: int, settings: CameraSettings) -> Features:
     return {"trigger": known.get(source, source), "trigger_source": source}
 
 
+_WRAP = 65535
+"""GigE Vision counts frames 1 … 65535, then 1 again; 0 is not used."""
+
+
+class FrameNumbers:
+    """Turns a camera's wrapping frame ids into increasing numbers."""
+
+    def __init__(self) -> None:
+        self._last: int | None = None
+        self._raw, self._period = 0, _WRAP
+
+    def take(self, raw: int) -> tuple[int, int]:
+        """Unwrap the camera's id of a frame.
+
+        Returns:
+            number: Its number; for the first frame its id.
+            advance: Difference to the highest number so far: 1 for the next frame, 0 for a repeated one, negative
+                for a late one.
+        """
+        if self._last is None:
+            self._last, self._raw = raw, raw
+            return raw, 1
+        advance = raw - self._raw
+        # Some cameras also use 0.
+        self._period = _WRAP + 1 if raw == 0 else self._period
+        if max(raw, self._raw) <= _WRAP and abs(advance) > _WRAP // 2:
+            advance += self._period if advance < 0 else -self._period
+        number = self._last + advance
+        if advance > 0:
+            self._last, self._raw = number, raw
+        return number, advance
+
+
 Result = TypeVar("Result")
 _BUFFERS = 8
 """Frames that may wait; a step of a sweep has two."""
@@ -419,7 +435,7 @@ _SLICE_S = 0.2
 """How often a waiting call checks that the camera is still connected."""
 
 
-class AravisCamera(ClosedAtExit):
+class AravisCamera(Camera):
     """A camera that speaks GenICam.
 
     Its heartbeat shows whether it is still connected; it is also queried when a frame is late. If the camera is gone, a
@@ -427,61 +443,41 @@ class AravisCamera(ClosedAtExit):
     """
 
     def __init__(self, settings: CameraSettings, say: Say = lambda sentence: None) -> None:
-        """Open the camera, apply `settings`, read them back and compare.
-
-        Args:
-            say: Called with a sentence before a long wait, at every opening.
+        """Open the camera, apply the settings, read them back and compare.
 
         Raises:
             CameraLost: If it is not found.
             CameraError: If several cameras fit, another program uses it, or it does not take a setting.
             DependencyError: If libaravis is not installed.
         """
-        self._aravis, self._settings, self._say = load_aravis(), settings, say
-        self.trigger_mode: TriggerMode = settings.trigger
+        self._aravis, self.settings, self._say = load_aravis(), settings, say
         shape = settings.height, settings.width, 3
-        self._shape = shape[: frame_rank(settings.pixel_format)]
-        self._bytes = int(np.prod(self._shape))
+        self._shape = shape[: frame_rank(settings.layout)]
+        self._type = np.dtype("<u2" if settings.bits > 8 else np.uint8)
+        self._bytes = int(np.prod(self._shape)) * self._type.itemsize
         self._camera: int | None = None
         self._stream: int | None = None
         self._running = self._started = self._lost = False
         self._numbers = FrameNumbers()
-        self._missing_before = self._foreign = 0
-        self._counts = {"frames": 0, "incomplete": 0, "dropped": 0}
-        self._identity = self._open()
-
-    @property
-    def identity(self) -> CameraIdentity:
-        return self._identity
+        self.identity = self._open()
 
     def features(self) -> Features:
-        return self._ask("read its features", lambda camera: read_features(self._aravis, camera, self._settings))
-
-    def counts(self) -> dict[str, int]:
-        """The counts of every camera, and "underruns": frames for which no buffer was free."""
-        counts = {**self._counts, "missing": self._missing_before + self._numbers.missing, "underruns": 0}
-        if self._stream is not None:
-            counts["underruns"] = self._underruns(self._stream) - self._foreign
-        return counts
+        return self._ask("read its features", lambda camera: read_features(self._aravis, camera, self.settings))
 
     def _underruns(self, stream: int) -> int:
         numbers = [ctypes.c_uint64() for _ in range(3)]
         self._aravis.stream_get_statistics(stream, *(ctypes.byref(one) for one in numbers))
         return int(numbers[2].value)
 
-    def _pass_by(self, stream: int) -> int:
+    def _pass_by(self, stream: int) -> None:
         """Let packets of other programs pass before there is a buffer that they could be taken for a frame in.
 
         With the rights of root libaravis reads the whole interface, and until its filter is set it keeps every packet.
-
-        Returns:
-            How many there were.
         """
         before, end = -1, time.monotonic() + _MOST_PASSING_S
         while (count := self._underruns(stream)) != before and time.monotonic() < end:
             before = count
             time.sleep(_QUIET_S)
-        return count
 
     def start(self) -> None:
         if not self._running:
@@ -496,19 +492,14 @@ class AravisCamera(ClosedAtExit):
             dropped += 1
         if self.trigger_mode == "free" and self._running:
             dropped += self._flush()
-        self._counts["dropped"] += dropped
         return dropped
 
     def next(self, timeout_s: float) -> Frame:
         buffer = self._pop(timeout_s)
-        arrival = time.monotonic()
         try:
-            frame = self._frame(buffer, arrival)
+            return self._frame(buffer)
         finally:
             self._push(buffer)
-        self._counts["frames"] += 1
-        self._counts["incomplete"] += not frame.complete
-        return frame
 
     def trigger(self) -> None:
         if self.trigger_mode != "software":
@@ -516,7 +507,7 @@ class AravisCamera(ClosedAtExit):
         self._ask("take a trigger", self._aravis.camera_software_trigger)
 
     def reopen(self) -> None:
-        before = self._identity
+        before = self.identity
         self._let_go()
         found = self._open()
         if found != before:
@@ -524,10 +515,6 @@ class AravisCamera(ClosedAtExit):
             raise CameraError(f"found the camera {found}, expected {before}; a sweep is of one camera.")
         if self._started:
             self.start()
-
-    def adopt(self, settings: CameraSettings) -> None:
-        self._settings = settings
-        self.reopen()
 
     def close(self) -> None:
         self._started = False
@@ -548,10 +535,10 @@ class AravisCamera(ClosedAtExit):
                 self._aravis.unref(one)
 
     def __str__(self) -> str:
-        return str(getattr(self, "_identity", None) or f"aravis {self._settings.id}".strip())
+        return str(getattr(self, "identity", None) or f"aravis {self.settings.id}".strip())
 
     def _open(self) -> CameraIdentity:
-        camera = self._camera = connect(self._aravis, self._settings.id, self._say)
+        camera = self._camera = connect(self._aravis, self.settings.id, self._say)
         self._lost = False
         try:
             identity = CameraIdentity(
@@ -560,14 +547,14 @@ class AravisCamera(ClosedAtExit):
                 f"{text(self._aravis.camera_get_model_name(camera))}",
                 text(self._aravis.camera_get_device_serial_number(camera)),
             )
-            apply_settings(self._aravis, camera, self._settings, name=str(identity))
-            found = read_features(self._aravis, camera, self._settings)
-            require(found, wanted(self._settings), name=str(identity))
+            apply_settings(self._aravis, camera, self.settings, name=str(identity))
+            found = read_features(self._aravis, camera, self.settings)
+            require(found, wanted(self.settings), name=str(identity))
             payload = self._aravis.camera_get_payload(camera)
             if payload < self._bytes:
                 raise CameraError(f"{identity}: sends {payload} bytes per frame, expected {self._bytes}.")
             self._stream = self._aravis.camera_create_stream(camera, None, None)
-            self._foreign = self._pass_by(self._stream)
+            self._pass_by(self._stream)
             for _ in range(_BUFFERS):
                 self._push(self._aravis.buffer_new_allocate(payload))
         except AravisError as problem:
@@ -577,7 +564,6 @@ class AravisCamera(ClosedAtExit):
         except CameraError:
             self._let_go()
             raise
-        self._missing_before += self._numbers.missing
         self._numbers = FrameNumbers()
         return identity
 
@@ -627,7 +613,7 @@ class AravisCamera(ClosedAtExit):
             + (", expected one per trigger; check the trigger wire and trigger_source." * (self.trigger_mode != "free"))
         )
 
-    def _frame(self, buffer: int, arrival: float) -> Frame:
+    def _frame(self, buffer: int) -> Frame:
         status = self._aravis.buffer_get_status(buffer)
         number, advance = self._numbers.take(self._aravis.buffer_get_frame_id(buffer))
         size = ctypes.c_size_t()
@@ -640,9 +626,8 @@ class AravisCamera(ClosedAtExit):
         complete = not notes
         if advance != 1:
             notes.append(f"{advance - 1} frames are missing before it" if advance > 1 else "out of order")
-        image = np.frombuffer(ctypes.string_at(data, self._bytes), np.uint8).reshape(self._shape).copy()
-        stamp = self._aravis.buffer_get_timestamp(buffer)
-        return Frame(image, number, stamp * 1e-9 if stamp else None, arrival, complete, "; ".join(notes))
+        image = np.frombuffer(ctypes.string_at(data, self._bytes), self._type).reshape(self._shape).copy()
+        return Frame(image, number, complete, "; ".join(notes), self.settings.bits)
 
     def _release(self, buffer: int) -> None:
         """Give a buffer back unread; its frame does not count as missing."""
@@ -660,8 +645,8 @@ class AravisCamera(ClosedAtExit):
     def _flush(self) -> int:
         """Discard frames of a free-running camera: at least `flush_frames`, and for at least an exposure time."""
         since, flushed = time.monotonic(), 0
-        exposure_s = self._settings.exposure_ms * 1e-3
-        while flushed < self._settings.flush_frames or time.monotonic() < since + exposure_s:
+        exposure_s = self.settings.exposure_ms * 1e-3
+        while flushed < self.settings.flush_frames or time.monotonic() < since + exposure_s:
             buffer = self._pop(10.0 * exposure_s + 1.0)
             self._release(buffer)
             flushed += 1

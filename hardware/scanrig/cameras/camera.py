@@ -1,63 +1,30 @@
 """What every camera is: its settings and features, its frames with their numbers, and the interface."""
 
+import functools
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Annotated, Literal, Protocol, Self
+from typing import Annotated, Literal, Self, cast
 
 import numpy as np
 import pydantic
-from jaxtyping import UInt8
+from jaxtyping import UInt8, UInt16
 
+from jaxscan.files.capture import CameraTable
 from jaxscan.files.disk import ImageSize, Integer, Number
 from jaxscan.geometry.scanner import Up
-from jaxscan.stripes import PixelFormat, Response, known_response
+from jaxscan.stripes import DEEP_FORMATS, PIXEL_FORMATS, PixelFormat, Response, known_response, to_8_bits
 from scanrig.errors import CameraError
-
-
-_WRAP = 65535
-"""GigE Vision counts 1 … 65535, then 1 again; 0 is not used."""
-
-
-class FrameNumbers:
-    """Turns a camera's wrapping frame ids into increasing numbers."""
-
-    def __init__(self) -> None:
-        self.last: int | None = None
-        """Highest number so far."""
-        self.missing = 0
-        """Frames missing between those received."""
-        self._raw, self._period = 0, _WRAP
-
-    def take(self, raw: int) -> tuple[int, int]:
-        """Unwrap the id of a frame.
-
-        Args:
-            raw: The camera's id of the frame.
-
-        Returns:
-            number: Its number; for the first frame its id.
-            advance: Difference to the highest number so far: 1 for the next frame, 0 for a repeated one, negative
-                for a late one.
-        """
-        if self.last is None:
-            self.last, self._raw = raw, raw
-            return raw, 1
-        advance = raw - self._raw
-        # Some cameras also use 0.
-        self._period = _WRAP + 1 if raw == 0 else self._period
-        if max(raw, self._raw) <= _WRAP and abs(advance) > _WRAP // 2:
-            advance += self._period if advance < 0 else -self._period
-        number = self.last + advance
-        if advance > 0:
-            self.missing += advance - 1
-            self.last, self._raw = number, raw
-        return number, advance
 
 
 CameraKind = Literal["aravis", "opencv", "folder", "simulated"]
 TriggerMode = Literal["hardware", "software", "free"]
+
+
+def _known_format(pixel_format: str) -> str:
+    if pixel_format in PIXEL_FORMATS or pixel_format in DEEP_FORMATS:
+        return pixel_format
+    raise ValueError(f'found "{pixel_format[:60]}", expected one of {", ".join((*PIXEL_FORMATS, *DEEP_FORMATS))}')
 
 
 class CameraSettings(ImageSize):
@@ -68,8 +35,8 @@ class CameraSettings(ImageSize):
     id: Annotated[str, pydantic.Field(max_length=1024)] = ""
     """Aravis: device id, serial number or address, "" for the only camera. OpenCV: index, path or
     URL. Folder: its path. Simulated: a TOML file of a synthetic scene, or ""."""
-    pixel_format: PixelFormat = "mono8"
-    """How a frame is to be read."""
+    pixel_format: Annotated[str, pydantic.AfterValidator(_known_format)] = "mono8"
+    """How the camera gives a frame: one of `PIXEL_FORMATS`, or of `DEEP_FORMATS`, such as "mono12"."""
     response: Annotated[Response, pydantic.AfterValidator(known_response)] = "linear"
     """"linear", "srgb" or "gamma 2.2"."""
     up: Up = "-v"
@@ -95,7 +62,31 @@ class CameraSettings(ImageSize):
             raise ValueError(f'pixel_format: found "{self.pixel_format}", but kind "opencv" gives "mono8" or "rgb8"')
         if self.kind == "folder" and not self.id:
             raise ValueError('id: found "", but kind "folder" needs the path of a folder')
+        if self.bits > 8 and self.response != "linear":
+            raise ValueError(f'response: found "{self.response}", but frames of {self.bits} bits are "linear"')
         return self
+
+    @property
+    def layout(self) -> PixelFormat:
+        """How the pixels of a frame lie, whatever its bits: the pixel format of captures, and of `Frame.shown`."""
+        return DEEP_FORMATS[self.pixel_format][0] if self.bits > 8 else cast(PixelFormat, self.pixel_format)
+
+    @property
+    def bits(self) -> int:
+        """Bits of a sample."""
+        return DEEP_FORMATS[self.pixel_format][1] if self.pixel_format in DEEP_FORMATS else 8
+
+    @property
+    def table(self) -> CameraTable:
+        """The camera as in a capture's header."""
+        return CameraTable(
+            width=self.width,
+            height=self.height,
+            pixel_format=self.layout,
+            response=self.response,
+            up=self.up,
+            bits=cast(Literal[10, 12, 14, 16], self.bits) if self.bits > 8 else None,
+        )
 
 
 Features = dict[str, float | int | str]
@@ -105,20 +96,23 @@ and further ones of its kind. Settings that a camera cannot read back are absent
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One frame, with its number and times."""
+    """One frame and its number."""
 
-    image: UInt8[np.ndarray, "rows columns *three"]
-    """uint8 [rows, columns], or RGB [rows, columns, 3]; owns its memory."""
+    image: UInt8[np.ndarray, "rows columns *three"] | UInt16[np.ndarray, "rows columns"]
+    """uint8 [rows, columns], or RGB [rows, columns, 3]; uint16 of more than 8 bits; owns its memory."""
     number: int
     """The camera's count of frames, unwrapped; −1: unknown. A gap means lost frames."""
-    camera_s: float | None
-    """The camera's own time stamp [s], of unknown origin; None: it has none."""
-    host_s: float
-    """Monotonic time of arrival [s]."""
     complete: bool
     """Whether the whole image arrived; missing parts are zero or older."""
     note: str = ""
     """A remark for the journal."""
+    bits: int = 8
+    """Bits of a sample."""
+
+    @functools.cached_property
+    def shown(self) -> UInt8[np.ndarray, "rows columns *three"]:
+        """The image in 8 bits, for pages, and for all that need not measure finer."""
+        return to_8_bits(self.image, self.bits) if self.bits > 8 else self.image
 
 
 @dataclass(frozen=True)
@@ -133,17 +127,18 @@ class CameraIdentity:
         return " ".join(part for part in (self.kind, self.model, self.serial) if part)
 
 
-class Camera(Protocol):
-    """An open camera that is set up. Used from one thread; `close` may be called twice."""
+class Camera(ABC):
+    """An open camera that is set up. Used from one thread; `close`, which `with` calls, may be called twice."""
 
-    @property
-    def identity(self) -> CameraIdentity:
-        """Kind, model and serial number, as the device reports them."""
+    settings: CameraSettings
+    identity: CameraIdentity
 
     @property
     def trigger_mode(self) -> TriggerMode:
         """How its exposures are triggered."""
+        return self.settings.trigger
 
+    @abstractmethod
     def features(self) -> Features:
         """Its settings, read back from the device.
 
@@ -151,9 +146,7 @@ class Camera(Protocol):
             CameraLost: If it does not answer.
         """
 
-    def counts(self) -> dict[str, int]:
-        """Counts since opening: "frames" delivered, of these "incomplete"; "missing" by their numbers; "dropped"."""
-
+    @abstractmethod
     def start(self) -> None:
         """Start the acquisition; no effect if it runs.
 
@@ -161,6 +154,7 @@ class Camera(Protocol):
             CameraError: If it cannot.
         """
 
+    @abstractmethod
     def drop(self) -> int:
         """Discard waiting frames, and of a free-running camera also those exposed before this call.
 
@@ -168,6 +162,7 @@ class Camera(Protocol):
             Number of waiting frames.
         """
 
+    @abstractmethod
     def next(self, timeout_s: float) -> Frame:
         """The next frame in the order of exposure.
 
@@ -176,6 +171,7 @@ class Camera(Protocol):
             CameraLost: If the camera is gone; `reopen` may recover it.
         """
 
+    @abstractmethod
     def trigger(self) -> None:
         """Expose one frame (trigger mode "software").
 
@@ -184,6 +180,7 @@ class Camera(Protocol):
             CameraLost: If the camera is gone.
         """
 
+    @abstractmethod
     def reopen(self) -> None:
         """Open the camera again, apply the settings, check that it is the same one, and `start` it if it was started.
 
@@ -193,25 +190,9 @@ class Camera(Protocol):
         """
 
     def adopt(self, settings: CameraSettings) -> None:
-        """Take other settings of the same camera from now on: `reopen` with them.
-
-        Raises:
-            CameraLost: If it is not found (yet).
-            CameraError: If it does not take a setting.
-        """
-
-    def close(self) -> None:
-        """Close the camera."""
-
-    def __enter__(self) -> "Camera": ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
-
-
-class ClosedAtExit(ABC):
-    """A camera that `with` closes."""
+        """Take other settings of the same camera from now on: `reopen` with them, with its errors."""
+        self.settings = settings
+        self.reopen()
 
     @abstractmethod
     def close(self) -> None:
@@ -220,9 +201,7 @@ class ClosedAtExit(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

@@ -2,14 +2,14 @@
 
 import os
 import re
-import time
 from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import (
     HEADER_NAME,
-    CameraTable,
     CaptureHeader,
     Folder,
     ImageReader,
@@ -17,16 +17,8 @@ from jaxscan.files.capture import (
     LaserTable,
     open_capture,
 )
-from scanrig.cameras.camera import (
-    CameraIdentity,
-    CameraSettings,
-    ClosedAtExit,
-    Features,
-    Frame,
-    TriggerMode,
-    require,
-    wanted,
-)
+from jaxscan.stripes import finest_steps, join_levels
+from scanrig.cameras.camera import Camera, CameraIdentity, CameraSettings, Features, Frame, require, wanted
 from scanrig.errors import CameraError, CameraLost
 
 
@@ -35,7 +27,7 @@ MAX_FILES = 100_000
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
-class FolderCamera(ClosedAtExit):
+class FolderCamera(Camera):
     """Returns the images one after another, laser-on before laser-off, until none is left.
 
     It does not expose: no frames wait in it, so `drop` discards none, and a trigger has no effect.
@@ -47,9 +39,8 @@ class FolderCamera(ClosedAtExit):
         Raises:
             CameraError: If there are none, or the capture has another size or pixel format.
         """
-        self._settings, self._path = settings, Path(settings.id)
+        self.settings, self._path = settings, Path(settings.id)
         self.identity = CameraIdentity("folder", self._path.name, "")
-        self.trigger_mode: TriggerMode = settings.trigger
         self._closed = False
         self._open()
 
@@ -57,20 +48,23 @@ class FolderCamera(ClosedAtExit):
         try:
             if (self._path / HEADER_NAME).exists():
                 self._header, self._images = _of_capture(self._path)
+            elif self.settings.bits > 8:
+                raise CameraError(
+                    f"{self._path}: found no capture, but pictures are played in 8 bits; import these with "
+                    "`jaxscan import`, and play the capture."
+                )
             else:
-                self._header, self._images = _header(self._settings), _of_pictures(self._path)
+                self._header, self._images = _header(self.settings), _of_pictures(self._path)
         except CaptureError as problem:
             raise CameraError(f"{self._path}: cannot be played: {problem}") from problem
-        require(self.features(), wanted(self._settings), name=str(self._path))
+        require(self.features(), wanted(self.settings), name=str(self._path))
         self._reader = ImageReader(self._path, self._header)
         self._number = 0
 
     def features(self) -> Features:
         camera = self._header.camera
-        return {"width": camera.width, "height": camera.height, "pixel_format": camera.pixel_format}
-
-    def counts(self) -> dict[str, int]:
-        return {"frames": self._number, "incomplete": 0, "missing": 0, "dropped": 0}
+        pixel_format = f"{camera.pixel_format.removesuffix('8')}{camera.bits or 8}"
+        return {"width": camera.width, "height": camera.height, "pixel_format": pixel_format}
 
     def start(self) -> None:
         if self._closed:
@@ -90,13 +84,18 @@ class FolderCamera(ClosedAtExit):
         self.start()
         if self._number >= len(self._images):
             raise CameraError(f"{self._path}: all {len(self._images)} images were played; there are no more.")
-        reference = self._images[self._number]
+        references, bits = self._images[self._number], self._header.camera.bits or 8
         try:
-            image = self._reader.image(reference).copy()
+            image = self._reader.frame(references)
         except CaptureError as problem:
             raise CameraError(f"{self._path}: {problem}") from problem
+        if image is None:
+            raise CameraError(f"{self._path}: frame {self._number} has no image.")
+        if bits > 8:
+            image = join_levels(image, bits) * np.uint16((1 << bits - 8) // finest_steps(bits))
         self._number += 1
-        return Frame(image, self._number, None, time.monotonic(), complete=True, note=str(reference))
+        note = " ".join(map(str, references))
+        return Frame(image, self._number, complete=True, note=note, bits=bits)
 
     def trigger(self) -> None:
         if self.trigger_mode != "software":
@@ -106,21 +105,18 @@ class FolderCamera(ClosedAtExit):
         self._open()
         self._closed = False
 
-    def adopt(self, settings: CameraSettings) -> None:
-        self._settings = settings
-        self.reopen()
-
     def close(self) -> None:
         self._closed = True
 
 
-def _of_capture(path: Path) -> tuple[CaptureHeader, Sequence[ImageRef]]:
-    """The images of a capture, record after record, laser-on first."""
+def _of_capture(path: Path) -> tuple[CaptureHeader, Sequence[Sequence[ImageRef]]]:
+    """The images of a capture, record after record, laser-on first; the levels of a frame together."""
     capture = open_capture(path)
-    return capture.header, [image for record in capture.records for image in (*record.on, *record.off)]
+    frames = [frame for record in capture.records for frame in (record.on, record.off) if frame]
+    return capture.header, frames if capture.bits > 8 else [(image,) for frame in frames for image in frame]
 
 
-def _of_pictures(path: Path) -> Sequence[ImageRef]:
+def _of_pictures(path: Path) -> Sequence[Sequence[ImageRef]]:
     """The images of a folder in the order of their names; "on" comes before "off" where only that differs."""
     try:
         with os.scandir(path) as entries:
@@ -136,7 +132,7 @@ def _of_pictures(path: Path) -> Sequence[ImageRef]:
     references = [ImageRef(name) for name in pictures]
     for reference in references:
         inside.locate(reference)
-    return references
+    return [(reference,) for reference in references]
 
 
 def _order(name: str) -> tuple[str, int, str]:
@@ -147,5 +143,4 @@ def _order(name: str) -> tuple[str, int, str]:
 
 def _header(settings: CameraSettings) -> CaptureHeader:
     """A capture header for plain images."""
-    camera = CameraTable(width=settings.width, height=settings.height, pixel_format=settings.pixel_format)
-    return CaptureHeader(kind="sweep", camera=camera, laser=(LaserTable(),))
+    return CaptureHeader(kind="sweep", camera=settings.table, laser=(LaserTable(),))

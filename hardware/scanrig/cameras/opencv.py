@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from scanrig.cameras.camera import CameraIdentity, CameraSettings, ClosedAtExit, Features, Frame, TriggerMode, require
+from scanrig.cameras.camera import Camera, CameraIdentity, CameraSettings, Features, Frame, require
 from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
 
@@ -101,7 +101,7 @@ _SAME_CLOCK_S = 5.0
 """A time stamp this near to the monotonic clock comes from that clock: V4L2's do, those of streams do not."""
 
 
-class OpenCVCamera(ClosedAtExit):
+class OpenCVCamera(Camera):
     """A free-running camera.
 
     `drop` marks a time; `next` then returns only frames exposed after it. Discarded are the next `flush_frames` frames,
@@ -115,12 +115,10 @@ class OpenCVCamera(ClosedAtExit):
             CameraLost: If it cannot be opened.
             CameraError: If it does not take a setting, or its frames have another size.
         """
-        self._settings = settings
-        self.trigger_mode: TriggerMode = "free"
+        self.settings = settings
         self._source = _source(settings.id)
         self._changed = threading.Condition()
-        self._queue: deque[Frame] = deque()
-        self._counts = {"frames": 0, "incomplete": 0, "missing": 0, "dropped": 0}
+        self._queue: deque[Frame] = deque(maxlen=_WAITING)
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         self._started, self._ended, self._note = False, "", ""
@@ -130,7 +128,7 @@ class OpenCVCamera(ClosedAtExit):
     def features(self) -> Features:
         """Its settings; queried by the reading thread, since OpenCV allows only one thread."""
         if self._thread is None:
-            return read_features(self._capture, self._settings)
+            return read_features(self._capture, self.settings)
         with self._changed:
             self._asked = None
             if not self._changed.wait_for(lambda: self._asked is not None or self._ended, _ANSWER_S):
@@ -138,9 +136,6 @@ class OpenCVCamera(ClosedAtExit):
             if self._asked is None:
                 raise CameraLost(f"{self.identity}: {self._ended}")
             return dict(self._asked)
-
-    def counts(self) -> dict[str, int]:
-        return dict(self._counts)
 
     def start(self) -> None:
         if self._stop.is_set():
@@ -154,15 +149,13 @@ class OpenCVCamera(ClosedAtExit):
         with self._changed:
             waiting = len(self._queue)
             self._queue.clear()
-            self._since, self._flush = time.monotonic(), self._settings.flush_frames
-            self._counts["dropped"] += waiting
+            self._since, self._flush = time.monotonic(), self.settings.flush_frames
             return waiting
 
     def next(self, timeout_s: float) -> Frame:
         with self._changed:
             self._changed.wait_for(lambda: self._queue or self._ended, timeout_s)
             if self._queue:
-                self._counts["frames"] += 1
                 return self._queue.popleft()
             if self._ended:
                 raise CameraLost(f"{self.identity}: {self._ended}")
@@ -183,10 +176,6 @@ class OpenCVCamera(ClosedAtExit):
             raise
         if started:
             self.start()
-
-    def adopt(self, settings: CameraSettings) -> None:
-        self._settings = settings
-        self.reopen()
 
     def close(self) -> None:
         self._stop.set()
@@ -216,14 +205,14 @@ class OpenCVCamera(ClosedAtExit):
         backend = self._capture.getBackendName()
         self.identity = CameraIdentity("opencv", backend, str(self._source))
         try:
-            expected = apply_settings(self._capture, self._settings, name=str(self.identity))
-            require(read_features(self._capture, self._settings), expected, name=str(self.identity))
+            expected = apply_settings(self._capture, self.settings, name=str(self.identity))
+            require(read_features(self._capture, self.settings), expected, name=str(self.identity))
         except CameraError:
             self._capture.release()
             raise
         self._note = silent(backend)
         self._ended, self._asked = "", {}
-        self._since, self._flush = time.monotonic(), self._settings.flush_frames
+        self._since, self._flush = time.monotonic(), self.settings.flush_frames
 
     def _read(self, capture: cv2.VideoCapture, stop: threading.Event) -> None:
         """Read every frame as it comes, until there are no more."""
@@ -245,13 +234,13 @@ class OpenCVCamera(ClosedAtExit):
             arrival = time.monotonic()
             if not taken:
                 return "the camera is gone: its frames ended."
-            image = _image(pixels, self._settings)
+            image = _image(pixels, self.settings)
             stamp = 1e-3 * capture.get(cv2.CAP_PROP_POS_MSEC)
-            features = read_features(capture, self._settings) if self._asked is None else None
+            features = read_features(capture, self.settings) if self._asked is None else None
             if image is None:
                 return (
                     f"its frames are {pixels.shape[1]} x {pixels.shape[0]} px, expected "
-                    f"{self._settings.width} x {self._settings.height} px."
+                    f"{self.settings.width} x {self.settings.height} px."
                 )
             with self._changed:
                 if stop.is_set():
@@ -262,16 +251,12 @@ class OpenCVCamera(ClosedAtExit):
         return "the camera is closed; reopen it."
 
     def _arrive(self, image: np.ndarray, stamp: float, arrival: float) -> None:
-        stamped = abs(stamp - arrival) < _SAME_CLOCK_S
-        latest_start = (min(stamp, arrival) if stamped else arrival) - self._settings.exposure_ms * 1e-3
+        exposed_by = min(stamp, arrival) if abs(stamp - arrival) < _SAME_CLOCK_S else arrival
+        latest_start = exposed_by - self.settings.exposure_ms * 1e-3
         if self._flush > 0 or latest_start < self._since:
             self._flush -= 1
-            self._counts["dropped"] += 1
             return
-        if len(self._queue) >= _WAITING:
-            self._queue.popleft()
-            self._counts["dropped"] += 1
-        self._queue.append(Frame(image, -1, stamp if stamped else None, arrival, complete=True, note=self._note))
+        self._queue.append(Frame(image, -1, complete=True, note=self._note))
 
 
 def _source(name: str) -> int | str:

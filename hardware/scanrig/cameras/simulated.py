@@ -5,26 +5,16 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import pydantic
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, UInt8, UInt16
 
 from jaxscan.files.disk import FileModel, Integer, Number, load_toml
 from jaxscan.geometry import StripeAxis
 from jaxscan.stripes import Colour, PixelFormat, frame_rank
-from scanrig.cameras.camera import (
-    CameraIdentity,
-    CameraSettings,
-    ClosedAtExit,
-    Features,
-    Frame,
-    TriggerMode,
-    require,
-    wanted,
-)
-from scanrig.clock import Clock, SystemClock
+from scanrig.cameras.camera import Camera, CameraIdentity, CameraSettings, Features, Frame, wanted
 from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
 
@@ -70,6 +60,8 @@ class FrameShape(NamedTuple):
     height: int
     """[px]"""
     pixel_format: PixelFormat = "mono8"
+    """How its pixels lie."""
+    bits: int = 8
 
 
 def stripe_centre(scene: SyntheticScene, position: float, lines: int, samples: int) -> Float[np.ndarray, " lines"]:
@@ -104,15 +96,12 @@ def draw(
     lit: int,
     shape: FrameShape,
     generator: np.random.Generator,
-) -> UInt8[np.ndarray, "rows columns *three"]:
-    """One frame.
+) -> UInt8[np.ndarray, "rows columns *three"] | UInt16[np.ndarray, "rows columns"]:
+    """One frame at a position of the table [microsteps], with a laser on, from 1; 0: none.
 
-    Args:
-        position: Position of the table [microsteps].
-        lit: Which laser is on, from 1; 0: none.
-        generator: Generator of the noise; its state advances.
+    Of more than 8 bits it has the light and the noise of one of 8, in finer steps.
     """
-    width, height, pixel_format = shape
+    width, height, pixel_format, bits = shape
     across = scene.stripe_axis == "columns"
     lines, samples = (width, height) if across else (height, width)
     room = wall(scene, position, lines, samples)
@@ -127,7 +116,8 @@ def draw(
     # With more than a few electrons the noise is nearly Gaussian, which is drawn ten times as fast.
     variance = light * np.float32(1.0 / scene.electrons_per_dn) + np.float32(scene.read_dn**2)
     noisy = light + np.sqrt(variance) * generator.standard_normal(light.shape, np.float32)
-    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+    finer = 1 << bits - 8
+    return np.clip(np.rint(noisy * np.float32(finer)), 0, 256 * finer - 1).astype(np.uint16 if bits > 8 else np.uint8)
 
 
 def _mosaic(light: Float[np.ndarray, "rows columns 3"], pixel_format: str) -> Float[np.ndarray, "rows columns"]:
@@ -139,18 +129,18 @@ def _mosaic(light: Float[np.ndarray, "rows columns 3"], pixel_format: str) -> Fl
     return seen
 
 
-Fault = Literal["missing", "duplicate", "incomplete", "stale", "swapped", "late", "lost"]
-"""Faults of an exposure: its frame is not delivered; delivered twice; half delivered; replaced by the one before;
-exchanged with the one after; delivered only with the one after; and: the camera is gone from here on."""
-Scene = Callable[[float, int], UInt8[np.ndarray, "rows columns *three"]]
+Scene = Callable[[float, int], UInt8[np.ndarray, "rows columns *three"] | UInt16[np.ndarray, "rows columns"]]
 """Draws the frame at a position of the table [microsteps], with a laser on (from 1; 0: none)."""
 
 
-class SimulatedCamera(ClosedAtExit):
+class SimulatedCamera(Camera):
     """Exposes when `expose` is called (a wire), `trigger` (software), or `next` (free-running).
 
     Software triggers and free-running frames get position and laser from `world`; for `expose` they are arguments.
     """
+
+    patience_s = float("inf")
+    """Longest real wait of `next`, whatever its timeout."""
 
     def __init__(
         self,
@@ -158,47 +148,29 @@ class SimulatedCamera(ClosedAtExit):
         scene: Scene | SyntheticScene | None = None,
         *,
         world: Callable[[], tuple[float, int]] | None = None,
-        faults: dict[int, Fault] | None = None,
-        clock: Clock | None = None,
-        patience_s: float = float("inf"),
     ) -> None:
         """An open camera.
 
         Args:
             scene: The scene; by default a synthetic one.
             world: Position and laser at this moment; by default laser on and off in turn.
-            faults: Faults by the number of the exposure, from 1; may be changed at any time.
-            patience_s: Longest real wait of `next`, whatever its timeout: 0 if the test exposes before it calls `next`.
         """
-        self.settings, self.faults = settings, dict(faults or {})
+        self.settings = settings
         self.identity = CameraIdentity("simulated", "synthetic", "SIM1")
-        self.trigger_mode: TriggerMode = settings.trigger
         self.device: Features = wanted(settings)
-        """The camera's features; a test may change them."""
-        self.after_reopen: Features = {}
-        """Features that the camera has after `reopen` regardless of its settings."""
-        self.reachable = True
-        """Whether `reopen` finds it."""
+        """The camera's features."""
         self.exposures = 0
         """Exposures so far; the number of the last."""
         self._scene = _drawn(scene or SyntheticScene(), settings) if not callable(scene) else scene
         alternation = _alternation()
         self._world = world or (lambda: next(alternation))
-        self._clock, self._patience_s = clock or SystemClock(), patience_s
         self._changed = threading.Condition()
         self._queue: deque[Frame] = deque()
-        self._held: list[Frame] = []
-        self._last: np.ndarray | None = None
-        self._seen = 0
-        self._counts = {"frames": 0, "incomplete": 0, "missing": 0, "dropped": 0}
-        self._running = self._lost = self._closed = False
+        self._running = self._closed = False
 
     def features(self) -> Features:
         self._require_open()
         return dict(self.device)
-
-    def counts(self) -> dict[str, int]:
-        return dict(self._counts)
 
     def start(self) -> None:
         self._require_open()
@@ -208,7 +180,6 @@ class SimulatedCamera(ClosedAtExit):
         with self._changed:
             waiting = len(self._queue)
             self._queue.clear()
-            self._counts["dropped"] += waiting
             return waiting
 
     def next(self, timeout_s: float) -> Frame:
@@ -216,17 +187,11 @@ class SimulatedCamera(ClosedAtExit):
         if self.trigger_mode == "free" and self._running and not self._queue:
             self.expose(*self._world())
         with self._changed:
-            here = self._changed.wait_for(lambda: self._queue or self._lost, min(timeout_s, self._patience_s))
-            if self._lost and not self._queue:
-                raise CameraLost(f"{self.identity}: the camera is gone (simulated).")
-            if not here:
+            self._changed.wait_for(lambda: self._queue or self._gone(), min(timeout_s, self.patience_s))
+            self._require_open()
+            if not self._queue:
                 raise CameraTimeout(f"{self.identity}: no frame within {timeout_s:g} s; expected one per trigger.")
-            frame = self._queue.popleft()
-        self._counts["frames"] += 1
-        self._counts["incomplete"] += not frame.complete
-        self._counts["missing"] += max(0, frame.number - self._seen - 1)
-        self._seen = max(self._seen, frame.number)
-        return frame
+            return self._queue.popleft()
 
     def trigger(self) -> None:
         self._require_open()
@@ -235,93 +200,50 @@ class SimulatedCamera(ClosedAtExit):
         self.expose(*self._world())
 
     def expose(self, position: float, lit: int) -> None:
-        """An edge on the trigger wire: one exposure, with its fault if any. From any thread."""
+        """An edge on the trigger wire: one exposure. From any thread."""
         with self._changed:
-            if not self._running or self._lost:
+            if not self._running or self._gone():
                 return
             self.exposures += 1
-            image = self._scene(position, lit)
-            self._arrive(image, self.faults.get(self.exposures))
-            self._last = image
-            self._changed.notify_all()
-
-    def push(self, frame: Frame) -> None:
-        """Append a frame as it is. From any thread."""
-        with self._changed:
-            self._queue.append(frame)
+            self._arrive(self._scene(position, lit))
             self._changed.notify_all()
 
     def reopen(self) -> None:
-        if self._closed or not self.reachable:
+        if self._closed:
             raise CameraLost(f"{self.identity}: not found; check its power and cable.")
         with self._changed:
             self._queue.clear()
-            self._held.clear()
-            self._lost = False
-        self.device = {**wanted(self.settings), **self.after_reopen}
-        require(self.device, wanted(self.settings), name=str(self.identity))
-
-    def adopt(self, settings: CameraSettings) -> None:
-        self.settings = settings
-        self.reopen()
+        self.device = wanted(self.settings)
 
     def close(self) -> None:
         with self._changed:
-            self._closed = self._lost = True
+            self._closed = True
             self._running = False
+            self._queue.clear()
             self._changed.notify_all()
 
+    def _gone(self) -> str:
+        """Why no more frames come; "" if they do."""
+        return "closed" if self._closed else ""
+
     def _require_open(self) -> None:
-        if self._closed or (self._lost and not self._queue):
-            raise CameraLost(f"{self.identity}: the camera is {'closed' if self._closed else 'gone (simulated)'}.")
+        if not self._queue and (gone := self._gone()):
+            raise CameraLost(f"{self.identity}: the camera is {gone}.")
 
-    def _arrive(self, image: np.ndarray, fault: Fault | None) -> None:
-        """Append the frame of this exposure, changed by its fault, to the queue."""
-        held, self._held = self._held, []
-        frame = self._frame(image)
-        match fault:
-            case "missing":
-                arriving = []
-            case "duplicate":
-                arriving = [frame, frame]
-            case "incomplete":
-                torn = image.copy()
-                torn[len(torn) // 2 :] = 0
-                arriving = [self._frame(torn, complete=False, note="half of its packets are missing (simulated)")]
-            case "stale":
-                arriving = [self._frame(image if self._last is None else self._last)]
-            case "swapped" | "late":
-                self._held, arriving = [frame], []
-            case "lost":
-                self._lost, arriving = True, []
-            case None:
-                arriving = [frame]
-        for waiting in held:
-            if self.faults.get(waiting.number) == "late":
-                self._queue.append(waiting)
-            else:  # Swapped: the numbers are in order, the images are exchanged.
-                self._queue.append(self._frame(image, number=waiting.number))
-                arriving = [self._frame(waiting.image)]
-        self._queue.extend(arriving)
-
-    def _frame(self, image: np.ndarray, *, number: int | None = None, complete: bool = True, note: str = "") -> Frame:
-        now = self._clock.now()
-        return Frame(image, self.exposures if number is None else number, now, now, complete, note)
+    def _arrive(self, image: np.ndarray) -> None:
+        """Append the frame of this exposure to the queue."""
+        self._queue.append(Frame(image, self.exposures, complete=True, bits=self.settings.bits))
 
 
 def open_simulated(settings: CameraSettings) -> SimulatedCamera:
-    """A camera in front of the synthetic scene in the file `settings.id`, or of the default scene.
-
-    Raises:
-        ConfigError: If the file does not describe a scene.
-    """
+    """A camera in front of the synthetic scene in the file `settings.id`, or of the default scene."""
     scene = load_toml(Path(settings.id), SyntheticScene) if settings.id else SyntheticScene()
     return SimulatedCamera(settings, scene)
 
 
 def _drawn(scene: SyntheticScene, settings: CameraSettings) -> Scene:
     generator = np.random.default_rng(scene.seed)
-    shape = FrameShape(settings.width, settings.height, settings.pixel_format)
+    shape = FrameShape(settings.width, settings.height, settings.layout, settings.bits)
     return lambda position, lit: draw(scene, position, lit, shape, generator)
 
 

@@ -29,11 +29,7 @@ class LeakWatch:
         self._last_deg: float | None = None
 
     def add(self, angle_deg: float | None, leak: float) -> float | None:
-        """Add a pair.
-
-        Args:
-            angle_deg: The table's angle; None if every pair shows another scene, as with boards.
-            leak: `PairProof.leak`.
+        """Add a pair: the table's angle, None if every pair shows another scene, as with boards; and its leak.
 
         Returns:
             The median over the last `PLACES` places; None while there are fewer, and if the table has hardly moved
@@ -60,11 +56,7 @@ class LightWatch:
         self._level_dn: float | None = None
 
     def add(self, level_dn: float) -> float | None:
-        """Add a pair.
-
-        Returns:
-            The level before [DN] if the light has changed by a factor of two since; None if not.
-        """
+        """Add a pair; the level before [DN] if the light has changed by a factor of two since, else None."""
         was = self._level_dn
         if was is not None and 1 / _FACTOR < (level_dn + _BLACK_DN) / (was + _BLACK_DN) < _FACTOR:
             return None
@@ -129,12 +121,7 @@ def compare_pairs(
 ) -> Likeness:
     """Compare two pairs (laser-on frame, laser-off frame) of the same view.
 
-    Args:
-        first: The first pair, uint8 [rows, columns] (rgb8: and 3) each.
-        again: The retaken pair, of the same shape.
-        pixel_format: How a frame is to be read.
-        response: "linear" or "srgb".
-        line: The laser; for the colour "auto" the green channel is used.
+    For the colour "auto" the green channel is used.
     """
     if line.colour == "auto":
         line = LaserLine(line.name, "green", line.stripe_axis)

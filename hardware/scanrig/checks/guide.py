@@ -69,13 +69,9 @@ def view_board(
     stripe: Float[np.ndarray, "lines 2"] | None,
     image_size: tuple[int, int],
 ) -> BoardView | None:
-    """A view from corners and stripe points; None if the corners fix no pose.
+    """A view from corners in the board's order [px], which of them are valid, and the stripe's centres [px].
 
-    Args:
-        q: Its corners in the image, in the board's order [px].
-        valid: Which corners were found, bool [corners].
-        stripe: Stripe centres in the image [px], or None.
-        image_size: Width and height [px].
+    None if the corners fix no pose.
     """
     points = board.corners()[valid, :2]
     seen = q[valid] - _centre(image_size)
@@ -225,12 +221,7 @@ class Guide:
     _placements: set[int] = field(default_factory=set)
 
     def look(self, on: UInt8[np.ndarray, "..."] | None, off: UInt8[np.ndarray, "..."], laser: int = 0) -> Look:
-        """Examine one pose without keeping it.
-
-        Args:
-            on: Laser-on frame, or None.
-            laser: Which laser is on, counted from 0.
-        """
+        """Examine one pose by its laser-on frame, if there is one, and its laser-off frame, without keeping it."""
         found = self.detect(off)
         finders = tuple(self.find_lines.values())
         stripe = finders[laser](on, off) if on is not None and finders else None
@@ -243,11 +234,7 @@ class Guide:
         return Look(view, notes=tuple(notes), laser=laser)
 
     def keep(self, look: Look, placement: int | None = None) -> None:
-        """Count a pose that was taken.
-
-        Args:
-            placement: Number of its placement, if it belongs to one.
-        """
+        """Count a pose that was taken, and the number of its placement, if it belongs to one."""
         if look.view is not None:
             self._views.append(look.view)
             self._lasers.append(look.laser)

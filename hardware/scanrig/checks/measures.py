@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8, UInt16
 
 from jaxscan.stripes import Colour, LaserLine, PixelFormat, Response, decode_table, frame_rank, laser_plane
 
@@ -25,22 +25,21 @@ class FramePair(NamedTuple):
     off: Float[np.ndarray, "lines samples"]
     clipped: float
     """Fraction of clipped pixels, the larger of the two frames."""
-    lit: UInt8[np.ndarray, "all samples"]
-    """Levels of the laser-on frame."""
+    lit: UInt8[np.ndarray, "all samples"] | UInt16[np.ndarray, "all samples"]
+    """Samples of the laser-on frame."""
     step: int
     """Distance of the examined lines, in image lines."""
+    top: int = CLIPPED
+    """Lowest sample that is clipped."""
 
 
-def check_frames(on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat) -> None:
-    """Check type and shape of two frames.
-
-    Raises:
-        ValueError: If they are not two frames of the same shape.
-    """
+def check_frames(on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat, bits: int = 8) -> None:
+    """Raise ValueError if these are not two frames of the same shape."""
     rank = frame_rank(pixel_format)
-    if on.dtype != np.uint8 or on.ndim != rank or min(on.shape[:2]) < 64:
-        raise ValueError(f"`on` must be uint8 with {rank} dimensions and 64 px, got {on.dtype} with shape {on.shape}.")
-    if off.shape != on.shape or off.dtype != np.uint8:
+    kind = np.dtype(np.uint16 if bits > 8 else np.uint8)
+    if on.dtype != kind or on.ndim != rank or min(on.shape[:2]) < 64:
+        raise ValueError(f"`on` must be {kind} with {rank} dimensions and 64 px, got {on.dtype} with shape {on.shape}.")
+    if off.shape != on.shape or off.dtype != kind:
         raise ValueError(f"`off` must be like `on`, got {off.dtype} with shape {off.shape}.")
 
 
@@ -53,32 +52,31 @@ def with_colour(on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat, line
 
 
 def _brightest_change(on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat, line: LaserLine) -> float:
-    lit, dark = (laser_plane(a[None], pixel_format=pixel_format, line=line)[0, ::4].astype(np.int16) for a in (on, off))
+    lit, dark = (laser_plane(a[None], pixel_format=pixel_format, line=line)[0, ::4].astype(np.int32) for a in (on, off))
     return float(np.abs(lit - dark).max(1).mean())
 
 
 def lines_of(
-    on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat, response: Response, line: LaserLine
+    on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat, response: Response, line: LaserLine, bits: int = 8
 ) -> FramePair:
     """The examined lines of two frames, in the laser's colour and along its axis."""
+    top = CLIPPED << bits - 8
     lit, dark = (np.asarray(laser_plane(a[None], pixel_format=pixel_format, line=line))[0] for a in (on, off))
     step = max(1, len(lit) // _LINES)
     few = (slice(None, None, 4), slice(None, None, 3))
-    clipped = max(float((a[few] >= CLIPPED).mean()) for a in (lit, dark))
-    frames = _stacked(lit, step, response), _stacked(dark, step, response)
-    return FramePair(*frames, clipped, lit, step)
+    clipped = max(float((a[few] >= top).mean()) for a in (lit, dark))
+    frames = _stacked(lit, step, response, bits), _stacked(dark, step, response, bits)
+    return FramePair(*frames, clipped, lit, step, top)
 
 
-def _stacked(
-    plane: UInt8[np.ndarray, "all samples"], step: int, response: Response
-) -> Float[np.ndarray, "lines samples"]:
-    """Means of up to `STACK` image lines each [linear DN]."""
+def _stacked(plane: np.ndarray, step: int, response: Response, bits: int) -> Float[np.ndarray, "lines samples"]:
+    """Means of up to `STACK` image lines each [linear DN of 8 bits]; more than 8 bits are linear."""
     lines, stack = len(plane) // step, min(step, STACK)
-    unit = 1.0
+    unit, wide = 1.0 / (1 << bits - 8), np.uint32 if bits > 8 else np.uint16
     if response != "linear":
         unit = 1.0 / 16.0
         plane = np.rint(16.0 * decode_table(response)[0]).astype(np.uint16)[plane]
-    total = plane[: lines * step : step].astype(np.uint16)
+    total = plane[: lines * step : step].astype(wide)
     for k in range(1, stack):
         np.add(total, plane[k : lines * step : step], out=total)
     # Where the lines are columns of the image, they are contiguous only from here on.
@@ -442,7 +440,7 @@ def saturated_part(pair: FramePair, rows: np.ndarray, at: np.ndarray) -> float:
         return 0.0
     lines = rows[:, None, None] * pair.step + np.arange(min(pair.step, STACK))[None, :, None]
     samples = np.clip(at[:, None, None] + np.arange(-2, 3)[None, None, :], 0, pair.lit.shape[1] - 1)
-    return float((pair.lit[lines, samples] >= CLIPPED).any((1, 2)).mean())
+    return float((pair.lit[lines, samples] >= pair.top).any((1, 2)).mean())
 
 
 def is_covered(frame: Float[np.ndarray, "lines samples"]) -> bool:

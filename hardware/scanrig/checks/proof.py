@@ -5,7 +5,7 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import pydantic
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, UInt8, UInt16
 
 from jaxscan.files.disk import FileModel, Number
 from jaxscan.stripes import LaserLine, PixelFormat, Response
@@ -110,13 +110,14 @@ class _Seen(NamedTuple):
 
 
 def prove_pair(
-    on: UInt8[np.ndarray, "rows columns *three"],
-    off: UInt8[np.ndarray, "rows columns *three"],
+    on: UInt8[np.ndarray, "rows columns *three"] | UInt16[np.ndarray, "rows columns"],
+    off: UInt8[np.ndarray, "rows columns *three"] | UInt16[np.ndarray, "rows columns"],
     *,
     pixel_format: PixelFormat,
     response: Response,
     line: LaserLine,
     limits: ProofLimits | None = None,
+    bits: int = 8,
 ) -> PairProof:
     """Search for the laser in the difference of two frames, and find the cause if it is missing.
 
@@ -124,26 +125,24 @@ def prove_pair(
     on neighbouring rows; noise, texture, flicker and motion do not make such ridges (`ridges`).
 
     Args:
-        on: The frame that should show the laser's line, uint8 [rows, columns] (rgb8: and 3).
-        off: The frame that should not, of the same shape.
-        pixel_format: How a frame is to be read.
-        response: "linear" or "srgb".
+        on: The frame that should show the laser's line, uint16 of more than 8 bits.
+        off: The frame that should not.
         line: The laser; for the colour "auto" the channel that changed most is used.
-        limits: The limits for the pair.
+        bits: Bits of a sample. All measures are in DN of 8 bits.
 
     Raises:
         ValueError: If the frames have another type or shape, or fewer than 64 px on a side.
     """
     limits = limits or ProofLimits()
-    check_frames(on, off, pixel_format)
+    check_frames(on, off, pixel_format, bits)
     line = with_colour(on, off, pixel_format, line)
-    pair = lines_of(on, off, pixel_format, response, line)
+    pair = lines_of(on, off, pixel_format, response, line, bits)
     seen = _look(pair, limits)
     ridges, furrows = seen.relief
     solid = solid_part(ridges, seen.difference, pair.off, seen.explains)
     if solid < seen.few or ridges.strength < _STRONGER * furrows.strength:
         verdict, reason = _without_line(pair, seen, limits)
-        if verdict in ("dark laser", "changed") and _shines_in_both(on, off, pixel_format, response, line):
+        if verdict in ("dark laser", "changed") and _shines_in_both(on, off, pixel_format, response, line, bits):
             verdict, reason = (
                 "stays on",
                 "the laser stays on: the same line is in both frames; check relay and wiring, open the contactor",
@@ -254,15 +253,15 @@ def _flash(pair: FramePair) -> str:
 
 
 def _shines_in_both(
-    on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat, response: Response, line: LaserLine
+    on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat, response: Response, line: LaserLine, bits: int
 ) -> bool:
     """Whether the same stripe is in both frames; in colour frames, a stripe of the laser's colour."""
     fields = []
     for frame in (on, off):
-        one = lines_of(frame, frame, pixel_format, response, line).on
+        one = lines_of(frame, frame, pixel_format, response, line, bits).on
         if pixel_format == "rgb8":
             others = [LaserLine(line.name, c, line.stripe_axis) for c in COLOURS if c != line.colour]
-            one = one - np.maximum(*(lines_of(frame, frame, pixel_format, response, o).on for o in others))
+            one = one - np.maximum(*(lines_of(frame, frame, pixel_format, response, o, bits).on for o in others))
         fields.append(find_ridges(one, np.zeros_like(one) if pixel_format == "rgb8" else one).ridges)
     first, second = fields
     same = first.clear & second.clear & (np.abs(first.at - second.at) <= 3)

@@ -2,14 +2,15 @@
 
 import logging
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Annotated, Literal, Protocol, Self
+from typing import Annotated, Literal, Self, TypeVar
 
 import pydantic
 
 from jaxscan.files.disk import FileModel, Integer, Number
-from scanrig.errors import Fault, RigError
+from scanrig.clock import Clock
+from scanrig.errors import Fault, LinkLost, PortError, RigError
 from scanrig.wire import Link
 
 
@@ -175,7 +176,7 @@ class ShotDone:
     position: int
     """Microsteps from home, as reached."""
     exposures: int
-    """Exposures since boot, modulo 65536: must have grown by the number of frames asked for."""
+    """Exposures since boot, modulo 65536: has grown by the number of exposures of the shot."""
 
 
 @dataclass(frozen=True)
@@ -184,7 +185,6 @@ class Reconnection:
 
     same_boot: bool
     """It was not reset: its position is still valid."""
-    must_home: bool
     status: Status
 
 
@@ -214,7 +214,7 @@ UNCONFIRMED = "could not confirm that the laser is off: switch its supply off by
 
 @dataclass(frozen=True)
 class Guarantees:
-    """The tasks that a controller carries out even when the host fails. People are told of those that it cannot."""
+    """What a controller does even when the host fails. People are warned of what it cannot do."""
 
     laser_off_without_host: bool
     """The laser goes off within about a second after the host fails or the cable is pulled."""
@@ -226,7 +226,7 @@ class Guarantees:
     """A line that was damaged on its way is detected and not carried out."""
 
 
-class Controller(Protocol):
+class Controller(ABC):
     """A controller whose port is open. As a context manager it makes the rig safe when it exits.
 
     Positions are microsteps of the table from home, whatever units the controller uses. Used from one thread. Every
@@ -237,20 +237,27 @@ class Controller(Protocol):
         Refused: it does not carry out the command in its present state.
     """
 
-    @property
-    def name(self) -> str:
-        """The name of the port, for messages."""
+    guarantees: Guarantees
+    _closed = False
 
     @property
-    def guarantees(self) -> Guarantees:
-        """Its guarantees without the host."""
+    @abstractmethod
+    def link(self) -> Link:
+        """The present link."""
 
     @property
+    @abstractmethod
     def link_counts(self) -> LinkCounts:
         """Counts of lines sent, resent and damaged so far."""
 
+    @property
+    def name(self) -> str:
+        """The name of the port, for messages."""
+        return self.link.name
+
     # Session
 
+    @abstractmethod
     def hello(self) -> Firmware:
         """Begin a session: laser off, contactor open.
 
@@ -261,6 +268,7 @@ class Controller(Protocol):
             FirmwareError: no answer, another device, or firmware that does not fit this host.
         """
 
+    @abstractmethod
     def configure(self, settings: Settings) -> None:
         """Send the settings and check that the controller took them.
 
@@ -268,11 +276,9 @@ class Controller(Protocol):
             FirmwareError: the controller does not take them, or it switches fewer lasers.
         """
 
+    @abstractmethod
     def reconnect(self, timeout_s: float = 60.0) -> Reconnection:
         """Find the controller again after LinkLost or ControllerReset. Motion is stopped, the laser off.
-
-        Returns:
-            Whether it kept its position, whether it must be homed, and its state.
 
         Raises:
             LinkLost: it did not come back in time.
@@ -281,14 +287,13 @@ class Controller(Protocol):
 
     # Motion
 
+    @abstractmethod
     def enable(self, on: bool) -> None:
         """Switch the motor driver on or off; switching it off loses home."""
 
+    @abstractmethod
     def home(self, max_steps: int, timeout_s: float = 120.0) -> int | None:
-        """Search for the home switch; its edge becomes position 0.
-
-        Args:
-            max_steps: how far to search, microsteps.
+        """Search for the home switch, at most so many microsteps; its edge becomes position 0.
 
         Returns:
             The position of the switch by the counter as it was before: 0 if no step was lost. None if the controller
@@ -299,32 +304,27 @@ class Controller(Protocol):
             RigTimeout: homing did not end in time.
         """
 
+    @abstractmethod
     def move(self, to: int, timeout_s: float = 120.0) -> int:
-        """Turn to a position and wait until the table is there.
-
-        Args:
-            to: microsteps from home.
-
-        Returns:
-            The position reached.
+        """Turn to a position, wait until the table is there, and return the position reached.
 
         Raises:
             RigTimeout: the table did not arrive in time.
         """
 
+    @abstractmethod
     def stop(self) -> None:
         """Laser off, motor ramped down; the table stays homed."""
 
     # Light
 
+    @abstractmethod
     def arm(self, on: bool) -> None:
         """Allow or forbid the laser: close or open the contactor in its supply, if there is one."""
 
+    @abstractmethod
     def laser(self, on: bool, *, number: int = 1) -> None:
-        """Switch a laser on, renew its lease, or switch all lasers off.
-
-        Args:
-            number: which one, from 1.
+        """Switch a laser on or renew its lease, by its number from 1; or switch all lasers off.
 
         Raises:
             Refused: not armed.
@@ -332,9 +332,11 @@ class Controller(Protocol):
 
     # The camera's trigger wire; refused without `Guarantees.hardware_trigger`
 
+    @abstractmethod
     def trigger(self) -> None:
         """Start one exposure. Does not wait for its end."""
 
+    @abstractmethod
     def shot(self, to: int, id: int, *, number: int = 1) -> None:
         """Begin a shot: turn, settle, expose with the laser, expose without. The present position as `to` repeats it.
 
@@ -344,6 +346,7 @@ class Controller(Protocol):
             number: which laser, from 1.
         """
 
+    @abstractmethod
     def wait_shot(self, id: int, timeout_s: float = 120.0) -> ShotDone:
         """Wait for the end of a shot that `shot` began.
 
@@ -353,15 +356,19 @@ class Controller(Protocol):
 
     # State
 
+    @abstractmethod
     def stat(self) -> Status:
         """Ask for the state; a fault is reported, not raised."""
 
+    @abstractmethod
     def poll(self) -> Status:
         """Ask for the state, which also feeds the watchdog. A fault is raised."""
 
+    @abstractmethod
     def counters(self) -> Counters | None:
         """The controller's own counters of errors and wear; None if it has none."""
 
+    @abstractmethod
     def clear(self) -> None:
         """Leave a fault; the laser is not armed afterwards.
 
@@ -371,9 +378,11 @@ class Controller(Protocol):
 
     # Ending
 
+    @abstractmethod
     def abort(self) -> None:
         """Everything off at once, without waiting for an answer. Raises only LinkLost."""
 
+    @abstractmethod
     def make_safe(self) -> bool:
         """Stop, laser off, contactor open; if that is not answered, abort. Raises no error of the rig.
 
@@ -388,35 +397,6 @@ class Controller(Protocol):
         Raises:
             RigError: the controller did not confirm that the laser is off.
         """
-
-    def __enter__(self) -> "Controller": ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
-
-
-class SafelyClosed(ABC):
-    """The end of a controller's use: `close`, which `with` calls, makes the rig safe and closes the port."""
-
-    _closed = False
-
-    @property
-    @abstractmethod
-    def link(self) -> Link:
-        """The present link."""
-
-    @abstractmethod
-    def make_safe(self) -> bool:
-        """See `Controller`."""
-
-    @property
-    def name(self) -> str:
-        """The name of the port, for messages."""
-        return self.link.name
-
-    def close(self) -> None:
-        """See `Controller`."""
         if self._closed:
             return
         self._closed = True
@@ -430,9 +410,7 @@ class SafelyClosed(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         try:
             self.close()
         except RigError as problem:
@@ -441,3 +419,24 @@ class SafelyClosed(ABC):
             # The error that ended `with` goes on, with this one as its note.
             log.critical("%s", problem)
             error.add_note(str(problem))
+
+
+T = TypeVar("T")
+
+
+def with_growing_pauses(attempt: Callable[[], T], clock: Clock, timeout_s: float, name: str) -> T:
+    """Attempt to find a controller again until it succeeds.
+
+    Raises:
+        LinkLost: it did not come back in time.
+    """
+    give_up = clock.now() + timeout_s
+    pause = 0.1
+    while True:
+        try:
+            return attempt()
+        except (LinkLost, PortError) as problem:
+            if clock.now() + pause > give_up:
+                raise LinkLost(f"{name} did not come back within {timeout_s:.0f} s: {problem}") from problem
+        clock.sleep(pause)
+        pause = min(2 * pause, 2.0)

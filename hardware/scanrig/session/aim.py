@@ -14,7 +14,7 @@ from scanrig.errors import CameraError
 from scanrig.session.job import Devices, Hooks, say_event
 from scanrig.session.plan import angle_deg, controller_settings, nearest
 from scanrig.session.recovery import RecoveringRig
-from scanrig.session.run import ended_by, leave_safe
+from scanrig.session.run import ended_by, including, leave_safe
 from scanrig.session.steps import ProvenPair, prove
 
 
@@ -48,7 +48,7 @@ class Sight:
     @property
     def on(self) -> np.ndarray | None:
         """The laser-on frame."""
-        return None if self.pair is None else self.pair.on.image
+        return None if self.pair is None else self.pair.on.shown
 
     @property
     def proof(self) -> PairProof | None:
@@ -66,10 +66,9 @@ def run_aiming(
     """Take frames until the operator asks to stop; nothing is written.
 
     Args:
-        devices: Controller and camera, open.
         see: Called with every look; with several lasers they take turns.
-        hooks: Callbacks, of which `notify` and `should_stop` are used.
-        wish: What is to be seen next; asked before each look.
+        hooks: Only `notify` and `should_stop` are used.
+        wish: What is to be seen next; called before each look.
 
     Returns:
         A line for people where an e-stop ended it, or where it could not be confirmed that the laser is off; else "".
@@ -97,7 +96,7 @@ def run_aiming(
                 break
             wanted = wish()
             exposed = _exposed(config, wanted)
-            # What the camera refused once it is not asked again.
+            # What the camera refused once is not tried again.
             if exposed.camera != rig.config.camera and exposed != refused:
                 try:
                     rig.adopt(exposed)
@@ -114,9 +113,7 @@ def run_aiming(
         said, error = ending.message, ending.error
     unsafe = leave_safe(devices.controller)
     if error is not None:
-        if unsafe and error.args:
-            error.args = (f"{str(error).rstrip('.')}. {unsafe}", *error.args[1:])
-        raise error
+        raise including(unsafe, error)
     return " ".join(part for part in (said, unsafe) if part)
 
 
@@ -126,11 +123,9 @@ def _sight(rig: RecoveringRig, to: int, number: int, *, lit: bool) -> Sight:
         if to != rig.at:
             rig.approach(to)
         return Sight(None, rig.look(), at)
-    laser = rig.config.laser_of(number)
-    taken, doubt = rig.grab(to, number)
-    proof = prove(taken, rig.config, laser)
-    pair = ProvenPair(taken.on, taken.off, proof, taken.position, doubt.reasons, laser)
-    return Sight(pair, taken.off.image, at)
+    taken, rejections = rig.grab(to, number)
+    pair = ProvenPair(*taken, prove(taken, rig.config), rejections.reasons)
+    return Sight(pair, taken.off.shown, at)
 
 
 def _exposed(config: RigConfig, wanted: Wish) -> RigConfig:

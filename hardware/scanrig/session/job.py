@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from scanrig.cameras import Camera
-from scanrig.clock import Clock, SystemClock
+from scanrig.clock import Clock
 from scanrig.config import RigConfig
 from scanrig.controllers import Controller
 
@@ -22,8 +22,8 @@ _ANSWER = b"jaxscan: ends after this step; Ctrl-C again ends at once\n"
 
 
 class Interrupts:
-    """Within `with`, the first SIGINT, SIGTERM or SIGHUP is only noted and said, and the second raises
-    KeyboardInterrupt.
+    """Within `with`, the first SIGINT, SIGTERM or SIGHUP is only noted and answered with a line, and the second
+    raises KeyboardInterrupt.
 
     Pass it as `should_stop`. Further signals do nothing, so that switching the laser off is not interrupted.
     Works only in the main thread, as all signal handlers of Python.
@@ -39,7 +39,7 @@ class Interrupts:
         self._terminals: list[int] = []
 
     def __call__(self) -> bool:
-        """Whether the session is asked to end."""
+        """Whether the session is to end."""
         return bool(self.received)
 
     def __enter__(self) -> "Interrupts":
@@ -121,7 +121,7 @@ class Devices:
     """The session configures, homes and arms it, and leaves it safe."""
     camera: Camera
     """The session starts it."""
-    clock: Clock = field(default_factory=SystemClock)
+    clock: Clock = field(default_factory=Clock)
     """For waiting and for time stamps."""
 
 
@@ -136,9 +136,9 @@ class Hooks:
     notify: Callable[[str], None] = lambda sentence: None
     """Called with each sentence that people should read."""
     should_stop: Callable[[], bool] = lambda: False
-    """Asked before each step whether to stop; `Interrupts` is one."""
+    """Called before each step: whether to stop; `Interrupts` is one."""
     advise: Callable[[], Sequence[str]] | None = None
-    """Asked for advice before the board is placed: the most helpful poses, a sentence each."""
+    """Called before the board is placed: the most helpful poses, a sentence each."""
 
 
 @dataclass(frozen=True)

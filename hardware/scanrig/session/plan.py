@@ -7,6 +7,7 @@ from fractions import Fraction
 from itertools import count
 
 from jaxscan.errors import ConfigError
+from jaxscan.stripes import level_exposures
 from scanrig.config import RigConfig
 from scanrig.controllers import Settings
 
@@ -113,9 +114,6 @@ def placed_targets(
 ) -> tuple[tuple[tuple[Target, ...], ...], tuple[tuple[Target, ...], ...]]:
     """The records of a calibration, grouped by free view and by placement; at each position one for each laser.
 
-    Args:
-        positions: From `placement_positions`.
-
     Returns:
         free: The records of each free view.
         stands: The records of each placement.
@@ -170,8 +168,10 @@ def controller_settings(config: RigConfig) -> Settings:
 
 
 def frame_bytes(config: RigConfig) -> int:
-    """Size of one frame, uncompressed [bytes]."""
-    return config.camera.width * config.camera.height * (3 if config.camera.pixel_format == "rgb8" else 1)
+    """Size of one frame as a capture keeps it, uncompressed [bytes]: more than 8 bits as several levels."""
+    camera = config.camera
+    samples = camera.width * camera.height * (3 if camera.layout == "rgb8" else 1)
+    return samples * len(level_exposures(camera.bits))
 
 
 def move_s(config: RigConfig, microsteps: int) -> float:

@@ -2,12 +2,13 @@
 
 import contextlib
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
 import numpy as np
 
-from scanrig.cameras import Features, reopen_camera
+from scanrig.cameras import Features, require_same
 from scanrig.config import RigConfig
 from scanrig.controllers import Firmware, Status
 from scanrig.errors import (
@@ -25,9 +26,9 @@ from scanrig.errors import (
 from scanrig.session.job import Devices
 from scanrig.session.plan import controller_settings, longest_s, nearest
 from scanrig.session.steps import (
-    Doubt,
     FrameNumbers,
     ProvenPair,
+    Rejections,
     Station,
     Step,
     TakenPair,
@@ -46,6 +47,8 @@ _AFTER_RESET = {Reason.NOT_HOMED, Reason.NO_SESSION, Reason.DRIVER_OFF, Reason.N
 """Refusals of a controller that has lost its state."""
 _ABOVE_HOME_DEG = 3.0
 _STILL_S = 10.0
+_LONGEST_PAUSE_S = 5.0
+"""Between two attempts to open a lost camera."""
 _RECOVERIES = 5
 """Recoveries of one step before the session ends."""
 
@@ -66,8 +69,6 @@ class RecoveringRig:
         """Takes that were rejected."""
         self.at = self.came_from = 0
         """Where the last step was taken, and where the table stood before it went there [microsteps]."""
-        self.tolerance = config.checks.lost_steps_tolerance
-        """Microsteps by which home may be missed."""
         self._clock, self._note = devices.clock, note
         self._numbers = FrameNumbers()
         self._homing = False
@@ -115,7 +116,9 @@ class RecoveringRig:
         self.homings += 1
         self.at = self.came_from = 0
         missed = (was + n // 2) % n - n // 2 if known and was is not None else None
-        good = {} if missed is None else {"missed": missed, "good": abs(missed) <= self.tolerance}
+        good = (
+            {} if missed is None else {"missed": missed, "good": abs(missed) <= self.config.checks.lost_steps_tolerance}
+        )
         self._note("home", why=why, was=was, **good)
         if not self._dark:
             self.arm(True)
@@ -131,7 +134,6 @@ class RecoveringRig:
             self.controller.move(above, longest_s(self.config))
 
     def arm(self, on: bool) -> None:
-        """Close or open the contactor."""
         self.controller.arm(on)
         if not on:
             # With the contactor open, frames are taken without a shot, so the next frame number is not known.
@@ -143,7 +145,6 @@ class RecoveringRig:
         self.doing(lambda: self.arm(False), "opening the contactor")
 
     def light(self) -> None:
-        """Close the contactor again."""
         self._dark = False
         self.doing(lambda: self.arm(True), "closing the contactor")
 
@@ -187,9 +188,9 @@ class RecoveringRig:
         if attempt > 0 and attempt % 2 == 0:
             # Here, where a fault during the reopening is recovered too.
             self._open_anew("a look")
-        return plain_frame(self._station("a look")).image
+        return plain_frame(self._station("a look")).shown
 
-    def take(self, to: int, number: int, before: Doubt | None = None) -> ProvenPair:
+    def take(self, to: int, number: int, before: Rejections | None = None) -> ProvenPair:
         """Take one record, with the laser of its number, until it is proven; `before`: earlier takes, rejected.
 
         Recovers from a lost link, a reset, a lost camera and temporary faults.
@@ -201,7 +202,7 @@ class RecoveringRig:
         """
         return self._step(take_pair, to, number, before)
 
-    def grab(self, to: int, number: int) -> tuple[TakenPair, Doubt]:
+    def grab(self, to: int, number: int) -> tuple[TakenPair, Rejections]:
         """Take the frames of one record, not proven yet, and recover as `take` does.
 
         Returns:
@@ -219,9 +220,12 @@ class RecoveringRig:
         self.rejected += 1
         self._note("retake", step=number, reason=reason)
 
-    def _step(self, take: Callable[..., T], to: int, number: int, before: Doubt | None) -> T:
+    def _step(
+        self, take: Callable[[Station, Step, Rejections | None], T], to: int, number: int, before: Rejections | None
+    ) -> T:
         action, step = f"step {number}", Step(to, number, self.config.laser_of(number))
-        result = self.doing(lambda: take(self._station(action), step, partial(self.reject, number), before), action)
+        rejected = partial(self.reject, number)
+        result = self.doing(lambda: take(replace(self._station(action), rejected=rejected), step, before), action)
         if to != self.at:
             self.came_from, self.at = self.at, to
         return result
@@ -285,10 +289,20 @@ class RecoveringRig:
         self._note("reconnected", same_boot=found.same_boot)
 
     def _reopen(self, problem: Exception) -> None:
-        """Open the camera again, and check that its settings are unchanged."""
-        tries = self.config.checks.camera_reopens
-        attempts = reopen_camera(self.camera, self.features, problem, self._clock, tries=tries)
-        self._note("camera", reopened=attempts)
+        """Open the camera again, ever more patiently, and check that its settings are unchanged."""
+        tries, last = self.config.checks.camera_reopens, problem
+        for attempt in range(tries):
+            self._clock.sleep(min(0.25 * 2**attempt, _LONGEST_PAUSE_S) if attempt else 0.0)
+            try:
+                self.camera.reopen()
+                self.camera.start()
+                require_same(self.camera, self.features)
+            except CameraLost as again:
+                last = again
+                continue
+            self._note("camera", reopened=attempt + 1)
+            return
+        raise CameraError(f"{self.camera.identity} did not come back in {tries} tries: {last}") from problem
 
     def _make_ready(self) -> None:
         """Clear a fault, enable the motor, home if necessary, arm."""

@@ -63,10 +63,7 @@ def is_capture(folder: Path) -> bool:
 
 
 def find_capture(folder: Path, *, progress: Callable[[int, int], None] | None = None) -> Found:
-    """Read and verify a whole capture.
-
-    Args:
-        progress: Called while it is verified, with (records done, records in all).
+    """Read and verify a whole capture; `progress` is called with (records done, records in all).
 
     Raises:
         CaptureError: If header or journal are damaged in a way that no interruption causes, or hold values
@@ -136,10 +133,7 @@ def _checked(folder: Path, event: dict[str, Any], key: str, kind: pydantic.TypeA
 
 
 def read_pair(folder: Path, number: int) -> tuple[np.ndarray, np.ndarray]:
-    """The frames of one record; other records may be damaged.
-
-    Returns:
-        on, off: uint8 [rows, columns] (rgb8: and 3).
+    """The laser-on and laser-off frame of one record in 8 bits; other records may be damaged.
 
     Raises:
         CaptureError: If they are missing or damaged.
@@ -150,7 +144,8 @@ def read_pair(folder: Path, number: int) -> tuple[np.ndarray, np.ndarray]:
         if record.i == number:
             on, off = reader.frame(record.on), reader.frame(record.off)
             if on is not None and off is not None:
-                return on, off
+                # Of more than 8 bits the first level holds the whole range.
+                return (on, off) if texts.header.camera.bits is None else (on[0], off[0])
     raise CaptureError(f"{folder}: record {number} lacks a frame, so nothing can be compared with it.")
 
 

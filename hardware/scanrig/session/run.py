@@ -38,10 +38,7 @@ class Ending:
 
 
 def ended_by(problem: BaseException, controller: Controller) -> Ending:
-    """Classify an error: a regular end, or an error to raise.
-
-    After an interrupt everything is switched off first.
-    """
+    """Classify an error: a regular end, or an error to raise. After an interrupt everything is switched off first."""
     if isinstance(problem, KeyboardInterrupt):
         with contextlib.suppress(LinkLost):
             controller.abort()
@@ -54,15 +51,7 @@ def ended_by(problem: BaseException, controller: Controller) -> Ending:
 
 
 def counted(controller: Controller, *, answers: bool) -> dict[str, Any]:
-    """The counters of the controller and of its link: wear of the laser's switch, line errors.
-
-    Args:
-        controller: A controller that was made safe.
-        answers: Whether it answered then; otherwise it is not asked again.
-
-    Returns:
-        Fields for the journal; without the controller's counters if they cannot be read.
-    """
+    """The counters of the link and, if it `answers`, of the controller, as fields for the journal."""
     link: dict[str, Any] = {"link": asdict(controller.link_counts)}
     if not answers:
         return link
@@ -70,16 +59,12 @@ def counted(controller: Controller, *, answers: bool) -> dict[str, Any]:
         counters = controller.counters()
         return link if counters is None else {"controller": asdict(counters), **link}
     except RigError as problem:
-        log.info("the controller's counters could not be asked for: %s", problem)
+        log.info("the controller's counters could not be read: %s", problem)
         return link
 
 
 def leave_safe(controller: Controller) -> str:
-    """Laser off and contactor open, in every case.
-
-    Returns:
-        "" if the controller confirmed it, else the instruction to a person.
-    """
+    """Laser off and contactor open, in every case; "" if the controller confirmed it, else an order to a person."""
     for _ in range(2):
         try:
             return "" if controller.make_safe() else _warning()
@@ -90,6 +75,13 @@ def leave_safe(controller: Controller) -> str:
         except (RigError, OSError) as problem:
             return _warning(problem)
     return _warning()
+
+
+def including(unsafe: str, error: BaseException) -> BaseException:
+    """The error, its message with the warning of `leave_safe`: many programs show only one line of an error."""
+    if unsafe and error.args:
+        error.args = (f"{str(error).rstrip('.')}. {unsafe}", *error.args[1:])
+    return error
 
 
 def _warning(problem: Exception | None = None) -> str:
@@ -112,7 +104,7 @@ def run_job(job: Job, work: Callable[[Session], bool]) -> SessionResult:
         raise ConfigError(
             'camera.trigger: found "hardware", expected "software" or "free": the controller has no wire to the camera.'
         )
-    made = _folder(job.folder)
+    made = _make(job.folder)
     try:
         with folder_lock(job.folder) as lock:
             found = _look(job)
@@ -157,15 +149,12 @@ def _run(session: Session, work: Callable[[Session], bool]) -> SessionResult:
         if sentence:
             job.hooks.notify(sentence)
     if ending.error is not None:
-        if unsafe and ending.error.args:
-            # Many programs show only one line of an error.
-            ending.error.args = (f"{str(ending.error).rstrip('.')}. {unsafe}", *ending.error.args[1:])
         if session.ledger.events and session.done:
             job.hooks.notify(
                 f"{job.folder}: {len(session.done)} of {job.planned} records are on the disk; "
                 "the capture can be resumed."
             )
-        raise ending.error
+        raise including(unsafe, ending.error)
     return _result(session, ending, unsafe)
 
 
@@ -186,7 +175,7 @@ def _result(session: Session, ending: Ending, unsafe: str) -> SessionResult:
     )
 
 
-def _folder(folder: Path) -> bool:
+def _make(folder: Path) -> bool:
     """Make the folder; True if it did not exist."""
     try:
         if folder.is_dir():
@@ -240,11 +229,6 @@ def _complete_already(job: Job, found: Found) -> SessionResult:
 
 
 def say_end(ending: Ending, folder: Path, *, count: int, planned: int, suspect: Sequence[tuple[int, int]]) -> str:
-    """How a session ended, as one line.
-
-    Args:
-        planned: Records of the complete capture.
-    """
     there = f"{count} of {planned} records"
     says = {
         "complete": f"complete, {count} records",
@@ -292,11 +276,6 @@ def take_placements(session: Session, positions: Sequence[tuple[int, ...]], oper
     Every placement gets a new number. A placement that was half done when a session ended is begun again under another
     number; its old records keep the old one.
 
-    Args:
-        session: A session that has begun.
-        positions: From `placement_positions`.
-        operator: The person who places the board.
-
     Returns:
         False if the operator asked to stop, or ended before any view was taken.
     """
@@ -307,23 +286,24 @@ def take_placements(session: Session, positions: Sequence[tuple[int, ...]], oper
         for number, targets in enumerate(asked):
             if all(target.record in session.done for target in targets):
                 continue
-            if session.should_stop():
+            if session.job.hooks.should_stop():
                 return False
             bearing = 0 if kind == "free" else placement_bearing(session.config, number)
-            session.face(bearing)
-            session.dark()
+            if session.rig.at != bearing:
+                session.rig.approach(bearing)
+            session.rig.dark()
             at_deg = angle_deg(bearing, session.config.microsteps_per_turn)
             advice = [] if session.job.hooks.advise is None else list(session.job.hooks.advise())
             placed = operator.place(PlacementRequest(kind, number, len(asked), at_deg, advice, session.rig.look))
-            if session.should_stop():
+            if session.job.hooks.should_stop():
                 return False
             if not placed:
                 break
-            session.light()
+            session.rig.light()
             if not _take_placement(session, targets):
                 return False
     if session.since_home:
-        session.close_placement(in_place=False)
+        session.find_home("end of a placement", in_place=False)
     return bool(session.done or session.suspect)
 
 
@@ -333,14 +313,14 @@ def _take_placement(session: Session, targets: Sequence[Target]) -> bool:
     for target in targets:
         session.done.discard(target.record)
     for target in targets:
-        if session.should_stop():
+        if session.job.hooks.should_stop():
             session.settle()
             return False
         session.take(target.record, target.position, placement=label)
     # Before the board is moved.
     session.settle()
     if len({target.position for target in targets}) > 1:
-        session.close_placement(in_place=True)
+        session.find_home("end of a placement", in_place=True)
     return True
 
 
@@ -389,12 +369,12 @@ def _take_turns(session: Session, targets: Sequence[Target]) -> bool:
         for target in turn:
             if target.record in session.done:
                 continue
-            if session.should_stop():
+            if session.job.hooks.should_stop():
                 return False
             session.take(target.record, target.position)
         session.settle()
         if session.unclosed(turn):
-            if session.should_stop():
+            if session.job.hooks.should_stop():
                 return False
             session.close_turn(turn)
     return True

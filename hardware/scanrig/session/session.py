@@ -4,10 +4,9 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from jaxscan.files.capture import CameraTable, CaptureHeader, PlanTable, TurntableTable
+from jaxscan.files.capture import CaptureHeader, PlanTable, TurntableTable
 from scanrig.cameras import Features, require_same
 from scanrig.checks import PLACES, LeakWatch, LightWatch, Likeness, PairProof, compare_pairs
 from scanrig.config import RigConfig
@@ -50,18 +49,6 @@ class PairWatch:
         )
 
 
-def compare_with_record(folder: Path, record: int, pair: ProvenPair, config: RigConfig) -> Likeness:
-    """Compare a pair with that of a record on the disk, taken at the same place.
-
-    Raises:
-        CaptureError: If the record is missing or damaged.
-    """
-    camera, line = config.camera, config.laser[pair.laser].line
-    again = pair.on.image, pair.off.image
-    first = read_pair(folder, record)
-    return compare_pairs(first, again, pixel_format=camera.pixel_format, response=camera.response, line=line)
-
-
 def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureHeader:
     """The header of a new capture, with the settings that must not change when it is resumed."""
     config, kind, identity = job.config, job.kind, job.devices.camera.identity
@@ -79,16 +66,9 @@ def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureH
     }
     if job.calibration_digest is not None:
         acquisition["calibration"] = job.calibration_digest
-    camera = config.camera
     return CaptureHeader(
         kind=kind,
-        camera=CameraTable(
-            width=camera.width,
-            height=camera.height,
-            pixel_format=camera.pixel_format,
-            response=camera.response,
-            up=camera.up,
-        ),
+        camera=config.camera.table,
         turntable=TurntableTable(carries=config.turntable.carries, angle_sigma_deg=config.turntable.angle_sigma_deg),
         laser=tuple(laser.table for laser in config.laser),
         board=config.board if kind == "calibration" else None,
@@ -97,23 +77,13 @@ def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureH
     )
 
 
-class Moment(NamedTuple):
-    """When a pair was taken."""
-
-    utc: str
-    """Time of day, RFC 3339."""
-    now_s: float
-    """Monotonic seconds."""
-
-
-def record_fields(pair: ProvenPair, config: RigConfig, features: Features, moment: Moment) -> dict[str, Any]:
-    """The fields of a record, without its images and their digests."""
+def record_fields(pair: ProvenPair, config: RigConfig, features: Features, moment: dict[str, Any]) -> dict[str, Any]:
+    """The fields of a record, without its images and their digests; `moment`: the fields of its time."""
     n, proof = config.microsteps_per_turn, pair.proof
     exposure = features.get("exposure_s", config.camera.exposure_ms / 1000)
     fields: dict[str, Any] = {
         "angle_deg": angle_deg(pair.position, n),
-        "time": moment.utc,
-        "time_s": round(moment.now_s, 6),
+        **moment,
         "microsteps": pair.position,
         "microsteps_per_turn": n,
         "exposure_s": exposure,
@@ -161,13 +131,9 @@ class Session:
         self._positions = {} if found is None else {i: int(r["microsteps"]) for i, r in found.records.items()}
         self._placements = 0 if found is None else found.placements
         self._flights = Flights(self.ledger, self.config)
-        self._doubtful: list[Flight] = []
+        self._unproven: list[Flight] = []
         """Steps that were not proven, to which the table must return."""
         self._watch = PairWatch(self.config, job.devices.controller, self._note)
-
-    def should_stop(self) -> bool:
-        """Whether the operator asked to stop."""
-        return self.job.hooks.should_stop()
 
     def begin(self) -> None:
         """Make the rig ready and open the capture."""
@@ -208,7 +174,7 @@ class Session:
                 f"most {checks.shift_px:g} px and at least {checks.correlation:g}. The rig or the room changed, or "
                 "steps were lost before. Begin a new capture, or allow more in [checks] shift_px and correlation."
             )
-        self._believe()
+        self._clear_suspicion()
 
     def take(self, record: int, to: int, *, placement: int | None = None) -> None:
         """Take one record. It is proven and written while the table goes on.
@@ -221,22 +187,22 @@ class Session:
         require_space(self.job.folder, room, purpose="the next pair")
         homings = self.rig.homings
         try:
-            taken, doubt = self.rig.grab(to, record)
+            taken, rejections = self.rig.grab(to, record)
         except FrameError:
             # If the step before fails too, it is the first to say so.
-            self._return_to_doubtful()
+            self._return_to_unproven()
             raise
         place = Place(Step(to, record, self.config.laser_of(record)), self.rig.came_from, placement)
         fields = self._fields(placement)
         self._check_homing(homings, placement)
         self._judge()
-        self._flights.begin(place, taken, doubt, fields)
-        if self._doubtful:
-            self._return_to_doubtful()
+        self._flights.begin(place, taken, rejections, fields)
+        if self._unproven:
+            self._return_to_unproven()
 
     def settle(self) -> None:
         """Return to the steps that were not proven, and wait until all records are on the disk."""
-        self._return_to_doubtful()
+        self._return_to_unproven()
         self._collect(0)
 
     def end(self) -> None:
@@ -256,24 +222,13 @@ class Session:
             likeness = self._again(first, "closing")
             if not self._is_like(likeness):
                 self.job.hooks.notify(f"The first step of the pass, taken again, has changed: {likeness}.")
-        self._find_home("end of a pass", in_place=True)
+        self.find_home("end of a pass", in_place=True)
 
-    def close_placement(self, *, in_place: bool) -> None:
-        """Search for home after a placement of the board; `in_place`: the board has not moved since the last record."""
-        self._find_home("end of a placement", in_place=in_place)
-
-    def face(self, position: int) -> None:
-        """Turn the table so that somebody can place the board where the camera looks [microsteps]."""
-        if self.rig.at != position:
-            self.rig.approach(position)
-
-    def dark(self) -> None:
-        """Open the contactor while somebody moves the board."""
-        self.rig.dark()
-
-    def light(self) -> None:
-        """Close the contactor again when the operator is ready."""
-        self.rig.light()
+    def find_home(self, why: str, *, in_place: bool) -> None:
+        """Search for home; `in_place`: the board, if there is one, has not moved since the last record."""
+        self.rig.doing(lambda: self.rig.home(why), "homing")
+        if self._unjudged:
+            (self._compare_last if in_place else self._clear_suspicion)()
 
     def next_placement(self) -> int:
         """A new number for a placement of the board."""
@@ -285,7 +240,7 @@ class Session:
     def _fields(self, placement: int | None) -> Callable[[ProvenPair], dict[str, Any]]:
         """Makes the fields of a record that was taken now."""
         config, clock, features = self.config, self.job.devices.clock, self.rig.features
-        moment = Moment(clock.utc(), clock.now())
+        moment = {"time": clock.utc(), "time_s": round(clock.now(), 6)}
         place = {} if placement is None else {"placement": placement}
         return lambda pair: record_fields(pair, config, features, moment) | place
 
@@ -298,19 +253,19 @@ class Session:
             self._add_to_watch(flight, proof)
         else:
             self.rig.reject(flight.record, proof.reason)
-            self._doubtful.append(flight)
+            self._unproven.append(flight)
 
-    def _return_to_doubtful(self) -> None:
+    def _return_to_unproven(self) -> None:
         """Take the steps again that were not proven, each until it is, in their order."""
         self._judge()
-        while self._doubtful:
-            flight = self._doubtful.pop(0)
+        while self._unproven:
+            flight = self._unproven.pop(0)
             place = flight.place
             if self.rig.at != place.step.to != place.came_from:
                 # From the same side as the first time: gears have backlash.
                 self.rig.approach(place.came_from)
             homings = self.rig.homings
-            pair = self.rig.take(place.step.to, flight.record, flight.doubt)
+            pair = self.rig.take(place.step.to, flight.record, flight.rejections)
             self._check_homing(homings, place.placement)
             written = self._flights.begin_proven(place, pair, self._fields(place.placement))
             self._add_to_watch(written, pair.proof)
@@ -332,8 +287,8 @@ class Session:
         for flight in self._flights.landed(most):
             self._count(flight)
             if hooks.on_pair is not None:
-                angle = math.radians(self._angle_deg(flight))
-                hooks.on_pair(flight.record, angle, flight.taken.on.image, flight.taken.off.image)
+                angle = math.radians(angle_deg(flight.taken.position, self.config.microsteps_per_turn))
+                hooks.on_pair(flight.record, angle, flight.taken.on.shown, flight.taken.off.shown)
             if hooks.progress is not None:
                 hooks.progress(len(self.done), self.job.planned)
 
@@ -347,11 +302,10 @@ class Session:
         self._positions[record] = flight.taken.position
 
     def _add_to_watch(self, flight: Flight, proof: PairProof) -> None:
-        angle = None if flight.place.placement is not None else self._angle_deg(flight)
+        # Boards show another scene in each pair, whatever the table does.
+        on_board = flight.place.placement is not None
+        angle = None if on_board else angle_deg(flight.taken.position, self.config.microsteps_per_turn)
         self._watch.add(flight.record, flight.place.step.laser, angle, proof)
-
-    def _angle_deg(self, flight: Flight) -> float:
-        return angle_deg(flight.taken.position, self.config.microsteps_per_turn)
 
     def _note(self, name: str, **fields: Any) -> None:
         if name == "home":
@@ -364,19 +318,14 @@ class Session:
         if sentence := say_event(name, fields):
             self.job.hooks.notify(sentence)
 
-    def _find_home(self, why: str, *, in_place: bool) -> None:
-        self.rig.doing(lambda: self.rig.home(why), "homing")
-        if self._unjudged:
-            (self._compare_last if in_place else self._believe)()
-
     def _judge_home(self, missed: int | None) -> None:
         """Judge a homing: if home was missed, the records since it was last found well are suspect."""
         if missed is None:
             self._unjudged = bool(self.since_home)
-        elif abs(missed) > self.rig.tolerance:
-            self._doubt(f"home was missed by {missed} microsteps", missed=missed)
+        elif abs(missed) > self.config.checks.lost_steps_tolerance:
+            self._mark_suspect(f"home was missed by {missed} microsteps", missed=missed)
         elif not self._unjudged:
-            self._believe()
+            self._clear_suspicion()
 
     def _compare_last(self) -> None:
         """Judge the table's position by taking the last record again, after a homing without a valid counter."""
@@ -384,28 +333,33 @@ class Session:
             return
         likeness = self._again(self._last, "compared")
         if self._is_like(likeness):
-            self._believe()
+            self._clear_suspicion()
         else:
-            self._doubt(f"after a fault, record {self._last} looks different: {likeness}")
+            self._mark_suspect(f"after a fault, record {self._last} looks different: {likeness}")
 
-    def _believe(self) -> None:
+    def _clear_suspicion(self) -> None:
         self.since_home.clear()
         self._unjudged = False
 
-    def _doubt(self, why: str, **fields: Any) -> None:
+    def _mark_suspect(self, why: str, **fields: Any) -> None:
         records = sorted(set(self.since_home))
-        self._believe()
+        self._clear_suspicion()
         if records:
             self._note("suspect", records=[list(run) for run in ranges(records)], why=why, **fields)
             self.suspect.update(records)
             self.done.difference_update(records)
 
     def _again(self, record: int, event: str) -> Likeness:
-        """Take a record again only to compare it."""
         self._await_written()
         pair = self.rig.take(self._positions[record], record)
         self._flights.wait()
-        likeness = compare_with_record(self.job.folder, record, pair, self.config)
+        likeness = compare_pairs(
+            read_pair(self.job.folder, record),
+            (pair.on.shown, pair.off.shown),
+            pixel_format=self.config.camera.layout,
+            response=self.config.camera.response,
+            line=self.config.laser[pair.laser].line,
+        )
         self._note(event, record=record, **likeness.fields(), good=self._is_like(likeness))
         return likeness
 

@@ -1,23 +1,24 @@
 """One step, from the motion to the disk.
 
-Two frames are taken, and again until they are accepted or proven; pairs are proven and written in the background."""
+Two frames are taken, and again until they are accepted or proven; pairs are proven and written in the background.
+"""
 
 import logging
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
 from jaxscan.stripes import frame_rank
 from scanrig.cameras import Camera, Frame
 from scanrig.checks import PairProof, prove_pair
-from scanrig.clock import Clock, SystemClock
+from scanrig.clock import Clock
 from scanrig.config import RigConfig
 from scanrig.controllers import Controller, Status
 from scanrig.errors import CameraError, CameraTimeout, FrameError
-from scanrig.recording import AHEAD, Background, Ledger
+from scanrig.recording import AHEAD, Ledger
 from scanrig.session.plan import longest_s, shot_s
 
 
@@ -41,27 +42,18 @@ class FrameNumbers:
     next: int | None = None
     """The number of the camera's next frame."""
     counted: tuple[float, int] | None = None
-    """When the controller last told its count of exposures, and the count."""
+    """When the controller last reported its count of exposures, and the count."""
 
     def forget(self) -> None:
         """Something else was exposed since, or may have been."""
         self.next = self.counted = None
 
 
-class TakenPair(NamedTuple):
-    """Two whole frames of one place, not proven yet."""
-
-    on: Frame
-    off: Frame
-    position: int
-    """Position reported by the controller [microsteps from home]."""
+class RejectedTake(Exception):
+    """The frames are not those of the step; the message says why."""
 
 
-class Unbelievable(Exception):
-    """The take is rejected; the message says why."""
-
-
-class NoFrame(Unbelievable):
+class NoFrame(RejectedTake):
     """No frame came at all."""
 
 
@@ -74,11 +66,13 @@ class Station:
     """Configured, enabled, homed and armed."""
     camera: Camera
     """Started."""
-    clock: Clock = field(default_factory=SystemClock)
+    clock: Clock = field(default_factory=Clock)
     numbers: FrameNumbers = field(default_factory=FrameNumbers)
     """Kept from step to step, so that a gap between two pairs is noticed too."""
     reopen: Callable[[], None] = lambda: None
     """Called when no frame came in two takes in a row: opens the camera again."""
+    rejected: Callable[[str], None] = lambda reason: None
+    """Called with the reason for each rejected take."""
 
 
 class Step(NamedTuple):
@@ -92,6 +86,100 @@ class Step(NamedTuple):
     """Which laser, counted from 0."""
 
 
+class TakenPair(NamedTuple):
+    """Two whole frames of one place, not proven yet."""
+
+    on: Frame
+    off: Frame
+    position: int
+    """Position reported by the controller [microsteps from home]."""
+    laser: int
+    """Its laser, counted from 0."""
+
+
+class ProvenPair(NamedTuple):
+    """A pair with its proof."""
+
+    on: Frame
+    off: Frame
+    position: int
+    laser: int
+    proof: PairProof
+    rejected: tuple[str, ...]
+    """Why earlier takes were rejected."""
+
+
+class Rejections(NamedTuple):
+    """The rejected takes of a step."""
+
+    reasons: tuple[str, ...] = ()
+    verdict: str = ""
+    """Of the last one, if it was the proof that rejected it."""
+
+    def also(self, reason: str, verdict: str = "") -> "Rejections":
+        return Rejections((*self.reasons, reason), verdict)
+
+
+def take_pair(station: Station, step: Step, before: Rejections | None = None) -> ProvenPair:
+    """Take one step, and retake it at the same position until it is proven.
+
+    Args:
+        before: Earlier takes of this step that were rejected; they count.
+
+    Raises:
+        FrameError: If none of `1 + config.checks.retakes` takes was proven; if the laser stays on, the
+            contactor has been opened.
+        CameraError: If frames have the wrong size.
+        CameraLost, LinkLost, RigFault, RigError: From camera and controller.
+    """
+    rejections = before or Rejections()
+    if rejections.reasons:
+        discard_rest(station)
+    while True:
+        taken, rejections = grab_whole(station, step, rejections)
+        proof = prove(taken, station.config)
+        if proof.ok:
+            return ProvenPair(*taken, proof, rejections.reasons)
+        rejections = rejections.also(proof.reason, proof.verdict)
+        station.rejected(proof.reason)
+        discard_rest(station)
+
+
+def grab_whole(station: Station, step: Step, before: Rejections | None = None) -> tuple[TakenPair, Rejections]:
+    """Take the frames of one step, and retake them until they are accepted; they are not proven yet.
+
+    Arguments and errors are those of `take_pair`.
+
+    Returns:
+        The frames, and all rejected takes of the step so far.
+    """
+    rejections, silent = before or Rejections(), 0
+    while True:
+        if len(rejections.reasons) > station.config.checks.retakes:
+            _give_up(station, step, rejections)
+        if silent >= 2:
+            silent = 0
+            station.reopen()
+        try:
+            return grab(station, step), rejections
+        except RejectedTake as problem:
+            silent = silent + 1 if isinstance(problem, NoFrame) else 0
+            rejections = rejections.also(str(problem))
+        station.rejected(rejections.reasons[-1])
+        discard_rest(station)
+
+
+def _give_up(station: Station, step: Step, rejections: Rejections) -> NoReturn:
+    number, last = step.number, rejections.reasons[-1]
+    if rejections.verdict == "stays on":
+        station.controller.arm(False)
+        raise FrameError(
+            f"step {number}: {last}. The contactor has been opened; do not look into the beam, "
+            "and cut the laser's supply before working on it."
+        )
+    raise FrameError(f"step {number}: not proven in {len(rejections.reasons)} takes; reason of the last: {last}.")
+
+
 def grab(station: Station, step: Step) -> TakenPair:
     """Take two whole frames at a position.
 
@@ -100,7 +188,7 @@ def grab(station: Station, step: Step) -> TakenPair:
     while it waits for the frame.
 
     Raises:
-        Unbelievable: If they are not the two frames of this step; its subclass NoFrame: if none came.
+        RejectedTake: If they are not the two frames of this step; its subclass NoFrame: if none came.
         CameraError: If frames have the wrong size.
         CameraLost, LinkLost, RigFault, RigError: From camera and controller.
     """
@@ -128,22 +216,22 @@ def _by_wire(station: Station, step: Step) -> TakenPair:
     done = controller.wait_shot(step.number, longest_s(config) + shot_s(config))
     exposures = (done.exposures - before) % _COUNT
     if exposures != 2:
-        raise Unbelievable(f"the controller counted {exposures} exposures, expected 2")
+        raise RejectedTake(f"the controller counted {exposures} exposures, expected 2")
     if done.position != step.to:
-        raise Unbelievable(f"the table stopped at {done.position}, expected {step.to}")
+        raise RejectedTake(f"the table stopped at {done.position}, expected {step.to}")
     if len(frames) < 2:
-        raise (Unbelievable if frames else NoFrame)(f"{len(frames)} of 2 frames came")
+        raise (RejectedTake if frames else NoFrame)(f"{len(frames)} of 2 frames came")
     if more := camera.drop():
-        raise Unbelievable(f"{2 + more} frames came, expected 2")
+        raise RejectedTake(f"{2 + more} frames came, expected 2")
     on, off = frames
     _require_whole(on, off)
     if on.number >= 0 and off.number >= 0:
         expected = on.number if numbers.next is None else numbers.next
         if (on.number, off.number) != (expected, expected + 1):
-            raise Unbelievable(f"found the frames {on.number} and {off.number}, expected {expected} and {expected + 1}")
+            raise RejectedTake(f"found the frames {on.number} and {off.number}, expected {expected} and {expected + 1}")
         numbers.next = off.number + 1
     numbers.counted = clock.now(), done.exposures
-    return TakenPair(on, off, done.position)
+    return TakenPair(on, off, done.position, step.laser)
 
 
 def _by_hand(station: Station, step: Step) -> TakenPair:
@@ -154,13 +242,13 @@ def _by_hand(station: Station, step: Step) -> TakenPair:
     _armed(controller)
     position = controller.move(step.to, longest_s(station.config))
     if position != step.to:
-        raise Unbelievable(f"the table stopped at {position}, expected {step.to}")
+        raise RejectedTake(f"the table stopped at {position}, expected {step.to}")
     rest(station.config.turntable.settle_ms / 1000, controller, clock)
     controller.laser(True, number=lit)
     try:
         rest(laser.on_ms / 1000, controller, clock, lit=lit)
         on = _fresh_frame(station, lit=lit)
-    except (Unbelievable, CameraError):
+    except (RejectedTake, CameraError):
         # After any other error the controller is gone or is about to be aborted.
         controller.laser(False)
         raise
@@ -168,11 +256,11 @@ def _by_hand(station: Station, step: Step) -> TakenPair:
     rest(laser.off_ms / 1000, controller, clock)
     off = _fresh_frame(station)
     _require_whole(on, off)
-    return TakenPair(on, off, position)
+    return TakenPair(on, off, position, step.laser)
 
 
 def _exposures(station: Station) -> int:
-    """The controller's count of exposures. It is not asked again right after a shot: a question takes milliseconds."""
+    """The controller's count of exposures; a count that came with the last shot saves a request of milliseconds."""
     counted, station.numbers.counted = station.numbers.counted, None
     if counted is not None and station.clock.now() - counted[0] < _FRESH_S:
         return counted[1]
@@ -263,7 +351,7 @@ def _keep_alive(controller: Controller, *, lit: int | None) -> None:
 def _look(camera: Camera, config: RigConfig) -> Frame:
     frame = camera.next(LOOK_S)
     size = config.camera
-    expected = (size.height, size.width, 3)[: frame_rank(size.pixel_format)]
+    expected = (size.height, size.width, 3)[: frame_rank(size.layout)]
     if frame.image.shape != expected:
         raise CameraError(f"found a frame of the shape {frame.image.shape}, expected {expected}; see [camera].")
     return frame
@@ -272,7 +360,7 @@ def _look(camera: Camera, config: RigConfig) -> Frame:
 def _require_whole(*frames: Frame) -> None:
     for frame in frames:
         if not frame.complete:
-            raise Unbelievable(f"frame {frame.number} is not complete" + (f": {frame.note}" if frame.note else ""))
+            raise RejectedTake(f"frame {frame.number} is not complete" + (f": {frame.note}" if frame.note else ""))
 
 
 def discard_rest(station: Station) -> None:
@@ -288,116 +376,16 @@ def discard_rest(station: Station) -> None:
     camera.drop()
 
 
-@dataclass(frozen=True)
-class ProvenPair:
-    """A proven pair."""
-
-    on: Frame
-    off: Frame
-    proof: PairProof
-    position: int
-    """Position reported by the controller [microsteps from home]."""
-    rejected: tuple[str, ...]
-    """Why earlier takes were rejected."""
-    laser: int = 0
-    """Its laser, counted from 0."""
-
-
-Rejected = Callable[[str], None]
-"""Called with the reason for each rejected take."""
-
-
-class Doubt(NamedTuple):
-    """The rejected takes of a step."""
-
-    reasons: tuple[str, ...] = ()
-    verdict: str = ""
-    """Of the last one, if it was the proof that rejected it."""
-
-    def also(self, reason: str, verdict: str = "") -> "Doubt":
-        """With one more."""
-        return Doubt((*self.reasons, reason), verdict)
-
-
-def take_pair(
-    station: Station, step: Step, rejected: Rejected | None = None, before: Doubt | None = None
-) -> ProvenPair:
-    """Take one step, and retake it at the same position until it is proven.
-
-    Args:
-        rejected: Called with the reason for each rejected take.
-        before: Earlier takes of this step that were rejected; they count.
-
-    Raises:
-        FrameError: If none of `1 + config.checks.retakes` takes was proven; if the laser stays on, the
-            contactor has been opened.
-        CameraError: If frames have the wrong size.
-        CameraLost, LinkLost, RigFault, RigError: From camera and controller.
-    """
-    doubt = before or Doubt()
-    if doubt.reasons:
-        discard_rest(station)
-    while True:
-        taken, doubt = grab_whole(station, step, rejected, doubt)
-        proof = prove(taken, station.config, step.laser)
-        if proof.ok:
-            return ProvenPair(taken.on, taken.off, proof, taken.position, doubt.reasons, step.laser)
-        doubt = doubt.also(proof.reason, proof.verdict)
-        _reject(station, rejected, proof.reason)
-
-
-def grab_whole(
-    station: Station, step: Step, rejected: Rejected | None = None, before: Doubt | None = None
-) -> tuple[TakenPair, Doubt]:
-    """Take the frames of one step, and retake them until they are believed; they are not proven yet.
-
-    Args and errors are those of `take_pair`.
-
-    Returns:
-        The frames, and all rejected takes of the step so far.
-    """
-    doubt, silent = before or Doubt(), 0
-    while True:
-        left = station.config.checks.retakes - len(doubt.reasons)
-        if left < 0:
-            _give_up(station, step, doubt)
-        if silent >= 2:
-            silent = 0
-            station.reopen()
-        try:
-            return grab(station, step), doubt
-        except Unbelievable as problem:
-            silent = silent + 1 if isinstance(problem, NoFrame) else 0
-            doubt = doubt.also(str(problem))
-        _reject(station, rejected, doubt.reasons[-1])
-
-
-def _reject(station: Station, rejected: Rejected | None, reason: str) -> None:
-    if rejected is not None:
-        rejected(reason)
-    discard_rest(station)
-
-
-def _give_up(station: Station, step: Step, doubt: Doubt) -> NoReturn:
-    number, last = step.number, doubt.reasons[-1]
-    if doubt.verdict == "stays on":
-        station.controller.arm(False)
-        raise FrameError(
-            f"step {number}: {last}. The contactor has been opened; do not look into the beam, "
-            "and cut the laser's supply before working on it."
-        )
-    raise FrameError(f"step {number}: not proven in {len(doubt.reasons)} takes; reason of the last: {last}.")
-
-
-def prove(taken: TakenPair, config: RigConfig, laser: int) -> PairProof:
+def prove(taken: TakenPair, config: RigConfig) -> PairProof:
     """The proof of two frames, by the limits of the configuration."""
     return prove_pair(
         taken.on.image,
         taken.off.image,
-        pixel_format=config.camera.pixel_format,
+        pixel_format=config.camera.layout,
         response=config.camera.response,
-        line=config.laser[laser].line,
+        line=config.laser[taken.laser].line,
         limits=config.checks.proof,
+        bits=config.camera.bits,
     )
 
 
@@ -413,33 +401,38 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """A pair in flight."""
+    """A pair in flight: taken, and perhaps not proven or written yet."""
 
     place: Place
     taken: TakenPair
-    doubt: Doubt
-    """The takes of its step that were rejected."""
+    rejections: Rejections
     proof: Future[PairProof]
     stored: Future[bool]
     """Whether it was proven; then it is on the disk."""
 
     @property
     def record(self) -> int:
-        """Number of the record."""
         return self.place.step.number
 
 
 Fields = Callable[[ProvenPair], dict[str, Any]]
 """Makes the fields of a record, beside its images."""
+T = TypeVar("T")
 
 
 class Flights:
-    """The pairs in flight, in the order in which they were taken; at most one has a verdict that was not read yet."""
+    """The pairs in flight, in the order in which they were taken; at most one has a verdict that was not read yet.
+
+    One thread proves and one writes, each in the order in which it was given its work. After the first failure nothing
+    more is written, so that a capture never has a gap that nobody knows of.
+    """
 
     def __init__(self, ledger: Ledger, config: RigConfig) -> None:
-        """Nothing is in flight, and no thread runs."""
+        """Nothing is in flight; no thread runs before there is work."""
         self._ledger, self._config = ledger, config
-        self._background = Background()
+        self._prover = ThreadPoolExecutor(1, thread_name_prefix="scanrig-prove")
+        self._writer = ThreadPoolExecutor(1, thread_name_prefix="scanrig-write")
+        self._failed: BaseException | None = None
         self._flying: deque[Flight] = deque()
         self._last: Flight | None = None
 
@@ -447,23 +440,27 @@ class Flights:
         """Pairs that may not be on the disk yet."""
         return len(self._flying)
 
-    def begin(self, place: Place, taken: TakenPair, doubt: Doubt, fields: Fields) -> None:
+    def begin(self, place: Place, taken: TakenPair, rejections: Rejections, fields: Fields) -> None:
         """Prove a pair, and write it if it is proven, after all that was given before."""
-        self._last = self._begin(place, taken, doubt, fields, self._background.prove(self._proof(place, taken)))
+        proof = self._prover.submit(lambda: prove(taken, self._config))
+        self._last = self._begin(place, taken, rejections, fields, proof)
 
     def begin_proven(self, place: Place, pair: ProvenPair, fields: Fields) -> Flight:
         """Write a pair that is proven already."""
         proof: Future[PairProof] = Future()
         proof.set_result(pair.proof)
-        return self._begin(place, TakenPair(pair.on, pair.off, pair.position), Doubt(pair.rejected), fields, proof)
+        taken = TakenPair(pair.on, pair.off, pair.position, pair.laser)
+        return self._begin(place, taken, Rejections(pair.rejected), fields, proof)
 
     def verdict(self) -> tuple[Flight, PairProof] | None:
-        """Wait for the verdict on the last pair; None if it was read already. A rejected take is added to its doubt."""
+        """Wait for the verdict on the last pair; None if it was read already. A rejected take counts as such."""
         flight, self._last = self._last, None
         if flight is None:
             return None
         proof = flight.proof.result()
-        return (flight if proof.ok else replace(flight, doubt=flight.doubt.also(proof.reason, proof.verdict))), proof
+        if not proof.ok:
+            flight = replace(flight, rejections=flight.rejections.also(proof.reason, proof.verdict))
+        return flight, proof
 
     def landed(self, most: int = AHEAD) -> Iterator[Flight]:
         """The pairs that are on the disk by now; waits until at most so many are not.
@@ -480,32 +477,47 @@ class Flights:
     def write(self, event: dict[str, Any]) -> None:
         """Write an event, after all that was given before."""
         if self._ledger.begun:
-            self._background.write(partial(self._ledger.write, event))
+            self._submit(partial(self._ledger.write, event))
         else:
             self._ledger.write(event)
 
     def wait(self) -> None:
-        """Wait until all is written, events too."""
-        self._background.wait()
+        """Wait until all is written, events too; raises what that raised."""
+        self._submit(lambda: None).result()
 
     def end(self) -> list[Flight]:
         """Finish what is in flight and end the threads, also after an error; returns the pairs that are on the disk."""
-        self._background.end()
+        self._prover.shutdown()
+        self._writer.shutdown()
         landed = [flight for flight in self._flying if flight.stored.exception() is None and flight.stored.result()]
         self._flying.clear()
         return landed
 
-    def _proof(self, place: Place, taken: TakenPair) -> Callable[[], PairProof]:
-        return partial(prove, taken, self._config, place.step.laser)
-
-    def _begin(self, place: Place, taken: TakenPair, doubt: Doubt, fields: Fields, proof: Future[PairProof]) -> Flight:
+    def _begin(
+        self, place: Place, taken: TakenPair, rejections: Rejections, fields: Fields, proof: Future[PairProof]
+    ) -> Flight:
         def store() -> bool:
             found = proof.result()
             if found.ok:
-                pair = ProvenPair(taken.on, taken.off, found, taken.position, doubt.reasons, place.step.laser)
+                pair = ProvenPair(*taken, found, rejections.reasons)
                 self._ledger.add(place.step.number, taken.on.image, taken.off.image, fields(pair))
             return found.ok
 
-        flight = Flight(place, taken, doubt, proof, self._background.write(store))
+        flight = Flight(place, taken, rejections, proof, self._submit(store))
         self._flying.append(flight)
         return flight
+
+    def _submit(self, work: Callable[[], T]) -> Future[T]:
+        """Write something in the background; it may wait for a proof. Raises what earlier work raised."""
+        if self._failed is not None:
+            raise self._failed
+        return self._writer.submit(self._unless_failed, work)
+
+    def _unless_failed(self, work: Callable[[], T]) -> T:
+        if self._failed is not None:
+            raise self._failed
+        try:
+            return work()
+        except BaseException as problem:
+            self._failed = problem
+            raise

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable
 from contextlib import suppress
@@ -28,6 +29,7 @@ _CLOUD = ".ply"
 MADE = {"cloud": _CLOUD, "plan": ".plan.pdf", "mesh": ".glb", "report": ".report.html"}
 """What is made of a capture, and how its file ends behind the capture's name."""
 _FORMAT, _HEAD = b'"jaxscan-calibration/', 200
+_MADE_WITH, _CLOUD_HEAD = re.compile(rb"^comment calibration (\S+)$", re.MULTILINE), 2000
 _MOST_FILES, _MOST_CALIBRATIONS, _MOST_BYTES = 2000, 20, 64 << 20
 """Files that are looked at for calibrations, calibrations that are listed, and the size of one."""
 _THUMBNAIL = 240
@@ -170,10 +172,20 @@ class Captures:
             state = _changed(journal)
             if name not in self._known or self._known[name][0] != state:
                 self._known[name] = (state, self._describe(name))
-            made = [what for what in MADE if what != "cloud" and os.path.isfile(self.made(name, what))]
-            there = {"cloud": os.path.isfile(self.cloud(name)), "made": made, "changed": state[0] / 1e9}
+            when = {what: _changed(self.made(name, what))[0] for what in MADE}
+            # What was made of an older cloud is made again.
+            made = [what for what in MADE if what != "cloud" and when[what] and when[what] >= when["cloud"]]
+            there = {"cloud": when["cloud"] > 0, "made_with": self._made_with(name), "made": made}
+            there |= {"changed": state[0] / 1e9}
             found.append(self._known[name][1] | there)
         return sorted(found, key=lambda one: -float(one["changed"]))[:MOST]
+
+    def _made_with(self, name: str) -> str:
+        """The digest of the calibration that the cloud of a capture was made with; "" where it is not known."""
+        with suppress(JaxscanError), open_regular(self.cloud(name), error=CaptureError, links="refuse") as file:
+            found = _MADE_WITH.search(file.read(_CLOUD_HEAD))
+            return found[1].decode() if found else ""
+        return ""
 
     def _describe(self, name: str) -> dict[str, Any]:
         try:
@@ -201,7 +213,7 @@ class Captures:
         capture: Capture = api.open_capture(self.path(name), compare=False)
         if not 0 <= index < len(capture):
             raise CaptureError(f"{name}: found no record {index}, expected 0 ... {len(capture) - 1}.")
-        on, off = capture.frames(index)
+        on, off = capture.pictures(index)
         frame = on if (lit or off is None) and on is not None else off
         if frame is None:
             raise CaptureError(f"{name}: record {index} has no image.")
@@ -222,12 +234,26 @@ class Captures:
         return pack_points(xyz[::step], rgb[::step])
 
 
+def verdict_of(calibration: Calibration) -> dict[str, Any]:
+    """The verdict of a calibration with the lines that it follows from, as pages show it."""
+    captures = calibration.provenance.get("captures")
+    # A file may say anything.
+    of = [one.get("name") for one in captures if isinstance(one, dict)] if isinstance(captures, list) else []
+    return judged(calibration) | {
+        "of": of,
+        "verdict": words.headline(calibration)._asdict(),
+        "lengths": [line._asdict() for line in words.lengths(calibration)],
+        "advice": words.advice(calibration),
+        "warnings": words.warnings(calibration),
+    }
+
+
 def judged(calibration: Calibration) -> dict[str, Any]:
-    """How good a calibration is, as pages show it."""
+    """How good a calibration is, in a line."""
     first, verdict = words.headline(calibration), calibration.quality.verdict
     good_to = None if verdict is None else verdict.good_to
-    size = {"sigma_mm": None, "at_m": None} if good_to is None else {"sigma_mm": good_to.sigma_mm, "at_m": good_to.at_m}
-    return {"good": first.kind == "good", "headline": first.headline, **size}
+    size = {"sigma_mm": None if good_to is None else good_to.sigma_mm}
+    return {"good": first.kind in ("good", "plain"), "headline": first.headline, **size}
 
 
 def result_of(path: Path) -> dict[str, Any]:

@@ -77,7 +77,7 @@ def console(
         has_board=rig.board is not None,
         board_aspect=None if rig.board is None else _aspect(rig.board.board().outline()),
         steps=rig.sweep.steps * rig.sweep.turns,
-        calibration=None if calibration is None else str(calibration),
+        calibration=None,
         calibrations=[],
         goal_mm=rig.goal_mm,
         camera={"exposure_ms": rig.camera.exposure_ms, "gain_db": rig.camera.gain_db},
@@ -92,7 +92,9 @@ def console(
     with ExitStack() as stack:
         works = stack.enter_context(Works(slate))
         desk = Desk(Chosen(config, port, place_command), slate, folder, out)
-        sessions = Sessions(desk, works, calibration)
+        sessions = Sessions(desk, works, None)
+        if calibration is not None:
+            sessions.take(calibration)
         sessions.list()
         stack.enter_context(Server(make_site(address, desk, sessions), address))
         for line in address.invitation():

@@ -2,7 +2,7 @@
 
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,6 +15,7 @@ from jaxscan.cli.console.painter import Painter
 from jaxscan.cli.console.silence import Silence
 from jaxscan.cli.console.slate import Slate
 from jaxscan.cli.console.stopping import PAGE, Stopping
+from jaxscan.cli.progress import Remaining
 from jaxscan.cli.running import answer_in_words
 from jaxscan.cli.signals import RigInUse
 from jaxscan.cli.terminal import Terminal
@@ -250,21 +251,23 @@ class Desk:
             return said
 
 
-def progress_of(slate: Slate, now: Callable[[], float], seconds: float | None) -> Callable[[int, int], None]:
+def progress_of(
+    slate: Slate, now: Callable[[], float], seconds: float | None, work: Sequence[int] = ()
+) -> Callable[[int, int], None]:
     """The hook of a session that tells how far it is, and how long it still takes.
 
     Args:
         slate: Where it is told.
         now: The time [s].
         seconds: What the plan expects of the whole capture; None where a person has a part in it.
+        work: As of `ScanPlan`; where it has none, all records take as long.
     """
-    begun: list[tuple[float, int]] = []
+    remaining = Remaining(now, from_first=True)
 
     def progress(done: int, planned: int) -> None:
-        begun.append((now(), done))
-        (start, first), (at, last) = begun[0], begun[-1]
-        planned_s = None if seconds is None else seconds / max(planned, 1)
-        each = (at - start) / (last - first) if last > first else planned_s
-        slate.write(done=done, planned=planned, left_s=None if each is None else round(each * (planned - done), 1))
+        left = remaining(work[done], work[planned]) if len(work) > planned else remaining(done, planned)
+        if left is None and seconds is not None:
+            left = seconds / max(planned, 1) * (planned - done)
+        slate.write(done=done, planned=planned, left_s=None if left is None else round(left, 1))
 
     return progress

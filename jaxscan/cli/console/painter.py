@@ -67,7 +67,7 @@ class Painter:
     def _rehearse(self) -> None:
         """Compile what finds the stripe: later, while the laser may be on, this would hold up an order to stop."""
         camera = self._rig.camera
-        shape = (camera.height, camera.width) + ((3,) if camera.pixel_format == "rgb8" else ())
+        shape = (camera.height, camera.width) + ((3,) if camera.layout == "rgb8" else ())
         off = np.random.default_rng(0).integers(10, 20, shape, np.uint8)
         on = off.copy()
         on[:, camera.width // 2] += 200
@@ -93,7 +93,7 @@ class Painter:
         camera = self._rig.camera
         frame = seen.off if seen.on is None else seen.on
         step = -(-frame.shape[1] // WIDTH)
-        grey = to_grey(frame, camera.pixel_format)[::step, ::step]
+        grey = to_grey(frame, camera.layout)[::step, ::step]
         jpeg = encode_jpeg(np.repeat(np.ascontiguousarray(grey)[:, :, None], 3, 2), quality=_QUALITY)
         live = {"width": camera.width, "height": camera.height, "stripe": [], **seen.facts}
         live["histogram"] = np.bincount(grey.ravel() >> 2, minlength=_BINS).tolist()

@@ -13,13 +13,14 @@ import jaxscan
 from jaxscan import api
 from jaxscan.cli.boards import CommandOperator, make_guide
 from jaxscan.cli.console.boards import PageOperator, on_board_pair
-from jaxscan.cli.console.captures import judged
+from jaxscan.cli.console.captures import verdict_of
 from jaxscan.cli.console.desk import Desk, Running, progress_of
 from jaxscan.cli.console.painter import Seen
 from jaxscan.cli.console.works import Work, Works
 from jaxscan.cli.live import LiveCloud
 from jaxscan.cli.scan_display import ScanPlan, sweep_header
-from jaxscan.errors import CaptureError, OptionError
+from jaxscan.errors import CaptureError, JaxscanError, OptionError
+from jaxscan.files.calibration import calibration_digest
 from jaxscan.files.capture import HEADER_NAME
 
 
@@ -90,8 +91,6 @@ class Sessions:
         """Take a sweep; with a calibration the cloud grows meanwhile, and is written at the end."""
         from scanrig.session import Hooks, run_sweep
 
-        from jaxscan.files.calibration import calibration_digest
-
         rig, order = running.rig, running.order
         folder = self._captures.path(order.name)
         plan = ScanPlan.of(rig, boards=False)
@@ -143,7 +142,7 @@ class Sessions:
         desk.operator = operator
         try:
             on_pair = on_board_pair(rig, guide, operator, running.painter, self._slate)
-            progress = progress_of(self._slate, time.monotonic, None if by_hand else plan.seconds)
+            progress = progress_of(self._slate, time.monotonic, None if by_hand else plan.seconds, plan.work)
             hooks = Hooks(on_pair, progress, desk.notify, running.should_stop)
             result = run_calibration(rig, folder, running.devices, operator, hooks, resume=order.resume)
         finally:
@@ -178,11 +177,10 @@ class Sessions:
         """What follows a calibration: its verdict is shown, and a good one is used."""
 
         def then(well: bool, result: dict[str, Any]) -> None:
-            if result:
-                size = judged(api.load_calibration(file)) if well else {}
-                self._slate.write(verdict={"capture": name, "well": well} | _verdict(result) | size)
             if well:
-                self._take(file)
+                self.take(file)
+            elif result:
+                self._slate.write(verdict={"capture": name, "well": False} | _refused(result))
             self.list()
 
         return then
@@ -196,12 +194,13 @@ class Sessions:
         found = next((one for one in self._captures.calibrations() if one["file"] == file), None)
         if found is None or not found["good"]:
             raise OptionError(f"{file}: is no calibration of this rig that may be used.")
-        self._take(self._captures.folder_of(found) / file)
+        self.take(self._captures.folder_of(found) / file)
         self.list()
 
-    def _take(self, file: Path) -> None:
+    def take(self, file: Path) -> None:
+        """Make clouds with a calibration from now on, and show its verdict."""
         self.calibration = file
-        self._slate.write(calibration=str(file))
+        self._slate.write(calibration=str(file), verdict={"well": True} | verdict_of(api.load_calibration(file)))
 
     def _needed(self) -> Path:
         if self.calibration is None:
@@ -276,8 +275,17 @@ class Sessions:
 
         folder = self._captures.folder.absolute()
         there = next(path for path in (folder, *folder.parents) if path.exists())
-        calibrations = self._captures.calibrations()
-        self._slate.write(captures=self._captures.listed(), calibrations=calibrations, free_bytes=free_bytes(there))
+        digest = ""
+        # A file that is gone makes no cloud old.
+        if self.calibration is not None:
+            with suppress(JaxscanError):
+                digest = calibration_digest(self.calibration)
+        self._slate.write(
+            captures=self._captures.listed(),
+            calibrations=self._captures.calibrations(),
+            calibration_digest=digest,
+            free_bytes=free_bytes(there),
+        )
 
     def _expect(self, running: Running, plan: ScanPlan, *, by_hand: bool = False) -> None:
         for note in plan.notes:
@@ -304,5 +312,8 @@ class Sessions:
         return live
 
 
-def _verdict(result: dict[str, Any]) -> dict[str, Any]:
-    return {name: result.get(name) for name in ("verdict", "lengths", "advice", "warnings", "missing")}
+def _refused(result: dict[str, Any]) -> dict[str, Any]:
+    """What a verb said of a calibration that may not be used."""
+    told = {name: result.get(name) for name in ("verdict", "advice", "warnings")}
+    # A recalibration that gained nothing tells lengths in another form.
+    return told | {"lengths": [one for one in result.get("lengths") or [] if "what" in one]}

@@ -33,6 +33,19 @@ class Work(NamedTuple):
     """Called with whether it went well, and its result."""
 
 
+def keep(lines: list[str], line: str) -> None:
+    """Take what a verb says into the lines that pages show.
+
+    What to type next is no news on a page with buttons, and of the times that are left the newest counts.
+    """
+    if line.startswith("next: "):
+        return
+    if lines and lines[-1].endswith(" left") and line.endswith(" left"):
+        lines.pop()
+    lines.append(line)
+    del lines[:-_LINES]
+
+
 class Works:
     """Carries works out in a thread, and shows them on the slate; within `with`."""
 
@@ -105,8 +118,7 @@ class Works:
             if hasattr(os, "setpriority"):
                 os.setpriority(os.PRIO_PROCESS, process.pid, _POLITE)
             for line in process.stdout or ():
-                lines.append(line.rstrip())
-                del lines[:-_LINES]
+                keep(lines, line.rstrip())
                 self._tell()
         return process.returncode
 

@@ -12,8 +12,10 @@ if TYPE_CHECKING:
         load_calibration,
         load_parts,
         load_scanner,
+        observations_path,
         quality_table,
         save_calibration,
+        save_scanner,
         stored_settings,
     )
     from jaxscan.files.calibration.cameras import (
@@ -24,6 +26,5 @@ if TYPE_CHECKING:
         load_camera,
         read_camera,
     )
-    from jaxscan.files.calibration.observations import observations_path
 else:
     load_on_use(__name__)

@@ -1,14 +1,15 @@
-"""Calibrations on disk, written and read."""
+"""Calibrations on disk: JSON that people read, and the observations beside it, so that anyone can solve again."""
 
 import dataclasses
 import functools
 import hashlib
 import json
 import math
+import operator
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import jax
 import numpy as np
@@ -17,25 +18,26 @@ import pydantic
 from jaxscan.calibration import Calibration, CalibrationSettings, Quality
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration.model import CALIBRATION_FORMAT, CalibrationTable, CameraTable, motion_table
-from jaxscan.files.calibration.observations import (
-    check_observations_path,
-    find_observations,
-    is_observations,
-    observations_path,
-    observations_writer,
-)
+from jaxscan.files.capture import BoardTable
 from jaxscan.files.disk import (
     MEGABYTE,
+    ImageSize,
     Part,
     check,
+    check_arrays,
     check_writable,
     file_digest,
     parse_json,
+    read_arrays,
     read_bounded,
     readable_json,
+    write_arrays,
     write_together,
 )
 from jaxscan.geometry import AbstractCamera, Scanner, camera_doubts, scanner_doubts
+from jaxscan.geometry.motions import Carries
+from jaxscan.geometry.scanner import Up
+from jaxscan.observation import CONTRAST_CLASSES, BoardViews, Observations, StripeViews
 
 
 # Larger numbers are nonsense, and formatting and arithmetic would fail.
@@ -121,49 +123,168 @@ def stored_settings(provenance: dict[str, Any], *, name: str) -> CalibrationSett
     return found
 
 
-DIGESTS = "digests"
+OBSERVATIONS_FORMAT: Literal["jaxscan-observations/1"] = "jaxscan-observations/1"
+MAX_ARRAY_BYTES = 1 << 30
+
+_ARRAYS: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
+    "corners.q": (np.floating, ("views", "corners", 2)),
+    "corners.sigma": (np.floating, ("views", "corners")),
+    "corners.valid": (np.bool_, ("views", "corners")),
+    "corners.angle": (np.floating, ("views",)),
+    "corners.placement": (np.signedinteger, ("views",)),
+    "corners.record": (np.signedinteger, ("views",)),
+    "stripes.q": (np.floating, ("stripes", "points", 2)),
+    "stripes.sigma": (np.floating, ("stripes", "points")),
+    "stripes.valid": (np.bool_, ("stripes", "points")),
+    "stripes.view": (np.signedinteger, ("stripes",)),
+    "stripes.laser": (np.signedinteger, ("stripes",)),
+}
+_OPTIONAL: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
+    "stripes.contrast": (np.signedinteger, ("stripes", "points")),
+}
+"""Arrays that observations may lack."""
+_RANGES = {
+    "corners.q": (-1e6, 1e6),
+    "corners.sigma": (1e-6, 1e6),
+    "corners.angle": (-1e6, 1e6),
+    "stripes.q": (-1e6, 1e6),
+    "stripes.sigma": (1e-6, 1e6),
+}
+"""Limits of the numbers of valid points [px, rad]: squares of others would not be finite."""
+# Fields of `Observations` that are stored as they are, as JSON.
+_PLAIN = ("width", "height", "laser_names", "up", "carries")
+
+
+_LENGTHS = ("square", "marker", "diameter", "tag")
+"""Fields of boards that are lengths."""
+_NAMES = {"circles": {"square": "spacing"}, "aprilgrid": {"square": "gap"}}
+"""Names of fields in the tables of captures, where they have others."""
+
+
+def _in_millimetres(board: Any) -> Any:
+    """A board with lengths in metres, as in this file, as the table of all other files, in millimetres."""
+    if not isinstance(board, dict):
+        return board
+    lengths = {key: board[key] for key in _LENGTHS if isinstance(board.get(key), int | float)}
+    others = {key: value for key, value in board.items() if key not in lengths}
+    names = _NAMES.get(str(board.get("type")), {})
+    return others | {f"{names.get(key, key)}_mm": 1000 * value for key, value in lengths.items()}
+
+
+class _About(ImageSize):
+    """The fields that are not arrays, as JSON; lengths in metres."""
+
+    format: Literal["jaxscan-observations/1"]
+    board: Annotated[BoardTable, pydantic.BeforeValidator(_in_millimetres)]
+    laser_names: tuple[str, ...]
+    up: Up
+    carries: Carries
+
+
+def observations_path(path: Path) -> Path:
+    """The file of the observations that belong to a calibration file."""
+    return path.with_suffix(".npz")
+
+
+def _observations_writer(observations: Observations, path: Path) -> Callable[[Part], None]:
+    """The function that writes the observations to a file, which is then to be renamed to `path`."""
+    board = {"type": type(observations.board).__name__.lower(), **vars(observations.board)}
+    about = {"format": OBSERVATIONS_FORMAT, "board": board}
+    about |= {name: getattr(observations, name) for name in _PLAIN}
+    # The same checks as on reading: a board may be of a kind that files do not know.
+    check(_About, about, name=str(path), error=CalibrationError)
+    every = {name: operator.attrgetter(name)(observations) for name in (*_ARRAYS, *_OPTIONAL)}
+    arrays = {name: np.asarray(values) for name, values in every.items() if values is not None}
+    return lambda part: write_arrays(part, {"about": np.array(readable_json(about)), **arrays})
+
+
+def _holds_observations(path: Path) -> bool:
+    about = read_arrays(path, error=CalibrationError, limit=MAX_ARRAY_BYTES, only="about").get("about")
+    return about is not None and OBSERVATIONS_FORMAT in str(about)
+
+
+def _is_observations(path: Path) -> bool:
+    """Whether a file is one of observations; a damaged one is none."""
+    try:
+        return _holds_observations(path)
+    except CalibrationError:
+        return False
+
+
+def _observations_in(path: Path) -> Observations | None:
+    """The observations in a file beside a calibration; None where it holds something else."""
+    try:
+        return _read_observations(path) if _holds_observations(path) else None
+    except CalibrationError as problem:
+        reason = str(problem).removeprefix(f"{path}: ").removesuffix(".")
+        raise CalibrationError(
+            f"{path}: the observations are damaged ({reason}): restore the file, or move it away to use the "
+            "calibration without observations."
+        ) from problem
+
+
+def _read_observations(path: Path) -> Observations:
+    arrays = read_arrays(path, error=CalibrationError, limit=MAX_ARRAY_BYTES)
+    value = parse_json(str(arrays.get("about", "null")).encode(), name=str(path), error=CalibrationError)
+    about = check(_About, value, name=str(path), error=CalibrationError)
+    board = about.board.board()
+    known = {"corners": len(board.corners())}
+    there = _ARRAYS | {name: kind for name, kind in _OPTIONAL.items() if name in arrays}
+    sizes = check_arrays(arrays, there, known, name=str(path), error=CalibrationError)
+    counts = {"stripes.view": sizes["views"], "stripes.laser": len(about.laser_names)}
+    # Indices of all entries: those of points that are not valid are looked up too.
+    for name, count in (counts | {name: CONTRAST_CLASSES for name in _OPTIONAL if name in arrays}).items():
+        if ((arrays[name] < 0) | (arrays[name] >= count)).any():
+            raise CalibrationError(f"{path}: {name}: found an index outside 0 ... {count - 1}.")
+    for name, (least, most) in _RANGES.items():
+        values, valid = arrays[name], arrays.get(f"{name.split('.')[0]}.valid")
+        seen = values if valid is None or values.ndim < valid.ndim else values[valid]
+        if not ((seen >= least) & (seen <= most)).all():
+            raise CalibrationError(f"{path}: {name}: found a number outside {least:g} ... {most:g}.")
+    corners, stripes = (
+        {name.removeprefix(part): arrays[name] for name in there if name.startswith(part)}
+        for part in ("corners.", "stripes.")
+    )
+    return Observations(
+        board=board,
+        corners=BoardViews(**corners),
+        stripes=StripeViews(**stripes),
+        **{name: getattr(about, name) for name in _PLAIN},
+    )
+
+
+_DIGESTS = "digests"
 """Key of the table that holds them."""
 
 
-def digests_of(tables: Mapping[str, Any], observations: Path | None = None) -> dict[str, str]:
-    """The table of digests of a calibration file.
-
-    Args:
-        tables: All others, as JSON values.
-        observations: The file with the observations, if there is one.
-
-    Raises:
-        CalibrationError: If the observations cannot be read.
-    """
+def _digests_of(tables: Mapping[str, Any], observations: Path | None = None) -> dict[str, str]:
+    """The table of digests of a calibration file, of all other tables and the file of its observations."""
     digests = {"values": _values_digest(tables)}
     if observations is not None:
         digests["observations"] = file_digest(observations, error=CalibrationError)
     return digests
 
 
-def values_note(tables: Mapping[str, Any], name: str) -> str:
+def _values_note(tables: Mapping[str, Any], name: str) -> str:
     """A sentence if the values of a calibration file are not those that its digest was made of; else "".
 
     A file without a digest, as a person writes it, gives none.
     """
-    digests = tables.get(DIGESTS)
+    digests = tables.get(_DIGESTS)
     expected = digests.get("values") if isinstance(digests, dict) else None
     if expected is None or expected == _values_digest(tables):
         return ""
     return (
         f"{name}: its values have changed since jaxscan calibrate wrote it, so points may be wrong; calibrate again, "
-        f'or, if the change is meant, remove "{DIGESTS}" from the file.'
+        f'or, if the change is meant, remove "{_DIGESTS}" from the file.'
     )
 
 
-def require_own(table: CalibrationTable, path: Path, beside: Path, *, found: bool) -> None:
-    """Check that the observations beside a calibration file are its own, where it has digests.
+def _require_own(table: CalibrationTable, path: Path, beside: Path, *, found: bool) -> None:
+    """Refuse observations beside a calibration file with digests that are not its own.
 
     Args:
         found: Whether that file holds observations.
-
-    Raises:
-        CalibrationError: If they are not, or if it names none.
     """
     digests = table.digests
     if digests is None:
@@ -182,7 +303,7 @@ def require_own(table: CalibrationTable, path: Path, beside: Path, *, found: boo
 
 def _values_digest(tables: Mapping[str, Any]) -> str:
     """Digest of the parsed values, so that another layout of the text does not matter."""
-    values = {key: value for key, value in tables.items() if key != DIGESTS}
+    values = {key: value for key, value in tables.items() if key != _DIGESTS}
     return "sha256:" + hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
@@ -197,8 +318,11 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
         path: Ends in `.json`. Existing files are replaced when the new ones are complete.
 
     Raises:
-        CalibrationError: If the calibration is inconsistent, or cannot be written.
+        CalibrationError: If it is no calibration, is inconsistent, or cannot be written.
     """
+    if not isinstance(calibration, Calibration):
+        remedy = "; save_scanner writes a scanner" if isinstance(calibration, Scanner) else ""
+        raise CalibrationError(f"{path}: found a {type(calibration).__name__}, expected a Calibration{remedy}.")
     path = Path(path)
     check_calibration_path(path, with_observations=calibration.observations is not None)
     try:
@@ -206,17 +330,16 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
     except (TypeError, ValueError) as problem:
         raise CalibrationError(f"{path}: cannot be written: {problem}.") from problem
     # The same checks as on reading, on the same bytes, so that every written file can be read.
-    tables = _value(text.encode(), name=str(path))
-    _parse(tables, name=str(path))
+    tables = _parse(text.encode(), name=str(path))[0]
     beside = observations_path(path)
-    tables[DIGESTS] = digests_of(tables)
+    tables[_DIGESTS] = _digests_of(tables)
     writers: dict[Path, Callable[[Part], None]] = {}
     if calibration.observations is not None:
-        write = observations_writer(calibration.observations, beside)
+        write = _observations_writer(calibration.observations, beside)
 
         def write_beside(part: Part) -> None:
             write(part)
-            tables[DIGESTS] = digests_of(tables, part)
+            tables[_DIGESTS] = _digests_of(tables, part)
 
         writers[beside] = write_beside
 
@@ -226,9 +349,26 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
     # The names change one right after the other: a calibration with observations of another is refused.
     writers[path] = write_own
     write_together(writers, error=CalibrationError)
-    if calibration.observations is None and is_observations(beside):
+    if calibration.observations is None and _is_observations(beside):
         # They belong to the calibration that was just replaced.
         beside.unlink()
+
+
+def save_scanner(scanner: Scanner, path: str | Path) -> None:
+    """Write a scanner, as of `Scanner.from_parts`, as a calibration file that `load_scanner` reads.
+
+    Args:
+        scanner: The scanner; its covariance is written where it has one.
+        path: Ends in `.json`. An existing file is replaced when the new one is complete.
+
+    Raises:
+        CalibrationError: If it is no scanner, its numbers do not fit one another, or it cannot be written.
+    """
+    if not isinstance(scanner, Scanner):
+        raise CalibrationError(f"{path}: found a {type(scanner).__name__}, expected a Scanner.")
+    covariance = np.zeros((0, 0)) if scanner.covariance is None else np.asarray(scanner.covariance, np.float64)
+    order = scanner.parameter_names() if covariance.size else ()
+    save_calibration(Calibration(scanner.camera, scanner, order, covariance), path)
 
 
 def check_calibration_path(path: str | Path, *, with_observations: bool = True) -> None:
@@ -246,8 +386,13 @@ def check_calibration_path(path: str | Path, *, with_observations: bool = True) 
             f"{path}: a calibration is JSON; end its name in .json (the .npz beside it is made too)."
         )
     check_writable(path, error=CalibrationError)
+    beside = observations_path(Path(path))
     if with_observations:
-        check_observations_path(observations_path(Path(path)))
+        check_writable(beside, error=CalibrationError)
+        if os.path.exists(beside) and not _is_observations(beside):
+            raise CalibrationError(
+                f"{beside}: exists and holds no observations; choose another name for the calibration."
+            )
 
 
 def load_calibration(path: str | Path) -> Calibration:
@@ -265,12 +410,12 @@ def load_calibration(path: str | Path) -> Calibration:
             it are not those that it names.
     """
     path = Path(path)
-    table = _parse(_read(path), name=str(path))
+    table = _load(path)[1]
     scanner, covariance = table.scanner(), table.covariance
-    beside = observations_path(path)
-    observations = find_observations(beside) if os.path.exists(beside) else None
+    beside, observations = observations_path(path), None
     if os.path.exists(beside):
-        require_own(table, path, beside, found=observations is not None)
+        observations = _observations_in(beside)
+        _require_own(table, path, beside, found=observations is not None)
     return Calibration(
         camera=table.camera.camera() if scanner is None else scanner.camera,
         scanner=scanner,
@@ -294,7 +439,7 @@ def load_scanner(path: str | Path) -> Scanner:
     Raises:
         CalibrationError: If the file is missing or wrong, or holds no laser sheet.
     """
-    scanner = _parse(_read(Path(path)), name=str(path)).scanner()
+    scanner = _load(path)[1].scanner()
     if scanner is None or not scanner.laser_names:
         parts = "a camera alone" if scanner is None else "camera and axis"
         raise CalibrationError(
@@ -310,7 +455,7 @@ def load_parts(path: str | Path) -> tuple[AbstractCamera, Scanner | None]:
     Raises:
         CalibrationError: If the file is missing or wrong.
     """
-    table = _parse(_read(Path(path)), name=str(path))
+    table = _load(path)[1]
     return table.camera.camera(), table.scanner()
 
 
@@ -320,8 +465,8 @@ def calibration_notes(path: str | Path) -> list[str]:
     Raises:
         CalibrationError: If the file is missing or wrong.
     """
-    tables = _read(Path(path))
-    table, notes = _parse(tables, name=str(path)), [values_note(tables, str(path))]
+    tables, table = _load(path)
+    notes = [_values_note(tables, str(path))]
     if read_quality(table.quality).converged is False:
         notes.append(f"{path}: its solve did not converge, so points and their sigmas may be wrong; calibrate again.")
     if table.covariance is None and table.lasers:
@@ -340,23 +485,21 @@ def calibration_digest(path: str | Path) -> str:
     return file_digest(path, error=CalibrationError)
 
 
-def _read(path: Path) -> Any:
-    return _value(read_bounded(path, MAX_CALIBRATION_BYTES, error=CalibrationError), name=str(path))
+def _load(path: str | Path) -> tuple[dict[str, Any], CalibrationTable]:
+    """A calibration file as it stands, and checked."""
+    return _parse(read_bounded(path, MAX_CALIBRATION_BYTES, error=CalibrationError), name=str(path))
 
 
-def _value(data: bytes, *, name: str) -> Any:
-    return parse_json(data, name=name, error=CalibrationError)
-
-
-def _parse(value: Any, *, name: str) -> CalibrationTable:
-    table = check(CalibrationTable, value, name=name, error=CalibrationError)
+def _parse(data: bytes, *, name: str) -> tuple[dict[str, Any], CalibrationTable]:
+    tables = parse_json(data, name=name, error=CalibrationError)
+    table = check(CalibrationTable, tables, name=name, error=CalibrationError)
     if table.covariance is not None:
         found, expected = table.covariance.order, (table.scanner() or table.camera.camera()).parameter_names()
         if found != expected:
             raise CalibrationError(
                 f"{name}: covariance.order: found {', '.join(found)[:60]}, expected {', '.join(expected)}."
             )
-    return table
+    return tables, table
 
 
 def _tables(calibration: Calibration) -> dict[str, Any]:

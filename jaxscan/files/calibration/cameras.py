@@ -12,8 +12,8 @@ from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration.calibration import load_parts
 from jaxscan.files.calibration.model import CALIBRATION_FORMAT, CalibrationTable
-from jaxscan.files.calibration.trees import Tree, leaves, numbers, tree_of_json, tree_of_xml, tree_of_yaml
-from jaxscan.files.disk import MEGABYTE, check, check_writable, read_bounded, write_atomically
+from jaxscan.files.calibration.trees import Tree, leaves, numbers, tree_of_xml, tree_of_yaml
+from jaxscan.files.disk import MEGABYTE, check, check_writable, parse_json, read_bounded, write_atomically
 from jaxscan.geometry import CAMERAS, AbstractCamera, AbstractMotion, LinearStage, Turntable, camera_doubts
 
 
@@ -115,7 +115,7 @@ def read_camera(
         raise CalibrationError(f'{path}: found "{path.suffix}", expected a camera as {_SUFFIXES}.')
     data = read_bounded(path, MAX_CAMERA_BYTES, error=CalibrationError)
     if suffix == ".json":
-        tree = tree_of_json(data, name)
+        tree = parse_json(data, name=name, error=CalibrationError)
         if isinstance(tree, dict) and str(tree.get("format", "")).startswith("jaxscan"):
             return ReadCamera(load_parts(path)[0], "")
     elif suffix == ".xml":
@@ -245,7 +245,7 @@ def _of_tree(
     tree: Tree, name: str, size: tuple[int, int] | None, unnamed: Literal["pinhole", "fisheye"]
 ) -> tuple[dict[str, Any], str]:
     keys = _Keys(tree, name)
-    model, without = _model(keys, unnamed)
+    model, without = _model(keys)
     pixels, lens_within = _pixels(keys)
     if model != "double_sphere" and (key := keys.of(frozenset(("xi",)), "xi")) is not None:
         raise CalibrationError(
@@ -276,7 +276,7 @@ def _note(model: str, table: Mapping[str, Any], lens: Sequence[float], source: s
     return f"{kind}; not used: {_listed(unused)}." if unused else f"{kind}; every key is used."
 
 
-def _model(keys: _Keys, unnamed: str) -> tuple[Model | None, bool]:
+def _model(keys: _Keys) -> tuple[Model | None, bool]:
     """The model that a file names, None where it names none; and whether it says that there are no coefficients."""
     found: list[tuple[str, str]] = []
     for names in (_MODEL, _CAMERA_MODEL):

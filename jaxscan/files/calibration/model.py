@@ -1,7 +1,8 @@
 """The tables of a calibration file, as they are checked when it is read."""
 
+import abc
 import dataclasses
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union
 
 import numpy as np
 import pydantic
@@ -61,7 +62,32 @@ def check_frame(name: str, direction: Triple, basis: Basis) -> None:
 SLOWEST = 1e-6  # The least gain.
 
 
-class TurntableTable(FileModel):
+class _WithDirection(FileModel):
+    """A motion between records along or about a direction in the camera frame.
+
+    With a `basis` it is canonical: a unit direction. Without one it was written by hand: of any length.
+    """
+
+    direction: Triple
+    gain: Limited = 1.0
+    """Turned angle, right-handed about `direction`, per angle of the table; travel per commanded travel of a stage."""
+    basis: Basis | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _meaningful(self) -> Self:
+        self.motion()
+        return self
+
+    @abc.abstractmethod
+    def motion(self) -> AbstractMotion:
+        """The motion of the geometry.
+
+        Raises:
+            ValueError: If there is no direction or no gain, or it is not canonical beside a basis.
+        """
+
+
+class TurntableTable(_WithDirection):
     """The axis in the camera frame at angle 0, and the model of the angle.
 
     With a `basis` it is canonical: a unit direction on the image's up side, and the axis point nearest the camera.
@@ -69,24 +95,10 @@ class TurntableTable(FileModel):
     """
 
     carries: Turns = "scanner"
-    direction: Triple
     point_m: Triple
-    gain: Limited = 1.0
-    """Turned angle, right-handed about `direction`, per angle of the table."""
     harmonics: tuple[Bend, Bend, Bend, Bend] = (0.0, 0.0, 0.0, 0.0)
-    basis: Basis | None = None
-
-    @pydantic.model_validator(mode="after")
-    def _meaningful(self) -> "TurntableTable":
-        self.motion()
-        return self
 
     def motion(self) -> Turntable:
-        """The turntable of the geometry, its axis in the sense that the file has.
-
-        Raises:
-            ValueError: If there is no axis, or it is not canonical beside a basis.
-        """
         if abs(self.gain) < SLOWEST:
             raise ValueError(f"gain = {self.gain:g}: the table does not turn")
         harmonics = np.array(self.harmonics, np.float64)
@@ -103,29 +115,12 @@ class TurntableTable(FileModel):
         return Turntable(direction, point, gain, harmonics, basis, self.carries)
 
 
-class LinearTable(FileModel):
-    """The direction in which a linear stage moves the camera past the object, in the camera frame.
-
-    With a `basis` it is canonical: a unit direction. Without one it was written by hand: of any length.
-    """
+class LinearTable(_WithDirection):
+    """The direction in which a linear stage moves the camera past the object."""
 
     carries: Literal["linear"]
-    direction: Triple
-    gain: Limited = 1.0
-    """Travel per commanded travel."""
-    basis: Basis | None = None
-
-    @pydantic.model_validator(mode="after")
-    def _meaningful(self) -> "LinearTable":
-        self.motion()
-        return self
 
     def motion(self) -> LinearStage:
-        """The linear stage of the geometry.
-
-        Raises:
-            ValueError: If there is no direction, or it is not canonical beside a basis.
-        """
         if abs(self.gain) < SLOWEST or (self.gain < 0 and self.basis is not None):
             raise ValueError(f"gain = {self.gain:g}: expected about 1")
         if self.basis is None:

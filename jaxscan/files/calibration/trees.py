@@ -9,11 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from jaxscan.errors import CalibrationError
-from jaxscan.files.disk import (
-    Element,
-    parse_json,
-    parse_xml,
-)
+from jaxscan.files.disk import Element, parse_xml
 
 
 Tree = Any
@@ -25,11 +21,6 @@ _KEY = re.compile(r"""("[^"\n]*"|'[^'\n]*'|[^\s\[\]{}#,&*!|>'"%@`-][^:\[\]{}#,"'
 _TAG = re.compile(r"!\S*\s*")
 _NUMBER = re.compile(r"[-+]?(?:\.\d+|\d+\.?\d*)(?:[eE][-+]?\d+)?")
 _LONG_TEXT = re.compile(rb">[^<]{65536,}<")
-
-
-def tree_of_json(data: bytes, name: str) -> Tree:
-    """The tree of a JSON text. Raises CalibrationError."""
-    return parse_json(data, name=name, error=CalibrationError)
 
 
 def tree_of_xml(data: bytes, name: str, limit: int) -> Tree:

@@ -16,7 +16,7 @@ from jaxscan.files.capture.header import CaptureHeader
 from jaxscan.files.capture.images import ImageReader, Look, RecordFrames, check_exposures, decode_ahead, exposure_levels
 from jaxscan.files.capture.journal import JOURNAL_NAME, ImageRef, Record, read_texts
 from jaxscan.files.capture.seals import require_whole, sealing
-from jaxscan.files.disk import shown
+from jaxscan.files.disk import COPY_FIRST, is_address, shown
 from jaxscan.geometry import AbstractBoard, Carries
 from jaxscan.geometry.scanner import Up
 from jaxscan.reconstruction import FrameChunk, journal_doubts
@@ -184,14 +184,14 @@ class Capture:
 
         Returns:
             on, off: uint8 [rows, columns], or RGB [rows, columns, 3] for rgb8; where a sweep has a
-                bracket, [exposures, rows, columns(, 3)].
+                bracket, or the camera gave more than 8 bits, [exposures, rows, columns(, 3)].
 
         Raises:
             CaptureError: With the name of the file that is missing, damaged or of the wrong size;
                 and where a calibration capture has a bracket.
         """
         record = self.records[index]
-        if self.header.kind == "calibration":
+        if self.header.kind == "calibration" and self.bits == 8:
             levels = exposure_levels((*record.on, *record.off))
             if len(levels) > 1:
                 raise CaptureError(
@@ -199,6 +199,14 @@ class Capture:
                     "images of one exposure."
                 )
         return self._reader.frame(record.on), self._reader.frame(record.off)
+
+    def pictures(self, index: int) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """The images of one record for people, uint8 [rows, columns(, 3)]: as `frames`, but of a bracket the middle
+        exposure, and of more than 8 bits the level that has their whole range."""
+        shown = 0 if self.bits > 8 else len(self.exposures) // 2
+        several = len(self.exposures) > 1
+        on, off = (one if one is None or not several else one[shown] for one in self.frames(index))
+        return on, off
 
     def off_frame(self, index: int) -> np.ndarray | None:
         """The laser-off image of one record, where there is one, as in `frames`; no other image is read."""
@@ -258,7 +266,8 @@ def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
     path = Path(path)
     if not os.path.isdir(path):
         found = "found a file" if os.path.exists(path) else "no such folder"
-        raise CaptureError(f"{shown(path)}: {found}, expected a capture's folder.")
+        remedy = f"; {COPY_FIRST}" if is_address(path) else ""
+        raise CaptureError(f"{shown(path)}: {found}, expected a capture's folder{remedy}.")
     journal_name, texts = str(path / JOURNAL_NAME), read_texts(path)
     header, records, seals = texts.header, texts.records, sealing(texts, path)
     require_whole(seals)
@@ -270,11 +279,11 @@ def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
             f"{journal_name}: record {without_off[0].i} has no laser-off image, but others have; "
             f"a sweep needs them all, or none."
         )
-    if header.kind == "sweep":
+    if header.kind == "sweep" or header.camera.bits is not None:
         check_exposures(records, name=journal_name, bits=header.camera.bits)
     reader = ImageReader(path, header, compare=compare)
     reader.check(records)
-    notes = [*texts.notes, *((seals.note,) if seals.note else ()), *_image_notes(header, records)]
+    notes = [*texts.notes, *((seals.note,) if seals.note else ()), *header.camera.notes(_compression(header, records))]
     if header.kind == "sweep":
         turns = header.turntable is None or header.turntable.carries in ("scanner", "object")
         degrees = np.degrees([record.angle or 0.0 for record in records]) if turns else None
@@ -288,11 +297,6 @@ def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
 def _compression(header: CaptureHeader, records: tuple[Record, ...]) -> Literal["jpeg", "video"] | None:
     first = (*records[0].on, *records[0].off)[0].path.lower()
     return header.camera.compression or ("jpeg" if first.endswith((".jpg", ".jpeg")) else None)
-
-
-def _image_notes(header: CaptureHeader, records: tuple[Record, ...]) -> list[str]:
-    """Notes on the kind of images."""
-    return header.camera.model_copy(update={"compression": _compression(header, records)}).notes()
 
 
 def common_board(captures: Sequence[Capture], *, single_lasers: bool) -> AbstractBoard:

@@ -1,9 +1,10 @@
 """capture.toml: what was recorded, with what, and of which board."""
 
+import abc
 import math
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import pydantic
 import tomli_w
@@ -33,104 +34,85 @@ from jaxscan.geometry import (
     known_dictionary,
 )
 from jaxscan.geometry.scanner import Up
-from jaxscan.stripes import PIXEL_FORMATS, LaserColour, LaserLine, PixelFormat, Response, frame_rank, known_response
+from jaxscan.stripes import DEEP_FORMATS, LaserColour, LaserLine, PixelFormat, Response, frame_rank, known_response
 
 
 Count = Annotated[Integer, pydantic.Field(ge=1, le=1000)]
 Length = Annotated[Number, pydantic.Field(gt=0)]
 
 
-class CharucoTable(FileModel):
+class _Board(FileModel):
+    """A board of one kind; lengths in millimetres."""
+
+    type: str
+    columns: Count
+    rows: Count
+
+    @pydantic.model_validator(mode="after")
+    def _possible(self) -> Self:
+        check_board(self.board())
+        return self
+
+    @abc.abstractmethod
+    def board(self) -> AbstractBoard:
+        """The board that the table describes, in metres."""
+
+
+class CharucoTable(_Board):
     """A ChArUco board; columns and rows count squares."""
 
     type: Literal["charuco"] = "charuco"
-    columns: Count
-    rows: Count
     square_mm: Length
     marker_mm: Length
     dictionary: Annotated[str, pydantic.AfterValidator(known_dictionary)] = "DICT_5X5_250"
     layout: Literal["standard", "legacy"] = "standard"
     """ "legacy": of OpenCV before 4.6; differs where the number of rows is even."""
 
-    @pydantic.model_validator(mode="after")
-    def _possible(self) -> "CharucoTable":
-        check_board(self.board())
-        return self
-
     def board(self) -> AbstractBoard:
-        """The board that the table describes."""
+        square, marker = self.square_mm / 1000, self.marker_mm / 1000
         return Charuco(
             columns=self.columns,
             rows=self.rows,
-            square=self.square_mm / 1000,
-            marker=self.marker_mm / 1000,
+            square=square,
+            marker=marker,
             dictionary=self.dictionary,
             layout=self.layout,
         )
 
 
-class ChessboardTable(FileModel):
+class ChessboardTable(_Board):
     """A plain chessboard; columns and rows count inner corners."""
 
     type: Literal["chessboard"] = "chessboard"
-    columns: Count
-    rows: Count
     square_mm: Length
 
-    @pydantic.model_validator(mode="after")
-    def _possible(self) -> "ChessboardTable":
-        check_board(self.board())
-        return self
-
     def board(self) -> AbstractBoard:
-        """The board that the table describes."""
         return Chessboard(columns=self.columns, rows=self.rows, square=self.square_mm / 1000)
 
 
-class CirclesTable(FileModel):
+class CirclesTable(_Board):
     """A grid of circles; columns count the circles of a row."""
 
     type: Literal["circles"] = "circles"
-    columns: Count
-    rows: Count
     spacing_mm: Length
     """Distance of two rows; of neighbours in a row too, or, asymmetric, half of that."""
     diameter_mm: Length
     layout: Literal["asymmetric", "symmetric"] = "asymmetric"
 
-    @pydantic.model_validator(mode="after")
-    def _possible(self) -> "CirclesTable":
-        check_board(self.board())
-        return self
-
     def board(self) -> AbstractBoard:
-        """The board that the table describes."""
-        return Circles(
-            columns=self.columns,
-            rows=self.rows,
-            square=self.spacing_mm / 1000,
-            diameter=self.diameter_mm / 1000,
-            layout=self.layout,
-        )
+        square, diameter = self.spacing_mm / 1000, self.diameter_mm / 1000
+        return Circles(columns=self.columns, rows=self.rows, square=square, diameter=diameter, layout=self.layout)
 
 
-class AprilGridTable(FileModel):
+class AprilGridTable(_Board):
     """A grid of AprilTags as Kalibr prints it; columns and rows count tags."""
 
     type: Literal["aprilgrid"] = "aprilgrid"
-    columns: Count
-    rows: Count
     tag_mm: Length
     gap_mm: Length
     """Distance of neighbouring tags."""
 
-    @pydantic.model_validator(mode="after")
-    def _possible(self) -> "AprilGridTable":
-        check_board(self.board())
-        return self
-
     def board(self) -> AbstractBoard:
-        """The board that the table describes."""
         return AprilGrid(columns=self.columns, rows=self.rows, square=self.gap_mm / 1000, tag=self.tag_mm / 1000)
 
 
@@ -142,14 +124,14 @@ BoardTable = Annotated[
 CAPTURE_FORMAT: Literal["jaxscan-capture/1"] = "jaxscan-capture/1"
 HEADER_NAME = "capture.toml"
 MAX_HEADER_BYTES = MEGABYTE
-RESERVED_FORMATS = ("mono16", "bayer_rggb16", "bayer_bggr16", "bayer_grbg16", "bayer_gbrg16")
 
 
 def _supported(pixel_format: Any) -> Any:
-    if pixel_format in RESERVED_FORMATS:
+    if isinstance(pixel_format, str) and pixel_format in DEEP_FORMATS:
+        lying, bits = DEEP_FORMATS[pixel_format]
         raise ValueError(
-            f'"{pixel_format}" is reserved: frames of 10 to 16 bits are kept as levels of 8 bits, with bits = 12 or '
-            "the like; import them by `jaxscan import`, or convert to one of " + ", ".join(PIXEL_FORMATS)
+            f'"{pixel_format}" is a format of cameras; a capture keeps such frames as levels of 8 bits, with '
+            f'pixel_format = "{lying}" and bits = {bits}: import them by `jaxscan import`'
         )
     return pixel_format
 
@@ -173,13 +155,13 @@ class CameraTable(ImageSize):
     """The lossy compression of the images before they were stored; None without one."""
 
     bits: Literal[10, 12, 14, 16] | None = None
-    """Bits of a sample as the camera gave it, where a sweep keeps frames as levels (`split_levels`); None for 8."""
+    """Bits of a sample as the camera gave it, where frames are kept as levels (`split_levels`); None for 8."""
 
-    def notes(self) -> list[str]:
-        """Notes on such images, a sentence each."""
+    def notes(self, compression: str | None) -> list[str]:
+        """Notes on such images of a compression, a sentence each."""
         notes = []
-        if self.compression is not None:
-            kind = "JPEG files" if self.compression == "jpeg" else "a video"
+        if compression is not None:
+            kind = "JPEG files" if compression == "jpeg" else "a video"
             notes.append(
                 f"the images come from {kind}: errors of neighbouring pixels belong together, and colour may have half "
                 "the resolution, so sigmas are estimates; PNG images would be better."
@@ -215,7 +197,7 @@ class TurntableTable(FileModel):
 
     @property
     def stop_sigma(self) -> float | None:
-        """Standard deviation of stops about the positions of their records [rad or m]; None where nobody says."""
+        """Standard deviation of stops about the positions of their records [rad or m]; None if not given."""
         if self.position_sigma_mm is not None:
             return self.position_sigma_mm / 1000.0
         return None if self.angle_sigma_deg is None else math.radians(self.angle_sigma_deg)
@@ -279,38 +261,6 @@ def frame_shape(header: CaptureHeader) -> tuple[int, ...]:
 def image_limit(header: CaptureHeader) -> int:
     """Largest size of an image's file [bytes]: an uncompressed 32-bit image with a megabyte of metadata fits."""
     return 4 * header.camera.width * header.camera.height + MEGABYTE
-
-
-def record_position(
-    angle_deg: float | None, position_m: float | None, rig: tuple[str, Carries], *, where: str
-) -> float | None:
-    """Position of a record: the table's angle [rad], or the place of a stage [m]; None where unknown.
-
-    Args:
-        angle_deg: As the record has it.
-        position_m: As the record has it.
-        rig: Kind of the capture, and the part that its table carries.
-
-    Raises:
-        CaptureError: If it is missing in a sweep, or belongs to another kind of motion.
-    """
-    kind, carries = rig
-    linear = carries == "linear"
-    wanted, found = (position_m, angle_deg) if linear else (angle_deg, position_m)
-    if wanted is not None:
-        return wanted if linear else math.radians(wanted)
-    if found is not None and carries != "nothing":
-        key, other = ("position_m", "angle_deg") if linear else ("angle_deg", "position_m")
-        kinds = 'carries = "linear"' if linear else 'carries = "scanner" or "object"'
-        raise CaptureError(f"{where}: {key}: missing beside {other}, expected with {kinds} under [turntable].")
-    if kind != "sweep" or carries == "nothing":
-        return None
-    if linear:
-        raise CaptureError(f"{where}: position_m: found null, but a sweep needs the position of every record.")
-    raise CaptureError(
-        f"{where}: angle_deg: found null, but a sweep needs the angle of every record; of a scanner that stands still, "
-        'say carries = "nothing" under [turntable].'
-    )
 
 
 def parse_header(data: bytes, *, name: str) -> CaptureHeader:

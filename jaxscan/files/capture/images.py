@@ -31,17 +31,17 @@ def exposure_levels(images: Sequence[ImageRef]) -> tuple[float, ...]:
 
 
 def check_exposures(records: Sequence[Record], *, name: str, bits: int | None = None) -> None:
-    """Check that all frames of a sweep have the same exposures.
+    """Check that all frames of a capture have the same exposures.
 
     Args:
-        records: All records of the sweep.
+        records: All its records.
         bits: Bits of a sample, where frames are kept as levels.
 
     Raises:
         CaptureError: With the first record that differs from the first one, or in itself; or if they are not the levels
             of so many bits.
     """
-    expected = exposure_levels(records[0].on)
+    expected = exposure_levels(records[0].on or records[0].off)
     if bits is not None and not np.array_equal(expected, level_exposures(bits)):
         raise CaptureError(
             f"{name}: record {records[0].i}: found {_levels(expected)}, but the header has bits = {bits}: expected the "
@@ -51,8 +51,8 @@ def check_exposures(records: Sequence[Record], *, name: str, bits: int | None = 
         for side, images in (("on", record.on), ("off", record.off)):
             if images and exposure_levels(images) != expected:
                 raise CaptureError(
-                    f"{name}: record {record.i}: {side}: found {_levels(exposure_levels(images))}, but the sweep began "
-                    f"with {_levels(expected)}; all frames of a sweep need the same exposures."
+                    f"{name}: record {record.i}: {side}: found {_levels(exposure_levels(images))}, but the "
+                    f"capture began with {_levels(expected)}; all its frames need the same exposures."
                 )
 
 

@@ -4,6 +4,7 @@ import hashlib
 import io
 import json
 import math
+import operator
 import os
 import re
 import stat
@@ -15,7 +16,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import pydantic
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.header import HEADER_NAME, MAX_HEADER_BYTES, CaptureHeader, parse_header, record_position
+from jaxscan.files.capture.header import HEADER_NAME, MAX_HEADER_BYTES, CaptureHeader, parse_header
 from jaxscan.files.disk import MAX_DEPTH, Integer, Number, check, is_deep, read_bounded, too_deep
 from jaxscan.geometry import Carries
 
@@ -39,15 +40,6 @@ class ImageRef:
 
     def __str__(self) -> str:
         return self.path if self.index is None else f"{self.path}#{self.index}"
-
-
-# Parts of letters and digits, none of which begins with a dot; an image of a shard has its number.
-_PLAIN = re.compile(r"(?:[\w-][\w.-]*/)*[\w-][\w.-]*(?:\.npy#[0-9]{1,9}|(?<!\.npy))", re.ASCII)
-
-
-def is_plain(reference: str) -> bool:
-    """Whether a reference is written in the usual letters, so that `parse_reference` accepts it."""
-    return len(reference) <= 1024 and _PLAIN.fullmatch(reference) is not None
 
 
 def parse_images(value: Any) -> tuple[ImageRef, ...]:
@@ -76,19 +68,18 @@ def _exposed(value: Any) -> ImageRef:
     return replace(parse_reference(value["file"]), exposure_s=float(exposure))
 
 
-def with_digests(images: tuple[ImageRef, ...], given: Any) -> tuple[ImageRef, ...]:
-    """Images with the digests of their record: one text, or a list of them in the order of the images.
-
-    Anything else that stands there is kept as a text, which fits no image.
-    """
+def _with_digests(images: tuple[ImageRef, ...], given: str | list[str] | None) -> tuple[ImageRef, ...]:
+    """Images with the digests of their record: one text, or a list of them in the order of the images."""
     if given is None:
         return images
-    if len(images) == 1 and isinstance(given, str):
-        return (ImageRef(images[0].path, images[0].index, images[0].exposure_s, given),)
-    listed = given if isinstance(given, list) else [given]
-    texts = [one if isinstance(one, str) else repr(one)[:64] for one in listed[: len(images)]]
+    texts = [given] if isinstance(given, str) else given[: len(images)]
+    # What fits no image is a digest that no image has.
     texts += ["none"] * (len(images) - len(texts))
-    return tuple(ImageRef(one.path, one.index, one.exposure_s, text) for one, text in zip(images, texts, strict=True))
+    return tuple(replace(one, sha256=text) for one, text in zip(images, texts, strict=True))
+
+
+_OF_SHARD = re.compile(r"(.*\.npy)#([0-9]{1,9})", re.DOTALL)
+_CONTROL, _DRIVE = re.compile(r"[\x00-\x1f\x7f]"), re.compile(r"[A-Za-z]:")
 
 
 def parse_reference(value: Any) -> ImageRef:
@@ -99,11 +90,8 @@ def parse_reference(value: Any) -> ImageRef:
     """
     if not isinstance(value, str):
         raise ValueError(f"found {value!r:.60}, expected a path, null, or a list of images with exposures")
-    if is_plain(value):
-        path, _, number = value.partition("#")
-        return ImageRef(path, int(number) if number else None)
     path, index = value, None
-    if match := re.fullmatch(r"(.*\.npy)#([0-9]{1,9})", value, re.DOTALL):
+    if match := _OF_SHARD.fullmatch(value):
         path, index = match[1], int(match[2])
     elif value.endswith(".npy"):
         raise ValueError(f'found "{value:.60}", expected "{value:.60}#<index>": which image of the shard is meant')
@@ -115,13 +103,13 @@ def parse_reference(value: Any) -> ImageRef:
 def _unsafe(path: str) -> str | None:
     if not path or len(path) > 1024:
         return "which is empty or too long"
-    if any(ord(character) < 32 or ord(character) == 127 for character in path):
+    if _CONTROL.search(path):
         return "which has control characters"
     if "\\" in path:
         return 'which has a backslash (the separator is "/" everywhere)'
-    if path.startswith("/") or re.match(r"[A-Za-z]:", path):
+    if path.startswith("/") or _DRIVE.match(path):
         return "which is not relative"
-    if any(part in ("", ".", "..") for part in path.split("/")):
+    if not {"", ".", ".."}.isdisjoint(path.split("/")):
         return 'which has an empty part, "." or ".."'
     return None
 
@@ -189,11 +177,6 @@ MAX_LINE_BYTES = 64 << 10
 MAX_RECORDS = 1_000_000
 MAX_LINES = 2_000_000
 
-_MAX_NUMBER = 1 << 53
-_MAX_ANGLE = 1e6
-_MAX_POSITION_M = 1e4
-_MAX_PLACEMENT = 1 << 31
-_MAX_LASERS = 64
 _MISSING = object()
 _OF_RECORDS = {"on", "off", "angle_deg", "position_m"}
 """Keys that events do not have, unless they say so by the key `event`."""
@@ -227,34 +210,51 @@ class Journal(NamedTuple):
     """How many lines each record has."""
 
 
+def _digests(given: Any) -> dict[str, Any] | None:
+    """The digests of both sides, and nothing beside them that takes memory; anything else as a short text."""
+    if given is None:
+        return None
+    sides = given if isinstance(given, dict) else dict.fromkeys(("on", "off"), given)
+    return {side: _short(sides[side]) for side in ("on", "off") if side in sides}
+
+
+def _short(digests: Any) -> Any:
+    if isinstance(digests, list):
+        return [one if isinstance(one, str) else repr(one)[:64] for one in digests[:MAX_IMAGES]]
+    return digests if digests is None or isinstance(digests, str) else repr(digests)[:64]
+
+
 class _Line(pydantic.BaseModel):
     # Acquisition adds keys of its own to a record, and may add more.
     model_config = pydantic.ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
-    i: Annotated[Integer, pydantic.Field(ge=0, lt=_MAX_NUMBER)]
+    i: Annotated[Integer, pydantic.Field(ge=0, lt=1 << 53)]
     # No table turns a million degrees, and squares and sums of such angles are finite.
-    angle_deg: Annotated[Number, pydantic.Field(ge=-_MAX_ANGLE, le=_MAX_ANGLE)] | None = None
-    position_m: Annotated[Number, pydantic.Field(ge=-_MAX_POSITION_M, le=_MAX_POSITION_M)] | None = None
-    placement: Annotated[Integer, pydantic.Field(ge=0, lt=_MAX_PLACEMENT)] | None = None
-    lasers: Annotated[list[Integer | str], pydantic.Field(max_length=_MAX_LASERS)] | None = None
+    angle_deg: Annotated[Number, pydantic.Field(ge=-1e6, le=1e6)] | None = None
+    position_m: Annotated[Number, pydantic.Field(ge=-1e4, le=1e4)] | None = None
+    placement: Annotated[Integer, pydantic.Field(ge=0, lt=1 << 31)] | None = None
+    lasers: Annotated[list[Integer | str], pydantic.Field(max_length=64)] | None = None
     on: Annotated[Any, pydantic.AfterValidator(parse_images)] = ()
     off: Annotated[Any, pydantic.AfterValidator(parse_images)] = ()
-    sha256: Any = None
+    sha256: Annotated[Any, pydantic.AfterValidator(_digests)] = None
 
 
-class _Fields(NamedTuple):
-    """The checked fields of a record's line, which is the `number`-th of the file."""
+class _Checked(NamedTuple):
+    """A checked line: a journal may have a million, and the model takes several times the memory."""
 
     number: int
+    """Number of the line in the file."""
     angle_deg: float | None
     position_m: float | None
     placement: int | None
     lasers: list[int | str] | None
-    on: Any
-    """A reference as text, or images."""
-    off: Any
-    digests: dict[str, Any]
+    on: tuple[ImageRef, ...]
+    off: tuple[ImageRef, ...]
+    sha256: dict[str, Any] | None
     """Digests of the images of `on` and `off`: each a text, a list of texts, or None."""
+
+
+_checked = operator.attrgetter(*_Checked._fields[1:])
 
 
 def read_journal(
@@ -280,74 +280,29 @@ def read_journal(
     Raises:
         CaptureError: With the number of the line that is broken or not a record.
     """
-    latest: dict[int, _Fields] = {}
+    latest: dict[int, _Checked] = {}
     takes: dict[int, int] = {}
     torn = ""
     if (lines := data.count(b"\n")) > MAX_LINES:
         raise CaptureError(f"{name}: found {lines} lines, expected at most {MAX_LINES}; split the capture.")
-    for number, line in enumerate(io.BytesIO(data), 1):
-        if torn and line.strip():
+    for number, text in enumerate(io.BytesIO(data), 1):
+        if torn and text.strip():
             raise CaptureError(f"{torn}; repair or remove this line, it is not the last.")
-        value = _parse(line, name, number)
+        value = _parse(text, name, number)
         if value is None:
-            if line.strip():
+            if text.strip():
                 torn = f"{name}: line {number}: not a complete JSON object"
             continue
         if (i := value.get("i", _MISSING)) is _MISSING:
             _check_event(value, name, number)
             continue
-        latest[i] = _fields(value, number) or _fields_slowly(value, name, number)
+        line = check(_Line, value, name=f"{name}: line {number}", error=CaptureError)
+        latest[i] = _Checked(number, *_checked(line))
         takes[i] = takes.get(i, 0) + 1
         if len(latest) > MAX_RECORDS:
             raise CaptureError(f"{name}: line {number}: more than {MAX_RECORDS} records; split the capture.")
-    records = tuple(_complete(i, latest.pop(i), name, kind, (laser_names, carries)) for i in sorted(latest))
+    records = tuple(_complete(i, latest.pop(i), name, kind, laser_names, carries) for i in sorted(latest))
     return Journal(records, (f"{torn}: the last line was cut off and is left out.",) if torn else (), takes)
-
-
-def _fields(value: dict[str, Any], number: int) -> _Fields | None:
-    """The fields of a record as most are; None if the slower check, which has the messages, must decide.
-
-    A journal may have a million lines.
-    """
-    angle, placement, lasers = value.get("angle_deg"), value.get("placement"), value.get("lasers")
-    on, off, position = value.get("on"), value.get("off"), value.get("position_m")
-    usual = (
-        type(value["i"]) is int
-        and 0 <= value["i"] < _MAX_NUMBER
-        and (angle is None or (type(angle) is float and -_MAX_ANGLE <= angle <= _MAX_ANGLE))
-        and (position is None or (type(position) is float and -_MAX_POSITION_M <= position <= _MAX_POSITION_M))
-        and (placement is None or (type(placement) is int and 0 <= placement < _MAX_PLACEMENT))
-        and (
-            lasers is None
-            or (type(lasers) is list and len(lasers) <= _MAX_LASERS and all(type(one) is str for one in lasers))
-        )
-        and (on is None or (type(on) is str and is_plain(on)))
-        and (off is None or (type(off) is str and is_plain(off)))
-    )
-    return (
-        _Fields(number, angle, position, placement, lasers, on, off, _digests(value.get("sha256"))) if usual else None
-    )
-
-
-def _fields_slowly(value: dict[str, Any], name: str, number: int) -> _Fields:
-    line = check(_Line, value, name=f"{name}: line {number}", error=CaptureError)
-    return _Fields(
-        number, line.angle_deg, line.position_m, line.placement, line.lasers, line.on, line.off, _digests(line.sha256)
-    )
-
-
-def _digests(given: Any) -> dict[str, Any]:
-    """The digests of both sides, and nothing beside them that takes memory; anything else as a short text."""
-    if given is None:
-        return {}
-    sides = given if isinstance(given, dict) else dict.fromkeys(("on", "off"), given)
-    return {side: _short(sides[side]) for side in ("on", "off") if side in sides}
-
-
-def _short(digests: Any) -> Any:
-    if isinstance(digests, list):
-        return [one if isinstance(one, str) else repr(one)[:64] for one in digests[:MAX_IMAGES]]
-    return digests if digests is None or isinstance(digests, str) else repr(digests)[:64]
 
 
 def _check_event(value: dict[str, Any], name: str, number: int) -> None:
@@ -421,24 +376,41 @@ def _may_be_deep(line: bytes) -> bool:
     return line.count(b"{") + line.count(b"[") > MAX_DEPTH
 
 
-def _complete(i: int, line: _Fields, name: str, kind: str, rig: tuple[tuple[str, ...], Carries]) -> Record:
-    laser_names, carries = rig
-    position = record_position(line.angle_deg, line.position_m, (kind, carries), where=f"{name}: line {line.number}")
-    if kind == "sweep":
-        if not line.on:
-            raise CaptureError(
-                f"{name}: line {line.number}: on: found null, but a sweep needs a laser-on image in every record."
-            )
-    elif not line.on and not line.off:
-        raise CaptureError(f"{name}: line {line.number}: on, off: both are null; a record needs an image.")
-    on, off = (parse_images(given) if given is None or type(given) is str else given for given in (line.on, line.off))
+def _complete(i: int, line: _Checked, name: str, kind: str, laser_names: tuple[str, ...], carries: Carries) -> Record:
+    where = f"{name}: line {line.number}"
+    position = _position(line, kind, carries, where)
+    if kind == "sweep" and not line.on:
+        raise CaptureError(f"{where}: on: found null, but a sweep needs a laser-on image in every record.")
+    if not line.on and not line.off:
+        raise CaptureError(f"{where}: on, off: both are null; a record needs an image.")
+    digests = line.sha256 or {}
     return Record(
         i=i,
         angle=position,
         placement=line.placement,
-        lasers=() if not on else _lit(line.lasers, f"{name}: line {line.number}", laser_names),
-        on=with_digests(on, line.digests.get("on")),
-        off=with_digests(off, line.digests.get("off")),
+        lasers=() if not line.on else _lit(line.lasers, where, laser_names),
+        on=_with_digests(line.on, digests.get("on")),
+        off=_with_digests(line.off, digests.get("off")),
+    )
+
+
+def _position(line: _Checked, kind: str, carries: Carries, where: str) -> float | None:
+    """The table's angle [rad], or the position of a stage [m]; None where none is needed and none is given."""
+    linear = carries == "linear"
+    wanted, found = (line.position_m, line.angle_deg) if linear else (line.angle_deg, line.position_m)
+    if wanted is not None:
+        return wanted if linear else math.radians(wanted)
+    if found is not None and carries != "nothing":
+        key, other = ("position_m", "angle_deg") if linear else ("angle_deg", "position_m")
+        kinds = 'carries = "linear"' if linear else 'carries = "scanner" or "object"'
+        raise CaptureError(f"{where}: {key}: missing beside {other}, expected with {kinds} under [turntable].")
+    if kind != "sweep" or carries == "nothing":
+        return None
+    if linear:
+        raise CaptureError(f"{where}: position_m: found null, but a sweep needs the position of every record.")
+    raise CaptureError(
+        f"{where}: angle_deg: found null, but a sweep needs the angle of every record; of a scanner that stands still, "
+        'say carries = "nothing" under [turntable].'
     )
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     )
     from jaxscan.files.clouds.columns import Reading, Unit, parse_columns
     from jaxscan.files.clouds.e57 import FlatPicture, RoundPicture, Surroundings
+    from jaxscan.files.clouds.formats import FORMATS
     from jaxscan.files.clouds.header import METRE, About, StoredCloud
     from jaxscan.files.clouds.placing import Up, in_metres, shifted, with_z_up
     from jaxscan.files.clouds.rerun import load_rerun, save_rerun

@@ -1,49 +1,36 @@
 """Point clouds on disk: the suffix chooses the format."""
 
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds.columns import Reading
-from jaxscan.files.clouds.e57 import Surroundings, read_e57, write_e57, write_e57_stations
+from jaxscan.files.clouds.e57 import Surroundings, write_e57, write_e57_stations
+from jaxscan.files.clouds.formats import FORMATS
 from jaxscan.files.clouds.header import About, StoredCloud
-from jaxscan.files.clouds.las import read_las, write_las
-from jaxscan.files.clouds.npz import read_npz, write_npz
-from jaxscan.files.clouds.pcd import read_pcd, write_pcd
-from jaxscan.files.clouds.ply import read_ply, write_ply
 from jaxscan.files.clouds.points import check_cloud
-from jaxscan.files.clouds.text import read_ptx, read_xyz, write_ptx, write_xyz
 from jaxscan.files.disk import Part, check_writable, write_atomically
 from jaxscan.reconstruction import PointCloud, join_clouds
 
 
 Writer = Callable[[PointCloud, Part, About], None]
-Reader = Callable[[Path, Reading | None], StoredCloud]
+Reader = Callable[[Path, Reading], StoredCloud]
 
-# To add a format: a function (cloud, path, about) and one (path, reading), a line in each table.
-WRITERS: dict[str, Writer] = {
-    ".ply": write_ply,
-    ".npz": write_npz,
-    ".e57": write_e57,
-    ".las": write_las,
-    ".laz": write_las,
-    ".pcd": write_pcd,
-    ".xyz": write_xyz,
-    ".ptx": write_ptx,
-}
-READERS: dict[str, Reader] = {
-    ".ply": read_ply,
-    ".npz": read_npz,
-    ".e57": read_e57,
-    ".las": read_las,
-    ".laz": read_las,
-    ".pcd": read_pcd,
-    ".xyz": read_xyz,
-    ".ptx": read_ptx,
-}
+
+def _functions(prefix: str) -> dict[str, Any]:
+    files = {suffix: import_module(f"jaxscan.files.clouds.{name}") for suffix, name in FORMATS.items()}
+    return {suffix: getattr(file, f"{prefix}_{FORMATS[suffix]}") for suffix, file in files.items()}
+
+
+WRITERS: dict[str, Writer] = _functions("write")
+READERS: dict[str, Reader] = _functions("read")
+_NAMED = (".npz", ".e57", ".las", ".laz", ".ptx")
+"""Formats that name their columns themselves."""
 TEXTS = (".txt", ".csv", ".asc", ".pts")
 """Suffixes that other programs give to tables of points: they are read as .xyz."""
 
@@ -177,6 +164,9 @@ def read_cloud(path: str | Path, reading: Reading | None = None) -> StoredCloud:
     reader = READERS.get(".xyz" if suffix in TEXTS else suffix)
     if reader is None:
         raise CloudError(f'{path}: cannot read "{path.suffix}", known are {", ".join((*READERS, *TEXTS))}.')
+    reading = reading or Reading()
+    if reading.columns and suffix in _NAMED:
+        raise CloudError(f"{path}: the columns of {suffix} are named by the format; leave --columns out.")
     # Numbers that are too large for their column become infinite, and are refused below.
     try:
         with np.errstate(over="ignore", invalid="ignore"):

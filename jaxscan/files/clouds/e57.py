@@ -16,7 +16,7 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 
 from jaxscan.errors import CloudError, DependencyError
-from jaxscan.files.clouds.columns import Reading, as_bytes, range_of
+from jaxscan.files.clouds.columns import Reach, Reading, as_bytes, range_of
 from jaxscan.files.clouds.grid import Records, cloud_of
 from jaxscan.files.clouds.header import (
     METRE,
@@ -435,70 +435,10 @@ class Surroundings(NamedTuple):
     """When the scan began, seconds since 1970; None where it is not known."""
 
 
-def append_panorama(e57: Any, image: Any, picture: RoundPicture, scan: Any) -> None:
-    """Append a picture that was taken where a scan was.
-
-    Args:
-        e57: The binding of libE57.
-        image: The file, with its scans.
-        picture: What is seen from the origin of the scan.
-        scan: Its node, whose pose and identity the picture takes.
-    """
-    node, sphere, pose = (e57.StructureNode(image) for _ in range(3))
-    for part, axes in (("rotation", "wxyz"), ("translation", "xyz")):
-        copied = e57.StructureNode(image)
-        for axis in axes:
-            copied.set(axis, e57.FloatNode(image, scan["pose"][part][axis].value()))
-        pose.set(part, copied)
-    node.set("pose", pose)
-    for key in ("pixelWidth", "pixelHeight"):
-        sphere.set(key, e57.FloatNode(image, 2 * np.pi / picture.width))
-    node.set("sphericalRepresentation", sphere)
-    _append(e57, image, (node, sphere), picture, scan, ("panorama", "laser-off images of the sweep, blended"))
-
-
-def append_photograph(e57: Any, image: Any, picture: FlatPicture, scan: Any, *, number: int, T_file_scan: Any) -> None:
-    """Append a photograph of a scan, in the format's pinhole representation."""
-    node, pinhole, pose = (e57.StructureNode(image) for _ in range(3))
-    placed = np.asarray(T_file_scan, np.float64) @ picture.pose
-    values = {"rotation": zip("wxyz", quaternion(placed[:3, :3]), strict=True)}
-    for part, numbers in (*values.items(), ("translation", zip("xyz", placed[:3, 3].tolist(), strict=True))):
-        made = e57.StructureNode(image)
-        for axis, value in numbers:
-            made.set(axis, e57.FloatNode(image, value))
-        pose.set(part, made)
-    node.set("pose", pose)
-    # Only ratios matter: the sensor's pixels are taken to be a micrometre.
-    sizes = {"focalLength": 1e-6 * picture.focal_px, "pixelWidth": 1e-6, "pixelHeight": 1e-6}
-    middle = {"principalPointX": picture.centre[0], "principalPointY": picture.centre[1]}
-    for key, value in {**sizes, **middle}.items():
-        pinhole.set(key, e57.FloatNode(image, value))
-    node.set("pinholeRepresentation", pinhole)
-    _append(e57, image, (node, pinhole), picture, scan, (f"photograph {number}", "laser-off image, without distortion"))
-
-
-def _append(
-    e57: Any, image: Any, nodes: tuple[Any, Any], picture: RoundPicture | FlatPicture, scan: Any, words: tuple[str, str]
-) -> None:
-    """Name a picture's node, fill in its representation, and write it."""
-    node, shown = nodes
-    node.set("guid", e57.StringNode(image, f"{{{uuid.uuid4()}}}"))
-    node.set("name", e57.StringNode(image, words[0]))
-    node.set("description", e57.StringNode(image, words[1]))
-    node.set("associatedData3DGuid", e57.StringNode(image, scan["guid"].value()))
-    blob = e57.BlobNode(image, len(picture.jpeg))
-    shown.set("jpegImage", blob)
-    for key, pixels in (("imageWidth", picture.width), ("imageHeight", picture.height)):
-        shown.set(key, e57.IntegerNode(image, pixels))
-    image.root()["images2D"].append(node)
-    # A blob has a place in the file only when its node has one.
-    blob.write(np.frombuffer(picture.jpeg, np.uint8).copy(), 0, len(picture.jpeg))
-
-
 # Reading E57: files of this library on their grid, others by rows and columns, or as a single row of points.
 #
-# The format is read here, in blocks, and not by libE57: its parser of XML follows what a file says, to other files and
-# addresses too, and hears no signal while it does.
+# The format is read here, in blocks, and not by libE57: its XML parser resolves external entities, from files and over
+# the network, and cannot be interrupted meanwhile.
 
 MAX_XML_BYTES = 1 << 24
 """Of 1024 scans with their pictures, or of 64 stations that each name all others."""
@@ -515,15 +455,12 @@ _OWN_COLUMNS = {
 }
 
 
-def read_e57(path: Path, reading: Reading | None = None) -> StoredCloud:
+def read_e57(path: Path, reading: Reading) -> StoredCloud:
     """A cloud of all scans of an E57 file, in the frame of the file.
 
     Raises:
         CloudError: If it is damaged or has no points.
     """
-    reading = reading or Reading()
-    if reading.columns:
-        raise CloudError(f"{path}: the columns of E57 are named by the format; leave --columns out.")
     with open_regular(path, error=CloudError) as file:
         size = os.fstat(file.fileno()).st_size
         place, length = _places(file.read(48), size, path)
@@ -671,11 +608,11 @@ def _scan(
     if count and numbers.keys() >= stated.keys():
         # By what they reach together: limits are not always true, and often not there.
         kind = np.result_type(*(np.dtype(fields[numbers[colour]].type) for colour in stated))
-        most, whole = 0.0, True
+        reach = Reach()
         for block in () if kind == np.uint8 else read(stated):
-            for values in map(np.nan_to_num, block.values()):
-                most, whole = max(most, float(values.max())), whole and bool((values == np.floor(values)).all())
-        found = [range_of(kind, most, whole=whole, stated=limit, reading=reading) for limit in stated.values()]
+            for values in block.values():
+                reach = reach.with_more(values)
+        found = [range_of(kind, reach, reading, stated=limit) for limit in stated.values()]
         full = {colour: one.brightest for colour, one in zip(stated, found, strict=True)}
         words = found[0].words
     if not all(full.values()):
@@ -761,17 +698,12 @@ def write_e57(cloud: PointCloud, path: Part, about: About, around: Surroundings 
         DependencyError: If pye57, or pyproj for a code, is not installed.
         OSError: If the file cannot be written.
     """
-    e57 = load_libe57()
-    frame = "" if about.epsg is None else wkt_of(about.epsg)
-    try:
-        with contextlib.closing(e57.ImageFile(str(path), "w")) as image:
-            scans = _begin(e57, image, frame)
-            for scan in _scans(cloud, about):
-                _write_scan(e57, image, scans, scan)
-            if around is not None:
-                _add_surroundings(e57, image, around, cloud)
-    except e57.E57Exception as problem:
-        raise OSError(str(problem).splitlines()[0]) from problem
+    with _created(path, about) as file:
+        for scan in _scans(cloud, about, "\n".join(header_lines(cloud, about))):
+            file.add_scan(scan)
+        if around is not None:
+            pose = np.eye(4) if cloud.stations is None else np.asarray(cloud.stations.pose, np.float64)[0]
+            file.add_surroundings(around, pose)
 
 
 def write_e57_stations(stations: Sequence[Callable[[], PointCloud]], path: Part, about: About) -> None:
@@ -787,123 +719,66 @@ def write_e57_stations(stations: Sequence[Callable[[], PointCloud]], path: Part,
         DependencyError: If pye57, or pyproj for a code, is not installed.
         OSError: If the file cannot be written.
     """
-    e57 = load_libe57()
-    frame = "" if about.epsg is None else wkt_of(about.epsg)
-    known = [_known(load()) for load in stations]
-    if len({one.lines for one in known}) != 1:
+    # Said before the clouds are read.
+    load_libe57()
+    profiles: list[int] = []
+    lines: set[int] = set()
+    placed: list[Stations] = []
+    for load in stations:
+        cloud = load()
+        if cloud.stations is None or len(cloud.stations.pose) != 1:
+            raise CloudError("a scan of several: expected the cloud of one station with its pose.")
+        placed.append(cloud.stations)
+        profiles.append(cloud.valid.shape[0])
+        lines.add(cloud.valid.shape[1])
+        del cloud
+    if len(lines) != 1:
         raise CloudError(f"{path}: expected clouds of one camera, with the same number of lines.")
-    numbers = np.repeat(np.arange(len(known), dtype=np.int32), [one.profiles for one in known])
-    placed = Stations(numbers, np.stack([one.pose for one in known]), np.stack([one.covariance for one in known]))
-    header = "\n".join(lines_of_grid((len(numbers), known[0].lines), placed, about))
-    try:
-        with contextlib.closing(e57.ImageFile(str(path), "w")) as image:
-            scans, profiles = _begin(e57, image, frame), 0
-            for number, load in enumerate(stations):
-                for scan in _scans(load(), about, _Whole(header, number, profiles)):
-                    _write_scan(e57, image, scans, scan)
-                profiles += known[number].profiles
-    except e57.E57Exception as problem:
-        raise OSError(str(problem).splitlines()[0]) from problem
-
-
-class _Whole(NamedTuple):
-    """The joined cloud of which a cloud is one station."""
-
-    header: str
-    station: int
-    """Number of the station."""
-    profiles: int
-    """Number of profiles of the stations before it."""
-
-
-class _Known(NamedTuple):
-    """Extent and limits of a cloud, kept from the first of two passes."""
-
-    profiles: int
-    lines: int
-    pose: np.ndarray
-    covariance: np.ndarray
-
-
-def _known(cloud: PointCloud) -> _Known:
-    if cloud.stations is None or len(cloud.stations.pose) != 1:
-        raise CloudError("a scan of several: expected the cloud of one station with its pose.")
-    pose, covariance = (np.asarray(field, np.float64)[0] for field in (cloud.stations.pose, cloud.stations.covariance))
-    profiles, lines = cloud.valid.shape
-    return _Known(profiles, lines, pose, covariance)
-
-
-def _add_surroundings(e57: Any, image: Any, around: Surroundings, cloud: PointCloud) -> None:
-    scan = image.root()["data3D"][0]
-    pose = np.eye(4) if cloud.stations is None else np.asarray(cloud.stations.pose, np.float64)[0]
-    if around.started_s is not None:
-        scan.set("acquisitionStart", _moment(e57, image, around.started_s))
-    append_panorama(e57, image, around.panorama, scan)
-    for number, photograph in enumerate(around.photographs):
-        append_photograph(e57, image, photograph, scan, number=number, T_file_scan=pose)
-
-
-def _moment(e57: Any, image: Any, unix_s: float) -> Any:
-    node = e57.StructureNode(image)
-    node.set("dateTimeValue", e57.FloatNode(image, unix_s - _GPS_EPOCH_S + _LEAP_S))
-    node.set("isAtomicClockReferenced", e57.IntegerNode(image, 0))
-    return node
+    number = np.repeat(np.arange(len(placed), dtype=np.int32), profiles)
+    pose, covariance = (np.concatenate([np.asarray(one[k], np.float64) for one in placed]) for k in (1, 2))
+    header = "\n".join(lines_of_grid((len(number), lines.pop()), Stations(number, pose, covariance), about))
+    with _created(path, about) as file:
+        for k, load in enumerate(stations):
+            for scan in _scans(load(), about, header, station=k, profile=sum(profiles[:k])):
+                file.add_scan(scan)
 
 
 class _Scan(NamedTuple):
     name: str
     description: str
     header: str
-    rotation: tuple[float, float, float, float]
-    """Unit quaternion (w, x, y, z)."""
-    translation: tuple[float, float, float]
+    pose: np.ndarray
+    """T_file_scan [4, 4]."""
     points: Callable[[], Iterator[dict[str, np.ndarray]]]
     """Gives the columns of all points, a block at a time, by the names of the format."""
     double: bool
 
 
-def _begin(e57: Any, image: Any, frame: str) -> Any:
-    """The head of the file; returns the list of scans."""
-    for prefix, uri in (("", e57.E57_V1_0_URI), ("nor", NORMALS_URI), (OWN.rstrip(":"), OWN_URI)):
-        image.extensionsAdd(prefix, uri)
-    root, scans = image.root(), e57.VectorNode(image, True)
-    for key, node in {
-        "formatName": e57.StringNode(image, "ASTM E57 3D Imaging Data File"),
-        "guid": e57.StringNode(image, f"{{{uuid.uuid4()}}}"),
-        "versionMajor": e57.IntegerNode(image, e57.E57_FORMAT_MAJOR),
-        "versionMinor": e57.IntegerNode(image, e57.E57_FORMAT_MINOR),
-        "e57LibraryVersion": e57.StringNode(image, e57.E57_LIBRARY_ID),
-        "coordinateMetadata": e57.StringNode(image, frame),
-        "creationDateTime": _moment(e57, image, time.time()),
-        "data3D": scans,
-        "images2D": e57.VectorNode(image, True),
-    }.items():
-        root.set(key, node)
-    return scans
+def _scans(cloud: PointCloud, about: About, header: str, *, station: int = 0, profile: int = 0) -> Iterator[_Scan]:
+    """The stations that saw something, one at a time.
 
-
-def _scans(cloud: PointCloud, about: About, whole: _Whole | None = None) -> Iterator[_Scan]:
-    """The stations that saw something, one at a time."""
+    Args:
+        header: Lines of the whole file.
+        station: The first number of the stations.
+        profile: The first number of the profiles.
+    """
     poses = np.eye(4)[None] if cloud.stations is None else np.asarray(cloud.stations.pose, np.float64)
     made = f"calibration {about.calibration}" if about.calibration else ""
-    header = "\n".join(header_lines(cloud, about)) if whole is None else whole.header
-    first, profiles = (0, 0) if whole is None else (whole.station, whole.profiles)
     for number, pose in enumerate(poses):
         name, described = ", ".join(filter(None, ("jaxscan", made))), "; ".join(filter(None, ("jaxscan", made)))
+        profiles = None
         if cloud.stations is not None:
-            name = f"{name}, station {first + number}"
+            name = f"{name}, station {station + number}"
             described = (
                 f"{described}; covariance of the pose, of a step (translation x y z [m], rotation x y z [rad]) in the "
                 f"scan's own frame, upper triangle by rows: {covariance_text(cloud.stations.covariance[number])}"
             )
+            # The column counts the profiles of the scan.
+            profiles = profile + np.flatnonzero(cloud.stations.number == number)
         mine = of_station(cloud, number)
-        if not np.any(mine.valid):
-            continue
-        # The column counts the profiles of the scan.
-        profile = None if cloud.stations is None else profiles + np.flatnonzero(cloud.stations.number == number)
-        read = partial(_columns, mine, profile, first + number)
-        rotation, translation = quaternion(pose[:3, :3]), tuple(pose[:3, 3].tolist())
-        yield _Scan(name, described, header, rotation, translation, read, mine.xyz.dtype == np.float64)
+        if np.any(mine.valid):
+            read = partial(_columns, mine, profiles, station + number)
+            yield _Scan(name, described, header, pose, read, mine.xyz.dtype == np.float64)
 
 
 def _columns(cloud: PointCloud, profile: np.ndarray | None, station: int) -> Iterator[dict[str, np.ndarray]]:
@@ -935,68 +810,151 @@ def _type_of(key: str, values: np.ndarray) -> type:
     return np.float64 if values.dtype.kind == "f" else np.longlong
 
 
-def _write_scan(e57: Any, image: Any, scans: Any, written: _Scan) -> None:
-    """Append a scan: the bounds of its columns, which stand before the points, and then the points."""
-    least_of: dict[str, np.ndarray] = {}
-    most_of: dict[str, np.ndarray] = {}
-    largest = 0
-    for block in written.points():
-        largest = max(largest, len(block["cartesianX"]))
-        for key, values in block.items():
-            least_of[key] = np.minimum(values.min(), least_of.get(key, values.min()))
-            most_of[key] = np.maximum(values.max(), most_of.get(key, values.max()))
+def _pose_of(pose: np.ndarray) -> dict[str, Any]:
+    """A pose [4, 4] as the format has it."""
+    turn, place = quaternion(pose[:3, :3]), pose[:3, 3].tolist()
+    return {"rotation": dict(zip("wxyz", turn, strict=True)), "translation": dict(zip("xyz", place, strict=True))}
 
-    def number(value: Any) -> Any:
-        return e57.IntegerNode(image, value) if isinstance(value, int) else e57.FloatNode(image, value)
 
-    def structure(entries: dict[str, int | float]) -> Any:
-        node = e57.StructureNode(image)
-        for key, value in entries.items():
-            node.set(key, number(value))
-        return node
+def _guid() -> str:
+    return f"{{{uuid.uuid4()}}}"
 
-    def bounds(limits: dict[str, str]) -> Any:
-        return structure(
-            {
-                f"{key}{end}": limit[field].item()
-                for key, field in limits.items()
-                for end, limit in (("Minimum", least_of), ("Maximum", most_of))
-            }
-        )
 
-    scan, pose = e57.StructureNode(image), e57.StructureNode(image)
-    scan.set("guid", e57.StringNode(image, f"{{{uuid.uuid4()}}}"))
-    scan.set("name", e57.StringNode(image, written.name))
-    scan.set("description", e57.StringNode(image, written.description))
-    scan.set(f"{OWN}header", e57.StringNode(image, written.header))
-    if "rowIndex" in least_of:
-        scan.set("indexBounds", bounds({"row": "rowIndex", "column": "columnIndex"}))
-    if "intensity" in least_of:
-        scan.set("intensityLimits", bounds({"intensity": "intensity"}))
-    if set(_COLOURS) <= least_of.keys():
-        scan.set("colorLimits", structure({f"{key}{end}": k * 255 for key in _COLOURS for k, end in _ENDS}))
-    scan.set("cartesianBounds", bounds({axis: f"cartesian{axis.upper()}" for axis in "xyz"}))
-    scan.set("pose", pose)
-    pose.set("rotation", structure(dict(zip("wxyz", written.rotation, strict=True))))
-    pose.set("translation", structure(dict(zip("xyz", written.translation, strict=True))))
-    prototype, buffers = e57.StructureNode(image), e57.VectorSourceDestBuffer()
-    buffer = {key: np.empty(largest, value.dtype) for key, value in least_of.items()}
-    for key, values in buffer.items():
-        least, most = least_of[key].item(), most_of[key].item()
-        if values.dtype == np.float64:
-            double = key == f"{OWN}angle" or (written.double and key.startswith("cartesian"))
-            node = e57.FloatNode(image, least, e57.E57_DOUBLE if double else e57.E57_SINGLE, least, most)
-        else:
-            limits = (0, 255) if key in _COLOURS else (least, most)
-            node = e57.IntegerNode(image, limits[0], *limits)
-        prototype.set(key, node)
-        buffers.append(e57.SourceDestBuffer(image, key, values, len(values), True, True))
-    points = e57.CompressedVectorNode(image, prototype, e57.VectorNode(image, True))
-    scan.set("points", points)
-    scans.append(scan)
-    with contextlib.closing(points.writer(buffers)) as writer:
-        for block in written.points():
-            count = len(block["cartesianX"])
+def _moment(unix_s: float) -> dict[str, Any]:
+    return {"dateTimeValue": unix_s - _GPS_EPOCH_S + _LEAP_S, "isAtomicClockReferenced": 0}
+
+
+@contextlib.contextmanager
+def _created(path: Part, about: About) -> "Iterator[_File]":
+    e57 = load_libe57()
+    frame = "" if about.epsg is None else wkt_of(about.epsg)
+    try:
+        with contextlib.closing(e57.ImageFile(str(path), "w")) as image:
+            yield _File(e57, image, frame)
+    except e57.E57Exception as problem:
+        raise OSError(str(problem).splitlines()[0]) from problem
+
+
+class _File:
+    """A file of libE57 that is written."""
+
+    def __init__(self, e57: Any, image: Any, frame: str) -> None:
+        """Write the head of the file; `frame` is the WKT of its coordinates, or empty."""
+        self._e57, self._image = e57, image
+        for prefix, uri in (("", e57.E57_V1_0_URI), ("nor", NORMALS_URI), (OWN.rstrip(":"), OWN_URI)):
+            image.extensionsAdd(prefix, uri)
+        self._scans, self._pictures = e57.VectorNode(image, True), e57.VectorNode(image, True)
+        for key, value in {
+            "formatName": "ASTM E57 3D Imaging Data File",
+            "guid": _guid(),
+            "versionMajor": e57.E57_FORMAT_MAJOR,
+            "versionMinor": e57.E57_FORMAT_MINOR,
+            "e57LibraryVersion": e57.E57_LIBRARY_ID,
+            "coordinateMetadata": frame,
+            "creationDateTime": _moment(time.time()),
+            "data3D": self._scans,
+            "images2D": self._pictures,
+        }.items():
+            image.root().set(key, self._node(value))
+
+    def _node(self, value: Any) -> Any:
+        """A tree of dicts, texts and numbers as nodes; nodes stay."""
+        if isinstance(value, dict):
+            made = self._e57.StructureNode(self._image)
+            for key, inner in value.items():
+                made.set(key, self._node(inner))
+            return made
+        for kind, node in ((str, "StringNode"), (int, "IntegerNode"), (float, "FloatNode")):
+            if isinstance(value, kind):
+                return getattr(self._e57, node)(self._image, value)
+        return value
+
+    def add_scan(self, scan: _Scan) -> None:
+        """Append a scan: the bounds of its columns, which stand before the points, and then the points."""
+        least: dict[str, Any] = {}
+        most: dict[str, Any] = {}
+        types: dict[str, np.dtype] = {}
+        largest = 0
+        for block in scan.points():
+            largest = max(largest, len(block["cartesianX"]))
             for key, values in block.items():
-                buffer[key][:count] = values
-            writer.write(count)
+                types[key] = values.dtype
+                least[key] = min(values.min().item(), least.get(key, math.inf))
+                most[key] = max(values.max().item(), most.get(key, -math.inf))
+
+        def bounds(limits: dict[str, str]) -> dict[str, Any]:
+            ends = (("Minimum", least), ("Maximum", most))
+            return {f"{key}{end}": limit[field] for key, field in limits.items() for end, limit in ends}
+
+        tree: dict[str, Any] = {
+            "guid": _guid(),
+            "name": scan.name,
+            "description": scan.description,
+            f"{OWN}header": scan.header,
+            "cartesianBounds": bounds({axis: f"cartesian{axis.upper()}" for axis in "xyz"}),
+            "pose": _pose_of(scan.pose),
+        }
+        if "rowIndex" in types:
+            tree["indexBounds"] = bounds({"row": "rowIndex", "column": "columnIndex"})
+        if "intensity" in types:
+            tree["intensityLimits"] = bounds({"intensity": "intensity"})
+        if set(_COLOURS) <= types.keys():
+            tree["colorLimits"] = {f"{key}{end}": k * 255 for key in _COLOURS for k, end in _ENDS}
+        e57, image = self._e57, self._image
+        prototype, buffers = e57.StructureNode(image), e57.VectorSourceDestBuffer()
+        buffer = {key: np.empty(largest, kind) for key, kind in types.items()}
+        for key, values in buffer.items():
+            low, high = (0, 255) if key in _COLOURS else (least[key], most[key])
+            if values.dtype == np.float64:
+                double = key == f"{OWN}angle" or (scan.double and key.startswith("cartesian"))
+                node = e57.FloatNode(image, low, e57.E57_DOUBLE if double else e57.E57_SINGLE, low, high)
+            else:
+                node = e57.IntegerNode(image, low, low, high)
+            prototype.set(key, node)
+            buffers.append(e57.SourceDestBuffer(image, key, values, len(values), True, True))
+        points = e57.CompressedVectorNode(image, prototype, e57.VectorNode(image, True))
+        self._scans.append(self._node(tree | {"points": points}))
+        with contextlib.closing(points.writer(buffers)) as writer:
+            for block in scan.points():
+                count = len(block["cartesianX"])
+                for key, values in block.items():
+                    buffer[key][:count] = values
+                writer.write(count)
+
+    def add_surroundings(self, around: Surroundings, pose: np.ndarray) -> None:
+        """Append what is seen around the first scan, whose pose T_file_scan is given."""
+        if around.started_s is not None:
+            self._scans[0].set("acquisitionStart", self._node(_moment(around.started_s)))
+        panorama = around.panorama
+        step = 2 * np.pi / panorama.width
+        shown = {"pixelWidth": step, "pixelHeight": step}
+        words = "panorama", "laser-off images of the sweep, blended"
+        self._add_picture(panorama, ("sphericalRepresentation", shown), pose, words)
+        for number, picture in enumerate(around.photographs):
+            # Only ratios matter: the sensor's pixels are taken to be a micrometre.
+            shown = {"focalLength": 1e-6 * picture.focal_px, "pixelWidth": 1e-6, "pixelHeight": 1e-6}
+            shown |= {"principalPointX": picture.centre[0], "principalPointY": picture.centre[1]}
+            words = f"photograph {number}", "laser-off image, without distortion"
+            self._add_picture(picture, ("pinholeRepresentation", shown), pose @ picture.pose, words)
+
+    def _add_picture(
+        self,
+        picture: RoundPicture | FlatPicture,
+        shown: tuple[str, dict[str, float]],
+        pose: np.ndarray,
+        words: tuple[str, str],
+    ) -> None:
+        """Append a picture: name and numbers of its representation, pose T_file_picture, name and description."""
+        blob = self._e57.BlobNode(self._image, len(picture.jpeg))
+        pixels = {"jpegImage": blob, "imageWidth": picture.width, "imageHeight": picture.height}
+        tree = {
+            "guid": _guid(),
+            "name": words[0],
+            "description": words[1],
+            "associatedData3DGuid": self._scans[0]["guid"].value(),
+            "pose": _pose_of(pose),
+            shown[0]: shown[1] | pixels,
+        }
+        self._pictures.append(self._node(tree))
+        # A blob has a place in the file only when its node has one.
+        blob.write(np.frombuffer(picture.jpeg, np.uint8).copy(), 0, len(picture.jpeg))

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.files.clouds import points as sizes
 from jaxscan.files.clouds.header import JOINED_FORMAT, lacking, read_stations, version_of
 from jaxscan.files.clouds.points import PARTS, POINT
 from jaxscan.reconstruction import MAY_LACK, SMOOTHED, PointCloud, Stations
@@ -54,13 +53,6 @@ class Records:
         self.dtype, self._count, self._read = dtype, count, read
         self.names = frozenset(dtype.names or ())
 
-    @staticmethod
-    def of(points: np.ndarray) -> "Records":
-        """The records of a structured array."""
-        stride = sizes.BLOCK_POINTS
-        parts = lambda: (points[start : start + stride] for start in range(0, len(points), stride))
-        return Records(points.dtype, len(points), parts)
-
     def __len__(self) -> int:
         return self._count
 
@@ -80,9 +72,7 @@ class Records:
             raise ValueError(f"found {found} points of {self._count}")
 
 
-def cloud_of(
-    points: Records | np.ndarray, lines: Sequence[str], name: str, *, profiles: np.ndarray | None = None
-) -> PointCloud:
+def cloud_of(points: Records, lines: Sequence[str], name: str, *, profiles: np.ndarray | None = None) -> PointCloud:
     """The cloud of a file.
 
     On the grid where the file is ours and whole, or where another program has kept the numbers of steps and rows;
@@ -97,8 +87,6 @@ def cloud_of(
         CloudError: If grid, profiles, poses of stations, or numbers of points cannot be.
         ValueError: If the file changes while it is read.
     """
-    if isinstance(points, np.ndarray):
-        points = Records.of(points)
     version = version_of(lines, name)
     names = points.names
     if not {"x", "y", "z"} <= names:
@@ -195,7 +183,7 @@ def _regained_grid(points: Records) -> tuple[int, int] | None:
 
 
 def on_grid(
-    points: Records | np.ndarray,
+    points: Records,
     grid: tuple[int, int],
     profiles: np.ndarray | None,
     name: str,
@@ -216,8 +204,6 @@ def on_grid(
     Raises:
         CloudError: If two points have the same cell, or the list of profiles is another one's.
     """
-    if isinstance(points, np.ndarray):
-        points = Records.of(points)
     per_profile = _Profiles(points.names, grid[0], profiles, name)
     number = None if stations is None else np.array(stations.number, np.int32)
     valid = np.zeros(grid, bool)
@@ -266,7 +252,7 @@ class _Profiles:
         listed = profiles is not None and {"angle", "record", "laser"} <= set(profiles.dtype.names or ())
         self._listed = profiles if listed else None
         self._found, self._count, self._name = self._unknown(count), count, name
-        self._told = set() if listed else self._found.keys() & names
+        self._by_points = set() if listed else self._found.keys() & names
 
     @staticmethod
     def _unknown(count: int) -> dict[str, np.ndarray]:
@@ -278,12 +264,12 @@ class _Profiles:
 
     def see(self, block: np.ndarray, step: np.ndarray) -> None:
         """Look at some points; a column with numbers that no profile can have is not used at all."""
-        for field in tuple(self._told):
+        for field in tuple(self._by_points):
             values = block[field]
             if np.isfinite(values).all() and np.abs(values).max() < 1 << 31:
                 self._found[field][step] = values
             else:
-                self._told.remove(field)
+                self._by_points.remove(field)
                 self._found[field] = self._unknown(self._count)[field]
 
     def found(self) -> dict[str, np.ndarray]:
@@ -310,11 +296,11 @@ _COLOURS = {"red", "green", "blue"}
 
 
 def _unorganised(points: Records, name: str, *, ours: bool, lacks: tuple[str, ...] = ()) -> PointCloud:
-    """The points as a single profile; what they lack is zero, and said.
+    """The points as a single profile; fields that they lack are zero, and listed as `absent`.
 
     Args:
         ours: Whether this library wrote the file or the one before it.
-        lacks: What it says that it lacks.
+        lacks: Fields that its header lists as lacking.
 
     Raises:
         CloudError: If no point is finite.

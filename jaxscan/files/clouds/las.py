@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxscan.errors import CloudError, DependencyError
 from jaxscan.files.clouds import points as sizes
-from jaxscan.files.clouds.columns import COLOURS, Reading, decide
+from jaxscan.files.clouds.columns import COLOURS, Reach, Reading, decide
 from jaxscan.files.clouds.grid import Records, cloud_of
 from jaxscan.files.clouds.header import About, StoredCloud, about_of, frame_of, header_lines
 from jaxscan.files.clouds.placing import (
@@ -66,6 +66,11 @@ class Sizes(NamedTuple):
     kind: int
     point_bytes: int
     points: int
+
+    @property
+    def compressed(self) -> bool:
+        """Whether it is a LAZ file."""
+        return bool(self.kind & _COMPRESSED)
 
 
 def check_compressed(file: BinaryIO, sizes: Sizes, size: int) -> None:
@@ -136,28 +141,24 @@ _DAMAGE = (
 )
 
 
-def read_las(path: Path, reading: Reading | None = None) -> StoredCloud:
+def read_las(path: Path, reading: Reading) -> StoredCloud:
     """A cloud from a LAS or LAZ file of version 1.0 to 1.4.
 
     Raises:
         CloudError: If it is damaged, has no points, or would take far more memory than its size.
         DependencyError: If laspy, or lazrs for a compressed file, is not installed.
     """
-    reading = reading or Reading()
-    if reading.columns:
-        raise CloudError(f"{path}: the columns of LAS are named by the format; leave --columns out.")
     with open_regular(path, error=CloudError) as file:
         size = os.fstat(file.fileno()).st_size
         given = _sizes_of(file, path)
-        compressed = bool(given.kind & _COMPRESSED)
-        laspy = load_laspy(compressed=compressed)
+        laspy = load_laspy(compressed=given.compressed)
         _check(file, given, size, path)
         try:
-            with _opened(laspy, file, compressed) as reader:
+            with _opened(laspy, file, given) as reader:
                 lines = _lines_of(reader.header)
                 wkt, keys = _wkt_of(reader.header) or _wkt_behind(file, size), _keys_of(reader.header)
-            points, reached = _points_of(laspy, file, given)
-            decided = decide(points, str(path), ours=bool(lines), reading=reading, reached=reached, by="the format")
+            points, reach = _points_of(laspy, file, given)
+            decided = decide(points, str(path), ours=bool(lines), reading=reading, reach=reach, by="the format")
             cloud = cloud_of(decided.points, lines, str(path))
         except (laspy.errors.LaspyException, *_DAMAGE) as problem:
             raise CloudError(
@@ -176,15 +177,16 @@ def read_las(path: Path, reading: Reading | None = None) -> StoredCloud:
     stated = [(frame_of_wkt(wkt), "WKT"), (frame_of_keys(*keys), "GeoKeys")]
     frame, why = next((one for one in stated if one[0] != FileFrame()), (FileFrame(), ""))
     why = f"the {why} of {path.name}" if frame.in_degrees else f"its {why}" if why else ""
+    why = why or ("its WKT states no unit that is known" if wkt else "")
     about = about._replace(metres=frame.metres, in_degrees=frame.in_degrees, unit_by=why)
     return StoredCloud(cloud, about, () if lines else decided.words)
 
 
-def _opened(laspy: Any, file: BinaryIO, compressed: bool, only: Any = None) -> Any:
+def _opened(laspy: Any, file: BinaryIO, given: Sizes, only: Any = None) -> Any:
     """A reader of the file from its beginning; of compressed points perhaps of some parts only."""
     file.seek(0)
     # In one thread: several would take memory for each part as its size is stated.
-    backend = laspy.LazBackend.Lazrs if compressed else None
+    backend = laspy.LazBackend.Lazrs if given.compressed else None
     selected = {} if only is None else {"decompression_selection": only}
     return laspy.LasReader(file, closefd=False, laz_backend=backend, read_evlrs=False, **selected)
 
@@ -207,7 +209,7 @@ def _check(file: BinaryIO, sizes: Sizes, size: int, path: Path) -> None:
     # A record has a head of 54 bytes.
     if sizes.offset > size or sizes.records * 54 > sizes.offset:
         raise CloudError(f"{path}: the header is longer than the file; it is damaged or cut short.")
-    if sizes.kind & _COMPRESSED:
+    if sizes.compressed:
         try:
             check_compressed(file, sizes, size)
         except (ValueError, struct.error) as problem:
@@ -218,10 +220,9 @@ def _check(file: BinaryIO, sizes: Sizes, size: int, path: Path) -> None:
         )
 
 
-def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> tuple[Records, tuple[float, bool]]:
+def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> tuple[Records, Reach]:
     """All columns that a cloud may use, and the largest colour; without those of the format that are 0 throughout."""
-    compressed = bool(given.kind & _COMPRESSED)
-    with _opened(laspy, file, compressed) as reader:
+    with _opened(laspy, file, given) as reader:
         header = reader.header
     scales, offsets = np.array(header.scales), np.array(header.offsets)
     if not (np.isfinite(scales).all() and np.isfinite(offsets).all()):
@@ -253,7 +254,7 @@ def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> tuple[Records, tuple
         return np.dtype([(name, value.dtype.str) for name, value in values.items()])
 
     def read() -> Iterator[np.ndarray]:
-        with _opened(laspy, file, compressed) as reader:
+        with _opened(laspy, file, given) as reader:
             for chunk in reader.chunk_iterator(sizes.BLOCK_POINTS):
                 values = columns(chunk)
                 points = np.empty(len(chunk), typed(values))
@@ -262,7 +263,7 @@ def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> tuple[Records, tuple
                 yield points
 
     none = laspy.ScaleAwarePointRecord.zeros(0, header=header)
-    return Records(typed(columns(none)), given.points, read), (float(brightest), True)
+    return Records(typed(columns(none)), given.points, read), Reach(float(brightest))
 
 
 def _looked_through(laspy: Any, file: BinaryIO, given: Sizes, coloured: bool) -> tuple[bool, int, int]:
@@ -271,17 +272,16 @@ def _looked_through(laspy: Any, file: BinaryIO, given: Sizes, coloured: bool) ->
     Raises:
         ValueError: If the file has another number of points than its header says.
     """
-    compressed = bool(given.kind & _COMPRESSED)
     parts = laspy.DecompressionSelection
     largest, brightest, loudest, found = np.zeros(3), 0, 0, 0
     wanted = parts.XY_RETURNS_CHANNEL | parts.Z | parts.RGB | parts.INTENSITY
-    with _opened(laspy, file, compressed, wanted) as reader:
+    with _opened(laspy, file, given, wanted) as reader:
         scales, offsets = np.array(reader.header.scales), np.array(reader.header.offsets)
         for chunk in reader.chunk_iterator(sizes.BLOCK_POINTS):
             xyz = np.stack([np.asarray(chunk[axis]) for axis in "XYZ"], -1) * scales + offsets
             largest = np.maximum(largest, np.abs(xyz).max(0))
             if coloured:
-                brightest = max(brightest, *(int(np.max(chunk[name])) for name in ("red", "green", "blue")))
+                brightest = max(brightest, *(int(np.max(chunk[name])) for name in COLOURS))
             loudest = max(loudest, int(np.max(chunk["intensity"])))
             found += len(chunk)
     if found != given.points:
@@ -426,9 +426,7 @@ def _record(laspy: Any, header: Any, points: CloudPoints, cloud: PointCloud, ext
     for axis, places in zip("xyz", points.xyz.astype(np.float64).T, strict=True):
         record[axis] = places
     if "rgb" not in cloud.lacks:
-        for name, colours in zip(
-            ("red", "green", "blue"), points.rgb.astype(np.uint16).T * np.uint16(257), strict=True
-        ):
+        for name, colours in zip(COLOURS, points.rgb.astype(np.uint16).T * np.uint16(257), strict=True):
             record[name] = colours
     record["intensity"] = np.clip(np.round(points.intensity.astype(np.float64) * scale), 0, 65535).astype(np.uint16)
     record["return_number"] = record["number_of_returns"] = np.ones(len(points.step), np.uint8)

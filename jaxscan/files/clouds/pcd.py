@@ -95,7 +95,7 @@ class _Header(NamedTuple):
     """Bytes before the data."""
 
 
-def read_pcd(path: Path, reading: Reading | None = None) -> StoredCloud:
+def read_pcd(path: Path, reading: Reading) -> StoredCloud:
     """A cloud from a PCD file: text, binary, or packed.
 
     Raises:
@@ -117,8 +117,6 @@ def read_pcd(path: Path, reading: Reading | None = None) -> StoredCloud:
             cloud = cloud_of(decided.points, header.comments, str(path))
     except ValueError as problem:
         raise CloudError(f"{path}: the points cannot be read: {str(problem)[:60]}.") from problem
-    except (OSError, EOFError) as problem:
-        raise CloudError(f"{path}: cannot be read: {getattr(problem, 'strerror', None) or problem}.") from problem
     return decided.stored(cloud, header.comments, ours=ours)
 
 
@@ -195,7 +193,7 @@ def _reading(file: BinaryIO, header: _Header, rest: int, path: Path) -> Callable
             if packed is not None:
                 block = _part_of(packed, dtype, count, start, some)
             elif header.encoding == "ascii":
-                block = _packed_again(numbers_of(text_lines(file, some), flat), dtype)
+                block = numbers_of(text_lines(file, some), flat).view(dtype)
             else:
                 block = np.fromfile(file, dtype, some)
             if len(block) != some:
@@ -237,14 +235,6 @@ def _flat(dtype: np.dtype) -> np.dtype:
     return np.dtype(numbers)
 
 
-def _packed_again(table: np.ndarray, dtype: np.dtype) -> np.ndarray:
-    records = np.empty(len(table), dtype)
-    for name in dtype.names or ():
-        parts = [table[f"{name}{k}"] for k in range(_of(dtype[name]))]
-        records[name] = np.stack(parts, -1) if dtype[name].shape else parts[0]
-    return records
-
-
 def _colour_of(dtype: np.dtype) -> str | None:
     """The field that holds a packed colour."""
     return next((name for name in ("rgb", "rgba") if name in (dtype.names or ()) and _is_colour(dtype[name])), None)
@@ -282,12 +272,11 @@ def _unpacked_colours(table: np.ndarray) -> np.ndarray:
 
 
 _LONG = {"nx": "normal_x", "ny": "normal_y", "nz": "normal_z"}
-_COLOURS = ("red", "green", "blue")
 _POINT = np.dtype(
     [(_LONG.get(name, name), POINT[name].str) for name in (POINT.names or ())[:6]]
     # The library packs a colour as 0x00rrggbb and calls the four bytes a float.
     + [("rgb", "<u4")]
-    + [(name, POINT[name].str) for name in (POINT.names or ())[6:] if name not in _COLOURS]
+    + [(name, POINT[name].str) for name in (POINT.names or ())[6:] if name not in COLOURS]
 )
 _KINDS = {"f": "F", "i": "I", "u": "U"}
 CELLS_PER_POINT = 16

@@ -189,15 +189,8 @@ LOCAL_WKT = (
 """OGC WKT of a frame in metres with z up."""
 
 _CODE_AT_END = re.compile(r'(?:AUTHORITY\["EPSG","(\d{1,6})"\]|ID\["EPSG",(\d{1,6})\])\s*\]\s*\Z')
-_TOKEN = re.compile(
-    r'"((?:[^"]|"")*)"|([A-Za-z_][A-Za-z_0-9]*)|([+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)|([\[\](),])', re.ASCII
-)
-_FLAT = {"PROJCS", "PROJCRS", "PROJECTEDCRS", "LOCAL_CS", "ENGCRS", "ENGINEERINGCRS", "GEOCCS", "BOUNDCRS"}
-_GLOBE = {"GEOGCS", "GEOGCRS", "GEOGRAPHICCRS", "GEODCRS", "GEODETICCRS"}
-_HEIGHTS = {"VERT_CS", "VERTCRS", "VERTICALCRS", "VERTCS"}
 _UNITS_OF_LENGTH = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937, 9036: 1000.0, 9030: 1852.0, 9096: 0.9144}
 """Metres of units by their EPSG codes, as GeoTIFF names them."""
-_LONGEST_WKT, _DEEPEST = 1 << 20, 8
 _MODEL, _PROJECTED, _LENGTH_UNIT, _LENGTH_SIZE, _HEIGHT_UNIT = 1024, 3072, 3076, 3077, 4099
 _BY_USER = 32767
 
@@ -243,13 +236,27 @@ class FileFrame(NamedTuple):
 
 
 def frame_of_wkt(wkt: str) -> FileFrame:
-    """Units of a WKT, of version 1 or 2: that of the map, and that of the heights where they have their own."""
-    nodes = _nodes(wkt)
-    flat = _unit_below(nodes, _FLAT)
-    if flat is None:
-        return FileFrame(in_degrees=bool(nodes) and any(name in _GLOBE for name, _, _ in nodes))
-    heights = _unit_below(nodes, _HEIGHTS) or flat
-    return FileFrame((flat, flat, heights))
+    """Units of a WKT, of version 1 or 2: that of the map, and that of the heights where they have their own.
+
+    Nothing is stated where PROJ does not understand it, or pyproj is not installed.
+    """
+    return _frame_of("from_wkt", wkt) if wkt else FileFrame()
+
+
+def _frame_of(known_by: Literal["from_wkt", "from_epsg"], what: str | int) -> FileFrame:
+    try:
+        import pyproj
+
+        crs = getattr(pyproj.CRS, known_by)(what)
+    except ImportError:
+        return FileFrame()
+    except pyproj.exceptions.CRSError:
+        return FileFrame()
+    if crs.is_geographic:
+        return FileFrame(in_degrees=True)
+    x, y, *z = [axis.unit_conversion_factor for axis in crs.axis_info] or (0.0, 0.0)
+    metres = x, y, z[0] if z else x
+    return FileFrame(metres) if 1e-6 < min(metres) <= max(metres) < 1e6 else FileFrame()
 
 
 def frame_of_keys(keys: Mapping[int, int], sizes: Mapping[int, float]) -> FileFrame:
@@ -264,7 +271,8 @@ def frame_of_keys(keys: Mapping[int, int], sizes: Mapping[int, float]) -> FileFr
     code = keys.get(_LENGTH_UNIT)
     flat = sizes.get(_LENGTH_SIZE) if code == _BY_USER else _UNITS_OF_LENGTH.get(code or 0)
     if flat is None and 0 < keys.get(_PROJECTED, 0) < _BY_USER:
-        flat = _unit_of_code(keys[_PROJECTED])
+        metres = _frame_of("from_epsg", keys[_PROJECTED]).metres
+        flat = None if metres is None else metres[0]
     if flat is None or not flat > 0:
         return FileFrame()
     return FileFrame((flat, flat, _UNITS_OF_LENGTH.get(keys.get(_HEIGHT_UNIT, 0), flat)))
@@ -274,56 +282,3 @@ def epsg_of_keys(keys: Mapping[int, int]) -> int | None:
     """The code of the map that the keys of a GeoTIFF name."""
     code = keys.get(_PROJECTED, 0)
     return code if 1024 <= code < _BY_USER else None
-
-
-def _unit_of_code(epsg: int) -> float | None:
-    """Metres of a unit of a map; None where nobody knows it."""
-    try:
-        import pyproj
-
-        factors = {axis.unit_conversion_factor for axis in pyproj.CRS.from_epsg(epsg).axis_info[:2]}
-    except ImportError:
-        return None
-    except pyproj.exceptions.CRSError:
-        return None
-    return float(factors.pop()) if len(factors) == 1 else None
-
-
-_Node = tuple[str, tuple[str, ...], list[str]]
-"""Keyword, keywords of the nodes around it, and the texts and numbers directly in it."""
-
-
-def _nodes(wkt: str) -> list[_Node]:
-    """All nodes of a WKT, in the order in which they begin."""
-    found: list[_Node] = []
-    open_: list[_Node] = []
-    word = ""
-    for match in _TOKEN.finditer(wkt[:_LONGEST_WKT]):
-        text, name, number, sign = match.groups()
-        if name is not None:
-            word = name.upper()
-        elif sign in ("[", "("):
-            node: _Node = (word, tuple(each[0] for each in open_[-_DEEPEST:]), [])
-            found.append(node)
-            open_.append(node)
-        elif sign in ("]", ")"):
-            if open_:
-                open_.pop()
-        elif sign is None and open_:
-            open_[-1][2].append(text if text is not None else number)
-    return found
-
-
-def _unit_below(nodes: list[_Node], kinds: set[str]) -> float | None:
-    """Metres of the unit of the first node of some kinds: its own, or that of its axes."""
-    for name, around, values in nodes:
-        own = around[-1:] and around[-1] in kinds
-        of_axis = len(around) > 1 and around[-1] == "AXIS" and around[-2] in kinds
-        if name in ("UNIT", "LENGTHUNIT") and (own or of_axis) and len(values) > 1:
-            try:
-                factor = float(values[1])
-            except ValueError:
-                continue
-            if 1e-6 < factor < 1e6:
-                return factor
-    return None

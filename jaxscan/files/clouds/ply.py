@@ -47,7 +47,7 @@ class _Property(NamedTuple):
 class _Element(NamedTuple):
     name: str
     rows: int
-    properties: tuple[_Property, ...]
+    properties: list[_Property]
 
     @property
     def dtype(self) -> np.dtype:
@@ -67,13 +67,13 @@ class _Element(NamedTuple):
 
 class _Header(NamedTuple):
     encoding: str
-    comments: tuple[str, ...]
-    elements: tuple[_Element, ...]
+    comments: list[str]
+    elements: list[_Element]
     length: int
     """Bytes before the data."""
 
 
-def read_ply(path: Path, reading: Reading | None = None) -> StoredCloud:
+def read_ply(path: Path, reading: Reading) -> StoredCloud:
     """A cloud from a PLY file, ASCII or binary.
 
     A file of this library is read onto its grid, unless its points are too few for so large a one. Of other
@@ -94,58 +94,45 @@ def read_ply(path: Path, reading: Reading | None = None) -> StoredCloud:
             cloud = cloud_of(decided.points, header.comments, str(path), profiles=profiles)
     except ValueError as problem:
         raise CloudError(f"{path}: vertex: not a table of numbers: {str(problem)[:60]}.") from problem
-    except (OSError, EOFError) as problem:
-        raise CloudError(f"{path}: cannot be read: {getattr(problem, 'strerror', None) or problem}.") from problem
     return decided.stored(cloud, header.comments, ours=ours)
 
 
 def _read_header(file: BinaryIO, path: Path) -> _Header:
     data = file.read(MAX_HEADER_BYTES)
-    end = data.find(b"end_header")
-    length = data.find(b"\n", end) + 1
-    if not data.startswith(b"ply") or end < 0 or length == 0:
+    last = data.find(b"end_header")
+    end = data.find(b"\n", last) + 1
+    if not data.startswith(b"ply") or last < 0 or end == 0:
         raise CloudError(f"{path}: not a PLY file, or its header does not end within {MAX_HEADER_BYTES >> 10} KiB.")
-    encoding = ""
+    encoding = order = ""
     comments: list[str] = []
-    elements: list[tuple[str, int, list[tuple[str, str, str]]]] = []
-    for line in data[:end].decode("latin-1").splitlines()[1:]:
+    elements: list[_Element] = []
+    for line in data[:last].decode("latin-1").splitlines()[1:]:
         words = line.split()
         match words:
             case []:
                 pass
             case ["comment" | "obj_info", *rest]:
                 comments.append(" ".join(rest))
-            case ["format", encoding, "1.0"] if encoding in _ORDERS:
-                pass
+            case ["format", encoding, "1.0"] if encoding in _ORDERS and not elements:
+                order = _ORDERS[encoding]
             case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 16:
-                elements.append((name, int(count), []))
+                elements.append(_Element(name, int(count), []))
             case ["property", "list", count, kind, name] if elements and count in _TYPES and kind in _TYPES:
-                elements[-1][2].append((name, _TYPES[kind], _TYPES[count]))
+                length = np.dtype(order + _TYPES[count])
+                elements[-1].properties.append(_Property(name, np.dtype(order + _TYPES[kind]), length))
             case ["property", kind, name] if elements and kind in _TYPES:
-                elements[-1][2].append((name, _TYPES[kind], ""))
+                elements[-1].properties.append(_Property(name, np.dtype(order + _TYPES[kind])))
             case _:
                 raise CloudError(f'{path}: found "{line[:60]}" in the header, which PLY does not know.')
     if not encoding:
         raise CloudError(f"{path}: the header names no known format.")
-    order = _ORDERS[encoding]
-    parsed = tuple(
-        _Element(
-            name,
-            rows,
-            tuple(
-                _Property(given, np.dtype(order + kind), np.dtype(order + count) if count else None)
-                for given, kind, count in properties
-            ),
-        )
-        for name, rows, properties in elements
-    )
-    for element in parsed:
+    for element in elements:
         names = [each.name for each in element.properties]
         if any(each.length is not None and each.length.kind == "f" for each in element.properties):
             raise CloudError(f"{path}: the header is wrong: a list has a number of items that is not whole.")
         if len(set(names)) < len(names):
             raise CloudError(f"{path}: the header is wrong: {element.name[:40]} has two properties of one name.")
-    return _Header(encoding, tuple(comments), parsed, length)
+    return _Header(encoding, comments, elements, end)
 
 
 def _read_tables(file: BinaryIO, header: _Header, size: int, path: Path) -> tuple[Records, np.ndarray | None]:

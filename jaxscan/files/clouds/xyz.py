@@ -59,7 +59,7 @@ def write_xyz(cloud: PointCloud, path: Part, about: About) -> None:
             file.writelines(line % (*position, *(() if plain else colour)) for position, colour in rows)
 
 
-def read_xyz(path: Path, reading: Reading | None = None) -> StoredCloud:
+def read_xyz(path: Path, reading: Reading) -> StoredCloud:
     """The points of a table of numbers, as a single profile.
 
     Columns are those of the line of names where there is one; else x, y, z, and what their numbers show: three whole
@@ -69,7 +69,6 @@ def read_xyz(path: Path, reading: Reading | None = None) -> StoredCloud:
     Raises:
         CloudError: If it is no table of numbers, has no points, or can be read in two ways.
     """
-    reading = reading or Reading()
     with open_regular(path, error=CloudError) as file:
         size = os.fstat(file.fileno()).st_size
         try:
@@ -82,7 +81,7 @@ def read_xyz(path: Path, reading: Reading | None = None) -> StoredCloud:
                 str(path),
                 reading=reading,
                 columns=Columns({name: k for k, name in enumerate(points.dtype.names or ())}, columns.unused),
-                reached=seen.extent.colours(columns),
+                reach=seen.extent.colours(columns),
                 by=by,
             )
             cloud = cloud_of(decided.points, [], str(path))
@@ -241,11 +240,14 @@ class _Table(NamedTuple):
         comments = tuple(one for one in before if one != title)
         return _Table(file, start, size, dialect, titles, title, width, texts, comments, stated)
 
-    def read(self) -> Iterator[tuple[int, np.ndarray]]:
+    def read(self, notes: list[str]) -> Iterator[tuple[int, np.ndarray]]:
         """The numbers, float64 [n, width], some lines at a time, each with the number of its scan; words are NaN.
 
+        Args:
+            notes: A sentence is added for each scan with more points than the file says.
+
         Raises:
-            ValueError: If a line is no row of the table, or a scan has fewer points than it says.
+            ValueError: If a line is no row of the table, or a scan has fewer points than the file says.
         """
         self.file.seek(self.start)
         lines, dialect, scan = text_lines(self.file, self.size), self.dialect, 0
@@ -270,7 +272,7 @@ class _Table(NamedTuple):
                 # Another scan; it may have both.
                 yield from taken()
                 if found:
-                    _check_count(stated, found, scan)
+                    notes += _count_notes(stated, found, scan)
                     scan, stated, found = scan + 1, None, 0
                 stated = int(text) if counted else stated
                 continue
@@ -278,7 +280,7 @@ class _Table(NamedTuple):
             if len(plain) == _BLOCK_LINES:
                 yield from taken()
         yield from taken()
-        _check_count(stated, found, scan)
+        notes += _count_notes(stated, found, scan)
 
     def _without_words(self, text: str) -> str:
         cells = self.dialect.cells(text)
@@ -287,9 +289,14 @@ class _Table(NamedTuple):
         return " ".join("nan" if k in self.texts else self.dialect.number(cell) for k, cell in enumerate(cells))
 
 
-def _check_count(stated: int | None, found: int, scan: int) -> None:
-    if stated is not None and found < stated:
-        raise ValueError(f"scan {scan + 1} says that it has {stated} points, and has {found}")
+def _count_notes(stated: int | None, found: int, scan: int) -> list[str]:
+    """A note where a scan has more points than its first line says; with fewer the file is cut short."""
+    if stated is None or found == stated:
+        return []
+    said = f"scan {scan + 1} says that it has {stated} points, and has {found}"
+    if found < stated:
+        raise ValueError(said)
+    return [f"{said}: all are read"]
 
 
 def _titles_of(before: list[str], dialect: _Dialect, width: int, path: Path) -> tuple[tuple[str, ...], str]:
@@ -337,7 +344,8 @@ class _Seen(NamedTuple):
 def _look_through(table: _Table) -> _Seen:
     points, extent, scans = 0, None, 0
     kept: list[np.ndarray] | None = []
-    for scan, rows in table.read():
+    notes: list[str] = []
+    for scan, rows in table.read(notes):
         points += len(rows)
         if kept is not None:
             kept = [*kept, rows] if points * rows[:1].nbytes <= _MOST_KEPT else None
@@ -346,8 +354,8 @@ def _look_through(table: _Table) -> _Seen:
         scans = max(scans, scan + 1)
     if extent is None:
         raise ValueError("it has no rows")
-    words = (f"{scans} scans, one behind the other, in one frame",) if scans > 1 else ()
-    return _Seen(points, extent, words, kept)
+    words = [f"{scans} scans, one behind the other, in one frame"] if scans > 1 else []
+    return _Seen(points, extent, (*words, *notes), kept)
 
 
 def _columns_of(table: _Table, seen: _Seen, reading: Reading, path: Path) -> tuple[Columns, str]:
@@ -376,7 +384,7 @@ def _used(table: _Table, columns: Columns, seen: _Seen) -> Records:
     kinds = np.dtype([(name, "f4" if name in COLOURS else "f8") for name in columns.places])
 
     def read() -> Iterator[np.ndarray]:
-        for rows in (rows for _, rows in table.read()) if seen.rows is None else seen.rows:
+        for rows in (rows for _, rows in table.read([])) if seen.rows is None else seen.rows:
             points = np.empty(len(rows), kinds)
             for name, k in columns.places.items():
                 with np.errstate(over="ignore"):

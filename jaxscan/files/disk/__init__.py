@@ -11,7 +11,7 @@ if TYPE_CHECKING:
         forget_partials,
         partial_file,
         partial_folder,
-        remove_left,
+        remove_stale,
         whole_folder,
         write_atomically,
         write_together,
@@ -28,11 +28,13 @@ if TYPE_CHECKING:
     )
     from jaxscan.files.disk.lock import FolderLock
     from jaxscan.files.disk.reading import (
+        COPY_FIRST,
         MAX_DEPTH,
         MEGABYTE,
         NO_LINK,
         check_name,
         file_digest,
+        is_address,
         is_deep,
         open_regular,
         parse_json,

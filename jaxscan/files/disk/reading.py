@@ -1,4 +1,4 @@
-"""Reading files of strangers: only regular files, of bounded size, with names that can be shown."""
+"""Reading untrusted files: only regular files, of bounded size, with names that can be shown."""
 
 import contextlib
 import errno
@@ -7,6 +7,7 @@ import io
 import itertools
 import json
 import os
+import re
 import stat
 from collections.abc import Iterator
 from pathlib import Path
@@ -101,6 +102,16 @@ def shown(path: str | Path) -> str:
     """A path for a message: names that are too long for any file system are cut."""
     text = str(path)
     return text if len(text) <= 1024 else f"{text[:512]}...{text[-256:]}"
+
+
+_ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/")
+COPY_FIRST = "copy it to a disk first, such as with aws s3 sync or rclone"
+"""The remedy where `is_address` holds."""
+
+
+def is_address(path: str | Path) -> bool:
+    """Whether a text is an address, such as s3://bucket/room, and no path; a drive has only one letter."""
+    return _ADDRESS.match(str(path)) is not None
 
 
 MAX_DEPTH = 64

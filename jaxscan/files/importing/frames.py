@@ -12,7 +12,8 @@ import numpy as np
 from jaxscan.errors import CaptureError, OptionError
 from jaxscan.files.capture import cores
 from jaxscan.files.disk import MEGABYTE, open_regular, read_bounded
-from jaxscan.files.importing.plan import PlannedRecord, Source
+from jaxscan.files.importing.listing import Source
+from jaxscan.files.importing.plan import PlannedRecord
 from jaxscan.geometry import MAX_PIXELS
 from jaxscan.stripes import DEEP_BITS
 
@@ -212,7 +213,7 @@ class FrameReader:
 
 
 def open_video(folder: Path, name: str) -> "Video":
-    """A video in a stranger's folder.
+    """A video in an untrusted folder.
 
     Raises:
         CaptureError: If it is a link, no regular file, or no video.

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from jaxscan.errors import CaptureError, OptionError
 from jaxscan.files.capture import BoardTable
 from jaxscan.files.disk import MEGABYTE, read_bounded
-from jaxscan.files.importing.listing import Matched
+from jaxscan.files.importing.listing import Matched, Source
 from jaxscan.geometry.motions import Carries
 
 
@@ -255,7 +255,7 @@ _MOST = 1e5
 
 @dataclass(frozen=True)
 class ImportRequest:
-    """The wishes of a user, as far as they decide on records; everything may be left open."""
+    """The user's choices, as far as they decide on records; everything may be left open."""
 
     on: tuple[str, ...] = ()
     """Patterns of laser-on images: one, one for each laser, or one for each exposure."""
@@ -275,16 +275,6 @@ class ImportRequest:
     """Names of the lasers."""
     every: int = 1
     """Take every n-th frame of a video."""
-
-
-class Source(NamedTuple):
-    """An image file, or a frame of a video."""
-
-    name: str
-    frame: int | None = None
-
-    def __str__(self) -> str:
-        return self.name if self.frame is None else f"{self.name}#{self.frame}"
 
 
 class PlannedRecord(NamedTuple):
@@ -335,9 +325,9 @@ def plan_records(folder: Path, roles: Roles, request: ImportRequest) -> ImportPl
     """Pair the images and give them angles.
 
     Args:
-        folder: The stranger's folder.
+        folder: The folder of the images.
         roles: Its images.
-        request: The wishes of the user.
+        request: The user's choices.
 
     Raises:
         OptionError: If an option is missing or does not fit the images.
@@ -347,43 +337,40 @@ def plan_records(folder: Path, roles: Roles, request: ImportRequest) -> ImportPl
     columns = pair(roles.on, roles.off, len(exposures))
     said = [*roles.said, *columns.said]
     first = [step[0] for step in columns.on[0][1]] if columns.on else list(roles.boards)
-    names = [str(Source(one.name, one.frame)) for one in first]
-    places, sentence = _places([one.key for one in first], names, roles.step_deg, request)
+    places, sentence = _places(first, roles.step_deg, request)
     said += [f"{'positions' if request.carries == 'linear' else 'angles'}: {sentence}"] if sentence else []
     records = _with_laser(columns, places, several=len({name for name, _ in columns.on}) > 1)
-    if roles.boards and columns.on:
-        # Boards beside pairs: of other poses, so they take no part in the turning.
-        records += [PlannedRecord((), (Source(one.name, one.frame),), RecordPlace(None), None) for one in roles.boards]
-    elif roles.boards:
-        records = [
-            PlannedRecord((), (Source(one.name, one.frame),), place, None)
-            for one, place in zip(roles.boards, places, strict=True)
-        ]
+    # Boards beside pairs are in other poses, so they take no part in the turning.
+    of_boards = [RecordPlace(None)] * len(roles.boards) if columns.on else places
+    records += [
+        PlannedRecord((), (one.source,), place, None)
+        for one, place in zip(roles.boards, of_boards if roles.boards else (), strict=True)
+    ]
     rows = [Row(f"laser on{f' ({name})' if name else ''}", _sources(steps)) for name, steps in columns.on]
     rows += [Row("laser off", _sources(columns.off))] if columns.off else []
-    rows += [Row("board, no laser", tuple(Source(one.name, one.frame) for one in roles.boards))] if roles.boards else []
+    rows += [Row("board, no laser", _sources([roles.boards]))] if roles.boards else []
     names_of_lasers = tuple(dict.fromkeys(name or "laser" for name, _ in columns.on))
     return ImportPlan(folder, tuple(records), tuple(rows), tuple(said), names_of_lasers, request, exposures)
 
 
 def _sources(steps: Sequence[Sequence[Matched]]) -> tuple[Source, ...]:
-    return tuple(Source(one.name, one.frame) for step in steps for one in step)
+    return tuple(one.source for step in steps for one in step)
 
 
 def _with_laser(columns: RecordImages, places: Sequence[RecordPlace], *, several: bool) -> list[PlannedRecord]:
     made = []
     for at, place in enumerate(places if columns.on else []):
-        off = tuple(Source(one.name, one.frame) for one in columns.off[at]) if columns.off else ()
+        off = _sources(columns.off[at : at + 1])
         for name, steps in columns.on:
-            lit = tuple(Source(one.name, one.frame) for one in steps[at])
-            made.append(PlannedRecord(lit, off, place, name if several else None))
+            made.append(PlannedRecord(_sources(steps[at : at + 1]), off, place, name if several else None))
     return made
 
 
 def _places(
-    keys: Sequence[tuple[int | str, ...]], names: Sequence[str], known: float | None, request: ImportRequest
+    first: Sequence[Matched], known: float | None, request: ImportRequest
 ) -> tuple[list[RecordPlace], str | None]:
-    """The table's angle, or the position of the stage, in every record."""
+    """The table's angle, or the position of the stage, in every record, by the first image of each."""
+    keys = [one.key for one in first]
     words = _MILLIMETRES if request.carries == "linear" else _DEGREES
     step = known if request.step is None else request.step
     if request.step is not None and request.places is not None:
@@ -391,7 +378,7 @@ def _places(
     if step is not None and not abs(step) * max(1, len(keys)) <= _MOST:
         raise OptionError(f"{words.step}: found {step:g}, expected {words.between}.")
     if request.places is not None:
-        places, said = by_file(request.places, names)
+        places, said = by_file(request.places, [str(one.source) for one in first])
     elif step is not None:
         places, said = by_step(keys, step, words.unit)
         if request.board is not None:

@@ -1,4 +1,4 @@
-"""From a stranger's folder to a plan, and from a plan to a capture."""
+"""Plan the import of a folder of images, and write the capture that was planned."""
 
 import itertools
 import os
@@ -14,10 +14,10 @@ from jaxscan.files.capture import Capture, CaptureHeader, open_capture
 from jaxscan.files.disk import check
 from jaxscan.files.importing.frames import FrameKind, FrameReader
 from jaxscan.files.importing.listing import list_images
-from jaxscan.files.importing.plan import ImportPlan, ImportRequest, PlannedRecord, Source, plan_records
+from jaxscan.files.importing.plan import ImportPlan, ImportRequest, PlannedRecord, plan_records
 from jaxscan.files.importing.roles import find_roles
 from jaxscan.files.recording import create_capture, whole_capture
-from jaxscan.stripes import ExposurePair, LearnedResponse, learn_response, to_8_bits
+from jaxscan.stripes import ExposurePair, LearnedResponse, learn_response
 
 
 Progress = Callable[[int, int], None]
@@ -31,7 +31,7 @@ _LOOKED_AT = 24
 
 @dataclass(frozen=True)
 class ImageSettings:
-    """Properties of camera, lasers and table that no image says."""
+    """Properties of camera, lasers and table that images do not hold."""
 
     pixel_format: str | None = None
     """Pixel format; None for that of the images, grey or colour."""
@@ -75,8 +75,8 @@ def describe_images(plan: ImportPlan, settings: ImageSettings) -> ImportedHeader
         CaptureError: If an image cannot be read.
         OptionError: If the response cannot be learned, or a setting does not fit.
     """
-    first = _first(plan)
     sources = [source for record in plan.records for source in (*record.on, *record.off)]
+    first = sources[0]
     names = [source.name for source in sources]
     some = [sources[at] for at in np.unique(np.linspace(0, len(sources) - 1, _LOOKED_AT).astype(int))]
     with FrameReader(plan.folder) as reader:
@@ -96,7 +96,7 @@ def describe_images(plan: ImportPlan, settings: ImageSettings) -> ImportedHeader
         "response": settings.response if learned is None else learned.response,
         "up": settings.up,
         "shutter": settings.shutter,
-        "bits": kind.depth.bits if deep and kind.depth is not None and plan.request.board is None else None,
+        "bits": kind.depth.bits if deep and kind.depth is not None else None,
         "compression": kind.compression or ("jpeg" if any(_is_jpeg(name) for name in names) else None),
     }
     rank = 3 if camera["pixel_format"] == "rgb8" else 2
@@ -148,10 +148,6 @@ def write_import(plan: ImportPlan, found: ImportedHeader, target: Path, progress
     return open_capture(target)
 
 
-def _first(plan: ImportPlan) -> Source:
-    return next(source for record in plan.records for source in (*record.on, *record.off))
-
-
 def _is_jpeg(name: str) -> bool:
     return name.lower().endswith((".jpg", ".jpeg"))
 
@@ -170,10 +166,6 @@ def _extra(record: PlannedRecord, *, linear: bool) -> dict[str, Any]:
 def _given(images: list[np.ndarray], exposures_s: tuple[float, ...], found: ImportedHeader) -> Any:
     if not images:
         return None
-    depth = found.kind.depth
-    if depth is not None and depth.bits > 8:
-        # The corners of a board are found in bytes.
-        return images[0] if found.header.camera.bits else to_8_bits(images[0], depth.bits)
     return list(zip(images, exposures_s, strict=True)) if exposures_s else images[0]
 
 

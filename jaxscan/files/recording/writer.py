@@ -31,9 +31,8 @@ from jaxscan.files.disk import (
     check_name,
     make_folder,
     open_to_append,
-    partial_folder,
     reported,
-    sync_to_disk,
+    whole_folder,
     write_atomically,
 )
 from jaxscan.files.recording.store import Storage, WriteSettings, image_store
@@ -133,16 +132,11 @@ def whole_capture(target: Path) -> Iterator[Path]:
     """
     target = Path(os.path.abspath(target))
     check_new_folder(target)
-    with reported(f"{target}: cannot be created", error=CaptureError), partial_folder(target) as part:
+    # Waits for the disk at the end, so that the source may be deleted afterwards.
+    with reported(f"{target}: cannot be created", error=CaptureError), whole_folder(target) as part:
         yield part
         # Check again: a folder may have appeared in the meantime.
         check_new_folder(target)
-        # Wait for the disk here, once, so that the source may be deleted afterwards.
-        for place, _, names in os.walk(part):
-            for name in (*names, ""):
-                sync_to_disk(Path(place, name))
-        os.rename(part, target)
-        sync_to_disk(target.parent)
 
 
 def check_new_folder(target: str | Path) -> None:

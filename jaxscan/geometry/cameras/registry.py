@@ -1,17 +1,41 @@
-"""The camera models, by name."""
+"""The camera models, by name; the file of a model has its name, and is loaded when the model is first asked for."""
 
+import functools
+from collections.abc import Iterator, Mapping
+from importlib import import_module
 from typing import TYPE_CHECKING, Literal
 
-from jaxscan.geometry.cameras.camera import AbstractCamera
-from jaxscan.geometry.cameras.double_sphere import DoubleSphere
-from jaxscan.geometry.cameras.fisheye import Fisheye
-from jaxscan.geometry.cameras.pinhole import Pinhole
 
+if TYPE_CHECKING:
+    from jaxscan.geometry.cameras.camera import AbstractCamera
 
-CAMERAS: dict[str, type[AbstractCamera]] = {camera.model: camera for camera in (Pinhole, Fisheye, DoubleSphere)}
-"""All camera models by name."""
+MODELS = ("pinhole", "fisheye", "double_sphere")
+"""Names of the models. To add one: a file of its name with its class, and its name here."""
 
 if TYPE_CHECKING:
     CameraModel = str
 else:
-    CameraModel = Literal[tuple(CAMERAS)]
+    CameraModel = Literal[MODELS]
+
+
+class _Models(Mapping[str, "type[AbstractCamera]"]):
+    def __getitem__(self, name: str) -> "type[AbstractCamera]":
+        if name not in MODELS:
+            raise KeyError(name)
+        return _load(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(MODELS)
+
+    def __len__(self) -> int:
+        return len(MODELS)
+
+
+@functools.cache
+def _load(name: str) -> "type[AbstractCamera]":
+    file = import_module(f"jaxscan.geometry.cameras.{name}")
+    return next(one for one in vars(file).values() if isinstance(one, type) and getattr(one, "model", None) == name)
+
+
+CAMERAS: Mapping[str, "type[AbstractCamera]"] = _Models()
+"""All camera models by name."""

@@ -14,7 +14,8 @@ class Sight(NamedTuple):
     """One record as the laser's colour shows it."""
 
     on: np.ndarray
-    """Plane of the laser-on frame, uint8 [lines, samples]."""
+    """Plane of the laser-on frame [lines, samples]: uint8, or uint16 in the finest steps of more than 8 bits; these
+    are the DN of all that is found in it."""
     off: np.ndarray
     """Plane of the laser-off frame."""
     lamp_ratio: float
@@ -24,6 +25,16 @@ class Sight(NamedTuple):
     frames: FrameFormat
     line: LaserLine
     noise: NoiseModel
+    """In DN of the planes."""
+    steps: int = 1
+    """DN of the planes that are one of 8 bits."""
+
+    def decoded(self, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Linear levels of some codes [DN], and how much they grow with the code [1]; more than 8 bits are linear."""
+        if self.steps > 1:
+            return codes.astype(np.float64), np.ones(codes.shape)
+        level, slope = decode_table(self.frames.response)
+        return level[codes], slope[codes]
 
 
 class Windows(NamedTuple):
@@ -61,19 +72,20 @@ def cut_windows(sight: Sight, line: np.ndarray, centre: np.ndarray, half: int) -
     lines, samples = sight.on.shape
     at = np.clip(row, 0, lines - 1)[:, None], np.clip(index, 0, samples - 1)
     on, off = sight.on[at], sight.off[at]
-    level, slope = decode_table(sight.frames.response)
-    dark = level[off]
+    lit, lit_slope = sight.decoded(on)
+    dark, dark_slope = sight.decoded(off)
     # `NoiseModel.variance` holds the rounding of a linear frame.
-    dark_variance = noise.variance(dark) + (slope[off] ** 2 - 1.0) / 12.0
+    dark_variance = noise.variance(dark) + (dark_slope**2 - 1.0) / 12.0
     # Brighter lamps bring more photons, and neither more read noise nor coarser codes.
     room = (
         noise.variance(dark)
         + (sight.lamp_ratio - 1.0) * np.maximum(dark - noise.black_dn, 0.0) / noise.electrons_per_dn
     )
-    variance = room + (slope[on] ** 2 - 1.0) / 12.0
+    variance = room + (lit_slope**2 - 1.0) / 12.0
     variance = variance + sight.lamp_ratio**2 * dark_variance
-    used = (index >= 0) & (index < samples) & (on < _CLIPPED_DN) & (off < _CLIPPED_DN)
-    light = level[on] - sight.lamp_ratio * dark
+    clipped = _CLIPPED_DN * sight.steps
+    used = (index >= 0) & (index < samples) & (on < clipped) & (off < clipped)
+    light = lit - sight.lamp_ratio * dark
     place = sites.pitch * np.arange(-half, half + 1, dtype=np.float64)
     windows = Windows(light, np.maximum(variance, 0.05), dark, dark_variance, used, noise.electrons_per_dn, place)
     return windows, offset + sites.pitch * middle

@@ -6,7 +6,7 @@ from jaxscan.recalibration import PanoramaOfWalls, Recalibration
 from jaxscan.report.drawing import as_svg
 from jaxscan.report.html import Html, bullets, element, joined, page, section, table
 from jaxscan.report.recalibration import plots, words
-from jaxscan.report.words import metres, millimetres, sentence
+from jaxscan.report.words import length_words, millimetres, sentence
 
 
 MAX_PANORAMAS = 6
@@ -49,8 +49,7 @@ def _verdict(result: Recalibration) -> Html:
     tiles = [
         _tile(
             f"± {millimetres(one.after_mm)}",
-            f"{metres(one.length_m)} {'half a turn apart' if one.name == 'half a turn' else one.name}; "
-            f"before ± {millimetres(one.before_mm)}",
+            f"{length_words(one.name, one.length_m, one.depth_m)}; before ± {millimetres(one.before_mm)}",
         )
         for one in result.lengths
     ]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from jaxscan.recalibration import Drift, Gain, Moved, PanoramaOfWalls, Recalibration
-from jaxscan.report.words import Headline, metres, millimetres, sentence
+from jaxscan.report.words import Headline, length_words, millimetres, sentence
 
 
 SMALLEST_P = 1e-6
@@ -54,11 +54,10 @@ def length_lines(result: Recalibration) -> list[str]:
     lasers = {one.laser for one in result.lengths}
     lines = []
     for one in result.lengths:
-        turned = one.name == "half a turn"
-        place = "between points half a turn apart" if turned else f"{one.name} at {metres(one.depth_m)}"
+        words = length_words(one.name, one.length_m, one.depth_m)
         beside = f", laser {one.laser}" if len(lasers) > 1 else ""
         change = f"{millimetres(one.before_mm)} before, {millimetres(one.after_mm)} now"
-        lines.append(f"{metres(one.length_m)} {place}{beside}: {change}{_times(one.before_mm, one.after_mm)}")
+        lines.append(f"{words}{beside}: {change}{_times(one.before_mm, one.after_mm)}")
     return lines
 
 

@@ -21,5 +21,14 @@ from jaxscan.stripes.frames.formats import (
 from jaxscan.stripes.frames.learn_colour import with_colour
 from jaxscan.stripes.frames.learn_noise import LearnedNoise, learn_noise, speckle_words
 from jaxscan.stripes.frames.learn_response import ExposurePair, LearnedResponse, learn_response
-from jaxscan.stripes.frames.levels import DEEP_BITS, clear_level, level_exposures, split_levels, to_8_bits
+from jaxscan.stripes.frames.levels import (
+    DEEP_BITS,
+    DEEP_FORMATS,
+    clear_level,
+    finest_steps,
+    join_levels,
+    level_exposures,
+    split_levels,
+    to_8_bits,
+)
 from jaxscan.stripes.frames.noise import estimate_noise

@@ -8,11 +8,21 @@ the noise. So all that finds stripes works on bytes, whatever the camera gives.
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
+from jaxscan.stripes.frames.formats import PIXEL_FORMATS, PixelFormat
+
 
 DEEP_BITS = (10, 12, 14, 16)
 """Bits of a sample that can be kept as levels."""
+DEEP_FORMATS: dict[str, tuple[PixelFormat, int]] = {
+    f"{lying.removesuffix('8')}{bits}": (lying, bits)
+    for lying in PIXEL_FORMATS
+    if lying != "rgb8"
+    for bits in DEEP_BITS
+}
+"""Pixel formats of cameras of more than 8 bits, such as "mono12": how their pixels lie, and their bits."""
 _STEP_BITS, _MOST = 2, 3
 _TOP = 250
+_CLIPPED = 255
 
 
 def level_shifts(bits: int) -> tuple[int, ...]:
@@ -36,6 +46,29 @@ def split_levels(frame: UInt16[np.ndarray, "rows columns *rgb"], bits: int) -> l
         bits: One of `DEEP_BITS`.
     """
     return [(_rounded(frame, shift), 2.0**-shift) for shift in level_shifts(bits)]
+
+
+def join_levels(levels: UInt8[np.ndarray, "levels *frame"], bits: int) -> UInt16[np.ndarray, "*frame"]:
+    """The frame that some levels hold, in the finest steps: of each pixel from the finest level that is not clipped.
+
+    Args:
+        levels: As of `split_levels`, the level of the whole range first.
+        bits: Bits of a sample.
+
+    Returns:
+        Samples, of which `finest_steps` are one of a frame of 8 bits.
+    """
+    shifts = level_shifts(bits)
+    joined = levels[0].astype(np.uint16) << (shifts[0] - shifts[-1])
+    for level, shift in zip(levels[1:], shifts[1:], strict=True):
+        joined = np.where(level < _CLIPPED, level.astype(np.uint16) << (shift - shifts[-1]), joined)
+    return joined
+
+
+def finest_steps(bits: int) -> int:
+    """How many of the finest steps that are kept are one step of 8 bits."""
+    shifts = level_shifts(bits)
+    return 1 << shifts[0] - shifts[-1]
 
 
 def to_8_bits(frame: UInt16[np.ndarray, "rows columns *rgb"], bits: int) -> UInt8[np.ndarray, "rows columns *rgb"]:

@@ -4,19 +4,20 @@ import dataclasses
 import logging
 import re
 
-from scanrig.clock import Clock, SystemClock
+from scanrig.clock import Clock
 from scanrig.controllers.controller import (
+    Controller,
     ControllerTable,
     Firmware,
     GrblTable,
     Guarantees,
     LinkCounts,
     Reconnection,
-    SafelyClosed,
     Settings,
     ShotDone,
     State,
     Status,
+    with_growing_pauses,
 )
 from scanrig.controllers.grbl.lines import (
     BOOT_S,
@@ -33,8 +34,10 @@ from scanrig.controllers.grbl.lines import (
     read_settings,
 )
 from scanrig.errors import Fault, FirmwareError, LinkLost, PortError, Reason, Refused, RigError, RigFault, RigTimeout
-from scanrig.wire import Link, choose_port, find_again, identify, open_serial
+from scanrig.wire import Link, open_port
 
+
+log = logging.getLogger(__name__)
 
 AWAKE_S = 0.5
 _TOLERANCE = 1e-4
@@ -50,7 +53,7 @@ def wake(lines: GrblLines) -> None:
     lines.write(b"\n" + QUERY)
     give_up = lines.clock.now() + AWAKE_S
     while (left := give_up - lines.clock.now()) > 0:
-        texts = lines.read(left, tell_reset=False)
+        texts = lines.read(left, raise_resets=False)
         if any(read_report(text) for text in texts):
             return
         if lines.greeting and any(text == lines.greeting for text in texts):
@@ -148,153 +151,11 @@ REST_S = 10.0
 _STILL = 3
 """Reports of standstill after which a motion is over, wherever it ended."""
 
-
 _FAULTS = {"Door": Fault.EMERGENCY_STOP, "Sleep": Fault.ASLEEP, "Tool": Fault.TOOL_CHANGE}
 
 
-class TableAxis:
-    """The axis that turns the table, in microsteps from home.
-
-    Attributes:
-        units: units of the axis.
-        zero: coordinate of the axis at home; None while home is not known.
-        lost: whether home was known and was lost.
-    """
-
-    def __init__(self, lines: GrblLines, table: GrblTable, units: TableUnits) -> None:
-        self.units = units
-        self.zero: float | None = None
-        self.lost = False
-        self._lines, self._table = lines, table
-
-    def position(self, report: Report) -> int:
-        """The table's position in a report; counted from the axis's own zero while home is not known."""
-        return self.units.microsteps(self._reported(report) - (self.zero or 0.0))
-
-    def forget_home(self) -> None:
-        """Mark home as lost."""
-        self.lost = self.lost or self.zero is not None
-        self.zero = None
-
-    def find_home(self, speed: int, timeout_s: float) -> None:
-        """Search for the home switch; without a switch, home is the position at the first call.
-
-        Raises:
-            Refused: there is no switch, and the table's position was lost.
-            RigFault, RigTimeout: as for `go`.
-        """
-        lines = self._lines
-        if self._table.home:
-            self.zero, lines.alarm = None, None
-            if not lines.ask_long(self._table.home, timeout_s):
-                lines.reset()
-                raise RigTimeout(f"homing did not end within {timeout_s:.1f} s; it was stopped")
-            self._await_rest("homing", timeout_s)
-        elif self.zero is not None:
-            self.go(0, speed, timeout_s)
-        elif self.lost:
-            why = "there is no home switch, and where the table stands is not known any more"
-            raise Refused(Reason.NO_SUCH_PART, "home", why)
-        self.zero, self.lost = self._reported(lines.report()), False
-
-    def go(self, to: int, speed: int, timeout_s: float) -> int:
-        """Turn to a position and wait until the table stands still.
-
-        Args:
-            to: Microsteps from home.
-            speed: Microsteps per second.
-
-        Returns:
-            The position where it stands.
-
-        Raises:
-            RigFault: An alarm ended the motion.
-            RigTimeout: The motion did not end in time and was stopped.
-        """
-        target = (self.zero or 0.0) + self.units.units(to)
-        feed = 60 * speed / self.units.steps_per_unit
-        self._lines.ask(f"G21 G90 G94 G53 G1 {self._table.axis}{target:.4f} F{feed:.2f}")
-        return self._await_rest(f"moving to {to}", timeout_s, at=to)
-
-    def come_to_rest(self) -> bool:
-        """Stop the table; returns whether it was turning or held on its way."""
-        report = self._lines.report()
-        turned = report.moving or report.state == "Hold"
-        give_up = self._lines.clock.now() + REST_S
-        while report.moving and report.state != "Home":
-            if self._lines.clock.now() >= give_up:
-                raise LinkLost(f"{self._lines.link.name}: the table did not come to rest")
-            self._lines.write(HOLD)
-            self._lines.clock.sleep(POLL_S)
-            report = self._lines.report()
-        return turned
-
-    def fault(self, report: Report) -> Fault | None:
-        """The fault in a report, or None; home is lost after most faults."""
-        number = self._alarm(report)
-        if report.state == "Hold" and not report.moving:
-            # A table that is held has lost nothing.
-            return Fault.HELD
-        if report.state in _FAULTS:
-            fault = _FAULTS[report.state]
-        elif report.state == "Alarm" and number is not None:
-            fault = self._lines.dialect.alarms.get(number, Fault.UNKNOWN)
-        else:
-            return None
-        if number != 2:
-            self.forget_home()
-        return fault
-
-    def raise_fault(self, report: Report) -> None:
-        """Raise the fault in a report, if there is one."""
-        if (fault := self.fault(report)) is not None:
-            raise RigFault(fault, self.position(report), self.words(report))
-
-    def words(self, report: Report) -> str:
-        """What the board says of its fault."""
-        number, name = self._alarm(report), self._lines.dialect.name
-        if report.state == "Door":
-            door = "is open: close it" if report.part else "was open, and is closed again"
-            return f"{name} says Door:{report.part}: its safety door, or what is wired to that pin, {door}"
-        if number is not None:
-            return f"{name} says ALARM:{number}"
-        return f"{name} says {report.state}"
-
-    def _alarm(self, report: Report) -> int | None:
-        """The number of the alarm in a report, or said before it; None for the lock of a board that is not homed."""
-        number = report.part if report.state == "Alarm" and report.part else self._lines.alarm
-        return None if number in self._lines.dialect.unhomed else number
-
-    def _await_rest(self, motion: str, timeout_s: float, at: int | None = None) -> int:
-        """Wait until the table stands still; at another position than `at`, in several reports."""
-        clock = self._lines.clock
-        give_up = clock.now() + timeout_s
-        still = 0
-        while True:
-            report = self._lines.report()
-            self.raise_fault(report)
-            position = self.position(report)
-            still = still + 1 if report.state == "Idle" else 0
-            if still >= _STILL or (still and position == at):
-                return position
-            if clock.now() >= give_up:
-                self.come_to_rest()
-                self._lines.reset()
-                raise RigTimeout(f"{motion} did not end within {timeout_s:.1f} s; it was stopped")
-            clock.sleep(POLL_S)
-
-    def _reported(self, report: Report) -> float:
-        at = report.position(self._table.axis)
-        if at is None:
-            raise RigError(f"{self._lines.link.name}: its reports have no position of the machine; type $10=1")
-        return at
-
-
-log = logging.getLogger(__name__)
-
-
-class GrblController(SafelyClosed):
-    """A session with a GRBL board; `Controller` documents the methods."""
+class GrblController(Controller):
+    """A session with a GRBL board."""
 
     guarantees = Guarantees(
         laser_off_without_host=False, knows_missed_steps=False, hardware_trigger=False, checked_lines=False
@@ -303,7 +164,11 @@ class GrblController(SafelyClosed):
     def __init__(self, lines: GrblLines, table: GrblTable, units: TableUnits) -> None:
         """Nothing is sent yet."""
         self._lines, self._table = lines, table
-        self._axis = TableAxis(lines, table, units)
+        self._units = units
+        self._zero: float | None = None
+        """Coordinate of the axis at home; None while home is not known."""
+        self._lost = False
+        """Whether home was known and was lost."""
         self._settings: Settings | None = None
         self._boot = 0
         self._enabled = self._armed = self._lit = False
@@ -330,31 +195,28 @@ class GrblController(SafelyClosed):
             raise FirmwareError(
                 f"controller.grbl.laser_on: found {known} commands, expected one for each of {settings.lasers} lasers"
             )
-        self._axis.units = dataclasses.replace(self._axis.units, reverse=settings.reverse)
+        self._units = dataclasses.replace(self._units, reverse=settings.reverse)
         if self._table.check_settings:
-            require_fit(self._lines, self._table, self._axis.units, settings)
+            require_fit(self._lines, self._table, self._units, settings)
         self._settings = settings
 
     def reconnect(self, timeout_s: float = 60.0) -> Reconnection:
         """Find the board again, with growing pauses. Many boards are reset when their port is opened."""
         before = self._boot
-        give_up = self._lines.clock.now() + timeout_s
-        pause = 0.1
-        while True:
+
+        def found() -> Reconnection:
             try:
                 self._lines.open_again()
                 wake(self._lines)
                 self._begin()
                 if self._settings is not None:
                     self.configure(self._settings)
-                status = self.stat()
-                return Reconnection(self._boot == before, not status.homed, status)
-            except (LinkLost, PortError) as problem:
+                return Reconnection(self._boot == before, self.stat())
+            except (LinkLost, PortError):
                 self._lines.broken = True
-                if self._lines.clock.now() + pause > give_up:
-                    raise LinkLost(f"{self.name} did not come back within {timeout_s:.0f} s: {problem}") from problem
-            self._lines.clock.sleep(pause)
-            pause = min(2 * pause, 2.0)
+                raise
+
+        return with_growing_pauses(found, self._lines.clock, timeout_s, self.name)
 
     # Motion
 
@@ -363,27 +225,42 @@ class GrblController(SafelyClosed):
             self._lines.ask(command)
         self._enabled = on
         if not on:
-            self._axis.forget_home()
+            self._forget_home()
 
     def home(self, max_steps: int, timeout_s: float = 120.0) -> None:
-        """Search for the home switch, as far as the board's own settings allow."""
+        """Search for the home switch, as far as the board's own settings allow.
+
+        Without a switch, home is the position at the first call; it is refused once the table's position was lost.
+        """
+        lines = self._lines
         self._require(self._enabled, Reason.DRIVER_OFF, "home")
-        self._axis.find_home((self._settings or Settings()).speed, timeout_s)
+        if self._table.home:
+            self._zero, lines.alarm = None, None
+            if not lines.ask_long(self._table.home, timeout_s):
+                lines.reset()
+                raise RigTimeout(f"homing did not end within {timeout_s:.1f} s; it was stopped")
+            self._await_rest("homing", timeout_s)
+        elif self._zero is not None:
+            self._go(0, (self._settings or Settings()).speed, timeout_s)
+        elif self._lost:
+            why = "there is no home switch, and where the table stands is not known any more"
+            raise Refused(Reason.NO_SUCH_PART, "home", why)
+        self._zero, self._lost = self._reported(lines.report()), False
 
     def move(self, to: int, timeout_s: float = 120.0) -> int:
         self._require(self._enabled, Reason.DRIVER_OFF, f"move to {to}")
-        self._require(self._axis.zero is not None, Reason.NOT_HOMED, f"move to {to}")
+        self._require(self._zero is not None, Reason.NOT_HOMED, f"move to {to}")
         settings = self._settings or Settings()
         if settings.limits is not None:
             low, high = settings.limits
             self._require(low <= to <= high, Reason.BEYOND_LIMIT, f"move to {to}")
-        if settings.backlash and to < self._axis.position(self._lines.report()):
-            self._axis.go(to - settings.backlash, settings.speed, timeout_s)
-        return self._axis.go(to, settings.speed, timeout_s)
+        if settings.backlash and to < self._position(self._lines.report()):
+            self._go(to - settings.backlash, settings.speed, timeout_s)
+        return self._go(to, settings.speed, timeout_s)
 
     def stop(self) -> None:
         self._lines.raise_reset()
-        if self._axis.come_to_rest():
+        if self._come_to_rest():
             # A reset cancels the motion; at standstill it keeps the position.
             self._reset()
         self._off()
@@ -421,7 +298,7 @@ class GrblController(SafelyClosed):
 
     def stat(self) -> Status:
         report = self._lines.report()
-        fault = self._axis.fault(report)
+        fault = self._fault(report)
         if fault is not None:
             self._armed = self._lit = False
         state: State = STATES[report.state]
@@ -431,8 +308,8 @@ class GrblController(SafelyClosed):
         return Status(
             state=state,
             fault=fault,
-            position=self._axis.position(report),
-            homed=self._axis.zero is not None,
+            position=self._position(report),
+            homed=self._zero is not None,
             armed=self._armed,
             enabled=self._enabled,
             laser=self._lit,
@@ -442,7 +319,7 @@ class GrblController(SafelyClosed):
     def poll(self) -> Status:
         status = self.stat()
         if status.fault is not None:
-            self._axis.raise_fault(self._lines.report())
+            self._raise_fault(self._lines.report())
         return status
 
     def counters(self) -> None:
@@ -475,24 +352,119 @@ class GrblController(SafelyClosed):
                 self._lines.forget_reset()
         return False
 
+    # The axis that turns the table, in microsteps from home
+
+    def _position(self, report: Report) -> int:
+        """The table's position in a report; counted from the axis's own zero while home is not known."""
+        return self._units.microsteps(self._reported(report) - (self._zero or 0.0))
+
+    def _forget_home(self) -> None:
+        self._lost = self._lost or self._zero is not None
+        self._zero = None
+
+    def _go(self, to: int, speed: int, timeout_s: float) -> int:
+        """Turn to a position [microsteps from home] at a speed [microsteps/s]; returns where the table stands then.
+
+        Raises:
+            RigFault: An alarm ended the motion.
+            RigTimeout: The motion did not end in time and was stopped.
+        """
+        target = (self._zero or 0.0) + self._units.units(to)
+        feed = 60 * speed / self._units.steps_per_unit
+        self._lines.ask(f"G21 G90 G94 G53 G1 {self._table.axis}{target:.4f} F{feed:.2f}")
+        return self._await_rest(f"moving to {to}", timeout_s, at=to)
+
+    def _come_to_rest(self) -> bool:
+        """Stop the table; returns whether it was turning or held on its way."""
+        report = self._lines.report()
+        turned = report.moving or report.state == "Hold"
+        give_up = self._lines.clock.now() + REST_S
+        while report.moving and report.state != "Home":
+            if self._lines.clock.now() >= give_up:
+                raise LinkLost(f"{self._lines.link.name}: the table did not come to rest")
+            self._lines.write(HOLD)
+            self._lines.clock.sleep(POLL_S)
+            report = self._lines.report()
+        return turned
+
+    def _fault(self, report: Report) -> Fault | None:
+        """The fault in a report, or None; home is lost after most faults."""
+        number = self._alarm(report)
+        if report.state == "Hold" and not report.moving:
+            # A table that is held has lost nothing.
+            return Fault.HELD
+        if report.state in _FAULTS:
+            fault = _FAULTS[report.state]
+        elif report.state == "Alarm" and number is not None:
+            fault = self._lines.dialect.alarms.get(number, Fault.UNKNOWN)
+        else:
+            return None
+        if number != 2:
+            self._forget_home()
+        return fault
+
+    def _raise_fault(self, report: Report) -> None:
+        """Raise the fault in a report, if there is one."""
+        if (fault := self._fault(report)) is not None:
+            raise RigFault(fault, self._position(report), self._words(report))
+
+    def _words(self, report: Report) -> str:
+        """What the board says of its fault."""
+        number, name = self._alarm(report), self._lines.dialect.name
+        if report.state == "Door":
+            door = "is open: close it" if report.part else "was open, and is closed again"
+            return f"{name} says Door:{report.part}: its safety door, or what is wired to that pin, {door}"
+        if number is not None:
+            return f"{name} says ALARM:{number}"
+        return f"{name} says {report.state}"
+
+    def _alarm(self, report: Report) -> int | None:
+        """The number of the alarm in a report, or said before it; None for the lock of a board that is not homed."""
+        number = report.part if report.state == "Alarm" and report.part else self._lines.alarm
+        return None if number in self._lines.dialect.unhomed else number
+
+    def _await_rest(self, motion: str, timeout_s: float, at: int | None = None) -> int:
+        """Wait until the table stands still; at another position than `at`, in several reports."""
+        clock = self._lines.clock
+        give_up = clock.now() + timeout_s
+        still = 0
+        while True:
+            report = self._lines.report()
+            self._raise_fault(report)
+            position = self._position(report)
+            still = still + 1 if report.state == "Idle" else 0
+            if still >= _STILL or (still and position == at):
+                return position
+            if clock.now() >= give_up:
+                self._come_to_rest()
+                self._lines.reset()
+                raise RigTimeout(f"{motion} did not end within {timeout_s:.1f} s; it was stopped")
+            clock.sleep(POLL_S)
+
+    def _reported(self, report: Report) -> float:
+        at = report.position(self._table.axis)
+        if at is None:
+            raise RigError(f"{self._lines.link.name}: its reports have no position of the machine; type $10=1")
+        return at
+
     # Within
 
     def _begin(self) -> None:
         """Stop the table, switch the laser off, unlock a board without a home switch; note whether home is known."""
         if self._boot != 1 + self._lines.resets:
             self._boot = 1 + self._lines.resets
-            self._axis.forget_home()
+            self._forget_home()
         self._lines.forget_reset()
-        self._axis.come_to_rest()
+        self._come_to_rest()
         self._reset()
         self._armed = False
         report = self._lines.report()
         if report.state == "Alarm":
-            self._axis.forget_home()
+            self._forget_home()
             self._lines.alarm = None
-            if self._axis.fault(report) is Fault.EMERGENCY_STOP:
+            if self._fault(report) is Fault.EMERGENCY_STOP:
                 # A reset has just failed to end it.
-                raise RigFault(Fault.EMERGENCY_STOP, None, self._axis.words(report))
+                raise RigFault(Fault.EMERGENCY_STOP, None, self._words(report))
             if not self._table.home:
                 self._lines.ask("$X")
 
@@ -522,29 +494,18 @@ class GrblController(SafelyClosed):
         return any(line.startswith("[GC:") and " M5 " in line for line in self._lines.ask("$G"))
 
 
-BAUD = 115_200
-
-
 def connect_grbl(
-    table: ControllerTable, microsteps_per_turn: int, *, port: str | None = None, clock: Clock | None = None
+    table: ControllerTable, microsteps_per_turn: int, *, port: str, clock: Clock | None = None
 ) -> GrblController:
     """Open a board's port. Nothing is sent before `hello`.
 
     Args:
-        table: Port and commands of the board.
-        port: Replaces the table's port: a path, a USB serial number, or "auto".
+        port: A path, a USB serial number, or "auto".
 
     Raises:
         PortError: No port, several, port missing or in use, or no permission.
     """
-    clock = clock or SystemClock()
-    path = choose_port(port or table.port)
-    baud = table.baud or BAUD
-    link = open_serial(path, baud, clock)
-    known = identify(path)
-
-    def reopen() -> Link:
-        return open_serial(find_again(known), baud, clock)
-
+    clock = clock or Clock()
+    link, reopen = open_port(port, table.baud or 115_200, clock)
     lines = GrblLines(link, clock, greeting=table.grbl.greeting, reopen=reopen)
     return GrblController(lines, table.grbl, TableUnits(microsteps_per_turn, table.grbl.units_per_turn))

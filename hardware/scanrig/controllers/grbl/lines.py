@@ -38,7 +38,7 @@ class TableUnits:
 
 
 class Dialect(NamedTuple):
-    """What a family of boards says, and means by it."""
+    """The answers of a family of boards, and their meaning."""
 
     name: str
     alarms: Mapping[int, Fault]
@@ -186,39 +186,35 @@ _REFUSALS = {
 
 
 class GrblLines:
-    """Sends lines to a board and receives its lines.
-
-    Attributes:
-        counts: of lines sent, resent and damaged.
-        alarm: number of the board's alarm; None: none.
-        resets: unrequested resets of the board.
-        greeting: its first line after a reset.
-        expected_greeting: how that line has to begin.
-        broken: whether the port itself failed, so that it must be opened again.
-        odd: the last lines that are not GRBL's.
-        heard: the last line of any kind.
-    """
+    """Sends lines to a board and receives its lines."""
 
     def __init__(self, link: Link, clock: Clock, *, greeting: str, reopen: Callable[[], Link]):
+        """`greeting`: how the board's first line after a reset has to begin."""
         self.link, self.clock = link, clock
         self.counts = LinkCounts()
         self.alarm: int | None = None
+        """Number of the board's alarm."""
         self.resets = 0
+        """Unrequested resets of the board."""
         self.greeting = ""
+        """Its first line after a reset."""
         self.broken = False
+        """Whether the port itself failed, so that it must be opened again."""
         self.odd: deque[str] = deque(maxlen=_KEPT)
+        """The last lines that are not GRBL's."""
         self.heard = ""
+        """The last line of any kind."""
         self.expected_greeting, self._reopen = greeting, reopen
         self._rest = b""
         self._expected = False
-        """Whether this host asked for a reset whose greeting has not come yet."""
-        self._told_reset = 0
+        """Whether this host requested a reset whose greeting has not come yet."""
+        self._raised_reset = 0
         self._unread = ""
         """The last report that was not understood."""
 
     @property
     def dialect(self) -> Dialect:
-        """Of the board, by its last greeting."""
+        """The board's, by its last greeting."""
         return dialect_of(self.greeting)
 
     def ask(self, command: str) -> list[str]:
@@ -281,7 +277,6 @@ class GrblLines:
         return idle >= _STILL
 
     def send(self, command: str) -> None:
-        """Send a line without waiting for its answer."""
         self.write(command.encode("ascii") + b"\n")
         self.counts.sent += 1
 
@@ -315,7 +310,6 @@ class GrblLines:
         raise LinkLost(f"no answer from {self.link.name} to '?'{self._instead()}; check cable and power")
 
     def not_understood(self, answer: str) -> str:
-        """The message about a report that is not understood."""
         if is_old(self.greeting, answer):
             return (
                 f"{self.link.name}: found {answer[:60]!r}, the report of GRBL before 1.0; expected that of 1.1: write "
@@ -327,7 +321,6 @@ class GrblLines:
         )
 
     def _instead(self) -> str:
-        """What the board sent last that is none of GRBL's, for messages."""
         return f"; it sent {self.odd[-1][:60]!r}" if self.odd else ""
 
     def reset(self) -> None:
@@ -353,16 +346,16 @@ class GrblLines:
         self.greeting = ""
         give_up = self.clock.now() + timeout_s
         while not self.greeting and (left := give_up - self.clock.now()) > 0:
-            self.read(left, tell_reset=False)
+            self.read(left, raise_resets=False)
         if self.greeting:
             self._expected = False
         return bool(self.greeting)
 
-    def read(self, timeout_s: float, *, tell_reset: bool = True) -> list[str]:
+    def read(self, timeout_s: float, *, raise_resets: bool = True) -> list[str]:
         """The lines received, as soon as there are any; greetings and alarms are noted.
 
         Raises:
-            ControllerReset: the board was reset without being asked to.
+            ControllerReset: the board was reset unexpectedly.
             LinkLost: the port failed.
         """
         try:
@@ -377,18 +370,17 @@ class GrblLines:
             self.counts.unanswered = 0
         for text in texts:
             self._note(text)
-        if tell_reset:
+        if raise_resets:
             self.raise_reset()
         return texts
 
     def raise_reset(self) -> None:
         """Raise ControllerReset if a reset was noticed and not yet raised or forgotten."""
-        if self.resets > self._told_reset:
-            raise ControllerReset(self._told_reset, self.resets)
+        if self.resets > self._raised_reset:
+            raise ControllerReset(self._raised_reset, self.resets)
 
     def forget_reset(self) -> None:
-        """Mark the resets so far as known."""
-        self._told_reset = self.resets
+        self._raised_reset = self.resets
 
     def drain(self) -> None:
         """Read late answers and discard them."""

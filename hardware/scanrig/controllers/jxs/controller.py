@@ -3,31 +3,45 @@
 import logging
 import secrets
 from collections.abc import Callable
+from typing import TypeVar
 
-from scanrig.clock import Clock, SystemClock
+from scanrig.clock import Clock
 from scanrig.controllers.controller import (
+    Controller,
     Counters,
     Firmware,
     Guarantees,
     LinkCounts,
     Reconnection,
-    SafelyClosed,
     Settings,
     ShotDone,
     Status,
+    with_growing_pauses,
 )
-from scanrig.controllers.jxs.conversation import Conversation, Exchange
+from scanrig.controllers.jxs.exchange import Exchange
 from scanrig.controllers.jxs.protocol import (
     PROTOCOL,
     Event,
     integer,
     read_counters,
+    read_fault,
     read_firmware,
     read_status,
     wire_settings,
 )
-from scanrig.errors import Fault, FirmwareError, LinkLost, PortError, Reason, Refused, RigError
-from scanrig.wire import Link, choose_port, find_again, identify, open_serial
+from scanrig.errors import (
+    ControllerReset,
+    Fault,
+    FirmwareError,
+    LinkLost,
+    PortError,
+    Reason,
+    Refused,
+    RigError,
+    RigFault,
+    RigTimeout,
+)
+from scanrig.wire import Link, open_port
 
 
 log = logging.getLogger(__name__)
@@ -36,22 +50,15 @@ BOOT_S = 2.5
 """Opening its port resets an Uno; its boot loader takes this long."""
 
 
-class Silence(Exception):
+class Silence(LinkLost):
     """No answer to HELLO."""
 
 
 def greet(wire: Exchange, clock: Clock, session: int) -> Firmware:
-    """Begin a session.
+    """Begin a session with the number 1 … 2³¹−1.
 
     A running controller answers at once. One that was reset by opening its port sends BOOT first and is then greeted
     again.
-
-    Args:
-        clock: for the wait for the boot loader.
-        session: 1 … 2³¹−1.
-
-    Returns:
-        The firmware that answered.
 
     Raises:
         Silence: no answer; `what_is_there` describes the lines that came instead.
@@ -82,7 +89,6 @@ def greet(wire: Exchange, clock: Clock, session: int) -> Firmware:
 
 
 def hello(wire: Exchange, session: int, tries: int) -> dict[str, str]:
-    """Send HELLO, at most `tries` times."""
     try:
         return wire.ask("HELLO", ses=session, tries=tries)
     except Refused as problem:
@@ -115,65 +121,20 @@ def _echoes(wire: Exchange) -> bool:
     return any(b"HELLO" in line for line in wire.odd_lines)
 
 
-TRIES = 3
+SAFE_TRIES = 3
 """Fewer tries than usual; then the abort byte is sent, which works without a valid line."""
-
 STOPPING_S = 0.5
 """How long a shot may take to end after STOP."""
-
-
-def make_safe(wire: Exchange, clock: Clock) -> bool:
-    """Stop, laser off, contactor open; if that is not answered, abort.
-
-    Raises no error of the rig, so that every exit can call it.
-
-    Returns:
-        True if the controller confirmed that the laser is off, the contactor open, and nothing runs that could switch
-        it on again.
-    """
-    try:
-        _insist(wire, "STOP")
-        _insist(wire, "LASER", on=0)
-        _insist(wire, "ARM", on=0)
-        if is_dark(wire, clock):
-            return True
-    except RigError as problem:
-        # No answer, or an incomplete one: the abort byte needs neither.
-        log.warning("%s", problem)
-    try:
-        wire.abort()
-        return is_dark(wire, clock)
-    except RigError as problem:
-        log.warning("%s", problem)
-        return False
-
-
-def is_dark(wire: Exchange, clock: Clock) -> bool:
-    """Whether the controller confirms that the laser is off and stays off. Raises RigError if it does not answer."""
-    end = clock.now() + STOPPING_S
-    while True:
-        status = read_status(wire.ask("STAT", tries=TRIES))
-        if not status.laser and not status.armed and status.state != "shot":
-            return True
-        if clock.now() >= end:
-            return False
-        clock.sleep(0.02)
-
-
-def _insist(wire: Exchange, verb: str, **args: int) -> None:
-    """Send a command; a refusal is logged, so that the next command follows."""
-    try:
-        wire.ask(verb, tries=TRIES, **args)
-    except Refused as problem:
-        log.warning("%s", problem)
-
-
 REST_S = 5.0
 """Longest time that the table may take to stop."""
+POLL_S = 0.1
+"""Time between two polls while something runs: well below the controller's watchdog, 500 ms by default."""
+
+T = TypeVar("T")
 
 
-class JxsController(SafelyClosed):
-    """A session with the scanner's own firmware over a link; `Controller` documents the methods."""
+class JxsController(Controller):
+    """A session with the scanner's own firmware over a link."""
 
     guarantees = Guarantees(
         laser_off_without_host=True, knows_missed_steps=True, hardware_trigger=True, checked_lines=True
@@ -184,25 +145,30 @@ class JxsController(SafelyClosed):
         link: Link,
         clock: Clock | None = None,
         *,
-        timeout_s: float = 0.25,
-        tries: int = 8,
         reopen: Callable[[], Link] | None = None,
         session: int | None = None,
     ):
         """Nothing is sent yet.
 
         Args:
-            timeout_s: the longest wait for one answer.
-            tries: the link counts as lost after `tries * timeout_s` without an answer.
             reopen: opens the port again for `reconnect`, even under another number.
             session: the number of this session, 1 … 2³¹−1; by default a random one.
         """
-        self._clock = clock or SystemClock()
-        self._wire = Exchange(link, self._clock, timeout_s=timeout_s, tries=tries)
-        self._talk = Conversation(self._wire, self._clock)
+        self._clock = clock or Clock()
+        # The link counts as lost after two seconds without an answer.
+        self._wire = Exchange(link, self._clock, timeout_s=0.25, tries=8)
         self._reopen = reopen
         self._session = session or secrets.randbelow(2**31 - 1) + 1
-        self._settings: Settings | None = None
+        self.settings: Settings | None = None
+        """The settings configured last."""
+        self._firmware: Firmware | None = None
+        """The firmware that answered HELLO last."""
+        self._enabled = False
+        """Whether the motor driver was switched on; if it is off now, the controller was reset."""
+        self._broken = False
+        """Whether the port itself failed, so that it must be opened again."""
+        self._begun = 0
+        """Number of the line that began what runs."""
 
     # Session
 
@@ -212,13 +178,7 @@ class JxsController(SafelyClosed):
 
     @property
     def link(self) -> Link:
-        """The present link."""
         return self._wire.link
-
-    @property
-    def settings(self) -> Settings | None:
-        """The settings configured last."""
-        return self._settings
 
     def hello(self) -> Firmware:
         try:
@@ -238,8 +198,8 @@ class JxsController(SafelyClosed):
             )
         groups = wire_settings(settings)
         for group in groups.values():
-            self._talk.ask("SET", **group)
-        says = self._talk.ask("CFG") | self._talk.ask("CFG", shot=1)
+            self._ask("SET", **group)
+        says = self._ask("CFG") | self._ask("CFG", shot=1)
         wanted = {key: value for group in groups.values() for key, value in group.items()}
         differing = [
             f"{key}={says.get(key, 'nothing')} instead of {value}"
@@ -248,12 +208,12 @@ class JxsController(SafelyClosed):
         ]
         if differing:
             raise FirmwareError(f"{self.name}: settings read back as {', '.join(differing)}")
-        self._settings = settings
+        self.settings = settings
 
     def lasers(self) -> int:
         """How many lasers it switches; earlier firmware does not know the question and switches one."""
         try:
-            return integer(self._talk.ask("HAS"), "las")
+            return integer(self._ask("HAS"), "las")
         except Refused as problem:
             if problem.reason is not Reason.UNKNOWN_COMMAND:
                 raise
@@ -265,116 +225,119 @@ class JxsController(SafelyClosed):
         A link fault is cleared, and the settings are sent again. If the boot number is the same, its position is valid;
         otherwise it must be enabled and homed again.
         """
-        before = self._talk.firmware
-        give_up = self._clock.now() + timeout_s
-        pause = 0.1
-        while True:
+        before = self._firmware
+
+        def found() -> Reconnection:
             try:
-                if self._talk.broken:
-                    self._open_again()
+                self._open_again()
                 firmware = self._greet()
                 if self._come_to_rest().fault is Fault.LINK_LOST:
                     self.clear()
-                if self._settings is not None:
-                    self.configure(self._settings)
+                if self.settings is not None:
+                    self.configure(self.settings)
                 status = self.stat()
-                break
-            except (Silence, LinkLost, PortError) as problem:
-                self._talk.broken = True
-                if self._clock.now() + pause > give_up:
-                    raise LinkLost(f"{self.name} did not come back within {timeout_s:.0f} s: {problem}") from problem
-            self._clock.sleep(pause)
-            pause = min(2 * pause, 2.0)
-        self._talk.enabled = status.enabled
-        same = before is not None and before.boot == firmware.boot
-        return Reconnection(same, not status.homed, status)
+            except (LinkLost, PortError):
+                self._broken = True
+                raise
+            self._enabled = status.enabled
+            return Reconnection(before is not None and before.boot == firmware.boot, status)
+
+        return with_growing_pauses(found, self._clock, timeout_s, self.name)
 
     # Motion
 
     def enable(self, on: bool) -> None:
-        self._talk.ask("EN", on=on)
-        self._talk.enabled = on
+        self._ask("EN", on=on)
+        self._enabled = on
 
     def home(self, max_steps: int, timeout_s: float = 120.0) -> int:
-        self._talk.begin("HOME", max=max_steps)
-        return self._talk.wait(
+        self._begin("HOME", max=max_steps)
+        return self._wait(
             "homing",
             timeout_s,
-            lambda event: integer(event.fields, "was") if self._talk.is_end(event, "HOMED") else None,
-            lambda status: integer(self._talk.ask("CNT"), "was"),
+            lambda event: integer(event.fields, "was") if self._is_end(event, "HOMED") else None,
+            lambda status: integer(self._ask("CNT"), "was"),
         )
 
     def move(self, to: int, timeout_s: float = 120.0) -> int:
-        self._talk.begin("MOVE", to=to)
-        return self._talk.wait(
+        self._begin("MOVE", to=to)
+        return self._wait(
             f"moving to {to}",
             timeout_s,
-            lambda event: integer(event.fields, "pos") if self._talk.is_end(event, "DONE") else None,
+            lambda event: integer(event.fields, "pos") if self._is_end(event, "DONE") else None,
             lambda status: status.position,
         )
 
     def stop(self) -> None:
-        self._talk.ask("STOP")
+        self._ask("STOP")
 
     # Light
 
     def arm(self, on: bool) -> None:
-        self._talk.ask("ARM", on=on)
+        self._ask("ARM", on=on)
 
     def laser(self, on: bool, ms: int | None = None, *, number: int = 1) -> None:
-        """Switch a laser on, renew its lease, or switch all lasers off.
-
-        Args:
-            ms: lease [ms], at most that of `hello`; by default all of it.
-            number: which laser, from 1.
-        """
+        """As for every controller; `ms`: lease [ms], at most that of `hello`, by default all of it."""
         if on:
-            lease = 1000 if self._talk.firmware is None else self._talk.firmware.lease_ms
-            self._talk.ask("LASER", on=1, ms=lease if ms is None else ms, **_named(number))
+            lease = 1000 if self._firmware is None else self._firmware.lease_ms
+            self._ask("LASER", on=1, ms=lease if ms is None else ms, **_named(number))
         else:
-            self._talk.ask("LASER", on=0)
+            self._ask("LASER", on=0)
 
-    def trigger(self, ms: int | None = None) -> None:
-        """One exposure of `ms` milliseconds, by default as long as configured. Does not wait for its end."""
-        if ms is None:
-            self._talk.ask("TRIG")
-        else:
-            self._talk.ask("TRIG", ms=ms)
+    def trigger(self) -> None:
+        self._ask("TRIG")
 
-    def shot(self, to: int, id: int, *, number: int = 1, lit: bool = True, dark: bool = True) -> None:
-        """Begin a shot: turn, settle, expose with the laser, expose without. The present position as `to` repeats it.
-
-        Args:
-            to: microsteps from home.
-            id: a number that identifies the shot.
-            number: which laser, from 1.
-            dark: expose without.
-        """
-        self._talk.begin("SHOT", to=to, id=id, m=lit + 2 * dark, **_named(number))
+    def shot(self, to: int, id: int, *, number: int = 1) -> None:
+        self._begin("SHOT", to=to, id=id, m=3, **_named(number))
 
     def wait_shot(self, id: int, timeout_s: float = 120.0) -> ShotDone:
-        def told(event: Event) -> ShotDone | None:
+        def reported(event: Event) -> ShotDone | None:
             if event.name != "SHOT" or event.fields.get("id") != str(id):
                 return None
             return ShotDone(integer(event.fields, "pos"), integer(event.fields, "trg"))
 
-        return self._talk.wait(
-            f"shot {id}", timeout_s, told, lambda status: ShotDone(status.position, status.exposures)
-        )
+        return self._wait(f"shot {id}", timeout_s, reported, lambda status: ShotDone(status.position, status.exposures))
 
     # State
 
     def stat(self) -> Status:
-        return self._talk.stat()
+        says = self._ask("STAT")
+        status = read_status(says)
+        self._wire.note_last_event(integer(says, "ev"))
+        if self._enabled and not status.enabled:
+            if status.state == "fault":
+                self._enabled = False
+            else:
+                # The host did not switch the driver off, so there was a reset whose event was lost.
+                self._note_reset()
+        self._raise_reset()
+        return status
 
     def poll(self) -> Status:
-        return self._talk.poll()
+        status = self.stat()
+        if status.state == "fault":
+            raise RigFault(status.fault or Fault.UNKNOWN, status.position)
+        return status
 
     def counters(self) -> Counters:
-        return read_counters(self._talk.ask("CNT"))
+        return read_counters(self._ask("CNT"))
 
     def clear(self) -> None:
-        self._talk.clear()
+        """Leave a fault.
+
+        Raises:
+            Refused: the emergency stop is still pressed.
+            RigFault: another fault came at the same moment and was not reported yet.
+        """
+        try:
+            self._ask("CLEAR")
+        except Refused:
+            if not self.stat().estop:
+                self.poll()
+            raise
+        self._wire.events.clear()
+        # The emergency stop switches the driver off; that does not mean a reset.
+        self._enabled = read_status(self._ask("STAT")).enabled
 
     # Ending
 
@@ -382,15 +345,47 @@ class JxsController(SafelyClosed):
         self._wire.abort()
 
     def make_safe(self) -> bool:
-        return make_safe(self._wire, self._clock)
+        try:
+            self._insist("STOP")
+            self._insist("LASER", on=0)
+            self._insist("ARM", on=0)
+            if self._is_dark():
+                return True
+        except RigError as problem:
+            # No answer, or an incomplete one: the abort byte needs neither.
+            log.warning("%s", problem)
+        try:
+            self._wire.abort()
+            return self._is_dark()
+        except RigError as problem:
+            log.warning("%s", problem)
+            return False
+
+    def _insist(self, verb: str, **args: int) -> None:
+        """Send a command; a refusal is logged, so that the next command follows."""
+        try:
+            self._wire.ask(verb, tries=SAFE_TRIES, **args)
+        except Refused as problem:
+            log.warning("%s", problem)
+
+    def _is_dark(self) -> bool:
+        """Whether the controller confirms that the laser is off and stays off. Raises RigError without an answer."""
+        end = self._clock.now() + STOPPING_S
+        while True:
+            status = read_status(self._wire.ask("STAT", tries=SAFE_TRIES))
+            if not status.laser and not status.armed and status.state != "shot":
+                return True
+            if self._clock.now() >= end:
+                return False
+            self._clock.sleep(0.02)
 
     # Within
 
     def _greet(self) -> Firmware:
         firmware = greet(self._wire, self._clock, self._session)
-        before, self._talk.firmware = self._talk.firmware, firmware
+        before, self._firmware = self._firmware, firmware
         if before is None or firmware.boot != before.boot:
-            self._talk.enabled = False
+            self._enabled = False
         return firmware
 
     def _come_to_rest(self) -> Status:
@@ -404,10 +399,106 @@ class JxsController(SafelyClosed):
         return status
 
     def _open_again(self) -> None:
-        if self._reopen is not None:
+        if self._broken and self._reopen is not None:
             self._wire.link.close()
             self._wire.attach(self._reopen())
-        self._talk.broken = False
+        self._broken = False
+
+    def _ask(self, verb: str, **args: int) -> dict[str, str]:
+        """The fields of a command's answer.
+
+        Raises:
+            Refused: the controller refused the command.
+            RigFault: it refused because it is in a fault.
+            ControllerReset: it was reset and knows no session.
+            LinkLost: no answer.
+        """
+        self._raise_reset()
+        try:
+            return self._wire.ask(verb, **args)
+        except LinkLost as problem:
+            # A port that fails must be opened again. A silent one is kept open, since opening it resets an Uno.
+            self._broken = problem.__cause__ is not None
+            raise
+        except Refused as refusal:
+            if refusal.reason is Reason.NO_SESSION and self._firmware is not None:
+                self._note_reset()
+                self._raise_reset()
+            if refusal.reason is Reason.IN_FAULT:
+                self.poll()
+            raise
+
+    def _begin(self, verb: str, **args: int) -> None:
+        """Send a command whose end is an event."""
+        # Events of earlier commands must not count as the end of this one.
+        kept = [event for event in self._wire.events if event.name == "FAULT"]
+        self._wire.events.clear()
+        self._wire.events.extend(kept)
+        self._ask(verb, **args)
+        self._begun = self._wire.seq
+
+    def _is_end(self, event: Event, name: str) -> bool:
+        """Whether an event ends the command that was begun last, not an earlier one."""
+        return event.name == name and event.fields.get("seq") == str(self._begun)
+
+    def _wait(
+        self, action: str, timeout_s: float, reported: Callable[[Event], T | None], idle: Callable[[Status], T]
+    ) -> T:
+        """Wait for an event, and poll meanwhile: the event may be lost, and the watchdog must be fed.
+
+        Args:
+            action: the action that is to end, for the message.
+            reported: reads the result from the event; None for any other event.
+            idle: reads the result from the state once nothing runs any more.
+
+        Raises:
+            RigFault, ControllerReset: a fault or a reset ended it.
+            RigTimeout: it did not end in time and was stopped.
+        """
+        give_up = self._clock.now() + timeout_s
+        next_poll = self._clock.now() + POLL_S
+        while True:
+            done = self._look_at_events(reported)
+            if done is not None:
+                return done
+            self._raise_reset()
+            now = self._clock.now()
+            if now >= give_up:
+                self._ask("STOP")
+                raise RigTimeout(f"{action} did not end within {timeout_s:.1f} s; it was stopped")
+            if now < next_poll:
+                self._listen(next_poll - now)
+                continue
+            status = self.poll()
+            next_poll = self._clock.now() + POLL_S
+            if status.state == "idle":
+                done = self._look_at_events(reported)
+                return idle(status) if done is None else done
+
+    def _look_at_events(self, reported: Callable[[Event], T | None]) -> T | None:
+        while self._wire.events:
+            event = self._wire.events.popleft()
+            if event.name == "FAULT":
+                raise RigFault(read_fault(integer(event.fields, "f")), integer(event.fields, "pos"))
+            done = reported(event)
+            if done is not None:
+                return done
+        return None
+
+    def _listen(self, timeout_s: float) -> None:
+        try:
+            self._wire.listen(timeout_s)
+        except LinkLost:
+            self._broken = True
+            raise
+
+    def _note_reset(self) -> None:
+        self._wire.restarted = self._wire.restarted or ControllerReset(self._wire.boot, None)
+
+    def _raise_reset(self) -> None:
+        if self._wire.restarted is not None:
+            self._enabled = False
+            raise self._wire.restarted
 
 
 def _named(number: int) -> dict[str, int]:
@@ -415,25 +506,14 @@ def _named(number: int) -> dict[str, int]:
     return {} if number == 1 else {"n": number}
 
 
-def connect(port: str = "auto", baud: int = 250_000, clock: Clock | None = None) -> JxsController:
+def connect(port: str = "auto", baud: int | None = None, clock: Clock | None = None) -> JxsController:
     """Open the controller's port. Nothing is sent before `hello`.
 
     Args:
         port: a path, a USB serial number, or "auto" for the only board.
-        baud: bits per second.
-
-    Returns:
-        A controller whose `reconnect` finds the same board again, by its USB serial number or its path under
-        /dev/serial/by-id, even under another port number.
 
     Raises:
         PortError: no port, several, port missing or in use, or no permission.
     """
-    path = choose_port(port)
-    link = open_serial(path, baud, clock)
-    known = identify(path)
-
-    def reopen() -> Link:
-        return open_serial(find_again(known), baud, clock)
-
+    link, reopen = open_port(port, baud or 250_000, clock)
     return JxsController(link, clock, reopen=reopen)

@@ -6,6 +6,7 @@ import binascii
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import get_args
 
 from scanrig.controllers.controller import Counters, Firmware, Settings, State, Status
 from scanrig.errors import Fault, FirmwareError, Reason
@@ -109,15 +110,11 @@ def command_text(verb: str, **args: int) -> str:
 
 
 def encode(seq: int, verb: str, **args: int) -> bytes:
-    """A command as the bytes of its line.
+    """A command as the bytes of its line, with CRC and newline.
 
     Args:
         seq: 1 … 65535.
-        verb: upper case.
-        args: integers, 32 bits signed; True and False count as 1 and 0.
-
-    Returns:
-        The line with CRC and newline.
+        args: 32 bits signed; True and False count as 1 and 0.
 
     Raises:
         ValueError: the command is no valid line of the protocol.
@@ -131,7 +128,6 @@ def encode(seq: int, verb: str, **args: int) -> bytes:
 
 
 def next_sequence(seq: int) -> int:
-    """The number after seq: after 65535 comes 1."""
     return seq % LAST_SEQUENCE + 1
 
 
@@ -207,11 +203,10 @@ REFUSALS = {
 _INTEGER = re.compile(r"-?[0-9]{1,10}")
 """The firmware's integers have 32 bits."""
 
-STATES: dict[str, State] = {"idle": "idle", "move": "move", "home": "home", "shot": "shot", "fault": "fault"}
+_STATES: dict[str, State] = {state: state for state in get_args(State)}
 
 
 def read_fault(number: int) -> Fault:
-    """A fault by its number."""
     return FAULTS.get(number, Fault.UNKNOWN)
 
 
@@ -223,16 +218,16 @@ def read_refusal(number: int, verb: str) -> Reason:
 
 
 def read_firmware(fields: Mapping[str, str]) -> Firmware:
-    """Firmware from the fields of HELLO's answer."""
     version = fields.get("fw", "unknown")
     return Firmware(integer(fields, "proto"), version, integer(fields, "boot"), integer(fields, "lease"))
 
 
 def read_status(fields: Mapping[str, str]) -> Status:
-    """Status from the fields of STAT's answer."""
-    inputs = integer(fields, "in")
+    inputs, state = integer(fields, "in"), word(fields, "st")
+    if state not in _STATES:
+        raise FirmwareError(f"the controller says st={state:.20}, expected one of {', '.join(_STATES)}")
     return Status(
-        state=read_state(word(fields, "st")),
+        state=_STATES[state],
         fault=read_fault(number) if (number := integer(fields, "f")) else None,
         position=integer(fields, "pos"),
         homed=bool(integer(fields, "hm")),
@@ -245,15 +240,7 @@ def read_status(fields: Mapping[str, str]) -> Status:
     )
 
 
-def read_state(name: str) -> State:
-    """A state by its name."""
-    if name not in STATES:
-        raise FirmwareError(f"the controller says st={name:.20}, expected one of {', '.join(STATES)}")
-    return STATES[name]
-
-
 def read_counters(fields: Mapping[str, str]) -> Counters:
-    """Counters from the fields of CNT's answer."""
     return Counters(*(integer(fields, key) for key in ("crc", "over", "dup", "las", "up", "wdr")))
 
 

@@ -6,12 +6,15 @@ let order = () => {}, opened = null, chosen = null, shown = "";
 // What is asked once more before it is done: [what, capture].
 let asked = ["", ""];
 
+// Whether the cloud of a capture is not that of the calibration that is used.
+export const isOld = (capture, state) => Boolean(capture.cloud && capture.made_with && state.calibration_digest && capture.made_with !== state.calibration_digest);
+
 // `goes` is [capture, button]: the one that is the next step.
 export function showCaptures(state, operates, cloud, send, goes = ["", ""]) {
   order = send;
   const going = state.doing === "nothing" ? "" : `${state.capture} ${state.done}`;
   const busy = state.works.some((work) => work.running);
-  const key = JSON.stringify([state.captures, operates, state.calibration, chosen, asked, state.doing, going, busy, goes]);
+  const key = JSON.stringify([state.captures, operates, state.calibration, state.calibration_digest, chosen, asked, state.doing, going, busy, goes]);
   if (key === shown) return;
   // Not under a person's hands.
   if (at("captures").contains(document.activeElement) && document.activeElement.matches("input")) return;
@@ -41,6 +44,7 @@ function card(capture, state, operates, cloud, goes) {
     item.append(image);
   }
   item.append(make("strong", capture.name), make("div", capture.problem || words(capture, state), capture.problem ? "wrong" : "quiet"));
+  if (isOld(capture, state)) item.append(make("div", "its cloud is of another calibration", "quiet"));
   const again = () => showCaptures(state, operates, cloud, order, goes), free = operates && state.doing === "nothing" && !state.works.some((work) => work.running);
   const button = (text, work, enabled = true, why = "") => {
     const made = make("button", text);

@@ -3,7 +3,7 @@ import { at, fill, make } from "/dom.js";
 import { showLive, showPicture } from "/live.js";
 import { showGuide } from "/guide.js";
 import { Cloud } from "/cloud.js";
-import { showCaptures } from "/captures.js";
+import { isOld, showCaptures } from "/captures.js";
 import { showHand, takeHand } from "/hand.js";
 
 const PICTURE = 1, CLOUD = 2;
@@ -55,6 +55,7 @@ function say(id, text) { at(id).textContent = text ?? ""; at(id).hidden = !text;
 
 function duration(seconds) {
   if (seconds < 90) return `${Math.ceil(seconds)} s`;
+  if (seconds < 600) return `${Math.round(seconds / 30) / 2} min`;
   const minutes = Math.ceil(seconds / 60);
   return minutes < 90 ? `${minutes} min` : `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
 }
@@ -79,7 +80,9 @@ function next() {
   if (works.includes("reconstruct")) return ["The cloud is calculated; it can be looked at as soon as that is done.", ""];
   if (resumable()) return [`Resume goes on with ${state.order.name}.`, "resume"];
   const made = state.captures.find((capture) => capture.cloud);
-  if (made) return [`${made.name} has its cloud: Look around, under Captures; or Scan again.`, [made.name, "Look around"]];
+  if (made && isOld(made, state)) return [`Reconstruct ${made.name} again: its cloud was made with another calibration than the one that is used now.`, [made.name, "Reconstruct"]];
+  const better = made && state.calibration && !(state.verdict?.of ?? []).includes(made.name) ? " Recalibrate betters the calibration by it." : "";
+  if (made) return [`${made.name} has its cloud: Look around, under Captures, or Scan again.${better}`, [made.name, "Look around"]];
   if (!state.calibration && state.verdict?.verdict) return ["This calibration is not used: its verdict below says what to do.", "boards"];
   if (!state.calibration) return [`First Look, until the line is bright and sharp; then ${state.has_board ? "Calibrate, with the board" : "Scan"}.`, !state.live ? "aim" : state.has_board ? "boards" : "sweep"];
   const swept = state.captures.find((capture) => capture.kind === "sweep" && capture.complete);
@@ -132,7 +135,7 @@ function show() {
     at("count").textContent = `${state.capture}: ${state.done} of ${state.planned} records`;
     at("left").textContent = state.done < state.planned && state.left_s !== null ? `about ${duration(state.left_s)} left` : "";
   }
-  const needs = state.needed_bytes ? `, this capture takes up to ${size(state.needed_bytes)}` : "";
+  const needs = running && state.needed_bytes ? `, this capture takes up to ${size(state.needed_bytes)}` : "";
   at("disk").textContent = state.free_bytes === undefined ? "" : `${size(state.free_bytes)} free on the disk${needs}`;
   const retakes = state.lines.filter((line) => line.kind === "retake");
   at("retakes").textContent = retakes.length ? `${retakes.length} taken again; why is written below` : "";
@@ -159,11 +162,12 @@ function age(seconds) {
 // By the user's own goal; a colour without one would judge what nobody asked for.
 const judged = (size) => (!state.goal_mm || !size ? "" : size <= state.goal_mm ? "good" : "open");
 
-// The calibration that is used, and those that may be used instead.
+// The calibration that is used, and those that may be used instead. Its verdict is said once.
 function showCalibration() {
   const known = state.calibrations ?? [], used = known.find((one) => state.calibration && state.calibration.split("/").at(-1) === one.file);
-  at("calibration").textContent = !state.calibration ? "none yet: the cloud grows once there is one" : used ? `${used.headline}; ${age(Date.now() / 1000 - used.changed)}` : state.calibration;
-  at("calibration").className = used ? judged(used.sigma_mm) : "";
+  const made = used ? age(Date.now() / 1000 - used.changed) : "", below = used && state.verdict?.verdict?.headline === used.headline;
+  at("calibration").textContent = !state.calibration ? "none yet: the cloud grows once there is one" : !used ? state.calibration : below ? `made ${made}` : `${used.headline}; ${made}`;
+  at("calibration").className = used && !below ? judged(used.sigma_mm) : "";
   const some = known.filter((one) => one.good), list = at("calibrations");
   list.hidden = !some.length;
   list.disabled = !you.operates;
@@ -177,19 +181,20 @@ function showCalibration() {
 function showVerdict(verdict) {
   at("verdict").hidden = !verdict?.verdict;
   if (!verdict?.verdict) return;
-  const kinds = { good: judged(verdict.sigma_mm), bad: "wrong", open: "open" };
+  const own = judged(verdict.sigma_mm), kinds = { good: own, plain: own, bad: "wrong", open: "open" };
   at("headline").textContent = verdict.verdict.headline;
   at("headline").className = `headline ${kinds[verdict.verdict.kind] ?? ""}`;
-  const far = verdict.at_m ? ` of points at ${verdict.at_m.toFixed(1)} m` : "";
-  at("goal").textContent = !verdict.sigma_mm ? "" : state.goal_mm ? `${verdict.sigma_mm.toFixed(2)} mm${far}, your goal_mm is ${state.goal_mm}: ${verdict.sigma_mm <= state.goal_mm ? "met" : "not met"}.` : `${verdict.sigma_mm.toFixed(2)} mm${far}. Write goal_mm into ${state.config} to have it judged.`;
+  at("goal").textContent = !verdict.sigma_mm ? "" : state.goal_mm ? `Your goal_mm is ${state.goal_mm}: ${verdict.sigma_mm <= state.goal_mm ? "met" : "not met"}.` : `Write goal_mm into ${state.config} to have it judged.`;
   at("explanation").textContent = verdict.verdict.explanation;
   fill(at("lengths"), (verdict.lengths ?? []).map((length) => {
-    const row = make("tr");
-    row.append(make("td", `± ${length.sigma_mm.toFixed(2)} mm`), make("td", length.what));
+    const row = make("tr", undefined, length.part ? "part" : "");
+    row.append(make("td", `± ${twoDigits(length.sigma_mm)} mm`), make("td", length.what));
     return row;
   }));
   fill(at("next-steps"), [...(verdict.warnings ?? []), ...(verdict.advice ?? [])].map((text) => make("li", text)));
 }
+
+const twoDigits = (size) => (size >= 10 ? size.toFixed(0) : Number(size.toPrecision(2)).toString());
 
 function showWorks(works) {
   at("calculations").hidden = !works.length;
