@@ -71,8 +71,9 @@ class Sheet:
 
     @property
     def paper_m(self) -> float:
-        """What a millimetre of the paper is in the drawing [m]; the sheet must have a scale."""
-        assert self.scale is not None
+        """What a millimetre of the paper is in the drawing [m]; only of a sheet that has been fitted."""
+        if self.scale is None:
+            raise ValueError("found a sheet without a scale, expected one of Sheet.fitted")
         return self.scale / 1e3
 
     def fitted(self, size_m: np.ndarray) -> "Sheet":
