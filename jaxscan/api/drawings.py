@@ -55,7 +55,9 @@ def check_drawing_path(path: str | Path) -> None:
 
 
 def save_drawing(drawing: Drawing, path: str | Path, *, dpi: float = DPI) -> None:
-    """Write a drawing as DXF (metres, layers, dimensions, and the sheet as a layout), or its sheet as SVG, PDF or PNG.
+    """Write a drawing as DXF, or its sheet of paper as SVG, PDF or PNG, true to scale.
+
+    A DXF has metres, layers and dimensions in its model space, and the sheet as a layout.
 
     Args:
         drawing: As `draw_plan` or `draw_section` make it.
