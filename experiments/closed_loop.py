@@ -24,7 +24,7 @@ from bench.desk import Desk, set_up
 from bench.places import TWO_LASERS, WORLD
 
 import jaxscan
-from experiments.report import ROOT, command_line, rms, verb, write_json
+from experiments.report import ROOT, Figure, command_line, conclude, rms, verb
 from jaxscan.simulation import SimulationConfig, expect_sweep, true_cloud, truth
 
 
@@ -109,7 +109,7 @@ def calibrated(desk: Desk, config: Path, folder: Path) -> Path:
     return path
 
 
-def main() -> None:
+def main() -> int:
     parser = command_line(__doc__, json=True)
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep captures, calibration and cloud here")
     parser.add_argument("--two-lasers", action="store_true", help="a rig with a second laser, and fewer steps")
@@ -155,20 +155,18 @@ def main() -> None:
     for name, true in (("length", length), ("width", width)):
         side = getattr(box, name)
         print(f"{name:>8}: {1e3 * (side.value_m - true):+6.2f} mm, predicted sigma {1e3 * side.sigma_m:.2f} mm")
-    metrics = [
-        {"key": "shots_right", "value": 100.0 * right / records, "unit": f"% of {records}", "wanted": 100.0},
-        {"key": "planes", "value": len(rows), "unit": "of the room's 6"},
-        {"key": "worst_wall", "value": 1e3 * max(abs(row["median_m"]) for row in rows), "unit": "mm", "wanted": 5.0},
-        {"key": "worst_wall_p95", "value": 1e3 * max(row["p95_m"] for row in rows), "unit": "mm"},
-        {"key": "retakes", "value": scan["retakes"], "unit": "pairs"},
-        {"key": "live_cloud_apart", "value": 1e3 * float(apart.max()), "unit": "mm from the one of `reconstruct`"},
-        {"key": "live_cloud_differs", "value": differing, "unit": "cells of which only one cloud has a point"},
-        *({"key": name, "value": value, "unit": "s"} for name, value in seconds.items()),
+    figures = [
+        Figure("shots_right", 100.0 * right / records, "%", low=100.0),
+        Figure("planes", len(rows), "of the room's 6"),
+        Figure("worst_wall", 1e3 * max(abs(row["median_m"]) for row in rows), "mm", high=5.0),
+        Figure("worst_wall_p95", 1e3 * max(row["p95_m"] for row in rows), "mm"),
+        Figure("retakes", scan["retakes"], "pairs"),
+        Figure("live_cloud_apart", 1e3 * float(apart.max()), "mm from the one of `reconstruct`"),
+        Figure("live_cloud_differs", differing, "cells of which only one cloud has a point"),
+        *(Figure(name, value, "s") for name, value in seconds.items()),
     ]
-    for metric in metrics:
-        print(f"{metric['key']:>24} {metric['value']:10.3f} {metric['unit']}")
-    write_json(arguments.json, {"format": "jaxscan-closed-loop/1", "walls": rows, "metrics": metrics})
+    return conclude("closed-loop", figures, arguments.json, walls=rows)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

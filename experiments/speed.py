@@ -6,8 +6,8 @@
   reflections, and gives normals and two sigmas a point; `usual` is the method of the best-known desk scanner for all
   rows at once, `lean` the least that gives a centroid, `read` one pass over the bytes. All get the same stacks, in
   turn.
-- packed, png: sweeps from files, in a process of its own: time by the number of records, memory without the pages of
-  files (how it grows with the sweep, too), and a cloud again from cached stripes; PNG beside decoding alone.
+- packed: a sweep from files, in a process of its own: time by the number of records, memory without the pages of files
+  and how it grows with the sweep, and a cloud again from cached stripes.
 - codecs: size and time of the storage of captures beside PNG, JPEG-LS and JPEG XL, if imagecodecs is there.
 - calibration: warm solves, and the camera alone beside OpenCV's.
 - cold: the demo and a calibration of its boards as commands, with nothing compiled, and again.
@@ -91,11 +91,10 @@ class Size(NamedTuple):
     pairs: int
     """In memory; far more than any cache holds."""
     repeats: int
-    png: int
     packed: tuple[int, ...]
 
 
-FULL, QUICK = Size(512, 5, 512, (400, 1200, 3600)), Size(48, 1, 24, (50, 100))
+FULL, QUICK = Size(512, 5, (400, 1200, 3600)), Size(48, 1, (50, 100))
 
 
 Centres = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -222,29 +221,29 @@ ALLOCATOR = {"MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_ARENA_MAX": "2"}
 """Arrays are mapped one by one and unmapped when they are free, so that resident memory is used memory."""
 
 
-def write_capture(folder: Path, records: int, storage: str) -> None:
-    """A capture with the scene's frames, over and over: every record has packed files of its own; PNG files are
-    shared."""
+def write_capture(folder: Path, records: int) -> None:
+    """A capture with the scene's frames, over and over, as captures are stored; every record has files of its own."""
     folder.mkdir()
     frames = make_frames(DISTINCT, make_scanner())
-    encode, suffix = (encode_zstd, "zst") if storage == "packed" else (encode_png, "png")
     for kind, stack in (("on", frames.on), ("off", frames.off)):
-        data = [encode(frame) for frame in stack]
-        for number in range(records if storage == "packed" else DISTINCT):
-            (folder / f"{kind}{number}.{suffix}").write_bytes(data[number % DISTINCT])
+        data = [encode_zstd(frame) for frame in stack]
+        for number in range(records):
+            (folder / f"{kind}{number}.zst").write_bytes(data[number % DISTINCT])
     (folder / "capture.toml").write_text(HEADER)
     with open(folder / "frames.jsonl", "w") as journal:
         for i in range(records):
-            own = i if storage == "packed" else i % DISTINCT
-            images = {kind: f"{kind}{own}.{suffix}" for kind in ("on", "off")}
+            images = {kind: f"{kind}{i}.zst" for kind in ("on", "off")}
             journal.write(json.dumps({"i": i, "angle_deg": 360.0 * i / records, **images}) + "\n")
 
 
 def packed(size: Size, scratch: Path) -> tuple[list[Figure], str]:
     """A long sweep as captures are stored: time and memory by its length, and again from cached stripes."""
     counts, most = size.packed, size.packed[-1]
-    write_capture(scratch / "packed", most, "packed")
-    found = _inside("packed", scratch / "packed", size)
+    write_capture(scratch / "packed", most)
+    words = [sys.executable, "-m", "experiments.speed", "--inside", str(scratch / "packed")]
+    words += ["--quick"] if size == QUICK else []
+    done = subprocess.run(words, stdout=subprocess.PIPE, check=True, env={**os.environ, **ALLOCATOR})
+    found = json.loads(done.stdout)
     full = most == FULL.packed[-1]
     figures = [
         Figure(f"{most} pairs, best", found["walls"][-1], "s", high=6.0 if full else None),
@@ -257,23 +256,6 @@ def packed(size: Size, scratch: Path) -> tuple[list[Figure], str]:
         for count, wall, used, need in zip(counts, found["walls"], found["used"], found["needed_bytes"], strict=True)
     ]
     return figures, table(["pairs", "best, ms/pair", "processor, ms/pair", "memory of small chunks, MB"], rows)
-
-
-def png(size: Size, scratch: Path) -> tuple[list[Figure], str]:
-    """A sweep of PNG files, beside decoding alone."""
-    write_capture(scratch / "png", size.png, "png")
-    found = {name: Times(*times) for name, times in _inside("png", scratch / "png", size).items()}
-    ratio = found["whole"].best / found["decode"].best
-    rows = [[name, *(f"{1e3 * seconds / size.png:.3f}" for seconds in times)] for name, times in found.items()]
-    return [Figure("whole over decoding", ratio, "1", high=1.1)], table(["", "best, ms/pair", "processor"], rows)
-
-
-def _inside(section: str, folder: Path, size: Size) -> dict[str, Any]:
-    """What a process of its own measures on a capture."""
-    words = [sys.executable, "-m", "experiments.speed", "--inside", section, "--scratch", str(folder)]
-    words += ["--quick"] if size == QUICK else []
-    done = subprocess.run(words, stdout=subprocess.PIPE, check=True, env={**os.environ, **ALLOCATOR})
-    return json.loads(done.stdout)
 
 
 def packed_inside(folder: Path, size: Size) -> dict[str, Any]:
@@ -315,22 +297,6 @@ def _from_cache(capture: Capture, scanner: Scanner) -> PointCloud:
     kept = cached_stripes(cache_path(capture), {"frames": frames_key(capture)})
     assert kept is not None
     return reconstruct(capture, scanner, stripes=Stripes(**kept))
-
-
-def png_inside(folder: Path, size: Size) -> dict[str, Any]:
-    """Decoding every image on all cores, and reconstructing."""
-    capture, scanner = open_capture(folder), make_scanner()
-    names = [capture.path / ref.path for record in capture.records for ref in (*record.on, *record.off)]
-
-    def one(path: Path) -> None:
-        decode_image(path.read_bytes(), name=path.name, rank=2, size=capture.image_size)
-
-    def decode() -> None:
-        with ThreadPoolExecutor(THREADS) as pool:
-            for _ in pool.map(one, names):
-                pass
-
-    return take_turns({"decode": decode, "whole": lambda: reconstruct(capture, scanner)}, size.repeats)
 
 
 class Watch:
@@ -488,12 +454,10 @@ def cold(size: Size, scratch: Path) -> tuple[list[Figure], str]:
 SECTIONS: dict[str, Callable[[Size, Path], tuple[list[Figure], str]]] = {
     "memory": memory,
     "packed": packed,
-    "png": png,
     "codecs": codecs,
     "calibration": calibration,
     "cold": cold,
 }
-INSIDE = {"packed": packed_inside, "png": png_inside}
 
 
 def main() -> int:
@@ -502,15 +466,17 @@ def main() -> int:
     parser.add_argument("--only", nargs="*", choices=SECTIONS, default=list(SECTIONS), help="some sections")
     parser.add_argument("--scratch", type=Path, metavar="DIR", help="where captures go for a while: up to 6 GB")
     parser.add_argument("--results", type=Path, metavar="DIR", help="write the page there")
-    parser.add_argument("--inside", choices=INSIDE, help=argparse.SUPPRESS)
+    parser.add_argument("--inside", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     size = QUICK if options.quick else FULL
     if options.inside:
-        print(json.dumps(INSIDE[options.inside](options.scratch, size)))
+        print(json.dumps(packed_inside(options.inside, size)))
         return 0
     figures: list[Figure] = []
     head = f"Written by `python -m experiments.speed`; {machine()}; load average {os.getloadavg()[0]:.1f} at the start."
-    page = ["# Speed of a reconstruction", head + " **Bold**: misses its limit, which is for a quiet machine."]
+    head += " **Bold**: misses its limit, which is for a quiet machine."
+    head += f" Sizes of --quick: {size.pairs} pairs in memory, {size.packed[-1]} packed." if options.quick else ""
+    page = ["# Speed of a reconstruction", head]
     for section in options.only:
         start, load = time.perf_counter(), os.getloadavg()[0]
         scratch = Path(tempfile.mkdtemp(prefix="jaxscan-speed-", dir=options.scratch))

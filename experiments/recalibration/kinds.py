@@ -23,9 +23,7 @@ from experiments.recalibration.world import (
     room_from_rig,
     stepped,
 )
-from experiments.unkind import truth
-from experiments.unkind.scene import Rig, draw_rig
-from experiments.unkind.simulated import CONFIG, draw_config
+from experiments.unkind.simulated import draw_config
 from jaxscan.calibration import Calibration
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration import Given, Recalibration, RecalibrationSettings, SweepStripes, recalibrate
@@ -141,16 +139,7 @@ def _angle(motion: np.ndarray) -> float:
 
 
 SIMULATED = tuple(range(101, 111))
-PATH_TRACED = (1, 2, 101, 102, 103)
-"""Seeds of the worlds; stripes were developed on 1 and 2 too."""
-
-
-def rendered_kinds(folder: Path, kept: Path) -> dict[str, Callable[[int], Task]]:
-    """The kinds of trials on worlds in a folder; `kept` holds their stripes."""
-    return {
-        "rendered unkind": partial(simulated, folder=folder, kept=kept),
-        "path-traced": partial(path_traced, folder=folder, kept=kept),
-    }
+"""Seeds of the rendered worlds."""
 
 
 def simulated(seed: int, folder: Path, kept: Path) -> Task:
@@ -165,36 +154,6 @@ def simulated(seed: int, folder: Path, kept: Path) -> Task:
     apart = ((0, 1, config.room.size_m[0]), (2, 3, config.room.size_m[1]))
     walls = np.where(exact.surface < 6, exact.surface, -1)
     return Task(stored, [stripes], true_scanner(config), walls, apart, known={"world": number})
-
-
-def path_traced(seed: int, folder: Path, kept: Path) -> Task:
-    """A sweep of a path-traced room; five worlds, each with a calibration of this seed."""
-    number = PATH_TRACED[seed % len(PATH_TRACED)]
-    path = folder / f"path_traced_{number}"
-    true, sweep, _ = truth.load(path / "truth.npz")
-    rig = draw_rig(np.random.default_rng([number, 14]))
-    assert np.array_equal(rig.lens, true.lens)
-    config = config_of(rig)
-    stored = calibration_of(config, "paper-like", seed)
-    walls = np.full(sweep.surface.shape[:2], -1)
-    for wall, surface in enumerate(true.wall_surfaces):
-        walls[(sweep.surface[..., 0] == surface) & ~sweep.edge[..., 0]] = wall
-    apart = tuple((2 * k, 2 * k + 1, float(metres)) for k, metres in enumerate(true.dimensions))
-    stripes = stripes_of(path, stored, kept)
-    return Task(stored, [stripes], true_scanner(config), walls, apart, known={"world": number})
-
-
-def config_of(rig: Rig) -> SimulationConfig:
-    """The rig of a path-traced world as the simulator has rigs, with the board of `configs/unkind.toml`."""
-    fx, fy, cx, cy, k1, k2, p1, p2 = (float(value) for value in rig.lens)
-    plain = jaxscan.load_simulation(CONFIG).model_dump()
-    plain["camera"] |= {"width": rig.width, "height": rig.height, "fx": fx, "fy": fy, "cx": cx, "cy": cy}
-    plain["camera"] |= {"k1": k1, "k2": k2, "p1": p1, "p2": p2}
-    sheet = {"normal": tuple(rig.normal), "distance_m": rig.distance, "origin_m": tuple(rig.source)}
-    plain["laser"] = [{"name": "red", "colour": "red", **sheet}]
-    axis = {"direction": tuple(rig.direction), "point_m": tuple(rig.point), "tr": None}
-    plain["turntable"] = {"carries": "scanner", "gain": rig.gain, "harmonics": tuple(rig.harmonics), **axis}
-    return SimulationConfig.model_validate(plain)
 
 
 def stripes_of(folder: Path, stored: Calibration, kept: Path) -> SweepStripes:

@@ -35,7 +35,6 @@ TRIALS = {
     "a curved wall": 10,
     "a stepped wall": 10,
     "rendered unkind": 30,
-    "path-traced": 15,
     "two stations": 10,
 }
 """Of each kind, the first of the final seeds."""
@@ -224,8 +223,6 @@ LIMITS = (
     Limit("rendered unkind", "across 180 degrees, old / new", better, low=5),
     Limit("rendered unkind", "observed / stated", honest(0), 0.75, 1.25),
     Limit("rendered unkind", "a length moved away by", away, high=1, unit="stated sigmas"),
-    Limit("path-traced", "walls apart, old / new", walls_better, low=1),
-    Limit("path-traced", "across 180 degrees, old / new", better, low=1),
     Limit("a curved wall", "a length moved away by", away, high=2, unit="stated sigmas"),
     Limit("a stepped wall", "a length moved away by", away, high=2, unit="stated sigmas"),
     Limit("two stations", "relative place", of_stations("place_mm"), high=1.0, unit="mm"),

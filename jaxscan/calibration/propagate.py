@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration.result import DepthSigma, GoodTo, GoodToPart, LaserLengths, Lengths, LengthSigma, ModelTest
-from jaxscan.geometry import AbstractCamera, LinearStage, Rig, Scanner, Still, Turntable, lit_points, points, root_of
+from jaxscan.geometry import AbstractCamera, LinearStage, Rig, Scanner, Turntable, lit_points, points, root_of
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
 
 
@@ -216,7 +216,7 @@ def _typical(scanner: Scanner, laser: int, reached: list[Lit]) -> list[Length]:
         move = length / float(table.gain)
     elif isinstance(table, Turntable):
         # Turned so far that the point in the middle of the stripe moves by the length.
-        radius = _radius(scanner, laser, lit)
+        radius = _radius(scanner, table, laser, lit)
         if length <= 2.0 * radius:
             move = 2.0 * np.arcsin(length / (2.0 * radius)) / abs(float(table.gain))
         farthest = reached[-1].depth
@@ -230,10 +230,8 @@ def _typical(scanner: Scanner, laser: int, reached: list[Lit]) -> list[Length]:
     ]
 
 
-def _radius(scanner: Scanner, laser: int, lit: Lit) -> float:
-    """Distance of the point in the middle of the stripe from the axis of the table [m]."""
-    table = scanner.turntable
-    assert isinstance(table, Turntable)
+def _radius(scanner: Scanner, table: Turntable, laser: int, lit: Lit) -> float:
+    """Distance of the point in the middle of the stripe from the axis of the scanner's table [m]."""
     point = np.asarray(lit_points(scanner.rig, lit.middle()[None], laser)[0])[0]
     return float(np.linalg.norm(np.cross(np.asarray(table.direction), point - np.asarray(table.point))))
 
@@ -269,18 +267,18 @@ def _wall(scanner: Scanner, laser: int, depth: float) -> _Wall | None:
         None without a motion, or where the stripe is not seen there.
     """
     motion, lit = scanner.turntable, lit_lines(scanner, laser, depth)
-    if isinstance(motion, Still) or not len(lit.q):
+    if not isinstance(motion, LinearStage | Turntable) or not len(lit.q):
         return None
     begins = 2.0 * np.pi * np.arange(_TURN_STOPS) / _TURN_STOPS
     if isinstance(motion, LinearStage):
         length, begins, move = TRAVEL_M, np.array([-0.5 * TRAVEL_M]), TRAVEL_M / float(motion.gain)
     elif motion.carries == "object":
-        length, move = np.sqrt(2.0) * _radius(scanner, laser, lit), 0.5 * np.pi
+        length, move = np.sqrt(2.0) * _radius(scanner, motion, laser, lit), 0.5 * np.pi
     else:
         far = lit_lines(scanner, laser, _WALL_ENDS * depth)
         # Where the ends would be out of reach, the wall is nearer.
         depth, lit = (depth, far) if len(far.q) else (depth / _WALL_ENDS, lit)
-        diameter = 2.0 * _radius(scanner, laser, lit)
+        diameter = 2.0 * _radius(scanner, motion, laser, lit)
         length = min(_WALL_SHARE * depth, diameter)
         move = 2.0 * np.arcsin(length / diameter) / abs(float(motion.gain))
     first = lit.q[np.unique(np.linspace(0, len(lit.q) - 1, _TURN_LINES).round().astype(int))]
@@ -431,24 +429,25 @@ def measure_good_to(
     """
     groups = [statistical, *(steps for _, steps in structure)]
     px = [ray_error(camera, steps[:, : len(camera.parameter_names())]) for steps in groups]
-    mm, where, shares = list[float](), tuple[float | None, float | None](), tuple[GoodToPart, ...]()
+    mm, shares = list[float](), tuple[GoodToPart, ...]()
+    far: float | None = None
+    length: float | None = None
     for scanner, laser in [] if rig is None else [(rig, laser) for laser in range(len(rig.laser_names))]:
         depth = _judged_depth(scanner, laser) if at_m is None else at_m
         error = None if depth is None else _error_at(scanner, laser, depth)
         if error is None:
             continue
-        at, length, measure = error
+        at, ends, measure = error
         found = [measure(steps) for steps in groups]
         if np.linalg.norm(found) > np.linalg.norm(mm):
-            mm, where = found, (at, length)
+            mm, far, length = found, at, ends
             shares = tuple(GoodToPart(name, measure(steps)) for name, steps in _by_part(scanner, statistical))
     tests = [
         replace(test, effect_px=px[index], effect_mm=mm[index] if mm else None) if len(steps) else test
         for index, (test, steps) in enumerate(structure, 1)
     ]
     whole = lambda parts: float(np.linalg.norm(parts)) if parts else None
-    at, length = where or (None, None)
-    return GoodTo(whole(mm), mm[0] if mm else None, at, whole(px), px[0], length, shares), tuple(tests)
+    return GoodTo(whole(mm), mm[0] if mm else None, far, whole(px), px[0], length, shares), tuple(tests)
 
 
 def _error_at(

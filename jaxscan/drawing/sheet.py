@@ -77,9 +77,13 @@ class Sheet:
 
     @property
     def paper_m(self) -> float:
-        """What a millimetre of the paper is in the drawing [m]; only of a sheet that has been fitted."""
+        """What a millimetre of the paper is in the drawing [m].
+
+        Raises:
+            ValueError: If the sheet has no scale.
+        """
         if self.scale is None:
-            raise ValueError("found a sheet without a scale, expected one of Sheet.fitted")
+            raise ValueError("The sheet has no scale yet; `fitted` gives it one.")
         return self.scale / 1e3
 
     def fitted(self, size_m: np.ndarray) -> "Sheet":

@@ -24,7 +24,7 @@ def test_walls_of_a_room_that_came_through_the_loop(tmp_path, options):
     command = [sys.executable, "-m", "experiments.closed_loop", *options, "--json", str(answer)]
     done = subprocess.run(command, cwd=ROOT, stdin=subprocess.DEVNULL, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
-    figures = {metric["key"]: metric["value"] for metric in json.loads(answer.read_text())["metrics"]}
+    figures = {metric["key"]: metric["value"] for metric in json.loads(answer.read_text())["figures"]}
     # Every pair shows the angle and the light that its record names.
     assert figures["shots_right"] == 100.0
     # Each wall, floor and ceiling is within 5 mm of its true place, as surveyors of interiors require.

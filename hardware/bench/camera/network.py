@@ -38,7 +38,6 @@ Fill = Callable[[], np.ndarray]
 
 
 def aravis_is_there() -> bool:
-    """Whether the library is installed."""
     try:
         ctypes.CDLL(LIBRARY)
     except OSError:
@@ -89,7 +88,7 @@ def _keep_to_loopback() -> None:
 class GvCamera:
     """A GigE Vision camera on a local address; there can be one per machine, port 3956 is the standard's.
 
-    A frame leaves in one of three ways: `deliver` hands over one that a trigger's wire asked for; a client's software
+    A frame leaves in one of three ways: `deliver` hands over one that the trigger wire requested; a client's software
     trigger, and a client that lets the camera run free, get the frame that `present` returns.
     """
 
@@ -120,18 +119,16 @@ class GvCamera:
         self._library.arv_fake_camera_set_fill_pattern(self._camera, self._callback, None)
 
     def register(self, address: int) -> int:
-        """Content of a register."""
         value = ctypes.c_uint32()
         self._library.arv_fake_camera_read_register(self._camera, address, ctypes.byref(value))
         return value.value
 
     def write(self, address: int, value: int) -> None:
-        """Set a register."""
         self._library.arv_fake_camera_write_register(self._camera, address, value)
 
     @property
     def bits(self) -> Literal[8, 16]:
-        """Bits of a sample that the client asked for: those of Mono8 or Mono16."""
+        """Bits of a sample that the client requested: those of Mono8 or Mono16."""
         return 16 if self.register(PIXEL_FORMAT) == MONO16 else 8
 
     def armed(self) -> bool:
@@ -167,7 +164,6 @@ class GvCamera:
         self.write(CONTROL_CHANNEL_PRIVILEGE, 0)
 
     def close(self) -> None:
-        """Disappear."""
         if self._gv:
             self._library.g_object_unref(self._gv)
             self._gv = None
@@ -224,7 +220,7 @@ class Counts:
 
 @dataclass
 class BenchCamera:
-    """Renders and sends the frames that the log asks for; `ledger` gets the true view of each."""
+    """Renders and sends the frames that the log requires; `ledger` gets the true view of each."""
 
     world: World
     edges: Path
@@ -345,7 +341,6 @@ class BenchCamera:
                 self._wire.forget_controller()
 
     def stop(self) -> None:
-        """End `run`."""
         self._stop.set()
 
     def _state(self) -> dict[str, Any]:

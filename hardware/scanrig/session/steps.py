@@ -117,7 +117,6 @@ class Rejections(NamedTuple):
     """Of the last one, if it was the proof that rejected it."""
 
     def also(self, reason: str, verdict: str = "") -> "Rejections":
-        """With one more."""
         return Rejections((*self.reasons, reason), verdict)
 
 
@@ -261,7 +260,7 @@ def _by_hand(station: Station, step: Step) -> TakenPair:
 
 
 def _exposures(station: Station) -> int:
-    """The controller's count of exposures. It is not asked again right after a shot: a question takes milliseconds."""
+    """The controller's count of exposures; a count that came with the last shot saves a request of milliseconds."""
     counted, station.numbers.counted = station.numbers.counted, None
     if counted is not None and station.clock.now() - counted[0] < _FRESH_S:
         return counted[1]
@@ -413,7 +412,6 @@ class Flight:
 
     @property
     def record(self) -> int:
-        """Number of the record."""
         return self.place.step.number
 
 
