@@ -171,8 +171,9 @@ class StripeEngine(eqx.Module):
         """
         if self.channels:
             return self._of_channels(on, off, records)
-        if self.setup.level is not None:
-            on, off = on[:, self.setup.level], None if off is None else off[:, self.setup.level]
+        if (level := self.setup.level) is not None:
+            of_level = StripeEngine(self.setup._replace(level=None), self.search)
+            return of_level.extract(on[:, level], None if off is None else off[:, level], records)
         count, exposures = len(on), len(self.setup.exposures)
         room = max(records, count)
         kind = _Kind.of(self.setup, on.shape[1 + (exposures > 1) :])
