@@ -7,6 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from jaxscan.errors import OptionError
+from jaxscan.printable import printable
 
 
 Size = Literal["a4", "a3", "a2", "a1", "a0"]
@@ -45,6 +46,11 @@ class Sheet:
     made_by: str = "jaxscan"
     north_deg: float | None = None
     """North on the sheet, clockwise from its upper edge [deg]; None where nobody said it: a scan does not know it."""
+
+    def __post_init__(self) -> None:
+        # Names may come from anywhere, and files of drawings hold no control characters.
+        for name in ("project", "room", "date", "made_by"):
+            object.__setattr__(self, name, printable(getattr(self, name)))
 
     @property
     def size_mm(self) -> tuple[float, float]:
