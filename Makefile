@@ -136,7 +136,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c "import ensurepip" 2>/dev/null || \
 	  { echo "Python's venv module is missing. Type: sudo apt-get install python3-venv"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[test,docs,console,export,plan,simulate,rig,fleet]"
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[test,docs,console,export,plan,ifc,simulate,rig,fleet]"
 	@touch $@
 
 clean:

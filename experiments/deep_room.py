@@ -73,9 +73,7 @@ def spread(values: np.ndarray) -> float:
 
 def main() -> None:
     """Print the table; errors are of the lines that both find."""
-    print(
-        "| light | median peak, DN of 8 bits | 8 bits: found | error | over sigma | 12 bits: found | error | over sigma |"
-    )
+    print("| light | median peak [DN] | 8 bits: found | error | over sigma | 12 bits: found | error | over sigma |")
     print("|---|---|---|---|---|---|---|---|")
     for light in LIGHTS:
         both = [found(light, bits) for bits in (8, 12)]

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         save_board,
         save_designed_rig,
         save_drawing,
+        save_ifc,
         save_mesh,
         save_panorama,
         save_scan,
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
         calibrate_observations,
     )
     from jaxscan.design import RigChoice, RigDesign, RigWish, Sensor, design_rig
-    from jaxscan.drawing import Drawing, Survey, draw_orthophotos, draw_plan, draw_section, survey_room
+    from jaxscan.drawing import Drawing, Sheet, Survey, draw_orthophotos, draw_plan, draw_section, survey_room
     from jaxscan.errors import (
         CalibrationError,
         CaptureError,

@@ -1,14 +1,6 @@
 """A project opened as the verbs open it, and done in this process."""
 
-from jaxscan.project import (
-    digests_of,
-    do_step,
-    load_project,
-    open_catalogue,
-    order_of,
-    states_of,
-    steps_of,
-)
+from jaxscan.project import do_step, load_project, open_catalogue, opened, order_of
 
 
 def catalogue_of(file):
@@ -19,12 +11,8 @@ def catalogue_of(file):
 
 def states(file):
     """The state of every step, by key."""
-    project, catalogue = load_project(file), catalogue_of(file)
-    steps = steps_of(project)
-    digests, parts = digests_of(steps)
-    found = states_of(steps, digests, parts, catalogue.rows(), project.output)
-    catalogue.close()
-    return {status.step.key: status for status in found}
+    with opened(load_project(file)) as found:
+        return {status.step.key: status for status in found.states}
 
 
 def work(file):

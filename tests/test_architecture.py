@@ -79,6 +79,7 @@ HOME_OF = {
     "fast_simplification": {"surface/decimate.py"},
     "pye57": {"files"},
     "ezdxf": {"files/drawings.py"},
+    "ifcopenshell": {"files/ifc.py"},
     "laspy": {"files"},
     "pyproj": {"files"},
     "rerun": {"files/clouds/rerun.py"},

@@ -27,7 +27,6 @@ SOCKETS = {"place": "camera", "camera": "camera", "rig": "control"}
 
 
 def ask(words: list[str]) -> int:
-    """Pass a command on to a running bench."""
     client = ControlClient(runtime() / SOCKETS[words[0]])
     text = " ".join(["board", *words[1:]] if words[0] == "place" else words[1:])
     answer = client.ask(text)
@@ -83,7 +82,6 @@ def run(world: Path, config: str) -> int:
 
 
 def main(words: list[str]) -> int:
-    """The command line."""
     try:
         if words and words[0] in SOCKETS:
             return ask(words)

@@ -60,7 +60,6 @@ def launch(
 
 
 def end(process: "subprocess.Popen[str]", *, kill: bool = False) -> None:
-    """End a program: by a signal that it may handle, unless `kill`, and by force where that does not help."""
     if kill:
         process.kill()
     else:

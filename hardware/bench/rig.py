@@ -127,15 +127,12 @@ class SimulatedRig(Part):
         self.control("unplug")
 
     def plug(self) -> None:
-        """Plug it in again."""
         self.control("plug")
 
     def kill(self) -> None:
-        """Take the power away, in the middle of any action."""
         self.close(kill=True)
 
     def restart(self) -> None:
-        """Power off and on again."""
         self.kill()
         self.start()
 

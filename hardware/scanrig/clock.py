@@ -16,7 +16,6 @@ class Clock:
         return rfc3339(datetime.now(UTC))
 
     def sleep(self, s: float) -> None:
-        """Wait for s seconds."""
         time.sleep(s)
 
 

@@ -105,7 +105,6 @@ class TurntableTable(FileModel):
 
     @property
     def microsteps_per_turn(self) -> int:
-        """Microsteps per turn of the table."""
         return self.full_steps * self.microsteps * self.gear[0] // self.gear[1]
 
 
@@ -240,7 +239,6 @@ class RigConfig(FileModel):
 
     @property
     def microsteps_per_turn(self) -> int:
-        """Microsteps per turn of the table, N."""
         return self.turntable.microsteps_per_turn
 
     def laser_of(self, record: int) -> int:

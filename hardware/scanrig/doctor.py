@@ -184,7 +184,6 @@ def _camera(camera: Camera) -> Finding:
 
 
 def _trigger(controller: Controller | None, camera: Camera, config: RigConfig, clock: Clock) -> Finding:
-    """Check that each pulse gives one frame."""
     mode = camera.trigger_mode
     if mode == "hardware" and controller is None:
         return Finding("trigger", "not checked", "its wire comes from the controller, which was not examined")

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import JOURNAL_NAME, MAX_LINE_BYTES, CaptureHeader, seal
-from jaxscan.files.disk import FolderLock, append_whole, open_to_write, remove_left
+from jaxscan.files.disk import FolderLock, append_whole, open_to_write, remove_stale
 from jaxscan.files.recording import LOCK_NAME, CaptureWriter, create_capture, require_no_links, resume_capture
 from scanrig.clock import Clock
 from scanrig.errors import SessionError
@@ -63,7 +63,6 @@ def is_full(problem: BaseException) -> bool:
 
 
 def readable(size: int) -> str:
-    """A number of bytes for people."""
     return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.1f} MB"
 
 
@@ -95,11 +94,10 @@ class Ledger:
         """
         require_no_links(self.folder)
         for folder in (self.folder, self.folder / "on", self.folder / "off"):
-            remove_left(folder)
+            remove_stale(folder)
         self._attach(resume_capture(self.folder, digests=True))
 
     def note(self, name: str, **fields: Any) -> None:
-        """Note an event as `write` does."""
         self.write(self.event(name, **fields))
 
     def event(self, name: str, **fields: Any) -> dict[str, Any]:

@@ -4,9 +4,17 @@ from jaxscan.facades import TYPE_CHECKING, load_on_use
 
 
 if TYPE_CHECKING:
-    from jaxscan.api.boards import BoardSheets, draw_board, save_board, write_sheets
     from jaxscan.api.calibration import calibrate, observe_boards, plan_calibration
-    from jaxscan.api.drawings import check_drawing_path, save_drawing
+    from jaxscan.api.drawings import (
+        BoardSheets,
+        check_drawing_path,
+        check_ifc_path,
+        draw_board,
+        save_board,
+        save_drawing,
+        save_ifc,
+        write_sheets,
+    )
     from jaxscan.api.frames import align_cloud
     from jaxscan.api.meshes import Texture, draw_texture, mesh_cloud, poisson_mesh, textured_mesh
     from jaxscan.api.photographs import (

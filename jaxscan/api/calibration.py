@@ -6,6 +6,7 @@ from dataclasses import replace
 from importlib import metadata
 from typing import NamedTuple, TypeVar
 
+from jaxscan.api.stages import Stage, Stages, megapixels
 from jaxscan.calibration import (
     NOTHING_KNOWN,
     Calibration,
@@ -98,8 +99,8 @@ def calibrate(
         only_camera: Calibrate the camera alone, as with `only="camera"` in the settings.
         redetect: Look for corners and stripes again at the places that the first solve predicts,
             and solve again; `quality.redetected` holds the gain.
-        progress: Called with (records done, records in all), of both looks together. If it has a method `doing`,
-            that is told in words what is being done.
+        progress: Called with (work done, work in all). If it has a method `doing`, that receives the current stage in
+            words.
 
     Returns:
         The calibration, with its covariance, quality and observations.
@@ -113,21 +114,27 @@ def calibrate(
     settings = replace(settings, only="camera") if only_camera else settings
     stripes = bool(plan_calibration(captures, settings=settings, known=known).lasers)
     settings = with_stops(settings, captures)
-    board, eyes, looks = common_board(captures, single_lasers=stripes), _eyes(), 2 if redetect else 1
-    _part(progress, 0, looks)(0, sum(len(capture) for capture in captures))
+    board, eyes = common_board(captures, single_lasers=stripes), _eyes()
+    pixels = sum(megapixels(*capture.image_size, len(capture)) for capture in captures)
+    # Of 50 pairs of 640 x 512 px on one processor; solving hardly depends on how large the images are.
+    again = (Stage(0.5, 0.12 * pixels), Stage(3.0)) if redetect else (Stage(0.0), Stage(5.0))
+    stages = Stages(progress, (Stage(2.3, 0.14 * pixels), Stage(5.3 if redetect else 0.0), *again))
+    if (begin := stages.part(0)) is not None:
+        begin(0, 1)
     doing = getattr(progress, "doing", lambda words: None)
     doing("finding corners and stripes" if stripes else "finding corners")
-    seen = look_at_boards(captures, board, eyes, with_stripes=stripes, progress=_part(progress, 0, looks))
+    seen = look_at_boards(captures, board, eyes, with_stripes=stripes, progress=stages.part(0))
     doing("solving")
     found = estimate(to_observations(captures, seen), settings=settings, known=known)
+    stages.done(1)
     predicted, gains = solved_rig(found) if redetect else None, None
     if predicted is not None:
         doing("looking again at predicted places")
-        again = look_again(captures, seen, predicted, eyes, progress=_part(progress, 1, looks))
+        looked = look_again(captures, seen, predicted, eyes, progress=stages.part(2))
         doing("solving again")
-        second = estimate(to_observations(captures, again), settings=settings, known=known, before=found)
+        second = estimate(to_observations(captures, looked), settings=settings, known=known, before=found)
         found, gains = choose(found, second)
-        seen = again if gains.kept else seen
+        seen = looked if gains.kept else seen
     doing("judging")
     result = judge(found, settings=settings, known=known)
     result = settle_lens(result, settings, to_observations(captures, seen), known)
@@ -155,13 +162,6 @@ def with_stops(settings: _Settings, captures: Sequence[Capture]) -> _Settings:
 def versions() -> dict[str, str]:
     """The versions of all that a solve depends on."""
     return {name: metadata.version(name) for name in ("jaxscan", "jax", "optimistix", "numpy")}
-
-
-def _part(progress: Progress | None, look: int, looks: int) -> Progress:
-    """Progress of one of several looks, as a part of all of them."""
-    if progress is None:
-        return lambda done, total: None
-    return lambda done, total: progress(look * total + done, looks * total)
 
 
 def _eyes() -> Eyes:

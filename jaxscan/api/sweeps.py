@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxscan.api.stages import Stage, Stages, megapixels
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import Capture, cache_path, cached_stripes, code_digest, frames_key, save_stripes
 from jaxscan.geometry import Scanner
@@ -90,7 +91,7 @@ def reconstruct_capture(
         scanner: The calibrated rig.
         settings: Range limits, and how stripes are found.
         noise: Noise of a frame; estimated from the start of the sweep where not given.
-        progress: Called with (records done, records in all); from frames, of finding the stripes.
+        progress: Called with (work done, work in all).
         cache: Whether stripes are looked for in the capture's folder and kept there.
 
     Returns:
@@ -101,11 +102,15 @@ def reconstruct_capture(
             than the angles say.
         CalibrationError: If the scanner is not that of the sweep, or no point is in range.
     """
-    found = find_stripes(capture, scanner, settings, noise=noise, progress=progress, cache=cache)
-    again = progress if found.from_cache else None
+    pixels = megapixels(*capture.image_size, len(capture))
+    # Of a sweep of 180 pairs of 640 x 512 px on one processor.
+    stages = Stages(progress, (Stage(3.1, 0.035 * pixels), Stage(4.2, 1e-3 * pixels)))
+    found = find_stripes(capture, scanner, settings, noise=noise, progress=stages.part(0), cache=cache)
+    stages.done(0)
     cloud = reconstruct(
-        capture, scanner, stripes=found.stripes, smoothed=found.smoothed, settings=settings, progress=again
+        capture, scanner, stripes=found.stripes, smoothed=found.smoothed, settings=settings, progress=stages.part(1)
     )
+    stages.done(1)
     notes = (*found.notes, *doubts_of(capture, scanner, cloud, found.seen))
     return Reconstruction(cloud, found.from_cache, found.kept, notes, found.noise)
 
@@ -258,10 +263,10 @@ def cloud_of_ranges(
             sweep has no stripe.
         CalibrationError: If no point is in range.
     """
-    told = sorted((_about(part, capture) for part in parts), key=lambda one: one[0]["records"])
-    _check(told, capture, settings)
-    found = join_parts(plan_sweep(capture, scanner, settings), [_part(about, part) for about, part in told])
-    seen = _seen([part for _, part in told], len(capture))
+    described = sorted((_about(part, capture) for part in parts), key=lambda one: one[0]["records"])
+    _check(described, capture, settings)
+    found = join_parts(plan_sweep(capture, scanner, settings), [_part(about, part) for about, part in described])
+    seen = _seen([part for _, part in described], len(capture))
     pairs = pair_notes(capture, found.stripes, capture.frames, numbers_of(capture))
     cloud = reconstruct(capture, scanner, stripes=found.stripes, settings=settings)
     notes = (*found.notes, *pairs, *doubts_of(capture, scanner, cloud, seen))
@@ -286,12 +291,12 @@ def _about(part: Part, capture: Capture) -> tuple[dict[str, Any], Part]:
         raise CaptureError(f"{capture.path}: a part of its stripes is none ({FORMAT}).") from problem
 
 
-def _check(told: Sequence[tuple[dict[str, Any], Part]], capture: Capture, settings: ReconstructSettings) -> None:
-    if any(about["key"] != _key(capture, settings) for about, _ in told):
+def _check(described: Sequence[tuple[dict[str, Any], Part]], capture: Capture, settings: ReconstructSettings) -> None:
+    if any(about["key"] != _key(capture, settings) for about, _ in described):
         raise CaptureError(
             f"{capture.path}: parts of stripes are of another sweep, other settings or another code; find them again."
         )
-    ranges = [tuple(about["records"]) for about, _ in told]
+    ranges = [tuple(about["records"]) for about, _ in described]
     ends = [0, *(stop for _, stop in ranges)]
     if [first for first, _ in ranges] != ends[:-1] or ends[-1] != len(capture):
         listed = ", ".join(f"{first}-{stop}" for first, stop in ranges)

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration.result import DepthSigma, GoodTo, GoodToPart, LaserLengths, Lengths, LengthSigma, ModelTest
-from jaxscan.geometry import AbstractCamera, LinearStage, Rig, Scanner, Still, Turntable, lit_points, points, root_of
+from jaxscan.geometry import AbstractCamera, LinearStage, Rig, Scanner, Turntable, lit_points, points, root_of
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
 
 
@@ -269,7 +269,7 @@ def _wall(scanner: Scanner, laser: int, depth: float) -> _Wall | None:
         None without a motion, or where the stripe is not seen there.
     """
     motion, lit = scanner.turntable, lit_lines(scanner, laser, depth)
-    if isinstance(motion, Still) or not len(lit.q):
+    if not isinstance(motion, LinearStage | Turntable) or not len(lit.q):
         return None
     begins = 2.0 * np.pi * np.arange(_TURN_STOPS) / _TURN_STOPS
     if isinstance(motion, LinearStage):
@@ -431,24 +431,25 @@ def measure_good_to(
     """
     groups = [statistical, *(steps for _, steps in structure)]
     px = [ray_error(camera, steps[:, : len(camera.parameter_names())]) for steps in groups]
-    mm, where, shares = list[float](), tuple[float | None, float | None](), tuple[GoodToPart, ...]()
+    mm, shares = list[float](), tuple[GoodToPart, ...]()
+    far: float | None = None
+    length: float | None = None
     for scanner, laser in [] if rig is None else [(rig, laser) for laser in range(len(rig.laser_names))]:
         depth = _judged_depth(scanner, laser) if at_m is None else at_m
         error = None if depth is None else _error_at(scanner, laser, depth)
         if error is None:
             continue
-        at, length, measure = error
+        at, ends, measure = error
         found = [measure(steps) for steps in groups]
         if np.linalg.norm(found) > np.linalg.norm(mm):
-            mm, where = found, (at, length)
+            mm, far, length = found, at, ends
             shares = tuple(GoodToPart(name, measure(steps)) for name, steps in _by_part(scanner, statistical))
     tests = [
         replace(test, effect_px=px[index], effect_mm=mm[index] if mm else None) if len(steps) else test
         for index, (test, steps) in enumerate(structure, 1)
     ]
     whole = lambda parts: float(np.linalg.norm(parts)) if parts else None
-    at, length = where or (None, None)
-    return GoodTo(whole(mm), mm[0] if mm else None, at, whole(px), px[0], length, shares), tuple(tests)
+    return GoodTo(whole(mm), mm[0] if mm else None, far, whole(px), px[0], length, shares), tuple(tests)
 
 
 def _error_at(

@@ -23,7 +23,7 @@ from jaxscan.cli.options import (
     file_at,
 )
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
+from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import CalibrationError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
@@ -96,35 +96,31 @@ def calibrate(
     known_places = [place for option, path in (*parts, *known_files(sheet, axis)) for place in file_at(option, path)]
     check_paths(
         reads=[*(place for path in captures for place in capture_at("CAPTURE", path)), *known_places],
-        writes=[*calibration_at("--output", output), *file_at("--report", report), *file_at("--json", json)],
+        writes=[*calibration_at("--output", output), *file_at("--report", report)],
+        json=json,
     )
     calibration_files.check_calibration_path(output)
-    check_json(json)
     if report is not None:
         disk.check_writable(report)
     settings = replace(calibration_settings(lens or "pinhole", free, hold), only=only, choose_lens=lens is None)
     settings = replace(settings, limit_mm=limit_mm, at_m=at_m, limit_px=limit_px)
     opened = [api.open_capture(path) for path in captures]
     out = console(json)
-    for capture in opened:
-        for note in capture.notes:
-            out.print(f"note: {capture.path}: {note}")
+    out.notes(f"{capture.path}: {note}" for capture in opened for note in capture.notes)
     known, notes = calibrating.KnownParts(), list[str]()
     if opened:
         known, notes = known_parts(opened[0], camera, sheet, axis, refine, lens or "pinhole")
-    for note in motion_notes(opened[0], axis) if opened else []:
-        out.print(f"note: {note}")
+    out.notes(motion_notes(opened[0], axis) if opened else [])
     plan = api.plan_calibration(opened, settings=settings, known=known)
-    for note in notes:
-        out.print(f"note: {note}")
+    out.notes(notes)
     out.print(f"solving for {plan.words()}{_held(known)}")
     for sentence in plan.missing:
         out.print(sentence)
     with progress_bar("Calibrating") as progress:
         result = api.calibrate(opened, settings=settings, known=known, redetect=redetect, progress=progress)
-    told = {_part(sentence) for sentence in plan.missing}
+    listed = {_part(sentence) for sentence in plan.missing}
     for sentence in result.missing:
-        if _part(sentence) not in told:
+        if _part(sentence) not in listed:
             out.print(sentence, style="yellow")
     api.save_calibration(result, output)
     files = {"calibration": str(output)}

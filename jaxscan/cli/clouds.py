@@ -1,6 +1,7 @@
 """`jaxscan convert`, `align`, `clean`, `register`: clouds in other formats and frames, smaller, and joined."""
 
 import dataclasses
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -31,7 +32,7 @@ from jaxscan.cli.options import (
     positive,
 )
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
+from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import CloudError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import clouds as cloud_files
@@ -79,26 +80,26 @@ def convert(
         offset: Metres x y z that are added to the cloud's coordinates, such as the place of the scanner on the map.
         json: Write the result as JSON too.
     """
-    writes = [*file_at("OUTPUT", target), *file_at("--json", json)]
-    check_paths(file_at("INPUT", source), writes)
+    # `Path.is_dir` raises where a name is too long.
+    is_capture = os.path.isdir(source)
+    is_calibration = not is_capture and source.suffix.lower() == ".json"
+    places = capture_at if is_capture else calibration_at if is_calibration else file_at
+    check_paths(places("INPUT", source), file_at("OUTPUT", target), json=json)
     given = {"--columns": columns, "--colours": colours, "--unit": unit, "--up": up, "--epsg": epsg, "--offset": offset}
-    if source.is_dir() or source.suffix.lower() == ".json":
+    if is_capture or is_calibration:
         for option in (option for option, value in given.items() if value is not None):
             raise OptionError(f"{option}: is for clouds, and {source} is none.")
-    if source.is_dir():
-        check_paths(capture_at("INPUT", source), writes)
+    if is_capture:
         _convert_capture(source, target, format, storage, json)
         return
     if storage is not None:
         raise OptionError(f"--storage: is for captures, and {source} is not the folder of one.")
-    if source.suffix.lower() == ".json":
-        check_paths(calibration_at("INPUT", source), writes)
+    if is_calibration:
         _convert_calibration(source, target, format, json)
         return
     if format is not None:
         raise OptionError(f"--format: is for calibrations (.json), and {source} is none; a cloud's suffix decides.")
     cloud_files.check_cloud_path(target)
-    check_json(json)
     if offset is not None:
         coordinates("--offset", offset)
     stored = api.read_cloud(source, _reading(columns, colours))
@@ -119,8 +120,7 @@ def convert(
     api.save_cloud(cloud, target, calibration_digest=stored.about.calibration, epsg=code)
     points = int(np.asarray(cloud.valid).sum())
     out = console(json)
-    for note in notes:
-        out.print(f"note: {note}")
+    out.notes(notes)
     out.print(f"written: {target} ({points:,} points)")
     emit_json(json, "convert", {"source": str(source), "cloud": str(target), "points": points, "notes": notes})
 
@@ -135,11 +135,9 @@ def _reading(columns: str | None, colours: str | None) -> "Reading":
 
 def _convert_calibration(source: Path, target: Path, camera_format: CameraFormat | None, json: JsonTarget) -> None:
     chosen = calibration_files.check_camera_path(target, camera_format)
-    check_json(json)
     calibration_files.export_camera(api.load_calibration(source), target, chosen)
     out, notes = console(json), calibration_files.calibration_notes(source)
-    for note in notes:
-        out.print(f"note: {note}")
+    out.notes(notes)
     out.print(f"written: {target} (camera for {chosen})")
     result = {"source": str(source), "camera": str(target), "camera_format": chosen, "notes": notes}
     emit_json(json, "convert", result)
@@ -153,7 +151,6 @@ def _convert_capture(
     if storage is None:
         raise OptionError(f"--storage: is needed to convert the capture {source}: {', '.join(recording.STORAGES)}.")
     recording.check_new_folder(target)
-    check_json(json)
     with progress_bar("Converting") as progress:
         capture = recording.repack_capture(source, target, storage=storage, progress=progress)
     console(json).print(f"written: {target} ({len(capture)} records, {storage})")
@@ -193,12 +190,12 @@ def align(
         raise OptionError(f"found {found} --targets, expected one of them.")
     check_paths(
         [*file_at("CLOUD", cloud), *file_at("--targets", targets)],
-        [*file_at("--output", output), *file_at("--json", json)],
+        file_at("--output", output),
+        json=json,
     )
     if targets is not None and up is not None:
         raise OptionError("--up: found with --targets, which say by themselves what is up.")
     cloud_files.check_cloud_path(output)
-    check_json(json)
     points, notes = in_metres(cloud, unit) if targets is not None else upright(cloud, unit, up)
     out = notes_first(notes, json)
     transform, result = _to_room(points, out) if targets is None else _to_targets(targets, out)
@@ -292,9 +289,8 @@ def clean(
     coordinates("--box", box or ())
     if box is not None and not all(low < high for low, high in zip(box[:3], box[3:], strict=True)):
         raise OptionError("--box: found a corner that is not below the other, expected the lower one first.")
-    check_paths(file_at("CLOUD", cloud), [*file_at("--output", output), *file_at("--json", json)])
+    check_paths(file_at("CLOUD", cloud), file_at("--output", output), json=json)
     cloud_files.check_cloud_path(output)
-    check_json(json)
     stored = api.read_cloud(cloud)
     points, notes = in_metres(cloud, unit)
     left: dict[str, int] = {}
@@ -357,11 +353,11 @@ def register(
     places = capture_at if sweeps else file_at
     check_paths(
         [*(place for path in sources for place in places("STATION", path)), *calibration_at("-c", calibration)],
-        [*file_at("--output", output), *file_at("--json", json)],
+        file_at("--output", output),
         kept=[Place("the stripes", path / "stripes.npz") for path in sweeps],
+        json=json,
     )
     cloud_files.check_cloud_path(output)
-    check_json(json)
     out = console(json)
     if calibration is not None:
         stations = _register_sweeps(sweeps, calibration, output, out)
@@ -379,8 +375,7 @@ def _register_sweeps(sweeps: list[Path], calibration: Path, output: Path, out: T
     captures = [api.open_capture(path) for path in sweeps]
     with progress_bar("Registering") as progress:
         adjusted, notes = api.register(captures, calibration, progress=progress)
-    for note in (*calibration_files.calibration_notes(calibration), *notes):
-        out.print(f"note: {note}")
+    out.notes([*calibration_files.calibration_notes(calibration), *notes])
     digest = calibration_files.calibration_digest(calibration)
     api.save_recalibrated_cloud(captures, adjusted, adjusted.scanner, output, calibration_digest=digest)
     return [_station(*one) for one in zip(adjusted.stations, adjusted.station_covariance, strict=True)]

@@ -12,9 +12,9 @@ import tyro
 
 from jaxscan import api, geometry, simulation, vision
 from jaxscan import report as reports
-from jaxscan.cli.options import Place, calibration_at, capture_at, check_paths, file_at
+from jaxscan.cli.options import Place, calibration_at, capture_at, check_paths
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
+from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import CaptureError, MeasurementError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import disk
@@ -41,8 +41,7 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
         output: Folder to write to.
         json: Write the result as JSON too.
     """
-    check_paths(_reads(output / "captures"), _writes(output, json))
-    check_json(json)
+    check_paths(_reads(output / "captures"), _writes(output), json=json)
     _check_folder(output)
     out = console(json)
     started = time.perf_counter()
@@ -106,10 +105,10 @@ def _reads(captures: Path) -> list[Place]:
     return [*folders, *(Place("the truth", captures / name) for name in ("truth.json", "truth.npz"))]
 
 
-def _writes(output: Path, json: str | None) -> list[Place]:
+def _writes(output: Path) -> list[Place]:
     calibration, *others = FILES
     places = calibration_at("the calibration", output / calibration)
-    return [*places, *(Place("the file", output / name) for name in others), *file_at("--json", json)]
+    return [*places, *(Place("the file", output / name) for name in others)]
 
 
 def _check_folder(output: Path) -> None:

@@ -4,17 +4,16 @@ import dataclasses
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
 
+from jaxscan import api
+from jaxscan import design as rigs
 from jaxscan.cli.options import check_paths, file_at
-from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
+from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import OptionError, OutputError
-
-
-if TYPE_CHECKING:
-    from jaxscan.design import RigChoice, RigDesign, RigWish
+from jaxscan.files import disk
 
 
 def design(
@@ -61,7 +60,7 @@ def design(
         raise OutputError(f'{output}: cannot write "{output.suffix}", known is .png.')
     if save_rig is not None and save_rig.suffix.lower() != ".toml":
         raise OutputError(f'{save_rig}: cannot write "{save_rig.suffix}", known is .toml.')
-    check_paths([], [*file_at("--output", output), *file_at("--save-rig", save_rig), *file_at("--json", json)])
+    check_paths([], [*file_at("--output", output), *file_at("--save-rig", save_rig)], json=json)
     options = {
         "range": quantity("--range", range, METRES, (0.05, 100.0)),
         "sigma": quantity("--sigma", sigma, METRES, (1e-7, 1.0)),
@@ -74,35 +73,26 @@ def design(
     if calibration_noise is not None:
         allowed = quantity("--calibration-noise", calibration_noise, PIXELS, (0.0, 10.0))
         wish = dataclasses.replace(wish, calibration_px=allowed)
-    from jaxscan.files.disk import check_writable, write_atomically
-
     for path in (output, save_rig):
         if path is not None:
-            check_writable(path)
-    check_json(json)
-    from jaxscan.design import design_rig
-
-    choice = design_rig(wish)
+            disk.check_writable(path)
+    choice = rigs.design_rig(wish)
     out = console(json)
     result = numbers(choice, step_deg, _scan_seconds(step_deg))
     show(out, choice, result)
     if output is not None:
         from jaxscan.report.pictures import design_picture
 
-        write_atomically(output, design_picture(choice))
+        disk.write_atomically(output, design_picture(choice))
         out.print(f"written: {output}")
     if save_rig is not None:
-        from jaxscan.api import save_designed_rig
-
-        save_designed_rig(choice.design, save_rig, step_deg=step_deg)
+        api.save_designed_rig(choice.design, save_rig, step_deg=step_deg)
         out.print(f"written: {save_rig}; `jaxscan simulate {save_rig} -o captures/design` renders it")
     emit_json(json, "design", result)
 
 
-def _wish(options: dict[str, float], camera: str | None, pixel: str) -> "RigWish":
-    from jaxscan.design import RigWish, Sensor
-
-    wish = RigWish(
+def _wish(options: dict[str, float], camera: str | None, pixel: str) -> "rigs.RigWish":
+    wish = rigs.RigWish(
         range_m=options["range"],
         sigma_m=options["sigma"],
         longest_baseline_m=options["longest"],
@@ -112,10 +102,10 @@ def _wish(options: dict[str, float], camera: str | None, pixel: str) -> "RigWish
     if camera is None:
         return wish
     width, height = image_size("--camera", camera, (8, 65535))
-    return dataclasses.replace(wish, sensors=(Sensor(width, height, side * 1e-6),))
+    return dataclasses.replace(wish, sensors=(rigs.Sensor(width, height, side * 1e-6),))
 
 
-def _given(wish: "RigWish", lens: str | None, baseline: str | None) -> "RigWish":
+def _given(wish: "rigs.RigWish", lens: str | None, baseline: str | None) -> "rigs.RigWish":
     if lens is not None:
         wish = dataclasses.replace(wish, lenses_mm=(1e3 * quantity("--lens", lens, METRES, (1e-3, 0.5)),))
     if baseline is not None:
@@ -146,14 +136,12 @@ _SHOWN = 12
 """Alternatives that are printed; JSON and picture have all."""
 
 
-def numbers(choice: "RigChoice", step_deg: float, seconds: float) -> dict[str, Any]:
+def numbers(choice: "rigs.RigChoice", step_deg: float, seconds: float) -> dict[str, Any]:
     """The result as JSON tells it; sigmas contain the allowance for the calibration, but for `stripe_mm`."""
-    from jaxscan.design import spread_at
-
     wish, chosen = choice.wish, choice.design
     near, far = chosen.view_m
     depths = [share * wish.range_m for share in _SHARES if near <= share * wish.range_m <= far]
-    stripe, both = (spread_at(chosen, depths, noise) for noise in (wish.stripe_px, wish.noise_px))
+    stripe, both = (rigs.spread_at(chosen, depths, noise) for noise in (wish.stripe_px, wish.noise_px))
     rows = [
         {"depth_m": depths[k], "stripe_mm": 1e3 * float(stripe.depth[k])}
         | {f"{name}_mm": 1e3 * float(getattr(both, name)[k]) for name in ("depth", "across", "along")}
@@ -181,7 +169,7 @@ def numbers(choice: "RigChoice", step_deg: float, seconds: float) -> dict[str, A
     }
 
 
-def show(out: Terminal, choice: "RigChoice", result: dict[str, Any]) -> None:
+def show(out: Terminal, choice: "rigs.RigChoice", result: dict[str, Any]) -> None:
     """Print the rig, its accuracy by distance, and the alternatives nearest to it."""
     wish, rig, scan = result["wish"], result["chosen"], result["scan"]
     out.print(
@@ -223,9 +211,7 @@ def show(out: Terminal, choice: "RigChoice", result: dict[str, Any]) -> None:
     out.print(table(f"Alternatives with this camera; wished are {wish['sigma_mm']:g} mm", columns, rows))
 
 
-def _entry(choice: "RigChoice", design: "RigDesign", sigma_m: float) -> dict[str, Any]:
-    from jaxscan.design import wide_enough
-
+def _entry(choice: "rigs.RigChoice", design: "rigs.RigDesign", sigma_m: float) -> dict[str, Any]:
     return {
         "width": design.sensor.width,
         "height": design.sensor.height,
@@ -233,7 +219,7 @@ def _entry(choice: "RigChoice", design: "RigDesign", sigma_m: float) -> dict[str
         "baseline_m": design.baseline_m,
         "field_along_deg": design.fields_deg[1],
         "sigma_mm": 1e3 * sigma_m,
-        "wide_enough": wide_enough(design, choice.wish),
+        "wide_enough": rigs.wide_enough(design, choice.wish),
         "reaches": choice.reaches(design, sigma_m),
     }
 

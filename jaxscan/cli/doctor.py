@@ -14,7 +14,7 @@ import tyro
 from jaxscan.cli.options import capture_at, check_paths, file_at
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.signals import RigInUse
-from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
+from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import CaptureError, DependencyError, JaxscanError, OptionError
 
 
@@ -56,6 +56,7 @@ OPTIONAL = (
     Optional("lazrs", "lazrs", "export", "clouds as LAZ"),
     Optional("pyproj", "pyproj", "export", "convert --epsg"),
     Optional("ezdxf", "ezdxf", "plan", "drawings as DXF"),
+    Optional("ifcopenshell", "ifcopenshell", "ifc", "rooms as IFC"),
     Optional("fast-simplification", "fast_simplification", "mesh", "mesh --faces"),
     Optional("open3d", "open3d", "poisson", "mesh --poisson"),
     Optional("distributed", "distributed", "fleet", "batch"),
@@ -93,8 +94,7 @@ def doctor(
         raise OptionError(
             "--camera: found without --config, expected with it: the configuration holds the settings of the camera."
         )
-    check_paths([*file_at("--config", config), *capture_at("--capture", capture)], file_at("--json", json))
-    check_json(json)
+    check_paths([*file_at("--config", config), *capture_at("--capture", capture)], json=json)
     out = console(json)
     if capture is not None:
         _verify(capture, out, json)
@@ -259,7 +259,7 @@ def examine_rig(
         port: Serial port instead of the port in the configuration.
         config: The rig's configuration, where there is one.
         camera: Id of the camera instead of the id in the configuration.
-        tell: Called with every `scanrig.doctor.findings.Finding`.
+        tell: Called with every `scanrig.doctor.Finding`.
         say: Called with a sentence on each check that takes long.
 
     Raises:

@@ -1,7 +1,7 @@
 """`jaxscan plan`, `orthophoto`, `panorama`: a room as a plan or a section, its walls, and all around."""
 
 import dataclasses
-import math
+import datetime
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -42,15 +42,24 @@ if TYPE_CHECKING:
     from jaxscan.measurement import Estimate
 
 
+MADE_BY = f"jaxscan {jaxscan.__version__}"
+
+
 def plan(
     cloud: CloudPath,
     /,
     *,
     output: Annotated[
-        Path, tyro.conf.arg(aliases=["-o"], help="Drawing to write; the suffix chooses the format (.dxf .svg .pdf).")
+        Path, tyro.conf.arg(aliases=["-o"], help="Drawing to write; the suffix chooses: .dxf .svg .pdf .png, or .ifc.")
     ],
     height: tuple[float, ...] = (1.0,),
     section: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PLACE")] = (),
+    scale: int | None = None,
+    sheet: Literal["a4", "a3", "a2", "a1", "a0"] = "a4",
+    name: str = "",
+    project: str = "",
+    north: float | None = None,
+    dpi: float = 200.0,
     calibration: OptionalCalibrationPath = None,
     unit: CloudUnit = None,
     up: CloudUp = None,
@@ -66,21 +75,31 @@ def plan(
         height: Heights above the floor [m] at which the plan is cut; lengths and openings are those at the first.
         section: Draws a vertical section instead: parallel to a wall of the plan, so many metres before it (W1+1.2); or
             through two points of the plan [m], whose origin and axes are drawn in it.
+        scale: Scale of the sheet, 50 for 1 : 50; the largest standard scale that fits if not given.
+        sheet: Size of the paper.
+        name: Name of the room, for the drawing and its title block.
+        project: Name of the project, for the title block.
+        north: North on the sheet, in degrees clockwise from up; a scan does not know it.
+        dpi: Dots per inch of a .png.
         calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
         json: Write the result as JSON too.
     """
-    from jaxscan.api import check_drawing_path
-    from jaxscan.drawing import section_before
+    from jaxscan.drawing import Sheet, section_before
 
     for one in height:
         positive("--height", one)
         coordinates("--height", (one,))
     cut = _section(section)
+    at_least(1, "--scale", scale)
+    coordinates("--north", () if north is None else (north,))
+    is_model = output.suffix.lower() == ".ifc"
+    if is_model and cut is not None:
+        raise OptionError("--section: an .ifc holds the whole room; write the section as .dxf, .svg, .pdf or .png.")
     check_paths(
         [*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)],
         [*file_at("--output", output), *file_at("--json", json)],
     )
-    check_drawing_path(output)
+    (api.check_ifc_path if is_model else api.check_drawing_path)(output)
     check_json(json)
     scanner, notes = calibrated(calibration)
     points, said = upright(cloud, unit, up)
@@ -92,11 +111,23 @@ def plan(
         ends = section_before(survey, wall, float(before))
     elif cut is not None:
         ends = cut[:2], cut[2:]
-    drawing = jaxscan.draw_plan(survey, heights_m=height) if ends is None else jaxscan.draw_section(survey, *ends)
-    jaxscan.save_drawing(drawing, output)
+    paper = Sheet(sheet, scale, None, project, name, str(datetime.date.today()), MADE_BY, north)
+    remarks = [f"{remark}." for remark in survey.outline.remarks]
+    written = f"written: {output}"
+    drawing = None
+    if is_model:
+        jaxscan.save_ifc(survey, output, sheet=paper)
+    else:
+        if ends is None:
+            drawing = jaxscan.draw_plan(survey, heights_m=height, sheet=paper)
+        else:
+            drawing = jaxscan.draw_section(survey, *ends, sheet=paper)
+        jaxscan.save_drawing(drawing, output, dpi=dpi)
+        remarks = list(drawing.remarks)
+        written += f", 1 : {drawing.sheet.scale} on {sheet.upper()}"
     out = notes_first(notes, json)
     result = _numbers(survey, height[0])
-    if ends is None:
+    if ends is None or drawing is None:
         _print_walls(out, result, height[0])
     else:
         wall, _, metres = section[0].partition("+")
@@ -105,18 +136,16 @@ def plan(
         for line in drawing.dimensions:
             out.print(f"  {'height' if line.offset_m == 0 else 'width'} {line.words}")
         result["section_m"] = [list(end) for end in ends]
-    origin = " ".join(f"{value:.3f}" for value in survey.outline.frame.back(np.zeros(3)))
-    turned = math.degrees(math.atan2(survey.outline.frame.rotation[0, 1], survey.outline.frame.rotation[0, 0]))
-    out.print(f"the plan's origin is at {origin} m of the cloud, its x is the cloud's turned by {turned:.2f}°")
-    for name, unit in (("height", "m"), ("floor_area", "m²"), ("volume", "m³")):
-        found = result[name]
+    out.print(f"frame of the plan: {survey.frame_words()}")
+    for what, of in (("height", "m"), ("floor_area", "m²"), ("volume", "m³")):
+        found = result[what]
         if found is not None:
-            out.print(f"{name.replace('_', ' ')}: {_length(found, unit) if unit == 'm' else _area(found, unit)}")
-    for remark in drawing.remarks:
+            out.print(f"{what.replace('_', ' ')}: {_length(found, of) if of == 'm' else _area(found, of)}")
+    for remark in remarks:
         out.print(f"note: {remark}")
     out.print("± is one standard deviation" + ("" if scanner else "; --calibration adds the calibration's part") + ".")
-    out.print(f"written: {output}")
-    emit_json(json, "plan", result | {"drawing": str(output), "notes": [*notes, *drawing.remarks]})
+    out.print(written)
+    emit_json(json, "plan", result | {"drawing": str(output), "notes": [*notes, *remarks]})
 
 
 def _section(words: tuple[str, ...]) -> str | tuple[float, float, float, float] | None:

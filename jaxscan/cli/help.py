@@ -15,7 +15,7 @@ import tyro
 
 
 _LONGEST_CHOICES = 32
-"""Choices longer than this are told in the text, not in the place of the value."""
+"""Choices longer than this are listed in the text, not in the place of the value."""
 
 
 class Entry(NamedTuple):
@@ -39,9 +39,9 @@ class Entry(NamedTuple):
 def entries_of(function: Callable[..., Any]) -> list[Entry]:
     """All arguments and options of a verb, as its function lists them."""
     hints = get_type_hints(function, include_extras=True)
-    told = _told(function)
+    texts = _texts(function)
     parameters = inspect.signature(function).parameters.values()
-    return [_entry(one, hints[one.name], told) for one in parameters]
+    return [_entry(one, hints[one.name], texts) for one in parameters]
 
 
 def paragraphs(function: Callable[..., Any]) -> list[str]:
@@ -50,14 +50,14 @@ def paragraphs(function: Callable[..., Any]) -> list[str]:
     return [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
 
 
-def _told(function: Callable[..., Any]) -> dict[str, str]:
-    """What the docstring says about each argument."""
+def _texts(function: Callable[..., Any]) -> dict[str, str]:
+    """The text of each argument in the docstring."""
     found = re.search(r"^Args:\n((?:    .*\n?|\n)*)", inspect.getdoc(function) or "", flags=re.MULTILINE)
     parts = re.split(r"^    (\w+): ", found[1], flags=re.MULTILINE)[1:] if found else []
     return {name: " ".join(text.split()) for name, text in zip(parts[::2], parts[1::2], strict=True)}
 
 
-def _entry(parameter: inspect.Parameter, hint: Any, told: Mapping[str, str]) -> Entry:
+def _entry(parameter: inspect.Parameter, hint: Any, texts: Mapping[str, str]) -> Entry:
     kind, marks = _without_marks(hint)
     settings: Any = next((mark for mark in marks if hasattr(mark, "metavar")), tyro.conf.arg())
     name: str = settings.name or parameter.name
@@ -65,7 +65,7 @@ def _entry(parameter: inspect.Parameter, hint: Any, told: Mapping[str, str]) -> 
     kind = _without_none(kind)
     one, count = _each(kind)
     choices = tuple(map(str, get_args(one))) if get_origin(one) is Literal else ()
-    text: str = settings.help or told.get(parameter.name, "")
+    text: str = settings.help or texts.get(parameter.name, "")
     default = parameter.default
     required = default is parameter.empty
     if one is bool:
@@ -242,15 +242,15 @@ def mistake(words: Sequence[str], prog: str, entries: Sequence[Entry]) -> str | 
         for value in values:
             if not _fits(value, entry):
                 return f'{name}: found "{value}", expected {_expected(entry)}. {more}'
-        # What follows any number of values may be meant as arguments.
+        # Words behind an option with any number of values may be arguments.
         perhaps += len(values) if entry.many is None else 0
     expected = [entry for entry in entries if not entry.names]
     # Where any number is taken, the verb itself says that none is too few.
     missing = [entry for entry in expected if entry.required and entry.many == 1][len(arguments) + perhaps :]
     missing += [entry for entry in entries if entry.names and entry.required and not used & set(entry.names)]
     if missing:
-        asked = " ".join([*missing[0].names[-1:], missing[0].value])
-        return f"{prog} needs {asked}: {missing[0].text} {_to_type(prog, words, arguments, missing)}{more}"
+        needed = " ".join([*missing[0].names[-1:], missing[0].value])
+        return f"{prog} needs {needed}: {missing[0].text} {_to_type(prog, words, arguments, missing)}{more}"
     if len(arguments) > len(expected) and all(entry.many == 1 for entry in expected):
         return f'"{arguments[len(expected)]}" is one word too many for {prog}. {more}'
     return None
@@ -326,8 +326,8 @@ def _bash(verbs: Sequence[Verb]) -> str:
         name = " ".join(verb.words)
         for entry in verb.entries:
             if entry.choices:
-                asked = " | ".join(f"'{name} {option}'" for option in entry.names)
-                values.append(f"        {asked}) words='{' '.join(entry.choices)}' ;;")
+                case = " | ".join(f"'{name} {option}'" for option in entry.names)
+                values.append(f"        {case}) words='{' '.join(entry.choices)}' ;;")
         options.append(f"        '{name}') words='{' '.join(_options(verb.entries))}' ;;")
     below = [f"        {above}) words='{' '.join(names)}' ;;" for above, names in _below(verbs).items()]
     first = [verb.words[0] for verb in verbs if len(verb.words) == 1]
@@ -378,8 +378,8 @@ def _fish(verbs: Sequence[Verb]) -> str:
         for entry in (*verb.entries, *ALWAYS):
             if entry.names:
                 values = f" -x -a {_quoted(' '.join(entry.choices))}" if entry.choices else " -r" * bool(entry.value)
-                told = _quoted(entry.text.partition(". ")[0])
-                lines.append(f"complete -c jaxscan -n {inside}{_fish_names(entry)}{values} -d {told}")
+                about = _quoted(entry.text.partition(". ")[0])
+                lines.append(f"complete -c jaxscan -n {inside}{_fish_names(entry)}{values} -d {about}")
     return "\n".join(lines) + "\n"
 
 

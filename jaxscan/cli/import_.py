@@ -8,7 +8,7 @@ import tyro
 from jaxscan import stripes as stripe_search
 from jaxscan.cli.options import Carries, ImageUp, LaserColour, PixelFormat, StripeAxis, check_paths, file_at
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json
+from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json
 from jaxscan.errors import OptionError
 from jaxscan.files import importing, recording
 
@@ -81,17 +81,16 @@ def import_(
         shutter: `rolling` if rows are exposed one after another.
         up: Direction of the image that is up.
         pixel_format: Bayer pattern of raw images; grey and colour are seen.
-        bits: Bits of the camera in images of 16 bits; without, the images tell.
+        bits: Bits of the camera in images of 16 bits; without, they are found from the images.
         every: Of a video, take every so many frames.
         json: Write the result as JSON too.
     """
     # The folder as a whole is read, and nothing in it is ever written.
-    check_paths(file_at("FOLDER", folder), [*file_at("--output", output), *file_at("--json", json)])
+    check_paths(file_at("FOLDER", folder), file_at("--output", output), json=json)
     if output is None and not show:
         raise OptionError("-o: is needed: the folder of the new capture; --show only shows what would be imported.")
     if output is not None:
         recording.check_new_folder(output)
-    check_json(json)
     linear = carries == "linear"
     _fits("--carries", "linear", linear, {"--step-mm": step_mm, "--positions": positions})
     _fits(
@@ -125,8 +124,7 @@ def import_(
     else:
         with progress_bar("Importing") as progress:
             capture = importing.write_import(plan, found, output, progress)
-        for note in capture.notes:
-            out.print(f"note: {note}")
+        out.notes(capture.notes)
         out.print(f"written: {output} ({len(capture)} records, {found.header.kind})")
         result["capture"] = str(output)
     emit_json(json, "import", result)

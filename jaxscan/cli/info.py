@@ -9,16 +9,18 @@ import numpy as np
 import tyro
 
 from jaxscan import api
+from jaxscan import project as projects
 from jaxscan import report as reports
 from jaxscan.cli.options import CLOUD_SUFFIXES, calibration_at, capture_at, check_paths, file_at
-from jaxscan.cli.terminal import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.project import counted, in_words
+from jaxscan.cli.terminal import JsonTarget, console, emit_json
 from jaxscan.errors import ConfigError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import disk
 
 
 Facts = dict[str, Any]
-"""What is said of a file, by name; None is left out."""
+"""Facts of a file by their names; None is left out."""
 
 
 def info(
@@ -34,8 +36,7 @@ def info(
         json: Write the result as JSON too.
     """
     places = {True: capture_at, False: calibration_at if file.suffix.lower() == ".json" else file_at}[file.is_dir()]
-    check_paths(places("FILE", file), file_at("--json", json))
-    check_json(json)
+    check_paths(places("FILE", file), json=json)
     if file.is_dir():
         facts = _of_capture(file)
     elif file.suffix.lower() == ".json":
@@ -56,8 +57,7 @@ def info(
     for name, value in facts.items():
         if value is not None and name != "notes":
             out.print(_line(name, value))
-    for note in facts.get("notes", ()):
-        out.print(f"note: {note}")
+    out.notes(facts.get("notes", ()))
     emit_json(json, "info", {"file": str(file), **facts})
 
 
@@ -127,11 +127,7 @@ def _of_toml(path: Path) -> Facts:
         raise ConfigError(f"{path}: is no TOML: {problem}.") from problem
     if "project" not in tables:
         return {"kind": "configuration", "tables": list(tables)}
-    # Imported here: a project asks for more than the others.
-    from jaxscan.cli.project import counted, in_words, opened
-    from jaxscan.project import load_project
-
-    with opened(load_project(path)) as found:
+    with projects.opened(projects.load_project(path)) as found:
         project, counts = found.project, counted(found.states)
     return {
         "kind": "project",
@@ -152,11 +148,11 @@ def _line(name: str, value: Any) -> str:
     if name in ("from", "to"):
         return f"{name}: {' '.join(f'{number:.3f}' for number in value)} m"
     what, _, unit = name.rpartition("_")
-    said = name.replace("_", " ")
+    label = name.replace("_", " ")
     if unit == "m":
         return f"{what.replace('_', ' ')}: {1e3 * value:.2f} mm"
     if unit == "deg":
         return f"{what}: {value:.1f}°"
     if isinstance(value, list):
-        return f"{said}: {', '.join(map(str, value)) or 'none'}"
-    return f"{said}: {value:,}" if isinstance(value, int) else f"{said}: {value}"
+        return f"{label}: {', '.join(map(str, value)) or 'none'}"
+    return f"{label}: {value:,}" if isinstance(value, int) else f"{label}: {value}"

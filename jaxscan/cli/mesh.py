@@ -18,7 +18,7 @@ from jaxscan.cli.options import (
     positive,
 )
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.terminal import JsonTarget, console, emit_json
 from jaxscan.errors import OptionError
 from jaxscan.files import clouds as cloud_files
 from jaxscan.surface.settings import DEFAULT_MESH
@@ -56,7 +56,7 @@ def mesh(
 
     Args:
         cloud: Cloud (.ply or .npz) that `jaxscan reconstruct` wrote.
-        calibration: Calibration file: it tells where the camera was, and where photographs show a point.
+        calibration: Calibration file, which gives the place of the camera, and where photographs show a point.
         texture: Folder of the captured sweep, whose laser-off images are drawn on the mesh (.glb and .obj).
         texels: Texels of the texture on each side of a cell of the grid; by default one for each pixel of the camera.
         faces: Most faces: the mesh is simplified where it is flat.
@@ -86,23 +86,21 @@ def mesh(
             *calibration_at("--calibration", calibration),
             *capture_at("--texture", texture),
         ],
-        writes=[*(place for path in written for place in file_at("--output", path)), *file_at("--json", json)],
+        writes=[place for path in written for place in file_at("--output", path)],
+        json=json,
     )
     api.check_mesh_path(output, textured=textured)
-    check_json(json)
     settings = surface.MeshSettings(sigmas=sigmas, bend=bend, grazing_deg=grazing_deg, bridge=bridge)
     points, notes = cloud_files.in_metres(cloud_files.read_cloud(cloud))
     scanner = None if calibration is None else api.load_scanner(calibration)
     out = console(json)
-    for note in notes:
-        out.print(f"note: {cloud}: {note}")
+    out.notes(f"{cloud}: {note}" for note in notes)
     start = time.perf_counter()
     if texture is None or scanner is None:
         made = _mesh_of(points, scanner, settings, faces=faces, poisson=poisson)
     else:
         sweep = api.open_capture(texture)
-        for note in api.photograph_notes(sweep, scanner, "pictures"):
-            out.print(f"note: {note}")
+        out.notes(api.photograph_notes(sweep, scanner, "pictures"))
         with progress_bar("Drawing the texture") as progress:
             drawn = api.Texture(sweep, texels, progress)
             if faces is None and not poisson:

@@ -10,6 +10,7 @@ from typing import Annotated, Literal, NamedTuple
 
 import tyro
 
+from jaxscan.cli.terminal import check_json
 from jaxscan.errors import DependencyError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
@@ -166,21 +167,26 @@ def capture_at(role: str, path: Path | None) -> list[Place]:
     return [] if path is None else [Place(role, path, is_capture=True)]
 
 
-def check_paths(reads: Sequence[Place], writes: Sequence[Place], *, kept: Sequence[Place] = ()) -> None:
-    """Refuse an output that is an input, or another output, also under another name or as a link.
+def check_paths(
+    reads: Sequence[Place], writes: Sequence[Place] = (), *, kept: Sequence[Place] = (), json: str | None = None
+) -> None:
+    """Refuse an output that is an input, or another output, also under another name or as a link; and a place for the
+    JSON that cannot be written.
 
     Args:
         reads: All files that the verb reads.
         writes: All files that it writes; in the folder of a capture that it reads, only files that are not of it.
         kept: Files of the capture itself that the verb writes.
+        json: Where the result is written as JSON too, "-" for standard output.
 
     Raises:
+        JaxscanError: If the JSON cannot be written.
         OptionError: With both names; nothing is changed. Also if a name is none that a disk can have, or if an output
             would follow a link in the folder of a capture: whoever made the capture chose where it leads.
     """
     _reads[:] = [place.path for place in reads]
     known = [(place, _identity(place)) for place in (*reads, *kept)]
-    for place in writes:
+    for place in (*writes, *file_at("--json", json)):
         identity = _identity(place)
         for other, theirs in known:
             if identity & theirs:
@@ -198,6 +204,7 @@ def check_paths(reads: Sequence[Place], writes: Sequence[Place], *, kept: Sequen
         for other in reads:
             if _identity(place) & _identity(other):
                 raise OptionError(f"{other}: is the file in which {place.role} are kept; move it to another folder.")
+    check_json(json)
 
 
 def inputs_in_words() -> str:

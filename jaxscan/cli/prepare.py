@@ -14,7 +14,7 @@ import jaxscan
 from jaxscan import api
 from jaxscan.cli.options import ConfigPath, OutputPath, Paper, at_least, capture_at, check_paths, file_at
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.terminal import JsonTarget, console, emit_json
 from jaxscan.errors import ConfigError, OptionError
 from jaxscan.files import disk
 
@@ -41,7 +41,7 @@ def init(
     with importlib.resources.as_file(importlib.resources.files("jaxscan.data") / "configs") as folder:
         known = {path.stem: path for path in sorted(folder.glob("*.toml"))}
         if list or name is None:
-            check_json(json)
+            check_paths([], [], json=json)
             lines = {f"{stem}.toml": _first_sentence(_text(path)) for stem, path in known.items()}
             for file, line in lines.items():
                 console(json).print(f"{file:24} {line}")
@@ -55,8 +55,7 @@ def init(
                 f'"{closest}.toml".'
             )
         text, target = _text(chosen), Path(chosen.name) if output is None else output
-    check_paths([], [*file_at("--output", target), *file_at("--json", json)])
-    check_json(json)
+    check_paths([], file_at("--output", target), json=json)
     if os.path.lexists(target):
         raise OptionError(f"{target}: exists, and may be yours; choose another name with -o, or move it away.")
     disk.write_atomically(target, text.encode())
@@ -88,18 +87,14 @@ def board(config: ConfigPath, /, *, output: OutputPath, paper: Paper = "A4", jso
         json: Write the result as JSON too.
     """
     reads = capture_at("CONFIG", config) if config.is_dir() else file_at("CONFIG", config)
-    check_paths(reads, [*file_at("--output", output), *file_at("--json", json)])
-    check_json(json)
+    check_paths(reads, file_at("--output", output), json=json)
     described = api.load_board(config)
     sheets = api.draw_board(described, output, paper)
-    check_paths(
-        reads, [*(place for file in sheets.files for place in file_at("--output", file)), *file_at("--json", json)]
-    )
+    check_paths(reads, [place for file in sheets.files for place in file_at("--output", file)], json=json)
     files = api.write_sheets(sheets)
     out = console(json)
     out.print(described.describe())
-    for note in sheets.notes:
-        out.print(f"note: {note}")
+    out.notes(sheets.notes)
     for file in files:
         out.print(f"written: {file}")
     out.print("Print it at 100 %, without fitting to the page, and write what you measure into [board].")
@@ -142,8 +137,7 @@ def simulate(
     """
     at_least(1, "--every", every)
     at_least(0, "--seed", seed)
-    check_paths(file_at("CONFIG", config), [*file_at("--output", output), *file_at("--json", json)])
-    check_json(json)
+    check_paths(file_at("CONFIG", config), file_at("--output", output), json=json)
     settings = jaxscan.load_simulation(config)
     start = time.perf_counter()
     with progress_bar("Rendering") as progress:

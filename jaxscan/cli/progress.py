@@ -1,4 +1,4 @@
-"""Progress: on a terminal it moves and says what is being done; in a log it is a line after each tenth."""
+"""Progress: a moving bar and the current stage on a terminal; a line after each tenth in a log."""
 
 import math
 import threading
@@ -90,24 +90,24 @@ class Shown:
         self._remaining = Remaining()
         self._compiling: set[int] = set()
         self._lock = threading.Lock()
-        self._number = TaskID(0) if bars is None else bars.add_task(printable(task), total=None, left="")
+        self._number = TaskID(0) if bars is None else bars.add_task(printable(task), total=None, ends=None)
 
     def __call__(self, done: int, total: int) -> None:
         """Show that `done` of `total` are done."""
         if self._bars is not None:
-            left = self._remaining(done, total) if 10 * done >= total else None
-            said = "" if left is None or done >= total else f"about {duration(left)} left"
-            self._bars.update(self._number, completed=done, total=total, left=said)
+            left = self._remaining(done, total) if 10 * done >= total > done else None
+            ends = None if left is None else time.monotonic() + left
+            self._bars.update(self._number, completed=done, total=total, ends=ends)
         elif self._log is not None and (line := self._remaining.line(done, total)):
             self._log.print(f"{self._task}: {100 * done // total} %, {line}")
 
     def doing(self, words: str) -> None:
-        """Say what is being done."""
+        """Show the current stage."""
         self._doing = words
         self._describe()
 
     def heard(self, event: str, duration_secs: float, **_: Any) -> None:
-        """Say while some thread compiles; a listener of `jax.monitoring`."""
+        """Show that some thread compiles; a listener of `jax.monitoring`."""
         if event not in (LOWERED, COMPILED):
             return
         with self._lock:
@@ -120,10 +120,10 @@ class Shown:
     def _describe(self) -> None:
         if self._bars is None:
             return
-        said = [words for words in (self._doing, "compiling" if self._compiling else "") if words]
-        task = [] if self._brief and said else [self._task]
-        told = ": ".join([*task, *([", ".join(said)] if said else [])])
-        self._bars.update(self._number, description=printable(told))
+        stage = [words for words in (self._doing, "compiling" if self._compiling else "") if words]
+        task = [] if self._brief and stage else [self._task]
+        description = ": ".join([*task, *([", ".join(stage)] if stage else [])])
+        self._bars.update(self._number, description=printable(description))
 
 
 @final
@@ -134,12 +134,22 @@ class _Count(ProgressColumn):
         return Text("" if task.total is None else f"{int(task.completed)}/{int(task.total)}")
 
 
+@final
+class _Left(ProgressColumn):
+    """The time that is left, which becomes less while a long stage says nothing."""
+
+    def render(self, task: Task) -> Text:
+        ends = task.fields["ends"]
+        left = 0.0 if ends is None else ends - time.monotonic()
+        return Text(f"about {duration(left)} left" if left > 0 else "")
+
+
 @contextmanager
 def progress_bar(task: str) -> Iterator[Shown]:
     """A bar on standard error, as a callback `(done, total)`; without a terminal lines with the time that is left.
 
-    A wheel turns and the seconds count while nothing is done, and "compiling" is said while a function is compiled;
-    the callback's `doing` says what else is being done.
+    A wheel turns and the seconds count during a long step, and "compiling" is shown while a function is compiled; the
+    callback's `doing` shows any other stage.
     """
     terminal = Terminal(stderr=True)
     if not terminal.is_terminal:
@@ -147,8 +157,7 @@ def progress_bar(task: str) -> Iterator[Shown]:
         return
     text = TextColumn("{task.description}", markup=False)
     brief = terminal.console.width < _BESIDE_BAR
-    left = TextColumn("{task.fields[left]}")
-    wide = (SpinnerColumn("line"), text, BarColumn(), _Count(), TimeElapsedColumn(), left)
+    wide = (SpinnerColumn("line"), text, BarColumn(), _Count(), TimeElapsedColumn(), _Left())
     columns = (SpinnerColumn("line"), text, _Count()) if brief else wide
     leave_behind(_WITHOUT_BAR)
     try:

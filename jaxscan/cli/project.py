@@ -10,20 +10,18 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Sequence, Sized
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, final
+from typing import Annotated, Any, final
 
 import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
+from jaxscan import project as projects
 from jaxscan.cli.options import check_paths, file_at
 from jaxscan.cli.signals import leave_behind
-from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
+from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import DependencyError, FleetError, JaxscanError, MeasurementError, OptionError
+from jaxscan.files import disk
 from jaxscan.printable import printable
-
-
-if TYPE_CHECKING:
-    from jaxscan.project import Catalogue, Comparison, LengthChange, Project, Row, Status
 
 
 ProjectPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PROJECT")]
@@ -34,35 +32,7 @@ def project() -> None:
     """Many captures as one project: `jaxscan project init FOLDER` (`jaxscan project --help`)."""
 
 
-class Opened(NamedTuple):
-    """A project, and where it stands."""
-
-    project: "Project"
-    states: "Sequence[Status]"
-    catalogue: "Catalogue"
-
-
-@contextlib.contextmanager
-def opened(project: "Project", *, write: bool = False) -> Iterator[Opened]:
-    """Find what of a project's products is there; without `write`, nothing is made.
-
-    Raises:
-        JaxscanError: If a capture or the catalogue is not what it should be.
-    """
-    # Imported here, so that `--help` does not load JAX.
-    from jaxscan.project import check_owner, digests_of, open_catalogue, states_of, steps_of
-
-    check_owner(project)
-    steps = steps_of(project)
-    digests, parts = digests_of(steps)
-    catalogue = open_catalogue(project, write=write)
-    try:
-        yield Opened(project, states_of(steps, digests, parts, catalogue.rows(), project.output), catalogue)
-    finally:
-        catalogue.close()
-
-
-def counted(states: "Sequence[Status]") -> dict[str, int]:
+def counted(states: "Sequence[projects.Status]") -> dict[str, int]:
     """How many steps are in each state."""
     found = Counter[str](status.state for status in states)
     return {state: found[state] for state in STATES}
@@ -90,29 +60,23 @@ def init(
         folder: The folder that holds captures and calibrations; without one, this one.
         json: Write the result as JSON too.
     """
-    # Imported here, so that `--help` does not load JAX.
-    from jaxscan.files.disk import write_atomically
-    from jaxscan.project import board_notes, load_project, project_text, steps_of
-
     target = folder / NAME
-    check_paths([], [*file_at("FOLDER", target), *file_at("--json", json)])
-    check_json(json)
+    check_paths([], file_at("FOLDER", target), json=json)
     if os.path.lexists(target):
         raise OptionError(f"{target}: exists, and may be yours; move it away.")
     if not folder.is_dir():
         raise OptionError(f"{folder}: is no folder.")
-    write_atomically(target, project_text(folder).encode(), links="replace")
+    disk.write_atomically(target, projects.project_text(folder).encode(), links="replace")
     try:
-        project = load_project(target)
-        steps, notes = len(steps_of(project)), [*project.notes, *board_notes(project)]
+        project = projects.load_project(target)
+        steps, notes = len(projects.steps_of(project)), [*project.notes, *projects.board_notes(project)]
     except JaxscanError:
         # What is in the way, a name that two captures have say, is mended in the folder; then it is called again.
         target.unlink()
         raise
     out = console(json)
     out.print(f"written: {target} ({len(project.captures)} captures, {steps} steps)")
-    for note in notes:
-        out.print(f"note: {note}")
+    out.notes(notes)
     out.print(f"next: {shlex.join(['jaxscan', 'batch', str(target)])}")
     names = [capture.name for capture in project.captures]
     emit_json(json, "project-init", {"project": str(target), "captures": names, "notes": notes})
@@ -135,12 +99,8 @@ def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False,
         all: List every step, also those that are done.
         json: Write the result as JSON too.
     """
-    check_paths(file_at("PROJECT", project), file_at("--json", json))
-    check_json(json)
-    # Imported here, so that `--help` does not load JAX.
-    from jaxscan.project import load_project
-
-    with opened(load_project(project)) as found:
+    check_paths(file_at("PROJECT", project), json=json)
+    with projects.opened(projects.load_project(project)) as found:
         states = found.states
     out, counts = console(json), counted(states)
     shown = [one for one in states if all or len(states) <= _MOST_ROWS or one.state != "done"]
@@ -154,8 +114,7 @@ def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False,
             out.print(f"{one.step.key} ({one.state}): {one.why}")
     if len(listed) < len(shown):
         out.print(f"... and {len(shown) - len(listed)} more (--all)")
-    for note in found.project.notes:
-        out.print(f"note: {note}")
+    out.notes(found.project.notes)
     out.print(in_words(counts))
     if counts["done"] < len(states):
         out.print(f"next: {shlex.join(['jaxscan', 'batch', str(project)])}")
@@ -164,7 +123,7 @@ def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False,
     emit_json(json, "project-status", result)
 
 
-def _as_json(status: "Status") -> dict[str, Any]:
+def _as_json(status: "projects.Status") -> dict[str, Any]:
     outputs = list(status.step.outputs)
     return {"step": status.step.key, "state": status.state, "why": status.why, "outputs": outputs}
 
@@ -188,12 +147,8 @@ def compare(
         second: That of the second.
         json: Write the result as JSON too.
     """
-    # Imported here, so that `--help` does not load JAX.
-    from jaxscan.project import compare_projects, load_project
-
-    check_paths([*file_at("FIRST", first), *file_at("SECOND", second)], file_at("--json", json))
-    check_json(json)
-    found = compare_projects(load_project(first), load_project(second))
+    check_paths([*file_at("FIRST", first), *file_at("SECOND", second)], json=json)
+    found = projects.compare_projects(projects.load_project(first), projects.load_project(second))
     out = console(json)
     columns = ("", "first m", "second m", "difference mm", "sigma mm", "")
     out.print(table(f"{first} and {second}", columns, [_row(one) for one in found.lengths]))
@@ -213,7 +168,7 @@ def compare(
     out.print(f"{len(found.lengths)} lengths, none has changed")
 
 
-def _changes(found: "Comparison") -> list[str]:
+def _changes(found: "projects.Comparison") -> list[str]:
     """In words: lengths that have changed, and those that are lost."""
     changes = []
     if found.moved:
@@ -228,7 +183,7 @@ def _changes(found: "Comparison") -> list[str]:
     return changes
 
 
-def _row(one: "LengthChange") -> tuple[str, ...]:
+def _row(one: "projects.LengthChange") -> tuple[str, ...]:
     sigma = "same capture" if one.same_capture else f"{1e3 * one.sigma_m:.2f}"
     name, difference = f"{one.capture} {one.name}", f"{1e3 * one.difference_m:+.3f}"
     return name, f"{one.first_m:.4f}", f"{one.second_m:.4f}", difference, sigma, "changed" if one.moved else ""
@@ -260,22 +215,19 @@ def batch(
             project's folder.
         json: Write the result as JSON too.
     """
-    check_paths(file_at("PROJECT", project), file_at("--json", json))
-    check_json(json)
+    check_paths(file_at("PROJECT", project), json=json)
     if any(importlib.util.find_spec(package) is None for package in ("distributed", "cryptography")):
         raise DependencyError('a batch needs Dask and cryptography: pip install "jaxscan[fleet]".')
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.fleet.cluster import check_cluster, open_cluster
-    from jaxscan.project import claimed, load_project
 
     check_cluster(cluster, workers, memory_gib)
     out, start = console(json), time.perf_counter()
-    wanted = load_project(project)
-    with claimed(wanted, output), opened(wanted, write=True) as found:
+    wanted = projects.load_project(project)
+    with projects.claimed(wanted, output), projects.opened(wanted, write=True) as found:
         counts = counted(found.states)
         out.print(f"{_many(found.project.captures, 'capture')}, {_many(found.states, 'step')}: {in_words(counts)}")
-        for note in wanted.notes:
-            out.print(f"note: {note}")
+        out.notes(wanted.notes)
         result: dict[str, Any] = {"done": [], "failed": {}, "not_begun": {}, "notes": {}}
         if counts["done"] < len(found.states):
             # Errors of the cluster are one line; Dask would log many.
@@ -287,8 +239,8 @@ def batch(
     if result["done"]:
         out.print(f"{_many(result['done'], 'step')} done in {seconds:.0f} s, in {found.project.output}")
     if result["notes"]:
-        told = shlex.join(["jaxscan", "project", "status", "--all", str(project)])
-        out.print(f"notes on {_many(result['notes'], 'step')}: {told}")
+        command = shlex.join(["jaxscan", "project", "status", "--all", str(project)])
+        out.print(f"notes on {_many(result['notes'], 'step')}: {command}")
     about = {"output": str(found.project.output), "seconds_s": seconds, "left_out": list(wanted.notes)}
     emit_json(json, "batch", result | about)
     if result["failed"]:
@@ -301,12 +253,11 @@ def _many(listed: Sized, name: str) -> str:
     return f"{len(listed)} {name}{'' if len(listed) == 1 else 's'}"
 
 
-def _work(found: Opened, client: Any, out: Terminal) -> dict[str, Any]:
+def _work(found: "projects.Opened", client: Any, out: Terminal) -> dict[str, Any]:
     from jaxscan.fleet.batch import check_sight, run_batch
-    from jaxscan.project import order_of
 
     output = found.project.output
-    todo = [order_of(status, output) for status in found.states if status.state != "done"]
+    todo = [projects.order_of(status, output) for status in found.states if status.state != "done"]
     check_sight(client, output)
     with batch_display(out, len(todo)) as display:
         report = run_batch(todo, found.catalogue, client, display)
@@ -348,7 +299,7 @@ class BatchDisplay:
                 self._tasks[key] = self._bars.add_task(printable(key), total=total)
             self._bars.update(self._tasks[key], completed=done, total=total)
 
-    def finished(self, row: "Row") -> None:
+    def finished(self, row: "projects.Row") -> None:
         """A step was done, or failed; a failure is a line."""
         if self._bars is not None and self._all is not None:
             with self._lock:

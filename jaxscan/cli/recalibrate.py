@@ -24,7 +24,7 @@ from jaxscan.cli.options import (
     range_limits,
 )
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json
+from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json
 from jaxscan.errors import CalibrationError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
@@ -104,8 +104,10 @@ def recalibrate(
         ],
         writes=[
             *calibration_at("--output", output),
-            *(place for option, path in _others(cloud, report, json) for place in file_at(option, path)),
+            *file_at("--cloud", cloud),
+            *file_at("--report", report),
         ],
+        json=json,
         kept=[Place("the stripes", path / capture_files.CACHE_NAME) for path in sweeps],
     )
     calibration_files.check_calibration_path(output, with_observations=False)
@@ -113,7 +115,6 @@ def recalibrate(
         cloud_files.check_cloud_path(cloud)
     if report is not None:
         disk.check_writable(report)
-    check_json(json)
     given = recalibration.Given() if known is None else _known_room(known)
     captures, shown = ([api.open_capture(path) for path in paths] for paths in (sweeps, boards))
     notes = calibration_files.calibration_notes(calibration)
@@ -141,8 +142,7 @@ def recalibrate(
         files["report"] = str(report)
     if result.calibration is not None:
         out = console(json)
-        for note in notes:
-            out.print(f"note: {note}")
+        out.notes(notes)
         out.print(f"written: {', '.join(files.values())}")
         print_recalibration(out, result)
         out.print(_good_to(result.calibration, api.load_calibration(calibration)))
@@ -165,18 +165,14 @@ def _good_to(new: "Calibration", old: "Calibration") -> str:
     """How good the calibration is, in the same figure as `jaxscan calibrate`, and how good it was."""
     verdicts = [one.quality.verdict for one in (new, old)]
     found = [None if one is None else one.good_to for one in verdicts]
-    said = [None if one is None else calibration_reports.words.good_to_words(one) for one in found]
-    return f"Good to {said[0] or 'not known'}, before {said[1] or 'not known'}."
+    words = [None if one is None else calibration_reports.words.good_to_words(one) for one in found]
+    return f"Good to {words[0] or 'not known'}, before {words[1] or 'not known'}."
 
 
 def _known_room(path: Path) -> "Given":
     from jaxscan.files.known_room import load_known_room
 
     return load_known_room(path)
-
-
-def _others(cloud: Path | None, report: Path | None, json: str | None) -> list[tuple[str, Path | str | None]]:
-    return [("--cloud", cloud), ("--report", report), ("--json", json)]
 
 
 def _either(option: str, yes: bool, no: bool) -> bool | None:
@@ -214,8 +210,7 @@ def print_recalibration(out: Terminal, result: "Recalibration") -> None:
         out.print(text)
     for text in result.unobserved:
         out.print(f"not told by these captures: {text}")
-    for text in result.notes:
-        out.print(f"note: {text}")
+    out.notes(result.notes)
     first = reports.words.headline(result)
     out.print(f"{first.headline}.", style=_STYLE[first.kind])
     out.print(first.explanation)

@@ -24,7 +24,7 @@ from jaxscan.cli.options import (
     range_limits,
 )
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.terminal import JsonTarget, console, emit_json
 from jaxscan.errors import OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
@@ -83,22 +83,20 @@ def reconstruct(
     )
     check_paths(
         reads=[*capture_at("CAPTURE", capture), *calibration_at("--calibration", calibration)],
-        writes=[*file_at("--output", output), *file_at("--json", json)],
+        writes=file_at("--output", output),
         kept=file_at("the stripes", capture / capture_files.CACHE_NAME if cache else None),
+        json=json,
     )
     cloud_files.check_cloud_path(output)
-    check_json(json)
     sweep = api.open_capture(capture, compare=compare).every(every)
     scanner = api.load_scanner(calibration)
     out = console(json)
     coloured = colour == "photographs" and api.has_photographs(sweep)
     chosen = api.photograph_notes(sweep, scanner, "points") if coloured else []
     before = [*calibration_files.calibration_notes(calibration), *sweep.notes, *chosen]
-    for note in before:
-        out.print(f"note: {note}")
+    out.notes(before)
     start = time.perf_counter()
     with progress_bar("Reconstructing") as progress:
-        progress(0, len(sweep))
         progress.doing("finding stripes, compiling first where needed")
         done = api.reconstruct_capture(sweep, scanner, settings=settings, progress=progress, cache=cache)
     cloud = done.cloud
@@ -106,8 +104,7 @@ def reconstruct(
         with progress_bar("Colouring from photographs") as progress:
             cloud = api.colour_cloud(cloud, sweep, scanner, progress=progress)
     seconds = time.perf_counter() - start
-    for note in done.notes:
-        out.print(f"note: {note}")
+    out.notes(done.notes)
     if done.noise:
         out.print(f"noise: {done.noise}")
     if done.kept:

@@ -8,6 +8,7 @@ import tyro
 
 import jaxscan
 from jaxscan import report as reports
+from jaxscan.cli.calibrate import summary, write_page
 from jaxscan.cli.options import (
     CLOUD_SUFFIXES,
     CloudUnit,
@@ -20,10 +21,11 @@ from jaxscan.cli.options import (
     file_at,
 )
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.terminal import JsonTarget, console, emit_json
 from jaxscan.errors import OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
+from jaxscan.files import clouds as cloud_files
 from jaxscan.files import disk
 
 
@@ -68,19 +70,18 @@ def report(
             *calibration_at("--calibration", calibration),
             *capture_at("--capture", capture),
         ],
-        [*file_at("--output", output), *file_at("--json", json)],
+        file_at("--output", output),
         kept=file_at("the stripes", capture / capture_files.CACHE_NAME if capture is not None and is_cloud else None),
+        json=json,
     )
     disk.check_writable(output)
-    check_json(json)
     if not is_cloud:
         _of_calibration(result, output, capture, json)
         return
 
     numbers = write_room_report(result, output, calibration=calibration, capture=capture, unit=unit, up=up)
     out = console(json)
-    for note in numbers["notes"]:
-        out.print(f"note: {note}")
+    out.notes(numbers["notes"])
     for name, side in numbers["dimensions"].items():
         out.print(f"{name} {side['value_m']:.4f} m, sigma {1e3 * side['sigma_m']:.2f} mm")
     for doubt in numbers["doubts"]:
@@ -91,15 +92,12 @@ def report(
 
 
 def _of_calibration(path: Path, output: Path, capture: Path | None, json: str | None) -> None:
-    from jaxscan.cli.calibrate import summary, write_page
-
     drawn, note, reproduced = _drawn(path)
     notes = calibration_files.calibration_notes(path)
     write_page(drawn, output, notes=(note, *notes), path=path, capture=capture)
     out = console(json)
     out.print(note, style="" if reproduced else "bold yellow")
-    for other in notes:
-        out.print(f"note: {other}")
+    out.notes(notes)
     out.print(f"written: {output}")
     emit_json(
         json,
@@ -152,13 +150,12 @@ def write_room_report(
     """
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.api.reports import calibration_rows, look_again, save_report
-    from jaxscan.files import clouds
 
     if capture is not None and calibration is None:
         raise OptionError("--capture: of a cloud it is looked at with the rig's calibration: give -c calibration.json.")
-    stored = clouds.read_cloud(cloud)
-    points, notes = clouds.in_metres(stored, unit)
-    points, more = clouds.with_z_up(stored, points, up)
+    stored = cloud_files.read_cloud(cloud)
+    points, notes = cloud_files.in_metres(stored, unit)
+    points, more = cloud_files.with_z_up(stored, points, up)
     notes = [*notes, *more]
     scanner, rows = None, []
     if calibration is not None:

@@ -133,8 +133,8 @@ def say_line(line: str) -> None:
 class LogLines:
     """Takes the place of `logging.lastResort`: of each kind of message one line a minute, with the number of others.
 
-    What strangers send a server is told there too, and they may send much. A kind is the place in the program that
-    tells it, so that there are few.
+    Requests of strangers to a server are logged too, and there may be many. A kind is the place in the program that
+    logged it, so there are few.
     """
 
     level = logging.WARNING
@@ -144,10 +144,10 @@ class LogLines:
         self._say, self._now = say, now
         self._lock = threading.Lock()
         self._said: dict[tuple[str, str, int], tuple[float, int]] = {}
-        """When a kind was said, and how many others came since."""
+        """When a kind was printed, and how many others came since."""
 
     def handle(self, record: logging.LogRecord) -> None:
-        """Say a message, or count it."""
+        """Print a message, or count it."""
         kind, now = (record.name, record.pathname, record.lineno), self._now()
         with self._lock:
             at, others = self._said.get(kind, (-_SELDOM_S, 0))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 import tyro
 
-import jaxscan
+from jaxscan import api
 from jaxscan.cli.options import (
     CLOUD_SUFFIXES,
     ConfigPath,
@@ -23,8 +23,11 @@ from jaxscan.cli.options import (
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.scan_display import CaptureFolder, ScanDisplay, ScanPlan, sweep_header
 from jaxscan.cli.signals import RigInUse
-from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json
+from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json
 from jaxscan.errors import CaptureError, JaxscanError, OptionError
+from jaxscan.files import calibration as calibration_files
+from jaxscan.files import capture as capture_files
+from jaxscan.files import clouds as cloud_files
 
 
 if TYPE_CHECKING:
@@ -77,8 +80,6 @@ def scan(
 
     from jaxscan.cli.boards import scan_boards
     from jaxscan.cli.live import LiveCloud
-    from jaxscan.files.calibration import calibration_notes
-    from jaxscan.files.capture import HEADER_NAME
 
     _check_options(boards=boards, calibration=calibration, cloud=cloud, place_command=place_command)
     check_paths(
@@ -87,13 +88,13 @@ def scan(
             *calibration_at("--calibration", calibration),
             *capture_at("--output", output),
         ],
-        writes=[*file_at("--cloud", cloud), *file_at("--json", json)],
+        writes=file_at("--cloud", cloud),
+        json=json,
     )
-    check_json(json)
     rig = load_rig(config)
     if boards and rig.board is None:
         raise OptionError(f"{config}: has no [board] table, which --boards needs.")
-    if not resume and (output / HEADER_NAME).exists():
+    if not resume and (output / capture_files.HEADER_NAME).exists():
         raise OptionError(f"--output: {output} holds a capture already; add --resume, or choose another folder.")
     out = console(json)
     plan = ScanPlan.of(rig, boards=boards)
@@ -102,15 +103,14 @@ def scan(
     with contextlib.ExitStack() as stack:
         live = None
         if calibration is not None:
-            scanner = jaxscan.load_scanner(calibration)
-            doubts = calibration_notes(calibration)
-            for note in doubts:
-                out.print(f"note: {note}")
+            scanner = api.load_scanner(calibration)
+            doubts = calibration_files.calibration_notes(calibration)
+            out.notes(doubts)
             notes += doubts
-            settings = jaxscan.ReconstructSettings(smooth=smooth)
+            settings = api.ReconstructSettings(smooth=smooth)
             header = sweep_header(rig)
             live = stack.enter_context(LiveCloud(output, header, scanner, steps=plan.records, settings=settings))
-            if resume and (output / HEADER_NAME).exists():
+            if resume and (output / capture_files.HEADER_NAME).exists():
                 # A capture without records cannot be opened, and has none to add.
                 with contextlib.suppress(CaptureError):
                     live.add_from_disk()
@@ -151,9 +151,7 @@ def _check_options(*, boards: bool, calibration: Path | None, cloud: Path | None
     if cloud is not None:
         if calibration is None:
             raise OptionError("--cloud: found without --calibration, expected with it.")
-        from jaxscan.files.clouds import check_cloud_path
-
-        check_cloud_path(cloud)
+        cloud_files.check_cloud_path(cloud)
 
 
 def _scan_sweep(
@@ -168,8 +166,6 @@ def _scan_sweep(
     from scanrig.session import Hooks, run_sweep
     from scanrig.session.plan import plan_sweep
 
-    from jaxscan.files.calibration import calibration_digest
-
     with ScanDisplay(None if live is None else live.status, total=len(plan_sweep(rig)[0])) as display:
 
         def on_pair(number: int, angle: float, on: np.ndarray, off: np.ndarray) -> None:
@@ -183,7 +179,7 @@ def _scan_sweep(
             devices,
             Hooks(on_pair, display.progress, display.say, should_stop),
             resume=folder.resume,
-            calibration_digest=None if calibration is None else calibration_digest(calibration),
+            calibration_digest=None if calibration is None else calibration_files.calibration_digest(calibration),
         )
 
 
@@ -198,9 +194,6 @@ def _finish_cloud(
     """Write the cloud, if one was asked for and all records are there: the same as `jaxscan reconstruct` writes."""
     if live is None or cloud is None or calibration is None or result.status not in ("complete", "suspect"):
         return {}
-    from jaxscan import api
-    from jaxscan.files.calibration import calibration_digest
-
     with progress_bar("Finishing the cloud") as progress:
         done = live.finish(progress)
     sweep, points = api.open_capture(capture), done.cloud
@@ -210,11 +203,10 @@ def _finish_cloud(
         notes += api.photograph_notes(sweep, scanner, "points")
         with progress_bar("Colouring from photographs") as progress:
             points = api.colour_cloud(points, sweep, scanner, progress=progress)
-    for note in notes:
-        out.print(f"note: {note}")
+    out.notes(notes)
     if done.noise:
         out.print(f"noise: {done.noise}")
-    jaxscan.save_cloud(points, cloud, calibration_digest=calibration_digest(calibration))
+    api.save_cloud(points, cloud, calibration_digest=calibration_files.calibration_digest(calibration))
     count = int(np.count_nonzero(points.valid))
     out.print(f"{count:,} points, written: {cloud}")
     return {"cloud": str(cloud), "points": count, "live": done.live, "notes": notes, "noise": done.noise}

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 
 _READABLE_S = 0.25
-_POSE = 8
-"""A new pose of the board takes as long as about so many records, by hand or by a command."""
+_POSE = 4
+"""A new pose of the board takes as long as about so many records: more by hand, less on the bench."""
 
 
 class ScanDisplay:
@@ -160,8 +160,7 @@ class ScanPlan(NamedTuple):
         out.print(f"{self.targets}: {2 * self.records} images of {rig.camera.width} x {rig.camera.height} to {folder}")
         turn = f"{rig.microsteps_per_turn} microsteps per turn"
         out.print(f"about {duration(self.seconds)}, up to {readable(self.bytes)}, {turn}")
-        for note in self.notes:
-            out.print(f"note: {note}")
+        out.notes(self.notes)
 
 
 def _each(rig: "RigConfig") -> str:

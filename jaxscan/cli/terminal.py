@@ -3,7 +3,7 @@
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, final
 
@@ -77,6 +77,11 @@ class Terminal:
             raise
         except OSError as problem:
             raise OutputError(f"standard output: cannot be written: {problem.strerror}.") from problem
+
+    def notes(self, notes: Iterable[str]) -> None:
+        """Print notes, a line each."""
+        for note in notes:
+            self.print(f"note: {note}")
 
     def _fitted(self, sheet: Sheet) -> Sequence[Table | str]:
         whole = _drawn(sheet)

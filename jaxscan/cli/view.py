@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import numpy as np
 import tyro
 
+from jaxscan import project as projects
 from jaxscan.cli.measure import calibrated, notes_first
 from jaxscan.cli.options import (
     CloudUnit,
@@ -24,8 +25,10 @@ from jaxscan.cli.options import (
     file_at,
     need_pages,
 )
-from jaxscan.cli.terminal import JsonTarget, check_json, emit_json
+from jaxscan.cli.terminal import JsonTarget, emit_json
 from jaxscan.errors import CaptureError, CloudError, OptionError
+from jaxscan.files import clouds as cloud_files
+from jaxscan.files import disk
 
 
 if TYPE_CHECKING:
@@ -83,10 +86,10 @@ def view(
             *(place for path in panorama for place in file_at("--panorama", path)),
             *calibration_at("--calibration", calibration),
         ],
-        [*file_at("--rerun", rerun), *file_at("--json", json)],
+        file_at("--rerun", rerun),
+        json=json,
     )
-    check_json(json)
-    projects = [path for path in clouds if path.suffix.lower() == ".toml"]
+    files = [path for path in clouds if path.suffix.lower() == ".toml"]
     clouds, missing = with_projects(clouds)
     if not clouds:
         raise CloudError("name one cloud or more: jaxscan view room.ply")
@@ -114,7 +117,7 @@ def view(
     out = notes_first(notes, json)
     address = open_address(host, web_port, option="--web-port")
     with ExitStack() as stack:
-        products = partial(products_of, projects) if projects else None
+        products = partial(products_of, files) if files else None
         stack.enter_context(serve_clouds(address, named, scanner, products))
         for line in address.invitation():
             out.print(line)
@@ -136,11 +139,9 @@ class _Read(NamedTuple):
 
 
 def _read(path: Path, unit: "Unit | None", up: "Up | None") -> _Read:
-    from jaxscan.files import clouds as files
-
-    stored = files.read_cloud(path)
-    metres, said = files.in_metres(stored, unit)
-    cloud, more = files.with_z_up(stored, metres, up)
+    stored = cloud_files.read_cloud(path)
+    metres, said = cloud_files.in_metres(stored, unit)
+    cloud, more = cloud_files.with_z_up(stored, metres, up)
     if not np.any(np.asarray(cloud.valid)):
         raise CloudError(f"{path}: has no points; nothing can be shown.")
     return _Read(cloud, cloud is not metres, [*said, *more])
@@ -148,21 +149,16 @@ def _read(path: Path, unit: "Unit | None", up: "Up | None") -> _Read:
 
 def _check_rerun(path: Path, others: dict[str, bool]) -> None:
     """Check that a recording can be written, and that no option asks for something that only a page has."""
-    from jaxscan.files.clouds import load_rerun
-    from jaxscan.files.disk import check_writable
-
     for option in (option for option, given in others.items() if given):
         raise OptionError(f"--rerun: found with {option}, expected without: no page is served.")
     if path.suffix.lower() != ".rrd":
         raise OptionError(f"--rerun: found {path}, expected a name that ends in .rrd.")
-    load_rerun()
-    check_writable(path, error=OptionError)
+    cloud_files.load_rerun()
+    disk.check_writable(path, error=OptionError)
 
 
 def _write_rerun(clouds: dict[str, "PointCloud"], path: Path, notes: list[str], json: str | None) -> None:
-    from jaxscan.files.clouds import save_rerun
-
-    origin = save_rerun(clouds, path)
+    origin = cloud_files.save_rerun(clouds, path)
     if origin.any():
         notes = [*notes, f"0 of the recording is {' '.join(f'{value:.0f}' for value in origin)} m of the clouds"]
     points = sum(int(np.count_nonzero(cloud.valid)) for cloud in clouds.values())
@@ -183,10 +179,7 @@ def with_projects(paths: Sequence[Path]) -> tuple[tuple[Path, ...], list[str]]:
         if path.suffix.lower() != ".toml":
             clouds.append(path)
             continue
-        from jaxscan.cli.project import opened
-        from jaxscan.project import load_project
-
-        with opened(load_project(path)) as found:
+        with projects.opened(projects.load_project(path)) as found:
             steps = [one for one in found.states if one.step.kind == "cloud"]
             there = [found.project.output / one.step.outputs[0] for one in steps if one.state in ("done", "stale")]
         there = [file for file in there if file.is_file()]
@@ -200,24 +193,20 @@ def with_projects(paths: Sequence[Path]) -> tuple[tuple[Path, ...], list[str]]:
     return tuple(clouds), notes
 
 
-def products_of(projects: Sequence[Path]) -> list[tuple[str, str, str]]:
+def products_of(paths: Sequence[Path]) -> list[tuple[str, str, str]]:
     """The products of projects as they are now: name, state, and why, or the notes of one that is done."""
-    from jaxscan.cli.project import opened
-    from jaxscan.project import load_project
-
     rows = []
-    for path in projects:
-        with opened(load_project(path)) as found:
+    for path in paths:
+        with projects.opened(projects.load_project(path)) as found:
             rows += [(one.step.key, str(one.state), one.why) for one in found.states]
     return rows
 
 
 def _read_panorama(path: Path) -> "Panorama":
-    from jaxscan.files.disk import read_bounded
     from jaxscan.viewer import Panorama
     from jaxscan.vision import read_panorama
 
-    return Panorama(*read_panorama(read_bounded(path, LARGEST_PICTURE, error=CaptureError), name=str(path)))
+    return Panorama(*read_panorama(disk.read_bounded(path, LARGEST_PICTURE, error=CaptureError), name=str(path)))
 
 
 def _has_screen() -> bool:

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from jaxscan.measurement.grid import Quads
+from jaxscan.measurement.grid import Quads, rasterise
+from jaxscan.measurement.outline.loops import is_within
 
 
 STEEP = 4.0
@@ -121,3 +122,54 @@ def kept_parts(points: np.ndarray, kept: np.ndarray) -> list[np.ndarray]:
     """The stretches of a line [n, k] whose points are kept [n], of two points or more."""
     ends = np.flatnonzero(np.diff(np.concatenate([[False], kept, [False]]).astype(int)))
     return [points[start:stop] for start, stop in ends.reshape(-1, 2) if stop - start > 1]
+
+
+PIXEL_M = 0.02
+"""Size of a pixel of outlines [m]."""
+AROUND_PX = 6
+"""Gaps of up to about twice so many pixels within an outline are closed."""
+SMALLEST_M2 = 0.02
+"""Outlines of less than this are left out [m^2]."""
+
+
+def outlines(quads: Quads, places: np.ndarray) -> list[np.ndarray]:
+    """Outlines of what quads cover.
+
+    Args:
+        quads: The quads.
+        places: Of the cells in the plane [cells, 2], m.
+
+    Returns:
+        Polygons [n, 2], m, without what lies within another.
+    """
+    if not len(quads.corners):
+        return []
+    corners = places[quads.corners].reshape(-1, 2)
+    low = corners.min(0) - 3 * AROUND_PX * PIXEL_M
+    shape = np.ceil((corners.max(0) - low) / PIXEL_M).astype(int) + 3 * AROUND_PX
+    covered = rasterise(quads, (places - low) / PIXEL_M, (int(shape[1]), int(shape[0]))).quad >= 0
+    wide = _mean_around(covered.astype(np.float64), AROUND_PX) > 0.0
+    closed = _mean_around(wide.astype(np.float64), AROUND_PX) > 1.0 - 1e-6
+    height = _mean_around(closed.astype(np.float64), 1) - 0.5
+    rows, columns = np.indices(height.shape)
+    at = np.stack([columns, rows], -1).reshape(-1, 2) * PIXEL_M + low
+    cells = np.arange(height.size).reshape(height.shape)
+    grid = Quads(np.stack([cells[:-1, :-1], cells[:-1, 1:], cells[1:, :-1], cells[1:, 1:]], -1).reshape(-1, 4))
+    found = [simplified(ring, PIXEL_M) for ring in cut(grid, at, height.ravel())]
+    found = [ring for ring in found if len(ring) > 3 and _area(ring) > SMALLEST_M2]
+    return [ring for ring in found if not any(other is not ring and is_within([other], ring[:1])[0] for other in found)]
+
+
+def _mean_around(values: np.ndarray, reach: int) -> np.ndarray:
+    """Mean of each value and those up to `reach` rows and columns away; beyond the border are zeros [rows, columns]."""
+    size = 2 * reach + 1
+    for axis in (0, 1):
+        total = np.cumsum(np.pad(values, [(reach + 1, reach) if axis == k else (0, 0) for k in (0, 1)]), axis)
+        count = values.shape[axis]
+        values = (np.take(total, np.arange(size, size + count), axis) - np.take(total, np.arange(count), axis)) / size
+    return values
+
+
+def _area(ring: np.ndarray) -> float:
+    after = np.roll(ring, -1, 0)
+    return 0.5 * abs(float(np.sum(ring[:, 0] * after[:, 1] - after[:, 0] * ring[:, 1])))

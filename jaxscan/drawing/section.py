@@ -1,12 +1,15 @@
 """A vertical section through a room."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxscan.drawing.contours import cut, joined_quads, kept_parts, simplified, steep_quads
-from jaxscan.drawing.model import DimensionLine, Drawing, Line, known_dimensions, with_origin, with_sigma
-from jaxscan.drawing.plan import LAYER_OF, SHORTEST_M, room_words, with_notes
+from jaxscan.drawing.labels import Obstacles
+from jaxscan.drawing.model import Area, DimensionLine, Drawing, Line, dimension, known_dimensions, with_origin
+from jaxscan.drawing.plan import BAND_MM, LAYER_OF, ROW_MM, SHORTEST_M, room_words
+from jaxscan.drawing.sheet import Sheet
 from jaxscan.drawing.survey import WALL_M, Survey
 from jaxscan.errors import MeasurementError
 from jaxscan.measurement.outline import Estimate, Opening
@@ -17,8 +20,6 @@ WITHIN_M = 0.06
 """A section runs within a wall if both ends of the wall are nearer to it than this [m]."""
 MOVED_M = 0.08
 """Such a section is moved to this distance before the wall [m]: farther than what is taken for the wall."""
-OUTSIDE_M = 0.35
-"""Distance of the dimensions from what they measure [m]."""
 
 
 class _End(NamedTuple):
@@ -58,7 +59,9 @@ def section_before(survey: Survey, wall: str, distance_m: float) -> tuple[tuple[
     raise MeasurementError(f"found no wall {wall:.40}, expected one of the plan's: {', '.join(names)}.")
 
 
-def draw_section(survey: Survey, a: tuple[float, float], b: tuple[float, float]) -> Drawing:
+def draw_section(
+    survey: Survey, a: tuple[float, float], b: tuple[float, float], *, sheet: Sheet | None = None
+) -> Drawing:
     """Draw what the upright plane through two points of the plan cuts: floor, walls, ceiling and furniture.
 
     x of the drawing runs from the first point towards the second, y is the height above the floor. Dimensions are the
@@ -68,12 +71,14 @@ def draw_section(survey: Survey, a: tuple[float, float], b: tuple[float, float])
         survey: The room.
         a: First point [m], as in the plan.
         b: Second point [m].
+        sheet: What it is drawn on; by default an A4 and the largest standard scale at which the section fits.
 
     Returns:
         The section; the first point is at x = 0.
 
     Raises:
         MeasurementError: If the points are one, or the plane does not meet the room.
+        OptionError: If the section does not fit the sheet at the scale that was chosen.
     """
     first, second = np.array(a, np.float64), np.array(b, np.float64)
     if np.linalg.norm(second - first) < 0.01:
@@ -100,12 +105,16 @@ def draw_section(survey: Survey, a: tuple[float, float], b: tuple[float, float])
             f"The section through {_text(first)} and {_text(second)} does not meet the room, which reaches from "
             f"{_text(low)} to {_text(high)} in the plan."
         )
+    room = survey.outline
+    top = room.height()
+    high = float(survey.p[:, 2].max()) if top is None else top.value
+    sheet = (sheet or Sheet()).fitted(np.array([ends[-1].s - ends[0].s, high]))
     lines: list[Line] = []
+    areas: list[Area] = []
     wanted: list[tuple[Estimate, DimensionLine]] = []
     for left, right in zip(ends[::2], ends[1::2], strict=True):
-        some_lines, some_dimensions = _stretch(survey, plane, left, right, np.append(along, 0.0), first)
-        lines += some_lines
-        wanted += some_dimensions
+        some = _stretch(survey, plane, left, right, np.append(along, 0.0), first, sheet.paper_m)
+        lines, areas, wanted = lines + some[0], areas + some[1], wanted + some[2]
     dimensions, left_out = known_dimensions(wanted)
     if not dimensions:
         raise MeasurementError(
@@ -115,9 +124,20 @@ def draw_section(survey: Survey, a: tuple[float, float], b: tuple[float, float])
     remarks += left_out
     lines += [Line("A-FURN", points) for points in _furniture(survey, plane, first, along)]
     words = f"Section through {_text(first)} and {_text(second)} of the plan"
-    drawing = Drawing(words, tuple(lines), (), tuple(dimensions), tuple(remarks))
-    drawing = with_origin(drawing, "along", "up")
-    return with_notes(drawing, [f"{words}. ± one standard deviation.", *remarks, *room_words(survey)])
+    drawing = with_origin(Drawing(words, sheet, tuple(lines), tuple(areas)), "along", "up")
+    obstacles = Obstacles(sheet.paper_m)
+    for line in drawing.lines:
+        obstacles.add_line(line.points)
+    for text in drawing.texts:
+        obstacles.add_text(text)
+    return replace(
+        drawing,
+        dimensions=tuple(obstacles.dimension(one) for one in dimensions),
+        remarks=tuple(remarks),
+        facts=tuple(room_words(survey)),
+        frame=f"x = 0 at {_text(first)} of the plan, y = 0 on the floor",
+        level=False,
+    )
 
 
 def _out_of_walls(survey: Survey, first: np.ndarray, across: np.ndarray) -> float:
@@ -179,59 +199,66 @@ def _ends(survey: Survey, plane: Surface, first: np.ndarray, along: np.ndarray) 
 
 
 def _stretch(
-    survey: Survey, plane: Surface, left: _End, right: _End, along: np.ndarray, first: np.ndarray
-) -> tuple[list[Line], list[tuple[Estimate, DimensionLine]]]:
-    """Floor, ceiling and the two walls of a stretch inside."""
+    survey: Survey, plane: Surface, left: _End, right: _End, along: np.ndarray, first: np.ndarray, paper_m: float
+) -> tuple[list[Line], list[Area], list[tuple[Estimate, DimensionLine]]]:
+    """Floor, ceiling and the two walls of a stretch inside, the grey behind their faces, and dimensions."""
     room = survey.outline
     middle = 0.5 * (left.s + right.s)
     upright = Surface.exact(along, float(along[:2] @ first) + middle)
+    band = BAND_MM * paper_m
 
     def flat(p: np.ndarray) -> np.ndarray:
         return np.array([float((p[:2] - first) @ along[:2]), p[2]])
 
     low = [corner_of(end.surface, plane, room.floor) for end in (left, right)]
-    lines = [Line("A-FLOR", np.stack([flat(corner.at) for corner in low]))]
+    feet = np.stack([flat(corner.at) for corner in low])
+    lines = [Line("A-FLOR", feet)]
+    areas = [Area("A-WALL-PATT", _behind(feet, np.array([0.0, -band]), band))]
     wanted: list[tuple[Estimate, DimensionLine]] = []
-    top = 0.0
     if room.ceiling is not None:
-        high = [corner_of(end.surface, plane, room.ceiling) for end in (left, right)]
-        lines.append(Line("A-CLNG", np.stack([flat(corner.at) for corner in high])))
-        for end, below, above in zip((left, right), low, high, strict=True):
-            lines += _upright(end, flat(below.at), flat(above.at))
+        heads = np.stack([flat(corner_of(end.surface, plane, room.ceiling).at) for end in (left, right)])
+        lines.append(Line("A-CLNG", heads))
+        areas.append(Area("A-WALL-PATT", _behind(heads, np.array([0.0, band]), band)))
         ends = [corner_of(upright, plane, surface) for surface in (room.floor, room.ceiling)]
         height = length_between(ends[0], ends[1], room.errors)
-        words = with_sigma(height)
-        wanted.append((height, DimensionLine("A-ANNO-DIMS", flat(ends[0].at), flat(ends[1].at), 0.0, words)))
-        top = height.value
+        wanted.append((height, dimension(flat(ends[0].at), flat(ends[1].at), 0.0, height)))
     else:
-        top = float(survey.p[:, 2].max())
-        for end, below in zip((left, right), low, strict=True):
-            lines += _upright(end, flat(below.at), flat(below.at) + [0.0, top])
+        heads = feet + [0.0, float(survey.p[:, 2].max())]
+    for end, foot, head, out in zip((left, right), feet, heads, (-band, band), strict=True):
+        some_lines, some_areas = _upright(end, foot, head, np.array([out, 0.0]))
+        lines, areas = lines + some_lines, areas + some_areas
     if left.seen and right.seen:
         width = length_between(low[0], low[1], room.errors)
-        words = with_sigma(width)
-        wanted.append((width, DimensionLine("A-ANNO-DIMS", flat(low[0].at), flat(low[1].at), -OUTSIDE_M, words)))
-    return lines, wanted
+        wanted.append((width, dimension(feet[0], feet[1], -ROW_MM * paper_m, width)))
+    return lines, areas, wanted
 
 
-def _upright(end: _End, low: np.ndarray, high: np.ndarray) -> list[Line]:
-    """A wall from floor to ceiling, with gaps where it is cut."""
+def _behind(ends: np.ndarray, out: np.ndarray, beyond_m: float = 0.0) -> np.ndarray:
+    """The grey behind a face between two ends [2, 2], a little longer than it [4, 2], m."""
+    along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    longer = ends + beyond_m * np.stack([-along, along])
+    return np.concatenate([longer, longer[::-1] + out])
+
+
+def _upright(end: _End, low: np.ndarray, high: np.ndarray, out: np.ndarray) -> tuple[list[Line], list[Area]]:
+    """A wall from floor to ceiling, with gaps where it is cut, and the grey behind its face."""
     if not end.seen:
-        return [Line("A-WALL-OPEN", np.stack([low, high]))]
+        return [Line("A-WALL-OPEN", np.stack([low, high]))], []
 
     def at(height: float) -> np.ndarray:
         return low + float(np.clip(height / (high[1] - low[1]), 0.0, 1.0)) * (high - low)
 
-    lines, begun = [], 0.0
+    lines, walls, begun = [], [], 0.0
     for one in sorted(end.openings, key=lambda each: each.bottom.value):
         if one.kind == "panel":
             continue
-        lines += [
-            Line("A-WALL", np.stack([at(begun), at(one.bottom.value)])),
-            Line(LAYER_OF[one.kind], np.stack([at(one.bottom.value), at(one.top.value)])),
-        ]
+        walls.append(np.stack([at(begun), at(one.bottom.value)]))
+        lines.append(Line(LAYER_OF[one.kind], np.stack([at(one.bottom.value), at(one.top.value)])))
         begun = one.top.value
-    return [*lines, Line("A-WALL", np.stack([at(begun), high]))]
+    walls.append(np.stack([at(begun), high]))
+    # An opening that begins on the floor leaves no wall below it.
+    walls = [wall for wall in walls if np.linalg.norm(wall[1] - wall[0]) > 1e-9]
+    return [*(Line("A-WALL", wall) for wall in walls), *lines], [Area("A-WALL-PATT", _behind(w, out)) for w in walls]
 
 
 def _furniture(survey: Survey, plane: Surface, first: np.ndarray, along: np.ndarray) -> list[np.ndarray]:

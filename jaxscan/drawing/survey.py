@@ -28,6 +28,13 @@ class Survey:
     eye: np.ndarray
     """Where they were seen from [cells, 3]."""
 
+    def frame_words(self) -> str:
+        """Where origin and x of the plan are in the cloud."""
+        frame = self.outline.frame
+        origin = " ".join(f"{value:.3f}" for value in frame.back(np.zeros(3)))
+        turned = np.degrees(np.arctan2(frame.rotation[0, 1], frame.rotation[0, 0]))
+        return f"origin at {origin} m of the cloud, x turned by {turned:.2f}°"
+
     def is_inside(self, p: np.ndarray) -> np.ndarray:
         """Which points [n, 2 or 3] are within the outline, and not on a wall [n]."""
         loops = [np.array([corner.at[:2] for corner in loop]) for loop in self.outline.corners()]
@@ -60,3 +67,14 @@ def survey_room(cloud: Cloud, *, scanner: Scanner | None = None) -> Survey:
     p = np.asarray(cloud.xyz, np.float64).reshape(-1, 3)
     openings = find_openings(cloud, outline, scanner=scanner)
     return Survey(outline, openings, quads, outline.frame.of(p), outline.frame.of(eye))
+
+
+def outward(at: np.ndarray, distance_m: float) -> np.ndarray:
+    """The corners of a loop [n, 2] moved out of the room, so that each side is displaced by a distance [n, 2], m."""
+    along = np.roll(at, -1, 0) - at
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    out = np.stack([along[:, 1], -along[:, 0]], 1)
+    before = np.roll(out, 1, 0)
+    # Where one side goes on almost straight or turns back, the corner would run away.
+    share = np.maximum(1.0 + (before * out).sum(1), 0.2)
+    return at + distance_m * (before + out) / share[:, None]

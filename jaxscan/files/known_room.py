@@ -19,7 +19,7 @@ _Target = Annotated[str, pydantic.Strict(), pydantic.Field(min_length=1, max_len
 
 
 class LengthTable(FileModel):
-    """A length that somebody measured."""
+    """A measured length."""
 
     metres: Annotated[Number, pydantic.Field(gt=0, le=1000)]
     sigma_mm: Annotated[Number, pydantic.Field(ge=0.001, le=1000)]

@@ -157,7 +157,7 @@ def check_sight(client: distributed.Client, output: Path) -> None:
     name = f".seen-{secrets.token_hex(8)}"
     open_to_write(output / name, "make").close()
     try:
-        # A worker that ends while it is asked is none.
+        # A worker that ends meanwhile needs no sight.
         seen = client.run(sees, str(output), name, on_error="ignore")
     finally:
         (output / name).unlink()

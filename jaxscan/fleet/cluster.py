@@ -33,7 +33,7 @@ _ADDRESS = re.compile(r"(tcp|tls)://(\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9._-]{1,25
 
 
 def check_cluster(address: str | None, workers: int | None, memory_gib: float | None) -> None:
-    """Check the options of a cluster; nothing is started or asked.
+    """Check the options of a cluster; nothing is started or connected.
 
     Raises:
         OptionError: If they contradict each other, or a value is out of range.
@@ -108,7 +108,7 @@ def _ask(address: str) -> None:
 
     logger = logging.getLogger("distributed")
     level = logger.level
-    # Dask logs each attempt that fails; our error says it once.
+    # Dask logs each attempt that fails; our error reports it once.
     logger.setLevel(logging.CRITICAL)
     try:
         # In a thread of its own, because the thread of a notebook has an event loop already.
@@ -201,7 +201,7 @@ def _settings(workers: int) -> dict[str, Any]:
 
 
 def _compilation_cache() -> dict[str, str]:
-    """Workers keep compiled code where this process keeps it, unless the environment says where."""
+    """Workers keep compiled code where this process keeps it, unless the environment names a folder."""
     jax = sys.modules.get("jax")
     folder = jax.config.values["jax_compilation_cache_dir"] if jax is not None else None
     if not folder or "JAX_COMPILATION_CACHE_DIR" in os.environ:
@@ -242,13 +242,13 @@ def sizes_for(workers: int | None, memory_gib: float | None, *, cores: int, free
     """Share out the free memory of a machine.
 
     Args:
-        workers: The number that is asked for; None for one on each core, fewer if memory is short.
+        workers: The wanted number; None for one on each core, fewer if memory is short.
         memory_gib: Memory of each [GiB]; None for equal shares of what is free.
         cores: Cores that may be used.
         free_gib: Memory that is free now [GiB].
 
     Raises:
-        OptionError: If what is asked for does not fit.
+        OptionError: If the wanted workers do not fit.
     """
     room = free_gib - max(_RESERVE_GIB, _RESERVE_SHARE * free_gib)
     least = LEAST_GIB if memory_gib is None else memory_gib
@@ -276,7 +276,7 @@ _PACKAGES = ("dask", "distributed", *_WARNED)
 
 
 def versions_here() -> Versions:
-    """What this process runs on; workers are asked for it too."""
+    """The software of this process; workers run this function too."""
     digest = code_digest().removeprefix("sha256:")[:12]
     found = {
         "jaxscan": f"{jaxscan.__version__} (code {digest})",
@@ -299,14 +299,14 @@ def check_versions(client: distributed.Client) -> None:
         OptionError: If jaxscan, Python or Dask are of other versions there, or a worker has no jaxscan.
     """
     here = versions_here()
-    asked = client.get_versions(packages=list(_PACKAGES))
+    reported: Any = client.get_versions(packages=list(_PACKAGES))
     # What Dask itself reports comes first: with another Python or Dask, a function may not arrive there.
-    for place, found in (("the scheduler", asked["scheduler"]), *sorted(asked["workers"].items())):
+    for place, found in (("the scheduler", reported["scheduler"]), *sorted(reported["workers"].items())):
         _compare(here, _from_dask(found), place)
     # The scheduler needs no jaxscan: it passes names and numbers on.
     for place, answer in sorted(client.run(versions_here, on_error="return").items()):
         if isinstance(answer, OSError):
-            continue  # It ended while it was asked; its successor is started from the same files.
+            continue  # It ended meanwhile; its successor is started from the same files.
         if isinstance(answer, BaseException):
             raise OptionError(
                 f"the cluster's worker {place} has no jaxscan that knows batches ({type(answer).__name__}); "

@@ -208,12 +208,12 @@ def _extract(
     clear = seen.clearest
     clearest = engine if not clear else engine.channels[clear - 1]
     ratios = clearest.lamp_ratios(*(np.asarray(engine.setup.plane(part)) for part in seen.level(clear))).tolist()
-    pair, steps = (seen.on, seen.off), 1
+    on, off, steps = seen.on, seen.off, 1
     if deep:
         # The print is fitted at once to all that the levels hold, in their finest steps.
         steps = finest_steps(seen.bits)
-        pair = tuple(np.stack([join_levels(one, seen.bits) for one in part]) for part in pair)
-    planes = [np.asarray(engine.setup.plane(part)) for part in pair]
+        on, off = (np.stack([join_levels(one, seen.bits) for one in part]) for part in (on, off))
+    planes = [np.asarray(engine.setup.plane(part)) for part in (on, off)]
     return stripes, [
         Sight(lit, dark, ratio, engine.setup.sites, seen.kind, line, noise.in_finer_steps(steps), steps)
         for lit, dark, ratio in zip(*planes, ratios, strict=True)

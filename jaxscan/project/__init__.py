@@ -10,12 +10,14 @@ if TYPE_CHECKING:
     from jaxscan.project.config import Product, ProjectFile, load_project_file
     from jaxscan.project.project import Project, ProjectCapture, check_owner, claimed, load_project
     from jaxscan.project.steps import (
+        Opened,
         State,
         Status,
         Step,
         code_digest,
         digest_of,
         digests_of,
+        opened,
         parts_of,
         states_of,
         steps_of,

@@ -104,17 +104,17 @@ def fitting_products(
     if table.products is not None and never and all(why in UNFIT for why, _ in left):
         raise ConfigError(
             f'{path}: captures "{table.pattern}": {_and(never)} cannot be made of {_some(tuple(captures))}: '
-            f"{_said(next(iter(left))[0])}. {_instead(asked, never)}"
+            f"{_reason(next(iter(left))[0])}. {_instead(asked, never)}"
         )
     notes = []
     for (why, gone), names in left.items():
         more = f" {_instead(asked, gone)}" if why in UNFIT and len(names) == len(captures) else ""
-        notes.append(f'captures "{table.pattern}": no {_and(gone, "or")} of {_some(names)}: {_said(why)}.{more}')
+        notes.append(f'captures "{table.pattern}": no {_and(gone, "or")} of {_some(names)}: {_reason(why)}.{more}')
     return Fitting(products, tuple(notes))
 
 
 def _unfit(address: str, every: int, header: CaptureHeader | None) -> tuple[str, tuple[Product, ...]]:
-    """The word that says why some products cannot be made of a capture, and those; none if it cannot be read."""
+    """The reason why some products cannot be made of a capture, and those; none if it cannot be read."""
     try:
         header = header_of(address) if header is None else header
         carries = None if header.turntable is None else header.turntable.carries
@@ -154,7 +154,7 @@ def is_longer(folder: Path, records: int) -> bool:
     return lines > records
 
 
-def _said(why: str) -> str:
+def _reason(why: str) -> str:
     return f'{HEADER_NAME} says carries = "{why}", and {_WHY[why]}' if why in _WHY else why
 
 

@@ -1,5 +1,6 @@
 """The steps of a project: their graph, digests of what they read, and which results are stale."""
 
+import contextlib
 import functools
 import hashlib
 import json
@@ -14,9 +15,9 @@ from jaxscan.api.sweeps import ranges_of
 from jaxscan.errors import CaptureError, ConfigError
 from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, open_capture
 from jaxscan.files.disk import MEGABYTE, file_digest, read_bounded
-from jaxscan.project.catalogue import Row
+from jaxscan.project.catalogue import Catalogue, Row, open_catalogue
 from jaxscan.project.config import GroupTable, RigTable
-from jaxscan.project.project import Project, ProjectCapture, is_longer
+from jaxscan.project.project import Project, ProjectCapture, check_owner, is_longer
 
 
 _CAPTURE = ("geometry", "stripes", "vision", "files/capture", "files/calibration", "api")
@@ -51,7 +52,7 @@ MOST_JOURNAL = 1 << 30
 
 
 class Step(NamedTuple):
-    """One thing to make. It holds names and numbers alone, so that any machine can be told of it as JSON."""
+    """One thing to make. It holds names and numbers alone, so that it can be sent to any machine as JSON."""
 
     key: str
     """Its name in the catalogue: "cloud/room-01"."""
@@ -154,7 +155,7 @@ def states_of(
         digests: Of each, by key, as it would be done now.
         parts: What each depends on, by key.
         rows: Of the catalogue, the oldest first.
-        output: The folder of the products; each is asked whether it is there, and for its size.
+        output: The folder of the products; each product is looked for, and its size compared.
     """
     now = {(row.key, row.digest): row for row in rows}
     last = {row.key: row for row in rows if row.state != "failed"}
@@ -197,6 +198,28 @@ def _changed(parts: Mapping[str, str], last: Row) -> str:
     names += [name for name in last.parts if name not in parts]
     words = [f"the code, which was version {last.version}" if name == "code" else name for name in names]
     return f"changed: {', '.join(words)}" if words else "was made anew with other inputs"
+
+
+class Opened(NamedTuple):
+    """A project, and where it stands."""
+
+    project: Project
+    states: Sequence[Status]
+    catalogue: Catalogue
+
+
+@contextlib.contextmanager
+def opened(project: Project, *, write: bool = False) -> Iterator[Opened]:
+    """Find which products of a project are there; without `write`, nothing is made.
+
+    Raises:
+        JaxscanError: If a capture or the catalogue is not what it should be.
+    """
+    check_owner(project)
+    steps = steps_of(project)
+    digests, parts = digests_of(steps)
+    with contextlib.closing(open_catalogue(project, write=write)) as catalogue:
+        yield Opened(project, states_of(steps, digests, parts, catalogue.rows(), project.output), catalogue)
 
 
 FORMAT = "jaxscan-step/1"
@@ -314,7 +337,7 @@ def _refined(project: Project, rig: RigTable) -> _Refined:
     by_single = reads
     left -= set(singles)
     for group in groups:
-        # A sweep of two groups tells what it knows only once.
+        # A sweep in two groups is used only once.
         new = [mine[name] for name in group.captures if name in left]
         left -= set(group.captures)
         if new:
@@ -324,7 +347,7 @@ def _refined(project: Project, rig: RigTable) -> _Refined:
 
 
 def _refining(project: Project, name: str, captures: list[ProjectCapture], known: str | None, reads: _Reads) -> Step:
-    """The calibration with what the sweeps of one room tell."""
+    """The calibration, refined by the sweeps of one room."""
     sources = {f"capture {one.name}": one.address for one in captures} | reads.sources
     if known is not None:
         sources["known"] = _address(project, known)

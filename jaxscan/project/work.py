@@ -237,7 +237,7 @@ def register_stations(workspace: StepWorkspace) -> None:
         worst = float(np.sqrt(np.linalg.eigvalsh(adjusted.station_covariance[number][:3, :3])[-1]))
         if worst > VAGUE_M:
             workspace.notes.append(
-                f"The sweeps tell the place of {name} to {1e3 * worst:.0f} mm only, in some direction."
+                f"The sweeps determine the place of {name} only to {1e3 * worst:.0f} mm in some direction."
             )
     stations = [
         {
@@ -252,9 +252,9 @@ def register_stations(workspace: StepWorkspace) -> None:
 
 
 def refine_rig(workspace: StepWorkspace) -> None:
-    """The calibration of a rig with what the sweeps of one room tell of it.
+    """The calibration of a rig, refined by the sweeps of one room.
 
-    It is as it was where they tell nothing, or cannot be used: then the other rooms still refine it.
+    It is unchanged where they add nothing, or cannot be used: then the other rooms still refine it.
 
     Raises:
         GivenError: If a known length or place contradicts the sweeps.

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
         facts_of,
         room_picture,
     )
-    from jaxscan.report.drawing import pdf_of, with_scale
+    from jaxscan.report.drawing import pdf_of, png_of, with_scale
     from jaxscan.report.page import calibration_page, drawn_records, thumbnail
     from jaxscan.report.pictures import deviation_picture
     from jaxscan.report.tables import Parameter, outcome_rows, parameters, quality_rows

@@ -1,4 +1,4 @@
-"""Figures in the colours of the report, as SVG, as PDF, and with a scale beside them."""
+"""Figures in the colours of the report, as SVG, as PDF and PNG, and with a scale beside them."""
 
 import io
 import re
@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxscan.drawing import Drawing, layer_of, strokes
+from jaxscan.drawing import Drawing, lay_out, layer_of
+from jaxscan.drawing.model import EM
 from jaxscan.report.html import Html, element
 
 
@@ -132,46 +133,63 @@ def _short(match: re.Match[str]) -> str:
     return f"{float(match[0]):.2f}".rstrip("0").rstrip(".")
 
 
-INCH_PER_M = 20.0 / 25.4
-"""1 : 50."""
-MARGIN_M = 0.25
+MM = 1.0 / 25.4
+"""A millimetre of paper [inch]."""
 
 
 def pdf_of(drawing: Drawing) -> bytes:
-    """A drawing as one page of PDF, 1 : 50."""
+    """The sheet of a drawing as one page of PDF, true to scale."""
     # Imported here, so that only drawing loads matplotlib.
+    import matplotlib
+
+    written = io.BytesIO()
+    with matplotlib.rc_context({"pdf.fonttype": 42}):
+        _sheet_figure(drawing).savefig(written, format="pdf", metadata={"Title": drawing.title, "CreationDate": None})
+    return written.getvalue()
+
+
+def png_of(drawing: Drawing, dpi: float = 200.0) -> bytes:
+    """The sheet of a drawing as a picture of so many dots per inch, which it names."""
+    written = io.BytesIO()
+    _sheet_figure(drawing).savefig(written, format="png", dpi=dpi, metadata={"Title": drawing.title})
+    return written.getvalue()
+
+
+def _sheet_figure(drawing: Drawing) -> "Figure":
     import matplotlib
     from matplotlib.figure import Figure
 
-    low, high = drawing.bounds()
-    low, high = low - MARGIN_M, high + MARGIN_M
-    figure = Figure(figsize=tuple(INCH_PER_M * (high - low)))
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    page = lay_out(drawing)
+    width, height = page.size_mm
+    with matplotlib.rc_context({"font.family": "DejaVu Sans"}):
+        figure = Figure(figsize=(width * MM, height * MM))
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_axis_off()
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
-    lines, texts = strokes(drawing)
-    for line in lines:
-        look = layer_of(line.layer)
-        style = (0, (8, 5)) if look.dashed else "-"
-        axes.plot(*line.points.T, color=look.rgb, linewidth=look.width_mm * 72 / 25.4, linestyle=style)
-    for text in texts:
-        axes.text(
-            float(text.at[0]),
-            float(text.at[1]),
-            text.words,
-            color=layer_of(text.layer).rgb,
-            fontsize=1.2 * text.height_m * INCH_PER_M * 72,
-            rotation=float(text.angle * 180 / 3.141592653589793),
-            rotation_mode="anchor",
-            horizontalalignment="center",
-            verticalalignment="center",
-            parse_math=False,
-        )
-    written = io.BytesIO()
-    with matplotlib.rc_context({"pdf.fonttype": 42}):
-        figure.savefig(written, format="pdf", metadata={"Title": drawing.title, "CreationDate": None})
-    return written.getvalue()
+    axes.set_xlim(0.0, width)
+    axes.set_ylim(0.0, height)
+    for depth, name in enumerate(page.layers):
+        look = layer_of(name)
+        dashes = (0, (1.6 / look.width_mm, 1.0 / look.width_mm)) if look.dashed else "-"
+        for area in (one for one in page.areas if one.layer == name):
+            axes.fill(*area.points.T, facecolor=look.rgb, edgecolor="none", zorder=depth)
+        for line in (one for one in page.lines if one.layer == name):
+            style: Any = {"linewidth": look.width_mm * MM * 72, "linestyle": dashes, "solid_capstyle": "round"}
+            axes.plot(*line.points.T, color=look.rgb, zorder=depth, clip_on=False, **style)
+        for text in (one for one in page.texts if one.layer == name):
+            axes.text(
+                float(text.at[0]),
+                float(text.at[1]),
+                text.words,
+                color=look.rgb,
+                fontsize=EM * text.height * MM * 72,
+                rotation=float(np.degrees(text.angle)),
+                rotation_mode="anchor",
+                horizontalalignment="left" if text.align == "left" else "center",
+                verticalalignment="center_baseline",
+                parse_math=False,
+                zorder=depth,
+            )
+    return figure
 
 
 def with_scale(rgb: np.ndarray, pixel_m: float, words: str) -> np.ndarray:

@@ -351,7 +351,8 @@ def millimetres(sigma_mm: float) -> str:
     """A standard deviation with two significant digits."""
     if sigma_mm <= 0:
         return "0 mm"
-    decimals = max(0, 1 - math.floor(math.log10(sigma_mm)))
+    # 0.00997 has its second digit where 0.01 has it.
+    decimals = max(0, 1 - math.floor(math.log10(float(f"{sigma_mm:.1e}"))))
     return f"{sigma_mm:.{min(decimals, 6)}f} mm"
 
 

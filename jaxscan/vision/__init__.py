@@ -7,7 +7,7 @@ if TYPE_CHECKING:
     from jaxscan.vision.boards import Detector, board_texture, find_corners
     from jaxscan.vision.corners import refit_corners
     from jaxscan.vision.features import enough_texture, feature_eyes, find_targets, follow_features
-    from jaxscan.vision.grey import to_grey
+    from jaxscan.vision.frames import to_grey
     from jaxscan.vision.images import MAX_PIXELS, decode_image, encode_png, is_jpeg, through_jpeg
     from jaxscan.vision.ink import Ink, board_ink
     from jaxscan.vision.other_boards import name_other_board

@@ -17,7 +17,7 @@ from jaxscan.vision.corners import (
     marker_gap,
     square_sizes,
 )
-from jaxscan.vision.grey import to_bytes
+from jaxscan.vision.frames import to_bytes
 
 
 Detector = Literal["auto", "sb", "classic"]

@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxscan.errors import CaptureError, DependencyError
 from jaxscan.geometry import MAX_PIXELS
+from jaxscan.vision.frames import check_frame
 from jaxscan.vision.png import SIGNATURE, check_png, png_size
 from jaxscan.vision.tiff import OtherKind, Tiff
 from jaxscan.vision.zstd import MAGIC, decode_zstd, zstd_size
@@ -39,12 +40,7 @@ def encode_png(image: np.ndarray, *, compression: str = "rle") -> bytes:
     Raises:
         ValueError: If the array is not such an image or the compression is unknown.
     """
-    if image.dtype != np.uint8 or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3):
-        raise ValueError(
-            f"An image must be uint8 [rows, columns] or [rows, columns, 3], got {image.dtype} with shape {image.shape}."
-        )
-    if image.size == 0:
-        raise ValueError(f"An image must have pixels, got shape {image.shape}.")
+    check_frame(image)
     if compression not in _PNG_STRATEGIES:
         raise ValueError(f"Unknown compression {compression!r}; known: {', '.join(_PNG_STRATEGIES)}.")
     strategy = _PNG_STRATEGIES[compression]

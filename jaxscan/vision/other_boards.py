@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from jaxscan.geometry import AbstractBoard, AprilGrid, Charuco, Chessboard, direct_homography
-from jaxscan.vision.grey import to_bytes
+from jaxscan.vision.frames import to_bytes
 
 
 # Each holds the smaller ones of its kind. The larger a marker's code, the less another kind is taken for it: those of

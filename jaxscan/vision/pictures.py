@@ -2,7 +2,6 @@
 
 import re
 import struct
-import zlib
 from typing import NamedTuple
 
 import cv2
@@ -10,7 +9,7 @@ import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.vision.images import decode_image, encode_png
-from jaxscan.vision.png import SIGNATURE
+from jaxscan.vision.png import SIGNATURE, chunk
 
 
 XMP_IN_JPEG = b"http://ns.adobe.com/xap/1.0/\0"
@@ -64,9 +63,9 @@ def encode_picture_png(image: np.ndarray, *, xmp: str = "", about: str = "") -> 
         written = encode_png(image)
     chunks = b""
     if xmp:
-        chunks += _chunk(b"iTXt", XMP_IN_PNG + xmp.encode())
+        chunks += chunk(b"iTXt", XMP_IN_PNG + xmp.encode())
     if about:
-        chunks += _chunk(b"tEXt", b"Description\0" + about.encode("latin-1"))
+        chunks += chunk(b"tEXt", b"Description\0" + about.encode("latin-1"))
     after = len(SIGNATURE) + 25
     return written[:after] + chunks + written[after:]
 
@@ -116,7 +115,3 @@ def read_panorama(data: bytes, *, name: str) -> PagePanorama:
     if columns > WIDEST:
         picture = cv2.resize(picture, (WIDEST, max(1, round(rows * WIDEST / columns))), interpolation=cv2.INTER_AREA)
     return PagePanorama(encode_jpeg(np.asarray(picture, np.uint8), quality=90), float(top), float(bottom))
-
-
-def _chunk(kind: bytes, content: bytes) -> bytes:
-    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))

@@ -70,7 +70,7 @@ def check_png(data: bytes) -> tuple[bytes, np.ndarray | None]:
             raise ValueError("it has a row with an unknown filter")
         start += rows * length
     header = struct.pack(">IIBBBBB", width, height, depth, 0 if colour == 3 else colour, 0, 0, interlaced)
-    unpacked = _chunk(b"IHDR", header) + _chunk(b"IDAT", zlib.compress(raw, 0)) + _chunk(b"IEND", b"")
+    unpacked = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(raw, 0)) + chunk(b"IEND", b"")
     colours = np.frombuffer(palette, np.uint8).reshape(-1, 3) if colour == 3 else None
     return SIGNATURE + unpacked, colours
 
@@ -98,6 +98,7 @@ def _chunks(data: bytes) -> dict[bytes, bytes]:
     raise ValueError("it is cut short")
 
 
-def _chunk(kind: bytes, content: bytes) -> bytes:
+def chunk(kind: bytes, content: bytes) -> bytes:
+    """A part of a PNG file, with its length and its checksum."""
     checksum = isal_zlib.crc32(content, isal_zlib.crc32(kind))
     return b"".join((struct.pack(">I", len(content)), kind, content, struct.pack(">I", checksum)))

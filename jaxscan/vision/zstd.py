@@ -12,6 +12,8 @@ import zlib
 import numpy as np
 import zstandard
 
+from jaxscan.vision.frames import check_frame
+
 
 MAGIC = b"\x53\x2a\x4d\x18\x1c\x00\x00\x00jaxframe"
 """The beginning of a file: a skippable frame of zstd, which other programs pass over, of 28 bytes, and our name."""
@@ -41,12 +43,7 @@ def encode_zstd(image: np.ndarray) -> bytes:
     Raises:
         ValueError: If the array is not such an image.
     """
-    if image.dtype != np.uint8 or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3):
-        raise ValueError(
-            f"An image must be uint8 [rows, columns] or [rows, columns, 3], got {image.dtype} with shape {image.shape}."
-        )
-    if image.size == 0:
-        raise ValueError(f"An image must have pixels, got shape {image.shape}.")
+    check_frame(image)
     rows = np.ascontiguousarray(image).reshape(image.shape[0], -1)
     step = _best_step(rows)
     if step:

@@ -75,15 +75,12 @@ class TestImages:
 
 
 class TestJournal:
-    def test_torn_last_line_is_dropped_and_said(self, sweep, tiny, run, tmp_path):
-        # As many records are left as other tests reconstruct, so that nothing is compiled for one more number.
-        journal(sweep, lambda record: record if record["i"] % 3 == 0 or record["i"] == 59 else None)
+    def test_torn_last_line_is_dropped_and_said(self, sweep, run):
         path = sweep / "frames.jsonl"
         path.write_bytes(path.read_bytes()[:-20])
-        ran = run("reconstruct", sweep, "-c", tiny.calibration, "-o", tmp_path / "a.npz")
+        ran = run("info", sweep)
         assert ran.code == 0 and ran.err == ""
-        assert re.search(r"^note: .*line 21: .*left out", ran.out, re.MULTILINE)
-        assert len(jaxscan.load_cloud(tmp_path / "a.npz").valid) == 20
+        assert re.search(r"^note: .*line 60: .*left out", ran.out, re.MULTILINE) and "records: 59" in ran.out
 
 
 class TestWrongCapture:
@@ -313,11 +310,6 @@ class TestDemo:
     def test_into_a_file(self, tiny, refused):
         assert "is a file" in refused("demo", "-o", tiny.config)
 
-    def test_a_broken_truth(self, refused, tmp_path):
-        (tmp_path / "captures").mkdir()
-        (tmp_path / "captures" / "truth.json").write_text("{")
-        assert "not valid JSON" in refused("demo", "-o", tmp_path)
-
 
 class TestClouds:
     def test_truncated(self, tiny, refused, tmp_path):
@@ -353,7 +345,7 @@ def _cloud(xyz):
     )
 
 
-@pytest.mark.parametrize("text", ["[]", "3", '"a"', "null", "[[", ""])
+@pytest.mark.parametrize("text", ["[]", "3", '"a"', "null", "[[", "{", ""])
 def test_a_demo_beside_a_truth_that_is_none(text, tmp_path, refused):
     (tmp_path / "demo" / "captures").mkdir(parents=True)
     (tmp_path / "demo" / "captures" / "truth.json").write_text(text)

@@ -38,13 +38,14 @@ def test_what_is_missing_is_said(run, monkeypatch):
 
 
 def test_what_optional_packages_are_for(run, monkeypatch):
-    for module in ("ezdxf", "pye57", "aiohttp", "rerun"):
+    for module in ("ezdxf", "ifcopenshell", "pye57", "aiohttp", "rerun"):
         monkeypatch.setitem(sys.modules, module, None)
     ran = run("doctor", "--json", "-")
     assert ran.code == 0, ran.err
     found = checks(ran)
     for name, without, extra in (
         ("ezdxf", "drawings as DXF", "plan"),
+        ("ifcopenshell", "rooms as IFC", "ifc"),
         ("pye57", "clouds written as E57", "export"),
         ("aiohttp", "console, view", "console"),
         ("rerun-sdk", "view --rerun", "rerun"),
@@ -54,7 +55,7 @@ def test_what_optional_packages_are_for(run, monkeypatch):
         }
         assert f"{name}: import of {name.removesuffix('-sdk')} halted" in ran.err and without in ran.err
     assert found["open3d"]["works"] and found["open3d"]["detail"][0].isdigit()
-    assert 'to have them all: pip install "jaxscan[console,rerun,export,plan]"' in ran.err
+    assert 'to have them all: pip install "jaxscan[console,rerun,export,plan,ifc]"' in ran.err
 
 
 def test_every_optional_package_is_brought_by_its_extra():

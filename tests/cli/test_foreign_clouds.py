@@ -9,6 +9,7 @@ import jaxscan
 from jaxscan.files.clouds import read_cloud
 
 from ..files.clouds import make_cloud
+from ..files.strangers import LEVEL, RGB, STRANGERS, XYZ
 from ..files.test_cloud_exchange import as_another_program, room
 
 
@@ -176,15 +177,43 @@ def test_every_format_is_measured(run, tmp_path, suffix):
         assert found[side]["value_m"] == pytest.approx(size, abs=1e-4 if suffix in (".las", ".laz") else 1e-5)
 
 
+def test_measure_says_that_a_cloud_has_no_sigmas(run, tmp_path):
+    np.savetxt(tmp_path / "a.xyz", XYZ, fmt="%.4f")
+    on_wall = XYZ[np.isclose(XYZ[:, 0], -1.5)][0]
+    ran = run("measure", "plane", tmp_path / "a.xyz", "--at", *on_wall, "--radius-mm", 1200, "--unit", "m")
+    assert "the cloud has no sigmas: 0.1 mm of noise a point is assumed" in " ".join((ran.out + ran.err).split())
+
+
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("words", "says"),
     [
-        ("1 2 3\n", "No two opposite walls"),
-        ("", "not a table of numbers"),
-        ("nan nan nan\nnan 1 1\n", "no finite point"),
-        ("1e30 0 0\n0 1 0\n0 0 1\n", "expected at most 1e+15"),
+        (("--columns", "x,y"), "expected x, y and z"),
+        (("--columns", "x,y,z,colour"), 'found "colour"'),
+        (("--columns", "x,y,z,r,g,b,i,nx"), "has 6 columns, and --columns lists 8"),
     ],
 )
-def test_poor_clouds_are_refused_in_one_line(refused, tmp_path, text, says):
-    (tmp_path / "a.xyz").write_text(text)
-    assert says in refused("measure", "room", tmp_path / "a.xyz")
+def test_columns_that_cannot_be_are_refused(refused, tmp_path, words, says):
+    np.savetxt(tmp_path / "a.xyz", np.hstack([XYZ, RGB]), fmt="%.4f")
+    assert says in refused("convert", tmp_path / "a.xyz", tmp_path / "b.ply", *words)
+
+
+def test_a_person_overrules_what_is_found(run, tmp_path):
+    # Half as bright as 8 bits are: 4 bits.
+    np.savetxt(tmp_path / "a.xyz", np.hstack([RGB // 2, XYZ, LEVEL[:, None]]), fmt="%.4f")
+    words = ("--columns", "r,g,b,z,y,x", "--colours", "1023", "--unit", "mm")
+    ran = run("convert", tmp_path / "a.xyz", tmp_path / "b.ply", *words)
+    assert ran.code == 0 and "by --columns" in ran.out and "colours 0 to 1023 by --colours" in ran.out
+    assert "millimetres by --unit" in ran.out
+    points = jaxscan.load_cloud(tmp_path / "b.ply").points()
+    np.testing.assert_allclose(points.xyz, XYZ[:, ::-1] / 1000, atol=1e-9)
+    assert np.array_equal(points.rgb, np.round(RGB // 2 * 255 / 1023))
+    run("convert", tmp_path / "a.xyz", tmp_path / "c.ply", *words[:2], "--colours", "none")
+    assert "rgb" in jaxscan.load_cloud(tmp_path / "c.ply").lacks
+
+
+def test_a_map_in_feet_loses_its_code_with_its_feet(run, tmp_path):
+    pytest.importorskip("laspy", reason="the extra `export` is not installed")
+    next(one for one in STRANGERS if one.name == "las feet").write(tmp_path / "a.las")
+    ran = run("convert", tmp_path / "a.las", tmp_path / "b.laz")
+    assert ran.code == 0 and "EPSG:2277 is of the coordinates before they became metres" in ran.out
+    assert read_cloud(tmp_path / "b.laz").about.epsg is None

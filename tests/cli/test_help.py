@@ -1,13 +1,29 @@
-"""Help in plain words, answers to mistyped words, and completion of shells."""
+"""The words of the command line: help, answers to mistakes, completion by shells, and what is loaded for them."""
 
+import inspect
 import re
 import shutil
 import subprocess
+import sys
+from pathlib import Path
+from typing import get_args
 
 import pytest
 
+import jaxscan
+from jaxscan.calibration import Block, CalibrationSettings, Part, RigKind
+from jaxscan.cli import options
 from jaxscan.cli.help import GROUPS, SHELLS, entries_of, paragraphs
+from jaxscan.cli.main import main
 from jaxscan.cli.verbs import BELOW, DESCRIPTION, VERBS, load_verb
+from jaxscan.files.calibration import CameraFormat
+from jaxscan.files.clouds import WRITERS
+from jaxscan.files.recording import Storage
+from jaxscan.geometry import CAMERAS, Carries, StripeAxis
+from jaxscan.geometry.scanner import Up
+from jaxscan.reconstruction import ReconstructSettings, Smooth
+from jaxscan.report.prints import Paper
+from jaxscan.stripes import Choice, LaserColour, PixelFormat
 
 
 EVERY = [(verb,) for verb in VERBS if verb not in BELOW] + [(first, verb) for first in BELOW for verb in BELOW[first]]
@@ -16,14 +32,15 @@ UNPLAIN = ("{None}", "{", "None", "(default", "INT", "FLOAT", "STR", "TUPLE", "p
 
 
 @pytest.mark.parametrize("words", PAGES, ids=" ".join)
-@pytest.mark.parametrize("columns", [40, 60, 80, 200])
-def test_pages_are_plain_and_fit(words, columns, run, monkeypatch):
-    monkeypatch.setenv("COLUMNS", str(columns))
-    ran = run(*words, "--help")
-    assert ran.code == 0 and ran.err == ""
-    assert not [sign for sign in UNPLAIN if sign in ran.out]
-    assert max(map(len, ran.out.splitlines())) <= min(columns, 100)
-    assert ran.out.startswith(f"usage: {' '.join(['jaxscan', *words])} [-h]")
+def test_pages_are_plain_and_fit(words, run, monkeypatch):
+    for columns in (40, 60, 80, 200):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        ran = run(*words, "--help")
+        assert ran.code == 0 and ran.err == ""
+        assert not [sign for sign in UNPLAIN if sign in ran.out]
+        assert max(map(len, ran.out.splitlines())) <= min(columns, 100)
+        assert ran.out.startswith(f"usage: {' '.join(['jaxscan', *words])} [-h]")
+    assert all(option in ran.out for option in ("-h, --help", *(["--json FILE"] if words in EVERY else ())))
 
 
 @pytest.mark.parametrize("words", EVERY, ids=" ".join)
@@ -76,6 +93,7 @@ def test_the_first_page_has_each_verb_in_one_group(run):
         (["measure", "distance", "a", "--a", "1", "-2", "--b", "1", "2", "3"], "--a needs NUMBER NUMBER NUMBER."),
         (["measure", "compare", "a"], "jaxscan measure compare needs CLOUD: "),
         (["measure", "compare", "a", "b", "c"], '"c" is one word too many for jaxscan measure compare.'),
+        (["--nonsense"], '"--nonsense" is no option of jaxscan.'),
         (["--completion"], "--completion needs the name of a shell: bash, zsh, fish."),
         (["--completion", "csh"], "--completion needs the name of a shell"),
     ],
@@ -107,8 +125,6 @@ def test_words_that_are_none_are_not_taken_for_mistakes(words, run, tmp_path, mo
 @pytest.fixture(scope="module")
 def bash(tmp_path_factory):
     """Completes typed words by the script for bash."""
-    from jaxscan.cli.main import main
-
     script = tmp_path_factory.mktemp("completion") / "jaxscan.bash"
     with script.open("w") as file, pytest.MonkeyPatch.context() as patch:
         patch.setattr("sys.stdout", file)
@@ -150,3 +166,119 @@ def test_scripts_name_every_verb_and_option(shell, run):
     program = shutil.which(shell)
     if program is not None:
         subprocess.run([program, "-n"], input=ran.out, text=True, check=True)
+
+
+@pytest.mark.parametrize("words", [[], ["measure"]])
+def test_without_a_verb_the_verbs_are_listed(words, run):
+    ran = run(*words)
+    assert ran.code == 2 and ran.out == "" and "VERB" in ran.err
+
+
+LINES = [((name,), line) for name, line in VERBS.items()] + [
+    ((first, name), line) for first, verbs in BELOW.items() for name, line in verbs.items()
+]
+
+
+@pytest.mark.parametrize(("words", "line"), LINES, ids=lambda one: " ".join(one) if isinstance(one, tuple) else "")
+def test_the_table_says_the_same_as_the_docstring(words, line):
+    assert " ".join(inspect.getdoc(load_verb(*words)).split()).startswith(line)
+
+
+@pytest.mark.parametrize("verb", ["convert", "reconstruct", "scan"])
+def test_help_names_every_format_of_clouds(verb, run):
+    assert " ".join(WRITERS) in " ".join(run(verb, "--help").out.split())
+
+
+def test_the_readme_names_every_format_of_clouds():
+    readme = (Path(__file__).resolve().parents[2] / "README.md").read_text()
+    (line,) = [line for line in readme.splitlines() if line.startswith("jaxscan.save_cloud(")]
+    assert set(re.findall(r"\.\w+\b", line.split("(")[1])) == set(WRITERS)
+
+
+def test_the_version(run):
+    assert run("--version") == (0, f"jaxscan {jaxscan.__version__}\n", "")
+
+
+@pytest.mark.more
+def test_a_rig_without_its_extra_is_one_line(tmp_path):
+    (tmp_path / "rig.toml").write_text("[camera]\nkind = 'opencv'\nwidth = 64\nheight = 48\ntrigger = 'free'\n")
+    code = "import sys; sys.modules['serial'] = None; from jaxscan.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    for words in (["doctor", "--port", "auto"], ["scan", "rig.toml", "-o", "made"]):
+        run = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, cwd=tmp_path)
+        assert run.returncode == 1 and run.stderr.count("\n") == 1, run.stderr
+        assert 'pip install "jaxscan[rig]"' in run.stderr and not (tmp_path / "made").exists()
+
+
+HEAVY = {
+    "jax",
+    "equinox",
+    "numba",
+    "optimistix",
+    "scipy",
+    "cv2",
+    "matplotlib",
+    "pydantic",
+    "aiohttp",
+    "dask",
+    "sqlalchemy",
+}
+EVERY_PAGE = """
+import sys
+from jaxscan.cli import verbs
+from jaxscan.cli.help import verb_page
+pages = [(name,) for name in verbs.VERBS] + [(first, name) for first, names in verbs.BELOW.items() for name in names]
+for words in pages:
+    assert verb_page(" ".join(words), verbs.load_verb(*words)), words
+print(*sys.modules)
+"""
+
+
+def loaded_by(*words):
+    done = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=True)
+    return {name.partition(".")[0] for name in done.stdout.split()}
+
+
+def test_the_help_of_all_verbs_loads_nothing_heavy():
+    loaded = loaded_by("-c", EVERY_PAGE)
+    assert "tyro" in loaded
+    assert not loaded & HEAVY
+
+
+@pytest.mark.parametrize("words", [["--version"], ["--help"], ["init", "--list"]], ids=" ".join)
+def test_what_computes_nothing_loads_nothing_heavy(words):
+    code = (
+        "import sys; from jaxscan.cli.main import main\n"
+        f"try: main({words!r})\n"
+        "except SystemExit: pass\n"
+        "print(*sys.modules)"
+    )
+    assert not loaded_by("-c", code) & (HEAVY - {"pydantic"})
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs"),
+    [
+        (options.Part, Part),
+        (options.RigKind, RigKind),
+        (options.Block, Block),
+        (options.Choice, Choice),
+        (options.Smooth, Smooth),
+        (options.Paper, Paper),
+        (options.CameraFormat, CameraFormat),
+        (options.Storage, Storage),
+        (options.PixelFormat, PixelFormat),
+        (options.LaserColour, LaserColour),
+        (options.StripeAxis, StripeAxis),
+        (options.Carries, Carries),
+        (options.ImageUp, Up),
+    ],
+)
+def test_choices_are_those_of_the_rooms(ours, theirs):
+    assert get_args(ours) == get_args(theirs)
+
+
+def test_choices_that_rooms_collect():
+    assert CalibrationSettings().camera in CAMERAS
+    usual = ReconstructSettings()
+    assert (options.MIN_RANGE_M, options.MAX_RANGE_M) == (usual.min_range_m, usual.max_range_m)
+    assert usual.smooth == "edge"

@@ -5,6 +5,7 @@ import json
 import ezdxf
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 import jaxscan
 
@@ -36,12 +37,34 @@ def test_plan(room, run, tmp_path):
         assert np.abs(np.array(drawn) - length).min() < 1e-4
 
 
+def test_plan_on_a_sheet(room, run, tmp_path):
+    """A picture of a whole A3; the drawing says its scale."""
+    words = ["--sheet", "a3", "--scale", 50, "--name", "Kitchen", "--project", "House 7", "--dpi", 50]
+    ran = run("plan", room, "-o", tmp_path / "plan.png", *words)
+    assert ran.code == 0 and "1 : 50 on A3" in ran.out
+    assert imread(tmp_path / "plan.png").shape[:2] == (584, 826)
+    # Units stand with every number of the table.
+    for row in (line for line in ran.out.splitlines() if "│ W" in line):
+        assert " m " in row and row.rstrip(" │").endswith("m²")
+
+
+def test_plan_as_a_model(room, run, tmp_path):
+    ran = run("plan", room, "-o", tmp_path / "room.ifc", "--name", "Kitchen")
+    assert ran.code == 0 and ran.out.splitlines()[-1].startswith("written:") and "W1" in ran.out
+    assert "IFCSPACE" in (tmp_path / "room.ifc").read_text()
+    ran = run("plan", room, "-o", tmp_path / "section.ifc", "--section", "W1+0.9")
+    assert ran.code == 1 and "an .ifc holds the whole room" in ran.err
+    ran = run("plan", room, "-o", tmp_path / "plan.pdf", "--scale", 10)
+    assert ran.code == 1 and "choose 1 : 50 or a larger sheet" in ran.err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["room.ifc"]
+
+
 def test_section(room, run, tmp_path):
     ran = run("plan", room, "-o", tmp_path / "section.svg", "--section", 0.7, 1, 0.7, 2)
     assert ran.code == 0 and (tmp_path / "section.svg").read_bytes().startswith(b"<?xml")
     # What was cut is said, not the walls of the plan.
     assert "Section through (0.70, 1.00) and (0.70, 2.00) of the plan" in ran.out and "width" in ran.out
-    assert "W1" not in ran.out and "the plan's origin is at" in ran.out
+    assert "W1" not in ran.out and "frame of the plan: origin at" in ran.out
 
 
 def test_section_before_a_wall(room, run, tmp_path):

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import pytest
 from rich.console import Console
 
+from jaxscan.api.stages import Stage, Stages
 from jaxscan.cli import progress
 from jaxscan.cli.scan_display import ScanDisplay
 
@@ -168,3 +169,22 @@ def test_a_terminal_is_told_the_time_that_is_left_after_a_tenth(screen, monkeypa
 )
 def test_durations(seconds, words):
     assert progress.duration(seconds) == words
+
+
+def test_stages_of_different_cost_are_one_progress():
+    told = []
+    stages = Stages(lambda done, total: told.append((done, total)), (Stage(3.0, 1.0), Stage(0.0), Stage(2.0, 4.0)))
+    stages.part(0)(0, 10)
+    stages.part(0)(1, 10)
+    stages.part(0)(10, 10)
+    stages.done(1)
+    stages.part(2)(1, 2)
+    stages.done(2)
+    assert told == [(0, 100), (31, 100), (40, 100), (40, 100), (80, 100), (100, 100)]
+    assert Stages(None, (Stage(1.0),)).part(0) is None
+    Stages(None, (Stage(1.0),)).done(0)
+    # Where the stages take what they say, the time that is left is right from the first part on.
+    clock = [0.0]
+    remaining = progress.Remaining(lambda: clock[0])
+    clock[0] = 2 * 3.1
+    assert remaining(*told[1]) == pytest.approx(2 * 6.9, rel=0.03)

@@ -2,17 +2,20 @@
 
 import json
 import os
+import pty
 import shlex
 import shutil
 import signal
 import sys
 import time
+import tty
 
 import numpy as np
 import pytest
 from scanrig.errors import CameraLost, Fault, PortError
 
 from jaxscan import api
+from jaxscan.cli.boards import Lines
 from jaxscan.files.capture import open_capture
 
 from ..hardware.desk import Desk
@@ -194,18 +197,7 @@ def test_two_ctrl_c_end_at_once(run, paper, config, tmp_path):
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_the_emergency_stop_is_an_error(run, paper, config, tmp_path):
-    def press(controller):
-        controller.estop = True
-        controller.fall_into(Fault.EMERGENCY_STOP)
-
-    paper.desk.controller.before_shot[3] = press
-    ran = run("scan", config, "-o", tmp_path / "room")
-    assert ran.code == 1
-    assert ran.err.splitlines()[-1].startswith(f"jaxscan: {tmp_path / 'room'}: e-stop; go on with: jaxscan scan")
-
-
-def test_what_goes_on_is_said_with_what_was_asked_for(run, paper, config, tmp_path):
+def test_the_emergency_stop_is_an_error_and_what_goes_on_is_said_with_what_was_asked_for(run, paper, config, tmp_path):
     def press(controller):
         controller.estop = True
         controller.fall_into(Fault.EMERGENCY_STOP)
@@ -214,7 +206,8 @@ def test_what_goes_on_is_said_with_what_was_asked_for(run, paper, config, tmp_pa
     words = ("scan", config, "-o", tmp_path / "a room", "--port", "/dev/ttyACM1")
     ran = run(*words)
     assert ran.code == 1
-    command = ran.err.splitlines()[-1].split("go on with: jaxscan ")[1]
+    finding, command = ran.err.splitlines()[-1].split("; go on with: jaxscan ")
+    assert finding == f"jaxscan: {tmp_path / 'a room'}: e-stop"
     assert shlex.split(command) == [*map(str, words), "--resume"]
 
 
@@ -405,3 +398,27 @@ def test_a_command_that_fails(refused_after_plan, paper, board_rig, tmp_path, co
     words = ("scan", board_rig.path, "-o", tmp_path / "boards", "--boards", "--place-command", command)
     assert says in refused_after_plan(*words)
     assert not board_rig.table.contactor
+
+
+def test_an_enter_of_impatience_answers_no_later_question():
+    host, terminal = pty.openpty()
+    tty.setraw(terminal)
+    lines = Lines(terminal)
+    os.write(host, b"\n\nq\n")
+    lines.forget()
+    os.write(host, b"s\n")
+    assert lines.next(lambda: False) == "s"
+    os.close(host)
+    os.close(terminal)
+
+
+def test_lines_of_a_pipe_are_all_heard():
+    out, into = os.pipe()
+    lines = Lines(out)
+    os.write(into, b"\n\nq\n")
+    lines.forget()
+    assert [lines.next(lambda: False) for _ in range(3)] == ["", "", "q"]
+    os.close(into)
+    lines.forget()
+    assert lines.next(lambda: False) is None and lines.ended
+    os.close(out)

@@ -2,9 +2,13 @@
 
 import asyncio
 import json
+import os
 import secrets
+import subprocess
+import sys
 import threading
-from contextlib import ExitStack
+import time
+from contextlib import ExitStack, contextmanager
 
 import aiohttp
 import pytest
@@ -120,12 +124,15 @@ class Console:
         if problems:
             raise problems[0]
 
+    def connect(self, **options):
+        """A socket that has said nothing yet."""
+        own = f"http://127.0.0.1:{self.address.port}"
+        return self.session.ws_connect(f"{own}/socket", headers={"Origin": own}, **options)
+
     async def open(self, key=None):
         """A page."""
         key = key or secrets.token_hex(16)
-        url = f"http://127.0.0.1:{self.address.port}/socket"
-        headers = {"Origin": f"http://127.0.0.1:{self.address.port}"}
-        page = Page(await self.session.ws_connect(url, headers=headers), key)
+        page = Page(await self.connect(), key)
         await page.socket.send_str(json.dumps({"page": key}))
         await page.until(lambda page: True)
         return page
@@ -137,6 +144,24 @@ class Console:
         url = URL(f"http://127.0.0.1:{self.address.port}{path}", encoded=True)
         async with self.session.get(url) as answer:
             return answer.status, await answer.read()
+
+
+@contextmanager
+def console_process(folder):
+    """A console in a process of its own, with `rig.toml` in a folder: its address, and the file with its output."""
+    words = ["console", str(folder / "rig.toml"), "--captures", str(folder / "captures"), "--web-port", "0"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "PYTHONUNBUFFERED": "1"}
+    command, output = [sys.executable, "-m", "jaxscan.cli.main", *words], folder / "output.txt"
+    with (
+        open(output, "w") as out,
+        subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT, env=environment) as process,
+    ):
+        while len(output.read_text().splitlines()) < 2:  # Ended by the time limit of tests.
+            assert process.poll() is None, output.read_text()
+            time.sleep(0.05)
+        yield output.read_text().splitlines()[0].split()[-1], output
+        process.terminate()
+    assert "Traceback" not in output.read_text() and "defect" not in output.read_text(), output.read_text()
 
 
 @pytest.fixture

@@ -1,9 +1,6 @@
 """A scan from a real browser on the bench: the real firmware, its pins' log, a network camera."""
 
 import json
-import os
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -14,6 +11,7 @@ from jaxscan.files.capture import open_capture, verify_capture
 from ..browser.driver import Looks
 from ..hardware import conftest as hardware
 from ..hardware.driving import falls, milliseconds
+from .conftest import console_process
 
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -44,17 +42,8 @@ def bench(tmp_path):
 @pytest.fixture
 def url(bench, tmp_path):
     """The address of a console in a process of its own."""
-    words = ["console", str(tmp_path / "rig.toml"), "--captures", str(tmp_path / "captures"), "--web-port", "0"]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "PYTHONUNBUFFERED": "1"}
-    command = [sys.executable, "-m", "jaxscan.cli.main", *words]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment
-    ) as process:
-        first = process.stdout.readline()
-        yield first.rpartition(" ")[2].strip()
-        process.terminate()
-        rest = process.stdout.read()
-    assert "Traceback" not in rest and "defect" not in rest, rest
+    with console_process(tmp_path) as (address, _):
+        yield address
 
 
 @pytest.mark.slow

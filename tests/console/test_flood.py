@@ -5,10 +5,7 @@ import http.client
 import itertools
 import json
 import logging
-import os
 import statistics
-import subprocess
-import sys
 import time
 from urllib.parse import urlsplit
 
@@ -21,7 +18,7 @@ from jaxscan.files.capture import open_capture, verify_capture
 from jaxscan.web import Gate, Server, open_address
 
 from ..hardware.driving import falls, milliseconds
-from .conftest import Page
+from .conftest import Page, console_process
 from .test_bench import ALLOWED_MS, ROOT
 from .test_bench import bench as bench
 
@@ -89,20 +86,8 @@ def console(bench, tmp_path):
         (tmp_path / "rig.toml").write_text(text.replace("on_ms = 20", f"on_ms = {on_ms}"))
 
     configure(20)
-    words = ["console", str(tmp_path / "rig.toml"), "--captures", str(tmp_path / "captures"), "--web-port", "0"]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "PYTHONUNBUFFERED": "1"}
-    said = tmp_path / "said.txt"
-    command = [sys.executable, "-m", "jaxscan.cli.main", *words]
-    with (
-        open(said, "w") as out,
-        subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT, env=environment) as process,
-    ):
-        while len(said.read_text().splitlines()) < 2:  # Ended by the time limit of tests.
-            assert process.poll() is None, said.read_text()
-            time.sleep(0.05)
-        yield configure, said.read_text().splitlines()[0].split()[-1], said
-        process.terminate()
-    assert "Traceback" not in said.read_text() and "defect" not in said.read_text()
+    with console_process(tmp_path) as (url, output):
+        yield configure, url, output
 
 
 def gaps(folder):

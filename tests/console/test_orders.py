@@ -116,9 +116,7 @@ def test_messages_that_are_no_orders_change_nothing(console):
 @pytest.mark.parametrize("greeting", ["{}", "garbage", '{"page": "short"}', '{"page": ["a"]}', "7", b"\x00"])
 def test_a_page_that_does_not_begin_with_its_name_is_closed(console, greeting):
     async def pages(console):
-        url = f"http://127.0.0.1:{console.address.port}/socket"
-        origin = {"Origin": f"http://127.0.0.1:{console.address.port}"}
-        async with console.session.ws_connect(url, headers=origin) as socket:
+        async with console.connect() as socket:
             await (socket.send_bytes if isinstance(greeting, bytes) else socket.send_str)(greeting)
             assert (await socket.receive(10)).type is aiohttp.WSMsgType.CLOSE
 
@@ -129,9 +127,7 @@ def test_a_page_that_says_nothing_is_closed_and_counts_until_then(console, monke
     monkeypatch.setattr("jaxscan.cli.console.serving.hub._GREET_S", 1.0)
 
     async def pages(console):
-        url = f"http://127.0.0.1:{console.address.port}/socket"
-        origin = {"Origin": f"http://127.0.0.1:{console.address.port}"}
-        mute = [await console.session.ws_connect(url, headers=origin, autoping=False) for _ in range(12)]
+        mute = [await console.connect(autoping=False) for _ in range(12)]
         with pytest.raises(AssertionError, match="too many pages"):
             await console.open()
 

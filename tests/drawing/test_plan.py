@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxscan
+from jaxscan.drawing import LAYERS, border, lay_out, strokes
 from jaxscan.drawing.contours import simplified
 from jaxscan.errors import MeasurementError
 from jaxscan.measurement.outline.corners import Surface
@@ -20,10 +21,12 @@ def on(drawing, layer):
 def test_dimensions_are_the_lengths_that_were_measured(survey):
     plan = jaxscan.draw_plan(survey, heights_m=[1.0])
     assert {one.layer for one in plan.dimensions} == {"A-ANNO-DIMS"}
-    walls = [one for one in plan.dimensions if one.offset_m == -0.5]
-    for one, found in zip(walls, survey.outline.lengths(1.0)[0], strict=True):
-        assert one.length_m == pytest.approx(found.value, abs=1e-5)
-        assert one.words.startswith(f"{found.value:.3f} m ±")
+    outside = [one for one in plan.dimensions if one.offset_m < 0.0]
+    for found in survey.outline.lengths(1.0)[0]:
+        assert any(
+            one.length_m == pytest.approx(found.value, abs=1e-5) and one.words.startswith(f"{found.value:.3f} m ±")
+            for one in outside
+        )
     # Through the room: both arms of the L are 6 and 5 m long.
     inner = sorted(one.length_m for one in plan.dimensions if one.offset_m == 0.0)
     np.testing.assert_allclose(inner, [5.0, 6.0], atol=1e-3)
@@ -32,11 +35,71 @@ def test_dimensions_are_the_lengths_that_were_measured(survey):
 def test_walls_have_gaps_where_door_and_window_are(survey):
     plan = jaxscan.draw_plan(survey, heights_m=[1.0])
     drawn = sum(np.linalg.norm(line[1] - line[0]) for line in on(plan, "A-WALL"))
-    widths = [one.width.value for loop in survey.openings for side in loop for one in side]
-    assert drawn == pytest.approx(22.0 - sum(widths), abs=5e-3)
-    assert on(plan, "A-DOOR") and len(on(plan, "A-GLAZ")) == 2
+    found = [one for loop in survey.openings for side in loop for one in side]
+    widths = [one.width.value for one in found]
+    # And two jambs of each, as long as the grey behind the wall is wide.
+    jambs = 2 * len(found) * 2e-3 * plan.sheet.scale
+    assert drawn == pytest.approx(22.0 - sum(widths) + jambs, abs=5e-3)
+    assert len(on(plan, "A-DOOR")) == 1 and len(on(plan, "A-GLAZ")) == 3
     above = jaxscan.draw_plan(survey, heights_m=[2.3])
     assert "A-DOOR" not in above.layers and "A-GLAZ" not in above.layers
+
+
+def test_a_door_swings_by_a_quarter_of_its_width(survey):
+    plan = jaxscan.draw_plan(survey)
+    (leaf,) = on(plan, "A-DOOR")
+    (door,) = [one for loop in survey.openings for side in loop for one in side if one.kind == "door"]
+    swing = next(line for line in on(plan, "A-DOOR-SWNG") if len(line) > 2)
+    assert np.linalg.norm(leaf[1] - leaf[0]) == pytest.approx(door.width.value)
+    np.testing.assert_allclose(np.linalg.norm(swing - leaf[0], axis=1), door.width.value, rtol=1e-12)
+    np.testing.assert_allclose(swing[-1], leaf[1], atol=1e-12)
+    assert (swing[0] - leaf[0]) @ (leaf[1] - leaf[0]) == pytest.approx(0.0, abs=1e-9)
+    # Into the room.
+    assert survey.is_inside(swing[1:-1]).sum() >= 20
+    assert "convention" in LAYERS["A-DOOR"].means
+
+
+def test_chains_of_dimensions_add_up(survey):
+    """The pieces of a wall and its openings, in a row outside of it, are as long as the wall."""
+    plan = jaxscan.draw_plan(survey)
+    row = max(one.offset_m for one in plan.dimensions if one.offset_m < 0.0)
+    pieces = [one for one in plan.dimensions if one.offset_m == row]
+    whole = [one for one in plan.dimensions if one.offset_m == 2.0 * row]
+    assert len(whole) == 2
+    for wall in whole:
+        along = (wall.end - wall.start) / wall.length_m
+        across = np.array([-along[1], along[0]])
+        on_it = [
+            one for one in pieces if np.abs(np.stack([one.start, one.end]) @ across - wall.start @ across).max() < 1e-6
+        ]
+        assert len(on_it) == 3 and sum(one.length_m for one in on_it) == pytest.approx(wall.length_m, abs=1e-9)
+
+
+@pytest.mark.parametrize("scale", [50, 100])
+def test_no_label_covers_another(survey, scale):
+    plan = jaxscan.draw_plan(survey, sheet=jaxscan.Sheet("a3", scale=scale, room="Living room"))
+    boxes = [text.box() for text in strokes(plan)[1]]
+    for i, one in enumerate(boxes):
+        for other in boxes[:i]:
+            assert not ((one.min(0) < other.max(0)) & (other.min(0) < one.max(0))).all()
+
+
+def test_the_room_has_its_name_and_its_area_within(survey):
+    plan = jaxscan.draw_plan(survey, sheet=jaxscan.Sheet(room="Kitchen"))
+    (name,) = [text for text in plan.texts if text.words == "Kitchen"]
+    (area,) = [text for text in plan.texts if text.words.endswith(" m²")]
+    assert area.words.startswith(f"{survey.outline.floor_area().value:.3f} ±")
+    assert survey.is_inside(np.stack([name.at, area.at])).all()
+
+
+def test_furniture_is_grey_where_it_was_seen_from_above():
+    """A table lower than the scanner, whose top is 1.6 m x 0.8 m."""
+    room = ((0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0))
+    survey = jaxscan.survey_room(seen_room(room, boxes=(((2.8, 1.4, 0.0), (4.4, 2.2, 0.7)),)))
+    (area,) = [one.points for one in jaxscan.draw_plan(survey).areas if one.layer == "A-FURN-PATT"]
+    sides = np.sort(np.ptp(area, axis=0))
+    # Rays are up to 6 cm apart, and a pixel is 2 cm.
+    np.testing.assert_allclose(sides, [0.8, 1.6], atol=0.12)
 
 
 def test_furniture_is_where_it_stands(survey):
@@ -69,10 +132,15 @@ def test_origin_axes_and_scale_bar_are_drawn(survey):
     """Where a section is chosen, and how long a metre is, is in the drawing."""
     for drawing, names in ((jaxscan.draw_plan(survey), "xy"), (jaxscan.draw_section(survey, (0.7, 1), (0.7, 2)), ())):
         symbols = on(drawing, "A-ANNO-SYMB")
-        assert [line for line in symbols if len(line) == 2 and np.allclose(line, [[0, 0], [0.4, 0]])]
-        assert [line for line in symbols if np.allclose(np.ptp(line, axis=0), [1.0, 0.0])]
+        axis = 8e-3 * drawing.sheet.scale
+        assert [line for line in symbols if len(line) == 2 and np.allclose(line, [[0, 0], [axis, 0]])]
         words = [text.words for text in drawing.texts if text.layer == "A-ANNO-SYMB"]
-        assert {"0", "0.5", "1 m", *names} <= set(words)
+        assert {"0", *names} <= set(words)
+        page = lay_out(drawing)
+        boxes = [line.points for line in page.lines if line.layer == "A-ANNO-TTLB" and len(line.points) == 5]
+        # A quarter of the scale bar.
+        assert any(np.allclose(np.ptp(box, axis=0), [500.0 / drawing.sheet.scale, 1.2]) for box in boxes)
+        assert {"1", "2 m"} <= {text.words for text in page.texts}
 
 
 def test_a_room_with_a_pillar_is_cut_twice():
@@ -164,7 +232,8 @@ def test_what_is_not_known_is_no_dimension(survey):
     unknown = replace(survey, outline=replace(survey.outline, loops=loops))
     plan = jaxscan.draw_plan(unknown)
     assert any("left out" in remark for remark in plan.remarks)
-    assert not [one for one in plan.dimensions if one.offset_m == -0.5]
+    whole = {f"{found.value:.3f} m" for found in survey.outline.lengths(1.0)[0]}
+    assert not whole & {one.value for one in plan.dimensions}
 
 
 def test_what_contradicts_a_wall_is_said(survey):
@@ -175,4 +244,4 @@ def test_what_contradicts_a_wall_is_said(survey):
         jaxscan.draw_section(contradicted, (-1.0, 1.0), (4.0, 1.0)),
     ):
         said = f"{outline.remarks[0]}."
-        assert said in drawing.remarks and said in [text.words for text in drawing.texts]
+        assert said in drawing.remarks and said in " ".join(text.words for text in border(drawing).texts)

@@ -5,6 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture import CaptureHeader, open_capture
 from jaxscan.vision import encode_png
 
 
@@ -21,6 +23,23 @@ carries = "scanner"
 """
 LASER = '[[laser]]\nname = "red"\n'
 BOARD = '[board]\ntype = "chessboard"\ncolumns = 5\nrows = 4\nsquare_mm = 30.0\n'
+CAMERA = {"width": 6, "height": 4, "pixel_format": "mono8"}
+FRAMES = np.random.default_rng(6).integers(0, 256, (60, 4, 6), np.uint8)
+
+
+def header(kind="sweep", **tables):
+    """The header of a capture that is written by the program."""
+    board = {"type": "chessboard", "columns": 5, "rows": 4, "square_mm": 30.0} if kind == "calibration" else None
+    return CaptureHeader(kind=kind, **{"camera": CAMERA, "laser": [{"name": "red"}], "board": board, **tables})
+
+
+def refused(error, call, *patterns):
+    """The message with which a call is refused: one line that holds all the patterns."""
+    with pytest.raises(error) as caught:
+        call()
+    said = str(caught.value)
+    assert "\n" not in said and all(pattern in said for pattern in patterns), said
+    return said
 
 
 class Folder:
@@ -54,6 +73,10 @@ class Folder:
     def line(self, text):
         self.lines.append(text)
         (self.path / "frames.jsonl").write_text("".join(line + "\n" for line in self.lines))
+
+    def refused(self, *patterns):
+        """Opening it is refused."""
+        return refused(CaptureError, lambda: open_capture(self.path), *patterns)
 
 
 def journal(path):

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import os
+from functools import partial
 
 import jax
 import numpy as np
@@ -41,6 +42,8 @@ from jaxscan.geometry import (
     stack_lasers,
 )
 from jaxscan.observation import BoardViews, Observations, StripeViews
+
+from .conftest import refused
 
 
 QUALITY = Quality(
@@ -198,6 +201,20 @@ def test_the_file_is_as_the_page_says(tmp_path):
     assert f'"normal": {data["lasers"][0]["normal"]}' in (tmp_path / "c.json").read_text()
 
 
+def change_arrays(path, changes):
+    """Arrays of an .npz replaced, or removed where the new one is None."""
+    with np.load(path) as good:
+        arrays = dict(good) | changes
+    np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
+
+
+def without_digests(path):
+    """The file as versions before wrote it, without digests."""
+    data = json.loads(path.read_text())
+    data.pop("digests", None)
+    path.write_text(json.dumps(data))
+
+
 @pytest.mark.parametrize("board", [None, Chessboard(columns=4, rows=3, square=0.1 / 3)])
 def test_observations_come_back(tmp_path, board):
     calibration = make_calibration(observations=make_observations(board))
@@ -218,14 +235,12 @@ def test_contrast_classes_come_back(tmp_path):
     save_calibration(calibration, tmp_path / "c.json")
     same_bits(load_calibration(tmp_path / "c.json").observations, calibration.observations)
     without_digests(tmp_path / "c.json")
-    with np.load(tmp_path / "c.npz") as good:
-        arrays = {key: good[key] for key in good.files}
     # Points that are not valid too: every class is looked up.
-    assert not arrays["stripes.valid"].all()
+    invalid = ~observations.stripes.valid
+    assert invalid.any()
     for forged in (6, -1, 127):
-        for where in (np.ones_like(classes, bool), ~arrays["stripes.valid"]):
-            arrays["stripes.contrast"] = np.where(where, forged, classes).astype(np.int8)
-            np.savez(tmp_path / "c.npz", **arrays)
+        for where in (np.ones_like(classes, bool), invalid):
+            change_arrays(tmp_path / "c.npz", {"stripes.contrast": np.where(where, forged, classes).astype(np.int8)})
             with pytest.raises(CalibrationError, match=r"stripes\.contrast: found an index outside 0 \.\.\. 5"):
                 load_calibration(tmp_path / "c.json")
 
@@ -263,8 +278,11 @@ def test_a_foreign_npz_is_left_alone(tmp_path):
     before = (tmp_path / "c.npz").read_bytes()
     save_calibration(make_calibration(), tmp_path / "c.json")
     assert load_calibration(tmp_path / "c.json").observations is None
-    with pytest.raises(CalibrationError, match=r"c\.npz: exists and holds no observations; choose another name"):
-        save_calibration(make_calibration(observations=make_observations()), tmp_path / "c.json")
+    # A command asks before its work.
+    observed = make_calibration(observations=make_observations())
+    for refuse in (check_calibration_path, partial(save_calibration, observed)):
+        with pytest.raises(CalibrationError, match=r"c\.npz: exists and holds no observations; choose another name"):
+            refuse(tmp_path / "c.json")
     assert (tmp_path / "c.npz").read_bytes() == before
     with pytest.raises(CalibrationError, match=r"end its name in \.json"):
         save_calibration(make_calibration(), tmp_path / "c.npz")
@@ -345,9 +363,7 @@ def test_every_wrong_number_is_named(tmp_path, path, value, message):
     edit(data, path, value)
     (tmp_path / "c.json").write_text(json.dumps(data))
     for load in (load_scanner, load_calibration):
-        with pytest.raises(CalibrationError) as caught:
-            load(tmp_path / "c.json")
-        assert message in str(caught.value) and "c.json" in str(caught.value) and "\n" not in str(caught.value)
+        refused(CalibrationError, partial(load, tmp_path / "c.json"), message, "c.json")
 
 
 @pytest.mark.parametrize(
@@ -368,9 +384,7 @@ def test_every_wrong_number_of_a_fisheye_is_named(tmp_path, path, value, message
     assert list(data["camera"]["distortion"]) == ["k1", "k2", "k3", "k4"] and data["camera"]["skew"] == 0
     edit(data, path, value)
     (tmp_path / "c.json").write_text(json.dumps(data))
-    with pytest.raises(CalibrationError) as caught:
-        load_calibration(tmp_path / "c.json")
-    assert message in str(caught.value) and "c.json" in str(caught.value) and "\n" not in str(caught.value)
+    refused(CalibrationError, lambda: load_calibration(tmp_path / "c.json"), message, "c.json")
 
 
 def test_every_wrong_number_of_a_double_sphere_is_named(tmp_path):
@@ -411,9 +425,7 @@ def test_a_covariance_that_is_none(tmp_path):
 )
 def test_what_is_no_calibration(tmp_path, text, message):
     (tmp_path / "c.json").write_text(text)
-    with pytest.raises(CalibrationError) as caught:
-        load_scanner(tmp_path / "c.json")
-    assert message in str(caught.value) and "c.json" in str(caught.value)
+    refused(CalibrationError, lambda: load_scanner(tmp_path / "c.json"), message, "c.json")
 
 
 def test_bytes_that_are_no_text(tmp_path):
@@ -441,17 +453,16 @@ def test_a_missing_file(tmp_path):
         ("stripes.laser", np.array([-1, 0]), "stripes.laser: found an index outside 0 ... 1"),
         ("stripes.q", None, "stripes.q is missing"),
         ("corners.placement", np.array([{}] * 3, object), "not a readable .npz file"),
+        ("corners.sigma", np.zeros((3, 6)), "corners.sigma: found a number outside"),
+        ("corners.q", np.full((3, 6, 2), 1e300), "corners.q: found a number outside"),
+        ("stripes.sigma", np.full((2, 7), 1e-320), "stripes.sigma: found a number outside"),
     ],
 )
 def test_wrong_observations(tmp_path, name, value, message):
     save_calibration(make_calibration(observations=make_observations()), tmp_path / "c.json")
-    with np.load(tmp_path / "c.npz") as good:
-        arrays = {key: good[key] for key in good.files}
-    arrays[name] = value
-    np.savez(tmp_path / "c.npz", **{key: array for key, array in arrays.items() if array is not None})
-    with pytest.raises(CalibrationError) as caught:
-        load_calibration(tmp_path / "c.json")
-    assert message in str(caught.value) and "c.npz" in str(caught.value)
+    without_digests(tmp_path / "c.json")
+    change_arrays(tmp_path / "c.npz", {name: value})
+    refused(CalibrationError, lambda: load_calibration(tmp_path / "c.json"), message, "c.npz")
     # The scanner itself is not touched by it.
     same_bits(load_scanner(tmp_path / "c.json"), make_scanner())
 
@@ -539,13 +550,6 @@ class TestQuality:
         assert "did not converge" in found[0][0] and found[1:] == [[], []]
 
 
-def without_digests(path):
-    """The file as versions before wrote it, without digests."""
-    data = json.loads(path.read_text())
-    data.pop("digests", None)
-    path.write_text(json.dumps(data))
-
-
 @pytest.mark.parametrize("part", [0.0, 0.3, 0.6, 0.99])
 @pytest.mark.parametrize("old", [False, True])
 def test_damaged_observations_are_never_taken_for_missing_ones(tmp_path, part, old):
@@ -560,27 +564,6 @@ def test_damaged_observations_are_never_taken_for_missing_ones(tmp_path, part, o
             load_calibration(tmp_path / "c.json")
         assert "\n" not in str(caught.value)
         load_scanner(tmp_path / "c.json")
-
-
-@pytest.mark.parametrize(("name", "value"), [("corners.sigma", 0.0), ("corners.q", 1e300), ("stripes.sigma", 1e-320)])
-def test_observations_out_of_range_are_refused(tmp_path, name, value):
-    save_calibration(make_calibration(observations=make_observations()), tmp_path / "c.json")
-    without_digests(tmp_path / "c.json")
-    with np.load(tmp_path / "c.npz") as good:
-        arrays = {key: good[key] for key in good.files}
-    arrays[name] = np.full_like(arrays[name], value)
-    np.savez(tmp_path / "c.npz", **arrays)
-    with pytest.raises(CalibrationError, match=f"{name}: found a number outside"):
-        load_calibration(tmp_path / "c.json")
-
-
-def test_another_file_beside_is_found_before_the_work(tmp_path):
-    np.savez(tmp_path / "room.npz", valid=np.ones(3))
-    with pytest.raises(CalibrationError, match=r"room\.npz: exists and holds no observations; choose another name"):
-        check_calibration_path(tmp_path / "room.json")
-    # Without observations of its own a calibration leaves that file alone, also when it is read.
-    save_calibration(make_calibration(), tmp_path / "room.json")
-    assert load_calibration(tmp_path / "room.json").observations is None
 
 
 HOSTILE = [1e308, -1e308, 1e-320, 5e-324, 1e160, -1e160, 1e-160]

@@ -6,7 +6,6 @@ import os
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from jaxscan.errors import CalibrationError
@@ -82,9 +81,6 @@ def test_observations_beside_a_calibration_that_names_none_are_refused(path, tmp
     with pytest.raises(CalibrationError, match=r"bare\.npz: .* calibrate again.* or move this one away"):
         load_calibration(tmp_path / "bare.json")
     load_scanner(tmp_path / "bare.json")
-    # A file of something else is none of its business.
-    np.savez(tmp_path / "bare.npz", valid=np.ones(3))
-    assert load_calibration(tmp_path / "bare.json").observations is None
 
 
 def contents(folder):

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import re
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -13,8 +14,9 @@ import pytest
 from jaxscan.errors import CalibrationError
 from jaxscan.files import load_calibration, load_scanner, save_calibration, save_scanner
 from jaxscan.files.calibration import calibration_notes
-from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable
+from jaxscan.geometry import LaserSheet, LinearStage, Pinhole, Scanner, Still, Turntable
 
+from .conftest import refused
 from .test_calibration import edit
 
 
@@ -151,13 +153,58 @@ def test_a_canonical_file_without_its_bases_is_the_same_scanner(by_hand, tmp_pat
             "lasers[0].nomal: unknown key; the closest known one is",
         ),
         (["turntable", "direction"], [0.0, 0.0, 0.0], "turntable: direction: found [0.0, 0.0, 0.0]"),
-        (["turntable", "gain"], 0.0, "turntable: gain = 0"),
         (["turntable", "point_m"], KeyError, "turntable.point_m: missing"),
+        (["turntable"], {"carries": "linear"}, "turntable.direction: missing"),
+        (["turntable"], {"carries": "linear", "direction": [0, 0, 0]}, "turntable: direction: found [0.0, 0.0, 0.0]"),
+        (["turntable"], {"carries": "linear", "direction": [1, 0, 0], "gain": 0}, "turntable: gain = 0"),
+        (
+            ["turntable"],
+            {"carries": "linear", "direction": [1, 0, 0], "point_m": [0, 0, 0]},
+            "turntable.point_m: unknown key",
+        ),
+        (["turntable", "carries"], "sideways", 'turntable.carries: found "sideways"'),
+        (["turntable"], [], "turntable: found"),
         (["covariance"], {"order": [], "matrix": []}, "covariance: refers to the basis of every laser"),
     ],
 )
 def test_what_is_wrong_is_said(by_hand, path, value, message):
     for load in (load_scanner, load_calibration):
-        with pytest.raises(CalibrationError) as caught:
-            load(by_hand((path, value)))
-        assert message in str(caught.value) and "hand.json" in str(caught.value) and "\n" not in str(caught.value)
+        refused(CalibrationError, partial(load, by_hand((path, value))), message, "hand.json")
+
+
+def test_a_profile_scanner(by_hand, tmp_path):
+    still = (["turntable"], KeyError)
+    scanner = load_scanner(by_hand(still))
+    assert isinstance(scanner.turntable, Still)
+    point, incidence = scanner.point(np.array([1200.0, 800.0]), 0, np.asarray(0.0))
+    assert incidence > 0
+    # The design's point of the paper's rig, camera frame.
+    np.testing.assert_allclose(point, [0.155163, -0.014657, 2.451674], atol=2e-6)
+    save_calibration(load_calibration(by_hand(still)), tmp_path / "again.json")
+    assert "turntable" not in json.loads((tmp_path / "again.json").read_text())
+    assert isinstance(load_scanner(tmp_path / "again.json").turntable, Still)
+
+
+def test_a_linear_stage(by_hand, tmp_path):
+    table = {"carries": "linear", "direction": [0.0, 3.0, 4.0]}
+    scanner = load_scanner(by_hand((["turntable"], table)))
+    stage = scanner.turntable
+    assert isinstance(stage, LinearStage)
+    np.testing.assert_allclose(stage.direction, [0.0, 0.6, 0.8], atol=1e-15)
+    still, moved = (scanner.point(np.array([1200.0, 800.0]), 0, np.asarray(s))[0] for s in (0.0, 0.5))
+    np.testing.assert_allclose(moved - still, [0.0, 0.3, 0.4], atol=1e-12)
+    # A stage that counts the other way.
+    path = by_hand((["turntable"], table | {"gain": -1.0}))
+    back = load_scanner(path).turntable
+    np.testing.assert_allclose(back.direction, [0.0, -0.6, -0.8], atol=1e-15)
+    save_calibration(load_calibration(path), tmp_path / "again.json")
+    again = load_scanner(tmp_path / "again.json").turntable
+    assert np.asarray(again.direction).tobytes() == np.asarray(back.direction).tobytes()
+
+
+def test_parts_that_cannot_reconstruct(by_hand):
+    alone, with_axis = [(["lasers"], KeyError), (["turntable"], KeyError)], [(["lasers"], KeyError)]
+    for changes, words in ((alone, "holds a camera alone"), (with_axis, "holds camera and axis")):
+        path = by_hand(*changes)
+        refused(CalibrationError, partial(load_scanner, path), f"{words}, without a laser sheet, so it cannot")
+        assert load_calibration(path).camera.width == 2048

@@ -12,6 +12,7 @@ from jaxscan.files.clouds import load_cloud, save_cloud
 from jaxscan.reconstruction import PointCloud
 
 from .clouds import LINES, PROFILES, make_cloud, unsealed
+from .conftest import refused
 
 
 XYZ = np.array([[0.5, 1.5, -2.0], [3.0, 4.0, 5.0], [1e3, 0.0, 0.25]])
@@ -147,9 +148,7 @@ def test_wrong_headers(tmp_path, old, new, message):
     data = unsealed(path)
     assert data.count(old) == 1
     path.write_bytes(data.replace(old, new))
-    with pytest.raises(CloudError) as caught:
-        load_cloud(path)
-    assert message in str(caught.value) and "a.ply" in str(caught.value)
+    refused(CloudError, lambda: load_cloud(path), message, "a.ply")
 
 
 def test_points_that_share_a_cell_or_are_not_finite(tmp_path):
@@ -175,9 +174,7 @@ def test_points_that_share_a_cell_or_are_not_finite(tmp_path):
 )
 def test_broken_ascii(tmp_path, rows, message):
     path = ply(["format ascii 1.0", *vertex()], rows.encode(), tmp_path / "a.ply")
-    with pytest.raises(CloudError) as caught:
-        load_cloud(path)
-    assert message in str(caught.value)
+    refused(CloudError, lambda: load_cloud(path), message)
 
 
 def test_nothing_to_read(tmp_path):
@@ -211,9 +208,7 @@ def npz(path, **arrays):
     ],
 )
 def test_wrong_npz(tmp_path, arrays, message):
-    with pytest.raises(CloudError) as caught:
-        load_cloud(npz(tmp_path / "a.npz", **arrays))
-    assert message in str(caught.value)
+    refused(CloudError, lambda: load_cloud(npz(tmp_path / "a.npz", **arrays)), message)
 
 
 def test_an_npz_bomb_is_refused(tmp_path):
@@ -469,6 +464,5 @@ LONG = "q" * 5000
     ],
 )
 def test_quoted_text_is_cut(tmp_path, header, data):
-    with pytest.raises(CloudError) as caught:
-        load_cloud(ply(header, data, tmp_path / "a.ply"))
-    assert len(str(caught.value)) < 300 + len(str(tmp_path))
+    said = refused(CloudError, lambda: load_cloud(ply(header, data, tmp_path / "a.ply")))
+    assert len(said) < 300 + len(str(tmp_path))

@@ -1,6 +1,7 @@
 """Several images for one frame: averaged where they repeat an exposure, a bracket where they do not."""
 
 import json
+import re
 from fractions import Fraction
 
 import numpy as np
@@ -9,20 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import MAX_IMAGES, CaptureHeader, ImageRef, open_capture
+from jaxscan.files.capture import MAX_IMAGES, ImageRef, open_capture
 from jaxscan.files.capture.images import average
+from jaxscan.files.capture.journal import parse_images
 from jaxscan.files.recording import create_capture, resume_capture
 
-from .conftest import BOARD, LASER
-
-
-FRAMES = np.random.default_rng(6).integers(0, 256, (60, 4, 6), np.uint8)
-
-
-def header(kind="sweep"):
-    board = {"type": "chessboard", "columns": 5, "rows": 4, "square_mm": 30.0} if kind == "calibration" else None
-    camera = {"width": 6, "height": 4, "pixel_format": "mono8"}
-    return CaptureHeader(kind=kind, camera=camera, laser=[{"name": "red"}], board=board)
+from .conftest import BOARD, FRAMES, LASER, header
 
 
 def shots(start, *exposures):
@@ -31,13 +24,6 @@ def shots(start, *exposures):
 
 def listed(*exposures, file="on/000000.png"):
     return [{"file": file, "exposure_s": exposure} for exposure in exposures]
-
-
-def refused(folder, *patterns):
-    with pytest.raises(CaptureError) as caught:
-        open_capture(folder.path)
-    assert all(pattern in str(caught.value) for pattern in patterns), caught.value
-    assert "\n" not in str(caught.value)
 
 
 @given(st.lists(st.integers(0, 255), min_size=2, max_size=MAX_IMAGES))
@@ -104,19 +90,18 @@ def test_all_records_need_the_same_exposures(folder):
     folder.record(1, on=listed(0.1, 0.2), off=listed(0.1, 0.2, 0.2))
     assert open_capture(folder.path).exposures == (0.1, 0.2)
     folder.record(2, on=listed(0.1, 0.3), off=listed(0.1, 0.3))
-    refused(folder, "record 2: on: found 100, 300 ms", "began with 100, 200 ms")
+    folder.refused("record 2: on: found 100, 300 ms", "began with 100, 200 ms")
     folder.record(2, on=listed(0.1, 0.2), off=listed(0.1))
-    refused(folder, "record 2: off: found 100 ms")
+    folder.refused("record 2: off: found 100 ms")
     folder.record(2, on=listed(0.1, 0.2))
-    refused(folder, "record 2: off: found one image without exposure")
+    folder.refused("record 2: off: found one image without exposure")
 
 
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        ([], "on: found a list of 0 images, expected 1 to 16"),
-        (listed(*[0.1] * 17), "on: found a list of 17 images, expected 1 to 16"),
-        (listed(0.1) * 100_000, "longer than 64 KiB"),
+        ([], "found a list of 0 images, expected 1 to 16"),
+        (listed(*[0.1] * 17), "found a list of 17 images, expected 1 to 16"),
         (["on/000000.png"], "found 'on/000000.png' in a list"),
         ([listed(0.1)], "in a list, expected"),
         ([{"file": "on/000000.png"}], "in a list, expected"),
@@ -132,22 +117,18 @@ def test_all_records_need_the_same_exposures(folder):
         (listed(0.1, file=None), "found None, expected a path"),
         (listed(0.1, file=listed(0.1)), "expected a path"),
         (listed(0.1, file="../on.png"), '".."'),
-        (listed(0.1, file="/etc/hostname"), "not relative"),
-        (listed(0.1, file="on/a.npy"), "which image of the shard"),
         ({"file": "on/000000.png", "exposure_s": 0.1}, "expected a path, null, or a list"),
     ],
 )
-def test_lists_that_are_refused(folder, value, message):
-    folder.record(0)
-    folder.record(1, on=value)
-    folder.line('{"event": "end"}')
-    refused(folder, message)
+def test_lists_that_are_refused(value, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        parse_images(value)
 
 
 def test_a_calibration_averages_and_refuses_brackets(folder):
     folder.header(kind="calibration", rest=LASER + BOARD)
     folder.record(0, on=listed(0.1, 0.1, file="on/missing.png"))
-    refused(folder, "record 0: on/missing.png: no such file")
+    folder.refused("record 0: on/missing.png: no such file")
     first, _ = folder.record(0)
     second, _ = folder.record(1)
     both = [{"file": f"on/{k:06d}.png", "exposure_s": 0.1, "gain": 3} for k in range(2)]

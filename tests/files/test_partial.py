@@ -10,7 +10,7 @@ import pytest
 
 from jaxscan.errors import JaxscanError
 from jaxscan.files.disk import atomic as module
-from jaxscan.files.disk import forget_partials, partial_file, partial_folder, remove_left, write_atomically
+from jaxscan.files.disk import forget_partials, partial_file, partial_folder, remove_stale, write_atomically
 from jaxscan.files.disk.lock import is_on_network
 
 
@@ -53,7 +53,7 @@ def test_names_are_those_that_are_removed(tmp_path):
             pass
         # Left by a killed process, it would be removed.
         part.touch()
-        remove_left(tmp_path)
+        remove_stale(tmp_path)
         assert os.listdir(tmp_path) == []
 
 
@@ -74,14 +74,14 @@ def test_what_other_processes_hold_stays(tmp_path, make):
     other = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     try:
         held = other.stdout.readline().strip()
-        remove_left(tmp_path)
+        remove_stale(tmp_path)
         assert os.path.exists(held)
     finally:
         other.kill()
         other.wait()
         other.stdout.close()
     assert os.path.exists(held)  # Killed, so it could not remove it.
-    remove_left(tmp_path)
+    remove_stale(tmp_path)
     assert os.listdir(tmp_path) == []
 
 
@@ -93,7 +93,7 @@ def test_nothing_else_is_removed(tmp_path):
     (tmp_path / "folder" / "file").write_bytes(b"kept")
     (tmp_path / LEFT).symlink_to("folder")
     os.mkfifo(tmp_path / f"{LEFT}.pipe")
-    remove_left(tmp_path)
+    remove_stale(tmp_path)
     assert sorted(os.listdir(tmp_path)) == sorted([*names, "folder", LEFT, f"{LEFT}.pipe"])
     assert (tmp_path / "folder" / "file").read_bytes() == b"kept"
 
@@ -135,7 +135,7 @@ def test_a_name_taken_by_another_process_is_not_used(tmp_path, monkeypatch):
 
 
 def test_a_folder_removed_before_it_is_opened_is_made_again(tmp_path, monkeypatch):
-    """Another process takes it for a left one between its making and its opening."""
+    """Another process takes it for one that a killed process left, between its making and its opening."""
     opened, tried = os.open, []
 
     def gone(path, *rest):
@@ -168,15 +168,15 @@ def test_on_a_network_disk_only_those_that_are_quiet_are_removed(tmp_path, monke
     inner = tmp_path / LEFT / "inner"
     inner.mkdir(parents=True)
     (inner / "file").touch()
-    remove_left(tmp_path)
+    remove_stale(tmp_path)
     assert len(os.listdir(tmp_path)) == 2
     long_ago = time.time() - 4000
     for path in (tmp_path / f"{LEFT}.png", inner, tmp_path / LEFT):
         os.utime(path, (long_ago, long_ago))
-    remove_left(tmp_path)
+    remove_stale(tmp_path)
     assert os.listdir(tmp_path) == [LEFT]
     os.utime(inner / "file", (long_ago, long_ago))
-    remove_left(tmp_path)
+    remove_stale(tmp_path)
     assert os.listdir(tmp_path) == []
 
 

@@ -15,21 +15,11 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import CaptureHeader, open_capture
+from jaxscan.files.capture import open_capture
 from jaxscan.files.recording import create_capture, resume_capture, store
 from jaxscan.files.recording.store import SHARD_BYTES, ShardStore
 
-from .conftest import journal
-
-
-RNG = np.random.default_rng(5)
-FRAMES = RNG.integers(0, 256, (40, 4, 6), np.uint8)
-
-
-def header(kind="sweep", **camera):
-    camera = {"width": 6, "height": 4, "pixel_format": "mono8", **camera}
-    board = {"type": "chessboard", "columns": 5, "rows": 4, "square_mm": 30.0} if kind == "calibration" else None
-    return CaptureHeader(kind=kind, camera=camera, laser=[{"name": "red"}], board=board)
+from .conftest import CAMERA, FRAMES, header, journal
 
 
 def begin(path, **keys):
@@ -119,8 +109,10 @@ def test_a_retake_is_appended_and_read_in_its_place(tmp_path):
 
 
 def test_a_calibration_without_some_images_and_in_colour(tmp_path):
-    images = RNG.integers(0, 256, (3, 4, 6, 3), np.uint8)
-    with create_capture(tmp_path / "boards", header("calibration", pixel_format="rgb8"), storage="npy") as capture:
+    images = FRAMES[:9].reshape(3, 4, 6, 3)
+    with create_capture(
+        tmp_path / "boards", header("calibration", camera={**CAMERA, "pixel_format": "rgb8"}), storage="npy"
+    ) as capture:
         capture.append(angle_deg=None, off=images[0], placement=1)
         capture.append(angle_deg=1.0, on=images[1], off=images[2], placement=1)
     read = open_capture(tmp_path / "boards")

@@ -160,7 +160,6 @@ def test_hostile_archives(tmp_path):
         b"[]",
         b'{"format": "jaxscan-stripes/2", "key": {}, "arrays": {}}',
         b'{"format": "jaxscan-stripes/2"}',
-        b'{"format": "jaxscan-stripes/2", "key": {}, "arrays": {}}',
     ):
         archive(path, [("key.npy", npy(np.frombuffer(text, np.uint8)))])
         with pytest.raises(CaptureError):

@@ -8,34 +8,23 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import SEAL, CaptureHeader, open_capture, seal, seal_note, verify_capture
+from jaxscan.files.capture import SEAL, open_capture, seal, seal_note, verify_capture
 from jaxscan.files.recording import create_capture, repack_capture, resume_capture
 
-from .conftest import journal
+from .conftest import FRAMES, header, journal
 
 
-RNG = np.random.default_rng(5)
-FRAMES = RNG.integers(0, 256, (12, 4, 6), np.uint8)
-HEADER = CaptureHeader(kind="sweep", camera={"width": 6, "height": 4, "pixel_format": "mono8"}, laser=[{"name": "red"}])
-
-
-def write(path, *, count=4, storage="zstd", digests=True):
-    with create_capture(path, HEADER, storage=storage, digests=digests) as capture:
+def write(path, *, count=4, storage="zstd", digests=True, seal=False):
+    with create_capture(path, header(), storage=storage, digests=digests) as capture:
         for k in range(count):
             capture.append(angle_deg=0.1 * k, on=FRAMES[2 * k], off=FRAMES[2 * k + 1])
+        if seal:
+            capture.seal()
     return path
 
 
 def messages(path):
     return [str(problem) for problem in verify_capture(path)]
-
-
-def sealed(path, *, count=4, storage="zstd"):
-    with create_capture(path, HEADER, storage=storage, digests=True) as capture:
-        for k in range(count):
-            capture.append(angle_deg=0.1 * k, on=FRAMES[2 * k], off=FRAMES[2 * k + 1])
-        capture.seal()
-    return path
 
 
 def read_all(path):
@@ -56,7 +45,7 @@ def test_the_digest_of_a_frame_in_a_shard(tmp_path):
 
 
 def test_a_bracket_has_a_digest_for_each_image(tmp_path):
-    with create_capture(tmp_path / "room", HEADER, digests=True) as capture:
+    with create_capture(tmp_path / "room", header(), digests=True) as capture:
         capture.append(
             angle_deg=0.0, on=[(FRAMES[0], 0.01), (FRAMES[1], 0.02)], off=[(FRAMES[2], 0.01), (FRAMES[3], 0.02)]
         )
@@ -211,7 +200,7 @@ CHANGES = {
 
 @pytest.mark.parametrize("change", CHANGES)
 def test_what_changes_in_a_sealed_capture_is_an_error_of_one_line(tmp_path, change):
-    path = sealed(tmp_path / "room")
+    path = write(tmp_path / "room", seal=True)
     assert open_capture(path).notes == () and seal_note(path) == "" and messages(path) == []
     CHANGES[change](path)
     with pytest.raises(CaptureError, match=r"(frames\.jsonl|capture\.toml).*has changed") as caught:
@@ -224,7 +213,7 @@ def test_what_changes_in_a_sealed_capture_is_an_error_of_one_line(tmp_path, chan
 
 @pytest.mark.parametrize("storage", ["zstd", "png", "npy"])
 def test_a_changed_image_is_an_error_wherever_it_is_read(tmp_path, storage):
-    path = sealed(tmp_path / "room", storage=storage)
+    path = write(tmp_path / "room", storage=storage, seal=True)
     assert len(read_all(path)) == 2
     name = journal(path)[2]["on"].partition("#")[0]
     data = bytearray((path / name).read_bytes())
@@ -247,14 +236,14 @@ def test_a_changed_image_is_an_error_wherever_it_is_read(tmp_path, storage):
 
 
 def test_without_its_seal_a_capture_says_so(tmp_path):
-    path = sealed(tmp_path / "room")
+    path = write(tmp_path / "room", seal=True)
     without_line(path, 4)
     (note,) = open_capture(path).notes
     assert "not sealed, although its records have digests" in note and seal_note(path) == note
 
 
 def test_records_after_the_last_seal_are_counted(tmp_path):
-    path = sealed(tmp_path / "room")
+    path = write(tmp_path / "room", seal=True)
     with resume_capture(path, digests=True) as capture:
         capture.append(angle_deg=0.4, on=FRAMES[8], off=FRAMES[9])
         capture.append(angle_deg=0.5, on=FRAMES[10], off=FRAMES[11])
@@ -284,7 +273,7 @@ def test_seals_without_header_and_captures_without_digests_stay_readable(tmp_pat
 
 def test_a_file_larger_than_any_image_is_not_read(tmp_path):
     """Ten gigabytes of nothing, which take no room on the disk, would take half a minute."""
-    path = sealed(tmp_path / "room")
+    path = write(tmp_path / "room", seal=True)
     victim = sorted((path / "on").iterdir())[0]
     with open(victim, "r+b") as file:
         file.truncate(10 << 30)

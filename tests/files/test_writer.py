@@ -9,16 +9,11 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import CaptureHeader, header_toml, open_capture, parse_header
+from jaxscan.files.capture import header_toml, open_capture, parse_header
 from jaxscan.files.disk import open_to_append
 from jaxscan.files.recording import create_capture, resume_capture, store
 
-from .conftest import journal
-
-
-RNG = np.random.default_rng(3)
-FRAMES = RNG.integers(0, 256, (12, 4, 6), np.uint8)
-CAMERA = {"width": 6, "height": 4, "pixel_format": "mono8"}
+from .conftest import CAMERA, FRAMES, header, journal
 
 
 def nested(depth):
@@ -26,13 +21,6 @@ def nested(depth):
     for _ in range(depth - 1):
         value = [value]
     return value
-
-
-def header(kind="sweep", **keys):
-    tables = {"camera": CAMERA, "laser": [{"name": "red"}]}
-    if kind == "calibration":
-        tables["board"] = {"type": "chessboard", "columns": 5, "rows": 4, "square_mm": 30.0}
-    return CaptureHeader(kind=kind, **{**tables, **keys})
 
 
 @pytest.mark.parametrize("durable", [True, False])
@@ -55,12 +43,12 @@ def test_what_is_written_is_read(tmp_path, durable):
     read = open_capture(path)
     assert read.header == header()
     (chunk,) = read.chunks(6)
-    assert np.array_equal(chunk.on, FRAMES[::2]) and np.array_equal(chunk.off, FRAMES[1::2])
+    assert np.array_equal(chunk.on, FRAMES[:12:2]) and np.array_equal(chunk.off, FRAMES[1:12:2])
     assert np.array_equal(read.angles, np.radians([0.1 * k for k in range(6)]))
 
 
 def test_a_calibration_in_colour(tmp_path):
-    images = RNG.integers(0, 256, (2, 4, 6, 3), np.uint8)
+    images = FRAMES[:6].reshape(2, 4, 6, 3)
     head = header("calibration", camera={**CAMERA, "pixel_format": "rgb8"}, turntable={"carries": "object"})
     with create_capture(tmp_path / "boards", head) as capture:
         capture.append(angle_deg=None, off=images[0], placement=1)
@@ -102,7 +90,7 @@ def test_the_buffer_may_be_used_again(tmp_path):
             capture.append(angle_deg=float(k), on=buffer)
             buffer[:] = 0
     (chunk,) = open_capture(tmp_path / "room").chunks(12)
-    assert np.array_equal(chunk.on, FRAMES)
+    assert np.array_equal(chunk.on, FRAMES[:12])
 
 
 def test_lines_follow_images_in_order(tmp_path, monkeypatch):

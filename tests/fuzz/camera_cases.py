@@ -42,7 +42,7 @@ _COLMAP = "# Camera list\n1 OPENCV 1280 800 900.5 901 640.5 400.5 -0.3 0.12 0.00
 
 
 def camera_case(draft: Draft) -> Case:
-    """A camera in any of the forms, changed in bytes, lines or values; one line refuses what cannot be meant."""
+    """A camera in any of the forms, changed in bytes, lines or values; one line refuses what makes no sense."""
     rng = draft.rng
     suffix, data = _camera(rng)
     for _ in range(rng.choice((0, 1, 1, 2, 4))):

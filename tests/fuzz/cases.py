@@ -109,28 +109,25 @@ def _calibrate(draft: Draft) -> Case:
     return Case("calibrate", words, {f"{OUT}/c.json", f"{OUT}/c.npz"})
 
 
-def _camera(draft: Draft) -> Case:
-    rng, calibration = draft.rng, draft.take("calibration.json")
-    if rng.random() < 0.3:
+def _changed_calibration(draft: Draft) -> str:
+    calibration = draft.take("calibration.json")
+    if draft.rng.random() < 0.3:
         draft.change(draft.take("calibration.npz"), change_npz)
     else:
         draft.change(calibration, change_json)
-    chosen = rng.choice(("opencv", "ros", "mrcal", "kalibr"))
+    return str(calibration)
+
+
+def _camera(draft: Draft) -> Case:
+    calibration = _changed_calibration(draft)
+    chosen = draft.rng.choice(("opencv", "ros", "mrcal", "kalibr"))
     name = "c.cameramodel" if chosen == "mrcal" else "c.yaml"
-    return Case(
-        "convert calibration",
-        ["convert", str(calibration), draft.output(name), "--format", chosen],
-        {f"{OUT}/{name}"},
-    )
+    words = ["convert", calibration, draft.output(name), "--format", chosen]
+    return Case("convert calibration", words, {f"{OUT}/{name}"})
 
 
 def _report(draft: Draft) -> Case:
-    rng, calibration = draft.rng, draft.take("calibration.json")
-    if rng.random() < 0.3:
-        draft.change(draft.take("calibration.npz"), change_npz)
-    else:
-        draft.change(calibration, change_json)
-    return Case("report", ["report", str(calibration), "-o", draft.output("r.html")], {f"{OUT}/r.html"})
+    return Case("report", ["report", _changed_calibration(draft), "-o", draft.output("r.html")], {f"{OUT}/r.html"})
 
 
 def _simulate(draft: Draft) -> Case:

@@ -72,11 +72,6 @@ class Draft:
             return
         path.write_bytes(change(self.rng, path.read_bytes()))
 
-    @property
-    def canary(self) -> str:
-        """An address that a file may name, and that nobody may follow."""
-        return os.environ.get(CANARY, "http://127.0.0.1:9/")
-
     def output(self, name: str) -> str:
         """Where a verb is to write; now and then a place that is hard to write to."""
         if self.rng.random() < 0.02:

@@ -5,47 +5,12 @@ import random
 import re
 import struct
 
+from jaxscan.files.clouds.e57 import PAGE, PAYLOAD
+
+from ..files.e57s import paged, payload_of
 from .draft import CANARY, VICTIM_PLACE
 from .nasty import nasty_number, nasty_text, near
 from .texts import change_bytes, change_lines
-
-
-PAGE = 1024
-
-
-def _table() -> list[int]:
-    table = []
-    for byte in range(256):
-        for _ in range(8):
-            byte = byte >> 1 ^ (0x82F63B78 if byte & 1 else 0)
-        table.append(byte)
-    return table
-
-
-_CRC = _table()
-
-
-def _checksum(data: bytes) -> bytes:
-    """CRC-32C of a page, as the standard orders its bytes."""
-    crc = 0xFFFFFFFF
-    for byte in data:
-        crc = crc >> 8 ^ _CRC[(crc ^ byte) & 255]
-    return struct.pack(">I", crc ^ 0xFFFFFFFF)
-
-
-def _logical(data: bytes) -> bytearray:
-    """The content of the pages without their checksums."""
-    return bytearray(b"".join(data[at : at + PAGE - 4] for at in range(0, len(data), PAGE)))
-
-
-def _paged(old: bytes, logical: bytes) -> bytes:
-    """Pages with right checksums; of a page that did not change it is known."""
-    out = []
-    for at in range(0, len(logical), PAGE - 4):
-        page = bytes(logical[at : at + PAGE - 4]).ljust(PAGE - 4, b"\0")
-        there = old[len(out) * PAGE : len(out) * PAGE + PAGE]
-        out.append(there if there[:-4] == page else page + _checksum(page))
-    return b"".join(out)
 
 
 def change_e57(rng: random.Random, data: bytes) -> bytes:
@@ -53,27 +18,27 @@ def change_e57(rng: random.Random, data: bytes) -> bytes:
     kind = rng.randrange(10)
     if kind == 0:
         return change_bytes(rng, data)
-    logical = _logical(data)
+    logical = bytearray(payload_of(data))
     _, _, _, place, length, _ = struct.unpack_from("<IIQQQQ", data, 8)
     # Physical places count the checksums.
     start = place - place // PAGE * 4
     if kind == 1:
         field = rng.choice((8, 12, 16, 24, 32, 40))
         struct.pack_into("<Q" if field >= 16 else "<I", logical, field, _field(rng, 64 if field >= 16 else 32))
-        return _paged(data, logical)
+        return paged(logical)
     if kind < 4:
         # The points: packets of binary data with sizes of their own.
         at = rng.choice((rng.randrange(48, 200), rng.randrange(48, start)))
         some = rng.choice((bytes([logical[at] ^ 1 << rng.randrange(8)]), rng.randbytes(4), b"\xff" * 8, b"\0" * 8))
         logical[at : at + len(some)] = some
-        return _paged(data, logical[: len(_logical(data))])
+        return paged(logical[: len(payload_of(data))])
     text = bytes(logical[start : start + length])
     new = change_xml(rng, text)
     struct.pack_into("<Q", logical, 32, len(new))
     logical[start:] = new
-    pages = -(-len(logical) // (PAGE - 4))
+    pages = -(-len(logical) // PAYLOAD)
     struct.pack_into("<Q", logical, 16, pages * PAGE)
-    return _paged(data, logical)
+    return paged(logical)
 
 
 def _field(rng: random.Random, bits: int) -> int:

@@ -41,7 +41,7 @@ class ControllerContract:
         status = plant.controller.stat()
         assert (status.state, status.fault, status.homed, status.armed) == ("idle", None, False, False)
 
-    def test_it_turns_where_it_is_told_and_says_so(self, plant, controller):
+    def test_it_turns_to_a_position_and_reports_it(self, plant, controller):
         home = plant.position()
         assert controller.stat().homed and controller.stat().position == 0
         for to in (800, 7, 1234, -500):
@@ -68,7 +68,7 @@ class ControllerContract:
             controller.move(100)
         assert refused.value.reason is Reason.DRIVER_OFF
 
-    def test_the_laser_shines_when_it_is_told_to_and_only_armed(self, plant, controller):
+    def test_the_laser_shines_on_command_and_only_when_armed(self, plant, controller):
         assert not plant.lit()
         controller.laser(True)
         assert plant.lit() and controller.stat().laser
@@ -79,7 +79,7 @@ class ControllerContract:
             controller.laser(True)
         assert refused.value.reason is Reason.NOT_ARMED and not plant.lit()
 
-    def test_a_laser_that_there_is_not_stays_dark(self, plant, controller):
+    def test_an_unknown_laser_stays_dark(self, plant, controller):
         with pytest.raises(Refused):
             controller.laser(True, number=99)
         assert not plant.lit()
@@ -132,7 +132,7 @@ class ControllerContract:
         controller.arm(True)
         assert controller.move(0) == 0
 
-    def test_its_counts_tell_answers_from_silence(self, plant, controller):
+    def test_its_counts_distinguish_answers_from_silence(self, plant, controller):
         controller.poll()
         assert controller.link_counts.unanswered == 0
         plant.unplug()
@@ -177,12 +177,12 @@ class ControllerContract:
         plant.wait(0.3)
         assert not plant.lit() and controller.make_safe()
 
-    def test_what_it_guarantees_without_a_host_is_so(self, plant, controller):
+    def test_it_keeps_its_guarantees_without_a_host(self, plant, controller):
         controller.laser(True)
         plant.wait(1.5)
         assert plant.lit() is not controller.guarantees.laser_off_without_host
 
-    def test_it_has_the_trigger_that_it_says(self, plant, controller):
+    def test_it_has_the_trigger_that_it_guarantees(self, plant, controller):
         if controller.guarantees.hardware_trigger:
             controller.shot(160, 1)
             assert controller.wait_shot(1).position == 160

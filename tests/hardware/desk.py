@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from scanrig.cameras.camera import CameraSettings, Frame
-from scanrig.cameras.simulated import FrameShape, SimulatedCamera, SyntheticScene, draw
+from scanrig.cameras.simulated import FrameShape, SyntheticScene, draw
 from scanrig.config import RigConfig
 from scanrig.controllers.controller import (
     Controller,
@@ -25,6 +25,7 @@ from scanrig.session import Devices, Hooks, SessionResult, run_calibration, run_
 from scanrig.wire import Link
 
 from .fake import ARMED_IDLE_S, ManualClock
+from .faulty_camera import FaultyCamera
 
 
 WIDTH, HEIGHT = 128, 96
@@ -48,11 +49,11 @@ class Table:
         """Which laser is on, from 1."""
         self.contactor = False
         self.welded = False
-        """The laser shines whatever it is told."""
+        """The laser shines whatever the command."""
         self.dead = False
-        """The laser is dark whatever it is told."""
+        """The laser is dark whatever the command."""
         self.dead_lasers: set[int] = set()
-        """Those that are dark whatever they are told."""
+        """Those that are dark whatever the command."""
         self.moved_px = 0
         """How far the camera was knocked."""
         self.lit_cycles = 0
@@ -72,7 +73,7 @@ class PaperController(Controller):
 
     guarantees = Guarantees(True, True, True, True)
 
-    def __init__(self, table: Table, camera: SimulatedCamera, clock: ManualClock) -> None:
+    def __init__(self, table: Table, camera: FaultyCamera, clock: ManualClock) -> None:
         self.table, self.camera, self.clock = table, camera, clock
         self.before_shot: dict[int, Callable[[PaperController], None]] = {}
         self.shots: list[int] = []
@@ -286,12 +287,12 @@ class Desk:
         self.controller = PaperController(self.table, self.camera, self.clock)
         self.said: list[str] = []
 
-    def _camera(self, settings: CameraSettings) -> SimulatedCamera:
+    def _camera(self, settings: CameraSettings) -> FaultyCamera:
         def world() -> tuple[float, int]:
             self.clock.sleep(0.03)
             return float(self.table.position), self.table.shines
 
-        camera = SimulatedCamera(settings, lambda *at: self.see(*at), world=world, patience_s=0.0)
+        camera = FaultyCamera(settings, lambda *at: self.see(*at), world=world)
         next_frame = camera.next
 
         def waited(timeout_s: float) -> Frame:

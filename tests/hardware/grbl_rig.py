@@ -7,13 +7,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scanrig.cameras.simulated import FrameShape, SimulatedCamera, SyntheticScene, draw
+from scanrig.cameras.simulated import FrameShape, SyntheticScene, draw
 from scanrig.config import RigConfig
 from scanrig.controllers.grbl import GrblController
 from scanrig.controllers.grbl.lines import GrblLines, TableUnits
 from scanrig.errors import LinkLost, PortError
 
 from .fake import ANSWER_S, Mangle, ManualClock
+from .faulty_camera import FaultyCamera
 
 
 WIDTH, HEIGHT = 128, 96
@@ -120,7 +121,7 @@ class GrblBoard:
     # From outside
 
     def later(self, seconds: float, action: Callable[[], None]) -> None:
-        """Let something befall the board."""
+        """Run an action after so many seconds."""
         self._due.append((self.clock.now() + seconds, action))
 
     def unplug(self) -> None:
@@ -160,7 +161,7 @@ class GrblBoard:
     # Within
 
     def _require_cable(self) -> None:
-        self._befall()
+        self._run_due()
         if not self.plugged:
             raise LinkLost("grbl went away (unplugged)") from OSError(5, "unplugged")
 
@@ -169,7 +170,7 @@ class GrblBoard:
         own = [self._motion.end_s] if self._motion else []
         return [*own, *([] if self._homing_ends is None else [self._homing_ends]), *(at for at, _ in self._due)]
 
-    def _befall(self) -> None:
+    def _run_due(self) -> None:
         due = [entry for entry in self._due if entry[0] <= self.clock.now()]
         self._due = [entry for entry in self._due if entry not in due]
         for _, action in due:
@@ -212,7 +213,7 @@ class GrblBoard:
             self._held = True
 
     def _run(self) -> None:
-        self._befall()
+        self._run_due()
         now = self.clock.now()
         while self._motion is not None and now >= self._motion.end_s:
             ended, self._place, self._motion = self._motion.end_s, self._motion.end, None
@@ -344,7 +345,7 @@ def rig_config(*, steps=10, grbl=None, **controller):
     )
 
 
-def camera_of(board: GrblBoard, config: RigConfig) -> SimulatedCamera:
+def camera_of(board: GrblBoard, config: RigConfig) -> FaultyCamera:
     """A camera that sees where the table of a board truly stands, and whether its laser truly shines."""
     generator = np.random.default_rng(os.getpid())
 
@@ -355,7 +356,7 @@ def camera_of(board: GrblBoard, config: RigConfig) -> SimulatedCamera:
     def world():
         return STEPS_PER_TURN / 360 * (board.position - board.settings[27]), board.lit
 
-    return SimulatedCamera(config.camera, see, world=world, patience_s=0.0)
+    return FaultyCamera(config.camera, see, world=world)
 
 
 def open_board(board: GrblBoard, config: RigConfig) -> GrblController:

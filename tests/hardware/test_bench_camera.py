@@ -15,12 +15,12 @@ from bench.camera.rendered import loopback
 from bench.places import WORLD
 from bench.processes import ControlClient
 from scanrig.cameras import CameraSettings, open_camera
-from scanrig.controllers.controller import Settings
-from scanrig.controllers.jxs.controller import connect
 from scanrig.errors import CameraLost, CameraTimeout
 
 from jaxscan.files.disk import load_toml
 from jaxscan.simulation import SimulationConfig, expect_record, make_rig, make_scene
+
+from .driving import ready
 
 
 TURN = 28800
@@ -40,14 +40,8 @@ SETTINGS = CameraSettings(
 @pytest.fixture
 def controller(rig):
     simulated = rig(speed=0)
-    with connect(simulated.port) as controller:
-        controller.hello()
-        controller.configure(Settings(watchdog_ms=60_000))
-        controller.enable(True)
-        controller.arm(True)
-        controller.home(40_000)
-        short = {"settle_ms": 1, "laser_on_ms": 2, "laser_off_ms": 2, "exposure_ms": 10, "gap_ms": 1}
-        controller.configure(Settings(watchdog_ms=60_000, **short))
+    short = {"settle_ms": 1, "laser_on_ms": 2, "laser_off_ms": 2, "exposure_ms": 10, "gap_ms": 1}
+    with ready(simulated, **short) as controller:
         controller.simulated = simulated
         yield controller
 

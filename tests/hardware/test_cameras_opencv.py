@@ -35,7 +35,7 @@ def number_in(image):
 
 
 class Stream:
-    """Frames that are counted from when the camera was switched on, whoever looks; `stalled` and `over` are told."""
+    """Frames that are counted from when the camera was switched on; tests set `stalled` and `over`."""
 
     def __init__(self):
         self.start, self.stalled, self.over = time.monotonic(), threading.Event(), threading.Event()
@@ -235,7 +235,7 @@ def test_a_device_whose_name_is_not_text_is_listed(tmp_path, monkeypatch):
 
 
 class Driver:
-    """Takes properties like V4L2 does, but for those that it is told to refuse or to change."""
+    """Takes properties like V4L2 does, but for those in `refuses` and `changes`."""
 
     def __init__(self, refuses=(), changes=None):
         self.values = {cv2.CAP_PROP_AUTO_WB: 1.0, cv2.CAP_PROP_AUTOFOCUS: -1.0, cv2.CAP_PROP_AUTO_EXPOSURE: 3.0}

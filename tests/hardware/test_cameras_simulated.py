@@ -17,6 +17,8 @@ from jaxscan.files.capture import CameraTable, CaptureHeader, LaserTable
 from jaxscan.files.recording import create_capture
 from jaxscan.vision import encode_png
 
+from .faulty_camera import FaultyCamera
+
 
 SETTINGS = CameraSettings(kind="simulated", width=96, height=64)
 
@@ -30,8 +32,9 @@ def shown(frame):
     return int(frame.image[0, 0]) // 2, bool(frame.image[0, 0] % 2)
 
 
-def camera(**options):
-    made = SimulatedCamera(SETTINGS, numbered, patience_s=0.0, **options)
+def camera(faults=None):
+    made = FaultyCamera(SETTINGS, numbered)
+    made.faults = faults or {}
     made.start()
     return made
 
@@ -144,7 +147,7 @@ def test_only_software_triggers_trigger():
     with pytest.raises(CameraError, match="software"):
         made.trigger()
     settings = SETTINGS.model_copy(update={"trigger": "software"})
-    made = SimulatedCamera(settings, numbered, world=lambda: (6.0, True), patience_s=0.0)
+    made = FaultyCamera(settings, numbered, world=lambda: (6.0, True))
     made.start()
     made.trigger()
     assert shown(made.next(1.0)) == (6, True)

@@ -64,7 +64,7 @@ def test_another_view_is():
 @pytest.mark.parametrize("degrees", [1.0, 5.0, 15.0, -90.0])
 def test_a_table_that_stands_elsewhere_is_seen_by_the_room_alone(degrees, pixel_format):
     """The line may lie where it lay, by chance: the scene's is the same at places all around."""
-    for position in range(0, 28800, 2400):
+    for position in range(0, 28800, 7200):
         scene = SyntheticScene()
         brighter = scene.model_copy(update={"ambient_dn": 1.2 * scene.ambient_dn})
         first = pair(scene, position, pixel_format=pixel_format)
@@ -84,7 +84,7 @@ def test_what_is_alike_does_not_depend_on_how_bright_it_is(ambient):
 
 
 @pytest.mark.parametrize("scene", [SyntheticScene(ambient_dn=0.5), SyntheticScene(contrast=0.0)])
-def test_a_room_that_shows_nothing_is_not_compared_by(scene):
+def test_a_room_without_contrast_is_not_compared(scene):
     found = compare(pair(scene), pair(scene, 1001.0))
     assert found.correlation is None and found.within(1.0, LEAST) and not found.within(1e-9, LEAST)
     assert "too little contrast to compare by" in str(found)
@@ -92,24 +92,23 @@ def test_a_room_that_shows_nothing_is_not_compared_by(scene):
     assert half.correlation is None
 
 
-def test_a_rendered_room_is_known_again_and_told_from_its_neighbourhood():
+def test_a_rendered_room_is_recognised_and_distinguished_from_its_neighbourhood():
     pytest.importorskip("embreex")
     from bench.camera.rendered import View, load_world
 
     world = load_world()
-    for number, base in enumerate((0.0, 150.0)):
 
-        def seen(degrees, exposure=1.0, base=base, number=number):
-            angle = np.deg2rad(base + degrees)
-            return tuple(
-                world.frame(View(angle, (light,), exposure=exposure), 2 * number + k + round(1000 * exposure))
-                for k, light in enumerate((1.0, 0.0))
-            )
+    def seen(degrees, exposure=1.0):
+        angle = np.deg2rad(150.0 + degrees)
+        return tuple(
+            world.frame(View(angle, (light,), exposure=exposure), k + round(1000 * exposure))
+            for k, light in enumerate((1.0, 0.0))
+        )
 
-        first = seen(0.0)
-        same, elsewhere = compare(first, seen(0.0, 0.8)), [compare(first, seen(by, 0.8)) for by in (1.0, -1.0, 15.0)]
-        assert same.correlation > 0.99 and same.within(0.2, LEAST)
-        assert all(found.correlation < 0.65 and not found.within(1000.0, LEAST) for found in elsewhere)
+    first = seen(0.0)
+    same, elsewhere = compare(first, seen(0.0, 0.8)), [compare(first, seen(by, 0.8)) for by in (1.0, -1.0, 15.0)]
+    assert same.correlation > 0.99 and same.within(0.2, LEAST)
+    assert all(found.correlation < 0.65 and not found.within(1000.0, LEAST) for found in elsewhere)
 
 
 def test_without_a_line_nothing_is_known():

@@ -138,7 +138,7 @@ def test_a_lost_event_is_asked_for(fake, controller):
 def test_the_event_of_an_earlier_shot_ends_no_later_one(fake, controller):
     controller.shot(8, 1)
     fake.clock.sleep(0.3)
-    controller.stat()  # its event has come by now, and nobody has looked at it
+    controller.stat()  # its event has come by now, and is not read yet
     controller.shot(8000, 1)
     assert controller.wait_shot(1).position == 8000
 
@@ -289,10 +289,10 @@ def test_what_does_not_end_is_stopped(fake, controller):
     assert fake.state == "idle"
 
 
-@pytest.mark.parametrize("told", [True, False], ids=["by BOOT", "with BOOT lost"])
-def test_a_reset_is_noticed_while_waiting(fake, controller, told):
+@pytest.mark.parametrize("reported", [True, False], ids=["by BOOT", "with BOOT lost"])
+def test_a_reset_is_noticed_while_waiting(fake, controller, reported):
     controller.shot(8000, 1)
-    fake.to_host = losing(b"!", 0 if told else 1)
+    fake.to_host = losing(b"!", 0 if reported else 1)
     fake.reset()
     with pytest.raises(ControllerReset, match="position and settings are gone"):
         controller.wait_shot(1)

@@ -30,7 +30,7 @@ def shoot(controller, shots):
 
 
 def assert_done_once(rig, shots):
-    """As many pulses and triggers as were asked for, each where it belongs."""
+    """As many pulses and triggers as were commanded, each where it belongs."""
     edges = rig.edges()
     assert len(rises(edges, "laser")) == shots
     triggers = rises(edges, "trig")

@@ -133,16 +133,6 @@ def test_settings_change_all_or_none(talk, setting):
     assert fields(after[0])["hv"] == "777" and fields(after[1])["gap"] == "77"
 
 
-def test_a_repeated_number_is_answered_again_and_carried_out_once(talk):
-    move = commands("MOVE to=500", seq=9)
-    steps = [*commands(*READY), *move, *move, b"\0end\n", *move, *commands("STAT", "CNT", seq=10)]
-    first, again, done, late, status, counted = talk(steps)[len(READY) :]
-    assert first == again == late == sealed("=9 ok")
-    assert done == sealed("!2 DONE seq=9 pos=500")
-    assert fields(status)["st"] == "idle", "the late repetition began another motion"
-    assert fields(counted)["dup"] == "2"
-
-
 def test_forged_and_damaged_laser_lines_light_nothing(talk):
     """Fifty lines that ask for light, each with something wrong, in a session that is armed."""
     rng = random.Random(20)

@@ -15,10 +15,8 @@ import pytest
 
 from jaxscan.files.capture import verify_capture
 
-from .nursery import see
+from .scanning import see
 from .test_session_killed import Scan, kill_and_go_on
-from .test_session_killed import nursery as nursery
-from .test_session_killed import seen_at as seen_at
 
 
 TURN = 28800
@@ -55,30 +53,29 @@ def gige(loopback, tmp_path):
         ledger.close()
 
 
-def test_09_killed_with_the_network_camera_it_goes_on(nursery, rig, gige, tmp_path, seen_at):
+def test_09_killed_with_the_network_camera_it_goes_on(rig, gige, tmp_path):
     """Fault 9 with a camera that keeps its controller until a heartbeat is missed."""
     simulated = rig(speed=10)
     camera = gige(simulated)
-    one = Scan(nursery, simulated, tmp_path / "room", 20, gige=True)
+    one = Scan(simulated, tmp_path / "room", 20, gige=True)
     assert kill_and_go_on(one, 2, seed=4) >= 1
-    child = one.begin()
-    assert one.nursery.end(child) == 0, one.words()
-    one.require_whole(seen_at)
+    one.require_complete()
+    one.require_whole()
     one.require_dark()
     assert verify_capture(one.folder) == [] and camera.counts.refused == 0
 
 
-def test_16_control_that_is_lost_in_mid_scan_is_taken_again(nursery, rig, gige, tmp_path, seen_at):
+def test_16_control_that_is_lost_in_mid_scan_is_taken_again(rig, gige, tmp_path):
     """Fault 16: the camera forgets who controls it, as after its own restart or a long freeze of the host."""
     simulated = rig(speed=10)
     camera = gige(simulated)
-    one = Scan(nursery, simulated, tmp_path / "room", 20, gige=True)
+    one = Scan(simulated, tmp_path / "room", 20, gige=True)
     child = one.begin()
     one.await_pairs(5)
     camera.forget_controller()
-    assert one.nursery.end(child) == 0, one.words()
+    assert one.end(child) == 0, one.words()
     assert one.events("camera") and one.events("recovered")
-    one.require_whole(seen_at)
+    one.require_whole()
     one.require_dark()
 
 

@@ -26,7 +26,7 @@ class GrblRig:
         self.events = {}
 
     def sweep(self, folder, *, resume=False, **hooks):
-        """A sweep; `self.events[n]()` befalls the rig after n pairs."""
+        """A sweep; `self.events[n]()` is called after n pairs."""
         pairs = []
 
         def on_pair(*pair):

@@ -79,7 +79,7 @@ def test_poses_come_out_as_they_were(tilt, towards):
     # The corners are exact, so all that is left is arithmetic.
     assert pose.tilt_deg == pytest.approx(tilt, abs=1e-4)
     assert pose.depth_m == pytest.approx(corner_depth(tilt, towards), rel=1e-6)
-    # Without its true focal length a tilt is still told from none.
+    # Without its true focal length a tilt is still distinguished from none.
     rough = pose_of(view, SIZE[0])
     assert abs(rough.tilt_deg - tilt) < 8.0
 
@@ -91,7 +91,7 @@ def corner_depth(tilt, towards):
 
 
 @pytest.mark.parametrize("focal", [800.0, 1400.0, 3000.0])
-def test_the_focal_length_is_told_by_tilted_boards(focal):
+def test_the_focal_length_follows_from_tilted_boards(focal):
     rng = np.random.default_rng(0)
     views = []
     for k in range(6):
@@ -101,7 +101,7 @@ def test_the_focal_length_is_told_by_tilted_boards(focal):
     assert guess_focal(views, SIZE) == pytest.approx(focal, rel=0.1)
 
 
-def test_flat_boards_tell_no_focal_length():
+def test_flat_boards_give_no_focal_length():
     q, valid = corners(turned())
     assert guess_focal([view_board(BOARD, q, valid, None, SIZE)] * 5, SIZE) == SIZE[0]
     assert guess_focal([], SIZE) == SIZE[0]

@@ -46,7 +46,7 @@ with Interrupts() as should_stop, connect(port) as controller:
             print("lit", flush=True)
         time.sleep(0.05)
 """
-"""A host that keeps the laser on and says so, until it is told to stop; between shots it only says so."""
+"""A host that keeps the laser on and says so, until a signal; between shots it only says so."""
 
 
 def host(simulated, doing):

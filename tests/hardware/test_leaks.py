@@ -1,4 +1,4 @@
-"""A laser that is slow to go out, told from wallpaper with stripes."""
+"""A laser that is slow to go out, distinguished from wallpaper with stripes."""
 
 import numpy as np
 from scanrig.checks.compare import PLACES, LeakWatch

@@ -67,8 +67,8 @@ def test_a_part_is_closed_and_of_its_size(built, part):
     above = AXIS_HEIGHT + barrel / 2 + WALL + EAR
     expected = [ends[part], DEPTH + 2 * OVERHANG, above if part == "whole" else above + TUBE + 2 * WALL]
     np.testing.assert_allclose(mesh.extents, expected, atol=TOLERANCE_MM)
-    (told,) = re.findall(r"size = \[([^]]*)\]", said)
-    np.testing.assert_allclose([float(number) for number in told.split(",")], expected, atol=1e-3)
+    (size,) = re.findall(r"size = \[([^]]*)\]", said)
+    np.testing.assert_allclose([float(number) for number in size.split(",")], expected, atol=1e-3)
 
 
 def test_the_clamps_are_where_baseline_and_angle_say(built):
@@ -84,7 +84,7 @@ def test_the_clamps_are_where_baseline_and_angle_say(built):
 
 
 @pytest.mark.parametrize(
-    "values, told",
+    "values, message",
     [
         ({"part": "lid"}, "whole, camera or laser"),
         ({"baseline": 40}, "clamps would touch"),
@@ -92,6 +92,6 @@ def test_the_clamps_are_where_baseline_and_angle_say(built):
         ({"lens_barrel": 60}, "lens would touch the beam"),
     ],
 )
-def test_what_cannot_be_printed_is_refused(trimesh, values, told, tmp_path):
+def test_what_cannot_be_printed_is_refused(trimesh, values, message, tmp_path):
     code, said = build(tmp_path / "part.stl", **values)
-    assert code != 0 and told in said and not (tmp_path / "part.stl").exists()
+    assert code != 0 and message in said and not (tmp_path / "part.stl").exists()

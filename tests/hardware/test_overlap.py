@@ -2,11 +2,8 @@
 
 import os
 import signal
-import subprocess
-import sys
 import threading
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,11 +13,10 @@ from scanrig.recording import AHEAD
 from scanrig.session import session, steps
 
 from jaxscan.files.capture import open_capture, verify_capture
+from jaxscan.files.recording import store, writer
 
 from .desk import HEIGHT, WIDTH, Desk, journal, records
-
-
-ROOT = Path(__file__).parents[2]
+from .scanning import forked
 
 
 class StillDesk(Desk):
@@ -161,36 +157,38 @@ def test_a_step_that_is_never_proven_is_the_one_that_is_named(tmp_path):
 
 # What a death in between costs
 
-KILLED = """
-import os, signal, sys, threading
-from pathlib import Path
-from jaxscan.files.recording import store, writer
-from scanrig.session import steps
-from tests.hardware.desk import Desk
-at, folder = sys.argv[1], Path(sys.argv[2])
-desk, begun = Desk(), threading.Event()
-desk.controller.before_shot[5] = lambda controller: begun.set()
-def die():
-    begun.wait(60)  # The next step is being taken by then, and those before are on the disk.
-    while b'"i": 2,' not in (folder / "frames.jsonl").read_bytes():
-        pass
-    os.kill(os.getpid(), signal.SIGKILL)
-prove, write, append = steps.prove, store.write_atomically, writer.append_whole
-def proving(taken, *rest):
-    return die() if at == "proving" and taken.position == 3 * 288 else prove(taken, *rest)
-def writing(path, content, **keys):
-    return die() if at == "writing" and str(path).endswith("off/000003.zst") else write(path, content, **keys)
-def appending(file, line, **keys):
-    return die() if at == "appending" and b'"i": 3,' in line else append(file, line, **keys)
-steps.prove, store.write_atomically, writer.append_whole = proving, writing, appending
-desk.sweep(folder)
-"""
+
+def killed(at, folder):
+    """A sweep that kills its process while the fourth pair is proven, written or noted."""
+    desk, begun = Desk(), threading.Event()
+    desk.controller.before_shot[5] = lambda controller: begun.set()
+
+    def die():
+        begun.wait(60)  # The next step is being taken by then, and those before are on the disk.
+        while b'"i": 2,' not in (folder / "frames.jsonl").read_bytes():
+            pass
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    prove, write, append = steps.prove, store.write_atomically, writer.append_whole
+
+    def proving(taken, *rest):
+        return die() if at == "proving" and taken.position == 3 * 288 else prove(taken, *rest)
+
+    def writing(path, content, **keys):
+        return die() if at == "writing" and str(path).endswith("off/000003.zst") else write(path, content, **keys)
+
+    def appending(file, line, **keys):
+        return die() if at == "appending" and b'"i": 3,' in line else append(file, line, **keys)
+
+    steps.prove, store.write_atomically, writer.append_whole = proving, writing, appending
+    desk.sweep(folder)
 
 
 @pytest.mark.parametrize("at", ["proving", "writing", "appending"])
 def test_killed_between_the_frames_and_the_journal_only_the_flight_is_lost(tmp_path, at):
-    child = subprocess.run([sys.executable, "-c", KILLED, at, str(tmp_path / "room")], cwd=ROOT, timeout=120)
-    assert child.returncode == -signal.SIGKILL
+    child = forked(killed, at, tmp_path / "room")
+    child.join(120)
+    assert child.exitcode == -signal.SIGKILL
     assert [record["i"] for record in records(tmp_path / "room")] == [0, 1, 2]
     assert [problem for problem in verify_capture(tmp_path / "room") if problem.record is not None] == []
     again = Desk()

@@ -67,8 +67,8 @@ def test_a_revolution_of_3600_shots(rig):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("turn", "gearing"),
-    [(16000, "200 × 16 × 5"), (22400, "3200 × 7"), (18133, "200 × 16 × 17/3 rounded by a wrong belt"), (28801, "odd")],
-    ids=["16000", "22400", "18133", "28801"],
+    [(18133, "200 × 16 × 17/3 rounded by a wrong belt"), (28801, "odd")],
+    ids=["18133", "28801"],
 )
 def test_where_a_tenth_of_a_degree_is_not_whole(rig, turn, gearing):
     simulated = rig(microsteps_per_turn=turn)

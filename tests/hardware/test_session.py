@@ -15,14 +15,14 @@ from .desk import Desk, events, journal, records
 
 
 def test_a_sweep_is_a_capture_of_proven_pairs_at_the_planned_angles(tmp_path):
-    desk, seen, told = Desk(), [], []
+    desk, seen, progress = Desk(), [], []
 
     def on_pair(number, angle, on, off):
         # A pair that is handed out is on the disk, with its journal line; later ones may be there too.
         assert [line["i"] for line in journal(tmp_path / "room") if "i" in line][number] == number
         seen.append((number, angle, on, off))
 
-    result = desk.sweep(tmp_path / "room", on_pair=on_pair, progress=lambda *counts: told.append(counts))
+    result = desk.sweep(tmp_path / "room", on_pair=on_pair, progress=lambda *counts: progress.append(counts))
     assert (result.status, result.records, result.planned, result.taken, result.retakes) == ("complete", 10, 10, 10, 0)
     assert result.laser_off and not desk.table.laser and not desk.table.contactor
     capture = open_capture(tmp_path / "room")
@@ -32,7 +32,7 @@ def test_a_sweep_is_a_capture_of_proven_pairs_at_the_planned_angles(tmp_path):
         stored = capture.frames(number)
         assert np.array_equal(stored[0], on) and np.array_equal(stored[1], off)
         assert on.astype(int).max() - off.astype(int).max() > 50
-    assert told == [(k, 10) for k in range(1, 11)]
+    assert progress == [(k, 10) for k in range(1, 11)]
     # Ten steps, and the first again to close the pass.
     assert desk.controller.shots == [*(288 * k for k in range(10)), 0]
     assert verify_capture(tmp_path / "room") == []

@@ -13,7 +13,7 @@ BOARD = {"type": "charuco", "columns": 12, "rows": 9, "square_mm": 30.0, "marker
 PLAN = {"free_views": 3, "placements": 2, "angles_deg": [-10.0, 0.0, 10.0]}
 
 
-class Somebody:
+class Operator:
     """Places the board a given number of times of each kind, and records the requests."""
 
     def __init__(self, desk, free=99, placements=99):
@@ -52,13 +52,13 @@ WHOLE = [
 
 def test_free_views_from_home_then_placements_at_all_angles(tmp_path):
     desk = make()
-    somebody = Somebody(desk)
-    result = desk.calibrate(tmp_path / "boards", somebody, advise=lambda: ["Tilt it."])
+    operator = Operator(desk)
+    result = desk.calibrate(tmp_path / "boards", operator, advise=lambda: ["Tilt it."])
     assert (result.status, result.records, result.planned) == ("complete", 9, 9)
     assert records(tmp_path / "boards") == WHOLE
-    assert somebody.asked == [("free", k, 3) for k in range(3)] + [("placement", k, 2) for k in range(2)]
+    assert operator.asked == [("free", k, 3) for k in range(3)] + [("placement", k, 2) for k in range(2)]
     # Whoever stands at the board stands in front of an open contactor.
-    assert somebody.lit == [False] * 5
+    assert operator.lit == [False] * 5
     capture = open_capture(tmp_path / "boards")
     assert capture.header.kind == "calibration" and capture.board is not None
     for k in range(9):
@@ -71,14 +71,14 @@ def test_free_views_from_home_then_placements_at_all_angles(tmp_path):
 
 def test_the_table_points_to_where_the_board_is_to_stand(tmp_path):
     desk = Desk(board=BOARD, calibration=PLAN | {"bearings_deg": [0.0, 90.0]})
-    somebody, stood = Somebody(desk), []
-    place = somebody.place
-    somebody.place = lambda request: (stood.append((request.at_deg, desk.table.position)), place(request))[1]
-    result = desk.calibrate(tmp_path / "boards", somebody)
+    operator, stood = Operator(desk), []
+    place = operator.place
+    operator.place = lambda request: (stood.append((request.at_deg, desk.table.position)), place(request))[1]
+    result = desk.calibrate(tmp_path / "boards", operator)
     quarter = desk.config.microsteps_per_turn // 4
     assert stood == 4 * [(0.0, 0)] + [(90.0, quarter)]
-    # Not while somebody is near it.
-    assert somebody.lit == [False] * 5
+    # Not while operator is near it.
+    assert operator.lit == [False] * 5
     assert (result.status, result.records) == ("complete", 9)
     angles = [angle for _, angle, _ in records(tmp_path / "boards")]
     assert angles == [0.0] * 3 + [-10.0, 0.0, 10.0] + [80.0, 90.0, 100.0]
@@ -86,31 +86,31 @@ def test_the_table_points_to_where_the_board_is_to_stand(tmp_path):
 
 def test_the_operator_may_have_enough(tmp_path):
     desk = make()
-    result = desk.calibrate(tmp_path / "boards", Somebody(desk, free=1, placements=1))
+    result = desk.calibrate(tmp_path / "boards", Operator(desk, free=1, placements=1))
     assert (result.status, result.records) == ("complete", 4)
     assert [placement for *_, placement in records(tmp_path / "boards")] == [0, 1, 1, 1]
 
 
 def test_enough_of_nothing_is_no_calibration(tmp_path):
     desk = make()
-    result = desk.calibrate(tmp_path / "boards", Somebody(desk, free=0, placements=0))
+    result = desk.calibrate(tmp_path / "boards", Operator(desk, free=0, placements=0))
     assert (result.status, result.records) == ("interrupted", 0)
     assert "0 of 9 records" in result.message and "can be resumed" in result.message
     again = make()
-    assert again.calibrate(tmp_path / "boards", Somebody(again), resume=True).records == 9
+    assert again.calibrate(tmp_path / "boards", Operator(again), resume=True).records == 9
 
 
 def test_a_placement_that_was_half_done_is_begun_anew_under_another_number(tmp_path):
     desk = make()
     desk.controller.before_shot[8] = lambda controller: controller.lose_link(attempts=1000)
     with pytest.raises(LinkLost):
-        desk.calibrate(tmp_path / "boards", Somebody(desk))
+        desk.calibrate(tmp_path / "boards", Operator(desk))
     assert records(tmp_path / "boards") == WHOLE[:7]
     again = make()
-    somebody = Somebody(again)
-    result = again.calibrate(tmp_path / "boards", somebody, resume=True)
+    operator = Operator(again)
+    result = again.calibrate(tmp_path / "boards", operator, resume=True)
     assert (result.status, result.records, result.taken) == ("complete", 9, 3)
-    assert somebody.asked == [("placement", 1, 2)]
+    assert operator.asked == [("placement", 1, 2)]
     # The three of the second placement saw one board that did not move: a new number for all of them.
     assert records(tmp_path / "boards")[:6] == WHOLE[:6]
     assert records(tmp_path / "boards")[6:] == [(6, -10.0, 5), (7, 0.0, 5), (8, 10.0, 5)]
@@ -119,32 +119,32 @@ def test_a_placement_that_was_half_done_is_begun_anew_under_another_number(tmp_p
 
 def test_a_complete_calibration_asks_for_nothing(tmp_path):
     desk = make()
-    desk.calibrate(tmp_path / "boards", Somebody(desk))
+    desk.calibrate(tmp_path / "boards", Operator(desk))
     again = make()
-    somebody = Somebody(again)
-    assert again.calibrate(tmp_path / "boards", somebody, resume=True).taken == 0
-    assert somebody.asked == [] and again.controller.log == []
+    operator = Operator(again)
+    assert again.calibrate(tmp_path / "boards", operator, resume=True).taken == 0
+    assert operator.asked == [] and again.controller.log == []
 
 
 def test_steps_lost_during_a_placement_make_it_suspect_and_it_alone(tmp_path):
     desk = make()
     desk.controller.before_shot[5] = lambda controller: controller.lose_steps(30)
-    result = desk.calibrate(tmp_path / "boards", Somebody(desk))
+    result = desk.calibrate(tmp_path / "boards", Operator(desk))
     # Free views stand at home like all since the last time home was found; they are in doubt as well.
     assert result.status == "suspect" and result.suspect == ((0, 5),)
     again = make()
-    somebody = Somebody(again)
-    result = again.calibrate(tmp_path / "boards", somebody, resume=True)
+    operator = Operator(again)
+    result = again.calibrate(tmp_path / "boards", operator, resume=True)
     assert (result.status, result.suspect) == ("complete", ())
-    assert somebody.asked == [("free", k, 3) for k in range(3)] + [("placement", 0, 2)]
+    assert operator.asked == [("free", k, 3) for k in range(3)] + [("placement", 0, 2)]
 
 
-class Looking(Somebody):
-    """Looks through the camera before the board is taken to be placed; `befalls[n]` happens in the n-th look."""
+class LookingOperator(Operator):
+    """Looks through the camera before the board is taken to be placed; `faults[n]` happens in the n-th look."""
 
-    def __init__(self, desk, **befalls):
+    def __init__(self, desk, **faults):
         super().__init__(desk)
-        self.befalls = {int(name.removeprefix("look")): fault for name, fault in befalls.items()}
+        self.faults = {int(name.removeprefix("look")): fault for name, fault in faults.items()}
         self.looks, self.contactor = [], []
         self._arm = desk.controller.arm
         desk.controller.trigger, desk.controller.arm = self.trigger, self.arm
@@ -153,7 +153,7 @@ class Looking(Somebody):
         controller = self.desk.controller
         controller.stat()
         self.looks.append(1)
-        exposed = self.befalls.get(len(self.looks), lambda controller: None)(controller)
+        exposed = self.faults.get(len(self.looks), lambda controller: None)(controller)
         controller.stat()
         controller.exposures = (controller.exposures + 1) % 65536
         if exposed is None:
@@ -178,7 +178,7 @@ def lost_camera(controller):
 
 
 @pytest.mark.parametrize(
-    "befalls",
+    "faults",
     [
         lambda controller: "no frame",
         lambda controller: controller.lose_link(2),
@@ -188,14 +188,14 @@ def lost_camera(controller):
     ],
     ids=["lost frame", "lost link", "reset", "fault", "lost camera"],
 )
-def test_what_befalls_the_rig_while_somebody_looks_through_the_camera_ends_nothing(tmp_path, befalls):
+def test_a_fault_while_the_operator_looks_through_the_camera_ends_nothing(tmp_path, faults):
     desk = make()
-    somebody = Looking(desk, look2=befalls)
-    result = desk.calibrate(tmp_path / "boards", somebody)
-    assert (result.status, result.records, len(somebody.looks)) == ("complete", 9, 6)
+    operator = LookingOperator(desk, look2=faults)
+    result = desk.calibrate(tmp_path / "boards", operator)
+    assert (result.status, result.records, len(operator.looks)) == ("complete", 9, 6)
     # Nothing that had to be recovered from has closed the contactor in front of whoever stands there.
-    assert somebody.lit == [False] * 5
-    assert not any(on and at_the_board for on, _, at_the_board in somebody.contactor)
+    assert operator.lit == [False] * 5
+    assert not any(on and at_the_board for on, _, at_the_board in operator.contactor)
     assert verify_capture(tmp_path / "boards") == []
 
 
@@ -215,33 +215,33 @@ def test_a_link_that_is_lost_twice_while_the_camera_is_reopened_for_a_look_ends_
         return call
 
     desk.camera.reopen, controller.reconnect = losing(reopen), losing(reconnect)
-    somebody = Looking(desk, **{f"look{k}": lambda controller: "no frame" for k in (2, 3)})
-    result = desk.calibrate(tmp_path / "boards", somebody)
+    operator = LookingOperator(desk, **{f"look{k}": lambda controller: "no frame" for k in (2, 3)})
+    result = desk.calibrate(tmp_path / "boards", operator)
     assert lost == ["reopen", "reconnect"]
     assert (result.status, result.records) == ("complete", 9)
-    assert somebody.lit == [False] * 5
+    assert operator.lit == [False] * 5
 
 
 def test_a_camera_that_shows_nothing_any_more_is_an_error(tmp_path):
     desk = make(checks={"retakes": 2})
-    somebody = Looking(desk, **{f"look{k}": lambda controller: "no frame" for k in (2, 3, 4)})
+    operator = LookingOperator(desk, **{f"look{k}": lambda controller: "no frame" for k in (2, 3, 4)})
     with pytest.raises(CameraTimeout):
-        desk.calibrate(tmp_path / "boards", somebody)
-    assert len(somebody.looks) == 4 and not desk.table.contactor
+        desk.calibrate(tmp_path / "boards", operator)
+    assert len(operator.looks) == 4 and not desk.table.contactor
 
 
 def test_asked_to_stop_while_the_board_is_moved(tmp_path):
     desk = make()
-    somebody = Somebody(desk)
-    result = desk.calibrate(tmp_path / "boards", somebody, should_stop=lambda: len(somebody.asked) >= 2)
+    operator = Operator(desk)
+    result = desk.calibrate(tmp_path / "boards", operator, should_stop=lambda: len(operator.asked) >= 2)
     assert (result.status, result.records) == ("interrupted", 1)
     again = make()
-    assert again.calibrate(tmp_path / "boards", Somebody(again), resume=True).records == 9
+    assert again.calibrate(tmp_path / "boards", Operator(again), resume=True).records == 9
     assert len(open_capture(tmp_path / "boards")) == 9
 
 
 def test_without_a_board_it_is_refused_before_anything_moves(tmp_path):
     desk = Desk(calibration=PLAN)
     with pytest.raises(Exception, match=r"\[board\]"):
-        desk.calibrate(tmp_path / "boards", Somebody(desk))
+        desk.calibrate(tmp_path / "boards", Operator(desk))
     assert desk.controller.log == [] and not (tmp_path / "boards").exists()

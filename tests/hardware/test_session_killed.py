@@ -4,10 +4,8 @@ import json
 import os
 import random
 import signal
-import subprocess
-import sys
 import time
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,70 +13,30 @@ from scanrig.recording import AHEAD
 
 from jaxscan.files.capture import open_capture, verify_capture
 
-
-NURSERY = Path(__file__).with_name("nursery.py")
-
-
-class Nursery:
-    """Starts sessions as processes; modules are loaded only once."""
-
-    def __init__(self):
-        self._process = subprocess.Popen(
-            [sys.executable, str(NURSERY)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-        assert self._process.stdout.readline() == "ready\n"
-
-    def begin(self, **order):
-        self._process.stdin.write(
-            json.dumps({key: str(value) for key, value in order.items()} | {"steps": order["steps"]})
-        )
-        self._process.stdin.write("\n")
-        self._process.stdin.flush()
-        return int(self._process.stdout.readline())
-
-    def end(self, child):
-        number, status = self._process.stdout.readline().split()
-        assert int(number) == child
-        return int(status)
-
-    def close(self):
-        self._process.stdin.close()
-        self._process.wait(30)
-        self._process.stdout.close()
-
-
-@pytest.fixture(scope="module")
-def nursery():
-    made = []
-
-    def get():
-        if not made:
-            made.append(Nursery())
-        return made[0]
-
-    yield get
-    for one in made:
-        one.close()
+from .scanning import forked, see, session
 
 
 class Scan:
     """A sweep of a simulated rig that is begun, ended from outside, and gone on with."""
 
-    def __init__(self, nursery, simulated, folder, steps, **order):
-        self.nursery, self.simulated, self.folder, self.steps = nursery(), simulated, folder, steps
-        self.order = order
+    def __init__(self, simulated, folder, steps, *, gige=False):
+        self.simulated, self.folder, self.steps, self.gige = simulated, folder, steps, gige
         self.said = folder.with_suffix(".said")
         self.said.touch()
 
     def begin(self):
-        return self.nursery.begin(
-            folder=self.folder,
-            port=self.simulated.port,
-            edges=self.simulated.edges_path,
-            steps=self.steps,
-            said=self.said,
-            **self.order,
-        )
+        """The process of a session."""
+        order = {"folder": self.folder, "steps": self.steps, "said": self.said, "gige": self.gige}
+        return forked(partial(session, port=self.simulated.port, edges=self.simulated.edges_path, **order))
+
+    def end(self, child):
+        """How the session's process ended."""
+        child.join(120)
+        return child.exitcode
+
+    def require_complete(self):
+        """Go on to the end."""
+        assert self.end(self.begin()) == 0, self.words()
 
     def words(self):
         return self.said.read_text().splitlines()
@@ -100,7 +58,7 @@ class Scan:
         lines = (self.folder / "frames.jsonl").read_text().split("\n")
         return [json.loads(line) for line in lines if line.endswith("}")]
 
-    def require_whole(self, seen_at):
+    def require_whole(self):
         """All records are there once, their files are unaltered, and show the table's true position."""
         assert verify_capture(self.folder) == []
         capture = open_capture(self.folder)
@@ -109,7 +67,7 @@ class Scan:
         generator = np.random.default_rng(0)
         for k in range(self.steps):
             for frame, lit in zip(capture.frames(k), (True, False), strict=True):
-                true = seen_at(8 * k, lit, generator)
+                true = see(8 * k, lit, generator)
                 # Noise makes 1.5 DN; three steps aside, or the laser, make more than 3.
                 assert np.abs(frame.astype(int) - true.astype(int)).mean() < 2.2
 
@@ -119,18 +77,11 @@ class Scan:
 
 
 @pytest.fixture
-def scan(nursery, rig, tmp_path):
+def scan(rig, tmp_path):
     def make(steps, **options):
-        return Scan(nursery, rig(speed=10, **options), tmp_path / "room", steps)
+        return Scan(rig(speed=10, **options), tmp_path / "room", steps)
 
     return make
-
-
-@pytest.fixture(scope="module")
-def seen_at():
-    from .nursery import see
-
-    return see
 
 
 def kill_and_go_on(scan, kills, seed):
@@ -147,8 +98,8 @@ def kill_and_go_on(scan, kills, seed):
                 break
             time.sleep(0.001)
         time.sleep(generator.uniform(0.0, 0.4 if wanted == before else 0.08))
-        os.kill(child, signal.SIGKILL)
-        status = scan.nursery.end(child)
+        os.kill(child.pid, signal.SIGKILL)
+        status = scan.end(child)
         assert status in (-signal.SIGKILL, 0), scan.words()
         during += status != 0 and len(scan.pairs()) > before
         if not (scan.folder / "capture.toml").exists():
@@ -163,28 +114,26 @@ def kill_and_go_on(scan, kills, seed):
     return during
 
 
-def test_09_killed_at_any_moment_it_goes_on(scan, seen_at):
+def test_09_killed_at_any_moment_it_goes_on(scan):
     """Faults 9 and 21: kill -9, a few times."""
     one = scan(30)
     assert kill_and_go_on(one, 4, seed=1) >= 1
-    child = one.begin()
-    assert one.nursery.end(child) == 0, one.words()
-    one.require_whole(seen_at)
+    one.require_complete()
+    one.require_whole()
     one.require_dark()
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
-def test_09_killed_fifty_times_it_goes_on(nursery, rig, tmp_path, seen_at):
+def test_09_killed_fifty_times_it_goes_on(rig, tmp_path):
     """Fault 9, 50 times over: every scan is complete in the end, every hash right."""
     simulated, kills, during = rig(speed=10), 0, 0
     for number in range(5):
-        one = Scan(nursery, simulated, tmp_path / f"room{number}", 60)
+        one = Scan(simulated, tmp_path / f"room{number}", 60)
         during += kill_and_go_on(one, 10, seed=100 + number)
         kills += 10
-        child = one.begin()
-        assert one.nursery.end(child) == 0, one.words()
-        one.require_whole(seen_at)
+        one.require_complete()
+        one.require_whole()
         one.require_dark()
     assert kills == 50 and during >= 20, during
 
@@ -192,12 +141,12 @@ def test_09_killed_fifty_times_it_goes_on(nursery, rig, tmp_path, seen_at):
 @pytest.mark.parametrize(
     "name", ["SIGINT", pytest.param("SIGTERM", marks=pytest.mark.slow), pytest.param("SIGHUP", marks=pytest.mark.slow)]
 )
-def test_10_one_signal_ends_after_the_step(scan, seen_at, name):
+def test_10_one_signal_ends_after_the_step(scan, name):
     one = scan(30)
     child = one.begin()
     one.await_pairs(5)
-    os.kill(child, getattr(signal, name))
-    assert one.nursery.end(child) == 130, one.words()
+    os.kill(child.pid, getattr(signal, name))
+    assert one.end(child) == 130, one.words()
     assert one.words()[-1] == "interrupted"
     one.require_dark()
     assert verify_capture(one.folder) == []
@@ -207,19 +156,18 @@ def test_10_one_signal_ends_after_the_step(scan, seen_at, name):
     edges = one.simulated.edges()
     exposures = sum(edge.get("pin") == "trig" and edge["v"] == 1 for edge in edges)
     assert exposures == 2 * len(one.pairs())
-    child = one.begin()
-    assert one.nursery.end(child) == 0, one.words()
-    one.require_whole(seen_at)
+    one.require_complete()
+    one.require_whole()
 
 
-def test_10_two_signals_abort_at_once(scan, seen_at):
+def test_10_two_signals_abort_at_once(scan):
     one = scan(30)
     child = one.begin()
     one.await_pairs(5)
-    os.kill(child, signal.SIGINT)
+    os.kill(child.pid, signal.SIGINT)
     time.sleep(0.004)
-    os.kill(child, signal.SIGINT)
-    assert one.nursery.end(child) == 130, one.words()
+    os.kill(child.pid, signal.SIGINT)
+    assert one.end(child) == 130, one.words()
     one.require_dark()
     said = [line for line in one.words() if not line.startswith("#")][-1]
     # On a busy machine the step may have ended between the two.
@@ -227,12 +175,11 @@ def test_10_two_signals_abort_at_once(scan, seen_at):
     if said == "aborted":
         assert one.journal()[-1]["status"] == "aborted"
     assert verify_capture(one.folder) == []
-    child = one.begin()
-    assert one.nursery.end(child) == 0, one.words()
-    one.require_whole(seen_at)
+    one.require_complete()
+    one.require_whole()
 
 
-def test_06_cable_pulled_from_real_firmware(scan, seen_at):
+def test_06_cable_pulled_from_real_firmware(scan):
     """Fault 6: the port goes away in mid-scan and comes back; position and boot are the old ones."""
     one = scan(30)
     child = one.begin()
@@ -240,23 +187,23 @@ def test_06_cable_pulled_from_real_firmware(scan, seen_at):
     one.simulated.unplug()
     time.sleep(0.5)
     one.simulated.plug()
-    assert one.nursery.end(child) == 0, one.words()
+    assert one.end(child) == 0, one.words()
     (back,) = one.events("reconnected")
     assert back["same_boot"] is True
-    one.require_whole(seen_at)
+    one.require_whole()
     one.require_dark()
 
 
-def test_07_reset_of_real_firmware(scan, seen_at):
+def test_07_reset_of_real_firmware(scan):
     """Fault 7: somebody presses the controller's button in mid-scan."""
     one = scan(30)
     child = one.begin()
     one.await_pairs(5)
     one.simulated.control("reset")
-    assert one.nursery.end(child) == 0, one.words()
+    assert one.end(child) == 0, one.words()
     assert one.events("start")[0]["boot"] < one.simulated.plant()["resets"] + one.events("start")[0]["boot"]
     assert [event["why"] for event in one.events("home")] == ["start", "after a fault", "end of a pass"]
-    one.require_whole(seen_at)
+    one.require_whole()
     one.require_dark()
 
 
@@ -266,7 +213,7 @@ def test_13_steps_dropped_by_the_driver(scan):
     child = one.begin()
     one.await_pairs(10)
     one.simulated.control("drop 9")
-    assert one.nursery.end(child) == 1, one.words()
+    assert one.end(child) == 1, one.words()
     assert one.words()[-1] == "suspect"
     (event,) = one.events("suspect")
     assert event["records"] == [[0, 29]] and abs(event["missed"]) == 9

@@ -144,11 +144,11 @@ with Interrupts() as interrupts:
         limit = time.monotonic() + 20
         while not interrupts() and time.monotonic() < limit:
             time.sleep(0.01)
-    def told(number, *_):
+    def stored(number, *_):
         print("record", number, flush=True)
         print("record", number, file=sys.stderr, flush=True)
     desk.controller.before_shot[4] = wait
-    result = desk.sweep(Path(sys.argv[1]), on_pair=told, should_stop=interrupts)
+    result = desk.sweep(Path(sys.argv[1]), on_pair=stored, should_stop=interrupts)
 print(result.message, flush=True)
 sys.exit(0 if interrupts.received == ["SIGHUP"] else 3)
 """

@@ -15,7 +15,7 @@ from scanrig.session.plan import controller_settings
 from scanrig.session.steps import FrameNumbers, Station, Step, take_pair
 
 from .desk import HEIGHT, WIDTH, Desk, rig_config
-from .nursery import Wire
+from .scanning import Wire
 
 
 def ready(desk):
@@ -51,7 +51,7 @@ def test_what_waits_from_before_is_dropped_and_not_taken_for_a_frame_of_this_ste
     assert (pair.on.number, pair.off.number, pair.rejected, numbers.next) == (3, 4, (), 5)
 
 
-def test_a_camera_without_numbers_is_believed_by_count_and_proof():
+def test_a_camera_without_numbers_is_accepted_by_count_and_proof():
     desk = Desk()
     ready(desk)
     following = desk.camera.next
@@ -59,7 +59,7 @@ def test_a_camera_without_numbers_is_believed_by_count_and_proof():
     assert take(desk).rejected == ()
 
 
-def test_every_rejection_is_told_and_the_last_one_raised():
+def test_every_rejection_is_reported_and_the_last_one_raised():
     desk = Desk(checks={"retakes": 1})
     ready(desk)
     desk.table.dead = True

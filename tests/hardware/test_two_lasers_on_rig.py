@@ -10,7 +10,7 @@ from scanrig.errors import Refused
 from scanrig.session import Devices, run_sweep
 
 from .driving import ready, rises
-from .nursery import Wire, config, see
+from .scanning import Wire, config, see
 
 
 STEPS = 12

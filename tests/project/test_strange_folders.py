@@ -11,7 +11,7 @@ import pytest
 
 from jaxscan.errors import CaptureError, ConfigError
 from jaxscan.files.capture import save_stripes
-from jaxscan.files.disk import open_to_write, refuse_links, remove_left
+from jaxscan.files.disk import open_to_write, refuse_links, remove_stale
 from jaxscan.project import claimed, load_project, open_catalogue
 from jaxscan.project.catalogue import Catalogue
 from jaxscan.project.steps import Step
@@ -196,7 +196,7 @@ def test_what_looks_like_a_left_file_and_is_a_link_removes_nothing(tmp_path, out
     (tmp_path / name).symlink_to(outside / ("letters" if name.endswith("ab") else "letter"))
     (outside / "letters" / "second").write_text(LETTER)
     before = fingerprint(outside)
-    remove_left(tmp_path)
+    remove_stale(tmp_path)
     assert fingerprint(outside) == before
 
 

@@ -272,3 +272,18 @@ class TestParameters:
 def test_numbers_of_the_solve_that_are_not_there_are_left_out(calibration):
     assert ("corner RMS, px", "0.1400") in quality_rows(calibration)
     assert quality_rows(replace(calibration, quality=Quality())) == []
+
+
+@pytest.mark.parametrize(
+    ("size", "said"),
+    [
+        (0.0, "0 mm"),
+        (0.00997, "0.010 mm"),
+        (0.0131, "0.013 mm"),
+        (0.997, "1.0 mm"),
+        (2.44, "2.4 mm"),
+        (123.4, "123 mm"),
+    ],
+)
+def test_sizes_have_two_digits(size, said):
+    assert words.millimetres(size) == said

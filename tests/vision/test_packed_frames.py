@@ -195,12 +195,3 @@ def test_the_decoder_survives_garbage():
             assert np.array_equal(decode(around(some.tobytes())), picture())
         except CaptureError as problem:
             assert str(problem).startswith("on/7.zst: ") and "\n" not in str(problem)
-
-
-@pytest.mark.parametrize(
-    "image",
-    [np.zeros((4, 4), np.uint16), np.zeros((4, 4, 4), np.uint8), np.zeros((0, 4), np.uint8), np.zeros(4, np.uint8)],
-)
-def test_what_is_no_frame_is_not_encoded(image):
-    with pytest.raises(ValueError, match="An image must"):
-        encode_zstd(image)

@@ -21,7 +21,6 @@ PLACEMENT_REACH_DEG = 10.0
 
 
 def main() -> int:
-    """The command line."""
     parser = argparse.ArgumentParser(prog="bench.camera", description="A GigE Vision camera that sees a simulated rig.")
     parser.add_argument("--edges", type=Path, required=True, help="the rig's log, edges.jsonl")
     parser.add_argument("--control", type=Path, required=True, help="the socket to make")

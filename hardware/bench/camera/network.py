@@ -38,7 +38,6 @@ Fill = Callable[[], np.ndarray]
 
 
 def aravis_is_there() -> bool:
-    """Whether the library is installed."""
     try:
         ctypes.CDLL(LIBRARY)
     except OSError:
@@ -120,13 +119,11 @@ class GvCamera:
         self._library.arv_fake_camera_set_fill_pattern(self._camera, self._callback, None)
 
     def register(self, address: int) -> int:
-        """Content of a register."""
         value = ctypes.c_uint32()
         self._library.arv_fake_camera_read_register(self._camera, address, ctypes.byref(value))
         return value.value
 
     def write(self, address: int, value: int) -> None:
-        """Set a register."""
         self._library.arv_fake_camera_write_register(self._camera, address, value)
 
     @property
@@ -167,7 +164,6 @@ class GvCamera:
         self.write(CONTROL_CHANNEL_PRIVILEGE, 0)
 
     def close(self) -> None:
-        """Disappear."""
         if self._gv:
             self._library.g_object_unref(self._gv)
             self._gv = None
@@ -345,7 +341,6 @@ class BenchCamera:
                 self._wire.forget_controller()
 
     def stop(self) -> None:
-        """End `run`."""
         self._stop.set()
 
     def _state(self) -> dict[str, Any]:

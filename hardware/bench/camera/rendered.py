@@ -213,14 +213,12 @@ class Light:
     since: int | None = None
 
     def switch(self, on: bool, cycle: int) -> None:
-        """It goes on or off."""
         if self.on and not on and self.since is not None:
             self.cycles += cycle - self.since
         self.since = cycle if on else None
         self.on = on
 
     def begin(self, cycle: int) -> None:
-        """A pulse begins."""
         self.cycles, self.since = 0, cycle if self.on else None
 
     def share(self, began: int, cycle: int) -> float:
@@ -264,7 +262,6 @@ class Plant:
         return False, None
 
     def from_home(self) -> int:
-        """Microsteps from home."""
         return self.position - self.home
 
     def _trigger(self, on: bool, cycle: int) -> tuple[bool, Exposure | None]:

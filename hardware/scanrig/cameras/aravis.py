@@ -239,7 +239,7 @@ PIXEL_FORMATS: dict[str, tuple[str, ...]] = {
     **{f"bayer_{one}{bits}": (f"Bayer{tile}{bits}",) for one, tile in _BAYER.items() for bits in (8, *DEEP_BITS)},
 }
 """GenICam's names of the pixel formats; the second name is used by older cameras. Those of more than 8 bits have
-two bytes for each sample, the lower first; the packed ones ("Mono12p", "Mono12Packed") are not asked for."""
+two bytes for each sample, the lower first; the packed ones ("Mono12p", "Mono12Packed") are never requested."""
 
 AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto")
 """Automatic functions of a camera, which are switched off."""

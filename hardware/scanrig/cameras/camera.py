@@ -85,7 +85,7 @@ class CameraSettings(ImageSize):
             pixel_format=self.layout,
             response=self.response,
             up=self.up,
-            bits=self.bits if self.bits > 8 else None,
+            bits=cast(Literal[10, 12, 14, 16], self.bits) if self.bits > 8 else None,
         )
 
 

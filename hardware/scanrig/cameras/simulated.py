@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import pydantic
@@ -14,7 +14,7 @@ from jaxtyping import Float, UInt8, UInt16
 from jaxscan.files.disk import FileModel, Integer, Number, load_toml
 from jaxscan.geometry import StripeAxis
 from jaxscan.stripes import Colour, PixelFormat, frame_rank
-from scanrig.cameras.camera import Camera, CameraIdentity, CameraSettings, Features, Frame, require, wanted
+from scanrig.cameras.camera import Camera, CameraIdentity, CameraSettings, Features, Frame, wanted
 from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
 
@@ -129,9 +129,6 @@ def _mosaic(light: Float[np.ndarray, "rows columns 3"], pixel_format: str) -> Fl
     return seen
 
 
-Fault = Literal["missing", "duplicate", "incomplete", "stale", "swapped", "late", "lost"]
-"""Faults of an exposure: its frame is not delivered; delivered twice; half delivered; replaced by the one before;
-exchanged with the one after; delivered only with the one after; and: the camera is gone from here on."""
 Scene = Callable[[float, int], UInt8[np.ndarray, "rows columns *three"] | UInt16[np.ndarray, "rows columns"]]
 """Draws the frame at a position of the table [microsteps], with a laser on (from 1; 0: none)."""
 
@@ -142,42 +139,34 @@ class SimulatedCamera(Camera):
     Software triggers and free-running frames get position and laser from `world`; for `expose` they are arguments.
     """
 
+    patience_s = float("inf")
+    """Longest real wait of `next`, whatever its timeout."""
+
     def __init__(
         self,
         settings: CameraSettings,
         scene: Scene | SyntheticScene | None = None,
         *,
         world: Callable[[], tuple[float, int]] | None = None,
-        faults: dict[int, Fault] | None = None,
-        patience_s: float = float("inf"),
     ) -> None:
         """An open camera.
 
         Args:
             scene: The scene; by default a synthetic one.
             world: Position and laser at this moment; by default laser on and off in turn.
-            faults: Faults by the number of the exposure, from 1; may be changed at any time.
-            patience_s: Longest real wait of `next`, whatever its timeout: 0 if the test exposes before it calls `next`.
         """
-        self.settings, self.faults = settings, dict(faults or {})
+        self.settings = settings
         self.identity = CameraIdentity("simulated", "synthetic", "SIM1")
         self.device: Features = wanted(settings)
-        """The camera's features; a test may change them."""
-        self.after_reopen: Features = {}
-        """Features that the camera has after `reopen` regardless of its settings."""
-        self.reachable = True
-        """Whether `reopen` finds it."""
+        """The camera's features."""
         self.exposures = 0
         """Exposures so far; the number of the last."""
         self._scene = _drawn(scene or SyntheticScene(), settings) if not callable(scene) else scene
         alternation = _alternation()
         self._world = world or (lambda: next(alternation))
-        self._patience_s = patience_s
         self._changed = threading.Condition()
         self._queue: deque[Frame] = deque()
-        self._held: list[Frame] = []
-        self._last: np.ndarray | None = None
-        self._running = self._lost = self._closed = False
+        self._running = self._closed = False
 
     def features(self) -> Features:
         self._require_open()
@@ -198,10 +187,9 @@ class SimulatedCamera(Camera):
         if self.trigger_mode == "free" and self._running and not self._queue:
             self.expose(*self._world())
         with self._changed:
-            here = self._changed.wait_for(lambda: self._queue or self._lost, min(timeout_s, self._patience_s))
-            if self._lost and not self._queue:
-                raise CameraLost(f"{self.identity}: the camera is gone (simulated).")
-            if not here:
+            self._changed.wait_for(lambda: self._queue or self._gone(), min(timeout_s, self.patience_s))
+            self._require_open()
+            if not self._queue:
                 raise CameraTimeout(f"{self.identity}: no frame within {timeout_s:g} s; expected one per trigger.")
             return self._queue.popleft()
 
@@ -212,68 +200,39 @@ class SimulatedCamera(Camera):
         self.expose(*self._world())
 
     def expose(self, position: float, lit: int) -> None:
-        """An edge on the trigger wire: one exposure, with its fault if any. From any thread."""
+        """An edge on the trigger wire: one exposure. From any thread."""
         with self._changed:
-            if not self._running or self._lost:
+            if not self._running or self._gone():
                 return
             self.exposures += 1
-            image = self._scene(position, lit)
-            self._arrive(image, self.faults.get(self.exposures))
-            self._last = image
+            self._arrive(self._scene(position, lit))
             self._changed.notify_all()
 
     def reopen(self) -> None:
-        if self._closed or not self.reachable:
+        if self._closed:
             raise CameraLost(f"{self.identity}: not found; check its power and cable.")
         with self._changed:
             self._queue.clear()
-            self._held.clear()
-            self._lost = False
-        self.device = {**wanted(self.settings), **self.after_reopen}
-        require(self.device, wanted(self.settings), name=str(self.identity))
+        self.device = wanted(self.settings)
 
     def close(self) -> None:
         with self._changed:
-            self._closed = self._lost = True
+            self._closed = True
             self._running = False
+            self._queue.clear()
             self._changed.notify_all()
 
+    def _gone(self) -> str:
+        """Why no more frames come; "" if they do."""
+        return "closed" if self._closed else ""
+
     def _require_open(self) -> None:
-        if self._closed or (self._lost and not self._queue):
-            raise CameraLost(f"{self.identity}: the camera is {'closed' if self._closed else 'gone (simulated)'}.")
+        if not self._queue and (gone := self._gone()):
+            raise CameraLost(f"{self.identity}: the camera is {gone}.")
 
-    def _arrive(self, image: np.ndarray, fault: Fault | None) -> None:
-        """Append the frame of this exposure, changed by its fault, to the queue."""
-        held, self._held = self._held, []
-        frame = self._frame(image)
-        match fault:
-            case "missing":
-                arriving = []
-            case "duplicate":
-                arriving = [frame, frame]
-            case "incomplete":
-                torn = image.copy()
-                torn[len(torn) // 2 :] = 0
-                arriving = [self._frame(torn, complete=False, note="half of its packets are missing (simulated)")]
-            case "stale":
-                arriving = [self._frame(image if self._last is None else self._last)]
-            case "swapped" | "late":
-                self._held, arriving = [frame], []
-            case "lost":
-                self._lost, arriving = True, []
-            case None:
-                arriving = [frame]
-        for waiting in held:
-            if self.faults.get(waiting.number) == "late":
-                self._queue.append(waiting)
-            else:  # Swapped: the numbers are in order, the images are exchanged.
-                self._queue.append(self._frame(image, number=waiting.number))
-                arriving = [self._frame(waiting.image)]
-        self._queue.extend(arriving)
-
-    def _frame(self, image: np.ndarray, *, number: int | None = None, complete: bool = True, note: str = "") -> Frame:
-        number = self.exposures if number is None else number
-        return Frame(image, number, complete, note, self.settings.bits)
+    def _arrive(self, image: np.ndarray) -> None:
+        """Append the frame of this exposure to the queue."""
+        self._queue.append(Frame(image, self.exposures, complete=True, bits=self.settings.bits))
 
 
 def open_simulated(settings: CameraSettings) -> SimulatedCamera:

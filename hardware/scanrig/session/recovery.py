@@ -134,7 +134,6 @@ class RecoveringRig:
             self.controller.move(above, longest_s(self.config))
 
     def arm(self, on: bool) -> None:
-        """Close or open the contactor."""
         self.controller.arm(on)
         if not on:
             # With the contactor open, frames are taken without a shot, so the next frame number is not known.
@@ -146,7 +145,6 @@ class RecoveringRig:
         self.doing(lambda: self.arm(False), "opening the contactor")
 
     def light(self) -> None:
-        """Close the contactor again."""
         self._dark = False
         self.doing(lambda: self.arm(True), "closing the contactor")
 

@@ -104,7 +104,7 @@ def run_job(job: Job, work: Callable[[Session], bool]) -> SessionResult:
         raise ConfigError(
             'camera.trigger: found "hardware", expected "software" or "free": the controller has no wire to the camera.'
         )
-    made = _folder(job.folder)
+    made = _make(job.folder)
     try:
         with folder_lock(job.folder) as lock:
             found = _look(job)
@@ -175,7 +175,7 @@ def _result(session: Session, ending: Ending, unsafe: str) -> SessionResult:
     )
 
 
-def _folder(folder: Path) -> bool:
+def _make(folder: Path) -> bool:
     """Make the folder; True if it did not exist."""
     try:
         if folder.is_dir():
@@ -229,7 +229,6 @@ def _complete_already(job: Job, found: Found) -> SessionResult:
 
 
 def say_end(ending: Ending, folder: Path, *, count: int, planned: int, suspect: Sequence[tuple[int, int]]) -> str:
-    """How a session ended, as one line."""
     there = f"{count} of {planned} records"
     says = {
         "complete": f"complete, {count} records",

@@ -350,7 +350,6 @@ class Session:
             self.done.difference_update(records)
 
     def _again(self, record: int, event: str) -> Likeness:
-        """Take a record again only to compare it."""
         self._await_written()
         pair = self.rig.take(self._positions[record], record)
         self._flights.wait()

@@ -117,7 +117,6 @@ class Rejections(NamedTuple):
     """Of the last one, if it was the proof that rejected it."""
 
     def also(self, reason: str, verdict: str = "") -> "Rejections":
-        """With one more."""
         return Rejections((*self.reasons, reason), verdict)
 
 
@@ -413,7 +412,6 @@ class Flight:
 
     @property
     def record(self) -> int:
-        """Number of the record."""
         return self.place.step.number
 
 

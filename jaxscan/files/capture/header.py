@@ -70,7 +70,14 @@ class CharucoTable(_Board):
 
     def board(self) -> AbstractBoard:
         square, marker = self.square_mm / 1000, self.marker_mm / 1000
-        return Charuco(self.columns, self.rows, square, marker, self.dictionary, self.layout)
+        return Charuco(
+            columns=self.columns,
+            rows=self.rows,
+            square=square,
+            marker=marker,
+            dictionary=self.dictionary,
+            layout=self.layout,
+        )
 
 
 class ChessboardTable(_Board):
@@ -80,7 +87,7 @@ class ChessboardTable(_Board):
     square_mm: Length
 
     def board(self) -> AbstractBoard:
-        return Chessboard(self.columns, self.rows, self.square_mm / 1000)
+        return Chessboard(columns=self.columns, rows=self.rows, square=self.square_mm / 1000)
 
 
 class CirclesTable(_Board):
@@ -93,7 +100,8 @@ class CirclesTable(_Board):
     layout: Literal["asymmetric", "symmetric"] = "asymmetric"
 
     def board(self) -> AbstractBoard:
-        return Circles(self.columns, self.rows, self.spacing_mm / 1000, self.diameter_mm / 1000, self.layout)
+        square, diameter = self.spacing_mm / 1000, self.diameter_mm / 1000
+        return Circles(columns=self.columns, rows=self.rows, square=square, diameter=diameter, layout=self.layout)
 
 
 class AprilGridTable(_Board):
@@ -105,7 +113,7 @@ class AprilGridTable(_Board):
     """Distance of neighbouring tags."""
 
     def board(self) -> AbstractBoard:
-        return AprilGrid(self.columns, self.rows, self.gap_mm / 1000, self.tag_mm / 1000)
+        return AprilGrid(columns=self.columns, rows=self.rows, square=self.gap_mm / 1000, tag=self.tag_mm / 1000)
 
 
 BoardTable = Annotated[
@@ -189,7 +197,7 @@ class TurntableTable(FileModel):
 
     @property
     def stop_sigma(self) -> float | None:
-        """Standard deviation of stops about the positions of their records [rad or m]; None where nobody says."""
+        """Standard deviation of stops about the positions of their records [rad or m]; None if not given."""
         if self.position_sigma_mm is not None:
             return self.position_sigma_mm / 1000.0
         return None if self.angle_sigma_deg is None else math.radians(self.angle_sigma_deg)
@@ -253,38 +261,6 @@ def frame_shape(header: CaptureHeader) -> tuple[int, ...]:
 def image_limit(header: CaptureHeader) -> int:
     """Largest size of an image's file [bytes]: an uncompressed 32-bit image with a megabyte of metadata fits."""
     return 4 * header.camera.width * header.camera.height + MEGABYTE
-
-
-def record_position(
-    angle_deg: float | None, position_m: float | None, *, kind: str, carries: Carries, where: str
-) -> float | None:
-    """Position of a record: the table's angle [rad], or the place of a stage [m]; None where unknown.
-
-    Args:
-        angle_deg: As the record has it.
-        position_m: As the record has it.
-        kind: Kind of the capture.
-        carries: The part that its table carries.
-
-    Raises:
-        CaptureError: If it is missing in a sweep, or belongs to another kind of motion.
-    """
-    linear = carries == "linear"
-    wanted, found = (position_m, angle_deg) if linear else (angle_deg, position_m)
-    if wanted is not None:
-        return wanted if linear else math.radians(wanted)
-    if found is not None and carries != "nothing":
-        key, other = ("position_m", "angle_deg") if linear else ("angle_deg", "position_m")
-        kinds = 'carries = "linear"' if linear else 'carries = "scanner" or "object"'
-        raise CaptureError(f"{where}: {key}: missing beside {other}, expected with {kinds} under [turntable].")
-    if kind != "sweep" or carries == "nothing":
-        return None
-    if linear:
-        raise CaptureError(f"{where}: position_m: found null, but a sweep needs the position of every record.")
-    raise CaptureError(
-        f"{where}: angle_deg: found null, but a sweep needs the angle of every record; of a scanner that stands still, "
-        'say carries = "nothing" under [turntable].'
-    )
 
 
 def parse_header(data: bytes, *, name: str) -> CaptureHeader:

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import pydantic
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.header import HEADER_NAME, MAX_HEADER_BYTES, CaptureHeader, parse_header, record_position
+from jaxscan.files.capture.header import HEADER_NAME, MAX_HEADER_BYTES, CaptureHeader, parse_header
 from jaxscan.files.disk import MAX_DEPTH, Integer, Number, check, is_deep, read_bounded, too_deep
 from jaxscan.geometry import Carries
 
@@ -378,7 +378,7 @@ def _may_be_deep(line: bytes) -> bool:
 
 def _complete(i: int, line: _Checked, name: str, kind: str, laser_names: tuple[str, ...], carries: Carries) -> Record:
     where = f"{name}: line {line.number}"
-    position = record_position(line.angle_deg, line.position_m, kind=kind, carries=carries, where=where)
+    position = _position(line, kind, carries, where)
     if kind == "sweep" and not line.on:
         raise CaptureError(f"{where}: on: found null, but a sweep needs a laser-on image in every record.")
     if not line.on and not line.off:
@@ -391,6 +391,26 @@ def _complete(i: int, line: _Checked, name: str, kind: str, laser_names: tuple[s
         lasers=() if not line.on else _lit(line.lasers, where, laser_names),
         on=_with_digests(line.on, digests.get("on")),
         off=_with_digests(line.off, digests.get("off")),
+    )
+
+
+def _position(line: _Checked, kind: str, carries: Carries, where: str) -> float | None:
+    """The table's angle [rad], or the position of a stage [m]; None where none is needed and none is given."""
+    linear = carries == "linear"
+    wanted, found = (line.position_m, line.angle_deg) if linear else (line.angle_deg, line.position_m)
+    if wanted is not None:
+        return wanted if linear else math.radians(wanted)
+    if found is not None and carries != "nothing":
+        key, other = ("position_m", "angle_deg") if linear else ("angle_deg", "position_m")
+        kinds = 'carries = "linear"' if linear else 'carries = "scanner" or "object"'
+        raise CaptureError(f"{where}: {key}: missing beside {other}, expected with {kinds} under [turntable].")
+    if kind != "sweep" or carries == "nothing":
+        return None
+    if linear:
+        raise CaptureError(f"{where}: position_m: found null, but a sweep needs the position of every record.")
+    raise CaptureError(
+        f"{where}: angle_deg: found null, but a sweep needs the angle of every record; of a scanner that stands still, "
+        'say carries = "nothing" under [turntable].'
     )
 
 

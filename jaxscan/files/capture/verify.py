@@ -105,7 +105,7 @@ def _problems(record: Record, folder: Folder, digest: Callable[[ImageRef], str])
     problems = []
     for image in (*record.on, *record.off):
         try:
-            # Without what the record says of it: the digest is that of the image.
+            # Without exposure and digest, so that an image that many records name is hashed once.
             found = digest(ImageRef(image.path, image.index)) if image.sha256 is not None else ""
             if image.sha256 is None:
                 folder.locate(image)

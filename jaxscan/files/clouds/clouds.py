@@ -19,7 +19,7 @@ from jaxscan.reconstruction import PointCloud, join_clouds
 
 
 Writer = Callable[[PointCloud, Part, About], None]
-Reader = Callable[[Path, Reading | None], StoredCloud]
+Reader = Callable[[Path, Reading], StoredCloud]
 
 
 def _functions(prefix: str) -> dict[str, Any]:
@@ -29,6 +29,8 @@ def _functions(prefix: str) -> dict[str, Any]:
 
 WRITERS: dict[str, Writer] = _functions("write")
 READERS: dict[str, Reader] = _functions("read")
+_NAMED = (".npz", ".e57", ".las", ".laz", ".ptx")
+"""Formats that name their columns themselves."""
 TEXTS = (".txt", ".csv", ".asc", ".pts")
 """Suffixes that other programs give to tables of points: they are read as .xyz."""
 
@@ -162,6 +164,9 @@ def read_cloud(path: str | Path, reading: Reading | None = None) -> StoredCloud:
     reader = READERS.get(".xyz" if suffix in TEXTS else suffix)
     if reader is None:
         raise CloudError(f'{path}: cannot read "{path.suffix}", known are {", ".join((*READERS, *TEXTS))}.')
+    reading = reading or Reading()
+    if reading.columns and suffix in _NAMED:
+        raise CloudError(f"{path}: the columns of {suffix} are named by the format; leave --columns out.")
     # Numbers that are too large for their column become infinite, and are refused below.
     try:
         with np.errstate(over="ignore", invalid="ignore"):

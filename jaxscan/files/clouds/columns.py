@@ -234,12 +234,12 @@ class Extent(NamedTuple):
         counts = bool((np.diff(table[:, 0]) == 1).all())
         return Extent(np.fmin.reduce(table), np.fmax.reduce(table), whole, unit, counts)
 
-    def colours(self, columns: Columns) -> tuple[float, bool] | None:
-        """The largest colour, and whether all are whole numbers; None without colours."""
+    def colours(self, columns: Columns) -> "Reach | None":
+        """Of the colours; None without colours."""
         if not set(COLOURS) <= columns.places.keys():
             return None
         at = [columns.places[name] for name in COLOURS]
-        return float(np.nan_to_num(self.most[at]).max()), bool(self.whole[at].all())
+        return Reach(float(np.nan_to_num(self.most[at]).max()), bool(self.whole[at].all()))
 
     def with_more(self, other: "Extent") -> "Extent":
         """The statistics of these rows and those of `other`, which follow them in the file."""
@@ -330,6 +330,19 @@ def _short(way: tuple[tuple[str, int], ...], start: int) -> list[str]:
 # --- colours
 
 
+class Reach(NamedTuple):
+    """The largest of some colours, and whether all are whole numbers."""
+
+    most: float = 0.0
+    whole: bool = True
+
+    def with_more(self, values: np.ndarray) -> "Reach":
+        """Of these colours and others; those that are no number count as 0."""
+        values = np.nan_to_num(values)
+        whole = values.dtype.kind != "f" or bool((values == np.floor(values)).all())
+        return Reach(max(self.most, float(values.max(initial=0))), self.whole and whole)
+
+
 class Range(NamedTuple):
     """How the colours of a file become bytes."""
 
@@ -347,19 +360,17 @@ _TOO_BRIGHT = 16383
 """Limits beyond this are those of a type of 16 bits, not of a camera."""
 
 
-def range_of(
-    kind: np.dtype, most: float, *, whole: bool = True, stated: float | None = None, reading: Reading | None = None
-) -> Range:
+def range_of(kind: np.dtype, reach: Reach, reading: Reading, *, stated: float | None = None) -> Range:
     """Find the number of full brightness.
 
     Args:
         kind: Type of the numbers; one of floating point also where text does not tell.
-        most: The largest of all colours.
-        whole: Whether all are whole numbers.
-        stated: What the file says.
+        reach: Of all colours.
         reading: What a person says.
+        stated: What the file says.
     """
-    if reading is not None and reading.brightest is not None:
+    most, whole = reach
+    if reading.brightest is not None:
         return Range(reading.brightest, "--colours")
     # Limits of 16 bits, of which 8 are used: the cloud would be black. Of 10 or 12 bits it may be dark.
     black, white = (stated or 0) > _TOO_BRIGHT and 1 < most <= 255, most > 1.01 * (stated or 0)
@@ -477,9 +488,9 @@ def decide(
     path: str,
     *,
     ours: bool = False,
-    reading: Reading | None = None,
+    reading: Reading,
     columns: Columns | None = None,
-    reached: tuple[float, bool] | None = None,
+    reach: Reach | None = None,
     by: str = "their names",
 ) -> Decided:
     """Decide which columns of a file are which, and which number is full brightness.
@@ -489,15 +500,13 @@ def decide(
         ours: Whether this library wrote the file.
         reading: What a person says.
         columns: Where the reader has decided it.
-        reached: The largest colour, and whether all are whole numbers, where the reader knows it; else the colours are
-            looked through.
+        reach: Of the colours, where the reader knows it; else they are looked through.
         by: The evidence for the columns.
 
     Raises:
         CloudError: If there is no x, y and z.
         ValueError: If the file changes while it is read.
     """
-    reading = reading or Reading()
     names = points.dtype.names or ()
     if columns is None:
         columns = listed(names, reading, path) if reading.columns else assign(names, path, ours=ours)
@@ -514,8 +523,7 @@ def decide(
         if kind == np.uint8 and reading.brightest is None:
             brightest = 255.0
         else:
-            most, whole = reached or _reach(points, [names[places[name]] for name in COLOURS])
-            found = range_of(kind, most, whole=whole, reading=reading)
+            found = range_of(kind, reach or _reach(points, [names[places[name]] for name in COLOURS]), reading)
             brightest = found.brightest
             words.append(found.words)
         if not brightest:
@@ -523,17 +531,12 @@ def decide(
     return Decided(_renamed(points, places, brightest), tuple(words), columns.unit)
 
 
-def _reach(points: Records, names: list[str]) -> tuple[float, bool]:
-    """The largest colour, and whether all are whole numbers."""
-    most, whole = 0.0, True
+def _reach(points: Records, names: list[str]) -> Reach:
+    reach = Reach()
     for block in points:
         for name in names:
-            values = block[name]
-            if values.dtype.kind == "f":
-                values = np.nan_to_num(values)
-                whole = whole and bool((values == np.floor(values)).all())
-            most = max(most, float(values.max(initial=0)))
-    return most, whole
+            reach = reach.with_more(block[name])
+    return reach
 
 
 def _renamed(points: Records, places: dict[str, int], brightest: float | None) -> Records:

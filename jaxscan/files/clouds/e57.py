@@ -16,7 +16,7 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 
 from jaxscan.errors import CloudError, DependencyError
-from jaxscan.files.clouds.columns import Reading, as_bytes, range_of
+from jaxscan.files.clouds.columns import Reach, Reading, as_bytes, range_of
 from jaxscan.files.clouds.grid import Records, cloud_of
 from jaxscan.files.clouds.header import (
     METRE,
@@ -437,8 +437,8 @@ class Surroundings(NamedTuple):
 
 # Reading E57: files of this library on their grid, others by rows and columns, or as a single row of points.
 #
-# The format is read here, in blocks, and not by libE57: its parser of XML follows what a file says, to other files and
-# addresses too, and hears no signal while it does.
+# The format is read here, in blocks, and not by libE57: its XML parser resolves external entities, from files and over
+# the network, and cannot be interrupted meanwhile.
 
 MAX_XML_BYTES = 1 << 24
 """Of 1024 scans with their pictures, or of 64 stations that each name all others."""
@@ -455,15 +455,12 @@ _OWN_COLUMNS = {
 }
 
 
-def read_e57(path: Path, reading: Reading | None = None) -> StoredCloud:
+def read_e57(path: Path, reading: Reading) -> StoredCloud:
     """A cloud of all scans of an E57 file, in the frame of the file.
 
     Raises:
         CloudError: If it is damaged or has no points.
     """
-    reading = reading or Reading()
-    if reading.columns:
-        raise CloudError(f"{path}: the columns of E57 are named by the format; leave --columns out.")
     with open_regular(path, error=CloudError) as file:
         size = os.fstat(file.fileno()).st_size
         place, length = _places(file.read(48), size, path)
@@ -611,11 +608,11 @@ def _scan(
     if count and numbers.keys() >= stated.keys():
         # By what they reach together: limits are not always true, and often not there.
         kind = np.result_type(*(np.dtype(fields[numbers[colour]].type) for colour in stated))
-        most, whole = 0.0, True
+        reach = Reach()
         for block in () if kind == np.uint8 else read(stated):
-            for values in map(np.nan_to_num, block.values()):
-                most, whole = max(most, float(values.max())), whole and bool((values == np.floor(values)).all())
-        found = [range_of(kind, most, whole=whole, stated=limit, reading=reading) for limit in stated.values()]
+            for values in block.values():
+                reach = reach.with_more(values)
+        found = [range_of(kind, reach, reading, stated=limit) for limit in stated.values()]
         full = {colour: one.brightest for colour, one in zip(stated, found, strict=True)}
         words = found[0].words
     if not all(full.values()):

@@ -252,7 +252,7 @@ class _Profiles:
         listed = profiles is not None and {"angle", "record", "laser"} <= set(profiles.dtype.names or ())
         self._listed = profiles if listed else None
         self._found, self._count, self._name = self._unknown(count), count, name
-        self._told = set() if listed else self._found.keys() & names
+        self._by_points = set() if listed else self._found.keys() & names
 
     @staticmethod
     def _unknown(count: int) -> dict[str, np.ndarray]:
@@ -264,12 +264,12 @@ class _Profiles:
 
     def see(self, block: np.ndarray, step: np.ndarray) -> None:
         """Look at some points; a column with numbers that no profile can have is not used at all."""
-        for field in tuple(self._told):
+        for field in tuple(self._by_points):
             values = block[field]
             if np.isfinite(values).all() and np.abs(values).max() < 1 << 31:
                 self._found[field][step] = values
             else:
-                self._told.remove(field)
+                self._by_points.remove(field)
                 self._found[field] = self._unknown(self._count)[field]
 
     def found(self) -> dict[str, np.ndarray]:
@@ -296,11 +296,11 @@ _COLOURS = {"red", "green", "blue"}
 
 
 def _unorganised(points: Records, name: str, *, ours: bool, lacks: tuple[str, ...] = ()) -> PointCloud:
-    """The points as a single profile; what they lack is zero, and said.
+    """The points as a single profile; fields that they lack are zero, and listed as `absent`.
 
     Args:
         ours: Whether this library wrote the file or the one before it.
-        lacks: What it says that it lacks.
+        lacks: Fields that its header lists as lacking.
 
     Raises:
         CloudError: If no point is finite.

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxscan.errors import CloudError, DependencyError
 from jaxscan.files.clouds import points as sizes
-from jaxscan.files.clouds.columns import COLOURS, Reading, decide
+from jaxscan.files.clouds.columns import COLOURS, Reach, Reading, decide
 from jaxscan.files.clouds.grid import Records, cloud_of
 from jaxscan.files.clouds.header import About, StoredCloud, about_of, frame_of, header_lines
 from jaxscan.files.clouds.placing import (
@@ -141,16 +141,13 @@ _DAMAGE = (
 )
 
 
-def read_las(path: Path, reading: Reading | None = None) -> StoredCloud:
+def read_las(path: Path, reading: Reading) -> StoredCloud:
     """A cloud from a LAS or LAZ file of version 1.0 to 1.4.
 
     Raises:
         CloudError: If it is damaged, has no points, or would take far more memory than its size.
         DependencyError: If laspy, or lazrs for a compressed file, is not installed.
     """
-    reading = reading or Reading()
-    if reading.columns:
-        raise CloudError(f"{path}: the columns of LAS are named by the format; leave --columns out.")
     with open_regular(path, error=CloudError) as file:
         size = os.fstat(file.fileno()).st_size
         given = _sizes_of(file, path)
@@ -160,8 +157,8 @@ def read_las(path: Path, reading: Reading | None = None) -> StoredCloud:
             with _opened(laspy, file, given) as reader:
                 lines = _lines_of(reader.header)
                 wkt, keys = _wkt_of(reader.header) or _wkt_behind(file, size), _keys_of(reader.header)
-            points, reached = _points_of(laspy, file, given)
-            decided = decide(points, str(path), ours=bool(lines), reading=reading, reached=reached, by="the format")
+            points, reach = _points_of(laspy, file, given)
+            decided = decide(points, str(path), ours=bool(lines), reading=reading, reach=reach, by="the format")
             cloud = cloud_of(decided.points, lines, str(path))
         except (laspy.errors.LaspyException, *_DAMAGE) as problem:
             raise CloudError(
@@ -223,7 +220,7 @@ def _check(file: BinaryIO, sizes: Sizes, size: int, path: Path) -> None:
         )
 
 
-def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> tuple[Records, tuple[float, bool]]:
+def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> tuple[Records, Reach]:
     """All columns that a cloud may use, and the largest colour; without those of the format that are 0 throughout."""
     with _opened(laspy, file, given) as reader:
         header = reader.header
@@ -266,7 +263,7 @@ def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> tuple[Records, tuple
                 yield points
 
     none = laspy.ScaleAwarePointRecord.zeros(0, header=header)
-    return Records(typed(columns(none)), given.points, read), (float(brightest), True)
+    return Records(typed(columns(none)), given.points, read), Reach(float(brightest))
 
 
 def _looked_through(laspy: Any, file: BinaryIO, given: Sizes, coloured: bool) -> tuple[bool, int, int]:

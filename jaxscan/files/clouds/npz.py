@@ -54,7 +54,7 @@ def write_npz(cloud: PointCloud, path: Part, about: About) -> None:
     write_arrays(path, {**{key: np.array(text) for key, text in header.items()}, **fields})
 
 
-def read_npz(path: Path, reading: Reading | None = None) -> StoredCloud:
+def read_npz(path: Path, reading: Reading) -> StoredCloud:
     """A cloud as it was written; no other program writes one.
 
     Raises:

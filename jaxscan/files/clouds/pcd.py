@@ -95,7 +95,7 @@ class _Header(NamedTuple):
     """Bytes before the data."""
 
 
-def read_pcd(path: Path, reading: Reading | None = None) -> StoredCloud:
+def read_pcd(path: Path, reading: Reading) -> StoredCloud:
     """A cloud from a PCD file: text, binary, or packed.
 
     Raises:

@@ -73,7 +73,7 @@ class _Header(NamedTuple):
     """Bytes before the data."""
 
 
-def read_ply(path: Path, reading: Reading | None = None) -> StoredCloud:
+def read_ply(path: Path, reading: Reading) -> StoredCloud:
     """A cloud from a PLY file, ASCII or binary.
 
     A file of this library is read onto its grid, unless its points are too few for so large a one. Of other

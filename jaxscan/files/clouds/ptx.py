@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import points as sizes
-from jaxscan.files.clouds.columns import COLOURS, Range, Reading, as_bytes, range_of
+from jaxscan.files.clouds.columns import COLOURS, Range, Reach, Reading, as_bytes, range_of
 from jaxscan.files.clouds.grid import MAX_CELLS, Records, cloud_of, on_grid
 from jaxscan.files.clouds.header import METRE, About, StoredCloud
 from jaxscan.files.clouds.points import LONGEST_LINE, MAX_STATIONS, numbers_of, text_lines
@@ -33,26 +33,6 @@ _SHORTEST_CELL = 8
 """Bytes of a cell: four numbers."""
 
 
-class _Colours(NamedTuple):
-    """Statistics of the colours of some points."""
-
-    there: bool = False
-    most: float = 0.0
-    whole: bool = True
-
-    @staticmethod
-    def of(cells: np.ndarray) -> "_Colours":
-        """The statistics of some cells."""
-        if not set(COLOURS) <= set(cells.dtype.names or ()):
-            return _Colours()
-        values = np.nan_to_num(np.stack([cells[name] for name in COLOURS]))
-        return _Colours(True, float(values.max(initial=0.0)), bool((values == np.floor(values)).all()))
-
-    def with_more(self, other: "_Colours") -> "_Colours":
-        """The statistics of both sets together."""
-        return _Colours(self.there or other.there, max(self.most, other.most), self.whole and other.whole)
-
-
 class _Block(NamedTuple):
     columns: int
     rows: int
@@ -60,10 +40,11 @@ class _Block(NamedTuple):
     """T_file_block [4, 4]."""
     parts: list[np.ndarray]
     """The points that were seen, structured arrays in the frame of the file; `step` counts columns of the block."""
-    colours: _Colours
+    reach: Reach | None
+    """Of its colours; None where it has none."""
 
 
-def read_ptx(path: Path, reading: Reading | None = None) -> StoredCloud:
+def read_ptx(path: Path, reading: Reading) -> StoredCloud:
     """A cloud on its grid, in the frame of the file; blocks with one pose are one station.
 
     The lowest cell of a column becomes the last line, and its intensity of 0 to 1 an amplitude of 0 to 255.
@@ -71,26 +52,22 @@ def read_ptx(path: Path, reading: Reading | None = None) -> StoredCloud:
     Raises:
         CloudError: If it is damaged or has no points.
     """
-    reading = reading or Reading()
-    if reading.columns:
-        raise CloudError(f"{path}: the columns of PTX are x, y, z, intensity and colours always; leave --columns out.")
     usual = 255.0 if reading.brightest is None else reading.brightest
     with open_regular(path, error=CloudError) as file:
         blocks = _read_blocks(file, usual, path)
-        seen = _Colours()
-        for block in blocks:
-            seen = seen.with_more(block.colours)
+        reaches = [block.reach for block in blocks if block.reach is not None]
+        reach = Reach(max((one.most for one in reaches), default=0.0), all(one.whole for one in reaches))
         # Text holds singles and numbers of 16 bits too, though no scanner's own program writes them.
-        found = range_of(np.dtype("f8"), seen.most, whole=seen.whole, reading=reading)
-        if found.brightest != usual and not (seen.whole and seen.most <= 1):
+        found = range_of(np.dtype("f8"), reach, reading)
+        if found.brightest != usual and not (reach.whole and reach.most <= 1):
             file.seek(0)
             blocks = _read_blocks(file, found.brightest, path)
     if not any(block.parts for block in blocks):
         raise CloudError(f"{path}: holds no points.")
     # One half is what scanners write that do not measure the intensity.
     bright = any((part["intensity"] != _NO_INTENSITY).any() for block in blocks for part in block.parts)
-    left = (() if bright else ("intensity",)) + (() if seen.there and found.brightest else COLOURS)
-    words = _words(left, found if seen.there else None)
+    left = (() if bright else ("intensity",)) + (() if reaches and found.brightest else COLOURS)
+    words = _words(left, found if reaches else None)
     return StoredCloud(_joined(blocks, str(path), left), About(metres=METRE, unit_by="the format", upright=True), words)
 
 
@@ -136,7 +113,7 @@ def _read_block(file: BinaryIO, first: bytes, rest: int, brightest: float) -> _B
         raise ValueError(f"found {width} numbers in a line, expected 4 or 7")
     file.seek(start)
     types = [(name, "f8" if name in "xyz" else "f4") for name in _COLUMNS[:width]]
-    kind, parts, colours = np.dtype(types), [], _Colours()
+    kind, parts, reach = np.dtype(types), [], None
     for begin in range(0, columns * rows, sizes.BLOCK_POINTS):
         count = min(sizes.BLOCK_POINTS, columns * rows - begin)
         cells = numbers_of(text_lines(file, count), kind)
@@ -144,9 +121,10 @@ def _read_block(file: BinaryIO, first: bytes, rest: int, brightest: float) -> _B
             raise ValueError(f"found {begin + len(cells)} points, expected {columns} x {rows}")
         seen = np.flatnonzero(np.any([cells[axis] != 0 for axis in "xyz"], axis=0))
         if len(seen):
-            colours = colours.with_more(_Colours.of(cells[seen]))
+            if width == 7:
+                reach = (reach or Reach()).with_more(np.stack([cells[name][seen] for name in COLOURS]))
             parts.append(_points_of(cells[seen], begin + seen, rows, pose, brightest))
-    return _Block(columns, rows, pose, parts, colours)
+    return _Block(columns, rows, pose, parts, reach)
 
 
 def _rigid(pose: np.ndarray) -> np.ndarray:

@@ -59,7 +59,7 @@ def write_xyz(cloud: PointCloud, path: Part, about: About) -> None:
             file.writelines(line % (*position, *(() if plain else colour)) for position, colour in rows)
 
 
-def read_xyz(path: Path, reading: Reading | None = None) -> StoredCloud:
+def read_xyz(path: Path, reading: Reading) -> StoredCloud:
     """The points of a table of numbers, as a single profile.
 
     Columns are those of the line of names where there is one; else x, y, z, and what their numbers show: three whole
@@ -69,7 +69,6 @@ def read_xyz(path: Path, reading: Reading | None = None) -> StoredCloud:
     Raises:
         CloudError: If it is no table of numbers, has no points, or can be read in two ways.
     """
-    reading = reading or Reading()
     with open_regular(path, error=CloudError) as file:
         size = os.fstat(file.fileno()).st_size
         try:
@@ -82,7 +81,7 @@ def read_xyz(path: Path, reading: Reading | None = None) -> StoredCloud:
                 str(path),
                 reading=reading,
                 columns=Columns({name: k for k, name in enumerate(points.dtype.names or ())}, columns.unused),
-                reached=seen.extent.colours(columns),
+                reach=seen.extent.colours(columns),
                 by=by,
             )
             cloud = cloud_of(decided.points, [], str(path))

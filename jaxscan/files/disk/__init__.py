@@ -11,7 +11,7 @@ if TYPE_CHECKING:
         forget_partials,
         partial_file,
         partial_folder,
-        remove_left,
+        remove_stale,
         whole_folder,
         write_atomically,
         write_together,

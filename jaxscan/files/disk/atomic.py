@@ -20,10 +20,10 @@ from jaxscan.files.disk.reading import reported, shown
 from jaxscan.files.disk.writing import make_folder, sync_to_disk
 
 
-# Files and folders in work: under a temporary name, locked, and removed unless they get their final name.
+# Partial files and folders have a temporary name, are locked, and are removed unless they are renamed.
 #
-# A process that is killed leaves them behind. Their lock then is free, so the next process that makes one in the same
-# folder removes them. On a network disk other computers may not see the lock, so there they must be old too.
+# A process that is killed leaves them behind, stale. Their lock is then free, so the next process that makes one in the
+# same folder removes them. On a network disk other computers may not see the lock, so there they must be old too.
 
 try:
     import fcntl
@@ -36,17 +36,17 @@ _NAME = re.compile(r"\.part-[0-9a-f]{12}(\.[A-Za-z0-9_]{1,16})?")
 _DIGITS = 6
 _TRIES = 50
 _QUIET_S = 3600.0
-"""On a network disk, one that has not changed for so long is a left one."""
+"""On a network disk, one that has not changed for so long is stale."""
 _LOOKED_AT = 4096
-"""Most entries of a folder that are asked for their age; folders come before the files in them."""
+"""Most entries of a folder whose age is looked at; folders come before the files in them."""
 
 Part = NewType("Part", Path)
-"""A file or folder in work: made here, under a name of its own. Writers that take one need no door of their own."""
+"""A partial file or folder, made here under a name of its own: it may be opened for writing by any library."""
 
 _held: dict[Path, tuple[int, int | None]] = {}
 """The process that made each partial file or folder, for a forked one has made none, and the handle with its lock."""
 _cleared: set[Path] = set()
-"""Folders from which this process has removed the left ones: once, for a capture writes thousands of files."""
+"""Folders from which this process has removed stale ones: once, for a capture writes thousands of files."""
 
 
 @contextlib.contextmanager
@@ -61,7 +61,7 @@ def partial_file(target: str | Path) -> Iterator[Part]:
     """
     target = Path(target)
     if target.parent not in _cleared:
-        remove_left(target.parent)
+        remove_stale(target.parent)
         _cleared.add(target.parent)
     suffix = target.suffix if _NAME.fullmatch(f".part-{'0' * 2 * _DIGITS}{target.suffix}") else ""
     with _made(target.parent, suffix, _make_file) as part:
@@ -79,7 +79,7 @@ def partial_folder(target: str | Path) -> Iterator[Part]:
         OSError: If it cannot be made.
     """
     target = Path(target)
-    remove_left(target.parent)
+    remove_stale(target.parent)
     with _made(target.parent, "", _make_folder) as part:
         yield part
 
@@ -90,17 +90,17 @@ def forget_partials() -> None:
         _remove(part)
 
 
-def remove_left(folder: str | Path) -> None:
+def remove_stale(folder: str | Path) -> None:
     """Remove the partial files and folders in `folder` whose processes have ended."""
     if fcntl is None:
         return
-    # Those that cannot be listed, locked or removed stay; they hinder nobody.
+    # Those that cannot be listed, locked or removed stay; they do no harm.
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
         names = [entry.name for entry in entries if _NAME.fullmatch(entry.name)]
         quiet_s = _QUIET_S if names and is_on_network(folder) else None
         for part in (Path(folder, name) for name in names):
             with contextlib.suppress(OSError):
-                _remove_if_left(part, quiet_s)
+                _remove_if_stale(part, quiet_s)
 
 
 @contextlib.contextmanager
@@ -123,12 +123,12 @@ def _lock_new(folder: Path, suffix: str, make: Callable[[Path], int | None]) -> 
         except BaseException as problem:
             del _held[part]
             tries += 1
-            # Another process may have removed it, as a left one, before it was opened.
+            # Another process may have removed it as stale before it was opened.
             if isinstance(problem, FileNotFoundError) and os.path.isdir(folder) and tries < _TRIES:
                 continue
             raise
         _held[part] = os.getpid(), handle
-        # Another process may have taken it for a left one before it was locked.
+        # Another process may have taken it for stale before it was locked.
         if handle is None or (_lock(handle) and _is_at(part, handle)):
             return Part(part)
         _remove(part)
@@ -186,7 +186,7 @@ def _remove(part: Path) -> None:
             os.close(handle)
 
 
-def _remove_if_left(part: Path, quiet_s: float | None) -> None:
+def _remove_if_stale(part: Path, quiet_s: float | None) -> None:
     regular = stat.S_ISREG(os.lstat(part).st_mode)
     # Network disks lock only files that are open for writing.
     flags = os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC | (os.O_RDWR if regular else os.O_RDONLY | os.O_DIRECTORY)
@@ -228,7 +228,7 @@ def _delete(part: Path) -> None:
 
 @contextlib.contextmanager
 def whole_folder(target: str | Path, *, durable: bool = True) -> Iterator[Part]:
-    """A folder in work; its files get their names in `target` when all of them are complete.
+    """A partial folder, whose files get their names in `target` when all of them are complete.
 
     Args:
         target: Where it is to be. Missing folders above it are made at the end. In one that exists, files of the same

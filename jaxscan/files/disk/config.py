@@ -101,7 +101,7 @@ def _key_path(data: Any, location: tuple[Any, ...], *, missing: bool) -> str:
 
 
 def _join(path: str, key: str) -> str:
-    # A stranger's key may be of any length.
+    # A key of an untrusted file may be of any length.
     key = key if len(key) <= 60 else key[:57] + "..."
     return f"{path}.{key}" if path else key
 

@@ -1,4 +1,4 @@
-"""Reading files of strangers: only regular files, of bounded size, with names that can be shown."""
+"""Reading untrusted files: only regular files, of bounded size, with names that can be shown."""
 
 import contextlib
 import errno

@@ -1,7 +1,7 @@
 """The one door through which files and folders are made, and files are opened for writing.
 
-What a user names on the command line may be a link of his own. In a folder that may come from a stranger, a capture or
-a project, a link may lead anywhere: there nothing is written through one.
+A path that the user names on the command line may be a link. In an untrusted folder, such as that of a capture or a
+project, a link may lead anywhere: there nothing is written through one.
 """
 
 import contextlib
@@ -85,7 +85,7 @@ def make_folder(
     Args:
         durable: Wait for the disk, so that they survive a loss of power.
         new: Refuse one that exists.
-        own: A folder that may come from a stranger, in which `path` lies: no link is followed from there on.
+        own: An untrusted folder in which `path` lies: no link is followed from there on.
         mode: Permissions of the folder.
 
     Raises:
@@ -123,7 +123,7 @@ def refuse_links(own: Path, path: str | Path) -> None:
     """Check that a path lies in a folder, and that nothing on the way from there, itself too, is a link.
 
     Args:
-        own: A folder that may come from a stranger, such as that of a project's products.
+        own: An untrusted folder, such as that of a project's products.
         path: A path in it, which need not exist.
 
     Raises:

@@ -1,10 +1,10 @@
-"""Images and videos of other programs, made captures."""
+"""Import of images and videos of other programs as captures."""
 
 from jaxscan.facades import TYPE_CHECKING, load_on_use
 
 
 if TYPE_CHECKING:
-    from jaxscan.files.importing.listing import Source, find_program, list_images, parse_board
+    from jaxscan.files.importing.listing import Source, list_images, parse_board
     from jaxscan.files.importing.plan import ImportPlan, ImportRequest, PlannedRecord, Row
     from jaxscan.files.importing.write import ImageSettings, ImportedHeader, describe_images, make_plan, write_import
 else:

@@ -213,7 +213,7 @@ class FrameReader:
 
 
 def open_video(folder: Path, name: str) -> "Video":
-    """A video in a stranger's folder.
+    """A video in an untrusted folder.
 
     Raises:
         CaptureError: If it is a link, no regular file, or no video.

@@ -1,6 +1,5 @@
 """The images and videos of other programs: what there is, of which board, and the program that decodes them."""
 
-import math
 import os
 import re
 from collections import Counter
@@ -11,12 +10,6 @@ from typing import NamedTuple
 from jaxscan.errors import CaptureError, OptionError
 from jaxscan.files.capture import BoardTable
 from jaxscan.files.disk import FileModel, check, shown
-
-
-# Layouts of the captures that other programs keep.
-#
-# Horus keeps no images of a scan and FreeLSS none but a thumbnail, so there is nothing to recognise; pictures that were
-# saved by hand, as those in the notebooks of Horus' author, are recognised by the words in their names.
 
 
 class Source(NamedTuple):
@@ -44,61 +37,6 @@ class Matched(NamedTuple):
     def source(self) -> Source:
         """The file or frame alone."""
         return Source(self.name, self.frame)
-
-
-class ProgramCapture(NamedTuple):
-    """A capture in the layout of a known program."""
-
-    program: str
-    on: dict[str, list[Matched]]
-    """Laser-on images by the name of the laser."""
-    off: list[Matched]
-    step_deg: float | None
-    """The table's angle between consecutive numbers, where the program fixes it."""
-    said: str
-    """Explanation of the layout, for the plan that the user reads."""
-
-
-def find_program(names: Sequence[str]) -> ProgramCapture | None:
-    """The capture, if the names are those that a known program gives."""
-    return _fabscan(names) or _thot(names)
-
-
-def _fabscan(names: Sequence[str]) -> ProgramCapture | None:
-    """FabScanPi with `keep_raw_images`: raw_laser_raw/<scan>_NNN.jpg and, from a turn before, color_raw/<scan>_NNN.jpg.
-
-    It turns by 360 degrees over the number of pictures, and takes one laser picture more than that.
-    """
-    lit = _numbered(names, r"(?:.*/)?raw_laser_[^/]*/[^/]*_([0-9]+)\.jpe?g")
-    if not lit:
-        return None
-    coloured = _numbered(names, r"(?:.*/)?color_[^/]*/[^/]*_([0-9]+)\.jpe?g")
-    pictures = len(coloured) if coloured else len(lit) - 1
-    step = 360.0 / pictures if pictures > 0 else None
-    said = "the colour images come from another turn under other light, so they are no laser-off images"
-    return ProgramCapture("FabScanPi", {"": lit}, [], step, said)
-
-
-def _thot(names: Sequence[str]) -> ProgramCapture | None:
-    """thot, a command line for the Ciclop: color_NNN.png, laser0_NNN.png and laser1_NNN.png, NNN in degrees."""
-    lasers = {
-        name: _numbered(names, rf"(?:.*/)?laser{number}_([0-9]{{3}})\.png")
-        for name, number in (("left", 0), ("right", 1))
-    }
-    coloured = _numbered(names, r"(?:.*/)?color_([0-9]{3})\.png")
-    if not any(lasers.values()):
-        return None
-    on = {name: found for name, found in lasers.items() if found}
-    said = "the colour images were taken at the same angles with the lasers off"
-    first = next(iter(on.values()))
-    numbers = [int(image.key[0]) for image in first]
-    step = math.gcd(*(number - numbers[0] for number in numbers)) or 1
-    return ProgramCapture("thot", on if len(on) > 1 else {"": first}, coloured, float(step), said)
-
-
-def _numbered(names: Sequence[str], expression: str) -> list[Matched]:
-    found = [(name, re.fullmatch(expression, name, re.IGNORECASE)) for name in names]
-    return [Matched(name, (int(hit[1]),)) for name, hit in found if hit and len(hit[1]) <= 18]
 
 
 _FORMS = {
@@ -235,8 +173,8 @@ def match(pattern: str, names: Sequence[str], option: str) -> list[Matched]:
         raise OptionError(f"{option}: found {pattern[:60]!r}, expected a pattern such as 'l_*.png'.")
     if plain.startswith("/") or re.match(r"[A-Za-z]:", plain) or ".." in plain.split("/"):
         raise OptionError(f"{option}: found {pattern[:60]!r}, expected a pattern of names inside the folder.")
-    shape = _Pattern(plain)
-    parts = [(name, shape.open_part(name)) for name in names]
+    shape = _compiled(plain)
+    parts = [(name, _open_part(shape, name)) for name in names]
     found = [Matched(name, numbers_and_words(text)) for name, text in parts if text is not None]
     if not found:
         raise OptionError(
@@ -246,46 +184,25 @@ def match(pattern: str, names: Sequence[str], option: str) -> list[Matched]:
     return found
 
 
-class _Pattern:
-    """A pattern in pieces between its stars; each piece has one length, so that nothing is tried twice."""
+def _compiled(pattern: str) -> re.Pattern[str]:
+    """A pattern as an expression with a group for each open part.
 
-    def __init__(self, pattern: str) -> None:
-        self._pieces = [_piece(text) for text in re.split(r"\*+", pattern)]
-        self._whole = "*" not in pattern
-
-    def open_part(self, name: str) -> str | None:
-        """A name with blanks for what the pattern says; None where it does not fit."""
-        spans = self._spans(name)
-        if spans is None:
-            return None
-        is_open = {at for start, end in spans for at in range(start, end)}
-        return "".join(letter if at in is_open else " " for at, letter in enumerate(name))
-
-    def _spans(self, name: str) -> list[tuple[int, int]] | None:
-        """Positions of the open part of a name: its first and last letters."""
-        (first, _), *middle = self._pieces
-        hit = first.match(name)
-        if hit is None:
-            return None
-        found, at = [*hit.regs[1:]], hit.end()
-        if self._whole:
-            return found if at == len(name) else None
-        last, length = middle.pop()
-        for expression, _ in middle:
-            hit = expression.search(name, at)
-            if hit is None:
-                return None
-            found += [(at, hit.start()), *hit.regs[1:]]
-            at = hit.end()
-        end = last.fullmatch(name, len(name) - length) if len(name) - length >= at else None
-        return None if end is None else [*found, (at, end.start()), *end.regs[1:]]
+    Each piece between two stars is looked for once, by an atomic group: no name makes a pattern slow.
+    """
+    first, *middle = (_piece(text) for text in re.split(r"\*+", pattern))
+    last = f"(.*){middle.pop()}" if middle else ""
+    try:
+        return re.compile("".join([first, *(f"(?>(.*?){piece})" for piece in middle), last]), re.DOTALL)
+    except re.error as problem:
+        raise OptionError(
+            f"{pattern[:60]!r}: found a pattern with wrong brackets ({problem}), expected [abc]."
+        ) from problem
 
 
-def _piece(text: str) -> tuple[re.Pattern[str], int]:
-    """A part of a pattern without stars as an expression, with groups for its open parts, and its length."""
-    letters = re.findall(r"\[!?\]?[^\]]*\]|.", text, re.DOTALL)
+def _piece(text: str) -> str:
+    """A part of a pattern without stars as an expression."""
     made = []
-    for letter in letters:
+    for letter in re.findall(r"\[!?\]?[^\]]*\]|.", text, re.DOTALL):
         if letter == "?":
             made.append("(.)")
         elif len(letter) > 1:
@@ -293,12 +210,16 @@ def _piece(text: str) -> tuple[re.Pattern[str], int]:
             made.append(f"([{'^' if letter[1] == '!' else ''}{inside}])")
         else:
             made.append(re.escape(letter))
-    try:
-        return re.compile("".join(made), re.DOTALL), len(letters)
-    except re.error as problem:
-        raise OptionError(
-            f"{text[:60]!r}: found a pattern with wrong brackets ({problem}), expected [abc]."
-        ) from problem
+    return "".join(made)
+
+
+def _open_part(shape: re.Pattern[str], name: str) -> str | None:
+    """A name with blanks in place of what its pattern fixes; None where it does not match."""
+    hit = shape.fullmatch(name)
+    if hit is None:
+        return None
+    is_open = {at for start, end in hit.regs[1:] for at in range(start, end)}
+    return "".join(letter if at in is_open else " " for at, letter in enumerate(name))
 
 
 def numbers_and_words(text: str) -> tuple[int | str, ...]:

@@ -255,7 +255,7 @@ _MOST = 1e5
 
 @dataclass(frozen=True)
 class ImportRequest:
-    """The wishes of a user, as far as they decide on records; everything may be left open."""
+    """The user's choices, as far as they decide on records; everything may be left open."""
 
     on: tuple[str, ...] = ()
     """Patterns of laser-on images: one, one for each laser, or one for each exposure."""
@@ -325,9 +325,9 @@ def plan_records(folder: Path, roles: Roles, request: ImportRequest) -> ImportPl
     """Pair the images and give them angles.
 
     Args:
-        folder: The stranger's folder.
+        folder: The folder of the images.
         roles: Its images.
-        request: The wishes of the user.
+        request: The user's choices.
 
     Raises:
         OptionError: If an option is missing or does not fit the images.

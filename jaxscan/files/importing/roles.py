@@ -2,6 +2,7 @@
 
 import fnmatch
 import itertools
+import math
 import re
 import shlex
 from collections import Counter
@@ -11,7 +12,7 @@ from typing import Literal, NamedTuple
 
 from jaxscan.errors import CaptureError, OptionError
 from jaxscan.files.importing.frames import count_frames
-from jaxscan.files.importing.listing import VIDEOS, Listing, Matched, find_program, match, natural, numbers_and_words
+from jaxscan.files.importing.listing import VIDEOS, Listing, Matched, match, natural, numbers_and_words
 from jaxscan.files.importing.plan import ImportRequest, Roles
 
 
@@ -129,7 +130,7 @@ def find_roles(folder: Path, listing: Listing, request: ImportRequest) -> Roles:
 
     Args:
         listing: All images and videos in it.
-        request: The wishes of the user.
+        request: The user's choices.
 
     Raises:
         OptionError: If patterns do not fit one another.
@@ -154,7 +155,7 @@ def _in_rows(files: Sequence[Matched], refused_in: Path | None = None) -> list[s
 
     Args:
         files: The images, one after the other.
-        refused_in: The stranger's folder, where rows that count alike are refused, for nobody has named them together.
+        refused_in: The folder of the images, where rows that count alike are refused unless a pattern names them.
 
     Raises:
         CaptureError: If they are refused.
@@ -180,12 +181,54 @@ def _in_rows(files: Sequence[Matched], refused_in: Path | None = None) -> list[s
 
 
 def _by_names(folder: Path, names: Sequence[str], request: ImportRequest) -> Roles:
-    program = find_program(names)
-    if program is not None:
-        on = tuple((name, tuple(files)) for name, files in program.on.items())
-        said = f"the layout is that of {program.program}: {program.said}"
-        return Roles(_renamed(on, request), (tuple(program.off),) if program.off else (), (), program.step_deg, (said,))
-    return _by_words(folder, names, request)
+    known = _fabscan(names) or _thot(names)
+    return _by_words(folder, names, request) if known is None else known._replace(on=_renamed(known.on, request))
+
+
+# Layouts of the captures that other programs keep.
+#
+# Horus keeps no images of a scan and FreeLSS none but a thumbnail, so there is nothing to recognise; pictures that were
+# saved by hand, as those in the notebooks of Horus' author, are recognised by the words in their names.
+
+
+def _fabscan(names: Sequence[str]) -> Roles | None:
+    """FabScanPi with `keep_raw_images`: raw_laser_raw/<scan>_NNN.jpg and, from a turn before, color_raw/<scan>_NNN.jpg.
+
+    It turns by 360 degrees over the number of pictures, and takes one laser picture more than that.
+    """
+    lit = _numbered(names, r"(?:.*/)?raw_laser_[^/]*/[^/]*_([0-9]+)\.jpe?g")
+    if not lit:
+        return None
+    coloured = _numbered(names, r"(?:.*/)?color_[^/]*/[^/]*_([0-9]+)\.jpe?g")
+    pictures = len(coloured) if coloured else len(lit) - 1
+    step = 360.0 / pictures if pictures > 0 else None
+    said = (
+        "the layout is that of FabScanPi: the colour images come from another turn under other light, so they are no "
+        "laser-off images"
+    )
+    return Roles((("", lit),), (), (), step, (said,))
+
+
+def _thot(names: Sequence[str]) -> Roles | None:
+    """thot, a command line for the Ciclop: color_NNN.png, laser0_NNN.png and laser1_NNN.png, NNN in degrees."""
+    lasers = [
+        (name, _numbered(names, rf"(?:.*/)?laser{number}_([0-9]{{3}})\.png"))
+        for name, number in (("left", 0), ("right", 1))
+    ]
+    on = [(name, lit) for name, lit in lasers if lit]
+    if not on:
+        return None
+    coloured = _numbered(names, r"(?:.*/)?color_([0-9]{3})\.png")
+    numbers = [int(image.key[0]) for image in on[0][1]]
+    step = math.gcd(*(number - numbers[0] for number in numbers)) or 1
+    said = "the layout is that of thot: the colour images were taken at the same angles with the lasers off"
+    groups = tuple(on) if len(on) > 1 else (("", on[0][1]),)
+    return Roles(groups, (coloured,) if coloured else (), (), float(step), (said,))
+
+
+def _numbered(names: Sequence[str], expression: str) -> tuple[Matched, ...]:
+    found = [(name, re.fullmatch(expression, name, re.IGNORECASE)) for name in names]
+    return tuple(Matched(name, (int(hit[1]),)) for name, hit in found if hit and len(hit[1]) <= 18)
 
 
 def _with_frames(folder: Path, roles: Roles, every: int) -> Roles:

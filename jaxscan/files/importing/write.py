@@ -1,4 +1,4 @@
-"""From a stranger's folder to a plan, and from a plan to a capture."""
+"""Plan the import of a folder of images, and write the capture that was planned."""
 
 import itertools
 import os
@@ -31,7 +31,7 @@ _LOOKED_AT = 24
 
 @dataclass(frozen=True)
 class ImageSettings:
-    """Properties of camera, lasers and table that no image says."""
+    """Properties of camera, lasers and table that images do not hold."""
 
     pixel_format: str | None = None
     """Pixel format; None for that of the images, grey or colour."""

@@ -63,12 +63,12 @@ class Opening:
     @property
     def width(self) -> Estimate:
         """[m]"""
-        return _difference(self.right, self.left)
+        return difference(self.right, self.left)
 
     @property
     def height(self) -> Estimate:
         """[m]"""
-        return _difference(self.top, self.bottom)
+        return difference(self.top, self.bottom)
 
 
 def find_openings(cloud: Cloud, room: RoomOutline, *, scanner: Scanner | None = None) -> list[list[list[Opening]]]:
@@ -268,7 +268,8 @@ def _end(face: _Face, mask: np.ndarray, box: tuple[slice, slice], axis: int, sig
     return Estimate(float(0.5 * (inner + outer)), sigma, sigma, 0.0)
 
 
-def _difference(second: Estimate, first: Estimate) -> Estimate:
+def difference(second: Estimate, first: Estimate) -> Estimate:
+    """From one place along a wall to another: their systematic parts have one cause, their random ones do not."""
     random = float(np.hypot(first.sigma_random, second.sigma_random))
     systematic = abs(second.sigma_systematic - first.sigma_systematic)
     return Estimate(second.value - first.value, float(np.hypot(random, systematic)), random, systematic)

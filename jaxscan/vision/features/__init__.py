@@ -4,7 +4,7 @@ from jaxscan.recalibration.tracks import FeatureEyes
 from jaxscan.vision.features.follow import follow_features
 from jaxscan.vision.features.targets import find_dictionary, find_targets
 from jaxscan.vision.features.texture import enough_texture
-from jaxscan.vision.grey import to_grey
+from jaxscan.vision.frames import to_grey
 
 
 def feature_eyes() -> FeatureEyes:

@@ -89,7 +89,6 @@ def greet(wire: Exchange, clock: Clock, session: int) -> Firmware:
 
 
 def hello(wire: Exchange, session: int, tries: int) -> dict[str, str]:
-    """The fields of the answer to HELLO."""
     try:
         return wire.ask("HELLO", ses=session, tries=tries)
     except Refused as problem:
@@ -400,7 +399,6 @@ class JxsController(Controller):
         return status
 
     def _open_again(self) -> None:
-        """Open the port again if it failed."""
         if self._broken and self._reopen is not None:
             self._wire.link.close()
             self._wire.attach(self._reopen())
@@ -498,7 +496,6 @@ class JxsController(Controller):
         self._wire.restarted = self._wire.restarted or ControllerReset(self._wire.boot, None)
 
     def _raise_reset(self) -> None:
-        """Raise ControllerReset if a reset was noticed since HELLO."""
         if self._wire.restarted is not None:
             self._enabled = False
             raise self._wire.restarted

@@ -127,7 +127,6 @@ class Exchange:
                 self.counts.strays += 1
 
     def abort(self) -> None:
-        """Send the abort byte, which works outside of lines."""
         self.link.write(ABORT)
 
     def note_last_event(self, number: int) -> None:

@@ -128,7 +128,6 @@ def encode(seq: int, verb: str, **args: int) -> bytes:
 
 
 def next_sequence(seq: int) -> int:
-    """The number after seq: after 65535 comes 1."""
     return seq % LAST_SEQUENCE + 1
 
 
@@ -208,7 +207,6 @@ _STATES: dict[str, State] = {state: state for state in get_args(State)}
 
 
 def read_fault(number: int) -> Fault:
-    """A fault by its number."""
     return FAULTS.get(number, Fault.UNKNOWN)
 
 
@@ -220,13 +218,11 @@ def read_refusal(number: int, verb: str) -> Reason:
 
 
 def read_firmware(fields: Mapping[str, str]) -> Firmware:
-    """Firmware from the fields of HELLO's answer."""
     version = fields.get("fw", "unknown")
     return Firmware(integer(fields, "proto"), version, integer(fields, "boot"), integer(fields, "lease"))
 
 
 def read_status(fields: Mapping[str, str]) -> Status:
-    """Status from the fields of STAT's answer."""
     inputs, state = integer(fields, "in"), word(fields, "st")
     if state not in _STATES:
         raise FirmwareError(f"the controller says st={state:.20}, expected one of {', '.join(_STATES)}")
@@ -245,7 +241,6 @@ def read_status(fields: Mapping[str, str]) -> Status:
 
 
 def read_counters(fields: Mapping[str, str]) -> Counters:
-    """Counters from the fields of CNT's answer."""
     return Counters(*(integer(fields, key) for key in ("crc", "over", "dup", "las", "up", "wdr")))
 
 

@@ -1,4 +1,4 @@
-"""Conversion of frames of any pixel format to grey."""
+"""Frames of a camera: what an array must be to be one, its grey, and the bytes in which detectors look."""
 
 import cv2
 import numpy as np
@@ -15,6 +15,20 @@ _TO_GREY = {
     "bayer_grbg8": cv2.COLOR_BayerGRBG2GRAY,
     "bayer_gbrg8": cv2.COLOR_BayerGBRG2GRAY,
 }
+
+
+def check_frame(image: np.ndarray) -> None:
+    """Refuse what is no frame.
+
+    Raises:
+        ValueError: If it is not uint8 [rows, columns], or RGB [rows, columns, 3], with pixels.
+    """
+    if image.dtype != np.uint8 or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3):
+        raise ValueError(
+            f"An image must be uint8 [rows, columns] or [rows, columns, 3], got {image.dtype} with shape {image.shape}."
+        )
+    if image.size == 0:
+        raise ValueError(f"An image must have pixels, got shape {image.shape}.")
 
 
 def to_grey(frame: np.ndarray, pixel_format: str) -> np.ndarray:

@@ -1,17 +1,10 @@
-"""Sessions as processes that can be killed: loads everything once, then forks a child for each.
-
-Reads one JSON object a line: {"folder", "port", "edges", "steps", "said"}, and "gige" for the bench's network camera;
-answers with the child's number, and with "<number> <status>" when it has ended: 0 complete, 130 interrupted, 1 another
-end, -n killed by signal n. A child writes to `said`: the number of each pair when it is on the disk, and the end.
-"""
+"""Sessions in processes of their own, which can be killed: modules are loaded once, then a child is forked for each."""
 
 import json
+import multiprocessing
 import os
 import sys
 import threading
-import time
-import warnings
-from pathlib import Path
 
 import numpy as np
 from scanrig.cameras import open_camera
@@ -20,7 +13,21 @@ from scanrig.config import RigConfig
 from scanrig.controllers.jxs.controller import connect
 from scanrig.session import Devices, Hooks, Interrupts, run_sweep
 
-from jaxscan.vision import images
+
+_SERVER = multiprocessing.get_context("forkserver")
+# Its threads are JAX's, which are idle: nothing uses them.
+_SERVER.set_forkserver_preload([__name__, "tests.hardware.desk"])
+
+
+def forked(function, *arguments):
+    """A process that calls a function of a module and exits with its result, or -n if signal n kills it."""
+    process = _SERVER.Process(target=_exit_with, args=(function, *arguments))
+    process.start()
+    return process
+
+
+def _exit_with(function, *arguments):
+    sys.exit(function(*arguments))
 
 
 WIDTH, HEIGHT = 128, 96
@@ -81,22 +88,25 @@ class Wire:
                 self._camera.expose(edge["pos"], self._lit["light"] + 2 * self._lit["light_2"])
 
 
-def session(order):
-    """One session, from the port to the exit status; with "gige" by the network camera of the bench."""
-    gige = bool(order.get("gige"))
-    rig = config(order["steps"], **(GIGE if gige else {}))
+def session(*, folder, port, edges, steps, said, gige=False):
+    """One session, from the port to the exit status: 0 complete, 130 interrupted, 1 another end.
+
+    It writes to the file `said`: the number of each pair when it is on the disk, and the end. With `gige` it is by the
+    network camera of the bench.
+    """
+    rig = config(steps, **(GIGE if gige else {}))
     generator = np.random.default_rng(os.getpid())
-    with open(order["said"], "a", buffering=1) as said, Interrupts() as interrupts:
-        controller = connect(order["port"])
+    with open(said, "a", buffering=1) as said, Interrupts() as interrupts:
+        controller = connect(port)
         if gige:
             camera, wire = open_camera(rig.camera, lambda sentence: print("#", sentence, file=said)), None
         else:
             camera = SimulatedCamera(rig.camera, lambda position, lit: see(position, lit, generator))
-            wire = Wire(order["edges"], camera)
+            wire = Wire(edges, camera)
         try:
             result = run_sweep(
                 rig,
-                order["folder"],
+                folder,
                 Devices(controller, camera),
                 Hooks(
                     on_pair=lambda number, *_: print(number, file=said),
@@ -118,24 +128,3 @@ def session(order):
             camera.close()
             if wire is not None:
                 wire.close()
-
-
-def main():
-    # Forking a process that has threads is dangerous in general; JAX's are idle here, and nothing uses them.
-    warnings.simplefilter("ignore")
-    images.encode_png(np.zeros((64, 64), np.uint8))
-    print("ready", flush=True)
-    for line in sys.stdin:
-        order = json.loads(line)
-        child = os.fork()
-        if child == 0:
-            os._exit(session(order))
-        print(child, flush=True)
-        _, status = os.waitpid(child, 0)
-        print(child, os.waitstatus_to_exitcode(status), flush=True)
-        time.sleep(0)
-
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "hardware"))
-    main()

@@ -1,0 +1,51 @@
+"""One progress over stages of different cost, so that the time that is left follows from what is done."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+
+Tell = Callable[[int, int], None]
+"""Called with (work done, work in all)."""
+_WHOLE = 100
+
+
+class Stage(NamedTuple):
+    """What a stage takes, in any unit that all stages share; here seconds of one processor that was measured."""
+
+    begins: float
+    """Before its first part is done: compiling, above all."""
+    lasts: float = 0.0
+    """All its parts."""
+
+
+class Stages:
+    """Progress of stages, one after the other."""
+
+    def __init__(self, progress: Tell | None, stages: Sequence[Stage]) -> None:
+        """Nothing is done yet; None tells nobody."""
+        self._progress, self._stages = progress, stages
+        sizes = [stage.begins + stage.lasts for stage in stages]
+        self._before = [sum(sizes[:number]) for number in range(len(sizes) + 1)]
+
+    def part(self, number: int) -> Tell | None:
+        """Progress of one stage, by its own parts."""
+        if self._progress is None:
+            return None
+        tell, (begins, lasts), before = self._progress, self._stages[number], self._before[number]
+
+        def progress(done: int, total: int) -> None:
+            share = done / max(total, 1)
+            work = before + (begins + lasts * share if done > 0 else 0.0)
+            tell(round(_WHOLE * work / max(self._before[-1], 1e-9)), _WHOLE)
+
+        return progress
+
+    def done(self, number: int) -> None:
+        """A stage that tells nothing of its own is over."""
+        if (tell := self.part(number)) is not None:
+            tell(1, 1)
+
+
+def megapixels(width: int, height: int, images: int) -> float:
+    """Millions of pixels of so many images."""
+    return 1e-6 * width * height * images
