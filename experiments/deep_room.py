@@ -1,6 +1,6 @@
 """What frames of 12 bits gain in a faint room: the same room with the same noise, in 8 bits and in 12.
 
-    python experiments/deep_room.py
+    python -m experiments.deep_room
 
 The reference rig's room, rendered in a quarter of its size. The sensor has 10,000 electrons at the top of its range and
 4 electrons of read noise; each row of the table has less light, of room and laser. True centres are those of the
