@@ -73,7 +73,7 @@ def calibration_of(config: SimulationConfig, kind: Kind, seed: int, stop_deg: fl
 
 
 def _nominal(config: SimulationConfig) -> SimulationConfig:
-    """Without the values that `draw_truth` draws: poses do not depend on them."""
+    """The rig before `draw_truth` changed it, so that board poses do not depend on the values drawn."""
     table = config.turntable.model_copy(update={"gain": 1.0, "harmonics": (0.0, 0.0, 0.0, 0.0)})
     camera = config.camera.model_copy(update={"fy": config.camera.fx})
     return config.model_copy(update={"turntable": table, "camera": camera})
