@@ -200,7 +200,7 @@ def open_after_a_turn(scanner: Scanner, truth: Scanner) -> float:
 
 
 def parameters(before: Scanner, after: Scanner, truth: Scanner) -> dict[str, list[float]]:
-    """Of each minimal coordinate the error before and after, in the stated sigma of its own covariance [1].
+    """Errors and stated sigmas of sheet and axis in minimal coordinates: before, sigma, after, sigma.
 
     Sheets and axis only, which drift. Errors are along the estimate's own tangent vectors.
     """
