@@ -202,7 +202,7 @@ def open_after_a_turn(scanner: Scanner, truth: Scanner) -> float:
 def parameters(before: Scanner, after: Scanner, truth: Scanner) -> dict[str, list[float]]:
     """Errors and stated sigmas of sheet and axis in minimal coordinates: before, sigma, after, sigma.
 
-    Sheets and axis only, which drift. Errors are along the estimate's own tangent vectors.
+    The other parameters do not drift. Errors are along the estimate's own tangent vectors.
     """
     out: dict[str, list[float]] = {}
     for scanner in (before, after):
