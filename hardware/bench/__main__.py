@@ -94,7 +94,7 @@ def main(words: list[str]) -> int:
         print(f"bench: {problem}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("\nThe bench is put away.")
+        print("\nThe bench is shut down.")
         return 130
 
 

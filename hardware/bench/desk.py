@@ -30,7 +30,7 @@ NOISE = {"corrupt": 0.002, "drop": 0.001, "duplicate": 0.001}
 
 @dataclass
 class Desk:
-    """A rig with its camera, and the board in a person's hands."""
+    """A rig with its camera, and the board under manual control."""
 
     rig: SimulatedRig
     camera: RenderedCamera
@@ -81,7 +81,7 @@ class Desk:
             BenchError: With the part that has ended by itself.
         """
         if died := self.rig.died() or self.camera.died():
-            raise BenchError(f"{died}; the bench is put away.")
+            raise BenchError(f"{died}; the bench is shut down.")
 
     def status(self) -> str:
         """One line: where everything stands."""

@@ -61,7 +61,7 @@ def check_drawing_path(path: str | Path) -> None:
 
 
 def save_drawing(drawing: Drawing, path: str | Path, *, dpi: float = DPI) -> None:
-    """Write a drawing as DXF (metres, layers, dimensions, and the sheet as a layout), or its sheet as SVG, PDF or PNG.
+    """Write a drawing as DXF (metres, layers, dimensions, the sheet as a layout), or its sheet as SVG, PDF or PNG.
 
     Args:
         drawing: As `draw_plan` or `draw_section` make it.

@@ -112,17 +112,21 @@ def register(
     stages = _stages(progress, captures, (), _PLACED, features=0.0)
     sweeps, notes = _swept(captures, plans, scanner, settings, stages)
     solving = lambda done, total: stages.done(len(captures) + 1 + done)
+    found: Adjusted | None = None
+    problem: CalibrationError | None = None
     try:
         found = recalibration.register(sweeps, stored, settings, progress=solving)
         if found.converged and not _open(found):
             return found, tuple(notes)
-    except CalibrationError:
-        # Features may tell what walls do not.
-        found = None
+    except CalibrationError as raised:
+        problem = raised
+    # Features may tell what walls do not.
     tracks, said = recalibration.observe_features(captures, sweeps, scanner, _feature_eyes(), settings, None)
     if tracks is not None:
         found = recalibration.register(sweeps, stored, settings, Given(tracks=tracks))
         notes += said
+    elif problem is not None:
+        raise problem
     if found is None or not found.converged:
         raise CalibrationError(
             "the places of the stations were not found: walls and features of the images fit no arrangement; take the "
@@ -295,7 +299,7 @@ def _judgement(result: Recalibration) -> dict[str, Any]:
 # texture: faults of the table, places of the stations, a rough solve, walls, a solve, one more where a wall is not
 # flat, drift, two halves, the rest.
 _SOLVES = (0.2, 0.2, 25.0, 0.7, 16.0, 9.0, 13.0, 23.0, 1.5)
-_PLACED = (0.2, 8.0, 1.5, 12.0)
+_PLACED = (0.2, 6.0, 1.5, 17.0)
 
 
 def _stages(
@@ -309,6 +313,8 @@ def _stages(
     """Every capture, the boards, features of so many seconds a megapixel, and the solves."""
     pixels = [megapixels(*capture.image_size, len(capture)) for capture in captures]
     shown = sum(megapixels(*capture.image_size, len(capture)) for capture in boards)
-    looks = [Stage(0.0 if number else 3.4, 0.03 * size) for number, size in enumerate(pixels)]
-    boards_stage = Stage(2.0, 0.14 * shown) if boards else Stage(0.0)
-    return Stages(progress, (*looks, boards_stage, Stage(features * sum(pixels)), *map(Stage, solves)))
+    # What smooths the stripes of the first sweep is compiled behind its frames.
+    looks = [Stage((4.2, 4.5)[number] if number < 2 else 0.0, 0.03 * size) for number, size in enumerate(pixels)]
+    on_boards = Stage(2.0, 0.14 * shown) if boards else Stage(0.0)
+    track = Stage(features * sum(pixels) + (4.5 if len(captures) == 1 else 0.0))
+    return Stages(progress, (*looks, on_boards, track, *map(Stage, solves)))

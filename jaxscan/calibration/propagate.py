@@ -216,7 +216,7 @@ def _typical(scanner: Scanner, laser: int, reached: list[Lit]) -> list[Length]:
         move = length / float(table.gain)
     elif isinstance(table, Turntable):
         # Turned so far that the point in the middle of the stripe moves by the length.
-        radius = _radius(scanner, laser, lit)
+        radius = _radius(scanner, table, laser, lit)
         if length <= 2.0 * radius:
             move = 2.0 * np.arcsin(length / (2.0 * radius)) / abs(float(table.gain))
         farthest = reached[-1].depth
@@ -230,10 +230,8 @@ def _typical(scanner: Scanner, laser: int, reached: list[Lit]) -> list[Length]:
     ]
 
 
-def _radius(scanner: Scanner, laser: int, lit: Lit) -> float:
-    """Distance of the point in the middle of the stripe from the axis of the table [m]."""
-    table = scanner.turntable
-    assert isinstance(table, Turntable)
+def _radius(scanner: Scanner, table: Turntable, laser: int, lit: Lit) -> float:
+    """Distance of the point in the middle of the stripe from the axis of the scanner's table [m]."""
     point = np.asarray(lit_points(scanner.rig, lit.middle()[None], laser)[0])[0]
     return float(np.linalg.norm(np.cross(np.asarray(table.direction), point - np.asarray(table.point))))
 
@@ -275,12 +273,12 @@ def _wall(scanner: Scanner, laser: int, depth: float) -> _Wall | None:
     if isinstance(motion, LinearStage):
         length, begins, move = TRAVEL_M, np.array([-0.5 * TRAVEL_M]), TRAVEL_M / float(motion.gain)
     elif motion.carries == "object":
-        length, move = np.sqrt(2.0) * _radius(scanner, laser, lit), 0.5 * np.pi
+        length, move = np.sqrt(2.0) * _radius(scanner, motion, laser, lit), 0.5 * np.pi
     else:
         far = lit_lines(scanner, laser, _WALL_ENDS * depth)
         # Where the ends would be out of reach, the wall is nearer.
         depth, lit = (depth, far) if len(far.q) else (depth / _WALL_ENDS, lit)
-        diameter = 2.0 * _radius(scanner, laser, lit)
+        diameter = 2.0 * _radius(scanner, motion, laser, lit)
         length = min(_WALL_SHARE * depth, diameter)
         move = 2.0 * np.arcsin(length / diameter) / abs(float(motion.gain))
     first = lit.q[np.unique(np.linspace(0, len(lit.q) - 1, _TURN_LINES).round().astype(int))]

@@ -91,7 +91,8 @@ def plan(
         coordinates("--height", (one,))
     cut = _section(section)
     at_least(1, "--scale", scale)
-    coordinates("--north", () if north is None else (north,))
+    if north is not None and not -360.0 <= north <= 360.0:
+        raise OptionError(f"--north: found {north:g}, expected degrees, -360 to 360.")
     is_model = output.suffix.lower() == ".ifc"
     if is_model and cut is not None:
         raise OptionError("--section: an .ifc holds the whole room; write the section as .dxf, .svg, .pdf or .png.")

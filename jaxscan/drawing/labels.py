@@ -34,10 +34,10 @@ class Obstacles:
             (shape.min(0) < high).all() and (shape.max(0) > low).all() and _meet(box, shape) for shape in self._shapes
         )
 
-    def placed(self, choices: Iterable[list[Text]]) -> list[Text] | None:
+    def placed(self, choices: Iterable[list[Text]], margin_mm: float = MARGIN_MM) -> list[Text] | None:
         """The first of several choices of texts that covers nothing; it is an obstacle then. None without one."""
         for texts in choices:
-            if all(self.are_clear_of(text.box(MARGIN_MM * self.paper_m)) for text in texts):
+            if all(self.are_clear_of(text.box(margin_mm * self.paper_m)) for text in texts):
                 for text in texts:
                     self.add_text(text)
                 return texts

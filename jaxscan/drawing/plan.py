@@ -112,7 +112,7 @@ def draw_plan(survey: Survey, *, heights_m: Sequence[float] = (1.0,), sheet: She
         for text in _name(side, at[i], at[(i + 1) % len(at)], obstacles)
     ]
     inner = [obstacles.dimension(one) for one in inner]
-    label = obstacles.placed(_room_labels(survey, sheet, loops)) or []
+    label = obstacles.placed(_room_labels(survey, sheet, loops), 2.0) or []
     remarks = [*(f"{remark}." for remark in room.remarks), *chains_left_out, *inner_left_out]
     return replace(
         drawing,

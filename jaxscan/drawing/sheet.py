@@ -7,6 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from jaxscan.errors import OptionError
+from jaxscan.printable import printable
 
 
 Size = Literal["a4", "a3", "a2", "a1", "a0"]
@@ -46,6 +47,11 @@ class Sheet:
     north_deg: float | None = None
     """North on the sheet, clockwise from its upper edge [deg]; None where nobody said it: a scan does not know it."""
 
+    def __post_init__(self) -> None:
+        # Names may come from anywhere, and files of drawings hold no control characters.
+        for name in ("project", "room", "date", "made_by"):
+            object.__setattr__(self, name, printable(getattr(self, name)))
+
     @property
     def size_mm(self) -> tuple[float, float]:
         """Width and height of the paper."""
@@ -71,8 +77,13 @@ class Sheet:
 
     @property
     def paper_m(self) -> float:
-        """What a millimetre of the paper is in the drawing [m]; the sheet must have a scale."""
-        assert self.scale is not None
+        """What a millimetre of the paper is in the drawing [m].
+
+        Raises:
+            ValueError: If the sheet has no scale.
+        """
+        if self.scale is None:
+            raise ValueError("The sheet has no scale yet; `fitted` gives it one.")
         return self.scale / 1e3
 
     def fitted(self, size_m: np.ndarray) -> "Sheet":

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -19,10 +20,12 @@ from jaxscan.stripes import (
     ChunkStripes,
     ExtractionSetup,
     FrameFormat,
+    FrameStripes,
     LaserLine,
     NoiseModel,
     StripeSettings,
     clear_level,
+    decode_table,
     finest_steps,
     join_levels,
     learn_noise,
@@ -42,6 +45,8 @@ _COLOUR_RECORDS = 8
 """Records from which the colour of a laser is learned where the header has "auto"."""
 # Half width of the band around the predicted stripe [px]; it must hold the tails of the profile.
 _BAND_PX = 24.0
+# Samples to either side of a stripe, and lines, whose print is even: its scatter beyond noise, over its level [1].
+_ASIDE, _ALONG, _EVEN = 5, 2, 0.05
 # The shift by the board's ink is predicted and corrected afterwards. So sigma must be of noise alone,
 # and every line is fitted by itself.
 _SETTINGS = StripeSettings(guard_edges=False, learn_width=False)
@@ -88,7 +93,7 @@ def find_stripes(
             frames = _Frames.of(seen, capture, line)
             key = seen[0].capture, laser, with_off
             if key not in learned:
-                # From whole frames: outside the band there would be no noise. Of speckle print tells nothing.
+                # From whole frames: outside the band there would be no noise.
                 learned[key] = frames.learn(line, compressed=capture.compression is not None or not with_off)
             stripes, sights = _extract(seen, frames, line, learned[key][0], rig)
             found = [Candidates.of(stripes, row, line.stripe_axis) for row in range(len(group))]
@@ -97,6 +102,35 @@ def find_stripes(
             for i, lines_found in zip(group, on_boards, strict=True):
                 views[i] = views[i]._replace(stripes=lines_found)
     return views
+
+
+def with_speckle(
+    on: np.ndarray, off: np.ndarray, frames: FrameFormat, line: LaserLine, noise: NoiseModel
+) -> NoiseModel:
+    """The noise with the speckle of stripes on even print: edges of the print scatter centres and widths too."""
+    size = int(on.shape[2]), int(on.shape[1])
+    setup = ExtractionSetup(size, frames, line, _SETTINGS, all_candidates=True)
+    (engine,) = prepare_engines(on, off, [setup], noise=noise)
+    engine = engine.own_channel()
+    dark = np.asarray(engine.setup.plane(off))
+    sites, levels = engine.setup.sites, decode_table(frames.response)[0]
+
+    def on_even_print(stripes: FrameStripes) -> np.ndarray:
+        u = np.asarray(stripes.u)[:, sites.first_line :: sites.line_step]
+        row = np.arange(u.shape[1])
+        offset = np.asarray(sites.offsets)[row % len(sites.offsets)]
+        sample = np.rint((u - offset) / sites.pitch).astype(int)[..., None, None] + np.arange(-_ASIDE, _ASIDE + 1)
+        beside = row[:, None, None] + np.arange(-_ALONG, _ALONG + 1)[:, None]
+        frame = np.arange(len(u))[:, None, None, None]
+        at = frame, np.clip(beside, 0, dark.shape[1] - 1), np.clip(sample, 0, dark.shape[2] - 1)
+        level = levels[dark[at]]
+        mean = level.mean((2, 3))
+        even = np.zeros(np.shape(stripes.u), bool)
+        scatter = noise.variance(mean) + (_EVEN * np.maximum(mean - noise.black_dn, 0.0)) ** 2
+        even[:, sites.first_line :: sites.line_step] = level.var((2, 3)) < 1.5 * scatter
+        return even
+
+    return replace(noise, speckle=engine.learn(on, off, BATCH_RECORDS, on_even_print).noise.speckle)
 
 
 def _lines_of(
@@ -186,6 +220,8 @@ class _Frames(NamedTuple):
         """The noise of a frame in steps of 8 bits, and doubts about it."""
         clear = self.clearest
         noise, _, doubts, _ = learn_noise(*self.level(clear), frames=self.kind, line=line, compressed=compressed)
+        if not compressed:
+            noise = with_speckle(*self.level(clear), self.kind, line, noise)
         return noise if clear is None else noise.in_finer_steps(1.0 / self.exposures[clear]), doubts
 
 

@@ -8,7 +8,7 @@ several threads; on an accelerator it takes several frames at a time.
 import functools
 import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.sharding import Mesh, PartitionSpec
-from jaxtyping import Float, Int, Int8, UInt8
+from jaxtyping import Bool, Float, Int, Int8, UInt8
 
 from jaxscan.compiling import compile_wide
 from jaxscan.geometry import Array, StripeAxis
@@ -115,13 +115,26 @@ class StripeEngine(eqx.Module):
     def profiles_per_record(self) -> int:
         return self.estimator.candidates if self.setup.several else 1
 
-    def learn(self, on: Array, off: Array | None, records: int = 0) -> "StripeEngine":
+    def learn(
+        self,
+        on: Array,
+        off: Array | None,
+        records: int = 0,
+        telling: Callable[[FrameStripes], Bool[np.ndarray, "frames lines"]] | None = None,
+    ) -> "StripeEngine":
         """The engine that knows width and speckle of the stripes in the first frames, where the settings ask for it.
 
         Arguments as of `extract`, so that nothing else is compiled.
+
+        Args:
+            on: As of `extract`.
+            off: As of `extract`.
+            records: As of `extract`.
+            telling: Which of the stripes tell it; all where not given. The contrast is then that of the light, and not
+                corrected to the scatter of these fits.
         """
         if self.channels:
-            engines = [one.learn(on, off, records) for one in (self.own_channel(), *self.channels)]
+            engines = [one.learn(on, off, records, telling) for one in (self.own_channel(), *self.channels)]
             if self.setup.level is not None:
                 # All levels are of the same light.
                 return StripeEngine(self.setup, engines[0].search, tuple(engines[1:]), self.responses)
@@ -134,8 +147,9 @@ class StripeEngine(eqx.Module):
         on, off = on[:LEARNED_FRAMES], None if off is None else off[:LEARNED_FRAMES]
         plain = self.extract_shared(on, off, records)
         first = chosen_of(plain.stripes, plain.chosen)
+        first = first if telling is None else first._replace(valid=np.asarray(first.valid) & telling(first))
         search = learn_search(self.search, first, self.setup)
-        if search.speckle > self.search.speckle:
+        if telling is None and search.speckle > self.search.speckle:
             again = StripeEngine(self.setup, search).extract_shared(on, off, records)
             search = correct_search(search, first, chosen_of(again.stripes, again.chosen), self.setup)
         return StripeEngine(self.setup, search)
@@ -157,8 +171,9 @@ class StripeEngine(eqx.Module):
         """
         if self.channels:
             return self._of_channels(on, off, records)
-        if self.setup.level is not None:
-            on, off = on[:, self.setup.level], None if off is None else off[:, self.setup.level]
+        if (level := self.setup.level) is not None:
+            of_level = StripeEngine(self.setup._replace(level=None), self.search)
+            return of_level.extract(on[:, level], None if off is None else off[:, level], records)
         count, exposures = len(on), len(self.setup.exposures)
         room = max(records, count)
         kind = _Kind.of(self.setup, on.shape[1 + (exposures > 1) :])

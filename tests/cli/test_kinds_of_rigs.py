@@ -106,6 +106,7 @@ def test_a_profile_scanner(folder, run, refused, calibrated):
     assert "camera and sheet without a motion" in refused("reconstruct", moving, "-c", path, "-o", folder / "no.npz")
 
 
+@pytest.mark.more
 def test_a_camera_alone(folder, run, refused, calibrated):
     capture = boards(folder, "camera", "", lit=False, placements=0)
     path, said = calibrated("camera", capture)
@@ -175,6 +176,7 @@ def test_two_records_are_refused_before_any_image_is_read(folder, refused):
     )
 
 
+@pytest.mark.more
 def test_laser_on_and_off_exchanged(folder, refused):
     capture = folder / "exchanged"
     plain_rig.board_capture(capture, "nothing", free=5, placements=0)

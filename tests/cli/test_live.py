@@ -24,6 +24,9 @@ from jaxscan.reconstruction import IncomingStripes
 from jaxscan.stripes import learn_noise
 
 
+pytestmark = pytest.mark.more
+
+
 FIELDS = ("xyz", "rgb", "intensity", "normals", "sigma_random", "sigma_systematic", "valid", "record", "laser", "angle")
 
 
@@ -121,6 +124,28 @@ def test_lasers_that_take_turns(folder, tiny, scanner, tmp_path):
     known = api.reconstruct_capture(two, both, cache=False)
     assert done.live and done.noise == known.noise and done.noise.count("laser") >= 2
     assert set(np.unique(done.cloud.laser)) == {0, 1}
+    assert_same(done.cloud, known.cloud)
+
+
+@pytest.mark.more
+def test_frames_of_12_bits_are_read_from_the_disk(folder, scanner, tmp_path):
+    """What comes from the camera's pages is in 8 bits; the levels of all bits are in the capture."""
+    capture, random = open_capture(folder), np.random.default_rng(0)
+    tables = capture.header.model_dump(exclude_none=True)
+    tables["camera"]["bits"] = 12
+    with create_capture(tmp_path / "deep", CaptureHeader(**tables)) as writer:
+        for n, record in enumerate(capture.records):
+            finer = [16 * frame.astype(np.uint16) + random.integers(0, 16, frame.shape) for frame in capture.frames(n)]
+            on, off = (frame.astype(np.uint16) for frame in finer)
+            writer.append(angle_deg=float(np.degrees(record.angle)), on=on, off=off)
+    deep = open_capture(tmp_path / "deep")
+    with LiveCloud(tmp_path / "deep", deep.header, scanner, steps=60) as live:
+        for n, record in enumerate(deep.records):
+            live.add(record.i, record.angle, *deep.pictures(n))
+        wait(lambda: live.status().records >= 8)
+        done = live.finish()
+    known = api.reconstruct_capture(deep, scanner, cache=False)
+    assert done.live and done.noise == known.noise and known.cloud.valid.sum() > 5000
     assert_same(done.cloud, known.cloud)
 
 

@@ -56,6 +56,8 @@ def test_plan_as_a_model(room, run, tmp_path):
     assert ran.code == 1 and "an .ifc holds the whole room" in ran.err
     ran = run("plan", room, "-o", tmp_path / "plan.pdf", "--scale", 10)
     assert ran.code == 1 and "choose 1 : 50 or a larger sheet" in ran.err
+    ran = run("plan", room, "-o", tmp_path / "plan.pdf", "--north", "nan")
+    assert ran.code == 1 and "--north: found nan, expected degrees, -360 to 360." in ran.err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["room.ifc"]
 
 

@@ -316,6 +316,7 @@ def assert_same(one, other):
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.more
 class TestWholeWay:
     def test_a_rig_that_nobody_has_touched(self, whole_way):
         folder, code, _ = whole_way

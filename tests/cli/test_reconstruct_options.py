@@ -11,6 +11,9 @@ import pytest
 import jaxscan
 
 
+pytestmark = pytest.mark.more
+
+
 @pytest.fixture
 def capture(tiny, tmp_path):
     """A copy of the sweep of which no stripes are kept yet."""

@@ -107,6 +107,19 @@ def test_pdf_and_png_are_sheets_true_to_scale(survey, tmp_path, size, scale, sid
         assert around.mean(-1).min() < 0.6
 
 
+def test_names_of_strangers(survey, tmp_path):
+    """Control characters, markup, and a name that is longer than the sheet."""
+    odd = "a\n\x01<b>&\ud800"
+    plan = jaxscan.draw_plan(survey, sheet=jaxscan.Sheet(project=odd, room="long " * 200))
+    for suffix in (".svg", ".dxf", ".pdf"):
+        jaxscan.save_drawing(plan, tmp_path / f"plan{suffix}")
+    texts = [text.text for text in xml.parse(tmp_path / "plan.svg").getroot().iter("{http://www.w3.org/2000/svg}text")]
+    assert r"a\n\x01<b>&\ud800" in texts
+    assert not ezdxf.readfile(tmp_path / "plan.dxf").audit().errors
+    jaxscan.save_ifc(survey, tmp_path / "room.ifc", sheet=plan.sheet)
+    assert (tmp_path / "room.ifc").read_text("ascii").startswith("ISO-10303-21;")
+
+
 def test_the_largest_standard_scale_that_fits(survey):
     """A room of 6 m x 5 m, and 27 mm of dimensions around it."""
     assert jaxscan.draw_plan(survey).sheet.scale == 50

@@ -140,6 +140,11 @@ def test_events_may_have_any_keys():
     assert len(records) == 1 and notes == ()
 
 
+def test_a_digest_of_an_image_that_is_absent_is_ignored():
+    (record,) = read(line(0, off=None, sha256={"on": "a", "off": "b"}))[0]
+    assert record.off == () and record.on[0].sha256 == "a"
+
+
 def test_very_many_lines_are_refused_at_once():
     began = time.monotonic()
     for text in (b"\n", b"{}\n", b'{"i":1}\n'):

@@ -144,7 +144,7 @@ def test_a_bench_whose_part_is_killed_ends_and_leaves_the_place_free(tmp_path, w
     last = (tmp_path / "said").read_text().splitlines()[-1]
     if part != "bench":
         name = {"simrun": "the simulator", "bench.camera": "the camera"}[part]
-        assert status == 1 and last == f"bench: {name} has ended (killed by signal 9); the bench is put away."
+        assert status == 1 and last == f"bench: {name} has ended (killed by signal 9); the bench is shut down."
         assert not any(os.path.lexists(folder / left) for left in ("port", "control", "camera"))
     # The others end with it: the address and the folder are free at once.
     limit = time.monotonic() + 10

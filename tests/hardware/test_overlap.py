@@ -184,6 +184,7 @@ def killed(at, folder):
     desk.sweep(folder)
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("at", ["proving", "writing", "appending"])
 def test_killed_between_the_frames_and_the_journal_only_the_flight_is_lost(tmp_path, at):
     child = forked(killed, at, tmp_path / "room")

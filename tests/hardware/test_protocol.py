@@ -126,6 +126,7 @@ def test_how_a_stream_is_cut_changes_nothing(stream, cuts):
     assert [message for piece in pieces for message in reader.feed(piece)] == whole
 
 
+@pytest.mark.more
 @given(st.lists(MESSAGES, min_size=1, max_size=4), st.data())
 @settings(BUSY, max_examples=500)
 def test_no_changed_byte_makes_another_message(messages, data):
@@ -143,6 +144,7 @@ def test_no_changed_byte_makes_another_message(messages, data):
     assert len(accepted) >= len(messages) - 2
 
 
+@pytest.mark.more
 @given(MESSAGES.map(line_of), st.data())
 @settings(BUSY, max_examples=500, derandomize=True, database=None)  # One such burst in 65536 is a collision of the CRC.
 def test_no_lost_or_doubled_byte_makes_another_message(line, data):

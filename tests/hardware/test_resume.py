@@ -77,6 +77,7 @@ def test_resuming_between_the_last_step_and_the_end_only_closes(room):
 # 21 power loss
 
 
+@pytest.mark.more
 def test_21_a_journal_torn_at_every_byte_resumes(six, tmp_path):
     """Power is lost while the journal's last lines are written."""
     data = (six / "frames.jsonl").read_bytes()

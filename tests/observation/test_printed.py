@@ -1,11 +1,14 @@
 """Stripes fitted through the print, in a world that is written apart: at their noise, whatever ink is under them."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from jaxscan.geometry import BoardPicture, Charuco, Chessboard, Pinhole
 from jaxscan.observation import FoundStripe, SolvedRig
+from jaxscan.observation.board_stripes import with_speckle
 from jaxscan.observation.printed import Sight, fit_on_print
 from jaxscan.observation.printed.lattice import Lattice
 from jaxscan.observation.printed.room_light import fit_room_light
@@ -22,7 +25,7 @@ NOISE = NoiseModel(scene.READ_DN, scene.ELECTRONS_PER_DN, scene.BLACK_DN)
 SEEDS = range(1, 7)
 
 
-def fit(seen, board=BOARD, *, picture=None, pose=None, columns=False):
+def fit(seen, board=BOARD, *, picture=None, pose=None, columns=False, noise=NOISE):
     """The fit of one record, started from centres that err by 0.3 px."""
     width, height = scene.SIZE
     camera = Pinhole(
@@ -57,7 +60,7 @@ def fit(seen, board=BOARD, *, picture=None, pose=None, columns=False):
         rig = rig._replace(camera=camera)
         pose = np.eye(4)[[1, 0, 2, 3]] @ pose
     stripe = FoundStripe(raw, np.full(height, 0.1), np.full(height, 1.3), seen.inside, axis)
-    sight = Sight(on, off, 1.0, Sites(), FrameFormat(), LaserLine(stripe_axis=axis), NOISE)
+    sight = Sight(on, off, 1.0, Sites(), FrameFormat(), LaserLine(stripe_axis=axis), noise)
     return fit_on_print(stripe, seen.inside, sight, rig, pose)
 
 
@@ -248,6 +251,28 @@ def test_faint_stripes_are_as_good_as_stated():
     for number in range(3):
         z = (error / sigma)[contrast == number]
         assert 0.85 < np.sqrt(np.mean(z**2)) < 1.15, number
+
+
+@pytest.mark.parametrize("contrast", [0.2, 0.6])
+def test_speckle_is_in_the_sigmas(contrast):
+    """As strong as lasers show it, with its contrast as other boards told it, or not at all."""
+    seen = [scene.look(scene.markers(7, 5, 0.75), 0.066, seed, speckle=contrast) for seed in SEEDS]
+    inside = sum(one.inside.sum() for one in seen)
+    for known, least in ((0.0, 0.94), (contrast, 0.97)):
+        error, sigma, number = pooled(seen, [fit(one, noise=replace(NOISE, speckle=known)) for one in seen])
+        assert len(error) > least * inside
+        assert 0.9 < np.sqrt(np.mean((error / sigma) ** 2)) < 1.15
+        for kind in range(3):
+            assert 0.82 < np.sqrt(np.mean((error / sigma)[number == kind] ** 2)) < 1.15, kind
+
+
+@pytest.mark.parametrize("contrast", [0.0, 0.45])
+def test_even_print_tells_the_contrast_of_speckle(contrast):
+    """Edges of the print, which scatter centres and widths too, tell nothing."""
+    seen = [scene.look(scene.markers(7, 5, 0.75), 0.066, seed, speckle=contrast) for seed in range(1, 9)]
+    on, off = (np.stack(frames) for frames in zip(*((one.on, one.off) for one in seen), strict=True))
+    found = with_speckle(on, off, FrameFormat(), LaserLine(), NOISE)
+    assert found.speckle == pytest.approx(contrast, rel=0.25) and replace(found, speckle=0.0) == NOISE
 
 
 def test_brighter_lamps_bring_photons_and_no_read_noise():

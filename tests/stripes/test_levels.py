@@ -79,3 +79,15 @@ def test_a_faint_stripe_gains_and_a_bright_one_loses_nothing(peak, most):
     assert np.std(((centre - u) / np.where(valid, sigma, 1))[valid]) == pytest.approx(1.0, abs=0.12)
     # In steps of 8 bits, whichever level was taken.
     assert np.median(amplitude[valid]) == pytest.approx(peak / 16, rel=0.05)
+
+
+def test_two_records_are_those_of_each_alone():
+    """Of two, the second level of the last one lies in memory as a whole array does."""
+    _, on, off = photographed(320.0)
+    on, off = levels(on), levels(off)
+    setup = ExtractionSetup((COLUMNS, ROWS), FrameFormat(), LaserLine(), StripeSettings(), level_exposures(BITS), 0)
+    (engine,) = prepare_engines(on, off, [setup])
+    both = engine.extract(on[2:4], off[2:4], 4).stripes
+    for k in (2, 3):
+        alone = engine.extract(on[k : k + 1], off[k : k + 1], 4).stripes
+        np.testing.assert_array_equal(np.asarray(both.u)[k - 2], np.asarray(alone.u)[0])

@@ -88,7 +88,7 @@ def _keep_to_loopback() -> None:
 class GvCamera:
     """A GigE Vision camera on a local address; there can be one per machine, port 3956 is the standard's.
 
-    A frame leaves in one of three ways: `deliver` hands over one that a trigger's wire asked for; a client's software
+    A frame leaves in one of three ways: `deliver` hands over one that the trigger wire requested; a client's software
     trigger, and a client that lets the camera run free, get the frame that `present` returns.
     """
 
@@ -128,7 +128,7 @@ class GvCamera:
 
     @property
     def bits(self) -> Literal[8, 16]:
-        """Bits of a sample that the client asked for: those of Mono8 or Mono16."""
+        """Bits of a sample that the client requested: those of Mono8 or Mono16."""
         return 16 if self.register(PIXEL_FORMAT) == MONO16 else 8
 
     def armed(self) -> bool:
@@ -220,7 +220,7 @@ class Counts:
 
 @dataclass
 class BenchCamera:
-    """Renders and sends the frames that the log asks for; `ledger` gets the true view of each."""
+    """Renders and sends the frames that the log requires; `ledger` gets the true view of each."""
 
     world: World
     edges: Path

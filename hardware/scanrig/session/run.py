@@ -59,7 +59,7 @@ def counted(controller: Controller, *, answers: bool) -> dict[str, Any]:
         counters = controller.counters()
         return link if counters is None else {"controller": asdict(counters), **link}
     except RigError as problem:
-        log.info("the controller's counters could not be asked for: %s", problem)
+        log.info("the controller's counters could not be read: %s", problem)
         return link
 
 

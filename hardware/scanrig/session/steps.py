@@ -260,7 +260,7 @@ def _by_hand(station: Station, step: Step) -> TakenPair:
 
 
 def _exposures(station: Station) -> int:
-    """The controller's count of exposures. It is not asked again right after a shot: a question takes milliseconds."""
+    """The controller's count of exposures; a count that came with the last shot saves a request of milliseconds."""
     counted, station.numbers.counted = station.numbers.counted, None
     if counted is not None and station.clock.now() - counted[0] < _FRESH_S:
         return counted[1]

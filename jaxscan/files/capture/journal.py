@@ -72,7 +72,7 @@ def _with_digests(images: tuple[ImageRef, ...], given: str | list[str] | None) -
     """Images with the digests of their record: one text, or a list of them in the order of the images."""
     if given is None:
         return images
-    texts = [given] if isinstance(given, str) else given[: len(images)]
+    texts = ([given] if isinstance(given, str) else given)[: len(images)]
     # What fits no image is a digest that no image has.
     texts += ["none"] * (len(images) - len(texts))
     return tuple(replace(one, sha256=text) for one, text in zip(images, texts, strict=True))

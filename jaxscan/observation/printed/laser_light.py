@@ -29,6 +29,8 @@ _NEAR_PX = 4.0
 # Growth of a centre's variance beyond the linear model, in squares of its error over the stripe's width: measured on
 # boards under faint light.
 _FAINT = 3.0
+# Pixels of a view for which the contrast of speckle that all boards showed counts, where they showed any.
+_KNOWN_PIXELS = 200.0
 
 
 class LaserLight(NamedTuple):
@@ -59,7 +61,12 @@ class _Model(NamedTuple):
 
 
 def fit_laser_light(
-    windows: Windows, paper: np.ndarray, lattice: Lattice, room: RoomLight, start: tuple[np.ndarray, float]
+    windows: Windows,
+    paper: np.ndarray,
+    lattice: Lattice,
+    room: RoomLight,
+    start: tuple[np.ndarray, float],
+    contrast: float = 0.0,
 ) -> LaserLight:
     r"""Centre and amplitude of the stripe on every line, and the unknowns that all lines share.
 
@@ -75,6 +82,7 @@ def fit_laser_light(
         lattice: Those samples.
         room: Of `fit_room_light`.
         start: Centres from the middles of the windows [lines], and the width of the stripe as seen [px].
+        contrast: Of speckle, as other boards told it [1]; 0 where none was told.
 
     Source: Curless and Levoy, Better optical triangulation through spacetime analysis (1995), for the error at
     edges of reflectance.
@@ -85,7 +93,7 @@ def fit_laser_light(
     expected, prior = np.array(shared), _prior(room)
     shown = collected(paper, lattice.kernel(shared)).sum(-1)
     light = windows.light - _stray_light(windows, shown, shared, lattice, (centre, width))
-    amplitude, speckle2, derivatives, say = None, 0.0, None, np.ones(len(centre))
+    amplitude, speckle2, derivatives, say = None, contrast**2, None, np.ones(len(centre))
     for number in range(_ROUNDS):
         # Blur and place hardly move, and their derivatives cost most.
         again = number in (0, 2, _ROUNDS - 1)
@@ -106,7 +114,7 @@ def fit_laser_light(
         if number:
             leverage = weight * np.einsum("npi,nij,npj->np", own_slopes, inverse, own_slopes)
             leverage = np.where(windows.used & (say[:, None] == 1.0), leverage, 1.0)
-            speckle2 = _speckle2((left, positive, variance), leverage, speckle2)
+            speckle2 = _speckle2((left, positive, variance), leverage, speckle2, contrast**2)
             weight = windows.used / (variance + speckle2 * positive**2)
         chi2 = np.sum(weight * left**2, 1) / np.maximum(windows.used.sum(1) - 2.0, 1.0)
         ratio = chi2 / (_ODD_CHI2 * max(float(np.median(chi2)), 1.0))
@@ -197,13 +205,16 @@ def _stray_light(
     return level[:, None] * seen
 
 
-def _speckle2(pixels: tuple[np.ndarray, np.ndarray, np.ndarray], leverage: np.ndarray, before: float) -> float:
+def _speckle2(
+    pixels: tuple[np.ndarray, np.ndarray, np.ndarray], leverage: np.ndarray, before: float, known: float
+) -> float:
     """Scatter of the light beyond noise, over its square, from residuals that lost their leverage to the fit.
 
     Args:
         pixels: Residuals, expected light, and variance without speckle [lines, samples].
         leverage: Of each pixel; 1 where it does not count.
         before: The value of the round before, by which residuals are weighed.
+        known: The value of other boards; 0 for none.
     """
     left, seen, variance = pixels
     scale, rest = seen**2, np.maximum(1.0 - leverage, 0.0)
@@ -211,4 +222,7 @@ def _speckle2(pixels: tuple[np.ndarray, np.ndarray, np.ndarray], leverage: np.nd
     weight = np.where(good, 1.0 / np.square(variance + max(before, 0.0025) * scale), 0.0)
     bottom = float(np.sum(weight * rest * scale**2))
     top = float(np.sum(weight * scale * (left**2 - rest * variance)))
+    if known > 0.0:
+        share = _KNOWN_PIXELS / max(before, 0.0025) ** 2
+        top, bottom = top + share * known, bottom + share
     return max(top / bottom, 0.0) if bottom > 0 else 0.0

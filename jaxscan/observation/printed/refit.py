@@ -75,7 +75,7 @@ def fit_on_print(
         room = fit_room_light(windows, paper, lattice, far=True)
     if room.exchanged or room.explained.mean() < _LEAST_EXPLAINED or room.shared.blur >= math.log(_MOST_BLUR_PX):
         return None
-    light = fit_laser_light(windows, paper, lattice, room, (raw - middle, width))
+    light = fit_laser_light(windows, paper, lattice, room, (raw - middle, width), sight.noise.speckle)
     u, sigma = middle + light.centre, np.hypot(light.sigma, light.doubt)
     near = np.searchsorted(lattice.across, [-_SURE * width, _SURE * width]).clip(0, len(lattice.across) - 1)
     sure = picture.holds(np.stack([x[near], y[near]], -1)).all((0, 2))

@@ -5,15 +5,18 @@ exposures: where the stripe is bright the level of the whole range, where it is 
 the noise. So all that finds stripes works on bytes, whatever the camera gives.
 """
 
+from typing import Literal
+
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
 from jaxscan.stripes.frames.formats import PIXEL_FORMATS, PixelFormat
 
 
-DEEP_BITS = (10, 12, 14, 16)
+DeepBits = Literal[10, 12, 14, 16]
+DEEP_BITS: tuple[DeepBits, ...] = (10, 12, 14, 16)
 """Bits of a sample that can be kept as levels."""
-DEEP_FORMATS: dict[str, tuple[PixelFormat, int]] = {
+DEEP_FORMATS: dict[str, tuple[PixelFormat, DeepBits]] = {
     f"{lying.removesuffix('8')}{bits}": (lying, bits)
     for lying in PIXEL_FORMATS
     if lying != "rgb8"

@@ -355,7 +355,7 @@ class GrblLines:
         """The lines received, as soon as there are any; greetings and alarms are noted.
 
         Raises:
-            ControllerReset: the board was reset without being asked to.
+            ControllerReset: the board was reset unexpectedly.
             LinkLost: the port failed.
         """
         try:
