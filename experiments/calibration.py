@@ -63,7 +63,7 @@ class Run(NamedTuple):
 
 
 def honesty(runs: int, quick: bool) -> list[Figure]:
-    """Errors over stated sigmas, for white and for correlated noise of the stripes."""
+    """Compares errors with stated sigmas, for white and for correlated noise of the stripes."""
     config = exact_rig.reference()
     poses = draw_poses(config, POSE_SEED, POSES)
     scanner = true_scanner(config)
@@ -180,7 +180,7 @@ class Errors(NamedTuple):
 
 
 def joint(runs: int, quick: bool) -> list[Figure]:
-    """Joint over sequential, with `runs` draws of noise of each set of poses; all sets and draws count alike."""
+    """Compares both solves on `runs` draws of noise of each set of poses; all sets and draws count alike."""
     config = exact_rig.reference()
     q = stripe_pixels(true_scanner(config), 0, DEPTH_M)
     sets, figures = 2 if quick else POSE_SETS, []
@@ -268,7 +268,7 @@ WRONG_PX = (3.0, 50.0)
 
 
 def outliers(runs: int, quick: bool) -> list[Figure]:
-    """Sigmas and errors with gross errors over those without."""
+    """How sigmas and errors grow when gross errors are added to the same noise."""
     config = exact_rig.reference()
     ideal = ideal_boards(config, draw_poses(config, POSE_SEED, POSES))
     names = true_scanner(config).parameter_names()

@@ -346,7 +346,7 @@ def drawn(config: SimulationConfig, random: np.random.Generator) -> SimulationCo
 
 
 def observations(ideal: IdealBoards, config: SimulationConfig) -> Observations:
-    """As the estimator takes them, with the standard deviations a detector would state."""
+    """Ideal boards as `calibrate_observations` takes them, with the sigmas that a detector would state."""
     views, corners = ideal.corner_q.shape[:2]
     return Observations(
         board=config.boards.board(),

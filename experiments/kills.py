@@ -101,7 +101,7 @@ class Scan:
         return ended(self.child, within_s)
 
     def last_words(self, tally: Tally) -> None:
-        """What is to be asked of it before it is killed."""
+        """Called just before it is killed."""
 
     def killed(self) -> None:
         """Kill it."""
@@ -111,7 +111,7 @@ class Scan:
 
 
 class ConsoleScan(Scan):
-    """A session by `jaxscan console`, which is flooded; it is over when it is over on the page."""
+    """A session by `jaxscan console` in a flood of connections; it has ended when the page says so."""
 
     def __init__(self, child: int, log: Path, capture: Path) -> None:
         super().__init__(child, log)
@@ -200,7 +200,7 @@ class ConsoleScan(Scan):
 def scanning(
     desk: Desk, config: Path, capture: Path, tally: Tally, arguments: argparse.Namespace, *, fresh: bool
 ) -> Iterator[Scan]:
-    """A session that scans; by the console within its flood, which ends with `with`."""
+    """A session that scans. With --console it is a console in a flood, which ends with the `with` block."""
     log, port = capture.with_suffix(".log"), desk.rig.port
     if not arguments.console:
         yield Scan(begin(["scan", str(config), "-o", str(capture), "--resume", "--port", port], log, fresh=fresh), log)

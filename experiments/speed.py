@@ -386,7 +386,7 @@ COMPILING = "/jax/core/compile/backend_compile_duration"
 
 
 def calibration(size: Size, scratch: Path) -> tuple[list[Figure], str]:
-    """Warm times, the camera alone beside OpenCV's, and what another number of views compiles: nothing."""
+    """Warm times, the camera alone beside OpenCV's, and how much another number of views compiles."""
     rig, plain = _boards(PosePlan(free_views=VIEWS - 9, placements=3, angles=3)), CalibrationSettings(judge=False)
     compiled: list[float] = []
 

@@ -222,7 +222,11 @@ def models(sensor: Sensor) -> dict[str, NoiseModel | None]:
 
 
 def measure_cell(width: float, amplitude: float, *, quick: bool, seed: int) -> list[Cell]:
-    """As many rows as the standard error of the bias asks for; at least 32768, 0.4 % of a root mean square."""
+    """Measure one width and amplitude.
+
+    The standard error of the bias sets the number of rows; there are at least 32768, which give a root mean square to
+    0.4 %.
+    """
     sensor = Sensor()
     bound = centre_bound(width, amplitude, sensor)
     batches = 1 if quick else max(2, math.ceil(PHASES * (bound / BIAS_ERROR_PX) ** 2 / (BATCH * ROWS)))

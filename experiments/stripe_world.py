@@ -301,7 +301,7 @@ def lit_rows(record: ExpectedRecord) -> np.ndarray:
 
 
 def _rendered(record: ExpectedRecord, u: np.ndarray, peak: np.ndarray, width: np.ndarray, affected: np.ndarray):
-    """Light of a reflection with this peak on a pixel that it is centred on."""
+    """Light of a reflection; `peak` is the level of a pixel that it is centred on."""
     centre, width = u[:, None], np.where(affected, width, 1.0)[:, None]
     column = np.arange(record.laser.shape[1])[None, :]
     scale = math.sqrt(2.0) * width

@@ -32,10 +32,10 @@ NEAR_PX = 1.5
 def found_in(sweep: Sweep, scanner: jaxscan.Scanner) -> tuple[np.ndarray, np.ndarray, str]:
     """Centres, which of them exist, and the note or refusal."""
     try:
-        stripes, notes, _ = extract(sweep, scanner, settings=SETTINGS)
+        found = extract(sweep, scanner, settings=SETTINGS)
     except CaptureError:
         return np.zeros(0), np.zeros(0, bool), "refused"
-    return np.asarray(stripes.u), np.asarray(stripes.valid), "doubtful" if notes else "accepted"
+    return np.asarray(found.stripes.u), np.asarray(found.stripes.valid), "doubtful" if found.notes else "accepted"
 
 
 def room_rows(pixel_format: str, peak_dn: float, steps: int) -> list[list[str]]:

@@ -175,7 +175,7 @@ def _effect(samples: Samples, normal: np.ndarray, scanner: Scanner, free: bool) 
 
 @jax.jit
 def _moved_centre(rig: jaxscan.Rig, p: Array, laser: Array, angle: Array, weights: Array) -> Array:
-    """Derivative of sums of weights [k, n, 3] times points: each keeps its pixel and its table angle."""
+    """Derivative by the calibration of weighted sums [k, n, 3] of points that keep their pixels and table angles."""
     q = jaxscan.pixels(rig, p, angle)
     sums = lambda step: jnp.einsum("knj,nj->k", weights, jaxscan.points(rig.retract(step), q, laser, angle))
     return jax.jacfwd(sums)(jnp.zeros(rig.parameter_count(), p.dtype))

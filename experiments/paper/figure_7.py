@@ -665,7 +665,7 @@ def paper_metrics(name: str, paper: list[Measured]) -> list[Metric]:
 
 
 def _noise_of(place: BeforeWall, sweep: RenderedSweep) -> NoiseModel:
-    """From the first records, which are rendered once more for it."""
+    """The noise of the sweep, learned from its first records, which are rendered once more for this."""
     quiet = place.sweep(place.angles[:4], seed=_SEED)
     on, off = next(quiet.chunks(4))
     return estimate_noise(on, off, pixel_format=sweep.pixel_format, response=sweep.response, line=sweep.lasers[0])

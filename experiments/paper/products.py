@@ -186,7 +186,7 @@ def _planned(stage: Stage, number: int, **changes: object) -> list[Placement]:
 
 
 def _unlit(config: SimulationConfig) -> SimulationConfig:
-    """The same room's light, and a plain laser, which is rendered faster and then thrown away."""
+    """The same room with a laser that is rendered fast, for views in which it is off."""
     lasers = tuple(laser.model_copy(update={"speckle_contrast": 0.0}) for laser in config.laser)
     return config.model_copy(update={"light": config.light.model_copy(update={"bounce": 0.0}), "laser": lasers})
 

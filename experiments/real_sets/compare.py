@@ -241,7 +241,7 @@ def kind_of(one: RealSet) -> str:
 
 
 def measure_boards(one: RealSet, capture: Path, work: Path) -> dict[str, Any]:
-    """`jaxscan calibrate` as a user types it first, and with fewer wishes where that gives nothing."""
+    """`jaxscan calibrate` as a user types it; if that gives nothing, with the known camera or for the camera alone."""
     output = work / f"{one.name}.json"
     runs = [calibrate_by_verb(capture, output, one.lens)]
     if "views" not in runs[-1]:

@@ -116,7 +116,7 @@ def _lay(scanner: Scanner, task: Task, truth: TrueSweep) -> np.ndarray:
 
 
 def _walls(scanner: Scanner, tasks: list[Task], pose: np.ndarray) -> float:
-    """The largest distance of a wall as the second station sees it from where the first does [mm]."""
+    """How far apart both stations place the same wall, the largest of all walls [mm]."""
     apart = []
     for wall in range(6):
         first, second = (wall_points(scanner, task, wall) for task in tasks)

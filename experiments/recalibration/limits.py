@@ -77,18 +77,18 @@ def spread(which: int, column: str = "after") -> Callable[[Trials], float]:
 
 
 def better(trials: Trials) -> float:
-    """Old over new root mean square error of lengths across half a turn; the least of them."""
+    """Root mean square error of lengths across half a turn, old over new; the smallest ratio of them."""
     before, after = half_turns(trials, "before"), half_turns(trials, "after")
     return min(rms(before[:, k]) / rms(after[:, k]) for k in range(before.shape[1]))
 
 
 def honest(which: int) -> Callable[[Trials], float]:
-    """Observed over stated, of a length across half a turn after the recalibration."""
+    """Root mean square of error over stated sigma, of a length across half a turn after the recalibration."""
     return lambda trials: rms(half_turns(trials, "after")[:, which] / half_turns(trials, "sigma_after")[:, which])
 
 
 def honest_before(which: int) -> Callable[[Trials], float]:
-    """The same of the stored calibration."""
+    """As `honest`, of the stored calibration."""
     return lambda trials: rms(half_turns(trials, "before")[:, which] / half_turns(trials, "sigma_before")[:, which])
 
 
@@ -114,7 +114,7 @@ def named(part: str) -> Callable[[Trials], float]:
 
 
 def removed(*names: str) -> Callable[[Trials], float]:
-    """Observed over stated of the moved part's parameters after the recalibration."""
+    """Root mean square of error over stated sigma, of the parameters of the part that moved."""
 
     def figure(trials: Trials) -> float:
         parts = [
@@ -141,13 +141,13 @@ def walls_better(trials: Trials) -> float:
 
 
 def factors(expected: float) -> Callable[[Trials], float]:
-    """Share of trials in which the factor of the steps is found to 1 per cent and named."""
+    """Share of trials in which the factor between journal and true turn is found to 1 per cent, and named."""
     good = lambda trial: abs(trial["table"]["factor"] / expected - 1) < 0.01 and bool(trial["table"]["sentences"])
     return lambda trials: float(np.mean([good(trial) for trial in trials]))
 
 
 def jumps(trials: Trials) -> float:
-    """Share of trials in which one lost step is found within 2 records and 10 per cent of its angle, and named."""
+    """Share of trials in which the one lost step is found, within 2 records and 10 per cent of its angle, and named."""
 
     def good(trial: dict[str, Any]) -> bool:
         record, angle = trial["lost"]

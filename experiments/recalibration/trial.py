@@ -73,7 +73,7 @@ def calibration_of(config: SimulationConfig, kind: Kind, seed: int, stop_deg: fl
 
 
 def _nominal(config: SimulationConfig) -> SimulationConfig:
-    """Without the values that `draw_truth` draws: poses do not depend on them."""
+    """The rig before `draw_truth` changed it, so that board poses do not depend on the values drawn."""
     table = config.turntable.model_copy(update={"gain": 1.0, "harmonics": (0.0, 0.0, 0.0, 0.0)})
     camera = config.camera.model_copy(update={"fy": config.camera.fx})
     return config.model_copy(update={"turntable": table, "camera": camera})
@@ -200,9 +200,9 @@ def open_after_a_turn(scanner: Scanner, truth: Scanner) -> float:
 
 
 def parameters(before: Scanner, after: Scanner, truth: Scanner) -> dict[str, list[float]]:
-    """Of each minimal coordinate the error before and after, in the stated sigma of its own covariance [1].
+    """Errors and stated sigmas of sheet and axis in minimal coordinates: before, sigma, after, sigma.
 
-    Sheets and axis only, which drift. Errors are along the estimate's own tangent vectors.
+    The other parameters do not drift. Errors are along the estimate's own tangent vectors.
     """
     out: dict[str, list[float]] = {}
     for scanner in (before, after):

@@ -55,7 +55,7 @@ class Facets:
         return self.scene.cast(eye, ray)
 
     def blocked(self, source: np.ndarray, point: np.ndarray) -> np.ndarray:
-        """Whether something stands between both, each [n, 3]."""
+        """Whether something stands between sources and points, each [n, 3]."""
         far, _ = self.scene.cast(source, point - source)
         return far < 1 - 2e-3
 

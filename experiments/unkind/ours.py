@@ -37,7 +37,7 @@ def seen_rows(cloud: jaxscan.PointCloud, scanner: jaxscan.Scanner) -> Rows:
 
 
 def own_rig(scanner: jaxscan.Scanner, truth: Truth) -> Rig:
-    """For the comparison."""
+    """The calibrated rig as the judge compares it."""
     u, v = ray_grid(truth.size)
     at_u, at_v, _ = sheet_grid(truth)
     rig, table = scanner.rig, scanner.turntable

@@ -107,7 +107,7 @@ class Solved:
         self.point = np.linalg.lstsq(np.vstack([matrix, self.direction]), np.append(values, 0.0), rcond=None)[0]
 
     def rig(self, truth: Truth) -> Rig:
-        """For the comparison."""
+        """The solved rig as the judge compares it."""
         u, v = ray_grid(truth.size)
         way = self.rays(u.ravel(), v.ravel())
         rays = (way / np.linalg.norm(way, axis=1, keepdims=True)).reshape(*u.shape, 3)

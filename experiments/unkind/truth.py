@@ -157,7 +157,7 @@ def clocks() -> tuple[float, float]:
 
 
 def passed(start: tuple[float, float], middle: tuple[float, float], end: tuple[float, float]) -> dict[str, float]:
-    """Times of calibration and sweep [s]; the processor's say more where others use the machine too."""
+    """Times of calibration and sweep [s]; if others use the machine, those of the processor are the reliable ones."""
     (calibrate, calibrate_cpu), (sweep, sweep_cpu) = (
         tuple(b - a for a, b in zip(*pair, strict=True)) for pair in ((start, middle), (middle, end))
     )

@@ -133,6 +133,7 @@ def test_the_noise_is_estimated(world, perfect):
     assert value < size + 4 * np.sqrt(2 * size)
 
 
+@pytest.mark.more
 def test_every_contrast_class_has_a_noise_of_its_own(world, perfect):
     stripes = perfect.stripes
     contrast = np.random.default_rng(0).integers(0, 3, stripes.valid.shape).astype(np.int8)

@@ -174,6 +174,7 @@ def test_an_object_and_a_stage_have_lengths_of_their_own():
     )
 
 
+@pytest.mark.more
 def test_where_the_cloud_lies_is_no_error():
     # c1 (cos phi - 1) turns all points alike by its constant, and shifts them by half of its wave.
     scanner = uncertain(room_rig(), c1=1e-4)

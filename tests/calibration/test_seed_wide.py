@@ -12,6 +12,9 @@ from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Fisheye
 
 
+pytestmark = pytest.mark.more
+
+
 LENSES = {
     "equidistant": (0.0, 0.0, 0.0, 0.0),
     "equisolid": (-1 / 24, 1 / 1920, -1 / 322560, 0.0),

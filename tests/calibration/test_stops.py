@@ -9,6 +9,9 @@ from jaxscan.calibration import CalibrationSettings, calibrate_observations
 from jaxscan.errors import CalibrationError
 
 
+pytestmark = pytest.mark.more
+
+
 SIGMA = 3e-4
 
 

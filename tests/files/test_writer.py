@@ -128,8 +128,9 @@ def test_a_full_disk_is_one_clear_error_and_keeps_what_is_complete(tmp_path, mon
     monkeypatch.setattr(store, "write_atomically", full)
     for k in range(2):
         capture.append(angle_deg=float(k), on=FRAMES[k])
-    capture.append(angle_deg=2.0, on=FRAMES[2])
+    # It is said as soon as it is known.
     with pytest.raises(CaptureError, match=r"on/000002\.zst: cannot be written: No space left on device"):
+        capture.append(angle_deg=2.0, on=FRAMES[2])
         capture.flush()
     # The record after a lost one must not slip in, and closing is quiet: the error has been raised.
     with pytest.raises(CaptureError, match="No space left"):

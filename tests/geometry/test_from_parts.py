@@ -23,6 +23,7 @@ def test_two_lines_give_the_points_of_the_paper():
         np.testing.assert_allclose(point, expected, atol=3e-6)
 
 
+@pytest.mark.more
 def test_a_perfect_sweep_is_reconstructed():
     scanner = jaxscan.Scanner.from_parts(CAMERA, SHEET, TABLE)
     # A stripe of Gaussian profile along column 200.5, at four angles of the table.

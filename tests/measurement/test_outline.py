@@ -42,6 +42,7 @@ def test_without_noise_it_is_exact(corners):
     assert room.closed
 
 
+@pytest.mark.more
 def test_sigmas_are_honest():
     """Lengths, areas and the volume of 8 draws: 9 numbers each."""
     whitened = []

@@ -46,6 +46,7 @@ def test_deterministic_and_independent_of_the_seed(furnished):
     np.testing.assert_allclose(values(first), values(other), atol=2e-5)
 
 
+@pytest.mark.more
 def test_random_sigma_is_honest(box_room):
     whitened = []
     for seed in range(12):
@@ -153,6 +154,7 @@ def scan(scanner, box_room):
     return scanned
 
 
+@pytest.mark.more
 def test_systematic_sigma_of_one_parameter_is_its_effect(scanner, scan):
     names, sigma = scanner.parameter_names(), np.sqrt(np.diag(scanner.covariance))
     nominal = measure_room(scan(np.zeros(len(names))))

@@ -29,6 +29,7 @@ def psnr(found, true):
     return 10 * np.log10(255**2 / np.mean((found.astype(float) - true) ** 2))
 
 
+@pytest.mark.more
 def test_hidden_places_take_no_colour_from_what_stands_before_them(world, occluder):
     points, normals = wall(np.arange(-1.0, 1.0, 0.01), np.arange(-0.5, 0.3, 0.01))
     rgb, seen = colour_points(world.photographs, points, normals, occluder=occluder)
@@ -75,6 +76,7 @@ def test_saturated_pixels_are_left_out(world, occluder):
     assert np.max(np.abs(rgb.astype(int) - expected)) <= 2  # Half as many photographs have more noise.
 
 
+@pytest.mark.more
 def test_exposures_are_equalised(world, occluder):
     points, normals = wall(np.arange(0.3, 1.2, 0.02), np.arange(-0.5, 0.3, 0.02))
     expected, seen = colour_points(world.photographs, points, normals, occluder=occluder)
@@ -150,6 +152,7 @@ def test_photographs_are_not_kept(world, occluder):
     assert max(most) <= 4
 
 
+@pytest.mark.more
 def test_the_setting_of_the_caller_does_not_matter(world, occluder):
     points, normals = wall(np.arange(0.3, 1.2, 0.05), np.arange(-0.5, 0.3, 0.05))
     found = colour_points(world.photographs, points, normals, occluder=occluder)

@@ -58,6 +58,7 @@ def test_no_verb_follows_a_link_among_the_products(museum, outside, run, verb, n
         assert ran.code == 1 and ran.err.count("\n") == 1 and "found a link" in ran.err
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("name", NAMES[4:])
 def test_no_step_writes_through_a_link(museum, outside, name):
     (museum.parent / "products").mkdir()

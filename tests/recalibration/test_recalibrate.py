@@ -55,6 +55,7 @@ def drifted():
     return recalibrate([sweep(0.05)], calibration_of(with_covariance(truth_scanner(), np.diag(GOOD**2))), SETTINGS)
 
 
+@pytest.mark.more
 def test_a_poor_calibration_becomes_better(poor):
     calibration, result, _ = poor
     assert result.updated and not result.refused and result.hold_out is not None and result.hold_out.better

@@ -113,6 +113,7 @@ def test_parts_of_a_wall_behind_furniture_and_at_the_end_of_the_turn_are_one():
     assert (ahead.record >= 360).sum() > 300
 
 
+@pytest.mark.more
 def test_two_stations_see_one_wall():
     pose = np.eye(4)
     pose[:2, :2] = [[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]]

@@ -35,6 +35,7 @@ def ratio(found, truth, rows=np.s_[:]):
     return rms((found.u - truth)[rows]) / rms(found.sigma[rows])
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("lags", [(), (0.65, 0.2), OF_A_JPEG])
 def test_rows_that_are_alike_over_several_lines(lags):
     found = smooth_sweep(stripes_of(FLAT + 0.1 * alike(lags, FLAT.shape), 0.1))
@@ -76,6 +77,7 @@ def frames(kind, width, peak_dn):
     return developed(red), developed(0.0 * red)
 
 
+@pytest.mark.more
 @pytest.mark.parametrize(
     ("kind", "width", "peak_dn"), [("direct", 1.2, 120), ("demosaiced", 1.2, 120), ("jpeg", 1.2, 120)]
 )

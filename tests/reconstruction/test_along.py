@@ -55,6 +55,7 @@ def off_plane(cloud):
     return cloud.xyz[cloud.valid] @ NORMAL - 1.5
 
 
+@pytest.mark.more
 def test_points_are_better_than_their_rows(clouds):
     smooth, rows = clouds
     np.testing.assert_array_equal(smooth.valid, rows.valid)
@@ -108,6 +109,7 @@ def test_chunks_give_the_same(sweep, scanner, stripes, clouds, chunk):
         np.testing.assert_allclose(getattr(again, name), getattr(clouds[0], name), rtol=1e-5, atol=1e-6, err_msg=name)
 
 
+@pytest.mark.more
 def test_several_candidates_of_a_line_are_no_neighbours(sweep, scanner):
     settings = replace(EDGE, stripes=StripeSettings(choice="all"))
     one, other = (reconstruct(sweep, scanner, settings=replace(settings, smooth=how)) for how in ("edge", "off"))

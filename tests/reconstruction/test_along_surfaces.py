@@ -79,6 +79,7 @@ def test_what_is_left_is_stated(name):
     assert np.median(own) / sigma == pytest.approx(np.sqrt(1 + 2 * correlation), rel=0.06)
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("height", [5, 8, 25, 500])
 def test_beside_a_step(height):
     truth = 300 + SLOPE * X + 0.1 * height * (X >= 120)

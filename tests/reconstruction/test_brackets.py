@@ -9,6 +9,9 @@ from jaxscan.stripes import NoiseModel
 from .rendered import ELECTRONS_PER_DN, READ_DN, expose, stripe
 
 
+pytestmark = pytest.mark.more
+
+
 WIDTH, HEIGHT, RECORDS = 192, 96, 6
 NORMAL = np.array([0.9, 0.4, 0.17]) / np.linalg.norm([0.9, 0.4, 0.17])
 DISTANCE = 1.5

@@ -10,6 +10,9 @@ from jaxscan.stripes import LaserLine
 from .rendered import pairs, stripe
 
 
+pytestmark = pytest.mark.more
+
+
 WIDTH, HEIGHT, RECORDS = 192, 96, 6
 NORMAL = np.array([0.9, 0.4, 0.17]) / np.linalg.norm([0.9, 0.4, 0.17])
 DISTANCE = 1.5

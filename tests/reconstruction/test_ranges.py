@@ -40,6 +40,7 @@ def test_parts_are_together_the_whole(sweep, scanner, ends, smooth):
     same(cloud_of_ranges(sweep, scanner, parts[::-1], settings=settings), whole)
 
 
+@pytest.mark.more
 def test_ranges_are_all_records(sweep):
     assert ranges_of(sweep, 1000) == ((0, 60),)
     assert ranges_of(sweep, 20) == ((0, 20), (20, 40), (40, 60))

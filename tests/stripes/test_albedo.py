@@ -8,6 +8,9 @@ import pytest
 from jaxscan.stripes.fit import DarkWindow, albedo_shift
 
 
+pytestmark = pytest.mark.more
+
+
 SAMPLES, SUBSAMPLES = 24, 16
 READ, GAIN = 1.0, 40.0
 

@@ -24,6 +24,7 @@ def _mosaic(tile, colour, shape):
     return letters[row % 2, column % 2] == colour[0]
 
 
+@pytest.mark.more
 def test_rgb_reads_the_lasers_channel(render):
     scene = render(1.5, 80.0)
     mono = extract_stripes(scene.on, scene.off, noise=KNOWN)
@@ -87,6 +88,7 @@ def test_bayer_centre_is_that_of_the_mono_image(tile, colour, render):
     assert ratio == pytest.approx(np.sqrt(2.0), rel=0.05)
 
 
+@pytest.mark.more
 def test_colour_of_no_sites_changes_nothing(render):
     scene = render(2.0, 100.0)
     carries = _mosaic("rggb", "red", scene.on.shape[1:])
@@ -133,6 +135,7 @@ def test_stripe_along_the_rows_is_the_transposed_one(pixel_format, render):
     _same(upright, lying)
 
 
+@pytest.mark.more
 def test_srgb_is_decoded_before_the_fit(render, profile):
     rng = np.random.default_rng(2)
     u = rng.uniform(40, 56, 2048)

@@ -140,6 +140,7 @@ def test_bars_and_squares_of_eight_pixels_are_no_jpeg(pattern, flicker):
     assert _learn(on, off).doubts == ()
 
 
+@pytest.mark.more
 def test_a_black_level_is_compared_with_levels_not_codes():
     # Code 100 of sRGB is a level of 32.5 DN.
     rng = np.random.default_rng(0)

@@ -38,6 +38,7 @@ def test_what_leaks_is_measured(profile, sensor, leaking):
     assert np.all(found.unrest < 1.3)
 
 
+@pytest.mark.more
 def test_motion_is_seen(profile, sensor):
     found = judged(*_pair(profile, sensor, moved=6))
     assert np.all(found.unrest > 2.0)

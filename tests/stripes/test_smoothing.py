@@ -134,6 +134,7 @@ def test_every_second_line_of_a_mosaic():
     np.testing.assert_array_equal(sparse.shared_lines[:, 1::2], shared)
 
 
+@pytest.mark.more
 def test_a_few_centres_far_apart_are_no_mosaic():
     u, valid = np.full((1, LINES), 5.0), np.zeros((1, LINES), bool)
     valid[:, ::40] = True

@@ -20,6 +20,9 @@ from jaxscan.stripes.fit import FitRules, Start, Window, fit_stripe
 from jaxscan.stripes.speckle import Rows, correct_speckle
 
 
+pytestmark = pytest.mark.more
+
+
 KNOWN = NoiseModel(read_dn=1.7, electrons_per_dn=8.0, black_dn=5.0)
 FINE = 4
 ROWS, COLUMNS, FRAMES, WIDTH = 256, 64, 8, 1.3
