@@ -138,6 +138,7 @@ def calibrate(
     doing("judging")
     result = judge(found, settings=settings, known=known)
     result = settle_lens(result, settings, to_observations(captures, seen), known)
+    stages.done(3)
     missed, rig = tuple(Missed(*record) for record in seen.missed()), solved_rig(found)
     without = () if rig is None else warn_of_missing_lines(*seen.without_a_line(rig))
     warnings = (*result.quality.warnings, *without, *seen.doubts(captures))
