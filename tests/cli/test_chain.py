@@ -66,6 +66,7 @@ def test_the_room_is_as_large_as_it_is(tiny):
         assert 0 < side["sigma_m"] < 0.01
 
 
+@pytest.mark.more
 def test_every_nth_record(tiny, run, refused, tmp_path):
     sparse = tmp_path / "a.npz"
     ran = run("reconstruct", tiny.sweep, "-c", tiny.calibration, "-o", sparse, "--every", 3, "--json", "-")

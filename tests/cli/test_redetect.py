@@ -13,6 +13,9 @@ from jaxscan.vision.zstd import decode_zstd
 from .conftest import unsealed
 
 
+pytestmark = pytest.mark.more
+
+
 @pytest.fixture(scope="module")
 def spoilt(tiny, tmp_path_factory):
     """The tiny rig's boards, one of which is half hidden in its last picture."""

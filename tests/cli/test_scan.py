@@ -236,6 +236,7 @@ class Replay(Desk):
         return on if lit else off
 
 
+@pytest.mark.more
 def test_the_cloud_is_there_when_the_scan_ends(run, paper, tiny, tmp_path, monkeypatch):
     desk = Replay(tiny.sweep)
     paper.desk.controller.table = desk.table

@@ -4,6 +4,7 @@ import threading
 import time
 
 import numpy as np
+import pytest
 
 from jaxscan.cli.console.captures import Captures
 from jaxscan.cli.console.desk import Chosen, Desk
@@ -72,6 +73,7 @@ def test_the_watch_over_the_rig_goes_on_and_says_a_failure_once(paper, monkeypat
     assert says(slate) == ["the watch over the rig: did not succeed: [Errno 24] Too many open files"]
 
 
+@pytest.mark.more
 def test_the_painter_goes_on_after_a_picture_that_failed(tmp_path, monkeypatch):
     from scanrig.config import load_rig
 

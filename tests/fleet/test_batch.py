@@ -74,6 +74,7 @@ def test_nobody_comes(museum, lonely):
     assert {one.state for one in states(museum).values()} == {"missing"}
 
 
+@pytest.mark.more
 def test_somebody_comes_late(museum, lonely):
     def hire():
         time.sleep(1.0)

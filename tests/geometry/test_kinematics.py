@@ -139,6 +139,7 @@ def test_slopes_are_differences(rig):
         np.testing.assert_allclose(found[..., k], (forth - back) / 2e-4, atol=1e-8 + 1e-7 * np.abs(found).max(), rtol=0)
 
 
+@pytest.mark.more
 def test_derivatives_by_everything_are_differences(rig):
     q, laser, phi = (part[:6] for part in stripes())
 

@@ -2,6 +2,7 @@
 
 import cv2
 import numpy as np
+import pytest
 
 from jaxscan.files.capture import Capture, common_board, open_capture
 from jaxscan.observation import Eyes, look_at_boards
@@ -28,6 +29,7 @@ def _jpeg(image):
     return cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1], cv2.IMREAD_UNCHANGED)
 
 
+@pytest.mark.more
 def test_boards_say_gamma_and_jpeg_once_with_their_capture(tiny, monkeypatch):
     assert _doubts(tiny, monkeypatch, lambda image: image) == ()
     (doubt,) = _doubts(tiny, monkeypatch, _gamma)

@@ -253,6 +253,7 @@ def test_faint_stripes_are_as_good_as_stated():
         assert 0.85 < np.sqrt(np.mean(z**2)) < 1.15, number
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("contrast", [0.2, 0.6])
 def test_speckle_is_in_the_sigmas(contrast):
     """As strong as lasers show it, with its contrast as other boards told it, or not at all."""
@@ -266,6 +267,7 @@ def test_speckle_is_in_the_sigmas(contrast):
             assert 0.82 < np.sqrt(np.mean((error / sigma)[number == kind] ** 2)) < 1.15, kind
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("contrast", [0.0, 0.45])
 def test_even_print_tells_the_contrast_of_speckle(contrast):
     """Edges of the print, which scatter centres and widths too, tell nothing."""

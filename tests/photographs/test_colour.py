@@ -43,6 +43,7 @@ def test_hidden_places_take_no_colour_from_what_stands_before_them(world, occlud
     assert np.all(rgb[~seen] == 0)
 
 
+@pytest.mark.more
 def test_points_between_the_stripes_are_6_db_better(world, occluder):
     samples = list(surface_samples(world.cloud, world.scanner, 0.004))
     points, normals, striped = (np.concatenate(part)[::7] for part in zip(*samples, strict=True))

@@ -52,6 +52,7 @@ def test_a_straight_line_is_straight_to_half_a_pixel(world, panorama):
     assert np.max(np.abs(off)) < 0.5 * pixel_m
 
 
+@pytest.mark.more
 def test_distances_and_normals_are_those_of_the_wall(world, panorama):
     rays = panorama.frame.rays()
     y, z = np.meshgrid(np.linspace(0.4, 1.0, 12), np.linspace(-0.4, 0.3, 9))

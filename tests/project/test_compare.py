@@ -54,6 +54,7 @@ def test_one_capture_and_two_versions(two, run):
     assert [one["moved"] for one in lengths].count(True) == 1
 
 
+@pytest.mark.more
 def test_a_length_that_is_lost_is_a_change(two, run):
     first, second = two
     path = second.parent / "products" / "measures" / "room-2.json"

@@ -111,6 +111,7 @@ def test_a_defect_is_kept_with_its_place(museum, monkeypatch):
     assert kept[row.key] == row
 
 
+@pytest.mark.more
 def test_one_row_of_each_step_however_often_it_is_written(clouds):
     catalogue = catalogue_of(clouds)
     rows = catalogue.rows()

@@ -35,6 +35,7 @@ def trial(seed):
     return departure(truth, prior), departure(truth, adjusted.scanner), adjusted
 
 
+@pytest.mark.more
 def test_a_poor_calibration_gets_better_by_as_much_as_it_says():
     before, after, adjusted = trial(0)
     sigma = np.sqrt(np.diag(adjusted.scanner.covariance))

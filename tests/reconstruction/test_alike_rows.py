@@ -48,6 +48,7 @@ def test_rows_that_are_alike_over_several_lines(lags):
         assert 0.75 < error / np.sqrt(variance[inside].mean() / count) < 1.3
 
 
+@pytest.mark.more
 def test_an_error_by_the_place_in_the_pixel():
     """Two pixels apart it is the same: an upright stripe has it on all of its lines, and only steep ones show it."""
     u = FLAT + 0.1 * alike((0.65, 0.2), FLAT.shape) + 0.12 * np.sin(np.pi * FLAT)
@@ -96,6 +97,7 @@ def test_rows_alike_by_the_surface_are_no_error():
     assert law.correlation == INDEPENDENT and law.hidden == 1.0
 
 
+@pytest.mark.more
 def test_tables_are_those_of_fits():
     lags, size, left, right = (0.6, 0.3, 0.1), 10, REACH, 4
     # Ten lines on either side, of which one ends after four.

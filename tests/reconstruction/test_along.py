@@ -66,6 +66,7 @@ def test_points_are_better_than_their_rows(clouds):
     assert tilt[0] < 0.8 * tilt[1]
 
 
+@pytest.mark.more
 def test_without_smoothing_nothing_is_shared(clouds):
     assert all(getattr(clouds[1], name) is None and getattr(clouds[0], name) is not None for name in SMOOTHED)
     assert all(not getattr(clouds[0], name)[~clouds[0].valid].any() for name in SMOOTHED)

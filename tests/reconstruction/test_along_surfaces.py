@@ -90,6 +90,7 @@ def test_beside_a_step(height):
     assert np.mean(np.abs(error) > 5 * stated) <= 1e-3
 
 
+@pytest.mark.more
 def test_an_average_of_rows_that_are_alike():
     """Rows of sigma_row that are taken for independent promise of an average as much as it is worth."""
     u = 0.1 * noise_of(0.3)

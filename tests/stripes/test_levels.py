@@ -81,6 +81,7 @@ def test_a_faint_stripe_gains_and_a_bright_one_loses_nothing(peak, most):
     assert np.median(amplitude[valid]) == pytest.approx(peak / 16, rel=0.05)
 
 
+@pytest.mark.more
 def test_two_records_are_those_of_each_alone():
     """Of two, the second level of the last one lies in memory as a whole array does."""
     _, on, off = photographed(320.0)

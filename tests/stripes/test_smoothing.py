@@ -141,6 +141,7 @@ def test_a_few_centres_far_apart_are_no_mosaic():
     np.testing.assert_array_equal(smooth(u, 0.1, valid).shared_lines, valid)
 
 
+@pytest.mark.more
 def test_profiles_and_directions_and_units_do_not_matter():
     sigma = 0.05 + 0.05 * np.random.default_rng(3).random((PROFILES, LINES))
     u = noisy(300 + SLOPE * X + 2.0 * (X > 77), sigma)
