@@ -27,6 +27,7 @@ def moved(cloud, pose):
     return join_clouds([wide], [pose], [np.zeros((6, 6))])
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("pose", [CORNER, MAP], ids=["corner", "map"])
 def test_drawings(pose):
     """The same lengths, openings and sections to a tenth of the finest sigma, wherever the origin is."""

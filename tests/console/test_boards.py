@@ -42,6 +42,7 @@ def seen(console, paper, tiny, monkeypatch):
     return desk
 
 
+@pytest.mark.more
 def test_a_person_is_guided_and_says_when(console, seen):
     async def pages(console):
         page = await console.open()

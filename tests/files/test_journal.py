@@ -152,6 +152,7 @@ def test_very_many_lines_are_refused_at_once():
     assert time.monotonic() - began < 10
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("key", ["sha256", "lasers", "x", "time"])
 def test_long_lines_take_little_memory(key):
     """Each holds 20,000 lists; together they would take a hundred times the size of the file."""

@@ -166,6 +166,7 @@ def test_a_cameramodel_with_its_optimisation(tmp_path):
     np.testing.assert_array_equal(load_camera(path).parameters(), [500, 500, 320, 240, 0, 0, 0, 0, 0])
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("filling", ["\n", "[", ",", "a:\n", "'intrinsics':[", "data:\n", " \n", "- 1\n"])
 @pytest.mark.parametrize("name", ["c.yaml", "c.cameramodel"])
 def test_megabytes_of_anything_are_read_at_once(tmp_path, name, filling):

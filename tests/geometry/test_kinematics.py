@@ -100,6 +100,7 @@ def test_numpy_equals_jax_in_both_precisions(rig):
             np.testing.assert_allclose(by_numpy, by_jax, atol=tolerance, rtol=tolerance, err_msg=name)
 
 
+@pytest.mark.more
 def test_any_leading_axes(rig):
     q, laser, phi = stripes()
     flat = functions(rig, q, laser, phi)

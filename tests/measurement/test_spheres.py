@@ -42,6 +42,7 @@ def test_without_noise_it_is_exact():
     assert found.radius_m == pytest.approx(RADIUS, abs=1e-7) and found.rms_m < 1e-7
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("noise", [3e-4, 3e-3])
 @pytest.mark.parametrize("held", [False, True])
 def test_sigmas_are_honest_and_there_is_no_bias(noise, held):

@@ -100,6 +100,7 @@ def crossing(random, corners, _):
     return [(top + t * (bottom - top), 150.0, 1.3)]
 
 
+@pytest.mark.more
 def test_a_brighter_line_leaves_the_lasers_line_among_those_found(boards):
     views, truth = look(boards, crossing, 0)
     for view, true in zip(views, truth, strict=True):

@@ -78,6 +78,7 @@ def marked():
     return seen, [fit(one) for one in seen]
 
 
+@pytest.mark.more
 def test_as_good_as_stated_whatever_ink_is_under_the_stripe(marked):
     seen, found = marked
     error, sigma, contrast = pooled(seen, found)
@@ -243,6 +244,7 @@ def test_room_light_shows_where_the_print_lies():
         assert np.exp(room.shared.blur) == pytest.approx(0.75, abs=0.04)
 
 
+@pytest.mark.more
 def test_faint_stripes_are_as_good_as_stated():
     """Light of 5 to 20 DN, where the error is no longer small beside the stripe."""
     seen = [scene.look(scene.markers(7, 5, 0.75), 0.066, seed, laser_dn=30.0, room_dn=3.0) for seed in SEEDS]

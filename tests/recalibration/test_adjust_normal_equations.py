@@ -14,6 +14,9 @@ from jaxscan.recalibration.triangulate import triangulate_points
 from tests.recalibration.small_room import SIGMA, exact_sweep, observe, stored, truth_scanner, with_covariance
 
 
+pytestmark = pytest.mark.more
+
+
 SEED = 11
 
 

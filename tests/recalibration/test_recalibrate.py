@@ -75,6 +75,7 @@ def test_a_poor_calibration_becomes_better(poor):
     assert any(line.startswith("height scale") for line in result.unobserved)
 
 
+@pytest.mark.more
 def test_the_stored_calibration_is_not_touched(poor):
     calibration, result, _ = poor
     assert result.adjusted.prior is calibration.scanner and result.scanner is not calibration.scanner

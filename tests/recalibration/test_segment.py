@@ -29,6 +29,7 @@ def assert_pure(taken: Taken, points: SurfacePoints, surfaces: Surfaces) -> None
         assert count.max() >= 0.995 * count.sum(), count
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("radius", [1.0, 5.0])
 @pytest.mark.parametrize("known", [True, False])
 def test_a_curved_wall_is_no_plane(radius, known):
@@ -48,6 +49,7 @@ def test_a_curved_wall_is_no_plane(radius, known):
     assert_pure(taken, points, surfaces)
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("known", [True, False])
 def test_a_wall_with_a_step_is_two_planes(known):
     stored, true = (rig(), rig()) if known else poor(2)

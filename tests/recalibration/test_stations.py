@@ -14,6 +14,9 @@ from jaxscan.simulation import Motion, distort, make_rig, true_scanner
 from .boxes import EMPTY, FURNISHED, L_SHAPED, Room, cast, demo, pose, sweep_of
 
 
+pytestmark = pytest.mark.more
+
+
 SCANNER = true_scanner(demo())
 PLACES = (pose((2.0, 2.6, 1.2), 50.0), pose((1.4, 3.9, 1.15), 200.0, (1.5, -1.0)), pose((3.2, 1.6, 1.3), -70.0))
 # First values: a few centimetres and a degree are asked, and walls that both see give far better.

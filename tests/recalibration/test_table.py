@@ -10,6 +10,9 @@ from jaxscan.recalibration.table.walls import Equations, fit_steps
 from tests.recalibration.table_room import FURNITURE, knocked, paper_scanner, sweep
 
 
+pytestmark = pytest.mark.more
+
+
 def checked(phi, true, *, seed=0, furniture=FURNITURE):
     """The findings with a poor calibration, and the corrected angles less the true ones."""
     rng = np.random.default_rng(seed)

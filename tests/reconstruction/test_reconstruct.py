@@ -67,6 +67,7 @@ def test_sigma_random_is_the_finite_difference(small_scanner, flat_stripes):
     assert not cloud.sigma_systematic.any()
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("chunk", [3, 100])
 def test_result_does_not_depend_on_chunks(small_scanner, flat_stripes, frames, chunk):
     scanner, stripes = small_scanner(), flat_stripes((7, HEIGHT), np.linspace(30, 50, HEIGHT))

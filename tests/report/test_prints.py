@@ -110,6 +110,7 @@ def test_the_ink_is_where_the_calibration_supposes_it(name):
         assert black == (known[row, column] == 0.0)
 
 
+@pytest.mark.more
 def test_sheets_that_are_cut_at_their_marks_and_joined_are_the_board():
     board = Charuco(12, 9, 0.03, 0.022, "DICT_5X5_250")
     pages, (note,) = board_pages(board, "A4")

@@ -41,6 +41,7 @@ def test_dimensions_are_those_of_measure_room(drawn, box):
     assert any("hole in the floor" in text for text in words)
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("width", [1600, 800])
 def test_words_are_on_the_picture_and_do_not_overlap(cloud, box, width):
     drawn = room_picture(cloud, box, width=width)
@@ -80,6 +81,7 @@ def test_one_point(cloud):
     assert room_picture(only(cloud, one)).rgb.shape[1] == 1600
 
 
+@pytest.mark.more
 def test_a_room_on_a_map_looks_the_same():
     """Pictures are drawn in single precision, of which 5 400 000 m leave half a metre."""
     local = made_room()

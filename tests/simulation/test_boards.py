@@ -105,6 +105,7 @@ def fit_corner(image: np.ndarray, start: np.ndarray, directions: np.ndarray) -> 
     return min(best, key=lambda solution: solution.cost).x[:2]
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("motion", POSES)
 @pytest.mark.parametrize("warp", [(0.0, 0.0), (2.0, -1.5)])
 def test_corners_are_where_projection_puts_them(motion, warp):

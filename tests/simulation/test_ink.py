@@ -23,6 +23,9 @@ from jaxscan.simulation.rig import Motion, distort, rodrigues
 from jaxscan.stripes import NoiseModel, StripeSettings, extract_stripes
 
 
+pytestmark = pytest.mark.more
+
+
 BOARD = BoardsSpec(type="chessboard", columns=9, rows=7, square_mm=40.0, range_m=(0.6, 1.4))
 CONFIG = SimulationConfig(
     camera=CameraSpec(width=640, height=512, fx=900, fy=900, cx=320.0, cy=256.0),

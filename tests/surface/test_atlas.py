@@ -30,6 +30,7 @@ def shown(mesh, weights):
     return mesh.texture[(uv[:, 1] * rows).astype(int), (uv[:, 0] * columns).astype(int)], colour_of(place)
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("weights", [(1 / 3, 1 / 3, 1 / 3), (0.9, 0.06, 0.04), (0.04, 0.9, 0.06), (0.48, 0.48, 0.04)])
 def test_a_texel_has_the_colour_of_its_place(few, weights):
     mesh = texture_any_mesh(few, known, 300.0)

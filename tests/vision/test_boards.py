@@ -93,6 +93,7 @@ def test_a_board_upside_down_is_known_by_its_black_corner(detector):
     assert np.abs(back - upright.q).max() < 0.1
 
 
+@pytest.mark.more
 def test_a_large_image_is_looked_at_in_a_smaller_copy(monkeypatch):
     homography = pose(size=3600.0, shift=(420.0, 420.0))
     picture = drawn(CHESS, tuple(homography.ravel()), (2000, 1500), oversampling=4)
@@ -153,6 +154,7 @@ MARKED = [(CHESS, 0.02), (CHARUCO, 0.03)]
 """Boards, and light under which they have a contrast of 4 to 5 DN."""
 
 
+@pytest.mark.more
 @pytest.mark.parametrize(("board", "light"), MARKED)
 def test_a_dark_board_is_measured_in_all_bits(board, light):
     homography = tuple(pose().ravel())

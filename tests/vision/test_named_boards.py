@@ -69,6 +69,7 @@ def test_the_other_board_is_named(shown, expected, words):
     assert name_other_board(picture(shown), expected) == words
 
 
+@pytest.mark.more
 @pytest.mark.parametrize("board", [CHESS, CHARUCO, OLD, GRID], ids=["chessboard", "charuco", "legacy", "tags"])
 def test_of_the_expected_board_nothing_is_said(board):
     assert name_other_board(picture(board), board) is None

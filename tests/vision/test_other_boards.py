@@ -13,6 +13,9 @@ from jaxscan.vision.april_grid import find_april_grid
 from .printed import CAMERA, LENS, SIZE, inside, picture, pose, seen_at
 
 
+pytestmark = pytest.mark.more
+
+
 CIRCLES = Circles(4, 11, 0.02, 0.018)
 SYMMETRIC = Circles(7, 6, 0.03, 0.018, "symmetric")
 APRIL = AprilGrid(5, 4, 0.0105, 0.035)

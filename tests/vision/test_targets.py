@@ -46,6 +46,7 @@ def marked():
     return sweep_of(walls)
 
 
+@pytest.mark.more
 def test_a_marker_becomes_four_named_tracks(marked):
     tracks, notes = observe([marked], [stripes_of(ANGLES)])
     assert notes == ()
@@ -93,6 +94,7 @@ def test_a_marker_in_two_corners_of_the_room_is_left_out_too():
     assert "marker 7" in notes[0]
 
 
+@pytest.mark.more
 def test_a_board_left_standing_has_numbered_corners():
     walls = room()
     hang(walls[5], np.pad(board_texture(BOARD, 60), 30, constant_values=255), (-0.1, 0.1), 1.12 * 300 / 240)

@@ -10,6 +10,9 @@ from tests.vision.painted_room import Rig, paint, pixel, render
 from tests.vision.room_capture import Images, stripes_of, true_scanner
 
 
+pytestmark = pytest.mark.more
+
+
 RIG = Rig()
 ANGLES = np.radians(np.arange(0.0, 390.0, 7.5))
 SETTINGS = RecalibrationSettings()
