@@ -161,7 +161,7 @@ class GrblBoard:
     # Within
 
     def _require_cable(self) -> None:
-        self._run_due()
+        self.run_due()
         if not self.plugged:
             raise LinkLost("grbl went away (unplugged)") from OSError(5, "unplugged")
 
@@ -170,7 +170,8 @@ class GrblBoard:
         own = [self._motion.end_s] if self._motion else []
         return [*own, *([] if self._homing_ends is None else [self._homing_ends]), *(at for at, _ in self._due)]
 
-    def _run_due(self) -> None:
+    def run_due(self) -> None:
+        """Run the actions whose time has come."""
         due = [entry for entry in self._due if entry[0] <= self.clock.now()]
         self._due = [entry for entry in self._due if entry not in due]
         for _, action in due:
@@ -213,7 +214,7 @@ class GrblBoard:
             self._held = True
 
     def _run(self) -> None:
-        self._run_due()
+        self.run_due()
         now = self.clock.now()
         while self._motion is not None and now >= self._motion.end_s:
             ended, self._place, self._motion = self._motion.end_s, self._motion.end, None
@@ -363,8 +364,9 @@ def open_board(board: GrblBoard, config: RigConfig) -> GrblController:
     """A controller at a board; its port is there while the cable is plugged in."""
 
     def reopen() -> GrblBoard:
+        board.clock.sleep(ANSWER_S)
+        board.run_due()
         if not board.plugged:
-            board.clock.sleep(ANSWER_S)
             raise PortError("there is no port grbl")
         return board
 
