@@ -2,7 +2,7 @@
 
 import abc
 import dataclasses
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 import numpy as np
 import pydantic
@@ -74,7 +74,7 @@ class _WithDirection(FileModel):
     basis: Basis | None = None
 
     @pydantic.model_validator(mode="after")
-    def _meaningful(self) -> Self:
+    def _meaningful(self) -> "_WithDirection":
         self.motion()
         return self
 

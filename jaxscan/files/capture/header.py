@@ -4,7 +4,7 @@ import abc
 import math
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import pydantic
 import tomli_w
@@ -49,7 +49,7 @@ class _Board(FileModel):
     rows: Count
 
     @pydantic.model_validator(mode="after")
-    def _possible(self) -> Self:
+    def _possible(self) -> "_Board":
         check_board(self.board())
         return self
 
