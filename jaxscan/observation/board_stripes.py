@@ -251,7 +251,7 @@ def _extract(
         on, off = (np.stack([join_levels(one, seen.bits) for one in part]) for part in (on, off))
     planes = [np.asarray(engine.setup.plane(part)) for part in (on, off)]
     return stripes, [
-        Sight(lit, dark, ratio, engine.setup.sites, seen.kind, line, noise.in_finer_steps(steps), steps)
+        Sight(lit, dark, ratio, engine.setup.sites, seen.kind, line, noise.in_finer_steps(float(steps)), steps)
         for lit, dark, ratio in zip(*planes, ratios, strict=True)
     ]
 
