@@ -61,7 +61,7 @@ def test_a_linear_stage(world, seen, tmp_path):
     # 0.1 px at 1200 px over 0.16 m of travel at 1 m.
     assert sigma["travel.t1"] < 1e-3 and sigma["gain"] < 1e-3 and sigma["laser.laser.d"] < 1e-3
     lengths = calibration.quality.lasers()[0].lengths
-    assert [length.name for length in lengths] == ["along the stripe", "across the sweep"]
+    assert [length.name for length in lengths] == ["wall", "along the stripe", "across the sweep"]
     assert all(0 < length.sigma_mm < 5 for length in lengths)
     assert_stored(calibration, tmp_path)
 

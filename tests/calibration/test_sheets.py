@@ -235,5 +235,6 @@ def test_lines_that_were_left_out_count_by_their_number(world, moved):
     else:
         assert found.quality.verdict.result(lines) == "structure" and lines.effect_mm > 0.9 * good_to.sigma_mm
         assert "take again the records" in found.quality.verdict.advice[0]
-        first = headline(found).headline
-        assert first.startswith("Good to") and "boards or laser moved between pictures" in first
+        first = headline(found)
+        assert first.headline.startswith("Good to only") and "Refused" in first.explanation
+        assert "boards or laser moved between pictures" in first.explanation
