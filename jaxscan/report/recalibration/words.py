@@ -44,8 +44,8 @@ def headline(result: Recalibration) -> Headline:
     walls = len(result.adjusted.surfaces.kind)
     rough = f"rough by {millimetres(wall)}" if wall > 0 else "whose roughness is lost in the noise"
     explanation = (
-        f"The calibration was updated from {points:,} points on {walls} flat {'surface' if walls == 1 else 'surfaces'}, "
-        f"{rough}."
+        f"The calibration was updated from {points:,} points on {walls} flat {'surface' if walls == 1 else 'surfaces'}"
+        f", {rough}."
     )
     return Headline("bad" if result.drift.drifted else "good", said, explanation)
 
