@@ -30,7 +30,7 @@ from jaxscan.cli.options import (
     positive,
 )
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
+from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import clouds as cloud_files
@@ -98,10 +98,10 @@ def plan(
         raise OptionError("--section: an .ifc holds the whole room; write the section as .dxf, .svg, .pdf or .png.")
     check_paths(
         [*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)],
-        [*file_at("--output", output), *file_at("--json", json)],
+        file_at("--output", output),
+        json=json,
     )
     (api.check_ifc_path if is_model else api.check_drawing_path)(output)
-    check_json(json)
     scanner, notes = calibrated(calibration)
     points, said = upright(cloud, unit, up)
     notes += said
@@ -242,8 +242,7 @@ def orthophoto(
 
     positive("--pixel-mm", pixel_mm)
     reads = [*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)]
-    check_paths(reads, file_at("--json", json))
-    check_json(json)
+    check_paths(reads, json=json)
     if output.exists() and not output.is_dir():
         raise OutputError(f"{output}: is a file; choose a folder with -o.")
     scanner, notes = calibrated(calibration)
@@ -253,7 +252,7 @@ def orthophoto(
     notes += [f"{remark}." for remark in survey.outline.remarks]
     pictures = jaxscan.draw_orthophotos(survey, np.asarray(loaded.rgb), pixel_m=pixel_mm / 1e3)
     files = [output / f"{picture.side}.png" for picture in pictures]
-    check_paths(reads, [*(Place("the picture", file) for file in files), *file_at("--json", json)])
+    check_paths(reads, [Place("the picture", file) for file in files], json=json)
     with disk.reported(f"{output}: cannot be written", error=OutputError), disk.whole_folder(output) as part:
         for picture, file in zip(pictures, files, strict=True):
             words = f"{picture.side}, {pixel_mm:g} mm per pixel"
@@ -328,14 +327,13 @@ def panorama(
         writes=[
             *(place for path in pictures for place in file_at("--output", path)),
             *file_at("--transforms", transforms),
-            *file_at("--json", json),
         ],
+        json=json,
     )
     if output is not None and scan:
         cloud_files.check_cloud_path(output)
     elif output is not None:
         api.check_panorama_path(output, with_cloud=with_cloud)
-    check_json(json)
     sweep, scanner = api.open_capture(capture), api.load_scanner(calibration)
     out = console(json)
     notes = [

@@ -20,7 +20,7 @@ from jaxscan.cli.options import (
     file_at,
     positive,
 )
-from jaxscan.cli.terminal import JsonTarget, Terminal, check_json, console, emit_json, table
+from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import MeasurementError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import disk
@@ -56,8 +56,7 @@ def room(
         calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
         json: Write the result as JSON too.
     """
-    check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
-    check_json(json)
+    check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], json=json)
     scanner, notes = calibrated(calibration)
     points, said = upright(cloud, unit, up)
     notes += said
@@ -124,8 +123,7 @@ def plane(
     """
     coordinates("--at", at)
     positive("--radius-mm", radius_mm)
-    check_paths(file_at("CLOUD", cloud), file_at("--json", json))
-    check_json(json)
+    check_paths(file_at("CLOUD", cloud), json=json)
     points, notes = in_metres(cloud, unit)
     found = jaxscan.measure_plane(points, np.array(at), radius_m=radius_mm / 1e3)
     result = finite(dataclasses.asdict(found))
@@ -152,9 +150,8 @@ def compare(
     """
     check_paths(
         [*file_at("CLOUD", cloud), *file_at("TRUTH", truth), *calibration_at("--calibration", calibration)],
-        file_at("--json", json),
+        json=json,
     )
-    check_json(json)
     scanner, notes = calibrated(calibration)
     (points, said), (true_points, said_of_truth) = in_metres(cloud, unit), in_metres(truth, unit)
     notes += [*said, *said_of_truth]
@@ -174,8 +171,7 @@ def opened(
     cloud: Path, calibration: Path | None, unit: "Unit | None", json: JsonTarget
 ) -> tuple["PointCloud", "Scanner | None", list[str]]:
     """A cloud in metres, the scanner of its calibration, and notes; paths are checked first."""
-    check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
-    check_json(json)
+    check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], json=json)
     scanner, notes = calibrated(calibration)
     points, said = in_metres(cloud, unit)
     return points, scanner, [*notes, *said]
@@ -239,8 +235,7 @@ def finite(result: dict[str, Any]) -> dict[str, Any]:
 
 def notes_first(notes: list[str], json: str | None) -> Terminal:
     out = console(json)
-    for note in notes:
-        out.print(f"note: {note}")
+    out.notes(notes)
     return out
 
 
@@ -349,7 +344,7 @@ def deviations(
     positive("--radius-mm", radius_mm)
     positive("--cell-mm", cell_mm)
     coordinates("--radius-mm", (radius_mm,))
-    check_paths(file_at("CLOUD", cloud), [*file_at("--output", output), *file_at("--json", json)])
+    check_paths(file_at("CLOUD", cloud), file_at("--output", output), json=json)
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.errors import OutputError
 
@@ -357,7 +352,6 @@ def deviations(
         if output.suffix.lower() != ".png":
             raise OutputError(f'{output}: cannot write "{output.suffix}", known is .png.')
         disk.check_writable(output, error=OutputError)
-    check_json(json)
     points, notes = in_metres(cloud, unit)
     found = jaxscan.measure_deviations(points, np.array(at), radius_m=radius_mm / 1e3, cell_m=cell_mm / 1e3)
     numbers = finite({name: getattr(found, name) for name in ("rms_m", "least_m", "most_m")})
