@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from jaxscan.drawing.page import Page, border, lay_out
     from jaxscan.drawing.plan import draw_plan
     from jaxscan.drawing.section import draw_section, section_before
-    from jaxscan.drawing.sheet import Sheet
+    from jaxscan.drawing.sheet import SIZES_MM, Sheet
     from jaxscan.drawing.survey import Survey, outward, survey_room
 else:
     load_on_use(__name__)

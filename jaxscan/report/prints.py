@@ -7,6 +7,7 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
+from jaxscan.drawing import SIZES_MM
 from jaxscan.errors import OptionError
 from jaxscan.geometry import AbstractBoard, Charuco, Circles
 from jaxscan.vision import Ink, board_ink
@@ -20,10 +21,10 @@ def decimal(value: float) -> str:
 Paper = Literal["A4", "A3", "A2", "A1", "letter"]
 PAPERS: tuple[Paper, ...] = get_args(Paper)
 _SIZES_MM: dict[Paper, tuple[float, float]] = {
-    "A4": (210.0, 297.0),
-    "A3": (297.0, 420.0),
-    "A2": (420.0, 594.0),
-    "A1": (594.0, 841.0),
+    "A4": SIZES_MM["a4"],
+    "A3": SIZES_MM["a3"],
+    "A2": SIZES_MM["a2"],
+    "A1": SIZES_MM["a1"],
     "letter": (215.9, 279.4),
 }
 """Width and height."""
