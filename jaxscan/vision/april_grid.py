@@ -20,7 +20,6 @@ _WINDOW_SHARE, _MOST_MOVED = 0.5, 0.6
 _CLEAR_SHARE, _CELLS = 0.8, 6
 # A tag is where the others say that it is within this share of its side.
 _NEAR = 0.25
-_TEXTURE_BORDER = 2
 
 
 def find_april_grid(image: np.ndarray, shown: np.ndarray, board: AprilGrid) -> FoundCorners | None:
@@ -46,24 +45,6 @@ def find_april_grid(image: np.ndarray, shown: np.ndarray, board: AprilGrid) -> F
         if best is not None:
             return _refined(image, best, board, border)
     return None
-
-
-def april_grid_texture(board: AprilGrid, pixels_per_square: int) -> np.ndarray:
-    """Picture of the printed area, `board.outline()`, uint8: row 0 at y0; the borders of its tags have two cells."""
-    side = round(board.tag / board.square * pixels_per_square)
-    pitch, gap = side + pixels_per_square, pixels_per_square
-    picture = np.full((board.rows * pitch + gap, board.columns * pitch + gap), 255, np.uint8)
-    for row in range(board.rows + 1):
-        for column in range(board.columns + 1):
-            picture[row * pitch : row * pitch + gap, column * pitch : column * pitch + gap] = 0
-    dictionary = _dictionary()
-    for row in range(board.rows):
-        for column in range(board.columns):
-            number = (board.rows - 1 - row) * board.columns + column
-            tag = cv2.aruco.generateImageMarker(dictionary, number, side, borderBits=_TEXTURE_BORDER)
-            top, left = row * pitch + gap, column * pitch + gap
-            picture[top : top + side, left : left + side] = tag
-    return picture
 
 
 def _dictionary() -> "cv2.aruco.Dictionary":

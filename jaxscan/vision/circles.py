@@ -71,21 +71,6 @@ def find_circles(image: np.ndarray, shown: np.ndarray, board: Circles) -> FoundC
     return FoundCorners(true, np.hypot(sigma, _CORRECTION_SHARE * np.hypot(*shift.T)), valid)
 
 
-def circles_texture(board: Circles, pixels_per_square: int) -> np.ndarray:
-    """Picture of the printed area, `board.outline()`, uint8: row 0 at y0, column 0 at x0."""
-    low, high = board.outline()[[0, 2]]
-    columns, rows = np.rint((high - low) / board.square * pixels_per_square).astype(int)
-    scale = pixels_per_square / board.square
-    picture = np.full((rows, columns), 255, np.uint8)
-    u, v = np.arange(columns) + 0.5, np.arange(rows) + 0.5
-    for x, y in (board.places() - low) * scale:
-        radius = board.diameter / 2 * scale
-        near = (slice(int(y - radius), int(y + radius) + 2), slice(int(x - radius), int(x + radius) + 2))
-        inside = np.hypot(u[None, near[1]] - x, v[near[0], None] - y) <= radius
-        picture[near][inside] = 0
-    return picture
-
-
 def _find(image: np.ndarray, board: Circles) -> np.ndarray | None:
     """Rough centres in the board's order."""
     settings = cv2.SimpleBlobDetector.Params()
