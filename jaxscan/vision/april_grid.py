@@ -60,11 +60,7 @@ def _detector(border: int) -> "cv2.aruco.ArucoDetector":
 
 
 def _numbered(board: AprilGrid, ids: np.ndarray, tags: np.ndarray) -> FoundCorners | None:
-    """The corners of tags in the board's order.
-
-    Programs number the tags upwards or downwards, and begin with another corner of a tag: the one choice for all tags
-    that fits a plane is right.
-    """
+    """The corners of tags in the board's order."""
     known = ids < board.columns * board.rows
     ids, tags = ids[known], tags[known].astype(np.float64)
     best: tuple[float, np.ndarray, np.ndarray] | None = None
@@ -85,10 +81,7 @@ def _numbered(board: AprilGrid, ids: np.ndarray, tags: np.ndarray) -> FoundCorne
 
 
 def _refined(image: np.ndarray, found: FoundCorners, board: AprilGrid, border: int) -> FoundCorners | None:
-    """The corners moved to where tag and small square touch, without those that are not there.
-
-    First in a window as large as the small squares allow, then in one that the cells of the tag do not reach.
-    """
+    """The corners moved to where tag and small square touch, without those that are not there."""
     q, valid = found.q.copy(), found.valid.copy()
     sizes = square_sizes(q, valid, board)[valid]
     clear = min(1.0, border / (_CELLS + 2 * border) * board.tag / board.square)

@@ -94,11 +94,7 @@ def _find_chessboard(image: np.ndarray, shown: np.ndarray, board: Chessboard) ->
 
 
 def _find_squares(image: np.ndarray, board: Chessboard) -> np.ndarray | None:
-    """Corners by OpenCV's first detector, in a seventh of the time of the sector based one.
-
-    On large images it may take seconds, so it looks at a smaller copy. Both detectors sometimes take another corner of
-    a square for the right one; such a grid is uneven, and None.
-    """
+    """Corners by OpenCV's first detector, in a seventh of the time of the sector based one."""
     scale = min(1.0, _LARGEST_PX / max(image.shape))
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1.0 else image
     found, corners = cv2.findChessboardCorners(small, board.grid(), flags=cv2.CALIB_CB_ADAPTIVE_THRESH)
@@ -117,11 +113,7 @@ def _find_squares(image: np.ndarray, board: Chessboard) -> np.ndarray | None:
 
 
 def _find_sectors(image: np.ndarray, board: Chessboard) -> np.ndarray | None:
-    """Corners by the sector based detector; the exhaustive search runs only where the quick one fails.
-
-    The histogram equalisation of CALIB_CB_NORMALIZE_IMAGE costs a factor of ten in accuracy (0.18 px
-    in place of 0.014 px on rendered boards), so it is the last resort.
-    """
+    """Corners by the sector based detector; the exhaustive search runs only where the quick one fails."""
     for effort in (0, cv2.CALIB_CB_EXHAUSTIVE, cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_NORMALIZE_IMAGE):
         found, corners = cv2.findChessboardCornersSB(image, board.grid(), flags=effort)
         if found:

@@ -88,10 +88,7 @@ def _find(image: np.ndarray, board: Circles) -> np.ndarray | None:
 
 
 def _ordered(q: np.ndarray, board: Circles) -> np.ndarray | None:
-    """The centres in the board's order, or None where no order fits a plane seen from its front.
-
-    Of several that fit, the one in which the board's x axis points right.
-    """
+    """The centres in the board's order, or None where no order fits a plane seen from its front."""
     columns, rows = board.grid()
     grid, places = q.reshape(rows, columns, 2), board.places()
     orders = [grid, grid[::-1], grid[:, ::-1], grid[::-1, ::-1]]
@@ -110,15 +107,7 @@ def _ordered(q: np.ndarray, board: Circles) -> np.ndarray | None:
 def _weigh(
     level: np.ndarray, start: np.ndarray, slope: np.ndarray, radius: float, reach: float
 ) -> tuple[np.ndarray, float, bool]:
-    """Centre of the ink's weight, its standard deviation [px], and whether this is a circle.
-
-    Args:
-        level: The image, float [rows, columns].
-        start: The centre to within some pixels.
-        slope: Derivative of the image's by the board's coordinates there [2, 2], px/m.
-        radius: Of the circle [m].
-        reach: Half the distance to the nearest circle [m].
-    """
+    """Centre of the ink's weight, its standard deviation [px], and whether this is a circle."""
     inverse = np.linalg.inv(slope)
     scale = np.sqrt(abs(np.linalg.det(slope)))
     window, paper_from = min(radius + _BLUR_PX / scale, reach), min(radius + _BLUR_PX / scale, 0.9 * reach)

@@ -104,10 +104,7 @@ def decode_zstd(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
 
 
 def _add_rows(rows: np.ndarray, step: int) -> None:
-    """Undo differences to the row `step` above, modulo 256, in place; uint8 [rows, bytes].
-
-    Row by row inside blocks, all blocks at once, then block by block: NumPy is called a few times per image.
-    """
+    """Undo differences to the row `step` above, modulo 256, in place; uint8 [rows, bytes]."""
     blocks = len(rows) // (_BLOCK * step)
     first = blocks * _BLOCK * step
     # `step` rows that follow each other are one line, so that lines differ from the line above.
