@@ -220,7 +220,7 @@ def test_26_another_camera_is_refused(room):
 
     desk = Desk()
     desk.camera.identity = CameraIdentity("simulated", "synthetic", "SIM2")
-    with pytest.raises(SessionError, match=r"another camera \(serial: was 'SIM1', is 'SIM2'\)"):
+    with pytest.raises(SessionError, match=r'another camera \(serial: was "SIM1", is "SIM2"\)'):
         desk.sweep(room, resume=True)
     assert desk.controller.shots == [] and not desk.table.contactor
 
@@ -265,7 +265,7 @@ def test_26_events_that_no_session_writes_are_one_clear_error(room, event):
     with open(room / "frames.jsonl", "a") as file:
         file.write(json.dumps(event) + "\n")
     desk = Desk()
-    with pytest.raises(CaptureError, match="which no session writes"):
+    with pytest.raises(SessionError, match="which no session writes"):
         desk.sweep(room, resume=True)
     assert desk.table.position == 500
 
@@ -294,7 +294,7 @@ def test_26_a_header_that_no_session_writes_is_one_clear_error(room, key):
     (room / "capture.toml").write_text(
         (text[:start] + text[end:]).replace("[acquisition]\n", f"[acquisition]\n{key} = 3\n", 1)
     )
-    with pytest.raises(SessionError, match=rf"found \[acquisition.{key}\] = 3, which no session writes"):
+    with pytest.raises(SessionError, match=rf"found acquisition.{key} = 3, which no session writes"):
         Desk().sweep(room, resume=True)
 
 
@@ -302,7 +302,7 @@ def test_26_a_header_that_no_session_writes_is_one_clear_error(room, key):
 def test_26_a_calibration_that_is_no_digest_is_one_clear_error(room, digest):
     text = (room / "capture.toml").read_text()
     (room / "capture.toml").write_text(text.replace("[acquisition]\n", f"[acquisition]\ncalibration = {digest}\n", 1))
-    with pytest.raises(SessionError, match=r"found \[acquisition\] calibration = ") as refused:
+    with pytest.raises(SessionError, match="found acquisition.calibration = ") as refused:
         Desk().sweep(room, resume=True, calibration_digest="sha256:" + "0" * 64)
     assert str(refused.value).isprintable()
 
@@ -311,7 +311,7 @@ def test_26_a_calibration_that_is_no_digest_is_one_clear_error(room, digest):
 def test_26_a_record_that_no_session_writes_is_one_clear_error(room, said):
     lines = [{**one, "microsteps": said} if one.get("i") == 5 else one for one in journal(room)]
     (room / "frames.jsonl").write_text("".join(json.dumps(one) + "\n" for one in lines))
-    with pytest.raises(SessionError, match="found record 5 at microsteps = "):
+    with pytest.raises(SessionError, match="found microsteps of record 5 = "):
         Desk().sweep(room, resume=True)
 
 
