@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import serial
 from bench.camera.rendered import Exposure, LogReader, Plant
-from bench.places import BenchError
 from bench.rig import CLOCK_HZ
 from scanrig.controllers.jxs.controller import connect
 
@@ -128,23 +127,6 @@ def test_noise_is_as_much_as_configured(rig):
     assert list(counts.values()) == pytest.approx([len(sent) * share] * 6, abs=spread), counts
 
 
-def test_the_same_seed_breaks_the_same_bytes(rig):
-    sent, backs = bytes(range(256)) * 4, []
-    for seed in (5, 5, 6):
-        simulated = rig(speed=0, firmware="echo", seed=seed)
-        simulated.control("corrupt_rx 0.02")
-        backs.append(echoed(simulated, sent))
-        simulated.close()
-    assert backs[0] == backs[1] != backs[2]
-
-
-def test_at_another_baud_rate_nothing_sensible_arrives(rig):
-    simulated = rig(speed=0, firmware="echo")
-    assert echoed(simulated, b"hello") == b"hello"
-    garbage = echoed(simulated, b"hello", baud=115_200)
-    assert len(garbage) == 5 and not set(garbage) & set(b"hello")
-
-
 def test_a_pulled_cable_ends_the_port_and_not_the_processor(rig):
     simulated = rig(speed=0)
     with open_port(simulated) as port:
@@ -194,20 +176,6 @@ def test_steps_faster_than_the_motor_can_are_lost(rig):
         assert controller.move(4000) == 4000
     plant = simulated.plant()
     assert plant["lost_steps"] > 1000 and plant["pos"] == 4000 - plant["lost_steps"]
-
-
-def test_commands_that_are_not_known_are_refused(rig):
-    simulated = rig(speed=0)
-    for text in ("dance", "dance 3", "corrupt_rx 1.5", "corrupt_up 0.1", "laser green", "speed -1", "pin Z9 1"):
-        with pytest.raises(BenchError, match="does not know"):
-            simulated.control(text)
-
-
-def test_a_firmware_that_there_is_not(tmp_path):
-    from bench import RigOptions, SimulatedRig
-
-    with pytest.raises(BenchError, match=r"no firmware 'tea'.*scan, scan_hang, echo"):
-        SimulatedRig(tmp_path, RigOptions(firmware="tea")).start()
 
 
 def log(*entries):

@@ -126,12 +126,6 @@ def test_20_a_real_disk_that_fills_up(small_disk, monkeypatch):
     require_safe_and_whole(small_disk / "room", again, 100)
 
 
-def test_20_a_real_disk_that_is_too_small_is_said_first(small_disk):
-    desk = Desk(sweep={"steps": 100, "turn_deg": 360.0})
-    assert desk.sweep(small_disk / "room").status == "disk full"
-    assert desk.controller.shots == []
-
-
 @pytest.fixture
 def sealed_folder(tmp_path):
     """A folder that this user may not write to, whoever it is."""
@@ -201,13 +195,6 @@ def test_23_two_processes_in_one_folder(tmp_path, holder):
     assert any(f"took over the lock of process {holder.pid}" in sentence for sentence in desk.said)
     assert any(line.get("event") == "lock" for line in journal(tmp_path / "room"))
     assert not (tmp_path / "room" / LOCK_NAME).exists()
-
-
-def test_23_two_in_one_process(tmp_path):
-    with folder_lock(tmp_path), pytest.raises(SessionError, match="in use by process"), folder_lock(tmp_path):
-        pass
-    with folder_lock(tmp_path) as lock:
-        assert lock.note == ""
 
 
 def test_23_the_lock_of_another_machine_is_never_taken_over(tmp_path):
@@ -282,25 +269,6 @@ def test_23_never_two_at_once_however_they_race(tmp_path):
     assert refused and not (tmp_path / "inside").exists()
 
 
-@pytest.mark.parametrize("name", ["on", "off", "frames.jsonl", "capture.toml"])
-def test_nothing_is_written_through_a_link_out_of_the_capture(tmp_path, name):
-    desk = Desk()
-    desk.controller.before_shot[4] = lambda controller: (_ for _ in ()).throw(KeyboardInterrupt)
-    with pytest.raises(KeyboardInterrupt):
-        desk.sweep(tmp_path / "room")
-    outside = tmp_path / "outside"
-    (tmp_path / "room" / name).rename(outside)
-    (tmp_path / "room" / name).symlink_to(outside)
-    if outside.is_dir():
-        (outside / ".part-precious").write_text("not the session's")
-    before = {path: path.stat() for path in (outside, *outside.glob("*"))}
-    again = Desk()
-    with pytest.raises(CaptureError, match="found a link"):
-        again.sweep(tmp_path / "room", resume=True)
-    assert {path: path.stat() for path in (outside, *outside.glob("*"))} == before
-    assert again.controller.shots == [] and not again.table.contactor
-
-
 @pytest.mark.skipif(os.name != "posix", reason="folders are waited for on POSIX alone")
 def test_a_new_capture_and_the_folders_above_it_are_on_the_disk(tmp_path, monkeypatch):
     synced, fsync = set(), os.fsync
@@ -349,3 +317,22 @@ def test_what_a_killed_session_left_is_removed_and_nothing_else(tmp_path):
     (room / "off" / ".part-precious").write_text("not the session's")
     assert Desk().sweep(room, resume=True).status == "complete"
     assert sorted(path.name for path in room.rglob(".part-*")) == [".part-precious", ".part-x"]
+
+
+@pytest.mark.parametrize("name", ["on", "off", "frames.jsonl", "capture.toml"])
+def test_nothing_is_written_through_a_link_out_of_the_capture(tmp_path, name):
+    desk = Desk()
+    desk.controller.before_shot[4] = lambda controller: (_ for _ in ()).throw(KeyboardInterrupt)
+    with pytest.raises(KeyboardInterrupt):
+        desk.sweep(tmp_path / "room")
+    outside = tmp_path / "outside"
+    (tmp_path / "room" / name).rename(outside)
+    (tmp_path / "room" / name).symlink_to(outside)
+    if outside.is_dir():
+        (outside / ".part-precious").write_text("not the session's")
+    before = {path: path.stat() for path in (outside, *outside.glob("*"))}
+    again = Desk()
+    with pytest.raises(CaptureError, match="found a link"):
+        again.sweep(tmp_path / "room", resume=True)
+    assert {path: path.stat() for path in (outside, *outside.glob("*"))} == before
+    assert again.controller.shots == [] and not again.table.contactor

@@ -3,7 +3,7 @@
 import pytest
 from scanrig.controllers.controller import GrblTable, Settings
 from scanrig.controllers.grbl import GrblController
-from scanrig.controllers.grbl.lines import FLUID_NC, GRBL, GRBL_HAL, GrblLines, TableUnits, dialect_of, read_report
+from scanrig.controllers.grbl.lines import FLUID_NC, GRBL, GRBL_HAL, GrblLines, TableUnits, dialect_of
 from scanrig.errors import Fault, FirmwareError, RigError, RigFault
 
 
@@ -86,24 +86,11 @@ def test_the_dialect_is_known_by_the_greeting(greeting, dialect, version):
 
 
 @pytest.mark.parametrize(
-    "line",
-    [
-        "<Alarm:10|MPos:0.000,0.000,0.000|Bf:100,1024|FS:0,0|Pn:E>",
-        "<Tool|MPos:0.000,0.000,0.000|Bf:100,1024|FS:0,0>",
-        "<Idle|MPos:0.000,0.000,0.000|Bf:100,1024|FS:0,0|A:|Sc:|MPG:0|H:1,7|T:0|TLR:0|FW:grblHAL>",
-    ],
-)
-def test_reports_of_grblhal(line):
-    assert read_report(line).positions == (0.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize(
     ("greeting", "report", "words"),
     [
-        ("Grbl 0.9j ['$' for help]", "<Idle,MPos:0.000,0.000,0.000,WPos:0.0,0.0,0.0>", "the report of GRBL before 1.0"),
-        ("Grbl 1.1h ['$' for help]", "<Idle,MPos:0.000,0.000,0.000,WPos:0.0,0.0,0.0>", "the report of GRBL before 1.0"),
-        ("GrblHAL 1.1f ['$']", "<Queue|MPos:0.000,0.000,0.000>", "of grblHAL, a state that is not known here"),
-        ("", "<Alarm:11|MPos:0.000,0.000,0.000>", "but no greeting after a reset"),
+        ("Grbl 0.9j ['$' for help]", "<Idle,MPos:0.000,0.000,0.000,WPos:0.0,0.0,0.0>", "as of GRBL 1.1"),
+        ("GrblHAL 1.1f ['$']", "<Queue|MPos:0.000,0.000,0.000>", "of grblHAL, which is not understood here"),
+        ("", "<Alarm:11|MPos:0.000,0.000,0.000>", "greets with 'Grbl' after a reset"),
     ],
 )
 def test_an_answer_that_is_not_understood_is_shown(greeting, report, words):
@@ -113,12 +100,6 @@ def test_an_answer_that_is_not_understood_is_shown(greeting, report, words):
     assert words in str(caught.value) and repr(report[:60]) in str(caught.value)
     # No waiting for what has come.
     assert board.clock.time < 10
-
-
-def test_a_printer_is_no_board_of_this_kind():
-    board = Board("", "", answers={"$I": 'echo:Unknown command: "$I"', "": ""})
-    with pytest.raises(FirmwareError, match=r"sends 'echo:Unknown command.*the firmware of a printer"):
-        controller(board).hello()
 
 
 def test_a_stop_that_is_pressed_is_said():

@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import replace
-from itertools import pairwise
 
 import pytest
 
@@ -84,13 +83,3 @@ def test_a_coarse_turn_is_exact_to_the_microstep(rig):
     with ready(simulated, **QUICK) as controller:
         sweep(simulated, controller, 16000, steps=90)
         assert_exact(simulated, 16000, steps=90)
-
-
-def test_nothing_moves_while_the_camera_looks(rig):
-    simulated = rig()
-    with ready(simulated, **QUICK) as controller:
-        sweep(simulated, controller, 28800, steps=45)
-    looking = False
-    for before, edge in pairwise([edge for edge in simulated.edges() if edge.get("pin") in ("step", "trig")]):
-        looking = edge["v"] == 1 if edge["pin"] == "trig" else looking
-        assert not (looking and edge["pin"] == "step"), (before, edge)

@@ -95,12 +95,3 @@ def test_it_needs_the_contactor_and_its_own_number(rig):
             controller.laser(True, number=3)
         assert controller.lasers() == 2
     assert rises(simulated.edges(), "laser_2") == []
-
-
-def test_a_welded_mosfet_of_the_second_is_cut_by_the_contactor(rig):
-    simulated = rig()
-    with ready(simulated) as controller:
-        simulated.control("laser_2 welded")
-        assert simulated.plant()["light_2"] == 1
-        controller.arm(False)
-        assert simulated.plant()["light_2"] == 0

@@ -17,7 +17,7 @@ from scanrig.config import RigConfig
 from scanrig.controllers import UNCONFIRMED, Controller, require_allowed
 from scanrig.errors import Fault, LinkLost, RigError, RigFault, SessionError
 from scanrig.recording import folder_lock, is_full
-from scanrig.session.job import Devices, Hooks, Job, SessionResult, Status, spoken_runs
+from scanrig.session.job import Devices, Hooks, Job, SessionResult, spoken_runs
 from scanrig.session.plan import Target, angle_deg, placed_targets, placement_bearing, placement_positions, plan_sweep
 from scanrig.session.resume import Found, find_capture, ranges, require_same_plan
 from scanrig.session.session import Session
@@ -29,8 +29,8 @@ log = logging.getLogger(__name__)
 class Ending(NamedTuple):
     """The end of a session."""
 
-    status: Status | Literal["aborted", "failed"]
-    """Of "aborted" and "failed" `error` is raised."""
+    status: str
+    """As in `SessionResult`; or "aborted" or "failed", and then `error` is raised."""
     message: str
     """The reason."""
     error: BaseException | None = None
@@ -148,12 +148,12 @@ def _run(session: Session, work: Callable[[Session], bool]) -> SessionResult:
     for sentence in (unsafe, unsealed):
         if sentence:
             job.hooks.notify(sentence)
-    if ending.error is not None or ending.status in ("aborted", "failed"):
+    if ending.error is not None:
         if session.ledger.events and session.done:
             job.hooks.notify(
                 f"{job.folder}: {count} of {job.planned} records are on the disk; the capture can be resumed."
             )
-        raise including(unsafe, ending.error or SessionError(ending.message))
+        raise including(unsafe, ending.error)
     suspect = tuple(ranges(tuple(session.suspect)))
     there = f"{count} of {job.planned} records"
     says = {
@@ -167,7 +167,7 @@ def _run(session: Session, work: Callable[[Session], bool]) -> SessionResult:
     # The message of an error may already begin with the folder.
     message = f"{job.folder}: {says.removeprefix(f'{job.folder}: ').rstrip('.')}."
     return SessionResult(
-        status=ending.status,
+        status=ending.status,  # type: ignore[arg-type]
         message=f"{message} {unsafe}".rstrip(),
         records=count + len(session.suspect - session.done),
         planned=job.planned,
