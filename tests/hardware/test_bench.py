@@ -1,7 +1,6 @@
 """The bench itself: the log of the simulated rig matches its actions."""
 
 import json
-import os
 import time
 
 import numpy as np
@@ -101,18 +100,6 @@ def test_stamps_and_positions_go_on_over_resets_and_power_cuts(rig):
     assert after["en_n"] == 1
 
 
-def test_opening_the_port_resets_only_an_uno(rig):
-    uno, other = rig(speed=0, autoreset=True), rig(speed=0)
-    for simulated in (uno, other):
-        for _ in range(2):
-            with open_port(simulated):
-                simulated.run_for(0.1)
-            simulated.run_for(0.1)
-    assert [edge["reset"] for edge in uno.edges() if "reset" in edge] == ["dtr", "dtr"]
-    assert uno.plant()["resets"] == 2 and other.plant()["resets"] == 0
-    assert [edge["host"] for edge in other.edges() if "host" in edge] == ["open", "closed"] * 2
-
-
 def test_noise_is_as_much_as_configured(rig):
     sent, share = bytes(range(256)) * 16, 0.05
     counts = {}
@@ -125,57 +112,6 @@ def test_noise_is_as_much_as_configured(rig):
     # A binomial count; five standard deviations, so that no seed fails.
     spread = 5 * np.sqrt(len(sent) * share * (1 - share))
     assert list(counts.values()) == pytest.approx([len(sent) * share] * 6, abs=spread), counts
-
-
-def test_a_pulled_cable_ends_the_port_and_not_the_processor(rig):
-    simulated = rig(speed=0)
-    with open_port(simulated) as port:
-        simulated.unplug()
-        assert not os.path.lexists(simulated.port)
-        with pytest.raises(OSError):
-            while True:
-                port.write(b"?")
-                port.read(1)
-    before = simulated.plant()["cycle"]
-    simulated.run_for(0.1)
-    assert simulated.plant()["resets"] == 0 and simulated.plant()["cycle"] > before
-    simulated.plug()
-    with connect(simulated.port) as controller:
-        assert controller.hello().boot == 1
-
-
-def test_a_laser_that_is_welded_or_dead(rig):
-    simulated = rig(speed=0)
-
-    def light():
-        simulated.run_for(0.01)
-        plant = simulated.plant()
-        return plant["laser"], plant["light"]
-
-    with ready(simulated) as controller:
-        simulated.control("laser welded")
-        assert light() == (0, 1)
-        controller.arm(False)
-        # The contactor is in series: nothing that happens to the MOSFET keeps it lit.
-        assert light() == (0, 0)
-        controller.arm(True)
-        simulated.control("laser dead")
-        simulated.control("speed 1")
-        controller.laser(True, 900)
-        assert light() == (1, 0)
-        simulated.control("laser good")
-        assert light() == (1, 1)
-        controller.laser(False)
-        assert light() == (0, 0)
-
-
-def test_steps_faster_than_the_motor_can_are_lost(rig):
-    simulated = rig(speed=0)
-    with ready(simulated, speed=4000, start_speed=400) as controller:
-        simulated.control("torque 2000")
-        assert controller.move(4000) == 4000
-    plant = simulated.plant()
-    assert plant["lost_steps"] > 1000 and plant["pos"] == 4000 - plant["lost_steps"]
 
 
 def log(*entries):

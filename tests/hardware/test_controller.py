@@ -60,11 +60,6 @@ def losing(part, count):
     return mangle
 
 
-def test_hello_says_who_is_there(fake):
-    firmware = JxsController(fake, fake.clock).hello()
-    assert (firmware.proto, firmware.version, firmware.boot, firmware.lease_ms) == (1, "9.9.9", 7, 1000)
-
-
 def test_an_uno_is_given_the_time_of_its_boot_loader(fake):
     fake.settings["motion"]["wd"] = 60000
 
@@ -100,11 +95,6 @@ def test_settings_are_read_back(fake):
     controller.configure(wanted)
     assert fake.settings["motion"] == wire_settings(wanted)["motion"]
     assert fake.settings["shot"] == wire_settings(wanted)["shot"] | wire_settings(wanted)["limits"]
-
-
-def test_a_setting_that_was_not_taken_is_named(fake):
-    controller = JxsController(fake, fake.clock)
-    controller.hello()
     fake.settings["motion"].pop("back")
     with pytest.raises(FirmwareError, match="back=nothing instead of 0"):
         controller.configure(Settings())
@@ -300,7 +290,9 @@ def test_reconnecting_backs_off_and_gives_up(fake, controller):
     assert fake.clock.now() - before <= 20.0
 
 
-def test_another_protocol_is_refused(fake):
+def test_hello_says_who_is_there_and_refuses_another_protocol(fake):
+    firmware = JxsController(fake, fake.clock).hello()
+    assert (firmware.proto, firmware.version, firmware.boot, firmware.lease_ms) == (1, "9.9.9", 7, 1000)
     fake.proto = 2
     with pytest.raises(FirmwareError, match=r"firmware 9\.9\.9 that speaks protocol 2, needed protocol 1"):
         JxsController(fake, fake.clock).hello()

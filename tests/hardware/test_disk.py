@@ -53,46 +53,33 @@ def test_20_space_that_goes_while_the_sweep_runs(tmp_path, monkeypatch):
     assert Desk().sweep(tmp_path / "room", resume=True).status == "complete"
 
 
-@pytest.mark.parametrize("name", ["on/000003.zst", "off/000003.zst"])
-def test_20_a_write_that_fails_for_want_of_space(tmp_path, monkeypatch, name):
+@pytest.mark.parametrize(
+    ("name", "code"), [("on/000003.zst", errno.ENOSPC), ("off/000003.zst", errno.ENOSPC), ("on/000003.zst", errno.EIO)]
+)
+def test_20_a_write_that_fails(tmp_path, monkeypatch, name, code):
     original = store.write_atomically
 
-    def full(path, content, **keys):
+    def failing(path, content, **keys):
         if str(path).endswith(name):
 
             def content(part):
                 part.write_bytes(b"the first half")
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-        original(path, content, **keys)
-
-    desk = Desk()
-    monkeypatch.setattr(store, "write_atomically", full)
-    result = desk.sweep(tmp_path / "room")
-    assert (result.status, result.records) == ("disk full", 3) and "No space left" in result.message
-    require_safe_and_whole(tmp_path / "room", desk, 3)
-    monkeypatch.undo()
-    assert Desk().sweep(tmp_path / "room", resume=True).status == "complete"
-    require_safe_and_whole(tmp_path / "room", desk, 10)
-
-
-@pytest.mark.parametrize("code", [errno.EIO, errno.EROFS])
-def test_20_a_disk_that_fails_otherwise_is_an_error(tmp_path, monkeypatch, code):
-    original = store.write_atomically
-
-    def broken(path, content, **keys):
-        if path.name == "000003.zst":
-
-            def content(part):
                 raise OSError(code, os.strerror(code))
 
         original(path, content, **keys)
 
     desk = Desk()
-    monkeypatch.setattr(store, "write_atomically", broken)
-    with pytest.raises(Exception, match=os.strerror(code)):
-        desk.sweep(tmp_path / "room")
+    monkeypatch.setattr(store, "write_atomically", failing)
+    if code == errno.ENOSPC:
+        result = desk.sweep(tmp_path / "room")
+        assert (result.status, result.records) == ("disk full", 3) and "No space left" in result.message
+    else:
+        with pytest.raises(CaptureError, match=os.strerror(code)):
+            desk.sweep(tmp_path / "room")
     require_safe_and_whole(tmp_path / "room", desk, 3)
+    monkeypatch.undo()
+    assert Desk().sweep(tmp_path / "room", resume=True).status == "complete"
+    require_safe_and_whole(tmp_path / "room", desk, 10)
 
 
 @pytest.fixture
@@ -197,20 +184,15 @@ def test_23_two_processes_in_one_folder(tmp_path, holder):
     assert not (tmp_path / "room" / LOCK_NAME).exists()
 
 
-def test_23_the_lock_of_another_machine_is_never_taken_over(tmp_path):
-    (tmp_path / LOCK_NAME).write_text('{"pid": 1, "host": "elsewhere", "start": "then"}')
-    with (
-        pytest.raises(SessionError, match=r"process 1 on elsewhere; if that one has ended, delete "),
-        folder_lock(tmp_path),
-    ):
-        pass
-
-
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"pid": "x"}', "\x00" * 100])
-def test_23_a_lock_whose_writer_died_before_it_had_written(tmp_path, text):
+@pytest.mark.parametrize("text", ["", "{", '{"pid": "x"}', '{"pid": 1, "host": "elsewhere", "start": "then"}'])
+def test_23_a_lock_that_was_left_is_taken_over_but_never_that_of_another_machine(tmp_path, text):
     (tmp_path / LOCK_NAME).write_text(text)
-    with folder_lock(tmp_path) as lock:
-        assert "took over" in lock.note
+    if "elsewhere" in text:
+        with pytest.raises(SessionError, match=r"process 1 on elsewhere; if that one has ended"), folder_lock(tmp_path):
+            pass
+    else:
+        with folder_lock(tmp_path) as lock:
+            assert "took over" in lock.note
 
 
 @pytest.mark.timeout(20)
