@@ -82,7 +82,6 @@ HOME_OF = {
     "ifcopenshell": {"files/ifc.py"},
     "laspy": {"files"},
     "pyproj": {"files"},
-    "rerun": {"files/clouds/rerun.py"},
     "serial": set(),
     "aiohttp": {"web", "viewer", "cli/console"},
     "yarl": {"web"},
