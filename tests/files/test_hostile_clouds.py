@@ -138,7 +138,7 @@ def test_blocks_of_ptx(tmp_path):
         (b"3\n999999999999\n", "but the file ends before"),
         (b"0\n5\n", "but the file ends before"),
         (b"-3\n5\n", "expected the numbers of columns and of rows"),
-        (b"3\n4\n", "not a PTX file"),
+        (b"3\n4\n", "not a readable .ptx file"),
     ):
         assert says in refused(tmp_path / "a.ptx", data.replace(b"3\n5\n", new, 1))
     assert "no rigid motion" in refused(tmp_path / "a.ptx", data.replace(b"1 0 0 0\n", b"2 0 0 0\n"))
@@ -154,8 +154,8 @@ def test_blocks_of_ptx(tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("1 2 3\n4 5\n", "not a table of numbers"),
-        ("1 2 3\n4 5 six\n", "not a table of numbers"),
+        ("1 2 3\n4 5\n", "not a readable .xyz file"),
+        ("1 2 3\n4 5 six\n", "not a readable .xyz file"),
         ("nan nan nan\n", "holds no finite point"),
         ("1e30 0 0\n0 0 0\n", "expected at most 1e+15"),
         ("1 2\n", "found 2 numbers a line, expected x, y and z at least"),

@@ -170,10 +170,10 @@ def test_a_block_of_ptx_carries_its_pose(tmp_path, stations, joined):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (b"comment station 1 ", b"comment statiom 1 ", "found stations 0 to 1 and poses of 1"),
+        (b"comment station 1 ", b"comment statiom 1 ", '"station-covariance 0" is missing or wrong'),
         (b"comment station 0 ", b"comment station 7 ", '"station 0" is missing or wrong: found "station 7'),
         (b"comment station 0 1 0", b"comment station 0 1 1", "no rigid motion"),
-        (b"comment station 0 1 0", b"comment station 0 nan 0", "not finite"),
+        (b"comment station 0 1 0", b"comment station 0 nan 0", "missing or wrong"),
         (b"comment station 0 1 0", b"comment station 0 one 0", "missing or wrong"),
     ],
 )

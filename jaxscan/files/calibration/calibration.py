@@ -281,11 +281,7 @@ def _values_note(tables: Mapping[str, Any], name: str) -> str:
 
 
 def _require_own(table: CalibrationTable, path: Path, beside: Path, *, found: bool) -> None:
-    """Refuse observations beside a calibration file with digests that are not its own.
-
-    Args:
-        found: Whether that file holds observations.
-    """
+    """Refuse observations beside a calibration file with digests that are not its own."""
     digests = table.digests
     if digests is None:
         return

@@ -160,17 +160,7 @@ class _Keys:
         self.used: set[str] = set()
 
     def of(self, known: frozenset[str], part: str, *, count: int | None = None, listed: bool = False) -> str | None:
-        """The key of the value whose name is known, the one nearest to the root.
-
-        Args:
-            known: Plain names.
-            part: What it is, for the message.
-            count: Of numbers that it must have, for a name that means other things too.
-            listed: Whether it must be a list, as a distance called `dist` is not.
-
-        Raises:
-            CalibrationError: If there are two with other values.
-        """
+        """The key of the value whose name is known, the one nearest to the root."""
         named = [key for key in self._values if self._plain_name(key, known) and self._has(key, count)]
         named = [key for key in named if self._is_list(key)] if listed else named
         nearest = min((key.count(".") for key in named), default=0)

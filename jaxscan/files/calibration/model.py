@@ -46,11 +46,7 @@ def arrays(*values: Any) -> tuple[np.ndarray, ...]:
 
 
 def check_frame(name: str, direction: Triple, basis: Basis) -> None:
-    """Refuse a unit vector and a basis that are none.
-
-    Raises:
-        ValueError: With the value found.
-    """
+    """Refuse a unit vector and a basis that are none."""
     length = float(np.linalg.norm(direction))
     if abs(length - 1) > UNIT_TOLERANCE:
         raise ValueError(f"{name}: found a vector of length {length:.9g}, expected 1")
@@ -80,11 +76,7 @@ class _WithDirection(FileModel):
 
     @abc.abstractmethod
     def motion(self) -> AbstractMotion:
-        """The motion of the geometry.
-
-        Raises:
-            ValueError: If there is no direction or no gain, or it is not canonical beside a basis.
-        """
+        """The motion of the geometry."""
 
 
 class TurntableTable(_WithDirection):

@@ -24,11 +24,7 @@ _LONG_TEXT = re.compile(rb">[^<]{65536,}<")
 
 
 def tree_of_xml(data: bytes, name: str, limit: int) -> Tree:
-    """The tree of an XML file of OpenCV's FileStorage.
-
-    Raises:
-        CalibrationError: If it is damaged, or the file of another program.
-    """
+    """The tree of an XML file of OpenCV's FileStorage."""
     # Image points are longer than any XML may be here; a camera is not.
     root = parse_xml(_LONG_TEXT.sub(b"><", data), name=name, error=CalibrationError, limit=limit)
     if root.tag != "opencv_storage":
@@ -48,11 +44,7 @@ def _of_element(element: Element) -> Tree:
 
 
 def tree_of_yaml(text: str, name: str) -> Tree:
-    """The tree of a YAML file: blocks of keys and of dashes, and lists and tables in brackets.
-
-    Raises:
-        CalibrationError: With the line that is none of these.
-    """
+    """The tree of a YAML file: blocks of keys and of dashes, and lists and tables in brackets."""
     return _Yaml(list(_logical_lines(text, name)), name).tree()
 
 
@@ -208,9 +200,6 @@ def numbers(value: Tree, where: str) -> list[float]:
     """The numbers of a list, nested or not, of a matrix with `data`, or of one word.
 
     They are parted by commas or blanks.
-
-    Raises:
-        CalibrationError: If there is something else, there are more than 64, or other ones than rows and columns say.
     """
     if isinstance(value, dict):
         found = numbers(value["data"], where) if "data" in value else None

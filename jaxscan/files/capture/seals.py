@@ -86,11 +86,7 @@ def sealing(texts: CaptureTexts, folder: Path) -> Sealing:
 
 
 def require_whole(state: Sealing) -> None:
-    """Check that no seal is broken.
-
-    Raises:
-        CaptureError: With the first difference and the cure.
-    """
+    """Check that no seal is broken."""
     if state.broken:
         raise CaptureError(
             f"{state.broken[0].removesuffix('.')}; the file has changed since it was written: restore it from a copy, "

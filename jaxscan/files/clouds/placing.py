@@ -94,12 +94,7 @@ def _guessed_unit(cloud: PointCloud) -> tuple[Unit, str]:
 
 
 def _size_notes(cloud: PointCloud, factor: float) -> list[str]:
-    """A note where a cloud has the size of neither a place nor a thing on a table, with the unit that would fit.
-
-    Args:
-        cloud: In metres.
-        factor: What one unit of its file was taken for [m].
-    """
+    """A note where a cloud has the size of neither a place nor a thing on a table, with the unit that would fit."""
     extent, away = float(np.linalg.norm(_extents(cloud))), float(np.linalg.norm(_middle(cloud)))
     if extent == 0.0 or SMALLEST_M <= extent <= LARGEST_M or (extent > LARGEST_M and away >= FAR_AWAY * extent):
         return []
@@ -196,12 +191,7 @@ _BY_USER = 32767
 
 
 def wkt_of(epsg: int) -> str:
-    """OGC WKT of a reference system whose coordinates are metres.
-
-    Raises:
-        CloudError: If there is none with this code, or its coordinates are no metres.
-        DependencyError: If pyproj is not installed.
-    """
+    """OGC WKT of a reference system whose coordinates are metres."""
     try:
         import pyproj
     except ImportError as problem:

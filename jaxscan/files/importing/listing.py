@@ -162,9 +162,6 @@ def match(pattern: str, names: Sequence[str], option: str) -> list[Matched]:
     Args:
         pattern: With `*`, `?` and `[...]`, as in a shell; `*` also stands for "/".
         names: All names in the folder.
-
-    Raises:
-        OptionError: If the pattern leads out of the folder, or names no file.
     """
     plain = pattern.replace("\\", "/")
     while plain.startswith("./"):

@@ -39,10 +39,6 @@ def pair(
         on: Groups of laser-on images, with the names of their lasers; of a bracket, a group for each exposure.
         off: Groups of laser-off images: one, or one for each exposure.
         exposures: Number of exposures; 0 where every image stands alone.
-
-    Raises:
-        OptionError: If the numbers of patterns do not fit.
-        CaptureError: If images have no partner; with their names.
     """
     if not on:
         if off:
@@ -131,9 +127,6 @@ def by_step(keys: Sequence[tuple[int | str, ...]], step: float, unit: str) -> tu
 
     Returns:
         The places, and a sentence on them.
-
-    Raises:
-        CaptureError: If more steps are missing than there are.
     """
     numbers = _counting(keys)
     pace = None if numbers is None else _pace(numbers)
@@ -201,9 +194,6 @@ def by_file(path: Path, names: Sequence[str]) -> tuple[list[RecordPlace], str]:
 
     Args:
         names: Names of the images, in natural order.
-
-    Raises:
-        CaptureError: With the line that is wrong, or both counts where they differ.
     """
     text = read_bounded(path, MEGABYTE, error=CaptureError).decode("utf-8", "replace")
     lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1)]
@@ -328,10 +318,6 @@ def plan_records(folder: Path, roles: Roles, request: ImportRequest) -> ImportPl
         folder: The folder of the images.
         roles: Its images.
         request: The user's choices.
-
-    Raises:
-        OptionError: If an option is missing or does not fit the images.
-        CaptureError: If images have no partner; with their names.
     """
     exposures = tuple(ms / 1000 for ms in request.exposures_ms)
     columns = pair(roles.on, roles.off, len(exposures))

@@ -131,11 +131,6 @@ def find_roles(folder: Path, listing: Listing, request: ImportRequest) -> Roles:
     Args:
         listing: All images and videos in it.
         request: The user's choices.
-
-    Raises:
-        OptionError: If patterns do not fit one another.
-        CaptureError: If there are no images, nothing is recognised, with the groups of names that are there, or the
-            images are those of several scans.
     """
     names = listing.images
     if not names:
@@ -151,15 +146,7 @@ def find_roles(folder: Path, listing: Listing, request: ImportRequest) -> Roles:
 
 
 def _in_rows(files: Sequence[Matched], refused_in: Path | None = None) -> list[str]:
-    """A question where the images of one laser are several rows, in folders or by their names: perhaps several scans.
-
-    Args:
-        files: The images, one after the other.
-        refused_in: The folder of the images, where rows that count alike are refused unless a pattern names them.
-
-    Raises:
-        CaptureError: If they are refused.
-    """
+    """A question where the images of one laser are several rows, in folders or by their names: several scans?"""
     inside: dict[str, list[str]] = {}
     for file in files:
         # Of `monday/laser_3.png` and `scan1_laser_3.png` the row is all but the last number.
