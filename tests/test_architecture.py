@@ -82,6 +82,7 @@ HOME_OF = {
     "ifcopenshell": {"files/ifc.py"},
     "laspy": {"files"},
     "pyproj": {"files"},
+    "yaml": {"files/calibration/trees.py"},
     "serial": set(),
     "aiohttp": {"web", "viewer", "cli/console"},
     "yarl": {"web"},

@@ -397,7 +397,7 @@ def _read_mrcal(text: str, name: str) -> tuple[dict[str, Any], str]:
     if lens not in counts:
         raise CalibrationError(f"{name}: lensmodel: found {lens!r:.60}, expected one of {', '.join(counts)}.")
     lists = (re.findall(rf"""['"]{key}['"]\s*:\s*(\[[^\[\]]*\])""", text) for key in ("intrinsics", "imagersize"))
-    values, given = (numbers(found[0], name) if found else [] for found in lists)
+    values, given = (numbers(found[0][1:-1], name) if found else [] for found in lists)
     if len(values) != 4 + counts[lens] or len(given) != 2 or not all(side.is_integer() for side in given):
         raise CalibrationError(
             f"{name}: intrinsics, imagersize: found {len(values)} and {len(given)} numbers, expected "
