@@ -28,17 +28,6 @@ def test_a_sweep(folder):
         assert np.array_equal(found_on, on) and np.array_equal(found_off, off)
 
 
-def test_every(folder):
-    frames = [folder.record(i) for i in range(5)]
-    capture = open_capture(folder.path)
-    thinned = capture.every(2)
-    assert [record.i for record in thinned.records] == [0, 2, 4]
-    assert np.array_equal(next(thinned.chunks(3)).on[1], frames[2][0])
-    assert thinned.digest() == capture.digest()
-    with pytest.raises(ValueError, match="at least 1"):
-        capture.every(0)
-
-
 def test_a_single_laser_table_and_two_lasers(folder):
     folder.record(0)
     folder.header(rest='[laser]\nname = "only"\nstripe_axis = "columns"\n')
@@ -160,15 +149,6 @@ def test_references_that_are_refused(folder, tmp_path, reference, message):
     assert (folder.path / "outside/secret.png").is_file()
     folder.record(1, on=reference)
     folder.refused(message)
-
-
-def test_a_link_that_stays_inside_is_fine(folder):
-    on, _ = folder.record(0)
-    (folder.path / "again.png").symlink_to("on/000000.png")
-    (folder.path / "same").symlink_to("on", target_is_directory=True)
-    folder.record(1, on="again.png", off="same/000000.png")
-    for image in open_capture(folder.path).frames(1):
-        assert np.array_equal(image, on)
 
 
 @pytest.mark.parametrize("name", ["on/000000.png", "on.npy"])

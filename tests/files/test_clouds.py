@@ -111,14 +111,6 @@ class TestPly(WriterContract):
         names += tuple(name for name in SMOOTHED if prefix + name in point)
         return columns | {name: point[prefix + name].numpy()[:, 0] for name in names}
 
-    def test_open3d_reads_it_the_old_way_too(self, path):
-        cloud = make_cloud()
-        save_cloud(cloud, path)
-        old = open3d().io.read_point_cloud(str(path))
-        assert np.array_equal(np.asarray(old.points).astype(np.float32), cloud.xyz[cloud.valid])
-        assert np.array_equal(np.round(np.asarray(old.colors) * 255), cloud.rgb[cloud.valid])
-        assert np.allclose(np.asarray(old.normals), cloud.normals[cloud.valid], rtol=0, atol=1e-7)
-
     def test_header(self, path):
         save_cloud(make_cloud(), path, calibration_digest="sha256:0123")
         header = path.read_bytes().split(b"end_header\n")[0].decode().splitlines()
