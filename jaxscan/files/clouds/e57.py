@@ -8,7 +8,7 @@ import os
 import struct
 import time
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any, BinaryIO, NamedTuple
 
@@ -27,10 +27,10 @@ from jaxscan.files.clouds.header import (
     lines_of_grid,
 )
 from jaxscan.files.clouds.placing import epsg_of, wkt_of
-from jaxscan.files.clouds.points import blocks, columns, known_names, smoothed_names
+from jaxscan.files.clouds.points import blocks, columns, known_names
 from jaxscan.files.disk import Element, Part, parse_xml
 from jaxscan.geometry import from_quaternion, quaternion
-from jaxscan.reconstruction import PointCloud, Stations, of_station
+from jaxscan.reconstruction import SMOOTHED, PointCloud, Stations, of_station
 
 
 NORMALS_URI = "http://www.libe57.org/E57_EXT_surface_normals.txt"
@@ -598,10 +598,9 @@ def _words(scans: list[_StoredScan]) -> tuple[str, ...]:
     )
 
 
-_OURS = ("sigma", "sigma_random", "sigma_systematic", "laser", "angle", "record")
+_OURS = ("sigma", "sigma_random", "sigma_systematic", "laser", "angle", "record", *SMOOTHED, "profile", "station")
 """Columns that only an extension has a place for."""
 _COLOURS = ("colorRed", "colorGreen", "colorBlue")
-_ENDS = ((0, "Minimum"), (1, "Maximum"))
 _GPS_EPOCH_S, _LEAP_S = 315964800, 18
 """GPS time counts from 1980-01-06 without leap seconds."""
 
@@ -613,10 +612,14 @@ def write_e57(cloud: PointCloud, path: Part, about: About, around: Surroundings 
     scan carries them into that of the room, and its description holds digest and covariance. Coordinates are float32,
     or float64 where the cloud holds it; intensity is float32. Sigmas, laser, angle and record are an extension.
     What is around belongs to the first scan.
+
+    Raises:
+        CloudError: If the EPSG code is none in metres.
+        DependencyError: If pye57, or pyproj for a code, is not installed.
+        OSError: If the file cannot be written.
     """
     with _created(path, about) as file:
-        for scan in _scans(cloud, about, "\n".join(header_lines(cloud, about))):
-            file.add_scan(scan)
+        file.add_stations(cloud, about, header_lines(cloud, about))
         if around is not None:
             pose = np.eye(4) if cloud.stations is None else np.asarray(cloud.stations.pose, np.float64)[0]
             file.add_surroundings(around, pose)
@@ -629,90 +632,54 @@ def write_e57_stations(stations: Sequence[Callable[[], PointCloud]], path: Part,
         stations: Each gives the cloud of one station in the frame of the room, with its pose, whenever it is called:
             twice, for the first scan already says where all stations are.
         about: What is said of them all.
+
+    Raises:
+        CloudError: As `write_e57`, or if the clouds are not of one camera, or one has no pose.
+        DependencyError: If pye57, or pyproj for a code, is not installed.
+        OSError: If the file cannot be written.
     """
     # Said before the clouds are read.
     load_libe57()
-    profiles: list[int] = []
-    lines: set[int] = set()
+    shapes: list[tuple[int, ...]] = []
     placed: list[Stations] = []
     for load in stations:
         cloud = load()
         if cloud.stations is None or len(cloud.stations.pose) != 1:
             raise CloudError("a scan of several: expected the cloud of one station with its pose.")
         placed.append(cloud.stations)
-        profiles.append(cloud.valid.shape[0])
-        lines.add(cloud.valid.shape[1])
+        shapes.append(cloud.valid.shape)
         del cloud
-    if len(lines) != 1:
+    if len({lines for _, lines in shapes}) != 1:
         raise CloudError(f"{path}: expected clouds of one camera, with the same number of lines.")
-    number = np.repeat(np.arange(len(placed), dtype=np.int32), profiles)
+    first = [0, *itertools.accumulate(profiles for profiles, _ in shapes)]
+    number = np.repeat(np.arange(len(placed), dtype=np.int32), np.diff(first))
     pose, covariance = (np.concatenate([np.asarray(one[k], np.float64) for one in placed]) for k in (1, 2))
-    header = "\n".join(lines_of_grid((len(number), lines.pop()), Stations(number, pose, covariance), about))
+    header = lines_of_grid((len(number), shapes[0][1]), Stations(number, pose, covariance), about)
     with _created(path, about) as file:
         for k, load in enumerate(stations):
-            for scan in _scans(load(), about, header, station=k, profile=sum(profiles[:k])):
-                file.add_scan(scan)
-
-
-class _Scan(NamedTuple):
-    name: str
-    description: str
-    header: str
-    pose: np.ndarray
-    """T_file_scan [4, 4]."""
-    points: Callable[[], Iterator[dict[str, np.ndarray]]]
-    """Gives the columns of all points, a block at a time, by the names of the format."""
-    double: bool
-
-
-def _scans(cloud: PointCloud, about: About, header: str, *, station: int = 0, profile: int = 0) -> Iterator[_Scan]:
-    """The stations that saw something, one at a time."""
-    poses = np.eye(4)[None] if cloud.stations is None else np.asarray(cloud.stations.pose, np.float64)
-    made = f"calibration {about.calibration}" if about.calibration else ""
-    for number, pose in enumerate(poses):
-        name, described = ", ".join(filter(None, ("jaxscan", made))), "; ".join(filter(None, ("jaxscan", made)))
-        profiles = None
-        if cloud.stations is not None:
-            name = f"{name}, station {station + number}"
-            described = (
-                f"{described}; covariance of the pose, of a step (translation x y z [m], rotation x y z [rad]) in the "
-                f"scan's own frame, upper triangle by rows: {covariance_text(cloud.stations.covariance[number])}"
-            )
-            # The column counts the profiles of the scan.
-            profiles = profile + np.flatnonzero(cloud.stations.number == number)
-        mine = of_station(cloud, number)
-        if np.any(mine.valid):
-            read = partial(_columns, mine, profiles, station + number)
-            yield _Scan(name, described, header, pose, read, mine.xyz.dtype == np.float64)
+            file.add_stations(load(), about, header, station=k, profile=first[k])
 
 
 def _columns(cloud: PointCloud, profile: np.ndarray | None, station: int) -> Iterator[dict[str, np.ndarray]]:
-    """The columns of a scan, a block at a time; with the profile of the whole cloud where it has several stations."""
+    """The columns of a scan by the names of the format, a block at a time, in types that the binding takes.
+
+    With the profile of the whole cloud where it has several stations.
+    """
+    named = COLUMNS | {f"{OWN}{name}": name for name in _OURS}
     for points in blocks(cloud):
         values = columns(points, cloud)
         if profile is not None:
             values |= {"profile": profile[points.step], "station": np.full(len(points.step), station)}
         kept = set(known_names(values, cloud))
-        yield _fields({name: value for name, value in values.items() if name in kept}, smoothed_names(cloud))
-
-
-def _fields(values: Mapping[str, np.ndarray], smoothed: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Columns by the names of the format, in types that the binding takes."""
-    own = (*_OURS, *smoothed, *(name for name in ("profile", "station") if name in values))
-    named = COLUMNS | {f"{OWN}{name}": name for name in own}
-    named = {key: name for key, name in named.items() if name in values}
-    fields: dict[str, np.ndarray] = {
-        key: np.ascontiguousarray(values[name], _type_of(key, values[name])) for key, name in named.items()
-    }
-    # Takes no room in the file; some readers ask for it.
-    return fields | {"cartesianInvalidState": np.zeros(len(values["x"]), np.longlong)}
-
-
-def _type_of(key: str, values: np.ndarray) -> type:
-    """Bounds are checked in double. The binding takes NumPy's int64 for 32 bits, not longlong."""
-    if key in _COLOURS:
-        return np.uint8
-    return np.float64 if values.dtype.kind == "f" else np.longlong
+        # It takes no room in the file; some readers ask for it.
+        block: dict[str, np.ndarray] = {"cartesianInvalidState": np.zeros(len(points.step), np.longlong)}
+        for key, name in named.items():
+            if name in kept:
+                # Bounds are checked in double. The binding takes NumPy's int64 for 32 bits, not longlong.
+                whole = np.uint8 if key in _COLOURS else np.longlong
+                kind = np.float64 if values[name].dtype.kind == "f" else whole
+                block[key] = np.ascontiguousarray(values[name], kind)
+        yield block
 
 
 def _pose_of(pose: np.ndarray) -> dict[str, Any]:
@@ -774,53 +741,75 @@ class _File:
                 return getattr(self._e57, node)(self._image, value)
         return value
 
-    def add_scan(self, scan: _Scan) -> None:
+    def add_stations(
+        self, cloud: PointCloud, about: About, header: Sequence[str], *, station: int = 0, profile: int = 0
+    ) -> None:
+        """Append a scan for each station of a cloud that saw something.
+
+        Args:
+            header: Lines of the whole file.
+            station, profile: The first numbers of the cloud's stations and profiles in the whole file.
+        """
+        words = ["jaxscan", *([f"calibration {about.calibration}"] if about.calibration else [])]
+        poses = np.eye(4)[None] if cloud.stations is None else np.asarray(cloud.stations.pose, np.float64)
+        for k, pose in enumerate(poses):
+            name, described, profiles = ", ".join(words), "; ".join(words), None
+            if cloud.stations is not None:
+                name += f", station {station + k}"
+                described += (
+                    "; covariance of the pose, of a step (translation x y z [m], rotation x y z [rad]) in the scan's "
+                    f"own frame, upper triangle by rows: {covariance_text(cloud.stations.covariance[k])}"
+                )
+                # The column counts the profiles of the scan.
+                profiles = profile + np.flatnonzero(cloud.stations.number == k)
+            mine = of_station(cloud, k)
+            if np.any(mine.valid):
+                tree = {"guid": _guid(), "name": name, "description": described, f"{OWN}header": "\n".join(header)}
+                points = partial(_columns, mine, profiles, station + k)
+                self._add_scan(tree | {"pose": _pose_of(pose)}, points, double=mine.xyz.dtype == np.float64)
+
+    def _add_scan(
+        self, tree: dict[str, Any], columns: Callable[[], Iterator[dict[str, np.ndarray]]], *, double: bool
+    ) -> None:
         """Append a scan: the bounds of its columns, which stand before the points, and then the points."""
         least: dict[str, Any] = {}
         most: dict[str, Any] = {}
         types: dict[str, np.dtype] = {}
         largest = 0
-        for block in scan.points():
+        for block in columns():
             largest = max(largest, len(block["cartesianX"]))
             for key, values in block.items():
                 types[key] = values.dtype
                 least[key] = min(values.min().item(), least.get(key, math.inf))
                 most[key] = max(values.max().item(), most.get(key, -math.inf))
+        for key in set(_COLOURS) & types.keys():
+            least[key], most[key] = 0, 255
 
-        def bounds(limits: dict[str, str]) -> dict[str, Any]:
-            ends = (("Minimum", least), ("Maximum", most))
-            return {f"{key}{end}": limit[field] for key, field in limits.items() for end, limit in ends}
-
-        tree: dict[str, Any] = {
-            "guid": _guid(),
-            "name": scan.name,
-            "description": scan.description,
-            f"{OWN}header": scan.header,
-            "cartesianBounds": bounds({axis: f"cartesian{axis.upper()}" for axis in "xyz"}),
-            "pose": _pose_of(scan.pose),
-        }
-        if "rowIndex" in types:
-            tree["indexBounds"] = bounds({"row": "rowIndex", "column": "columnIndex"})
-        if "intensity" in types:
-            tree["intensityLimits"] = bounds({"intensity": "intensity"})
-        if set(_COLOURS) <= types.keys():
-            tree["colorLimits"] = {f"{key}{end}": k * 255 for key in _COLOURS for k, end in _ENDS}
+        for limits, ends in (
+            ("cartesianBounds", {axis: f"cartesian{axis.upper()}" for axis in "xyz"}),
+            ("indexBounds", {"row": "rowIndex", "column": "columnIndex"}),
+            ("intensityLimits", {"intensity": "intensity"}),
+            ("colorLimits", {key: key for key in _COLOURS}),
+        ):
+            if set(ends.values()) <= types.keys():
+                tree[limits] = {f"{name}Minimum": least[key] for name, key in ends.items()}
+                tree[limits] |= {f"{name}Maximum": most[key] for name, key in ends.items()}
         e57, image = self._e57, self._image
         prototype, buffers = e57.StructureNode(image), e57.VectorSourceDestBuffer()
         buffer = {key: np.empty(largest, kind) for key, kind in types.items()}
         for key, values in buffer.items():
-            low, high = (0, 255) if key in _COLOURS else (least[key], most[key])
             if values.dtype == np.float64:
-                double = key == f"{OWN}angle" or (scan.double and key.startswith("cartesian"))
-                node = e57.FloatNode(image, low, e57.E57_DOUBLE if double else e57.E57_SINGLE, low, high)
+                wide = key == f"{OWN}angle" or (double and key.startswith("cartesian"))
+                kind = e57.E57_DOUBLE if wide else e57.E57_SINGLE
+                node = e57.FloatNode(image, least[key], kind, least[key], most[key])
             else:
-                node = e57.IntegerNode(image, low, low, high)
+                node = e57.IntegerNode(image, least[key], least[key], most[key])
             prototype.set(key, node)
             buffers.append(e57.SourceDestBuffer(image, key, values, len(values), True, True))
         points = e57.CompressedVectorNode(image, prototype, e57.VectorNode(image, True))
         self._scans.append(self._node(tree | {"points": points}))
         with contextlib.closing(points.writer(buffers)) as writer:
-            for block in scan.points():
+            for block in columns():
                 count = len(block["cartesianX"])
                 for key, values in block.items():
                     buffer[key][:count] = values
