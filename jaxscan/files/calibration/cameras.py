@@ -128,17 +128,11 @@ class _Parts(NamedTuple):
 
     model: Model
     pixels: dict[str, float]
-    """fx, fy, cx, cy and skew."""
     lens: Sequence[float]
-    """Coefficients in the model's order."""
     lens_from: str
-    """The key or keys that have them."""
     size: Sequence[float]
-    """Width and height [px]."""
     unused: Sequence[str] = ()
-    """Keys that were not used."""
     more: str = ""
-    """A sentence for the note."""
 
 
 _COUNTS: dict[Model, tuple[int, ...]] = {"pinhole": (5, 8), "fisheye": (4,), "double_sphere": (2,)}

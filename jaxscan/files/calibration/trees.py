@@ -16,7 +16,6 @@ from jaxscan.files.disk import Element, parse_xml
 
 Tree = Any
 MAX_NUMBERS = 64
-"""Most numbers of one list."""
 _MAX_LEVELS = 32
 _MAX_ENTRIES = 2_000_000
 _NUMBER = re.compile(r"[-+]?(?:\.\d+|\d+\.?\d*)(?:[eE][-+]?\d+)?")

@@ -30,7 +30,6 @@ class Capture:
     path: Path
     header: CaptureHeader
     records: tuple[Record, ...]
-    """Sorted by their number, one per number."""
     notes: tuple[str, ...]
     """Doubts of the reader, a sentence each: a torn last line that was left out, records that no seal covers."""
     _digest: str

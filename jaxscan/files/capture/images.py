@@ -90,7 +90,6 @@ def _levels(levels: Sequence[float]) -> str:
 AHEAD = 2
 """Chunks that are decoded ahead while the caller computes."""
 _ALIGNED = 64
-"""[bytes]."""
 
 
 Look = Callable[[int, np.ndarray, np.ndarray | None], None]

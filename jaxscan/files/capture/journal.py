@@ -177,7 +177,6 @@ class Record:
     """One completed record."""
 
     i: int
-    """Its own number."""
     angle: float | None
     """The table's angle [rad from home], or the position of a linear stage [m]; None where unknown."""
     placement: int | None
@@ -185,7 +184,6 @@ class Record:
     lasers: tuple[int, ...]
     """Indices of the lasers lit in the `on` frame, in the header's order; empty without one."""
     on: tuple[ImageRef, ...]
-    """Images of the laser-on frame: one, or several with exposures; empty without one."""
     off: tuple[ImageRef, ...]
 
 
@@ -193,11 +191,8 @@ class Journal(NamedTuple):
     """The contents of a journal."""
 
     records: tuple[Record, ...]
-    """One per number, in the order of the numbers."""
     notes: tuple[str, ...]
-    """A sentence for each line that was dropped."""
     takes: dict[int, int]
-    """How many lines each record has."""
 
 
 def _digests(given: Any) -> dict[str, Any] | None:
@@ -400,11 +395,8 @@ class CaptureTexts(NamedTuple):
 
     header: CaptureHeader
     records: tuple[Record, ...]
-    """Sorted by their number, one per number."""
     notes: tuple[str, ...]
-    """A sentence if a torn last line was left out."""
     takes: dict[int, int]
-    """How many lines each record has in the journal."""
     header_bytes: bytes
     journal_bytes: bytes
 

@@ -30,11 +30,9 @@ class Sealing(NamedTuple):
     """How well a capture is sealed."""
 
     broken: tuple[str, ...]
-    """Differences from the seals, a sentence each."""
     note: str
     """The part of the journal that no seal covers although its records have digests; "" if there is none."""
     sealed: bool
-    """Whether the last seal covers all records."""
 
 
 def seal(path: Path) -> dict[str, Any]:

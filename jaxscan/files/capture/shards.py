@@ -22,7 +22,6 @@ _MAPPED = 32
 
 class _Shard(NamedTuple):
     frames: np.ndarray
-    """uint8 [n, rows, columns(, 3)], read-only."""
     file: mmap.mmap
     start: int
     """Offset of the first frame in the file [bytes]."""

@@ -31,14 +31,12 @@ def _functions(prefix: str) -> dict[str, Any]:
 WRITERS: dict[str, Writer] = _functions("write")
 READERS: dict[str, Reader] = _functions("read")
 _NAMED = (".npz", ".e57", ".las", ".laz", ".ptx")
-"""Formats that name their columns themselves."""
 TEXTS = (".txt", ".csv", ".asc", ".pts")
 """Suffixes that other programs give to tables of points: they are read as .xyz."""
 _DAMAGE = (
     *(ValueError, TypeError, LookupError, AttributeError, ArithmeticError, EOFError, MemoryError, RuntimeError),
     *(OSError, struct.error),
 )
-"""Errors of readers, ours and those of libraries, for a damaged file."""
 
 
 def check_cloud_path(path: Path) -> None:

@@ -36,9 +36,7 @@ UNIT_WORDS: dict[Unit, str] = {
     "us-foot": "US survey feet",
 }
 SHORT_NAMES = {"i": "intensity", "r": "red", "g": "green", "b": "blue"}
-"""Letters of columns in a list that a person types."""
 UNUSED = "-"
-"""A column that a person leaves out."""
 
 
 class Reading(NamedTuple):
@@ -120,9 +118,7 @@ class Columns(NamedTuple):
     places: dict[str, int]
     """Places of the columns of a cloud, by their names in `USED`."""
     unused: tuple[str, ...]
-    """Names of the others."""
     unit: Unit | None = None
-    """The unit that the names of x, y and z state."""
 
 
 def assign(names: Sequence[str], *, what: str = "the columns", ours: bool = False) -> Columns:
@@ -203,9 +199,7 @@ class Extent(NamedTuple):
     least: np.ndarray
     most: np.ndarray
     whole: np.ndarray
-    """Whether all are whole numbers."""
     unit: np.ndarray
-    """Whether the column and the two after it are unit vectors in all rows."""
     counts: bool
     """Whether the first column counts the rows."""
 
@@ -332,7 +326,6 @@ class Range(NamedTuple):
     brightest: float
     """The number of full brightness; 0 where they are no colours."""
     why: str
-    """The evidence for it."""
 
     @property
     def words(self) -> str:

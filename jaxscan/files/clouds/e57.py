@@ -70,7 +70,6 @@ def load_libe57() -> Any:
 
 PAGE, PAYLOAD = 1024, 1020
 _BLOCK = 1024
-"""Pages that are read at a time."""
 
 
 class Pages:
@@ -287,7 +286,6 @@ class RoundPicture(NamedTuple):
     jpeg: bytes
     width: int
     height: int
-    """Pixels."""
 
 
 class FlatPicture(NamedTuple):
@@ -296,7 +294,6 @@ class FlatPicture(NamedTuple):
     jpeg: bytes
     width: int
     height: int
-    """Pixels."""
     focal_px: float
     centre: tuple[float, float]
     """Principal point (u, v) [px], from the centre of the first pixel."""
@@ -309,7 +306,6 @@ class Surroundings(NamedTuple):
 
     panorama: RoundPicture
     photographs: Iterable[FlatPicture] = ()
-    """Read one after the other."""
     started_s: float | None = None
     """When the scan began, seconds since 1970; None where it is not known."""
 
@@ -340,7 +336,6 @@ _OWN_COLUMNS = {
 }
 
 Block = dict[str, np.ndarray]
-"""Columns of some points."""
 
 
 def read_e57(file: BinaryIO, reading: Reading) -> StoredCloud:

@@ -33,7 +33,6 @@ _FIELDS = {
     "normals": _NORMALS,
     **{name: (name,) for name in ("intensity", "sigma_random", "sigma_systematic", *SMOOTHED)},
 }
-"""Fields of a cloud by their columns."""
 _PER_PROFILE = {"angle": np.float64, "record": np.int32, "laser": np.int32}
 USED = {*(POINT.names or ()), *SMOOTHED, "station"} - {"sigma"}
 """Columns of which a cloud is made; "sigma" follows from two others."""

@@ -79,7 +79,6 @@ _CRS = re.compile(r"EPSG:(\d{1,6})\Z")
 
 
 METRE = (1.0, 1.0, 1.0)
-"""Unit of x, y and z of all our files."""
 
 
 class About(NamedTuple):

@@ -54,9 +54,7 @@ class Sizes(NamedTuple):
     """The numbers of a header that decide how much memory is taken."""
 
     head: int
-    """Bytes of the header itself."""
     offset: int
-    """Place of the points."""
     records: int
     kind: int
     point_bytes: int
@@ -121,10 +119,8 @@ _SINGLE_STEPS = 1 << 20
 """Steps of a coordinate up to which a single holds it sixteen times finer than the file."""
 _SINGLE_M = 1e6
 _LARGEST_STEP_M = 1.0
-"""Largest step of a coordinate [m] that is accepted; no program writes a coarser one."""
 _COMPRESSED = 0x80
 _DOUBLES = 34736
-"""Number of the record that holds the values of keys that are not whole."""
 _MOST_BEHIND, _LONGEST_WKT = 1000, 1 << 20
 
 
@@ -333,7 +329,6 @@ _EXTRA = {
 }
 _STATION_EXTRA = {"station": "place of the scanner"}
 _TYPES = {"step": np.int32, "row": np.int32, "record": np.int32, "angle": np.float64, "station": np.uint8}
-"""Types of extra bytes other than float32."""
 _SMOOTHED_EXTRA = {
     "sigma_row": "noise, of the row alone [m]",
     "shift_px": "centre of the row - this [px]",

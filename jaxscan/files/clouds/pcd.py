@@ -80,7 +80,6 @@ class _Header(NamedTuple):
     encoding: str
     comments: tuple[str, ...]
     length: int
-    """Bytes before the data."""
 
 
 def read_pcd(file: BinaryIO, reading: Reading) -> StoredCloud:

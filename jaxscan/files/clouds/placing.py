@@ -24,7 +24,6 @@ _TURNS: dict[Up, list[list[int]]] = {
     "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
     "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
 }
-"""Turns that carry each direction to z."""
 
 MILLIMETRES_FROM, CENTIMETRES_FROM = 1500.0, 200.0
 """Extents from which a cloud is taken for one in a smaller unit: no room is 200 m large, and few are 15 m."""
@@ -181,7 +180,6 @@ LOCAL_WKT = (
     'LOCAL_CS["jaxscan, frame of the {frame}",LOCAL_DATUM["jaxscan",32767],UNIT["metre",1,AUTHORITY["EPSG","9001"]],'
     'AXIS["x",OTHER],AXIS["y",OTHER],AXIS["z",UP]]'
 )
-"""OGC WKT of a frame in metres with z up."""
 
 _CODE_AT_END = re.compile(r'(?:AUTHORITY\["EPSG","(\d{1,6})"\]|ID\["EPSG",(\d{1,6})\])\s*\]\s*\Z')
 _UNITS_OF_LENGTH = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937, 9036: 1000.0, 9030: 1852.0, 9096: 0.9144}
@@ -220,9 +218,7 @@ class FileFrame(NamedTuple):
     """The coordinate reference system that a file states: units and axes."""
 
     metres: tuple[float, float, float] | None = None
-    """Metres of a unit of x, y and z; None where it is not stated."""
     in_degrees: bool = False
-    """Whether x and y are degrees."""
 
 
 def frame_of_wkt(wkt: str) -> FileFrame:

@@ -32,7 +32,6 @@ class _Property(NamedTuple):
     name: str
     item: np.dtype
     length: np.dtype | None = None
-    """Type of the number of its items; None where it has one."""
 
 
 class _Element(NamedTuple):
@@ -61,7 +60,6 @@ class _Header(NamedTuple):
     comments: list[str]
     elements: list[_Element]
     length: int
-    """Bytes before the data."""
 
 
 def read_ply(file: BinaryIO, reading: Reading) -> StoredCloud:

@@ -27,7 +27,6 @@ _SINGLE_M = 128.0
 _ROUNDED, _EXACT = 1e-3, 1e-9
 """By how much the axes of a pose may differ from unit length, as it is written: with few digits, or with all."""
 _NO_INTENSITY = 127.5
-"""One half, in the numbers of a cloud."""
 _SHORTEST_CELL = 8
 """Bytes of a cell: four numbers."""
 

@@ -86,7 +86,6 @@ class _Dialect(NamedTuple):
     """How the numbers of a line are separated."""
 
     separator: str | None
-    """None where it is blank space."""
     comma: bool
     """Whether a comma is the sign for decimals."""
 
@@ -166,15 +165,11 @@ class _Table(NamedTuple):
 
     file: BinaryIO
     start: int
-    """Where its rows begin."""
     dialect: _Dialect
     titles: tuple[str, ...]
-    """Names of its columns; empty where there are none."""
     title: str
-    """The line that holds them."""
     width: int
     texts: frozenset[int]
-    """Columns of words."""
     comments: tuple[str, ...]
     """Lines before it that are neither names nor numbers."""
     stated: int | None

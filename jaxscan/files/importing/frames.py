@@ -30,7 +30,6 @@ class Depth(NamedTuple):
     step: int
     """Distance of its levels in the images: more than 1 where they stand at the top of the 16 bits."""
     said: str
-    """Evidence for these bits."""
 
     def samples(self, image: np.ndarray, name: str) -> np.ndarray:
         """An image as the camera gave it: uint16, or uint8 of 8 bits."""
@@ -84,7 +83,6 @@ class FrameKind(NamedTuple):
     rank: int
     """2 for grey or raw Bayer, 3 for colour."""
     compression: str | None
-    """"jpeg", "video", or None."""
     depth: Depth | None = None
     """How the samples are stored; None for images of 8 bits."""
 

@@ -16,7 +16,6 @@ from jaxscan.geometry.motions import Carries
 
 
 Step = tuple[Matched, ...]
-"""The images of one side of a record: one, or one for each exposure."""
 _NAMED = 3
 
 
@@ -251,7 +250,6 @@ class ImportRequest:
     """Patterns of laser-on images: one, one for each laser, or one for each exposure."""
     off: tuple[str, ...] = ()
     boards: tuple[str, ...] = ()
-    """Patterns of images of a board without laser."""
     board: BoardTable | None = None
     """With a board the capture is one of a calibration."""
     carries: Carries | None = None
@@ -259,10 +257,8 @@ class ImportRequest:
     step: float | None = None
     """Step of the table [deg] or of a linear stage [mm] between records."""
     places: Path | None = None
-    """File of angles [deg] or positions [mm]."""
     exposures_ms: tuple[float, ...] = ()
     lasers: tuple[str, ...] = ()
-    """Names of the lasers."""
     every: int = 1
     """Take every n-th frame of a video."""
 
@@ -275,7 +271,6 @@ class PlannedRecord(NamedTuple):
     off: tuple[Source, ...]
     place: RecordPlace
     laser: str | None
-    """Name of the laser that is lit, where there are several."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,6 @@ from jaxscan.files.importing.plan import ImportRequest, Roles
 
 Role = Literal["on", "off", "texture", "board"]
 _MOST_COMPARED = 100
-"""Groups of names that are compared with one another."""
 
 # English, German, French, Spanish and Italian. A name with a word of a later row has its role, whatever else it says.
 _WORDS: dict[Role, str] = {

@@ -67,9 +67,7 @@ class FileStore:
 class _Place(NamedTuple):
     shard: int
     used: int
-    """Images of the shard that have names."""
     length: int
-    """Images that fit."""
 
 
 class ShardStore:
