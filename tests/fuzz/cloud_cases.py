@@ -26,7 +26,7 @@ _TEXT_CHANGES = (change_xyz, change_lines, change_bytes)
 
 def _changed_cloud(draft: Draft) -> Path:
     rng = draft.rng
-    name = rng.choice(("foreign.ply", "cloud.e57", *("cloud" + rng.choice(CLOUDS) for _ in range(4))))
+    name = rng.choice(("cloud.e57", *("cloud" + rng.choice(CLOUDS) for _ in range(4))))
     cloud = draft.take(name)
     own = _CHANGES.get(cloud.suffix, rng.choice((change_ply_header, change_ply_header, change_bytes)))
     draft.change(cloud, own)
