@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import jaxscan
-from experiments.paper.products import RenderedSweep, expect_each, our_plan, write_captures
+from experiments.paper.products import RenderedSweep, expect, our_plan, write_captures
 from experiments.paper.stage import CONFIGS, Metric, Stage, smaller
 from experiments.paper.table_1 import AGREE
 from experiments.report import rms
@@ -103,12 +103,11 @@ def _calibration(stage: Stage, config: SimulationConfig) -> jaxscan.Scanner:
     if not path.exists():
         own = replace(stage, config=config)
         plan = our_plan(own)
-        folder = stage.product("fisheye/boards")
-        shutil.rmtree(folder, ignore_errors=True)
-        write_captures(own, expect_each(own, plan), plan, {60: folder})
+        folder = stage.emptied("fisheye/boards")
+        (capture,) = write_captures(own, expect(own, plan), plan, {60: folder})
         stage.say(f"fisheye: rendered {len(plan.lit)} views of the board")
         settings = CalibrationSettings(camera="fisheye", judge=False)
-        found = jaxscan.calibrate(jaxscan.open_capture(folder), settings=settings, redetect=not stage.quick)
+        found = jaxscan.calibrate(capture, settings=settings, redetect=not stage.quick)
         jaxscan.save_calibration(found, path)
         shutil.rmtree(folder)
     return jaxscan.load_scanner(path)
