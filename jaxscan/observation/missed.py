@@ -84,7 +84,6 @@ def missed_records(seen: Sequence[tuple[int, bool, Light | None]], corners: int)
 
     Args:
         seen: Of every record its number, whether the board was found, and its light; None where it has no image.
-        corners: Of the board.
     """
     sharp = [light.sharpness for _, found, light in seen if found and light is not None]
     usual = float(np.median(sharp)) if sharp else 0.0

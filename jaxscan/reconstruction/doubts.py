@@ -62,10 +62,6 @@ def sweep_doubts(
     """Contradictions between a part of a sweep and the rest of it, a sentence each; none for a healthy one.
 
     Args:
-        sweep: The sweep.
-        scanner: Its scanner.
-        cloud: Its cloud.
-        seen: Statistics of its frames.
         numbers: The name of each record.
         off_images: As of `repeated_frames`.
     """
@@ -210,8 +206,6 @@ def repeated_frames(seen: Seen, numbers: np.ndarray, off_images: np.ndarray | No
     """Frames that are the same to the last bit, which noise never makes.
 
     Args:
-        seen: Of all records.
-        numbers: Their names.
         off_images: A number for each record's laser-off image, int [records]; records that name the same image, as two
             lasers at one angle may, have the same. None if each record has its own.
     """
@@ -416,7 +410,6 @@ def pair_notes(
     """The faults of a sweep's pairs, from some of them all over it: laser light in the laser-off image, motion.
 
     Args:
-        sweep: The sweep.
         stripes: Its stripes; of several of a line the brightest counts.
         frames: Laser-on and laser-off frame of a record.
         numbers: The name of each record.

@@ -35,15 +35,9 @@ def line_gate(
     it. No centre that `triangulate` accepts with the same limits is outside.
 
     Args:
-        scanner: Camera and lasers.
-        laser: Which of the lasers.
-        stripe_axis: Whether a line is an image row or an image column.
         min_range_m: Smallest distance along the ray [m].
         max_range_m: Largest distance along the ray [m]; may be infinite.
         margin_px: How far the gate reaches beyond [px].
-
-    Returns:
-        The gate, and which side is near.
 
     Raises:
         ValueError: If the limits contradict each other.

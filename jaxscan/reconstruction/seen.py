@@ -86,7 +86,6 @@ class FrameWatch:
     def __init__(self, records: int, *, upright: bool, brackets: bool, colours: bool) -> None:
         """
         Args:
-            records: Number of records.
             upright: Whether the turning axis runs along the columns of the image.
             brackets: Whether frames have a first axis of exposures.
             colours: Whether frames have a last axis of colours.

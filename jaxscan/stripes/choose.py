@@ -71,9 +71,7 @@ def choose_stripes(
     Args:
         measured: All candidates [frames, candidates, lines of the laser's plane].
         search: Which side is near, and the signal-to-noise ratios that are asked for.
-        choice: The rule.
         sites: Where the laser's plane lies in the image.
-        image_lines: Lines of the image.
         several: Whether all candidates are given.
 
     Returns:
@@ -245,11 +243,7 @@ def check_steps(
     Args:
         u: Centres of the candidates [px]; the profiles are one laser's, in the order of the turning and
             equally spaced.
-        exists: Which candidates there are.
         chosen: Number of the chosen candidate, -1 where there is none; these stay -1.
-
-    Returns:
-        The new choice.
     """
     profiles, lines, candidates = u.shape
     blocks = -(-profiles // _BLOCK)

@@ -436,7 +436,6 @@ def stripes_of_frames(engine: StripeEngine, on: UInt8[Array, "frames ..."], off:
     """Stripe centres of a chunk of frames: pure, of static shapes, to be traced in a larger jit.
 
     Args:
-        engine: Setup and search.
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape, or None.
     """

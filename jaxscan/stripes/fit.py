@@ -151,16 +151,7 @@ def fit_peaks(
     """Fit and judge the candidates of one frame, those that exist packed one after the other.
 
     Args:
-        on: With the laser on.
-        off: The same with the laser off, where there are any.
-        lamp_ratio: Factor by which the light of the laser-off frame is multiplied [1].
-        peaks: The candidates.
         search: The noise, the prior of the width, and the limits of what is believed.
-        pitch: Distance between samples [px].
-        linear: Whether codes are linear levels.
-
-    Returns:
-        Fields [candidates, lines]; zero where no stripe is believed.
     """
     lines = on.samples.shape[0]
     flat = [jnp.asarray(field).reshape(-1) for field in (peaks.at, peaks.extent, peaks.first, peaks.bins)]
@@ -323,7 +314,6 @@ def fit_stripe(
     which converges to the maximum of the likelihood; the normal matrix is then its information.
 
     Args:
-        window: The samples.
         start: Where to start; with a background where that is to be fitted too.
         rules: The prior of the width, and when the steps end.
         iterations: Largest number of steps, of all or of each.

@@ -53,8 +53,6 @@ def judge_pairs(
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape.
         stripes: Their stripes, one profile of each.
-        frames: How a frame is to be read.
-        line: The laser, of which the colour is known.
     """
     pixel_format, response = frames.pixel_format, frames.response
     noise = estimate_noise(on, off, pixel_format=pixel_format, response=response, line=line)

@@ -105,7 +105,6 @@ def thresholds(noise: NoiseModel, settings: StripeSettings, *, pitch: int, has_o
     """Smallest response of a candidate, by the level of the room around it [DN].
 
     Args:
-        noise: Noise of a frame.
         settings: With the signal-to-noise ratio from which a maximum is a candidate.
         pitch: Distance between samples [px]: a lattice point adds up two samples, or is one.
         has_off: Whether a laser-off frame is subtracted; else the mean of eight lattice points is.
@@ -129,10 +128,7 @@ def prepare_search(setup: ExtractionSetup, noise: NoiseModel, gate: LineGate, *,
     """The search in frames of this noise.
 
     Args:
-        setup: Frames, laser and settings.
-        noise: Noise of a frame.
         gate: The part of each line of the image that may hold the stripe.
-        has_off: Whether there are laser-off frames.
 
     Raises:
         ValueError: If the rule of choice needs a side that is not given.
@@ -176,7 +172,6 @@ def learn_search(search: Search, stripes: FrameStripes, setup: ExtractionSetup) 
     Args:
         search: A search without a prior of the width.
         stripes: The stripes that it found, one of each line.
-        setup: Frames, laser and settings.
     """
     rows = _rows(search, stripes, setup)
     if setup.settings.speckle is None and not search.speckle:
@@ -197,7 +192,6 @@ def correct_search(search: Search, first: FrameStripes, again: FrameStripes, set
         search: The search with a learned contrast.
         first: Stripes found without speckle.
         again: Stripes of the same frames, found by `search`.
-        setup: Frames, laser and settings.
     """
     plain = _rows(search, first, setup)
     photons = np.where(plain.usable, plain.sigma**2, 0.0)
@@ -232,7 +226,6 @@ def learn_widths(
         width: Fitted standard deviations of some frames' stripes [px].
         sigma: Standard deviation of their centres [px]; relative to the width that of a
             logarithm of the width too, as long as amplitude and width are unknown.
-        valid: Which of them exist.
     """
     safe = np.where(valid, width, 1.0)
     noise = (sigma / safe) ** 2

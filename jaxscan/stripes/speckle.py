@@ -121,7 +121,6 @@ def learn_speckle(rows: Rows, electrons_per_dn: float, pitch: int) -> LearnedSpe
     Args:
         rows: Stripes of the first frames, fitted without speckle and without a prior of the width.
         electrons_per_dn: Conversion gain [e-/DN].
-        pitch: Distance between samples [px].
     """
     expected = scatters(rows, electrons_per_dn, pitch)
     photons = rows.sigma**2
@@ -147,7 +146,6 @@ def correct_speckle(rows: Rows, photons: Float[np.ndarray, "frames lines"], cont
     Args:
         rows: Stripes of the first frames, fitted with the contrast.
         photons: Their variances by photons alone [px^2]; 0 where it is not known.
-        contrast: Contrast of the fit [1].
     """
     usable = rows.usable & (photons > 0)
     stated = rows.sigma**2

@@ -43,8 +43,6 @@ def learn_colour(
     Args:
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape.
-        pixel_format: How a frame is to be read.
-        stripe_axis: Whether a line is an image row or an image column.
         saturation: Level from which a pixel is clipped [DN].
 
     Returns:
@@ -85,10 +83,8 @@ def with_colour(line: LaserLine, on: Array, off: Array | None, pixel_format: Pix
     """The laser with a colour: its own, or that which the frames show if it is "auto".
 
     Args:
-        line: The laser.
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3); not looked at without need.
         off: Laser-off frames of the same shape, or None.
-        pixel_format: How a frame is to be read.
 
     Raises:
         ValueError: If the colour has to be learned and cannot be.
