@@ -68,7 +68,7 @@ class Look(NamedTuple):
     def missed(self) -> tuple[MissedRecord, ...]:
         """The records in which the board was not found, with the likely reasons."""
         seen = [(view.record.i, view.corners is not None, view.light) for view in self.records]
-        return missed_records(seen, len(self.board.corners()))
+        return missed_records(seen)
 
     def without_a_line(self, rig: SolvedRig) -> tuple[list[int], int]:
         """Numbers of the records that show no line on their boards though the sheet of their laser meets these, and how
@@ -132,7 +132,7 @@ def look_at_boards(
         if view.grey is None:
             return view
         corners = eyes.find_corners(view.grey, board)
-        return view._replace(corners=corners, light=measure_light(view.grey, crossings=corners is None))
+        return view._replace(corners=corners, light=measure_light(view.grey))
 
     keep = sum(map(_bytes_of, captures)) <= _KEPT_BYTES
     seen = go_through(captures, look, Look(board, [], lines, {}), keep=keep, progress=progress)

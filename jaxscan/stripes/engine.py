@@ -39,6 +39,7 @@ from jaxscan.stripes.frames import (
 from jaxscan.stripes.planes import plane_of
 from jaxscan.stripes.search import (
     LEARNED_FRAMES,
+    ExtractionSetup,
     LineGate,
     Search,
     correct_search,
@@ -47,7 +48,6 @@ from jaxscan.stripes.search import (
     prepare_search,
     whole_lines,
 )
-from jaxscan.stripes.setup import ExtractionSetup
 from jaxscan.stripes.speckle import REASONS
 from jaxscan.stripes.stripes import Choice, FrameStripes, NoiseModel
 

@@ -104,8 +104,8 @@ def _centre_of_gravity(on: Plane, off: Plane | None, lamp_ratio: Array, search: 
     sampling = pitch * _SAMPLING / jnp.maximum(width / pitch, 0.5) ** 2
     sigma = jnp.sqrt(pitch**2 * jnp.sum(of_sample**2 * variance, axis=1) + sampling**2)
     snr = jnp.maximum(top[:, 0], 0.0) / jnp.sqrt(sum(h * h for h in _BLUR) * variance[:, _REACH + 1])
-    valid = (amplitude > 0) & (snr >= limits.least_snr) & (sigma <= limits.max_sigma)
-    valid &= (width >= limits.min_width) & (width <= limits.max_width)
+    valid = (amplitude > 0) & (snr >= limits.least_snr) & (sigma <= limits.max_sigma_px)
+    valid &= (width >= limits.min_width_px) & (width <= limits.max_width_px)
     nothing = jnp.zeros_like(snr)
     nearest = jnp.round(centre).astype(jnp.int32) + _REACH + 1
     grey = nothing if dark is None else jnp.take_along_axis(dark, nearest, 1)[:, 0]

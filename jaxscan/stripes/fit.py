@@ -216,11 +216,11 @@ def _fit_block(
     flat = 0.5 * pitch * saturated
     spread = jnp.where(saturated > 0, 1.0, FILTER_VARIANCE[pitch])
     squared = (0.25 * cut.extent**2 - flat**2) / (2.0 * math.log(2.0)) - spread
-    width = jnp.clip(jnp.sqrt(jnp.maximum(squared, 0.36)), 0.6, limits.max_width)
+    width = jnp.clip(jnp.sqrt(jnp.maximum(squared, 0.36)), 0.6, limits.max_width_px)
     amplitude = jnp.maximum(top, 1.0) * jnp.exp(jnp.minimum(0.5 * (flat / width) ** 2, 1.5))
     window = Window(level, jnp.where(used, variance * per_bin[None], UNUSED_VARIANCE), step, bins, per_bin / per_dn)
     prior = search.log_width, search.width_information
-    rules = FitRules(1.1 * limits.max_width, prior, search.speckle * lax.rsqrt(bins), REST)
+    rules = FitRules(1.1 * limits.max_width_px, prior, search.speckle * lax.rsqrt(bins), REST)
     steps = jnp.where(saturated > 0, limits.clipped_iterations, limits.iterations)
     fit = fit_stripe(window, Start(start, amplitude, width, background), rules, iterations=steps, active=cut.real)
     tallest = jnp.where(saturated > 0, jnp.inf, 2.0 * amplitude)
@@ -283,9 +283,9 @@ def _accept(fit: Fit, reach: Array, tallest: Array, parameters: int, search: Sea
         (fit.samples > parameters)
         & (fit.energy >= limits.least_snr**2)
         & (fit.variance > 0)
-        & (sigma <= limits.max_sigma)
-        & (fit.width >= limits.min_width)
-        & (fit.width <= limits.max_width)
+        & (sigma <= limits.max_sigma_px)
+        & (fit.width >= limits.min_width_px)
+        & (fit.width <= limits.max_width_px)
         & (fit.amplitude <= tallest)
         & (fit.last_step <= 0.02 + sigma)
         & (jnp.abs(fit.u) <= reach)

@@ -15,6 +15,7 @@ from jaxscan.stripes import KEPT_FIELDS as KEPT
 from jaxscan.stripes import NoiseModel, StripeSettings
 from jaxscan.vision import encode_png
 
+from .conftest import small_scanner, stripes_on_plane
 from .rendered import pairs, stripe
 
 
@@ -27,15 +28,11 @@ FIELDS = ("xyz", "rgb", "normals", "sigma_random", "sigma_systematic", "intensit
 
 @pytest.fixture(scope="module")
 def scanner():
-    from .conftest import small_scanner
-
     return small_scanner(width=WIDTH, height=HEIGHT)
 
 
 @pytest.fixture(scope="module")
 def frames(scanner):
-    from .conftest import stripes_on_plane
-
     u, seen = stripes_on_plane(scanner, np.radians(np.arange(RECORDS)), NORMAL, 1.5)
     return pairs(stripe(u, seen, 60.0, WIDTH))
 
@@ -183,12 +180,6 @@ def test_a_place_that_cannot_be_written_is_a_note(capture, scanner):
     assert sorted(path.name for path in capture.path.iterdir()) == [
         *("capture.toml", "frames.jsonl", "off", "on", "stripes.npz")
     ]
-
-
-def test_without_the_cache_nothing_is_kept(capture, scanner):
-    done = reconstruct_capture(capture, scanner, settings=SETTINGS, cache=False)
-    assert (done.from_cache, done.kept, done.notes) == (False, False, ())
-    assert not cache_path(capture).exists()
 
 
 def test_better_code_finds_stripes_anew(capture, scanner, monkeypatch):
