@@ -54,15 +54,6 @@ class ExtractionSetup(NamedTuple):
         """Lines of a profile."""
         return across_and_along(*self.image_size, self.line.stripe_axis)[1]
 
-    @property
-    def plane_size(self) -> tuple[int, int]:
-        """Lines of the plane of the laser's colour, and samples of a line."""
-        across, lines = across_and_along(*self.image_size, self.line.stripe_axis)
-        sites = self.sites
-        if sites.pitch == 1:
-            return lines, across
-        return lines // 2 * 2 // sites.line_step, across // 2
-
     def plane(self, frames: Array) -> UInt8[Array, "frames lines samples"]:
         """The samples of the laser's colour of frames uint8 [frames, rows, columns] (rgb8: and 3)."""
         return laser_plane(frames, pixel_format=self.frames.pixel_format, line=self.line)
