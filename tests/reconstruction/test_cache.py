@@ -10,7 +10,16 @@ from jaxscan.api import reconstruct_capture
 from jaxscan.files.capture import Capture, CaptureHeader, cache_path, load_stripes, open_capture, save_stripes
 from jaxscan.files.recording import create_capture
 from jaxscan.geometry import LaserSheet, Scanner, stack_lasers
-from jaxscan.reconstruction import Extraction, ReconstructSettings, Sweep, extract, reconstruct
+from jaxscan.reconstruction import (
+    Extraction,
+    ReconstructSettings,
+    Seen,
+    Sweep,
+    extract,
+    plan_sweep,
+    reconstruct,
+    usable_stripes,
+)
 from jaxscan.stripes import KEPT_FIELDS as KEPT
 from jaxscan.stripes import NoiseModel, StripeSettings
 from jaxscan.vision import encode_png
@@ -203,11 +212,14 @@ def test_kept_stripes_of_wrong_shapes_are_searched_anew(capture, scanner):
         {"more": kept["u"]},
         {"searched_0": kept["searched_0"][:1]},
     ]
-    for change in changes:
-        save_stripes(cache_path(capture), {**kept, **change}, key)
-        done = reconstruct_capture(capture, scanner, settings=SETTINGS)
-        assert not done.from_cache
-        assert_same(done.cloud, first.cloud)
+    plan = plan_sweep(capture, scanner, SETTINGS)
+    whole = {name: array for name, array in kept.items() if name not in Seen.names()}
+    assert usable_stripes(whole, plan) is not None
+    assert all(usable_stripes(whole | change, plan) is None for change in changes)
+    save_stripes(cache_path(capture), kept | changes[0], key)
+    done = reconstruct_capture(capture, scanner, settings=SETTINGS)
+    assert not done.from_cache
+    assert_same(done.cloud, first.cloud)
 
 
 def test_kept_stripes_do_not_serve_a_copy(capture, scanner, tmp_path):
