@@ -142,15 +142,18 @@ def outlines(quads: Quads, places: np.ndarray) -> list[np.ndarray]:
     Returns:
         Polygons [n, 2], m, without what lies within another.
     """
+    # Imported here: not every drawing has furniture.
+    from scipy import ndimage  # type: ignore[import-untyped]
+
     if not len(quads.corners):
         return []
     corners = places[quads.corners].reshape(-1, 2)
     low = corners.min(0) - 3 * AROUND_PX * PIXEL_M
     shape = np.ceil((corners.max(0) - low) / PIXEL_M).astype(int) + 3 * AROUND_PX
     covered = rasterise(quads, (places - low) / PIXEL_M, (int(shape[1]), int(shape[0]))).quad >= 0
-    wide = _mean_around(covered.astype(np.float64), AROUND_PX) > 0.0
-    closed = _mean_around(wide.astype(np.float64), AROUND_PX) > 1.0 - 1e-6
-    height = _mean_around(closed.astype(np.float64), 1) - 0.5
+    around = np.ones((2 * AROUND_PX + 1, 2 * AROUND_PX + 1), bool)
+    closed = ndimage.binary_erosion(ndimage.binary_dilation(covered, around), around)
+    height = ndimage.uniform_filter(closed.astype(np.float64), 3, mode="constant") - 0.5
     rows, columns = np.indices(height.shape)
     at = np.stack([columns, rows], -1).reshape(-1, 2) * PIXEL_M + low
     cells = np.arange(height.size).reshape(height.shape)
@@ -158,16 +161,6 @@ def outlines(quads: Quads, places: np.ndarray) -> list[np.ndarray]:
     found = [simplified(ring, PIXEL_M) for ring in cut(grid, at, height.ravel())]
     found = [ring for ring in found if len(ring) > 3 and _area(ring) > SMALLEST_M2]
     return [ring for ring in found if not any(other is not ring and is_within([other], ring[:1])[0] for other in found)]
-
-
-def _mean_around(values: np.ndarray, reach: int) -> np.ndarray:
-    """Mean of each value and those up to `reach` rows and columns away; beyond the border are zeros [rows, columns]."""
-    size = 2 * reach + 1
-    for axis in (0, 1):
-        total = np.cumsum(np.pad(values, [(reach + 1, reach) if axis == k else (0, 0) for k in (0, 1)]), axis)
-        count = values.shape[axis]
-        values = (np.take(total, np.arange(size, size + count), axis) - np.take(total, np.arange(count), axis)) / size
-    return values
 
 
 def _area(ring: np.ndarray) -> float:

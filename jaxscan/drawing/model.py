@@ -179,9 +179,7 @@ class Drawing:
     @property
     def layers(self) -> list[str]:
         """Names of the layers that are used, in the order of `LAYERS`."""
-        drawn: list[Line | Area | Text | DimensionLine] = [*self.lines, *self.areas, *self.texts, *self.dimensions]
-        used = {one.layer for one in drawn}
-        return sorted(used, key=lambda name: (list(LAYERS).index(group_of(name)), name))
+        return layers_of([*self.lines, *self.areas, *self.texts, *self.dimensions])
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """The lower left and the upper right corner of all that is drawn [2], m."""
@@ -189,6 +187,11 @@ class Drawing:
         shapes = [*(line.points for line in lines), *(area.points for area in self.areas)]
         every = np.concatenate([*shapes, *(text.box() for text in texts)])
         return every.min(0), every.max(0)
+
+
+def layers_of(drawn: "Iterable[Line | Area | Text | DimensionLine]") -> list[str]:
+    """Names of the layers of shapes, in the order in which they are drawn."""
+    return sorted({one.layer for one in drawn}, key=lambda name: (list(LAYERS).index(group_of(name)), name))
 
 
 def layer_of(name: str) -> Layer:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from jaxscan.drawing.model import LAYERS, SMALL_MM, WIDE, Area, Drawing, Line, Text, group_of, strokes
+from jaxscan.drawing.model import LAYERS, SMALL_MM, WIDE, Area, Drawing, Line, Text, group_of, layers_of, strokes
 from jaxscan.drawing.sheet import TITLE_MM
 
 
@@ -46,9 +46,7 @@ class Page:
     @property
     def layers(self) -> list[str]:
         """Names of the layers that are used, in the order in which they are drawn."""
-        drawn: list[Line | Area | Text] = [*self.lines, *self.areas, *self.texts]
-        used = {one.layer for one in drawn}
-        return sorted(used, key=lambda name: (list(LAYERS).index(group_of(name)), name))
+        return layers_of([*self.lines, *self.areas, *self.texts])
 
 
 def lay_out(drawing: Drawing) -> Page:

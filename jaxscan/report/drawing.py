@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxscan.drawing import Drawing, lay_out, layer_of
 from jaxscan.drawing.model import EM
-from jaxscan.report.html import Html, element
+from jaxscan.report.html import Html, captioned, element
 
 
 if TYPE_CHECKING:
@@ -110,6 +110,11 @@ def as_svg(figure: "Figure", name: str, description: str) -> Html:
     return element("svg", Html(body.strip()), viewBox=box, style=width, role="img", aria_label=description)
 
 
+def drawn(figure: "Figure", name: str, description: str, *caption: object, **attributes: str) -> Html:
+    """A figure as markup with its caption; arguments as of `as_svg` and `html.captioned`."""
+    return captioned(as_svg(figure, name, description), *caption, **attributes)
+
+
 def plain(text: str, longest: int = 28) -> str:
     """A name for figures: letters that are not in every font become "?", and long names are cut."""
     shown = "".join(letter if " " <= letter <= "~" or "\xa1" <= letter <= "\xff" else "?" for letter in text)
@@ -126,6 +131,27 @@ def arrows(start: np.ndarray, vector: np.ndarray) -> Any:
     points = np.stack([start, tip, barbs[0], tip, barbs[1]], 1).reshape(-1, 2)
     codes = np.tile([Path.MOVETO, Path.LINETO, Path.MOVETO, Path.LINETO, Path.LINETO], len(start))
     return Path(points, codes) if len(points) else Path(np.zeros((0, 2)))
+
+
+def png(figure: "Figure") -> bytes:
+    """A figure as a PNG."""
+    written = io.BytesIO()
+    figure.savefig(written, format="png", dpi=120)
+    return written.getvalue()
+
+
+def add_bar(figure: "Figure", shown: Any, axes: Any, **options: Any) -> Any:
+    """A scale of colours beside axes, without a frame."""
+    bar = figure.colorbar(shown, ax=axes, **options)
+    bar.outline.set_visible(False)
+    bar.ax.tick_params(length=0, labelsize=8)
+    return bar
+
+
+def no_frame(axes: Any) -> None:
+    """Leave out the lines about axes."""
+    for spine in axes.spines.values():
+        spine.set_visible(False)
 
 
 def _short(match: re.Match[str]) -> str:

@@ -2,7 +2,7 @@
 
 import html
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import zip_longest
 
 
@@ -145,17 +145,65 @@ def bullets(items: Iterable[str]) -> Html:
     return element("ul", *(element("li", item) for item in items))
 
 
+def captioned(drawn: Html, *caption: object, **attributes: str) -> Html:
+    """A figure and its caption; a class "wide" gives it the width of the page."""
+    return element("figure", drawn, element("figcaption", *caption), **attributes)
+
+
+def beside(*parts: Html) -> Html:
+    """Figures and tables side by side, where there is room."""
+    return element(
+        "div", *(part if part.startswith("<figure") else element("div", part) for part in parts), class_="figures"
+    )
+
+
+def verdict(kind: str, headline: str, *explanation: object) -> Html:
+    """The card that comes first; `kind` is "good", "plain", "bad" or "open"."""
+    return element("div", element("strong", headline), *explanation, class_=f"verdict {kind}")
+
+
+def tiles(values: Iterable[tuple[str, str]], note: str = "") -> Html:
+    """Values, each with its words, and a remark below; nothing without any."""
+    shown = [element("div", element("b", value), element("span", words), class_="tile") for value, words in values]
+    parts = [element("div", *shown, class_="tiles")] + ([element("p", note, class_="note")] if note else [])
+    return joined(parts) if shown else Html()
+
+
 def section(title: str, *content: object) -> Html:
-    """A section of the page with its heading."""
+    """A section of the page: its heading, a sentence, figures and tables."""
     return element("section", element("h2", title), *content)
 
 
-def page(title: str, *content: object) -> str:
-    """A complete HTML document."""
+def provenance(found: Mapping[str, object], *origins: object) -> Html:
+    """The foot of a page: captures and versions, as far as the provenance in a file is well-formed."""
+    captures, versions = found.get("captures"), found.get("versions")
+    listed = [one for one in (*origins, *_list(captures)) if isinstance(one, dict)]
+    lines = [f"{one.get('name')}: {one.get('digest')}" for one in listed]
+    if isinstance(versions, dict):
+        lines.append(", ".join(f"{name} {version}" for name, version in versions.items()))
+    return element("footer", *(element("p", line) for line in lines))
+
+
+def _list(found: object) -> Sequence[object]:
+    return found if isinstance(found, list | tuple) else ()
+
+
+def page(kind: str, heading: str, words: str, notes: Iterable[str], *content: Html | None) -> str:
+    """A complete HTML document that fetches nothing and runs no scripts.
+
+    Args:
+        kind: What it is, for the browser's title.
+        heading: Its heading.
+        words: A line below it.
+        notes: Remarks that come first.
+        content: Sections; those that are None are left out.
+    """
+    header = element("header", element("h1", heading), element("p", words))
+    parts = [header, *(element("p", note, class_="note") for note in notes), *(part for part in content if part)]
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
-        f"{element('title', title)}\n<style>{STYLE}</style>\n</head>\n<body>\n"
-        f"{element('main', joined(map(escaped, content)))}\n</body>\n</html>\n"
+        f"{element('title', kind)}\n<style>{STYLE}</style>\n</head>\n<body>\n"
+        f"{element('main', joined(parts))}\n</body>\n</html>\n"
     )

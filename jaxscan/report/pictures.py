@@ -1,13 +1,12 @@
 """Pictures of deviations between clouds, and of rigs that are yet to be built."""
 
-import io
 from typing import Any
 
 import numpy as np
 
 from jaxscan.design import RigChoice, RigDesign, spread_at
 from jaxscan.measurement import DeviationMap
-from jaxscan.report.drawing import GREEN, INK, LINE, ORANGE, SERIES, SOFT, new_axes, new_figure
+from jaxscan.report.drawing import GREEN, INK, LINE, ORANGE, SERIES, SOFT, new_axes, new_figure, png
 
 
 ROBUST = 5.0
@@ -60,9 +59,7 @@ def deviation_picture(found: DeviationMap) -> bytes:
     marks += [Patch(facecolor=LINE, label="no points")] * bool((~found.seen).any())
     if marks:
         figure.legend(handles=marks, loc="outside lower left", ncols=len(marks), frameon=False, fontsize=8.5)
-    written = io.BytesIO()
-    figure.savefig(written, format="png", dpi=120)
-    return written.getvalue()
+    return png(figure)
 
 
 def _beyond_words(found: DeviationMap, reach: float) -> list[tuple[str, str]]:
@@ -88,9 +85,7 @@ def design_picture(choice: RigChoice) -> bytes:
     figure = new_figure(10.4, 4.6)
     _curves(new_axes(figure, 121, xlabel="depth, m", ylabel="standard deviation of a point's depth, mm"), choice)
     _map(new_axes(figure, 122, grid=False, xlabel="baseline, m", ylabel="lens, mm"), choice)
-    written = io.BytesIO()
-    figure.savefig(written, format="png", dpi=120)
-    return written.getvalue()
+    return png(figure)
 
 
 def _curves(axes: Any, choice: RigChoice) -> None:

@@ -8,7 +8,21 @@ import numpy as np
 
 from jaxscan.calibration import BoardMap, Direction, Fit, is_held_by_priors
 from jaxscan.observation import Observations
-from jaxscan.report.drawing import BLUE, INK, LINE, RED, SERIES, SOFT, add_legend, arrows, new_axes, new_figure, plain
+from jaxscan.report.drawing import (
+    BLUE,
+    INK,
+    LINE,
+    RED,
+    SERIES,
+    SOFT,
+    add_bar,
+    add_legend,
+    arrows,
+    new_axes,
+    new_figure,
+    no_frame,
+    plain,
+)
 
 
 if TYPE_CHECKING:
@@ -238,10 +252,8 @@ def direction_map(observations: Observations, fit: Fit) -> "Figure":
     drawn = axes.scatter(
         *q.T, c=direction, cmap=_round_colours(), vmin=-180, vmax=180, s=9, linewidths=0, rasterized=True
     )
-    bar = figure.colorbar(drawn, ax=axes, ticks=[-180, -90, 0, 90, 180], shrink=0.75, aspect=26, pad=0.015)
+    bar = add_bar(figure, drawn, axes, ticks=[-180, -90, 0, 90, 180], shrink=0.75, aspect=26, pad=0.015)
     bar.ax.set_yticklabels(["left", "up", "right", "down", "left"])
-    bar.ax.tick_params(length=0, labelsize=8)
-    bar.outline.set_visible(False)
     middle, mean, clear = cell_means(q, error, fit.corner_sigma[kept], observations.width, observations.height)
     if clear.any():
         largest = np.linalg.norm(mean[clear], axis=-1).max()
@@ -373,15 +385,12 @@ def correlations(names: Sequence[str], covariance: np.ndarray) -> "Figure":
     axes.set_xticks(range(len(free)), labels, rotation=90, parse_math=False)
     axes.set_yticks(range(len(free)), labels, parse_math=False)
     axes.tick_params(length=0, labelsize=8)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
+    no_frame(axes)
     for i, j in zip(*np.nonzero(np.abs(np.tril(correlation, -1)) > _SHOWN_CORRELATION), strict=True):
         value = correlation[i, j]
         text = f"{value:+.2f}".replace("0.", ".")
         axes.text(j, i, text, ha="center", va="center", fontsize=5.5, color="white" if abs(value) > 0.7 else INK)
-    bar = figure.colorbar(drawn, ax=axes, shrink=0.6, aspect=28, pad=0.02, ticks=[-1, -0.5, 0, 0.5, 1])
-    bar.outline.set_visible(False)
-    bar.ax.tick_params(length=0, labelsize=8)
+    add_bar(figure, drawn, axes, shrink=0.6, aspect=28, pad=0.02, ticks=[-1, -0.5, 0, 0.5, 1])
     return figure
 
 
@@ -481,8 +490,5 @@ def board_map(found: BoardMap, corners: np.ndarray, square_m: float) -> "Figure"
         path = arrows(np.column_stack([x, y]), scale * shift)
         axes.add_patch(PathPatch(path, fill=False, edgecolor=INK, linewidth=0.8, clip_on=False))
         axes.set_title(f"arrows: place in the plane, the longest {longest:.3f} mm", color=SOFT, loc="left")
-    bar = figure.colorbar(drawn, ax=axes, shrink=0.8, aspect=24, pad=0.02)
-    bar.set_label(f"height into the board, {unit}")
-    bar.outline.set_visible(False)
-    bar.ax.tick_params(length=0, labelsize=8)
+    add_bar(figure, drawn, axes, shrink=0.8, aspect=24, pad=0.02).set_label(f"height into the board, {unit}")
     return figure

@@ -68,6 +68,11 @@ _BETTER_BY_SWEEPS = dict.fromkeys(("angles", "axis"), "more sweeps") | dict.from
 # The squares of smaller parts add less than a thousandth.
 _LEAST_PART = 0.03
 
+OF_LENGTHS = (
+    "Standard deviations of lengths measured with this rig, as far as the calibration causes them. The noise of the "
+    "stripes adds to them."
+)
+
 # Shorter ones are no walls.
 _WALL_M = 1.0
 
@@ -369,6 +374,12 @@ def calibration_date(calibration: Calibration, path: Path | None = None) -> str:
         return ""
     written = datetime.datetime.fromtimestamp(path.stat().st_mtime, datetime.UTC)
     return f"{_shown(written)}, by the time of its file"
+
+
+def capture_names(calibration: Calibration) -> list[str]:
+    """Names of the captures of which a calibration was made; a file may say anything."""
+    found = calibration.provenance.get("captures")
+    return [str(one.get("name")) for one in found if isinstance(one, dict)] if isinstance(found, list) else []
 
 
 def _shown(when: datetime.datetime) -> str:

@@ -23,27 +23,9 @@ from jaxscan.viewer.session import Session, inside_section
 from jaxscan.viewer.shown import ShownCloud, middle_of
 from jaxscan.viewer.surface import Surface, has_grid, surface_bytes, surface_of
 from jaxscan.viewer.talking import AT_ONCE, talk, tell
-from jaxscan.web import Address, Gate, Resource, Server, resource_routes
+from jaxscan.web import Address, Gate, Server, page_routes
 
 
-_PACKAGE = "jaxscan.viewer"
-_TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
-_FILES = (
-    "index.html",
-    "style.css",
-    "main.js",
-    "camera.js",
-    "draw.js",
-    "panorama.js",
-    "panel.js",
-    "box.js",
-    "hands.js",
-    "marks.js",
-    "shading.js",
-    "surface.js",
-    "bearings.js",
-    "icon.svg",
-)
 _HEARTBEAT_S = 10.0
 _MOST_SESSIONS = 12
 _MOST_STATIONS = 50
@@ -108,9 +90,7 @@ def view_routes(prefix: str, find: Callable[[web.Request], Awaitable["View"]]) -
         prefix: Before each path; it may have names in braces.
         find: The clouds that a request asks for; raises JaxscanError where there are none.
     """
-    listed = {f"{prefix}/{name}": Resource(_PACKAGE, f"page/{name}", _type(name)) for name in _FILES}
-    listed[f"{prefix}/"] = listed.pop(f"{prefix}/index.html")
-    yield from resource_routes(listed)
+    yield from page_routes("jaxscan.viewer", prefix)
     chunk = r"{part:\d{1,3}}/{chunk:\d{1,6}}"
     answers: dict[str, Callable[[View, web.Request], Awaitable[web.StreamResponse]]] = {
         "/scene": View.scene,
@@ -341,7 +321,3 @@ def _answer(
 
 def _json(value: Any) -> web.Response:
     return web.Response(text=json.dumps(value, allow_nan=False), content_type="application/json")
-
-
-def _type(name: str) -> str:
-    return f"{_TYPES[name.rpartition('.')[2]]}; charset=utf-8"

@@ -9,10 +9,9 @@ import pytest
 from aiohttp import web
 
 from jaxscan.errors import OptionError
-from jaxscan.web import PAGE_POLICY, Gate, Resource, Server, open_address, resource_routes
+from jaxscan.web import PAGE_POLICY, Gate, Server, open_address, page_routes
 
 
-PAGES = {"/": Resource("jaxscan.data", "demo.toml", "text/plain; charset=utf-8")}
 MOST = 1000
 """Longest message that the echo takes [bytes]."""
 _COOKIES = {}
@@ -28,7 +27,7 @@ async def echo(request):
 
 def served(address):
     application = Gate(address).application()
-    application.add_routes([*resource_routes(PAGES), web.get("/echo", echo)])
+    application.add_routes([*page_routes("jaxscan.viewer"), web.get("/echo", echo)])
     return Server(application, address)
 
 
@@ -106,7 +105,9 @@ def refused(address, **headers):
 
 def test_a_page_and_a_socket_on_the_loopback(narrow):
     status, headers, body = ask(narrow)
-    assert status == 200 and body.startswith(b"#")
+    assert (
+        status == 200 and body.startswith(b"<!doctype html>") and headers["Content-Type"] == "text/html; charset=utf-8"
+    )
     assert headers["Content-Security-Policy"] == PAGE_POLICY
     assert headers["X-Content-Type-Options"] == "nosniff" and headers["Cache-Control"] == "no-store"
     assert narrow.url() == f"http://127.0.0.1:{narrow.port}/"
@@ -135,7 +136,7 @@ FOREIGN_HOSTS = [
 @pytest.mark.parametrize("host", FOREIGN_HOSTS)
 def test_a_foreign_name_is_refused_on_the_loopback_too(narrow, host):
     status, headers, body = ask(narrow, Host=host)
-    assert status in (400, 403) and b"demo" not in body
+    assert status in (400, 403) and b"html" not in body
     assert "Set-Cookie" not in headers
 
 

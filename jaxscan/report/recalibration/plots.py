@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.recalibration import Closure, Gain, Moved, PanoramaOfWalls
-from jaxscan.report.drawing import BLUE, GREEN, LINE, ORANGE, RED, SOFT, new_axes, new_figure, plain
+from jaxscan.report.drawing import BLUE, GREEN, LINE, ORANGE, RED, SOFT, add_bar, new_axes, new_figure, no_frame, plain
 
 
 if TYPE_CHECKING:
@@ -68,7 +68,9 @@ def panorama_figure(before: np.ndarray, after: np.ndarray) -> "Figure":
     drawn: Any = None
     both = []
     for place, (title, picture) in enumerate((("before", before), ("after", after))):
-        axes = _beside(figure, 211 + place)
+        axes = new_axes(figure, 211 + place, grid=False)
+        no_frame(axes)
+        axes.tick_params(length=2)
         drawn = axes.imshow(
             np.ma.masked_invalid(picture),
             cmap=colours,
@@ -85,10 +87,8 @@ def panorama_figure(before: np.ndarray, after: np.ndarray) -> "Figure":
         axes.set_ylabel("line")
         both.append(axes)
     both[1].set_xlabel("azimuth, degrees")
-    bar = figure.colorbar(drawn, ax=both, shrink=0.8, aspect=30, pad=0.015, extend="both")
+    bar = add_bar(figure, drawn, both, shrink=0.8, aspect=30, pad=0.015, extend="both")
     bar.set_label("distance from the wall's plane, mm", color=SOFT)
-    bar.outline.set_visible(False)
-    bar.ax.tick_params(length=0, labelsize=8)
     return figure
 
 
@@ -143,15 +143,6 @@ def closure_figure(closure: Closure) -> "Figure":
     axes.tick_params(axis="y", length=0)
     axes.grid(False, axis="y")
     return figure
-
-
-def _beside(figure: "Figure", place: int) -> Any:
-    """Axes at a place of a grid of axes, without a frame."""
-    axes = new_axes(figure, place, grid=False)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
-    axes.tick_params(length=2)
-    return axes
 
 
 def _around(values: Float[np.ndarray, " n"], least: float) -> tuple[float, float]:
