@@ -3,16 +3,18 @@
 import dataclasses
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxscan.errors import CloudError
 from jaxscan.measurement import PlaneMeasurement
 from jaxscan.reconstruction import PointCloud, some_points
+from jaxscan.surface import faces_of_cloud, mesh_grid
 from jaxscan.viewer.colours import UNKNOWN, Colouring, Scale, brightened, coloured_normals, scale_of
-from jaxscan.viewer.gridded import gridded_normals
 from jaxscan.viewer.levels import Levels, make_levels
-from jaxscan.viewer.sides import hides_well, sides_of, walls_of
+from jaxscan.viewer.sides import gridded_normals, hides_well, sides_of, walls_of
 
 
 _MM = 1e3
@@ -210,3 +212,47 @@ class ShownCloud:
         """The axes of the scanner at the first station, in the scene's frame [axis, 3]."""
         turn = np.eye(3) if self.cloud.stations is None else np.asarray(self.cloud.stations.pose)[0, :3, :3]
         return np.asarray(turn, np.float64).T.tolist()
+
+
+_MOST_POINTS = 3_000_000
+"""Of a cloud whose surface a page draws."""
+
+
+class Surface(NamedTuple):
+    """Triangles between neighbours of the grid that are on one surface."""
+
+    points: np.ndarray
+    """The point of each corner, in the order in which they are shown, int [n]."""
+    faces: np.ndarray
+    """Corners of each triangle, anticlockwise as the scanner saw them, uint32 [m, 3]."""
+
+
+def has_grid(shown: ShownCloud) -> bool:
+    """Whether a cloud has a grid on which neighbours may be joined."""
+    cloud = shown.cloud
+    return min(cloud.valid.shape) > 1 and bool(np.ptp(np.asarray(cloud.angle)) > 0) and shown.points <= _MOST_POINTS
+
+
+def surface_of(shown: ShownCloud) -> Surface:
+    """Join the neighbours of a cloud's grid, as `jaxscan mesh` does.
+
+    Raises:
+        CloudError: If it has no grid, or no neighbours are on one surface.
+    """
+    if not has_grid(shown):
+        raise CloudError(f"{shown.name}: has no surface to show: it needs a grid, and 3 million points at most.")
+    places, faces = faces_of_cloud(mesh_grid(shown.cloud))
+    number = np.zeros(shown.cloud.valid.size, np.int32)
+    number[shown.cells] = np.arange(shown.points, dtype=np.int32)
+    return Surface(number[places], faces.astype("<u4"))
+
+
+def surface_bytes(shown: ShownCloud, surface: Surface) -> bytes:
+    """Counts of corners and triangles, uint32; places about the scene's origin, float32; normals, int8 with a fourth
+    byte each; triangles, uint32.
+    """
+    normals = np.zeros((len(surface.points), 4), np.int8)
+    normals[:, :3] = np.rint(127 * np.clip(shown.take(shown.cloud.normals)[surface.points], -1, 1))
+    counts = np.array([len(surface.points), len(surface.faces)], "<u4")
+    parts = (counts, shown.xyz[surface.points].astype("<f4"), normals, surface.faces)
+    return b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
