@@ -19,13 +19,7 @@ TOLERANCE_M = 0.008
 
 
 def joined_quads(quads: Quads, p: np.ndarray, eye: np.ndarray) -> Quads:
-    """The quads whose corners are of one surface.
-
-    Args:
-        quads: All quads.
-        p: Points of the cells [cells, 3], m.
-        eye: Where they were seen from [cells, 3], m.
-    """
+    """The quads whose corners are of one surface, by points and where they were seen from [cells, 3], m."""
     way = p - eye
     reach = np.linalg.norm(way, axis=1)
     joined = np.ones(len(quads.corners), bool)
@@ -46,15 +40,9 @@ def steep_quads(quads: Quads, p: np.ndarray, height: np.ndarray) -> Quads:
 
 
 def cut(quads: Quads, p: np.ndarray, height: np.ndarray) -> list[np.ndarray]:
-    """The lines along which a height is zero.
+    """The lines [n, 3], m, along which a height [cells] over the cutting plane is zero, of quads of one surface each.
 
-    Args:
-        quads: Quads of one surface each.
-        p: Points of the cells [cells, 3], m.
-        height: Of the cells over the cutting plane [cells], m.
-
-    Returns:
-        Lines [n, 3], m; two quads that share a side share the point on it.
+    Two quads that share a side share the point on it.
     """
     above = height[quads.corners] > 0
     mixed = np.flatnonzero(above.any(1) & ~above.all(1))
@@ -133,15 +121,7 @@ SMALLEST_M2 = 0.02
 
 
 def outlines(quads: Quads, places: np.ndarray) -> list[np.ndarray]:
-    """Outlines of what quads cover.
-
-    Args:
-        quads: The quads.
-        places: Of the cells in the plane [cells, 2], m.
-
-    Returns:
-        Polygons [n, 2], m, without what lies within another.
-    """
+    """Outlines [n, 2], m, of what quads cover, without those within another, by places of the cells [cells, 2]."""
     # Imported here: not every drawing has furniture.
     from scipy import ndimage  # type: ignore[import-untyped]
 

@@ -33,15 +33,7 @@ class _End(NamedTuple):
 
 
 def section_before(survey: Survey, wall: str, distance_m: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The two points of a section that is parallel to a wall, before it.
-
-    Args:
-        survey: The room.
-        wall: Name of the wall, as the plan shows it.
-        distance_m: Distance of the section from the wall [m], into the room.
-
-    Returns:
-        The points of the plan [m], from the wall's first corner to its last; for `draw_section`.
+    """The two points of the plan [m] of a section that is parallel to a wall, so far before it; for `draw_section`.
 
     Raises:
         MeasurementError: If there is no wall of this name.

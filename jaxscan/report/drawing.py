@@ -68,6 +68,12 @@ def new_axes(figure: "Figure", place: int = 111, *, grid: bool = True, **options
         return axes
 
 
+def new_plot(width: float = 5.4, height: float = 3.3, **options: Any) -> tuple["Figure", Any]:
+    """A figure and its only axes; options as of `new_axes`."""
+    figure = new_figure(width, height)
+    return figure, new_axes(figure, **options)
+
+
 def add_legend(axes: Any, *, inside: bool = False) -> None:
     """A legend above the axes, or inside in their upper left. Names are not read as formulas."""
     style: Any = {"frameon": False, "fontsize": 8.5, "handletextpad": 0.5, "borderaxespad": 0.2}
@@ -81,12 +87,7 @@ def add_legend(axes: Any, *, inside: bool = False) -> None:
 
 
 def as_svg(figure: "Figure", name: str, description: str) -> Html:
-    """A figure as markup.
-
-    Args:
-        name: A name that no other figure of the page has.
-        description: Text for screen readers.
-    """
+    """A figure as markup, by a name that no other figure of the page has, with a description for screen readers."""
     import matplotlib
 
     # "none" keeps text as text; the fixed salt gives the same bytes for the same figure.
@@ -219,16 +220,7 @@ def _sheet_figure(drawing: Drawing) -> "Figure":
 
 
 def with_scale(rgb: np.ndarray, pixel_m: float, words: str) -> np.ndarray:
-    """A picture with a strip below it: a scale in metres and words.
-
-    Args:
-        rgb: [rows, columns, 3], uint8.
-        pixel_m: Size of a pixel [m].
-        words: What is said beside the scale.
-
-    Returns:
-        [rows + strip, columns, 3], uint8; the picture itself is not changed.
-    """
+    """A picture, uint8 [rows, columns, 3], with a strip below it: a scale by the size of a pixel [m], and words."""
     # Imported here, so that only drawing loads matplotlib.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

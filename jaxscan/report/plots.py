@@ -20,6 +20,7 @@ from jaxscan.report.drawing import (
     arrows,
     new_axes,
     new_figure,
+    new_plot,
     no_frame,
     plain,
 )
@@ -36,9 +37,8 @@ _QUANTILES = 400
 
 def along_stripe(observations: Observations, fit: Fit) -> "Figure":
     """Stripe residuals along the stripe, with the means of short pieces."""
-    figure = new_figure()
     axis = stripe_direction(observations)
-    axes = new_axes(figure, xlabel=f"image {'row' if axis else 'column'}, px", ylabel="stripe residual, px")
+    figure, axes = new_plot(xlabel=f"image {'row' if axis else 'column'}, px", ylabel="stripe residual, px")
     for laser, mine in _by_laser(observations):
         kept = fit.stripe_inlier[mine]
         along, error = np.asarray(observations.stripes.q)[mine][kept][:, axis], fit.stripe_error[mine][kept]
@@ -57,8 +57,7 @@ def along_stripe(observations: Observations, fit: Fit) -> "Figure":
 
 def stripes_against_angle(observations: Observations, fit: Fit) -> "Figure":
     """Mean stripe residual of every view against the table's angle."""
-    figure = new_figure()
-    axes = new_axes(figure, xlabel="table angle, degrees", ylabel="mean stripe residual of a view, px")
+    figure, axes = new_plot(xlabel="table angle, degrees", ylabel="mean stripe residual of a view, px")
     view = np.asarray(observations.stripes.view)
     turned = turned_views(observations)[view]
     angle = np.degrees(np.asarray(observations.corners.angle))[view]
@@ -85,8 +84,7 @@ def stripes_against_angle(observations: Observations, fit: Fit) -> "Figure":
 def corners_against_angle(observations: Observations, fit: Fit) -> "Figure":
     """Mean corner residual of every view of a placement against the table's angle. A curve means that the table
     turns unevenly or wobbles."""
-    figure = new_figure()
-    axes = new_axes(figure, xlabel="table angle, degrees", ylabel="mean corner residual of a view, px")
+    figure, axes = new_plot(xlabel="table angle, degrees", ylabel="mean corner residual of a view, px")
     views = turned_views(observations) & fit.corner_inlier.any(1)
     angle = np.degrees(np.asarray(observations.corners.angle))
     place = np.asarray(observations.corners.placement)[views]
@@ -103,8 +101,7 @@ def corners_against_angle(observations: Observations, fit: Fit) -> "Figure":
 
 def histogram(whitened: np.ndarray) -> "Figure":
     """Histogram of the whitened residuals, with the unit Gaussian."""
-    figure = new_figure(5.4, 2.9)
-    axes = new_axes(figure, xlabel="residual / its standard deviation", ylabel="density")
+    figure, axes = new_plot(5.4, 2.9, xlabel="residual / its standard deviation", ylabel="density")
     axes.hist(whitened, bins=np.arange(-_LIMIT, _LIMIT + 0.1, 0.2), density=True, color=BLUE, alpha=0.55, linewidth=0)
     x = np.linspace(-_LIMIT, _LIMIT, 201)
     axes.plot(x, np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi), color=INK, linewidth=1.4, label="unit Gaussian")
@@ -115,8 +112,7 @@ def histogram(whitened: np.ndarray) -> "Figure":
 
 def quantiles(whitened: np.ndarray) -> "Figure":
     """Quantiles of the whitened residuals against quantiles of the unit Gaussian."""
-    figure = new_figure(5.4, 2.9)
-    axes = new_axes(figure, xlabel="quantile of the unit Gaussian", ylabel="quantile of the residuals")
+    figure, axes = new_plot(5.4, 2.9, xlabel="quantile of the unit Gaussian", ylabel="quantile of the residuals")
     count = min(len(whitened), _QUANTILES)
     level = (np.arange(count) + 0.5) / count
     expected = np.array([NormalDist().inv_cdf(value) for value in level])
@@ -266,18 +262,11 @@ def direction_map(observations: Observations, fit: Fit) -> "Figure":
 def cell_means(
     q: np.ndarray, error: np.ndarray, sigma: np.ndarray, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean residual in the cells of a grid over the image.
-
-    Args:
-        q: Pixels [n, 2].
-        error: Residuals [n, 2], px.
-        sigma: Standard deviation of each [n], px.
-        width: Of the image [px].
-        height: Of the image [px].
+    """Mean residual in the cells of a grid over an image of a width and a height, by pixels and residuals [n, 2], px.
 
     Returns:
         The centre of each cell that is not empty [cells, 2], px, the mean residual in it [cells, 2], px, and whether
-        the mean is larger than noise [cells]; by chance that is so for one cell in about a hundred.
+        the mean is larger than noise of the standard deviations [cells]; by chance one cell in about a hundred is.
     """
     size = width / _CELLS_ACROSS
     cell = np.stack([q[:, 0] // size, q[:, 1] // size], -1)
@@ -349,15 +338,12 @@ _SHOWN_CORRELATION = 0.5
 
 
 def depth_against_distance(lasers: Sequence[tuple[str, np.ndarray, np.ndarray]], noise_mm: np.ndarray) -> "Figure":
-    """Standard deviation of the depth against the depth itself, both on logarithmic scales.
+    """Standard deviation of the depth [mm] against the depth itself [m], both on logarithmic scales.
 
-    Args:
-        lasers: For each laser its name, depths [n], m, and standard deviations from the calibration there [n], mm.
-        noise_mm: Standard deviation of one point from the noise of its own stripe, at the depths of the first laser
-            [n], mm; 0 where it is unknown.
+    Of each laser its name, depths and standard deviations; `noise_mm` is that of one point from the noise of its own
+    stripe, at the depths of the first laser, and 0 where it is unknown.
     """
-    figure = new_figure()
-    axes = new_axes(figure, xlabel="depth, m", ylabel="standard deviation of the depth, mm")
+    figure, axes = new_plot(xlabel="depth, m", ylabel="standard deviation of the depth, mm")
     for index, (name, depth, sigma) in enumerate(lasers):
         label = "calibration" if len(lasers) == 1 else f"calibration, {plain(name)}"
         axes.plot(depth, sigma, "o-", color=SERIES[2 * index % len(SERIES)], markersize=4.5, label=label)
@@ -378,8 +364,7 @@ def correlations(names: Sequence[str], covariance: np.ndarray) -> "Figure":
     free = np.flatnonzero(sigma > 0)
     correlation = covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])
     side = min(3.0 + 0.24 * len(free), 11.0)
-    figure = new_figure(side, side - 0.4)
-    axes = new_axes(figure, grid=False)
+    figure, axes = new_plot(side, side - 0.4, grid=False)
     drawn = axes.imshow(correlation, cmap="RdBu_r", vmin=-1, vmax=1, interpolation="nearest")
     labels = [plain(names[index], 18) for index in free.tolist()]
     axes.set_xticks(range(len(free)), labels, rotation=90, parse_math=False)
@@ -395,13 +380,8 @@ def correlations(names: Sequence[str], covariance: np.ndarray) -> "Figure":
 
 
 def spectrum(directions: Sequence[Direction]) -> "Figure":
-    """Standard deviation over the prior's standard deviation, for each independent combination of parameters.
-
-    Args:
-        directions: The combinations, worst first.
-    """
-    figure = new_figure(5.4, min(0.9 + 0.27 * len(directions), 8.0))
-    axes = new_axes(figure, xlabel="standard deviation over the prior's")
+    """Standard deviation over the prior's, for each independent combination of parameters, worst first."""
+    figure, axes = new_plot(5.4, min(0.9 + 0.27 * len(directions), 8.0), xlabel="standard deviation over the prior's")
     value = np.array([max(row.sigma_over_prior, 1e-12) for row in directions])
     place = np.arange(len(directions))
     left = 10.0 ** (np.floor(np.log10(value.min())) - 0.15)
@@ -453,12 +433,7 @@ _SMALL_MM = 0.02
 
 
 def board_map(found: BoardMap, corners: np.ndarray, square_m: float) -> "Figure":
-    """Heights over the best plane in colour and in numbers, and shifts in the plane as arrows.
-
-    Args:
-        corners: Corners of the flat board [corners, 3], m.
-        square_m: Side of a square [m].
-    """
+    """Heights over the best plane in colour and in numbers at the corners [m], and shifts in the plane as arrows."""
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import PathPatch
 

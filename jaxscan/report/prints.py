@@ -123,14 +123,9 @@ class Page(NamedTuple):
 
 
 def board_pages(board: AbstractBoard, paper: Paper) -> tuple[list[Page], list[str]]:
-    """The sheets of a board in true size.
+    """The sheets of a board in true size, row after row, and what to know before they are printed.
 
-    Args:
-        paper: The size of the sheets, which lie upright or across, whichever needs fewer.
-
-    Returns:
-        pages: The sheets, row after row.
-        notes: What to know before they are printed.
+    Sheets lie upright or across, whichever needs fewer.
 
     Raises:
         OptionError: If it needs too many sheets.

@@ -15,18 +15,15 @@ PART = 200_000
 
 
 def texture_any_mesh(mesh: Mesh, colour: Colour, pixels_per_radian: float) -> Mesh:
-    """A mesh with a picture of the surface, whatever its faces.
+    """A mesh in the scanner frame with a picture of the surface, whatever its faces.
 
     Vertices at the border of a chart are there once for each chart.
 
     Args:
-        mesh: In the scanner frame.
+        mesh: Any.
         colour: Asked for each texel. Where it knows none, the colours of the vertices serve.
-        pixels_per_radian: Resolution of the camera, px: in the middle of each chart, a texel is about a pixel, or
-            larger where the picture would be too large for graphics cards.
-
-    Returns:
-        The mesh with `uv` and `texture`.
+        pixels_per_radian: Resolution of the camera: in the middle of each chart, a texel is about a pixel, or larger
+            where the picture would be too large for graphics cards.
     """
     chart, direction, directions = make_charts(mesh)
     # A vertex of each chart.
@@ -168,11 +165,7 @@ LEAST_FACING = 0.35
 
 
 def chart_directions(areas: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "6 3"]:
-    """Unit vectors along most of the walls, and up and down.
-
-    Args:
-        areas: Normals of faces, as long as their areas.
-    """
+    """Unit vectors along most of the walls, and up and down, by normals of faces as long as their areas."""
     flat = areas[:, 0] + 1j * areas[:, 1]
     size = np.maximum(np.abs(flat), 1e-30)
     turn = np.angle(np.sum(size * (flat / size) ** 4)) / 4

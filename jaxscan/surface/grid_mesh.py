@@ -183,16 +183,7 @@ where they are anticlockwise as seen, and the bits 4 to 7 where they are clockwi
 def cell_codes(
     nodes: Nodes, joined: Bool[np.ndarray, " gaps"], settings: MeshSettings
 ) -> UInt8[np.ndarray, "gaps cells"]:
-    """The faces of the cells between the columns of some nodes.
-
-    Args:
-        nodes: Points of columns that follow each other.
-        joined: Whether each column and the next one are neighbours.
-        settings: What counts as one surface.
-
-    Returns:
-        Code of each cell; see `TRIANGLES`.
-    """
+    """The faces of the cells between the columns of some nodes, as codes: see `TRIANGLES`."""
     every, before, after = slice(None), slice(None, -1), slice(1, None)
     along = join(nodes.part(every, before), nodes.part(every, after), settings).joined
     across = join(nodes.part(before, every), nodes.part(after, every), settings).joined & joined[:, None]
@@ -245,14 +236,7 @@ _MEAN = ("xyz", "normals", "sigma_random", "sigma_systematic", "intensity", "rgb
 def bridge_cells(cloud: PointCloud, lattice: Lattice, eyes: np.ndarray, settings: MeshSettings) -> PointCloud:
     """A cloud whose single missing cells have the mean of both neighbours, of the same profile or of the same line.
 
-    Args:
-        cloud: Points on the grid [m].
-        lattice: Its sheets.
-        eyes: Where the camera was at each profile [profiles, 3], m.
-        settings: What counts as one surface; the neighbours are twice as far apart as others.
-
-    Returns:
-        The cloud with more points; those that it had are as they were.
+    The neighbours are twice as far apart as others, and must be on one surface.
     """
     fields: dict[str, Any] = {name: np.array(getattr(cloud, name)) for name in (*_MEAN, "valid")}
     had = np.asarray(cloud.valid)
@@ -337,9 +321,6 @@ def mesh_grid(
         eyes: Where the camera was at each profile [m], in the frame of the cloud. Without, the origin of the scanner:
             the camera is some decimetres from it.
         settings: What counts as one surface.
-
-    Returns:
-        The faces on the grid.
 
     Raises:
         CloudError: If the cloud has no grid, or no face.

@@ -25,12 +25,9 @@ BLOCK = 1 << 16
 
 
 def poisson_mesh(cloud: PointCloud) -> Mesh:
-    """A smooth surface through all points that have a normal; holes are filled.
+    """A smooth surface through all points [m] that have a normal towards the camera; holes are filled.
 
     Cells of the octree are about as large as the points are apart. Vertices have the colour of the nearest point.
-
-    Args:
-        cloud: Points [m] with normals towards the camera, on a grid or not, NumPy arrays.
 
     Raises:
         CloudError: If it has too few points with normals.

@@ -66,14 +66,9 @@ class _Chart(NamedTuple):
 
 
 def texels_of_pixels(grid: GridMesh, pixels_per_radian: float) -> tuple[int, int]:
-    """Texels on a cell, across and along the profiles, so that one is about a pixel of the camera.
+    """Texels on a cell, across and along the profiles, so that one is about a pixel of the camera [px / rad].
 
-    Args:
-        grid: The faces of a cloud.
-        pixels_per_radian: Resolution of the camera, px.
-
-    Returns:
-        At least one each, and no more than a picture holds.
+    At least one each, and no more than a picture holds.
     """
     column, line = np.nonzero(grid.codes)
     few = slice(None, None, max(1, len(column) // 100_000))
@@ -108,9 +103,6 @@ def textured_mesh(grid: GridMesh, colour: Colour, texels: tuple[int, int] = (2, 
         colour: Asked for each texel. Where it knows none, the colours of the vertices serve; where there is no
             surface, that of the next texel.
         texels: On each cell, across and along the profiles; see `texels_of_pixels`.
-
-    Returns:
-        The mesh with `uv` and `texture`.
 
     Raises:
         CloudError: If the picture would have more than `LARGEST_SIDE` texels on a side.

@@ -46,11 +46,7 @@ class Order(NamedTuple):
 
 
 def parse_order(text: str, clouds: int) -> Order:
-    """Read a message.
-
-    Args:
-        text: JSON.
-        clouds: How many there are.
+    """Read a message about so many clouds.
 
     Raises:
         OptionError: If it is no order.

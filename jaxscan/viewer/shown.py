@@ -62,11 +62,11 @@ class ShownCloud:
         turned: bool = False,
         words: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
-        """Sort the points.
+        """Sort the points of a cloud in metres, z up, with one valid point at least.
 
         Args:
             name: As people know it.
-            cloud: In metres, z up, with one valid point at least.
+            cloud: Points.
             origin: Place in the cloud's frame that is the origin of the scene, float64 [3], m.
             turned: Whether the axes are not those of its file.
             words: Options by which `jaxscan measure` measures the same: "calibration", "unit" and "up".
@@ -119,11 +119,9 @@ class ShownCloud:
         return _taken(values.reshape(-1, *values.shape[2:]), self.cells[some])
 
     def coloured(self, by: Colouring, *, plane: PlaneMeasurement | None) -> tuple[np.ndarray, Scale | None]:
-        """The colours of its points, and their scale where they have one.
+        """The colours of its points, and their scale where they have one; deviations are those from a plane.
 
-        Args:
-            by: What they show; as photographed where the cloud does not know it, and grey where it has no colours.
-            plane: The plane for deviations, in the cloud's frame.
+        As photographed where the cloud does not know what the colours show, and grey where it has no colours.
         """
         if by == "deviation" and plane is not None:
             return self._deviations(plane)

@@ -69,10 +69,7 @@ def hides_well(sides: Int8[np.ndarray, "n 3"]) -> bool:
 def walls_of(sides: Int8[np.ndarray, "n 3"]) -> float | None:
     """By how much the walls of a room are turned about z against the axes [rad], within a quarter of a turn about 0.
 
-    The angle at which most horizontal normals lie, whichever of the four ways they point.
-
-    Returns:
-        None where no such angle stands out.
+    The angle at which most horizontal normals lie, whichever of the four ways they point; None where none stands out.
     """
     few = sides[:: max(1, len(sides) // _SOME)].astype(np.float64)
     upright = few[np.abs(few[:, 2]) < _UPRIGHT * np.linalg.norm(few, axis=1)]
@@ -103,14 +100,9 @@ _MOST_STEP_RAD = 0.1
 
 
 def gridded_normals(cloud: PointCloud, places: Float[np.ndarray, "profiles 3"]) -> np.ndarray | None:
-    """Unit normals towards the scanner, float32 [profiles, lines, 3]; zero where there is none.
+    """Unit normals towards the scanner's place at each profile [m], float32 [profiles, lines, 3]; zero for none.
 
-    Args:
-        cloud: Of any scanner.
-        places: Where the scanner stood at each profile, m.
-
-    Returns:
-        None if the cloud has no grid, or none that is even as seen from those places.
+    None if the cloud, of any scanner, has no grid, or none that is even as seen from those places.
     """
     valid = np.asarray(cloud.valid)
     if min(valid.shape) < _LEAST:

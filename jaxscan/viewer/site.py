@@ -84,11 +84,9 @@ def serve_clouds(
 
 
 def view_routes(prefix: str, find: Callable[[web.Request], Awaitable["View"]]) -> Iterable[web.RouteDef]:
-    """The addresses of the viewer below a prefix, for an application behind a gate.
+    """The addresses of the viewer below a prefix, which may have names in braces, for an application behind a gate.
 
-    Args:
-        prefix: Before each path; it may have names in braces.
-        find: The clouds that a request asks for; raises JaxscanError where there are none.
+    `find` gives the clouds that a request asks for; it raises JaxscanError where there are none.
     """
     yield from page_routes("jaxscan.viewer", prefix)
     chunk = r"{part:\d{1,3}}/{chunk:\d{1,6}}"

@@ -1,4 +1,4 @@
-"""Pages of a package, which a browser may read: the files of its folder `page`, and no others."""
+"""Pages of a package, which a browser may read: the files of its folder `page` and of ours, and no others."""
 
 from collections.abc import Iterable
 from importlib import resources
@@ -16,7 +16,7 @@ _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg"
 
 
 def page_routes(package: str, prefix: str = "") -> Iterable[web.RouteDef]:
-    """A route for each file of a page, `index.html` as the folder itself.
+    """A route for each file of a page, `index.html` as the folder itself, and for those that all pages share.
 
     Files are read now, so that no request opens one.
 
@@ -25,7 +25,9 @@ def page_routes(package: str, prefix: str = "") -> Iterable[web.RouteDef]:
         prefix: Before each path.
     """
     # The package's own files: no door for those of strangers.
-    for file in sorted(resources.files(package).joinpath("page").iterdir(), key=lambda file: file.name):
+    for file in (
+        one for owner in ("jaxscan.web", package) for one in resources.files(owner).joinpath("page").iterdir()
+    ):
         kind = _TYPES.get(file.name.rpartition(".")[2])
         if kind is not None:
             path = "" if file.name == "index.html" else file.name

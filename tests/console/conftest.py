@@ -14,7 +14,7 @@ import aiohttp
 import pytest
 
 from jaxscan.cli.console.captures import Captures
-from jaxscan.cli.console.desk import Chosen, Desk
+from jaxscan.cli.console.desk import Desk
 from jaxscan.cli.console.pages import make_site
 from jaxscan.cli.console.sessions import Sessions
 from jaxscan.cli.console.slate import Slate
@@ -87,7 +87,7 @@ class Console:
         fields = {"captures": [], "works": [], "folder": "captures", "config": "rig.toml"}
         self.slate = Slate(lost="go on", doing="nothing", finished=0, **fields)
         self.captures = Captures(folder / "captures")
-        self.desk = Desk(Chosen(self.config, port), self.slate, Terminal())
+        self.desk = Desk(self.config, self.slate, Terminal(), port)
         self.calibration = None
 
     def run(self, pages):

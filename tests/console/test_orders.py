@@ -167,16 +167,6 @@ def test_a_page_that_cannot_be_told_is_closed_and_the_next_is_told(console, monk
     console.run(pages)
 
 
-def test_too_many_pages_are_refused(console):
-    async def pages(console):
-        opened = [await console.open() for _ in range(12)]
-        with pytest.raises(AssertionError, match="too many pages"):
-            await console.open()
-        await asyncio.gather(*(page.socket.close() for page in opened))
-
-    console.run(pages)
-
-
 PATHS = [
     "/pictures/room/0",
     "/pictures/../0",

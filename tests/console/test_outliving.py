@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxscan.cli.console.captures import Captures
-from jaxscan.cli.console.desk import Chosen, Desk
+from jaxscan.cli.console.desk import Desk
 from jaxscan.cli.console.orders import Order
 from jaxscan.cli.console.slate import Slate
 from jaxscan.cli.console.watching import Painter, Seen, Silence
@@ -113,7 +113,7 @@ def test_the_desk_goes_on_after_a_list_of_captures_that_failed(tmp_path, monkeyp
         raise OSError(24, "Too many open files")
 
     slate = Slate(lost="go on", doing="nothing", finished=0)
-    desk = Desk(Chosen(tmp_path / "rig.toml"), slate, Terminal())
+    desk = Desk(tmp_path / "rig.toml", slate, Terminal())
     monkeypatch.setattr(Desk, "_open_and_run", carry_out)
     desk.after = fail
     for do in ("aim", "sweep"):

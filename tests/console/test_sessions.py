@@ -97,16 +97,6 @@ def test_a_laser_of_which_nobody_knows_is_not_said_to_be_off(console, paper, hel
     console.run(pages)
 
 
-def test_stop_while_nothing_runs_does_nothing(console, paper):
-    async def pages(console):
-        page = await console.open()
-        await page.order("stop")
-        await page.order("sweep", name="room", resume=False)
-        assert (await page.done())["ended"].endswith("complete, 10 records.")
-
-    console.run(pages)
-
-
 def test_pause_ends_after_the_step_and_resume_goes_on(console, paper, held):
     waits, go = held(4)
 

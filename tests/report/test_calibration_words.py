@@ -234,13 +234,6 @@ class TestBadViews:
         assert sorted((view.row, view.quality.record) for view in found) == [(0, 0), (1, 1), (3, 0), (4, 1), (5, 2)]
 
 
-@pytest.mark.parametrize(
-    ("sigma", "text"), [(0.0, "0 mm"), (0.0534, "0.053 mm"), (0.96, "0.96 mm"), (1.62, "1.6 mm"), (74.2, "74 mm")]
-)
-def test_millimetres(sigma, text):
-    assert words.millimetres(sigma) == text
-
-
 class TestParameters:
     def test_as_many_digits_as_mean_something(self):
         assert Parameter("fx", (1201.23456,), 0.4321, "px").row() == ("fx, px", "1201.23", "0.43")

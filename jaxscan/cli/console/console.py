@@ -52,7 +52,7 @@ def console(
     from scanrig.config import load_rig
 
     from jaxscan.cli.console.captures import Captures
-    from jaxscan.cli.console.desk import Chosen, Desk
+    from jaxscan.cli.console.desk import Desk
     from jaxscan.cli.console.pages import make_site
     from jaxscan.cli.console.sessions import Sessions
     from jaxscan.cli.console.slate import Slate
@@ -90,8 +90,8 @@ def console(
     )
     with ExitStack() as stack:
         works = stack.enter_context(Works(slate, folder))
-        desk = Desk(Chosen(config, port, place_command), slate, out)
-        Sessions(desk, works, folder)
+        desk = Desk(config, slate, out, port)
+        Sessions(desk, works, folder, place_command)
         if calibration is not None:
             works.take(calibration)
         works.refresh()

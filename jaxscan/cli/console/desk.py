@@ -31,15 +31,6 @@ _AUTO_LOOKS = 8
 """Looks in which "auto" finds the exposure."""
 
 
-class Chosen(NamedTuple):
-    """What the command line chose."""
-
-    config: Path
-    port: str | None = None
-    """Serial port instead of the port in the configuration."""
-    place_command: str | None = None
-
-
 class Running(NamedTuple):
     """A session that runs, and what belongs to it."""
 
@@ -57,9 +48,9 @@ Session = Callable[[Running], str]
 class Desk:
     """Takes orders from any thread, and carries them out in the main thread."""
 
-    def __init__(self, chosen: Chosen, slate: Slate, out: Terminal) -> None:
-        """Nothing is opened yet."""
-        self.chosen, self.slate, self.out = chosen, slate, out
+    def __init__(self, config: Path, slate: Slate, out: Terminal, port: str | None = None) -> None:
+        """Nothing is opened yet; a serial port counts more than that in the configuration."""
+        self.config, self.slate, self.out, self._port = config, slate, out, port
         self.sessions: dict[str, Session] = {}
         """The session of each order."""
         self.after: Callable[[], None] = lambda: None
@@ -112,7 +103,7 @@ class Desk:
         """
         from scanrig.config import load_rig, with_exposure
 
-        with_exposure(load_rig(self.chosen.config), exposure_ms, gain_db)
+        with_exposure(load_rig(self.config), exposure_ms, gain_db)
         self._change(exposure_ms=exposure_ms, gain_db=gain_db)
 
     def _want(self, order: Order) -> None:
@@ -221,7 +212,7 @@ class Desk:
         from scanrig.session import Devices, Interrupts
 
         # Read anew, so that what was advised and changed is used; what was set on the page counts more.
-        rig, wish = load_rig(self.chosen.config), self.wish()
+        rig, wish = load_rig(self.config), self.wish()
         if order.do != "aim" and wish.exposure_ms is not None and wish.gain_db is not None:
             rig = with_exposure(rig, wish.exposure_ms, wish.gain_db)
         with ExitStack() as stack:
@@ -231,7 +222,7 @@ class Desk:
                 self._stopping.begin()
                 opened.callback(self._stopping.end)
                 turn = rig.microsteps_per_turn
-                controller = opened.enter_context(open_controller(rig.controller, turn, port=self.chosen.port))
+                controller = opened.enter_context(open_controller(rig.controller, turn, port=self._port))
                 camera = opened.enter_context(open_camera(rig.camera, self.notify))
                 opened.callback(in_use.closing)
                 opened.callback(self._stopping.end)

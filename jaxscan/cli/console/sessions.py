@@ -40,9 +40,10 @@ _ENOUGH_PLACEMENTS = 2
 class Sessions:
     """The sessions of a desk, and the works that follow them."""
 
-    def __init__(self, desk: Desk, works: Works, captures: Captures) -> None:
-        """Give the desk its sessions."""
+    def __init__(self, desk: Desk, works: Works, captures: Captures, place_command: str | None = None) -> None:
+        """Give the desk its sessions; a command may place the board."""
         self._desk, self._works, self._slate, self._captures = desk, works, desk.slate, captures
+        self._place_command = place_command
         desk.after = works.refresh
         desk.sessions = {"aim": self.aim, "sweep": self.sweep, "boards": self.boards}
 
@@ -132,11 +133,11 @@ class Sessions:
 
         rig, order, desk = running.rig, running.order, self._desk
         if rig.board is None:
-            raise OptionError(f"{desk.chosen.config}: has no [board] table, which captures of boards need.")
+            raise OptionError(f"{desk.config}: has no [board] table, which captures of boards need.")
         command = None
-        if desk.chosen.place_command is not None:
+        if self._place_command is not None:
             free = rig.calibration.free_views
-            command = CommandOperator(desk.chosen.place_command, free_views=free, console=desk.out)
+            command = CommandOperator(self._place_command, free_views=free, console=desk.out)
         progress = self._progress(running, ScanPlan.of(rig, boards=True), by_hand=command is None)
         guide = make_guide(rig)
 

@@ -97,12 +97,9 @@ class Directions:
 
 
 def directions_of(xyz: np.ndarray, sigma_m: np.ndarray, spacing_deg: float = 0.0) -> Directions:
-    """Points by direction.
+    """Points [n, 3], m, z up, by direction from their station; their standard deviations [n], m, are 0 where unknown.
 
-    Args:
-        xyz: Points as seen from their station [n, 3], m, z up.
-        sigma_m: One standard deviation of each [n], m; 0 where it is not known.
-        spacing_deg: Of neighbouring profiles, where it is known; cells are no smaller.
+    Cells are no smaller than the spacing of neighbouring profiles, where it is known.
     """
     far = np.linalg.norm(xyz, axis=1)
     xyz, sigma_m, far = xyz[far > 0], sigma_m[far > 0], far[far > 0]
@@ -209,11 +206,7 @@ class Facts:
 
 
 def facts_of(cloud: PointCloud, box: RoomBox | None = None) -> Facts:
-    """What a cloud tells by itself.
-
-    Args:
-        cloud: In metres, z up.
-        box: The room's dimensions, where some were found.
+    """What a cloud in metres, z up, tells by itself, and by the room's dimensions, where some were found.
 
     Raises:
         CloudError: If the cloud has no point.

@@ -9,7 +9,7 @@ import numpy as np
 from jaxscan.measurement import Dimension, RoomBox
 from jaxscan.report.clouds.facts import Beside, Directions, Facts, SigmaAt
 from jaxscan.report.clouds.picture import dimension_text, room_picture
-from jaxscan.report.drawing import BLUE, RED, SOFT, add_bar, add_legend, drawn, new_axes, new_figure
+from jaxscan.report.drawing import BLUE, RED, SOFT, add_bar, add_legend, drawn, new_plot
 from jaxscan.report.html import Html, beside, bullets, element, page, section, table, tiles
 from jaxscan.report.words import millimetres, sentence
 from jaxscan.vision import encode_jpeg
@@ -43,8 +43,7 @@ def sigma_map(seen: Directions) -> "Figure":
 
 def sigma_against_distance(rows: Sequence[SigmaAt]) -> "Figure":
     """Median and 95 % quantile of the sigmas of points, by distance."""
-    figure = new_figure(5.4, 3.0)
-    axes = new_axes(figure, xlabel="distance, m", ylabel="one standard deviation, mm")
+    figure, axes = new_plot(5.4, 3.0, xlabel="distance, m", ylabel="one standard deviation, mm")
     middle = [0.5 * (row.nearest_m + min(row.farthest_m, 1.5 * row.nearest_m + 1)) for row in rows]
     axes.plot(middle, [1e3 * row.median_m for row in rows], "o-", color=BLUE, markersize=4.5, label="median")
     axes.plot(middle, [1e3 * row.p95_m for row in rows], "s--", color=RED, markersize=4, label="95 % of the points")
@@ -66,8 +65,9 @@ def _panorama(seen: Directions, values: np.ndarray, label: str, colours: str, no
 
     band = seen.elevation_deg[seen.band]
     bottom, top = max(float(band[-1]) - _MARGIN_DEG, -90.0), min(float(band[0]) + _MARGIN_DEG, 90.0)
-    figure = new_figure(9.6, 1.15 + 0.0245 * (top - bottom))
-    axes = new_axes(figure, grid=False, xlabel="azimuth, degrees", ylabel="elevation, degrees")
+    figure, axes = new_plot(
+        9.6, 1.15 + 0.0245 * (top - bottom), grid=False, xlabel="azimuth, degrees", ylabel="elevation, degrees"
+    )
     scaled = {"vmin": norm[0], "vmax": norm[1]} if isinstance(norm, tuple) else {"norm": norm}
     shown = axes.imshow(
         np.ma.masked_invalid(values),
@@ -104,15 +104,12 @@ _NARROW_PX = 800
 
 
 def cloud_page(facts: Facts, box: RoomBox | None, around: Beside) -> str:
-    """The report of a reconstruction.
+    """The report of a reconstruction: an HTML document that fetches nothing and runs no scripts.
 
     Args:
         facts: Of the cloud.
         box: The room's dimensions, where some were found.
         around: What is known beside the cloud's points, as plain text.
-
-    Returns:
-        An HTML document that fetches nothing and runs no scripts.
     """
     stations = f" from {facts.stations} stations" if facts.stations > 1 else ""
     return page(

@@ -40,7 +40,6 @@ def recalibration_page(result: Recalibration, *, title: str = "", notes: tuple[s
         _walls(result),
         _gained(result),
         _moved(result),
-        _closure(result),
         _stations(result),
         foot,
     )
@@ -121,14 +120,6 @@ def _moved(result: Recalibration) -> Html | None:
     shown = drawn(plots.moved_figure(moved), "moved", "Change of each parameter in standard deviations", caption)
     rows = table(_MOVED, words.moved_rows(result.moved), kind="tall", worse=[abs(one.sigmas) > 3 for one in moved])
     return section("What moved", beside(shown, rows))
-
-
-def _closure(result: Recalibration) -> Html | None:
-    if result.closure is None or result.closure.before_mm is None:
-        return None
-    caption = "The distance between the ends of one full turn, with one standard deviation."
-    figure = plots.closure_figure(result.closure)
-    return section("Closure", beside(drawn(figure, "closure", "Closure before and after", caption)))
 
 
 def _stations(result: Recalibration) -> Html | None:

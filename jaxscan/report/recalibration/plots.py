@@ -6,8 +6,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.recalibration import Closure, Gain, Moved, PanoramaOfWalls
-from jaxscan.report.drawing import BLUE, GREEN, LINE, ORANGE, RED, SOFT, add_bar, new_axes, new_figure, no_frame, plain
+from jaxscan.recalibration import Gain, Moved, PanoramaOfWalls
+from jaxscan.report.drawing import (
+    BLUE,
+    GREEN,
+    LINE,
+    ORANGE,
+    RED,
+    SOFT,
+    add_bar,
+    new_axes,
+    new_figure,
+    new_plot,
+    no_frame,
+    plain,
+)
 
 
 if TYPE_CHECKING:
@@ -21,13 +34,9 @@ UNSEEN = "#d3d8dd"
 
 
 def panorama_rows(panorama: PanoramaOfWalls) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals over azimuth and line, before and after: the mean of the cells of a pixel.
+    """Residuals of one sweep over azimuth and line, before and after: the mean of the cells of a pixel.
 
-    Args:
-        panorama: Of one sweep.
-
-    Returns:
-        Two pictures [rows, columns], mm; NaN where there is no point. The first column is azimuth 0.
+    Two pictures [rows, columns], mm; NaN where there is no point. The first column is azimuth 0.
     """
     profiles, lines = panorama.seen.shape
     angle = 2 * np.pi * np.arange(profiles) / max(profiles, 1) if panorama.angle is None else panorama.angle
@@ -95,8 +104,7 @@ def panorama_figure(before: np.ndarray, after: np.ndarray) -> "Figure":
 def moved_figure(moved: Sequence[Moved], most: int = 24) -> "Figure":
     """Bars of the change of each parameter, in standard deviations that it would have by chance."""
     shown = list(moved[:most])
-    figure = new_figure(5.4, 0.9 + 0.21 * len(shown))
-    axes = new_axes(figure, xlabel="change, in standard deviations by chance")
+    figure, axes = new_plot(5.4, 0.9 + 0.21 * len(shown), xlabel="change, in standard deviations by chance")
     value = np.array([one.sigmas for one in shown])
     place = np.arange(len(shown))
     axes.axvspan(-2, 2, color=LINE, alpha=0.55, linewidth=0)
@@ -113,8 +121,7 @@ def moved_figure(moved: Sequence[Moved], most: int = 24) -> "Figure":
 def gain_figure(gains: Sequence[Gain], most: int = 16) -> "Figure":
     """Old over new standard deviation of each direction, on a logarithmic scale."""
     shown = list(gains[:most])
-    figure = new_figure(5.4, 0.9 + 0.24 * len(shown))
-    axes = new_axes(figure, xlabel="how many times better known than before")
+    figure, axes = new_plot(5.4, 0.9 + 0.24 * len(shown), xlabel="how many times better known than before")
     value = np.array([min(max(gain.factor, 1.0), 1e4) for gain in shown])
     place = np.arange(len(shown))
     colours = [ORANGE if v < 1.05 else GREEN for v in value]
@@ -125,21 +132,6 @@ def gain_figure(gains: Sequence[Gain], most: int = 16) -> "Figure":
     axes.xaxis.set_major_formatter(lambda v, _: f"{v:g}")
     axes.set_yticks(place, [plain(gain.name, 34) for gain in shown], parse_math=False)
     axes.set_ylim(len(shown) - 0.4, -0.6)
-    axes.tick_params(axis="y", length=0)
-    axes.grid(False, axis="y")
-    return figure
-
-
-def closure_figure(closure: Closure) -> "Figure":
-    """The gap that is left after a full turn, before and after."""
-    figure = new_figure(5.4, 1.5)
-    axes = new_axes(figure, xlabel="gap after a full turn at 2.5 m, mm")
-    # A gap that nothing shows is 0 by the best estimate.
-    values = [abs(closure.before_mm or 0.0), abs(closure.after_mm or 0.0)]
-    axes.barh([0, 1], values, height=0.55, color=[ORANGE, GREEN], xerr=[0.0, closure.sigma_mm], ecolor=SOFT, capsize=3)
-    axes.set_yticks([0, 1], ["before", "after"])
-    axes.set_ylim(1.6, -0.6)
-    axes.set_xlim(0.0, 1.1 * max(*values, values[1] + closure.sigma_mm, 1e-3))
     axes.tick_params(axis="y", length=0)
     axes.grid(False, axis="y")
     return figure

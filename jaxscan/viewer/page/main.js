@@ -5,7 +5,8 @@ import { Camera, OUTSIDE } from "./camera.js";
 import { Drawing, GAP as GAP_M, RADIUS, X } from "./draw.js";
 import { takeHands } from "./hands.js";
 import { drawMarks, showCross } from "./marks.js";
-import { at, make, say, sayWaiting, showProducts, showScale, showState, titles } from "./panel.js";
+import { at, make } from "./dom.js";
+import { say, sayWaiting, showProducts, showScale, showState, titles } from "./panel.js";
 
 const canvas = at("cloud"), camera = new Camera(), CLICK_PX = 8, FAR_M = 1000, GAP = 1.1, AWAY = "No connection to jaxscan view";
 let state = { kind: "point", message: "", measured: [], places: [], measuring: 0 }, socket = null, again = 0, box = null, scene = null;
