@@ -15,7 +15,6 @@ APART_M = 0.3
 CROSSING = 0.1
 """Sine of the angle at which a surface must cross a plane, for its place in it to be known [1]."""
 TOLERANCE_M = 0.008
-"""Lines are simplified by up to this [m]."""
 
 
 def joined_quads(quads: Quads, p: np.ndarray, eye: np.ndarray) -> Quads:
@@ -113,11 +112,9 @@ def kept_parts(points: np.ndarray, kept: np.ndarray) -> list[np.ndarray]:
 
 
 PIXEL_M = 0.02
-"""Size of a pixel of outlines [m]."""
 AROUND_PX = 6
 """Gaps of up to about twice so many pixels within an outline are closed."""
 SMALLEST_M2 = 0.02
-"""Outlines of less than this are left out [m^2]."""
 
 
 def outlines(quads: Quads, places: np.ndarray) -> list[np.ndarray]:

@@ -9,7 +9,6 @@ from jaxscan.drawing.model import SMALL_MM, TEXT_MM, DimensionLine, Drawing, Tex
 
 
 MARGIN_MM = 0.5
-"""Kept free around a text."""
 
 
 class Obstacles:

@@ -13,9 +13,7 @@ from jaxscan.drawing.sheet import TITLE_MM
 BORDER, NOTE = "A-ANNO-TTLB", "A-ANNO-NOTE"
 LABEL_MM = 1.6
 ROW_MM = 3.0
-"""Height of a line of the legend and of the notes."""
 SAMPLE_MM = 9.0
-"""Width of a sample in the legend."""
 
 
 @dataclass
@@ -26,7 +24,6 @@ class Page:
     middle_m: np.ndarray
     """The point of the drawing [2], m, that is in the middle of its part of the paper."""
     middle_mm: np.ndarray
-    """That middle [2]."""
     lines: list[Line] = field(default_factory=list)
     areas: list[Area] = field(default_factory=list)
     texts: list[Text] = field(default_factory=list)

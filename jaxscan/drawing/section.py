@@ -26,7 +26,6 @@ class _End(NamedTuple):
     """Where the section meets a wall."""
 
     s: float
-    """Along the section [m]."""
     surface: Surface
     seen: bool
     openings: list[Opening]

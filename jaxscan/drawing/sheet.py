@@ -42,7 +42,6 @@ class Sheet:
     project: str = ""
     room: str = ""
     date: str = ""
-    """As it shall be written."""
     made_by: str = "jaxscan"
     north_deg: float | None = None
     """North on the sheet, clockwise from its upper edge [deg]; None where nobody said it: a scan does not know it."""

@@ -23,7 +23,6 @@ class Survey:
 
     outline: RoomOutline
     openings: list[list[list[Opening]]]
-    """Of every side of every loop."""
     quads: Quads
     p: np.ndarray
     """Points of the cells [cells, 3]."""

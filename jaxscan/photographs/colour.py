@@ -35,7 +35,6 @@ from jaxscan.reconstruction.ahead import map_ahead, workers
 
 
 ROOM = 3
-"""Different colours of a point that are remembered."""
 
 
 class Tally(NamedTuple):
@@ -161,7 +160,6 @@ class BlendSettings(NamedTuple):
     """Standard deviation [rad] of the weight by the angle about the axis between a point and the middle of the
     photograph: few photographs for each point where their places are not known well."""
     exposure: bool = True
-    """Whether exposures are equalised."""
 
     @property
     def weighting(self) -> float | None:

@@ -16,7 +16,6 @@ from jaxscan.reconstruction import PointCloud
 
 LARGEST_BLOCK = 1 << 11
 AT_ONCE = 16
-"""Blocks that are projected by one call."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,6 @@ class Distances(NamedTuple):
     nearest: Float[np.ndarray, "rows columns"]
     """[m]; inf where there is none. With a border of one cell."""
     cell: int
-    """Side of a cell [px]."""
 
     @staticmethod
     def of_nothing() -> "Distances":

@@ -68,7 +68,6 @@ class Panorama:
 
     frame: PanoramaFrame
     rgb: np.ndarray
-    """uint8 [height, width, 3]."""
     distance_m: np.ndarray | None = None
     """Distance from the scanner's origin [m], [height, width]; 0 where unknown. None without a cloud."""
     normals: np.ndarray | None = None

@@ -92,11 +92,8 @@ class Sight(NamedTuple):
     """Projection of a point into a photograph."""
 
     q: Float[Array, "2"]
-    """Pixel (u, v)."""
     range_m: Float[Array, ""]
-    """Distance from the camera."""
     inside: Bool[Array, ""]
-    """Whether it lies in the image."""
 
 
 def poses(scanner: Scanner, angles: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:

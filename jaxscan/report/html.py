@@ -15,7 +15,6 @@ class Html(str):
 STYLE = resources.files("jaxscan.report").joinpath("page.css").read_text("utf-8")
 
 _VOID = {"img", "source"}
-"""Elements that have no end."""
 _HYPHEN = re.compile(r"(?<=[0-9]e)-(?=[0-9])|(?<![\w.:/-])-(?=\.?[0-9])")
 # A second guard beside the escaping: browsers neither run scripts nor fetch anything.
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"

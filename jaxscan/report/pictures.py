@@ -76,7 +76,6 @@ def _beyond_words(found: DeviationMap, reach: float) -> list[tuple[str, str]]:
 
 
 _SHOWN = 4
-"""Baselines that are drawn beside the chosen one."""
 _SAMPLES = 60
 
 

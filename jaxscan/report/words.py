@@ -52,7 +52,6 @@ _PARTS = {
     "sheet": "the laser's sheet",
     "camera": "camera and lens",
 }
-"""The parts of a rig of which an error is made up."""
 _BETTER = {
     "angles": "boards that stand still while the table turns all around (0, 90, 180 and 270 degrees), or a sweep of a "
     "room (`jaxscan recalibrate`)",
@@ -60,7 +59,6 @@ _BETTER = {
     "sheet": "the laser's line on boards at clearly different distances",
     "camera": "more boards, tilted by 20 to 45 degrees and right into the corners of the image",
 }
-"""What makes each of them better known."""
 _BETTER_BY_SWEEPS = dict.fromkeys(("angles", "axis"), "more sweeps") | dict.fromkeys(
     ("sheet", "camera"), "a length in the room that is known (`--known`), or more boards"
 )

@@ -24,7 +24,6 @@ class Lattice(NamedTuple):
     """Columns of the grid, sheet after sheet."""
 
     profile: Int[np.ndarray, " columns"]
-    """Profile of the cloud in each column."""
     joined: Bool[np.ndarray, " gaps"]
     """Whether each column and the next one are neighbours; one less than columns."""
     closes: Bool[np.ndarray, " columns"]

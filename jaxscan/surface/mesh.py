@@ -20,7 +20,6 @@ class Mesh(NamedTuple):
     uv: Float[np.ndarray, "n 2"] | None = None
     """Place of each vertex in the texture, float32: from (0, 0), a corner of its first pixel, to (1, 1)."""
     texture: UInt8[np.ndarray, "rows columns 3"] | None = None
-    """The picture on the surface, RGB."""
 
 
 class MeshSettings(NamedTuple):

@@ -17,7 +17,6 @@ from jaxscan.surface.mesh import Mesh
 FEWEST = 100
 """Points with a normal, below which there is no surface to speak of."""
 FINEST, COARSEST = 12, 6
-"""Depths of the octree."""
 EMPTIEST = 0.01
 """Share of the vertices, those with the fewest points around them, that are left out: the surface is closed even
 where nothing was seen, like a balloon."""

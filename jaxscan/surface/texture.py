@@ -26,16 +26,13 @@ LARGEST_SIDE = 16_384
 BAND_WIDTH = 8192
 """Longer charts are folded: every browser holds this many texels on a side."""
 AT_A_TIME = 4_000_000
-"""Texels that are coloured at a time."""
 PART = 50_000
-"""Texels that are placed at a time."""
 
 
 class Texels(NamedTuple):
     """Texels that lie on a face."""
 
     at: tuple[np.ndarray, np.ndarray]
-    """Row and column in the picture of each."""
     points: Float[np.ndarray, "n 3"]
     normals: Float[np.ndarray, "n 3"]
     rgb: UInt8[np.ndarray, "n 3"]
@@ -54,15 +51,10 @@ class _Chart(NamedTuple):
     """Where the cells are in the picture."""
 
     across: int
-    """Texels from one profile to the next."""
     along: int
-    """Texels from one line to the next."""
     columns: int
-    """Cells on each band."""
     shape: tuple[int, int]
-    """Rows and columns of the picture."""
     stride: int
-    """Rows from one band to the next."""
 
 
 def texels_of_pixels(grid: GridMesh, pixels_per_radian: float) -> tuple[int, int]:

@@ -36,7 +36,6 @@ _OPTIONS = ("calibration", "unit", "up")
 _PLACES = ("x1_m", "y1_m", "z1_m", "x2_m", "y2_m", "z2_m")
 _COLUMNS = ("kind", "what", "cloud", *_PLACES, "value_m", "sigma_m", "words", "value", "sigma", "unit")
 _MOST_PLACES = 100
-"""Corners of an area."""
 
 
 class Measured(NamedTuple):
@@ -54,7 +53,6 @@ class Measured(NamedTuple):
     sigma: float | None
     """In `unit`; None where nobody knows it."""
     words: tuple[str, ...]
-    """As `jaxscan measure` prints it."""
     plane: PlaneMeasurement | None = None
     turned: bool = False
     """Whether the axes are not those of the cloud's file."""

@@ -34,7 +34,6 @@ _WIDEST_RAD = 0.3
 _FAR_M = 1e5
 """Edge of a box of which a side leaves nothing out."""
 _MOST_WORKS = 4
-"""Measurements of a page that go on at a time."""
 _PLANES = 50
 """Planes of flatness that are kept after they were taken out: their colours may be on their way to the page."""
 _ASKS: dict[str, str] = {
@@ -48,7 +47,6 @@ class Entry(NamedTuple):
     """A line of the list."""
 
     cloud: int
-    """Number of its cloud."""
     measured: Measured
     id: int
     """By which a page names it; never given twice."""

@@ -19,7 +19,6 @@ from jaxscan.viewer.sides import gridded_normals, hides_well, sides_of, walls_of
 
 _MM = 1e3
 _AT_ONCE = 1 << 18
-"""Points that are taken together."""
 _DARKEST = 60.0
 """Level of the weakest points of a cloud that has intensities alone."""
 
@@ -213,7 +212,6 @@ class ShownCloud:
 
 
 _MOST_POINTS = 3_000_000
-"""Of a cloud whose surface a page draws."""
 
 
 class Surface(NamedTuple):

@@ -91,7 +91,6 @@ def seen_from(sides: Int8[np.ndarray, "n 3"], xyz: Float[np.ndarray, "n 3"], eye
 
 
 _LEAST = 3
-"""Profiles and lines of a grid."""
 _UNEVEN = 2.0
 """How much larger steps between neighbouring rays of a scanner may be than others: a camera's are closer together at
 its edges. From a place where no scanner stood they differ far more."""

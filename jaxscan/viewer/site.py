@@ -33,7 +33,6 @@ _MOST_PRODUCTS = 500
 _URGENT = ("failed", "stale", "missing", "done")
 _NUMBER = re.compile(r"[0-9]{1,6}")
 _KEPT = 2
-"""Colourings of all clouds that are kept."""
 
 Products = Callable[[], Sequence[tuple[str, str, str]]]
 """The products of a project as they are now: name, state, and why."""
@@ -44,9 +43,7 @@ class Panorama(NamedTuple):
 
     jpeg: bytes
     top: float
-    """Elevation of its upper edge [rad]."""
     bottom: float
-    """Elevation of its lower edge [rad]."""
 
 
 class Named(NamedTuple):

@@ -17,7 +17,6 @@ _AFAR: dict[int, tuple[str, ...]] = {
 }
 """Numbers for examples, which the way out leads to, and of private networks, where there is no way out."""
 _WAITING = 512
-"""Connections that may wait to be accepted."""
 
 
 @dataclass(frozen=True)

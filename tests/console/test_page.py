@@ -241,6 +241,7 @@ def test_a_cloud_of_another_calibration_is_to_be_made_again(visit, console):
 def test_what_is_made_of_a_capture_and_that_it_is_deleted_only_when_asked_twice(visit, console, monkeypatch):
     begun = []
     monkeypatch.setattr("jaxscan.cli.console.works.Works.begin", lambda works, work: begun.append(work.words))
+    monkeypatch.setattr("jaxscan.cli.console.works.Works._before", lambda works, name: works.calibration)
     (console.captures.folder / "room").mkdir(parents=True)
     (console.captures.folder / "room" / "capture.toml").write_text("")
     console.calibration = console.captures.folder / "boards.json"

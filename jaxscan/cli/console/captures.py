@@ -24,7 +24,6 @@ from jaxscan.vision import encode_jpeg, to_grey
 
 
 MOST = 200
-"""Captures that are listed."""
 MADE = {"cloud": ".ply", "plan": ".plan.pdf", "mesh": ".glb", "report": ".report.html"}
 """What is made of a capture, and how its file ends behind the capture's name."""
 _FORMAT, _HEAD = b'"jaxscan-calibration/', 200
@@ -32,7 +31,6 @@ _MADE_WITH, _CLOUD_HEAD = re.compile(rb"^comment calibration (\S+)$", re.MULTILI
 _MOST_FILES, _MOST_CALIBRATIONS, _MOST_BYTES = 2000, 20, 64 << 20
 """Files that are looked at for calibrations, calibrations that are listed, and the size of one."""
 _THUMBNAIL, _WIDE = 240, 960
-"""Widths of pictures [px]."""
 
 
 class Captures:

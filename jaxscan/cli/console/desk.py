@@ -52,9 +52,7 @@ class Desk:
         """Nothing is opened yet; a serial port counts more than that in the configuration."""
         self.config, self.slate, self.out, self._port = config, slate, out, port
         self.sessions: dict[str, Session] = {}
-        """The session of each order."""
         self.after: Callable[[], None] = lambda: None
-        """Called after each."""
         self.answer: Callable[[str], None] | None = None
         """Passes on what the person who places the board says, while somebody is asked."""
         self._orders: queue.SimpleQueue[Order | None] = queue.SimpleQueue()
@@ -241,7 +239,6 @@ STOPPED = "Stop on the page"
 _SIGNAL = getattr(signal, "SIGUSR1", None)
 """Wakes the main thread from whatever it waits for; Windows has none."""
 _AGAIN_S = 0.05
-"""Until the signal is sent once more."""
 
 
 class Stopping:

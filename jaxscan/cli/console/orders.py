@@ -12,9 +12,7 @@ class BadOrder(JaxscanError):
 
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
-"""Names of captures and clouds."""
 MOST_BYTES = 4096
-"""Longest message of a page."""
 FOR_ALL = {"stop", "take over"}
 """Orders of a page that watches: everybody may switch the laser off."""
 _RANGES = {"deg": (-3600.0, 3600.0), "exposure_ms": (0.001, 10_000.0), "gain_db": (-100.0, 100.0)}

@@ -128,10 +128,8 @@ MOST_PAGES = 12
 _HEARTBEAT_S = 4.0
 """A page that does not answer for half as long is lost."""
 _BETWEEN_S = 0.1
-"""Between two looks at the slate."""
 _GREET_S = 5.0
 PICTURE, CLOUD = 1, 2
-"""First byte of a binary message."""
 
 
 class Page(NamedTuple):
@@ -278,7 +276,6 @@ class Hub:
 
 
 MOST_CLOUDS = 3
-"""Clouds that are held."""
 
 
 class Looks:

@@ -188,7 +188,6 @@ class Sessions:
 
 
 _BETWEEN_S = 0.1
-"""Rest between two looks."""
 
 
 class PageOperator:
@@ -254,7 +253,6 @@ class PageOperator:
 
 
 _TILT_DEG = 30.0
-"""Tilt that is asked for."""
 _SIDES_DEG = (0.0, 90.0, 180.0, 270.0)
 
 

@@ -13,7 +13,6 @@ import numpy as np
 
 
 MOST_LINES = 200
-"""Sentences that are kept."""
 MOST_POINTS = 300_000
 """Points of a growing cloud that are kept for pages."""
 _LONGEST = 300

@@ -19,9 +19,7 @@ if TYPE_CHECKING:
     from scanrig.controllers import Controller
 
 WIDTH = 960
-"""Widest picture that a page gets [px]."""
 _POINTS = 256
-"""Points of the stripe that a page gets."""
 _BINS = 64
 """Of the histogram of levels: four of 256 levels each."""
 _BETWEEN_PICTURES_S = 0.25
@@ -31,11 +29,9 @@ class Seen(NamedTuple):
     """Frames to show."""
 
     on: np.ndarray | None
-    """Laser-on frame, or None."""
     off: np.ndarray
     laser: int
     facts: Mapping[str, Any]
-    """Shown beside the picture."""
 
 
 class Painter:

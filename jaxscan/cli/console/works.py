@@ -23,14 +23,11 @@ from jaxscan.files.disk import read_bounded
 
 
 ORDERS = {"calibrate", "recalibrate", "reconstruct", "plan", "mesh", "report", "compare", "use", "delete", "rename"}
-"""Orders that are carried out here."""
 _POLITE = 10
 """Niceness of the processes: the scan comes first."""
 _LINES = 40
-"""Last lines of a process that are kept."""
 _MOST_SHOWN, _MOST_BYTES = 20, 64 << 20
 _FOUND = ("verdict", "lengths", "advice", "warnings", "missing", "points", "seconds_s", "notes", "errors")
-"""What pages show of a result."""
 Then = Callable[[bool, dict[str, Any]], None]
 """Called after a verb with whether it went well, and its result."""
 
@@ -39,7 +36,6 @@ class Work(NamedTuple):
     """A verb to call."""
 
     what: str
-    """As pages name it."""
     words: Sequence[str]
     then: Then = lambda well, result: None
 

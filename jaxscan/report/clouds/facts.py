@@ -17,7 +17,6 @@ SIDES_DEG = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 9.0, 10.0, 15.0)
 POINTS_A_CELL = 8
 WHOLE_SPHERE_DEG2 = 41253.0
 SMALLEST_HOLE = 4
-"""Cells of the smallest hole that is named."""
 
 
 class Hole(NamedTuple):
@@ -35,7 +34,6 @@ class Directions:
     """What lies in each direction from one place; the first row looks up, the first column to azimuth 180 degrees."""
 
     side_deg: float
-    """Side of a cell [degrees]."""
     count: np.ndarray
     """Points [rows, columns]."""
     distance_m: np.ndarray
@@ -143,7 +141,6 @@ def _regions(empty: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 MOST_STATIONS = 4
-"""Stations whose directions are drawn."""
 FAR_OFF = 100.0
 """Points so many times the median distance away are strays: no picture shows them."""
 BEYOND_M = 0.05
@@ -157,15 +154,12 @@ class Beside:
 
     name: str = ""
     notes: tuple[str, ...] = ()
-    """Remarks that come first."""
     calibration: tuple[tuple[str, str], ...] = ()
-    """Names and values."""
     doubts: tuple[str, ...] | None = None
     """Doubts about the capture; None where it was not checked."""
     left_out: str = ""
     """Stripes that gave no point, where the capture was looked at."""
     no_dimensions: str = ""
-    """Why the room has no dimensions."""
 
 
 class SigmaAt(NamedTuple):
@@ -186,14 +180,12 @@ class Facts:
     far_off: int
     """Stray points, which no picture shows."""
     shown: PointCloud = field(repr=False)
-    """The cloud without them."""
     turned: bool
     """Whether the cloud says at which angles its profiles were taken."""
     directions: tuple[Directions, ...]
     """From each station, the first few; from the middle of the cloud where nobody knows where the scanner stood."""
     stations: int
     placed: bool
-    """Whether the scanner's place is known."""
     cells: float | None
     """Part of the cells of the grid that have a point [1]; None without a grid."""
     sigma: tuple[SigmaAt, ...]

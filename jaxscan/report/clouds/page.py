@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 
 
 NOTHING = "#c9ced4"
-"""Colour of directions without points."""
 _MARGIN_DEG = 8.0
-"""Shown beyond the highest and the lowest point."""
 _ROUND_MM = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
 
@@ -100,7 +98,6 @@ def _degrees(value: int) -> str:
 NAMED_HOLES = 8
 _JPEG = 82
 _NARROW_PX = 800
-"""Width of the picture for narrow screens."""
 
 
 def cloud_page(facts: Facts, box: RoomBox | None, around: Beside) -> str:

@@ -23,12 +23,10 @@ class Viewpoint:
     """A perspective camera of the picture."""
 
     eye: tuple[float, float, float]
-    """Position of the camera [m]."""
     target: tuple[float, float, float]
     """Point in the middle of the picture [m]."""
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     fov_deg: float = FOV_DEG
-    """Field of view across the picture's width."""
     cut_away: bool = True
     """Leave out surfaces that are seen from behind, and the ceiling and near walls, which hide the room."""
 
@@ -66,11 +64,9 @@ class Canvas(NamedTuple):
 
     view: Viewpoint
     focal: float
-    """Focal length of the camera [px]."""
     middle: tuple[float, float]
     """Column and row of the point that the view looks at [px]."""
     size: tuple[int, int]
-    """Width and height of the canvas [px]."""
 
     def local(self, points: np.ndarray) -> np.ndarray:
         """Points [n, 3], m, in the frame of the camera: right, down, ahead [n, 3], m."""
@@ -135,14 +131,12 @@ def room_box(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 ON_THE_FLOOR_M = 0.06
 SMALLEST_HOLE_M = 0.15
 MOST_STATIONS = 8
-"""Stations that are marked in a picture."""
 
 
 class Axis(NamedTuple):
     """A direction of a room."""
 
     direction: np.ndarray
-    """Unit vector [3]."""
     low: float
     """Position of the nearer wall along the direction [m]."""
     high: float
@@ -250,7 +244,6 @@ SPLAT_M = 0.011
 """Size of a point [m]: about the spacing of a scan in steps of 0.1 degrees at 5 m."""
 MAX_SPLAT_PX = 4
 SHADING = 9.0
-"""Strength of the shading by depth."""
 JOINED = 4.0
 """Neighbouring profiles are joined up to this many times their usual distance."""
 MAX_GAIN = 3.0
@@ -446,7 +439,6 @@ class DimensionMark(NamedTuple):
     """[2, 3], m."""
     text: str
     outwards: np.ndarray
-    """Unit vector away from the room [3]."""
 
 
 class _Item(NamedTuple):
@@ -470,7 +462,6 @@ class RoomPicture(NamedTuple):
     """A marked picture."""
 
     rgb: np.ndarray
-    """uint8 [height, width, 3]."""
     labels: tuple[Label, ...]
 
 

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 COLUMNS, ROWS = 1080, 320
 """Largest size of a panorama [px]: more than a page shows."""
 UNSEEN = "#d3d8dd"
-"""Colour of cells without a point on a wall."""
 
 
 def panorama_rows(panorama: PanoramaOfWalls) -> tuple[np.ndarray, np.ndarray]:
