@@ -128,9 +128,9 @@ def plan(
     for line in lines:
         out.print(line)
     out.print(f"frame of the plan: {survey.frame_words()}")
-    for what, unit in (("height", "m"), ("floor_area", "m²"), ("volume", "m³")):
+    for what, of in (("height", "m"), ("floor_area", "m²"), ("volume", "m³")):
         if result[what] is not None:
-            out.print(f"{what.replace('_', ' ')}: {_words(result[what], unit)}")
+            out.print(f"{what.replace('_', ' ')}: {_words(result[what], of)}")
     for remark in remarks:
         out.print(f"note: {remark}")
     out.print(

@@ -269,21 +269,21 @@ def _along_and_angle(calibration: Calibration, observations: Observations, fit: 
             " All points, and means of short pieces with two standard deviations. A curve means that the sheet is not "
             "flat or the lens model is too simple."
         )
-        figure, title = plots.along_stripe(observations, fit), element("b", "Along the stripe.")
-        shown.append(drawn(figure, "along", "Stripe residuals along the image", title, caption))
+        heading, figure = element("b", "Along the stripe."), plots.along_stripe(observations, fit)
+        shown.append(drawn(figure, "along", "Stripe residuals along the image", heading, caption))
     turns = calibration.scanner is not None and isinstance(calibration.scanner.turntable, Turntable)
     if turns and plots.turned_views(observations).any():
-        if striped:
-            figure, title = plots.stripes_against_angle(observations, fit), "Stripe residuals against the table's angle"
-            heading = element("b", "Stripes against the table's angle.")
-            shown.append(drawn(figure, "angle-stripes", title, heading, " The mean of each stripe."))
         caption = (
             " The mean of each view of a board that stood still while the table turned. A curve means that the table "
             "turns unevenly or wobbles."
         )
-        figure, title = plots.corners_against_angle(observations, fit), "Corner residuals against the table's angle"
-        heading = element("b", "Corners against the table's angle.")
-        shown.append(drawn(figure, "angle-corners", title, heading, caption))
+        angles = [("corners", "Corner", plots.corners_against_angle, caption)]
+        if striped:
+            angles.insert(0, ("stripes", "Stripe", plots.stripes_against_angle, " The mean of each stripe."))
+        for name, residual, plot, text in angles:
+            heading = element("b", f"{name.capitalize()} against the table's angle.")
+            said = f"{residual} residuals against the table's angle"
+            shown.append(drawn(plot(observations, fit), f"angle-{name}", said, heading, text))
     return section("Stripe and table", beside(*shown)) if shown else None
 
 

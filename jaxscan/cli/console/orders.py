@@ -57,7 +57,7 @@ def parse_order(text: str) -> Order:
         raise BadOrder("a message that is no JSON.") from problem
     do = found.get("do") if isinstance(found, dict) else None
     wanted = _FIELDS.get(do) if isinstance(do, str) else None
-    if wanted is None or set(found) != {"do", *wanted}:
+    if not isinstance(do, str) or wanted is None or set(found) != {"do", *wanted}:
         raise BadOrder("an order that is not known; load the page again.")
     return Order(do, **{name: _field(name, found[name]) for name in wanted})
 

@@ -137,7 +137,7 @@ def _regions(empty: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     label, _ = ndimage.label(empty)
     for row in np.flatnonzero(empty[:, 0] & empty[:, -1]):
         label[label == label[row, -1]] = label[row, 0]
-    return [np.nonzero(label == one) for one in np.unique(label[empty])]
+    return [(rows, columns) for rows, columns in (np.nonzero(label == one) for one in np.unique(label[empty]))]
 
 
 MOST_STATIONS = 4

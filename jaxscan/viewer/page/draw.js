@@ -1,4 +1,4 @@
-import { compiled } from "./dom.js";
+import { compiled } from "./shared.js";
 import { Panorama } from "./panorama.js";
 import { Shading } from "./shading.js";
 import { Surfaces } from "./surface.js";

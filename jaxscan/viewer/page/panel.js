@@ -1,5 +1,5 @@
 // The panel: choices, and the list of what was measured.
-import { at, make } from "./dom.js";
+import { at, make } from "./shared.js";
 
 const ASKS = {
   point: "Click a point.",

@@ -1,5 +1,5 @@
 // Points in WebGL, brighter than they were seen: drag or arrow keys turn, wheel or + and - zoom.
-import { compiled } from "/dom.js";
+import { compiled } from "/shared.js";
 
 const VERTEX = `attribute vec3 place; attribute vec3 colour; uniform mat4 view; uniform float size; varying vec3 shown;
 void main() { gl_Position = view * vec4(place, 1.0); gl_PointSize = clamp(size / gl_Position.w, 1.5, 6.0); shown = sqrt(colour); }`;

@@ -1,4 +1,4 @@
-import { at } from "/dom.js";
+import { at } from "/shared.js";
 import { exposureNote } from "/hand.js";
 
 // The camera's picture, with the laser's line, the board's corners, and the place where to hold the board next.
