@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 BLUE, ORANGE, GREEN, RED, SKY, PURPLE = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7"
 SERIES = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
 INK, SOFT, LINE = "#1c2530", "#5b6672", "#dfe3e8"
+ROUND = tuple(step * 10.0**power for power in range(-7, 8) for step in (1, 2, 5))
+"""Numbers by which people count, in order."""
 RASTER_DPI = 180
 """Resolution of figure parts with thousands of marks, which are drawn as pixels."""
 
@@ -114,6 +116,11 @@ def as_svg(figure: "Figure", name: str, description: str) -> Html:
 def drawn(figure: "Figure", name: str, description: str, *caption: object, **attributes: str) -> Html:
     """A figure as markup with its caption; arguments as of `as_svg` and `html.captioned`."""
     return captioned(as_svg(figure, name, description), *caption, **attributes)
+
+
+def round_up(value: float) -> float:
+    """The next larger round number; one that is smaller by less than a thousandth counts too."""
+    return next((one for one in ROUND if one >= 0.999 * value), ROUND[-1])
 
 
 def plain(text: str, longest: int = 28) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxscan.design import RigChoice, RigDesign, spread_at
 from jaxscan.measurement import DeviationMap
-from jaxscan.report.drawing import GREEN, INK, LINE, ORANGE, SERIES, SOFT, new_axes, new_figure, png
+from jaxscan.report.drawing import GREEN, INK, LINE, ORANGE, ROUND, SERIES, SOFT, new_axes, new_figure, png
 
 
 ROBUST = 5.0
@@ -105,7 +105,7 @@ def _curves(axes: Any, choice: RigChoice) -> None:
     axes.plot([wish.range_m], [1e3 * choice.sigma_m], "s", color=INK, markersize=5)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    for axis, values in ((axes.xaxis, _round(axes.get_xlim())), (axes.yaxis, _round(axes.get_ylim()))):
+    for axis, values in ((axes.xaxis, _within(axes.get_xlim())), (axes.yaxis, _within(axes.get_ylim()))):
         axis.set_ticks(values, [f"{value:g}" for value in values])
         axis.set_ticks([], minor=True)
     across, along = chosen.fields_deg
@@ -151,7 +151,5 @@ def _depths(design: RigDesign, range_m: float) -> np.ndarray:
     return np.geomspace(max(near, 0.1 * range_m), min(far, 2.0 * range_m), _SAMPLES)
 
 
-def _round(limits: tuple[float, float]) -> list[float]:
-    low, high = limits
-    every = [digit * 10.0**power for power in range(-6, 6) for digit in (1, 2, 5)]
-    return [value for value in every if low <= value <= high]
+def _within(limits: tuple[float, float]) -> list[float]:
+    return [value for value in ROUND if limits[0] <= value <= limits[1]]

@@ -13,6 +13,7 @@ from jaxscan.report.drawing import (
     INK,
     LINE,
     RED,
+    ROUND,
     SERIES,
     SOFT,
     add_bar,
@@ -23,6 +24,7 @@ from jaxscan.report.drawing import (
     new_plot,
     no_frame,
     plain,
+    round_up,
 )
 
 
@@ -208,7 +210,7 @@ def residual_scale(fit: Fit) -> float:
     """A round length [px] that scales all arrows of a report: about the 90 % quantile of the kept residuals."""
     length = np.linalg.norm(fit.corner_error, axis=-1)[fit.corner_inlier]
     usual = float(np.percentile(length, 90)) if length.size else 0.0
-    return _round_number(usual) if usual > 0 else 1.0
+    return round_up(usual) if usual > 0 else 1.0
 
 
 def view_residuals(observations: Observations, fit: Fit, view: int, scale: float) -> "Figure":
@@ -328,12 +330,6 @@ def _round_colours() -> Any:
     return LinearSegmentedColormap.from_list("round", ["#0072b2", "#8fd3e8", "#f2a100", "#6b1f3a", "#0072b2"])
 
 
-def _round_number(value: float) -> float:
-    """The next larger number that is 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(power * next(step for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * 0.999))
-
-
 _SHOWN_CORRELATION = 0.5
 
 
@@ -351,8 +347,8 @@ def depth_against_distance(lasers: Sequence[tuple[str, np.ndarray, np.ndarray]],
         axes.plot(lasers[0][1], noise_mm, "s--", color=RED, markersize=4, label="one point's own stripe noise")
     axes.set_xscale("log")
     axes.set_yscale("log")
-    _plain_ticks(axes.xaxis, np.concatenate([depth for _, depth, _ in lasers]))
-    _plain_ticks(axes.yaxis, np.array(axes.get_ylim()))
+    _plain_ticks(axes.xaxis)
+    _plain_ticks(axes.yaxis)
     axes.grid(True, which="both")
     add_legend(axes, inside=True)
     return figure
@@ -409,16 +405,11 @@ def combination(direction: dict[str, float], most: int = 3) -> str:
     return " ".join(words).removeprefix("+ ") or "—"
 
 
-def _plain_ticks(axis: Any, values: np.ndarray) -> None:
-    """Ticks at 1, 2 and 5 times powers of ten, as plain numbers."""
+def _plain_ticks(axis: Any) -> None:
+    """Ticks at round numbers, written without exponents."""
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
 
-    positive = values[values > 0]
-    if not positive.size:
-        return
-    low, high = np.floor(np.log10(positive.min())) - 1, np.ceil(np.log10(positive.max())) + 1
-    ticks = [step * 10.0**power for power in np.arange(low, high + 1) for step in (1, 2, 5)]
-    axis.set_major_locator(FixedLocator(ticks))
+    axis.set_major_locator(FixedLocator(ROUND))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())
     axis.set_minor_formatter(NullFormatter())

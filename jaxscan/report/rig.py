@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxscan.geometry import LinearStage, Scanner, Turntable
-from jaxscan.report.drawing import BLUE, INK, SERIES, SOFT, new_figure, plain
+from jaxscan.report.drawing import BLUE, INK, ROUND, SERIES, SOFT, new_figure, plain
 
 
 if TYPE_CHECKING:
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 _UP = {"-v": (0.0, -1.0, 0.0), "+v": (0.0, 1.0, 0.0), "+u": (1.0, 0.0, 0.0), "-u": (-1.0, 0.0, 0.0)}
 _ASIDE, _ABOVE = np.radians(np.arange(-80.0, 81.0, 10.0)), np.radians(24.0)
 """From where the rig may be looked at: so far round from behind, so far up."""
-_STEPS_M = tuple(step * 10.0**power for power in range(-4, 4) for step in (1, 2, 5))
 
 
 def sheet_slopes_deg(scanner: Scanner) -> list[tuple[str, float]]:
@@ -129,7 +128,7 @@ class _Canvas:
 
     def finished(self, size: float) -> "Figure":
         """With a scale."""
-        length = max(step for step in _STEPS_M if step <= 0.5 * size or step == _STEPS_M[0])
+        length = max(step for step in ROUND if step <= 0.5 * size)
         low, high = np.array(self.axes.get_xlim()), np.array(self.axes.get_ylim())
         y, x = high[0] - 0.04 * np.ptp(high), low[0]
         for part in range(2):

@@ -9,7 +9,7 @@ import numpy as np
 from jaxscan.measurement import Dimension, RoomBox
 from jaxscan.report.clouds.facts import Beside, Directions, Facts, SigmaAt
 from jaxscan.report.clouds.picture import dimension_text, room_picture
-from jaxscan.report.drawing import BLUE, RED, SOFT, add_bar, add_legend, drawn, new_plot
+from jaxscan.report.drawing import BLUE, RED, ROUND, SOFT, add_bar, add_legend, drawn, new_plot
 from jaxscan.report.html import Html, beside, bullets, element, page, section, table, tiles
 from jaxscan.report.words import millimetres, sentence
 from jaxscan.vision import encode_jpeg
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 NOTHING = "#c9ced4"
 _MARGIN_DEG = 8.0
-_ROUND_MM = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
 
 def distance_map(seen: Directions) -> "Figure":
@@ -83,7 +82,7 @@ def _panorama(seen: Directions, values: np.ndarray, label: str, colours: str, no
     bar = add_bar(figure, shown, axes, **place)
     bar.set_label(label, color=SOFT, fontsize=9)
     if not isinstance(norm, tuple):
-        ticks = [value for value in _ROUND_MM if norm.vmin <= value <= norm.vmax]
+        ticks = [value for value in ROUND if norm.vmin <= value <= norm.vmax]
         if ticks:
             bar.ax.xaxis.set_major_locator(FixedLocator(ticks))
             bar.ax.xaxis.set_major_formatter(FormatStrFormatter("%g"))

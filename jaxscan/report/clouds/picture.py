@@ -10,7 +10,7 @@ import numpy as np
 from jaxscan.measurement import Dimension, RoomBox
 from jaxscan.measurement.samples import Cloud, places_of
 from jaxscan.reconstruction import PointCloud
-from jaxscan.report.drawing import BLUE, INK, RED
+from jaxscan.report.drawing import BLUE, INK, RED, ROUND
 
 
 FOV_DEG = 26.0
@@ -426,7 +426,6 @@ LETTER_PX = 25
 """Height of letters: readable where a page shows the picture half as wide."""
 _ROW_PX = 44
 _DPI = 100
-_LENGTHS_M = tuple(step * 10.0**power for power in range(-6, 7) for step in (1, 2, 5))
 _PAPER = "#{:02x}{:02x}{:02x}".format(*BACKGROUND.astype(int))
 _BESIDE = 0.03
 """Dimension lines stand off the room by this share of its extent."""
@@ -646,5 +645,5 @@ def _scale(room: DrawnRoom, frame: Canvas) -> tuple[float, float]:
     place = room.stations[0, 0] if len(room.stations) else room.at(np.full((1, 3), 0.5))[0]
     far = float(frame.local(room.foot(place)[None])[0, 2])
     per_metre = frame.focal / far
-    fitting = [length for length in _LENGTHS_M if length * per_metre < 0.2 * frame.size[0]]
-    return fitting[-1], fitting[-1] * per_metre
+    length = max((one for one in ROUND if one * per_metre < 0.2 * frame.size[0]), default=ROUND[0])
+    return length, length * per_metre

@@ -20,6 +20,7 @@ from jaxscan.report.drawing import (
     new_plot,
     no_frame,
     plain,
+    round_up,
 )
 
 
@@ -60,10 +61,7 @@ def colour_limit(pictures: Sequence[np.ndarray]) -> float:
     """Limit of the colour scale [mm]: 98 % of all pixels are within it; 1, 2 or 5 times a power of ten."""
     sizes = np.concatenate([np.abs(picture[np.isfinite(picture)]) for picture in pictures])
     largest = float(np.percentile(sizes, 98)) if sizes.size else 0.0
-    if largest <= 0:
-        return 1.0
-    power = 10.0 ** np.floor(np.log10(largest))
-    return float(next(step * power for step in (1, 2, 5, 10) if step * power >= largest))
+    return round_up(largest) if largest > 0 else 1.0
 
 
 def panorama_figure(before: np.ndarray, after: np.ndarray) -> "Figure":
