@@ -1,7 +1,6 @@
 """The gate of pages: names, origins, sites, tokens, paths and sizes, over real sockets."""
 
 import asyncio
-import http.client
 import socket
 
 import aiohttp
@@ -9,7 +8,10 @@ import pytest
 from aiohttp import web
 
 from jaxscan.errors import OptionError
-from jaxscan.web import PAGE_POLICY, Gate, Server, open_address, page_routes
+from jaxscan.web import PAGE_POLICY, open_address, page_routes
+
+from . import asking
+from .asking import let_in, served
 
 
 MOST = 1000
@@ -25,54 +27,31 @@ async def echo(request):
     return answering
 
 
-def served(address):
-    application = Gate(address).application()
-    application.add_routes([*page_routes("jaxscan.viewer"), web.get("/echo", echo)])
-    return Server(application, address)
-
-
 @pytest.fixture
 def narrow():
     address = open_address("127.0.0.1", 0, option="--web-port")
-    with served(address):
+    with served(address, *page_routes("jaxscan.viewer"), web.get("/echo", echo)):
         yield address
 
 
 @pytest.fixture
 def wide():
     address = open_address("0.0.0.0", 0, option="--web-port")
-    with served(address):
+    with served(address, *page_routes("jaxscan.viewer"), web.get("/echo", echo)):
         yield address
 
 
 def guest(address):
     """The cookie of somebody who has shown the token."""
     if address.token not in _COOKIES:
-        _, headers, _ = ask(address, f"/?token={address.token}", Cookie=None)
-        _COOKIES[address.token] = headers["Set-Cookie"].partition(";")[0]
+        _COOKIES[address.token] = let_in(address.port, address.token)
     return _COOKIES[address.token]
 
 
 def ask(address, path="/", method="GET", **headers):
-    """The answer to a guest's request with these headers, its path sent as it is: (status, headers, body).
-
-    A stranger is who gives None for the cookie.
-    """
+    """The answer to a guest's request; a stranger is who gives None for the cookie."""
     headers = {"Cookie": guest(address)} | headers if "Cookie" not in headers else headers
-    connection = http.client.HTTPConnection("127.0.0.1", address.port, timeout=10)
-    try:
-        connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
-        given = {"Host": f"127.0.0.1:{address.port}"} | {
-            name.replace("_", "-"): value for name, value in headers.items()
-        }
-        for name, value in given.items():
-            if value is not None:
-                connection.putheader(name, value)
-        connection.endheaders()
-        answer = connection.getresponse()
-        return answer.status, answer.headers, answer.read()
-    finally:
-        connection.close()
+    return asking.ask(address.port, path, method, **headers)
 
 
 def talk(address, work, **headers):
