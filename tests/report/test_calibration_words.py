@@ -127,13 +127,11 @@ class TestHeadline:
         found = words.headline(judged(calibration, usable=False, refused="0.5 mm were asked"))
         assert found == words.Headline("bad", "Good to only 0.80 mm at 2.5 m", "Refused: 0.5 mm were asked.")
 
-    def test_files_of_earlier_versions_are_not_judged(self, calibration):
-        found = words.headline(judged(calibration, usable=None, good_to=None))
-        assert found.kind == "open" and found.headline == "Not judged" and "calibrate again" in found.explanation
-
-    def test_a_solve_that_ended_is_never_called_right(self, calibration):
-        found = words.headline(having(calibration, verdict=None))
-        assert found.kind == "open" and found.headline == "Not judged"
+    def test_files_of_earlier_versions_and_solves_without_a_verdict_are_not_judged(self, calibration):
+        for verdict in (None, replace(calibration.quality.verdict, usable=None, good_to=None)):
+            found = words.headline(having(calibration, verdict=verdict))
+            assert found.kind == "open" and found.headline == "Not judged"
+            assert ("calibrate again" in found.explanation) == (verdict is not None)
 
     def test_a_solve_that_did_not_converge_is_not_judged_by_its_numbers(self, calibration):
         """Neither by its tests nor by its residuals; and the advice is said once, as the explanation."""

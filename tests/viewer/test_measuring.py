@@ -281,18 +281,6 @@ def test_a_page_that_clicks_beside_is_told(shown):
     assert "No cloud" in carry_out(session, Order("room"))["message"]
 
 
-def test_a_cloud_that_was_moved_is_picked_where_it_stands(shown, flat):
-    shift = np.array([0.0, 9.0, 0.0])
-    ray = ray_to(shown, flat[0])
-    moved = Ray(ray.origin + shift, ray.direction, ray.cone_rad)
-    picked = []
-    for one, where in ((ray, np.zeros(3)), (moved, shift)):
-        session = Session([shown], None)
-        carry_out(session, Order("pick", ray=one, shifts=((0, where),)))
-        picked.append(session.measured[0][1].at)
-    np.testing.assert_array_equal(*picked)
-
-
 def test_nobody_knows_where_the_scanner_of_a_foreign_cloud_stood(shown):
     """Its origin is a place in it, or one of a map."""
     host = shown.cloud
