@@ -29,7 +29,6 @@ from jaxscan.geometry.scanner import UP_VECTORS, Up
 Limited = Annotated[Number, pydantic.Field(ge=-1e6, le=1e6)]
 """Pixels, metres, coefficients, and components of vectors."""
 Focal = Annotated[Number, pydantic.Field(ge=0.1, le=1e6)]
-"""Focal length, px."""
 Bend = Annotated[Number, pydantic.Field(ge=-10, le=10)]
 """Bows and harmonics, rad."""
 Covariance = Annotated[Number, pydantic.Field(ge=-1e12, le=1e12)]
@@ -265,9 +264,7 @@ class DigestTable(FileModel):
     """Digests as a program writes them; a person leaves them out."""
 
     values: str | None = None
-    """Digest of all other tables of the file."""
     observations: str | None = None
-    """Digest of the file of observations beside it."""
 
 
 class CalibrationTable(FileModel):
