@@ -118,7 +118,6 @@ class Part:
 
     name: str
     socket: str
-    """Name of its control socket in the folder."""
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)

@@ -54,9 +54,10 @@ def test_a_lock_that_is_no_plain_file_of_this_user_is_refused(tmp_path, kind):
 
 
 def test_the_lock_of_a_process_that_was_killed_is_free(tmp_path):
-    code = "import sys, time; from bench.desk import claimed; from pathlib import Path\n"
-    code += "with claimed(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
-    with subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "desk")], stdout=subprocess.PIPE) as other:
+    code = "import sys, time; from bench.places import held; from pathlib import Path\n"
+    code += "with held(Path(sys.argv[1]), timeout_s=0, busy=''): print('held', flush=True); time.sleep(60)"
+    lock = own_folder(tmp_path / "desk") / "lock"
+    with subprocess.Popen([sys.executable, "-c", code, str(lock)], stdout=subprocess.PIPE) as other:
         assert other.stdout.readline() == b"held\n"
         with pytest.raises(BenchError, match="runs already"), claimed(tmp_path / "desk"):
             pass

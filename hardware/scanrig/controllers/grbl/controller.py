@@ -116,7 +116,6 @@ def require_fit(lines: GrblLines, table: GrblTable, units: TableUnits, settings:
 
 
 REST_S = 10.0
-"""Longest time that the table may take to stop."""
 _STILL = 3
 """Reports of standstill after which a motion is over, wherever it ended."""
 

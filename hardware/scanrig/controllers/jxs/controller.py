@@ -59,7 +59,6 @@ SAFE_TRIES = 3
 STOPPING_S = 0.5
 """How long a shot may take to end after STOP."""
 REST_S = 5.0
-"""Longest time that the table may take to stop."""
 POLL_S = 0.1
 """Time between two polls while something runs: well below the controller's watchdog, 500 ms by default."""
 
@@ -93,9 +92,7 @@ class JxsController(Controller):
         self._reopen = reopen
         self._session = session or secrets.randbelow(2**31 - 1) + 1
         self.settings: Settings | None = None
-        """The settings configured last."""
         self._firmware: Firmware | None = None
-        """The firmware that answered HELLO last."""
         self._enabled = False
         """Whether the motor driver was switched on; if it is off now, the controller was reset."""
         self._broken = False
