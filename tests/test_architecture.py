@@ -74,9 +74,9 @@ FOR_ALL = {"compiling", "errors", "facades", "memory", "printable"}
 HOME_OF = {
     "cv2": {"vision"},
     "embreex": {"simulation/scene/meshes.py"},
-    "open3d": {"surface/open3d_loader.py"},
-    "libusb_package": {"surface/open3d_loader.py"},
-    "fast_simplification": {"surface/decimate.py"},
+    "open3d": {"surface/poisson.py"},
+    "libusb_package": {"surface/poisson.py"},
+    "fast_simplification": {"surface/poisson.py"},
     "pye57": {"files"},
     "ezdxf": {"files/drawings.py"},
     "ifcopenshell": {"files/ifc.py"},
@@ -90,8 +90,11 @@ HOME_OF = {
     "isal": {"vision"},
     "simplejpeg": {"vision"},
     "scipy": {
+        "drawing/contours.py",
         "measurement",
         "recalibration",
+        "report/clouds/facts.py",
+        "surface/atlas.py",
         "leastsq/robust.py",
         "geometry/rigid.py",
         "stripes/predict.py",
@@ -290,6 +293,7 @@ MAY_OPEN = {
     "vision/video.py": {"VideoCapture"},
     "cli/environment.py": {"os.open"},
     "cli/running.py": {"os.open"},
+    "report/html.py": {".read_text"},
     "web/pages.py": {".read_bytes"},
     "facades.py": {"open"},
 }

@@ -39,9 +39,7 @@ if TYPE_CHECKING:
 
 HOST, PORT = "127.0.0.1", 8643
 MOST_CLOUDS = 24
-"""Of a project, at a time."""
 LARGEST_PICTURE = 200_000_000
-"""Bytes of a panorama's file."""
 
 
 def view(
