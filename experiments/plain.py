@@ -60,10 +60,7 @@ def chessboard(
 
     Args:
         image: uint8 [rows, columns].
-        size: Columns and rows of inner corners.
-        steps: Most steps of the refinement.
         least: Movement at which it ends [px].
-        enlarged: Whether the board is looked for in an image twice as large where it is not found: small squares are.
 
     Returns:
         float32 [rows of corners, columns of corners, 2], px; None if the board is not found.
@@ -98,8 +95,6 @@ def calibrate(views: list[np.ndarray], points: np.ndarray, size: tuple[int, int]
     Args:
         views: Corners [n, 2] of each view; px.
         points: Corners of the flat board [n, 3]; m.
-        size: Width and height; px.
-        kind: "flat", "free" (every corner of the board is free), or "fisheye".
 
     Returns:
         The lens, and the corners of the board as used or found [n, 3]; m.
@@ -201,7 +196,6 @@ def centres(light: np.ndarray, stripe_axis: str, inside: np.ndarray | None = Non
 
     Args:
         light: The laser's light [rows, columns].
-        stripe_axis: "rows" for one centre per row, "columns" for one per column.
         inside: bool [rows, columns]: where to look.
     """
     masked = light if inside is None else np.where(inside, light, -np.inf)
@@ -282,9 +276,6 @@ def consensus(views: list[np.ndarray], seed: int = 0) -> tuple[Plane, np.ndarray
 
     Args:
         views: Points of the line in every view [n, 3]; m.
-
-    Returns:
-        The plane, fitted again to its points, and which views (more than half of their points) belong to it.
     """
     rng = np.random.default_rng(seed)
     points, limits = np.concatenate(views), PLANE * np.linalg.norm(np.concatenate(views), axis=1)

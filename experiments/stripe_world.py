@@ -231,7 +231,6 @@ def render_coherent(
 
     Args:
         room: Light with the laser off [rows, columns], DN above black.
-        sensor: The sensor; its ambient light is not used.
     """
     rows, columns = room.shape
     fine_row = (np.arange(rows * _FINE) + 0.5) / _FINE - 0.5

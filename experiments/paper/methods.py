@@ -114,7 +114,6 @@ def highest(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Args:
         on: Laser-on frames, uint8 [rows, columns] or [records, rows, columns].
-        off: Laser-off frames of the same shape.
 
     Returns:
         u: Column, float64 [(records,) rows]; zero where not valid. The first of equals.
@@ -129,7 +128,6 @@ def gravity(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Args:
         on: Laser-on frames, uint8 [rows, columns] or [records, rows, columns].
-        off: Laser-off frames of the same shape.
 
     Returns:
         u: Column, float64 [(records,) rows]; zero where not valid.
@@ -210,16 +208,6 @@ def calibrate_paper_way(capture: Capture, extract: Extract) -> PaperWay:
     """The paper's calibration of a capture of boards.
 
     All laser-off images give camera and poses; all pairs with the laser on give the sheet; the last two give Tr.
-
-    Args:
-        capture: Boards, plain chessboards; records without a laser-on image are views for the camera alone.
-        extract: How the stripe is found.
-
-    Returns:
-        The calibration.
-
-    Raises:
-        ValueError: If fewer than three boards are found, the last two are not, or no stripe is on any board.
     """
     board = capture.board
     pairs = [capture.frames(index) for index in range(len(capture.records))]
@@ -246,11 +234,7 @@ def find_board(image: np.ndarray, grid: tuple[int, int], square: float) -> Board
 
     Args:
         image: uint8 [rows, columns].
-        grid: Columns and rows of inner corners.
         square: Side of a square [m].
-
-    Returns:
-        None if it is not found.
     """
     pixels = chessboard(image, grid, steps=50, least=1e-3, enlarged=True)
     if pixels is None:
@@ -271,9 +255,6 @@ def calibrate_camera(found: list[BoardCorners | None], size: tuple[int, int]) ->
         matrix: A [3, 3].
         k: The radial coefficient.
         pose: T_cam_board of each view [views, 4, 4]; NaN where there is no board.
-
-    Raises:
-        ValueError: If there are fewer than three boards.
     """
     seen = [view for view in found if view is not None]
     if len(seen) < 3:
@@ -314,7 +295,6 @@ def stripe_on_board(
     Args:
         pose: T_cam_board [4, 4].
         outline: Corners of the printed area in the board's frame [4, 2], m.
-        found: The stripe in the whole frame, of `Extract`.
     """
     u, valid = found
     uv = np.column_stack([u, np.arange(len(u))])[valid]
@@ -329,7 +309,6 @@ def points_on_sheet(way: PaperWay, uv: np.ndarray, plane: np.ndarray | None = No
 
     Args:
         uv: Pixels [..., 2].
-        plane: a, b, c; without it those of the linear fit.
 
     Returns:
         [..., 3], camera frame [m]; NaN where a ray does not meet the sheet in front of the camera.
@@ -396,7 +375,6 @@ def horus_centres(on: np.ndarray, off: np.ndarray, threshold: int = HORUS_THRESH
 
     Args:
         on: uint8 [rows, columns].
-        off: The same with the laser off.
         threshold: Of the difference, before and after the blur [DN].
 
     Returns:
@@ -448,7 +426,6 @@ def horus_tuned(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
     Args:
         on: Laser-on frames, uint8 [rows, columns] or [records, rows, columns].
-        off: Laser-off frames of the same shape.
 
     Returns:
         u: Column, float64 [(records,) rows]; zero where not valid.
@@ -494,14 +471,7 @@ class Circle(NamedTuple):
 
 
 def calibrate_horus(capture: Capture, *, seed: int = 0) -> Horus:
-    """Calibrate from a capture of our protocol.
-
-    Args:
-        capture: Free views at angle 0, and placements that are seen from several angles; all with the stripe.
-
-    Raises:
-        ValueError: If too few boards are found.
-    """
+    """Calibrate from a capture of our protocol."""
     board, records = capture.board, capture.records
     # Twice: all frames at once are too many to keep.
     found = [find_board(capture.frames(index)[1], board.grid(), board.square) for index in range(len(records))]
@@ -575,9 +545,6 @@ def ransac_plane(points: np.ndarray, random: np.random.Generator) -> tuple[np.nd
 
     Returns:
         Unit normal [3], and the distance, which is positive.
-
-    Raises:
-        ValueError: If there are fewer than three points.
     """
     if len(points) < 3:
         raise ValueError(f"A plane takes at least three points of a stripe, found {len(points)}.")
@@ -616,9 +583,6 @@ def axis_of(angles: Sequence[float], corner: np.ndarray) -> tuple[np.ndarray, np
     Args:
         angles: [n], rad.
         corner: The corner in the camera's frame [n, 3], m.
-
-    Returns:
-        Unit direction about which the camera turns right-handed with growing angle, and the circle's centre.
     """
     circle = fit_circle(corner)
     order = np.argsort(angles)
@@ -628,11 +592,7 @@ def axis_of(angles: Sequence[float], corner: np.ndarray) -> tuple[np.ndarray, np
 
 
 def horus_points(calibration: Horus, uv: np.ndarray, *, lens: bool = False) -> np.ndarray:
-    """Points [..., 3], m, camera frame, at pixels (u, v) [..., 2]; NaN where a ray does not meet the sheet.
-
-    Args:
-        lens: Whether the lens is corrected, as the original does not.
-    """
+    """Points [..., 3], m, camera frame, at pixels (u, v) [..., 2]; NaN where a ray does not meet the sheet."""
     matrix, normal, distance = calibration.matrix, calibration.normal, calibration.distance
     if lens:
         uv, normal, distance = (
@@ -655,7 +615,6 @@ def horus_cloud(
         u: Columns of the stripe [records, rows]; px.
         valid: bool [records, rows].
         angles: Of the table [records]; rad.
-        lens: As of `horus_points`.
 
     Returns:
         float64 [records, rows, 3], m; NaN where there is no point.
