@@ -18,6 +18,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from scipy.linalg import expm, logm  # type: ignore[import-untyped]
+from scipy.ndimage import gaussian_filter1d  # type: ignore[import-untyped]
 
 from experiments.plain import chessboard, principal_axes, rigid
 from jaxscan.files import Capture
@@ -76,31 +78,8 @@ def pair_motion(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def power(tr: np.ndarray, n: np.ndarray) -> np.ndarray:
-    """Tr^n [n, 4, 4], n any real numbers [n]: equation (11), by the logarithm of the motion.
-
-    Source: exponential of a twist, Murray, Li and Sastry 1994, section 2.3.
-    """
-    turn = cv2.Rodrigues(np.ascontiguousarray(tr[:3, :3]))[0][:, 0]
-    angle = float(np.linalg.norm(turn))
-    axis = turn / angle if angle > 0 else np.array([0.0, 0.0, 1.0])
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-
-    def parts(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rotations by `theta`, and their integrals over the angle, [n, 3, 3]."""
-        s, c, t = (part[:, None, None] for part in (np.sin(theta), np.cos(theta), theta))
-        square = cross @ cross
-        return np.eye(3) + s * cross + (1 - c) * square, t * np.eye(3) + (1 - c) * cross + (t - s) * square
-
-    n = np.asarray(n, np.float64)
-    out = np.zeros((len(n), 4, 4))
-    out[:, 3, 3] = 1
-    if angle == 0:
-        out[:, :3, :3], out[:, :3, 3] = np.eye(3), n[:, None] * tr[:3, 3]
-        return out
-    velocity = np.linalg.solve(parts(np.array([angle]))[1][0], tr[:3, 3])
-    out[:, :3, :3], carried = parts(n * angle)
-    out[:, :3, 3] = carried @ velocity
-    return out
+    """Tr^n [n, 4, 4], n any real numbers [n]: equation (11), by the logarithm of the motion."""
+    return expm(np.asarray(n, np.float64)[:, None, None] * np.real(logm(tr)))
 
 
 THRESHOLD = 25
@@ -401,14 +380,9 @@ def centroid(image: np.ndarray, peak: np.ndarray, reach: int, least: int) -> tup
 def smoothed(u: np.ndarray, valid: np.ndarray, sigma: float = SMOOTHING) -> np.ndarray:
     """Columns [rows] smoothed by a Gaussian along each unbroken segment, whose ends count as if they went on."""
     out = u.astype(np.float64)
-    reach = int(4 * sigma + 0.5)
-    steps = np.arange(-reach, reach + 1)
-    weight = np.exp(-0.5 * (steps / sigma) ** 2)
-    weight /= weight.sum()
     edges = np.flatnonzero(np.diff(np.concatenate([[0], valid.astype(np.int8), [0]])))
     for first, stop in zip(edges[::2], edges[1::2], strict=True):
-        padded = np.pad(out[first:stop], reach, mode="symmetric")
-        out[first:stop] = np.convolve(padded, weight, mode="valid")
+        out[first:stop] = gaussian_filter1d(out[first:stop], sigma)
     return out
 
 
@@ -422,15 +396,7 @@ def horus_scan(on: np.ndarray, off: np.ndarray, threshold: int = HORUS_THRESHOLD
 
 
 def horus_tuned(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`horus_scan` with a threshold low enough for far walls.
-
-    Args:
-        on: Laser-on frames, uint8 [rows, columns] or [records, rows, columns].
-
-    Returns:
-        u: Column, float64 [(records,) rows]; zero where not valid.
-        valid: bool of the same shape.
-    """
+    """`horus_scan` with a threshold low enough for far walls."""
     return horus_scan(on, off, HORUS_TUNED_THRESHOLD)
 
 
@@ -459,15 +425,6 @@ class Horus(NamedTuple):
     """Of the axis [3], unit; the camera turns right-handed about it where the table's angle grows."""
     point: np.ndarray
     """On the axis [3]."""
-
-
-class Circle(NamedTuple):
-    """A circle in space through points."""
-
-    normal: np.ndarray
-    """Of its plane [3], unit."""
-    centre: np.ndarray
-    radius: float
 
 
 def calibrate_horus(capture: Capture, *, seed: int = 0) -> Horus:
@@ -569,12 +526,15 @@ def ransac_plane(points: np.ndarray, random: np.random.Generator) -> tuple[np.nd
     return normal, float(normal @ centre)
 
 
-def fit_circle(points: np.ndarray) -> Circle:
-    """Plane through points [n, 3], then the circle in it with the least algebraic error (Kasa 1976)."""
+def fit_circle(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Unit normal and centre [3] and radius of the circle through points [n, 3].
+
+    A plane through them, then the circle in it with the least algebraic error (Kasa 1976).
+    """
     middle, (first, second, normal) = principal_axes(points)
     x, y = (points - middle) @ first, (points - middle) @ second
     a, b, c = np.linalg.lstsq(np.column_stack([2 * x, 2 * y, np.ones(len(x))]), x**2 + y**2, rcond=None)[0]
-    return Circle(normal, middle + a * first + b * second, float(np.sqrt(c + a * a + b * b)))
+    return normal, middle + a * first + b * second, float(np.sqrt(c + a * a + b * b))
 
 
 def axis_of(angles: Sequence[float], corner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -584,11 +544,11 @@ def axis_of(angles: Sequence[float], corner: np.ndarray) -> tuple[np.ndarray, np
         angles: [n], rad.
         corner: The corner in the camera's frame [n, 3], m.
     """
-    circle = fit_circle(corner)
+    normal, centre, _ = fit_circle(corner)
     order = np.argsort(angles)
-    first, last = corner[order[0]] - circle.centre, corner[order[-1]] - circle.centre
+    first, last = corner[order[0]] - centre, corner[order[-1]] - centre
     # Seen from the camera, the room turns in the opposite sense.
-    return -np.sign(np.cross(first, last) @ circle.normal) * circle.normal, circle.centre
+    return -np.sign(np.cross(first, last) @ normal) * normal, centre
 
 
 def horus_points(calibration: Horus, uv: np.ndarray, *, lens: bool = False) -> np.ndarray:
