@@ -237,14 +237,13 @@ def statements(result: Recalibration) -> dict[str, Any]:
         if hasattr(result.hold_out, "_asdict")
         else vars(result.hold_out),
         "table": {
-            "factor": result.table.factor,
             "jumps": [list(jump) for jump in result.table.jumps],
             "sentences": list(result.table.sentences),
         },
         "closure": None if result.closure is None else vars(result.closure),
         "unobserved": list(result.unobserved),
         "notes": list(result.notes),
-        "surfaces": len(adjusted.surfaces.kind),
+        "surfaces": len(adjusted.surfaces.distance),
         "points": len(adjusted.observations.points.q),
         "kept": float(np.mean(adjusted.point_kept)),
         "wall_mm": 1e3 * adjusted.wall_m,

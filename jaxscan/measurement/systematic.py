@@ -46,21 +46,12 @@ class Effects(NamedTuple):
 
 
 def systematic_sigma(scanner: Scanner | None, places: Places, samples: Samples, weights: np.ndarray) -> float:
-    """Standard deviation of the sum of `weights` [n, 3] by the points, in metres times their unit.
-
-    Args and raises: see `effects_of`.
-    """
+    """Standard deviation of the sum of `weights` [n, 3] by the points; otherwise as `effects_of`."""
     return effects_of(scanner, places, samples, weights[None]).sigma(scanner, places)
 
 
 def effects_of(scanner: Scanner | None, places: Places, samples: Samples, weights: np.ndarray) -> Effects:
-    """The effects of scanner and stations in weighted sums of points.
-
-    Args:
-        scanner: The scanner that the cloud was made with; without covariance its part is 0.
-        places: The stations of the cloud.
-        samples: The points [n].
-        weights: w [numbers, n, 3].
+    """The effects of scanner and stations in sums of points [n] with weights [numbers, n, 3].
 
     Raises:
         MeasurementError: If the scanner does not have the lasers of the points, or does not see them where they are.

@@ -20,7 +20,7 @@ def triangulate_points(
     phi: Float[np.ndarray, " n"],
     station: Float[np.ndarray, "n 4 4"] | None = None,
 ) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
-    """Points of stripes in the frame of the room.
+    """Points of stripes in the frame of the room [m], and whether the ray meets the sheet in front of the camera.
 
     Args:
         scanner: Any; its covariance is not used.
@@ -28,10 +28,6 @@ def triangulate_points(
         laser: The scanner's sheet of each.
         phi: The table's angle of each, with corrections [rad from home].
         station: T_room_scanner of each; None for the scanner's own frame.
-
-    Returns:
-        points: [m].
-        valid: Whether the ray meets the sheet in front of the camera.
     """
     rig = scanner.rig
     p_cam, incidence = lit_points(rig, q, laser)
@@ -47,15 +43,7 @@ def place_points(
     stations: Float[np.ndarray, "stations 4 4"] | None = None,
     points: SurfacePoints | None = None,
 ) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
-    """`triangulate_points` of all points on surfaces, or of some.
-
-    Args:
-        scanner: Any.
-        observations: With the angles and the stations of the sweeps.
-        corrections: Of the angles of every sweep [rad]; without any, none.
-        stations: T_room_scanner of every station; None for each scanner's own frame.
-        points: Some of the points; None: all.
-    """
+    """`triangulate_points` of all points on surfaces, or of some, in the room or in each scanner's own frame."""
     points = observations.points if points is None else points
     pose = None if stations is None else np.asarray(stations)[np.asarray(observations.station)[points.sweep]]
     return triangulate_points(scanner, points.q, points.laser, observations.angles_of(points, corrections), pose)

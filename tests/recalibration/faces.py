@@ -64,20 +64,6 @@ class Cylinder:
         return best
 
 
-@dataclass(frozen=True)
-class Ball:
-    """A ball."""
-
-    centre: tuple[float, float, float]
-    radius: float
-
-    def cross(self, start: np.ndarray, ray: np.ndarray) -> np.ndarray:
-        o = start - np.array(self.centre)
-        a, b, c = (ray * ray).sum(-1), (o * ray).sum(-1), (o * o).sum(-1) - self.radius**2
-        t = (-b - np.sqrt(np.maximum(b * b - a * c, 0.0))) / a
-        return np.where((b * b > a * c) & (t > 0.0), t, np.inf)
-
-
 STATED = {
     **dict.fromkeys(("fx", "fy", "cx", "cy"), 4.0),
     **{"n1": 3e-3, "n2": 2e-3, "d": 5e-4, "gain": 1e-3},

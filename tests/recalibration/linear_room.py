@@ -102,7 +102,6 @@ def adjusted_of(scanner: Scanner, observations: RoomObservations, **changes) -> 
         "station_covariance": np.zeros((1, 6, 6)),
         "surfaces": observations.surfaces,
         "corrections": tuple(np.zeros(len(angle)) for angle in observations.angles),
-        "correction_sigma": tuple(np.zeros(len(angle)) for angle in observations.angles),
         "point_error": np.zeros(points),
         "point_sigma": np.full(points, 1e-3),
         "point_kept": np.ones(points, bool),

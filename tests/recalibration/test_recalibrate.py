@@ -174,7 +174,7 @@ def test_a_length_is_that_between_the_points_of_the_user():
     """Walls 3 mrad from parallel are 3 mm farther apart a metre aside."""
     normal = np.array([[1.0, 0.0, 0.0], [np.cos(3e-3), np.sin(3e-3), 0.0]])
     centre = np.array([[2.0, 0.0, 0.0], [-2.0, 0.0, 0.0]])
-    surfaces = Surfaces(("plane", "plane"), normal, (normal * centre).sum(1), centre)
+    surfaces = Surfaces(normal, (normal * centre).sum(1), centre)
     aside = MeasuredLength(4.003, 1e-3, np.array([2.0, 1.0, 0.0]), np.array([-2.003, 1.0, 0.0]))
     assert _between_centres(aside, surfaces, (0, 1)) == pytest.approx(4.0, abs=2e-5)
 

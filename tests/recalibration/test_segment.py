@@ -1,13 +1,13 @@
-"""Planes, their points and spheres, in sweeps of known rooms."""
+"""Planes and their points, in sweeps of known rooms."""
 
 import numpy as np
 import pytest
 
 from jaxscan.errors import CalibrationError
 from jaxscan.recalibration import SurfacePoints, Surfaces
-from jaxscan.recalibration.segment import find_patches, find_sphere, observe_surfaces
+from jaxscan.recalibration.segment import find_patches, observe_surfaces
 from jaxscan.recalibration.triangulate import triangulate_points
-from tests.recalibration.faces import Ball, Cylinder, Face, Taken, X, Y, Z, box, poor, rig, take
+from tests.recalibration.faces import Cylinder, Face, Taken, X, Y, Z, box, poor, rig, take
 
 
 HOME = np.eye(4)[None]
@@ -20,7 +20,7 @@ def faces_of(taken: Taken, points: SurfacePoints) -> np.ndarray:
 def shares(taken: Taken, points: SurfacePoints, surfaces: Surfaces) -> list[np.ndarray]:
     """How many points of each surface lie on each face."""
     face = faces_of(taken, points)
-    return [np.bincount(face[points.surface == k], minlength=12) for k in range(len(surfaces.kind))]
+    return [np.bincount(face[points.surface == k], minlength=12) for k in range(len(surfaces.distance))]
 
 
 def assert_pure(taken: Taken, points: SurfacePoints, surfaces: Surfaces) -> None:
@@ -122,7 +122,7 @@ def test_two_stations_see_one_wall():
     pose[:3, 3] = 0.5, -0.4, 0.02
     one, two = take(box(), rig(), seed=1), take(box(), rig(), seed=2, pose=pose, station=1)
     points, surfaces = observe_surfaces([one.sweep, two.sweep], rig(), np.stack([np.eye(4), pose]))
-    for k in range(len(surfaces.kind)):
+    for k in range(len(surfaces.distance)):
         own = points.take(points.surface == k)
         face = np.where(own.sweep == 0, one.face[own.record, own.line], two.face[own.record, own.line])
         assert len(np.unique(face)) == 1
@@ -199,23 +199,3 @@ def test_a_sweep_without_planes_is_refused():
     nothing = taken.sweep._replace(valid=np.zeros_like(taken.sweep.valid))
     with pytest.raises(CalibrationError, match="found no plane"):
         find_patches(nothing, rig())
-
-
-def test_a_sphere_is_found_near_its_place():
-    centre = np.array([1.5, 0.9, 0.1])
-    taken = take([*box(), Ball((1.5, 0.9, 0.1), 0.1)], rig(), steps=720)
-    sphere = find_sphere(taken.sweep, rig(), centre + [0.1, -0.1, 0.08], 0.2)
-    # 0.05 px are 0.6 mm at 1.9 m; hundreds of points make the mean.
-    assert np.abs(sphere.centre - centre).max() < 2e-4
-    face = faces_of(taken, sphere.points)
-    assert len(face) > 300
-    assert (face == 6).all()
-
-
-@pytest.mark.parametrize(
-    ("place", "diameter"), [((-1.5, 0.9, 0.1), 0.2), ((1.5, 0.9, 0.1), 0.25), ((-2.0, -2.1, 0.1), 0.2)]
-)
-def test_a_sphere_that_is_not_there_is_not_found(place, diameter):
-    taken = take([*box(), Ball((1.5, 0.9, 0.1), 0.1)], rig(), steps=720)
-    with pytest.raises(CalibrationError, match="expected a sphere of"):
-        find_sphere(taken.sweep, rig(), np.array(place), diameter)

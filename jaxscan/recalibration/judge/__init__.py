@@ -9,6 +9,7 @@ from jaxscan.recalibration.judge.drift import (
     moved_parameters,
     with_covariance,
 )
+from jaxscan.recalibration.judge.flat import flat
 from jaxscan.recalibration.judge.gain import gains_of, length_gains, scale_slopes, scales_of, unobserved
 from jaxscan.recalibration.judge.refusal import describe_surface, none_is_flat, refuse_result
 from jaxscan.recalibration.judge.walls import hold_out, panorama_of

@@ -21,14 +21,11 @@ _NEARLY = np.radians(350.0)
 
 
 def closure_of(adjusted: Adjusted, stored: Scanner) -> Closure | None:
-    """The gap after a full turn, with the stored and with the new scanner.
+    """The gap after a full turn, with the stored and with the new scanner; None without a full turn.
 
     Where a sweep overlaps itself the gap is measured: planes that the first pass saw against points of the second.
     A table's gain need not be 1, so without an overlap the gap is that of the stored gain against the new one where
     features close the turn, and nobody knows it where nothing does: then only its standard deviation is told.
-
-    Returns:
-        The gap; None without a full turn.
     """
     if not isinstance(stored.turntable, Turntable) or not isinstance(adjusted.scanner.turntable, Turntable):
         return None
@@ -84,8 +81,6 @@ def _overlap_gap(scanner: Scanner, adjusted: Adjusted, corrections: Sequence[np.
         end = float(np.max(way * (angle - angle[0])))
         for surface in np.unique(points.surface[points.sweep == sweep]):
             own = valid & (points.sweep == sweep) & (points.surface == surface)
-            if observations.surfaces.kind[surface] != "plane":
-                continue
             first, second = own & (turned <= end - _TURN), own & (turned >= _TURN)
             if min(first.sum(), second.sum()) >= _LEAST_PASS:
                 information, score = _turn_of_plane(place, sigma, first, second)

@@ -28,14 +28,8 @@ _BY_CHANCE = 1.1
 def hold_out(adjusted: Adjusted, stored: Scanner, fit: Fitting) -> HoldOut | None:
     """Flatness of planes that were not used, with the stored scanner and with one fitted to the others.
 
-    Args:
-        adjusted: Of all planes; its observations are divided.
-        stored: The stored scanner.
-        fit: Adjusts the scanner to some of the observations as it was adjusted to all of them.
-
-    Returns:
-        RMS of means of neighbouring points over each half; None where there are fewer than two planes, or where those
-        of one half do not determine every station and the scanner.
+    RMS of means of neighbouring points over each half; None where there are fewer than two planes, or where those
+    of one half do not determine every station and the scanner.
     """
     points = adjusted.observations.points
     numbers = _halves(adjusted.observations.surfaces, points.surface[adjusted.point_kept])
@@ -57,8 +51,8 @@ def hold_out(adjusted: Adjusted, stored: Scanner, fit: Fitting) -> HoldOut | Non
 
 def _halves(surfaces: Surfaces, seen: Int[np.ndarray, " points"]) -> tuple[list[int], list[int]]:
     """Numbers of planes in two halves, large ones first in turn: each half has walls in several directions."""
-    count = np.bincount(seen, minlength=len(surfaces.kind))
-    planes = [k for k, kind in enumerate(surfaces.kind) if kind == "plane" and count[k] >= _LEAST_BLOCKS * _BLOCK]
+    count = np.bincount(seen, minlength=len(surfaces.distance))
+    planes = np.flatnonzero(count >= _LEAST_BLOCKS * _BLOCK).tolist()
     halves: tuple[list[int], list[int]] = ([], [])
     size = [0, 0]
     for number in sorted(planes, key=lambda k: -count[k]):
@@ -96,14 +90,7 @@ def flatness(
     corrections: tuple[Float[np.ndarray, " records"], ...],
     some: Bool[np.ndarray, " points"],
 ) -> float:
-    """RMS of means of neighbouring points' distances from the best plane through each wall of each sweep [m].
-
-    Args:
-        scanner: That triangulates them.
-        observations: The points.
-        corrections: Of the angles of each sweep [rad].
-        some: Points that count.
-    """
+    """RMS of means of neighbouring points' distances from the best plane through each wall of each sweep [m]."""
     points = observations.points.take(np.flatnonzero(some))
     place, valid = place_points(scanner, observations, corrections, points=points)
     points, place = points.take(np.flatnonzero(valid)), place[valid]
@@ -145,14 +132,7 @@ def panorama_of(
     scanners: tuple[Scanner, Scanner],
     corrections: tuple[Float[np.ndarray, " records"], Float[np.ndarray, " records"]],
 ) -> PanoramaOfWalls:
-    """Means over cells of the grid of the distances from the planes through each patch.
-
-    Args:
-        sweep: The stripes.
-        labels: Number of the plane of each point, -1 where there is none.
-        scanners: The stored and the new one.
-        corrections: Of the angles of every record, with each of them [rad].
-    """
+    """Means over cells of the grid of the distances from planes, with two scanners and their corrections of angles."""
     profile, line = np.nonzero((labels >= 0) & sweep.valid)
     some = spread_over(np.arange(len(profile)), _POINTS)
     profile, line = profile[some], line[some]

@@ -32,7 +32,6 @@ class Turning(NamedTuple):
     centre: Float[np.ndarray, "3"]
     """The camera's place at angle 0, scanner frame [m]."""
     scale: float
-    """Of the unrolled image."""
 
     @staticmethod
     def of(scanner: Scanner, scale: float) -> "Turning":
@@ -119,7 +118,6 @@ class KeyImages(NamedTuple):
 
     record: Int[np.ndarray, " keys"]
     heading: Float[np.ndarray, " keys"]
-    """Turned angle of each [rad]."""
     closing: Int[np.ndarray, " again"]
     """Numbers of the first key images, to which those after the last one lead again; empty without a full turn."""
 
@@ -129,16 +127,7 @@ class KeyImages(NamedTuple):
 
 
 def choose_keys(heading: Float[np.ndarray, " records"], field_rad: float, most: int = MOST_KEYS) -> KeyImages | None:
-    """Key images spread evenly over the angle that a sweep turned by.
-
-    Args:
-        heading: Turned angle of every record [rad].
-        field_rad: The camera's field of view about the axis [rad].
-        most: Key images, at most.
-
-    Returns:
-        The key images; None where neighbours would overlap too little, or the sweep turned too little.
-    """
+    """Key images spread evenly over a turn [rad]; None where neighbours overlap too little, or it is too little."""
     order = np.argsort(heading, kind="stable")
     turned = float(np.ptp(heading)) if len(heading) else 0.0
     if len(heading) < _FEWEST_KEYS or turned <= 0:
