@@ -27,8 +27,6 @@ class RecalibrationSettings:
     features; 0: it stops at the angle."""
     features: bool | None = None
     """Whether features of the laser-off images are tracked from step to step; None: where they have texture."""
-    marker_dictionary: str | None = None
-    """OpenCV's dictionary of printed markers in the room, such as "DICT_4X4_50"; None: any usual one."""
     points: int = 40_000
     """Points on surfaces that are used at most."""
 

@@ -16,7 +16,7 @@ from jaxscan.recalibration.lengths import check_adjusted, check_lengths, found_l
 from jaxscan.recalibration.observed import Given, RecalibrationSettings, RoomObservations, SweepStripes
 from jaxscan.recalibration.renew import require_prior
 from jaxscan.recalibration.result import Adjusted, PanoramaOfWalls, Recalibration, Start, TableFindings
-from jaxscan.recalibration.segment import find_patches, observe_surfaces
+from jaxscan.recalibration.segment import label_planes, observe_surfaces
 from jaxscan.recalibration.stations import place_stations
 from jaxscan.recalibration.table import check_angles
 from jaxscan.recalibration.tracks import place_tracks
@@ -262,7 +262,7 @@ def _panoramas(job: _Job, adjusted: Adjusted) -> tuple[tuple[PanoramaOfWalls, ..
     found, missed = [], []
     for sweep, known, corrections in zip(job.sweeps, job.table.corrections, adjusted.corrections, strict=True):
         try:
-            labels = find_patches(sweep.turned(corrections), adjusted.scanner).labels
+            labels = label_planes(sweep.turned(corrections), adjusted.scanner)
         except CalibrationError as problem:
             missed.append(f"no panorama of {sweep.name}: {problem}")
             continue

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxscan.calibration import Calibration, Fit
+from jaxscan.calibration import Calibration
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration.observed import RecalibrationSettings, RoomObservations, Surfaces
 
@@ -43,8 +43,6 @@ class Adjusted:
     point_sigma: Float[np.ndarray, " points"]
     """Standard deviation of that distance by stripe noise and roughness [m]."""
     point_kept: Bool[np.ndarray, " points"]
-    track_error: Float[np.ndarray, "sightings 2"]
-    """Projected minus seen [px]."""
     track_kept: Bool[np.ndarray, " sightings"]
     wall_m: float
     """Roughness of the walls, given or learned [m]."""
@@ -57,8 +55,6 @@ class Adjusted:
     """Kept residuals less unknowns that no prior holds."""
     converged: bool
     steps: int
-    boards: Fit | None = None
-    """Residuals on the boards, where there were any."""
     uneven_m: float = 0.0
     """Standard deviation of the walls' shape, which neighbouring points share [m]."""
     stop_sigma: float = 0.0

@@ -63,7 +63,6 @@ def make_adjusted(scanner, *, stations=1, points=500):
         point_error=floats,
         point_sigma=floats,
         point_kept=np.ones(points, bool),
-        track_error=np.zeros((0, 2)),
         track_kept=np.zeros(0, bool),
         wall_m=WALL_M,
         inflation=2.0,

@@ -459,7 +459,6 @@ def _conclude(state: State, prior: Scanner, observations: RoomObservations) -> A
         point_error=state.error,
         point_sigma=state.sigma_px * state.reach,
         point_kept=state.kept,
-        track_error=state.sighting_error(),
         track_kept=state.sighting_kept,
         wall_m=state.noise.wall_m,
         inflation=state.inflation,

@@ -7,10 +7,11 @@ from jaxtyping import Float
 
 from jaxscan.calibration import Lengths
 from jaxscan.geometry import Scanner, Turntable, root_of, square_root
+from jaxscan.measurement.systematic import point_gradient
 from jaxscan.recalibration.grid import spread_over
 from jaxscan.recalibration.observed import RoomObservations
 from jaxscan.recalibration.result import Gain, LengthGain
-from jaxscan.recalibration.triangulate import point_gradient, triangulate_points
+from jaxscan.recalibration.triangulate import triangulate_points
 
 
 # A ratio of variances below this is rounding.
@@ -79,7 +80,7 @@ def scale_slopes(
     points = observations.points.take(spread_over(np.arange(len(observations.points.q)), _POINTS))
     where = points.q, points.laser, observations.angles_of(points, corrections)
     arm, valid = triangulate_points(scanner, *where)
-    slope = point_gradient(scanner, *where)
+    slope = point_gradient(scanner.rig, *where)
     if not isinstance(scanner.turntable, Turntable):
         raise TypeError(f"found {type(scanner.turntable).__name__}, expected a turntable")
     # The axis is the z axis of the scanner's frame.

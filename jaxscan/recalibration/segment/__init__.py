@@ -1,3 +1,3 @@
 """Sweeps to flat surfaces of the room and points on them."""
 
-from jaxscan.recalibration.segment.surfaces import Patches, find_patches, observe_surfaces
+from jaxscan.recalibration.segment.surfaces import label_planes, observe_surfaces

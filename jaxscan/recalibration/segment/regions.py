@@ -7,9 +7,9 @@ from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import Scanner, root_of
 from jaxscan.measurement.planes import facing, weighted_plane
+from jaxscan.measurement.systematic import point_gradient
 from jaxscan.recalibration.grid import smooth_parts, spread_over
 from jaxscan.recalibration.segment.cells import ROUGH_M, Cells, Surroundings, surroundings
-from jaxscan.recalibration.triangulate import point_gradient
 
 
 _LOOSE = {
@@ -45,7 +45,7 @@ def likely_steps(scanner: Scanner) -> Float[np.ndarray, "directions params"]:
 def bending(scanner: Scanner, cells: Cells) -> Float[np.ndarray, "points 3 directions"]:
     """Shifts of the valid cells of a grid [m] by each of the `likely_steps`."""
     laser = np.full(int(cells.valid.sum()), cells.laser, np.int32)
-    by_scanner = point_gradient(scanner, cells.q[cells.valid], laser, cells.phi[cells.valid])
+    by_scanner = point_gradient(scanner.rig, cells.q[cells.valid], laser, cells.phi[cells.valid])
     return (by_scanner @ likely_steps(scanner).T).astype(np.float32)
 
 

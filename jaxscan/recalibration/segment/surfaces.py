@@ -20,38 +20,22 @@ from jaxscan.recalibration.segment.regions import Region, flat_regions
 from jaxscan.recalibration.triangulate import triangulate_points
 
 
-class Patches(NamedTuple):
-    """Planes `normal . p = distance` of one sweep, in the frame of its scanner, normals towards it [m]."""
-
-    labels: Int[np.ndarray, "profiles lines"]
-    """Number of the plane that each point of the grid lies on; -1 where on none."""
-    normal: Float[np.ndarray, "patches 3"]
-    distance: Float[np.ndarray, " patches"]
-    centre: Float[np.ndarray, "patches 3"]
-
-
-def find_patches(sweep: SweepStripes, scanner: Scanner) -> Patches:
-    """Planes of one sweep, with the scanner as it is; its covariance says how far it may bend a wall.
+def label_planes(sweep: SweepStripes, scanner: Scanner) -> Int[np.ndarray, "profiles lines"]:
+    """Number of the plane of one sweep that each point of its grid lies on, with the scanner as it is; -1: on none.
 
     Raises:
         CalibrationError: If no plane is found.
     """
-    labels = np.full(sweep.centre.shape, -1, np.int32)
-    found: list[Region] = []
+    labels, count = np.full(sweep.centre.shape, -1, np.int32), 0
     for cells in cells_of(sweep, scanner):
         grid = np.full(cells.valid.size, -1, np.int32)
         for region in flat_regions(cells, scanner):
-            grid[region.cells] = len(found)
-            found.append(region)
+            grid[region.cells] = count
+            count += 1
         labels[np.ix_(cells.profiles, cells.lines)] = cells.spread(grid.reshape(cells.valid.shape))
-    if not found:
+    if not count:
         raise CalibrationError(_no_plane([sweep]))
-    planes = [region.plane for region in found]
-    normal, centre = (
-        np.stack(field) for field in zip(*((plane.normal, plane.centre) for plane in planes), strict=True)
-    )
-    labels = np.where(sweep.valid, labels, -1).astype(np.int32)
-    return Patches(labels, normal, np.array([plane.distance for plane in planes]), centre)
+    return np.where(sweep.valid, labels, -1)
 
 
 def _no_plane(sweeps: Sequence[SweepStripes]) -> str:

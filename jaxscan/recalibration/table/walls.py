@@ -13,9 +13,9 @@ from jaxscan.geometry import Scanner, points, slopes
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
 from jaxscan.leastsq import MEDIAN_TO_SIGMA
 from jaxscan.measurement.planes import Plane, facing, weighted_plane
+from jaxscan.measurement.systematic import point_gradient
 from jaxscan.recalibration.grid import Windows, smooth_parts, spread_over, window_planes
 from jaxscan.recalibration.observed import SweepStripes
-from jaxscan.recalibration.triangulate import point_gradient
 
 
 HALF = 2
@@ -349,7 +349,9 @@ def wall_equations(
         lever[on] = m[1] * x[on, 0] - m[0] * x[on, 1]
         own[on, 3 * k : 3 * k + 3] = np.column_stack([(x[on] - plane.centre) @ plane.axes.T, -np.ones(on.sum())])
     q = sample.q[order] + shift[:, None] * sample.sigma[order]
-    by_scanner = point_gradient(rig.scanner, q, sample.laser[order], np.zeros(len(q)))[..., : -len(ANGLE_PARAMETERS)]
+    by_scanner = point_gradient(rig.scanner.rig, q, sample.laser[order], np.zeros(len(q)))[
+        ..., : -len(ANGLE_PARAMETERS)
+    ]
     parts = np.einsum("ni,nip->np", turn(-angle, normals), by_scanner)
     waves = np.stack([angle, *(wave(h * angle) for h in range(1, HARMONICS + 1) for wave in (np.sin, np.cos))], -1)
     known = np.stack([np.zeros(len(order)), *(record >= first for first, _ in rig.steps)], -1)[:, 1:]
