@@ -103,7 +103,6 @@ _NAMED, _SHARE = 3, 0.4
 class Scales(NamedTuple):
     """Radial and height scale by a step of the scanner, and how far they are known."""
 
-    slope: Float[np.ndarray, "2 params"]
     before: Float[np.ndarray, "2"]
     after: Float[np.ndarray, "2"]
     factor: Float[np.ndarray, "2"]
@@ -120,7 +119,7 @@ def scales_of(compared: Compared, slope: Float[np.ndarray, "2 params"]) -> Scale
     along = compared.whiten @ left
     old = np.sum(along**2, axis=0)
     new = np.sum(along**2 / compared.ratio[:, None], axis=0)
-    return Scales(slope, before, after, np.sqrt(new / np.where(old > 0, old, 1.0)), left)
+    return Scales(before, after, np.sqrt(new / np.where(old > 0, old, 1.0)), left)
 
 
 def gains_of(compared: Compared, scales: Scales, names: tuple[str, ...]) -> tuple[Gain, ...]:
