@@ -62,7 +62,7 @@ class Sessions:
             wish = self._desk.wish()
             ms = running.rig.camera.exposure_ms if wish.exposure_ms is None else wish.exposure_ms
             gain = running.rig.camera.gain_db if wish.gain_db is None else wish.gain_db
-            found = judge_exposure(sight.pair, with_exposure(running.rig, ms, gain))
+            found = judge_exposure(sight.pair, sight.proof, with_exposure(running.rig, ms, gain))
             if sight.proof.ok:
                 facts["exposure"] = {"verdict": found.verdict, "found": found.found, "do": found.do}
             running.painter.show(Seen(sight.on, sight.off, sight.pair.laser, facts))
