@@ -205,7 +205,9 @@ def _normal(result: Adjustment, extra: BoardModes) -> _Normal:
     camera, shared, modes = len(problem.camera.parameter_names()), len(problem.scales), extra.corner.shape[-1]
     slopes = linear.corner_slopes
     # Without the stops, which are at their minimum.
-    corner_chain, stripe_chain = (part[..., : shared + 6] for part in (linear.chains.corner, linear.chains.stripe))
+    corner_chain, stripe_chain = (
+        np.asarray(part)[..., : shared + 6] for part in (linear.chains.corner, linear.chains.stripe)
+    )
     # A mode moves a corner of the board as a shift of the whole board would.
     moved = slopes[..., camera : camera + 3].reshape(len(slopes), -1, 2, 3) @ extra.corner[None]
     moved = moved.reshape(*slopes.shape[:2], -1)

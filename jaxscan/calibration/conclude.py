@@ -155,7 +155,7 @@ def _describe(
     result: Adjustment, determination: Determination, observations: Observations, names: tuple[str, ...]
 ) -> Quality:
     """The quality of a calibration as far as one solve says it; lengths, verdict and time come later."""
-    data, prior = result.data, result.linearised.residuals.prior
+    data, prior = result.data, np.asarray(result.linearised.residuals.prior)
     # Modes of the board are held by their priors on purpose; that is no doubt of the rig's numbers.
     rig = np.array([not is_mode(name) for name in names])
     corner_rms, stripe_rms = result.whitened_rms()

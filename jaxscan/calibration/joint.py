@@ -251,7 +251,8 @@ def used_length(there: Bool[Array, " owners"]) -> int:
     return int(np.max(np.flatnonzero(there), initial=-1)) + 1
 
 
-def _leverage(slopes: np.ndarray, chain: np.ndarray, covariance: np.ndarray) -> Float[np.ndarray, "owners rows"]:
+def _leverage(slopes: np.ndarray, chain: Array, covariance: np.ndarray) -> Float[np.ndarray, "owners rows"]:
     # The covariance of a view's departures, then that of each row.
-    small = chain @ covariance @ np.swapaxes(chain, 1, 2)
+    departures = np.asarray(chain)
+    small = departures @ covariance @ np.swapaxes(departures, 1, 2)
     return np.sum((slopes @ small) * slopes, axis=-1)
