@@ -94,6 +94,7 @@ HOME_OF = {
         "measurement",
         "recalibration",
         "report/clouds/facts.py",
+        "simulation/boards.py",
         "surface/atlas.py",
         "leastsq/robust.py",
         "geometry/rigid.py",
