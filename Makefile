@@ -25,7 +25,7 @@ demo: $(INSTALLED)
 
 # Four tiers; pyproject.toml names their markers, and `.ci/run` runs the first three:
 #   test       what a person runs: minutes. Nothing is built, no program is started but Python.
-#   test-rig   with other programs beside it: the firmware in a simulated processor, cameras on loopback, browsers, clusters.
+#   test-rig   with other programs beside it: the firmware in a simulated processor, cameras on loopback, browsers.
 #   test-more  whole loops and further cameras, boards and seeds, with the types of all arguments and results checked.
 #   test-slow  Monte Carlo, fuzzing and verbs killed at many moments: hours. PART=3/24 runs a 24th of them, the third.
 # TESTS=tests/stripes runs those of a folder or a file, in each of them. test-all is everything, compiled as the package
@@ -136,7 +136,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c "import ensurepip" 2>/dev/null || \
 	  { echo "Python's venv module is missing. Type: sudo apt-get install python3-venv"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[test,docs,console,export,plan,ifc,simulate,rig,fleet]"
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[test,docs,console,export,plan,ifc,simulate,rig]"
 	@touch $@
 
 clean:

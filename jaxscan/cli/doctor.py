@@ -59,8 +59,6 @@ OPTIONAL = (
     Optional("ifcopenshell", "ifcopenshell", "ifc", "rooms as IFC"),
     Optional("fast-simplification", "fast_simplification", "mesh", "mesh --faces"),
     Optional("open3d", "open3d", "poisson", "mesh --poisson"),
-    Optional("distributed", "distributed", "fleet", "batch"),
-    Optional("sqlalchemy", "sqlalchemy", "fleet", "project, batch"),
 )
 
 _SHOWN = 100

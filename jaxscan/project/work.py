@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Shaped
@@ -349,50 +349,24 @@ WORK: Mapping[str, Callable[[StepWorkspace], None]] = {
 _LONGEST = 2000
 
 
-class Order(NamedTuple):
-    """A step, and where it is done."""
-
-    step: Step
-    digest: str
-    parts: Mapping[str, str]
-    output: str
-    """The folder of the products."""
-
-    def to_json(self) -> str:
-        """For its way to a worker."""
-        return json.dumps(self._asdict() | {"step": self.step._asdict()}, allow_nan=False)
-
-    @staticmethod
-    def from_json(text: str) -> "Order":
-        """The order of a text."""
-        fields = json.loads(text)
-        step = fields.pop("step")
-        lists = {name: tuple(step[name]) for name in ("inputs", "outputs")}
-        return Order(Step(**{**step, **lists}), **fields)
-
-
-def order_of(status: Status, output: Path) -> Order:
-    """The order to do a step."""
-    return Order(status.step, status.digest, status.parts, str(output))
-
-
-def do_step(order: Order, progress: Progress = None) -> Row:
+def do_step(status: Status, output: Path, progress: Progress = None) -> Row:
     """Do one step, and say how it went: no error leaves, so one failed capture does not stop the others.
 
     Args:
-        order: The step.
+        status: The step.
+        output: The folder of the products.
         progress: Called with (done, in all).
     """
     started = time.perf_counter()
     try:
-        outputs, notes = _done(order, progress)
+        outputs, notes = _done(status.step, output, progress)
     except JaxscanError as problem:
-        return failed_row(order, str(problem), seconds=time.perf_counter() - started)
+        return failed_row(status, str(problem), seconds=time.perf_counter() - started)
     except Exception as problem:
         # A defect of jaxscan is the failure of one step too; where it arose is kept in the catalogue.
         message = f"unexpected {type(problem).__name__}: {problem}".splitlines()[0]
-        return failed_row(order, message, seconds=time.perf_counter() - started, details=traceback.format_exc())
-    return _row(order, "done", _sentences(notes), time.perf_counter() - started)._replace(outputs=outputs)
+        return failed_row(status, message, seconds=time.perf_counter() - started, details=traceback.format_exc())
+    return _row(status, "done", _sentences(notes), time.perf_counter() - started)._replace(outputs=outputs)
 
 
 def _sentences(notes: Sequence[str]) -> str:
@@ -400,60 +374,46 @@ def _sentences(notes: Sequence[str]) -> str:
     return " ".join(note if note.endswith((".", "!", "?")) else f"{note}." for note in map(str.strip, notes) if note)
 
 
-def begun_row(order: Order) -> Row:
-    """The row of a step that is handed out now."""
-    return _row(order, "begun", "", 0.0)
+def begun_row(status: Status) -> Row:
+    """The row of a step that is begun now."""
+    return _row(status, "begun", "", 0.0)
 
 
-def failed_row(order: Order, message: str, *, seconds: float = 0.0, details: str = "") -> Row:
+def failed_row(status: Status, message: str, *, seconds: float = 0.0, details: str = "") -> Row:
     """The row of a step that failed now, after some time, with the line that says why."""
-    return _row(order, "failed", message, seconds)._replace(details=details)
+    return _row(status, "failed", message, seconds)._replace(details=details)
 
 
-def _row(order: Order, state: str, message: str, seconds: float) -> Row:
-    host = f"{platform.node()} {os.getpid()}"
+def _row(status: Status, state: str, message: str, seconds: float) -> Row:
     return Row(
-        order.step.key,
-        order.digest,
+        status.step.key,
+        status.digest,
         state,
         message[:_LONGEST],
-        order.parts,
+        status.parts,
         (),
         started_s=time.time() - seconds,
         seconds=seconds,
-        host=host,
+        host=f"{platform.node()} {os.getpid()}",
         version=jaxscan.__version__,
     )
 
 
-def _done(order: Order, progress: Progress) -> tuple[tuple[Output, ...], list[str]]:
-    output = Path(order.output)
-    with workspace_of(order.step, output, progress) as workspace:
-        WORK[order.step.kind](workspace)
-        missing = next((name for name in order.step.outputs if name not in workspace.made()), None)
-        if missing is not None:
-            raise CaptureError(f"{order.step.key}: {missing} was not written.")
-        written = tuple(_described(path, workspace) for path in workspace.made())
-        publish(workspace)
-        return written, workspace.notes
-
-
-def _described(path: str, workspace: StepWorkspace) -> Output:
-    file = workspace.beside(path)
-    return Output(path, file.stat().st_size, file_digest(file))
-
-
-@contextlib.contextmanager
-def workspace_of(step: Step, output: Path, progress: Progress) -> Iterator[StepWorkspace]:
-    """A workspace whose folder is removed at the end, and with a process that was killed by the next one.
-
-    Raises:
-        CaptureError: If the folder of the products cannot be written.
-    """
+def _done(step: Step, output: Path, progress: Progress) -> tuple[tuple[Output, ...], list[str]]:
+    """What a step wrote, and its notes. Its folder is removed at the end; that of a killed process by the next one."""
     with contextlib.ExitStack() as stack:
         with reported(f"{output}: cannot be written", error=CaptureError):
             folder = stack.enter_context(partial_folder(output / "step"))
-        yield StepWorkspace(step, output, folder, progress)
+        workspace = StepWorkspace(step, output, folder, progress)
+        WORK[step.kind](workspace)
+        made = workspace.made()
+        missing = next((name for name in step.outputs if name not in made), None)
+        if missing is not None:
+            raise CaptureError(f"{step.key}: {missing} was not written.")
+        files = {path: workspace.beside(path) for path in made}
+        written = tuple(Output(path, file.stat().st_size, file_digest(file)) for path, file in files.items())
+        publish(workspace)
+        return written, workspace.notes
 
 
 def publish(workspace: StepWorkspace) -> None:

@@ -219,8 +219,6 @@ HEAVY = {
     "matplotlib",
     "pydantic",
     "aiohttp",
-    "dask",
-    "sqlalchemy",
 }
 EVERY_PAGE = """
 import sys

@@ -147,7 +147,7 @@ def test_status_computes_and_writes_nothing(museum, run):  # noqa: F811
         ('name = "museum"', "", "name: missing"),
         ('pattern = "room-*"', 'pattern = "s3://bucket/room-*"', "copy it to a disk first, such as with aws s3 sync"),
         ('name = "museum"', 'name = "museum"\noutput = "room-2/out"', "is in the capture room-2"),
-        ('name = "museum"', 'name = "museum"\ncatalogue = "nonsense"', "the catalogue: cannot be opened"),
+        ('name = "museum"', 'name = "museum"\ncatalogue = "nonsense"', "catalogue: unknown"),
         ('calibration = "calibration.json"', 'calibration = "none.json"', "none.json"),
         ('calibration = "calibration.json"', 'calibration = "c\\u0000.json"', "calibration"),
         ('pattern = "room-*"', 'pattern = "room\\u0000"', "pattern"),
