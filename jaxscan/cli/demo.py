@@ -12,7 +12,7 @@ import tyro
 
 from jaxscan import api, geometry, simulation, vision
 from jaxscan import report as reports
-from jaxscan.cli.options import Place, calibration_at, capture_at, check_paths
+from jaxscan.cli.options import check_paths
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import CaptureError, MeasurementError
@@ -41,7 +41,10 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
         output: Folder to write to.
         json: Write the result as JSON too.
     """
-    check_paths(_reads(output / "captures"), _writes(output), json=json)
+    captures = output / "captures"
+    reads = {"the capture": (captures / "boards", captures / "sweep")}
+    reads["the truth"] = (captures / "truth.json", captures / "truth.npz")
+    check_paths(reads, {"the file": [output / name for name in FILES]}, json=json)
     _check_folder(output)
     out = console(json)
     started = time.perf_counter()
@@ -98,17 +101,6 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
     look = ["jaxscan", "view", str(output / "room.ply"), "-c", str(output / "calibration.json")]
     out.print(f"next: {shlex.join(look)}")
     emit_json(json, "demo", {"room": room, "distances": lengths, "points": points, "seconds_s": seconds})
-
-
-def _reads(captures: Path) -> list[Place]:
-    folders = [place for name in ("boards", "sweep") for place in capture_at("the capture", captures / name)]
-    return [*folders, *(Place("the truth", captures / name) for name in ("truth.json", "truth.npz"))]
-
-
-def _writes(output: Path) -> list[Place]:
-    calibration, *others = FILES
-    places = calibration_at("the calibration", output / calibration)
-    return [*places, *(Place("the file", output / name) for name in others)]
 
 
 def _check_folder(output: Path) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 
 import tyro
 
-from jaxscan.cli.options import capture_at, check_paths, file_at
+from jaxscan.cli.options import check_paths
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.signals import RigInUse
 from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
@@ -92,7 +92,7 @@ def doctor(
         raise OptionError(
             "--camera: found without --config, expected with it: the configuration holds the settings of the camera."
         )
-    check_paths([*file_at("--config", config), *capture_at("--capture", capture)], json=json)
+    check_paths({"--config": config, "--capture": capture}, json=json)
     out = console(json)
     if capture is not None:
         _verify(capture, out, json)

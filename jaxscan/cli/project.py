@@ -13,7 +13,7 @@ import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 from jaxscan import project as projects
-from jaxscan.cli.options import at_least, check_paths, file_at
+from jaxscan.cli.options import at_least, check_paths
 from jaxscan.cli.signals import leave_behind
 from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import BatchError, JaxscanError, MeasurementError, OptionError
@@ -58,7 +58,7 @@ def init(
         json: Write the result as JSON too.
     """
     target = folder / NAME
-    check_paths([], file_at("FOLDER", target), json=json)
+    check_paths({}, {"FOLDER": target}, json=json)
     if os.path.lexists(target):
         raise OptionError(f"{target}: exists, and may be yours; move it away.")
     if not folder.is_dir():
@@ -96,7 +96,7 @@ def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False,
         all: List every step, also those that are done.
         json: Write the result as JSON too.
     """
-    check_paths(file_at("PROJECT", project), json=json)
+    check_paths({"PROJECT": project}, json=json)
     with projects.opened(projects.load_project(project)) as found:
         states = found.states
     out, counts = console(json), counted(states)
@@ -144,7 +144,7 @@ def compare(
         second: That of the second.
         json: Write the result as JSON too.
     """
-    check_paths([*file_at("FIRST", first), *file_at("SECOND", second)], json=json)
+    check_paths({"FIRST": first, "SECOND": second}, json=json)
     found = projects.compare_projects(projects.load_project(first), projects.load_project(second))
     out = console(json)
     columns = ("", "first m", "second m", "difference mm", "sigma mm", "")
@@ -207,7 +207,7 @@ def batch(
             project's folder.
         json: Write the result as JSON too.
     """
-    check_paths(file_at("PROJECT", project), json=json)
+    check_paths({"PROJECT": project}, json=json)
     at_least(1, "--workers", workers)
     out, start = console(json), time.perf_counter()
     wanted = projects.load_project(project)

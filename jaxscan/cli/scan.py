@@ -10,16 +10,7 @@ import numpy as np
 import tyro
 
 from jaxscan import api
-from jaxscan.cli.options import (
-    CLOUD_SUFFIXES,
-    ConfigPath,
-    OptionalCalibrationPath,
-    OutputPath,
-    calibration_at,
-    capture_at,
-    check_paths,
-    file_at,
-)
+from jaxscan.cli.options import CLOUD_SUFFIXES, ConfigPath, OptionalCalibrationPath, OutputPath, check_paths
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.scan_display import CaptureFolder, ScanDisplay, ScanPlan, sweep_header
 from jaxscan.cli.signals import RigInUse
@@ -83,12 +74,8 @@ def scan(
 
     _check_options(boards=boards, calibration=calibration, cloud=cloud, place_command=place_command)
     check_paths(
-        reads=[
-            *file_at("CONFIG", config),
-            *calibration_at("--calibration", calibration),
-            *capture_at("--output", output),
-        ],
-        writes=file_at("--cloud", cloud),
+        {"CONFIG": config, "--calibration": calibration, "--output": output},
+        {"--cloud": cloud},
         json=json,
     )
     rig = load_rig(config)

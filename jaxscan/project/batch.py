@@ -9,6 +9,7 @@ import os
 import re
 import signal
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from graphlib import TopologicalSorter
@@ -43,6 +44,9 @@ class Report(NamedTuple):
     """Steps that were not begun, with the step that failed before them."""
 
 
+_WRITTEN_S, _AT_ONCE = 0.5, 64
+"""Between two transactions of the catalogue, and how many steps are written down as begun in one: each takes as long as
+the disk."""
 Work = Callable[[Status, Path, Progress], Row]
 
 
@@ -62,16 +66,19 @@ def run_batch(
     steps = {one.step.key: one for one in todo}
     graph = TopologicalSorter({key: [need for need in one.step.inputs if need in steps] for key, one in steps.items()})
     graph.prepare()
-    ready, rows, ended = deque(graph.get_ready()), dict[str, Row](), list[Row]()
+    ready, begun, rows, ended, written = deque(graph.get_ready()), deque[Status](), dict[str, Row](), list[Row](), 0.0
     with contextlib.closing(_Workers(min(workers, len(todo)), output, work)) as pool:
-        while ready or pool.busy:
-            given = [steps[ready.popleft()] for _ in range(min(len(ready), pool.idle))]
-            # Before the work: files of a step that does not come to its end must not look older.
-            catalogue.write([*ended, *map(begun_row, given)])
-            for status in given:
-                pool.begin(status)
-            ended = list(pool.ended(show))
-            for row in ended:
+        while ready or begun or pool.busy:
+            if not begun or time.monotonic() - written > _WRITTEN_S:
+                given = [steps[ready.popleft()] for _ in range(0 if begun else min(len(ready), _AT_ONCE))]
+                # Before the work: files of a step that does not come to its end must not look older.
+                catalogue.write([*ended, *map(begun_row, given)])
+                begun.extend(given)
+                ended, written = [], time.monotonic()
+            while begun and pool.idle:
+                pool.begin(begun.popleft())
+            for row in pool.ended(show):
+                ended.append(row)
                 rows[row.key] = row
                 show.finished(row)
                 if row.state == "done":
@@ -101,8 +108,8 @@ class _Workers:
         return bool(self._running)
 
     @property
-    def idle(self) -> int:
-        return len(self._free)
+    def idle(self) -> bool:
+        return bool(self._free)
 
     def begin(self, status: Status) -> None:
         """Let a process that is idle do a step."""

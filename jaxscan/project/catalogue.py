@@ -111,6 +111,8 @@ class Catalogue:
         Raises:
             ConfigError: If they cannot be written.
         """
+        if not rows:
+            return
         if self._database is None:
             raise ConfigError("the catalogue: cannot be written: it is not there.")
         places = ", ".join(f":{name}" for name in _COLUMNS)
