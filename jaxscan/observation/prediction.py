@@ -176,9 +176,9 @@ def lift_to_board(rig: SolvedRig, pose: np.ndarray, q: np.ndarray) -> np.ndarray
 
 
 def _seen(camera: AbstractCamera, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of points, and whether the ray of that pixel leads to the point."""
+    """Pixels of points, and whether the ray of that pixel leads to the point; none leads to the camera's own centre."""
     q = np.asarray(camera.project(p))
-    ray = p / np.linalg.norm(p, axis=-1, keepdims=True)
+    ray = p / np.maximum(np.linalg.norm(p, axis=-1, keepdims=True), 1e-12)
     return q, np.linalg.norm(np.asarray(camera.unproject(q)) - ray, axis=-1) < _SAME_RAY
 
 

@@ -53,6 +53,13 @@ def test_corners_beside_and_behind_the_image_are_not_visible(solved):
     assert not visible[1].any() and not visible[2].any()
 
 
+def test_a_corner_in_the_centre_of_the_camera_is_not_visible(solved):
+    predicting = solved[2]
+    pose = np.eye(4)
+    pose[:3, 3] = -np.asarray(predicting.surface().point(predicting.board.corners()[:1, :2]))[0]
+    assert not predict_corners(predicting, pose[None]).visible[0, 0]
+
+
 def test_a_board_seen_from_one_angle_is_known_from_all(solved):
     _, observed, predicting = solved
     angle, placement = np.asarray(observed.corners.angle), np.asarray(observed.corners.placement)
