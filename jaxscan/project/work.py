@@ -52,7 +52,7 @@ from jaxscan.reconstruction import PointCloud, Progress, join_clouds, stack_plac
 
 @dataclass(frozen=True)
 class StepWorkspace:
-    """Workspace of one step: the files it reads, and a folder for what it writes."""
+    """The files that one step reads, and a folder for what it writes."""
 
     step: Step
     output: Path
@@ -67,22 +67,15 @@ class StepWorkspace:
     """Folders among the products that hold only files of this step: older ones are removed from them."""
 
     def capture(self, role: str = "capture") -> Capture:
-        """A capture. Its stripes are kept among the products: nothing is written into its own folder.
-
-        Raises:
-            CaptureError: If it is none.
-        """
+        """A capture. Its stripes are kept among the products: nothing is written into its own folder."""
         kept = self.output / "stripes"
         _make(self.output, kept)
-        capture = open_capture(self.step.sources[role]).keeping(kept / f"{self._name(role)}.npz")
+        # By the name in the project: folders of two captures may be called alike.
+        place = -1 if self.step.kind == "station" else 1
+        name = role.removeprefix("capture ") if role.startswith("capture ") else self.step.key.split("/")[place]
+        capture = open_capture(self.step.sources[role]).keeping(kept / f"{name}.npz")
         self.notes.extend(capture.notes)
         return capture
-
-    def _name(self, role: str) -> str:
-        """The name of a capture in the project: folders of two may be called alike."""
-        if role.startswith("capture "):
-            return role.removeprefix("capture ")
-        return self.step.key.split("/")[-1 if self.step.kind == "station" else 1]
 
     def file(self, role: str) -> Path:
         """A file that a step before made, or that was given."""
@@ -112,6 +105,22 @@ class StepWorkspace:
         """A setting of the step."""
         return self.step.settings[name]
 
+    def sweep(self) -> Capture:
+        """The records of the step's capture that are wanted."""
+        return self.capture().every(self.setting("every"))
+
+    def scanner(self) -> Scanner:
+        """The rig of the step's calibration."""
+        return api.load_scanner(self.file("calibration"))
+
+    def cloud(self) -> PointCloud:
+        """The cloud that a step before made."""
+        return api.load_cloud(self.file("cloud"))
+
+    def digest(self) -> str:
+        """Digest of the step's calibration."""
+        return calibration_digest(self.file("calibration"))
+
 
 def calibrate_rig(workspace: StepWorkspace) -> None:
     """Calibrate from captures of a board, as `jaxscan calibrate` does.
@@ -138,38 +147,32 @@ def calibrate_rig(workspace: StepWorkspace) -> None:
 
 def find_part(workspace: StepWorkspace) -> None:
     """The stripes of some records of a large sweep."""
-    sweep, scanner = (
-        workspace.capture().every(workspace.setting("every")),
-        api.load_scanner(workspace.file("calibration")),
-    )
     settings, records = reconstruct_settings(workspace), (workspace.setting("first"), workspace.setting("stop"))
-    arrays = stripes_of_range(sweep, scanner, records, settings=settings, progress=workspace.progress)
+    arrays = stripes_of_range(
+        workspace.sweep(), workspace.scanner(), records, settings=settings, progress=workspace.progress
+    )
     write_atomically(workspace.target(), partial(write_arrays, arrays=arrays), durable=False, error=CaptureError)
 
 
 def reconstruct_sweep(workspace: StepWorkspace) -> None:
     """Reconstruct a sweep, as `jaxscan reconstruct` does, in all formats that are wanted."""
-    calibration = workspace.file("calibration")
-    workspace.notes.extend(calibration_notes(calibration))
-    sweep, scanner = workspace.capture().every(workspace.setting("every")), api.load_scanner(calibration)
+    workspace.notes.extend(calibration_notes(workspace.file("calibration")))
+    sweep, scanner, settings = workspace.sweep(), workspace.scanner(), reconstruct_settings(workspace)
     parts = [workspace.file(role) for role in workspace.step.products if role.startswith("stripes ")]
     if parts:
         arrays = [read_arrays(path, error=CaptureError) for path in parts]
-        done = cloud_of_ranges(sweep, scanner, arrays, settings=reconstruct_settings(workspace))
+        done = cloud_of_ranges(sweep, scanner, arrays, settings=settings)
     else:
-        done = api.reconstruct_capture(
-            sweep, scanner, settings=reconstruct_settings(workspace), progress=workspace.progress
-        )
+        done = api.reconstruct_capture(sweep, scanner, settings=settings, progress=workspace.progress)
     workspace.notes.extend(done.notes)
     cloud = coloured(workspace, done.cloud, sweep, scanner)
-    digest = calibration_digest(calibration)
     for number in range(len(workspace.step.outputs)):
-        api.save_cloud(cloud, workspace.target(number), calibration_digest=digest)
+        api.save_cloud(cloud, workspace.target(number), calibration_digest=workspace.digest())
 
 
 def measure(workspace: StepWorkspace) -> None:
     """The lengths of the room, and how good its points are, as JSON; two versions or epochs are compared by them."""
-    cloud, scanner = api.load_cloud(workspace.file("cloud")), api.load_scanner(workspace.file("calibration"))
+    cloud, scanner = workspace.cloud(), workspace.scanner()
     valid = np.asarray(cloud.valid)
     found: dict[str, Any] = {"format": MEASURES_FORMAT, "points": int(valid.sum())}
     for name in ("sigma_random", "sigma_systematic"):
@@ -186,28 +189,20 @@ def measure(workspace: StepWorkspace) -> None:
 
 def make_mesh(workspace: StepWorkspace) -> None:
     """The mesh of a cloud, in its colours."""
-    mesh = api.mesh_cloud(
-        api.load_cloud(workspace.file("cloud")), scanner=api.load_scanner(workspace.file("calibration"))
-    )
-    api.save_mesh(mesh, workspace.target())
+    api.save_mesh(api.mesh_cloud(workspace.cloud(), scanner=workspace.scanner()), workspace.target())
 
 
 def draw_room(workspace: StepWorkspace) -> None:
     """The plan of a room, a metre above its floor."""
-    cloud, scanner = api.load_cloud(workspace.file("cloud")), api.load_scanner(workspace.file("calibration"))
-    drawing = draw_plan(survey_room(cloud, scanner=scanner))
+    drawing = draw_plan(survey_room(workspace.cloud(), scanner=workspace.scanner()))
     for number in range(len(workspace.step.outputs)):
         api.save_drawing(drawing, workspace.target(number))
 
 
 def draw_panorama(workspace: StepWorkspace) -> None:
     """The panorama of a sweep, with depths and normals."""
-    sweep, scanner = (
-        workspace.capture().every(workspace.setting("every")),
-        api.load_scanner(workspace.file("calibration")),
-    )
-    cloud = api.load_cloud(workspace.file("cloud"))
-    drawn = api.draw_panorama(sweep, scanner, cloud=cloud, progress=workspace.progress)
+    sweep, scanner = workspace.sweep(), workspace.scanner()
+    drawn = api.draw_panorama(sweep, scanner, cloud=workspace.cloud(), progress=workspace.progress)
     api.save_panorama(drawn, workspace.target())
 
 
@@ -274,10 +269,10 @@ def refine_rig(workspace: StepWorkspace) -> None:
 
 def place_station(workspace: StepWorkspace) -> None:
     """The cloud of one station, in the frame of the group."""
-    calibration, stations = workspace.file("calibration"), workspace.file("stations")
+    stations = workspace.file("stations")
     text = read_bounded(stations, _MOST_BYTES, error=CloudError)
     station = parse_json(text, name=str(stations), error=CloudError)["stations"][workspace.setting("number")]
-    sweep, scanner = workspace.capture().every(workspace.setting("every")), api.load_scanner(calibration)
+    sweep, scanner = workspace.sweep(), workspace.scanner()
     angles = (sweep.angles + np.array(station["corrections_rad"])).tolist()
     records = tuple(replace(record, angle=angle) for record, angle in zip(sweep.records, angles, strict=True))
     settings = reconstruct_settings(workspace)
@@ -286,21 +281,20 @@ def place_station(workspace: StepWorkspace) -> None:
     workspace.notes.extend(done.notes)
     cloud = coloured(workspace, done.cloud, sweep, scanner)
     placed = join_clouds([cloud], [np.array(station["pose"])], [np.array(station["covariance"])])
-    api.save_cloud(placed, workspace.target(), calibration_digest=calibration_digest(calibration))
+    api.save_cloud(placed, workspace.target(), calibration_digest=workspace.digest())
 
 
 def merge_e57(workspace: StepWorkspace) -> None:
     """One E57 with a scan and its pose for each station."""
-    digest = calibration_digest(workspace.file("calibration"))
     roles = [role for role in workspace.step.products if role.startswith("cloud ")]
     loads = [partial(api.load_cloud, workspace.file(role)) for role in roles]
-    save_stations(loads, workspace.target(), calibration_digest=digest)
+    save_stations(loads, workspace.target(), calibration_digest=workspace.digest())
 
 
 def merge_tiles(workspace: StepWorkspace) -> None:
     """Square tiles with the points of all stations, and a list of them."""
     folder = str(Path(workspace.step.outputs[0]).with_suffix(""))
-    digest = calibration_digest(workspace.file("calibration"))
+    digest = workspace.digest()
     listed: list[dict[str, Any]] = []
     with Tiles(workspace.folder / "spooled", workspace.setting("tile_m")) as tiles:
         for cloud in _clouds(workspace):
@@ -325,7 +319,7 @@ def merge_plan(workspace: StepWorkspace) -> None:
     every = max(1, -(-points // PLAN_POINTS))
     # Thinned one by one, so that the whole is never in memory.
     placed = stack_placed([stack_placed([cloud], every=every) for cloud in _clouds(workspace)])
-    drawing = draw_plan(survey_room(placed, scanner=api.load_scanner(workspace.file("calibration"))))
+    drawing = draw_plan(survey_room(placed, scanner=workspace.scanner()))
     api.save_drawing(drawing, workspace.target())
 
 
@@ -453,20 +447,12 @@ def coloured(workspace: StepWorkspace, cloud: PointCloud, sweep: Capture, scanne
 
 
 MEASURES_FORMAT = "jaxscan-measures/1"
-SIDES = ("length", "width", "height")
 
 
 def _lengths(box: RoomBox) -> dict[str, Any]:
-    sides = {name: side for name in SIDES if (side := getattr(box, name)) is not None}
-    return {
-        name: {
-            "value_m": side.value_m,
-            "sigma_m": side.sigma_m,
-            "sigma_random_m": side.sigma_random_m,
-            "sigma_systematic_m": side.sigma_systematic_m,
-        }
-        for name, side in sides.items()
-    }
+    sides = {name: side for name in ("length", "width", "height") if (side := getattr(box, name)) is not None}
+    fields = ("value_m", "sigma_m", "sigma_random_m", "sigma_systematic_m")
+    return {name: {field: getattr(side, field) for field in fields} for name, side in sides.items()}
 
 
 MOST_POINTS = 10_000_000
