@@ -90,31 +90,19 @@ MAX_COORDINATE_M = 1e8
 
 
 def at_least(smallest: int, option: str, value: int | None) -> None:
-    """Refuse a count below `smallest`.
-
-    Raises:
-        OptionError: With the option's name and the values that it accepts.
-    """
+    """Refuse a count below `smallest`."""
     if value is not None and value < smallest:
         raise OptionError(f"{option}: found {value}, expected {smallest} or more.")
 
 
 def positive(option: str, value: float) -> None:
-    """Refuse a length that is not above 0.
-
-    Raises:
-        OptionError: With the option's name and the values that it accepts.
-    """
+    """Refuse a length that is not above 0."""
     if not (math.isfinite(value) and value > 0):
         raise OptionError(f"{option}: found {value:g}, expected a number above 0.")
 
 
 def range_limits(smallest: str, low: float, largest: str, high: float) -> None:
-    """Refuse range limits [m] between which there is no distance.
-
-    Raises:
-        OptionError: With the option's name and the values that it accepts.
-    """
+    """Refuse range limits [m] between which there is no distance."""
     for option, value in ((smallest, low), (largest, high)):
         if not (math.isfinite(value) and value >= 0):
             raise OptionError(f"{option}: found {value:g}, expected a distance in metres.")
@@ -123,11 +111,7 @@ def range_limits(smallest: str, low: float, largest: str, high: float) -> None:
 
 
 def coordinates(option: str, values: tuple[float, ...]) -> None:
-    """Refuse coordinates [m] that are not finite or further away than any scan or survey grid reaches.
-
-    Raises:
-        OptionError: With the option's name and the values that it accepts.
-    """
+    """Refuse coordinates [m] that are not finite or further away than any scan or survey grid reaches."""
     if not all(math.isfinite(value) and abs(value) <= MAX_COORDINATE_M for value in values):
         found = " ".join(f"{value:g}" for value in values)
         raise OptionError(f"{option}: found {found}, expected metres within {MAX_COORDINATE_M:g} of 0.")
@@ -259,14 +243,6 @@ def _is_of_capture(path: Path, identity: set[object], capture: Path) -> bool:
 
 
 def need_pages(what: str, extra: str) -> None:
-    """Check that pages can be served.
-
-    Args:
-        what: What needs them, as the beginning of a sentence.
-        extra: The package's extra that brings what is missing.
-
-    Raises:
-        DependencyError: If aiohttp is not installed.
-    """
+    """Check that pages can be served, for what begins the sentence, and by the extra that brings what is missing."""
     if find_spec("aiohttp") is None:
         raise DependencyError(f"{what} needs aiohttp; type: pip install 'jaxscan[{extra}]'")
