@@ -17,13 +17,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import jaxscan
-from experiments.paper.products import RenderedSweep, expect_each, our_plan, write_captures
-from experiments.paper.stage import CONFIGS, Metric, Stage, plt, save, smaller
+from experiments.paper.products import RenderedSweep, expect, our_plan, write_captures
+from experiments.paper.stage import CONFIGS, Metric, Stage, smaller
 from experiments.paper.table_1 import AGREE
 from experiments.report import rms
 from jaxscan.calibration import CalibrationSettings
-from jaxscan.measurement.room import Dimension, RoomBox
-from jaxscan.report.clouds import Viewpoint, draw_cloud
 from jaxscan.simulation import SimulationConfig, make_scene
 from jaxscan.simulation.scene import Scene
 
@@ -74,7 +72,6 @@ def run(stage: Stage) -> list[Metric]:
     stage.say(f"fisheye: {records} records")
     box = jaxscan.measure_room(cloud, scanner=scanner)
     fisheye, pinhole = seen_by_fisheye(scene, cloud), seen_by_pinhole(scene, stage.config)
-    draw_room(stage, cloud, box, (fisheye.sphere, pinhole.sphere))
     return _metrics(config, box, fisheye, pinhole, full=not stage.quick)
 
 
@@ -106,12 +103,11 @@ def _calibration(stage: Stage, config: SimulationConfig) -> jaxscan.Scanner:
     if not path.exists():
         own = replace(stage, config=config)
         plan = our_plan(own)
-        folder = stage.product("fisheye/boards")
-        shutil.rmtree(folder, ignore_errors=True)
-        write_captures(own, expect_each(own, plan), plan, {60: folder})
+        folder = stage.emptied("fisheye/boards")
+        (capture,) = write_captures(own, expect(own, plan), plan, {60: folder})
         stage.say(f"fisheye: rendered {len(plan.lit)} views of the board")
         settings = CalibrationSettings(camera="fisheye", judge=False)
-        found = jaxscan.calibrate(jaxscan.open_capture(folder), settings=settings, redetect=not stage.quick)
+        found = jaxscan.calibrate(capture, settings=settings, redetect=not stage.quick)
         jaxscan.save_calibration(found, path)
         shutil.rmtree(folder)
     return jaxscan.load_scanner(path)
@@ -178,57 +174,3 @@ def _metrics(
         label = f"the paper's camera, one turn: share {whole} in its field of view, upper bound"
         out.append(Metric(f"pinhole_{name}", theirs, "%", label=label))
     return out
-
-
-def draw_room(stage: Stage, cloud: jaxscan.PointCloud, box: RoomBox, shares: tuple[float, float]) -> None:
-    """The room from above, from the side and from within.
-
-    Args:
-        cloud: The cloud of one turn.
-        box: The dimensions measured in it.
-        shares: Of all directions, those that the cloud covers and those in the field of the paper's camera [1].
-    """
-    xyz, valid = np.asarray(cloud.xyz), np.asarray(cloud.valid)
-    xyz, rgb = np.where(valid[..., None], xyz, 0.0), np.asarray(cloud.rgb)
-    along = np.array([0.0, 1.0, 0.0]) if box.length is None else box.length.direction
-    ahead = along / np.linalg.norm(along)
-    figure, axes = plt.subplot_mosaic(
-        [["inside", "inside"], ["top", "side"]], figsize=(14, 13), height_ratios=(1.3, 1), layout="constrained"
-    )
-    within = Viewpoint((0.0, 0.0, 0.15), tuple(map(float, 3 * ahead)), fov_deg=110.0, cut_away=False)
-    axes["inside"].imshow(draw_cloud(xyz, rgb, size=(1400, 750), view=within))
-    axes["inside"].set_title("From the scanner's place, along the room")
-    axes["inside"].axis("off")
-    across = np.array([-ahead[1], ahead[0], 0.0])
-    points = xyz[valid]
-    x, y, z = points @ ahead, points @ across, points[:, 2]
-    colour = np.clip(rgb[valid] / 200.0, 0, 1)
-    below = z < 0.6
-    order = np.flatnonzero(below)[np.argsort(z[below])]
-    axes["top"].scatter(x[order], y[order], c=colour[order], s=1.2, lw=0)
-    axes["top"].set(title="From above, without points higher than 0.6 m over the scanner", ylabel="across [m]")
-    beyond = y > -0.3
-    order = np.flatnonzero(beyond)[np.argsort(-y[beyond])]
-    axes["side"].scatter(x[order], z[order], c=colour[order], s=1.2, lw=0)
-    axes["side"].set(title="From the side, cut 0.3 m in front of the scanner", ylabel="up [m]")
-    for one in (axes["top"], axes["side"]):
-        one.plot(0, 0, "r^", ms=8)
-        one.set(xlabel="along the room [m]", aspect="equal", xlim=_most(x))
-        one.set_facecolor("0.95")
-    axes["top"].set_ylim(_most(y))
-    axes["side"].set_ylim(_most(z))
-    sides = [f"{name} {1e3 * side.value_m:.1f} ± {1e3 * side.sigma_m:.1f} mm" for name, side in _sides(box)]
-    seen = f"{100 * shares[0]:.0f} % of all directions are seen; by the paper's camera {100 * shares[1]:.0f} % at most"
-    figure.suptitle(f"The room in one turn of a fisheye, {stage.world} world\n{', '.join(sides)}\n{seen}")
-    save(figure, stage.picture("fisheye"), 100)
-
-
-def _most(values: np.ndarray) -> tuple[float, float]:
-    """Limits of an axis that leave out a few strays."""
-    low, high = np.percentile(values, [0.1, 99.9])
-    return float(low) - 0.2, float(high) + 0.2
-
-
-def _sides(box: RoomBox) -> list[tuple[str, Dimension]]:
-    named = ((name, getattr(box, name)) for name in ("length", "width", "height"))
-    return [(name, side) for name, side in named if side is not None]

@@ -1,6 +1,7 @@
 """What an experiment of the paper stands on: its world, its folders, its figures and their baseline, its pictures."""
 
 import json
+import shutil
 import sys
 import time
 from dataclasses import dataclass, field
@@ -44,6 +45,12 @@ class Stage:
         """Path of a product; its folder exists."""
         path = self.folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def emptied(self, name: str) -> Path:
+        """Path of a product that is a folder, which is removed."""
+        path = self.product(name)
+        shutil.rmtree(path, ignore_errors=True)
         return path
 
     def say(self, text: str) -> None:

@@ -82,14 +82,9 @@ def better(trials: Trials) -> float:
     return min(rms(before[:, k]) / rms(after[:, k]) for k in range(before.shape[1]))
 
 
-def honest(which: int) -> Callable[[Trials], float]:
-    """Root mean square of error over stated sigma, of a length across half a turn after the recalibration."""
-    return lambda trials: rms(half_turns(trials, "after")[:, which] / half_turns(trials, "sigma_after")[:, which])
-
-
-def honest_before(which: int) -> Callable[[Trials], float]:
-    """As `honest`, of the stored calibration."""
-    return lambda trials: rms(half_turns(trials, "before")[:, which] / half_turns(trials, "sigma_before")[:, which])
+def honest(which: int, when: str = "after") -> Callable[[Trials], float]:
+    """Root mean square of error over stated sigma, of a length across half a turn before or after recalibrating."""
+    return lambda trials: rms(half_turns(trials, when)[:, which] / half_turns(trials, f"sigma_{when}")[:, which])
 
 
 def away(trials: Trials) -> float:
@@ -193,7 +188,7 @@ LIMITS = (
     Limit("good, rough walls", "a length moved away by", away, high=2, unit="stated sigmas"),
     Limit("paper-like, stops", "observed / stated, 3.9 m", honest(0), 0.7, 1.3),
     Limit("paper-like, stops", "across 180 degrees, old / new", better, low=5),
-    Limit("good, stops", "observed / stated before, 3.9 m", honest_before(0), 0.7, 1.3),
+    Limit("good, stops", "observed / stated before, 3.9 m", honest(0, "before"), 0.7, 1.3),
     Limit("good, stops", "observed / stated, 3.9 m", honest(0), 0.7, 1.3),
     Limit("good, stops", "a length moved away by", away, high=2, unit="stated sigmas"),
     Limit("laser turned", "largest p", largest_p, high=1e-3),

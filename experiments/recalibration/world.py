@@ -381,13 +381,7 @@ class TrueSweep(NamedTuple):
 
 
 def sweep_of(config: SimulationConfig, seed: int, how: Sweeping = Sweeping()) -> SweepStripes:
-    """Stripes of a sweep of the configuration's room.
-
-    Args:
-        config: The true rig and its room; `room.rig_m` and `room.yaw_deg` say where it stands.
-        seed: Of noise and roughness.
-        how: How it is taken.
-    """
+    """Stripes of a sweep of the configuration's room; `seed` draws noise and roughness."""
     return true_sweep(config, seed, how)[0]
 
 

@@ -141,8 +141,6 @@ class Estimate(NamedTuple):
     rig: Rig
     boards: Rows
     """On the board alone; sigma across the stripe, as the solve states it."""
-    promised: Rows
-    """The same before the solve: all that were found, with the sigma that they were found with."""
     rows: Rows
     """Of the sweep, row by row."""
     smooth: Rows

@@ -19,12 +19,9 @@ from bench.places import BenchError
 def launch(
     command: Sequence[str], *, folder: Path, errors: Path, within_s: float, apart: bool = False
 ) -> "subprocess.Popen[str]":
-    """Start a program and wait until it prints a line that begins with "ready".
+    """Start a program and wait until it prints a line that begins with "ready"; its stderr is appended to a file.
 
     Args:
-        command: The program with its arguments.
-        errors: File to which its stderr is appended.
-        within_s: How long that may take.
         apart: Whether Ctrl-C at the terminal is kept from it, because its starter ends it in order.
 
     Raises:
@@ -84,14 +81,9 @@ def _short(path: Path) -> Iterator[str]:
 
 
 class ControlClient:
-    """A conversation with a control socket."""
+    """A conversation with a control socket. Raises BenchError where nobody listens or answers."""
 
     def __init__(self, path: Path, *, timeout_s: float = 20.0) -> None:
-        """Connect to the socket at `path`.
-
-        Raises:
-            BenchError: If nobody listens there.
-        """
         self._path = path
         self._socket = socket.socket(socket.AF_UNIX)
         self._socket.settimeout(timeout_s)
@@ -104,11 +96,7 @@ class ControlClient:
         self._rest = b""
 
     def ask(self, text: str) -> str:
-        """Send one line, return the answer.
-
-        Raises:
-            BenchError: If none comes.
-        """
+        """Send one line, return the answer."""
         try:
             self._socket.sendall(text.encode() + b"\n")
             while b"\n" not in self._rest:
@@ -122,7 +110,6 @@ class ControlClient:
         return line.decode()
 
     def close(self) -> None:
-        """Hang up."""
         self._socket.close()
 
 
@@ -134,7 +121,6 @@ class Part:
     """Name of its control socket in the folder."""
 
     def __init__(self, folder: str | Path) -> None:
-        """`folder` holds its files and sockets; made if it is not there."""
         self.folder = Path(folder)
         self.control_path = self.folder / self.socket
         self._errors = self.folder / f"{self.socket}.err"
@@ -149,15 +135,10 @@ class Part:
         self.close()
 
     def start(self) -> None:
-        """Switch on. Raises BenchError."""
         raise NotImplementedError
 
     def ask(self, text: str) -> str:
-        """Its answer to one command, see README.md.
-
-        Raises:
-            BenchError: If it is off, or does not answer.
-        """
+        """Its answer to one command, see README.md. Raises BenchError if it is off, or does not answer."""
         if self._control is None:
             raise BenchError(f"{self.folder}: {self.name} is off.")
         return self._control.ask(text)
@@ -195,11 +176,7 @@ class ControlServer:
     """Answers at a socket, in threads of its own, until it is closed."""
 
     def __init__(self, path: Path, answer: Callable[[str], str]) -> None:
-        """Listen at `path`, which is made; an old socket there is replaced.
-
-        Args:
-            answer: Called with each line; may be called from several threads.
-        """
+        """Listen at `path`, replacing an old socket; `answer` is called with each line, from several threads."""
         path.unlink(missing_ok=True)
         self._path, self._answer = path, answer
         self._socket = socket.socket(socket.AF_UNIX)
@@ -209,7 +186,6 @@ class ControlServer:
         threading.Thread(target=self._accept, daemon=True).start()
 
     def close(self) -> None:
-        """Answer no more."""
         self._path.unlink(missing_ok=True)
         self._socket.close()
 

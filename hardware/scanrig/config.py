@@ -62,9 +62,7 @@ class TurntableTable(FileModel):
     limits_deg: tuple[_Limit, _Limit] | None = None
     """Range of angles that the table may not leave, to protect cables."""
     settle_ms: _Milliseconds = 50
-    """Rest before a shot."""
     reverse: bool = False
-    """Inverts the direction of the motor."""
 
     @pydantic.model_validator(mode="after")
     def _whole(self) -> "TurntableTable":
@@ -87,11 +85,7 @@ class TurntableTable(FileModel):
         return self
 
     def rate(self, name: str) -> int:
-        """A speed or acceleration in microsteps per second, or per second squared.
-
-        Raises:
-            ValueError: If it is outside the controller's range.
-        """
+        """A speed or acceleration in microsteps per second (squared); ValueError outside the controller's range."""
         moderate, low, high = _RATES[name]
         given = getattr(self, name)
         found = round((moderate if given is None else given) * self.microsteps_per_turn / 360)
@@ -133,7 +127,6 @@ class TriggerTable(FileModel):
     pulse_ms: Annotated[Integer, pydantic.Field(ge=1, le=5000)] | None = None
     """Length of a trigger pulse; by default the exposure time, rounded up."""
     gap_ms: _Milliseconds = 5
-    """Pause after each exposure."""
     ready_ms: _Milliseconds = 0
     """Longest wait for the camera's ready output before each trigger; 0 if it is not wired."""
 
@@ -142,7 +135,6 @@ class SweepTable(FileModel):
     """The table angles of a sweep."""
 
     steps: _Count = 3600
-    """Steps per pass."""
     turn_deg: _Angle = 360.0
     """Angle of a pass; the last step is one step before its end. Negative: downwards."""
     start_deg: _Angle = 0.0
@@ -246,10 +238,7 @@ class RigConfig(FileModel):
         return record % len(self.laser)
 
     def frame_tables(self, kind: Literal["sweep", "calibration"]) -> dict[str, Any]:
-        """The parts of the configuration that the frames of a capture depend on, as TOML tables.
-
-        The controller, the limits of checks and the tables of the other kind may change within a capture.
-        """
+        """The parts of the configuration that the frames of a capture depend on, as TOML tables."""
         tables = self.model_dump(mode="json", exclude={"controller", "checks", "goal_mm"}, exclude_none=True)
         for name in ("calibration", "board") if kind == "sweep" else ("sweep",):
             tables.pop(name, None)
@@ -265,11 +254,7 @@ class RigConfig(FileModel):
 
 
 def with_exposure(config: RigConfig, exposure_ms: float, gain_db: float) -> RigConfig:
-    """The same rig with another exposure time and gain of its camera.
-
-    Raises:
-        ConfigError: If they are outside their ranges.
-    """
+    """The same rig with another exposure time and gain of its camera. Raises ConfigError outside their ranges."""
     if (exposure_ms, gain_db) == (config.camera.exposure_ms, config.camera.gain_db):
         return config
     tables = config.model_dump(mode="json", exclude_none=True)
@@ -282,9 +267,5 @@ def with_exposure(config: RigConfig, exposure_ms: float, gain_db: float) -> RigC
 
 
 def load_rig(path: str | Path) -> RigConfig:
-    """The configuration of a rig.
-
-    Raises:
-        ConfigError: One line with the file, the key, the value found and the values allowed.
-    """
+    """The configuration of a rig. Raises ConfigError: file, key, the value found and those allowed."""
     return load_toml(path, RigConfig)

@@ -36,7 +36,6 @@ OPTIONAL = {
     "embreex": ("embreex.rtcore_scene", "simulate", "demo, simulate"),
     "pyserial": ("serial", "rig", "scan, console"),
     "aiohttp": ("aiohttp", "console", "console, view"),
-    "rerun-sdk": ("rerun", "rerun", "view --rerun"),
     "pye57": ("pye57", "export", "clouds written as E57"),
     "laspy": ("laspy", "export", "clouds as LAS"),
     "lazrs": ("lazrs", "export", "clouds as LAZ"),

@@ -11,7 +11,6 @@ from jaxscan.recalibration import Given, KnownSphere, MeasuredLength, Place
 
 
 MAX_ENTRIES = 1000
-"""Most lengths, most spheres, and most stations, in a file."""
 
 _Coordinate = Annotated[Number, pydantic.Field(ge=-1000, le=1000)]
 _Point = tuple[_Coordinate, _Coordinate, _Coordinate]
@@ -23,7 +22,6 @@ class LengthTable(FileModel):
 
     metres: Annotated[Number, pydantic.Field(gt=0, le=1000)]
     sigma_mm: Annotated[Number, pydantic.Field(ge=0.001, le=1000)]
-    """Standard deviation of the measurement."""
     a: _Point | _Target
     """Place of one end: a point on a wall or near the middle of a sphere [m], or the name of a target."""
     b: _Point | _Target

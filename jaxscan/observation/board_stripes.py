@@ -73,9 +73,7 @@ def find_stripes(
 
     Args:
         views: At most BATCH_RECORDS records of one capture, with frames and corners.
-        capture: Their capture.
         lines: Its lasers, their colours learned.
-        board: The board in it.
         learned: What is known of its frames; completed by what these tell where nothing is.
         rig: Result of a first solve: stripes are then looked for near their predictions only, where its
             sheet is believed, and the poses of the records decide which points lie on the print.

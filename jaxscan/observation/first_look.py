@@ -68,7 +68,7 @@ class Look(NamedTuple):
     def missed(self) -> tuple[MissedRecord, ...]:
         """The records in which the board was not found, with the likely reasons."""
         seen = [(view.record.i, view.corners is not None, view.light) for view in self.records]
-        return missed_records(seen, len(self.board.corners()))
+        return missed_records(seen)
 
     def without_a_line(self, rig: SolvedRig) -> tuple[list[int], int]:
         """Numbers of the records that show no line on their boards though the sheet of their laser meets these, and how
@@ -116,10 +116,7 @@ def look_at_boards(
 
     Args:
         captures: Captures of the same board by the same rig, with one laser lit in a record.
-        board: That board.
-        eyes: The functions that read images.
         with_stripes: Look for stripes too; they are not needed for a camera alone.
-        progress: Called with (records done, records in all).
 
     Returns:
         Every record; those without the board have no corners.
@@ -135,7 +132,7 @@ def look_at_boards(
         if view.grey is None:
             return view
         corners = eyes.find_corners(view.grey, board)
-        return view._replace(corners=corners, light=measure_light(view.grey, crossings=corners is None))
+        return view._replace(corners=corners, light=measure_light(view.grey))
 
     keep = sum(map(_bytes_of, captures)) <= _KEPT_BYTES
     seen = go_through(captures, look, Look(board, [], lines, {}), keep=keep, progress=progress)
@@ -160,10 +157,8 @@ def _refuse_exchanged(
     It is looked for there only where most boards with both images have no line.
 
     Args:
-        captures: The captures.
         seen: All their records, with corners and stripes.
         lines: The lasers of each capture, their colours learned.
-        to_grey: Makes a frame grey.
 
     Raises:
         CalibrationError: With the first capture in which laser on and laser off are exchanged.
@@ -234,13 +229,11 @@ def go_through(
     """All records: `look` at each (capture, index) in threads, then the stripes of a batch of one capture together.
 
     Args:
-        captures: The captures.
         look: Reads a record and finds its corners.
         like: The board, the lasers whose stripes are looked for, and what is known of their frames; its records are
             not used.
         rig: As in `find_stripes`.
         keep: Keep the frames for another look; otherwise they are dropped at once.
-        progress: Called with (records done, records in all).
     """
     total = sum(len(capture.records) for capture in captures)
     views: list[SeenRecord] = []

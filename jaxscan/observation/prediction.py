@@ -99,9 +99,6 @@ def turn_boards(motion: AbstractMotion, poses: np.ndarray, at: np.ndarray, to: n
         poses: T_cam_board [n, 4, 4].
         at: Angles of the table, or positions of the stage, of these poses [n], rad or m.
         to: Those of the new poses [n].
-
-    Returns:
-        Poses [n, 4, 4].
     """
     motion = jax.tree.map(np.asarray, motion)
     return np.asarray(compose(compose(invert(motion.motion(to)), motion.motion(at)), poses))
@@ -111,11 +108,7 @@ def predict_corners(rig: SolvedRig, poses: np.ndarray) -> PredictedCorners:
     """Predict the corners of the board.
 
     Args:
-        rig: The rig and its board.
         poses: T_cam_board [views, 4, 4].
-
-    Returns:
-        Corners of all views.
     """
     surface, camera, flat = rig.surface(), jax.tree.map(np.asarray, rig.camera), rig.board.corners()[:, :2]
     poses = np.asarray(poses, np.float64)[:, None]
@@ -146,9 +139,6 @@ def predict_stripe(rig: SolvedRig, pose: np.ndarray, laser: int, stripe_axis: St
 
     Args:
         rig: The rig, with a scanner, and its board.
-        pose: T_cam_board [4, 4].
-        laser: Index of the sheet.
-        stripe_axis: Whether a line is an image row or an image column.
 
     Returns:
         The stripe; lines where it misses the printed area are not `on_board`.

@@ -37,11 +37,8 @@ def look_again(
     stripes, they are extracted again from a band around the predicted stripe, and fitted through the print.
 
     Args:
-        captures: The captures of the first look.
-        first: The first look.
         rig: The rig solved from it.
         eyes: The functions that read images; with the print that they draw stripes are fitted through it.
-        progress: Called with (records done, records in all).
     """
     if eyes.draw_print is not None and first.lines is not None:
         rig = rig._replace(picture=BoardPicture.of(first.board, eyes.draw_print(first.board)))

@@ -77,9 +77,7 @@ def select_board_stripe(
     with a shift of more than 0.35 px are dropped.
 
     Args:
-        stripe: The stripe in one image.
         corners: Corners found on the same board pose.
-        board: The board they belong to.
         off: Laser-off image [rows, columns], grey, or None: also where the print is accounted for.
         board_xy: Board coordinates of every point from the pose [lines, 2], m; None: by the corners.
         points: Number of points to return; longer stripes are thinned evenly.

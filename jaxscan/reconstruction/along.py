@@ -41,7 +41,6 @@ def smooth_sweep(stripes: Stripes, sites: Mapping[int, Sites] = _ALL_LINES, prog
     Args:
         stripes: One centre of a line at most.
         sites: Where the colour of each laser is seen; on all lines where not given.
-        progress: Called with (profiles done, profiles in all).
     """
     rows = ProfileRows(
         np.asarray(stripes.u, np.float32),

@@ -172,22 +172,17 @@ def join_clouds(
     Raises:
         CloudError: If there is none, a cloud is a joined one already, or the clouds differ in the number of lines.
     """
-    if not clouds or len({len(cloud.valid[0]) for cloud in clouds}) > 1:
-        raise CloudError("join: expected clouds of one camera, with the same number of lines.")
     if any(cloud.stations is not None for cloud in clouds):
         raise CloudError("join: found a cloud that is joined already; join the clouds of its stations.")
     smoothed = any(cloud.sigma_row is not None for cloud in clouds)
-    moved = [
-        _moved(cloud, np.asarray(pose, np.float64), np.asarray(covariance, np.float64), smoothed=smoothed)
-        for cloud, pose, covariance in zip(clouds, poses, covariances, strict=True)
-    ]
-    numbers = np.repeat(np.arange(len(clouds), dtype=np.int32), [len(cloud.valid) for cloud in clouds])
-    names = [name for name in moved[0] if moved[0][name] is not None]
-    return PointCloud(
-        **{name: np.concatenate([fields[name] for fields in moved]) for name in names},
-        stations=Stations(numbers, np.array(poses, np.float64), np.array(covariances, np.float64)),
-        absent=_together_lack(clouds),
-    )
+    moved = []
+    for cloud, *place in zip(clouds, poses, covariances, strict=True):
+        pose, covariance = (np.asarray(one, np.float64) for one in place)
+        fields, station = _moved(cloud, pose, covariance, smoothed=smoothed), np.zeros(len(cloud.valid), np.int32)
+        moved.append(
+            PointCloud(**fields, stations=Stations(station, pose[None], covariance[None]), absent=cloud.absent)
+        )
+    return stack_placed(moved)
 
 
 def _together_lack(clouds: Sequence[PointCloud]) -> tuple[str, ...] | None:

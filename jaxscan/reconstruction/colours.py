@@ -15,8 +15,6 @@ def stripe_colours(
     Args:
         stripes: The stripes; of several profiles per frame those of a frame follow each other.
         off: The laser-off frames, where there are any; of a linear mono camera the fit knows their level already.
-        frames: How a frame is to be read.
-        stripe_axis: Whether a line is an image row or an image column.
     """
     valid = np.asarray(stripes.valid)
     if off is not None and frames != FrameFormat():
@@ -32,10 +30,7 @@ def colours_at(
 
     Args:
         u: Stripe centres [profiles, lines]; profiles of a frame follow each other.
-        valid: Which of them exist.
         off: Laser-off frames, uint8 [frames, rows, columns] (rgb8: and 3).
-        pixel_format: How a frame is to be read.
-        stripe_axis: Whether a line is an image row or an image column.
     """
     u, valid = np.asarray(u), np.asarray(valid)
     rgb = np.zeros((*u.shape, 3), np.uint8)

@@ -5,6 +5,18 @@ On every line the stripe competes with the decoy, and the decoys that win tell h
 (J. E. Elias, S. P. Gygi, Target-decoy search strategy, Nature Methods 4, 2007). Lines on which no laser falls are won
 by either, so their number says nothing about the others: what counts is whether some clearness parts stripes from
 decoys. Where it leaves a small part of the stripes, many profiles must show a line that is clearer still.
+
+Thresholds of the verdict, and why:
+
+- `_CERTAIN`, 4 sigma: fewer lines than its square tell nothing; so sure is it that stripes are more than decoys.
+- `_FAIR`, 1 in 400, with `_LUCK`, 2.5 sigma, and one more: decoys of a good sweep; with no more of them all is kept.
+- `_SHARES`, from 0.1 %: decoys among what is kept, a fifth of the false points that are promised, as bright print is
+  commoner than dark print. The larger ones are for sweeps of which less would leave nothing, and are said.
+- `_KEPT`, a quarter of the stripes, that must be left: without a laser at most 3 % of a colour camera's are, and 22 %
+  of a mono one's, which takes bright print for stripes.
+- `_CLEARER`, 1.5: clearness of a line on few rows over that of all decoys but one; without a laser 2 % are so clear.
+- `_SHOWN`, 35 % of the searched profiles must show such a line, on `_RUN` of `_WITHIN` rows; without a laser 25 % do.
+- `_PER_PROFILE`, 2: stripes of a profile, on average over the sweep, below which they may all be chance.
 """
 
 import threading
@@ -24,32 +36,16 @@ _LOOKS, _LOOKS_WITHOUT_OFF = 8, 16
 """Profiles of a sweep that are searched for decoys."""
 _BYTES = 200e6
 """Frames of these profiles that are kept, at most; of large frames fewer are searched."""
-_SHARES = (0.001, 0.01, 0.05)
-"""Decoys among the accepted stripes, at most [1]: a fifth of the false points that are promised, as bright print is
-commoner than dark print. The larger ones are for sweeps of which less would leave nothing, and are said."""
 _ALONG, _NEXT_LINES, _NEXT_PX = 5, 2, 1.0
 """Rows on either side that may go on with a stripe; how many lines the next one is away at most, and how many pixels
 for each of them."""
 _PROFILES = 256
 """Profiles looked at together."""
-_FAIR = 0.0025
-"""Decoys of stripes that are as they should be [1]."""
-_LUCK = 2.5
-"""Standard deviations by which decoys may be more than expected before they count; one more is always allowed."""
-_KEPT, _KEPT_SURELY = 0.1, 0.25
-"""Part of the stripes that a threshold must leave where a clear line is shown, and where none is [1]: of a laser that
-is not lit it leaves 3 % of a colour camera's and 22 % of a mono one's at most, which takes bright print for stripes."""
-_HELPS = "narrower range limits, one dark picture as --off of `jaxscan import`, or the right --laser-colour"
-_CLEARER = 1.5
-"""Clearness of a line that few rows show, over that of all decoys but one [1]: without a laser 2 % of the stripes are
-as clear at most."""
-_SHOWN, _RUN, _WITHIN = 0.35, 3, 5
-"""Part of the searched profiles that must show such a line [1]: without a laser a quarter does at most. It is a line
-where so many rows of so many neighbouring ones have it."""
-_CERTAIN = 4.0
-"""Standard deviations by which stripes must be more than decoys."""
+_CERTAIN, _FAIR, _LUCK = 4.0, 0.0025, 2.5
+_SHARES, _KEPT = (0.001, 0.01, 0.05), 0.25
+_CLEARER, _SHOWN, _RUN, _WITHIN = 1.5, 0.35, 3, 5
 _PER_PROFILE = 2.0
-"""Stripes of a profile, on average over the sweep, below which they may all be chance."""
+_HELPS = "narrower range limits, one dark picture as --off of `jaxscan import`, or the right --laser-colour"
 
 
 @dataclass(frozen=True)
@@ -157,12 +153,6 @@ class DecoyWatch:
         return stripes, decoys
 
 
-def _tolerated(stripes: int) -> float:
-    """Decoys that so many stripes may have where their share is as it should be: a few come by luck."""
-    expected = _FAIR * stripes
-    return float(expected + _LUCK * np.sqrt(expected) + 1.0)
-
-
 class _Contest(NamedTuple):
     """Stripes against decoys by one measure."""
 
@@ -226,35 +216,22 @@ def judge(
     if won + lost < _CERTAIN**2:
         few = "the sweep is doubtful: hardly any record shows a stripe, and chance may have found those"
         return Chance(note=few if per_profile < _PER_PROFILE else None)
-    if lost <= _tolerated(won):
+    if lost <= _FAIR * won + _LUCK * np.sqrt(_FAIR * won) + 1.0:
         return Chance()
-    evident = won - lost > _CERTAIN * np.sqrt(won + lost)
+    doubtful = f"the sweep is doubtful: chance finds {100.0 * lost / max(won, 1):.1f} % as many stripes"
+    kept_alone = lambda kept: f"{doubtful}; only the clearest {min(100.0 * kept / won, 100.0):.0f} % of them were kept"
+    if won - lost > _CERTAIN * np.sqrt(won + lost):
+        for share in _SHARES:
+            kept, least, measure = max((*one.best(share), k) for k, one in enumerate(contests))
+            if kept >= _KEPT * won:
+                among = f"among which it has about {100 * share:.2g} %"
+                return Chance(least, measure, f"{kept_alone(kept)}, {among}; {_HELPS} would keep more")
     shown = _clear_lines(stripes, decoys, contests)
-    for share in _SHARES if evident else ():
-        kept, least, measure = max((*one.best(share), k) for k, one in enumerate(contests))
-        if kept < (_KEPT_SURELY if shown is None else _KEPT) * won:
-            continue
-        return Chance(
-            least,
-            measure,
-            f"the sweep is doubtful: chance finds {100.0 * lost / won:.1f} % as many stripes; only the clearer "
-            f"{min(100.0 * kept / won, 100.0):.0f} % of them were kept, among which it has about {100 * share:.2g} %; "
-            f"{_HELPS} would keep more",
-        )
     if shown is not None:
         kept, least, measure = shown
-        return Chance(
-            least,
-            measure,
-            f"the sweep is doubtful: chance finds {100.0 * lost / won:.0f} % as many stripes; only the "
-            f"{100.0 * kept / won:.0f} % of them were kept that are clearer than those by half; "
-            f"{_HELPS} would keep more",
-        )
+        return Chance(least, measure, f"{kept_alone(kept)}, clearer by half than those; {_HELPS} would keep more")
     if lost <= _SHARES[-1] * won:
-        return Chance(
-            note=f"the sweep is doubtful: chance finds {100.0 * lost / won:.1f} % as many stripes, as clear as these; "
-            f"{_HELPS} would tell them apart"
-        )
+        return Chance(note=f"{doubtful}, as clear as these; {_HELPS} would tell them apart")
     raise CaptureError(
         f"The stripes of the sweep are not told from chance: {won} lines have one, {lost} a clearer one with laser on "
         f"and off exchanged; check that the laser was lit in the on images; else try {_HELPS}."

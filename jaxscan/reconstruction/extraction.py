@@ -74,14 +74,9 @@ def extract(
     """Find the stripes of a whole sweep; `reconstruct` takes them instead of frames.
 
     Args:
-        sweep: Frames at known angles, in memory or on disk.
         scanner: The calibrated rig; it only says where on a line stripes can lie.
         settings: Range limits, and how stripes are found.
         noise: Noise of a frame; estimated from the start of the sweep where not given.
-        progress: Called with (records done, records in all) after every chunk.
-
-    Returns:
-        The stripes, with what was learned.
 
     Raises:
         CaptureError: If the sweep has no records or cannot be read, or its stripes are not told from chance.
@@ -314,7 +309,6 @@ def learn(plan: Plan, first: FrameChunk, *, noise: NoiseModel | None = None, pre
     """Learn noise and colours, and where stripes are looked for.
 
     Args:
-        plan: The sweep.
         first: Its first `LEARNED_RECORDS`: a fixed number, so that the result does not depend on the size of chunks.
         noise: Noise of a frame; learned where not given.
         predicted: Whether laser-off frames are predicted; as the first record says where not given.

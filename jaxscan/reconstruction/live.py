@@ -77,9 +77,6 @@ class IncomingStripes:
         """Check that sweep and scanner fit together.
 
         Args:
-            sweep: The sweep to come.
-            scanner: The calibrated rig.
-            settings: As for `reconstruct`.
             show: Gets the points of some records as soon as they are computed, without smoothing.
 
         Raises:

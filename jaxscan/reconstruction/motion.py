@@ -91,8 +91,6 @@ def refuse_other_motion(
     places alike, tell nothing. Only NumPy computes, on a few reduced images.
 
     Args:
-        sweep: The sweep.
-        scanner: Its scanner.
         points: Of its records, in the order along the stripe.
         off_frame: The laser-off image of a record.
         name: Of the capture, for the message.

@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
-import jax
 import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError
@@ -132,16 +131,14 @@ def plan_sweep(sweep: SweepSource, scanner: Scanner, settings: ReconstructSettin
 
 def chunk_records(sweep: SweepSource, settings: ReconstructSettings) -> int:
     """Records that are computed at a time."""
-    devices = len(jax.local_devices())
     if settings.chunk_records is not None:
-        return -(-min(settings.chunk_records, len(sweep)) // devices) * devices
+        return min(settings.chunk_records, len(sweep))
     width, height = sweep.image_size
     pair = 2 * width * height * (3 if sweep.pixel_format == "rgb8" else 1) * len(sweep.exposures)
-    # A short sweep still has something to do for every core, and for every device.
+    # A short sweep still has something to do for every core.
     share = -(-len(sweep) // max(workers(), 1))
     # Powers of two, so that short sweeps of all lengths share a few compiled functions.
-    size = 1 << max(0, math.ceil(math.log2(min(_RECORDS, max(1, _BYTES / pair), share))))
-    return -(-size // devices) * devices
+    return 1 << max(0, math.ceil(math.log2(min(_RECORDS, max(1, _BYTES / pair), share))))
 
 
 def _check_motion(sweep: SweepSource, scanner: Scanner) -> None:

@@ -185,12 +185,8 @@ def triangulate(
     derivative, through the lens model and the bow of the sheet.
 
     Args:
-        rig: The rig.
         u: Stripe centres across the line [px].
         line: Numbers of the lines: image rows, or columns for `stripe_axis` "columns" [px].
-        laser: Number of the sheet that lit the stripes.
-        stripe_axis: Whether a line is an image row or an image column.
-        limits: Range limits and the smallest incidence.
 
     Source: the paper, equations (1)-(4).
     """
@@ -211,10 +207,7 @@ def locate_points(
     """Points and sigmas of some profiles, and the camera's centres [m]; pure and traceable.
 
     Args:
-        aim: Rig, laser and limits, float32.
-        centres: Stripe centres.
         phi: The table's angle of each profile [rad from home].
-        stripe_axis: Whether a line is an image row or an image column.
     """
     u = jnp.where(centres.valid, centres.u, 0.0).astype(centres.u.dtype)
     line = jnp.broadcast_to(jnp.arange(u.shape[1], dtype=u.dtype), u.shape)
@@ -266,11 +259,8 @@ def fill_points(
     Args:
         fields: As of `empty_points`, of the whole grid, which are filled.
         rows: The profiles in the grid; for normals in the order of their angle.
-        aim: Where they go.
-        centres: Stripe centres of the whole grid.
         phi: The table's angle of each profile of the grid [rad from home].
         window: The neighbours from which normals are taken; None for no normals.
-        stripe_axis: Whether a line is an image row or an image column.
     """
     steps, halves = _sizes(window)
 
@@ -300,7 +290,6 @@ def grid_normals(
     Args:
         xyz: Points [m].
         sigma: Standard deviation along the ray [m].
-        valid: Which of them exist.
         centre: Camera centre of each profile [m].
         line_step: Angle between neighbouring lines [rad].
         profile_step: Angle between neighbouring profiles [rad].

@@ -38,7 +38,6 @@ def reconstruct(
     chunks.
 
     Args:
-        sweep: Frames at known angles, in memory or on disk.
         scanner: The calibrated rig. Its lasers are found by name where it knows all names of the
             sweep, and by number otherwise.
         stripes: Stripe centres of this sweep where they are known already (`extract`);
@@ -46,7 +45,6 @@ def reconstruct(
         smoothed: Those stripes smoothed, where that is done already (`smooth_stripes`).
         settings: Range limits, and how stripes are found.
         noise: Noise of a frame; estimated from the start of the sweep where not given.
-        progress: Called with (records done, records in all) after every chunk.
 
     Returns:
         The cloud on the grid [profile, line], scanner frame, metres; NumPy arrays, float32.
@@ -114,8 +112,6 @@ def _points(plan: Plan, centres: Centres, each: int) -> dict[str, np.ndarray]:
     """The fields of the cloud that are made of centres; neighbours are profiles of one laser, in the order of angles.
 
     Args:
-        plan: The sweep.
-        centres: Stripe centres.
         each: Profiles of the cloud for each of the sweep.
     """
     carries, fields = plan.scanner.turntable.carries, empty_points(np.shape(centres.u))

@@ -82,7 +82,6 @@ class Sweep:
         on: Laser-on frames, uint8 [records, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape, or None.
         angles: The table's angle of each record [rad from home].
-        pixel_format: How a frame is to be read.
         response: "linear", or "srgb" or "gamma 2.2" (decoded before the fit).
         lasers: The lasers as the camera sees them.
         laser: The laser of each profile; the first where not given.

@@ -176,11 +176,9 @@ def places(
     """Where the second of two steps sees what the first sees at the lattice's pixels, as (line, sample) of the plane.
 
     Args:
-        scanner: The rig.
         phi: The table's angles of both steps [rad].
         ranges: Distances of the points from the camera [m].
         lattice: Pixels of the first step.
-        axis: Whether a line is an image row or an image column.
     """
     rig = scanner.rig
     u, line = np.meshgrid(lattice.u, lattice.line)

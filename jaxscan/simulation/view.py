@@ -36,12 +36,6 @@ class SceneView(NamedTuple):
     """The scene in its own light, float32 [channels, height, width]; white in mean light is 1."""
     albedo: np.ndarray
     """Albedo of the surfaces in further channels, float32 [channels, height, width]."""
-    flat: np.ndarray
-    """A triangle of the one facet that a tile shows, int64 [rows of tiles, columns]; -1 where it may show several."""
-
-    def facet_at(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """A triangle of the facet that all of a pixel shows; -1 where it may show several."""
-        return self.flat[rows // TILE, columns // TILE]
 
 
 class Tiles(NamedTuple):
@@ -112,7 +106,7 @@ def observe(
     size = (len(tiles.rays.x), TILE * TILE)
     depth, picture = np.empty(size, np.float32), np.empty((weights.shape[1], *size), np.float32)
     triangle = np.empty(size, np.int32)
-    nothing, first = len(scene.normal) - 1, _plain(rig, tiles, scene, pose)
+    nothing, first = len(scene.normal) - 1, plain_tiles(rig, tiles, scene, pose)
     triangle[:] = first[:, None]
     facet = np.where(first < 0, -2, scene.outline.facet[first])
     order = np.argsort(facet, kind="stable")
@@ -132,9 +126,8 @@ def observe(
                 batch = part[start : start + _BATCH]
                 here = None if share is None else share[start : start + _BATCH]
                 depth[batch], picture[:, batch] = plane.seen(tiles.rays.at(batch), weights, count, here)
-    images = (_image(part, tiles.shape, rig.rays.shape) for part in (depth, triangle, picture))
-    seen, hit, picture = images
-    return SceneView(seen, hit, picture[:count], picture[count:], first.reshape(tiles.shape))
+    seen, hit, picture = (_image(part, tiles.shape, rig.rays.shape) for part in (depth, triangle, picture))
+    return SceneView(seen, hit, picture[:count], picture[count:])
 
 
 def points_at(
@@ -157,7 +150,7 @@ def _batches(part: np.ndarray) -> list[np.ndarray]:
     return np.array_split(part, -(-len(part) // _BATCH))
 
 
-def _plain(rig: TrueRig, tiles: Tiles, scene: Scene, pose: Motion) -> np.ndarray:
+def plain_tiles(rig: TrueRig, tiles: Tiles, scene: Scene, pose: Motion) -> np.ndarray:
     """A triangle of the one facet that every tile shows, int64 [tiles]; -1 where it may show several."""
     rows, columns = tiles.shape
     far, triangle = (

@@ -47,9 +47,8 @@ if TYPE_CHECKING:
     )
     from jaxscan.stripes.pairs import judge_pairs
     from jaxscan.stripes.predict import Channels, box_mean, predict_off, read_channels, warped
-    from jaxscan.stripes.scatter import ProfileRows, Scatter, ScatterLaw, row_scatter, scatter_law
-    from jaxscan.stripes.search import LEARNED_FRAMES, LineGate, whole_lines
-    from jaxscan.stripes.setup import ExtractionSetup
+    from jaxscan.stripes.scatter import ProfileRows, ScatterLaw, scatter_law
+    from jaxscan.stripes.search import LEARNED_FRAMES, ExtractionSetup, LineGate, whole_lines
     from jaxscan.stripes.smooth import Smoothed, smooth_profiles
     from jaxscan.stripes.stripes import KEPT_FIELDS, Choice, FrameStripes, NoiseModel, Stripes, StripeSettings
 else:

@@ -8,8 +8,7 @@ import numpy as np
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.frames import Colour, LaserLine
-from jaxscan.stripes.search import LineGate
-from jaxscan.stripes.setup import ExtractionSetup
+from jaxscan.stripes.search import ExtractionSetup, LineGate
 from jaxscan.stripes.stripes import FrameStripes
 
 

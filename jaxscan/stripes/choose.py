@@ -23,7 +23,6 @@ Theory 13, 1967, with costs that saturate.
 
 import functools
 import itertools
-from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -56,7 +55,10 @@ _BLOCK = 32
 """Profiles that are looked at together: intermediate arrays stay in a CPU's caches."""
 _REACH = 3
 _OFFSETS = tuple(o for o in range(-_REACH, _REACH + 1) if o != 0)
-_PAIRS = tuple(itertools.combinations(_OFFSETS, 2))
+_TRACK_PX, _STEEPEST_PX = 1.5, 40.0
+"""Distance of a centre from the line through two others of its track, and its largest movement in a step [px]."""
+_LEAST_SUPPORT, _MORE_SUPPORT = 3, 2
+"""Neighbours on the track of a candidate that may take the place of the chosen one, and how many more they must be."""
 _LINES = 128
 """Lines that are compared at a time: the copies for it stay small beside the sweep itself."""
 
@@ -69,9 +71,7 @@ def choose_stripes(
     Args:
         measured: All candidates [frames, candidates, lines of the laser's plane].
         search: Which side is near, and the signal-to-noise ratios that are asked for.
-        choice: The rule.
         sites: Where the laser's plane lies in the image.
-        image_lines: Lines of the image.
         several: Whether all candidates are given.
 
     Returns:
@@ -226,40 +226,9 @@ def _taken(field: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     return np.where((chosen >= 0).reshape(*chosen.shape, *rest), taken, taken.dtype.type(0))
 
 
-@dataclass(frozen=True)
-class StepSettings:
-    """The definition of a track; static, so a change recompiles."""
-
-    tolerance_px: float = 1.5
-    """Distance of a centre from the straight line through two others of its track [px]."""
-    max_slope_px: float = 40.0
-    """Largest movement of a stripe from step to step [px]."""
-    min_support: int = 3
-    """Neighbours on the track of a candidate that may take the place of the chosen one."""
-    margin: int = 2
-    """By how many neighbours its track must be better."""
-    passes: int = 2
-    """How often the candidates are compared: a corrected centre helps its neighbours."""
-    drop: bool = True
-    """Whether centres that the neighbours pass by are dropped. An object seen in a single step, a
-    thread before a wall, goes with them."""
-
-    def __post_init__(self) -> None:
-        if not (self.tolerance_px > 0 and self.max_slope_px > 0):
-            raise ValueError("`tolerance_px` and `max_slope_px` must be positive.")
-        if self.min_support < 2 or self.margin < 1 or self.passes < 1:
-            raise ValueError("`min_support` must be at least 2, `margin` and `passes` at least 1.")
-
-
-_SETTINGS = StepSettings()
-
-
-@functools.partial(jax.jit, static_argnames="settings")
+@jax.jit
 def check_steps(
-    u: Float[Array, "profiles lines K"],
-    exists: Bool[Array, "profiles lines K"],
-    chosen: Int8[Array, "profiles lines"],
-    settings: StepSettings = _SETTINGS,
+    u: Float[Array, "profiles lines K"], exists: Bool[Array, "profiles lines K"], chosen: Int8[Array, "profiles lines"]
 ) -> Int8[Array, "profiles lines"]:
     """Choose again where the neighbouring profiles know better.
 
@@ -267,42 +236,34 @@ def check_steps(
     side, that lie on one straight line with it; a line needs two of them, which may be on one
     side. Another candidate takes the place of the chosen one where its support is clearly larger. At
     last a chosen centre is dropped if it has no support, and none close to it in the steps next to
-    it, while at least two neighbours on either side lie on a line that passes it by. At the end of a
-    surface the neighbours of one side support it, and those of both sides do not agree: there, as
-    everywhere without evidence, nothing is changed.
+    it, while at least two neighbours on either side lie on a line that passes it by: an object that is seen in a single
+    step, a thread before a wall, goes with them. At the end of a surface the neighbours of one side support it, and
+    those of both sides do not agree: there, as everywhere without evidence, nothing is changed.
 
     Args:
         u: Centres of the candidates [px]; the profiles are one laser's, in the order of the turning and
             equally spaced.
-        exists: Which candidates there are.
         chosen: Number of the chosen candidate, -1 where there is none; these stay -1.
-        settings: The definition of a track.
-
-    Returns:
-        The new choice.
     """
     profiles, lines, candidates = u.shape
     blocks = -(-profiles // _BLOCK)
-    after = blocks * _BLOCK - profiles
+    after = (0, blocks * _BLOCK - profiles)
     # Planes per candidate: as the last axis, three numbers would keep the loops from being vectorised.
-    centres, known = jnp.moveaxis(jnp.asarray(u), -1, 0), jnp.moveaxis(jnp.asarray(exists), -1, 0)
-    centres = jnp.pad(centres, ((0, 0), (0, after), (0, 0)))
-    known = jnp.pad(known, ((0, 0), (0, after), (0, 0)))
-    choice = jnp.pad(jnp.asarray(chosen), ((0, after), (0, 0)), constant_values=-1)
-    for number in range(settings.passes):
-        last = settings.drop and number == settings.passes - 1
-        centre = functools.reduce(
-            lambda value, k: jnp.where(choice == k, centres[k], value), range(candidates), jnp.zeros_like(centres[0])
-        )
-        there = functools.reduce(lambda value, k: value | ((choice == k) & known[k]), range(candidates), choice < -1)
-        margin = ((_REACH, _REACH), (0, 0))
-        centre, there = jnp.pad(centre, margin), jnp.pad(there, margin)
+    planes = lambda field: jnp.pad(jnp.moveaxis(jnp.asarray(field), -1, 0), ((0, 0), after, (0, 0)))
+    centres, known = planes(u), planes(exists)
+    choice = jnp.pad(jnp.asarray(chosen), (after, (0, 0)), constant_values=-1)
+    # Twice: a corrected centre helps its neighbours.
+    for last in (False, True):
+        centre, there = jnp.zeros_like(centres[0]), jnp.zeros_like(known[0])
+        for k in range(candidates):
+            centre, there = jnp.where(choice == k, centres[k], centre), there | ((choice == k) & known[k])
+        centre, there = (jnp.pad(field, ((_REACH, _REACH), (0, 0))) for field in (centre, there))
 
         def block(start, centre=centre, there=there, choice=choice, last=last):
             cut = lambda a, size, axis=0: lax.dynamic_slice_in_dim(a, start, size, axis)
             track = cut(centre, _BLOCK + 2 * _REACH), cut(there, _BLOCK + 2 * _REACH)
             own = cut(centres, _BLOCK, 1), cut(known, _BLOCK, 1)
-            return _choose(track, own, cut(choice, _BLOCK), settings, reject=last)
+            return _choose(track, own, cut(choice, _BLOCK), reject=last)
 
         choice = lax.map(block, jnp.arange(blocks) * _BLOCK).reshape(blocks * _BLOCK, lines)
     return choice[:profiles]
@@ -312,7 +273,6 @@ def _choose(
     track: tuple[Float[Array, "around lines"], Bool[Array, "around lines"]],
     candidates: tuple[Float[Array, "K block lines"], Bool[Array, "K block lines"]],
     choice: Int8[Array, "block lines"],
-    settings: StepSettings,
     *,
     reject: bool,
 ) -> Int8[Array, "block lines"]:
@@ -321,54 +281,51 @@ def _choose(
     (centre, there), (own, known) = track, candidates
     at = {o: (centre[_REACH + o :][:block], there[_REACH + o :][:block]) for o in _OFFSETS}
     lines = {}
-    for i, j in _PAIRS:
+    for i, j in itertools.combinations(_OFFSETS, 2):
         (u_i, there_i), (u_j, there_j) = at[i], at[j]
         slope = (u_j - u_i) * (1.0 / (j - i))
-        lines[i, j] = u_i - i * slope, there_i & there_j & (jnp.abs(slope) <= settings.max_slope_px)
-
+        lines[i, j] = u_i - i * slope, slope, there_i & there_j & (jnp.abs(slope) <= _STEEPEST_PX)
     best = jnp.zeros(choice.shape, jnp.int8)
-    support = jnp.zeros(choice.shape, jnp.int8)
-    better = choice
+    support, better = best, choice
     for k in range(own.shape[0]):
-        found = jnp.where(known[k], _support(own[k], lines, settings), jnp.int8(0))
+        found = jnp.where(known[k], _support(own[k], lines), jnp.int8(0))
         support = jnp.where(choice == k, found, support)
         better = jnp.where(found > best, jnp.int8(k), better)
         best = jnp.maximum(found, best)
-    swap = (choice >= 0) & (best >= settings.min_support) & (best >= support + jnp.int8(settings.margin))
+    swap = (choice >= 0) & (best >= _LEAST_SUPPORT) & (best >= support + jnp.int8(_MORE_SUPPORT))
     new = jnp.where(swap, better, choice)
     if not reject:
         return new
-    passed_by = _passed_by(at, lines, centre[_REACH:][:block], settings)
+    passed_by = _passed_by(at, lines, centre[_REACH:][:block])
     return jnp.where((choice >= 0) & ~swap & (support == 0) & passed_by, jnp.int8(-1), new)
 
 
-def _support(own: Array, lines: dict, settings: StepSettings) -> Int8[Array, "block lines"]:
+def _support(own: Array, lines: dict) -> Int8[Array, "block lines"]:
     """Largest number of neighbours on one straight line with a candidate; 0 where no two are."""
     total = {o: jnp.zeros(own.shape, jnp.int8) for o in _OFFSETS}
-    for (i, j), (meets, usable) in lines.items():
+    for (i, j), (meets, _, usable) in lines.items():
         # The nearer neighbour's distance from the line through the candidate and the farther one.
         near, far = sorted((i, j), key=abs)
-        agrees = (usable & (jnp.abs(meets - own) <= settings.tolerance_px / (1.0 - near / far))).astype(jnp.int8)
+        agrees = (usable & (jnp.abs(meets - own) <= _TRACK_PX / (1.0 - near / far))).astype(jnp.int8)
         total[i], total[j] = total[i] + agrees, total[j] + agrees
     most = functools.reduce(jnp.maximum, total.values())
     return jnp.where(most > 0, most + jnp.int8(1), jnp.int8(0))
 
 
-def _passed_by(at: dict, lines: dict, own: Array, settings: StepSettings) -> Bool[Array, "block lines"]:
+def _passed_by(at: dict, lines: dict, own: Array) -> Bool[Array, "block lines"]:
     """Whether two neighbours on either side lie on a straight line that is far from a lone centre."""
-    apart = 3.0 * settings.tolerance_px
-    alone = ~functools.reduce(lambda a, b: a | b, (at[o][1] & (jnp.abs(at[o][0] - own) <= apart) for o in (-1, 1)))
+    apart = 3.0 * _TRACK_PX
+    alone = jnp.ones(own.shape, jnp.bool_)
+    for u, there in (at[-1], at[1]):
+        alone &= ~(there & (jnp.abs(u - own) <= apart))
     result = jnp.zeros(own.shape, jnp.bool_)
-    for (i, j), (meets, usable) in lines.items():
+    for (i, j), (meets, slope, usable) in lines.items():
         if i > 0 or j < 0:
             continue
-        (u_i, _), (u_j, _) = at[i], at[j]
-        slope = (u_j - u_i) * (1.0 / (j - i))
-        sides = {}
+        both = usable & (jnp.abs(meets - own) > apart)
         for side in (-1, 1):
             others = [o for o in _OFFSETS if o * side > 0 and o not in (i, j)]
-            on_line = [at[o][1] & (jnp.abs(at[o][0] - meets - o * slope) <= settings.tolerance_px) for o in others]
-            sides[side] = on_line[0] | on_line[1]
-        far = jnp.abs(meets - own) > apart
-        result = result | (usable & far & sides[-1] & sides[1])
+            on_line = [at[o][1] & (jnp.abs(at[o][0] - meets - o * slope) <= _TRACK_PX) for o in others]
+            both &= on_line[0] | on_line[1]
+        result = result | both
     return alone & result

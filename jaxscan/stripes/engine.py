@@ -5,7 +5,6 @@ a CPU it goes from frame to frame, so that everything of a frame stays in a core
 several threads; on an accelerator it takes several frames at a time.
 """
 
-import functools
 import itertools
 import os
 from collections.abc import Callable, Sequence
@@ -17,7 +16,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Bool, Float, Int, Int8, UInt8
 
 from jaxscan.compiling import compile_wide
@@ -25,7 +23,7 @@ from jaxscan.geometry import Array, StripeAxis
 from jaxscan.stripes.channels import doubted, doubts_of, other_channels
 from jaxscan.stripes.choose import choose_stripes, chosen_of
 from jaxscan.stripes.estimators import ESTIMATORS, Estimator, estimator_of
-from jaxscan.stripes.exposures import merge_brackets
+from jaxscan.stripes.exposures import merge_exposures
 from jaxscan.stripes.frames import (
     Colour,
     LaserLine,
@@ -41,6 +39,7 @@ from jaxscan.stripes.frames import (
 from jaxscan.stripes.planes import plane_of
 from jaxscan.stripes.search import (
     LEARNED_FRAMES,
+    ExtractionSetup,
     LineGate,
     Search,
     correct_search,
@@ -49,7 +48,6 @@ from jaxscan.stripes.search import (
     prepare_search,
     whole_lines,
 )
-from jaxscan.stripes.setup import ExtractionSetup
 from jaxscan.stripes.speckle import REASONS
 from jaxscan.stripes.stripes import Choice, FrameStripes, NoiseModel
 
@@ -157,8 +155,7 @@ class StripeEngine(eqx.Module):
     def extract(self, on: Array, off: Array | None, records: int = 0) -> ChunkStripes:
         """Stripes of a chunk of records, a profile for each; with all candidates one for each of them.
 
-        Single precision throughout, so that the result does not depend on the caller's setting. Several devices share
-        the frames.
+        Single precision throughout, so that the result does not depend on the caller's setting.
 
         Args:
             on: Laser-on frames, uint8 [records, rows, columns] (rgb8: and 3), with a second axis over exposures where
@@ -226,7 +223,7 @@ class StripeEngine(eqx.Module):
         chosen = together(numbers, 1) if numbers else None
         # Channels are chosen like exposures; amplitudes are as the first one sees them.
         with jax.enable_x64(False):
-            merged = merge_brackets(stripes, chosen, (1.0, *self.responses), each)
+            merged = merge_exposures(stripes, chosen, (1.0, *self.responses), each)
             return ChunkStripes(*jax.tree.map(np.asarray, merged))
 
 
@@ -307,29 +304,6 @@ def _copied(frames: Array, records: int) -> _Stack:
     return _Stack(memory[first : first + size], np.asarray(0, np.int32))
 
 
-@functools.partial(compile_wide, static=("kind", "frames"), sooner=True)
-def _extracted(on: _Stack, off: _Stack | None, count: Array, search: Search, kind: _Kind, frames: int) -> ChunkStripes:
-    devices = jax.local_devices()
-    if len(devices) == 1 or frames % len(devices):
-        return _of_stack(on, off, count, search, kind, frames)
-    # All local devices take the same number of frames each; no frame needs another one.
-    mesh, share = Mesh(np.array(devices), ("frames",)), frames // len(devices)
-    size = int(np.prod(kind.shape))
-    split, everywhere = PartitionSpec("frames"), PartitionSpec()
-
-    def part(on: Array, off: Array | None, count: Array, search: Search) -> ChunkStripes:
-        lit, dark = _Stack(on, jnp.int32(0)), None if off is None else _Stack(off, jnp.int32(0))
-        return _of_stack(lit, dark, count - share * lax.axis_index("frames"), search, kind, share)
-
-    def cut(stack: _Stack) -> Array:
-        # The frames that are counted may be the last of the stack; behind them is nothing.
-        return lax.dynamic_slice(jnp.pad(stack.bytes, (0, frames * size)), (stack.start,), (frames * size,))
-
-    specs = (split, split, everywhere, everywhere)
-    call = jax.shard_map(part, mesh=mesh, in_specs=specs, out_specs=split, check_vma=False)
-    return call(cut(on), None if off is None else cut(off), count, search)
-
-
 def _of_stack(on: _Stack, off: _Stack | None, count: Array, search: Search, kind: _Kind, frames: int) -> ChunkStripes:
     """Stripes of the first `count` frames of a stack; frames of a record's exposures follow each other."""
     estimator, size = ESTIMATORS[kind.estimator], int(np.prod(kind.shape))
@@ -355,8 +329,11 @@ def _of_stack(on: _Stack, off: _Stack | None, count: Array, search: Search, kind
     stripes, chosen = choose_stripes(measured, search, kind.choice, sites, lines, several=kind.several)
     if len(kind.exposures) > 1:
         each = estimator.candidates if kind.several else 1
-        stripes, chosen = merge_brackets(stripes, chosen, kind.exposures, each)
+        stripes, chosen = merge_exposures(stripes, chosen, kind.exposures, each)
     return ChunkStripes(stripes, chosen)
+
+
+_extracted = compile_wide(_of_stack, static=("kind", "frames"), sooner=True)
 
 
 def _ratio(on: UInt8[Array, "lines samples"], off: UInt8[Array, "lines samples"], search: Search) -> Array:
@@ -459,7 +436,6 @@ def stripes_of_frames(engine: StripeEngine, on: UInt8[Array, "frames ..."], off:
     """Stripe centres of a chunk of frames: pure, of static shapes, to be traced in a larger jit.
 
     Args:
-        engine: Setup and search.
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape, or None.
     """

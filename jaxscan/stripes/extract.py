@@ -7,7 +7,7 @@ from jaxscan.geometry import Array
 from jaxscan.stripes.engine import prepare_engines
 from jaxscan.stripes.frames import FrameFormat, LaserLine, PixelFormat, check_frames, frame_rank
 from jaxscan.stripes.predict import predict_off
-from jaxscan.stripes.setup import ExtractionSetup
+from jaxscan.stripes.search import ExtractionSetup
 from jaxscan.stripes.stripes import KEPT_FIELDS, NoiseModel, Stripes, StripeSettings
 
 

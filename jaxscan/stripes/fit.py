@@ -151,16 +151,7 @@ def fit_peaks(
     """Fit and judge the candidates of one frame, those that exist packed one after the other.
 
     Args:
-        on: With the laser on.
-        off: The same with the laser off, where there are any.
-        lamp_ratio: Factor by which the light of the laser-off frame is multiplied [1].
-        peaks: The candidates.
         search: The noise, the prior of the width, and the limits of what is believed.
-        pitch: Distance between samples [px].
-        linear: Whether codes are linear levels.
-
-    Returns:
-        Fields [candidates, lines]; zero where no stripe is believed.
     """
     lines = on.samples.shape[0]
     flat = [jnp.asarray(field).reshape(-1) for field in (peaks.at, peaks.extent, peaks.first, peaks.bins)]
@@ -225,11 +216,11 @@ def _fit_block(
     flat = 0.5 * pitch * saturated
     spread = jnp.where(saturated > 0, 1.0, FILTER_VARIANCE[pitch])
     squared = (0.25 * cut.extent**2 - flat**2) / (2.0 * math.log(2.0)) - spread
-    width = jnp.clip(jnp.sqrt(jnp.maximum(squared, 0.36)), 0.6, limits.max_width)
+    width = jnp.clip(jnp.sqrt(jnp.maximum(squared, 0.36)), 0.6, limits.max_width_px)
     amplitude = jnp.maximum(top, 1.0) * jnp.exp(jnp.minimum(0.5 * (flat / width) ** 2, 1.5))
     window = Window(level, jnp.where(used, variance * per_bin[None], UNUSED_VARIANCE), step, bins, per_bin / per_dn)
     prior = search.log_width, search.width_information
-    rules = FitRules(1.1 * limits.max_width, prior, search.speckle * lax.rsqrt(bins), REST)
+    rules = FitRules(1.1 * limits.max_width_px, prior, search.speckle * lax.rsqrt(bins), REST)
     steps = jnp.where(saturated > 0, limits.clipped_iterations, limits.iterations)
     fit = fit_stripe(window, Start(start, amplitude, width, background), rules, iterations=steps, active=cut.real)
     tallest = jnp.where(saturated > 0, jnp.inf, 2.0 * amplitude)
@@ -292,9 +283,9 @@ def _accept(fit: Fit, reach: Array, tallest: Array, parameters: int, search: Sea
         (fit.samples > parameters)
         & (fit.energy >= limits.least_snr**2)
         & (fit.variance > 0)
-        & (sigma <= limits.max_sigma)
-        & (fit.width >= limits.min_width)
-        & (fit.width <= limits.max_width)
+        & (sigma <= limits.max_sigma_px)
+        & (fit.width >= limits.min_width_px)
+        & (fit.width <= limits.max_width_px)
         & (fit.amplitude <= tallest)
         & (fit.last_step <= 0.02 + sigma)
         & (jnp.abs(fit.u) <= reach)
@@ -323,7 +314,6 @@ def fit_stripe(
     which converges to the maximum of the likelihood; the normal matrix is then its information.
 
     Args:
-        window: The samples.
         start: Where to start; with a background where that is to be fitted too.
         rules: The prior of the width, and when the steps end.
         iterations: Largest number of steps, of all or of each.

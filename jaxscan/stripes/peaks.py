@@ -75,10 +75,8 @@ def find_peaks(
     """The candidates of a frame.
 
     Args:
-        on: With the laser on.
         off: The same with the laser off. Without it the level of both sides of a maximum is subtracted, the higher of
             the two, so that no edge wins.
-        lamp_ratio: Factor by which the light of the laser-off frame is multiplied [1].
         low: First sample of each line that may hold the stripe.
         high: The sample behind the last one; a line whose `high` is not above `low` has no candidate.
         thresholds: Smallest response of a candidate by the level of the room around it.

@@ -70,8 +70,6 @@ def predict_off(
 
     Args:
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
-        pixel_format: How a frame is to be read.
-        line: The laser, of which the colour is known.
         elsewhere: Levels that other frames predict for the only frame, taken where they are good.
 
     Returns:

@@ -105,11 +105,6 @@ _ALIKE = (np.zeros(1), np.ones(1))
 _NOTHING = ScatterLaw((_ALIKE, _ALIKE), _ALIKE, (), INDEPENDENT)
 
 
-def row_scatter(rows: ProfileRows, line_step: int = 1) -> Scatter:
-    """The scatter of the rows of one laser: `scatter_law`, and what it says of these rows."""
-    return scatter_law(rows, line_step).of(rows)
-
-
 def scatter_law(rows: ProfileRows, line_step: int = 1) -> ScatterLaw:
     r"""The scatter of the rows of one laser, from differences along the stripe.
 

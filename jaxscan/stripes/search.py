@@ -1,15 +1,15 @@
-"""The search: where a stripe is looked for, from which signal on, and what is believed; and what first frames tell."""
+"""The setup of an extraction; where a stripe is searched, from which signal on, what is believed; what first frames
+tell."""
 
 import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Int16
+from jaxtyping import Bool, Float, Int, Int16, UInt8
 
 from jaxscan.geometry import Array, across_and_along
-from jaxscan.stripes.frames import decode_table
+from jaxscan.stripes.frames import FrameFormat, LaserLine, Sites, decode_table, laser_plane, laser_sites
 from jaxscan.stripes.peaks import COARSE_NORM, LATTICE_PX
-from jaxscan.stripes.setup import ExtractionSetup
 from jaxscan.stripes.speckle import Rows, correct_speckle, learn_speckle
 from jaxscan.stripes.stripes import FrameStripes, NoiseModel, StripeSettings
 
@@ -22,6 +22,41 @@ _LEAST_SPREAD = 0.1
 """Smallest standard deviation of the prior of the width [1]."""
 _WORST = 0.3
 """Standard deviation of a logarithm of the width up to which a stripe tells something [1]."""
+
+
+class ExtractionSetup(NamedTuple):
+    """Frames of one kind, a laser as they show it, and the settings."""
+
+    image_size: tuple[int, int]
+    """Width and height of a frame [px]."""
+    frames: FrameFormat
+    line: LaserLine
+    settings: StripeSettings
+    exposures: tuple[float, ...] = (1.0,)
+    """Relative exposures of the frames of one record."""
+    level: int | None = None
+    """Where the exposures are levels of one frame of more than 8 bits, the one that this engine reads."""
+    all_candidates: bool = False
+    """Whether the other candidates of a line are given too, beside the number of the chosen one."""
+
+    @property
+    def several(self) -> bool:
+        """Whether a frame gives a profile for each of its candidates."""
+        return self.all_candidates or self.settings.choice == "all"
+
+    @property
+    def sites(self) -> Sites:
+        """Which pixels of a frame carry the laser's colour."""
+        return laser_sites(self.frames.pixel_format, self.line)
+
+    @property
+    def image_lines(self) -> int:
+        """Lines of a profile."""
+        return across_and_along(*self.image_size, self.line.stripe_axis)[1]
+
+    def plane(self, frames: Array) -> UInt8[Array, "frames lines samples"]:
+        """The samples of the laser's colour of frames uint8 [frames, rows, columns] (rgb8: and 3)."""
+        return laser_plane(frames, pixel_format=self.frames.pixel_format, line=self.line)
 
 
 class LineGate(NamedTuple):
@@ -44,9 +79,9 @@ class Limits(NamedTuple):
     least_snr: Float[Array, ""]
     min_snr: Float[Array, ""]
     continued_snr: Float[Array, ""]
-    min_width: Float[Array, ""]
-    max_width: Float[Array, ""]
-    max_sigma: Float[Array, ""]
+    min_width_px: Float[Array, ""]
+    max_width_px: Float[Array, ""]
+    max_sigma_px: Float[Array, ""]
     max_chi2: Float[Array, ""]
     max_misfit: Float[Array, ""]
     guard_edges: Float[Array, ""]
@@ -54,19 +89,9 @@ class Limits(NamedTuple):
 
     @classmethod
     def of(cls, settings: StripeSettings) -> "Limits":
-        numbers = settings.saturation, settings.iterations, settings.clipped_iterations
-        rest = (
-            settings.least_snr,
-            settings.min_snr,
-            settings.continued_snr,
-            settings.min_width_px,
-            settings.max_width_px,
-            settings.max_sigma_px,
-            settings.max_chi2,
-            settings.max_misfit,
-            float(settings.guard_edges),
-        )
-        return cls(*(np.asarray(n, np.int32) for n in numbers), *(np.asarray(x, np.float32) for x in rest))
+        whole = ("saturation", "iterations", "clipped_iterations")
+        kinds = {name: np.int32 if name in whole else np.float32 for name in cls._fields}
+        return cls(*(np.asarray(getattr(settings, name), kind) for name, kind in kinds.items()))
 
 
 class Search(NamedTuple):
@@ -105,7 +130,6 @@ def thresholds(noise: NoiseModel, settings: StripeSettings, *, pitch: int, has_o
     """Smallest response of a candidate, by the level of the room around it [DN].
 
     Args:
-        noise: Noise of a frame.
         settings: With the signal-to-noise ratio from which a maximum is a candidate.
         pitch: Distance between samples [px]: a lattice point adds up two samples, or is one.
         has_off: Whether a laser-off frame is subtracted; else the mean of eight lattice points is.
@@ -129,10 +153,7 @@ def prepare_search(setup: ExtractionSetup, noise: NoiseModel, gate: LineGate, *,
     """The search in frames of this noise.
 
     Args:
-        setup: Frames, laser and settings.
-        noise: Noise of a frame.
         gate: The part of each line of the image that may hold the stripe.
-        has_off: Whether there are laser-off frames.
 
     Raises:
         ValueError: If the rule of choice needs a side that is not given.
@@ -176,7 +197,6 @@ def learn_search(search: Search, stripes: FrameStripes, setup: ExtractionSetup) 
     Args:
         search: A search without a prior of the width.
         stripes: The stripes that it found, one of each line.
-        setup: Frames, laser and settings.
     """
     rows = _rows(search, stripes, setup)
     if setup.settings.speckle is None and not search.speckle:
@@ -197,7 +217,6 @@ def correct_search(search: Search, first: FrameStripes, again: FrameStripes, set
         search: The search with a learned contrast.
         first: Stripes found without speckle.
         again: Stripes of the same frames, found by `search`.
-        setup: Frames, laser and settings.
     """
     plain = _rows(search, first, setup)
     photons = np.where(plain.usable, plain.sigma**2, 0.0)
@@ -232,7 +251,6 @@ def learn_widths(
         width: Fitted standard deviations of some frames' stripes [px].
         sigma: Standard deviation of their centres [px]; relative to the width that of a
             logarithm of the width too, as long as amplitude and width are unknown.
-        valid: Which of them exist.
     """
     safe = np.where(valid, width, 1.0)
     noise = (sigma / safe) ** 2

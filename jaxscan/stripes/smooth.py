@@ -105,8 +105,6 @@ def smooth_profiles(
 
     Args:
         u: Stripe centres of the rows [px].
-        sigma: Their standard deviations [px].
-        valid: Which of them exist.
         sites: Where the laser's colour is seen: a mosaic has it on every second line only.
         correlation: Of the errors of neighbouring rows that have the laser's colour.
     """

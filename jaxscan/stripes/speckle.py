@@ -48,7 +48,7 @@ REASONS = (
     "lost in the other noise",
     "the surface scatters the centres more than the widths",
 )
-"""Why a contrast is as it is; `LearnedSpeckle.reason` counts them."""
+"""Why a contrast is as it is; `learn_speckle` gives the number of one."""
 
 
 class Rows(NamedTuple):
@@ -77,24 +77,6 @@ class Scatters(NamedTuple):
     """Variance of the logarithm of the width by the same [1]."""
 
 
-class LearnedSpeckle(NamedTuple):
-    """Speckle as the stripes of the first frames told it."""
-
-    contrast: float
-    """On a pixel [1]; 0 where none was told."""
-    reason: int
-    """Number of one of `REASONS`."""
-    rows: Rows
-    """The stripes, with the part of speckle in their sigmas."""
-
-
-class Told(NamedTuple):
-    """A squared contrast, and how well it is known."""
-
-    square: float
-    sigma: float
-
-
 def scatters(rows: Rows, electrons_per_dn: float, pitch: int) -> Scatters:
     """Variances of centre and width by propagation, with the weights of a fit that knows photons alone."""
     seen = np.sqrt(rows.width**2 + 1 / 12)[..., None]
@@ -115,30 +97,33 @@ def scatters(rows: Rows, electrons_per_dn: float, pitch: int) -> Scatters:
     return Scatters(zero / free / centre, pull, np.maximum(stretch, 0.0))
 
 
-def learn_speckle(rows: Rows, electrons_per_dn: float, pitch: int) -> LearnedSpeckle:
+def learn_speckle(rows: Rows, electrons_per_dn: float, pitch: int) -> tuple[float, int, Rows]:
     """Contrast on a pixel by which the centres' scatter is explained; 0 where photons explain it.
 
     Args:
         rows: Stripes of the first frames, fitted without speckle and without a prior of the width.
         electrons_per_dn: Conversion gain [e-/DN].
         pitch: Distance between samples [px].
+
+    Returns:
+        The contrast, the number of one of `REASONS`, and the stripes with the part of speckle in their sigmas.
     """
     expected = scatters(rows, electrons_per_dn, pitch)
     photons = rows.sigma**2
-    centre = _contrast(rows.u, photons, expected.centre, rows.usable)
+    of_centre = _contrast(rows.u, photons, expected.centre, rows.usable)
     logarithm = 0.5 * np.log(np.where(rows.usable, rows.width, 1.0) ** 2 + 1 / 12)
-    width = _contrast(logarithm, photons * expected.width_over_centre, expected.width, rows.usable)
-    if centre is None or width is None:
-        return LearnedSpeckle(0.0, 2, rows)
-    if centre.square <= _SURE * centre.sigma:
-        return LearnedSpeckle(0.0, 3, rows)
-    if centre.square > _ROUGH * max(width.square, _SURE * width.sigma):
-        return LearnedSpeckle(0.0, 4, rows)
-    if width.square <= _SURE * width.sigma:
-        return LearnedSpeckle(0.0, 3, rows)
-    square = min(centre.square, _SURFACE * width.square, _LARGEST**2)
-    wider = rows._replace(sigma=np.sqrt(photons + square * expected.centre))
-    return LearnedSpeckle(float(np.sqrt(square)), 1, wider)
+    of_width = _contrast(logarithm, photons * expected.width_over_centre, expected.width, rows.usable)
+    if of_centre is None or of_width is None:
+        return 0.0, 2, rows
+    (centre, centre_sigma), (width, width_sigma) = of_centre, of_width
+    if centre <= _SURE * centre_sigma:
+        return 0.0, 3, rows
+    if centre > _ROUGH * max(width, _SURE * width_sigma):
+        return 0.0, 4, rows
+    if width <= _SURE * width_sigma:
+        return 0.0, 3, rows
+    square = min(centre, _SURFACE * width, _LARGEST**2)
+    return float(np.sqrt(square)), 1, rows._replace(sigma=np.sqrt(photons + square * expected.centre))
 
 
 def correct_speckle(rows: Rows, photons: Float[np.ndarray, "frames lines"], contrast: float) -> float:
@@ -147,7 +132,6 @@ def correct_speckle(rows: Rows, photons: Float[np.ndarray, "frames lines"], cont
     Args:
         rows: Stripes of the first frames, fitted with the contrast.
         photons: Their variances by photons alone [px^2]; 0 where it is not known.
-        contrast: Contrast of the fit [1].
     """
     usable = rows.usable & (photons > 0)
     stated = rows.sigma**2
@@ -155,7 +139,7 @@ def correct_speckle(rows: Rows, photons: Float[np.ndarray, "frames lines"], cont
     far = _contrast(rows.u, alone, stated - alone, usable)
     if far is None:
         return contrast
-    return contrast * float(np.sqrt(np.clip(far.square, 0.3**2, 3.0**2)))
+    return contrast * float(np.sqrt(np.clip(far[0], 0.3**2, 3.0**2)))
 
 
 def _contrast(
@@ -163,8 +147,8 @@ def _contrast(
     photons: Float[np.ndarray, "frames lines"],
     speckle: Float[np.ndarray, "frames lines"],
     usable: Bool[np.ndarray, "frames lines"],
-) -> Told | None:
-    """Squared contrast by the scatter of a value along the lines; None where there are too few."""
+) -> tuple[float, float] | None:
+    """Squared contrast by the scatter of a value along the lines, and its sigma; None where there are too few."""
     normal, relative = [], []
     for lag in _LAGS:
         before, here, after = np.s_[:, : -2 * lag], np.s_[:, lag:-lag], np.s_[:, 2 * lag :]
@@ -187,7 +171,7 @@ def _contrast(
     information = np.sum(level**2 / variance)
     if information <= 0:
         return None
-    return Told(float(np.sum(level * (spread - 1.0) / variance) / information), float(1.0 / np.sqrt(information)))
+    return float(np.sum(level * (spread - 1.0) / variance) / information), float(1.0 / np.sqrt(information))
 
 
 def _variance(values: Float[np.ndarray, " n"]) -> float:

@@ -1,13 +1,11 @@
 """A controller that says whatever its line can carry: one line for an error, and nothing grows without end."""
 
-import json
 import re
 
 import pytest
 from scanrig.controllers.controller import Settings
 from scanrig.controllers.grbl.lines import read_report, read_settings
 from scanrig.controllers.jxs.controller import JxsController
-from scanrig.controllers.jxs.exchange import MOST_NAMES
 from scanrig.errors import FirmwareError
 
 from .fake import FakeController
@@ -34,19 +32,6 @@ def test_a_number_that_no_firmware_has_is_one_line(fake, controller, was):
     with pytest.raises(FirmwareError, match=r"says was=.* expected an integer") as problem:
         controller.home(30_000)
     assert len(str(problem.value)) < 200 and "\n" not in str(problem.value)
-
-
-def test_names_of_events_are_counted_up_to_a_bound(fake, controller):
-    letters = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
-    for number in range(3000):
-        fake.tell(f"ODD{letters[number % 26]}{letters[number // 26 % 26]}{letters[number // 676]} pos=1")
-        if number % 100 == 0:
-            controller.stat()
-    controller.stat()
-    counts = controller.link_counts
-    assert len(counts.events_by_name) == MOST_NAMES + 1
-    assert sum(counts.events_by_name.values()) == counts.events >= 3000
-    assert len(json.dumps(counts.events_by_name)) < 2000
 
 
 @pytest.mark.parametrize("said", ["nan", "inf", "1e400", "9" * 400, "1.2.3", "", "٣"])

@@ -186,6 +186,7 @@ def test_real_pairs():
         assert prove(off, on, "rgb8").verdict == "swapped"
 
 
+@pytest.mark.more
 def test_rendered_pairs(tiny):
     from jaxscan.files.capture import open_capture
 

@@ -192,29 +192,3 @@ def test_06_cable_pulled_from_real_firmware(scan):
     assert back["same_boot"] is True
     one.require_whole()
     one.require_dark()
-
-
-def test_07_reset_of_real_firmware(scan):
-    """Fault 7: somebody presses the controller's button in mid-scan."""
-    one = scan(30)
-    child = one.begin()
-    one.await_pairs(5)
-    one.simulated.control("reset")
-    assert one.end(child) == 0, one.words()
-    assert one.events("start")[0]["boot"] < one.simulated.plant()["resets"] + one.events("start")[0]["boot"]
-    assert [event["why"] for event in one.events("home")] == ["start", "after a fault", "end of a pass"]
-    one.require_whole()
-    one.require_dark()
-
-
-def test_13_steps_dropped_by_the_driver(scan):
-    """Fault 13: the driver misses steps; the counter at home tells."""
-    one = scan(30)
-    child = one.begin()
-    one.await_pairs(10)
-    one.simulated.control("drop 9")
-    assert one.end(child) == 1, one.words()
-    assert one.words()[-1] == "suspect"
-    (event,) = one.events("suspect")
-    assert event["records"] == [[0, 29]] and abs(event["missed"]) == 9
-    one.require_dark()

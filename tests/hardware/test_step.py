@@ -12,7 +12,7 @@ from scanrig.controllers.jxs.controller import connect
 from scanrig.errors import Fault, FrameError, Refused, RigFault
 from scanrig.session import Devices, Hooks, run_sweep
 from scanrig.session.plan import controller_settings
-from scanrig.session.steps import FrameNumbers, Station, Step, take_pair
+from scanrig.session.steps import Station
 
 from .desk import HEIGHT, WIDTH, Desk, rig_config
 from .scanning import Wire
@@ -28,17 +28,17 @@ def ready(desk):
     desk.camera.start()
 
 
-def take(desk, to=80, laser=0, **keys):
-    station = Station(desk.config, desk.controller, desk.camera, desk.clock, **keys)
-    return take_pair(station, Step(to, 1, laser))
+def take(desk, **keys):
+    """A pair at microstep 80, and its proof."""
+    return Station(desk.config, desk.controller, desk.camera, desk.clock, **keys).take(80, 1)
 
 
 def test_frames_are_matched_over_the_counters_wrap():
     desk = Desk()
     ready(desk)
     desk.controller.exposures = 65535
-    pair = take(desk)
-    assert desk.controller.exposures == 1 and pair.rejected == () and pair.position == 80
+    pair, _ = take(desk)
+    assert desk.controller.exposures == 1 and pair.rejections.reasons == () and pair.position == 80
 
 
 def test_what_waits_from_before_is_dropped_and_not_taken_for_a_frame_of_this_step():
@@ -46,9 +46,9 @@ def test_what_waits_from_before_is_dropped_and_not_taken_for_a_frame_of_this_ste
     ready(desk)
     desk.camera.expose(0.0, True)
     desk.camera.expose(0.0, False)
-    numbers = FrameNumbers(1)
-    pair = take(desk, numbers=numbers)
-    assert (pair.on.number, pair.off.number, pair.rejected, numbers.next) == (3, 4, (), 5)
+    station = Station(desk.config, desk.controller, desk.camera, desk.clock, next_number=1)
+    pair, _ = station.take(80, 1)
+    assert (pair.on.number, pair.off.number, pair.rejections.reasons, station.next_number) == (3, 4, (), 5)
 
 
 def test_a_camera_without_numbers_is_accepted_by_count_and_proof():
@@ -56,7 +56,7 @@ def test_a_camera_without_numbers_is_accepted_by_count_and_proof():
     ready(desk)
     following = desk.camera.next
     desk.camera.next = lambda timeout_s: dataclasses.replace(following(timeout_s), number=-1)
-    assert take(desk).rejected == ()
+    assert take(desk)[0].rejections.reasons == ()
 
 
 def test_every_rejection_is_reported_and_the_last_one_raised():
@@ -65,7 +65,7 @@ def test_every_rejection_is_reported_and_the_last_one_raised():
     desk.table.dead = True
     reasons = []
     with pytest.raises(FrameError, match="step 1: not proven in 2 takes"):
-        take(desk, rejected=reasons.append)
+        take(desk, rejected=lambda record, reason: reasons.append(reason))
     assert len(reasons) == 2 and all("dark" in reason for reason in reasons)
 
 
@@ -84,10 +84,10 @@ def test_a_session_that_was_silent_for_long_closes_the_contactor_again_once(trig
     desk = Desk(camera={"trigger": trigger})
     ready(desk)
     desk.controller.log.clear()
-    assert take(desk).rejected == () and "arm 1" not in desk.controller.log
+    assert take(desk)[0].rejections.reasons == () and "arm 1" not in desk.controller.log
     desk.clock.sleep(12.0)
-    pair = take(desk)
-    assert pair.rejected == () and pair.proof.ok
+    pair, proof = take(desk)
+    assert pair.rejections.reasons == () and proof.ok
     assert desk.controller.log.count("arm 1") == 1
 
 

@@ -3,10 +3,8 @@
 import json
 
 import numpy as np
-import pytest
 from scanrig.cameras.simulated import SimulatedCamera
 from scanrig.controllers.jxs.controller import connect
-from scanrig.errors import Refused
 from scanrig.session import Devices, run_sweep
 
 from .driving import ready, rises
@@ -83,24 +81,3 @@ def test_one_goes_off_before_the_other_comes_on(rig):
     edges = simulated.edges()
     assert not together(edges)
     assert len(rises(edges, "laser")) == len(rises(edges, "laser_2")) == 2
-
-
-def test_it_needs_the_contactor_and_its_own_number(rig):
-    simulated = rig()
-    with ready(simulated, armed=False) as controller:
-        with pytest.raises(Refused, match="not armed"):
-            controller.laser(True, number=2)
-        controller.arm(True)
-        with pytest.raises(Refused, match="out of range"):
-            controller.laser(True, number=3)
-        assert controller.lasers() == 2
-    assert rises(simulated.edges(), "laser_2") == []
-
-
-def test_a_welded_mosfet_of_the_second_is_cut_by_the_contactor(rig):
-    simulated = rig()
-    with ready(simulated) as controller:
-        simulated.control("laser_2 welded")
-        assert simulated.plant()["light_2"] == 1
-        controller.arm(False)
-        assert simulated.plant()["light_2"] == 0

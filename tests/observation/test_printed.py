@@ -27,40 +27,18 @@ SEEDS = range(1, 7)
 
 def fit(seen, board=BOARD, *, picture=None, pose=None, columns=False, noise=NOISE):
     """The fit of one record, started from centres that err by 0.3 px."""
-    width, height = scene.SIZE
-    camera = Pinhole(
-        width=width,
-        height=height,
-        fx=scene.FOCAL,
-        fy=scene.FOCAL,
-        cx=(width - 1) / 2,
-        cy=(height - 1) / 2,
-        distortion=np.zeros(5),
-    )
+    # On its side x and y of image and camera are exchanged, so the board is seen mirrored.
+    turned, axis = (np.s_[::-1], "columns") if columns else (np.s_[:], "rows")
+    size, pose = scene.SIZE[turned], seen.pose if pose is None else pose
+    numbers = scene.FOCAL, scene.FOCAL, *((one - 1) / 2 for one in size)
+    camera = Pinhole(*numbers, np.zeros(5), *size)
     picture = BoardPicture.of(board, draw_print(board)) if picture is None else picture
-    pose = seen.pose if pose is None else pose
     rig = SolvedRig(camera, None, board, np.zeros(3), pose[None], np.ones(1, bool), 0.05, picture=picture)
-    raw = seen.u + 0.3 * np.random.default_rng(0).normal(size=height)
-    axis = "rows"
-    on, off = seen.on, seen.off
-    if columns:
-        # The same picture on its side: x and y of image and camera exchanged, so the board is seen mirrored.
-        axis, camera = (
-            "columns",
-            Pinhole(
-                width=height,
-                height=width,
-                fx=scene.FOCAL,
-                fy=scene.FOCAL,
-                cx=(height - 1) / 2,
-                cy=(width - 1) / 2,
-                distortion=np.zeros(5),
-            ),
-        )
-        rig = rig._replace(camera=camera)
-        pose = np.eye(4)[[1, 0, 2, 3]] @ pose
-    stripe = FoundStripe(raw, np.full(height, 0.1), np.full(height, 1.3), seen.inside, axis)
-    sight = Sight(on, off, 1.0, Sites(), FrameFormat(), LaserLine(stripe_axis=axis), noise)
+    pose = np.eye(4)[[1, 0, 2, 3]] @ pose if columns else pose
+    lines = len(seen.u)
+    raw = seen.u + 0.3 * np.random.default_rng(0).normal(size=lines)
+    stripe = FoundStripe(raw, np.full(lines, 0.1), np.full(lines, 1.3), seen.inside, axis)
+    sight = Sight(seen.on, seen.off, 1.0, Sites(), FrameFormat(), LaserLine(stripe_axis=axis), noise)
     return fit_on_print(stripe, seen.inside, sight, rig, pose)
 
 

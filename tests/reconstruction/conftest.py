@@ -3,7 +3,6 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
 from jaxscan.stripes import Stripes
@@ -100,18 +99,3 @@ def _on_plane(exact, phi, normal, distance):
         return 0.5 * (low + high), jnp.any(cross)
 
     return jax.vmap(jax.vmap(solve, (0, None)), (None, 0))(lines, phi)
-
-
-@pytest.fixture(name="small_scanner")
-def _small_scanner():
-    return small_scanner
-
-
-@pytest.fixture(name="flat_stripes")
-def _flat_stripes():
-    return flat_stripes
-
-
-@pytest.fixture(name="stripes_on_plane")
-def _stripes_on_plane():
-    return stripes_on_plane

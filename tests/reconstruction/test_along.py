@@ -12,6 +12,7 @@ from jaxscan.geometry.rigid import invert, transform
 from jaxscan.reconstruction import SMOOTHED, ReconstructSettings, Sweep, extract, reconstruct
 from jaxscan.stripes import StripeSettings
 
+from .conftest import small_scanner, stripes_on_plane
 from .rendered import pairs, stripe
 
 
@@ -24,15 +25,11 @@ PHI = np.radians(np.arange(RECORDS, dtype=float))
 
 @pytest.fixture(scope="module")
 def scanner():
-    from .conftest import small_scanner
-
     return small_scanner(width=WIDTH, height=HEIGHT, covariance=True)
 
 
 @pytest.fixture(scope="module")
 def truth(scanner):
-    from .conftest import stripes_on_plane
-
     return stripes_on_plane(scanner, PHI, NORMAL, 1.5)
 
 
@@ -100,14 +97,6 @@ def test_frames_give_the_same(sweep, scanner, clouds):
     again = reconstruct(sweep, scanner, settings=EDGE)
     for name in ("xyz", "sigma_random", *SMOOTHED):
         np.testing.assert_array_equal(getattr(again, name), getattr(clouds[0], name), err_msg=name)
-
-
-@pytest.mark.parametrize("chunk", [1, 4])
-def test_chunks_give_the_same(sweep, scanner, stripes, clouds, chunk):
-    again = reconstruct(sweep, scanner, stripes=stripes, settings=replace(EDGE, chunk_records=chunk))
-    for name in ("xyz", "sigma_random", *SMOOTHED):
-        # Chunks of other sizes are other vectors of float32.
-        np.testing.assert_allclose(getattr(again, name), getattr(clouds[0], name), rtol=1e-5, atol=1e-6, err_msg=name)
 
 
 @pytest.mark.more

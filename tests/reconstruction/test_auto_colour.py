@@ -11,6 +11,7 @@ from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
 from jaxscan.stripes import LaserLine
 from jaxscan.stripes.extract import extract_stripes
 
+from .conftest import small_scanner, stripes_on_plane
 from .rendered import expose, stripe
 
 
@@ -21,15 +22,11 @@ COLOURS = ("red", "green", "blue")
 
 @pytest.fixture(scope="module")
 def scanner():
-    from .conftest import small_scanner
-
     return small_scanner(lasers=2, width=WIDTH, height=HEIGHT)
 
 
 @pytest.fixture(scope="module")
 def centres(scanner):
-    from .conftest import stripes_on_plane
-
     return [stripes_on_plane(scanner, np.radians(np.arange(RECORDS)), NORMAL, 1.5, laser) for laser in (0, 1)]
 
 

@@ -6,6 +6,7 @@ import pytest
 from jaxscan.reconstruction import ReconstructSettings, Sweep, extract, reconstruct
 from jaxscan.stripes import NoiseModel
 
+from .conftest import small_scanner, stripes_on_plane
 from .rendered import ELECTRONS_PER_DN, READ_DN, expose, stripe
 
 
@@ -25,15 +26,11 @@ AMPLITUDE, AMBIENT = np.where(BRIGHT, 150.0, 2.2), np.where(BRIGHT, 70.0, 5.0)
 
 @pytest.fixture(scope="module")
 def scanner():
-    from .conftest import small_scanner
-
     return small_scanner(width=WIDTH, height=HEIGHT)
 
 
 @pytest.fixture(scope="module")
 def sweep(scanner):
-    from .conftest import stripes_on_plane
-
     phi = np.radians(np.arange(RECORDS))
     u, seen = stripes_on_plane(scanner, phi, NORMAL, DISTANCE)
     assert seen.all()
@@ -54,9 +51,8 @@ def stripes(sweep, scanner):
 
 
 @pytest.mark.more
-def test_bright_and_faint_parts_both_give_points(sweep, scanner, stripes):
-    # In one step from the frames: a bracket in test_devices.
-    cloud = reconstruct(sweep, scanner, stripes=stripes)
+def test_bright_and_faint_parts_both_give_points(sweep, scanner):
+    cloud = reconstruct(sweep, scanner, noise=NOISE)
     assert cloud.valid.mean() > 0.99
     error = (cloud.xyz @ NORMAL - DISTANCE)[cloud.valid]
     # Chance alone exceeds five standard deviations once in two million.

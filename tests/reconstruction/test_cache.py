@@ -10,11 +10,21 @@ from jaxscan.api import reconstruct_capture
 from jaxscan.files.capture import Capture, CaptureHeader, cache_path, load_stripes, open_capture, save_stripes
 from jaxscan.files.recording import create_capture
 from jaxscan.geometry import LaserSheet, Scanner, stack_lasers
-from jaxscan.reconstruction import Extraction, ReconstructSettings, Sweep, extract, reconstruct
+from jaxscan.reconstruction import (
+    Extraction,
+    ReconstructSettings,
+    Seen,
+    Sweep,
+    extract,
+    plan_sweep,
+    reconstruct,
+    usable_stripes,
+)
 from jaxscan.stripes import KEPT_FIELDS as KEPT
 from jaxscan.stripes import NoiseModel, StripeSettings
 from jaxscan.vision import encode_png
 
+from .conftest import small_scanner, stripes_on_plane
 from .rendered import pairs, stripe
 
 
@@ -27,15 +37,11 @@ FIELDS = ("xyz", "rgb", "normals", "sigma_random", "sigma_systematic", "intensit
 
 @pytest.fixture(scope="module")
 def scanner():
-    from .conftest import small_scanner
-
     return small_scanner(width=WIDTH, height=HEIGHT)
 
 
 @pytest.fixture(scope="module")
 def frames(scanner):
-    from .conftest import stripes_on_plane
-
     u, seen = stripes_on_plane(scanner, np.radians(np.arange(RECORDS)), NORMAL, 1.5)
     return pairs(stripe(u, seen, 60.0, WIDTH))
 
@@ -185,12 +191,6 @@ def test_a_place_that_cannot_be_written_is_a_note(capture, scanner):
     ]
 
 
-def test_without_the_cache_nothing_is_kept(capture, scanner):
-    done = reconstruct_capture(capture, scanner, settings=SETTINGS, cache=False)
-    assert (done.from_cache, done.kept, done.notes) == (False, False, ())
-    assert not cache_path(capture).exists()
-
-
 def test_better_code_finds_stripes_anew(capture, scanner, monkeypatch):
     reconstruct_capture(capture, scanner, settings=SETTINGS)
     monkeypatch.setattr("jaxscan.api.sweeps.code_digest", lambda: "sha256:another")
@@ -212,11 +212,14 @@ def test_kept_stripes_of_wrong_shapes_are_searched_anew(capture, scanner):
         {"more": kept["u"]},
         {"searched_0": kept["searched_0"][:1]},
     ]
-    for change in changes:
-        save_stripes(cache_path(capture), {**kept, **change}, key)
-        done = reconstruct_capture(capture, scanner, settings=SETTINGS)
-        assert not done.from_cache
-        assert_same(done.cloud, first.cloud)
+    plan = plan_sweep(capture, scanner, SETTINGS)
+    whole = {name: array for name, array in kept.items() if name not in Seen.names()}
+    assert usable_stripes(whole, plan) is not None
+    assert all(usable_stripes(whole | change, plan) is None for change in changes)
+    save_stripes(cache_path(capture), kept | changes[0], key)
+    done = reconstruct_capture(capture, scanner, settings=SETTINGS)
+    assert not done.from_cache
+    assert_same(done.cloud, first.cloud)
 
 
 def test_kept_stripes_do_not_serve_a_copy(capture, scanner, tmp_path):

@@ -9,6 +9,7 @@ from jaxscan.geometry import Fisheye, LaserSheet, Scanner, Turntable, stack_lase
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
 from jaxscan.reconstruction.points import range_table
 
+from .conftest import flat_stripes
 from .exact_sigma import range_sigma
 
 
@@ -65,7 +66,7 @@ def scanner():
     return Scanner(camera, sheets, table, (root @ root.T) * np.outer(scale, scale) / count)
 
 
-def test_points_all_around_are_found(scanner, flat_stripes):
+def test_points_all_around_are_found(scanner):
     foot = POINT - (POINT @ AXIS) * AXIS
     phi = np.radians(np.arange(14) * 20.0)
     forward = np.array([0.0, 0.0, 1.0]) - AXIS[2] * AXIS

@@ -7,6 +7,7 @@ from jaxscan.errors import CaptureError
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
 from jaxscan.stripes import LaserLine
 
+from .conftest import small_scanner, stripes_on_plane
 from .rendered import pairs, stripe
 
 
@@ -22,16 +23,12 @@ SETTINGS = ReconstructSettings(min_range_m=1.0, max_range_m=4.0)
 
 @pytest.fixture(scope="module")
 def scanner(request):
-    from .conftest import small_scanner
-
     return small_scanner(lasers=2, width=WIDTH, height=HEIGHT)
 
 
 @pytest.fixture(scope="module")
 def sweep(scanner):
     """A plane in the light of two sheets at once, with a true stripe of each in every line."""
-    from .conftest import stripes_on_plane
-
     phi = np.radians(np.arange(RECORDS))
     light = 0.0
     for laser in (0, 1):
@@ -67,8 +64,6 @@ def test_the_brighter_sheet_is_not_taken_for_the_other(sweep, scanner):
 
 def test_one_after_the_other_needs_no_limits(sweep, scanner):
     """The same lasers in records of their own: neither range limits nor gates are needed."""
-    from .conftest import stripes_on_plane
-
     number = np.arange(RECORDS) % 2
     light = 0.0
     for laser in (0, 1):

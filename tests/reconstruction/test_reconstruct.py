@@ -12,6 +12,8 @@ from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import PointCloud, ReconstructSettings, Sweep, reconstruct
 from jaxscan.stripes import LaserLine, NoiseModel
 
+from .conftest import flat_stripes, small_scanner, stripes_on_plane
+
 
 WIDTH, HEIGHT = 96, 64
 SETTINGS = ReconstructSettings(chunk_records=7)
@@ -27,7 +29,7 @@ def frames():
     return np.random.default_rng(3).integers(0, 255, (7, HEIGHT, WIDTH), np.uint8)
 
 
-def test_points_lie_on_the_plane_they_were_seen_on(small_scanner, stripes_on_plane, flat_stripes):
+def test_points_lie_on_the_plane_they_were_seen_on():
     scanner = small_scanner(covariance=True)
     phi = np.radians(np.arange(14) * 1.5)
     u, seen = stripes_on_plane(scanner, phi, NORMAL, 2.0)
@@ -47,7 +49,7 @@ def test_points_lie_on_the_plane_they_were_seen_on(small_scanner, stripes_on_pla
     assert (cloud.sigma_random[seen] > 0).all() and (cloud.sigma_systematic[seen] > 0).all()
 
 
-def test_sigma_random_is_the_finite_difference(small_scanner, flat_stripes):
+def test_sigma_random_is_the_finite_difference():
     scanner = small_scanner()
     frames = np.zeros((1, HEIGHT, WIDTH), np.uint8)
     sweep = Sweep(frames, None, np.zeros(1))
@@ -69,7 +71,7 @@ def test_sigma_random_is_the_finite_difference(small_scanner, flat_stripes):
 
 @pytest.mark.more
 @pytest.mark.parametrize("chunk", [3, 100])
-def test_result_does_not_depend_on_chunks(small_scanner, flat_stripes, frames, chunk):
+def test_result_does_not_depend_on_chunks(frames, chunk):
     scanner, stripes = small_scanner(), flat_stripes((7, HEIGHT), np.linspace(30, 50, HEIGHT))
     sweep = Sweep(frames, frames, np.radians(np.arange(7.0)))
     whole = reconstruct(sweep, scanner, stripes=stripes, settings=SETTINGS)
@@ -94,7 +96,7 @@ def test_result_does_not_depend_on_chunks(small_scanner, flat_stripes, frames, c
     assert done[-1] == (7, 7) and len(done) == -(-7 // chunk)
 
 
-def test_result_does_not_depend_on_x64(small_scanner, flat_stripes, frames):
+def test_result_does_not_depend_on_x64(frames):
     scanner, stripes = small_scanner(covariance=True), flat_stripes((7, HEIGHT), np.linspace(30, 50, HEIGHT))
     sweep = Sweep(frames, frames, np.radians(np.arange(7.0)))
     double = reconstruct(sweep, scanner, stripes=stripes, settings=SETTINGS)
@@ -105,7 +107,7 @@ def test_result_does_not_depend_on_x64(small_scanner, flat_stripes, frames):
         assert getattr(double, name).dtype == np.float32
 
 
-def test_one_compilation_for_any_number_of_records(small_scanner, flat_stripes, frames, caplog):
+def test_one_compilation_for_any_number_of_records(frames, caplog):
     scanner, settings = small_scanner(), ReconstructSettings(chunk_records=3)
 
     def run(count, offset):
@@ -119,7 +121,7 @@ def test_one_compilation_for_any_number_of_records(small_scanner, flat_stripes, 
     assert not [record for record in caplog.records if "Compiling" in record.getMessage()]
 
 
-def test_what_is_no_shape_compiles_nothing(small_scanner, flat_stripes, frames, caplog):
+def test_what_is_no_shape_compiles_nothing(frames, caplog):
     """Range limits, gate, normals and the colour that a mono camera does not see, from stripes and from frames."""
     scanner, stripes = small_scanner(), flat_stripes((7, HEIGHT), 40.0)
     lit = np.maximum(frames // 32, np.round(100 * np.exp(-0.5 * ((np.arange(WIDTH) - 40.0) / 1.5) ** 2)))
@@ -141,7 +143,7 @@ def test_what_is_no_shape_compiles_nothing(small_scanner, flat_stripes, frames, 
     assert before.valid.any() and after.valid.any() and not after.normals.any()
 
 
-def test_two_lasers_are_data(small_scanner, flat_stripes, frames):
+def test_two_lasers_are_data(frames):
     both = small_scanner(lasers=2)
     lines = (LaserLine("right", "green"), LaserLine("left", "red"))
     number = np.array([0, 1, 1, 0, 1, 0, 0])
@@ -167,7 +169,7 @@ def test_two_lasers_are_data(small_scanner, flat_stripes, frames):
 
 
 @pytest.mark.more
-def test_columns_turn_the_picture(small_scanner, flat_stripes):
+def test_columns_turn_the_picture():
     scanner = small_scanner()
     frames = np.arange(HEIGHT * WIDTH, dtype=np.uint64).reshape(1, HEIGHT, WIDTH).astype(np.uint8)
     line = LaserLine(stripe_axis="columns")
@@ -183,7 +185,7 @@ def test_columns_turn_the_picture(small_scanner, flat_stripes):
     assert cloud.sigma_random[0, 45] < same.sigma_random[0, 30]
 
 
-def test_limits(small_scanner, flat_stripes, frames):
+def test_limits(frames):
     scanner = small_scanner()
     stripes = flat_stripes((1, HEIGHT), np.linspace(2.0, 90.0, HEIGHT))
     sweep = Sweep(frames[:1], None, np.zeros(1))
@@ -197,7 +199,7 @@ def test_limits(small_scanner, flat_stripes, frames):
         ReconstructSettings(min_range_m=2.0, max_range_m=1.0)
 
 
-def test_refusals(small_scanner, flat_stripes, frames):
+def test_refusals(frames):
     scanner, stripes = small_scanner(), flat_stripes((7, HEIGHT), 40.0)
     phi = np.zeros(7)
     sweep = Sweep(frames, frames, phi)
@@ -222,26 +224,7 @@ def test_refusals(small_scanner, flat_stripes, frames):
         reconstruct(sweep, scanner, stripes=stripes, settings=ReconstructSettings(min_range_m=20.0, max_range_m=21.0))
 
 
-def test_normals_can_be_left_out(small_scanner, stripes_on_plane, flat_stripes):
-    scanner = small_scanner()
-    phi = np.radians(np.arange(7) * 1.5)
-    u, seen = stripes_on_plane(scanner, phi, NORMAL, 2.0)
-    stripes = type(flat := flat_stripes(u.shape, u))(**{**vars(flat), "valid": seen})
-    frames = np.zeros((7, HEIGHT, WIDTH), np.uint8)
-    with_normals, without = (
-        reconstruct(
-            Sweep(frames, frames, phi),
-            scanner,
-            stripes=stripes,
-            settings=ReconstructSettings(chunk_records=7, normals=normals),
-        )
-        for normals in (True, False)
-    )
-    assert with_normals.normals.any() and not without.normals.any()
-    np.testing.assert_array_equal(without.xyz, with_normals.xyz)
-
-
-def test_points_are_the_valid_ones_in_the_order_of_the_grid(small_scanner):
+def test_points_are_the_valid_ones_in_the_order_of_the_grid():
     valid = np.array([[True, False, True], [False, False, False], [False, True, False]])
     xyz = np.arange(27, dtype=np.float32).reshape(3, 3, 3)
     one, nothing = np.full((3, 3), 0.3, np.float32), np.zeros((3, 3, 3), np.float32)

@@ -6,6 +6,7 @@ import pytest
 from jaxscan.reconstruction import ReconstructSettings, Sweep, extract, reconstruct
 from jaxscan.stripes import LaserLine, NoiseModel, StripeSettings
 
+from .conftest import small_scanner, stripes_on_plane
 from .rendered import ELECTRONS_PER_DN, READ_DN, pairs, stripe
 
 
@@ -24,15 +25,11 @@ CHECKED = ReconstructSettings(check_steps=True, chunk_records=16)
 
 @pytest.fixture(scope="module")
 def scanner():
-    from .conftest import small_scanner
-
     return small_scanner(lasers=2, width=WIDTH, height=HEIGHT)
 
 
 def lit(scanner, phi, laser=0):
     """Light of a sweep, with reflections: somewhere else in each step, as smooth as a surface."""
-    from .conftest import stripes_on_plane
-
     u, seen = stripes_on_plane(scanner, phi, NORMAL, DISTANCE, laser)
     assert seen.all()
     step = np.arange(len(phi))

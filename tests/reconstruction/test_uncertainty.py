@@ -7,6 +7,7 @@ import pytest
 
 from jaxscan.reconstruction.points import range_table
 
+from .conftest import small_scanner
 from .exact_sigma import range_sigma
 
 
@@ -16,7 +17,7 @@ def incidence_at(scanner, q, laser):
 
 
 @pytest.mark.parametrize("stripe_axis", ["rows", "columns"])
-def test_table_is_the_exact_value(small_scanner, stripe_axis):
+def test_table_is_the_exact_value(stripe_axis):
     scanner = small_scanner(lasers=2, covariance=True)
     table = jax.tree.map(jnp.asarray, range_table(scanner, stripe_axis))
     exact, checked = scanner.as_dtype(jnp.float64), 0
@@ -33,7 +34,7 @@ def test_table_is_the_exact_value(small_scanner, stripe_axis):
     assert checked >= 3
 
 
-def test_table_on_a_real_image_size(small_scanner):
+def test_table_on_a_real_image_size():
     scanner = small_scanner(covariance=True, width=1280, height=1024)
     table = jax.tree.map(jnp.asarray, range_table(scanner, "rows"))
     exact = scanner.as_dtype(jnp.float64)
@@ -43,7 +44,7 @@ def test_table_on_a_real_image_size(small_scanner):
         np.testing.assert_allclose(sigma, range_sigma(scanner, np.array([u, v]), 0), rtol=1e-3)
 
 
-def test_monte_carlo_agrees(small_scanner):
+def test_monte_carlo_agrees():
     scanner = small_scanner(covariance=True)
     q = np.array([45.0, 20.0])
     rng = np.random.default_rng(0)
@@ -61,6 +62,6 @@ def test_monte_carlo_agrees(small_scanner):
     np.testing.assert_allclose(np.std(ranges(jnp.asarray(steps))), range_sigma(scanner, q, 0), rtol=0.045)
 
 
-def test_without_covariance_it_is_zero(small_scanner):
+def test_without_covariance_it_is_zero():
     table = jax.tree.map(jnp.asarray, range_table(small_scanner()))
     assert float(table.sigma(0, 5, jnp.asarray(40.0), jnp.asarray(0.2))) == 0.0

@@ -78,7 +78,6 @@ def guarded(on, off, width, dtype=np.float64, offset=0.0):
 
 
 # A sharp lens and a common one. Without any blur a stripe at 5 : 1 comes to 1.21.
-@pytest.mark.more
 @pytest.mark.parametrize("psf", [0.5, 0.8])
 @pytest.mark.parametrize("contrast", [2.0, 5.0])
 @pytest.mark.parametrize("width, amplitude, ambient", [(2.0, 100.0, 30.0), (2.0, 40.0, 60.0), (3.0, 100.0, 60.0)])

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from jaxscan.geometry import stripe_pixel
 from jaxscan.stripes import (
     ESTIMATORS,
     ExtractionSetup,
@@ -47,8 +46,3 @@ def test_stripes_outside_the_gate_are_not_seen(render, name):
         gate = LineGate(np.full(64, low), np.full(64, 96), 1)
         (engine,) = prepare_engines(scene.on, scene.off, [setup], noise=KNOWN, gates=[gate])
         assert np.asarray(engine.extract(scene.on, scene.off).stripes.valid).mean() == found
-
-
-def test_stripe_pixel_is_column_and_row():
-    np.testing.assert_array_equal(stripe_pixel(np.array([1.5, 2.5]), np.array([7.0, 8.0]), "rows")[1], [2.5, 8.0])
-    np.testing.assert_array_equal(stripe_pixel(np.array([1.5, 2.5]), np.array([7.0, 8.0]), "columns")[1], [8.0, 2.5])

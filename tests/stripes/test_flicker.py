@@ -119,14 +119,6 @@ def test_what_moves_shows_as_unrest_and_not_as_gain(sensor):
     np.testing.assert_allclose(moved.ratio, 1.0, atol=SMALLEST_CHANGE)
 
 
-def test_lamps_that_flicker_apart_show_as_unrest(sensor):
-    sensor = sensor(seed=7)
-    off = np.array(room(sensor.rng, frames=5))
-    on = off * np.linspace(0.85, 1.15, COLUMNS)
-    found = lamp_ratio(*both(sensor, on, off), 1.0, 40.0)
-    assert np.all(np.asarray(found.unrest) > 1.5)
-
-
 def test_any_number_of_pixels_single_precision_and_compiled(sensor):
     sensor = sensor(seed=8)
     off = room(sensor.rng, frames=2)

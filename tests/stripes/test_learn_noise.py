@@ -11,19 +11,21 @@ LINEAR = FrameFormat("mono8", "linear")
 ROWS, COLUMNS = 300, 400
 
 
-def _expose(light, rng, black=5.0):
-    level = rng.poisson(8.0 * light) / 8.0 + black + 1.7 * rng.normal(size=light.shape)
+def _expose(light, rng, read=1.7, gain=8.0, black=5.0):
+    level = rng.poisson(gain * light) / gain + black + read * rng.normal(size=light.shape)
     return np.clip(np.rint(level), 0, 255)
 
 
-def _pairs(darkest=20.0, *, shadow=False, code=lambda level: level, seed=0):
+def _pairs(darkest=20.0, *, shadow=False, code=lambda level: level, **sensor):
     """A room of soft shades, in the shadow part of which there is no light at all."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     light = np.linspace(darkest, 170.0, COLUMNS)[None, :] * np.ones((ROWS, 1))
     if shadow:
         light[:, 20:60] = 0.0
-    frames = [np.stack([code(_expose(light, rng)) for _ in range(4)]).astype(np.uint8) for _ in range(2)]
-    return frames[0], frames[1]
+    return tuple(np.stack([code(_expose(light, rng, **sensor)) for _ in range(4)]).astype(np.uint8) for _ in "ab")
+
+
+FEW_ELECTRONS = {"read": 1.0, "gain": 4.0, "black": 16.0}
 
 
 def _learn(on, off, frames=LINEAR):
@@ -75,33 +77,16 @@ def _through_jpeg(frames, quality):
     return np.stack([cv2.imdecode(cv2.imencode(".jpg", frame, options)[1], cv2.IMREAD_GRAYSCALE) for frame in frames])
 
 
-@pytest.mark.parametrize("quality", [60, 85])
-def test_blocks_of_jpeg_are_said(quality):
-    on, off = _pairs()
-    (doubt,) = _learn(_through_jpeg(on, quality), _through_jpeg(off, quality)).doubts
-    assert "JPEG" in doubt and "PNG" in doubt
-
-
 def test_a_black_level_above_the_picture_is_refused():
     on, off = _pairs()
     with pytest.raises(ValueError, match=r"black level is 250 DN.*at 1\d\d DN or below.*covered lens"):
         extract_stripes(on, off, noise=NoiseModel(1.7, 8.0, black_dn=250.0))
 
 
-def _level_pairs(read, gain, black, darkest, *, shadow=False, seed=0):
-    rng = np.random.default_rng(seed)
-    light = np.linspace(darkest, 170.0, COLUMNS)[None, :] * np.ones((ROWS, 1))
-    if shadow:
-        light[:, 20:60] = 0.0
-    expose = lambda: rng.poisson(gain * light) / gain + black + read * rng.normal(size=light.shape)
-    on, off = (np.stack([expose() for _ in range(4)]) for _ in "ab")
-    return tuple(np.clip(np.rint(frames), 0, 255).astype(np.uint8) for frames in (on, off))
-
-
 @pytest.mark.parametrize("darkest", [4.0, 40.0])
 def test_a_high_black_level_does_not_bend_the_line_of_the_noise(darkest):
     # Few electrons and a black level of 16 DN: the line passes zero noise at 12 DN.
-    learned = _learn(*_level_pairs(1.0, 4.0, 16.0, darkest))
+    learned = _learn(*_pairs(darkest, **FEW_ELECTRONS))
     assert learned.noise.electrons_per_dn == pytest.approx(4.0, rel=0.05)
     for level in (max(20.0, darkest), 60.0, 100.0, 170.0):
         assert learned.noise.variance(level) == pytest.approx(1.0 + (level - 16.0) / 4.0 + 1 / 12, rel=0.1)
@@ -110,18 +95,17 @@ def test_a_high_black_level_does_not_bend_the_line_of_the_noise(darkest):
 
 
 def test_a_high_black_level_that_a_shadow_shows():
-    learned = _learn(*_level_pairs(1.0, 4.0, 16.0, 40.0, shadow=True))
+    learned = _learn(*_pairs(40.0, shadow=True, **FEW_ELECTRONS))
     assert learned.noise.black_dn == pytest.approx(16.0, abs=0.5)
     assert learned.noise.read_dn == pytest.approx(1.0, rel=0.1)
     assert learned.unknown == ()
 
 
-@pytest.mark.parametrize("axis", ["rows", "columns"])
-@pytest.mark.parametrize("quality", [75, 95])
-def test_blocks_of_fine_jpeg_are_said_along_both_axes(quality, axis):
+@pytest.mark.parametrize(("quality", "axis"), [(60, "rows"), (85, "columns"), (95, "rows"), (95, "columns")])
+def test_blocks_of_jpeg_are_said(quality, axis):
     frames = [_through_jpeg(a, quality) for a in _pairs()]
     (doubt,) = learn_noise(*frames, frames=LINEAR, line=LaserLine(stripe_axis=axis)).doubts
-    assert "JPEG" in doubt
+    assert "JPEG" in doubt and "PNG" in doubt
 
 
 def test_of_a_capture_that_says_jpeg_blocks_are_not_said_again():
@@ -129,7 +113,7 @@ def test_of_a_capture_that_says_jpeg_blocks_are_not_said_again():
     assert learn_noise(on, off, frames=LINEAR, line=LaserLine(), compressed=True).doubts == ()
 
 
-@pytest.mark.parametrize("flicker", [1.0, 1.02, 1.3])
+@pytest.mark.parametrize("flicker", [1.02, 1.3])
 @pytest.mark.parametrize("pattern", ["bars", "squares", "noise"])
 def test_bars_and_squares_of_eight_pixels_are_no_jpeg(pattern, flicker):
     rng = np.random.default_rng(3)

@@ -1,7 +1,6 @@
 """Noise from the frames themselves, against the sensor's own numbers."""
 
 import functools
-import time
 
 import numpy as np
 import pytest
@@ -80,7 +79,7 @@ def test_bayer_and_rgb_look_at_the_lasers_channel(sensor):
 
 
 ROWS, COLUMNS = 512, 640
-SENSORS = [(1.0, 40.0), (0.5, 100.0), (2.0, 10.0), (3.0, 5.0)]
+SENSORS = [(0.5, 100.0), (3.0, 5.0)]
 
 
 def _drawn_once(make):
@@ -119,15 +118,6 @@ def _reflections(profile, share=0.2, amplitude=100.0, width=1.6):
     return np.stack([one() * (rng.random(ROWS) < share)[:, None] for _ in range(2)])
 
 
-def _moved(on, off):
-    """A textured box on 5 % of each frame that moved by two pixels between the two."""
-    box = np.random.default_rng(8).uniform(20, 200, (29, 36)).repeat(4, 0).repeat(4, 1)
-    on, off = on.copy(), off.copy()
-    on[:, 100:216, 300:444] = box
-    off[:, 102:218, 302:446] = box
-    return on, off
-
-
 def _variance_is_right(noise, camera, levels, rel=0.1):
     told = [noise.read_dn**2 + level / noise.electrons_per_dn for level in levels]
     assert told == pytest.approx([camera.read_dn**2 + level / camera.electrons_per_dn for level in levels], rel=rel)
@@ -145,33 +135,36 @@ def test_second_stripes_are_no_noise(read, gain, amplitude, width, profile, sens
     assert noise.electrons_per_dn == NoiseModel().electrons_per_dn
 
 
-@pytest.mark.parametrize("brightness", [0.9, 1.1])
-@pytest.mark.parametrize(("read", "gain"), SENSORS)
-def test_flicker_is_no_noise(read, gain, brightness, profile, sensor):
-    camera = sensor(read, gain)
-    scene, light = _scene(), _stripe(profile) + _reflections(profile)
-    noise = estimate_noise(camera.expose(brightness * scene + light), camera.expose(scene))
-    _variance_is_right(noise, camera, [30.0, 70.0, 130.0], rel=0.05)
-    noise = estimate_noise(camera.expose(brightness * _flat() + light), camera.expose(_flat()))
-    _variance_is_right(noise, camera, [10.0], rel=0.05)
+def _brighter(on, off):
+    return 1.1 * on, off
 
 
+def _darker(on, off):
+    return 0.9 * on, off
+
+
+def _moved(on, off):
+    """A textured box on 5 % of each frame that moved by two pixels between the two."""
+    box = np.random.default_rng(8).uniform(20, 200, (29, 36)).repeat(4, 0).repeat(4, 1)
+    on, off = on.copy(), off.copy()
+    on[:, 100:216, 300:444] = box
+    off[:, 102:218, 302:446] = box
+    return on, off
+
+
+def _half_clipped(on, off):
+    on = on.copy()
+    on[:, :, COLUMNS // 2 :] = 400.0
+    return on, on
+
+
+@pytest.mark.parametrize("change", [_brighter, _darker, _moved, _half_clipped])
 @pytest.mark.parametrize(("read", "gain"), SENSORS)
-def test_what_moves_is_no_noise(read, gain, profile, sensor):
+def test_what_flickers_moves_or_is_clipped_is_no_noise(read, gain, change, profile, sensor):
     camera, light = sensor(read, gain), _stripe(profile) + _reflections(profile)
     for scene, levels in ((_flat(), [10.0]), (_scene(), [30.0, 70.0, 130.0])):
-        on, off = _moved(scene, scene)
+        on, off = change(scene, scene)
         _variance_is_right(estimate_noise(camera.expose(on + light), camera.expose(off)), camera, levels, rel=0.05)
-
-
-@pytest.mark.parametrize(("read", "gain"), SENSORS)
-def test_clipped_samples_tell_nothing(read, gain, profile, sensor):
-    camera, light = sensor(read, gain), _stripe(profile) + _reflections(profile)
-    for scene, levels in ((_flat(), [10.0]), (_scene(), [30.0, 70.0, 130.0])):
-        scene = scene.copy()
-        scene[:, :, COLUMNS // 2 :] = 400.0
-        noise = estimate_noise(camera.expose(scene + light), camera.expose(scene))
-        _variance_is_right(noise, camera, levels, rel=0.05)
 
 
 @pytest.mark.parametrize(("read", "gain"), SENSORS)
@@ -228,14 +221,3 @@ def test_reflections_without_laser_off_frame(profile, sensor):
     camera = sensor(1.0, 40.0)
     noise = estimate_noise(camera.expose(_flat() + _stripe(profile) + _reflections(profile)))
     _variance_is_right(noise, camera, [10.0], rel=0.04)
-
-
-def test_a_sweep_costs_little():
-    frames = np.random.default_rng(11).integers(20, 200, (2, 8, 1024, 1280), np.uint8)
-    seconds = []
-    for _ in range(6):
-        start = time.process_time()
-        estimate_noise(frames[0], frames[1])
-        seconds.append(time.process_time() - start)
-    # A reconstruction of a hundred frames takes a tenth of a second; measured are 0.02 s.
-    assert min(seconds) < 0.08

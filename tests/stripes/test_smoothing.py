@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 
-from jaxscan.stripes import ProfileRows, Sites, row_scatter, smooth_profiles
+from jaxscan.stripes import ProfileRows, Sites, scatter_law, smooth_profiles
 
 
 LINES, PROFILES = 240, 300
 X = np.arange(LINES)
 SLOPE = np.linspace(-0.6, 0.6, PROFILES)[:, None]
+
+
+def scatter_of(rows):
+    return scatter_law(rows).of(rows)
 
 
 def noisy(truth, sigma, seed=1):
@@ -168,19 +172,19 @@ def test_the_scatter_of_rows_corrects_their_sigmas():
     # Bright rows scatter 1.6 times as much as they say.
     true = np.where(amplitude > 60, 1.6, 1.0)
     promised = np.full(truth.shape, 0.1, np.float32)
-    scale = row_scatter(ProfileRows(noisy(truth, 0.1 * true), promised, valid, amplitude)).scale
+    scale = scatter_of(ProfileRows(noisy(truth, 0.1 * true), promised, valid, amplitude)).scale
     dark, bright = scale[amplitude < 30], scale[amplitude > 120]
     # One of six triples lies on a step of 30 standard deviations.
     assert 1.0 <= dark.min() and dark.max() < 1.06
     assert np.median(bright) == pytest.approx(1.6, rel=0.05) and bright.min() > 1.4
-    smooth_surface = row_scatter(ProfileRows(noisy(300 + SLOPE * X, 0.1 * true), promised, valid, amplitude)).scale
+    smooth_surface = scatter_of(ProfileRows(noisy(300 + SLOPE * X, 0.1 * true), promised, valid, amplitude)).scale
     assert np.median(smooth_surface[amplitude > 120]) == pytest.approx(1.6, rel=0.05)
     assert smooth_surface[amplitude < 30].max() < 1.06
 
 
 def test_sigmas_are_never_made_smaller():
     u, valid = noisy(300 + SLOPE * X, 0.02), np.ones((PROFILES, LINES), bool)
-    scatter = row_scatter(ProfileRows(u, np.full(u.shape, 0.1, np.float32), valid, np.full(u.shape, 50, np.float32)))
+    scatter = scatter_of(ProfileRows(u, np.full(u.shape, 0.1, np.float32), valid, np.full(u.shape, 50, np.float32)))
     np.testing.assert_array_equal(scatter.scale, 1.0)
 
 
@@ -191,9 +195,7 @@ def test_rows_that_are_alike_are_noticed(weight):
     kernel = np.array([weight, 1.0, weight])
     noise = sum(k * drawn[:, i : i + LINES] for i, k in enumerate(kernel)) / np.linalg.norm(kernel)
     u, all_there = (300 + SLOPE * X + 0.1 * noise).astype(np.float32), np.ones((PROFILES, LINES), bool)
-    scatter = row_scatter(
-        ProfileRows(u, np.full(u.shape, 0.1, np.float32), all_there, np.full(u.shape, 50, np.float32))
-    )
+    scatter = scatter_of(ProfileRows(u, np.full(u.shape, 0.1, np.float32), all_there, np.full(u.shape, 50, np.float32)))
     correlation = 2 * weight / (1 + 2 * weight**2)
     # The second neighbours are alike too, by the square of the weight.
     assert sum(scatter.correlation.near[:1]) == pytest.approx(correlation, abs=0.02 + weight**2)
@@ -207,4 +209,4 @@ def test_hardly_any_rows(shape):
     for some in (valid, ~valid):
         found = smooth(u, 0.1, some)
         np.testing.assert_allclose(found.u, np.where(some, 5, 0))
-        assert (row_scatter(ProfileRows(u, 0.1 * u, some, u)).scale == 1).all()
+        assert (scatter_of(ProfileRows(u, 0.1 * u, some, u)).scale == 1).all()

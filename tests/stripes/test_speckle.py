@@ -12,7 +12,7 @@ from jaxscan.stripes import (
     ProfileRows,
     StripeSettings,
     extract_stripes,
-    row_scatter,
+    scatter_law,
 )
 from jaxscan.stripes.correlation import INDEPENDENT
 from jaxscan.stripes.engine import prepare_engines
@@ -133,7 +133,7 @@ def test_learned_contrast_and_what_neighbours_share():
     for pairs in scenes:
         found = extract_stripes(*pairs, noise=KNOWN)
         rows = ProfileRows(*(np.asarray(field) for field in (found.u, found.sigma, found.valid, found.amplitude)))
-        shared.append(sum(row_scatter(rows).correlation.near[:1]))
+        shared.append(sum(scatter_law(rows).correlation.near[:1]))
     assert shared[0] < 0.1
     # |2 J1(x) / x|^2 at x = pi / 1.5 is 0.29; pixels average it up a little.
     assert shared[1] == pytest.approx(0.3, abs=0.15)
@@ -177,7 +177,7 @@ def test_a_contrast_is_corrected_by_the_scatter(scatter):
     contrast = correct_speckle(rows, photons, 0.2)
     # Second differences over 2000 rows: some per cent of a contrast.
     assert contrast == pytest.approx(0.2 * scatter, rel=0.15)
-    assert row_scatter(ProfileRows(rows.u, rows.sigma, rows.valid, rows.amplitude)).correlation == INDEPENDENT
+    assert scatter_law(ProfileRows(rows.u, rows.sigma, rows.valid, rows.amplitude)).correlation == INDEPENDENT
 
 
 def test_no_scatter_at_all_lowers_a_contrast_as_far_as_can_be():
@@ -185,7 +185,7 @@ def test_no_scatter_at_all_lowers_a_contrast_as_far_as_can_be():
     still = rows._replace(u=30.0 + 0.5 * (rows.u - 30.0))
     for seen in (rows, still):
         assert 0.06 - 1e-12 <= correct_speckle(seen, photons, 0.2) < 0.08
-        assert row_scatter(ProfileRows(seen.u, seen.sigma, seen.valid, seen.amplitude)).correlation == INDEPENDENT
+        assert scatter_law(ProfileRows(seen.u, seen.sigma, seen.valid, seen.amplitude)).correlation == INDEPENDENT
 
 
 def test_too_few_rows_correct_nothing():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxscan.stripes.choose import StepSettings, check_steps
+from jaxscan.stripes.choose import check_steps
 
 
 PROFILES, LINES = 90, 64
@@ -23,8 +23,8 @@ def candidates(*centres):
     return np.nan_to_num(u), np.isfinite(u)
 
 
-def check(u, exists, chosen, **settings):
-    return np.asarray(check_steps(u, exists, np.asarray(chosen, np.int8), StepSettings(**settings)))
+def check(u, exists, chosen):
+    return np.asarray(check_steps(u, exists, np.asarray(chosen, np.int8)))
 
 
 def reflections(seed=1, share=0.2):
@@ -68,13 +68,12 @@ def test_reflections_that_hide_the_surface_are_dropped():
     assert np.mean(found[~wrong] == 0) > 0.998
 
 
-def test_a_cable_stays_and_a_thread_does_not_unless_nothing_is_dropped():
+def test_a_cable_stays_and_a_thread_does_not():
     true = surface()
     true[40:42] -= 60.0
     true[60] += 30.0
     u, exists = candidates(true)
     expected = np.zeros(true.shape)
-    np.testing.assert_array_equal(check(u, exists, expected, drop=False), expected)
     expected[60] = -1
     np.testing.assert_array_equal(check(u, exists, np.zeros(true.shape)), expected)
 
@@ -146,12 +145,11 @@ def test_coarse_steps_are_no_evidence():
 
 
 def test_a_track_steeper_than_allowed_is_none():
-    true = 100.0 + 12.0 * np.arange(PROFILES)[:, None] + np.zeros(LINES)
-    chosen = np.zeros(true.shape, np.int8)
+    chosen = np.zeros((PROFILES, LINES), np.int8)
     chosen[45] = 1
-    u, exists = candidates(true, true + 90.0)
-    np.testing.assert_array_equal(check(u, exists, chosen), 0)
-    np.testing.assert_array_equal(check(u, exists, chosen, max_slope_px=10.0), chosen)
+    for slope, expected in ((35.0, 0), (45.0, chosen)):
+        true = 100.0 + slope * np.arange(PROFILES)[:, None] + np.zeros(LINES)
+        np.testing.assert_array_equal(check(*candidates(true, true + 90.0), chosen), expected)
 
 
 def test_the_result_does_not_depend_on_the_blocks():
@@ -159,15 +157,8 @@ def test_the_result_does_not_depend_on_the_blocks():
     rng = np.random.default_rng(5)
     u, exists = candidates(true, rng.uniform(0, 1200, true.shape))
     chosen = (rng.random(true.shape) < 0.2).astype(np.int8)
-    whole = check(u, exists, chosen, passes=1)
+    whole = check(u, exists, chosen)
     for start in range(0, 60, 7):
-        part = check(u[start : start + 20], exists[start : start + 20], chosen[start : start + 20], passes=1)
-        np.testing.assert_array_equal(part[3:-3], whole[start + 3 : start + 17])
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"tolerance_px": 0.0}, {"max_slope_px": -1.0}, {"min_support": 1}, {"margin": 0}, {"passes": 0}]
-)
-def test_settings_that_mean_nothing(wrong):
-    with pytest.raises(ValueError, match=next(iter(wrong))):
-        StepSettings(**wrong)
+        part = check(u[start : start + 20], exists[start : start + 20], chosen[start : start + 20])
+        # Two passes, each of which looks 3 steps away.
+        np.testing.assert_array_equal(part[6:-6], whole[start + 6 : start + 14])

@@ -24,14 +24,7 @@ _DRIVER = "V4L2"
 
 
 def apply_settings(capture: cv2.VideoCapture, settings: CameraSettings, *, name: str) -> Features:
-    """Apply the settings that the backend supports, and switch automatic functions off.
-
-    Returns:
-        The features that the camera must report then.
-
-    Raises:
-        CameraError: With the property that cannot be set.
-    """
+    """Apply the settings that the backend supports, no automatic functions; returns what it must report then."""
     if capture.getBackendName() != _DRIVER:
         return {"width": settings.width, "height": settings.height}
     # The size first, since it may reset the rest. One buffer, if the driver supports that.
@@ -109,12 +102,7 @@ class OpenCVCamera(Camera):
     """
 
     def __init__(self, settings: CameraSettings) -> None:
-        """Open the camera, apply the settings that it supports, read them back and compare.
-
-        Raises:
-            CameraLost: If it cannot be opened.
-            CameraError: If it does not take a setting, or its frames have another size.
-        """
+        """Open the camera, apply the settings that it supports, read them back and compare. Raises as `open_camera`."""
         self.settings = settings
         self._source = _source(settings.id)
         self._changed = threading.Condition()
@@ -265,12 +253,7 @@ def _source(name: str) -> int | str:
 
 
 def _require_source(source: int | str, name: str) -> None:
-    """Check that a source can be opened without waiting for ever: OpenCV would wait for somebody to write into a pipe.
-
-    Raises:
-        CameraLost: If there is nothing at its path.
-        CameraError: If that is neither a video device nor a file.
-    """
+    """Refuse what is no camera: OpenCV would wait for ever for somebody to write into a pipe."""
     if isinstance(source, int) or _SCHEME.match(source):
         return
     try:

@@ -122,7 +122,7 @@ def prove_pair(
     """Search for the laser in the difference of two frames, and find the cause if it is missing.
 
     A ridge counts if it is 4 standard deviations above both sides, has no rival and no furrow on its row, and continues
-    on neighbouring rows; noise, texture, flicker and motion do not make such ridges (`ridges`).
+    on neighbouring rows; noise, texture, flicker and motion do not make such ridges.
 
     Args:
         on: The frame that should show the laser's line, uint16 of more than 8 bits.

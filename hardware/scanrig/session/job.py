@@ -87,7 +87,7 @@ Status = Literal["complete", "suspect", "interrupted", "e-stop", "disk full"]
 operator; e-stop pressed; no space. All but "complete" may be resumed."""
 
 OnPair = Callable[[int, float, np.ndarray, np.ndarray], None]
-"""Called with (record number, angle [rad], laser-on frame, laser-off frame) when the pair is on the disk."""
+"""Called with (record number, angle [rad], laser-on frame, laser-off frame)."""
 
 
 @dataclass(frozen=True)
@@ -115,12 +115,10 @@ class SessionResult:
 
 @dataclass(frozen=True)
 class Devices:
-    """The open devices that a session drives. A session closes none of them."""
+    """The open devices that a session drives, leaves safe, and does not close."""
 
     controller: Controller
-    """The session configures, homes and arms it, and leaves it safe."""
     camera: Camera
-    """The session starts it."""
     clock: Clock = field(default_factory=Clock)
     """For waiting and for time stamps."""
 
@@ -180,11 +178,10 @@ def say_event(name: str, fields: Mapping[str, Any]) -> str:
         case "camera":
             return f"the camera is open again, after {fields['reopened']} attempts"
         case "suspect":
-            runs = spoken_runs([(first, last) for first, last in fields["records"]])
-            return f"records {runs} are suspect: {fields['why']}"
+            return f"records {spoken_runs(fields['records'])} are suspect: {fields['why']}"
         case _:
             return ""
 
 
-def spoken_runs(runs: Sequence[tuple[int, int]]) -> str:
+def spoken_runs(runs: Sequence[Sequence[int]]) -> str:
     return ", ".join(f"{first} to {last}" if last > first else str(first) for first, last in runs)

@@ -142,7 +142,6 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
 _OPTIONAL: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "stripes.contrast": (np.signedinteger, ("stripes", "points")),
 }
-"""Arrays that observations may lack."""
 _RANGES = {
     "corners.q": (-1e6, 1e6),
     "corners.sigma": (1e-6, 1e6),
@@ -156,7 +155,6 @@ _PLAIN = ("width", "height", "laser_names", "up", "carries")
 
 
 _LENGTHS = ("square", "marker", "diameter", "tag")
-"""Fields of boards that are lengths."""
 _NAMES = {"circles": {"square": "spacing"}, "aprilgrid": {"square": "gap"}}
 """Names of fields in the tables of captures, where they have others."""
 
@@ -254,7 +252,6 @@ def _read_observations(path: Path) -> Observations:
 
 
 _DIGESTS = "digests"
-"""Key of the table that holds them."""
 
 
 def _digests_of(tables: Mapping[str, Any], observations: Path | None = None) -> dict[str, str]:
@@ -281,11 +278,7 @@ def _values_note(tables: Mapping[str, Any], name: str) -> str:
 
 
 def _require_own(table: CalibrationTable, path: Path, beside: Path, *, found: bool) -> None:
-    """Refuse observations beside a calibration file with digests that are not its own.
-
-    Args:
-        found: Whether that file holds observations.
-    """
+    """Refuse observations beside a calibration file with digests that are not its own."""
     digests = table.digests
     if digests is None:
         return

@@ -31,7 +31,6 @@ UNIT_TOLERANCE = 1e-6
 Limited = Annotated[Number, pydantic.Field(ge=-1e6, le=1e6)]
 """Pixels, metres, coefficients, and components of vectors."""
 Focal = Annotated[Number, pydantic.Field(ge=0.1, le=1e6)]
-"""Focal length, px."""
 Bend = Annotated[Number, pydantic.Field(ge=-10, le=10)]
 """Bows and harmonics, rad."""
 Covariance = Annotated[Number, pydantic.Field(ge=-1e12, le=1e12)]
@@ -46,11 +45,7 @@ def arrays(*values: Any) -> tuple[np.ndarray, ...]:
 
 
 def check_frame(name: str, direction: Triple, basis: Basis) -> None:
-    """Refuse a unit vector and a basis that are none.
-
-    Raises:
-        ValueError: With the value found.
-    """
+    """Refuse a unit vector and a basis that are none."""
     length = float(np.linalg.norm(direction))
     if abs(length - 1) > UNIT_TOLERANCE:
         raise ValueError(f"{name}: found a vector of length {length:.9g}, expected 1")
@@ -80,11 +75,7 @@ class _WithDirection(FileModel):
 
     @abc.abstractmethod
     def motion(self) -> AbstractMotion:
-        """The motion of the geometry.
-
-        Raises:
-            ValueError: If there is no direction or no gain, or it is not canonical beside a basis.
-        """
+        """The motion of the geometry."""
 
 
 class TurntableTable(_WithDirection):
@@ -138,7 +129,6 @@ MotionTable = Annotated[
     Annotated[TurntableTable, pydantic.Tag("an axis")] | Annotated[LinearTable, pydantic.Tag("a line")],
     pydantic.Discriminator(_kind),
 ]
-"""The table of any motion."""
 
 
 def motion_table(motion: AbstractMotion) -> dict[str, Any] | None:
@@ -323,9 +313,7 @@ class DigestTable(FileModel):
     """Digests as a program writes them; a person leaves them out."""
 
     values: str | None = None
-    """Digest of all other tables of the file."""
     observations: str | None = None
-    """Digest of the file of observations beside it."""
 
 
 class CalibrationTable(FileModel):

@@ -30,7 +30,6 @@ class Capture:
     path: Path
     header: CaptureHeader
     records: tuple[Record, ...]
-    """Sorted by their number, one per number."""
     notes: tuple[str, ...]
     """Doubts of the reader, a sentence each: a torn last line that was left out, records that no seal covers."""
     _digest: str
@@ -224,8 +223,7 @@ class Capture:
         """All frames in order, `size` records at a time, decoded ahead by all cores.
 
         Frames that lie one after another in one shard are read-only views of the file; others are
-        decoded or copied. A chunk may be kept; if it is not, its memory is used again, so that
-        no more than three chunks exist beside those that are in use. Close the iterator to stop
+        decoded or copied. No more than three chunks exist beside those that are in use. Close the iterator to stop
         early.
 
         Yields:

@@ -16,7 +16,6 @@ from jaxscan.files.disk import file_digest
 
 
 _BLOCK = 256
-"""Records between two calls of `progress`."""
 _CHUNK = 16
 """Records that a thread is handed at once: to hand one over takes as long as to look at a small image."""
 _KEPT = 1 << 16
@@ -30,7 +29,6 @@ class Problem:
     record: int | None
     """Number of the record that the image belongs to; None for the journal."""
     message: str
-    """The file, and the contents found and expected."""
     lasting: bool = False
     """Whether it stays when the capture is resumed; traces of an interruption do not."""
 

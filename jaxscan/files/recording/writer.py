@@ -81,12 +81,7 @@ class GivenFrame(NamedTuple):
 
 
 def given_frame(given: Any | None, shape: tuple[int, ...], where: str, bits: int | None = None) -> GivenFrame:
-    """A frame of a record; None without one. With `bits`, one of uint16 is kept as its levels.
-
-    Raises:
-        CaptureError: If the list is too long, an exposure is not a positive number, or an image is not uint8
-            of this shape.
-    """
+    """A frame of a record; None without one. With `bits`, one of uint16 is kept as its levels."""
     if given is None:
         return GivenFrame([], None, [])
     if bits is not None:

@@ -77,9 +77,7 @@ def fit_laser_light(
     the print have the room's light as a prior.
 
     Args:
-        windows: The samples.
         paper: The print at the samples of the lattice [k, lines, j].
-        lattice: Those samples.
         room: Of `fit_room_light`.
         start: Centres from the middles of the windows [lines], and the width of the stripe as seen [px].
         contrast: Of speckle, as other boards told it [1]; 0 where none was told.

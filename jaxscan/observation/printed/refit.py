@@ -39,11 +39,8 @@ def fit_on_print(
     """The stripe of one view fitted through the print of its board.
 
     Args:
-        stripe: The stripe as every line by itself shows it.
         keep: Lines on the board [lines].
-        sight: The record's planes.
         rig: A first solve, with the picture of its board.
-        pose: T_cam_board [4, 4].
 
     Returns:
         The stripe with new centres, sigmas and contrast, at most `MOST_POINTS` of them; None where the picture does

@@ -53,9 +53,7 @@ def fit_room_light(windows: Windows, paper: np.ndarray, lattice: Lattice, *, far
     collection K by lens and pixels. Black level and light of the ink are not told apart, and need not be.
 
     Args:
-        windows: The samples.
         paper: The print at the samples of the lattice [k, lines, j].
-        lattice: Those samples.
         far: The print may lie some tenths of a pixel from its prediction.
     """
     lines, samples = windows.dark.shape

@@ -59,7 +59,6 @@ def cut_windows(sight: Sight, line: np.ndarray, centre: np.ndarray, half: int) -
     """The samples round a stripe, and the coordinate of the middle one on each line [n], px.
 
     Args:
-        sight: The planes.
         line: Lines of the image [n].
         centre: About where the stripe is on them [n], px.
         half: Samples on either side of the middle one.

@@ -1,6 +1,5 @@
 """The reading of a frame: pixel format, colour of the laser, noise, lamps that flicker."""
 
-from jaxscan.stripes.frames.doubtful import BlackLevelError, check_black
 from jaxscan.stripes.frames.flicker import applied_ratio, lamp_ratio
 from jaxscan.stripes.frames.formats import (
     PIXEL_FORMATS,
@@ -19,7 +18,7 @@ from jaxscan.stripes.frames.formats import (
     laser_sites,
 )
 from jaxscan.stripes.frames.learn_colour import with_colour
-from jaxscan.stripes.frames.learn_noise import LearnedNoise, learn_noise, speckle_words
+from jaxscan.stripes.frames.learn_noise import BlackLevelError, LearnedNoise, check_black, learn_noise, speckle_words
 from jaxscan.stripes.frames.learn_response import ExposurePair, LearnedResponse, learn_response
 from jaxscan.stripes.frames.levels import (
     DEEP_BITS,

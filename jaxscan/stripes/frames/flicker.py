@@ -38,6 +38,8 @@ _EVERY = 4
 _START = (0.6, 1.5)
 """Ratios between which a pixel may vote for the start."""
 _LANES = 64
+_SATURATED = 250
+"""Level from which a pixel does not count [DN]."""
 
 
 class LampRatio(NamedTuple):
@@ -58,8 +60,6 @@ def lamp_ratio(
     off: UInt8[Array, "frames n"],
     read_dn: Float[Array, ""] | float,
     electrons_per_dn: Float[Array, ""] | float,
-    *,
-    saturation: int = 250,
 ) -> LampRatio:
     r"""Ratio of the ambient light between the frames of each pair.
 
@@ -79,7 +79,6 @@ def lamp_ratio(
         off: The same pixels with the laser off.
         read_dn: Read noise of one frame [DN].
         electrons_per_dn: Conversion gain K [e-/DN].
-        saturation: Level from which a pixel does not count [DN].
 
     Returns:
         Ratio, its standard deviation and the unrest of each pair; ratios between 0.6 and 1.5 are found. Of NumPy arrays
@@ -104,7 +103,7 @@ def lamp_ratio(
 
     def levels(stride: int) -> tuple[Array, Array, Array]:
         a, b = (frame[:, ::stride].astype(np.float32) for frame in (on, off))
-        usable = (a + b > dark) & (xp.maximum(a, b) < saturation)
+        usable = (a + b > dark) & (xp.maximum(a, b) < _SATURATED)
         return a, b, usable
 
     def step(pixels, ratio, widened):

@@ -111,7 +111,6 @@ def laser_plane(frames: Array, *, pixel_format: PixelFormat, line: LaserLine) ->
 
     Args:
         frames: uint8 [frames, rows, columns] (rgb8: and 3).
-        pixel_format: How a frame is to be read.
         line: The laser; where its stripe axis is "columns" the lines are image columns.
 
     Returns:

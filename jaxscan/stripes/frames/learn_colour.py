@@ -25,13 +25,12 @@ _REACH = 16
 _SEEN = 6.0
 """Signal-to-noise ratio from which a line shows the laser: once in 10^9 samples of noise."""
 _FEWEST_LINES = 4
+_CLIPPED = 254
 _FEWEST = 0.01
 """Smallest part of the lines that must show the laser."""
 
 
-def learn_colour(
-    on: Array, off: Array, pixel_format: PixelFormat, *, stripe_axis: StripeAxis = "rows", saturation: int = 254
-) -> Colour:
+def learn_colour(on: Array, off: Array, pixel_format: PixelFormat, *, stripe_axis: StripeAxis = "rows") -> Colour:
     r"""The channel in which the laser's light stands out most.
 
     In each channel the difference of the pairs, after the ratio of flickering lamps (`lamp_ratio`), is compared
@@ -43,9 +42,6 @@ def learn_colour(
     Args:
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape.
-        pixel_format: How a frame is to be read.
-        stripe_axis: Whether a line is an image row or an image column.
-        saturation: Level from which a pixel is clipped [DN].
 
     Returns:
         The colour; "red" for a mono camera, where it has no meaning.
@@ -70,7 +66,7 @@ def learn_colour(
     for colour in _COLOURS:
         line = LaserLine(colour=colour, stripe_axis=stripe_axis)
         plane = lambda frames, line=line: np.asarray(laser_plane(frames, pixel_format=pixel_format, line=line))
-        scores[colour] = _score(plane(on), plane(off), saturation)
+        scores[colour] = _score(plane(on), plane(off))
     best = max(_COLOURS, key=lambda colour: scores[colour])
     if scores[best] <= 0.0:
         raise ValueError(
@@ -85,10 +81,8 @@ def with_colour(line: LaserLine, on: Array, off: Array | None, pixel_format: Pix
     """The laser with a colour: its own, or that which the frames show if it is "auto".
 
     Args:
-        line: The laser.
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3); not looked at without need.
         off: Laser-off frames of the same shape, or None.
-        pixel_format: How a frame is to be read.
 
     Raises:
         ValueError: If the colour has to be learned and cannot be.
@@ -102,9 +96,7 @@ def with_colour(line: LaserLine, on: Array, off: Array | None, pixel_format: Pix
     return dataclasses.replace(line, colour=learn_colour(on, off, pixel_format, stripe_axis=line.stripe_axis))
 
 
-def _score(
-    on: UInt8[np.ndarray, "frames lines samples"], off: UInt8[np.ndarray, "frames lines samples"], saturation: int
-) -> float:
+def _score(on: UInt8[np.ndarray, "frames lines samples"], off: UInt8[np.ndarray, "frames lines samples"]) -> float:
     """Information in the stripes, mean over the lines [bit]; 0 where there are none."""
     # An odd stride takes both kinds of a Bayer tile's lines.
     stride = max(1, on.shape[1] // _LINES) | 1
@@ -122,7 +114,7 @@ def _score(
     noise = estimate_noise(on, steady)
     variance = (1 + ratio**2) * (noise.read_dn**2 + 1 / 12) + (1 + ratio) * room / noise.electrons_per_dn
     # Where the room alone saturates nothing can be added.
-    added = np.where(off < saturation, on - room, 0.0) / np.sqrt(variance)
+    added = np.where(off < _CLIPPED, on - room, 0.0) / np.sqrt(variance)
     return _told(added.reshape(-1, samples))
 
 

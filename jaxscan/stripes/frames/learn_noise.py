@@ -1,4 +1,4 @@
-"""All that the first pairs tell about a frame's noise."""
+"""All that the first pairs tell about a frame's noise, and signs that codes are not as a sensor makes them."""
 
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -6,11 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from jaxscan.geometry import Array
-from jaxscan.stripes.frames.doubtful import falling_noise, noise_in_blocks
+from jaxscan.geometry import Array, median_sigma
 from jaxscan.stripes.frames.formats import FrameFormat, LaserLine, decode_table, laser_plane
-from jaxscan.stripes.frames.noise import UNITS, flicker_of, photon_points
-from jaxscan.stripes.frames.transfer import PerBin, free_line, photon_transfer
+from jaxscan.stripes.frames.noise import UNITS, PerBin, flicker_of, free_line, photon_points, photon_transfer
 from jaxscan.stripes.stripes import NoiseModel
 
 
@@ -31,10 +29,44 @@ _EVEN, _CUT_VARIANCE = 1.12, 0.911
 """Variance of the darkest levels over that of noise, below which they are without shades; and the variance of a normal
 distribution that is cut off at 2.5 standard deviations."""
 _LEAST_SIGMAS = 5.0
+_FALLING = 0.7
+"""Variance of bright over that of dark levels, below which codes are no counts of photons."""
+_MANY_ZEROS = 1.25
+"""Coefficients near zero of blocks that lie as a JPEG's do, over those of blocks half a block aside."""
+_NEAR_ZERO = 0.25
+"""Limit of such coefficients, in standard deviations: a fifth of those of noise."""
+_LEAST = 1e-3
+_BELOW = 3.0
+"""Standard deviations of the noise by which a black level may exceed the picture."""
 
 
 LOST = "lost in the other noise"
 """Why no speckle is learned, as a rule."""
+
+
+class BlackLevelError(ValueError):
+    """A black level that no pixel reaches."""
+
+
+def check_black(noise: NoiseModel, on: Array, *, frames: FrameFormat, line: LaserLine) -> None:
+    """Refuse a black level that no pixel reaches.
+
+    Args:
+        on: Laser-on frames, of which the first is looked at.
+
+    Raises:
+        BlackLevelError: If the black level lies above the frames.
+    """
+    if noise.black_dn <= 0:
+        return
+    plane = np.asarray(laser_plane(np.asarray(on[:1]), pixel_format=frames.pixel_format, line=line))
+    top = float(decode_table(frames.response)[0][int(np.percentile(plane, 99.0))])
+    # Without any light half of the pixels are below the black level.
+    if noise.black_dn - _BELOW * np.sqrt(noise.read_dn**2 + 1 / 12) >= top:
+        raise BlackLevelError(
+            f"The black level is {noise.black_dn:g} DN, but 99 % of the pixels are at {top:.3g} DN or below; expected "
+            "a level below the picture. Give the level of a covered lens, or 0."
+        )
 
 
 class LearnedNoise(NamedTuple):
@@ -76,8 +108,6 @@ def learn_noise(
     Args:
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape, or None.
-        frames: How a frame is to be read.
-        line: The laser, of which the colour is known.
         compressed: Whether it is known that the images were compressed with loss.
     """
     chosen = np.unique(np.linspace(0, len(on) - 1, _FRAMES).astype(int))
@@ -87,12 +117,12 @@ def learn_noise(
         if off is None or compressed or frames.pixel_format.startswith("bayer"):
             return []
         lit = _bands(on, chosen, frames, line)
-        return noise_in_blocks(np.stack([_less(*pair) for pair in zip(lit, room, strict=True)]))
+        return _noise_in_blocks(np.stack([_less(*pair) for pair in zip(lit, room, strict=True)]))
 
     with ThreadPoolExecutor(1) as pool:
         blocks = pool.submit(in_blocks)
         level, variance, sigma = photon_points(on, off, **vars(frames), line=line)
-        doubts = falling_noise(level, variance, sigma, frames.response) + blocks.result()
+        doubts = _falling_noise(level, variance, sigma, frames.response) + blocks.result()
     least, start = _line_of_noise(level, variance, sigma)
     black, most = _darkest(decode_table(frames.response)[0], room, start)
     least = min(least, most)
@@ -133,8 +163,8 @@ def _line_of_noise(level: PerBin, variance: PerBin, sigma: PerBin) -> tuple[floa
     if line is None:
         noise, _ = photon_transfer(level, variance, sigma)
         return 0.0, (noise.read_dn**2, 1.0 / noise.electrons_per_dn)
-    least = -line.start / line.slope if line.start < -_LEAST_SIGMAS * line.sigma else 0.0
-    return max(least, 0.0), (0.5 * line.start, 0.5 * line.slope)
+    start, slope, doubt = line
+    return (-start / slope if start < -_LEAST_SIGMAS * doubt else 0.0), (0.5 * start, 0.5 * slope)
 
 
 def _darkest(
@@ -142,10 +172,7 @@ def _darkest(
 ) -> tuple[float | None, float]:
     """The level of a darkest surface, or None; and a bound of the black level [DN].
 
-    Args:
-        table: Linear level of each code [DN].
-        planes: Laser-off frames.
-        noise: Variance of a frame at level 0, and its slope [DN^2, DN].
+    `noise` is the variance of a frame at level 0, and its slope [DN^2, DN].
     """
     samples = planes.shape[2] // _BOX * _BOX
     if samples == 0 or planes.shape[1] == 0:
@@ -168,3 +195,57 @@ def _darkest(
     if dark and own >= _DARK_SHARE * len(means) and above < _GAP * own:
         return max(centre, 0.0), centre
     return None, low + 2.0 * spread
+
+
+def _falling_noise(level: np.ndarray, variance: np.ndarray, sigma: np.ndarray, response: str) -> list[str]:
+    """Noise that falls with the level, as gamma makes it fall; points as of `photon_points`."""
+    if len(level) < 2 or response != "linear":
+        return []
+    dark, bright = int(np.argmin(level)), int(np.argmax(level))
+    fall, doubt = variance[dark] - variance[bright], np.hypot(sigma[dark], sigma[bright])
+    if fall <= _LEAST_SIGMAS * doubt or variance[bright] >= _FALLING * variance[dark]:
+        return []
+    return [
+        f"the noise falls from {np.sqrt(0.5 * variance[dark]):.2g} DN at level {level[dark]:.0f} to "
+        f"{np.sqrt(0.5 * max(variance[bright], 0.0)):.2g} DN at {level[bright]:.0f}: expected of images with gamma, "
+        'and the header says response "linear"; record raw images, or write the response ("srgb") into capture.toml'
+    ]
+
+
+def _noise_in_blocks(difference: Float[np.ndarray, "frames lines samples"]) -> list[str]:
+    """Noise in blocks of 8 pixels, as JPEG leaves it.
+
+    JPEG rounds the cosine transform of every block, most of it to zero. Of any other picture as many coefficients are
+    near zero in blocks half a block aside. Coefficients that are constant along an axis do not count: bars and stripes
+    are such.
+    `difference` is of whole bands of 8 lines that lie as a JPEG's blocks do [DN].
+
+    Source:
+        ITU-T T.81 (JPEG), A.3.3 and A.3.4.
+    """
+    if min(difference.shape[1] // _BAND, difference.shape[2] // _BAND) < 4:
+        return []
+    own, aside = (np.abs(_coefficients(difference, start)) for start in (0, _BAND // 2))
+    # Coarse JPEG leaves no noise at all in most blocks.
+    limit = max(_NEAR_ZERO * median_sigma(aside), _LEAST)
+    zeros, expected = float(np.mean(own < limit)), float(np.mean(aside < limit))
+    error = np.sqrt(2.0 * expected / own.size)
+    if zeros < max(_MANY_ZEROS * expected, expected + _LEAST_SIGMAS * error):
+        return []
+    return [
+        f"the noise of the images lies in blocks of {_BAND} px, as JPEG leaves it: sigmas are estimates; record "
+        'PNG or raw images, or write compression = "jpeg" into capture.toml'
+    ]
+
+
+def _coefficients(difference: np.ndarray, start: int) -> Float[np.ndarray, " n"]:
+    """Cosine transforms of blocks of 8 x 8 pixels, without those that are constant along an axis."""
+    frames, lines, samples = difference.shape
+    bands, blocks = lines // _BAND, (samples - start) // _BAND
+    # A band is of neighbouring lines; the next band is not next to it. So blocks are moved along the samples only.
+    part = difference[:, : bands * _BAND, start : start + blocks * _BAND].astype(np.float32)
+    place, wave = np.arange(_BAND), np.arange(1, _BAND)
+    cosine = (0.5 * np.cos((2 * place + 1) * wave[:, None] * np.pi / 16)).astype(np.float32)
+    # Line by line: one large product would wake the threads of BLAS, for longer than it takes.
+    along = part.reshape(frames * bands * _BAND, blocks, _BAND) @ cosine.T
+    return np.matmul(cosine, along.reshape(frames * bands, _BAND, -1)).ravel()

@@ -1,11 +1,10 @@
-"""Noise of a frame from the frames themselves, by photon transfer."""
+"""Noise of a frame from the frames themselves, by photon transfer: the line of the noise over the level."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int16, UInt8
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.frames.formats import LaserLine, PixelFormat, Response, decode_table, laser_plane
-from jaxscan.stripes.frames.transfer import PerBin, photon_transfer
 from jaxscan.stripes.stripes import NoiseModel
 
 
@@ -14,6 +13,7 @@ Lines = Int16[np.ndarray, "lines n"]
 Level = Float[np.ndarray, "256"]
 Noise = tuple[Int16[np.ndarray, " m"], Int16[np.ndarray, " m"]]
 Counts = Int[np.ndarray, "bins values"]
+PerBin = Float[np.ndarray, " bins"]
 
 _LINE = LaserLine()
 _FRAMES = 4
@@ -48,6 +48,13 @@ _BRIGHT_DN = 240.0
 """Above this level the noise is cut off at the top."""
 _CLIPPED = 254
 """Code from which on a sample is clipped."""
+_MIN_READ_DN = 0.2
+_MIN_GAIN = 0.5
+"""No sensor whose full scale is 255 DN has fewer electrons per DN: its whole well would be 130."""
+_MIN_SPAN_DN = 10.0
+"""Range of levels from which the gain can be told."""
+_SEEN = 5.0
+"""Standard deviations from which a slope is seen."""
 
 
 def estimate_noise(
@@ -73,7 +80,6 @@ def estimate_noise(
     Args:
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape, or None.
-        pixel_format: How a frame is to be read.
         response: "linear", "srgb" or "gamma 2.2".
         line: The laser, which says which channel is looked at.
 
@@ -233,3 +239,49 @@ def _clipped_variances(counts: Counts, value: Float[np.ndarray, " values"]) -> t
         deviation = np.maximum(np.sqrt((kept * offset**2).sum(1) / count - mean**2), 0.1)
         middle = middle + mean
     return deviation**2, count.astype(np.float64)
+
+
+def free_line(level: PerBin, variance: PerBin, sigma: PerBin) -> tuple[float, float, float] | None:
+    """The line through the bins, wherever it starts: twice the variance of a frame at level 0, below 0 where there is a
+    black level, its growth per level, and the standard deviation of the first; None where no slope is seen."""
+    if len(level) < 2 or np.ptp(level) < _MIN_SPAN_DN:
+        return None
+    weight = 1.0 / sigma**2
+    centre, mean, spread, slope = _line(level, variance, weight)
+    if not _SEEN / np.sqrt(spread) < slope <= 2.0 / _MIN_GAIN:
+        return None
+    return mean - slope * centre, slope, float(np.sqrt(1.0 / np.sum(weight) + centre**2 / spread))
+
+
+def photon_transfer(
+    level: PerBin, variance: PerBin, sigma: PerBin, *, black_dn: float = 0.0
+) -> tuple[NoiseModel, bool]:
+    """The noise of such points with a known black level, and whether they tell the gain."""
+    default = NoiseModel(black_dn=black_dn)
+    if len(level) == 0:
+        return default, False
+    # The black level is no light: it has no shot noise.
+    level, weight, start = level - black_dn, 1.0 / sigma**2, 2.0 * _MIN_READ_DN**2
+    centre, mean, spread, slope = _line(level, variance, weight)
+    told = np.ptp(level) >= _MIN_SPAN_DN and slope * np.sqrt(spread) > _SEEN
+    if told and mean - slope * centre < start:
+        # So steep that it passes below the levels with the most samples: it starts at the least read noise, and has to
+        # meet them.
+        slope = float(np.sum(weight * level * (variance - start)) / np.sum(weight * level**2))
+    told = told and 0.0 < slope <= 2.0 / _MIN_GAIN
+    if told:
+        gain = 2.0 / slope
+    else:
+        # One level tells a sum only: keep the default gain, unless it alone explains too much.
+        shot = mean - start
+        gain = max(default.electrons_per_dn, 2.0 * centre / shot) if shot > 0 else 1e6
+    read = np.sqrt(max(0.5 * mean - centre / gain, _MIN_READ_DN**2))
+    return NoiseModel(read_dn=float(read), electrons_per_dn=float(gain), black_dn=black_dn), bool(told)
+
+
+def _line(level: PerBin, variance: PerBin, weight: PerBin) -> tuple[float, float, float, float]:
+    """Mean level and variance of the bins, the weighted spread of their levels, and the slope of the line."""
+    centre, mean = np.average(level, weights=weight), np.average(variance, weights=weight)
+    spread = np.sum(weight * (level - centre) ** 2)
+    slope = np.sum(weight * (level - centre) * variance) / max(spread, 1e-12)
+    return float(centre), float(mean), float(spread), float(slope)
