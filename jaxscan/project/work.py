@@ -9,7 +9,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from jaxtyping import Shaped
 
 import jaxscan
 from jaxscan import api
+from jaxscan.api.recalibration import turned
 from jaxscan.api.sweeps import cloud_of_ranges, stripes_of_range
 from jaxscan.calibration import Calibration
 from jaxscan.drawing import draw_plan, survey_room
@@ -273,11 +274,8 @@ def place_station(workspace: StepWorkspace) -> None:
     text = read_bounded(stations, _MOST_BYTES, error=CloudError)
     station = parse_json(text, name=str(stations), error=CloudError)["stations"][workspace.setting("number")]
     sweep, scanner = workspace.sweep(), workspace.scanner()
-    angles = (sweep.angles + np.array(station["corrections_rad"])).tolist()
-    records = tuple(replace(record, angle=angle) for record, angle in zip(sweep.records, angles, strict=True))
-    settings = reconstruct_settings(workspace)
-    turned = replace(sweep, records=records) if np.any(station["corrections_rad"]) else sweep
-    done = api.reconstruct_capture(turned, scanner, settings=settings, progress=workspace.progress)
+    settings, right = reconstruct_settings(workspace), turned(sweep, np.array(station["corrections_rad"]))
+    done = api.reconstruct_capture(right, scanner, settings=settings, progress=workspace.progress)
     workspace.notes.extend(done.notes)
     cloud = coloured(workspace, done.cloud, sweep, scanner)
     placed = join_clouds([cloud], [np.array(station["pose"])], [np.array(station["covariance"])])
