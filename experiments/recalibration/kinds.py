@@ -246,11 +246,9 @@ def drifted(seed: int, part: str, twice: bool) -> Task:
     return task_of(config, stored, seed, PAPER)
 
 
-def wrong_table(seed: int, factor: float, lost_deg: float) -> Task:
-    """A journal that counts other steps than the table takes, or a step lost in the middle third of the sweep."""
-    how = replace(PAPER, factor=factor)
-    if not lost_deg:
-        return plain(seed, "paper", "good", how)
+def wrong_table(seed: int, lost_deg: float) -> Task:
+    """A step lost in the middle third of the sweep."""
+    how = PAPER
     record = int(np.random.default_rng([seed, 87]).integers(how.steps // 3, 2 * how.steps // 3))
     task = plain(seed, "paper", "good", replace(how, lost=(record, -lost_deg)))
     return task._replace(known={"lost": [record, -lost_deg]})
@@ -282,10 +280,8 @@ KINDS: dict[str, Callable[[int], Task]] = {
     "laser turned since a recalibration": partial(drifted, part="laser", twice=True),
     "axis shifted since a recalibration": partial(drifted, part="axis", twice=True),
     "nothing moved since a recalibration": partial(drifted, part="nothing", twice=True),
-    "3200 steps for 6400": partial(wrong_table, factor=0.5, lost_deg=0.0),
-    "6400 steps for 3200": partial(wrong_table, factor=2.0, lost_deg=0.0),
-    "a step of 1.8 degrees lost": partial(wrong_table, factor=1.0, lost_deg=1.8),
-    "a step of 0.2 degrees lost": partial(wrong_table, factor=1.0, lost_deg=0.2),
+    "a step of 1.8 degrees lost": partial(wrong_table, lost_deg=1.8),
+    "a step of 0.2 degrees lost": partial(wrong_table, lost_deg=0.2),
     "overlap of 30 degrees": partial(closed, turn_deg=390.0),
     "a turn known to be closed": partial(closed, turn_deg=360.0),
     "two stations": two_stations,

@@ -222,7 +222,6 @@ def statements(result: Recalibration) -> dict[str, Any]:
         "refused": result.refused,
         "drift": {"p": drift.p, "part": drift.part},
         "table": {
-            "factor": table.factor,
             "jumps": [list(jump) for jump in table.jumps],
             "sentences": list(table.sentences),
         },

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime
 from pathlib import Path, PurePosixPath
+from typing import cast
 
 from jaxscan.errors import CaptureError, ConfigError, JaxscanError
 from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, CaptureHeader, parse_header
@@ -26,6 +27,7 @@ from jaxscan.files.disk import (
     reported,
     write_atomically,
 )
+from jaxscan.geometry import MOTIONS
 from jaxscan.project.config import (
     CapturesTable,
     Format,
@@ -40,13 +42,6 @@ from jaxscan.project.config import (
 )
 
 
-UNFIT: Mapping[str, tuple[tuple[Product, ...], str]] = {
-    "object": (("plan", "panorama"), "a table that carries the object turns no camera in a room"),
-    "linear": (("panorama",), "a stage does not turn the camera"),
-    "nothing": (("mesh", "plan", "panorama"), "profiles of a scanner that stands still have no neighbours"),
-}
-"""Products that there are not, and why, by what the table in the header carries. A stage may move along the walls of a
-room, so a plan is tried."""
 _MOST_NAMES = 3
 
 
@@ -63,7 +58,7 @@ def fitting_products(
     """
     asked = wanted.products if table.products is None else table.products
     products = dict.fromkeys(captures, asked)
-    if not any(kind in unfit for kind in asked for unfit, _ in UNFIT.values()):
+    if not any(kind in motion.unfit for kind in asked for motion in MOTIONS.values()):
         return products, []
     left: dict[tuple[str, tuple[Product, ...]], list[Name]] = defaultdict(list)
     for name, address in captures.items():
@@ -72,8 +67,10 @@ def fitting_products(
         except JaxscanError:
             # Said by the step that makes its cloud; other captures go on.
             continue
-        carries = "" if header.turntable is None else str(header.turntable.carries)
-        unfit, _ = UNFIT.get(carries, ((), ""))
+        carries = None if header.turntable is None else header.turntable.carries
+        if carries is None:
+            continue
+        unfit = cast(tuple[Product, ...], MOTIONS[carries].unfit)
         products[name] = tuple(kind for kind in asked if kind not in unfit)
         if gone := tuple(kind for kind in asked if kind in unfit):
             left[carries, gone].append(name)
@@ -82,7 +79,7 @@ def fitting_products(
         more = [f"{len(names) - _MOST_NAMES} more"] if len(names) > _MOST_NAMES else []
         notes.append(
             f'captures "{table.pattern}": no {_and(gone, "or")} of {_and([*names[:_MOST_NAMES], *more])}: '
-            f'{HEADER_NAME} says carries = "{carries}", and {UNFIT[carries][1]}.'
+            f'{HEADER_NAME} says carries = "{carries}", and {MOTIONS[carries].why}.'
         )
     return products, notes
 
