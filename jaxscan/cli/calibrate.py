@@ -95,8 +95,8 @@ def calibrate(
     parts, notes = calibrating.KnownParts(), list[str]()
     if opened:
         parts, notes = known_parts(opened[0], camera, sheet, axis, refine, lens or "pinhole")
-    plan = api.plan_calibration(opened, settings=settings, known=parts)
     out.notes(notes)
+    plan = api.plan_calibration(opened, settings=settings, known=parts)
     held = f"; held: {' and '.join(parts.held())}" if parts.held() else ""
     out.print(f"solving for {plan.words()}{held}")
     for sentence in plan.missing:
