@@ -95,8 +95,15 @@ def calibrate(
     parts, notes = calibrating.KnownParts(), list[str]()
     if opened:
         parts, notes = known_parts(opened[0], camera, sheet, axis, refine, lens or "pinhole")
-    out.notes(notes)
+    if opened and axis and not _is_file(axis) and opened[0].carries is None:
+        out.notes(
+            [
+                f"{opened[0].path}: does not say what the table carries, so --axis is that of a table that carries the "
+                'scanner; otherwise write into its capture.toml: [turntable] carries = "object".'
+            ]
+        )
     plan = api.plan_calibration(opened, settings=settings, known=parts)
+    out.notes(notes)
     held = f"; held: {' and '.join(parts.held())}" if parts.held() else ""
     out.print(f"solving for {plan.words()}{held}")
     for sentence in plan.missing:
@@ -137,7 +144,7 @@ def known_parts(
     refine: Sequence[Part],
     lens: CameraModel = "pinhole",
 ) -> "tuple[KnownParts, list[str]]":
-    """The parts that are given, for the rig of a capture, and notes on how they are understood.
+    """The parts that are given, for the rig of a capture, and notes on how the camera was read.
 
     Raises:
         OptionError: If numbers are missing or mean nothing, or a part is to be refined that is not given.
@@ -147,13 +154,7 @@ def known_parts(
     for part in refine:
         if not given[part]:
             raise OptionError(f"--refine {part}: --{part} is missing, which gives the values to start from.")
-    notes = []
-    if axis and not _is_file(axis) and capture.carries is None:
-        notes.append(
-            f"{capture.path}: does not say what the table carries, so --axis is that of a table that carries the "
-            'scanner; otherwise write into its capture.toml: [turntable] carries = "object".'
-        )
-    known_camera = None
+    known_camera, notes = None, list[str]()
     if camera is not None:
         read = calibration_files.read_camera(
             camera, capture.image_size, unnamed="fisheye" if lens == "fisheye" else "pinhole"
