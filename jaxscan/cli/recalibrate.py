@@ -175,8 +175,8 @@ def print_recalibration(out: Terminal, result: "Recalibration") -> None:
     for title, lines in blocks.items():
         for line in (title, *(f"  {line}" for line in lines)) if lines else ():
             out.print(line)
-    for lines in (words.known_lines, words.wall_lines, words.hold_out_lines, words.closure_lines):
-        for text in lines(result):
+    for told in (words.known_lines, words.wall_lines, words.hold_out_lines, words.closure_lines):
+        for text in told(result):
             out.print(text)
     for text in result.unobserved:
         out.print(f"not told by these captures: {text}")
