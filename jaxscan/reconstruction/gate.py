@@ -50,7 +50,8 @@ def line_gate(
     camera, rig = scanner.camera, scanner.rig
     length, lines = across_and_along(camera.width, camera.height, stripe_axis)
     across, along = _nodes(-1.0, float(length)), _nodes(0.0, float(lines - 1))
-    incidence = np.asarray(lit_points(rig, stripe_pixel(*np.meshgrid(across, along), stripe_axis), laser)[1])
+    u, line = np.meshgrid(across, along)
+    incidence = np.asarray(lit_points(rig, stripe_pixel(u, line, stripe_axis), laser)[1])
     distance = float(rig.laser(laser).distance)
     least, most = distance / max_range_m, distance / min_range_m if min_range_m > 0 else math.inf
     row, down = _cells(np.arange(float(lines)), along)
