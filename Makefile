@@ -54,7 +54,6 @@ test-all: $(INSTALLED)
 # `make experiments QUICK=--quick` shows in some minutes that all of it works.
 experiments: $(INSTALLED) libraries
 	$(BIN)/python -m experiments.paper $(QUICK) --out paper-figures
-	$(BIN)/python -m experiments.paper.page $(QUICK) paper-figures
 
 # Into site/, without a network; a link that leads nowhere is an error.
 docs: $(INSTALLED)

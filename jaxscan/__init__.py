@@ -101,7 +101,7 @@ if TYPE_CHECKING:
     )
     from jaxscan.observation import BoardViews, Observations, StripeViews
     from jaxscan.photographs import BlendSettings, Panorama, Photograph, Photographs, colour_points, make_occluder
-    from jaxscan.recalibration import Given, KnownSphere, MeasuredLength, Recalibration, RecalibrationSettings
+    from jaxscan.recalibration import Given, MeasuredLength, Recalibration, RecalibrationSettings
     from jaxscan.reconstruction import Extraction, PointCloud, ReconstructSettings, Sweep, extract, reconstruct
     from jaxscan.simulation import SimulationConfig
     from jaxscan.stripes import FrameFormat, LaserLine, NoiseModel, Stripes, StripeSettings, extract_stripes

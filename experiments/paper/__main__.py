@@ -2,10 +2,10 @@
 
     python -m experiments.paper [NAME …] [--world kind|unkind] [--quick] [--out FOLDER] [--save-baseline]
 
-Every experiment prints its figures, writes a picture and is compared with the committed baseline. Without a name all
-run; without a world both, each in a process of its own. `--quick` takes small images and few draws, to see that all of
-it works. Work files are kept in FOLDER/work: those that are there are not made again; `--fresh` removes them first.
-`python -m experiments.paper.page FOLDER` writes the page of results.
+Every experiment prints its figures, which are compared with the committed baseline, and figures 5 to 9 draw a picture.
+Without a name all run; without a world both, each in a process of its own, and then the page of results is written.
+`--quick` takes small images and few draws, to see that all of it works, and prints the page. Work files are kept in
+FOLDER/work: those that are there are not made again; `--fresh` removes them first.
 """
 
 import argparse
@@ -22,6 +22,7 @@ from typing import Any
 
 import jax
 
+from experiments.paper.page import PAGE, page
 from experiments.paper.stage import (
     EXPERIMENTS,
     WORLDS,
@@ -113,7 +114,14 @@ def main() -> int:
         return run_world(options.world, chosen, options)
     command = [sys.executable, "-m", "experiments.paper", *sys.argv[1:], "--world"]
     running = [subprocess.Popen([*command, name]) for name in WORLDS]
-    return max(process.wait() for process in running)
+    code = max(process.wait() for process in running)
+    paths = {name: results_path(options.out, name, options.quick) for name in WORLDS}
+    text = page({name: json.loads(path.read_text()) for name, path in paths.items() if path.exists()})
+    if options.quick:
+        print(text)
+    else:
+        PAGE.write_text(text)
+    return code
 
 
 if __name__ == "__main__":

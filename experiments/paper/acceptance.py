@@ -32,14 +32,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
 
 import jaxscan
 from experiments.paper.products import RenderedSweep, our_calibrations
-from experiments.paper.stage import Metric, Stage, plt, save, windowed, windowed_scanner
-from experiments.paper.targets import HALL, Hall, Plate, hall_config, make_hall
+from experiments.paper.stage import Metric, Stage, windowed, windowed_scanner
+from experiments.paper.targets import Hall, Plate, hall_config, make_hall
 from experiments.plain import principal_axes
 from experiments.report import rms
 from jaxscan import Scanner
@@ -96,14 +93,6 @@ def fit_sphere(samples: Samples, click: np.ndarray, diameter: float, scanner: Sc
     Args:
         click: About where its centre is, to within a hand's breadth [3], m.
         diameter: Its calibrated diameter [m]; if `free`, it only starts the search.
-        scanner: The scanner that the cloud was made with.
-        free: Whether the diameter is found too.
-
-    Returns:
-        The fit; centre in the frame of the samples.
-
-    Raises:
-        ValueError: If there are too few points, or none that lie on such a sphere.
     """
     try:
         found = sphere_of(_Points(samples), click, diameter / 2, free=free)
@@ -114,12 +103,7 @@ def fit_sphere(samples: Samples, click: np.ndarray, diameter: float, scanner: Sc
 
 
 def distance(first: Fit, second: Fit, scanner: Scanner) -> Measured:
-    """Distance between the centres, with its uncertainty by stripes and calibration.
-
-    Args:
-        first: One sphere.
-        scanner: The scanner that both were measured with; without covariance it adds nothing.
-    """
+    """Distance between the centres, with its uncertainty by stripes and calibration."""
     apart = second.centre - first.centre
     value = float(np.linalg.norm(apart))
     along = apart / value
@@ -132,10 +116,6 @@ def distance(first: Fit, second: Fit, scanner: Scanner) -> Measured:
 
 def together(fits: dict[str, Fit], pairs: list[tuple[str, str]], scanner: Scanner) -> np.ndarray:
     """Predicted covariance of distances between spheres: they share spheres and calibration.
-
-    Args:
-        pairs: Names of the two spheres of each distance.
-        scanner: The scanner that all were measured with.
 
     Returns:
         [pairs, pairs], m^2.
@@ -201,12 +181,7 @@ def aim(hall: Hall, scanner: Scanner, step_deg: float, plate_every: int | None) 
     All parts read equally many columns.
 
     Args:
-        hall: The targets where they nominally are.
-        step_deg: Step of the table where spheres are.
         plate_every: Where plates are, only every so many steps are taken; None: all is one part in equal steps.
-
-    Returns:
-        The parts, angles ascending. Their columns hold the stripe on the targets, with a margin.
     """
     balls = [(np.array(ball.centre), ball.diameter / 2) for ball in hall.balls.values()]
     spheres = np.array([_on_sphere(*ball) for ball in balls])
@@ -263,6 +238,8 @@ _QUICK_STEPS = (0.75, None)
 _SETTINGS = jaxscan.ReconstructSettings(min_range_m=0.5, max_range_m=5.2, normals=False, chunk_records=16)
 _SECTOR_DEG, _BESIDE_DEG = 10.0, 18.0
 """Records are rendered by sectors, with the targets in them and so far beside them."""
+_SURE = 1e-5
+"""A sum of lengths whose predicted standard deviation is less is known beforehand [m]."""
 _HAND = 0.04
 """Largest error of the places that the operator gives, in each coordinate [m]."""
 _EDGE, _BESIDE = 0.04, 0.05
@@ -287,7 +264,7 @@ class Tested(NamedTuple):
     sigma: np.ndarray
     """Predicted [m]."""
     whitened: np.ndarray
-    """Errors of lengths made independent and of unit variance by their predicted covariance."""
+    """Errors of sums of lengths that are independent and of unit variance by their predicted covariance."""
 
 
 def run(stage: Stage) -> list[Metric]:
@@ -296,7 +273,6 @@ def run(stage: Stage) -> list[Metric]:
     scanners = [jaxscan.load_scanner(path) for path in our_calibrations(stage)]
     clouds = _scan(stage, hall, scanners)
     tests = [_test(stage, hall, scanner, samples) for scanner, samples in zip(scanners, clouds, strict=True)]
-    draw_hall(stage, hall, tests)
     return _metrics(hall, tests, limits=not stage.quick)
 
 
@@ -355,8 +331,11 @@ def _test(stage: Stage, hall: Hall, scanner: jaxscan.Scanner, samples: Samples) 
     measured = [distance(known[first], known[second], scanner) for first, second in pairs]
     error[there] = [one.value - hall.true_length(length) for one, length in zip(measured, lengths, strict=True)]
     sigma[there] = [one.sigma for one in measured]
-    lower = np.linalg.cholesky(together(known, pairs, scanner))
-    return Tested(known, free, flatness, error, sigma, np.linalg.solve(lower, error[there]))
+    variance, ways = np.linalg.eigh(together(known, pairs, scanner))
+    # Six lengths of four spheres in a plane depend on each other: one sum of them has no error to first order.
+    counts = variance > _SURE**2
+    whitened = (ways.T @ error[there])[counts] / np.sqrt(variance[counts])
+    return Tested(known, free, flatness, error, sigma, whitened)
 
 
 def _flat(samples: Samples, plate: Plate) -> np.ndarray:
@@ -421,86 +400,3 @@ def _metrics(hall: Hall, tests: list[Tested], *, limits: bool) -> list[Metric]:
 
 def _known(values: np.ndarray) -> np.ndarray:
     return values[np.isfinite(values)]
-
-
-_LARGEST_MM = 1.0
-_COLOURS = plt.get_cmap("coolwarm")
-
-
-def draw_hall(stage: Stage, hall: Hall, tests: list[Tested]) -> None:
-    """The hall from above, lengths coloured by their errors; errors of lengths with sigmas; form against distance.
-
-    The first and the last panel are of the first calibration.
-    """
-    figure, axes = plt.subplot_mosaic(
-        [["top", "errors"], ["top", "form"]], figsize=(16, 9.5), width_ratios=(1.2, 1), layout="constrained"
-    )
-    _draw_top(axes["top"], hall, tests[0])
-    _draw_errors(axes["errors"], hall, tests)
-    _draw_form(axes["form"], hall, tests[0])
-    scale = ScalarMappable(Normalize(-_LARGEST_MM, _LARGEST_MM), _COLOURS)
-    figure.colorbar(
-        scale, ax=axes["top"], orientation="horizontal", shrink=0.7, pad=0.06, label="error of a length [mm]"
-    )
-    figure.suptitle(f"Acceptance tests in a hall of {HALL.size_m[0]:g} x {HALL.size_m[1]:g} m, {stage.world} world")
-    save(figure, stage.picture("acceptance"), 110)
-
-
-def _draw_top(axes: Axes, hall: Hall, test: Tested) -> None:
-    for length, error in zip(hall.lengths, 1e3 * test.error, strict=True):
-        ends = np.array([hall.balls[name].centre for name in (length.first, length.second)])
-        colour = _COLOURS(0.5 + 0.5 * error / _LARGEST_MM) if np.isfinite(error) else "0.6"
-        axes.plot(*ends[:, :2].T, color=colour, lw=3 if length.test == "bar" else 1.5, zorder=2)
-        if length.test == "bar":
-            x, y = ends[:, :2].mean(0) * 1.17
-            axes.text(x, y, f"{error:+.2f}", ha="center", va="center", fontsize=9)
-    for plate in hall.plates:
-        corners = plate.centre + np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) @ plate.edges
-        axes.fill(*corners[:, :2].T, facecolor="0.8", edgecolor="0.3", lw=2, zorder=1)
-        x, y = plate.centre[:2] * 1.13
-        axes.text(
-            x, y, f"plate\n{1e3 * test.flatness[plate.name]:.1f}", ha="center", va="center", fontsize=8, color="0.3"
-        )
-    for ball in hall.balls.values():
-        axes.add_patch(plt.Circle(ball.centre[:2], ball.diameter / 2, facecolor="white", edgecolor="k", zorder=3))
-    axes.plot(0, 0, "k^", ms=10)
-    axes.text(0.0, -0.28, "scanner", ha="center")
-    x, y = HALL.size_m[0] / 2, HALL.size_m[1] / 2
-    axes.plot([-x, x, x, -x, -x], [-y, -y, y, y, -y], color="0.4", lw=1)
-    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="From above; dumb-bells [mm], plates: D95 [mm]")
-
-
-def _draw_errors(axes: Axes, hall: Hall, tests: list[Tested]) -> None:
-    order = np.argsort([("bar", "front", "across").index(one.test) for one in hall.lengths], kind="stable")
-    for number, test in enumerate(tests):
-        place = np.arange(len(order)) + 0.22 * (number - (len(tests) - 1) / 2)
-        axes.errorbar(
-            place,
-            1e3 * test.error[order],
-            1e3 * test.sigma[order],
-            fmt="o",
-            ms=3,
-            lw=1,
-            label=f"calibration {number + 1}",
-        )
-    axes.axhline(0, color="k", lw=0.6)
-    names = [hall.lengths[index].name for index in order]
-    axes.set_xticks(range(len(order)), names, rotation=90, fontsize=7)
-    axes.set(ylabel="error [mm]", title="Errors of lengths, with one predicted standard deviation")
-    axes.grid(axis="y", alpha=0.3)
-    axes.legend(fontsize=8)
-
-
-def _draw_form(axes: Axes, hall: Hall, test: Tested) -> None:
-    balls = [hall.balls[name] for name in test.free]
-    away = [np.linalg.norm(ball.centre) for ball in balls]
-    axes.plot(away, [1e3 * band95(test.free[ball.name].residual) for ball in balls], "o", label="P_Form.Sph.D95")
-    size = [abs(2e3 * test.free[ball.name].radius - 1e3 * ball.diameter) for ball in balls]
-    axes.plot(away, size, "s", mfc="none", label="|P_Size.Sph|")
-    plates = [(np.linalg.norm(plate.centre), 1e3 * test.flatness[plate.name]) for plate in hall.plates]
-    axes.plot(*np.array(plates).T, "D", color="C3", label="plates, E_Form.Pla.D95")
-    axes.plot([0.9, 2.55], [4.5, 4.5], "k--", lw=1, label="limit of both forms to 2.5 m")
-    axes.set(xlabel="distance from the axis [m]", ylabel="[mm]", title="Form and size against distance")
-    axes.set_ylim(bottom=0)
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=8)

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
 import jaxscan
@@ -13,6 +12,7 @@ from experiments.paper.methods import METHODS, gravity, in_window, paper_cloud
 from experiments.paper.products import RenderedSweep, draws, our_calibrations
 from experiments.paper.stage import Metric, Stage, plt, save, windowed, windowed_scanner
 from experiments.paper.targets import GLOBE_M, GLOBE_RADIUS, VASE_M, nominal_window, still_life, studio
+from jaxscan.report.clouds import Viewpoint, draw_cloud
 from jaxscan.simulation import SimulationConfig, make_rig
 from jaxscan.simulation.camera import channels
 from jaxscan.simulation.scene import Scene, make_scene
@@ -72,7 +72,6 @@ def visible_places(config: SimulationConfig, scene: Scene, angles: np.ndarray) -
     Surfaces at less than about 12 degrees to either ray do not count.
 
     Args:
-        scene: The room with the objects.
         angles: Of the table, of each record [rad].
 
     Returns:
@@ -104,7 +103,6 @@ def judge(key: str, points: np.ndarray, truth: Truth) -> list[Metric]:
     """Share of the surface that has points, and how far points are from it.
 
     Args:
-        key: Beginning of the metrics' keys.
         points: [n, 3], m, scanner frame.
     """
     away = _nearest(truth.scene, points)[0] * 1000
@@ -149,17 +147,22 @@ def draw_objects(path: Path, title: str, cloud: jaxscan.PointCloud) -> None:
     xyz, normals = np.asarray(cloud.xyz), np.asarray(cloud.normals)
     # Brighter than the camera saw it, so that white is white.
     rgb = np.asarray(cloud.rgb, np.float32)
-    rgb = np.clip(rgb * min(3.0, 240 / max(np.percentile(rgb[valid], 99), 1)), 0, 255)
-    surface = dense_surface(xyz, valid, normals, rgb)
-    ahead = 0.21 + (VASE_M[1] + GLOBE_M[1]) / 2
-    target = np.array([ahead, 0.0, -GLOBE_RADIUS / 2])
+    rgb = np.clip(rgb * min(3.0, 240 / max(np.percentile(rgb[valid], 99), 1)), 0, 255).astype(np.uint8)
+    # Clay in the light of a lamp at the upper left.
+    light = np.abs(normals @ (np.array([-1.0, 0.6, 0.8], np.float32) / np.sqrt(2)))
+    clay = (np.array([226, 222, 214]) * np.clip(0.25 + 0.75 * light, 0, 1)[..., None]).astype(np.uint8)
+    target = (0.21 + (VASE_M[1] + GLOBE_M[1]) / 2, 0.0, -GLOBE_RADIUS / 2)
     figure, axes = plt.subplots(2, 2, figsize=(12, 11), dpi=110, layout="constrained")
-    names = "from the scanner's place", "from 25 cm to the left and 20 cm above it"
-    for row, (name, move) in zip(axes, zip(names, ((0.0, 0.0), (0.25, 0.2)), strict=True), strict=True):
-        eye = Eye(np.array([0.25, *move]), target, 1000.0, (640, 580))
-        for axis, coloured in zip(row, (False, True), strict=True):
-            axis.imshow(splatted(surface, eye, coloured=coloured))
-            axis.set_title(f"{'with' if coloured else 'without'} colour, {name}", fontsize=11)
+    views = {
+        "from the scanner's place": (0.25, 0.0, 0.0),
+        "from 25 cm to the left and 20 cm above it": (0.25, 0.25, 0.2),
+    }
+    for row, (name, eye) in zip(axes, views.items(), strict=True):
+        view = Viewpoint(eye, target, fov_deg=35.0, cut_away=False)
+        for axis, colours, word in zip(row, (clay, rgb), ("without", "with"), strict=True):
+            shown = draw_cloud(np.where(valid[..., None], xyz, 0), colours, size=(640, 580), view=view)
+            axis.imshow(shown)
+            axis.set_title(f"{word} colour, {name}", fontsize=11)
             axis.set_axis_off()
     figure.suptitle(title, fontsize=13)
     save(figure, path, 110)
@@ -192,117 +195,3 @@ def _watch(plain: tuple[np.ndarray, np.ndarray], first: int, on: np.ndarray, off
     """The plain stripe in the red channel."""
     for whole, part in zip(plain, gravity(on[..., 0], off[..., 0]), strict=True):
         whole[first : first + len(part)] = part
-
-
-BACKGROUND = 247.0
-_JOINED_M = 0.012
-"""Neighbours on the grid that are farther apart lie on different surfaces."""
-_FINE_M = 0.0008
-"""Points are added between neighbours until they are as near as this [m]."""
-_MOST = 6
-"""Most points for each old one, along either axis of the grid."""
-
-
-class Eye(NamedTuple):
-    """A camera that looks at a target."""
-
-    place: np.ndarray
-    """[3], m."""
-    target: np.ndarray
-    """[3], m."""
-    focal: float
-    """px."""
-    size: tuple[int, int]
-    """Width and height, px."""
-
-
-class Surface(NamedTuple):
-    """A cloud made dense enough for a picture."""
-
-    points: np.ndarray
-    """[n, 3], m."""
-    normals: np.ndarray
-    """[n, 3]."""
-    colours: np.ndarray
-    """[n, 3], DN."""
-
-
-def dense_surface(xyz: np.ndarray, valid: np.ndarray, normals: np.ndarray, rgb: np.ndarray) -> Surface:
-    """Points between neighbours of the grid that lie on one surface.
-
-    Args:
-        xyz: [profiles, lines, 3], m.
-        normals: Towards the scanner; zero where unknown.
-    """
-    fields = [np.asarray(field, np.float32) for field in (xyz, normals, rgb)]
-    for axis in (0, 1):
-        fields, valid = _filled(fields, valid, axis)
-    return Surface(*(field[valid] for field in fields))
-
-
-def splatted(surface: Surface, eye: Eye, *, coloured: bool) -> np.ndarray:
-    """Draw a surface.
-
-    Args:
-        coloured: In its colours; otherwise grey, shaded by its normals.
-
-    Returns:
-        uint8 [height, width, 3].
-    """
-    width, height = eye.size
-    forward = eye.target - eye.place
-    forward = forward / np.linalg.norm(forward)
-    right = np.cross(forward, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    axes = np.stack([right, np.cross(forward, right), forward]).astype(np.float32)
-    local = (surface.points - eye.place.astype(np.float32)) @ axes.T
-    u, v = (np.rint(eye.focal * local[:, k] / local[:, 2] + eye.size[k] / 2).astype(int) for k in (0, 1))
-    seen = (u >= 0) & (u < width) & (v >= 0) & (v < height) & (local[:, 2] > 0.05)
-    order = np.flatnonzero(seen)
-    order = order[np.argsort(-local[order, 2], kind="stable")]
-    # The nearest point is written last, and stays.
-    shown, depth = np.full((height, width, 3), np.nan, np.float32), np.full((height, width), np.nan, np.float32)
-    shown[v[order], u[order]] = (surface.colours if coloured else _shaded(surface, right, forward))[order]
-    depth[v[order], u[order]] = local[order, 2]
-    return _closed(shown, depth)
-
-
-def _filled(fields: list[np.ndarray], valid: np.ndarray, axis: int) -> tuple[list[np.ndarray], np.ndarray]:
-    """Fields on a grid that is finer along an axis."""
-    one, two = (tuple(slice(*ends) if k == axis else slice(None) for k in (0, 1)) for ends in ((None, -1), (1, None)))
-    xyz = fields[0]
-    gap = np.linalg.norm(xyz[two] - xyz[one], axis=-1)
-    both = valid[one] & valid[two]
-    both &= gap < _JOINED_M
-    count = int(np.clip(np.ceil(np.percentile(gap[both], 90) / _FINE_M), 1, _MOST)) if both.any() else 1
-    shape = list(valid.shape)
-    shape[axis] = count * (shape[axis] - 1)
-    new = [np.empty((*shape, 3), np.float32) for _ in fields]
-    exists = np.empty(shape, bool)
-    for k in range(count):
-        share = np.float32(k / count)
-        place = tuple(slice(k, None, count) if n == axis else slice(None) for n in (0, 1))
-        for field, out in zip(fields, new, strict=True):
-            out[place] = (1 - share) * field[one] + share * field[two]
-        exists[place] = both if k else valid[one]
-    return new, exists
-
-
-def _shaded(surface: Surface, right: np.ndarray, forward: np.ndarray) -> np.ndarray:
-    """Clay in the light of a lamp at the upper left."""
-    lamp = -forward - 0.6 * right + np.array([0.0, 0.0, 0.8])
-    lamp /= np.linalg.norm(lamp)
-    length = np.linalg.norm(surface.normals, axis=1)
-    light = np.abs(surface.normals @ lamp) / np.maximum(length, 1e-6)
-    light = np.where(length > 0, 0.25 + 0.75 * light, 0.25)
-    return (np.array([226.0, 222.0, 214.0]) * light[:, None]).astype(np.float32)
-
-
-def _closed(shown: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Single empty pixels take the mean of their neighbours; the rest is background."""
-    empty = np.isnan(depth)
-    weight = ndimage.uniform_filter((~empty).astype(np.float32), 3)
-    means = np.stack([ndimage.uniform_filter(np.where(empty, 0, shown[..., k]), 3) for k in range(3)], -1)
-    fill = empty & (weight > 0.45)
-    shown[fill] = means[fill] / weight[fill][:, None]
-    return np.clip(np.where(np.isnan(shown), BACKGROUND, shown), 0, 255).astype(np.uint8)

@@ -11,21 +11,17 @@ The calibration is the rig's own, from boards; nothing of it is taken from the t
 
 import shutil
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 import jaxscan
-from experiments.paper.products import RenderedSweep, expect_each, our_plan, write_captures
-from experiments.paper.stage import CONFIGS, Metric, Stage, plt, save, smaller
+from experiments.paper.products import RenderedSweep, expect, our_plan, write_captures
+from experiments.paper.stage import CONFIGS, Metric, Stage, smaller
 from experiments.paper.table_1 import AGREE
 from experiments.report import rms
 from jaxscan.calibration import CalibrationSettings
-from jaxscan.measurement.room import Dimension, RoomBox
-from jaxscan.report.clouds import Viewpoint, draw_cloud
+from jaxscan.measurement import RoomBox
 from jaxscan.simulation import SimulationConfig, make_scene
-from jaxscan.simulation.scene import Scene
 
 
 _SCALE, _RECORDS = 0.5, {"kind": 360, "unkind": 240}
@@ -46,23 +42,10 @@ _LASER = (
 """Fields of a laser that its world sets; the rig sets the others."""
 _PRINT = ("warp_mm", "ink", "paper", "uneven", "print_blur_mm", "gloss", "gloss_deg")
 """Fields of a board that its world sets."""
-_NEAR_M = 0.05
-"""A place is seen if a point of the cloud is nearer than this [m]; profiles are 4 cm apart at 2.5 m in the
-kind world, and 7 cm in the unkind one."""
-_PLACES = 20_000
-
-
-class Shares(NamedTuple):
-    """Shares of the surroundings that are seen [1]."""
-
-    sphere: float
-    """Of the directions."""
-    surface: float
-    """Of the surfaces that can be seen from the scanner's origin, by area."""
 
 
 def run(stage: Stage) -> list[Metric]:
-    """Dimensions of the room by one calibration and one turn, and the share of the room that is seen."""
+    """Dimensions of the room by one calibration and one turn."""
     config = fisheye_config(stage)
     scanner = _calibration(stage, config)
     scene = make_scene(config)
@@ -73,9 +56,7 @@ def run(stage: Stage) -> list[Metric]:
     cloud = jaxscan.reconstruct(sweep, scanner, settings=settings)
     stage.say(f"fisheye: {records} records")
     box = jaxscan.measure_room(cloud, scanner=scanner)
-    fisheye, pinhole = seen_by_fisheye(scene, cloud), seen_by_pinhole(scene, stage.config)
-    draw_room(stage, cloud, box, (fisheye.sphere, pinhole.sphere))
-    return _metrics(config, box, fisheye, pinhole, full=not stage.quick)
+    return _metrics(config, box, full=not stage.quick)
 
 
 def fisheye_config(stage: Stage) -> SimulationConfig:
@@ -106,53 +87,17 @@ def _calibration(stage: Stage, config: SimulationConfig) -> jaxscan.Scanner:
     if not path.exists():
         own = replace(stage, config=config)
         plan = our_plan(own)
-        folder = stage.product("fisheye/boards")
-        shutil.rmtree(folder, ignore_errors=True)
-        write_captures(own, expect_each(own, plan), plan, {60: folder})
+        folder = stage.emptied("fisheye/boards")
+        (capture,) = write_captures(own, expect(own, plan), plan, {60: folder})
         stage.say(f"fisheye: rendered {len(plan.lit)} views of the board")
         settings = CalibrationSettings(camera="fisheye", judge=False)
-        found = jaxscan.calibrate(jaxscan.open_capture(folder), settings=settings, redetect=not stage.quick)
+        found = jaxscan.calibrate(capture, settings=settings, redetect=not stage.quick)
         jaxscan.save_calibration(found, path)
         shutil.rmtree(folder)
     return jaxscan.load_scanner(path)
 
 
-def seen_by_fisheye(scene: Scene, cloud: jaxscan.PointCloud) -> Shares:
-    """Shares of places all around that lie next to a point of the cloud."""
-    tree = cKDTree(np.asarray(cloud.xyz)[np.asarray(cloud.valid)])
-    return Shares(*(float(np.mean(tree.query(places)[0] < _NEAR_M)) for places in _places(scene)))
-
-
-def seen_by_pinhole(scene: Scene, config: SimulationConfig) -> Shares:
-    """Upper bounds: places within the vertical field of the paper's camera, whether the laser reaches them or not."""
-    _, cy = config.camera.centre()
-    low, high = -(config.camera.height - 1 - cy) / config.camera.fy, cy / config.camera.fy
-    slopes = [places[:, 2] / np.linalg.norm(places[:, :2], axis=1) for places in _places(scene)]
-    return Shares(*(float(np.mean((low < slope) & (slope < high))) for slope in slopes))
-
-
-def _places(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Places that can be seen from the scanner's origin [n, 3], m: evenly over directions, and evenly over surfaces."""
-    number = np.arange(_PLACES)
-    height, turn = 1 - (2 * number + 1) / _PLACES, np.pi * (1 + np.sqrt(5)) * number
-    ring = np.sqrt(1 - height**2)
-    ways = np.stack([ring * np.cos(turn), ring * np.sin(turn), height], -1)
-    far, _ = scene.cast(np.zeros(3), ways)
-    random = np.random.default_rng(0)
-    triangles = np.concatenate(scene.mesh.triangles)
-    a, ab, ac = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    area = np.linalg.norm(np.cross(ab, ac), axis=1)
-    chosen = random.choice(len(area), 3 * _PLACES, p=area / area.sum())
-    s, t = random.uniform(size=(2, len(chosen), 1))
-    s, t = np.where(s + t > 1, 1 - s, s), np.where(s + t > 1, 1 - t, t)
-    over = a[chosen] + s * ab[chosen] + t * ac[chosen]
-    hidden = scene.blocked(np.zeros(3), over.astype(np.float32), skin=2e-3)
-    return (ways * far[:, None])[np.isfinite(far)], over[~hidden]
-
-
-def _metrics(
-    config: SimulationConfig, box: jaxscan.measurement.RoomBox, fisheye: Shares, pinhole: Shares, *, full: bool
-) -> list[Metric]:
+def _metrics(config: SimulationConfig, box: RoomBox, *, full: bool) -> list[Metric]:
     assert config.room is not None
     width, length, height = config.room.size_m
     out, ratios = [], []
@@ -167,68 +112,4 @@ def _metrics(
     ratio = rms(ratios)
     label = "fisheye, one turn: rms of error over predicted standard deviation, three dimensions"
     limits = AGREE if full else (None, None)
-    out.append(Metric("observed_over_predicted", ratio, "1", "less", 1.0, None, *limits, label))
-    for name, whole in (("sphere", "of all directions"), ("surface", "of all visible surfaces")):
-        ours, theirs = 100 * getattr(fisheye, name), 100 * getattr(pinhole, name)
-        out.append(
-            Metric(
-                f"seen_{name}", ours, "%", "more", 2.0, label=f"fisheye, one turn: share {whole} that the cloud covers"
-            )
-        )
-        label = f"the paper's camera, one turn: share {whole} in its field of view, upper bound"
-        out.append(Metric(f"pinhole_{name}", theirs, "%", label=label))
-    return out
-
-
-def draw_room(stage: Stage, cloud: jaxscan.PointCloud, box: RoomBox, shares: tuple[float, float]) -> None:
-    """The room from above, from the side and from within.
-
-    Args:
-        cloud: The cloud of one turn.
-        box: The dimensions measured in it.
-        shares: Of all directions, those that the cloud covers and those in the field of the paper's camera [1].
-    """
-    xyz, valid = np.asarray(cloud.xyz), np.asarray(cloud.valid)
-    xyz, rgb = np.where(valid[..., None], xyz, 0.0), np.asarray(cloud.rgb)
-    along = np.array([0.0, 1.0, 0.0]) if box.length is None else box.length.direction
-    ahead = along / np.linalg.norm(along)
-    figure, axes = plt.subplot_mosaic(
-        [["inside", "inside"], ["top", "side"]], figsize=(14, 13), height_ratios=(1.3, 1), layout="constrained"
-    )
-    within = Viewpoint((0.0, 0.0, 0.15), tuple(map(float, 3 * ahead)), fov_deg=110.0, cut_away=False)
-    axes["inside"].imshow(draw_cloud(xyz, rgb, size=(1400, 750), view=within))
-    axes["inside"].set_title("From the scanner's place, along the room")
-    axes["inside"].axis("off")
-    across = np.array([-ahead[1], ahead[0], 0.0])
-    points = xyz[valid]
-    x, y, z = points @ ahead, points @ across, points[:, 2]
-    colour = np.clip(rgb[valid] / 200.0, 0, 1)
-    below = z < 0.6
-    order = np.flatnonzero(below)[np.argsort(z[below])]
-    axes["top"].scatter(x[order], y[order], c=colour[order], s=1.2, lw=0)
-    axes["top"].set(title="From above, without points higher than 0.6 m over the scanner", ylabel="across [m]")
-    beyond = y > -0.3
-    order = np.flatnonzero(beyond)[np.argsort(-y[beyond])]
-    axes["side"].scatter(x[order], z[order], c=colour[order], s=1.2, lw=0)
-    axes["side"].set(title="From the side, cut 0.3 m in front of the scanner", ylabel="up [m]")
-    for one in (axes["top"], axes["side"]):
-        one.plot(0, 0, "r^", ms=8)
-        one.set(xlabel="along the room [m]", aspect="equal", xlim=_most(x))
-        one.set_facecolor("0.95")
-    axes["top"].set_ylim(_most(y))
-    axes["side"].set_ylim(_most(z))
-    sides = [f"{name} {1e3 * side.value_m:.1f} ± {1e3 * side.sigma_m:.1f} mm" for name, side in _sides(box)]
-    seen = f"{100 * shares[0]:.0f} % of all directions are seen; by the paper's camera {100 * shares[1]:.0f} % at most"
-    figure.suptitle(f"The room in one turn of a fisheye, {stage.world} world\n{', '.join(sides)}\n{seen}")
-    save(figure, stage.picture("fisheye"), 100)
-
-
-def _most(values: np.ndarray) -> tuple[float, float]:
-    """Limits of an axis that leave out a few strays."""
-    low, high = np.percentile(values, [0.1, 99.9])
-    return float(low) - 0.2, float(high) + 0.2
-
-
-def _sides(box: RoomBox) -> list[tuple[str, Dimension]]:
-    named = ((name, getattr(box, name)) for name in ("length", "width", "height"))
-    return [(name, side) for name, side in named if side is not None]
+    return [*out, Metric("observed_over_predicted", ratio, "1", "less", 1.0, None, *limits, label)]

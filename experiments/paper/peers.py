@@ -11,11 +11,8 @@ True stripe centres are from the independent equations of `experiments.recalibra
 everything else is from images.
 """
 
-import textwrap
-from pathlib import Path
 from typing import NamedTuple
 
-import matplotlib as mpl
 import numpy as np
 
 import jaxscan
@@ -36,13 +33,13 @@ from experiments.paper.figure_9 import (
 )
 from experiments.paper.methods import Horus, horus_cloud, horus_points, load_horus
 from experiments.paper.products import PlainStripes, Room, horus_path, our_calibrations, room
-from experiments.paper.stage import Metric, Stage, plt, save
+from experiments.paper.stage import Metric, Stage
 from experiments.recalibration.trial import fitted
 from experiments.recalibration.world import Sweeping, TrueSweep, true_sweep
 from experiments.report import rms
 from jaxscan.geometry import lit_points
 from jaxscan.reconstruction.along import smooth_sweep
-from jaxscan.simulation import RoomSpec, true_scanner
+from jaxscan.simulation import true_scanner
 
 
 WAYS = {
@@ -51,7 +48,7 @@ WAYS = {
     "tuned": "Horus' method, tuned",
     "whole": "Horus' method, tuned, whole pixels",
 }
-"""Methods, and their names in tables and pictures."""
+"""Methods, and their names in tables."""
 UNITS = {
     "rows": ("%", "lit rows with a point"),
     "stripe": ("px", "rms error of stripe centres"),
@@ -116,10 +113,7 @@ def run(stage: Stage) -> list[Metric]:
             **{f"depth_{depth:g}m": _depth_error(stage, rigs, name, depth) for depth in DEPTHS_M},
             **(_axis_errors(stage, rigs, name) if name in ("ours", "horus") else {}),
         }
-    draw_bars(stage.picture("peers"), figures, WAYS, UNITS, stage.world)
-    assert stage.config.room is not None
-    plans = {WAYS[name]: found[name].xyz for name in ("ours", "horus", "tuned")}
-    draw_plans(stage.picture("peers_plan"), plans, stage.config.room, stage.world)
+
     every = [(name, what, value) for name, values in figures.items() for what, value in values.items()]
     # A room that could not be measured has no dimensions; `measured` says so.
     return [_metric(name, what, value) for name, what, value in every if np.isfinite(value)]
@@ -256,59 +250,3 @@ def _metric(name: str, what: str, value: float) -> Metric:
     )
     direction = "none" if name != "ours" else "more" if what in ("rows", "measured") else "less"
     return Metric(f"{name}_{what}", value, unit, direction, tolerance, label=f"{WAYS[name]}: {label}")
-
-
-COLOURS = {"ours": "tab:blue", "horus": "tab:red", "tuned": "tab:orange", "whole": "tab:olive"}
-
-
-def draw_bars(
-    path: Path,
-    figures: dict[str, dict[str, float]],
-    ways: dict[str, str],
-    units: dict[str, tuple[str, str]],
-    world: str,
-) -> None:
-    """One panel for each figure, one bar for each method.
-
-    Args:
-        figures: By method, then by figure.
-        units: Unit and name of each figure.
-    """
-    figure, axes = plt.subplots(2, 5, figsize=(16, 7.4), constrained_layout=True)
-    # A room that cannot be measured shows in the panels of its dimensions.
-    panels = {what: text for what, text in units.items() if what != "measured"}
-    for axis, (what, (unit, label)) in zip(axes.flat, panels.items(), strict=True):
-        shown = [name for name in ways if what in figures[name]]
-        values = np.array([figures[name][what] for name in shown])
-        bars = axis.bar(range(len(shown)), np.nan_to_num(values), color=[COLOURS[name] for name in shown])
-        axis.bar_label(bars, [f"{value:.3g}" if np.isfinite(value) else "failed" for value in values], fontsize=10)
-        axis.set(title=textwrap.fill(f"{label} [{unit}]", 32), xticks=[])
-        axis.margins(y=0.15)
-    handles = [mpl.patches.Patch(color=COLOURS[name], label=label) for name, label in ways.items()]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(ways), fontsize=11)
-    figure.suptitle(f"The same images by jaxscan and by Horus' method, {world} world", fontsize=14)
-    save(figure, path, 90)
-
-
-def draw_plans(path: Path, clouds: dict[str, np.ndarray], room: RoomSpec, world: str) -> None:
-    """Clouds from above over the true walls, with the room's own axes.
-
-    Args:
-        clouds: By the name of the method [records, rows, 3], m.
-    """
-    figure, axes = plt.subplots(1, len(clouds), figsize=(5.2 * len(clouds), 8.2), constrained_layout=True, sharey=True)
-    yaw = np.deg2rad(room.yaw_deg)
-    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    left, near = -np.array(room.rig_m[:2])
-    for axis, (label, xyz) in zip(axes, clouds.items(), strict=True):
-        points = xyz[np.isfinite(xyz).all(-1)]
-        flat = points[:, :2] @ turn.T
-        axis.add_patch(plt.Rectangle((left, near), *room.size_m[:2], fill=False, ec="tab:red", lw=0.8, ls="--"))
-        axis.plot(*flat.T, ",", color="k", alpha=0.5)
-        axis.plot(0, 0, "+", color="tab:blue", ms=12)
-        axis.set(title=f"{label}\n{len(points)} points", xlabel="m", aspect="equal")
-        axis.set_xlim(left - 0.6, left + room.size_m[0] + 0.6)
-        axis.set_ylim(near - 0.6, near + room.size_m[1] + 0.6)
-    axes[0].set_ylabel("m")
-    figure.suptitle(f"The room from above; dashed: true walls, cross: the axis ({world} world)", fontsize=13)
-    save(figure, path, 90)

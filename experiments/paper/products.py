@@ -9,7 +9,7 @@ pictures only.
 
 import itertools
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from functools import lru_cache
 from pathlib import Path
@@ -93,9 +93,6 @@ def paper_plan(stage: Stage) -> BoardPlan:
     apart, tilted by 20 to 45 degrees; distances of 0.9 to 2 m for the camera, and of 1 to 1.6 m with the stripe, around
     a working distance of 1.3 m. There a stripe of Table II's plane crosses the middle of the image, in agreement with
     the ratios of X and Y to Z in the paper's Fig. 6.
-
-    Raises:
-        ConfigError: If no board stays in the image while the table turns by 1.98 degrees.
     """
     views = _planned(stage, 0, free_views=VIEWS - LIT, placements=0, range_m=CAMERA_RANGE_M)
     for attempt in range(1, 20):
@@ -115,15 +112,22 @@ def our_plan(stage: Stage) -> BoardPlan:
     return BoardPlan(placements, [True] * sum(len(each.angles) for each in placements))
 
 
-def expect(stage: Stage, plan: BoardPlan) -> list[ExpectedRecord]:
-    """All frames of a plan without noise: in full size 13 MB a view, and 13 MB more for the laser's light."""
-    return list(expect_each(stage, plan))
+def _planned(stage: Stage, number: int, **changes: object) -> list[Placement]:
+    """Poses of the boards, with changes of the configuration's protocol."""
+    config = stage.config.model_copy(update={"boards": stage.config.boards.model_copy(update=changes)})
+    return plan_boards(make_rig(config), make_scene(config), stage.generator(_PLAN, number))
 
 
-def expect_each(stage: Stage, plan: BoardPlan) -> Iterator[ExpectedRecord]:
-    """All frames of a plan without noise, one view at a time. Records that are not lit have an empty `laser`."""
+def expect(stage: Stage, plan: BoardPlan) -> Iterator[ExpectedRecord]:
+    """All frames of a plan without noise: in full size 13 MB a view, and 13 MB more for the laser's light.
+
+    Records that are not lit have an empty `laser`.
+    """
     config = stage.config
-    rig, dark, scene = make_rig(config), make_rig(_unlit(config)), make_scene(config)
+    # In views without it the laser is one that is rendered fast.
+    off = tuple(laser.model_copy(update={"speckle_contrast": 0.0}) for laser in config.laser)
+    still = config.model_copy(update={"light": config.light.model_copy(update={"bounce": 0.0}), "laser": off})
+    rig, dark, scene = make_rig(config), make_rig(still), make_scene(config)
     picture = make_print(config.boards, board_texture(config.boards.board(), TEXTURE_PX))
     for placement, phi, lit in plan.jobs():
         board = SeenBoard(picture, placement.scanner_from_board.inverse() @ rig.pose(phi))
@@ -131,35 +135,26 @@ def expect_each(stage: Stage, plan: BoardPlan) -> Iterator[ExpectedRecord]:
         yield record if lit else record._replace(laser=np.zeros(0, np.float32), samples=())
 
 
-def write_capture(stage: Stage, records: Sequence[ExpectedRecord], plan: BoardPlan, seed: int, folder: Path) -> Path:
-    """One draw of noise, as a capture on disk.
-
-    Args:
-        records: Of `expect`.
-        seed: Of the noise: the same seed writes the same frames.
-        folder: Must not exist.
-
-    Returns:
-        The folder.
-    """
-    (path,) = write_captures(stage, iter(records), plan, {seed: folder})
-    return path
-
-
 def write_captures(
-    stage: Stage, records: Iterator[ExpectedRecord], plan: BoardPlan, folders: dict[int, Path]
-) -> list[Path]:
-    """Several draws at once; records are taken one by one and not kept.
+    stage: Stage, records: Iterable[ExpectedRecord], plan: BoardPlan, folders: dict[int, Path]
+) -> list[Capture]:
+    """Draws of noise as captures on disk, in new folders by their seeds; the same seed writes the same frames.
 
-    Args:
-        records: Of `expect_each`.
-        folders: Of the draws, by their seeds; must not exist.
-
-    Returns:
-        The folders.
+    Records are taken one by one, and not kept.
     """
     config = stage.config
-    header = _header(config, len(plan.lit))
+    sensor = {"pixel_format": config.sensor.pixel_format, "response": config.sensor.response}
+    header = CaptureHeader.model_validate(
+        {
+            "kind": "calibration",
+            "camera": config.camera.model_dump(include={"width", "height", "up"}) | sensor,
+            "turntable": {"carries": config.turntable.carries},
+            "laser": [laser.model_dump(include={"name", "colour", "stripe_axis"}) for laser in config.laser],
+            "board": config.boards.table(),
+            "plan": {"steps": len(plan.lit)},
+            "acquisition": {"software": "jaxscan simulate"},
+        }
+    )
     with ExitStack() as stack:
         # Raw frames: packing them would take longer than all else. None is kept for long.
         writers = {
@@ -167,28 +162,12 @@ def write_captures(
             for seed, folder in folders.items()
         }
         for number, (record, lit) in enumerate(zip(records, plan.lit, strict=True)):
+            angle = float(np.rad2deg(record.angle))
             for seed, writer in writers.items():
                 on, off = _frames(record, lit, config, stage.generator(_NOISE, seed, number))
-                writer.append(
-                    angle_deg=float(np.rad2deg(record.angle)),
-                    on=on,
-                    off=off,
-                    placement=record.placement,
-                    lasers=[config.laser[0].name],
-                )
-    return list(folders.values())
-
-
-def _planned(stage: Stage, number: int, **changes: object) -> list[Placement]:
-    """Poses of the boards, with changes of the configuration's protocol."""
-    config = stage.config.model_copy(update={"boards": stage.config.boards.model_copy(update=changes)})
-    return plan_boards(make_rig(config), make_scene(config), stage.generator(_PLAN, number))
-
-
-def _unlit(config: SimulationConfig) -> SimulationConfig:
-    """The same room with a laser that is rendered fast, for views in which it is off."""
-    lasers = tuple(laser.model_copy(update={"speckle_contrast": 0.0}) for laser in config.laser)
-    return config.model_copy(update={"light": config.light.model_copy(update={"bounce": 0.0}), "laser": lasers})
+                lasers = [config.laser[0].name]
+                writer.append(angle_deg=angle, on=on, off=off, placement=record.placement, lasers=lasers)
+    return [jaxscan.open_capture(folder) for folder in folders.values()]
 
 
 def _frames(
@@ -200,21 +179,6 @@ def _frames(
         return both.on, both.off
     flicker = max(0.0, 1 + config.light.flicker * random.standard_normal())
     return None, take_frame(record.off * np.float32(flicker), config, random)
-
-
-def _header(config: SimulationConfig, records: int) -> CaptureHeader:
-    sensor = {"pixel_format": config.sensor.pixel_format, "response": config.sensor.response}
-    return CaptureHeader.model_validate(
-        {
-            "kind": "calibration",
-            "camera": config.camera.model_dump(include={"width", "height", "up"}) | sensor,
-            "turntable": {"carries": config.turntable.carries},
-            "laser": [laser.model_dump(include={"name", "colour", "stripe_axis"}) for laser in config.laser],
-            "board": config.boards.table(),
-            "plan": {"steps": records},
-            "acquisition": {"software": "jaxscan simulate"},
-        }
-    )
 
 
 Watch = Callable[[int, np.ndarray, np.ndarray], None]
@@ -237,14 +201,7 @@ class RenderedSweep:
         scene: Scene | None = None,
         watch: Watch | None = None,
     ) -> None:
-        """Of a rig with one laser.
-
-        Args:
-            config: The rig; `stage.windowed` reads fewer columns.
-            angles: Commanded angles of the table [rad].
-            scene: The surroundings, in place of the configuration's room.
-            watch: Called with all frames as they are read, at every reading.
-        """
+        """At angles [rad]; `scene` replaces the configuration's room, and `watch` sees all frames that are read."""
         self.config, self.seed, self.scene, self.watch = config, seed, scene, watch
         self.angles = np.asarray(angles, np.float64)
         self.record = np.arange(len(self.angles), dtype=np.int32)
@@ -311,55 +268,57 @@ class Draw(NamedTuple):
 
 def draws(stage: Stage) -> list[Draw]:
     """`stage.draws` draws of noise; made once, then loaded. Those that a method cannot calibrate are left out."""
-    missing = [number for number in range(stage.draws) if not _is_there(stage, number)]
+    gravities, tops = (
+        [stage.product(f"draws/paper_{name}_{number:02}.npz") for number in range(stage.draws)]
+        for name in ("gravity", "highest")
+    )
+    ours, failed = (
+        [stage.product(f"draws/{name.format(number)}") for number in range(stage.draws)]
+        for name in ("ours_{:02}.json", "failed_{:02}.txt")
+    )
+    missing = [number for number in range(stage.draws) if not (ours[number].exists() or failed[number].exists())]
     if missing:
         plan = paper_plan(stage)
-        records = expect(stage, plan)
+        records = list(expect(stage, plan))
         stage.say(f"rendered the paper's {len(records)} views")
         for number in missing:
-            folder = _emptied(stage.product(f"draws/capture_{number}"))
-            capture = jaxscan.open_capture(write_capture(stage, records, plan, number, folder))
+            folder = stage.emptied(f"draws/capture_{number}")
+            (capture,) = write_captures(stage, records, plan, {number: folder})
             try:
-                _calibrate(stage, capture, number)
+                way = calibrate_paper_way(capture, gravity)
+                save_paper_way(way, gravities[number])
+                save_paper_way(with_stripes(way, capture, highest), tops[number])
+                # Last: a draw with this file is complete.
+                jaxscan.save_calibration(jaxscan.calibrate(capture, settings=SETTINGS), ours[number])
                 stage.say(f"draw {number + 1} of {stage.draws}")
             except (ValueError, jaxscan.JaxscanError) as problem:
                 # Tables say how many draws they have.
-                _failed_path(stage, number).write_text(f"{problem}\n")
+                failed[number].write_text(f"{problem}\n")
                 stage.say(f"draw {number + 1} of {stage.draws} failed: {problem}")
             shutil.rmtree(folder)
-    found = [number for number in range(stage.draws) if not _failed_path(stage, number).exists()]
-    return [_load(stage, number) for number in found]
-
-
-def _calibrate(stage: Stage, capture: Capture, number: int) -> None:
-    way = calibrate_paper_way(capture, gravity)
-    save_paper_way(way, _paper_path(stage, number, "gravity"))
-    save_paper_way(with_stripes(way, capture, highest), _paper_path(stage, number, "highest"))
-    # Last: a draw with this file is complete.
-    jaxscan.save_calibration(jaxscan.calibrate(capture, settings=SETTINGS), _ours_path(stage, number))
+    return [
+        Draw(number, load_paper_way(gravities[number]), ours[number], load_paper_way(tops[number]))
+        for number in range(stage.draws)
+        if not failed[number].exists()
+    ]
 
 
 def our_calibrations(stage: Stage, count: int = 3) -> list[Path]:
-    """Calibrations by our own protocol, each with its own noise; made once. A quick stage has one only.
-
-    Returns:
-        Paths for `jaxscan.load_scanner` or `jaxscan.load_calibration`.
-    """
+    """Calibrations by our own protocol, each with its own noise; made once. A quick stage has one only."""
     count = 1 if stage.quick else count
     paths = [stage.product(f"draws/our_protocol_{number}.json") for number in range(count)]
-    missing = [
-        number for number, path in enumerate(paths) if not path.exists() or not horus_path(stage, number).exists()
-    ]
+    known = [path.exists() and horus_path(stage, number).exists() for number, path in enumerate(paths)]
+    missing = [number for number in range(count) if not known[number]]
     if missing:
         plan = our_plan(stage)
-        folders = {_OURS + number: _emptied(stage.product(f"draws/our_capture_{number}")) for number in missing}
+        folders = {_OURS + number: stage.emptied(f"draws/our_capture_{number}") for number in missing}
         # View by view: 66 of them without noise are too many to keep.
-        write_captures(stage, expect_each(stage, plan), plan, folders)
+        captures = write_captures(stage, expect(stage, plan), plan, folders)
         stage.say(f"rendered the {len(plan.lit)} views of our protocol")
-        for number, folder in zip(missing, folders.values(), strict=True):
-            calibration = jaxscan.calibrate(jaxscan.open_capture(folder), settings=SETTINGS)
-            jaxscan.save_calibration(calibration, paths[number])
-            methods.save_horus(methods.calibrate_horus(jaxscan.open_capture(folder)), horus_path(stage, number))
+        for number, capture in zip(missing, captures, strict=True):
+            jaxscan.save_calibration(jaxscan.calibrate(capture, settings=SETTINGS), paths[number])
+            methods.save_horus(methods.calibrate_horus(capture), horus_path(stage, number))
+        for folder in folders.values():
             shutil.rmtree(folder)
         stage.say(f"{len(missing)} calibrations by our protocol")
     return paths
@@ -399,42 +358,15 @@ def load_paper_way(path: Path) -> PaperWay:
     return PaperWay(**fields, **numbers, stripe=np.split(stripe, np.cumsum(counts)[:-1]))
 
 
-def _paper_path(stage: Stage, number: int, name: str) -> Path:
-    return stage.product(f"draws/paper_{name}_{number:02}.npz")
-
-
-def _ours_path(stage: Stage, number: int) -> Path:
-    return stage.product(f"draws/ours_{number:02}.json")
-
-
-def _is_there(stage: Stage, number: int) -> bool:
-    return _ours_path(stage, number).exists() or _failed_path(stage, number).exists()
-
-
-def _failed_path(stage: Stage, number: int) -> Path:
-    return stage.product(f"draws/failed_{number:02}.txt")
-
-
-def _load(stage: Stage, number: int) -> Draw:
-    mean, top = (load_paper_way(_paper_path(stage, number, name)) for name in ("gravity", "highest"))
-    return Draw(number, mean, _ours_path(stage, number), top)
-
-
-def _emptied(folder: Path) -> Path:
-    shutil.rmtree(folder, ignore_errors=True)
-    return folder
-
-
 WORKING_M = 1.3
 """Depth at which the paper's stripe crosses the middle of the image; see `figure_6`."""
 _SEED = 2000
 """First seed of the noise; the calibrations have others."""
-_HELD_OUT = 31
-_MARGIN_PX = 8
+_HELD_OUT, _MARGIN_PX = 31, 8
 
 
 class HeldOut(NamedTuple):
-    """Captures of the same boards, one for each draw."""
+    """Captures of boards that no calibration has seen, one for each draw."""
 
     captures: list[Path]
     true_u: np.ndarray
@@ -449,10 +381,9 @@ def held_out(stage: Stage) -> HeldOut:
     captures = [stage.product(f"held_out/capture_{number}") for number in range(count)]
     if not truth.exists():
         plan = held_out_plan(stage, boards)
-        records = expect(stage, plan)
-        for number, folder in enumerate(captures):
-            shutil.rmtree(folder, ignore_errors=True)
-            write_capture(stage, records, plan, _SEED + number, folder)
+        records = list(expect(stage, plan))
+        folders = {_SEED + number: stage.emptied(f"held_out/{path.name}") for number, path in enumerate(captures)}
+        write_captures(stage, records, plan, folders)
         u, valid = (np.stack([getattr(record.truth, name) for record in records]) for name in ("u", "valid"))
         # Last: with this file all is there.
         np.savez(truth, u=u, valid=valid)
@@ -466,9 +397,6 @@ def held_out_plan(stage: Stage, boards: int) -> BoardPlan:
 
     The stripe then runs along the board's longer side, over about a sixth of the depth to both sides of the optical
     axis, in agreement with the ratios of X and Y to Z in the paper's Fig. 6.
-
-    Raises:
-        ConfigError: If the camera does not see one whole.
     """
     rig, random = make_rig(stage.config), stage.generator(_HELD_OUT)
     board, sheet = stage.config.boards.board(), rig.sheets[0]
@@ -482,9 +410,9 @@ def held_out_plan(stage: Stage, boards: int) -> BoardPlan:
         x = (sheet.distance - sheet.normal[2] * WORKING_M - sheet.normal[1] * y) / sheet.normal[0]
         place = np.array([x + random.uniform(-0.08, 0.08), y, WORKING_M])
         pose = Motion(rotation, place - rotation @ centre)
-        u, v = project(stage.config.camera, pose.apply(board.corners()))
-        across, down = (size - 1 - _MARGIN_PX for size in (stage.config.camera.width, stage.config.camera.height))
-        if not ((u > _MARGIN_PX) & (u < across) & (v > _MARGIN_PX) & (v < down)).all():
+        pixels = np.stack(project(stage.config.camera, pose.apply(board.corners())), -1)
+        last = np.array([stage.config.camera.width, stage.config.camera.height]) - 1
+        if not ((pixels > _MARGIN_PX) & (pixels < last - _MARGIN_PX)).all():
             raise ConfigError(f"The board at {WORKING_M} m does not fit into the image.")
         placements.append(Placement(rig.pose(0.0) @ pose, (0.0,), None))
     return BoardPlan(placements, [True] * boards)
@@ -492,15 +420,10 @@ def held_out_plan(stage: Stage, boards: int) -> BoardPlan:
 
 @lru_cache(maxsize=4)
 def observe_held_out(calibration: Path, capture: Path) -> Observations:
-    """Corners and stripes of a capture by `jaxscan.calibrate` with a known rig, which is held.
-
-    Args:
-        capture: One of `held_out`.
-    """
+    """Corners and stripes of a capture of `held_out` by `jaxscan.calibrate` with a known rig, which is held."""
     scanner = jaxscan.load_scanner(calibration)
     known = jaxscan.KnownParts(camera=scanner.camera, sheets=(scanner.laser(0),), motion=scanner.turntable)
-    settings = jaxscan.CalibrationSettings(judge=False)
-    observations = jaxscan.calibrate(jaxscan.open_capture(capture), known=known, settings=settings).observations
+    observations = jaxscan.calibrate(jaxscan.open_capture(capture), known=known, settings=SETTINGS).observations
     assert observations is not None
     return observations
 
@@ -540,7 +463,7 @@ class Room(NamedTuple):
 def room(stage: Stage) -> Room:
     """The sweep, rendered once in each world and kept."""
     path = stage.product("room.npz")
-    if not _is_complete(path):
+    if not path.exists():
         found = _sweep(stage)
         arrays = {f"ours_{name}": np.asarray(field) for name, field in vars(found.stripes).items() if field is not None}
         for name, plain in found.plain.items():
@@ -555,13 +478,6 @@ def room(stage: Stage) -> Room:
         return Room(jaxscan.Stripes(**ours), plain, kept["angles"], (first, stop))
 
 
-def _is_complete(path: Path) -> bool:
-    if not path.exists():
-        return False
-    with np.load(path) as kept:
-        return all(f"{name}_u" in kept.files for name in PLAIN)
-
-
 def room_sweep(stage: Stage, angles: np.ndarray) -> RenderedSweep:
     """The sweep of the whole camera for `jaxscan.reconstruct`, which reads no frame if the stripes have colours."""
     return RenderedSweep(stage.config, angles, seed=stage.config.seed)
@@ -570,11 +486,7 @@ def room_sweep(stage: Stage, angles: np.ndarray) -> RenderedSweep:
 def stripe_window(scanner: jaxscan.Scanner, near_m: float, far_m: float, margin_px: float) -> tuple[int, int]:
     """Columns of the image in which the stripe lies for depths from `near_m` to `far_m`: first, and one past the last.
 
-    Args:
-        scanner: A calibration, of which camera and sheet are used; the bow of the sheet is left to the margin.
-        near_m: Smallest depth [m].
-        far_m: Largest depth [m].
-        margin_px: Added on either side [px].
+    The bow of the sheet is left to the margin, on either side.
     """
     camera, sheet = scanner.camera, scanner.laser(0)
     (nx, ny, nz), distance = np.asarray(sheet.normal), float(sheet.distance)
@@ -604,18 +516,10 @@ def _sweep(stage: Stage) -> Room:
             plain[name].u[part] = np.where(valid, u + first, 0)
             plain[name].valid[part] = valid
 
-    fifths = 0
-
-    def tell(done: int, total: int) -> None:
-        nonlocal fifths
-        if done * 5 // total > fifths:
-            fifths = done * 5 // total
-            stage.say(f"sweep of the room: {done} of {total} records")
-
     sweep = RenderedSweep(windowed(config, first, stop), angles, seed=config.seed, watch=watch)
     settings = jaxscan.ReconstructSettings(min_range_m=NEAR_M - 0.1, max_range_m=FAR_M + 0.3)
-    part = windowed_scanner(scanner, first, stop)
-    found = jaxscan.extract(sweep, part, settings=settings, progress=tell).stripes
+    stage.say(f"sweep of the room: {len(angles)} records")
+    found = jaxscan.extract(sweep, windowed_scanner(scanner, first, stop), settings=settings).stripes
     fields = vars(found) | {"u": np.where(found.valid, found.u + first, 0).astype(np.float32)}
     return Room(jaxscan.Stripes(**fields), plain, angles, (first, stop))
 
@@ -626,13 +530,9 @@ _COLOURS = 92
 
 
 def room_colours(stage: Stage, seen: Room, xyz: np.ndarray, scanner: jaxscan.Scanner) -> np.ndarray:
-    """Colours of the points of a sweep; made once and kept.
+    """Colours of the points of a sweep [records, rows, 3] by `scanner`, uint8; zero where there is no point.
 
-    Args:
-        xyz: Its points by `scanner` [records, rows, 3], m, scanner frame; zero where there is none.
-
-    Returns:
-        uint8 [records, rows, 3]; zero where there is no point.
+    Made once and kept.
     """
     path = stage.product("room_colours.npy")
     if not path.exists():
@@ -654,18 +554,8 @@ def _look(stage: Stage, seen: Room, xyz: np.ndarray, scanner: jaxscan.Scanner) -
     rgb = np.zeros(xyz.shape, np.uint8)
     for view in np.unique(nearest):
         frame = take_frame(expect_record(rig, scene, view * step).off, config, stage.generator(_COLOURS, int(view)))
-        mine = np.flatnonzero(nearest == view)
-        points = xyz[mine]
-        there = points.any(-1)
-        u, v = _pixels(part, points[there], view * step).T
-        rows, columns = frame.shape[:2]
-        row, column = np.clip(np.rint(v), 0, rows - 1).astype(int), np.clip(np.rint(u), 0, columns - 1).astype(int)
-        colours = np.zeros(points.shape, np.uint8)
-        colours[there] = frame[row, column]
-        rgb[mine] = colours
+        there = xyz.any(-1) & (nearest == view)[:, None]
+        pixels = np.rint(np.asarray(jaxscan.pixels(part.rig, xyz[there], view * step))).astype(int)
+        column, row = np.clip(pixels, 0, np.array(frame.shape[1::-1]) - 1).T
+        rgb[there] = frame[row, column]
     return rgb
-
-
-def _pixels(scanner: jaxscan.Scanner, points: np.ndarray, phi: float) -> np.ndarray:
-    """Where a camera at the table's angle `phi` [rad] sees points [n, 3]; [n, 2] px."""
-    return np.asarray(jaxscan.pixels(scanner.rig, points, phi))

@@ -23,7 +23,7 @@ import numpy as np
 
 import jaxscan
 from experiments.exact_rig import BoardPoses, add_noise, ideal_boards, observations
-from experiments.paper.stage import Metric, Stage, plt, save, windowed, world
+from experiments.paper.stage import Metric, Stage, windowed, world
 from experiments.recalibration.world import Noise, Sweeping, true_sweep
 from experiments.report import rms
 from jaxscan.calibration import USUALLY_FREE
@@ -92,16 +92,10 @@ def poses_of(config: SimulationConfig, placements: list[Placement]) -> BoardPose
 def measured_room(
     study: Study, faults: Faults, random: np.random.Generator, *, as_user: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Width and length of the room by one calibration and one sweep, with their predicted standard deviations [2] [m].
+    """Width and length of the room by one calibration and one sweep, and their predicted standard deviations [2], m.
 
-    Args:
-        study: The rig, its protocol and its sweep.
-        as_user: Noise is estimated from residuals, as a user's calibration does it. Otherwise corners and stripes have
-            the weights of `study.stated` even where they are exact, so that a source alone has the same effect as
-            among all sources.
-
-    Raises:
-        MeasurementError: If the cloud has no walls that can be measured.
+    `as_user`: noise is estimated from residuals. Otherwise corners and stripes have the weights of `study.stated` even
+    where they are exact, so that a source alone has the same effect as among all sources.
     """
     config = study.config
     boards = config.boards.model_copy(
@@ -131,7 +125,6 @@ def cloud_of(stripes: SweepStripes, scanner: jaxscan.Scanner, stride: int, sigma
     """Points of every n-th row of known stripes.
 
     Args:
-        stripes: The stripes of a sweep by one laser.
         sigma_px: Standard deviation of all centres [px].
 
     Returns:
@@ -250,7 +243,6 @@ def run(stage: Stage) -> list[Metric]:
     values, sigma = (1e3 * np.array(part) for part in zip(*pairs, strict=True))
     errors["modelled"] = values - 1e3 * truth
     labels = {source.name: source.label for source in sources(every)} | _TOGETHER
-    draw_chart(stage, errors, sigma, labels)
     return [*_metrics(errors, sigma, labels), *_row_metrics(every.speckle_px, own)]
 
 
@@ -282,37 +274,6 @@ def row_error(stage: Stage, config: SimulationConfig) -> float:
     error = np.asarray(found.u) - np.stack([one.truth.u for one in records])
     there = np.asarray(found.valid) & np.stack([one.truth.valid for one in records]) & (np.abs(error) < 1)
     return rms(error[there])
-
-
-def draw_chart(stage: Stage, errors: dict[str, np.ndarray], sigma: np.ndarray, labels: dict[str, str]) -> None:
-    """Bars: rms errors; whiskers: their standard errors; dots: draws.
-
-    Args:
-        errors: Of width and length, by source [draws, 2], mm.
-        sigma: Predicted, of the draws without jitter and pitch [draws, 2], mm.
-    """
-    names = list(errors)
-    figure, axes = plt.subplots(1, 2, figsize=(12, 5.2), sharey=True, constrained_layout=True)
-    places = np.arange(len(names))[::-1]
-    for side, (axis, title) in enumerate(zip(axes, ("width 3820 mm", "length 6150 mm"), strict=True)):
-        for place, name in zip(places, names, strict=True):
-            error = errors[name][:, side]
-            size = rms(error)
-            colour = "tab:gray" if name in _TOGETHER else "tab:blue"
-            axis.barh(
-                place, size, xerr=size / np.sqrt(2 * len(error)), color=colour, alpha=0.75, capsize=3, height=0.55
-            )
-            axis.plot(np.abs(error), np.full(len(error), place), "k.", ms=4, alpha=0.6)
-            axis.text(0, place + 0.4, f"{size:.3f} mm", fontsize=8, va="center")
-        predicted = rms(sigma[:, side])
-        axis.plot([predicted] * 2, [-0.35, 0.35], color="tab:red", lw=2.5, label=f"predicted: {predicted:.2f} mm")
-        axis.set(title=f"Room {title}", xlabel="rms error [mm]; dots: absolute error of each draw")
-        axis.set_yticks(places, [labels[name] for name in names])
-        axis.set_ylim(-0.6, len(names) - 0.2)
-        axis.legend(loc="lower right", fontsize=9)
-        axis.grid(axis="x", alpha=0.3)
-    figure.suptitle(f"Each source of error alone, {stage.world} rig (equations, no images)")
-    save(figure, stage.picture("sensitivity"), 110)
 
 
 def _study(stage: Stage, stated: Faults) -> Study:

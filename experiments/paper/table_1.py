@@ -8,7 +8,6 @@ A length across 180 degrees is found by carrying two opposite points into one fr
 rig, without noise: its error is that of the calibration alone.
 """
 
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -18,7 +17,7 @@ import jaxscan
 from experiments.exact_rig import errors, to_true_tangents
 from experiments.paper.methods import METHODS, PaperWay, points_on_sheet, power
 from experiments.paper.products import PAIR_DEG, draws, our_calibrations
-from experiments.paper.stage import Metric, Stage, plt, save
+from experiments.paper.stage import Metric, Stage
 from jaxscan.calibration import Length, length_sigma, measure_lengths, stripe_pixels
 from jaxscan.geometry import Scanner, Turntable
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
@@ -69,14 +68,7 @@ def across_half_a_turn(config: SimulationConfig) -> list[Length]:
 
 
 def of_scanner(scanner: Scanner, lengths: list[Length]) -> np.ndarray:
-    """`QUANTITIES` of a calibration, in their units.
-
-    Args:
-        lengths: Of `across_half_a_turn`.
-
-    Raises:
-        TypeError: If it has no turntable.
-    """
+    """`QUANTITIES` of a calibration, in their units."""
     table = scanner.turntable
     if not isinstance(table, Turntable):
         raise TypeError("A calibration with a turntable is needed.")
@@ -149,9 +141,6 @@ def compare_honesty(scanners: list[Scanner], config: SimulationConfig) -> Honest
 
     Held parameters are left out, and those of the table's angle: a few degrees hardly determine them, so their
     predicted errors are those of their priors, from which the true rig was not drawn.
-
-    Args:
-        scanners: Calibrations with the same free parameters.
     """
     names = scanners[0].parameter_names()
     turned = [to_true_tangents(scanner, config) for scanner in scanners]
@@ -180,53 +169,6 @@ def _root_mean_square(squares: np.ndarray) -> tuple[float, float]:
     return root, float(squares.mean(1).std(ddof=1) / np.sqrt(len(squares)) / (2 * root))
 
 
-class Series(NamedTuple):
-    """Errors by one method."""
-
-    name: str
-    errors: np.ndarray
-    """[draws, panels]."""
-    colour: str
-
-
-def strips(series: list[Series], titles: list[str], headline: str, path: Path, *, columns: int = 4) -> None:
-    """Draw a panel for each number: a point for each draw, a line for the mean, a box for its standard deviation.
-
-    Args:
-        series: One for each method; all have the same panels.
-        titles: Of the panels, with units.
-    """
-    rows = -(-len(titles) // columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(3.7 * columns, 2.9 * rows), squeeze=False)
-    random = np.random.default_rng(0)
-    for axis in axes.ravel()[len(titles) :]:
-        axis.set_visible(False)
-    for panel, title in enumerate(titles):
-        axis = axes.ravel()[panel]
-        axis.axhline(0, color="0.6", linewidth=0.8)
-        for at, one in enumerate(series):
-            values = one.errors[:, panel]
-            mean, spread = values.mean(), values.std(ddof=1) if len(values) > 1 else 0.0
-            axis.bar(at, 2 * spread, 0.6, mean - spread, color=one.colour, alpha=0.2)
-            axis.plot([at - 0.3, at + 0.3], [mean, mean], color=one.colour, linewidth=2)
-            aside = random.uniform(-0.2, 0.2, len(values))
-            axis.plot(at + aside, values, ".", color=one.colour, markersize=5, label=one.name)
-            text = f"{mean:+.2g}\n± {spread:.2g}" if len(values) > 1 else f"{mean:+.2g}"
-            axis.text(at, -0.02, text, color=one.colour, ha="center", va="top", fontsize=8,
-                      transform=axis.get_xaxis_transform())  # fmt: skip
-        # Bars would otherwise end at the frame.
-        axis.use_sticky_edges = False
-        axis.margins(y=0.08)
-        axis.set_xticks([])
-        axis.set_xlim(-0.6, len(series) - 0.4)
-        axis.set_title(title, fontsize=10)
-    handles, names = axes.ravel()[0].get_legend_handles_labels()
-    figure.suptitle(headline, fontsize=12)
-    figure.legend(handles, names, loc="lower center", ncols=len(series), fontsize=10, markerscale=2)
-    figure.tight_layout(rect=(0, 0.05, 1, 0.98), h_pad=2.0)
-    save(figure, path, 110)
-
-
 NAMES = {
     "paper_way": METHODS["gravity"],
     "ours": "ours, the paper's views",
@@ -235,7 +177,7 @@ NAMES = {
 
 
 def run(stage: Stage) -> list[Metric]:
-    """Figures and picture of Table I."""
+    """Figures of Table I."""
     lengths = across_half_a_turn(stage.config)
     true = true_values(stage.config, lengths)
     drawn = draws(stage)
@@ -247,15 +189,6 @@ def run(stage: Stage) -> list[Metric]:
         "our_protocol": np.array([of_scanner(scanner, lengths) for scanner in protocol]),
     }
     honesty = compare_honesty(scanners, stage.config)
-    labels = [f"{one.title} [{one.unit}]" if one.unit != "1" else one.title for one in QUANTITIES]
-    series = [
-        Series(NAMES[key], found[key] - true, colour)
-        for key, colour in zip(NAMES, ("tab:red", "tab:blue", "tab:green"), strict=True)
-    ]
-    title = (
-        f"Table I, {stage.world} world: errors in {len(drawn)} draws of noise (line: mean; box: ± standard deviation)"
-    )
-    strips(series, labels, title, stage.picture("table_1"))
     return [
         *(metric for way in ("paper_way", "ours") for metric in _spreads(way, found[way], true, full=not stage.quick)),
         *_predicted("ours", scanners, lengths),
@@ -301,9 +234,7 @@ def _lengths_over_predicted(scanners: list[Scanner], errors: np.ndarray, lengths
     """Root mean square errors of the lengths over their predicted standard deviations; a bias counts.
 
     Args:
-        scanners: One for each draw.
         errors: Of all quantities, in their units [draws, quantities].
-        lengths: Those of `across_half_a_turn`.
     """
     sigma = 1000 * np.array([length_sigma(scanner, lengths) for scanner in scanners])
     limits = AGREE if len(scanners) >= ENOUGH else (None, None)

@@ -13,7 +13,7 @@ import numpy as np
 import jaxscan
 from experiments.paper.methods import METHODS, PaperWay, points_on_sheet
 from experiments.paper.products import Draw, draws, our_calibrations
-from experiments.paper.stage import Metric, Stage, plt, save
+from experiments.paper.stage import Metric, Stage
 from experiments.paper.table_1 import AGREE, ENOUGH
 from experiments.report import rms
 from jaxscan.calibration import depth_sigma, stripe_depths, stripe_pixels
@@ -25,8 +25,6 @@ DEPTHS_M = (1.3, 2.5)
 """The paper's working distance, and the distance of its wall."""
 PAPER = (-7.606, -1.685, 1296.203)
 COEFFICIENTS = (("a", "1"), ("b", "1"), ("c", "mm"))
-_CURVE_M = np.array([0.8, 1.0, 1.3, 1.6, 2.0, 2.5, 3.0])
-"""Depths of the picture."""
 
 
 class Plane(NamedTuple):
@@ -41,28 +39,19 @@ class Plane(NamedTuple):
 
 
 def run(stage: Stage) -> list[Metric]:
-    """Figures and picture of Table II."""
+    """Figures of Table II."""
     true = true_scanner(stage.config)
     drawn = draws(stage)
     scanners = [jaxscan.load_scanner(draw.ours) for draw in drawn]
-    pixels = {depth: stripe_pixels(true, 0, depth) for depth in {*DEPTHS_M, *_CURVE_M}}
-    seen = {depth: q for depth, q in sorted(pixels.items()) if len(q)}
-    every = [
-        _of_paper(drawn, "linear", "gravity", seen),
-        _of_paper(drawn, "total", "gravity", seen),
-        _of_paper(drawn, "linear", "highest", seen),
-        _of_paper(drawn, "total", "highest", seen),
-        _of_scanners("ours", "ours, the paper's views", scanners, seen),
-    ]
+    seen = {depth: stripe_pixels(true, 0, depth) for depth in DEPTHS_M}
+    every = [_of_paper(drawn, fit, finder, seen) for finder in METHODS for fit in ("linear", "total")]
+    every.append(_of_scanners("ours", "ours, the paper's views", scanners, seen))
     protocol = [jaxscan.load_scanner(path) for path in our_calibrations(stage)]
     own = _of_scanners("our_protocol", "ours, own protocol", protocol, seen)
-    depths = list(seen)
-    _picture(stage, [*every, own], depths)
     laser = stage.config.laser[0]
     truth = np.array([laser.a, laser.b, laser.c_mm], float)
     metrics = [metric for plane in every if "highest" not in plane.key for metric in _coefficients(plane, truth)]
-    for depth in DEPTHS_M:
-        at = depths.index(depth)
+    for at, depth in enumerate(DEPTHS_M):
         metrics += [metric for plane in every for metric in _depth(plane, depth, plane.depth[at])]
         metrics += _depth(own, depth, own.depth[at])[:1]
         sigma = float(np.sqrt(np.mean([depth_sigma(one, 0, seen[depth]) ** 2 for one in scanners])))
@@ -71,7 +60,7 @@ def run(stage: Stage) -> list[Metric]:
             Metric(f"ours_depth_{_mm(depth)}_predicted", 1000 * sigma, "mm", "less", 100 * sigma, label=name)
         )
         metrics.append(_observed_over_predicted(every[-1], depth, every[-1].depth[at], 1000 * sigma))
-    return [*metrics, _ours_over_paper(every, depths.index(2.5))]
+    return [*metrics, _ours_over_paper(every)]
 
 
 def _of_paper(drawn: list[Draw], fit: str, finder: str, seen: dict[float, np.ndarray]) -> Plane:
@@ -150,43 +139,12 @@ def _observed_over_predicted(plane: Plane, depth: float, errors: np.ndarray, sig
     return Metric(key, ratio, "1", "near", 3 * error, None, *limits, label)
 
 
-def _ours_over_paper(every: list[Plane], at: int) -> Metric:
+def _ours_over_paper(every: list[Plane]) -> Metric:
     """Our whole method over the paper's: the better fit with the better stripe finder."""
-    error = {plane.key: rms(plane.depth[at]) for plane in every}
+    error = {plane.key: rms(plane.depth[DEPTHS_M.index(2.5)]) for plane in every}
     ratio = error["ours"] / min(value for key, value in error.items() if key.startswith("paper_way"))
     label = "ours over the best fit of the paper's method, the paper's views: rms depth error at 2.5 m"
     return Metric("ours_over_paper_way", ratio, "1", "less", 0.5 * ratio, label=label)
-
-
-def _picture(stage: Stage, planes: list[Plane], depths: list[float]) -> None:
-    """a, b, c of every draw, and the depth error over depth."""
-    colours = ("tab:red", "tab:orange", "tab:brown", "tab:pink", "tab:blue", "tab:green")
-    laser = stage.config.laser[0]
-    figure, axes = plt.subplots(1, 4, figsize=(17, 5.2), width_ratios=(1, 1, 1, 1.6))
-    random = np.random.default_rng(0)
-    for index, (axis, (name, unit)) in enumerate(zip(axes, COEFFICIENTS, strict=False)):
-        axis.axhline((laser.a, laser.b, laser.c_mm)[index], color="0.4", linewidth=1, linestyle="--")
-        for at, (plane, colour) in enumerate(zip(planes, colours, strict=True)):
-            values = plane.abc[:, index]
-            axis.plot(at + random.uniform(-0.2, 0.2, len(values)), values, ".", color=colour)
-            axis.plot([at - 0.35, at + 0.35], [values.mean()] * 2, color=colour, linewidth=2)
-        axis.set_xticks([])
-        axis.set_title(f"{name} [{unit}]" if unit != "1" else name)
-    axes[3].set_title("depth error of camera and plane [mm]")
-    for plane, colour in zip(planes, colours, strict=True):
-        axes[3].plot(
-            depths, [rms(errors) for errors in plane.depth], "o-", color=colour, label=plane.title, markersize=4
-        )
-    axes[3].set_xlabel("depth [m]")
-    axes[3].set_ylabel("root mean square over draws and rows [mm]")
-    axes[3].set_yscale("log")
-    axes[3].grid(which="both", alpha=0.3)
-    handles, names = axes[3].get_legend_handles_labels()
-    figure.legend(handles, names, loc="lower center", ncols=3, fontsize=10)
-    count = len(planes[0].abc)
-    figure.suptitle(f"Table II, {stage.world} world: the laser's plane in {count} draws of noise (dashed: truth)")
-    figure.tight_layout(rect=(0, 0.11, 1, 1))
-    save(figure, stage.picture("table_2"), 110)
 
 
 def _mm(depth: float) -> str:

@@ -82,14 +82,9 @@ def better(trials: Trials) -> float:
     return min(rms(before[:, k]) / rms(after[:, k]) for k in range(before.shape[1]))
 
 
-def honest(which: int) -> Callable[[Trials], float]:
-    """Root mean square of error over stated sigma, of a length across half a turn after the recalibration."""
-    return lambda trials: rms(half_turns(trials, "after")[:, which] / half_turns(trials, "sigma_after")[:, which])
-
-
-def honest_before(which: int) -> Callable[[Trials], float]:
-    """As `honest`, of the stored calibration."""
-    return lambda trials: rms(half_turns(trials, "before")[:, which] / half_turns(trials, "sigma_before")[:, which])
+def honest(which: int, when: str = "after") -> Callable[[Trials], float]:
+    """Root mean square of error over stated sigma, of a length across half a turn before or after recalibrating."""
+    return lambda trials: rms(half_turns(trials, when)[:, which] / half_turns(trials, f"sigma_{when}")[:, which])
 
 
 def away(trials: Trials) -> float:
@@ -140,12 +135,6 @@ def walls_better(trials: Trials) -> float:
     return apart(trials, "before") / apart(trials)
 
 
-def factors(expected: float) -> Callable[[Trials], float]:
-    """Share of trials in which the factor between journal and true turn is found to 1 per cent, and named."""
-    good = lambda trial: abs(trial["table"]["factor"] / expected - 1) < 0.01 and bool(trial["table"]["sentences"])
-    return lambda trials: float(np.mean([good(trial) for trial in trials]))
-
-
 def jumps(trials: Trials) -> float:
     """Share of trials in which the one lost step is found, within 2 records and 10 per cent of its angle, and named."""
 
@@ -193,7 +182,7 @@ LIMITS = (
     Limit("good, rough walls", "a length moved away by", away, high=2, unit="stated sigmas"),
     Limit("paper-like, stops", "observed / stated, 3.9 m", honest(0), 0.7, 1.3),
     Limit("paper-like, stops", "across 180 degrees, old / new", better, low=5),
-    Limit("good, stops", "observed / stated before, 3.9 m", honest_before(0), 0.7, 1.3),
+    Limit("good, stops", "observed / stated before, 3.9 m", honest(0, "before"), 0.7, 1.3),
     Limit("good, stops", "observed / stated, 3.9 m", honest(0), 0.7, 1.3),
     Limit("good, stops", "a length moved away by", away, high=2, unit="stated sigmas"),
     Limit("laser turned", "largest p", largest_p, high=1e-3),
@@ -206,8 +195,6 @@ LIMITS = (
     Limit("laser turned since a recalibration", "largest p", largest_p, high=1e-3),
     Limit("laser turned since a recalibration", "sheet, observed / stated", removed(".n1", ".n2", ".d"), high=1.25),
     Limit("nothing moved since a recalibration", "trials of 30 with p > 0.01", quiet, low=29),
-    Limit("3200 steps for 6400", "trials in which it is found and named", factors(0.5), low=1),
-    Limit("6400 steps for 3200", "trials in which it is found and named", factors(2.0), low=1),
     Limit("a step of 1.8 degrees lost", "trials in which it is found and named", jumps, low=1),
     Limit("a step of 0.2 degrees lost", "trials in which it is found and named", jumps, low=1),
     Limit("overlap of 30 degrees", "gap at 2.5 m by the truth", open_mm, high=0.3, unit="mm"),

@@ -56,13 +56,7 @@ def observations_of(config: SimulationConfig, kind: Kind, seed: int, stop_deg: f
 
 
 def calibration_of(config: SimulationConfig, kind: Kind, seed: int, stop_deg: float = 0.0) -> Calibration:
-    """A calibration of the configuration's rig.
-
-    Args:
-        config: The true rig.
-        kind: "paper-like" or "good".
-        seed: Of poses and noise.
-        stop_deg: Width within which the table stops anywhere [deg].
+    """A calibration of the configuration's rig; `seed` draws poses and noise, stops are as of `observations_of`.
 
     A bow of the sheet is free where the true sheet has one: jaxscan's own calibration would find it.
     """
@@ -148,20 +142,17 @@ def lengths(before: Scanner, after: Scanner, truth: Scanner) -> list[dict[str, A
 
 
 def walls(task: Task, after: Scanner) -> dict[str, Any]:
-    """Errors of the distances of opposite walls, and root mean squares of points from their planes [mm]."""
-    before = task.stored.scanner
-    assert before is not None
-    out: dict[str, Any] = {"apart": [], "flat": []}
+    """Errors of the distances of opposite walls before and after [mm]."""
     planes = []
-    for scanner in (before, after):
+    for scanner in (task.stored.scanner, after):
         points = {wall: wall_points(scanner, task, wall) for wall in range(6)}
         planes.append({wall: fitted(found) for wall, found in points.items() if len(found) > 50})
+    apart = []
     for first, second, metres in task.apart:
-        if all(first in found and second in found for found in planes):
-            errors = [1e3 * (distance(found[first], found[second]) - metres) for found in planes]
-            out["apart"].append({"walls": [first, second], "before": errors[0], "after": errors[1]})
-    out["flat"] = [1e3 * rms([one[2] for one in found.values()]) for found in planes]
-    return out
+        if all({first, second} <= found.keys() for found in planes):
+            before, now = (1e3 * (distance(found[first], found[second]) - metres) for found in planes)
+            apart.append({"walls": [first, second], "before": before, "after": now})
+    return {"apart": apart}
 
 
 def wall_points(scanner: Scanner, task: Task, wall: int) -> np.ndarray:
@@ -224,34 +215,16 @@ def parameters(before: Scanner, after: Scanner, truth: Scanner) -> dict[str, lis
 
 
 def statements(result: Recalibration) -> dict[str, Any]:
-    """The statements of a recalibration."""
-    drift, adjusted = result.drift, result.adjusted
+    """What a recalibration says of drift and table."""
+    drift, table = result.drift, result.table
     return {
         "updated": result.updated,
         "refused": result.refused,
-        "drift": {"p": drift.p, "drifted": drift.drifted, "part": drift.part, "size": drift.size},
-        "gains": [[gain.name, gain.before, gain.after] for gain in result.gains[:6]],
-        "hold_out": None
-        if result.hold_out is None
-        else result.hold_out._asdict()
-        if hasattr(result.hold_out, "_asdict")
-        else vars(result.hold_out),
+        "drift": {"p": drift.p, "part": drift.part},
         "table": {
-            "factor": result.table.factor,
-            "jumps": [list(jump) for jump in result.table.jumps],
-            "sentences": list(result.table.sentences),
+            "jumps": [list(jump) for jump in table.jumps],
+            "sentences": list(table.sentences),
         },
-        "closure": None if result.closure is None else vars(result.closure),
-        "unobserved": list(result.unobserved),
-        "notes": list(result.notes),
-        "surfaces": len(adjusted.surfaces.kind),
-        "points": len(adjusted.observations.points.q),
-        "kept": float(np.mean(adjusted.point_kept)),
-        "wall_mm": 1e3 * adjusted.wall_m,
-        "inflation": adjusted.inflation,
-        "chi2": adjusted.cost / max(adjusted.freedom, 1),
-        "steps": adjusted.steps,
-        "converged": adjusted.converged,
     }
 
 

@@ -62,23 +62,14 @@ ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("points on boards: stated [px]", ("boards", "stated_px"), "{:.3f}"),
     ("points on boards: error / stated", ("boards", "error_over_stated"), "{:.2f}"),
     *(
-        (f"points on boards, print {name}: error / stated", ("boards", "classes", name, "error_over_stated"), "{:.2f}")
-        for name in CLASSES
-    ),
-    *(
-        (f"points on boards, print {name}: RMS [px]", ("boards", "classes", name, "rms_px"), "{:.3f}")
-        for name in CLASSES
-    ),
-    ("points on boards", ("boards", "points"), "{:.0f}"),
-    ("points on boards before the solve: RMS [px]", ("promised", "rms_px"), "{:.3f}"),
-    *(
-        (
-            f"points on boards before the solve, print {name}: error / stated",
-            ("promised", "classes", name, "error_over_stated"),
-            "{:.2f}",
+        (f"points on boards, print {name}: {title}", ("boards", "classes", name, key), form)
+        for title, key, form in (
+            ("error / stated", "error_over_stated", "{:.2f}"),
+            ("RMS [px]", "rms_px", "{:.3f}"),
         )
         for name in CLASSES
     ),
+    ("points on boards", ("boards", "points"), "{:.0f}"),
     ("largest mean of a view [px]", ("boards", "mean_of_view_px"), "{:.3f}"),
     ("sweep, row-wise: RMS [px]", ("rows", "rms_px"), "{:.4f}"),
     ("sweep, row-wise: RMS / bound", ("rows", "over_bound"), "{:.3f}"),
@@ -87,11 +78,8 @@ ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("sweep: RMS / row-wise bound", ("smooth", "over_bound"), "{:.3f}"),
     ("sweep: stated / true", ("smooth", "stated_over_true"), "{:.2f}"),
     *(
-        (f"sweep, {low}–{high} DN: stated / true", ("smooth", "classes", f"{low}-{high}", "stated_over_true"), "{:.2f}")
-        for low, high in AMPLITUDES
-    ),
-    *(
-        (f"sweep, {low}–{high} DN: RMS [px]", ("smooth", "classes", f"{low}-{high}", "rms_px"), "{:.3f}")
+        (f"sweep, {low}–{high} DN: {title}", ("smooth", "classes", f"{low}-{high}", key), form)
+        for title, key, form in (("stated / true", "stated_over_true", "{:.2f}"), ("RMS [px]", "rms_px", "{:.3f}"))
         for low, high in AMPLITUDES
     ),
     ("rows found of those over 5 sigmas [%]", ("smooth", "found_share"), "{:.2%}"),
@@ -120,7 +108,7 @@ def markdown(results: dict[str, Any]) -> str:
             names = sorted((n for n in names if (seed_of(n) in FINAL_SEEDS) == final), key=seed_of)
             if names:
                 chosen = {name: results[name] for name in names}
-                parts += [f"## {kind}: {title}", in_all(chosen), verdict(chosen), each(chosen)]
+                parts += [f"## {kind}: {title}", in_all(chosen), verdict(chosen)]
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
 
@@ -184,20 +172,6 @@ def verdict(results: dict[str, Any]) -> str:
     return table(["limit", "range", "broken by"], body)
 
 
-def each(results: dict[str, Any]) -> str:
-    """Every seed."""
-    known = [which for which in METHODS if any(which in entry for entry in results.values())]
-    keys = [(name, which) for name in results for which in known if which in results[name]]
-    head = ["figure", *(f"{seed_of(name)} {METHODS[which]}" for name, which in keys)]
-    body = [[title, *(number(figure(results[n][w], path), form) for n, w in keys)] for title, path, form in ROWS]
-    walls = ["walls: error (stated sigma) [mm]"]
-    for name, which in keys:
-        found = results[name][which]["walls"]
-        pairs = zip(found["errors_mm"], found["sigmas_mm"], strict=True)
-        walls.append(", ".join(f"{error:+.1f}" + (f" ({s:.1f})" if np.isfinite(s) else "") for error, s in pairs))
-    return table(head, [*body, walls])
-
-
 def figures(world: tuple[truth.Truth, truth.TrueStripes, truth.TrueStripes], found: Estimate) -> dict[str, Any]:
     """All figures of an estimate."""
     true, sweep, boards = world
@@ -205,7 +179,6 @@ def figures(world: tuple[truth.Truth, truth.TrueStripes, truth.TrueStripes], fou
     return {
         "rig": rig_figures(true, found.rig, ray_grid(true.size)),
         "boards": board_figures(boards, found.boards),
-        "promised": board_figures(boards, found.promised),
         "rows": sweep_figures(true, sweep, found.rows),
         "smooth": sweep_figures(true, sweep, found.smooth),
         "step": {"rows": raw["rows"], "smooth": smooth["rows"], "profiles": raw["profiles"]},

@@ -8,15 +8,14 @@ from experiments.unkind.truth import Dimension, Estimate, Rig, Rows, Truth, cloc
 from jaxscan.geometry import lit_points, lit_slopes
 
 
-def board_rows(calibration: jaxscan.Calibration, records: int, lines: int, *, solved: bool) -> Rows:
-    """The points of stripes on boards, as they were found, or as the solve kept and weighed them."""
+def board_rows(calibration: jaxscan.Calibration, records: int, lines: int) -> Rows:
+    """The points of stripes on boards, as the solve kept and weighed them."""
     seen, fit = calibration.observations, calibration.fit
     assert seen is not None and fit is not None
     u, sigma = np.zeros((records, lines)), np.ones((records, lines))
     valid = np.zeros((records, lines), bool)
     stripes = seen.stripes
-    sigmas, counted = (fit.stripe_sigma, fit.stripe_inlier) if solved else (stripes.sigma, stripes.valid)
-    for q, spread, kept, view in zip(stripes.q, sigmas, counted, stripes.view, strict=True):
+    for q, spread, kept, view in zip(stripes.q, fit.stripe_sigma, fit.stripe_inlier, stripes.view, strict=True):
         record = int(seen.corners.record[view])
         row = np.rint(np.asarray(q)[kept, 1]).astype(int)
         u[record, row], sigma[record, row], valid[record, row] = np.asarray(q)[kept, 0], np.asarray(spread)[kept], True
@@ -84,8 +83,7 @@ def estimate(folder: str, truth: Truth) -> Estimate:
     rows = rows._replace(u=rows.u.astype(float), sigma=rows.sigma.astype(float))
     return Estimate(
         own_rig(scanner, truth),
-        board_rows(calibration, len(boards), int(truth.size[1]), solved=True),
-        board_rows(calibration, len(boards), int(truth.size[1]), solved=False),
+        board_rows(calibration, len(boards), int(truth.size[1])),
         rows,
         seen_rows(cloud, scanner),
         dimensions(cloud, scanner, truth),

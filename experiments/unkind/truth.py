@@ -86,7 +86,6 @@ def with_parts(stripes: TrueStripes, light: np.ndarray) -> TrueStripes:
     Where the middle of the sheet is hidden behind an edge, a part of the stripe still shows.
 
     Args:
-        stripes: The crossings; the last place of each row is overwritten where there is such light.
         light: The laser's direct light behind the lens on every pixel [rows, columns]; DN.
     """
     column = np.arange(light.shape[1])
@@ -141,8 +140,6 @@ class Estimate(NamedTuple):
     rig: Rig
     boards: Rows
     """On the board alone; sigma across the stripe, as the solve states it."""
-    promised: Rows
-    """The same before the solve: all that were found, with the sigma that they were found with."""
     rows: Rows
     """Of the sweep, row by row."""
     smooth: Rows

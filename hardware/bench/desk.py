@@ -11,7 +11,6 @@ from bench.rig import RigOptions, SimulatedRig
 
 
 MICROSTEPS_PER_TURN = 28800
-"""Of the rig in configs/bench.toml."""
 
 HELP = """\
 Enter          show the next pose of the board; after the last one, take it away
@@ -36,11 +35,7 @@ class Desk:
     camera: RenderedCamera
 
     def command(self, text: str) -> str:
-        """Carry out one line, and return its answer.
-
-        Raises:
-            BenchError: If it is not understood.
-        """
+        """Carry out one line, and return its answer. Raises BenchError if it is not understood."""
         verb, _, rest = text.strip().partition(" ")
         simple: dict[str, Callable[[], str]] = {
             "": lambda: self.place("next"),
@@ -75,11 +70,7 @@ class Desk:
         return f"noise {switch}"
 
     def require_alive(self) -> None:
-        """Check that both parts run.
-
-        Raises:
-            BenchError: With the part that has ended by itself.
-        """
+        """Raise BenchError with the part that has ended by itself."""
         if died := self.rig.died() or self.camera.died():
             raise BenchError(f"{died}; the bench is shut down.")
 
@@ -101,11 +92,7 @@ class Desk:
 
 @contextmanager
 def claimed(folder: Path) -> Iterator[None]:
-    """Keeps a runtime folder to one bench.
-
-    Raises:
-        BenchError: If one runs in it already, or it belongs to somebody else.
-    """
+    """Keeps a runtime folder to one bench; raises BenchError if one runs in it already."""
     busy = f"A bench runs already, in {folder}: end that one first."
     with held(own_folder(folder) / "lock", timeout_s=0.0, busy=busy):
         yield
@@ -113,11 +100,7 @@ def claimed(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def set_up(folder: Path, *, world: Path, speed: float = 1.0, wait_s: float = 1.0) -> Iterator[Desk]:
-    """Rig and camera in a folder, fresh, switched off at the end; `wait_s` is for another camera to end.
-
-    Raises:
-        BenchError: If a tool is missing, or a bench runs already.
-    """
+    """Rig and camera in a folder, fresh, switched off at the end; `wait_s` is for another camera to end."""
     with ExitStack() as stack:
         stack.enter_context(claimed(folder))
         stack.enter_context(loopback(timeout_s=wait_s))

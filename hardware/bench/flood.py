@@ -30,11 +30,8 @@ class Flood:
         """
         self._port, self._held, self._per_s, self._most = port, held, per_s, most
         self.opened = 0
-        """Connections that were begun."""
         self.ended = 0
-        """Those that the other end closed."""
         self.highest = 0
-        """How many were held at once."""
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="flood", daemon=True)
         self._problem: BaseException | None = None
@@ -56,16 +53,12 @@ class Flood:
 
     def _run(self) -> None:
         try:
-            with selectors.DefaultSelector() as selector:
-                try:
-                    self._pour(selector)
-                finally:
-                    for key in list(selector.get_map().values()):
-                        _close(selector, key.fileobj)
+            with selectors.DefaultSelector() as selector, contextlib.ExitStack() as stack:
+                self._pour(selector, stack)
         except BaseException as problem:
             self._problem = problem
 
-    def _pour(self, selector: selectors.BaseSelector) -> None:
+    def _pour(self, selector: selectors.BaseSelector, stack: contextlib.ExitStack) -> None:
         before, allowed = time.monotonic(), 0.0
         while not self._end.wait(_TURN_S):
             now = time.monotonic()
@@ -73,43 +66,32 @@ class Flood:
             allowed = min(allowed + (now - before) * self._per_s, self._per_s)
             before = now
             while allowed >= 1 and not self.spent and len(selector.get_map()) < self._held:
-                self._open_one(selector)
+                one = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+                one.setblocking(False)
+                with contextlib.suppress(BlockingIOError):
+                    one.connect((LOOPBACK, self._port))
+                # It can be written to once it is connected.
+                beginning = _BEGINNINGS[self.opened % len(_BEGINNINGS)]
+                selector.register(one, selectors.EVENT_READ | selectors.EVENT_WRITE, beginning)
+                self.opened += 1
                 allowed -= 1
             self.highest = max(self.highest, len(selector.get_map()))
             for key, _ in selector.select(0):
                 self._hear(selector, key)
 
-    def _open_one(self, selector: selectors.BaseSelector) -> None:
-        one = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
-        one.setblocking(False)
-        with contextlib.suppress(BlockingIOError):
-            one.connect((LOOPBACK, self._port))
-        beginning = _BEGINNINGS[self.opened % len(_BEGINNINGS)]
-        self.opened += 1
-        # It can be written to once it is connected.
-        selector.register(one, selectors.EVENT_READ | selectors.EVENT_WRITE, beginning)
-
     def _hear(self, selector: selectors.BaseSelector, key: selectors.SelectorKey) -> None:
-        one = key.fileobj
-        if not isinstance(one, socket.socket):
-            raise TypeError("only sockets are registered")
         try:
             if key.events & selectors.EVENT_WRITE:
-                one.send(key.data)
-                selector.modify(one, selectors.EVENT_READ)
+                key.fileobj.send(key.data)
+                selector.modify(key.fileobj, selectors.EVENT_READ)
                 return
-            if one.recv(4096):
+            if key.fileobj.recv(4096):
                 return
         except BlockingIOError:
             return
         except OSError:
             pass
         self.ended += 1
-        _close(selector, one)
-
-
-def _close(selector: selectors.BaseSelector, one: object) -> None:
-    if isinstance(one, socket.socket):
-        selector.unregister(one)
-        one.close()
+        selector.unregister(key.fileobj)
+        key.fileobj.close()

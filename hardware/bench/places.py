@@ -18,7 +18,6 @@ class BenchError(JaxscanError):
 
 HERE = Path(__file__).resolve().parent
 WORLD = HERE / "camera" / "world.toml"
-"""The world in front of the camera."""
 TWO_LASERS = HERE / "camera" / "world_two_lasers.toml"
 """The same with a second laser."""
 
@@ -33,15 +32,11 @@ _OPEN = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 @contextmanager
 def held(path: Path, *, timeout_s: float, busy: str) -> Iterator[None]:
-    """Holds a lock file. Its content is left as it is, and the system frees the lock of a process that has died.
-
-    Args:
-        path: The file; made if it is not there, in a folder that `own_folder` made.
-        timeout_s: Longest wait.
-        busy: Message for when another process keeps the lock.
+    """Holds a lock file in a folder of `own_folder`; the system frees the lock of a process that has died.
 
     Raises:
-        BenchError: If another process keeps it, or the file is a link, not a plain file, or somebody else's.
+        BenchError: If another process keeps it longer than `timeout_s`, with the message `busy`, or if it is no plain
+            file of this user.
     """
     try:
         file = os.open(path, _OPEN, 0o600)
@@ -66,11 +61,7 @@ def held(path: Path, *, timeout_s: float, busy: str) -> Iterator[None]:
 
 
 def own_folder(folder: Path) -> Path:
-    """Make a folder for this user alone, or check that it is one.
-
-    Raises:
-        BenchError: If it is a link, not a folder, or open to others.
-    """
+    """Make a folder for this user alone. Raises BenchError if there is a link, a file, or a folder open to others."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = os.lstat(folder)
@@ -82,12 +73,7 @@ def own_folder(folder: Path) -> Path:
 
 
 def private_folder() -> Path:
-    """The folder of this user for things that live no longer than a login: XDG_RUNTIME_DIR, or one in the temporary
-    folder.
-
-    Raises:
-        BenchError: If there is something else at its place.
-    """
+    """This user's folder for what lives no longer than a login: in XDG_RUNTIME_DIR, or in the temporary folder."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     if runtime and os.path.isabs(runtime) and os.path.isdir(runtime):
         return own_folder(Path(runtime) / "jaxscan")

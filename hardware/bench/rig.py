@@ -12,10 +12,8 @@ from bench.processes import SIMRUN, Part, build
 
 
 CLOCK_HZ = 16_000_000
-"""Cycles per second of the log's stamps."""
 
 READY_S = 10.0
-"""How long the runner may take to start, on a busy machine."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +25,6 @@ class RigOptions:
     speed: float = 1.0
     """Simulated seconds per second; 0: as fast as it goes."""
     microsteps_per_turn: int = 28800
-    """Of the plant: the angle is position / this."""
     start: int = 500
     """Where the table stands at the beginning [microsteps]; the home switch closes at 0, from above."""
     home_width: int = 40
@@ -37,12 +34,10 @@ class RigOptions:
     autoreset: bool = False
     """Whether opening the port resets the processor, as on an Uno."""
     seed: int = 1
-    """Of the noise on the line."""
     apart: bool = False
     """Whether Ctrl-C at the terminal is kept from it."""
 
     def plant(self) -> list[str]:
-        """The runner's options that describe the plant."""
         words = ["--microsteps-per-turn", str(self.microsteps_per_turn), "--home-width", str(self.home_width)]
         return [*words, "--bounce", str(self.bounce_us), *(["--autoreset"] if self.autoreset else [])]
 
@@ -61,18 +56,13 @@ class SimulatedRig(Part):
     name, socket = "the simulator", "control"
 
     def __init__(self, folder: str | Path, options: RigOptions = RIG_DEFAULTS) -> None:
-        """A rig that is off."""
         super().__init__(folder)
         self.port = str(self.folder / "port")
         self.edges_path = self.folder / "edges.jsonl"
         self._options = options
 
     def start(self) -> None:
-        """Switch on. After `kill` or `close` it goes on where it stood: position, EEPROM and log stay.
-
-        Raises:
-            BenchError: If the build fails or the runner does not come up.
-        """
+        """Switch on. After `kill` or `close` it goes on where it stood: position, EEPROM and log stay."""
         self._require_off()
         options = self._options
         image = build(options.firmware) if isinstance(options.firmware, str) else options.firmware
@@ -86,11 +76,7 @@ class SimulatedRig(Part):
         self._launch(command, within_s=READY_S, apart=options.apart)
 
     def control(self, text: str) -> str:
-        """Give the runner one command, see README.md.
-
-        Raises:
-            BenchError: If it does not know it, or does not answer.
-        """
+        """Give the runner one command, see README.md. Raises BenchError if it does not know it, or does not answer."""
         answer = self.ask(text)
         if answer.startswith("unknown"):
             raise BenchError(f"simrun does not know {text!r}.")
@@ -110,11 +96,7 @@ class SimulatedRig(Part):
         return [json.loads(line) for line in lines[:-1]]
 
     def run_for(self, seconds: float, *, timeout_s: float = 60.0) -> None:
-        """Wait until so much simulated time has passed.
-
-        Raises:
-            BenchError: If it does not pass.
-        """
+        """Wait until so much simulated time has passed. Raises BenchError if it does not pass."""
         goal = self.plant()["cycle"] + int(seconds * CLOCK_HZ)
         end = time.monotonic() + timeout_s
         while self.plant()["cycle"] < goal:

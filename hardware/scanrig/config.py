@@ -21,7 +21,6 @@ from scanrig.controllers import ControllerTable
 MAX_MICROSTEPS = 10_000_000
 """Most microsteps of a turn; at the highest step rate such a turn takes 17 minutes."""
 MAX_LASERS = 2
-"""Lasers that a controller can switch."""
 
 _Milliseconds = Annotated[Integer, pydantic.Field(ge=0, le=10_000)]
 _Angle = Annotated[Number, pydantic.Field(ge=-360, le=360)]
@@ -42,7 +41,6 @@ class TurntableTable(FileModel):
 
     carries: Turns = "scanner"
     full_steps: Annotated[Integer, pydantic.Field(ge=4, le=100_000)] = 200
-    """Full steps per turn of the motor."""
     microsteps: Annotated[Integer, pydantic.Field(ge=1, le=1024)] = 16
     """Microsteps per full step, as set at the driver."""
     gear: tuple[Integer, Integer] = (1, 1)
@@ -62,9 +60,7 @@ class TurntableTable(FileModel):
     limits_deg: tuple[_Limit, _Limit] | None = None
     """Range of angles that the table may not leave, to protect cables."""
     settle_ms: _Milliseconds = 50
-    """Rest before a shot."""
     reverse: bool = False
-    """Inverts the direction of the motor."""
 
     @pydantic.model_validator(mode="after")
     def _whole(self) -> "TurntableTable":
@@ -87,11 +83,7 @@ class TurntableTable(FileModel):
         return self
 
     def rate(self, name: str) -> int:
-        """A speed or acceleration in microsteps per second, or per second squared.
-
-        Raises:
-            ValueError: If it is outside the controller's range.
-        """
+        """A speed or acceleration in microsteps per second (squared); ValueError outside the controller's range."""
         moderate, low, high = _RATES[name]
         given = getattr(self, name)
         found = round((moderate if given is None else given) * self.microsteps_per_turn / 360)
@@ -112,7 +104,6 @@ class RigLaser(LaserTable):
     """A laser: how it appears in a frame, and how long it takes to switch."""
 
     on_ms: _Milliseconds = 20
-    """Time from switching on to the exposure."""
     off_ms: _Milliseconds = 20
     """Time from switching off to the exposure; the camera reads the laser-on frame out meanwhile."""
 
@@ -133,7 +124,6 @@ class TriggerTable(FileModel):
     pulse_ms: Annotated[Integer, pydantic.Field(ge=1, le=5000)] | None = None
     """Length of a trigger pulse; by default the exposure time, rounded up."""
     gap_ms: _Milliseconds = 5
-    """Pause after each exposure."""
     ready_ms: _Milliseconds = 0
     """Longest wait for the camera's ready output before each trigger; 0 if it is not wired."""
 
@@ -142,7 +132,6 @@ class SweepTable(FileModel):
     """The table angles of a sweep."""
 
     steps: _Count = 3600
-    """Steps per pass."""
     turn_deg: _Angle = 360.0
     """Angle of a pass; the last step is one step before its end. Negative: downwards."""
     start_deg: _Angle = 0.0
@@ -162,7 +151,6 @@ class CalibrationTable(FileModel):
     free_views: Annotated[Integer, pydantic.Field(ge=0, le=1000)] = 24
     """Views from the home angle, the board held differently in each."""
     placements: Annotated[Integer, pydantic.Field(ge=0, le=100)] = 4
-    """Places where the board stands still while the table turns."""
     angles_deg: Annotated[tuple[_Angle, ...], pydantic.Field(min_length=2, max_length=1000)] = (
         -15.0,
         -10.0,
@@ -181,9 +169,7 @@ class ChecksTable(FileModel):
     """Limits for accepting a pair, a step or a turn. A capture can be resumed after changing them."""
 
     proof: ProofLimits = ProofLimits()
-    """Limits for the proof of every pair."""
     retakes: Annotated[Integer, pydantic.Field(ge=0, le=100)] = 3
-    """Retakes of a step before the scan ends."""
     late_s: Annotated[Number, pydantic.Field(gt=0, le=60)] = 2.0
     """Longest time from the exposure to the arrival of a frame; waited for only if one is missing [s]."""
     lost_steps_tolerance: Annotated[Integer, pydantic.Field(ge=0, le=100_000)] = 2
@@ -246,10 +232,7 @@ class RigConfig(FileModel):
         return record % len(self.laser)
 
     def frame_tables(self, kind: Literal["sweep", "calibration"]) -> dict[str, Any]:
-        """The parts of the configuration that the frames of a capture depend on, as TOML tables.
-
-        The controller, the limits of checks and the tables of the other kind may change within a capture.
-        """
+        """The parts of the configuration that the frames of a capture depend on, as TOML tables."""
         tables = self.model_dump(mode="json", exclude={"controller", "checks", "goal_mm"}, exclude_none=True)
         for name in ("calibration", "board") if kind == "sweep" else ("sweep",):
             tables.pop(name, None)
@@ -265,11 +248,7 @@ class RigConfig(FileModel):
 
 
 def with_exposure(config: RigConfig, exposure_ms: float, gain_db: float) -> RigConfig:
-    """The same rig with another exposure time and gain of its camera.
-
-    Raises:
-        ConfigError: If they are outside their ranges.
-    """
+    """The same rig with another exposure time and gain of its camera. Raises ConfigError outside their ranges."""
     if (exposure_ms, gain_db) == (config.camera.exposure_ms, config.camera.gain_db):
         return config
     tables = config.model_dump(mode="json", exclude_none=True)
@@ -282,9 +261,5 @@ def with_exposure(config: RigConfig, exposure_ms: float, gain_db: float) -> RigC
 
 
 def load_rig(path: str | Path) -> RigConfig:
-    """The configuration of a rig.
-
-    Raises:
-        ConfigError: One line with the file, the key, the value found and the values allowed.
-    """
+    """The configuration of a rig. Raises ConfigError: file, key, the value found and those allowed."""
     return load_toml(path, RigConfig)

@@ -34,11 +34,7 @@ class DiskFull(SessionError):
 
 
 def require_space(folder: Path, needed: int, *, purpose: str) -> None:
-    """Check that the disk of a folder has so much space [bytes]; `purpose` is for the message.
-
-    Raises:
-        DiskFull: If it has less.
-    """
+    """Raise DiskFull unless the disk of a folder has so much space [bytes]; `purpose` is for the message."""
     free = free_bytes(folder)
     if free < needed:
         raise DiskFull(
@@ -72,7 +68,6 @@ class Ledger:
     def __init__(self, folder: Path, clock: Clock) -> None:
         self.folder = folder
         self.events: list[dict[str, Any]] = []
-        """All events noted, in order."""
         self._clock = clock
         self._writer: CaptureWriter | None = None
         self._waiting: list[dict[str, Any]] = []
@@ -87,11 +82,7 @@ class Ledger:
         self._attach(create_capture(self.folder, header, digests=True))
 
     def resume(self) -> None:
-        """Continue the capture; files that a crash left half written are removed.
-
-        Raises:
-            CaptureError: If it cannot be read or written, or a link leads out of it.
-        """
+        """Continue the capture; files that a crash left half written are removed. Raises CaptureError."""
         require_no_links(self.folder)
         for folder in (self.folder, self.folder / "on", self.folder / "off"):
             remove_stale(folder)
@@ -108,11 +99,7 @@ class Ledger:
         return event
 
     def write(self, event: dict[str, Any]) -> None:
-        """Write an event; it is on the disk when this returns, if the capture has begun.
-
-        Raises:
-            CaptureError: If it cannot be written.
-        """
+        """Write an event; it is on the disk when this returns, if the capture has begun. Raises CaptureError."""
         if self._writer is None:
             self._waiting.append(event)
         else:
@@ -120,8 +107,7 @@ class Ledger:
             self._writer.flush()
 
     def add(self, number: int, on: np.ndarray, off: np.ndarray, fields: dict[str, Any]) -> None:
-        """Add a record with its other fields, frames of uint16 where the header has `bits`; it is on the disk when this
-        returns.
+        """Add a record, uint16 where the header has `bits`; it is on the disk when this returns.
 
         Raises:
             CaptureError: If it cannot be written; the capture ends with the record before it.
@@ -132,11 +118,7 @@ class Ledger:
         self._writer.flush()
 
     def end(self, status: str, **fields: Any) -> str:
-        """Note the end with the seal of the journal, and close; never raises if that cannot be written.
-
-        Returns:
-            The reason why the end could not be noted; "" if it was.
-        """
+        """Note the end with the seal of the journal, and close; returns why that could not be written, "" if it was."""
         writer, self._writer = self._writer, None
         if writer is None:
             return ""

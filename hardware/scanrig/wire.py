@@ -50,7 +50,6 @@ BOARDS = {
 """USB numbers under which an ATmega328P board usually appears."""
 
 _LONGEST = 126
-"""Longest USB string, in characters."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,6 @@ def choose_port(wanted: str = "", ports: Iterable[PortInfo] | None = None) -> st
 
     Args:
         wanted: a path, which is used as it is; a USB serial number; "" or "auto" for the only board.
-        ports: the ports to choose from; by default those of `find_ports`.
 
     Raises:
         PortError: no port fits, or several do and a person must choose.
@@ -144,9 +142,7 @@ def identify(path: str, ports: Iterable[PortInfo] | None = None) -> PortInfo:
 
 
 def find_again(known: PortInfo, ports: Iterable[PortInfo] | None = None) -> str:
-    """The present path of a known port, even if its number changed.
-
-    Found by USB ids and serial number if it has one, else by its path under /dev/serial/by-id, else by its old path.
+    """The present path of a known port, even if its number changed: by USB ids and serial number, else by its path.
 
     Raises:
         PortError: no port has its serial number; the port at its old path belongs to another board.
@@ -214,10 +210,7 @@ class SerialLink:
 
 
 def open_port(wanted: str, baud: int, clock: Clock | None = None) -> tuple[SerialLink, Callable[[], SerialLink]]:
-    """Open the port of a board.
-
-    Args:
-        wanted: as for `choose_port`.
+    """Open the port of a board; `wanted` as for `choose_port`.
 
     Returns:
         The open link, and a function that finds the same board again, even under another port number, and opens it.
@@ -232,11 +225,7 @@ def open_port(wanted: str, baud: int, clock: Clock | None = None) -> tuple[Seria
 
 
 def open_serial(port: str, baud: int = 250_000, clock: Clock | None = None) -> SerialLink:
-    """Open a serial port for exclusive use, with DTR and RTS off.
-
-    Raises:
-        PortError: it is missing, in use, no serial port, or there is no permission; the message says how to mend it.
-    """
+    """Open a serial port for exclusive use, with DTR and RTS off. Raises PortError, which says how to mend it."""
     device = serial.Serial()
     device.port = port
     device.baudrate = baud
@@ -256,26 +245,22 @@ def open_serial(port: str, baud: int = 250_000, clock: Clock | None = None) -> S
 def port_error(port: str, problem: Exception) -> PortError:
     """The error for a failure to open, with its remedy."""
     there = f"; {_listed(find_ports())}"
-    code = getattr(problem, "errno", None)
-    if isinstance(problem, _TerminalError) and problem.args:
-        code = problem.args[0]
+    code = problem.args[0] if isinstance(problem, _TerminalError) and problem.args else getattr(problem, "errno", None)
     path = Path(port)
     if path.is_dir():
-        says = f"{port} is a folder, expected a serial port{there}"
-    elif code == errno.ENOENT or (code is None and not path.exists()):
-        says = f"there is no port {port}{there}"
-    elif code in (errno.EACCES, errno.EPERM):
-        says = (
+        return PortError(f"{port} is a folder, expected a serial port{there}")
+    if code == errno.ENOENT or (code is None and not path.exists()):
+        return PortError(f"there is no port {port}{there}")
+    if code in (errno.EACCES, errno.EPERM):
+        return PortError(
             f"no permission to use {port}: add yourself to its group "
             "('sudo usermod -a -G dialout $USER' on most systems), then log in again"
         )
-    elif code in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK) or "exclusively lock" in str(problem):
-        says = f"{port} is taken: another program has it open; end that one first"
-    elif code == errno.ENOTTY or "Could not configure" in str(problem):
-        says = f"{port} is no serial port ({reason(problem)}){there}"
-    else:
-        says = f"cannot open {port} ({reason(problem)}){there}"
-    return PortError(says)
+    if code in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK) or "exclusively lock" in str(problem):
+        return PortError(f"{port} is taken: another program has it open; end that one first")
+    if code == errno.ENOTTY or "Could not configure" in str(problem):
+        return PortError(f"{port} is no serial port ({reason(problem)}){there}")
+    return PortError(f"cannot open {port} ({reason(problem)}){there}")
 
 
 def reason(problem: Exception) -> str:

@@ -40,7 +40,7 @@ def recalibrate(
         captures: Sweeps of one room, taken with the rig as it is now.
         calibration: The stored calibration, or its file.
         boards: Captures of a calibration board, taken with the rig as it is now.
-        given: Known lengths, spheres and places of stations.
+        given: Known lengths and places of stations.
         settings: Settings of the recalibration.
         progress: Called with (work done, work in all).
 

@@ -50,7 +50,6 @@ OPTIONAL = (
     Optional("embreex", "embreex.rtcore_scene", "simulate", "demo, simulate"),
     Optional("pyserial", "serial", "rig", "scan, console"),
     Optional("aiohttp", "aiohttp", "console", "console, view"),
-    Optional("rerun-sdk", "rerun", "rerun", "view --rerun"),
     Optional("pye57", "pye57", "export", "clouds written as E57"),
     Optional("laspy", "laspy", "export", "clouds as LAS"),
     Optional("lazrs", "lazrs", "export", "clouds as LAZ"),

@@ -4,7 +4,7 @@ import dataclasses
 import datetime
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import tyro
@@ -30,7 +30,7 @@ from jaxscan.cli.options import (
     positive,
 )
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
+from jaxscan.cli.terminal import JsonTarget, console, emit_json, table
 from jaxscan.errors import OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import clouds as cloud_files
@@ -39,7 +39,9 @@ from jaxscan.files import disk
 
 if TYPE_CHECKING:
     from jaxscan.drawing import Survey
+    from jaxscan.files.clouds import Unit, Up
     from jaxscan.measurement import Estimate
+    from jaxscan.reconstruction import PointCloud
 
 
 MADE_BY = f"jaxscan {jaxscan.__version__}"
@@ -102,20 +104,12 @@ def plan(
         json=json,
     )
     (api.check_ifc_path if is_model else api.check_drawing_path)(output)
-    scanner, notes = calibrated(calibration)
-    points, said = upright(cloud, unit, up)
-    notes += said
-    survey = jaxscan.survey_room(points, scanner=scanner)
-    ends = None
-    if isinstance(cut, str):
-        wall, _, before = cut.partition("+")
-        ends = section_before(survey, wall, float(before))
-    elif cut is not None:
-        ends = cut[:2], cut[2:]
+    survey, _, notes = _surveyed(cloud, calibration, unit, up)
+    ends = section_before(survey, *cut) if isinstance(cut, _Before) else cut
     paper = Sheet(sheet, scale, None, project, name, str(datetime.date.today()), MADE_BY, north)
     remarks = [f"{remark}." for remark in survey.outline.remarks]
-    written = f"written: {output}"
-    drawing = None
+    written, result = f"written: {output}", _numbers(survey, height[0])
+    lines = _walls(result, height[0])
     if is_model:
         jaxscan.save_ifc(survey, output, sheet=paper)
     else:
@@ -123,36 +117,52 @@ def plan(
             drawing = jaxscan.draw_plan(survey, heights_m=height, sheet=paper)
         else:
             drawing = jaxscan.draw_section(survey, *ends, sheet=paper)
+            before = f", {cut.metres:g} m before {cut.wall}" if isinstance(cut, _Before) else ""
+            sides = [f"  {'width' if line.offset_m else 'height'} {line.words}" for line in drawing.dimensions]
+            lines = [f"{drawing.title}{before}", *sides]
+            result["section_m"] = [list(end) for end in ends]
         jaxscan.save_drawing(drawing, output, dpi=dpi)
         remarks = list(drawing.remarks)
         written += f", 1 : {drawing.sheet.scale} on {sheet.upper()}"
     out = notes_first(notes, json)
-    result = _numbers(survey, height[0])
-    if ends is None or drawing is None:
-        _print_walls(out, result, height[0])
-    else:
-        wall, _, metres = section[0].partition("+")
-        before = f", {float(metres):g} m before {wall}" if isinstance(cut, str) else ""
-        out.print(f"{drawing.title}{before}")
-        for line in drawing.dimensions:
-            out.print(f"  {'height' if line.offset_m == 0 else 'width'} {line.words}")
-        result["section_m"] = [list(end) for end in ends]
+    for line in lines:
+        out.print(line)
     out.print(f"frame of the plan: {survey.frame_words()}")
     for what, of in (("height", "m"), ("floor_area", "m²"), ("volume", "m³")):
-        found = result[what]
-        if found is not None:
-            out.print(f"{what.replace('_', ' ')}: {_length(found, of) if of == 'm' else _area(found, of)}")
+        if result[what] is not None:
+            out.print(f"{what.replace('_', ' ')}: {_words(result[what], of)}")
     for remark in remarks:
         out.print(f"note: {remark}")
-    out.print("± is one standard deviation" + ("" if scanner else "; --calibration adds the calibration's part") + ".")
+    out.print(
+        "± is one standard deviation" + ("" if calibration else "; --calibration adds the calibration's part") + "."
+    )
     out.print(written)
     emit_json(json, "plan", result | {"drawing": str(output), "notes": [*notes, *remarks]})
 
 
-def _section(words: tuple[str, ...]) -> str | tuple[float, float, float, float] | None:
+def _surveyed(
+    cloud: Path, calibration: Path | None, unit: "Unit | None", up: "Up | None"
+) -> tuple["Survey", "PointCloud", list[str]]:
+    """What a drawing of a room shows, the cloud, and what was guessed about it."""
+    scanner, notes = calibrated(calibration)
+    points, said = upright(cloud, unit, up)
+    return jaxscan.survey_room(points, scanner=scanner), points, [*notes, *said]
+
+
+class _Before(NamedTuple):
+    """A section parallel to a wall, so many metres before it."""
+
+    wall: str
+    metres: float
+
+
+def _section(words: tuple[str, ...]) -> _Before | tuple[tuple[float, float], tuple[float, float]] | None:
     """What `--section` asks for: a wall and a distance in one word, or two points [m]; None for a plan."""
-    if not words or (len(words) == 1 and re.fullmatch(r"\w{1,40}\+\d{1,4}(\.\d{0,6})?", words[0])):
-        return words[0] if words else None
+    if not words:
+        return None
+    if len(words) == 1 and re.fullmatch(r"\w{1,40}\+\d{1,4}(\.\d{0,6})?", words[0]):
+        wall, _, metres = words[0].partition("+")
+        return _Before(wall, float(metres))
     try:
         ax, ay, bx, by = (float(word) for word in words)
     except ValueError as problem:
@@ -161,20 +171,24 @@ def _section(words: tuple[str, ...]) -> str | tuple[float, float, float, float] 
             f"--section: found {found}, expected a wall and metres, as W1+1.2, or two points AX AY BX BY."
         ) from problem
     coordinates("--section", (ax, ay, bx, by))
-    return ax, ay, bx, by
+    return (ax, ay), (bx, by)
 
 
-def _print_walls(out: Terminal, result: dict[str, Any], height: float) -> None:
+def _walls(result: dict[str, Any], height: float) -> list[Any]:
+    """Walls and openings as a person reads them."""
     open_sides = not all(each["seen"] for each in result["walls"])
     rows = [
-        (each["name"], _length(each["length"], "m"), _area(each["area"], "m²"))
+        (each["name"], _words(each["length"], "m"), _words(each["area"], "m²"))
         + ("" if each["seen"] else "not seen",) * open_sides
         for each in result["walls"]
     ]
-    out.print(table(f"Walls, {height:g} m above the floor", ("", "length", "area", "")[: 3 + open_sides], rows))
+    lines: list[Any] = [
+        table(f"Walls, {height:g} m above the floor", ("", "length", "area", "")[: 3 + open_sides], rows)
+    ]
     for each in result["openings"]:
-        wide, high = (_length(each[name], "m") or "not known how" for name in ("width", "height"))
-        out.print(f"{each['wall']}: {each['kind']} {wide} wide, {high} high")
+        wide, high = (_words(each[name], "m") or "not known how" for name in ("width", "height"))
+        lines.append(f"{each['wall']}: {each['kind']} {wide} wide, {high} high")
+    return lines
 
 
 def _numbers(survey: "Survey", height: float) -> dict[str, Any]:
@@ -207,12 +221,10 @@ def _entry(found: "Estimate | None") -> dict[str, float] | None:
     return None if found is None or not found.known else dataclasses.asdict(found)
 
 
-def _length(entry: dict[str, float] | None, unit: str) -> str:
-    return "" if entry is None else f"{entry['value']:.4f} ±{entry['sigma']:.4f} {unit}"
-
-
-def _area(entry: dict[str, float] | None, unit: str) -> str:
-    return "" if entry is None else f"{entry['value']:.3f} ±{entry['sigma']:.3f} {unit}"
+def _words(entry: dict[str, float] | None, unit: str) -> str:
+    """A length, an area or a volume in words; "" if it is not known."""
+    digits = 4 if unit == "m" else 3
+    return "" if entry is None else f"{entry['value']:.{digits}f} ±{entry['sigma']:.{digits}f} {unit}"
 
 
 def orthophoto(
@@ -245,10 +257,7 @@ def orthophoto(
     check_paths(reads, json=json)
     if output.exists() and not output.is_dir():
         raise OutputError(f"{output}: is a file; choose a folder with -o.")
-    scanner, notes = calibrated(calibration)
-    loaded, said = upright(cloud, unit, up)
-    notes += said
-    survey = jaxscan.survey_room(loaded, scanner=scanner)
+    survey, loaded, notes = _surveyed(cloud, calibration, unit, up)
     notes += [f"{remark}." for remark in survey.outline.remarks]
     pictures = jaxscan.draw_orthophotos(survey, np.asarray(loaded.rgb), pixel_m=pixel_mm / 1e3)
     files = [output / f"{picture.side}.png" for picture in pictures]

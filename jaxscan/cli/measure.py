@@ -1,6 +1,7 @@
 """`jaxscan measure`: lengths, planes, spheres, deviations and errors of a cloud."""
 
 import dataclasses
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -70,11 +71,8 @@ def room(
         + (f"{side.angle_deg:.3f}°",)
         for name, side in sides.items()
     ]
-    out = notes_first(notes, json)
-    out.print(table("Room", columns, rows))
-    if scanner is None:
-        out.print("sigma covers the noise of the points only; with --calibration it also covers the calibration.")
-    emit_json(json, "measure-room", result | {"notes": notes})
+    more = "sigma covers the noise of the points only; with --calibration it also covers the calibration."
+    _say("room", [table("Room", columns, rows), *([more] if scanner is None else [])], result, notes, json)
 
 
 def distance(
@@ -103,11 +101,7 @@ def distance(
     positive("--radius-mm", radius_mm)
     points, scanner, notes = opened(cloud, calibration, unit, json)
     found = jaxscan.measure_distance(points, np.array(a), np.array(b), radius_m=radius_mm / 1e3, scanner=scanner)
-    result = finite(dataclasses.asdict(found))
-    out = notes_first(notes, json)
-    for line in found.words():
-        out.print(line)
-    emit_json(json, "measure-distance", result | {"notes": notes})
+    _say("distance", found.words(), finite(dataclasses.asdict(found)), notes, json)
 
 
 def plane(
@@ -123,12 +117,9 @@ def plane(
     """
     coordinates("--at", at)
     positive("--radius-mm", radius_mm)
-    check_paths(file_at("CLOUD", cloud), json=json)
-    points, notes = in_metres(cloud, unit)
+    points, _, notes = opened(cloud, None, unit, json)
     found = jaxscan.measure_plane(points, np.array(at), radius_m=radius_mm / 1e3)
-    result = finite(dataclasses.asdict(found))
-    notes_first(notes, json).print(found.words())
-    emit_json(json, "measure-plane", result | {"notes": notes})
+    _say("plane", [found.words()], finite(dataclasses.asdict(found)), notes, json)
 
 
 def compare(
@@ -156,15 +147,14 @@ def compare(
     (points, said), (true_points, said_of_truth) = in_metres(cloud, unit), in_metres(truth, unit)
     notes += [*said, *said_of_truth]
     found = jaxscan.compare_clouds(points, true_points, scanner=scanner)
-    result = finite(dataclasses.asdict(found))
-    rows = [_error_row("distance", found.error_m)]
-    if found.along_ray_m is not None:
-        rows.append(_error_row("along the ray", found.along_ray_m))
-    out = notes_first(notes, json)
-    out.print(table("Error, mm", ("", "RMS", "mean", "median", "95 %", "largest"), rows))
-    out.print(f"{found.points:,} points compared; {100 * found.completeness:.1f} % of the true ones have a point")
-    out.print(f"{found.false_points:,} points where the truth has none")
-    emit_json(json, "measure-compare", result | {"notes": notes})
+    errors = {"distance": found.error_m, "along the ray": found.along_ray_m}
+    rows = [_error_row(name, error) for name, error in errors.items() if error is not None]
+    lines = [
+        table("Error, mm", ("", "RMS", "mean", "median", "95 %", "largest"), rows),
+        f"{found.points:,} points compared; {100 * found.completeness:.1f} % of the true ones have a point",
+        f"{found.false_points:,} points where the truth has none",
+    ]
+    _say("compare", lines, finite(dataclasses.asdict(found)), notes, json)
 
 
 def opened(
@@ -190,7 +180,7 @@ def in_metres(path: Path, unit: "Unit | None") -> tuple["PointCloud", list[str]]
     from jaxscan.files import clouds
 
     cloud, notes = clouds.in_metres(clouds.read_cloud(path), unit)
-    return cloud, [f"{path}: {note}" for note in (*notes, *_sigma_notes(cloud))]
+    return cloud, _of_file(path, cloud, notes)
 
 
 def upright(path: Path, unit: "Unit | None", up: "Up | None") -> tuple["PointCloud", list[str]]:
@@ -200,7 +190,11 @@ def upright(path: Path, unit: "Unit | None", up: "Up | None") -> tuple["PointClo
     stored = clouds.read_cloud(path)
     cloud, notes = clouds.in_metres(stored, unit)
     cloud, more = clouds.with_z_up(stored, cloud, up)
-    return cloud, [f"{path}: {note}" for note in (*notes, *more, *_sigma_notes(cloud))]
+    return cloud, _of_file(path, cloud, [*notes, *more])
+
+
+def _of_file(path: Path, cloud: "PointCloud", notes: Iterable[str]) -> list[str]:
+    return [f"{path}: {note}" for note in (*notes, *_sigma_notes(cloud))]
 
 
 def _sigma_notes(cloud: "PointCloud") -> list[str]:
@@ -239,6 +233,14 @@ def notes_first(notes: list[str], json: str | None) -> Terminal:
     return out
 
 
+def _say(what: str, lines: Iterable[Any], result: dict[str, Any], notes: list[str], json: str | None) -> None:
+    """Print notes and lines or tables, and write the result as JSON."""
+    out = notes_first(notes, json)
+    for line in lines:
+        out.print(line)
+    emit_json(json, f"measure-{what}", result | {"notes": notes})
+
+
 def _error_row(name: str, error: "ErrorStatistics") -> tuple[str, ...]:
     values = (error.rms, error.mean, error.median_abs, error.p95_abs, error.max_abs)
     return (name, *(f"{1e3 * value:.2f}" for value in values))
@@ -273,11 +275,9 @@ def points(
     positive("--within-mm", within_mm)
     measured, scanner, notes = opened(cloud, calibration, unit, json)
     found = jaxscan.measure_points(measured, np.array(a), np.array(b), within_m=within_mm / 1e3, scanner=scanner)
-    result = finite(dataclasses.asdict(found))
-    out = notes_first(notes, json)
-    ends = (" ".join(f"{x:.4f}" for x in end) for end in (found.a_m, found.b_m))
-    out.print(f"{found.value_m:.4f} m, sigma {1e3 * found.sigma_m:.2f} mm, from {next(ends)} to {next(ends)}")
-    emit_json(json, "measure-points", result | {"notes": notes})
+    start, end = (" ".join(f"{x:.4f}" for x in end) for end in (found.a_m, found.b_m))
+    line = f"{found.value_m:.4f} m, sigma {1e3 * found.sigma_m:.2f} mm, from {start} to {end}"
+    _say("points", [line], finite(dataclasses.asdict(found)), notes, json)
 
 
 def sphere(
@@ -306,14 +306,14 @@ def sphere(
     coordinates("--radius-mm", (radius_mm,))
     points, scanner, notes = opened(cloud, calibration, unit, json)
     found = jaxscan.measure_sphere(points, np.array(near), radius_m=radius_mm / 1e3, held=held, scanner=scanner)
-    result = finite(dataclasses.asdict(found))
-    out = notes_first(notes, json)
     centre = " ".join(f"{x:.4f}" for x in found.centre_m)
     sigmas = " ".join(f"{1e3 * x:.2f}" for x in found.centre_sigma_m)
-    out.print(f"centre {centre} m, sigmas {sigmas} mm")
     of_radius = "held" if held else f"sigma {1e3 * found.radius_sigma_m:.2f} mm"
-    out.print(f"radius {found.radius_m:.4f} m, {of_radius}; RMS {1e3 * found.rms_m:.2f} mm of {found.points} points")
-    emit_json(json, "measure-sphere", result | {"held": held, "notes": notes})
+    lines = [
+        f"centre {centre} m, sigmas {sigmas} mm",
+        f"radius {found.radius_m:.4f} m, {of_radius}; RMS {1e3 * found.rms_m:.2f} mm of {found.points} points",
+    ]
+    _say("sphere", lines, finite(dataclasses.asdict(found)) | {"held": held}, notes, json)
 
 
 def deviations(
@@ -355,21 +355,18 @@ def deviations(
     points, notes = in_metres(cloud, unit)
     found = jaxscan.measure_deviations(points, np.array(at), radius_m=radius_mm / 1e3, cell_m=cell_mm / 1e3)
     numbers = finite({name: getattr(found, name) for name in ("rms_m", "least_m", "most_m")})
-    out = notes_first(notes, json)
     typical = float(np.median(found.sigma_m[found.seen]))
     significant = float(np.mean(np.abs(found.deviation_m[found.seen]) > 3.0 * found.sigma_m[found.seen]))
-    out.print(
+    lines = [
         f"RMS {1e3 * found.rms_m:.2f} mm, from {1e3 * found.least_m:.2f} to {1e3 * found.most_m:.2f} mm in "
-        f"{int(found.seen.sum())} cells of {cell_mm:g} mm, towards the scanner positive"
-    )
-    out.print(f"sigma of a cell {1e3 * typical:.2f} mm; {100 * significant:.1f} % deviate by more than 3 sigma")
+        f"{int(found.seen.sum())} cells of {cell_mm:g} mm, towards the scanner positive",
+        f"sigma of a cell {1e3 * typical:.2f} mm; {100 * significant:.1f} % deviate by more than 3 sigma",
+    ]
     if output is not None:
         from jaxscan.report import deviation_picture
 
         disk.write_atomically(output, deviation_picture(found), error=OutputError)
-        out.print(f"written: {output}")
+        lines.append(f"written: {output}")
     cells = {name: np.where(found.seen, getattr(found, name), None) for name in ("deviation_m", "sigma_m")}
     places = {name: getattr(found, name) for name in ("points", "cell_m", "origin_m", "across", "up", "normal")}
-    emit_json(
-        json, "measure-deviations", numbers | {"share_beyond_3_sigma": significant, "notes": notes} | places | cells
-    )
+    _say("deviations", lines, numbers | {"share_beyond_3_sigma": significant} | places | cells, notes, json)

@@ -21,7 +21,7 @@ from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import JsonTarget, console, emit_json
 from jaxscan.errors import OptionError
 from jaxscan.files import clouds as cloud_files
-from jaxscan.surface.settings import DEFAULT_MESH
+from jaxscan.surface.mesh import DEFAULT_MESH
 
 
 if TYPE_CHECKING:

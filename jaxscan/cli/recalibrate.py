@@ -3,7 +3,7 @@
 import shlex
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import tyro
@@ -50,7 +50,6 @@ def recalibrate(
     boards: tuple[Path, ...] = (),
     stations: _Flag = False,
     known: Path | None = None,
-    angles: Literal["model", "steps"] = "model",
     features: _Flag = False,
     no_features: _Flag = False,
     closed: _Flag = False,
@@ -74,9 +73,7 @@ def recalibrate(
         output: Calibration file to write.
         boards: Captures of a calibration board with the rig as it is now, beside at least one sweep.
         stations: Every sweep was taken from a place of its own.
-        known: Known lengths and spheres of the room (.toml).
-        angles: Errors of the table's angles: `model`, its gain and errors once and twice per turn; `steps`, one angle
-            per step as well.
+        known: Known lengths of the room, and places of the stations (.toml).
         features: Track features of the laser-off images, also where they have little texture; a note says where that
             fails.
         no_features: Track no features; without either, they are tracked where the images have texture.
@@ -92,7 +89,6 @@ def recalibrate(
         stations=stations,
         stripes=api.ReconstructSettings(min_range_m=min_range, max_range_m=max_range),
         closed=_either("closed", closed, no_closed),
-        angles=angles,
         features=_either("features", features, no_features),
     )
     check_paths(
@@ -243,13 +239,13 @@ def recalibration_json(result: "Recalibration") -> dict[str, Any]:
             "walls": [{"sweep": name, "before_mm": before, "after_mm": after} for name, before, after in walls],
             "hold_out": None if result.hold_out is None else asdict(result.hold_out),
             "closure": None if result.closure is None else asdict(result.closure),
-            "table": {"factor": table.factor, "jumps": table.jumps, "sentences": table.sentences},
+            "table": {"jumps": table.jumps, "sentences": table.sentences},
             "stations": [
                 {"pose": pose, "covariance": covariance}
                 for pose, covariance in zip(adjusted.stations, adjusted.station_covariance, strict=True)
             ],
             "points": int(np.count_nonzero(adjusted.point_kept)),
-            "surfaces": len(adjusted.surfaces.kind),
+            "surfaces": len(adjusted.surfaces.distance),
             "wall_m": adjusted.wall_m,
             "inflation": adjusted.inflation,
             "notes": result.notes,

@@ -39,9 +39,7 @@ if TYPE_CHECKING:
 
 HOST, PORT = "127.0.0.1", 8643
 MOST_CLOUDS = 24
-"""Of a project, at a time."""
 LARGEST_PICTURE = 200_000_000
-"""Bytes of a panorama's file."""
 
 
 def view(
@@ -55,7 +53,6 @@ def view(
     host: str = HOST,
     web_port: int = PORT,
     open: bool = True,
-    rerun: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     json: JsonTarget = None,
 ) -> None:
     """Look around in clouds: `jaxscan view room.ply -c calibration.json`.
@@ -72,21 +69,15 @@ def view(
             is printed.
         web_port: TCP port of the page; 0 for any that is free.
         open: Open the browser of this machine, where it has a screen.
-        rerun: Recording (.rrd) to write for the viewer Rerun, instead of serving a page.
-        json: Write the address, without its token, or what was written, as JSON too.
+        json: Write the address, without its token, as JSON too.
     """
-    if rerun is None:
-        need_pages("The viewer", "view")
-    else:
-        pages = {"--host": host != HOST, "--web-port": web_port != PORT, "--panorama": bool(panorama)}
-        _check_rerun(rerun, {**pages, "--calibration": calibration is not None})
+    need_pages("The viewer", "view")
     check_paths(
         [
             *(place for path in clouds for place in file_at("CLOUD", path)),
             *(place for path in panorama for place in file_at("--panorama", path)),
             *calibration_at("--calibration", calibration),
         ],
-        file_at("--rerun", rerun),
         json=json,
     )
     files = [path for path in clouds if path.suffix.lower() == ".toml"]
@@ -98,10 +89,6 @@ def view(
     scanner, notes = calibrated(calibration)
     read = {path: _read(path, unit, up) for path in clouds}
     notes = [*notes, *missing, *(f"{path}: {note}" for path, one in read.items() for note in one.notes)]
-    if rerun is not None:
-        _write_rerun({str(path): one.cloud for path, one in read.items()}, rerun, notes, json)
-        return
-    # Imported here, so that a recording needs nothing of pages.
     from jaxscan.viewer import Named, knows_its_place, serve_clouds
     from jaxscan.web import in_browser, open_address
 
@@ -145,26 +132,6 @@ def _read(path: Path, unit: "Unit | None", up: "Up | None") -> _Read:
     if not np.any(np.asarray(cloud.valid)):
         raise CloudError(f"{path}: has no points; nothing can be shown.")
     return _Read(cloud, cloud is not metres, [*said, *more])
-
-
-def _check_rerun(path: Path, others: dict[str, bool]) -> None:
-    """Check that a recording can be written, and that no option asks for something that only a page has."""
-    for option in (option for option, given in others.items() if given):
-        raise OptionError(f"--rerun: found with {option}, expected without: no page is served.")
-    if path.suffix.lower() != ".rrd":
-        raise OptionError(f"--rerun: found {path}, expected a name that ends in .rrd.")
-    cloud_files.load_rerun()
-    disk.check_writable(path, error=OptionError)
-
-
-def _write_rerun(clouds: dict[str, "PointCloud"], path: Path, notes: list[str], json: str | None) -> None:
-    origin = cloud_files.save_rerun(clouds, path)
-    if origin.any():
-        notes = [*notes, f"0 of the recording is {' '.join(f'{value:.0f}' for value in origin)} m of the clouds"]
-    points = sum(int(np.count_nonzero(cloud.valid)) for cloud in clouds.values())
-    notes_first(notes, json).print(f"written: {path} ({points:,} points)")
-    result = {"recording": str(path), "clouds": list(clouds), "points": points, "origin_m": origin.tolist()}
-    emit_json(json, "view", {**result, "notes": notes})
 
 
 def with_projects(paths: Sequence[Path]) -> tuple[tuple[Path, ...], list[str]]:

@@ -15,17 +15,10 @@ APART_M = 0.3
 CROSSING = 0.1
 """Sine of the angle at which a surface must cross a plane, for its place in it to be known [1]."""
 TOLERANCE_M = 0.008
-"""Lines are simplified by up to this [m]."""
 
 
 def joined_quads(quads: Quads, p: np.ndarray, eye: np.ndarray) -> Quads:
-    """The quads whose corners are of one surface.
-
-    Args:
-        quads: All quads.
-        p: Points of the cells [cells, 3], m.
-        eye: Where they were seen from [cells, 3], m.
-    """
+    """The quads whose corners are of one surface, by points and where they were seen from [cells, 3], m."""
     way = p - eye
     reach = np.linalg.norm(way, axis=1)
     joined = np.ones(len(quads.corners), bool)
@@ -46,15 +39,9 @@ def steep_quads(quads: Quads, p: np.ndarray, height: np.ndarray) -> Quads:
 
 
 def cut(quads: Quads, p: np.ndarray, height: np.ndarray) -> list[np.ndarray]:
-    """The lines along which a height is zero.
+    """The lines [n, 3], m, along which a height [cells] over the cutting plane is zero, of quads of one surface each.
 
-    Args:
-        quads: Quads of one surface each.
-        p: Points of the cells [cells, 3], m.
-        height: Of the cells over the cutting plane [cells], m.
-
-    Returns:
-        Lines [n, 3], m; two quads that share a side share the point on it.
+    Two quads that share a side share the point on it.
     """
     above = height[quads.corners] > 0
     mixed = np.flatnonzero(above.any(1) & ~above.all(1))
@@ -125,32 +112,25 @@ def kept_parts(points: np.ndarray, kept: np.ndarray) -> list[np.ndarray]:
 
 
 PIXEL_M = 0.02
-"""Size of a pixel of outlines [m]."""
 AROUND_PX = 6
 """Gaps of up to about twice so many pixels within an outline are closed."""
 SMALLEST_M2 = 0.02
-"""Outlines of less than this are left out [m^2]."""
 
 
 def outlines(quads: Quads, places: np.ndarray) -> list[np.ndarray]:
-    """Outlines of what quads cover.
+    """Outlines [n, 2], m, of what quads cover, without those within another, by places of the cells [cells, 2]."""
+    # Imported here: not every drawing has furniture.
+    from scipy import ndimage  # type: ignore[import-untyped]
 
-    Args:
-        quads: The quads.
-        places: Of the cells in the plane [cells, 2], m.
-
-    Returns:
-        Polygons [n, 2], m, without what lies within another.
-    """
     if not len(quads.corners):
         return []
     corners = places[quads.corners].reshape(-1, 2)
     low = corners.min(0) - 3 * AROUND_PX * PIXEL_M
     shape = np.ceil((corners.max(0) - low) / PIXEL_M).astype(int) + 3 * AROUND_PX
     covered = rasterise(quads, (places - low) / PIXEL_M, (int(shape[1]), int(shape[0]))).quad >= 0
-    wide = _mean_around(covered.astype(np.float64), AROUND_PX) > 0.0
-    closed = _mean_around(wide.astype(np.float64), AROUND_PX) > 1.0 - 1e-6
-    height = _mean_around(closed.astype(np.float64), 1) - 0.5
+    around = np.ones((2 * AROUND_PX + 1, 2 * AROUND_PX + 1), bool)
+    closed = ndimage.binary_erosion(ndimage.binary_dilation(covered, around), around)
+    height = ndimage.uniform_filter(closed.astype(np.float64), 3, mode="constant") - 0.5
     rows, columns = np.indices(height.shape)
     at = np.stack([columns, rows], -1).reshape(-1, 2) * PIXEL_M + low
     cells = np.arange(height.size).reshape(height.shape)
@@ -158,16 +138,6 @@ def outlines(quads: Quads, places: np.ndarray) -> list[np.ndarray]:
     found = [simplified(ring, PIXEL_M) for ring in cut(grid, at, height.ravel())]
     found = [ring for ring in found if len(ring) > 3 and _area(ring) > SMALLEST_M2]
     return [ring for ring in found if not any(other is not ring and is_within([other], ring[:1])[0] for other in found)]
-
-
-def _mean_around(values: np.ndarray, reach: int) -> np.ndarray:
-    """Mean of each value and those up to `reach` rows and columns away; beyond the border are zeros [rows, columns]."""
-    size = 2 * reach + 1
-    for axis in (0, 1):
-        total = np.cumsum(np.pad(values, [(reach + 1, reach) if axis == k else (0, 0) for k in (0, 1)]), axis)
-        count = values.shape[axis]
-        values = (np.take(total, np.arange(size, size + count), axis) - np.take(total, np.arange(count), axis)) / size
-    return values
 
 
 def _area(ring: np.ndarray) -> float:

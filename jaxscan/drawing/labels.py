@@ -5,11 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxscan.drawing.model import SMALL_MM, TEXT_MM, DimensionLine, Text
+from jaxscan.drawing.model import SMALL_MM, TEXT_MM, DimensionLine, Drawing, Text
 
 
 MARGIN_MM = 0.5
-"""Kept free around a text."""
 
 
 class Obstacles:
@@ -18,6 +17,16 @@ class Obstacles:
     def __init__(self, paper_m: float) -> None:
         self.paper_m = paper_m
         self._shapes: list[np.ndarray] = []
+
+    @staticmethod
+    def of(drawing: Drawing) -> "Obstacles":
+        """The lines and texts of a drawing."""
+        made = Obstacles(drawing.sheet.paper_m)
+        for line in drawing.lines:
+            made.add_line(line.points)
+        for text in drawing.texts:
+            made.add_text(text)
+        return made
 
     def add_line(self, points: np.ndarray) -> None:
         """A line through points [n, 2], m."""

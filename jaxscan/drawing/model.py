@@ -20,7 +20,6 @@ _WIDTHS |= dict.fromkeys(" .,:;il'|", 0.45)
 EM = 1.37
 """Size of a font over the height of its capitals [1]."""
 GAP_MM = 1.0
-"""Between a dimension line and its texts."""
 TICK_MM = 1.2
 """Half of the tick at the end of a dimension, along each axis."""
 
@@ -34,7 +33,6 @@ class Layer:
     colour: int
     """Colour index of DXF; 7 is black on white paper, 9 and 254 are greys."""
     rgb: str
-    """The same for paper."""
     width_mm: float
     dashed: bool = False
 
@@ -115,9 +113,7 @@ class DimensionLine:
     offset_m: float
     """How far to the left of the way from start to end it is drawn [m]; to the right where negative."""
     value: str
-    """The distance in words, with its unit."""
     sigma: str
-    """Its standard deviation in words, with sign and unit."""
     shift: np.ndarray = field(default_factory=lambda: np.zeros(2))
     """Of the texts from the middle of the line, as it is read: to the right and upwards [2], m."""
 
@@ -162,7 +158,6 @@ class Drawing:
 
     title: str
     sheet: Sheet
-    """What it is made for, with its scale."""
     lines: tuple[Line, ...] = ()
     areas: tuple[Area, ...] = ()
     texts: tuple[Text, ...] = ()
@@ -172,16 +167,13 @@ class Drawing:
     facts: tuple[str, ...] = ()
     """What else was measured: a sentence each."""
     frame: str = ""
-    """Where its origin and axes are."""
     level: bool = True
     """Whether it is seen from above, so that north is a direction of it."""
 
     @property
     def layers(self) -> list[str]:
         """Names of the layers that are used, in the order of `LAYERS`."""
-        drawn: list[Line | Area | Text | DimensionLine] = [*self.lines, *self.areas, *self.texts, *self.dimensions]
-        used = {one.layer for one in drawn}
-        return sorted(used, key=lambda name: (list(LAYERS).index(group_of(name)), name))
+        return layers_of([*self.lines, *self.areas, *self.texts, *self.dimensions])
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """The lower left and the upper right corner of all that is drawn [2], m."""
@@ -189,6 +181,11 @@ class Drawing:
         shapes = [*(line.points for line in lines), *(area.points for area in self.areas)]
         every = np.concatenate([*shapes, *(text.box() for text in texts)])
         return every.min(0), every.max(0)
+
+
+def layers_of(drawn: "Iterable[Line | Area | Text | DimensionLine]") -> list[str]:
+    """Names of the layers of shapes, in the order in which they are drawn."""
+    return sorted({one.layer for one in drawn}, key=lambda name: (list(LAYERS).index(group_of(name)), name))
 
 
 def layer_of(name: str) -> Layer:

@@ -19,13 +19,11 @@ class Orthophoto:
     """A wall, seen from within the room."""
 
     side: str
-    """Name of the wall."""
     rgb: np.ndarray
     """[rows, columns, 3], uint8; the first row is at the top, the first column at the wall's last corner."""
     seen: np.ndarray
     """Which pixels show a surface [rows, columns]; the others are white."""
     pixel_m: float
-    """Size of a pixel on the wall [m]."""
 
 
 def draw_orthophotos(survey: Survey, rgb: np.ndarray, *, pixel_m: float = 0.005) -> list[Orthophoto]:

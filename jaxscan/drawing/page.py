@@ -6,16 +6,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from jaxscan.drawing.model import LAYERS, SMALL_MM, WIDE, Area, Drawing, Line, Text, group_of, strokes
+from jaxscan.drawing.model import LAYERS, SMALL_MM, WIDE, Area, Drawing, Line, Text, group_of, layers_of, strokes
 from jaxscan.drawing.sheet import TITLE_MM
 
 
 BORDER, NOTE = "A-ANNO-TTLB", "A-ANNO-NOTE"
 LABEL_MM = 1.6
 ROW_MM = 3.0
-"""Height of a line of the legend and of the notes."""
 SAMPLE_MM = 9.0
-"""Width of a sample in the legend."""
 
 
 @dataclass
@@ -26,7 +24,6 @@ class Page:
     middle_m: np.ndarray
     """The point of the drawing [2], m, that is in the middle of its part of the paper."""
     middle_mm: np.ndarray
-    """That middle [2]."""
     lines: list[Line] = field(default_factory=list)
     areas: list[Area] = field(default_factory=list)
     texts: list[Text] = field(default_factory=list)
@@ -46,9 +43,7 @@ class Page:
     @property
     def layers(self) -> list[str]:
         """Names of the layers that are used, in the order in which they are drawn."""
-        drawn: list[Line | Area | Text] = [*self.lines, *self.areas, *self.texts]
-        used = {one.layer for one in drawn}
-        return sorted(used, key=lambda name: (list(LAYERS).index(group_of(name)), name))
+        return layers_of([*self.lines, *self.areas, *self.texts])
 
 
 def lay_out(drawing: Drawing) -> Page:

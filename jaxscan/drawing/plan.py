@@ -97,11 +97,7 @@ def draw_plan(survey: Survey, *, heights_m: Sequence[float] = (1.0,), sheet: She
     drawing = with_origin(Drawing(words, sheet, tuple(lines), tuple(areas)), "x", "y")
     chains, chains_left_out = known_dimensions(outside)
     inner, inner_left_out = known_dimensions(through)
-    obstacles = Obstacles(paper)
-    for line in drawing.lines:
-        obstacles.add_line(line.points)
-    for text in drawing.texts:
-        obstacles.add_text(text)
+    obstacles = Obstacles.of(drawing)
     for one in chains:
         obstacles.add_line(one.ends)
     chains = [obstacles.dimension(one) for one in chains]

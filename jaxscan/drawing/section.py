@@ -23,40 +23,26 @@ MOVED_M = 0.08
 
 
 class _End(NamedTuple):
-    """Where the section meets a wall."""
+    """Where the section meets a wall, s metres along it."""
 
     s: float
-    """Along the section [m]."""
     surface: Surface
     seen: bool
     openings: list[Opening]
 
 
 def section_before(survey: Survey, wall: str, distance_m: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The two points of a section that is parallel to a wall, before it.
-
-    Args:
-        survey: The room.
-        wall: Name of the wall, as the plan shows it.
-        distance_m: Distance of the section from the wall [m], into the room.
-
-    Returns:
-        The points of the plan [m], from the wall's first corner to its last; for `draw_section`.
+    """The two points of the plan [m] of a section that is parallel to a wall, so far before it; for `draw_section`.
 
     Raises:
         MeasurementError: If there is no wall of this name.
     """
-    room, names = survey.outline, []
-    for loop, corners in zip(room.loops, room.corners(), strict=True):
-        at = np.array([corner.at[:2] for corner in corners])
-        for side, start, end in zip(loop, at, np.roll(at, -1, 0), strict=True):
-            names.append(side.name)
-            if side.name == wall:
-                along = (end - start) / np.linalg.norm(end - start)
-                step = distance_m * np.array([-along[1], along[0]])
-                (ax, ay), (bx, by) = start + step, end + step
-                return (float(ax), float(ay)), (float(bx), float(by))
-    raise MeasurementError(f"found no wall {wall:.40}, expected one of the plan's: {', '.join(names)}.")
+    walls = {one.side.name: one for one in survey.walls()}
+    if wall in walls:
+        step = distance_m * walls[wall].inward
+        (ax, ay), (bx, by) = walls[wall].start + step, walls[wall].end + step
+        return (float(ax), float(ay)), (float(bx), float(by))
+    raise MeasurementError(f"found no wall {wall:.40}, expected one of the plan's: {', '.join(walls)}.")
 
 
 def draw_section(
@@ -125,11 +111,7 @@ def draw_section(
     lines += [Line("A-FURN", points) for points in _furniture(survey, plane, first, along)]
     words = f"Section through {_text(first)} and {_text(second)} of the plan"
     drawing = with_origin(Drawing(words, sheet, tuple(lines), tuple(areas)), "along", "up")
-    obstacles = Obstacles(sheet.paper_m)
-    for line in drawing.lines:
-        obstacles.add_line(line.points)
-    for text in drawing.texts:
-        obstacles.add_text(text)
+    obstacles = Obstacles.of(drawing)
     return replace(
         drawing,
         dimensions=tuple(obstacles.dimension(one) for one in dimensions),
@@ -146,14 +128,11 @@ def _out_of_walls(survey: Survey, first: np.ndarray, across: np.ndarray) -> floa
     Raises:
         MeasurementError: If it runs within another wall there.
     """
-    room = survey.outline
-    walls: list[tuple[np.ndarray, float]] = []
-    for loop, corners in zip(room.loops, room.corners(), strict=True):
-        at = np.array([corner.at[:2] for corner in corners])
-        for side, start, end in zip(loop, at, np.roll(at, -1, 0), strict=True):
-            inward = np.array([start[1] - end[1], end[0] - start[0]])
-            if side.seen:
-                walls.append((np.array([start - first, end - first]) @ across[:2], float(np.sign(inward @ across[:2]))))
+    walls = [
+        (np.array([wall.start - first, wall.end - first]) @ across[:2], float(np.sign(wall.inward @ across[:2])))
+        for wall in survey.walls()
+        if wall.side.seen
+    ]
 
     def within(step: float) -> list[float]:
         """Where the section would have to be to be clear of each wall in which it is."""
@@ -181,20 +160,15 @@ def _text(point: np.ndarray) -> str:
 def _ends(survey: Survey, plane: Surface, first: np.ndarray, along: np.ndarray) -> list[_End]:
     """All walls that the plane meets, from left to right."""
     ends = []
-    across = plane.plane.normal[:2]
-    room = survey.outline
-    for number, (loop, corners) in enumerate(zip(room.loops, room.corners(), strict=True)):
-        at = np.array([corner.at[:2] for corner in corners])
-        heights = at @ across - plane.plane.distance
-        for i, side in enumerate(loop):
-            j = (i + 1) % len(loop)
-            if (heights[i] > 0) == (heights[j] > 0):
-                continue
-            share = heights[i] / (heights[i] - heights[j])
-            met = at[i] + share * (at[j] - at[i])
-            reached = share * float(np.linalg.norm(at[j] - at[i]))
-            cuts = [one for one in survey.openings[number][i] if one.left.value < reached < one.right.value]
-            ends.append(_End(float((met - first) @ along), side.surface, side.seen, cuts))
+    for wall in survey.walls():
+        one, other = (float(at @ plane.plane.normal[:2] - plane.plane.distance) for at in (wall.start, wall.end))
+        if (one > 0) == (other > 0):
+            continue
+        share = one / (one - other)
+        met = wall.start + share * (wall.end - wall.start)
+        reached = share * float(np.linalg.norm(wall.end - wall.start))
+        cuts = [each for each in wall.openings if each.left.value < reached < each.right.value]
+        ends.append(_End(float((met - first) @ along), wall.side.surface, wall.side.seen, cuts))
     return sorted(ends, key=lambda end: end.s)
 
 

@@ -42,7 +42,6 @@ class Sheet:
     project: str = ""
     room: str = ""
     date: str = ""
-    """As it shall be written."""
     made_by: str = "jaxscan"
     north_deg: float | None = None
     """North on the sheet, clockwise from its upper edge [deg]; None where nobody said it: a scan does not know it."""
@@ -87,10 +86,7 @@ class Sheet:
         return self.scale / 1e3
 
     def fitted(self, size_m: np.ndarray) -> "Sheet":
-        """The sheet with a scale and upright or not, so that a drawing of a width and a height fits.
-
-        Args:
-            size_m: Width and height without dimensions [2], m.
+        """The sheet with a scale, upright or not, on which a drawing of this width and height [2], m, fits.
 
         Raises:
             OptionError: If the size is unknown, or the drawing does not fit at the scale that was chosen.

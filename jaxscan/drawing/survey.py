@@ -1,12 +1,14 @@
 """The contents of drawings of a room: its outline, the openings of its walls, and its surfaces."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxscan.geometry import Scanner
 from jaxscan.measurement.grid import Quads, quads_of
-from jaxscan.measurement.outline import Opening, RoomOutline, find_openings, measure_outline
+from jaxscan.measurement.outline import Opening, RoomOutline, Side, find_openings, measure_outline
 from jaxscan.measurement.outline.loops import distance_to, is_within
 from jaxscan.measurement.samples import Cloud, places_of
 
@@ -21,7 +23,6 @@ class Survey:
 
     outline: RoomOutline
     openings: list[list[list[Opening]]]
-    """Of every side of every loop."""
     quads: Quads
     p: np.ndarray
     """Points of the cells [cells, 3]."""
@@ -35,15 +36,40 @@ class Survey:
         turned = np.degrees(np.arctan2(frame.rotation[0, 1], frame.rotation[0, 0]))
         return f"origin at {origin} m of the cloud, x turned by {turned:.2f}°"
 
+    def walls(self) -> Iterator["Wall"]:
+        """All sides of all loops, from corner to corner on the floor."""
+        for loop, corners, openings in zip(self.outline.loops, self.outline.corners(), self.openings, strict=True):
+            at = np.array([corner.at[:2] for corner in corners])
+            yield from map(Wall, loop, at, np.roll(at, -1, 0), openings)
+
     def is_inside(self, p: np.ndarray) -> np.ndarray:
         """Which points [n, 2 or 3] are within the outline, and not on a wall [n]."""
-        loops = [np.array([corner.at[:2] for corner in loop]) for loop in self.outline.corners()]
-        clear = np.ones(len(p), bool)
-        for loop, at in zip(self.outline.loops, loops, strict=True):
-            for side, start, end in zip(loop, at, np.roll(at, -1, 0), strict=True):
-                if side.seen:
-                    clear &= distance_to(start, end, p[:, :2]) > WALL_M
-        return is_within(loops, p) & clear
+        clear = is_within([np.array([corner.at[:2] for corner in loop]) for loop in self.outline.corners()], p)
+        for wall in self.walls():
+            if wall.side.seen:
+                clear &= distance_to(wall.start, wall.end, p[:, :2]) > WALL_M
+        return clear
+
+
+class Wall(NamedTuple):
+    """A side of the outline."""
+
+    side: Side
+    start: np.ndarray
+    """Its first corner [2], m."""
+    end: np.ndarray
+    """Its last corner [2], m; the room is on the left of the way there."""
+    openings: list[Opening]
+
+    @property
+    def along(self) -> np.ndarray:
+        """Unit vector from the first corner to the last [2]."""
+        return np.asarray((self.end - self.start) / np.linalg.norm(self.end - self.start))
+
+    @property
+    def inward(self) -> np.ndarray:
+        """Unit vector into the room [2]."""
+        return np.array([-self.along[1], self.along[0]])
 
 
 def survey_room(cloud: Cloud, *, scanner: Scanner | None = None) -> Survey:

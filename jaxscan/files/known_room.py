@@ -1,4 +1,4 @@
-"""Known lengths and spheres of a room, and where the rig stood: a TOML file that a person writes."""
+"""Known lengths of a room, and where the rig stood: a TOML file that a person writes."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,11 +7,10 @@ import numpy as np
 import pydantic
 
 from jaxscan.files.disk import FileModel, Number, load_toml
-from jaxscan.recalibration import Given, KnownSphere, MeasuredLength, Place
+from jaxscan.recalibration import Given, MeasuredLength, Place
 
 
 MAX_ENTRIES = 1000
-"""Most lengths, most spheres, and most stations, in a file."""
 
 _Coordinate = Annotated[Number, pydantic.Field(ge=-1000, le=1000)]
 _Point = tuple[_Coordinate, _Coordinate, _Coordinate]
@@ -23,9 +22,8 @@ class LengthTable(FileModel):
 
     metres: Annotated[Number, pydantic.Field(gt=0, le=1000)]
     sigma_mm: Annotated[Number, pydantic.Field(ge=0.001, le=1000)]
-    """Standard deviation of the measurement."""
     a: _Point | _Target
-    """Place of one end: a point on a wall or near the middle of a sphere [m], or the name of a target."""
+    """Place of one end: a point on a wall [m], or the name of a target."""
     b: _Point | _Target
 
     @pydantic.field_validator("a", "b", mode="plain")
@@ -50,14 +48,6 @@ class LengthTable(FileModel):
         return self
 
 
-class SphereTable(FileModel):
-    """A sphere that stands in the room."""
-
-    diameter_mm: Annotated[Number, pydantic.Field(ge=1, le=10_000)]
-    at: _Point
-    """Its middle, roughly, in the frame of the cloud [m]."""
-
-
 class StationTable(FileModel):
     """Where the rig stood for the second sweep, the third, and so on."""
 
@@ -71,18 +61,17 @@ class KnownTable(FileModel):
     """The file."""
 
     length: Annotated[tuple[LengthTable, ...], pydantic.Field(max_length=MAX_ENTRIES)] = ()
-    sphere: Annotated[tuple[SphereTable, ...], pydantic.Field(max_length=MAX_ENTRIES)] = ()
     station: Annotated[tuple[StationTable, ...], pydantic.Field(max_length=MAX_ENTRIES)] = ()
 
     @pydantic.model_validator(mode="after")
     def _says_something(self) -> "KnownTable":
-        if not self.length and not self.sphere and not self.station:
-            raise ValueError("found nothing, expected [[length]], [[sphere]] or [[station]]")
+        if not self.length and not self.station:
+            raise ValueError("found nothing, expected [[length]] or [[station]]")
         return self
 
 
 def load_known_room(path: str | Path) -> Given:
-    """Known lengths and spheres of a room, and first poses of stations.
+    """Known lengths of a room, and first poses of stations.
 
     Args:
         path: A TOML file; see docs/formats.md.
@@ -95,9 +84,8 @@ def load_known_room(path: str | Path) -> Given:
         MeasuredLength(one.metres, 1e-3 * one.sigma_mm, _place(one.a), _place(one.b), f"length {number}")
         for number, one in enumerate(table.length, 1)
     )
-    spheres = tuple(KnownSphere(np.array(one.at, np.float64), 1e-3 * one.diameter_mm) for one in table.sphere)
     stations = np.stack([np.eye(4), *map(_pose, table.station)]) if table.station else None
-    return Given(stations=stations, lengths=lengths, spheres=spheres)
+    return Given(stations=stations, lengths=lengths)
 
 
 def _pose(station: StationTable) -> np.ndarray:

@@ -11,14 +11,13 @@ from jaxscan.measurement.samples import Cloud, camera_centres
 
 @dataclass(frozen=True)
 class ErrorStatistics:
-    """Distribution of an error over points."""
+    """Distribution of an error over points; `p95_abs` is the 95th percentile of its size."""
 
     rms: float
     mean: float
     """Mean error, signed if the error has a sign."""
     median_abs: float
     p95_abs: float
-    """95th percentile of the absolute error."""
     max_abs: float
 
     @staticmethod
@@ -38,7 +37,6 @@ class CloudComparison:
     """Differences of two clouds. Errors in metres."""
 
     points: int
-    """Number of compared points."""
     error_m: ErrorStatistics
     """Distance to the true point (same grid) or to the nearest one (no common grid)."""
     along_ray_m: ErrorStatistics | None
@@ -57,16 +55,13 @@ NEAR_M, FALSE_M = 0.01, 0.05
 
 
 def compare_clouds(cloud: Cloud, truth: Cloud, *, scanner: Scanner | None = None) -> CloudComparison:
-    """Compare a cloud with the truth, cell by cell where both have one grid.
+    """Compare a cloud with the truth in the same frame, cell by cell where both have one grid.
 
     Args:
         cloud: The cloud.
-        truth: The true cloud in the same frame.
+        truth: The true cloud.
         scanner: Gives the camera centres for the direction of the rays; without it rays start at
             the origin of their station, which is within a few decimetres of them.
-
-    Returns:
-        Error statistics and completeness.
 
     Raises:
         MeasurementError: If either cloud is empty, or they have no cell in common.

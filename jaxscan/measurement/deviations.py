@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.measurement.checked import checked_samples
-from jaxscan.measurement.planes import Plane, Point, facing, patch_around
+from jaxscan.measurement.planes import Plane, Point, facing, patch_around, place_words
 from jaxscan.measurement.samples import Cloud, Samples, spread_out
 from jaxscan.measurement.walls import refine_wall
 
@@ -20,51 +20,43 @@ MOST_CELLS = 1_000_000
 
 @dataclass(frozen=True)
 class DeviationMap:
-    """Distances of a surface from its plane in square cells; missing cells are not `seen`, and zero."""
+    """Distances of a surface from its plane in square cells [rows, columns]; missing cells are zero, not `seen`.
+
+    The middle of the first cell is at `origin_m` in the scanner's frame; columns run `across`, rows `up`, and the
+    plane's normal looks at the scanner.
+    """
 
     deviation_m: np.ndarray
     """Mean distance of the cell's points from the plane, towards the scanner positive [rows, columns], m."""
     sigma_m: np.ndarray
     """Its standard deviation by the noise of the points and by the fit of the plane [rows, columns], m."""
     points: np.ndarray
-    """Points of the cell [rows, columns]."""
     seen: np.ndarray
-    """Whether the cell has points enough [rows, columns]."""
     cell_m: float
-    """Size of a cell [m]."""
     origin_m: np.ndarray
-    """The middle of the first cell [3], m, scanner frame."""
     across: np.ndarray
     """Direction of the columns [3], scanner frame: horizontal, to the right as the scanner sees it."""
     up: np.ndarray
-    """Direction of the rows [3], scanner frame."""
     normal: np.ndarray
-    """Unit normal of the plane [3], scanner frame, towards the scanner."""
     rms_m: float
-    """Root mean square deviation of the cells [m]."""
     least_m: float
-    """Smallest deviation of a cell [m]."""
     most_m: float
-    """Largest deviation of a cell [m]."""
 
 
 def measure_deviations(
     cloud: Cloud, point: Point, *, radius_m: float = 0.5, cell_m: float = 0.05, seed: int = 0
 ) -> DeviationMap:
-    """The deviations of a surface from its plane around a place.
+    """The deviations of a surface from its plane around a point [3], m, scanner frame.
 
     The plane is that of most points: what stands out or lies deeper does not shift it. The covariance of the
     calibration is not part of sigma, because neighbouring points share what it does.
 
     Args:
         cloud: The cloud.
-        point: A point of the plane [3], m, scanner frame.
+        point: A point of the plane.
         radius_m: Points within this distance of it are looked at [m].
         cell_m: Size of a cell [m].
         seed: Seed of the random hypotheses; the result is deterministic.
-
-    Returns:
-        Deviations and their standard deviations in square cells.
 
     Raises:
         MeasurementError: If there are too few points, no plane, or too many cells.
@@ -124,10 +116,9 @@ def _plane(patch: Samples, point: Point, radius_m: float, rng: np.random.Generat
     # Three points along a line, or of one place, lie in many planes.
     wide = size > 0.05 * radius_m**2
     if not wide.any():
-        text = ", ".join(f"{x:.3f}" for x in np.asarray(point))
         raise MeasurementError(
-            f"The {len(patch.p)} points within {radius_m} m of ({text}) determine no plane; pick a flat place or a "
-            "larger radius."
+            f"The {len(patch.p)} points within {radius_m} m of {place_words(point)} determine no plane; "
+            "pick a flat place or a larger radius."
         )
     normals, a = normals[wide] / size[wide, None], a[wide]
     distances = np.einsum("ij,ij->i", normals, a)

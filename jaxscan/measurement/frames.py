@@ -30,10 +30,9 @@ _UPRIGHT = 0.9
 
 @dataclass(frozen=True)
 class TargetFrame:
-    """The frame in which the targets have their known coordinates."""
+    """The frame in which the targets have their known coordinates, T_site_scanner [4, 4]."""
 
     transform: np.ndarray
-    """T_site_scanner [4, 4], m."""
     residuals_m: np.ndarray
     """Known coordinates less those that the cloud has now [targets, 3]."""
     sigma_m: float
@@ -43,7 +42,6 @@ class TargetFrame:
     scale: float
     """Ratio of distances between targets, site to scanner [1]; the frame does not use it."""
     centre_m: np.ndarray
-    """Middle of the targets [3], site frame."""
     covariance: np.ndarray
     """Of a step (translation of the middle [m], rotation about it [rad]), site frame [6, 6]."""
 
@@ -56,10 +54,9 @@ class TargetFrame:
 
 @dataclass(frozen=True)
 class RoomFrame:
-    """The frame of a room: the floor is z = 0, x runs along the longer wall, the origin is in a corner."""
+    """The frame of a room, T_room_scanner: the floor is z = 0, x along the longer wall, the origin in a corner."""
 
     transform: np.ndarray
-    """T_room_scanner [4, 4], m."""
     sigma_m: np.ndarray
     """Standard deviation of the origin along x, y, z [3], from the noise of the points alone."""
     wall_rms_m: np.ndarray
@@ -67,7 +64,6 @@ class RoomFrame:
     corner_deg: float
     """Angle between the two walls; only the longer one is parallel to an axis."""
     tilt_deg: float
-    """Angle between the floor's normal and z of the scanner."""
 
 
 def align_targets(
@@ -76,18 +72,15 @@ def align_targets(
     *,
     names: Sequence[str] | None = None,
 ) -> TargetFrame:
-    r"""The rigid motion that brings targets nearest to their known coordinates.
+    r"""The rigid motion that brings three targets or more nearest to their known coordinates.
 
     Minimises $\sum_i |R a_i + t - b_i|^2$ over rotations R, in closed form; lengths stay as they are. With f residuals
     to spare, standard deviations are $\sqrt{f / (f - 2)}$ times those of known noise (Student's distribution).
 
     Args:
-        scanner: Targets in the frame of the cloud [m], three or more that are not on one line.
+        scanner: Targets in the frame of the cloud [m].
         site: The same targets in the frame that is wanted [m].
         names: Of the targets; by default their numbers from 1.
-
-    Returns:
-        The frame, the residuals, and their standard deviations.
 
     Raises:
         MeasurementError: If the targets are too few, nearly on one line, mirrored, in another unit, or contradict each
@@ -186,16 +179,10 @@ def _fitted(scanner: np.ndarray, site: np.ndarray) -> TargetFrame:
 
 
 def align_room(cloud: Cloud, *, seed: int = 0) -> RoomFrame:
-    """The frame of a room's floor and two of its walls.
+    """The frame of a room's floor and two of its walls, with its sigmas, and how flat and square the room is.
 
-    The room is at positive x, and at positive y too if the walls of that corner were seen.
-
-    Args:
-        cloud: The room, scanned from within; z of the scanner frame is vertical within 10 degrees.
-        seed: Seed of the random hypotheses; the result is deterministic.
-
-    Returns:
-        The frame, its standard deviations, and how flat and how square the room is.
+    The room is at positive x, and at positive y too if the walls of that corner were seen. It was scanned from within;
+    z of the scanner frame is vertical within 10 degrees. The same seed gives the same frame.
 
     Raises:
         MeasurementError: If floor or walls are not found.

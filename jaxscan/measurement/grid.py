@@ -58,14 +58,12 @@ def _is_turn(angle: np.ndarray) -> bool:
 
 
 class Raster(NamedTuple):
-    """Which quad each pixel shows, and where in it."""
+    """Which quad each pixel [rows, columns] shows, and where between its profiles and its lines, 0 to 1."""
 
     quad: np.ndarray
     """Number of the quad [rows, columns]; -1 where there is none."""
     across: np.ndarray
-    """Between its profiles, 0 to 1 [rows, columns]."""
     along: np.ndarray
-    """Between its lines, 0 to 1 [rows, columns]."""
 
     def of(self, quads: Quads, values: np.ndarray) -> np.ndarray:
         """Values of the cells, flat [cells, k], between the corners [rows, columns, k]; any where there is no quad."""
@@ -83,7 +81,7 @@ class Raster(NamedTuple):
 
 
 def rasterise(quads: Quads, places: np.ndarray, shape: tuple[int, int], depth: np.ndarray | None = None) -> Raster:
-    """The quads on a raster.
+    """The quads on a raster of so many rows and columns.
 
     Args:
         quads: The quads.

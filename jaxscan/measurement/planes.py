@@ -16,16 +16,13 @@ Point = Array | Sequence[float]
 
 
 class Plane(NamedTuple):
-    """A plane `normal . p = distance` fitted to weighted points."""
+    """A plane `normal . p = distance` fitted to weighted points [m], and two unit vectors in it [2, 3]."""
 
     normal: np.ndarray
-    """Unit normal [3]."""
     distance: float
-    """Distance of the origin [m]."""
     centre: np.ndarray
     """Weighted mean of the points [3], m: on the plane."""
     axes: np.ndarray
-    """Two unit vectors in the plane [2, 3]."""
     covariance: np.ndarray
     """Covariance [3, 3] of the offset at `centre` [m] and of the slopes along `axes` [1]."""
 
@@ -84,14 +81,11 @@ def facing(plane: Plane, direction: np.ndarray) -> Plane:
 
 @dataclass(frozen=True)
 class PlaneMeasurement:
-    """Flatness of a patch of the cloud."""
+    """Flatness of a patch of the cloud, its normal towards the scanner."""
 
     normal: np.ndarray
-    """Unit normal [3], scanner frame, towards the scanner."""
     centre_m: np.ndarray
-    """Mean of the patch [3], m."""
     rms_m: float
-    """Root mean square distance of the points from their plane [m]."""
     range95_m: float
     """Width of the band with the middle 95 % of those distances [m]."""
     points: int
@@ -107,15 +101,7 @@ class PlaneMeasurement:
 
 
 def measure_plane(cloud: Cloud, point: Point, *, radius_m: float = 0.2) -> PlaneMeasurement:
-    """Flatness of the cloud around a picked point.
-
-    Args:
-        cloud: The cloud.
-        point: Picked point [3], m, scanner frame.
-        radius_m: Points within this distance of it belong to the patch [m].
-
-    Returns:
-        RMS, 95 % range and normal of the least-squares plane.
+    """Flatness of the cloud around a picked point [3], m, scanner frame: of all points within a radius [m].
 
     Raises:
         MeasurementError: If the patch has too few points, or they determine no plane.
@@ -130,26 +116,18 @@ def measure_plane(cloud: Cloud, point: Point, *, radius_m: float = 0.2) -> Plane
 
 
 def require_plane(patch: Samples, plane: Plane, point: Point, radius_m: float) -> None:
-    """Check that the points around a picked point determine their plane: those along a line lie in many.
-
-    Raises:
-        MeasurementError: If they do not.
-    """
+    """Refuse points around a picked point that do not determine their plane: those along a line lie in many."""
     apart = patch.p - plane.centre
     extent, rms = np.sqrt(np.mean((apart @ plane.axes.T) ** 2, axis=0)), np.sqrt(np.mean((apart @ plane.normal) ** 2))
     if extent.min() <= max(2.0 * rms, 0.05 * extent.max()):
         raise MeasurementError(
-            f"The {len(patch.p)} points within {radius_m} m of {_text(point)} determine no plane; "
+            f"The {len(patch.p)} points within {radius_m} m of {place_words(point)} determine no plane; "
             "pick a flat place or a larger radius."
         )
 
 
 def patch_around(samples: CloudSamples, point: Point, radius_m: float) -> Samples:
-    """Points within a radius [m] of a picked point.
-
-    Raises:
-        MeasurementError: If there are fewer than four.
-    """
+    """Points within a radius [m] of a picked point; refused where they are fewer than four."""
     centre = np.asarray(point, np.float64)
     nearest = np.inf
 
@@ -162,11 +140,12 @@ def patch_around(samples: CloudSamples, point: Point, radius_m: float) -> Sample
     inside = samples.chosen(is_inside)
     if len(inside) < 4:
         raise MeasurementError(
-            f"Only {len(inside)} points lie within {radius_m} m of {_text(point)}, the nearest "
+            f"Only {len(inside)} points lie within {radius_m} m of {place_words(point)}, the nearest "
             f"{nearest:.3f} m away; at least 4 are needed: pick a point on a surface or a larger radius."
         )
     return samples.take(inside)
 
 
-def _text(point: Point) -> str:
+def place_words(point: Point) -> str:
+    """A place [3], m, in a message."""
     return "(" + ", ".join(f"{x:.3f}" for x in np.asarray(point)) + ")"

@@ -24,10 +24,7 @@ NEAREST_M, FARTHEST_M = 0.004, 0.02
 
 
 def find_planes(samples: CloudSamples, *, seed: int) -> list[tuple[Plane, np.ndarray]]:
-    """Planes with their supporting points [k, 3], most supported first.
-
-    Deterministic for a given seed.
-    """
+    """Planes with their supporting points [k, 3], most supported first; the same for the same seed."""
     rng = np.random.default_rng(seed)
     voters = samples.take(spread_out(len(samples), VOTERS, rng))
     normals, distances, origin = _hypotheses(voters, rng)

@@ -28,32 +28,25 @@ PARALLEL = np.cos(np.radians(5.0))
 
 @dataclass(frozen=True)
 class Dimension:
-    """Distance of two opposite walls."""
+    """Distance of two opposite walls along their mean normal; sigmas are predicted, RMS is of their points."""
 
     value_m: float
     """Distance along the pair's mean normal through the room's centre [m]."""
     sigma_m: float
-    """Predicted standard deviation of `value_m` [m]: random and systematic together."""
     sigma_random_m: float
-    """From the scatter of the points [m]."""
     sigma_systematic_m: float
     """From the covariance of the calibration [m]; 0 where it is not known."""
     rms_m: float
-    """Root mean square distance of the points from their walls [m]."""
     points: int
-    """Points on both walls."""
     angle_deg: float
-    """Angle between the two walls."""
     direction: np.ndarray
-    """Unit mean normal [3], scanner frame."""
 
 
 @dataclass(frozen=True)
 class RoomBox:
-    """A room's dimensions; None if one of the two walls was not seen."""
+    """A room's dimensions, the longer horizontal one first; None if one of the two walls was not seen."""
 
     length: Dimension | None
-    """The longer horizontal dimension (the only one where just one was seen)."""
     width: Dimension | None
     height: Dimension | None
     centre_m: np.ndarray
@@ -65,7 +58,7 @@ class RoomBox:
 
 
 def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0) -> RoomBox:
-    """Measure a room from wall to wall.
+    """Measure a room from wall to wall: length, width and height as far as they were seen, with their sigmas.
 
     The walls are the outermost large planes in each direction, not those with the most points,
     fitted by weighted least squares. Opposite walls are parallel to 5 degrees, at most a fifth of the
@@ -78,9 +71,6 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
         cloud: The room, scanned from within; z of the scanner frame is vertical within 10 degrees.
         scanner: The scanner it was made with; its covariance gives the systematic part of sigma.
         seed: Seed of the random hypotheses; the result is deterministic.
-
-    Returns:
-        Length, width and height [m] as far as they were seen, each with its standard deviation.
 
     Raises:
         MeasurementError: If no two opposite walls are found between which the points are.
@@ -127,11 +117,7 @@ def because(remarks: Sequence[str]) -> str:
 def bounding_walls(
     samples: CloudSamples, rng: np.random.Generator, *, seed: int
 ) -> tuple[list[list[Wall]], int, list[str]]:
-    """The walls across each direction of the room, the vertical last.
-
-    Returns:
-        The walls, the number of planes they are among, and why planes are no walls.
-    """
+    """The walls across each direction, the vertical last; among how many planes; and why planes are no walls."""
     inside = _place_inside(samples)
     seen = samples.moved(-inside)
     planes = find_planes(seen, seed=seed)

@@ -35,37 +35,29 @@ class Cloud(Protocol):
 
 
 class Places(NamedTuple):
-    """The stations of a cloud, as `Stations` of `PointCloud` has them; one at the origin where it has none."""
+    """The stations T_room_scanner [stations, 4, 4] of a cloud, one at the origin where it has none, by profile."""
 
     number: np.ndarray
-    """Station of each profile [profiles]."""
     pose: np.ndarray
-    """T_room_scanner [stations, 4, 4]."""
     covariance: np.ndarray
     """Of a step (translation [m], rotation [rad]) in the station's own frame [stations, 6, 6]."""
 
 
 class Samples(NamedTuple):
-    """Points of a cloud as a list."""
+    """Points [n] of a cloud as a list, with laser, profile, line, station and angle [rad from home] of each."""
 
     p: np.ndarray
     """Points [n, 3], m, scanner frame; the frame of the room where a cloud has several stations."""
     sigma: np.ndarray
     """Standard deviation along the ray [n], m; not below the floor."""
     laser: np.ndarray
-    """Laser of each point [n]."""
     angle: np.ndarray
-    """The table's angle [n], rad from home."""
     profile: np.ndarray
-    """Profile of each point [n]."""
     line: np.ndarray
-    """Line of each point [n]."""
     sigma_row: np.ndarray
-    """The same of each point from its own row alone [n], m."""
     shared: np.ndarray
     """Lines over which the noise of each point is shared [n]; 1 where it is independent."""
     station: np.ndarray
-    """Station of each point [n]."""
     origin: np.ndarray
     """The station's origin, near which the camera was [n, 3], m."""
 
@@ -92,13 +84,9 @@ class Samples(NamedTuple):
         return np.hypot(self.sigma_row * self._cosine(normal), SIGMA_FLOOR_M) ** -2
 
     def covariance_of(self, factors: np.ndarray, normal: np.ndarray) -> np.ndarray:
-        r"""Covariance [k, k] of $\sum_i f_i x_i$, of points displaced by their noise x along `normal`.
+        r"""Covariance [k, k] of $\sum_i f_i x_i$, f [k, n], of points displaced by their noise x along `normal`.
 
         Points of one profile share noise: two that are k lines apart are correlated by 1 - k / shared lines.
-
-        Args:
-            factors: f [k, n].
-            normal: Unit vector [3].
         """
         order = np.lexsort((self.line, self.profile))
         profile, line, shared = self.profile[order], self.line[order], self.shared[order]
@@ -257,11 +245,7 @@ class CloudSamples:
 
 
 def samples_of(cloud: Cloud) -> Samples:
-    """All valid points, in the order of the grid.
-
-    Raises:
-        MeasurementError: If the cloud has no points.
-    """
+    """All valid points, in the order of the grid; refused where there are none."""
     return CloudSamples(cloud).all()
 
 
@@ -289,10 +273,7 @@ def places_of(cloud: Cloud) -> Places:
 
 
 def camera_centres(cloud: Cloud, scanner: Scanner | None) -> np.ndarray:
-    """Where the camera was at each profile [profiles, 3], m, in the frame of the cloud.
-
-    Without a scanner it is taken to have been in the origin of its station.
-    """
+    """Where the camera was at each profile [profiles, 3], m; without a scanner in the origin of its station."""
     places, angle = places_of(cloud), np.asarray(cloud.angle, np.float64)
     centre = np.zeros((len(angle), 3)) if scanner is None else poses(scanner.rig, angle)[:, :3, 3]
     return np.asarray(transform(places.pose[places.number], centre))

@@ -8,7 +8,7 @@ import numpy as np
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner, median_sigma
 from jaxscan.measurement.checked import checked_samples, require_known
-from jaxscan.measurement.planes import Point
+from jaxscan.measurement.planes import Point, place_words
 from jaxscan.measurement.samples import SIGMA_FLOOR_M, Cloud, CloudSamples, Samples, places_of, spread_out
 from jaxscan.measurement.systematic import systematic_sigma
 
@@ -25,38 +25,29 @@ FEWEST = 30
 
 
 class SphereFit(NamedTuple):
-    """A sphere fitted to points of a cloud."""
+    """A sphere fitted to points of a cloud [m], and unit normals there."""
 
     centre: np.ndarray
-    """[3], m."""
     radius: float
-    """m."""
     covariance: np.ndarray
     """Of centre, and of the radius where it is free, by the noise of the stripes [3 or 4, 3 or 4], m^2."""
     members: Samples
-    """The points of the fit."""
     normal: np.ndarray
-    """Their unit normals [n, 3]."""
     residual: np.ndarray
     """Distances from the surface of all points of the cap within a fifth of the diameter of it [k], m."""
 
 
 @dataclass(frozen=True)
 class SphereMeasurement:
-    """A sphere in a cloud."""
+    """A sphere in a cloud, scanner frame [m]; sigmas are predicted, and 0 of a radius that was held."""
 
     centre_m: np.ndarray
-    """[3], m, scanner frame."""
     centre_sigma_m: np.ndarray
-    """Predicted standard deviation of each coordinate of the centre [3], m: random and systematic together."""
     radius_m: float
-    """[m]"""
     radius_sigma_m: float
-    """Its predicted standard deviation: random and systematic together [m]; 0 where the radius was held."""
     radius_sigma_random_m: float
     radius_sigma_systematic_m: float
     rms_m: float
-    """Root mean square distance of the points from the sphere [m]."""
     points: int
 
 
@@ -71,9 +62,6 @@ def measure_sphere(
         radius_m: About its radius, to a tenth [m].
         held: Whether the radius is known better than the cloud tells, and only the centre is found.
         scanner: The scanner the cloud was made with; its covariance gives the systematic part.
-
-    Returns:
-        The sphere with its predicted standard deviations.
 
     Raises:
         MeasurementError: If there are too few points, none that lie on such a sphere, or its radius is not known to a
@@ -103,26 +91,16 @@ def measure_sphere(
 
 
 def fit_sphere(samples: CloudSamples, near: np.ndarray, radius: float, *, free: bool) -> SphereFit:
-    """The sphere next to a place.
+    """The sphere next to a place, and its radius where that is free, by weighted least squares without outliers.
 
-    Weighted least squares of the distances to the surface, without outliers: the noise of a point lies along its ray,
-    and its component along the normal sets the weight.
-
-    Args:
-        samples: Points of the cloud.
-        near: About where its centre is, to within a hand's breadth [3], m.
-        radius: Its radius [m]; if `free`, it only starts the search.
-        free: Whether the radius is found too.
-
-    Returns:
-        The fit; centre in the frame of the samples.
+    The noise of a point lies along its ray, and its component along the normal sets the weight.
 
     Raises:
         MeasurementError: If there are too few points, or none that lie on such a sphere.
     """
     reach = radius + REACH_M
     around = samples.take(samples.chosen(lambda some: np.linalg.norm(some.p - near, axis=1) < reach))
-    place = "(" + ", ".join(f"{x:.3f}" for x in near) + ")"
+    place = place_words(near)
     if len(around.p) < FEWEST:
         raise MeasurementError(
             f"Only {len(around.p)} points lie within {radius + REACH_M:.3f} m of {place}, expected at least {FEWEST}: "
@@ -174,7 +152,7 @@ def _search(p: np.ndarray, origin: np.ndarray, radius: float) -> np.ndarray | No
     rng = np.random.default_rng(0)
     chosen = rng.integers(len(p), size=(400, 3))
     a, b, c = np.moveaxis(p[chosen], 1, 0)
-    centres, exists = spheres_through(a, b, c, radius, away=a - origin[chosen[:, 0]])
+    centres, exists = _spheres_through(a, b, c, radius, away=a - origin[chosen[:, 0]])
     if not exists.any():
         return None
     centres = centres[exists]
@@ -184,20 +162,12 @@ def _search(p: np.ndarray, origin: np.ndarray, radius: float) -> np.ndarray | No
     return best
 
 
-def spheres_through(
+def _spheres_through(
     a: np.ndarray, b: np.ndarray, c: np.ndarray, radius: float, *, away: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Spheres of known radius through three points each.
+    """Centres [n, 3] of spheres of known radius through three points [n, 3] each, m, and whether there is one [n].
 
-    Args:
-        a: The first points [n, 3], m.
-        b: The second points.
-        c: The third points.
-        radius: Of all spheres [m].
-        away: Directions of sight [n, 3]. The near side of a sphere is seen: of both centres the farther one is meant.
-
-    Returns:
-        Centres [n, 3], m, and whether there is such a sphere [n].
+    The near side of a sphere is seen: of both centres the one farther along the directions of sight `away` is meant.
     """
     ab, ac = b - a, c - a
     normal = np.cross(ab, ac)

@@ -8,17 +8,18 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float, Int
 
 from jaxscan.errors import MeasurementError
-from jaxscan.geometry import Rig, Scanner, lit_points, lit_slopes, pixels, poses, transform
+from jaxscan.geometry import Rig, Scanner, lit_points, lit_slopes, pixels, points, poses, transform
 from jaxscan.measurement.samples import Places, Samples
 
 
 FARTHEST_OFF, LEAST_SEEN = 0.05, 0.9
 """Distance from its place on the laser's sheet, in units of its range, up to which a point is one of the calibration;
 and the smallest share of such points. Calibrations of one rig differ by a hundredth of that."""
-STEP = 1e-4
-"""Of central differences [px, rad, m, 1]: their error is below 1e-7 of a derivative, of float64 and curvature alike."""
+STEP = 1e-3
+"""Of central differences, in units of the parameters."""
 
 
 class Effects(NamedTuple):
@@ -46,21 +47,12 @@ class Effects(NamedTuple):
 
 
 def systematic_sigma(scanner: Scanner | None, places: Places, samples: Samples, weights: np.ndarray) -> float:
-    """Standard deviation of the sum of `weights` [n, 3] by the points, in metres times their unit.
-
-    Args and raises: see `effects_of`.
-    """
+    """Standard deviation of the sum of `weights` [n, 3] by the points; otherwise as `effects_of`."""
     return effects_of(scanner, places, samples, weights[None]).sigma(scanner, places)
 
 
 def effects_of(scanner: Scanner | None, places: Places, samples: Samples, weights: np.ndarray) -> Effects:
-    """The effects of scanner and stations in weighted sums of points.
-
-    Args:
-        scanner: The scanner that the cloud was made with; without covariance its part is 0.
-        places: The stations of the cloud.
-        samples: The points [n].
-        weights: w [numbers, n, 3].
+    """The effects of scanner and stations in sums of points [n] with weights [numbers, n, 3].
 
     Raises:
         MeasurementError: If the scanner does not have the lasers of the points, or does not see them where they are.
@@ -79,9 +71,10 @@ def effects_of(scanner: Scanner | None, places: Places, samples: Samples, weight
         count = 0 if scanner is None else len(scanner.parameter_names())
         return Effects(np.zeros((len(weights), count)), stations)
     rig: Rig = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), scanner.rig)
-    by_scanner, found = _gradients(rig, p, turned, samples.laser, samples.angle)
-    _check_seen(p, found)
-    return Effects(by_scanner, stations)
+    q = np.asarray(pixels(rig, p, samples.angle))
+    _check_seen(p, np.asarray(points(rig, q, samples.laser, samples.angle)))
+    by_scanner = point_gradient(rig, q, samples.laser, samples.angle)
+    return Effects(np.einsum("kni,nip->kp", turned, by_scanner, optimize=True), stations)
 
 
 def _check_seen(p: np.ndarray, found: np.ndarray) -> None:
@@ -97,36 +90,35 @@ def _check_seen(p: np.ndarray, found: np.ndarray) -> None:
         )
 
 
-def _gradients(
-    rig: Rig, p: np.ndarray, weights: np.ndarray, laser: np.ndarray, angle: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    r"""Gradients of weighted sums [numbers, parameters], and the points as the rig has them [n, 3].
+def point_gradient(
+    rig: Rig, q: Float[np.ndarray, "n 2"], laser: Int[np.ndarray, " n"], phi: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 3 params"]:
+    """Derivatives of points in the scanner's frame by its minimal coordinates [m / px, m / rad, 1]; on the host.
 
-    A changed camera sees a fixed point at another pixel, by $d\pi$; the point of a fixed pixel moves by
-    $-S \, d\pi$ with the slopes S of `lit_slopes`. A changed sheet meets the same ray elsewhere, and a changed motion
-    carries the same point elsewhere.
+    Central differences of what has a closed form: where a point is seen, its offset from its sheet, the pose. A point
+    stays on the ray of its pixel and on its sheet, so a camera that sees it elsewhere moves it as that pixel does.
     """
-    angles, at = np.unique(angle, return_inverse=True)
-    pose, layout = poses(rig, angles)[at], rig.layout()
-    lit, incidence = lit_points(rig, pixels(rig, p, angle), laser)
-    p_cam = np.asarray(lit)
-    range_m = np.linalg.norm(p_cam, axis=1, keepdims=True)
-    ray = p_cam / np.where(range_m > 0, range_m, 1.0)
-    in_camera = np.einsum("nji,knj->kni", pose[:, :3, :3], weights)
-    by_pixel = np.einsum("kni,nij->knj", in_camera, lit_slopes(rig, p_cam, incidence, laser))
-    along = np.einsum("kni,ni->kn", in_camera, ray)
-    # Weights of the entries of a pose: few angles are shared by many points.
-    held = np.zeros((len(angles), len(weights), 3, 4))
-    np.add.at(held, at, np.einsum("kni,nj->nkij", weights, np.append(p_cam, np.ones((len(p), 1)), 1)))
-
-    def change(j: int) -> np.ndarray:
-        step = STEP * (np.arange(rig.parameter_count()) == j)
-        ahead, behind = rig.retract(step), rig.retract(-step)
-        if layout.camera.start <= j < layout.camera.stop:
-            return -np.einsum("kni,ni->k", by_pixel, ahead.camera.project(p_cam) - behind.camera.project(p_cam))
-        if layout.lasers.start <= j < layout.lasers.stop:
-            return along @ (ahead.laser(laser).intersect(ray)[0] - behind.laser(laser).intersect(ray)[0])
-        return np.einsum("akij,aij->k", held, (poses(ahead, angles) - poses(behind, angles))[:, :3])
-
-    changes = [change(j) for j in range(rig.parameter_count())]
-    return np.stack(changes, axis=1) / (2.0 * STEP), np.asarray(transform(pose, p_cam))
+    layout, phi = rig.layout(), np.asarray(phi, np.float64)
+    p_cam, incidence = lit_points(rig, q, laser)
+    hits = incidence > 0
+    by_q, normal = lit_slopes(rig, p_cam, incidence, laser), rig.laser(laser).slope(p_cam)
+    along = np.where(hits, np.sum(normal * p_cam, axis=-1), 1.0)
+    position, place = np.unique(phi, return_inverse=True)
+    found = np.zeros((len(p_cam), 3, len(layout.names)))
+    for k, block in enumerate(layout.blocks):
+        step = np.zeros(len(layout.names))
+        step[k] = STEP * block.scale
+        forth, back = rig.retract(step), rig.retract(-step)
+        change = lambda of, forth=forth, back=back, size=step[k]: (of(forth) - of(back)) / (2.0 * size)
+        if layout.turntable.start <= k < layout.turntable.stop:
+            found[..., k] = transform(change(lambda rig: poses(rig, position))[place], p_cam)
+        elif k >= layout.lasers.start:
+            mine = np.flatnonzero(hits & (laser == (k - layout.lasers.start) // 5))
+            offset = change(lambda rig, mine=mine: rig.laser(laser[mine]).offset(p_cam[mine]))
+            found[mine, :, k] = p_cam[mine] * (-offset / along[mine])[:, None]
+        else:
+            seen = np.where(hits[:, None], change(lambda rig: rig.camera.project(p_cam)), 0.0)
+            found[..., k] = -np.einsum("nij,nj->ni", by_q, seen)
+    moving, rotation = layout.turntable.start, poses(rig, position)[place][:, :3, :3]
+    found[..., :moving] = rotation @ found[..., :moving]
+    return found

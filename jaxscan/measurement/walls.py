@@ -34,7 +34,6 @@ class Wall(NamedTuple):
 
     plane: Plane
     samples: Samples
-    """Points of the fit."""
     scale: float
     """Robust standard deviation of the residuals in units of the predicted one [1]."""
 
@@ -118,15 +117,9 @@ def refine_wall(samples: CloudSamples | Samples, plane: Plane, *, rng: np.random
 
 
 def wall_weights(wall: Wall, row: np.ndarray, rng: np.random.Generator | None = None) -> tuple[Samples, np.ndarray]:
-    """What a number that depends on a wall's plane weighs the wall's points with.
+    """What numbers that depend on a wall's plane weigh some of its points with.
 
-    Args:
-        wall: The wall.
-        row: Weights [3] of the plane's (offset, slopes) in the number; or of several numbers [k, 3].
-        rng: Chooses among the points where there are many.
-
-    Returns:
-        Some of the points, and weights w [(k,) n, 3]: the number moves by sum w . dp.
+    With weights `row` [(k,) 3] of the plane's (offset, slopes), numbers move by sum w . dp, w [(k,) n, 3].
     """
     rng = np.random.default_rng(0) if rng is None else rng
     part = wall.samples.take(spread_out(len(wall.samples.p), SYSTEMATIC_POINTS, rng))

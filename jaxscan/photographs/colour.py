@@ -35,7 +35,6 @@ from jaxscan.reconstruction.ahead import map_ahead, workers
 
 
 ROOM = 3
-"""Different colours of a point that are remembered."""
 
 
 class Tally(NamedTuple):
@@ -57,13 +56,8 @@ class Tally(NamedTuple):
 def add(
     tally: Tally, colour: Float[Array, "3"], weight: Float[Array, ""], tolerance: float | Float[Array, ""]
 ) -> Tally:
-    """The tally of one point with one more observation of it.
-
-    Args:
-        tally: So far.
-        colour: Of the observation [DN].
-        weight: Of the observation; 0 for none.
-        tolerance: Difference [DN] up to which colours are the same.
+    """The tally of one point with one more observation of it [DN], of weight 0 for none; colours that differ by no more
+    than the tolerance [DN] are the same.
     """
     # Slot by slot: of an index and a reduction over three of them XLA makes a loop for each of many points.
     total, known = jnp.asarray(tally.total), jnp.asarray(tally.weight)
@@ -109,12 +103,7 @@ def fill_holes(
 ) -> Real[np.ndarray, "height width channels"]:
     """Fill what is not known, smoothly: means of ever larger squares, the smallest that know something.
 
-    Args:
-        picture: Any values.
-        known: Where they are right; all others are replaced.
-
-    Returns:
-        A picture of the same type; zero where nothing is known anywhere.
+    Zero where nothing is known anywhere; the type stays.
     """
     if known.all() or not known.any():
         return np.where(known[..., None], picture, 0).astype(picture.dtype)
@@ -171,7 +160,6 @@ class BlendSettings(NamedTuple):
     """Standard deviation [rad] of the weight by the angle about the axis between a point and the middle of the
     photograph: few photographs for each point where their places are not known well."""
     exposure: bool = True
-    """Whether exposures are equalised."""
 
     @property
     def weighting(self) -> float | None:

@@ -16,7 +16,6 @@ from jaxscan.reconstruction import PointCloud
 
 LARGEST_BLOCK = 1 << 11
 AT_ONCE = 16
-"""Blocks that are projected by one call."""
 
 
 @dataclass(frozen=True)
@@ -56,13 +55,9 @@ class Blocks:
         return back
 
     def seen_from(self, pose: Float[np.ndarray, "4 4"], bounds: Float[np.ndarray, "2 3"]) -> list[np.ndarray]:
-        """Numbers of blocks that may reach into a view, `AT_ONCE` at a time.
+        """Numbers of blocks that may reach into a view, `AT_ONCE` at a time; bounds are those of `Lens`.
 
         The last of them are given again and again until there are as many, or each number of them would be compiled.
-
-        Args:
-            pose: Of the camera.
-            bounds: Least and largest component of its rays on each of its axes.
         """
         way = self.centre - pose[:3, 3]
         distance = np.maximum(np.linalg.norm(way, axis=-1), 1e-9)
@@ -90,12 +85,11 @@ REFERENCES = 1 << 13
 
 
 class Distances(NamedTuple):
-    """Distances of the nearest surface in one view, cell by cell."""
+    """Distances of the nearest surface in one view, by square cells of so many pixels."""
 
     nearest: Float[np.ndarray, "rows columns"]
     """[m]; inf where there is none. With a border of one cell."""
     cell: int
-    """Side of a cell [px]."""
 
     @staticmethod
     def of_nothing() -> "Distances":

@@ -68,7 +68,6 @@ class Panorama:
 
     frame: PanoramaFrame
     rgb: np.ndarray
-    """uint8 [height, width, 3]."""
     distance_m: np.ndarray | None = None
     """Distance from the scanner's origin [m], [height, width]; 0 where unknown. None without a cloud."""
     normals: np.ndarray | None = None
@@ -107,15 +106,10 @@ def make_panorama(
 ) -> Panorama:
     """Blend photographs to one picture, as seen from the scanner's origin.
 
-    The camera moves on a small circle. With a cloud, the distance of each pixel says where each photograph shows it;
-    without one, everything is taken to be equally far away, only photographs that look almost straight at it are
-    used, and edges of things at other distances are seen a little beside their place.
-
-    Args:
-        photographs: Laser-off images. Iterated a second time without a cloud, to equalise exposures.
-        frame: The picture's frame.
-        cloud: An organised cloud of the same sweep.
-        distance_m: Distance of everything, without a cloud.
+    The camera moves on a small circle. With an organised cloud of the same sweep, the distance of each pixel says where
+    each photograph shows it; without one, everything is taken to be at one distance [m], only photographs that look
+    almost straight at it are used, and edges of things at other distances are seen a little beside their place.
+    Photographs are iterated a second time without a cloud, to equalise exposures.
 
     Raises:
         CloudError: If the cloud has no grid.

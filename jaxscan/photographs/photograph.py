@@ -33,15 +33,14 @@ def enough_photographs(scanner: Scanner, use: Use) -> int:
 def choose_evenly(
     places: Float[np.ndarray, " n"], most: int, *, period: float | None = None
 ) -> Int[np.ndarray, " chosen"]:
-    """Choose by place, not by number: the sweep may have gone over one part twice, or more slowly.
+    """Choose at most so many by place, not by number: the sweep may have gone over one part twice, or more slowly.
+
+    One is chosen of each of as many equal parts of the way.
 
     Args:
         places: Angle [rad] or position [m] of each photograph.
-        most: So many are chosen at the most: one of each of as many equal parts of the way.
+        most: How many.
         period: After which a place is the same again; None where it never is.
-
-    Returns:
-        Which, in the order that they have.
     """
     if len(places) <= most:
         return np.arange(len(places))
@@ -93,11 +92,8 @@ class Sight(NamedTuple):
     """Projection of a point into a photograph."""
 
     q: Float[Array, "2"]
-    """Pixel (u, v)."""
     range_m: Float[Array, ""]
-    """Distance from the camera."""
     inside: Bool[Array, ""]
-    """Whether it lies in the image."""
 
 
 def poses(scanner: Scanner, angles: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
@@ -249,14 +245,10 @@ def packed(image: UInt8[Array, "rows columns 3"]) -> Int32[Array, "rows columns"
 def read_image(
     pixels: Int32[Array, "rows columns"], q: Float[Array, "2"]
 ) -> tuple[Float[Array, "3"], Float[Array, ""]]:
-    """Colour of an image at a pixel (u, v), by cubic convolution, and the brightest code that it is made of [DN].
+    """Colour of a `packed` image at a pixel (u, v), by cubic convolution, and the brightest code of its pixels [DN].
 
     Pixels on the border repeat beyond it. A colour is no darker and no brighter than the pixels about it: beside an
     edge the cubic would be.
-
-    Args:
-        pixels: An image, `packed`.
-        q: The place.
     """
     (rows, columns), pixels = pixels.shape, jnp.asarray(pixels).reshape(-1)
     left, top = jnp.floor(q)

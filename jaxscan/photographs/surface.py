@@ -59,10 +59,10 @@ def check_grid(cloud: PointCloud) -> None:
 def surface_samples(
     cloud: PointCloud, scanner: Scanner, spacing: float, *, reach: float = 0.5
 ) -> Iterator[SurfaceSamples]:
-    """Samples of the surface of an organised cloud, profile by profile.
+    """Samples of the surface of an organised cloud in the scanner frame, profile by profile.
 
     Args:
-        cloud: Points on the grid [profile, line], scanner frame.
+        cloud: On its grid.
         scanner: The rig that took it.
         spacing: Largest angle between neighbouring samples on one surface [rad], as seen from the rig.
         reach: How far beyond its last profile a surface reaches, as a share of the way to the next one: 1 for all

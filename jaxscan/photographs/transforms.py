@@ -23,15 +23,10 @@ WIDEST_PINHOLE = np.radians(70.0)
 
 
 def describe_cameras(scanner: Scanner, angles: Sequence[float], names: Sequence[str]) -> dict[str, Any]:
-    """The content of `transforms.json`.
-
-    Args:
-        scanner: The rig; its camera is one that the file can describe (see `is_describable`).
-        angles: The table's angle [rad], or position [m], of each image.
-        names: Path of each image, from the folder of the file.
+    """The content of `transforms.json` for images at the table's angles [rad], or positions [m], and their paths.
 
     Raises:
-        CalibrationError: If the file cannot describe the camera.
+        CalibrationError: If the file cannot describe the camera (see `is_describable`).
     """
     camera = scanner.camera
     if not is_describable(camera):

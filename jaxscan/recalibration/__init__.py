@@ -7,7 +7,6 @@ if TYPE_CHECKING:
     from jaxscan.recalibration.observed import (
         Given,
         KnownLength,
-        KnownSphere,
         MeasuredLength,
         Place,
         RecalibrationSettings,

@@ -42,7 +42,6 @@ class WindowPlanes(NamedTuple):
     """The plane of least squares through the points of each window."""
 
     points: Float[np.ndarray, "rows columns"]
-    """How many there are in the window."""
     normal: Float[np.ndarray, "rows columns 3"]
     """Unit normal, towards the origin; 0 in cells without a point."""
     variance: Float[np.ndarray, "rows columns 3"]
@@ -76,12 +75,8 @@ def smooth_parts(
 ) -> Int[np.ndarray, "rows columns"]:
     """Number of the smooth part of the grid that each cell belongs to; -1 where not even.
 
-    Args:
-        p: Points [m].
-        normal: Their unit normals.
-        even: Cells that count.
-        slack: Two neighbours may lie off each other's planes by the sum of theirs [m].
-        cosine: Least cosine of the angle between the normals of two neighbours.
+    Normals of neighbours are at least as near as `cosine` says, and they lie off each other's planes by the sum of
+    their slacks at most [m].
     """
     # Imported here, so that nobody who does not recalibrate loads SciPy.
     from scipy.sparse import coo_matrix  # type: ignore[import-untyped]

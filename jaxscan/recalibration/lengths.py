@@ -1,6 +1,6 @@
-"""Known lengths by the places of their ends, as lengths between surfaces or targets."""
+"""Lengths that somebody measured in the room: between which walls or targets they are, and whether they can be true."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -33,38 +33,33 @@ _PARALLEL = np.cos(np.radians(5.0))
 def place_lengths(
     lengths: Sequence[MeasuredLength], observations: RoomObservations, start: Start
 ) -> tuple[KnownLength, ...]:
-    """The surfaces or targets between which lengths were measured.
-
-    Args:
-        lengths: By the places of their ends.
-        observations: Surfaces with points on them, and tracks.
-        start: Scanner, stations and angles with which the points are placed.
+    """The walls or targets between which lengths were measured; points are placed as `start` has them.
 
     Raises:
-        GivenError: If an end is near no surface, no target has its name, both ends are the same, or they lie on
+        GivenError: If an end is near no wall, no target has its name, both ends are the same, or they lie on
             walls that are not parallel.
     """
     if not lengths:
         return ()
     room, valid = place_points(start.scanner, observations, start.corrections, stations=start.stations)
-    near = room[valid], observations.points.surface[valid]
+    near, surfaces = (room[valid], observations.points.surface[valid]), observations.surfaces
     found = []
     for number, length in enumerate(lengths):
-        name = length.name or f"known length {number + 1}"
-        kinds = [isinstance(place, str) for place in (length.first, length.second)]
-        if kinds[0] != kinds[1]:
+        name, ends = length.name or f"known length {number + 1}", (length.first, length.second)
+        targets = isinstance(length.first, str)
+        if targets != isinstance(length.second, str):
             raise GivenError(f"{name}: one end is a target, the other a point; expected two of one kind.")
-        if kinds[0]:
-            ends = [_target(name, place, observations.tracks) for place in (length.first, length.second)]
+        if targets:
+            first, second = (_target(name, place, observations.tracks) for place in ends)
         else:
-            ends = [_surface(name, place, observations.surfaces, *near) for place in (length.first, length.second)]
-            _check_parallel(name, observations.surfaces, ends)
-        if ends[0] == ends[1]:
+            first, second = (_wall(name, place, surfaces, *near) for place in ends)
+        if first == second:
             raise GivenError(f"{name}: both ends are on one surface or target; expected two.")
-        metres, sigma = float(length.metres), float(length.sigma_m)
-        if not kinds[0] and observations.surfaces.kind[ends[0]] == "plane":
-            metres = _between_centres(length, observations.surfaces, ends)
-        found.append(KnownLength(metres, sigma, "tracks" if kinds[0] else "surfaces", *ends))
+        metres = float(length.metres)
+        if not targets:
+            _check_parallel(name, surfaces, (first, second))
+            metres = _between_centres(length, surfaces, (first, second))
+        found.append(KnownLength(metres, float(length.sigma_m), "tracks" if targets else "surfaces", first, second))
     return tuple(found)
 
 
@@ -76,12 +71,9 @@ def _target(name: str, place: Place, tracks: Tracks | None) -> int:
     return known.index(str(place))
 
 
-def _surface(name: str, place: Place, surfaces: Surfaces, room: np.ndarray, surface: np.ndarray) -> int:
-    """The number of the surface at a place, by points of the room [n, 3] and the surface of each [n]."""
+def _wall(name: str, place: Place, surfaces: Surfaces, room: np.ndarray, surface: np.ndarray) -> int:
+    """The number of the wall at a place, by points of the room [n, 3] and the surface of each [n]."""
     point = np.asarray(place, np.float64)
-    for number, kind in enumerate(surfaces.kind):
-        if kind == "sphere" and np.linalg.norm(surfaces.centre[number] - point) < surfaces.distance[number]:
-            return number
     away = np.linalg.norm(room - point, axis=1)
     nearest = int(np.argmin(away)) if len(away) else -1
     if nearest < 0 or away[nearest] > _NEAR_M:
@@ -93,7 +85,7 @@ def _surface(name: str, place: Place, surfaces: Surfaces, room: np.ndarray, surf
         )
     number = int(surface[nearest])
     off = abs(float(surfaces.normal[number] @ point) - float(surfaces.distance[number]))
-    if surfaces.kind[number] == "plane" and off > _ON_M:
+    if off > _ON_M:
         raise GivenError(
             f"{name}: found an end {100 * off:.0f} cm off the plane of the nearest flat surface, expected at most "
             f"{100 * _ON_M:.0f} cm; give a point on a wall as measured in the cloud."
@@ -101,9 +93,7 @@ def _surface(name: str, place: Place, surfaces: Surfaces, room: np.ndarray, surf
     return number
 
 
-def _check_parallel(name: str, surfaces: Surfaces, ends: Sequence[int]) -> None:
-    if any(surfaces.kind[end] != "plane" for end in ends):
-        return
+def _check_parallel(name: str, surfaces: Surfaces, ends: tuple[int, int]) -> None:
     cosine = abs(float(surfaces.normal[ends[0]] @ surfaces.normal[ends[1]]))
     if cosine < _PARALLEL:
         raise GivenError(
@@ -112,7 +102,7 @@ def _check_parallel(name: str, surfaces: Surfaces, ends: Sequence[int]) -> None:
         )
 
 
-def _between_centres(length: MeasuredLength, surfaces: Surfaces, ends: Sequence[int]) -> float:
+def _between_centres(length: MeasuredLength, surfaces: Surfaces, ends: tuple[int, int]) -> float:
     """The length midway between the centres of both walls, where the adjustment has it [m].
 
     It was measured midway between the user's points. The walls as they were found tell the difference, which is small
@@ -134,12 +124,7 @@ def _between_centres(length: MeasuredLength, surfaces: Surfaces, ends: Sequence[
 
 
 def lost_lengths(lengths: Sequence[KnownLength], kept: Sequence[int]) -> list[str]:
-    """A sentence for each length that goes because one of its surfaces is not flat.
-
-    Args:
-        lengths: Known ones.
-        kept: Numbers of the surfaces that stay.
-    """
+    """A sentence for each length that goes because one of its walls is not among those that are kept as flat."""
     return [
         f"known length {number + 1} ({length.metres:.4g} m) is left out, because one of its ends is on a surface that "
         "is not flat: it holds no scale; measure between flat walls"
@@ -161,16 +146,10 @@ _POINTS = 200
 def check_lengths(
     observations: RoomObservations, sweeps: Sequence[SweepStripes], stored: Scanner, loose: Scanner
 ) -> list[str]:
-    """Refuse a known length that contradicts the stored calibration even if the rig was knocked.
+    """Refuse a known length that contradicts the stored calibration even if the rig was knocked, as `loose` has it.
 
     The standard deviation of the comparison is that of the calibration, with those of the length as it was measured
     and of the surfaces. Lengths whose ends no single sweep sees are not compared.
-
-    Args:
-        observations: With the known lengths, in the order of the user.
-        sweeps: With their angles put right.
-        stored: The stored scanner with its covariance.
-        loose: The same with a covariance by which every part may have moved.
 
     Returns:
         A sentence for each length that only a rig that was knocked explains.
@@ -179,50 +158,35 @@ def check_lengths(
         GivenError: With both lengths.
     """
     notes = []
-    for number, known in enumerate(observations.lengths):
-        found = _length(known, observations, sweeps, stored)
-        if found is None:
-            continue
-        metres, noise = found
+    for number, known, metres, noise in _found(observations, sweeps, stored):
         own, knocked = (_sigma_of_calibration(known, observations, sweeps, one) for one in (stored, loose))
         measured = np.hypot(known.sigma_m, noise)
         limit = _SIGMAS * float(np.hypot(measured, own))
         farthest = max(limit, _LOOSE_SIGMAS * float(np.hypot(measured, knocked)))
-        said = f"known length {number + 1}: found {metres:.4f} m by the stored calibration, expected "
+        said = f"known length {number}: found {metres:.4f} m by the stored calibration, expected {known.metres:.4f} m"
         off = abs(metres - known.metres)
         if off > farthest:
             raise GivenError(
-                f"{said}{known.metres:.4f} m within {1e3 * farthest:.2g} mm; check its number and its ends; if the "
+                f"{said} within {1e3 * farthest:.2g} mm; check its number and its ends; if the "
                 "rig was knocked, leave the length out and recalibrate first."
             )
         if off > limit:
-            notes.append(
-                f"{said}{known.metres:.4f} m within {1e3 * limit:.2g} mm; if the rig was not knocked, measure it again"
-            )
+            notes.append(f"{said} within {1e3 * limit:.2g} mm; if the rig was not knocked, measure it again")
     return notes
 
 
 def check_adjusted(observations: RoomObservations, sweeps: Sequence[SweepStripes], scanner: Scanner) -> None:
-    """Refuse a known length that the new scanner misses, with its covariance.
-
-    Args:
-        observations: With the known lengths, in the order of the user.
-        sweeps: With their angles put right.
-        scanner: The new scanner.
+    """Refuse a known length that the new scanner misses, with its covariance; arguments as of `check_lengths`.
 
     Raises:
         GivenError: With both lengths.
     """
-    for number, known in enumerate(observations.lengths):
-        found = _length(known, observations, sweeps, scanner)
-        if found is None:
-            continue
-        metres, noise = found
+    for number, known, metres, noise in _found(observations, sweeps, scanner):
         own = _sigma_of_calibration(known, observations, sweeps, scanner)
         limit = _MISSED_SIGMAS * float(np.linalg.norm([known.sigma_m, noise, own]))
         if abs(metres - known.metres) > limit:
             raise GivenError(
-                f"known length {number + 1}: found {metres:.4f} m by these sweeps, expected "
+                f"known length {number}: found {metres:.4f} m by these sweeps, expected "
                 f"{known.metres:.4f} m within {1e3 * limit:.2g} mm; it contradicts them or the other lengths: "
                 "measure it again in metres, or leave it out."
             )
@@ -231,18 +195,19 @@ def check_adjusted(observations: RoomObservations, sweeps: Sequence[SweepStripes
 def found_lengths(
     observations: RoomObservations, sweeps: Sequence[SweepStripes], scanner: Scanner
 ) -> tuple[FoundLength, ...]:
-    """The known lengths as a scanner finds them.
+    """The known lengths as a scanner finds them, without those whose ends no single sweep sees."""
+    found = _found(observations, sweeps, scanner)
+    return tuple(FoundLength(known.metres, known.sigma_m, metres) for _, known, metres, _ in found)
 
-    Args:
-        observations: With the known lengths.
-        sweeps: With their angles put right.
-        scanner: The new scanner.
 
-    Returns:
-        Without those whose ends no single sweep sees.
-    """
-    both = [(known, _length(known, observations, sweeps, scanner)) for known in observations.lengths]
-    return tuple(FoundLength(known.metres, known.sigma_m, found[0]) for known, found in both if found is not None)
+def _found(
+    observations: RoomObservations, sweeps: Sequence[SweepStripes], scanner: Scanner
+) -> Iterator[tuple[int, KnownLength, float, float]]:
+    """Number, known length, length as found, and the sigma of that; see `_length`."""
+    for number, known in enumerate(observations.lengths, 1):
+        found = _length(known, observations, sweeps, scanner)
+        if found is not None:
+            yield number, known, *found
 
 
 def _sigma_of_calibration(
@@ -274,14 +239,7 @@ def _length(
         some = points.take(mine[:: max(1, -(-len(mine) // _POINTS))])
         where, valid = triangulate_points(scanner, some.q, some.laser, sweeps[sweep].angle[some.record])
         clouds.append(where[valid])
-    if min(len(cloud) for cloud in clouds) < 3:
-        return None
-    if observations.surfaces.kind[known.first] == "plane":
-        return _between_planes(*clouds)
-    middles = [
-        _middle(cloud, float(observations.surfaces.distance[end])) for cloud, end in zip(clouds, ends, strict=True)
-    ]
-    return float(np.linalg.norm(middles[0] - middles[1])), 0.0
+    return _between_planes(*clouds) if min(len(cloud) for cloud in clouds) >= 3 else None
 
 
 def _between_planes(first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "m 3"]) -> tuple[float, float]:
@@ -292,22 +250,9 @@ def _between_planes(first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "
     mean = mean / np.linalg.norm(mean)
     along = [plane.normal @ (plane.centre - middle) / (plane.normal @ mean) for plane in (one, other)]
     # Walls that are rough or bent by so much have their mean planes no better known than that.
-    flat = [
-        np.mean(((cloud - plane.centre) @ plane.normal) ** 2)
-        for cloud, plane in zip((first, second), (one, other), strict=True)
-    ]
+    both = zip((first, second), (one, other), strict=True)
+    flat = [np.mean(((cloud - plane.centre) @ plane.normal) ** 2) for cloud, plane in both]
     return float(abs(along[0] - along[1])), float(np.sqrt(sum(flat)))
-
-
-def _middle(cloud: Float[np.ndarray, "n 3"], radius: float) -> Float[np.ndarray, "3"]:
-    """Middle of a sphere of which the near side is seen."""
-    # Imported here, so that nobody who does not recalibrate loads SciPy.
-    from scipy.optimize import least_squares  # type: ignore[import-untyped]
-
-    near = cloud.mean(0)
-    start = near + 0.6 * radius * near / np.linalg.norm(near)
-    middle: np.ndarray = least_squares(lambda x: np.linalg.norm(cloud - x, axis=1) - radius, start, xtol=1e-12).x
-    return middle
 
 
 def _between_targets(

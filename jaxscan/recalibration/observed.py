@@ -20,44 +20,28 @@ class RecalibrationSettings:
     """Whether every sweep was taken from a place of its own."""
     stripes: ReconstructSettings = field(default_factory=ReconstructSettings)
     """How stripes are found in captures."""
-    wall_m: float | None = None
-    """Roughness of walls, a standard deviation [m]; None: learned from the residuals."""
     closed: bool | None = None
     """Whether the table's full turn is exactly one turn (a gear without slip); None: no assumption."""
-    angles: Literal["model", "steps"] = "model"
-    """Errors of the table's angles: `model`, its gain and errors once and twice per turn; `steps`, one angle per
-    step as well, smooth but for lost steps."""
     angle_sigma: float | None = None
     """Standard deviation of where the table stops about the angle of its record [rad]; None: learned from walls and
     features; 0: it stops at the angle."""
     features: bool | None = None
     """Whether features of the laser-off images are tracked from step to step; None: where they have texture."""
-    marker_dictionary: str | None = None
-    """OpenCV's dictionary of printed markers in the room, such as "DICT_4X4_50"; None: any usual one."""
-    p_drift: float = 1e-3
-    """Chance below which the rig has drifted [1]."""
-    least_gain: float = 1.05
-    """Least gain of any direction for which a calibration is updated: old over new standard deviation [1]."""
     points: int = 40_000
     """Points on surfaces that are used at most."""
-    max_steps: int = 40
-    """Steps of one least-squares solve."""
 
 
 class SweepStripes(NamedTuple):
     """The stripes of one captured sweep on the grid [profile, line]; they do not depend on the calibration."""
 
     name: str
-    """Of the capture, for messages."""
     centre: Float[np.ndarray, "profiles lines"]
     """Across the line [px]; of its neighbours too, where rows are smoothed."""
     sigma: Float[np.ndarray, "profiles lines"]
-    """Standard deviation of `centre` [px]."""
     shared_lines: Float[np.ndarray, "profiles lines"]
     """Lines over which the noise of a centre is shared; 1 where it is independent."""
     valid: Bool[np.ndarray, "profiles lines"]
     record: Int[np.ndarray, " profiles"]
-    """The record of each profile."""
     laser: Int[np.ndarray, " profiles"]
     """The scanner's sheet of each profile."""
     angle: Float[np.ndarray, " records"]
@@ -75,22 +59,16 @@ class SweepStripes(NamedTuple):
         return self._replace(angle=self.angle + correction)
 
 
-SurfaceKind = Literal["plane", "sphere"]
-
-
 class Surfaces(NamedTuple):
-    """Surfaces of the room that points lie on, in the frame of the room: that of the first station.
+    """Flat surfaces of the room, `normal . p = distance` [m], in the frame of the room: that of the first station.
 
-    A surface has three unknowns: a plane two tilts and its distance, a sphere of known radius its centre.
+    A surface has three unknowns: two tilts and its distance.
     """
 
-    kind: tuple[SurfaceKind, ...]
     normal: Float[np.ndarray, "surfaces 3"]
-    """Unit normal of a plane; zero for a sphere."""
     distance: Float[np.ndarray, " surfaces"]
-    """Of a plane `normal . p = distance` [m]; the radius of a sphere."""
     centre: Float[np.ndarray, "surfaces 3"]
-    """Mean of the points of a plane, or the middle of a sphere [m]."""
+    """Mean of the points [m]."""
 
 
 class SurfacePoints(NamedTuple):
@@ -102,12 +80,9 @@ class SurfacePoints(NamedTuple):
     """Standard deviation across the line [px]: of u where `stripe_axis` is "rows", else of v."""
     sweep: Int[np.ndarray, " points"]
     record: Int[np.ndarray, " points"]
-    """Record of its sweep."""
     line: Int[np.ndarray, " points"]
     laser: Int[np.ndarray, " points"]
-    """The scanner's sheet."""
     surface: Int[np.ndarray, " points"]
-    """Number of the surface in `Surfaces`."""
 
     def take(self, index: np.ndarray) -> "SurfacePoints":
         """The points at `index` (numbers or a mask)."""
@@ -124,7 +99,6 @@ class Tracks(NamedTuple):
     sweep: Int[np.ndarray, " sightings"]
     record: Int[np.ndarray, " sightings"]
     track: Int[np.ndarray, " sightings"]
-    """Number of the point."""
     point: Float[np.ndarray, "tracks 3"]
     """First values, in the frame of the room [m]."""
     name: tuple[str, ...] = ()
@@ -132,8 +106,8 @@ class Tracks(NamedTuple):
 
 
 Place = str | Float[np.ndarray, "3"]
-"""The name of a target among the tracks, or a point on a plane or near the middle of a sphere, in the frame of the
-room as the stored calibration has it [m]."""
+"""The name of a target among the tracks, or a point on a wall, in the frame of the room as the stored calibration has
+it [m]."""
 
 
 class MeasuredLength(NamedTuple):
@@ -144,17 +118,6 @@ class MeasuredLength(NamedTuple):
     first: Place
     second: Place
     name: str = ""
-    """For messages."""
-
-
-class KnownSphere(NamedTuple):
-    """A sphere that stands in the room."""
-
-    near: Float[np.ndarray, "3"]
-    """Its middle, roughly, in the frame of the room [m]."""
-    diameter_m: float
-    sweep: int | None = None
-    """The sweep that sees it; None: all of them are searched."""
 
 
 @dataclass(frozen=True)
@@ -165,13 +128,11 @@ class Given:
     """First poses T_room_scanner, the identity first; None: they are found from planes and targets."""
     tracks: Tracks | None = None
     lengths: tuple[MeasuredLength, ...] = ()
-    spheres: tuple[KnownSphere, ...] = ()
     boards: Observations | None = None
-    """Boards captured with the rig as it is now."""
 
 
 class KnownLength(NamedTuple):
-    """A length that somebody measured: between two planes, two spheres or two tracked targets."""
+    """A length that somebody measured: between two planes or two tracked targets."""
 
     metres: float
     sigma_m: float
@@ -186,7 +147,6 @@ class RoomObservations(NamedTuple):
 
     points: SurfacePoints
     surfaces: Surfaces
-    """First values."""
     angles: tuple[Float[np.ndarray, " records"], ...]
     """The table's angles of every sweep as its journal has them [rad from home]."""
     station: Int[np.ndarray, " sweeps"]
@@ -195,7 +155,6 @@ class RoomObservations(NamedTuple):
     tracks: Tracks | None = None
     lengths: tuple[KnownLength, ...] = ()
     boards: Observations | None = None
-    """Corners and stripes of boards that were captured with the rig as it is now."""
 
     def turned(self, corrections: Sequence[np.ndarray]) -> tuple[Float[np.ndarray, " records"], ...]:
         """The angles of every sweep with corrections [rad]; without any, as they are."""
@@ -208,7 +167,7 @@ class RoomObservations(NamedTuple):
 
     def only(self, numbers: Sequence[int]) -> "RoomObservations":
         """Those of some surfaces, which are numbered anew; known lengths need both their ends."""
-        new = np.full(len(self.surfaces.kind), -1, np.int32)
+        new = np.full(len(self.surfaces.distance), -1, np.int32)
         new[list(numbers)] = np.arange(len(numbers), dtype=np.int32)
         lengths = [
             length._replace(first=int(new[length.first]), second=int(new[length.second]))
@@ -219,9 +178,6 @@ class RoomObservations(NamedTuple):
         points, surfaces = self.points.take(new[self.points.surface] >= 0), self.surfaces
         return self._replace(
             points=points._replace(surface=new[points.surface]),
-            surfaces=Surfaces(
-                tuple(surfaces.kind[k] for k in numbers),
-                *(field[list(numbers)] for field in (surfaces.normal, surfaces.distance, surfaces.centre)),
-            ),
+            surfaces=Surfaces(*(field[list(numbers)] for field in surfaces)),
             lengths=tuple(length for length in lengths if min(length.first, length.second) >= 0),
         )

@@ -1,4 +1,4 @@
-"""Sweeps and a stored calibration to a better one, or to the reason why not."""
+"""Sweeps and a stored calibration to a better one, or to the reason why not: segment, associate, solve, judge."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -12,14 +12,13 @@ from jaxscan.errors import CalibrationError, GivenError
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration import judge
 from jaxscan.recalibration.adjust import adjust
-from jaxscan.recalibration.lengths import check_adjusted, check_lengths, found_lengths, lost_lengths
-from jaxscan.recalibration.observe import observe_room
+from jaxscan.recalibration.lengths import check_adjusted, check_lengths, found_lengths, lost_lengths, place_lengths
 from jaxscan.recalibration.observed import Given, RecalibrationSettings, RoomObservations, SweepStripes
 from jaxscan.recalibration.renew import require_prior
 from jaxscan.recalibration.result import Adjusted, PanoramaOfWalls, Recalibration, Start, TableFindings
-from jaxscan.recalibration.segment import find_patches, flat
+from jaxscan.recalibration.segment import label_planes, observe_surfaces
 from jaxscan.recalibration.stations import place_stations
-from jaxscan.recalibration.table import check_angles, say_lost_steps
+from jaxscan.recalibration.table import check_angles
 from jaxscan.recalibration.tracks import place_tracks
 
 
@@ -35,11 +34,47 @@ class _Job(NamedTuple):
     settings: RecalibrationSettings
     given: Given
     table: TableFindings
+    stations: Float[np.ndarray, "stations 4 4"]
+    """First poses."""
 
-    @property
-    def corrections(self) -> tuple[Float[np.ndarray, " records"], ...]:
-        """Known faults of the angles of every sweep [rad]."""
-        return self.table.corrections or tuple(np.zeros(len(sweep.angle)) for sweep in self.sweeps)
+    def start(self, scanner: Scanner, stations: Float[np.ndarray, "stations 4 4"] | None = None) -> Start:
+        return Start(scanner, self.stations if stations is None else stations, self.table.corrections)
+
+    def turned(self, corrections: Sequence[np.ndarray] = ()) -> list[SweepStripes]:
+        """The sweeps with the table's angles put right, by its known faults where no corrections are given."""
+        both = zip(self.sweeps, corrections or self.table.corrections, strict=True)
+        return [sweep.turned(correction) for sweep, correction in both]
+
+    def observe(self, start: Start) -> RoomObservations:
+        """Surfaces of the room and points on them, found with a scanner as it is, and everything that was given."""
+        turned, tracks = self.turned(), self.given.tracks
+        points, surfaces = observe_surfaces(turned, start.scanner, start.stations, self.settings.points)
+        if tracks is not None and len(tracks.q):
+            # They were observed before the stations and faults of angles were known.
+            tracks = place_tracks(tracks, turned, start.scanner, start.stations)
+        observed = RoomObservations(
+            points=points,
+            surfaces=surfaces,
+            angles=tuple(np.asarray(sweep.angle, np.float64) for sweep in self.sweeps),
+            station=np.array([sweep.station for sweep in self.sweeps], np.int32),
+            stripe_axis=self.sweeps[0].stripe_axis,
+            tracks=tracks,
+            boards=self.given.boards,
+        )
+        return observed._replace(lengths=place_lengths(self.given.lengths, observed, start))
+
+    def solve(self, prior: Scanner, before: Adjusted, observed: RoomObservations) -> Adjusted:
+        """An adjustment that begins where another one ended."""
+        return adjust(prior, self.start(before.scanner, before.stations), observed, self.settings)
+
+    def flat(self, found: Adjusted) -> tuple[Adjusted, list[int]]:
+        """The adjustment of the flat surfaces alone, and the numbers of these."""
+        kept = np.flatnonzero(judge.flat(found)).tolist()
+        if not kept:
+            raise CalibrationError(judge.none_is_flat(found))
+        if len(kept) < len(found.surfaces.distance):
+            found = self.solve(found.prior, found, found.observations.only(kept))
+        return found, kept
 
 
 def recalibrate(
@@ -59,7 +94,7 @@ def recalibrate(
         sweeps: Stripes of each sweep; their `station` tells from where each was taken.
         stored: Its covariance is the prior; nothing in it is changed.
         settings: Of the recalibration.
-        given: Beside the sweeps: tracks, known lengths, spheres, boards, places of stations.
+        given: Beside the sweeps: tracks, known lengths, boards, places of stations.
         progress: Called with (stages done, stages in all).
 
     Returns:
@@ -71,47 +106,31 @@ def recalibrate(
             covariance, sheet or table, or sweeps of a camera of another size.
         GivenError: If something that was given contradicts the sweeps.
     """
-    settings, given = settings or RecalibrationSettings(), given or Given()
-    scanner = require_prior(stored)
-    _check(sweeps, scanner)
-    done = _counter(progress)
-    job = _Job(sweeps, scanner, settings, given, check_angles(sweeps, scanner))
-    done()
-    stations = _first_stations(job)
-    if given.tracks is not None and len(stations) > 1:
-        given = replace(given, tracks=place_tracks(given.tracks, _corrected(job), scanner, stations))
-        job = job._replace(given=given)
-    done()
-    loose = judge.loose(scanner)
-    start = Start(loose, stations, job.corrections)
-    observed = observe_room(sweeps, start, given, settings)
-    doubts = check_lengths(observed, _corrected(job), scanner, loose)
+    done = _counter(progress, _STAGES)
+    job = _begin(sweeps, stored, settings, given, done)
+    loose = judge.loose(job.stored)
+    start = job.start(loose)
+    observed = job.observe(start)
+    doubts = check_lengths(observed, job.turned(), job.stored, loose)
     if doubts:
         _check_without(job, observed, start, doubts[0])
-    # Only the scanner of this solve is used: one angle per step would cost much and change it little.
-    rough = adjust(loose, start._replace(scanner=scanner), observed, replace(settings, angles="model"))
+    # Only the scanner and the stations of this solve are used.
+    rough = adjust(loose, job.start(job.stored), observed, job.settings)
     done()
-    start = Start(rough.scanner, rough.stations, job.corrections)
-    observed = observe_room(sweeps, start, given, settings)
+    start = job.start(rough.scanner, rough.stations)
+    observed = job.observe(start)
     done()
-    free = adjust(loose, start, observed, settings)
+    every = adjust(loose, start, observed, job.settings)
     done()
-    kept = np.flatnonzero(flat(free))
-    uneven = [judge.describe_surface(free.surfaces, k) for k in range(len(free.surfaces.kind)) if k not in kept]
-    if "plane" not in {free.surfaces.kind[k] for k in kept}:
-        raise CalibrationError(judge.none_is_flat(free))
-    lost = lost_lengths(observed.lengths, kept.tolist())
-    if uneven:
-        observed = observed.only(kept.tolist())
-        free = adjust(loose, _after(job, free), observed, settings)
+    free, kept = job.flat(every)
     done()
-    solve = lambda prior, before: adjust(prior, _after(job, before), observed, settings)
-    verdict = judge.find_drift(scanner, free, solve, settings)
+    solve = lambda prior, before: job.solve(prior, before, free.observations)
+    verdict = judge.find_drift(job.stored, free, solve)
     done()
     result = _judged(job, verdict, done)
+    uneven = [judge.describe_surface(every.surfaces, k) for k in range(len(every.surfaces.distance)) if k not in kept]
     notes = [f"left out, because it is not flat: {name}" for name in uneven]
-    if settings.angles == "steps" and not job.table.jumps:
-        notes += say_lost_steps(verdict.adjusted, [sweep.name for sweep in sweeps])
+    lost = lost_lengths(observed.lengths, kept)
     return replace(result, notes=(*job.table.sentences, *result.notes, *notes, *doubts, *lost))
 
 
@@ -126,36 +145,65 @@ def register(
     """The places of the stations of several sweeps, in one least squares with the stored calibration as prior.
 
     Nothing is judged, and no calibration is refined to be kept: that is `recalibrate`, which takes many solves.
-
-    Args:
-        sweeps: Stripes of each sweep; their `station` tells from where each was taken.
-        stored: As of `recalibrate`; without a covariance of its own nothing can be registered.
-        settings: Of the adjustment.
-        given: Beside the sweeps, as of `recalibrate`.
-        progress: Called with (stages done, stages in all).
+    Arguments are those of `recalibrate`.
 
     Raises:
         CalibrationError: If nothing can be adjusted, as of `recalibrate`, or no wall is flat.
     """
+    done = _counter(progress, _REGISTERED)
+    job = _begin(sweeps, stored, settings, given, done)
+    start = job.start(job.stored)
+    observed = job.observe(start)
+    done()
+    found, _ = job.flat(adjust(job.stored, start, observed, job.settings))
+    done()
+    return found
+
+
+def _begin(
+    sweeps: Sequence[SweepStripes],
+    stored: Calibration,
+    settings: RecalibrationSettings | None,
+    given: Given | None,
+    done: Callable[[], None],
+) -> _Job:
+    """The sweeps checked, their lost steps, and the first places of their stations."""
     settings, given = settings or RecalibrationSettings(), given or Given()
     scanner = require_prior(stored)
     _check(sweeps, scanner)
-    done = _counter(progress, _REGISTERED)
-    job = _Job(sweeps, scanner, settings, given, check_angles(sweeps, scanner))
+    table = check_angles(sweeps, scanner)
     done()
-    stations = _first_stations(job)
+    count, start = len({sweep.station for sweep in sweeps}), None
+    if given.stations is not None:
+        if np.shape(given.stations) != (count, 4, 4):
+            raise CalibrationError(
+                f"stations: found {len(given.stations)} poses, expected one for each of {count} stations."
+            )
+        start = dict(enumerate(np.asarray(given.stations, np.float64)))
+    job = _Job(sweeps, scanner, settings, given, table, np.eye(4)[None])
+    job = job._replace(stations=place_stations(job.turned(), scanner, tracks=given.tracks, start=start))
     done()
-    start = Start(scanner, stations, job.corrections)
-    observed = observe_room(sweeps, start, given, settings)
-    done()
-    found = adjust(scanner, start, observed, settings)
-    kept = np.flatnonzero(flat(found))
-    if "plane" not in {found.surfaces.kind[k] for k in kept}:
-        raise CalibrationError(judge.none_is_flat(found))
-    if len(kept) < len(found.surfaces.kind):
-        found = adjust(scanner, _after(job, found), observed.only(kept.tolist()), settings)
-    done()
-    return found
+    return job
+
+
+def _check(sweeps: Sequence[SweepStripes], scanner: Scanner) -> None:
+    if not sweeps:
+        raise CalibrationError("No sweep was given; a recalibration needs at least one sweep of a room.")
+    camera = scanner.camera
+    for sweep in sweeps:
+        size, word = (camera.height, "rows") if sweep.stripe_axis == "rows" else (camera.width, "columns")
+        if size and sweep.centre.shape[1] != size:
+            raise CalibrationError(
+                f"{sweep.name}: has stripes on {sweep.centre.shape[1]} {word}, the calibration is for images of "
+                f"{camera.width} x {camera.height} px; use the calibration of this camera mode."
+            )
+        if sweep.stripe_axis != sweeps[0].stripe_axis:
+            raise CalibrationError(f"{sweep.name}: its stripes run along the other axis; expected one rig for all.")
+        if len(sweep.laser) and int(np.max(sweep.laser)) >= len(scanner.laser_names):
+            raise CalibrationError(
+                f"{sweep.name}: has {int(np.max(sweep.laser)) + 1} lasers, the calibration {len(scanner.laser_names)}; "
+                "use the calibration of this rig."
+            )
 
 
 def _check_without(job: _Job, observed: RoomObservations, start: Start, doubt: str) -> None:
@@ -164,32 +212,25 @@ def _check_without(job: _Job, observed: RoomObservations, start: Start, doubt: s
     With a rig that may have been knocked, a wrong length would bend the calibration until it fits.
     """
     alone = observed._replace(lengths=())
-    solve = lambda prior, before: adjust(prior, _after(job, before), alone, job.settings)
     free = adjust(start.scanner, start, alone, job.settings)
-    verdict = judge.find_drift(job.stored, free, solve, job.settings)
+    verdict = judge.find_drift(job.stored, free, lambda prior, before: job.solve(prior, before, alone))
     if not verdict.drift.drifted:
         raise GivenError(f"{doubt}; without the known lengths, the sweeps show no drift.")
-    check_adjusted(observed, _corrected(job, verdict.adjusted.corrections), verdict.adjusted.scanner)
-
-
-def _after(job: _Job, before: Adjusted) -> Start:
-    return Start(before.scanner, before.stations, job.corrections)
+    check_adjusted(observed, job.turned(verdict.adjusted.corrections), verdict.adjusted.scanner)
 
 
 def _judged(job: _Job, verdict: judge.Verdict, done: Callable[[], None]) -> Recalibration:
     """Everything that is said of a solve."""
-    stored, adjusted, settings = job.stored, verdict.adjusted, job.settings
+    stored, adjusted = job.stored, verdict.adjusted
     names = stored.parameter_names()
     prior = judge.with_covariance(stored, np.asarray(stored.covariance) + verdict.loosened)
-    start = _after(job, adjusted)
-    halves = lambda observations: adjust(prior, start, observations, settings)
-    held_out = judge.hold_out(adjusted, stored, halves)
+    held_out = judge.hold_out(adjusted, stored, lambda observations: job.solve(prior, adjusted, observations))
     done()
     gained, solved = judge.compared_of(verdict, stored)
     slopes = judge.scale_slopes(adjusted.scanner, adjusted.observations, adjusted.corrections)
     lengths = judge.length_gains(predict_lengths(stored), predict_lengths(adjusted.scanner))
-    refused = judge.refuse_result(adjusted, gained, verdict.drift, held_out, lengths, settings)
-    corrected = _corrected(job, adjusted.corrections)
+    refused = judge.refuse_result(adjusted, gained, verdict.drift, held_out, lengths)
+    corrected = job.turned(adjusted.corrections)
     if not refused:
         check_adjusted(adjusted.observations, corrected, adjusted.scanner)
     panoramas, hidden = _panoramas(job, adjusted)
@@ -215,56 +256,20 @@ def _judged(job: _Job, verdict: judge.Verdict, done: Callable[[], None]) -> Reca
     return result
 
 
-def _check(sweeps: Sequence[SweepStripes], scanner: Scanner) -> None:
-    if not sweeps:
-        raise CalibrationError("No sweep was given; a recalibration needs at least one sweep of a room.")
-    camera = scanner.camera
-    for sweep in sweeps:
-        size, word = (camera.height, "rows") if sweep.stripe_axis == "rows" else (camera.width, "columns")
-        if size and sweep.centre.shape[1] != size:
-            raise CalibrationError(
-                f"{sweep.name}: has stripes on {sweep.centre.shape[1]} {word}, the calibration is for images of "
-                f"{camera.width} x {camera.height} px; use the calibration of this camera mode."
-            )
-        if sweep.stripe_axis != sweeps[0].stripe_axis:
-            raise CalibrationError(f"{sweep.name}: its stripes run along the other axis; expected one rig for all.")
-        if len(sweep.laser) and int(np.max(sweep.laser)) >= len(scanner.laser_names):
-            raise CalibrationError(
-                f"{sweep.name}: has {int(np.max(sweep.laser)) + 1} lasers, the calibration {len(scanner.laser_names)}; "
-                "use the calibration of this rig."
-            )
-
-
-def _counter(progress: Progress | None, stages: int = _STAGES) -> Callable[[], None]:
-    numbers = iter(range(1, stages + 1))
-    return lambda: None if progress is None else progress(next(numbers), stages)
-
-
-def _corrected(job: _Job, corrections: Sequence[np.ndarray] = ()) -> list[SweepStripes]:
-    """The sweeps with the table's angles put right, by its known faults where no corrections are given."""
-    both = zip(job.sweeps, corrections or job.corrections, strict=True)
-    return [sweep.turned(correction) for sweep, correction in both]
-
-
-def _first_stations(job: _Job) -> Float[np.ndarray, "stations 4 4"]:
-    given = job.given.stations
-    count = len({sweep.station for sweep in job.sweeps})
-    if given is not None and np.shape(given) != (count, 4, 4):
-        raise CalibrationError(f"stations: found {len(given)} poses, expected one for each of {count} stations.")
-    start = None if given is None else dict(enumerate(np.asarray(given, np.float64)))
-    return place_stations(_corrected(job), job.stored, tracks=job.given.tracks, start=start)
-
-
 def _panoramas(job: _Job, adjusted: Adjusted) -> tuple[tuple[PanoramaOfWalls, ...], list[str]]:
     """A picture of the walls of every sweep that has some, and a note for each that has none."""
     scanners = job.stored, adjusted.scanner
     found, missed = [], []
-    for number, sweep in enumerate(job.sweeps):
-        corrections = adjusted.corrections[number]
+    for sweep, known, corrections in zip(job.sweeps, job.table.corrections, adjusted.corrections, strict=True):
         try:
-            labels = find_patches(sweep.turned(corrections), adjusted.scanner).labels
+            labels = label_planes(sweep.turned(corrections), adjusted.scanner)
         except CalibrationError as problem:
             missed.append(f"no panorama of {sweep.name}: {problem}")
             continue
-        found.append(judge.panorama_of(sweep, labels, scanners, (job.corrections[number], corrections)))
+        found.append(judge.panorama_of(sweep, labels, scanners, (known, corrections)))
     return tuple(found), missed
+
+
+def _counter(progress: Progress | None, stages: int) -> Callable[[], None]:
+    numbers = iter(range(1, stages + 1))
+    return lambda: None if progress is None else progress(next(numbers), stages)

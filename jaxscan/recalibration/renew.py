@@ -24,12 +24,8 @@ from jaxscan.recalibration.result import Recalibration
 def require_prior(stored: Calibration, name: str = "the calibration") -> Scanner:
     """The scanner of a calibration that can be refined: camera, sheet, table and their covariance.
 
-    Args:
-        stored: The calibration.
-        name: Its name in messages.
-
     Raises:
-        CalibrationError: With the part that is missing.
+        CalibrationError: With the name of the calibration and the part that is missing.
     """
     scanner = stored.scanner
     if scanner is None or not scanner.laser_names:
@@ -56,11 +52,7 @@ def require_prior(stored: Calibration, name: str = "the calibration") -> Scanner
 
 
 def earlier_captures(provenance: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The ancestors of a new calibration: calibration and captures of each, the oldest first.
-
-    Args:
-        provenance: Of the stored calibration.
-    """
+    """The ancestors of a new calibration, by its provenance: calibration and captures of each, the oldest first."""
     own = {"captures": _tables(provenance.get("captures"))}
     origin = provenance.get("calibration")
     if isinstance(origin, Mapping) and origin:
@@ -69,14 +61,9 @@ def earlier_captures(provenance: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def refuse_used(captures: Sequence[tuple[str, str]], provenance: Mapping[str, Any], name: str) -> None:
-    """Refuse a capture from which the stored calibration was made, or one before it.
+    """Refuse a capture (path, digest) from which the stored calibration was made, or one before it.
 
     Its covariance holds all that such a capture tells: used again, every uncertainty would come out too small.
-
-    Args:
-        captures: Path and digest of each.
-        provenance: Of the stored calibration.
-        name: Of the stored calibration, for the message.
 
     Raises:
         CaptureError: With the capture.
@@ -100,12 +87,7 @@ def _tables(found: object) -> list[Any]:
 
 
 def renew_calibration(result: Recalibration, provenance: Mapping[str, Any]) -> Recalibration:
-    """The result; where the scanner was updated, with the new calibration.
-
-    Args:
-        result: As `recalibrate` gives it.
-        provenance: Of the new calibration: captures, settings, versions.
-    """
+    """The result; where the scanner was updated, with the new calibration."""
     scanner = result.scanner
     if scanner.covariance is None or result.adjusted.prior.covariance is None:
         return result

@@ -6,18 +6,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxscan.calibration import Calibration, Fit
+from jaxscan.calibration import Calibration
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration.observed import RecalibrationSettings, RoomObservations, Surfaces
 
 
 class Start(NamedTuple):
-    """Where an adjustment begins; it does not pull the result."""
+    """Where an adjustment begins, T_room_scanner of every station with it; it does not pull the result."""
 
     scanner: Scanner
-    """The stored one, or that of an adjustment before."""
     stations: Float[np.ndarray, "stations 4 4"]
-    """T_room_scanner of every station; the identity for the first."""
     corrections: tuple[Float[np.ndarray, " records"], ...] = ()
     """Known faults of each sweep's angles, which are added to those of the journal [rad]; without any, none."""
 
@@ -39,30 +37,24 @@ class Adjusted:
     surfaces: Surfaces
     corrections: tuple[Float[np.ndarray, " records"], ...]
     """Added to the angles of each sweep's journal before the table's own model [rad]: the known faults of the start,
-    and the correction found for each image in which features are seen, or with `angles="steps"` for each record."""
-    correction_sigma: tuple[Float[np.ndarray, " records"], ...]
+    and the correction found for each image in which features are seen."""
     point_error: Float[np.ndarray, " points"]
     """Signed distance of each point from its surface [m]."""
     point_sigma: Float[np.ndarray, " points"]
     """Standard deviation of that distance by stripe noise and roughness [m]."""
     point_kept: Bool[np.ndarray, " points"]
-    track_error: Float[np.ndarray, "sightings 2"]
-    """Projected minus seen [px]."""
     track_kept: Bool[np.ndarray, " sightings"]
     wall_m: float
     """Roughness of the walls, given or learned [m]."""
     inflation: float
     """Mean factor of the variances of scanner and stations because points of a wall share errors [1]."""
     observations: RoomObservations
-    """As they were given."""
     cost: float
     """Sum of squared whitened residuals, with those of the prior; of boards their excess over the best fit alone."""
     freedom: int
     """Kept residuals less unknowns that no prior holds."""
     converged: bool
     steps: int
-    boards: Fit | None = None
-    """Residuals on the boards, where there were any."""
     uneven_m: float = 0.0
     """Standard deviation of the walls' shape, which neighbouring points share [m]."""
     stop_sigma: float = 0.0
@@ -94,7 +86,6 @@ class LengthGain:
 
     laser: str
     name: str
-    """As of `LengthSigma`: "along the stripe", "across the sweep" or "half a turn"."""
     depth_m: float
     length_m: float
     before_mm: float
@@ -103,11 +94,10 @@ class LengthGain:
 
 @dataclass(frozen=True)
 class FoundLength:
-    """A known length, and as the new scanner finds it."""
+    """A known length as it was given, and as the new scanner finds it."""
 
     metres: float
     sigma_m: float
-    """As it was given."""
     found_m: float
 
 
@@ -161,16 +151,13 @@ class HoldOut:
 
 @dataclass(frozen=True)
 class TableFindings:
-    """Faults of the table's angles."""
+    """Steps that the table lost."""
 
-    factor: float = 1.0
-    """True turn over that of the journal, where the steps per turn are wrong [1]."""
     jumps: tuple[tuple[int, int, float], ...] = ()
     """Sweep, record and angle [rad] from which on the table stands elsewhere: lost steps."""
     corrections: tuple[Float[np.ndarray, " _"], ...] = ()
-    """Added to the angles of each sweep [rad]; they correct factor and jumps."""
+    """Added to the angles of each sweep [rad]; they correct the jumps."""
     sentences: tuple[str, ...] = ()
-    """Each fault, in a sentence that says what to do."""
 
 
 @dataclass(frozen=True)
@@ -224,8 +211,6 @@ class Recalibration:
     lengths: tuple[LengthGain, ...] = ()
     """Typical lengths; those of the adjusted scanner also where the update is refused."""
     known: tuple[FoundLength, ...] = ()
-    """Lengths that were given and used."""
     calibration: Calibration | None = None
     """The new calibration, to be saved; None where nothing was updated."""
     settings: RecalibrationSettings = field(default_factory=RecalibrationSettings)
-    """As they were given."""

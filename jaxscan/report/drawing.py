@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxscan.drawing import Drawing, lay_out, layer_of
 from jaxscan.drawing.model import EM
-from jaxscan.report.html import Html, element
+from jaxscan.report.html import Html, captioned, element
 
 
 if TYPE_CHECKING:
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 BLUE, ORANGE, GREEN, RED, SKY, PURPLE = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7"
 SERIES = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
 INK, SOFT, LINE = "#1c2530", "#5b6672", "#dfe3e8"
+ROUND = tuple(step * 10.0**power for power in range(-7, 8) for step in (1, 2, 5))
+"""Numbers by which people count, in order."""
 RASTER_DPI = 180
 """Resolution of figure parts with thousands of marks, which are drawn as pixels."""
 
@@ -68,6 +70,12 @@ def new_axes(figure: "Figure", place: int = 111, *, grid: bool = True, **options
         return axes
 
 
+def new_plot(width: float = 5.4, height: float = 3.3, **options: Any) -> tuple["Figure", Any]:
+    """A figure and its only axes; options as of `new_axes`."""
+    figure = new_figure(width, height)
+    return figure, new_axes(figure, **options)
+
+
 def add_legend(axes: Any, *, inside: bool = False) -> None:
     """A legend above the axes, or inside in their upper left. Names are not read as formulas."""
     style: Any = {"frameon": False, "fontsize": 8.5, "handletextpad": 0.5, "borderaxespad": 0.2}
@@ -81,12 +89,7 @@ def add_legend(axes: Any, *, inside: bool = False) -> None:
 
 
 def as_svg(figure: "Figure", name: str, description: str) -> Html:
-    """A figure as markup.
-
-    Args:
-        name: A name that no other figure of the page has.
-        description: Text for screen readers.
-    """
+    """A figure as markup, by a name that no other figure of the page has, with a description for screen readers."""
     import matplotlib
 
     # "none" keeps text as text; the fixed salt gives the same bytes for the same figure.
@@ -110,6 +113,16 @@ def as_svg(figure: "Figure", name: str, description: str) -> Html:
     return element("svg", Html(body.strip()), viewBox=box, style=width, role="img", aria_label=description)
 
 
+def drawn(figure: "Figure", name: str, description: str, *caption: object, **attributes: str) -> Html:
+    """A figure as markup with its caption; arguments as of `as_svg` and `html.captioned`."""
+    return captioned(as_svg(figure, name, description), *caption, **attributes)
+
+
+def round_up(value: float) -> float:
+    """The next larger round number; one that is smaller by less than a thousandth counts too."""
+    return next((one for one in ROUND if one >= 0.999 * value), ROUND[-1])
+
+
 def plain(text: str, longest: int = 28) -> str:
     """A name for figures: letters that are not in every font become "?", and long names are cut."""
     shown = "".join(letter if " " <= letter <= "~" or "\xa1" <= letter <= "\xff" else "?" for letter in text)
@@ -126,6 +139,27 @@ def arrows(start: np.ndarray, vector: np.ndarray) -> Any:
     points = np.stack([start, tip, barbs[0], tip, barbs[1]], 1).reshape(-1, 2)
     codes = np.tile([Path.MOVETO, Path.LINETO, Path.MOVETO, Path.LINETO, Path.LINETO], len(start))
     return Path(points, codes) if len(points) else Path(np.zeros((0, 2)))
+
+
+def png(figure: "Figure") -> bytes:
+    """A figure as a PNG."""
+    written = io.BytesIO()
+    figure.savefig(written, format="png", dpi=120)
+    return written.getvalue()
+
+
+def add_bar(figure: "Figure", shown: Any, axes: Any, **options: Any) -> Any:
+    """A scale of colours beside axes, without a frame."""
+    bar = figure.colorbar(shown, ax=axes, **options)
+    bar.outline.set_visible(False)
+    bar.ax.tick_params(length=0, labelsize=8)
+    return bar
+
+
+def no_frame(axes: Any) -> None:
+    """Leave out the lines about axes."""
+    for spine in axes.spines.values():
+        spine.set_visible(False)
 
 
 def _short(match: re.Match[str]) -> str:
@@ -193,16 +227,7 @@ def _sheet_figure(drawing: Drawing) -> "Figure":
 
 
 def with_scale(rgb: np.ndarray, pixel_m: float, words: str) -> np.ndarray:
-    """A picture with a strip below it: a scale in metres and words.
-
-    Args:
-        rgb: [rows, columns, 3], uint8.
-        pixel_m: Size of a pixel [m].
-        words: What is said beside the scale.
-
-    Returns:
-        [rows + strip, columns, 3], uint8; the picture itself is not changed.
-    """
+    """A picture, uint8 [rows, columns, 3], with a strip below it: a scale by the size of a pixel [m], and words."""
     # Imported here, so that only drawing loads matplotlib.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

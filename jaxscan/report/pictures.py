@@ -1,13 +1,12 @@
 """Pictures of deviations between clouds, and of rigs that are yet to be built."""
 
-import io
 from typing import Any
 
 import numpy as np
 
 from jaxscan.design import RigChoice, RigDesign, spread_at
 from jaxscan.measurement import DeviationMap
-from jaxscan.report.drawing import GREEN, INK, LINE, ORANGE, SERIES, SOFT, new_axes, new_figure
+from jaxscan.report.drawing import GREEN, INK, LINE, ORANGE, ROUND, SERIES, SOFT, new_axes, new_figure, png
 
 
 ROBUST = 5.0
@@ -60,9 +59,7 @@ def deviation_picture(found: DeviationMap) -> bytes:
     marks += [Patch(facecolor=LINE, label="no points")] * bool((~found.seen).any())
     if marks:
         figure.legend(handles=marks, loc="outside lower left", ncols=len(marks), frameon=False, fontsize=8.5)
-    written = io.BytesIO()
-    figure.savefig(written, format="png", dpi=120)
-    return written.getvalue()
+    return png(figure)
 
 
 def _beyond_words(found: DeviationMap, reach: float) -> list[tuple[str, str]]:
@@ -79,7 +76,6 @@ def _beyond_words(found: DeviationMap, reach: float) -> list[tuple[str, str]]:
 
 
 _SHOWN = 4
-"""Baselines that are drawn beside the chosen one."""
 _SAMPLES = 60
 
 
@@ -88,9 +84,7 @@ def design_picture(choice: RigChoice) -> bytes:
     figure = new_figure(10.4, 4.6)
     _curves(new_axes(figure, 121, xlabel="depth, m", ylabel="standard deviation of a point's depth, mm"), choice)
     _map(new_axes(figure, 122, grid=False, xlabel="baseline, m", ylabel="lens, mm"), choice)
-    written = io.BytesIO()
-    figure.savefig(written, format="png", dpi=120)
-    return written.getvalue()
+    return png(figure)
 
 
 def _curves(axes: Any, choice: RigChoice) -> None:
@@ -111,7 +105,7 @@ def _curves(axes: Any, choice: RigChoice) -> None:
     axes.plot([wish.range_m], [1e3 * choice.sigma_m], "s", color=INK, markersize=5)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    for axis, values in ((axes.xaxis, _round(axes.get_xlim())), (axes.yaxis, _round(axes.get_ylim()))):
+    for axis, values in ((axes.xaxis, _within(axes.get_xlim())), (axes.yaxis, _within(axes.get_ylim()))):
         axis.set_ticks(values, [f"{value:g}" for value in values])
         axis.set_ticks([], minor=True)
     across, along = chosen.fields_deg
@@ -157,7 +151,5 @@ def _depths(design: RigDesign, range_m: float) -> np.ndarray:
     return np.geomspace(max(near, 0.1 * range_m), min(far, 2.0 * range_m), _SAMPLES)
 
 
-def _round(limits: tuple[float, float]) -> list[float]:
-    low, high = limits
-    every = [digit * 10.0**power for power in range(-6, 6) for digit in (1, 2, 5)]
-    return [value for value in every if low <= value <= high]
+def _within(limits: tuple[float, float]) -> list[float]:
+    return [value for value in ROUND if limits[0] <= value <= limits[1]]

@@ -8,7 +8,24 @@ import numpy as np
 
 from jaxscan.calibration import BoardMap, Direction, Fit, is_held_by_priors
 from jaxscan.observation import Observations
-from jaxscan.report.drawing import BLUE, INK, LINE, RED, SERIES, SOFT, add_legend, arrows, new_axes, new_figure, plain
+from jaxscan.report.drawing import (
+    BLUE,
+    INK,
+    LINE,
+    RED,
+    ROUND,
+    SERIES,
+    SOFT,
+    add_bar,
+    add_legend,
+    arrows,
+    new_axes,
+    new_figure,
+    new_plot,
+    no_frame,
+    plain,
+    round_up,
+)
 
 
 if TYPE_CHECKING:
@@ -22,9 +39,8 @@ _QUANTILES = 400
 
 def along_stripe(observations: Observations, fit: Fit) -> "Figure":
     """Stripe residuals along the stripe, with the means of short pieces."""
-    figure = new_figure()
     axis = stripe_direction(observations)
-    axes = new_axes(figure, xlabel=f"image {'row' if axis else 'column'}, px", ylabel="stripe residual, px")
+    figure, axes = new_plot(xlabel=f"image {'row' if axis else 'column'}, px", ylabel="stripe residual, px")
     for laser, mine in _by_laser(observations):
         kept = fit.stripe_inlier[mine]
         along, error = np.asarray(observations.stripes.q)[mine][kept][:, axis], fit.stripe_error[mine][kept]
@@ -43,8 +59,7 @@ def along_stripe(observations: Observations, fit: Fit) -> "Figure":
 
 def stripes_against_angle(observations: Observations, fit: Fit) -> "Figure":
     """Mean stripe residual of every view against the table's angle."""
-    figure = new_figure()
-    axes = new_axes(figure, xlabel="table angle, degrees", ylabel="mean stripe residual of a view, px")
+    figure, axes = new_plot(xlabel="table angle, degrees", ylabel="mean stripe residual of a view, px")
     view = np.asarray(observations.stripes.view)
     turned = turned_views(observations)[view]
     angle = np.degrees(np.asarray(observations.corners.angle))[view]
@@ -71,8 +86,7 @@ def stripes_against_angle(observations: Observations, fit: Fit) -> "Figure":
 def corners_against_angle(observations: Observations, fit: Fit) -> "Figure":
     """Mean corner residual of every view of a placement against the table's angle. A curve means that the table
     turns unevenly or wobbles."""
-    figure = new_figure()
-    axes = new_axes(figure, xlabel="table angle, degrees", ylabel="mean corner residual of a view, px")
+    figure, axes = new_plot(xlabel="table angle, degrees", ylabel="mean corner residual of a view, px")
     views = turned_views(observations) & fit.corner_inlier.any(1)
     angle = np.degrees(np.asarray(observations.corners.angle))
     place = np.asarray(observations.corners.placement)[views]
@@ -89,8 +103,7 @@ def corners_against_angle(observations: Observations, fit: Fit) -> "Figure":
 
 def histogram(whitened: np.ndarray) -> "Figure":
     """Histogram of the whitened residuals, with the unit Gaussian."""
-    figure = new_figure(5.4, 2.9)
-    axes = new_axes(figure, xlabel="residual / its standard deviation", ylabel="density")
+    figure, axes = new_plot(5.4, 2.9, xlabel="residual / its standard deviation", ylabel="density")
     axes.hist(whitened, bins=np.arange(-_LIMIT, _LIMIT + 0.1, 0.2), density=True, color=BLUE, alpha=0.55, linewidth=0)
     x = np.linspace(-_LIMIT, _LIMIT, 201)
     axes.plot(x, np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi), color=INK, linewidth=1.4, label="unit Gaussian")
@@ -101,8 +114,7 @@ def histogram(whitened: np.ndarray) -> "Figure":
 
 def quantiles(whitened: np.ndarray) -> "Figure":
     """Quantiles of the whitened residuals against quantiles of the unit Gaussian."""
-    figure = new_figure(5.4, 2.9)
-    axes = new_axes(figure, xlabel="quantile of the unit Gaussian", ylabel="quantile of the residuals")
+    figure, axes = new_plot(5.4, 2.9, xlabel="quantile of the unit Gaussian", ylabel="quantile of the residuals")
     count = min(len(whitened), _QUANTILES)
     level = (np.arange(count) + 0.5) / count
     expected = np.array([NormalDist().inv_cdf(value) for value in level])
@@ -198,7 +210,7 @@ def residual_scale(fit: Fit) -> float:
     """A round length [px] that scales all arrows of a report: about the 90 % quantile of the kept residuals."""
     length = np.linalg.norm(fit.corner_error, axis=-1)[fit.corner_inlier]
     usual = float(np.percentile(length, 90)) if length.size else 0.0
-    return _round_number(usual) if usual > 0 else 1.0
+    return round_up(usual) if usual > 0 else 1.0
 
 
 def view_residuals(observations: Observations, fit: Fit, view: int, scale: float) -> "Figure":
@@ -238,10 +250,8 @@ def direction_map(observations: Observations, fit: Fit) -> "Figure":
     drawn = axes.scatter(
         *q.T, c=direction, cmap=_round_colours(), vmin=-180, vmax=180, s=9, linewidths=0, rasterized=True
     )
-    bar = figure.colorbar(drawn, ax=axes, ticks=[-180, -90, 0, 90, 180], shrink=0.75, aspect=26, pad=0.015)
+    bar = add_bar(figure, drawn, axes, ticks=[-180, -90, 0, 90, 180], shrink=0.75, aspect=26, pad=0.015)
     bar.ax.set_yticklabels(["left", "up", "right", "down", "left"])
-    bar.ax.tick_params(length=0, labelsize=8)
-    bar.outline.set_visible(False)
     middle, mean, clear = cell_means(q, error, fit.corner_sigma[kept], observations.width, observations.height)
     if clear.any():
         largest = np.linalg.norm(mean[clear], axis=-1).max()
@@ -254,18 +264,11 @@ def direction_map(observations: Observations, fit: Fit) -> "Figure":
 def cell_means(
     q: np.ndarray, error: np.ndarray, sigma: np.ndarray, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean residual in the cells of a grid over the image.
-
-    Args:
-        q: Pixels [n, 2].
-        error: Residuals [n, 2], px.
-        sigma: Standard deviation of each [n], px.
-        width: Of the image [px].
-        height: Of the image [px].
+    """Mean residual in the cells of a grid over an image of a width and a height, by pixels and residuals [n, 2], px.
 
     Returns:
         The centre of each cell that is not empty [cells, 2], px, the mean residual in it [cells, 2], px, and whether
-        the mean is larger than noise [cells]; by chance that is so for one cell in about a hundred.
+        the mean is larger than noise of the standard deviations [cells]; by chance one cell in about a hundred is.
     """
     size = width / _CELLS_ACROSS
     cell = np.stack([q[:, 0] // size, q[:, 1] // size], -1)
@@ -327,25 +330,16 @@ def _round_colours() -> Any:
     return LinearSegmentedColormap.from_list("round", ["#0072b2", "#8fd3e8", "#f2a100", "#6b1f3a", "#0072b2"])
 
 
-def _round_number(value: float) -> float:
-    """The next larger number that is 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(power * next(step for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * 0.999))
-
-
 _SHOWN_CORRELATION = 0.5
 
 
 def depth_against_distance(lasers: Sequence[tuple[str, np.ndarray, np.ndarray]], noise_mm: np.ndarray) -> "Figure":
-    """Standard deviation of the depth against the depth itself, both on logarithmic scales.
+    """Standard deviation of the depth [mm] against the depth itself [m], both on logarithmic scales.
 
-    Args:
-        lasers: For each laser its name, depths [n], m, and standard deviations from the calibration there [n], mm.
-        noise_mm: Standard deviation of one point from the noise of its own stripe, at the depths of the first laser
-            [n], mm; 0 where it is unknown.
+    Of each laser its name, depths and standard deviations; `noise_mm` is that of one point from the noise of its own
+    stripe, at the depths of the first laser, and 0 where it is unknown.
     """
-    figure = new_figure()
-    axes = new_axes(figure, xlabel="depth, m", ylabel="standard deviation of the depth, mm")
+    figure, axes = new_plot(xlabel="depth, m", ylabel="standard deviation of the depth, mm")
     for index, (name, depth, sigma) in enumerate(lasers):
         label = "calibration" if len(lasers) == 1 else f"calibration, {plain(name)}"
         axes.plot(depth, sigma, "o-", color=SERIES[2 * index % len(SERIES)], markersize=4.5, label=label)
@@ -353,8 +347,8 @@ def depth_against_distance(lasers: Sequence[tuple[str, np.ndarray, np.ndarray]],
         axes.plot(lasers[0][1], noise_mm, "s--", color=RED, markersize=4, label="one point's own stripe noise")
     axes.set_xscale("log")
     axes.set_yscale("log")
-    _plain_ticks(axes.xaxis, np.concatenate([depth for _, depth, _ in lasers]))
-    _plain_ticks(axes.yaxis, np.array(axes.get_ylim()))
+    _plain_ticks(axes.xaxis)
+    _plain_ticks(axes.yaxis)
     axes.grid(True, which="both")
     add_legend(axes, inside=True)
     return figure
@@ -366,33 +360,24 @@ def correlations(names: Sequence[str], covariance: np.ndarray) -> "Figure":
     free = np.flatnonzero(sigma > 0)
     correlation = covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])
     side = min(3.0 + 0.24 * len(free), 11.0)
-    figure = new_figure(side, side - 0.4)
-    axes = new_axes(figure, grid=False)
+    figure, axes = new_plot(side, side - 0.4, grid=False)
     drawn = axes.imshow(correlation, cmap="RdBu_r", vmin=-1, vmax=1, interpolation="nearest")
     labels = [plain(names[index], 18) for index in free.tolist()]
     axes.set_xticks(range(len(free)), labels, rotation=90, parse_math=False)
     axes.set_yticks(range(len(free)), labels, parse_math=False)
     axes.tick_params(length=0, labelsize=8)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
+    no_frame(axes)
     for i, j in zip(*np.nonzero(np.abs(np.tril(correlation, -1)) > _SHOWN_CORRELATION), strict=True):
         value = correlation[i, j]
         text = f"{value:+.2f}".replace("0.", ".")
         axes.text(j, i, text, ha="center", va="center", fontsize=5.5, color="white" if abs(value) > 0.7 else INK)
-    bar = figure.colorbar(drawn, ax=axes, shrink=0.6, aspect=28, pad=0.02, ticks=[-1, -0.5, 0, 0.5, 1])
-    bar.outline.set_visible(False)
-    bar.ax.tick_params(length=0, labelsize=8)
+    add_bar(figure, drawn, axes, shrink=0.6, aspect=28, pad=0.02, ticks=[-1, -0.5, 0, 0.5, 1])
     return figure
 
 
 def spectrum(directions: Sequence[Direction]) -> "Figure":
-    """Standard deviation over the prior's standard deviation, for each independent combination of parameters.
-
-    Args:
-        directions: The combinations, worst first.
-    """
-    figure = new_figure(5.4, min(0.9 + 0.27 * len(directions), 8.0))
-    axes = new_axes(figure, xlabel="standard deviation over the prior's")
+    """Standard deviation over the prior's, for each independent combination of parameters, worst first."""
+    figure, axes = new_plot(5.4, min(0.9 + 0.27 * len(directions), 8.0), xlabel="standard deviation over the prior's")
     value = np.array([max(row.sigma_over_prior, 1e-12) for row in directions])
     place = np.arange(len(directions))
     left = 10.0 ** (np.floor(np.log10(value.min())) - 0.15)
@@ -420,16 +405,11 @@ def combination(direction: dict[str, float], most: int = 3) -> str:
     return " ".join(words).removeprefix("+ ") or "—"
 
 
-def _plain_ticks(axis: Any, values: np.ndarray) -> None:
-    """Ticks at 1, 2 and 5 times powers of ten, as plain numbers."""
+def _plain_ticks(axis: Any) -> None:
+    """Ticks at round numbers, written without exponents."""
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
 
-    positive = values[values > 0]
-    if not positive.size:
-        return
-    low, high = np.floor(np.log10(positive.min())) - 1, np.ceil(np.log10(positive.max())) + 1
-    ticks = [step * 10.0**power for power in np.arange(low, high + 1) for step in (1, 2, 5)]
-    axis.set_major_locator(FixedLocator(ticks))
+    axis.set_major_locator(FixedLocator(ROUND))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())
     axis.set_minor_formatter(NullFormatter())
@@ -444,12 +424,7 @@ _SMALL_MM = 0.02
 
 
 def board_map(found: BoardMap, corners: np.ndarray, square_m: float) -> "Figure":
-    """Heights over the best plane in colour and in numbers, and shifts in the plane as arrows.
-
-    Args:
-        corners: Corners of the flat board [corners, 3], m.
-        square_m: Side of a square [m].
-    """
+    """Heights over the best plane in colour and in numbers at the corners [m], and shifts in the plane as arrows."""
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import PathPatch
 
@@ -481,8 +456,5 @@ def board_map(found: BoardMap, corners: np.ndarray, square_m: float) -> "Figure"
         path = arrows(np.column_stack([x, y]), scale * shift)
         axes.add_patch(PathPatch(path, fill=False, edgecolor=INK, linewidth=0.8, clip_on=False))
         axes.set_title(f"arrows: place in the plane, the longest {longest:.3f} mm", color=SOFT, loc="left")
-    bar = figure.colorbar(drawn, ax=axes, shrink=0.8, aspect=24, pad=0.02)
-    bar.set_label(f"height into the board, {unit}")
-    bar.outline.set_visible(False)
-    bar.ax.tick_params(length=0, labelsize=8)
+    add_bar(figure, drawn, axes, shrink=0.8, aspect=24, pad=0.02).set_label(f"height into the board, {unit}")
     return figure

@@ -27,7 +27,6 @@ _SIZES_MM: dict[Paper, tuple[float, float]] = {
     "A1": SIZES_MM["a1"],
     "letter": (215.9, 279.4),
 }
-"""Width and height."""
 MARGIN_MM = 6.0
 """What printers leave white, and a little more."""
 GAP_MM, FOOTER_MM = 4.0, 11.0
@@ -97,7 +96,6 @@ def _sheets(size: tuple[float, float], page: tuple[float, float]) -> SheetLayout
 RULER_MM = 100.0
 _LINE_MM = 0.2
 _TEXT_MM, _SMALL_MM = 2.8, 2.2
-"""Heights of letters."""
 
 
 class Text(NamedTuple):
@@ -123,14 +121,9 @@ class Page(NamedTuple):
 
 
 def board_pages(board: AbstractBoard, paper: Paper) -> tuple[list[Page], list[str]]:
-    """The sheets of a board in true size.
+    """The sheets of a board in true size, row after row, and what to know before they are printed.
 
-    Args:
-        paper: The size of the sheets, which lie upright or across, whichever needs fewer.
-
-    Returns:
-        pages: The sheets, row after row.
-        notes: What to know before they are printed.
+    Sheets lie upright or across, whichever needs fewer.
 
     Raises:
         OptionError: If it needs too many sheets.

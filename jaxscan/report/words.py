@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from jaxscan.calibration import Calibration, GoodTo, ModelTest, Quality, is_named, judge_views, noise_kind
-from jaxscan.geometry import LinearStage
+from jaxscan.geometry import MOTIONS
 
 
 TESTS = {
@@ -52,7 +52,6 @@ _PARTS = {
     "sheet": "the laser's sheet",
     "camera": "camera and lens",
 }
-"""The parts of a rig of which an error is made up."""
 _BETTER = {
     "angles": "boards that stand still while the table turns all around (0, 90, 180 and 270 degrees), or a sweep of a "
     "room (`jaxscan recalibrate`)",
@@ -60,13 +59,17 @@ _BETTER = {
     "sheet": "the laser's line on boards at clearly different distances",
     "camera": "more boards, tilted by 20 to 45 degrees and right into the corners of the image",
 }
-"""What makes each of them better known."""
 _BETTER_BY_SWEEPS = dict.fromkeys(("angles", "axis"), "more sweeps") | dict.fromkeys(
     ("sheet", "camera"), "a length in the room that is known (`--known`), or more boards"
 )
 """The same of a calibration that sweeps have refined already."""
 # The squares of smaller parts add less than a thousandth.
 _LEAST_PART = 0.03
+
+OF_LENGTHS = (
+    "Standard deviations of lengths measured with this rig, as far as the calibration causes them. The noise of the "
+    "stripes adds to them."
+)
 
 # Shorter ones are no walls.
 _WALL_M = 1.0
@@ -208,8 +211,8 @@ def _halved(calibration: Calibration, good_to: GoodTo) -> str:
 
 
 def _part(name: str, calibration: Calibration) -> str:
-    stage = calibration.scanner is not None and isinstance(calibration.scanner.turntable, LinearStage)
-    return "the direction of the travel" if stage and name == "axis" else _PARTS[name]
+    part = "axis" if calibration.scanner is None else MOTIONS[calibration.scanner.turntable.carries].part
+    return f"the {part}" if name == "axis" != part else _PARTS[name]
 
 
 def _held(calibration: Calibration) -> list[str]:
@@ -369,6 +372,12 @@ def calibration_date(calibration: Calibration, path: Path | None = None) -> str:
         return ""
     written = datetime.datetime.fromtimestamp(path.stat().st_mtime, datetime.UTC)
     return f"{_shown(written)}, by the time of its file"
+
+
+def capture_names(calibration: Calibration) -> list[str]:
+    """Names of the captures of which a calibration was made; a file may say anything."""
+    found = calibration.provenance.get("captures")
+    return [str(one.get("name")) for one in found if isinstance(one, dict)] if isinstance(found, list) else []
 
 
 def _shown(when: datetime.datetime) -> str:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import map_coordinates  # type: ignore[import-untyped]
 
 from jaxscan.errors import ConfigError
 from jaxscan.simulation.camera import Blur, blurred, integrate, psf_weights
@@ -63,37 +64,10 @@ class Print:
 
 
 def between_cells(cells: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """The quadratic spline over the cells of a picture.
-
-    Args:
-        cells: float32 [rows, columns].
-        row: Places, float32; those beyond the last cells but one are taken to lie on these.
-        column: The same.
-
-    Returns:
-        Values there, float32.
-    """
-    half, most = np.float32(0.5), np.float32(0.75)
-    rows, columns = cells.shape
+    """The quadratic spline over the cells of a picture, float32; places beyond the last but one lie on these."""
     # What is no number becomes 1.
-    y = np.fmin(np.fmax(row, np.float32(1)), np.float32(rows - 2))
-    x = np.fmin(np.fmax(column, np.float32(1)), np.float32(columns - 2))
-    i, j = ((at + half).astype(np.int32) for at in (y, x))
-    y -= i.astype(np.float32)
-    x -= j.astype(np.float32)
-    flat = cells.ravel()
-    # The nine cells about each place, row by row; all of them exist.
-    cell = (i.astype(np.intp) - 1) * columns + (j - 1)
-    along = half * (half - x) * (half - x), most - x * x, half * (half + x) * (half + x)
-    total = np.zeros_like(y)
-    for weight in (half * (half - y) * (half - y), most - y * y, half * (half + y) * (half + y)):
-        line = np.zeros_like(y)
-        for share in along:
-            line += share * flat.take(cell, mode="clip")
-            cell += 1
-        cell += columns - 3
-        total += weight * line
-    return total
+    places = [np.fmin(np.fmax(at, 1), size - 2) for at, size in zip((row, column), cells.shape, strict=True)]
+    return map_coordinates(cells, places, order=2, prefilter=False)
 
 
 def make_print(spec: BoardsSpec, texture: np.ndarray) -> Print:

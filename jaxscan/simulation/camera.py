@@ -184,8 +184,6 @@ def encode_srgb(linear: np.ndarray) -> np.ndarray:
 _STEP_PX = 0.12
 """Widths of blur this close are blended: a mixture of two such Gaussians is one of the width between."""
 _MOST_WIDTHS = 6
-_ROWS, _COLUMNS = 64, 256
-"""Of the parts in which pictures are blurred."""
 
 
 class Blur(NamedTuple):
@@ -233,32 +231,6 @@ def blurred(make: Callable[[float], np.ndarray], blur: Blur) -> np.ndarray:
     for width, share in zip(blur.widths, blur.shares(), strict=True):
         total = total + make(width) * share
     return total
-
-
-def softened(image: np.ndarray, blur: Blur) -> np.ndarray:
-    """A picture sampled at pixel centres through the lens [..., height, width]: part by part, which stay in the cache.
-
-    Args:
-        image: The picture, float32.
-        blur: Of its pixels. Each part is blurred only by the widths that it has.
-    """
-    height, width = image.shape[-2:]
-    out = np.empty_like(image)
-    step = width if blur.place is None else _COLUMNS
-    for top in range(0, height, _ROWS):
-        for left in range(0, width, step):
-            part = slice(top, min(top + _ROWS, height)), slice(left, min(left + step, width))
-            if blur.place is None:
-                out[..., *part] = blurred_part(image, blur.widths[0], *part)
-                continue
-            place = blur.place[part]
-            total: np.ndarray = np.zeros((*image.shape[:-2], *place.shape), np.float32)
-            # Rounding may put a place a little beyond the last width.
-            for k in range(math.floor(place.min()), min(math.ceil(place.max()), len(blur.widths) - 1) + 1):
-                share = np.maximum(1 - np.abs(place - np.float32(k)), 0)
-                total += blurred_part(image, blur.widths[k], *part) * share
-            out[..., *part] = total
-    return out
 
 
 def lens_blur(config: SimulationConfig, depth: np.ndarray) -> Blur:
@@ -447,14 +419,6 @@ def blur(image: np.ndarray, psf_px: float) -> np.ndarray:
     for _ in range(passes):
         image = _binomial(_binomial(image, a).swapaxes(-1, -2), a).swapaxes(-1, -2)
     return image
-
-
-def blurred_part(image: np.ndarray, psf_px: float, rows: slice, columns: slice) -> np.ndarray:
-    """Some pixels of `blur`; slices have starts and stops."""
-    reach = _passes(psf_px)[0]
-    top, left = max(rows.start - reach, 0), max(columns.start - reach, 0)
-    done = blur(image[..., top : rows.stop + reach, left : columns.stop + reach], psf_px)
-    return done[..., rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
 
 
 def _passes(psf_px: float) -> tuple[int, np.float32]:

@@ -228,8 +228,6 @@ class Sheet:
     """`slope_at` of every pixel's (x, y, z), float32 [height, width]."""
     power: float
     """DN times m^2: the stripe's light per unit fan, see `stripe`."""
-    bulge: float = 0.0
-    """How far the bowed sheet lies beside its plane in the image, at the most, per depth."""
 
     def slope_at(self, x: np.ndarray, y: np.ndarray, z: Numbers = 1.0) -> np.ndarray:
         """m such that the point t (x, y, z) lies t m - d beside the sheet."""
@@ -356,7 +354,4 @@ def _sheet(spec: LaserSpec, config: SimulationConfig, rays: RayTable) -> Sheet:
     seen_px = np.sqrt(width_px**2 + config.sensor.psf_px**2 + 1 / 12)
     power = spec.peak_dn / WALL_ALBEDO * r * np.sqrt(2 * np.pi) * width_m * seen_px / width_px
     slope = sheet.slope_at(*(np.asarray(part, np.float64) for part in (rays.x, rays.y, rays.z))).astype(np.float32)
-    flat = sum(part * np.asarray(way, np.float64) for part, way in zip(normal, (rays.x, rays.y, rays.z), strict=True))
-    # A hundredth for places between pixel centres.
-    bulge = 0.0 if spec.bow == (0.0, 0.0) else 1.01 * float(np.abs(slope - flat).max())
-    return replace(sheet, slope=slope, power=float(power), bulge=bulge)
+    return replace(sheet, slope=slope, power=float(power))

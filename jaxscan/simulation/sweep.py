@@ -16,6 +16,8 @@ from jaxscan.geometry.scanner import UP_VECTORS
 from jaxscan.simulation.boards import Cover, SeenBoard, cover, make_print
 from jaxscan.simulation.camera import (
     Blur,
+    blur,
+    blurred,
     channels,
     dimmed,
     expose,
@@ -23,11 +25,9 @@ from jaxscan.simulation.camera import (
     laser_response,
     lens_blur,
     mosaic,
-    softened,
     vignette,
 )
 from jaxscan.simulation.light import (
-    ON_BOARD,
     LitSamples,
     LitScene,
     RowTruth,
@@ -504,10 +504,10 @@ def expect_record(
     room, behind, ambient = _surroundings(rig, scene, stood, laser if config.light.bounce > 0 else None)
     white = config.light.white_dn if board is None else config.boards.white_dn
     lens, off = behind, ambient * np.float32(white)
-    scale, depth, front, facet_at = 1.0, room.depth, None, room.facet_at
+    scale, depth, front = 1.0, room.depth, None
     if board is not None:
         in_front = _in_view(rig, board.hit(rig.rays.x, rig.rays.y, rig.rays.z)[0])
-        depth, facet_at = np.minimum(depth, in_front), partial(_facet_at, room, *_alone(room.depth, in_front))
+        depth = np.minimum(depth, in_front)
         lens = lens_blur(config, depth)
         front = cover(rig, board, in_front, lens)
         where, fills, albedo, board = front
@@ -515,7 +515,7 @@ def expect_record(
         off[:, *where] = off[:, *where] * (1 - fills) + albedo * light + fills * shine
         scale = _board_power(rig, sheet, in_front)
     shot = shot._replace(board=board)
-    samples = lit_samples(shot, depth, lens, facet_at)
+    samples = lit_samples(shot, depth, lens)
     glow: np.ndarray = laser_image(samples) * np.float32(scale)
     truth_glow, shade = glow, vignette(config)
     mirrored = mirrored_samples(shot, scene.mirror[room.triangle] > 0, depth, lens)
@@ -552,35 +552,6 @@ def _surroundings(rig: TrueRig, scene: Scene, phi: float, laser: int | None) -> 
     return room, lens, _ambient(rig, scene, pose, room, lens)
 
 
-def _alone(depth: np.ndarray, board: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels that show the scene alone, and those that show a board alone, also round their centres; bool.
-
-    Args:
-        depth: Of the scene in every pixel [height, width].
-    """
-    return _around(np.isinf(board)), _around(board * np.float32(1.01) < depth)
-
-
-def _around(true: np.ndarray) -> np.ndarray:
-    """Where something is true of a pixel and of all its neighbours, bool [height, width]."""
-    rows = true.copy()
-    rows[1:] &= true[:-1]
-    rows[:-1] &= true[1:]
-    out = rows.copy()
-    out[:, 1:] &= rows[:, :-1]
-    out[:, :-1] &= rows[:, 1:]
-    return out
-
-
-def _facet_at(
-    room: SceneView, scene_alone: np.ndarray, board_alone: np.ndarray, rows: np.ndarray, columns: np.ndarray
-) -> np.ndarray:
-    """As `SceneView.facet_at`, with a board in front."""
-    facet = room.facet_at(rows, columns)
-    on_board = np.where(board_alone[rows, columns] & (facet >= 0), ON_BOARD, -1)
-    return np.where(scene_alone[rows, columns], facet, on_board)
-
-
 def _in_view(rig: TrueRig, depth: np.ndarray) -> np.ndarray:
     return depth if rig.rays.sees is None else np.where(rig.rays.sees, depth, np.float32(np.inf))
 
@@ -601,7 +572,7 @@ def _ambient(rig: TrueRig, scene: Scene, pose: Motion, room: SceneView, lens: Bl
         view = pose.translation - 2 * ((pose.translation - points[0]) @ normal) * normal
         light = scene.ambient(behind[None], places[None], view, channels(rig.config.sensor))[:, 0]
         image[:, rows, columns] += glass[rows, columns] * light
-    return softened(image, lens)
+    return blurred(lambda psf_px: blur(image, psf_px), lens)
 
 
 def _returned(shot: LitScene, room: SceneView, lens: Blur, depth: np.ndarray, front: Cover | None) -> np.ndarray:
@@ -614,7 +585,7 @@ def _returned(shot: LitScene, room: SceneView, lens: Blur, depth: np.ndarray, fr
         part = np.s_[start : start + _STRIP]
         strength = sum(along[part] * way.take(room.triangle[part]) for along, way in zip(field, normal, strict=True))
         image[part] = np.maximum(strength, 0) * room.albedo[0, part]
-    image = softened(image, lens)
+    image = blurred(lambda psf_px: blur(image, psf_px), lens)
     if front is not None and shot.board is not None:
         where, fills, albedo, _ = front
         facing = (pose.rotation @ shot.board.normal()).astype(np.float32)
@@ -691,37 +662,6 @@ def expect_sweep(config: SimulationConfig, *, every: int = 1) -> Iterator[Expect
     return _ahead(lambda job: expect_record(rig, scene, job[0], laser=job[1]), jobs)
 
 
-def expect_boards(
-    config: SimulationConfig, texture: np.ndarray, *, seed: int | None = None
-) -> Iterator[ExpectedRecord]:
-    """The frames of a board capture without noise; `seed` chooses the poses.
-
-    Args:
-        config: The rig.
-        texture: Picture of the board's printed area, uint8 [rows, columns]; see `render_boards`.
-        seed: Instead of the configuration's.
-    """
-    return _boards(config, texture, config.seed if seed is None else seed, lambda _, record: record)
-
-
-def _boards(
-    config: SimulationConfig, texture: np.ndarray, seed: int, finish: Callable[[int, ExpectedRecord], Result]
-) -> Iterator[Result]:
-    """Apply a function to the records of a board capture and their numbers, in order."""
-    rig, scene = make_rig(config), make_scene(config, boards=config.object is not None)
-    picture = make_print(config.boards, texture)
-    placements = plan_boards(rig, scene, _generator(seed, _PLAN, 0))
-    jobs = [(one, phi, index) for one in placements for phi in one.angles for index in range(len(rig.sheets))]
-
-    def make(job: tuple[int, tuple[Placement, float, int]]) -> Result:
-        number, (placement, phi, index) = job
-        pose = rig.pose(rig.stood(phi, placement.number))
-        board = SeenBoard(picture, placement.scanner_from_board.inverse() @ pose)
-        return finish(number, expect_record(rig, scene, phi, laser=index, board=board, placement=placement.number))
-
-    return _ahead(make, enumerate(jobs))
-
-
 def render_sweep(
     config: SimulationConfig,
     *,
@@ -764,9 +704,19 @@ def render_boards(
         seed: Of poses and noise, instead of the configuration's.
     """
     seed = config.seed if seed is None else seed
-    return _boards(
-        config, texture, seed, lambda number, record: develop(record, config, _generator(seed, _BOARDS, number))
-    )
+    rig, scene = make_rig(config), make_scene(config, boards=config.object is not None)
+    picture = make_print(config.boards, texture)
+    placements = plan_boards(rig, scene, _generator(seed, _PLAN, 0))
+    jobs = [(one, phi, index) for one in placements for phi in one.angles for index in range(len(rig.sheets))]
+
+    def render(job: tuple[int, tuple[Placement, float, int]]) -> RenderedRecord:
+        number, (placement, phi, index) = job
+        pose = rig.pose(rig.stood(phi, placement.number))
+        board = SeenBoard(picture, placement.scanner_from_board.inverse() @ pose)
+        record = expect_record(rig, scene, phi, laser=index, board=board, placement=placement.number)
+        return develop(record, config, _generator(seed, _BOARDS, number))
+
+    return _ahead(render, enumerate(jobs))
 
 
 def true_cloud(records: Iterable[ExpectedRecord | RenderedRecord]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -36,12 +36,6 @@ class SceneView(NamedTuple):
     """The scene in its own light, float32 [channels, height, width]; white in mean light is 1."""
     albedo: np.ndarray
     """Albedo of the surfaces in further channels, float32 [channels, height, width]."""
-    flat: np.ndarray
-    """A triangle of the one facet that a tile shows, int64 [rows of tiles, columns]; -1 where it may show several."""
-
-    def facet_at(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """A triangle of the facet that all of a pixel shows; -1 where it may show several."""
-        return self.flat[rows // TILE, columns // TILE]
 
 
 class Tiles(NamedTuple):
@@ -101,8 +95,6 @@ def observe(
     """The scene from a pose of the camera.
 
     Args:
-        rig: The camera.
-        pose: T_scanner_cam.
         channels: Weights [3, channels] of R, G, B for the picture.
         further: Weights [3, further] of R, G, B for `SceneView.albedo`.
     """
@@ -112,7 +104,7 @@ def observe(
     size = (len(tiles.rays.x), TILE * TILE)
     depth, picture = np.empty(size, np.float32), np.empty((weights.shape[1], *size), np.float32)
     triangle = np.empty(size, np.int32)
-    nothing, first = len(scene.normal) - 1, _plain(rig, tiles, scene, pose)
+    nothing, first = len(scene.normal) - 1, plain_tiles(rig, tiles, scene, pose)
     triangle[:] = first[:, None]
     facet = np.where(first < 0, -2, scene.outline.facet[first])
     order = np.argsort(facet, kind="stable")
@@ -132,9 +124,8 @@ def observe(
                 batch = part[start : start + _BATCH]
                 here = None if share is None else share[start : start + _BATCH]
                 depth[batch], picture[:, batch] = plane.seen(tiles.rays.at(batch), weights, count, here)
-    images = (_image(part, tiles.shape, rig.rays.shape) for part in (depth, triangle, picture))
-    seen, hit, picture = images
-    return SceneView(seen, hit, picture[:count], picture[count:], first.reshape(tiles.shape))
+    seen, hit, picture = (_image(part, tiles.shape, rig.rays.shape) for part in (depth, triangle, picture))
+    return SceneView(seen, hit, picture[:count], picture[count:])
 
 
 def points_at(
@@ -143,10 +134,7 @@ def points_at(
     """Points that pixels see, float32 [..., 3], scanner frame; the camera's place where nothing is.
 
     Args:
-        rig: The camera.
-        pose: T_scanner_cam.
         depth: Of all pixels [height, width].
-        index: Which pixels.
     """
     far = depth[index]
     reached = np.where(np.isfinite(far), far, np.float32(0))[..., None]
@@ -157,7 +145,7 @@ def _batches(part: np.ndarray) -> list[np.ndarray]:
     return np.array_split(part, -(-len(part) // _BATCH))
 
 
-def _plain(rig: TrueRig, tiles: Tiles, scene: Scene, pose: Motion) -> np.ndarray:
+def plain_tiles(rig: TrueRig, tiles: Tiles, scene: Scene, pose: Motion) -> np.ndarray:
     """A triangle of the one facet that every tile shows, int64 [tiles]; -1 where it may show several."""
     rows, columns = tiles.shape
     far, triangle = (

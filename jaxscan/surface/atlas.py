@@ -4,9 +4,8 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from jaxscan.reconstruction.ahead import map_ahead, workers
-from jaxscan.surface.charts import make_charts
 from jaxscan.surface.mesh import Mesh
-from jaxscan.surface.texture import AT_A_TIME, BAND_WIDTH, LARGEST_SIDE, Colour, Texels
+from jaxscan.surface.texture import AT_A_TIME, BAND_WIDTH, LARGEST_SIDE, Colour, Texels, spread
 
 
 GAP = 4
@@ -16,18 +15,15 @@ PART = 200_000
 
 
 def texture_any_mesh(mesh: Mesh, colour: Colour, pixels_per_radian: float) -> Mesh:
-    """A mesh with a picture of the surface, whatever its faces.
+    """A mesh in the scanner frame with a picture of the surface, whatever its faces.
 
     Vertices at the border of a chart are there once for each chart.
 
     Args:
-        mesh: In the scanner frame.
+        mesh: Any.
         colour: Asked for each texel. Where it knows none, the colours of the vertices serve.
-        pixels_per_radian: Resolution of the camera, px: in the middle of each chart, a texel is about a pixel, or
-            larger where the picture would be too large for graphics cards.
-
-    Returns:
-        The mesh with `uv` and `texture`.
+        pixels_per_radian: Resolution of the camera: in the middle of each chart, a texel is about a pixel, or larger
+            where the picture would be too large for graphics cards.
     """
     chart, direction, directions = make_charts(mesh)
     # A vertex of each chart.
@@ -108,7 +104,7 @@ def _picture(
         runs = [order[group[run]] for run in _runs(size[group], PART)]
         parts = map_ahead(lambda run: _texels(mesh, place, run, (first, boxes)), runs, workers(), compiled=True)
         draw(Texels.joined(list(parts)))
-    return _grown(picture, drawn)
+    return spread(picture, drawn, GAP)
 
 
 def _runs(size: Int[np.ndarray, " n"], most: int) -> list[Int[np.ndarray, " k"]]:
@@ -146,17 +142,61 @@ def _texels(
     return Texels(at, points.astype(np.float32), normals.astype(np.float32), (rgb + 0.5).astype(np.uint8))
 
 
-def _grown(picture: np.ndarray, drawn: np.ndarray) -> np.ndarray:
-    """The picture with charts that are wider by `GAP`, so that no viewer mixes them with the background."""
-    for _ in range(GAP):
-        for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
-            target, source = slice(1, None), slice(None, -1)
-            if step < 0:
-                target, source = source, target
-            to, of = ((slice(None),) * axis + (side,) for side in (target, source))
-            new = drawn[of] & ~drawn[to]
-            picture[to][new] = picture[of][new]
-            drawn[to] |= new
-    # Far from all surfaces any colour serves; the mean makes the smallest file.
-    picture[~drawn] = picture[drawn][:: max(1, int(drawn.sum()) >> 20)].mean(0).astype(np.uint8)
-    return picture
+ROUNDS = 8
+"""Times that faces take the direction of most of their neighbours: so noise does not tear a chart to pieces."""
+LEAST_FACING = 0.35
+"""Cosine between the normal of a face and the direction of its chart: so little is a face squeezed at the most."""
+
+
+def chart_directions(areas: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "6 3"]:
+    """Unit vectors along most of the walls, and up and down, by normals of faces as long as their areas."""
+    flat = areas[:, 0] + 1j * areas[:, 1]
+    size = np.maximum(np.abs(flat), 1e-30)
+    turn = np.angle(np.sum(size * (flat / size) ** 4)) / 4
+    x = np.array([np.cos(turn), np.sin(turn), 0])
+    axes = np.stack([x, [-x[1], x[0], 0], [0, 0, 1]])
+    return np.concatenate([axes, -axes])
+
+
+def neighbours(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "pairs 2"]:
+    """Pairs of faces that share an edge."""
+    ends = np.sort(np.stack([faces, np.roll(faces, -1, 1)], -1).reshape(-1, 2), 1).astype(np.int64)
+    key = ends[:, 0] * (int(faces.max()) + 1) + ends[:, 1]
+    order = np.argsort(key, kind="stable")
+    same = np.flatnonzero(key[order][1:] == key[order][:-1])
+    return np.stack([order[same], order[same + 1]], 1) // 3
+
+
+def make_charts(mesh: Mesh) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " charts"], Float[np.ndarray, "6 3"]]:
+    """Divide the faces of a mesh.
+
+    Returns:
+        Chart of each face, direction of each chart, and what the directions are.
+    """
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    directions = chart_directions(areas)
+    size = np.linalg.norm(areas, axis=1)
+    facing = areas @ directions.T / np.maximum(size, 1e-30)[:, None]
+    pairs = neighbours(mesh.faces)
+    label = np.argmax(facing, 1)
+    for _ in range(ROUNDS):
+        votes = np.zeros(facing.shape)
+        for one, other in (pairs.T, pairs.T[::-1]):
+            np.add.at(votes, (one, label[other]), 1.0)
+        votes[np.arange(len(label)), label] += 1.0
+        # Of directions with as many votes, the one that is faced most.
+        label = np.argmax(np.where(facing >= LEAST_FACING, votes + facing, facing - 2), 1)
+    chart = components(pairs[label[pairs[:, 0]] == label[pairs[:, 1]]], len(label))
+    first = np.unique(chart, return_index=True)[1]
+    return chart, label[first], directions
+
+
+def components(pairs: Int[np.ndarray, "pairs 2"], count: int) -> Int[np.ndarray, " n"]:
+    """Number of the connected part of each of `count` things, of which some pairs belong together."""
+    # Imported here: it takes its time.
+    from scipy.sparse import coo_matrix  # type: ignore[import-untyped]
+    from scipy.sparse.csgraph import connected_components  # type: ignore[import-untyped]
+
+    graph = coo_matrix((np.ones(len(pairs), np.bool_), tuple(pairs.T)), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1])

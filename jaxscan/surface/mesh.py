@@ -1,5 +1,6 @@
 """A surface as triangles."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -19,4 +20,29 @@ class Mesh(NamedTuple):
     uv: Float[np.ndarray, "n 2"] | None = None
     """Place of each vertex in the texture, float32: from (0, 0), a corner of its first pixel, to (1, 1)."""
     texture: UInt8[np.ndarray, "rows columns 3"] | None = None
-    """The picture on the surface, RGB."""
+
+
+class MeshSettings(NamedTuple):
+    """How neighbours of the grid are joined.
+
+    Two neighbours are on one surface where the difference of their depths is one that their own slopes explain: it
+    lies between the differences by the planes of both points, which is so for any crease between them, widened by
+    `sigmas` of their noise and by `bend` of the distance between their rays, across the plane.
+    """
+
+    sigmas: float = 3.0
+    """Combined standard deviations by which depths may differ beyond what the slopes explain."""
+    bend: float = 0.25
+    """Departure across the plane of a neighbour, as a share of the distance between the rays: smaller steps are below
+    what the grid shows."""
+    grazing_deg: float = 80.0
+    """Faces whose normal is further from the direction of sight [degrees] are left out."""
+    bridge: bool = False
+    """Whether single missing cells are filled where the points on both sides are on one surface."""
+
+    def least_cosine(self) -> float:
+        """Of the angle between sight and normal."""
+        return math.cos(math.radians(self.grazing_deg))
+
+
+DEFAULT_MESH = MeshSettings()

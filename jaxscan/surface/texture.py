@@ -26,16 +26,13 @@ LARGEST_SIDE = 16_384
 BAND_WIDTH = 8192
 """Longer charts are folded: every browser holds this many texels on a side."""
 AT_A_TIME = 4_000_000
-"""Texels that are coloured at a time."""
 PART = 50_000
-"""Texels that are placed at a time."""
 
 
 class Texels(NamedTuple):
     """Texels that lie on a face."""
 
     at: tuple[np.ndarray, np.ndarray]
-    """Row and column in the picture of each."""
     points: Float[np.ndarray, "n 3"]
     normals: Float[np.ndarray, "n 3"]
     rgb: UInt8[np.ndarray, "n 3"]
@@ -54,26 +51,16 @@ class _Chart(NamedTuple):
     """Where the cells are in the picture."""
 
     across: int
-    """Texels from one profile to the next."""
     along: int
-    """Texels from one line to the next."""
     columns: int
-    """Cells on each band."""
     shape: tuple[int, int]
-    """Rows and columns of the picture."""
     stride: int
-    """Rows from one band to the next."""
 
 
 def texels_of_pixels(grid: GridMesh, pixels_per_radian: float) -> tuple[int, int]:
-    """Texels on a cell, across and along the profiles, so that one is about a pixel of the camera.
+    """Texels on a cell, across and along the profiles, so that one is about a pixel of the camera [px / rad].
 
-    Args:
-        grid: The faces of a cloud.
-        pixels_per_radian: Resolution of the camera, px.
-
-    Returns:
-        At least one each, and no more than a picture holds.
+    At least one each, and no more than a picture holds.
     """
     column, line = np.nonzero(grid.codes)
     few = slice(None, None, max(1, len(column) // 100_000))
@@ -108,9 +95,6 @@ def textured_mesh(grid: GridMesh, colour: Colour, texels: tuple[int, int] = (2, 
         colour: Asked for each texel. Where it knows none, the colours of the vertices serve; where there is no
             surface, that of the next texel.
         texels: On each cell, across and along the profiles; see `texels_of_pixels`.
-
-    Returns:
-        The mesh with `uv` and `texture`.
 
     Raises:
         CloudError: If the picture would have more than `LARGEST_SIDE` texels on a side.
@@ -155,7 +139,7 @@ def _picture(grid: GridMesh, colour: Colour, chart: _Chart) -> UInt8[np.ndarray,
             rgb, seen = colour(found.points, found.normals)
             picture[found.at] = np.where(seen[:, None], rgb, found.rgb)
             drawn[found.at] = True
-    return _spread(picture, drawn)
+    return spread(picture, drawn, _MARGIN)
 
 
 def _texels_between(grid: GridMesh, start: int, stop: int, chart: _Chart) -> Texels:
@@ -208,8 +192,8 @@ def _weights(bits: np.ndarray, u: np.ndarray, v: np.ndarray) -> Float[np.ndarray
     return weight
 
 
-def _spread(picture: np.ndarray, drawn: np.ndarray) -> np.ndarray:
-    """The picture with the colour of a drawn texel beside it where there is no surface, so that borders stay clean."""
+def spread(picture: np.ndarray, drawn: np.ndarray, margin: int) -> np.ndarray:
+    """The picture with the colour of a drawn texel so near where there is no surface, so that borders stay clean."""
     for axis in (0, 1):
         if drawn.all():
             break
@@ -218,7 +202,7 @@ def _spread(picture: np.ndarray, drawn: np.ndarray) -> np.ndarray:
         for order in (slice(None), slice(None, None, -1)):
             number = np.where(drawn[order], np.arange(size, dtype=np.int32)[:, None], np.int32(-1))
             last = np.maximum.accumulate(number, 0)
-            near = (last >= 0) & ~drawn[order] & (np.arange(size, dtype=np.int32)[:, None] - last <= _MARGIN)
+            near = (last >= 0) & ~drawn[order] & (np.arange(size, dtype=np.int32)[:, None] - last <= margin)
             row, column = np.nonzero(near)
             view = picture[order]
             view[row, column] = view[last[row, column], column]

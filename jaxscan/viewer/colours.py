@@ -31,11 +31,6 @@ class Scale(NamedTuple):
         """The ends as a legend shows them."""
         return f"{self.low:.3g} … {self.high:.3g} {self.unit}".replace("-", "−")
 
-    def bar(self, width: int = 256, height: int = 16) -> UInt8[np.ndarray, "height width 3"]:
-        """The colours from low to high, as a picture."""
-        ends = np.linspace(self.low, self.high, width)
-        return np.broadcast_to(self.coloured(ends), (height, width, 3)).copy()
-
     def coloured(self, values: Float[np.ndarray, " n"]) -> UInt8[np.ndarray, "n 3"]:
         """The colours of values; those outside have that of the nearer end."""
         anchors = _DIVERGING if self.diverging else _SEQUENTIAL
@@ -47,13 +42,10 @@ class Scale(NamedTuple):
         return table.astype(np.uint8)[np.nan_to_num(index).astype(np.uint8)]
 
 
-def scale_of(values: Float[np.ndarray, " n"], unit: str, *, diverging: bool = False) -> Scale:
-    """A scale over values, without their outermost hundredth; around zero where it diverges."""
+def scale_of(values: Float[np.ndarray, " n"], unit: str) -> Scale:
+    """A scale over values, without their outermost hundredth."""
     low, high = (float(value) for value in np.percentile(values[:: max(1, len(values) // 100_000)], [_OUTSIDE, 99.0]))
-    if diverging:
-        high = max(abs(low), abs(high), 1e-6)
-        low = -high
-    return Scale(low, high, unit, diverging)
+    return Scale(low, high, unit)
 
 
 def coloured_normals(normals: Float[np.ndarray, "n 3"]) -> UInt8[np.ndarray, "n 3"]:

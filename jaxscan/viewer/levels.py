@@ -17,19 +17,17 @@ _TILE_DEPTH = 3
 OVERVIEW = 20_000
 """Points that are shown of all tiles, however far, at most."""
 _AT_ONCE = 1 << 18
-"""Points whose places on the curve are found together."""
 _WHOLE = 0.9
 """With this share of the points shown, the rest comes in one chunk."""
 
 
 class Chunk(NamedTuple):
-    """Points of a tile that are shown together: `Levels.order[start:stop]`."""
+    """Points of a tile that are shown together: `Levels.order[start:stop]`; the centre is that of the tile [m]."""
 
     tile: int
     start: int
     stop: int
     centre: Float[np.ndarray, "3"]
-    """Of the points of the tile [m]."""
     radius: float
     """Distance of the farthest of them [m]."""
     gap: float
@@ -42,7 +40,6 @@ class Levels(NamedTuple):
     """A cloud in the order in which it is shown."""
 
     order: Int[np.ndarray, " n"]
-    """Which point of the cloud comes where."""
     chunks: tuple[Chunk, ...]
     """By tile, from coarse to fine."""
 

@@ -36,7 +36,6 @@ _OPTIONS = ("calibration", "unit", "up")
 _PLACES = ("x1_m", "y1_m", "z1_m", "x2_m", "y2_m", "z2_m")
 _COLUMNS = ("kind", "what", "cloud", *_PLACES, "value_m", "sigma_m", "words", "value", "sigma", "unit")
 _MOST_PLACES = 100
-"""Corners of an area."""
 
 
 class Measured(NamedTuple):
@@ -54,7 +53,6 @@ class Measured(NamedTuple):
     sigma: float | None
     """In `unit`; None where nobody knows it."""
     words: tuple[str, ...]
-    """As `jaxscan measure` prints it."""
     plane: PlaneMeasurement | None = None
     turned: bool = False
     """Whether the axes are not those of the cloud's file."""
@@ -96,12 +94,7 @@ def rounded(place: np.ndarray) -> np.ndarray:
 
 
 def measure_point(shown: ShownCloud, index: int) -> Measured:
-    """A point, and its uncertainty along the ray.
-
-    Args:
-        shown: The cloud.
-        index: Of its points, in the order in which they are shown.
-    """
+    """A point by its number in the order in which they are shown, and its uncertainty along the ray."""
     cell = np.unravel_index(int(shown.cells[index]), shown.cloud.valid.shape)
     place = np.asarray(shown.cloud.xyz[cell], np.float64)
     sigma = float(np.hypot(shown.cloud.sigma_random[cell], shown.cloud.sigma_systematic[cell]))
@@ -110,45 +103,41 @@ def measure_point(shown: ShownCloud, index: int) -> Measured:
     return Measured("point", "", shown.name, rounded(place)[None], None, sigma or None, (words,))
 
 
-def measure_between(shown: ShownCloud, a: np.ndarray, b: np.ndarray, scanner: Scanner | None) -> Measured:
-    """Distance of two places, and of their planes; as `jaxscan measure distance`.
+_PAIRS = {
+    "distance": (measure_distance, DISTANCE_RADIUS_M),
+    "height": (measure_height, DISTANCE_RADIUS_M),
+    "angle": (measure_angle, PLANE_RADIUS_M),
+}
+
+
+def measure_pair(kind: Kind, shown: ShownCloud, a: np.ndarray, b: np.ndarray, scanner: Scanner | None) -> Measured:
+    """A distance of two places, how much higher the second one is, or the angle between the walls around them.
 
     Raises:
         MeasurementError: If it cannot be measured there.
     """
+    measure, radius_m = _PAIRS[kind]
     at = np.stack([rounded(a), rounded(b)])
-    near = shown.around(at, DISTANCE_RADIUS_M, _LEAST)
-    found = measure_distance(near, at[0], at[1], radius_m=DISTANCE_RADIUS_M, scanner=scanner)
-    words = _finite(found.words())
-    measured = Measured("distance", "distance", shown.name, at, found.value_m, found.sigma_m, words)
-    return measured._replace(turned=shown.turned, options=shown.words)
+    found: Any = measure(shown.around(at, radius_m, _LEAST), at[0], at[1], radius_m=radius_m, scanner=scanner)
+    if kind == "angle":
+        return _measured(shown, kind, kind, at, (found.value_deg, found.sigma_deg), found.words(), unit="deg")
+    return _measured(shown, kind, kind, at, (found.value_m, found.sigma_m), found.words())
 
 
-def measure_rise(shown: ShownCloud, a: np.ndarray, b: np.ndarray, scanner: Scanner | None) -> Measured:
-    """How much higher a second place is than a first one.
-
-    Raises:
-        MeasurementError: If it cannot be measured there.
-    """
-    at = np.stack([rounded(a), rounded(b)])
-    near = shown.around(at, DISTANCE_RADIUS_M, _LEAST)
-    found = measure_height(near, at[0], at[1], radius_m=DISTANCE_RADIUS_M, scanner=scanner)
-    return Measured(
-        "height", "height", shown.name, at, found.value_m, found.sigma_m, _finite((found.words(),)), turned=shown.turned
-    )
-
-
-def measure_corner(shown: ShownCloud, a: np.ndarray, b: np.ndarray, scanner: Scanner | None) -> Measured:
-    """The angle between the walls around two places.
-
-    Raises:
-        MeasurementError: If there is no plane.
-    """
-    at = np.stack([rounded(a), rounded(b)])
-    near = shown.around(at, PLANE_RADIUS_M, _LEAST)
-    found = measure_angle(near, at[0], at[1], radius_m=PLANE_RADIUS_M, scanner=scanner)
-    measured = Measured("angle", "angle", shown.name, at, found.value_deg, found.sigma_deg, _finite((found.words(),)))
-    return measured._replace(turned=shown.turned, unit="deg")
+def _measured(
+    shown: ShownCloud,
+    kind: Kind,
+    what: str,
+    at: np.ndarray,
+    numbers: tuple[float, float | None],
+    words: str | tuple[str, ...],
+    **more: Any,
+) -> Measured:
+    """A measurement with its value and sigma, if the points determine it."""
+    words = (words,) if isinstance(words, str) else words
+    if any("nan" in line or "inf" in line for line in words):
+        raise MeasurementError("the points do not determine it; pick other places.")
+    return Measured(kind, what, shown.name, at, *numbers, words, turned=shown.turned, options=shown.words, **more)
 
 
 def measure_area(shown: ShownCloud, places: list[np.ndarray]) -> Measured:
@@ -168,22 +157,15 @@ def measure_area(shown: ShownCloud, places: list[np.ndarray]) -> Measured:
     area = 0.5 * abs(np.cross(apart, np.roll(apart, -1, 0)).sum(0) @ normal)
     around = np.linalg.norm(apart - np.roll(apart, -1, 0), axis=1).sum()
     words = f"{area:.4f} m², {around:.3f} m around, its corners up to {1e3 * off:.1f} mm off their plane"
-    return Measured("area", "area", shown.name, at, float(area), None, (words,), turned=shown.turned, unit="m2")
+    return _measured(shown, "area", "area", at, (float(area), None), words, unit="m2")
 
 
 def measure_box(shown: ShownCloud, centre: np.ndarray, size_m: np.ndarray, points: int) -> Measured:
-    """The volume of the section's box.
-
-    Args:
-        shown: The cloud.
-        centre: Middle of the box [3], m, in the cloud's frame.
-        size_m: Its edges [3], m.
-        points: How many points are in it.
-    """
+    """The volume of the section's box, with its middle [3] in the cloud's frame and its edges [3], m."""
     edges = " × ".join(f"{edge:.3f}" for edge in size_m)
     volume = float(np.prod(size_m))
     words = f"{volume:.4f} m³, {edges} m, {points:,} points in it"
-    return Measured("box", "volume", shown.name, rounded(centre)[None], volume, None, (words,), unit="m3")
+    return _measured(shown, "box", "volume", rounded(centre)[None], (volume, None), words, unit="m3")
 
 
 def measure_flatness(shown: ShownCloud, place: np.ndarray) -> Measured:
@@ -194,9 +176,7 @@ def measure_flatness(shown: ShownCloud, place: np.ndarray) -> Measured:
     """
     at = rounded(place)[None]
     found = measure_plane(shown.around(at, PLANE_RADIUS_M, _LEAST), at[0], radius_m=PLANE_RADIUS_M)
-    words = _finite((found.words(),))
-    measured = Measured("flatness", "RMS", shown.name, at, found.rms_m, None, words, found)
-    return measured._replace(turned=shown.turned, options=shown.words)
+    return _measured(shown, "flatness", "RMS", at, (found.rms_m, None), found.words(), plane=found)
 
 
 def measure_sides(shown: ShownCloud, scanner: Scanner | None) -> tuple[Measured, ...]:
@@ -208,16 +188,14 @@ def measure_sides(shown: ShownCloud, scanner: Scanner | None) -> tuple[Measured,
     box = measure_room(shown.cloud, scanner=scanner)
     sides = {name: getattr(box, name) for name in ("length", "width", "height")}
     measured = [
-        Measured(
+        _measured(
+            shown,
             "room",
             name,
-            shown.name,
             # From wall to wall through the room's centre, which is midway between the two.
             rounded(box.centre_m + np.outer([-0.5, 0.5], side.value_m * side.direction)),
-            side.value_m,
-            side.sigma_m,
-            (f"{name} {length_words(side.value_m, side.sigma_m)}",),
-            options=shown.words,
+            (side.value_m, side.sigma_m),
+            f"{name} {length_words(side.value_m, side.sigma_m)}",
         )
         for name, side in sides.items()
         if side is not None
@@ -265,9 +243,3 @@ def as_json(measured: list[Measured]) -> bytes:
         for one in measured
     ]
     return json.dumps({"format": "jaxscan-measurements/1", "measured": rows}, indent=2, allow_nan=False).encode()
-
-
-def _finite(words: tuple[str, ...]) -> tuple[str, ...]:
-    if any("nan" in line or "inf" in line for line in words):
-        raise MeasurementError("the points do not determine it; pick other places.")
-    return words

@@ -9,7 +9,6 @@ from jaxscan.errors import OptionError
 
 
 MOST_BYTES = 1 << 16
-"""Longest message of a page."""
 _MOST_M = 1e7
 Do = Literal["pick", "close", "room", "box", "cut", "undo", "remove", "clear", "save", "choose", "cancel"]
 _KINDS = ("point", "distance", "height", "angle", "area", "flatness")
@@ -36,21 +35,14 @@ class Order(NamedTuple):
     section: np.ndarray | None = None
     """Lowest and highest corner of what is shown [2, 3], m, in a frame that is turned about the scene's z axis."""
     turn_rad: float = 0.0
-    """How far it is turned."""
     id: int = 0
-    """Of the measurement that is to be removed."""
     backs: bool = True
-    """Whether points are shown that are seen from behind."""
     surface: bool = False
     """Whether the surface between the points is shown, so that a click beside them means one of them too."""
 
 
 def parse_order(text: str, clouds: int) -> Order:
-    """Read a message.
-
-    Args:
-        text: JSON.
-        clouds: How many there are.
+    """Read a message about so many clouds.
 
     Raises:
         OptionError: If it is no order.

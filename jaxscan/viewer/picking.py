@@ -30,9 +30,6 @@ def pick(
         cone_rad: Half the angle of the cone.
         shown: Which points may be picked, bool [n]; all if None.
         sides: From which side the points were seen, where those that the ray meets from behind are not shown.
-
-    Returns:
-        The number of the point; None where the cone holds none.
     """
     direction = np.asarray(direction, np.float64) / np.linalg.norm(direction)
     found: list[np.ndarray] = []

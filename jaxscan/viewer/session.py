@@ -17,12 +17,10 @@ from jaxscan.viewer.measuring import (
     as_csv,
     as_json,
     measure_area,
-    measure_between,
     measure_box,
-    measure_corner,
     measure_flatness,
+    measure_pair,
     measure_point,
-    measure_rise,
     measure_sides,
 )
 from jaxscan.viewer.orders import Order, Ray
@@ -36,7 +34,6 @@ _WIDEST_RAD = 0.3
 _FAR_M = 1e5
 """Edge of a box of which a side leaves nothing out."""
 _MOST_WORKS = 4
-"""Measurements of a page that go on at a time."""
 _PLANES = 50
 """Planes of flatness that are kept after they were taken out: their colours may be on their way to the page."""
 _ASKS: dict[str, str] = {
@@ -50,7 +47,6 @@ class Entry(NamedTuple):
     """A line of the list."""
 
     cloud: int
-    """Number of its cloud."""
     measured: Measured
     id: int
     """By which a page names it; never given twice."""
@@ -73,12 +69,7 @@ class Session:
     """The measurements of a page; any thread may call."""
 
     def __init__(self, clouds: Sequence[ShownCloud], scanner: Scanner | None) -> None:
-        """Nothing is measured yet.
-
-        Args:
-            clouds: Those of the scene.
-            scanner: With which they were made; sigma then includes the calibration's part.
-        """
+        """Nothing is measured yet; with the scanner that made the clouds, sigma includes the calibration's part."""
         self._clouds, self._scanner = clouds, scanner
         self.kind: Kind = "point"
         self.measured: list[Entry] = []
@@ -90,11 +81,6 @@ class Session:
         """The clouds and the places that were clicked of a measurement that needs more of them."""
         self._planes: dict[int, PlaneMeasurement] = {}
         self._lock = threading.Lock()
-
-    def carry_out(self, order: Order) -> dict[str, Any] | None:
-        """Do what a page asks for; returns what it shows then, None where another order made it needless."""
-        answer = self.begin(order)
-        return self.finish(answer) if isinstance(answer, Work) else answer
 
     def begin(self, order: Order) -> dict[str, Any] | Work:
         """Do what is quick; returns what the page shows then, or the work that is left, for `finish`.
@@ -233,8 +219,7 @@ class Session:
             self.message = _ASKS[self.kind]
             return None
         (_, first), self._places = self._places[0], []
-        between = {"distance": measure_between, "height": measure_rise, "angle": measure_corner}[self.kind]
-        return partial(_one, number, partial(between, cloud, first, place, self._scanner))
+        return partial(_one, number, partial(measure_pair, self.kind, cloud, first, place, self._scanner))
 
     def _meets_first(self, order: Order, ray: Ray) -> bool:
         """Whether a click is on the first corner of the outline."""

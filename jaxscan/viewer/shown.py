@@ -3,21 +3,22 @@
 import dataclasses
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxscan.errors import CloudError
 from jaxscan.measurement import PlaneMeasurement
 from jaxscan.reconstruction import PointCloud, some_points
+from jaxscan.surface import faces_of_cloud, mesh_grid
 from jaxscan.viewer.colours import UNKNOWN, Colouring, Scale, brightened, coloured_normals, scale_of
-from jaxscan.viewer.gridded import gridded_normals
 from jaxscan.viewer.levels import Levels, make_levels
-from jaxscan.viewer.sides import hides_well, sides_of, walls_of
+from jaxscan.viewer.sides import gridded_normals, hides_well, sides_of, walls_of
 
 
 _MM = 1e3
 _AT_ONCE = 1 << 18
-"""Points that are taken together."""
 _DARKEST = 60.0
 """Level of the weakest points of a cloud that has intensities alone."""
 
@@ -60,11 +61,11 @@ class ShownCloud:
         turned: bool = False,
         words: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
-        """Sort the points.
+        """Sort the points of a cloud in metres, z up, with one valid point at least.
 
         Args:
             name: As people know it.
-            cloud: In metres, z up, with one valid point at least.
+            cloud: Points.
             origin: Place in the cloud's frame that is the origin of the scene, float64 [3], m.
             turned: Whether the axes are not those of its file.
             words: Options by which `jaxscan measure` measures the same: "calibration", "unit" and "up".
@@ -117,11 +118,9 @@ class ShownCloud:
         return _taken(values.reshape(-1, *values.shape[2:]), self.cells[some])
 
     def coloured(self, by: Colouring, *, plane: PlaneMeasurement | None) -> tuple[np.ndarray, Scale | None]:
-        """The colours of its points, and their scale where they have one.
+        """The colours of its points, and their scale where they have one; deviations are those from a plane.
 
-        Args:
-            by: What they show; as photographed where the cloud does not know it, and grey where it has no colours.
-            plane: The plane for deviations, in the cloud's frame.
+        As photographed where the cloud does not know what the colours show, and grey where it has no colours.
         """
         if by == "deviation" and plane is not None:
             return self._deviations(plane)
@@ -210,3 +209,46 @@ class ShownCloud:
         """The axes of the scanner at the first station, in the scene's frame [axis, 3]."""
         turn = np.eye(3) if self.cloud.stations is None else np.asarray(self.cloud.stations.pose)[0, :3, :3]
         return np.asarray(turn, np.float64).T.tolist()
+
+
+_MOST_POINTS = 3_000_000
+
+
+class Surface(NamedTuple):
+    """Triangles between neighbours of the grid that are on one surface."""
+
+    points: np.ndarray
+    """The point of each corner, in the order in which they are shown, int [n]."""
+    faces: np.ndarray
+    """Corners of each triangle, anticlockwise as the scanner saw them, uint32 [m, 3]."""
+
+
+def has_grid(shown: ShownCloud) -> bool:
+    """Whether a cloud has a grid on which neighbours may be joined."""
+    cloud = shown.cloud
+    return min(cloud.valid.shape) > 1 and bool(np.ptp(np.asarray(cloud.angle)) > 0) and shown.points <= _MOST_POINTS
+
+
+def surface_of(shown: ShownCloud) -> Surface:
+    """Join the neighbours of a cloud's grid, as `jaxscan mesh` does.
+
+    Raises:
+        CloudError: If it has no grid, or no neighbours are on one surface.
+    """
+    if not has_grid(shown):
+        raise CloudError(f"{shown.name}: has no surface to show: it needs a grid, and 3 million points at most.")
+    places, faces = faces_of_cloud(mesh_grid(shown.cloud))
+    number = np.zeros(shown.cloud.valid.size, np.int32)
+    number[shown.cells] = np.arange(shown.points, dtype=np.int32)
+    return Surface(number[places], faces.astype("<u4"))
+
+
+def surface_bytes(shown: ShownCloud, surface: Surface) -> bytes:
+    """Counts of corners and triangles, uint32; places about the scene's origin, float32; normals, int8 with a fourth
+    byte each; triangles, uint32.
+    """
+    normals = np.zeros((len(surface.points), 4), np.int8)
+    normals[:, :3] = np.rint(127 * np.clip(shown.take(shown.cloud.normals)[surface.points], -1, 1))
+    counts = np.array([len(surface.points), len(surface.faces)], "<u4")
+    parts = (counts, shown.xyz[surface.points].astype("<f4"), normals, surface.faces)
+    return b"".join(np.ascontiguousarray(part).tobytes() for part in parts)

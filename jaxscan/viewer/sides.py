@@ -6,6 +6,8 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float, Int8
 
+from jaxscan.reconstruction import PointCloud, grid_normals
+
 
 _STEPS = 127
 """A component of a normal in steps, as WebGL reads signed bytes."""
@@ -67,10 +69,7 @@ def hides_well(sides: Int8[np.ndarray, "n 3"]) -> bool:
 def walls_of(sides: Int8[np.ndarray, "n 3"]) -> float | None:
     """By how much the walls of a room are turned about z against the axes [rad], within a quarter of a turn about 0.
 
-    The angle at which most horizontal normals lie, whichever of the four ways they point.
-
-    Returns:
-        None where no such angle stands out.
+    The angle at which most horizontal normals lie, whichever of the four ways they point; None where none stands out.
     """
     few = sides[:: max(1, len(sides) // _SOME)].astype(np.float64)
     upright = few[np.abs(few[:, 2]) < _UPRIGHT * np.linalg.norm(few, axis=1)]
@@ -89,3 +88,46 @@ def walls_of(sides: Int8[np.ndarray, "n 3"]) -> float | None:
 def seen_from(sides: Int8[np.ndarray, "n 3"], xyz: Float[np.ndarray, "n 3"], eye: Float[np.ndarray, "3"]) -> np.ndarray:
     """Which points a place sees from the side from which they were seen, bool [n]; those that know no side too."""
     return np.asarray(np.einsum("ni,ni->n", sides.astype(np.float32), eye.astype(np.float32) - xyz) >= 0)
+
+
+_LEAST = 3
+_UNEVEN = 2.0
+"""How much larger steps between neighbouring rays of a scanner may be than others: a camera's are closer together at
+its edges. From a place where no scanner stood they differ far more."""
+_FEWEST, _MOST_PROFILES = 100, 200
+_MOST_STEP_RAD = 0.1
+
+
+def gridded_normals(cloud: PointCloud, places: Float[np.ndarray, "profiles 3"]) -> np.ndarray | None:
+    """Unit normals towards the scanner's place at each profile [m], float32 [profiles, lines, 3]; zero for none.
+
+    None if the cloud, of any scanner, has no grid, or none that is even as seen from those places.
+    """
+    valid = np.asarray(cloud.valid)
+    if min(valid.shape) < _LEAST:
+        return None
+    # Places on a map have more digits than normals are counted with.
+    xyz = np.where(valid[:, :, None], np.asarray(cloud.xyz) - places[0], 0.0).astype(np.float32)
+    centre = (places - places[0]).astype(np.float32)
+    line_step, profile_step = (_step(xyz - centre[:, None], valid, axis) for axis in (1, 0))
+    if line_step is None or profile_step is None:
+        return None
+    sigma = np.asarray(cloud.sigma_random, np.float32)
+    return grid_normals(xyz, sigma, valid, centre, line_step=line_step, profile_step=profile_step)
+
+
+def _step(rays: np.ndarray, valid: np.ndarray, axis: int) -> float | None:
+    """The usual angle between neighbouring rays along an axis of the grid [rad]; None if they are not even."""
+    few = max(1, valid.shape[1 - axis] // _MOST_PROFILES)
+    part = (slice(None, None, few), slice(None)) if axis == 1 else (slice(None), slice(None, None, few))
+    rays, valid = rays[part], valid[part]
+    ahead, behind = (np.take(rays, np.arange(1, rays.shape[axis]) - k, axis) for k in (0, 1))
+    both = np.take(valid, np.arange(1, valid.shape[axis]), axis) & np.take(
+        valid, np.arange(valid.shape[axis] - 1), axis
+    )
+    a, b = ahead[both].astype(np.float64), behind[both].astype(np.float64)
+    if len(a) < _FEWEST:
+        return None
+    angles = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ni,ni->n", a, b))
+    low, usual, high = np.percentile(angles, [10, 50, 90])
+    return float(usual) if 0 < usual < _MOST_STEP_RAD and high <= _UNEVEN * low else None

@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-from aiohttp import web
+from aiohttp import WSMsgType, web
 from aiohttp.typedefs import Handler
 
 from jaxscan.errors import JaxscanError, OptionError
@@ -19,31 +19,13 @@ from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import PointCloud
 from jaxscan.viewer.colours import COLOURINGS, Scale
 from jaxscan.viewer.orders import MOST_BYTES, Order, parse_order
-from jaxscan.viewer.session import Session, inside_section
-from jaxscan.viewer.shown import ShownCloud, middle_of
-from jaxscan.viewer.surface import Surface, has_grid, surface_bytes, surface_of
-from jaxscan.viewer.talking import AT_ONCE, talk, tell
-from jaxscan.web import Address, Gate, Resource, Server, resource_routes
+from jaxscan.viewer.session import Session, Work, inside_section
+from jaxscan.viewer.shown import ShownCloud, Surface, has_grid, middle_of, surface_bytes, surface_of
+from jaxscan.web import Address, Gate, Server, page_routes
 
 
-_PACKAGE = "jaxscan.viewer"
-_TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
-_FILES = (
-    "index.html",
-    "style.css",
-    "main.js",
-    "camera.js",
-    "draw.js",
-    "panorama.js",
-    "panel.js",
-    "box.js",
-    "hands.js",
-    "marks.js",
-    "shading.js",
-    "surface.js",
-    "bearings.js",
-    "icon.svg",
-)
+AT_ONCE = 2
+"""Measurements of all pages together that go on at a time, those whose answers nobody wants any more among them."""
 _HEARTBEAT_S = 10.0
 _MOST_SESSIONS = 12
 _MOST_STATIONS = 50
@@ -51,20 +33,20 @@ _MOST_PRODUCTS = 500
 _URGENT = ("failed", "stale", "missing", "done")
 _NUMBER = re.compile(r"[0-9]{1,6}")
 _KEPT = 2
-"""Colourings of all clouds that are kept."""
 
 Products = Callable[[], Sequence[tuple[str, str, str]]]
 """The products of a project as they are now: name, state, and why."""
 
 
 class Panorama(NamedTuple):
-    """An equirectangular picture of a whole turn from the first station, the scanner's x axis in its middle."""
+    """An equirectangular picture of a whole turn from the first station, the scanner's x axis in its middle.
+
+    Its upper and its lower edge are elevations [rad].
+    """
 
     jpeg: bytes
     top: float
-    """Elevation of its upper edge [rad]."""
     bottom: float
-    """Elevation of its lower edge [rad]."""
 
 
 class Named(NamedTuple):
@@ -102,15 +84,11 @@ def serve_clouds(
 
 
 def view_routes(prefix: str, find: Callable[[web.Request], Awaitable["View"]]) -> Iterable[web.RouteDef]:
-    """The addresses of the viewer below a prefix, for an application behind a gate.
+    """The addresses of the viewer below a prefix, which may have names in braces, for an application behind a gate.
 
-    Args:
-        prefix: Before each path; it may have names in braces.
-        find: The clouds that a request asks for; raises JaxscanError where there are none.
+    `find` gives the clouds that a request asks for; it raises JaxscanError where there are none.
     """
-    listed = {f"{prefix}/{name}": Resource(_PACKAGE, f"page/{name}", _type(name)) for name in _FILES}
-    listed[f"{prefix}/"] = listed.pop(f"{prefix}/index.html")
-    yield from resource_routes(listed)
+    yield from page_routes("jaxscan.viewer", prefix)
     chunk = r"{part:\d{1,3}}/{chunk:\d{1,6}}"
     answers: dict[str, Callable[[View, web.Request], Awaitable[web.StreamResponse]]] = {
         "/scene": View.scene,
@@ -134,13 +112,7 @@ class View:
     def __init__(
         self, clouds: Sequence[Named], scanner: Scanner | None = None, products: Products | None = None
     ) -> None:
-        """Sort the points.
-
-        Args:
-            clouds: One or more.
-            scanner: With which they were made; sigma then includes the calibration's part.
-            products: Of the project that they belong to.
-        """
+        """Sort the points; arguments as of `serve_clouds`."""
         self.clouds = [
             ShownCloud(one.name, one.cloud, middle_of(one.cloud), turned=one.turned, words=one.words) for one in clouds
         ]
@@ -250,9 +222,8 @@ class View:
 
     async def panorama(self, request: web.Request) -> web.Response:
         """The panorama of a cloud, JPEG."""
-        number = int(request.match_info["part"])
-        seen = self._panoramas[number] if number < len(self._panoramas) else None
-        if seen is None:
+        number, known = int(request.match_info["part"]), dict(enumerate(self._panoramas))
+        if (seen := known.get(number)) is None:
             raise OptionError("there is no such panorama.")
         return web.Response(body=seen.jpeg, content_type="image/jpeg")
 
@@ -306,10 +277,9 @@ class View:
         socket = web.WebSocketResponse(heartbeat=_HEARTBEAT_S, max_msg_size=MOST_BYTES, compress=False)
         await socket.prepare(request)
         session = self._session(request.query.get("page", "")[:64])
-        # A page may go while something is measured.
         with suppress(ConnectionResetError):
-            await tell(socket, {"scene": self._id, **session.state()})
-            await talk(socket, session, len(self.clouds), self._slots)
+            await _tell(socket, {"scene": self._id, **session.state()})
+            await _talk(socket, session, len(self.clouds), self._slots)
         return socket
 
     def _session(self, page: str) -> Session:
@@ -343,5 +313,42 @@ def _json(value: Any) -> web.Response:
     return web.Response(text=json.dumps(value, allow_nan=False), content_type="application/json")
 
 
-def _type(name: str) -> str:
-    return f"{_TYPES[name.rpartition('.')[2]]}; charset=utf-8"
+async def _talk(socket: web.WebSocketResponse, session: Session, clouds: int, slots: asyncio.Semaphore) -> None:
+    """Carry out the orders of a page until it goes; its measurements are dropped then."""
+    measuring: set[asyncio.Task[None]] = set()
+    # A page may go while something is measured.
+    with suppress(ConnectionResetError):
+        async for message in socket:
+            if message.type is not WSMsgType.TEXT:
+                break
+            try:
+                # In their order: two clicks in a row are the two ends of a distance.
+                answer = await asyncio.to_thread(session.begin, parse_order(message.data, clouds))
+            except JaxscanError as problem:
+                answer = {"message": " ".join(str(problem).split())}
+            if isinstance(answer, Work):
+                task = asyncio.create_task(_finish(socket, session, answer, slots))
+                measuring.add(task)
+                task.add_done_callback(measuring.discard)
+            else:
+                await _tell(socket, answer)
+    await asyncio.to_thread(session.begin, Order("cancel"))
+    await asyncio.gather(*measuring)
+
+
+async def _tell(socket: web.WebSocketResponse, answer: dict[str, Any]) -> None:
+    """Send what a page is to show."""
+    await socket.send_str(json.dumps(answer, allow_nan=False))
+
+
+async def _finish(socket: web.WebSocketResponse, session: Session, work: Work, slots: asyncio.Semaphore) -> None:
+    try:
+        async with slots:
+            answer = await asyncio.to_thread(session.finish, work)
+    except BaseException:
+        # A page does not wait for what never comes.
+        await socket.close()
+        raise
+    if answer is not None:
+        with suppress(ConnectionResetError):
+            await _tell(socket, answer)

@@ -3,5 +3,5 @@
 from jaxscan.web.address import Address, open_address
 from jaxscan.web.gate import Gate
 from jaxscan.web.opening import in_browser
-from jaxscan.web.pages import PAGE_POLICY, Resource, resource_routes
+from jaxscan.web.pages import PAGE_POLICY, page_routes
 from jaxscan.web.server import Server

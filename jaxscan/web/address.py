@@ -11,13 +11,9 @@ from jaxscan.errors import OptionError
 LOOPBACK = "127.0.0.1"
 _LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 _ANYWHERE = {"0.0.0.0", "::"}
-_AFAR: dict[int, tuple[str, ...]] = {
-    socket.AF_INET: ("192.0.2.1", "10.0.0.1", "192.168.0.1", "172.16.0.1"),
-    socket.AF_INET6: ("2001:db8::1", "fd00::1"),
-}
+_AFAR = ("192.0.2.1", "10.0.0.1", "192.168.0.1", "172.16.0.1")
 """Numbers for examples, which the way out leads to, and of private networks, where there is no way out."""
 _WAITING = 512
-"""Connections that may wait to be accepted."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +42,7 @@ class Address:
         Few telephones know the name of a machine; all know its number.
         """
         lines = [f"Open this address in a browser: {self.url(with_token=True)}"]
-        number = own_number(self.socket.family) if self.host in _ANYWHERE else None
+        number = own_number() if self.host == "0.0.0.0" else None
         if number is not None:
             numbered = replace(self, host=number).url(with_token=True)
             lines.append(f"On a machine that does not find that name: {numbered}")
@@ -96,15 +92,11 @@ def open_address(host: str, port: int, *, option: str) -> Address:
     return Address(listening, host, bound[1], frozenset(names - _ANYWHERE), secrets.token_urlsafe(), wide=not narrow)
 
 
-def own_number(family: int = socket.AF_INET) -> str | None:
-    """This machine's number in its network, as other machines there know it; None without a network.
-
-    Args:
-        family: AF_INET or AF_INET6.
-    """
-    for place in _AFAR.get(family, ()):
+def own_number() -> str | None:
+    """This machine's number in its network, as other machines there know it; None without a network."""
+    for place in _AFAR:
         try:
-            with socket.socket(family, socket.SOCK_DGRAM) as asking:
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
                 # It chooses the interface; nothing is sent.
                 asking.connect((place, 9))
                 number = ipaddress.ip_address(asking.getsockname()[0])

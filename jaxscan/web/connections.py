@@ -121,7 +121,6 @@ class Connections:
         self.most_guests = most - self.most_strangers
         self.now = now
         self._there: dict[Connection, None] = {}
-        """Oldest first."""
 
     def __len__(self) -> int:
         return len(self._there)

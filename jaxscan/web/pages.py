@@ -1,8 +1,7 @@
-"""Files of the package that a browser may read: those that are named, and no others."""
+"""Pages of a package, which a browser may read: the files of its folder `page` and of ours, and no others."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from importlib import resources
-from typing import NamedTuple
 
 from aiohttp import web
 from aiohttp.typedefs import Handler
@@ -13,23 +12,26 @@ PAGE_POLICY = (
     "frame-src 'self'; frame-ancestors 'self'; base-uri 'none'; form-action 'none'"
 )
 """Content-Security-Policy of our own pages: nothing from elsewhere, and no script within the page."""
+_TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 
 
-class Resource(NamedTuple):
-    """A file of a package."""
+def page_routes(package: str, prefix: str = "") -> Iterable[web.RouteDef]:
+    """A route for each file of a page, `index.html` as the folder itself, and for those that all pages share.
 
-    package: str
-    name: str
-    content_type: str
-    """With its character set."""
+    Files are read now, so that no request opens one.
 
-
-def resource_routes(listed: Mapping[str, Resource]) -> Iterable[web.RouteDef]:
-    """A route for each file, by its path in the address; files are read now, so that no request opens one."""
-    for path, resource in listed.items():
-        # The package's own files: no door for those of strangers.
-        body = resources.files(resource.package).joinpath(resource.name).read_bytes()
-        yield web.get(path, _answer(body, resource.content_type))
+    Args:
+        package: With a folder `page`.
+        prefix: Before each path.
+    """
+    # The package's own files: no door for those of strangers.
+    for file in (
+        one for owner in ("jaxscan.web", package) for one in resources.files(owner).joinpath("page").iterdir()
+    ):
+        kind = _TYPES.get(file.name.rpartition(".")[2])
+        if kind is not None:
+            path = "" if file.name == "index.html" else file.name
+            yield web.get(f"{prefix}/{path}", _answer(file.read_bytes(), f"{kind}; charset=utf-8"))
 
 
 def _answer(body: bytes, content_type: str) -> Handler:

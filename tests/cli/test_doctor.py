@@ -38,7 +38,7 @@ def test_what_is_missing_is_said(run, monkeypatch):
 
 
 def test_what_optional_packages_are_for(run, monkeypatch):
-    for module in ("ezdxf", "ifcopenshell", "pye57", "aiohttp", "rerun"):
+    for module in ("ezdxf", "ifcopenshell", "pye57", "aiohttp"):
         monkeypatch.setitem(sys.modules, module, None)
     ran = run("doctor", "--json", "-")
     assert ran.code == 0, ran.err
@@ -48,14 +48,13 @@ def test_what_optional_packages_are_for(run, monkeypatch):
         ("ifcopenshell", "rooms as IFC", "ifc"),
         ("pye57", "clouds written as E57", "export"),
         ("aiohttp", "console, view", "console"),
-        ("rerun-sdk", "view --rerun", "rerun"),
     ):
         assert found[name] | {"detail": ""} == {
             **{"name": name, "needed": False, "works": False, "detail": "", "without": without, "extra": extra}
         }
         assert f"{name}: import of {name.removesuffix('-sdk')} halted" in ran.err and without in ran.err
     assert found["open3d"]["works"] and found["open3d"]["detail"][0].isdigit()
-    assert 'to have them all: pip install "jaxscan[console,rerun,export,plan,ifc]"' in ran.err
+    assert 'to have them all: pip install "jaxscan[console,export,plan,ifc]"' in ran.err
 
 
 def test_every_optional_package_is_brought_by_its_extra():

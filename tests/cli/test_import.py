@@ -134,8 +134,8 @@ def test_a_missing_image_on_either_side_pairs_no_wrong_steps(refused, tmp_path):
     assert "without a partner: l_2.png; too many: b_3.png" in message
 
 
-def test_layouts_of_programs(run, tmp_path):
-    """The names that FabScanPi and thot give, after their sources."""
+def test_the_layout_of_fabscan(run, tmp_path):
+    """The names that FabScanPi gives, after its source."""
     scan = "20200101-101010"
     names = [f"{scan}/raw_laser_raw/{scan}_{k:03d}.jpg" for k in range(5)]
     save(tmp_path / "fabscan", names + [f"{scan}/color_raw/{scan}_{k:03d}.jpg" for k in range(4)])
@@ -146,15 +146,6 @@ def test_layouts_of_programs(run, tmp_path):
     np.testing.assert_allclose(np.degrees(capture.angles), [0, 90, 180, 270, 360])
     assert not capture.records[0].off and any("JPEG" in note for note in capture.notes)
     assert capture.lasers[0].colour == "red"
-    names = [f"capture/{kind}_{k:03d}.png" for kind in ("color", "laser0", "laser1") for k in (0, 2, 4, 8)]
-    save(tmp_path / "thot", names)
-    ran = run("import", tmp_path / "thot", "-o", tmp_path / "b")
-    assert ran.code == 0 and "the layout is that of thot" in ran.out
-    capture = open_capture(tmp_path / "b")
-    np.testing.assert_allclose(np.degrees(capture.angles), np.repeat([0.0, 2, 4, 8], 2))
-    (chunk,) = capture.chunks(8)
-    assert np.array_equal(chunk.on, FRAMES[[4, 8, 5, 9, 6, 10, 7, 11]])
-    assert np.array_equal(chunk.off, FRAMES[[0, 0, 1, 1, 2, 2, 3, 3]])
 
 
 def test_what_is_not_recognised_is_listed_with_a_command(refused, tmp_path):

@@ -7,6 +7,7 @@ is started. Before jaxscan hears signals, in the first hundredths of a second, P
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -61,6 +62,7 @@ ENDS = {
     ".toml": b"\n",
 }
 """With what a whole file ends."""
+PROGRESS = re.compile(r"\w+: \d+ %, about .* left")
 ANSWERS = {signal.SIGINT: 130, signal.SIGTERM: 143}
 NAMES = {"script": "import sys; sys.argv[0] = 'jaxscan'; from jaxscan.cli.main import main; sys.exit(main())"}
 STARTS = ([sys.executable, "-c", NAMES["script"]], [sys.executable, "-m", "jaxscan"])
@@ -135,7 +137,7 @@ class Workplace:
         seconds = time.monotonic() - since
         said, faults = said.decode(errors="replace"), []
         if child.returncode == ANSWERS.get(number):
-            lines = said.splitlines()
+            lines = [line for line in said.splitlines() if not PROGRESS.fullmatch(line)]
             if lines != ["jaxscan: interrupted"]:
                 faults.append(f"said {said[-500:]!r}")
         elif child.returncode != 0 and number != signal.SIGKILL:

@@ -40,7 +40,7 @@ FILES = [
         "/dev/null",
         "/dev/urandom",
     ),
-    *(f"/proc/{name}" for name in ("cpuinfo", "meminfo", "stat", "self/cgroup", "self/maps", "self/mountinfo")),
+    *(f"/proc/{name}" for name in ("cpuinfo", "meminfo", "stat", "self/cgroup", "self/maps")),
 ]
 """Single files that it may read. Folders on the path of modules are listed, and no more."""
 

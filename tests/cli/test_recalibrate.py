@@ -243,10 +243,10 @@ class TestOutput:
         assert "The rig is as it was calibrated (p = 0.43)." in message
 
     def test_options_arrive(self, recalibrated, run):
-        words = "--boards boards --stations --angles steps --no-features --closed --max-range 9"
+        words = "--boards boards --stations --no-features --closed --max-range 9"
         assert run("recalibrate", "room", "-c", "old.json", "-o", "new.json", *words.split()).code == 0
         settings = recalibrated["settings"]
-        assert (settings.stations, settings.angles, settings.features, settings.closed) == (True, "steps", False, True)
+        assert (settings.stations, settings.features, settings.closed) == (True, False, True)
         assert settings.stripes.max_range_m == 9
         assert [capture.path for capture in recalibrated["boards"]] == [Path("boards")]
         assert run("recalibrate", "room", "-c", "old.json", "-o", "new.json").code == 0
@@ -340,7 +340,7 @@ class TestWholeWay:
         again = [folder / "sweep", "-c", folder / "new.json", "-o", folder / "newer.json"]
         assert "was already used for" in refused("recalibrate", *again)
         assert told["recalibration"]["drift"]["p"] > 1e-3
-        assert told["recalibration"]["settings"]["angles"] == "model"
+        assert told["recalibration"]["settings"]["closed"] is None
         assert new.quality.verdict.usable
 
     def test_the_cloud_is_that_of_the_new_calibration(self, whole_way, run):

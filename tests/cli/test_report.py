@@ -105,7 +105,7 @@ class TestCalibrate:
         judged = dataclasses.replace(stored, quality=dataclasses.replace(stored.quality, verdict=REFUSED))
         monkeypatch.setattr("jaxscan.api.calibrate", lambda captures, **options: judged)
         # The figures are those of the page above; drawing them is most of the time.
-        monkeypatch.setattr("jaxscan.report.figures.as_svg", lambda figure, name, description: "")
+        monkeypatch.setattr("jaxscan.report.drawing.as_svg", lambda figure, name, description: "")
         target, page = tmp_path / "a.json", tmp_path / "a.html"
         ran = run("calibrate", tiny.boards, "-o", target, "--report", page, *words)
         assert ran.code == 1
@@ -136,7 +136,7 @@ class TestCalibrate:
         assert result["quality"]["converged"] is False and result["verdict"]["kind"] == "bad"
         assert json.loads(target.read_text())["quality"]["verdict"]["usable"] is False
         # Solved again with the same few steps, it says so again.
-        monkeypatch.setattr("jaxscan.report.figures.as_svg", lambda figure, name, description: "")
+        monkeypatch.setattr("jaxscan.report.drawing.as_svg", lambda figure, name, description: "")
         page = tmp_path / "a.html"
         again = run("report", target, "-o", page, "--json", "-")
         assert again.code == 0 and json.loads(again.out)["reproduced"] is None
@@ -238,7 +238,7 @@ class TestReport:
 
     def test_changed_parameters_are_called_out(self, calibrated, run, tmp_path, monkeypatch):
         # The figures are those of the page above; drawing them is most of the time.
-        monkeypatch.setattr("jaxscan.report.figures.as_svg", lambda figure, name, description: "")
+        monkeypatch.setattr("jaxscan.report.drawing.as_svg", lambda figure, name, description: "")
         path = edited(calibrated, tmp_path, lambda content: content["camera"].update(fx=content["camera"]["fx"] + 1))
         ran = run("report", path, "-o", tmp_path / "a.html", "--json", "-")
         assert ran.code == 0, ran.err

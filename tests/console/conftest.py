@@ -14,8 +14,8 @@ import aiohttp
 import pytest
 
 from jaxscan.cli.console.captures import Captures
-from jaxscan.cli.console.desk import Chosen, Desk
-from jaxscan.cli.console.serving import make_site
+from jaxscan.cli.console.desk import Desk
+from jaxscan.cli.console.pages import make_site
 from jaxscan.cli.console.sessions import Sessions
 from jaxscan.cli.console.slate import Slate
 from jaxscan.cli.console.works import Works
@@ -87,7 +87,7 @@ class Console:
         fields = {"captures": [], "works": [], "folder": "captures", "config": "rig.toml"}
         self.slate = Slate(lost="go on", doing="nothing", finished=0, **fields)
         self.captures = Captures(folder / "captures")
-        self.desk = Desk(Chosen(self.config, port), self.slate, self.captures, Terminal())
+        self.desk = Desk(self.config, self.slate, Terminal(), port)
         self.calibration = None
 
     def run(self, pages):
@@ -111,10 +111,10 @@ class Console:
                 self.desk.leave()
 
         with ExitStack() as stack:
-            works = stack.enter_context(Works(self.slate))
-            sessions = Sessions(self.desk, works, self.calibration)
-            sessions.list()
-            stack.enter_context(Server(make_site(self.address, self.desk, sessions), self.address))
+            works = stack.enter_context(Works(self.slate, self.captures, self.calibration))
+            Sessions(self.desk, works, self.captures)
+            works.refresh()
+            stack.enter_context(Server(make_site(self.address, self.desk, works, self.captures), self.address))
             thread = threading.Thread(target=work)
             thread.start()
             try:

@@ -38,7 +38,7 @@ def seen(console, paper, tiny, monkeypatch):
     text = CONFIG.replace("width = 128", "width = 320").replace("height = 96", "height = 256")
     console.config.write_text(text + BOARD)
     # Calibrations of three views have nothing to say, and take a process.
-    monkeypatch.setattr("jaxscan.cli.console.sessions.Sessions.calibrate", lambda self, name, of="": None)
+    monkeypatch.setattr("jaxscan.cli.console.works.Works.carry_out", lambda self, order, of="": None)
     return desk
 
 

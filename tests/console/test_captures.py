@@ -7,8 +7,10 @@ import shutil
 import pytest
 
 from jaxscan.cli.console.captures import Captures, verdict_of
-from jaxscan.cli.console.works import keep
-from jaxscan.errors import CaptureError
+from jaxscan.cli.console.orders import Order
+from jaxscan.cli.console.slate import Slate
+from jaxscan.cli.console.works import Works, keep
+from jaxscan.errors import CaptureError, OptionError
 from jaxscan.files.calibration import calibration_digest, load_calibration
 
 
@@ -137,3 +139,27 @@ def test_a_capture_is_renamed_with_what_was_made_of_it_unless_the_name_is_taken(
     halls = ["hall", "hall.glb", "hall.plan.pdf", "hall.ply", "hall.report.html"]
     assert there(folder) == [".json", *halls, "taken.ply"]
     assert [one["name"] for one in folder.listed()] == ["hall"]
+
+
+def test_a_second_recalibration_by_a_sweep_begins_from_the_calibration_before_the_first(tiny, tmp_path, monkeypatch):
+    """What a sweep tells counts once; and the calibration that is used is not written over while it is read."""
+    folder, begun = Captures(tmp_path), []
+    monkeypatch.setattr(Works, "begin", lambda works, work: begun.append(list(work.words)))
+    shutil.copy(tiny.calibration, folder.calibration("boards"))
+    found = json.loads(tiny.calibration.read_text())
+    digest = calibration_digest(folder.calibration("boards"))
+    found["provenance"] |= {"captures": [{"name": "room"}], "calibration": {"name": "boards.json", "digest": digest}}
+    better = tmp_path / "room.recalibrated.json"
+    better.write_text(json.dumps(found))
+    works = Works(Slate(doing="nothing"), folder, better)
+    for name in ("room", "hall"):
+        works.carry_out(Order("recalibrate", name))
+    assert [words[1:4] for words in begun] == [
+        [str(tmp_path / "room"), "-c", str(folder.calibration("boards"))],
+        [str(tmp_path / "hall"), "-c", str(better)],
+    ]
+    folder.calibration("boards").unlink()
+    with pytest.raises(
+        OptionError, match="is made of room already, and the calibration before it is not in the folder"
+    ):
+        works.carry_out(Order("recalibrate", "room"))

@@ -1,7 +1,6 @@
 """Half-open connections by the thousand: the scan, Stop and those who have the token do not notice."""
 
 import asyncio
-import http.client
 import itertools
 import json
 import logging
@@ -11,13 +10,13 @@ from urllib.parse import urlsplit
 
 import aiohttp
 import pytest
-from aiohttp import web
 from bench.flood import Flood
 
 from jaxscan.files.capture import open_capture, verify_capture
-from jaxscan.web import Gate, Server, open_address
+from jaxscan.web import open_address
 
 from ..hardware.driving import falls, milliseconds
+from ..web.asking import ask, let_in, page_of, served
 from .conftest import Page, console_process
 from .test_bench import ALLOWED_MS, ROOT
 from .test_bench import bench as bench
@@ -32,45 +31,25 @@ HELD = 300
 FEW_LINES = 3
 
 
-def get(port, path, cookie=""):
-    """Status, headers and seconds of an answer."""
-    asking = http.client.HTTPConnection("127.0.0.1", port, timeout=30.0)
+def get(port, cookie=None):
+    """Status of an answer, and its seconds."""
     start = time.monotonic()
-    try:
-        asking.request("GET", path, headers={"Cookie": cookie} if cookie else {})
-        answer = asking.getresponse()
-        answer.read()
-    finally:
-        asking.close()
-    return answer.status, answer.headers, time.monotonic() - start
-
-
-def let_in(url):
-    """The cookie that the token is traded for, and the port."""
-    parts = urlsplit(url)
-    status, headers, _ = get(parts.port, f"/?{parts.query}")
-    assert status == 303
-    return headers["Set-Cookie"].partition(";")[0], parts.port
+    return ask(port, Cookie=cookie)[0], time.monotonic() - start
 
 
 def test_pages_with_the_token_are_answered_in_a_small_flood(caplog):
     address = open_address("127.0.0.1", 0, option="--web-port")
-    site = Gate(address).application()
-
-    async def page(request):
-        return web.Response(text="the page")
-
-    site.router.add_get("/", page)
-    with Server(site, address), caplog.at_level(logging.INFO):
-        cookie, port = let_in(address.url(with_token=True))
+    port, token = address.port, address.token
+    with served(address, page_of(b"the page")), caplog.at_level(logging.INFO):
+        cookie = let_in(port, token)
         with Flood(port, held=200, per_s=2000.0, most=200) as flood:
             while not flood.spent:
-                assert get(port, "/", cookie)[0] == 200
+                assert get(port, cookie)[0] == 200
             # Somebody who comes in the middle of it, too.
-            assert let_in(address.url(with_token=True))[0] == cookie
-            assert get(port, "/", cookie)[0] == 200
+            assert let_in(port, token) == cookie
+            assert get(port, cookie)[0] == 200
         assert flood.ended > 0, "most have to give way"
-        assert get(port, "/")[0] == 403
+        assert get(port)[0] == 403
     assert len(caplog.records) <= FEW_LINES, caplog.text
 
 
@@ -107,7 +86,8 @@ def gaps(folder):
 def test_five_thousand_half_open_connections_do_not_disturb_a_scan(bench, console, tmp_path):
     configure, url, said = console
     captures, answers = tmp_path / "captures", []
-    cookie, port = let_in(url)
+    parts = urlsplit(url)
+    port, cookie = parts.port, let_in(parts.port, parts.query.removeprefix("token="))
 
     async def pages():
         own = f"http://127.0.0.1:{port}"
@@ -152,7 +132,7 @@ def test_five_thousand_half_open_connections_do_not_disturb_a_scan(bench, consol
 
     async def ask_until(holds):
         while not holds():
-            status, _, took = await asyncio.to_thread(get, port, "/", cookie)
+            status, took = await asyncio.to_thread(get, port, cookie)
             assert status == 200
             answers.append(took)
             await asyncio.sleep(0.2)

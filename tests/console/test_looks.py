@@ -8,7 +8,7 @@ import urllib.request
 import pytest
 
 from jaxscan.cli.console.captures import Captures
-from jaxscan.cli.console.serving import Looks
+from jaxscan.cli.console.pages import Looks
 from jaxscan.viewer import view_routes
 from jaxscan.web import Gate, Server, open_address
 

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from jaxscan.cli.console.captures import Captures
-from jaxscan.cli.console.desk import Chosen, Desk
+from jaxscan.cli.console.desk import Desk
 from jaxscan.cli.console.orders import Order
-from jaxscan.cli.console.painter import Painter, Seen
-from jaxscan.cli.console.silence import Silence
 from jaxscan.cli.console.slate import Slate
+from jaxscan.cli.console.watching import Painter, Seen, Silence
 from jaxscan.cli.console.works import Work, Works
 from jaxscan.cli.terminal import Terminal
 from jaxscan.vision import to_grey
@@ -24,7 +23,7 @@ def says(slate, *kinds):
     return [line["says"] for line in slate.state(0)[1]["lines"] if not kinds or line["kind"] in kinds]
 
 
-def test_a_work_that_fails_takes_no_other_with_it(monkeypatch):
+def test_a_work_that_fails_takes_no_other_with_it(tmp_path, monkeypatch):
     slate, ended = Slate(), threading.Event()
 
     def call(works, words, lines):
@@ -36,7 +35,7 @@ def test_a_work_that_fails_takes_no_other_with_it(monkeypatch):
         raise ValueError("no such\ncapture")
 
     monkeypatch.setattr(Works, "_call", call)
-    with Works(slate) as works:
+    with Works(slate, Captures(tmp_path)) as works:
         works.begin(Work("reconstruct room", ["broken"]))
         works.begin(Work("calibrate boards", ["well"], fail))
         works.begin(Work("compare", ["well"], lambda well, result: ended.set()))
@@ -67,7 +66,7 @@ def test_the_watch_over_the_rig_goes_on_and_says_a_failure_once(paper, monkeypat
         return "the controller is silent"
 
     monkeypatch.setattr(Silence, "look", look)
-    monkeypatch.setattr("jaxscan.cli.console.silence._BETWEEN_S", 0.01)
+    monkeypatch.setattr("jaxscan.cli.console.watching._BETWEEN_LOOKS_S", 0.01)
     with Silence(slate, paper.controller):
         assert enough.wait(30)
     assert says(slate) == ["the watch over the rig: did not succeed: [Errno 24] Too many open files"]
@@ -90,8 +89,8 @@ def test_the_painter_goes_on_after_a_picture_that_failed(tmp_path, monkeypatch):
             enough.set()
         return to_grey(frame, pixel_format)
 
-    monkeypatch.setattr("jaxscan.cli.console.painter.to_grey", fail_first)
-    monkeypatch.setattr("jaxscan.cli.console.painter._BETWEEN_S", 0.0)
+    monkeypatch.setattr("jaxscan.cli.console.captures.to_grey", fail_first)
+    monkeypatch.setattr("jaxscan.cli.console.watching._BETWEEN_PICTURES_S", 0.0)
     shown = []
     monkeypatch.setattr(slate, "show", shown.append)
     frame = np.zeros((rig.camera.height, rig.camera.width), np.uint8)
@@ -114,7 +113,7 @@ def test_the_desk_goes_on_after_a_list_of_captures_that_failed(tmp_path, monkeyp
         raise OSError(24, "Too many open files")
 
     slate = Slate(lost="go on", doing="nothing", finished=0)
-    desk = Desk(Chosen(tmp_path / "rig.toml"), slate, Captures(tmp_path), Terminal())
+    desk = Desk(tmp_path / "rig.toml", slate, Terminal())
     monkeypatch.setattr(Desk, "_open_and_run", carry_out)
     desk.after = fail
     for do in ("aim", "sweep"):

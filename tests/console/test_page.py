@@ -14,6 +14,15 @@ from ..browser.driver import NARROW, Looks
 
 ESCAPE, LEFT = "\ue00c", "\ue012"
 """Keys, as WebDriver names them."""
+CAPTURE = {
+    "name": "room",
+    "kind": "sweep",
+    "records": 0,
+    "complete": True,
+    "problem": "",
+    "changed": 0.0,
+    "cloud": False,
+}
 
 
 @pytest.fixture
@@ -83,29 +92,24 @@ def test_stop_by_a_key_and_resume_by_a_click_over_a_reload(visit, console, paper
 
 
 def test_what_goes_on_is_said_and_what_may_be_compared(visit, console):
-    def capture(name, cloud):
-        about = {"name": name, "kind": "sweep", "records": 0, "complete": True, "problem": "", "changed": 0.0}
-        return about | {"cloud": cloud}
+    one, other = (CAPTURE | {"name": name} for name in ("one", "other"))
 
     def work(looks, url):
         buttons = "return Array.from(document.querySelectorAll('#captures button'), (one) => one.textContent)"
         offered = lambda: [text for text in looks.driver.execute_script(buttons) if "ompare" in text]
-        press = (
-            "[...document.querySelectorAll('#captures button')].find((one) => one.textContent === arguments[0]).click()"
-        )
         looks.open(url)
         looks.until(lambda: looks.text("doing") == "ready")
         work = {"what": "calibrate boards", "running": True, "well": None, "lines": [], "result": {}}
         console.slate.write(works=[work])
         looks.until(lambda: looks.text("next") == "The calibration is calculated: wait for its verdict.")
-        console.slate.write(works=[], captures=[capture("one", True), capture("other", False)])
+        console.slate.write(works=[], captures=[one | {"cloud": True}, other])
         looks.until(lambda: looks.text("next").startswith("one has its cloud"))
         assert offered() == []
-        console.slate.write(captures=[capture("one", True), capture("other", True)])
+        console.slate.write(captures=[each | {"cloud": True} for each in (one, other)])
         looks.until(lambda: offered() == ["Compare …", "Compare …"])
-        looks.driver.execute_script(press, "Compare …")
+        press(looks, "Compare …")
         looks.until(lambda: offered() == ["Do not compare", "Compare with one"])
-        looks.driver.execute_script(press, "Do not compare")
+        press(looks, "Do not compare")
         looks.until(lambda: offered() == ["Compare …", "Compare …"])
         console.slate.write(laser="unknown")
         looks.until(lambda: "switch its supply off" in looks.text("laser"))
@@ -222,12 +226,10 @@ def test_a_verdict_has_the_colour_of_the_users_own_goal(visit, console):
 
 
 def test_a_cloud_of_another_calibration_is_to_be_made_again(visit, console):
-    capture = {"name": "room", "kind": "sweep", "records": 0, "complete": True, "problem": "", "changed": 0.0}
-
     def work(looks, url):
         looks.open(url)
         looks.until(lambda: looks.text("doing") == "ready")
-        made = capture | {"cloud": True, "made": [], "made_with": "sha256:a"}
+        made = CAPTURE | {"cloud": True, "made": [], "made_with": "sha256:a"}
         console.slate.write(calibration="better.json", calibration_digest="sha256:b", captures=[made])
         looks.until(lambda: looks.text("next").startswith("Reconstruct room again"))
         assert green(looks) == ["Reconstruct"] and "its cloud is of another calibration" in looks.text("captures")
@@ -241,10 +243,11 @@ def test_a_cloud_of_another_calibration_is_to_be_made_again(visit, console):
 def test_what_is_made_of_a_capture_and_that_it_is_deleted_only_when_asked_twice(visit, console, monkeypatch):
     begun = []
     monkeypatch.setattr("jaxscan.cli.console.works.Works.begin", lambda works, work: begun.append(work.words))
+    monkeypatch.setattr("jaxscan.cli.console.works.Works._before", lambda works, name: works.calibration)
     (console.captures.folder / "room").mkdir(parents=True)
     (console.captures.folder / "room" / "capture.toml").write_text("")
     console.calibration = console.captures.folder / "boards.json"
-    capture = {"name": "room", "kind": "sweep", "records": 1, "complete": True, "problem": "", "changed": 0.0}
+    capture = CAPTURE | {"records": 1}
 
     def work(looks, url):
         looks.open(url)

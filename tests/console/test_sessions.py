@@ -10,7 +10,7 @@ import threading
 import pytest
 from scanrig.errors import Fault, PortError
 
-from jaxscan.cli.console.serving.roles import Roles
+from jaxscan.cli.console.pages import Roles
 from jaxscan.files.capture import open_capture, verify_capture
 
 
@@ -97,16 +97,6 @@ def test_a_laser_of_which_nobody_knows_is_not_said_to_be_off(console, paper, hel
     console.run(pages)
 
 
-def test_stop_while_nothing_runs_does_nothing(console, paper):
-    async def pages(console):
-        page = await console.open()
-        await page.order("stop")
-        await page.order("sweep", name="room", resume=False)
-        assert (await page.done())["ended"].endswith("complete, 10 records.")
-
-    console.run(pages)
-
-
 def test_pause_ends_after_the_step_and_resume_goes_on(console, paper, held):
     waits, go = held(4)
 
@@ -189,7 +179,7 @@ def test_a_page_that_comes_back_is_what_it_was(console, held, key):
 
 @pytest.mark.parametrize("stops", [False, True])
 def test_a_connection_that_is_cut(console, paper, held, monkeypatch, stops):
-    monkeypatch.setattr("jaxscan.cli.console.serving.hub.GRACE_S", 0.2)
+    monkeypatch.setattr("jaxscan.cli.console.pages.GRACE_S", 0.2)
     waits, go = held(4)
 
     async def pages(console):
@@ -206,7 +196,7 @@ def test_a_connection_that_is_cut(console, paper, held, monkeypatch, stops):
         go.set()
         other = await console.open()
         state = await other.until(lambda page: page.state["doing"] == "nothing")
-        assert state["done"] == (4 if stops else 10) and other.you["operates"] is stops
+        assert state["done"] == (4 if stops else 10) and other.you["operates"]
         says = [line["says"] for line in state["lines"] if "is lost: paused" in line["says"]]
         assert len(says) == stops
         await page.socket.close()
@@ -216,7 +206,7 @@ def test_a_connection_that_is_cut(console, paper, held, monkeypatch, stops):
 
 
 def test_aiming_ends_without_a_page(console, paper, monkeypatch):
-    monkeypatch.setattr("jaxscan.cli.console.serving.hub.GRACE_S", 0.2)
+    monkeypatch.setattr("jaxscan.cli.console.pages.GRACE_S", 0.2)
     well, broken = Roles.lost_for, []
 
     def lost_for(roles, now):

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import pytest
 from scanrig.controllers.controller import LinkCounts
 
-from jaxscan.cli.console import silence
-from jaxscan.cli.console.serving import hub
-from jaxscan.cli.console.silence import Silence
+from jaxscan.cli.console import pages as hub
+from jaxscan.cli.console import watching
 from jaxscan.cli.console.slate import Slate
+from jaxscan.cli.console.watching import Silence
 
 from ..browser.driver import Looks
 from ..hardware.fake import ManualClock
@@ -61,8 +61,8 @@ def test_slow_steps_are_given_their_time(rig):
 
 
 def test_it_is_on_the_slate_while_the_session_runs_and_gone_after_it(console, paper, held, monkeypatch):
-    monkeypatch.setattr(silence, "SILENT_S", 0.0)
-    monkeypatch.setattr(silence, "_BETWEEN_S", 0.05)
+    monkeypatch.setattr(watching, "SILENT_S", 0.0)
+    monkeypatch.setattr(watching, "_BETWEEN_LOOKS_S", 0.05)
     # The page answers no pings while it waits for the fourth shot, which takes long on a busy machine.
     monkeypatch.setattr(hub, "_HEARTBEAT_S", 120.0)
     waits, go = held(4)

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from jaxscan.cli.console.stopping import PAGE, Stopping
+from jaxscan.cli.console.desk import STOPPED, Stopping
 
 
 PATIENCE_S = 30.0
@@ -29,7 +29,7 @@ def test_a_signal_that_the_wait_does_not_hear_is_sent_again(monkeypatch):
     with Stopping() as stopping:
         stopping.begin()
         stop_soon(stopping)
-        with pytest.raises(KeyboardInterrupt, match=PAGE):
+        with pytest.raises(KeyboardInterrupt, match=STOPPED):
             threading.Event().wait(PATIENCE_S)
         heard = len(sent)
         time.sleep(0.2)

@@ -9,8 +9,6 @@ import time
 
 import pytest
 
-from jaxscan.web import open_address
-
 from ..cli.conftest import run as run
 from .conftest import CONFIG
 
@@ -25,7 +23,6 @@ def config(tmp_path):
 @pytest.mark.parametrize(
     "words, says",
     [
-        (["--web-port", "-1"], "--web-port: found -1, expected 0 ... 65535."),
         (["--host", "198.51.100.7", "--web-port", "0"], "--host: found '198.51.100.7'"),
         (["-c", "missing.json"], "missing.json"),
     ],
@@ -38,15 +35,6 @@ def test_options_that_cannot_be_meant(run, config, words, says):
 def test_a_configuration_that_is_not_there(run, tmp_path):
     ran = run("console", tmp_path / "rig.toml")
     assert ran.code == 1 and "rig.toml" in ran.err and ran.err.count("\n") == 1
-
-
-def test_a_port_that_is_taken(run, config):
-    taken = open_address("127.0.0.1", 0, option="--web-port")
-    ran = run("console", config, "--web-port", taken.port)
-    taken.socket.close()
-    assert ran.code == 1
-    line = f"jaxscan: --web-port: the port {taken.port} is taken by another program; choose another, or 0 for any"
-    assert ran.err == f"{line} that is free.\n"
 
 
 def test_without_aiohttp(run, config, monkeypatch):

@@ -191,14 +191,6 @@ def test_clouds_of_which_nothing_can_be_said(change, said):
         jaxscan.measure_points(cloud, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
 
 
-def test_a_single_point():
-    cloud = seen_room(grid=(90, 30))
-    cloud.valid[:] = False
-    cloud.valid[4, 4] = True
-    with pytest.raises(MeasurementError, match="No floor"):
-        jaxscan.survey_room(cloud)
-
-
 def test_simplified_lines_stay_within_the_tolerance():
     t = np.linspace(0.0, 2.0, 400)
     line = np.stack([t, 0.2 * np.sin(4.0 * t)], 1)

@@ -219,44 +219,44 @@ US_FOOT = 1200 / 3937
 NUMBER = np.arange(1, COUNT + 1)
 PACKED = (RGB[:, 0] << 16 | RGB[:, 1] << 8 | RGB[:, 2]).astype(np.uint32)
 NAMES = [f"P{k}" for k in NUMBER]
-STRANGERS = [
-    # --- text
-    Stranger("pts: Leica Cyclone", ".pts", text(str(COUNT), rows(XYZ, WHOLE - 100, RGB)), intensity=WHOLE - 100.0),
-    Stranger(
-        "pts 8 bit: Leica, intensity of 0 to 255",
-        ".pts",
-        text(str(COUNT), rows(XYZ, WHOLE, RGB)),
-        intensity=WHOLE.astype(float),
-    ),
+WITH_LEVEL, COLOUR_NAMES = rows(XYZ, WHOLE - 100, RGB), ("red", "green", "blue")
+MILLI, PLAIN = 1e-3, {"coloured": False}
+
+
+def coloured_ply(kind, names=COLOUR_NAMES, colours=RGB, axis="f4", **more):
+    """A PLY with colours of a type, in properties of these names."""
+    columns = {name: colours[:, k].astype(kind[-2:]) for k, name in enumerate(COLOUR_NAMES)}
+    return ply(plain("xyz") | dict(zip(COLOUR_NAMES, names, strict=True)), table(**axes(axis), **columns), **more)
+
+
+def las_in(unit=US_FOOT, **more):
+    """A LAS in a unit."""
+    return lambda path: las(path, factor=unit, **more)
+
+
+def keyed(*keys, unit=1.0, **more):
+    """A LAS of before 1.4 with GeoKeys."""
+    return las_in(unit, keys=[(1024, 0, 1, 1), *keys], version="1.2", **more)
+
+
+TEXTS = [
+    Stranger("pts: Leica Cyclone", ".pts", text(str(COUNT), WITH_LEVEL), intensity=WHOLE - 100.0),
+    Stranger("pts 8 bit: Leica", ".pts", text(str(COUNT), rows(XYZ, WHOLE, RGB)), intensity=WHOLE.astype(float)),
     Stranger(
         "pts of two scans: Leica Cyclone",
         ".pts",
-        text("150", rows(XYZ, WHOLE - 100, RGB)[:150], str(COUNT - 150), rows(XYZ, WHOLE - 100, RGB)[150:]),
+        text("150", WITH_LEVEL[:150], str(COUNT - 150), WITH_LEVEL[150:]),
         says="2 scans",
         intensity=WHOLE - 100.0,
     ),
     Stranger(
-        "pts cut short: Leica Cyclone",
-        ".pts",
-        text(str(COUNT), rows(XYZ, WHOLE - 100, RGB)[:-1]),
-        refused=True,
-        says="says that it has 400 points, and has 399",
-    ),
-    Stranger(
         "pts with more points: another number in the first line",
         ".pts",
-        text(str(COUNT - 100), rows(XYZ, WHOLE - 100, RGB)),
+        text(str(COUNT - 100), WITH_LEVEL),
         says="scan 1 says that it has 300 points, and has 400: all are read",
         intensity=WHOLE - 100.0,
     ),
     Stranger("faro: FARO Scene, xyz", ".xyz", text(rows(XYZ, RGB)), says="by their numbers"),
-    Stranger(
-        "irgb or rgbi: four whole numbers",
-        ".xyz",
-        text(rows(XYZ, WHOLE, RGB)),
-        refused=True,
-        says="jaxscan convert --columns x,y,z,",
-    ),
     Stranger(
         "irgb listed: four whole numbers",
         ".xyz",
@@ -280,48 +280,16 @@ STRANGERS = [
         "excel: spreadsheet with quotes and decimal commas",
         ".csv",
         text('"X [mm]";"Y [mm]";"Z [mm]";"R";"G";"B"', rows(XYZ * 1000, RGB, sep=";", comma=True), end="\r\n"),
-        unit=1e-3,
+        unit=MILLI,
         says="millimetres by the names of its columns",
     ),
-    Stranger(
-        "tab and comma: spreadsheet, tabs and decimal commas",
-        ".txt",
-        text(rows(XYZ, sep="\t", comma=True)),
-        coloured=False,
-        says="commas are decimal",
-    ),
-    Stranger(
-        "blank and comma: blanks and decimal commas",
-        ".txt",
-        text("x y z", rows(XYZ, sep=" ", comma=True)),
-        coloured=False,
-    ),
-    Stranger(
-        "comma and comma: commas for both",
-        ".csv",
-        text(rows(np.abs(XYZ) % 1 + 1.0001, sep=",", comma=True)),
-        refused=True,
-        says="commas are both decimal and between columns",
-    ),
-    Stranger(
-        "comma and comma with colours: commas for both",
-        ".csv",
-        text([line.replace(";", ",") for line in rows(XYZ, RGB, sep=";", comma=True)]),
-        refused=True,
-        says="commas are both decimal and between columns",
-    ),
+    Stranger("tab and comma", ".txt", text(rows(XYZ, sep="\t", comma=True)), says="commas are decimal", **PLAIN),
+    Stranger("blank and comma", ".txt", text("x y z", rows(XYZ, sep=" ", comma=True)), **PLAIN),
     Stranger(
         "comma and comma with a blank: commas for both, blanks between columns",
         ".txt",
         text([line.replace(";", ", ") for line in rows(XYZ, RGB, sep=";", comma=True)]),
         says="commas are decimal",
-    ),
-    Stranger(
-        "thousands: points between thousands",
-        ".txt",
-        text(["1.234,5;2.345,6;3.456,7"] * 5),
-        refused=True,
-        says="group thousands",
     ),
     Stranger(
         "scans behind headings: heading before each scan",
@@ -333,9 +301,9 @@ STRANGERS = [
         "whole millimetres: whole numbers and commas",
         ".csv",
         text("x_mm,y_mm,z_mm", rows(np.round(XYZ * 1e4).astype(int), sep=",")),
-        coloured=False,
-        unit=1e-3,
+        unit=MILLI,
         offset=(np.nan, np.nan, np.nan),
+        **PLAIN,
     ),
     Stranger(
         "pnezd: Trimble, point, northing, easting, elevation, code",
@@ -344,34 +312,20 @@ STRANGERS = [
             "Point,Northing,Easting,Elevation,Code",
             rows(np.array(NAMES), XYZ[:, [1, 0, 2]], np.array(["WALL"] * COUNT), sep=","),
         ),
-        coloured=False,
         says="not used: Point, Code",
+        **PLAIN,
     ),
     Stranger(
         "german survey: heading in German, UTF-8 with mark",
         ".txt",
         text("\ufeffPunktnr;Rechtswert;Hochwert;Höhe", rows(NUMBER, XYZ, sep=";", comma=True)),
-        coloured=False,
         says="not used: Punktnr",
+        **PLAIN,
     ),
     Stranger("counted: point number, no heading", ".txt", text(rows(NUMBER, XYZ, RGB)), says="not used: column 1"),
-    Stranger(
-        "latitude: heading of degrees",
-        ".csv",
-        text("Lat,Lon,Height", rows(XYZ, sep=",")),
-        refused=True,
-        says="degrees of latitude and longitude",
-    ),
-    Stranger(
-        "strange heading: heading that names nothing",
-        ".csv",
-        text("alpha,beta,gamma", rows(XYZ, sep=",")),
-        refused=True,
-        says="--columns",
-    ),
     Stranger("realitycapture: RealityCapture xyz, commas", ".xyz", text("#x,y,z,r,g,b", rows(XYZ, RGB, sep=","))),
     Stranger("agisoft: Agisoft Metashape, colours and normals", ".txt", text(rows(XYZ, RGB, NORMAL)), normals=True),
-    Stranger("meshlab xyz: MeshLab, normals", ".xyz", text(rows(XYZ, NORMAL)), coloured=False, normals=True),
+    Stranger("meshlab xyz: MeshLab, normals", ".xyz", text(rows(XYZ, NORMAL)), normals=True, **PLAIN),
     Stranger(
         "pointools: Bentley Pointools, intensity between",
         ".txt",
@@ -382,88 +336,83 @@ STRANGERS = [
         "riegl: RIEGL RiSCAN, blanks before numbers",
         ".asc",
         text("X[m] Y[m] Z[m] Amplitude[dB]", ["  " + line for line in rows(XYZ, LEVEL, sep="   ")]),
-        coloured=False,
         unit=1.0,
         intensity=LEVEL,
+        **PLAIN,
     ),
     Stranger(
         "units in a comment: Polyworks",
         ".txt",
         text("# PolyWorks points", "# Units: millimeters", rows(XYZ * 1000)),
-        coloured=False,
-        unit=1e-3,
+        unit=MILLI,
         says="millimetres by the comment",
+        **PLAIN,
     ),
     Stranger(
         "units against each other: two comments",
         ".txt",
         text("# units: mm", "# units: inch", rows(XYZ)),
-        coloured=False,
         says="its comments name several units",
+        **PLAIN,
     ),
-    Stranger(
-        "utf-16: text of a Windows program", ".txt", text(rows(XYZ), encoding="utf-16"), refused=True, says="UTF-16"
-    ),
-    # --- PLY
-    Stranger(
-        "ply pdal: PDAL, ushort of 0 to 255",
-        ".ply",
-        ply(
-            plain(("x", "y", "z", "red", "green", "blue")),
-            table(**axes("f8"), **{n: RGB[:, k].astype("u2") for k, n in enumerate(("red", "green", "blue"))}),
+]
+REFUSED = [
+    Stranger(name, suffix, write, says=says, refused=True)
+    for name, suffix, write, says in (
+        (
+            "pts cut short: Leica Cyclone",
+            ".pts",
+            text(str(COUNT), WITH_LEVEL[:-1]),
+            "says that it has 400 points, and has 399",
         ),
-        says="colours 0 to 255 by the largest, 240",
-    ),
-    Stranger(
-        "ply float 255: floats of 0 to 255",
-        ".ply",
-        ply(
-            plain(("x", "y", "z", "red", "green", "blue")),
-            table(**axes("f4"), **{n: RGB[:, k].astype("f4") for k, n in enumerate(("red", "green", "blue"))}),
+        ("irgb or rgbi: four whole numbers", ".xyz", text(rows(XYZ, WHOLE, RGB)), "jaxscan convert --columns x,y,z,"),
+        (
+            "comma and comma: commas for both",
+            ".csv",
+            text(rows(np.abs(XYZ) % 1 + 1.0001, sep=",", comma=True)),
+            "commas are both decimal and between columns",
         ),
-        says="colours 0 to 255",
-    ),
+        (
+            "comma and comma with colours: commas for both",
+            ".csv",
+            text([line.replace(";", ",") for line in rows(XYZ, RGB, sep=";", comma=True)]),
+            "commas are both decimal and between columns",
+        ),
+        ("thousands: points between thousands", ".txt", text(["1.234,5;2.345,6;3.456,7"] * 5), "group thousands"),
+        ("latitude", ".csv", text("Lat,Lon,Height", rows(XYZ, sep=",")), "degrees of latitude and longitude"),
+        ("strange heading", ".csv", text("alpha,beta,gamma", rows(XYZ, sep=",")), "--columns"),
+        ("utf-16: text of a Windows program", ".txt", text(rows(XYZ), encoding="utf-16"), "UTF-16"),
+        (
+            "las degrees: GeoKeys of degrees",
+            ".las",
+            las_in(1.0, keys=[(1024, 0, 1, 2), (2048, 0, 1, 4326)], version="1.2"),
+            "degrees of longitude and latitude",
+        ),
+    )
+]
+TABLES = [
+    Stranger("ply pdal: ushort of 0 to 255", ".ply", coloured_ply("u2", axis="f8"), says="by the largest, 240"),
+    Stranger("ply float 255: floats of 0 to 255", ".ply", coloured_ply("f4"), says="colours 0 to 255"),
     Stranger(
         "ply short names: r, g, b as floats of 0 to 1",
         ".ply",
-        ply(
-            plain(("x", "y", "z", "r", "g", "b")),
-            table(**axes("f4"), **{n: (RGB[:, k] / 255).astype("f4") for k, n in enumerate("rgb")}),
-            order="big",
-        ),
+        coloured_ply("f4", "rgb", RGB / 255, order="big"),
         says="colours 0 to 1",
     ),
-    Stranger(
-        "ply diffuse: MeshLab of old, diffuse_red",
-        ".ply",
-        ply(
-            {**plain("xyz"), "r": "diffuse_red", "g": "diffuse_green", "b": "diffuse_blue"},
-            table(**axes("f4"), **{n: RGB[:, k].astype("u1") for k, n in enumerate("rgb")}),
-        ),
-    ),
-    Stranger(
-        "ply char: colours as signed bytes",
-        ".ply",
-        ply(
-            plain(("x", "y", "z", "red", "green", "blue")),
-            table(
-                **axes("f4"),
-                **{n: RGB[:, k].astype("u1").view("i1") for k, n in enumerate(("red", "green", "blue"))},
-            ),
-        ),
-    ),
+    Stranger("ply diffuse: MeshLab of old", ".ply", coloured_ply("u1", [f"diffuse_{one}" for one in COLOUR_NAMES])),
+    Stranger("ply char: colours as signed bytes", ".ply", coloured_ply("i1", colours=RGB.astype("u1").view("i1"))),
     Stranger(
         "ply in millimetres: a desk scanner, unit in obj_info",
         ".ply",
         ply(plain("xyz"), table(**axes("f4", XYZ * 1000)), comments=("Scanned with X", "unit: millimeter")),
-        coloured=False,
-        unit=1e-3,
+        unit=MILLI,
+        **PLAIN,
     ),
     Stranger(
         "ply sigma: a field sigma without prefix",
         ".ply",
         ply(plain(("x", "y", "z", "sigma")), table(**axes("f4"), sigma=np.full(COUNT, 0.002, "f4"))),
-        coloured=False,
+        **PLAIN,
     ),
     Stranger(
         "ply faces first: faces of several lengths before the vertices",
@@ -474,23 +423,15 @@ STRANGERS = [
             elements=("element face 3", "property list uchar int vertex_indices"),
             before=struct.pack("<B3iB4iB3i", 3, 0, 1, 2, 4, 0, 1, 2, 3, 3, 1, 2, 3),
         ),
-        coloured=False,
+        **PLAIN,
     ),
-    # --- PCD
-    Stranger(
-        "pcd rgb as bits: PCL, colour packed into a float",
-        ".pcd",
-        pcd("x y z rgb", "F F F F", "4 4 4 4", rows(XYZ, [f"{x:.9g}" for x in PACKED.view("f4")])),
-    ),
-    Stranger(
-        "pcd rgb as number: colour as the packed number in a float",
-        ".pcd",
-        pcd("x y z rgb", "F F F F", "4 4 4 4", rows(XYZ, [f"{x}.0" for x in PACKED])),
-    ),
-    Stranger(
-        "pcd rgb whole: PCL 1.12, colour packed into a whole number",
-        ".pcd",
-        pcd("x y z rgb", "F F F U", "4 4 4 4", rows(XYZ, PACKED)),
+    *(
+        Stranger(f"pcd rgb: colour {name}", ".pcd", pcd("x y z rgb", f"F F F {kind}", "4 4 4 4", rows(XYZ, colour)))
+        for name, kind, colour in (
+            ("packed into a float", "F", [f"{x:.9g}" for x in PACKED.view("f4")]),
+            ("as the packed number in a float", "F", [f"{x}.0" for x in PACKED]),
+            ("packed into a whole number", "U", PACKED),
+        )
     ),
     Stranger(
         "pcd r g b: three fields",
@@ -504,114 +445,69 @@ STRANGERS = [
         pcd("x y z r g b", "F F F F F F", "4 4 4 4 4 4", rows(XYZ, RGB / 255, fmt="%.6f")),
         says="colours 0 to 1",
     ),
-    # --- PTX
-    Stranger("ptx: Leica, four numbers a line", ".ptx", ptx(), coloured=False, unit=1.0, intensity=255 * LEVEL),
-    Stranger("ptx colours: Leica", ".ptx", ptx(RGB), unit=1.0, intensity=255 * LEVEL),
-    Stranger("ptx of two scans: Leica", ".ptx", ptx(RGB, blocks=2), unit=1.0),
-    Stranger("ptx floats: colours of 0 to 1", ".ptx", ptx(RGB / 255.0), unit=1.0, says="colours 0 to 1"),
-    # --- E57
-    Stranger("e57: libE57, 8 bits", ".e57", e57(level=LEVEL), unit=1.0, intensity=LEVEL),
-    Stranger("e57 xyz: libE57, places alone", ".e57", e57(colours=None), coloured=False, unit=1.0),
-    Stranger("e57 16 bits: colours of 16 bits without limits", ".e57", e57(colours=RGB * 257, limit=65535), unit=1.0),
-    Stranger(
-        "e57 8 in 16 bits: colours of 8 bits in a field of 16",
-        ".e57",
-        e57(limit=65535),
-        unit=1.0,
-        says="colours 0 to 255 by the largest, 240, not the 65535",
-    ),
-    Stranger(
-        "e57 limits of 8 bits: limits of 8 bits, colours of 16",
-        ".e57",
-        e57(colours=RGB * 257, limit=65535, structure=_limits),
-        unit=1.0,
-        says="not the 255 that the file states",
-    ),
-    Stranger("e57 floats: colours of 0 to 1", ".e57", e57(colours=RGB / 255.0, kind=lambda: _floats), unit=1.0),
-    Stranger(
-        "e57 scaled: Autodesk ReCap, scaled whole numbers with an offset",
-        ".e57",
-        e57(places=scaled(-60_000, 60_000, 1e-4, 1.0)),
-        unit=1.0,
-    ),
-    Stranger("e57 spherical: FARO, ranges and angles", ".e57", spherical, coloured=False, unit=1.0),
-    Stranger("e57 invalid: points that were not seen", ".e57", invalid, coloured=False, unit=1.0),
-    Stranger(
-        "e57 grid: Leica BLK, rows and columns",
-        ".e57",
-        e57(
-            more=[
-                ("rowIndex", whole(0, COUNT), (np.arange(COUNT) % 20).astype(np.longlong)),
-                ("columnIndex", whole(0, COUNT), (np.arange(COUNT) // 20).astype(np.longlong)),
-                ("timeStamp", _floats, np.arange(COUNT, dtype=np.float64)),
-            ]
-        ),
-        unit=1.0,
-        says="not used: timeStamp",
-    ),
-    Stranger(
-        "e57 in millimetres: a program that writes millimetres",
-        ".e57",
-        e57(xyz=XYZ * 1000, colours=None),
-        coloured=False,
-        unit=1.0,
-        offset=(np.nan, np.nan, np.nan),
-        says="in millimetres it would be",
-    ),
-    # --- LAS
     Stranger("las: 16 bits", ".las", las, says="the file does not say its unit"),
-    Stranger("las 8 bits: 8 bits in 16", ".las", lambda p: las(p, colours=RGB), says="colours 0 to 255"),
-    Stranger("las without colours: zeros", ".las", lambda p: las(p, colours=RGB * 0), coloured=False),
-    Stranger("las feet: WKT in US survey feet", ".las", lambda p: las(p, factor=US_FOOT, wkt=FEET_WKT), unit=US_FOOT),
-    Stranger(
-        "las mixed: WKT in feet, heights in metres",
-        ".las",
-        lambda p: las(p, factor=US_FOOT, wkt=MIXED_WKT, height=1.0),
-        unit=US_FOOT,
-        says="heights in metres",
-    ),
-    Stranger("las wkt2: WKT of version 2 in feet", ".las", lambda p: las(p, factor=0.3048, wkt=WKT2), unit=0.3048),
+    Stranger("las 8 bits: 8 bits in 16", ".las", las_in(1.0, colours=RGB), says="colours 0 to 255"),
+    Stranger("las without colours: zeros", ".las", las_in(1.0, colours=RGB * 0), **PLAIN),
+    Stranger("las feet: WKT in US survey feet", ".las", las_in(wkt=FEET_WKT), unit=US_FOOT),
+    Stranger("las mixed", ".las", las_in(wkt=MIXED_WKT, height=1.0), unit=US_FOOT, says="heights in metres"),
+    Stranger("las wkt2: WKT of version 2 in feet", ".las", las_in(0.3048, wkt=WKT2), unit=0.3048),
     Stranger(
         "las unknown wkt: WKT without a projection",
         ".las",
-        lambda p: las(p, wkt='PROJCS["site",UNIT["foot",0.3048]]'),
+        las_in(1.0, wkt='PROJCS["site",UNIT["foot",0.3048]]'),
         says="its WKT states no unit that is known",
     ),
-    Stranger(
-        "las behind: WKT in a record behind the points",
-        ".las",
-        lambda p: las(p, factor=US_FOOT, behind=FEET_WKT),
-        unit=US_FOOT,
-    ),
-    Stranger(
-        "las keys: GeoKeys in feet",
-        ".las",
-        lambda p: las(p, factor=0.3048, keys=[(1024, 0, 1, 1), (3076, 0, 1, 9002)], version="1.2"),
-        unit=0.3048,
-    ),
-    Stranger(
-        "las map of keys: GeoKeys that name a map in US survey feet",
-        ".las",
-        lambda p: las(p, factor=US_FOOT, keys=[(1024, 0, 1, 1), (3072, 0, 1, 2277)], version="1.2"),
-        unit=US_FOOT,
-    ),
+    Stranger("las behind: WKT behind the points", ".las", las_in(behind=FEET_WKT), unit=US_FOOT),
+    Stranger("las keys: GeoKeys in feet", ".las", keyed((3076, 0, 1, 9002), unit=0.3048), unit=0.3048),
+    Stranger("las map of keys: in US survey feet", ".las", keyed((3072, 0, 1, 2277), unit=US_FOOT), unit=US_FOOT),
     Stranger(
         "las size of a unit: GeoKeys with the ellipsoid and the size of a unit as doubles",
         ".las",
-        lambda p: las(
-            p,
-            factor=US_FOOT,
-            keys=[(1024, 0, 1, 1), (2057, 34736, 1, 0), (3076, 0, 1, 32767), (3077, 34736, 1, 1)],
-            doubles=(6378137.0, US_FOOT),
-            version="1.2",
+        keyed(
+            *[(2057, 34736, 1, 0), (3076, 0, 1, 32767), (3077, 34736, 1, 1)], unit=US_FOOT, doubles=(6378137.0, US_FOOT)
         ),
         unit=US_FOOT,
     ),
-    Stranger(
-        "las degrees: GeoKeys of degrees",
-        ".las",
-        lambda p: las(p, keys=[(1024, 0, 1, 2), (2048, 0, 1, 4326)], version="1.2"),
-        refused=True,
-        says="degrees of longitude and latitude",
-    ),
 ]
+GRID = [
+    ("rowIndex", whole(0, COUNT), (np.arange(COUNT) % 20).astype(np.longlong)),
+    ("columnIndex", whole(0, COUNT), (np.arange(COUNT) // 20).astype(np.longlong)),
+    ("timeStamp", _floats, np.arange(COUNT, dtype=np.float64)),
+]
+# Both formats are in metres.
+SCANS = [
+    Stranger(name, suffix, write, unit=1.0, **more)
+    for name, suffix, write, more in (
+        ("ptx: Leica, four numbers a line", ".ptx", ptx(), PLAIN | {"intensity": 255 * LEVEL}),
+        ("ptx colours: Leica", ".ptx", ptx(RGB), {"intensity": 255 * LEVEL}),
+        ("ptx of two scans: Leica", ".ptx", ptx(RGB, blocks=2), {}),
+        ("ptx floats: colours of 0 to 1", ".ptx", ptx(RGB / 255.0), {"says": "colours 0 to 1"}),
+        ("e57: libE57, 8 bits", ".e57", e57(level=LEVEL), {"intensity": LEVEL}),
+        ("e57 xyz: libE57, places alone", ".e57", e57(colours=None), PLAIN),
+        ("e57 16 bits: colours of 16 bits without limits", ".e57", e57(colours=RGB * 257, limit=65535), {}),
+        (
+            "e57 8 in 16 bits: colours of 8 bits in a field of 16",
+            ".e57",
+            e57(limit=65535),
+            {"says": "colours 0 to 255 by the largest, 240, not the 65535"},
+        ),
+        (
+            "e57 limits of 8 bits: limits of 8 bits, colours of 16",
+            ".e57",
+            e57(colours=RGB * 257, limit=65535, structure=_limits),
+            {"says": "not the 255 that the file states"},
+        ),
+        ("e57 floats: colours of 0 to 1", ".e57", e57(colours=RGB / 255.0, kind=lambda: _floats), {}),
+        ("e57 scaled: Autodesk ReCap, with an offset", ".e57", e57(places=scaled(-60_000, 60_000, 1e-4, 1.0)), {}),
+        ("e57 spherical: FARO, ranges and angles", ".e57", spherical, PLAIN),
+        ("e57 invalid: points that were not seen", ".e57", invalid, PLAIN),
+        ("e57 grid: Leica BLK, rows and columns", ".e57", e57(more=GRID), {"says": "not used: timeStamp"}),
+        (
+            "e57 in millimetres: a program that writes millimetres",
+            ".e57",
+            e57(xyz=XYZ * 1000, colours=None),
+            PLAIN | {"offset": (np.nan, np.nan, np.nan), "says": "in millimetres it would be"},
+        ),
+    )
+]
+STRANGERS = [*TEXTS, *REFUSED, *TABLES, *SCANS]

@@ -181,13 +181,6 @@ def test_what_is_saved_twice_is_the_same_file(tmp_path):
     assert calibration_digest(tmp_path / "a.json").startswith("sha256:")
 
 
-def test_a_loaded_scanner_computes(tmp_path):
-    save_calibration(make_calibration(), tmp_path / "c.json")
-    q, phi = np.array([700.0, 300.0]), np.asarray(0.3)
-    points = [scanner.point(q, 1, phi)[0] for scanner in (make_scanner(), load_scanner(tmp_path / "c.json"))]
-    assert np.array_equal(*points)
-
-
 def test_the_file_is_as_the_page_says(tmp_path):
     save_calibration(make_calibration(), tmp_path / "c.json")
     data = json.loads((tmp_path / "c.json").read_text())
@@ -259,14 +252,6 @@ def test_a_camera_alone(tmp_path, coefficients):
         load_scanner(tmp_path / "camera.json")
 
 
-def test_without_covariance(tmp_path):
-    scanner = dataclasses.replace(make_scanner(), covariance=None)
-    bare = Calibration(scanner.camera, scanner, (), np.zeros((0, 0)))
-    save_calibration(bare, tmp_path / "c.json")
-    assert load_scanner(tmp_path / "c.json").covariance is None
-    assert load_calibration(tmp_path / "c.json").covariance.shape == (0, 0)
-
-
 def test_observations_of_a_replaced_calibration_do_not_stay(tmp_path):
     save_calibration(make_calibration(observations=make_observations()), tmp_path / "c.json")
     save_calibration(make_calibration(), tmp_path / "c.json")
@@ -327,34 +312,25 @@ NAN = float("nan")
         ),
         (["camera", "model"], "fisheye", "camera.distortion.p1: unknown key; the closest known one is"),
         (["camera", "model"], "omni", 'camera.model: found "omni", expected "pinhole", "fisheye", "double_sphere"'),
-        (["camera", "model"], KeyError, "camera.model: missing"),
         (["camera", "fx"], NAN, "NaN"),
         (["camera", "fx"], -5.0, "camera.fx: found -5.0, expected greater than or equal to 0.1"),
-        (["camera", "fx"], "1200", 'camera.fx: found "1200", expected a valid number'),
-        (["camera", "fx"], KeyError, "camera.fx: missing"),
-        (["camera", "skwe"], 1.0, 'camera.skwe: unknown key; the closest known one is "skew"'),
         (["camera", "width"], 10**6, "camera.width: found 1000000, expected less than or equal to 65535"),
         (["camera", "up"], "up", 'camera.up: found "up", expected "-v", "+v", "+u" or "-u"'),
         (["camera", "distortion", "k4"], 0.1, "camera.distortion: k4, k5 and k6 come together or not at all"),
         (["lasers", 1, "normal"], [1.0, 0.0, 0.1], "lasers[1]: normal: found a vector of length 1.0049"),
         (["lasers", 0, "distance_m"], -0.2, "lasers[0]: distance_m: found -0.2, expected greater than 0"),
         (["lasers", 0, "basis", 1], [1.0, 0.0, 0.0], "lasers[0]: basis: expected two unit vectors, perpendicular"),
-        (["lasers", 0, "bow"], [0.0], "lasers[0].bow[1]: missing"),
         (["lasers", 1, "name"], "red", "lasers: found the names red, red"),
         (["turntable", "direction"], [0.0, -1.0, 0.1], "turntable: direction: found a vector of length 1.00498"),
         (["turntable", "point_m"], [0.0, 0.5, 0.0], "turntable: direction · point_m = -0.5, expected 0"),
         (["turntable", "gain"], 0.0, "turntable: gain = 0"),
-        (["turntable", "harmonics"], [0.0] * 5, "turntable.harmonics"),
         (["turntable", "carries"], "camera", 'turntable.carries: found "camera", expected "scanner" or "object"'),
         # Without one of them it is a smaller rig, whose covariance has other parameters.
         (["turntable"], KeyError, "covariance.order: found fx"),
-        (["lasers"], KeyError, "covariance.order: found fx"),
         (["camera", "up"], "+v", 'turntable.direction: points down, expected towards the image\'s up "+v"'),
         (["covariance", "matrix", 0, 1], 1e9, "covariance: matrix: not symmetric"),
         (["covariance", "matrix", 3, 3], -1.0, "covariance: matrix: the variance of cy is negative"),
         (["covariance", "matrix", 4], [1.0], "covariance: matrix: expected 28 rows of 28 numbers"),
-        (["covariance", "order", 0], "fz", "covariance.order: found fz, fy, cx"),
-        (["quality"], 3, "quality: found 3"),
     ],
 )
 def test_every_wrong_number_is_named(tmp_path, path, value, message):
@@ -371,10 +347,7 @@ def test_every_wrong_number_is_named(tmp_path, path, value, message):
     [
         (["camera", "distortion", "k4"], KeyError, "camera.distortion.k4: missing"),
         (["camera", "distortion", "k5"], 0.1, "camera.distortion.k5: unknown key"),
-        (["camera", "skew"], "some", "camera.skew: found"),
-        (["camera", "fy"], 0.0, "camera.fy: found 0.0, expected greater than or equal to 0.1"),
         (["camera", "model"], "pinhole", "camera.distortion.p1: missing"),
-        (["camera"], KeyError, "camera: missing"),
         (["covariance", "order", 4], "p1", "covariance.order: found fx, fy, cx, cy, p1"),
     ],
 )
@@ -428,32 +401,14 @@ def test_what_is_no_calibration(tmp_path, text, message):
     refused(CalibrationError, lambda: load_scanner(tmp_path / "c.json"), message, "c.json")
 
 
-def test_bytes_that_are_no_text(tmp_path):
-    (tmp_path / "c.json").write_bytes(b"\xff\xfe{")
-    with pytest.raises(CalibrationError, match=r"c\.json"):
-        load_scanner(tmp_path / "c.json")
-
-
-def test_a_missing_file(tmp_path):
-    for load in (load_scanner, load_calibration):
-        with pytest.raises(CalibrationError, match=r"c\.json: no such file"):
-            load(tmp_path / "c.json")
-    with pytest.raises(CalibrationError, match=r"c\.json: no such file"):
-        calibration_digest(tmp_path / "c.json")
-
-
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
         ("corners.q", np.zeros((3, 5, 2)), "corners.q: found float64 with shape (3, 5, 2)"),
         ("corners.sigma", np.full((3, 6), np.inf), "corners.sigma is not finite"),
-        ("corners.angle", np.zeros(4), "corners.angle"),
-        ("corners.valid", np.zeros((3, 6)), "corners.valid: found float64"),
         ("stripes.view", np.array([0, 3]), "stripes.view: found an index outside 0 ... 2"),
         ("stripes.laser", np.array([-1, 0]), "stripes.laser: found an index outside 0 ... 1"),
         ("stripes.q", None, "stripes.q is missing"),
-        ("corners.placement", np.array([{}] * 3, object), "not a readable .npz file"),
-        ("corners.sigma", np.zeros((3, 6)), "corners.sigma: found a number outside"),
         ("corners.q", np.full((3, 6, 2), 1e300), "corners.q: found a number outside"),
         ("stripes.sigma", np.full((2, 7), 1e-320), "stripes.sigma: found a number outside"),
     ],
@@ -490,41 +445,24 @@ class TestQuality:
         assert quality_table(Quality()) == {} and read_quality({}) == Quality()
         assert read_quality(table) == QUALITY
 
-    def test_a_number_that_is_not_finite_is_null(self):
-        table = quality_table(Quality(condition=math.inf))
-        assert table["condition"] is None and read_quality(table).condition is None
-
     @pytest.mark.parametrize(
         ("key", "value"),
         [
             ("converged", 1),
-            ("views", True),
             ("views", 2.5),
             ("views", 10**400),
             ("corner_rms_px", "0.1"),
             ("corner_rms_px", float("1e400")),
-            ("corner_rms_px", 10**400),
-            ("warnings", "one"),
             ("warnings", ["one", 2]),
             ("per_view", {"a": 1}),
             ("per_view", [{"record": "x"}]),
-            ("per_view", [{"corners": 3}]),
-            ("per_view", [[[[[[[]]]]]]]),
-            ("spectrum", [{"sigma_over_prior": 1.0, "direction": {"a": "b"}}]),
             ("spectrum", [{"sigma_over_prior": None, "direction": {}}]),
             ("prior_share", []),
-            ("board_warp_m", [1.0]),
             ("board_warp_m", ["a", "b"]),
-            ("lengths", 7),
-            ("lengths", {"lasers": [{"name": 5}]}),
             ("lengths", {"lasers": [{"name": "red", "depths": [{"depth_m": "far"}]}]}),
-            ("verdict", {"usable": "yes"}),
             ("verdict", {"usable": True, "good_to": {"sigma_mm": "small"}}),
-            ("verdict", {"usable": True, "tests": [1]}),
             ("verdict", {"usable": True, "tests": [{"name": "lens", "p": 0.5}]}),
-            ("verdict", {"usable": True, "advice": [4]}),
             ("redetected", {"kept": 1}),
-            ("redetected", None),
         ],
     )
     def test_what_is_of_another_kind_counts_as_missing(self, key, value):
@@ -537,10 +475,6 @@ class TestQuality:
         assert verdict.usable is None and verdict.good_to is None
         assert verdict.tests[0].dof == 3 and verdict.advice == ("more",)
 
-    def test_a_deep_value_does_no_harm(self):
-        deep = json.loads("[" * 900 + "]" * 900)
-        assert read_quality({"per_view": deep, "nested": deep}) == Quality()
-
     def test_a_solve_that_did_not_converge_is_noted(self, tmp_path):
         path, found = tmp_path / "c.json", []
         for converged in (False, True, None):
@@ -550,7 +484,7 @@ class TestQuality:
         assert "did not converge" in found[0][0] and found[1:] == [[], []]
 
 
-@pytest.mark.parametrize("part", [0.0, 0.3, 0.6, 0.99])
+@pytest.mark.parametrize("part", [0.0, 0.6, 0.99])
 @pytest.mark.parametrize("old", [False, True])
 def test_damaged_observations_are_never_taken_for_missing_ones(tmp_path, part, old):
     save_calibration(make_calibration(observations=make_observations()), tmp_path / "c.json")

@@ -126,23 +126,3 @@ def test_a_failure_changes_neither_file(path, tmp_path, monkeypatch, failing):
     with pytest.raises(CalibrationError, match=rf"{failing}: cannot be written: No space left"):
         save_calibration(make_calibration(observations=make_observations(board)), path)
     assert contents(tmp_path) == before
-
-
-def test_the_advice_after_a_kill_between_the_two_names(path, tmp_path, monkeypatch):
-    class Killed(BaseException):
-        pass
-
-    def replace(part, target):
-        if Path(target).suffix == ".json":
-            raise Killed
-        rename(part, target)
-
-    rename = os.replace
-    board = Chessboard(columns=4, rows=3, square=0.03)
-    with monkeypatch.context() as patch, pytest.raises(Killed):
-        patch.setattr(os, "replace", replace)
-        save_calibration(make_calibration(observations=make_observations(board)), path)
-    with pytest.raises(CalibrationError, match=r"c\.npz: .* calibrate again.* or move this one away"):
-        load_calibration(path)
-    path.with_suffix(".npz").rename(tmp_path / "away.npz")
-    assert load_calibration(path).observations is None

@@ -125,36 +125,16 @@ def test_any_point_of_the_axis_and_a_direction_of_either_sense(by_hand, factor, 
     assert found.turntable.direction[1] < 0 and found.turntable.gain == 1.0
 
 
-def test_a_canonical_file_without_its_bases_is_the_same_scanner(by_hand, tmp_path):
-    save_calibration(load_calibration(by_hand()), tmp_path / "c.json")
-    expected, data = load_scanner(tmp_path / "c.json"), json.loads((tmp_path / "c.json").read_text())
-    for table in (*data["lasers"], data["turntable"]):
-        del table["basis"]
-    (tmp_path / "c.json").write_text(json.dumps(data))
-    found = load_scanner(tmp_path / "c.json")
-    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
-        # Unit vectors are made unit vectors again, which moves the last digit.
-        np.testing.assert_allclose(one, other, atol=1e-15)
-
-
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
         (["lasers", 0, "abc"], [-7.6, -1.7], "lasers[0].abc[2]: missing"),
         (["lasers", 0, "abc"], [-7.6, -1.7, 0.0], "lasers[0]: distance: found 0 m, expected a plane"),
         (["lasers", 0, "normal"], [1.0, 0.0, 0.0], "lasers[0]: abc: found beside normal"),
-        (["lasers", 0], {"distance_m": 0.2}, "lasers[0]: normal: missing"),
         (["lasers", 0], {"normal": [1.0, 0.0, 0.0]}, "lasers[0]: distance_m: missing"),
-        (["lasers", 0], {"normal": [0.0] * 3, "distance_m": 0.2}, "normal of the plane: found [0.0, 0.0, 0.0]"),
         (["lasers", 0, "bow"], [1e-4, 0.0], "lasers[0]: bow: its signs and its size refer to a normal"),
-        (
-            ["lasers", 0, "nomal"],
-            [1.0, 0.0, 0.0],
-            "lasers[0].nomal: unknown key; the closest known one is",
-        ),
         (["turntable", "direction"], [0.0, 0.0, 0.0], "turntable: direction: found [0.0, 0.0, 0.0]"),
         (["turntable", "point_m"], KeyError, "turntable.point_m: missing"),
-        (["turntable"], {"carries": "linear"}, "turntable.direction: missing"),
         (["turntable"], {"carries": "linear", "direction": [0, 0, 0]}, "turntable: direction: found [0.0, 0.0, 0.0]"),
         (["turntable"], {"carries": "linear", "direction": [1, 0, 0], "gain": 0}, "turntable: gain = 0"),
         (
@@ -162,8 +142,6 @@ def test_a_canonical_file_without_its_bases_is_the_same_scanner(by_hand, tmp_pat
             {"carries": "linear", "direction": [1, 0, 0], "point_m": [0, 0, 0]},
             "turntable.point_m: unknown key",
         ),
-        (["turntable", "carries"], "sideways", 'turntable.carries: found "sideways"'),
-        (["turntable"], [], "turntable: found"),
         (["covariance"], {"order": [], "matrix": []}, "covariance: refers to the basis of every laser"),
     ],
 )

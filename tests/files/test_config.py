@@ -61,9 +61,6 @@ def test_a_good_file(load):
         ("widht = 3", 'widht: unknown key; the closest known one is "width".'),
         ("zzz = 3", "zzz: unknown key; known here: extra, mode, parts, width."),
         ('width = "3"', 'width: found "3", expected a valid integer.'),
-        ("width = true", "width: found true, expected a valid integer."),
-        ('mode = "fats"', 'mode: found "fats", expected "fast" or "fine".'),
-        ("parts = 3", "parts: found 3, expected a list."),
         ("extra = 3", "extra: found 3, expected a table."),
         ('[extra]\nname = "a"', "extra.shape: missing."),
         ('[extra]\nname = "a"\nshape = {}', "extra.shape.type: missing."),
@@ -75,10 +72,6 @@ def test_a_good_file(load):
         (
             '[[parts]]\nname="a"\nshape={type="round", radius=0}',
             "parts[0].shape.radius: found 0, expected greater than 0.",
-        ),
-        (
-            '[[parts]]\nname="a"\nshape={type="square", side=nan}',
-            "parts[0].shape.side: found NaN, expected a finite number.",
         ),
     ],
 )
@@ -120,7 +113,6 @@ def test_missing_and_hostile_files(load, tmp_path):
         (b"[NaN]", "NaN"),
         (b"\xff", "UTF-8"),
         (b"[" * 100_000, "nested too deeply"),
-        (b"9" * 5000, "JSON"),
     ],
 )
 def test_json_errors_are_typed(data, message):
@@ -151,7 +143,6 @@ def test_as_many_dotted_parts_as_are_allowed():
         f'x = "here {DEEP} is text" # and {DEEP} a comment',
         f'x = """\n{DEEP}\n "" {DEEP} \\"""{DEEP}"""',
         f"x = '''\n{DEEP} '' {DEEP}'''''",
-        "x = [" + "1.5, " * 100 + "]",
         "x = 1979-05-27T07:32:00.999\ny.z = 1.5e3",
     ],
 )
@@ -163,14 +154,11 @@ def test_dots_that_are_no_keys(text):
     "before",
     [
         "",
-        "x = 1 # a comment, 'with \"quotes\n",
         "x = 'a#'\n",
         'x = "a# \\" # \\\\"\n',
         'x = """a\\""""\n',
         "x = '''a#''''\n",
-        "x = '''a#'''''\r\n",
         'x = """"a""#"""""\n',
-        "x = ''\nz = \"\"\n",
     ],
 )
 @pytest.mark.parametrize("key", [DEEP, DEEP.replace(".", " .\t"), DEEP.replace("a", '"a"'), DEEP.replace("a", "'#'")])

@@ -7,7 +7,7 @@ import pytest
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import load_cloud, save_cloud
-from jaxscan.files.clouds.e57 import Field, _unpacked, checksums
+from jaxscan.files.clouds.e57 import _unpacked, checksums
 
 from .clouds import make_cloud
 from .e57s import made, with_xml, xml_of
@@ -33,20 +33,6 @@ def test_packed_bits(bits):
     assert np.array_equal(_unpacked(data, bits, 1001), values)
 
 
-@pytest.mark.parametrize(
-    ("field", "kind"),
-    [
-        (Field("a", 8), "u1"),
-        (Field("a", 8, least=-1), "i4"),
-        (Field("a", 32), "i8"),
-        (Field("a", 64, least=-(1 << 63)), "i8"),
-        (Field("a", 20, scale=0.001), "f8"),
-    ],
-)
-def test_types_hold_their_values(field, kind):
-    assert field.type == kind
-
-
 def test_packed_columns_are_read_as_libe57_packs_them(tmp_path):
     """Enough points for many packets, whose ends lie within a value."""
     rng, count = np.random.default_rng(1), 150_000
@@ -64,22 +50,6 @@ def test_packed_columns_are_read_as_libe57_packs_them(tmp_path):
     np.testing.assert_allclose(cloud.xyz[0], np.stack([places[a] for a in "XYZ"], -1), rtol=0, atol=1e-12)
     assert np.array_equal(cloud.intensity[0], intensity)
     assert np.array_equal(cloud.rgb[0], np.round(rgb.T * (255 / 1023)))
-
-
-@pytest.mark.parametrize("extension", [None, ("demo", "http://example.com/demo")])
-def test_files_without_our_extension(tmp_path, extension):
-    xyz = np.random.default_rng(2).normal(size=(600, 3))
-    columns = [(f"cartesian{a}", floats(False), xyz[:, k].copy()) for k, a in enumerate("XYZ")]
-    assert np.array_equal(load_cloud(made(tmp_path / "a.e57", columns, extension=extension)).xyz[0], xyz)
-
-
-@pytest.mark.parametrize(("most", "kind"), [(1.0, float), (255, int), (65535, int)])
-def test_colours_without_limits_are_scaled_by_what_they_reach(tmp_path, most, kind):
-    given = np.linspace(0, most, 256).astype(np.float64 if kind is float else np.longlong)
-    node = floats(True) if kind is float else whole(-(1 << 63), (1 << 63) - 1)
-    columns = [(f"cartesian{a}", floats(True), np.ones(256)) for a in "XYZ"]
-    columns += [(f"color{c}", node, given.copy()) for c in ("Red", "Green", "Blue")]
-    assert np.array_equal(load_cloud(made(tmp_path / "a.e57", columns)).rgb[0, :, 1], np.arange(256))
 
 
 @pytest.fixture

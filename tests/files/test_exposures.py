@@ -69,22 +69,6 @@ def test_brackets_come_with_their_exposures_ascending(tmp_path, storage):
     assert np.array_equal(read.frames(2)[0], on[2])
 
 
-def test_a_bracket_whose_exposures_repeat(folder):
-    for k in range(4):
-        folder.image(f"on/{k}.png", FRAMES[k])
-    images = [{"file": f"on/{k}.png", "exposure_s": exposure} for k, exposure in enumerate([0.1, 0.2, 0.1, 0.1])]
-    folder.record(0, on=images, off=None)
-    (chunk,) = open_capture(folder.path).chunks(1)
-    assert np.array_equal(chunk.on[0, 0], np.rint(FRAMES[[0, 2, 3]].mean(0))) and np.array_equal(
-        chunk.on[0, 1], FRAMES[1]
-    )
-
-
-def test_without_lists(folder):
-    folder.record(0)
-    assert open_capture(folder.path).exposures == (1.0,)
-
-
 def test_all_records_need_the_same_exposures(folder):
     folder.record(0, on=listed(0.1, 0.2), off=listed(0.2, 0.1))
     folder.record(1, on=listed(0.1, 0.2), off=listed(0.1, 0.2, 0.2))
@@ -102,20 +86,13 @@ def test_all_records_need_the_same_exposures(folder):
     [
         ([], "found a list of 0 images, expected 1 to 16"),
         (listed(*[0.1] * 17), "found a list of 17 images, expected 1 to 16"),
-        (["on/000000.png"], "found 'on/000000.png' in a list"),
         ([listed(0.1)], "in a list, expected"),
-        ([{"file": "on/000000.png"}], "in a list, expected"),
         (listed(0), "exposure_s: found 0, expected a number of seconds above 0"),
-        (listed(-1.0), "exposure_s: found -1.0"),
         (listed("1"), "exposure_s: found '1'"),
         (listed(True), "exposure_s: found True"),
-        (listed(None), "exposure_s: found None"),
         (listed(float("nan")), "exposure_s: found nan"),
-        (listed(float("inf")), "exposure_s: found inf"),
         (listed(10**400), "exposure_s: found 1000"),
-        (listed(5e-324), "exposure_s: found 5e-324"),
         (listed(0.1, file=None), "found None, expected a path"),
-        (listed(0.1, file=listed(0.1)), "expected a path"),
         (listed(0.1, file="../on.png"), '".."'),
         ({"file": "on/000000.png", "exposure_s": 0.1}, "expected a path, null, or a list"),
     ],

@@ -86,30 +86,20 @@ def test_a_broken_line_is_dropped_at_the_end_and_refused_in_the_middle(rubbish):
     ("data", "messages"),
     [
         (line(0, angle_deg=None), ["line 1: angle_deg: found null", "sweep needs the angle"]),
-        (b'{"i": 0, "on": "a.png"}', ["angle_deg: found null"]),
         (line(0, on=None), ["on: found null", "laser-on image"]),
         (line(0).replace(b"0.0", b"NaN"), ["angle_deg: found NaN, expected a finite number"]),
-        (line(0).replace(b"0.0", b"1e999"), ["angle_deg: found Infinity, expected"]),
         (line(0, angle_deg="1"), ['angle_deg: found "1", expected a valid number']),
         (line(0, angle_deg=1e9), ["angle_deg: found 1000000000.0, expected less than"]),
-        (line(0, i=-1), ["i: found -1, expected greater than or equal to 0"]),
-        (line(0, i=1.5), ["i: found 1.5, expected a valid integer"]),
         (line(0, i=None), ["i: found null, expected a valid integer"]),
-        (line(0, i=True), ["i: found true, expected a valid integer"]),
         (line(0, placement=-2), ["placement: found -2"]),
         (b"[1, 2]", ["line 1: found [1, 2], expected a JSON object"]),
         (line(0).replace(b'"i"', b'"j"'), ["line 1: i: missing, although angle_deg, off, on stand there"]),
-        (b'{"on": null}', ["line 1: i: missing, although on stand there"]),
         (line(0, angle_deg=True), ["angle_deg: found true, expected a valid number"]),
-        (line(0, placement=1.0), ["placement: found 1.0"]),
         (line(0, placement=2**31), ["placement: found 2147483648"]),
         (line(0, i=2**53), ["i: found 9007199254740992"]),
-        (line(0, lasers="red"), ["lasers: found"]),
-        (line(0, lasers=[True]), ["lasers"]),
         (line(0, lasers=["red"] * 65), ["lasers: found", "at most 64 items"]),
         (line(0, on="../a.png"), ["line 1: on: ", "relative path inside the capture's folder"]),
         (line(0, off="a.npy"), ["line 1: off: ", "which image of the shard is meant"]),
-        (b'{"i": 0, "x": ' + b"[" * 64 + b"]" * 64 + b"}", ["line 1: nested too deeply, expected at most 64"]),
         (b'{"i": 0, "x": ' + b"[" * 980 + b"]" * 980 + b"}", ["line 1: nested too deeply"]),
         (b'{"event": "x", "y": ' + b"[" * 64 + b"]" * 64 + b"}", ["line 1: nested too deeply"]),
         (b'{"i": 0, "x": ' + b"[" * 50_000 + b"]" * 5_000 + b"}", ["line 1"]),
@@ -127,11 +117,6 @@ def test_a_calibration_may_lack_what_a_sweep_needs():
     assert (first.angle, first.on, first.lasers) == (None, (), ())
     assert ([str(one) for one in second.on], second.off, second.lasers, second.placement) == (["b.png"], (), (0,), 4)
     refused(b'{"i": 0, "angle_deg": 1.0}', "on, off: both are null", kind="calibration")
-
-
-def test_a_superseded_record_does_not_matter():
-    records, _ = read(line(0, angle_deg=None) + b"\n" + line(0))
-    assert records[0].angle == 0.0
 
 
 def test_events_may_have_any_keys():
@@ -177,9 +162,7 @@ def test_takes_are_counted():
     [
         ("shards/on-1.npy#17", "shards/on-1.npy", 17),
         ("deep/er/a b.png", "deep/er/a b.png", None),
-        ("ümlaut.png", "ümlaut.png", None),
         ("a.png#1", "a.png#1", None),
-        ("a" * 1024, "a" * 1024, None),
     ],
 )
 def test_references(text, path, index):
@@ -191,18 +174,14 @@ def test_references(text, path, index):
     ("reference", "message"),
     [
         ("../secret.png", '".."'),
-        ("on/../../secret.png", '".."'),
-        ("./on/000000.png", '"."'),
         ("on//000000.png", "empty part"),
         ("/etc/hostname", "not relative"),
         ("C:/secret.png", "not relative"),
-        ("c:secret.png", "not relative"),
         ("on\\000000.png", "backslash"),
         ("on/\x00.png", "control characters"),
         ("", "empty"),
         ("a" * 2000, "too long"),
         (7, "found 7, expected a path"),
-        (["a.png"], "expected a path"),
         ("on/stack.npy", "which image of the shard"),
     ],
 )

@@ -8,21 +8,30 @@ import pytest
 
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
-from jaxscan.files import save_calibration
-from jaxscan.files.calibration import export_camera, load_camera, read_camera
+from jaxscan.files.calibration import export_camera, read_camera
 from jaxscan.geometry import DoubleSphere, Fisheye, Pinhole
 
 from .conftest import refused
 
 
 BROWN = (-0.1012345678901234, 0.0612, 4e-4, -3.1e-5, 0.0123)
-LENSES = {"brown": BROWN, "rational": (*BROWN, 0.02, -1e-05, 0.003), "fisheye": (0.031, -0.004, 0.0012, -1e-05)}
+LENSES = {
+    "brown": BROWN,
+    "plain": (*BROWN[:4], 0.0),
+    "rational": (*BROWN, 0.02, -1e-05, 0.003),
+    "fisheye": (0.031, -0.004, 0.0012, -1e-05),
+    "double_sphere": (-0.2, 0.55),
+}
 NUMBERS = {"fx": 1201.1 + 1 / 3, "fy": 1202.7, "cx": 644.2, "cy": 507.1}
 SIZE = (1280, 1024)
 
 
+def load_camera(path, size=None):
+    return read_camera(path, size).camera
+
+
 def camera(lens):
-    kind = Fisheye if lens == "fisheye" else Pinhole
+    kind = {"fisheye": Fisheye, "double_sphere": DoubleSphere}.get(lens, Pinhole)
     return kind(*map(np.asarray, NUMBERS.values()), np.array(LENSES[lens]), *SIZE)
 
 
@@ -39,20 +48,15 @@ def assert_same(one, other):
 @pytest.mark.parametrize(
     ("name", "camera_format", "lens"),
     [
-        *(("c.yaml", "opencv", lens) for lens in LENSES),
-        *(("c.yml", "ros", lens) for lens in LENSES),
+        *(("c.yaml", "opencv", lens) for lens in ("brown", "rational", "fisheye")),
+        *(("c.yml", "ros", lens) for lens in ("brown", "rational", "fisheye")),
         *(("c.cameramodel", "mrcal", lens) for lens in ("brown", "rational")),
+        *(("camchain.yaml", "kalibr", lens) for lens in ("fisheye", "double_sphere", "plain")),
     ],
 )
 def test_every_file_that_is_written_is_read_again(tmp_path, name, camera_format, lens):
     export_camera(Calibration(camera(lens), None, (), np.zeros((0, 0))), tmp_path / name, camera_format)
     assert_same(load_camera(tmp_path / name), camera(lens))
-
-
-@pytest.mark.parametrize("lens", LENSES)
-def test_our_own_calibration(tmp_path, lens):
-    save_calibration(Calibration(camera(lens), None, (), np.zeros((0, 0))), tmp_path / "c.json")
-    assert_same(load_camera(tmp_path / "c.json"), camera(lens))
 
 
 @pytest.mark.parametrize("lens", ["brown", "rational"])
@@ -84,13 +88,6 @@ def test_a_size_that_the_file_does_not_say_comes_from_the_capture(tmp_path):
         load_camera(path)
 
 
-def test_a_camera_info_with_its_numbers_on_lines(tmp_path):
-    path = tmp_path / "c.yaml"
-    lines = "".join(f"  - {value}\n" for value in (500.0, 0, 320, 0, 501, 240, 0, 0, 1))
-    path.write_text(f"width: 640\nheight: 480\ndistortion_model: plumb_bob\nD: []\nK:\n{lines}")
-    np.testing.assert_array_equal(load_camera(path).parameters(), [500, 501, 320, 240, 0, 0, 0, 0, 0])
-
-
 GOOD = """image_width: 640
 image_height: 480
 distortion_model: plumb_bob
@@ -110,18 +107,14 @@ MRCAL = "{ 'lensmodel': 'LENSMODEL_OPENCV4', 'intrinsics': [500, 500, 320, 240, 
     ("found", "instead", "message"),
     [
         ("camera_matrix", "thing", "camera_matrix: missing"),
-        ("500, 0, 320", "500, 0", "camera_matrix: found 8 numbers, expected 3 rows of 3"),
         ("0, 0, 1]", "0, 0, 2]", "camera_matrix: found"),
         ("[500, 0", "[.inf, 0", "camera_matrix: found '.inf'"),
         ("[500, 0", "[!!python/object/apply:os.system [ls], 0", "camera_matrix: found"),
-        ("[500, 0", "[-500, 0", "camera.fx: found -500"),
-        ("[500, 0", "[1e300, 0", "camera.fx"),
-        ("image_width: 640", "image_width: many", "image_width, image_height: found 'many'"),
-        ("image_width: 640", "image_width: 999999999", "width"),
+        ("image_width: 640", "image_width: many", "image_width: found 'many'"),
         ("plumb_bob", "thin_prism", "distortion_model: found 'thin_prism'"),
         ("5\n  data: [0, 0, 0, 0, 0]", f"14\n  data: [{', '.join(['0.1'] * 14)}]", "found 14, of which s1 = 0.1, s2"),
         ("[0, 0, 0, 0, 0]", f"[{', '.join(['0'] * 9999)}]", "found 9999 numbers, expected at most 64"),
-        ("[0, 0, 0, 0, 0]", "&a [*a, *a]", "found '&a  *a'"),
+        ("[0, 0, 0, 0, 0]", "&a [*a, *a]", "expected no alias"),
     ],
 )
 def test_a_yaml_that_makes_no_sense(tmp_path, found, instead, message):
@@ -138,14 +131,10 @@ def test_a_yaml_that_makes_no_sense(tmp_path, found, instead, message):
     [
         (MRCAL.replace("OPENCV4", "CAHVOR"), "lensmodel: found 'LENSMODEL_CAHVOR', expected one of LENSMODEL_PINHOLE"),
         (MRCAL.replace("640, 480", "640"), "imagersize"),
-        (MRCAL.replace("[500, ", "['a', "), "c.cameramodel: found \"'a'\""),
-        (MRCAL.replace("[500, ", "[1e999, "), "camera.fx"),
         (MRCAL.replace("[500, ", "[__import__('os').system('true'), "), "found \"__import__('os')"),
-        (MRCAL.replace("[640, 480]", "[640.5, 480]"), "2 whole ones"),
-        (MRCAL.replace("[500, ", "[500, " * 50), "intrinsics"),
+        (MRCAL.replace("[640, 480]", "[640.5, 480]"), "expected whole pixels"),
         (MRCAL.replace("'LENSMODEL_OPENCV4'", "[1]"), "lensmodel: found ''"),
         ("[" * 5000 + "]" * 5000, "lensmodel: found ''"),
-        ("", "lensmodel: found ''"),
     ],
 )
 def test_a_cameramodel_that_makes_no_sense(tmp_path, text, message):
@@ -195,11 +184,6 @@ STRANGERS = {
     "names of scripts": ("c.yaml", f"mtx: {MATRIX}\ndist: [{FIVE}]\n", EXPECTED),
     "rows of dashes": ("c.yaml", as_rows("camera_matrix", MATRIX) + as_rows("dist_coeff", [FIVE]), EXPECTED),
     "kc of Bouguet": ("c.yaml", f"fc: [900.5, 901.0]\ncc: [640, 400]\nalpha_c: 0\nkc: {FIVE}\n", EXPECTED),
-    "a table in a table": (
-        "c.yaml",
-        f"camera:\n  intrinsics:\n    K: {MATRIX}\n  distortion:\n    model: plumb_bob\n    coefficients: {FIVE}\n",
-        EXPECTED,
-    ),
     "numbers by blanks": ("c.yaml", "K: [900.5 0 640 0 901 400 0 0 1]\nD: [-0.3 0.12 0.001 -0.0005 0.02]\n", EXPECTED),
     "on several lines": (
         "c.yaml",
@@ -237,15 +221,6 @@ STRANGERS = {
         "Camera.k1: -0.3\nCamera.k2: 0.12\nCamera.p1: 0.001\nCamera.p2: -0.0005\nCamera.k3: 0.02\nCamera.fps: 30\n",
         EXPECTED,
     ),
-    "VINS": (
-        "c.yaml",
-        "%YAML:1.0\n---\nmodel_type: PINHOLE\nimage_width: 1280\nimage_height: 800\ndistortion_parameters:\n"
-        "   k1: -0.3\n   k2: 0.12\n   p1: 0.001\n   p2: -0.0005\nprojection_parameters:\n   fx: 900.5\n"
-        "   fy: 901.0\n   cx: 640.0\n   cy: 400.0\n",
-        FOUR,
-    ),
-    "JSON of a script": ("c.json", json.dumps({"camera_matrix": MATRIX, "dist_coeff": [FIVE], "ret": 0.2}), EXPECTED),
-    "14 coefficients": ("c.json", json.dumps({"K": MATRIX, "D": [*FIVE, *[0.0] * 9]}), EXPECTED),
     "RealSense": (
         "c.json",
         json.dumps(
@@ -281,7 +256,7 @@ def test_files_of_strangers(tmp_path, kind):
 
 
 @pytest.mark.parametrize("suffix", [".xml", ".json", ".yaml"])
-@pytest.mark.parametrize("name", ["dist_coeff", "distCoeffs", "kc", "D", "Distortion_Coefficients"])
+@pytest.mark.parametrize("name", ["dist_coeff", "distCoeffs", "Distortion_Coefficients"])
 def test_every_name_in_every_file_of_opencv(tmp_path, suffix, name):
     path = tmp_path / f"c{suffix}"
     file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
@@ -295,14 +270,6 @@ def test_every_name_in_every_file_of_opencv(tmp_path, suffix, name):
     assert name in read.note and "not used: nframes, image_points" in read.note
 
 
-def test_every_kalibr_that_is_written_is_read_again(tmp_path):
-    spheres = DoubleSphere(*map(np.asarray, NUMBERS.values()), np.array([-0.2, 0.55]), *SIZE)
-    plain = Pinhole(*map(np.asarray, NUMBERS.values()), np.array([*BROWN[:4], 0.0]), *SIZE)
-    for one in (spheres, plain, camera("fisheye")):
-        export_camera(Calibration(one, None, (), np.zeros((0, 0))), tmp_path / "camchain.yaml", "kalibr")
-        assert_same(load_camera(tmp_path / "camchain.yaml"), one)
-
-
 def test_skew_of_a_fisheye(tmp_path):
     path = tmp_path / "c.yaml"
     path.write_text("distortion_model: equidistant\nK: [500, 1.5, 320, 0, 500, 240, 0, 0, 1]\nD: [0.1, 0, 0, 0]\n")
@@ -314,26 +281,18 @@ def test_skew_of_a_fisheye(tmp_path):
     ("text", "message"),
     [
         (f"K: {MATRIX}\nlens_values: {FIVE}\n", "coefficients of the lens: missing, expected distortion_coefficients"),
-        (f"K: {MATRIX}\nlens_values: {FIVE}\n", "found the keys K, lens_values"),
-        (f"K: {MATRIX}\ndist: 0.4\n", "coefficients of the lens: missing"),
         (
-            f"K1: {MATRIX}\nD1: {FIVE}\nK2: {np.array(MATRIX) @ np.diag([1.1, 1.1, 1])}\n",
+            f"K1: {MATRIX}\nD1: {FIVE}\nK2: {(np.array(MATRIX) @ np.diag([1.1, 1.1, 1])).tolist()}\n",
             "holds a camera matrix 2 times",
         ),
-        (f"cam0:\n  K: {MATRIX}\ncam1:\n  K: {MATRIX[::-1]}\n", "cam0.K, cam1.K"),
         ("K: [[900, 0, 0], [0, 900, 0], [640, 400, 1]]\nD: []\n", "is transposed, as MATLAB writes it"),
         (f"K: {MATRIX}\nD: [-0,3 0,12 0,001 -0,0005 0]\n", "decimal points"),
         (f"K: {MATRIX}\nD: [-0,3, 0,12, 0,001, -0,0005, 0,09]\n", "decimal points"),
-        (f"K: {MATRIX}\nD: [0.1, 0.2, 0.3]\n", "found 3, expected 4, 5, 8, 12 or 14"),
         (f"K: {MATRIX}\nk2: 0.1\n", "k1: missing beside k2"),
         (f"K: {MATRIX}\nD: {FIVE}\ncamera_model: mei\n", "camera_model: found 'mei'"),
         (f"K: {MATRIX}\nD: {FIVE}\nimage_width: 640\n", "found only one of them"),
-        (
-            "K:\n  rows: 3\n  cols: 3\n  data: [1, 0, 2, 0, 1, 2, 0, 1]\nD: []\n",
-            "found 8 numbers, expected 3 rows of 3",
-        ),
-        ("a: [1, 2\nb: 3\n", "expected its brackets closed"),
-        ("a: 1\n   b: 2\n", "camera_matrix: missing"),
+        ("a: [1, 2\nb: 3\n", "not readable as YAML"),
+        ("a: 1\n   b: 2\n", "line 2: not readable as YAML"),
     ],
 )
 def test_a_part_that_is_not_found_is_missed(tmp_path, text, message):

@@ -4,14 +4,12 @@ import errno
 import os
 import subprocess
 import sys
-import time
 
 import pytest
 
 from jaxscan.errors import JaxscanError
 from jaxscan.files.disk import atomic as module
 from jaxscan.files.disk import forget_partials, partial_file, partial_folder, remove_stale, write_atomically
-from jaxscan.files.disk.lock import is_on_network
 
 
 LEFT = ".part-0123456789ab"
@@ -149,56 +147,3 @@ def test_a_folder_removed_before_it_is_opened_is_made_again(tmp_path, monkeypatc
         assert part.exists() and part == tried[1]
     with pytest.raises(FileNotFoundError), partial_folder(tmp_path / "none" / "a"):
         pass
-
-
-def test_a_folder_that_cannot_be_removed_again_hides_no_cause(tmp_path, monkeypatch):
-    def refuse(*_):
-        raise OSError(errno.EMFILE, "Too many open files")
-
-    monkeypatch.setattr(os, "open", refuse)
-    monkeypatch.setattr(os, "rmdir", lambda _: (_ for _ in ()).throw(OSError(errno.EROFS, "Read-only file system")))
-    with pytest.raises(OSError, match="Too many open files"), partial_folder(tmp_path / "a"):
-        pass
-
-
-def test_on_a_network_disk_only_those_that_are_quiet_are_removed(tmp_path, monkeypatch):
-    """A computer that does not see the locks of another one does not take away its work."""
-    monkeypatch.setattr(module, "is_on_network", lambda _: True)
-    (tmp_path / f"{LEFT}.png").touch()
-    inner = tmp_path / LEFT / "inner"
-    inner.mkdir(parents=True)
-    (inner / "file").touch()
-    remove_stale(tmp_path)
-    assert len(os.listdir(tmp_path)) == 2
-    long_ago = time.time() - 4000
-    for path in (tmp_path / f"{LEFT}.png", inner, tmp_path / LEFT):
-        os.utime(path, (long_ago, long_ago))
-    remove_stale(tmp_path)
-    assert os.listdir(tmp_path) == [LEFT]
-    os.utime(inner / "file", (long_ago, long_ago))
-    remove_stale(tmp_path)
-    assert os.listdir(tmp_path) == []
-
-
-@pytest.mark.parametrize(
-    ("kind", "network"),
-    [
-        ("nfs4", True), ("nfs", True), ("cifs", True), ("smb3", True), ("fuse.sshfs", True), ("9p", True),
-        ("ceph", True), ("ext4", False), ("btrfs", False), ("fuseblk", False), ("tmpfs", False),
-    ],
-)  # fmt: skip
-def test_a_network_disk_is_known_by_its_kind(tmp_path, kind, network):
-    place = tmp_path / "two words"
-    (place / "sub").mkdir(parents=True)
-    point = str(place.resolve()).replace(" ", "\\040")
-    table = tmp_path / "mountinfo"
-    table.write_text(
-        f"22 1 8:1 / / rw,relatime shared:1 - xfs /dev/sda1 rw\n"
-        f"30 22 0:40 / {point} rw - ext2 /dev/sdb1 rw\n"
-        f"31 30 0:41 / {point} rw shared:7 master:1 - {kind} host:/export rw\n"
-        "damaged line\n"
-    )
-    assert is_on_network(place / "sub", mounts=table) is network
-    assert is_on_network(place, mounts=table) is network
-    assert not is_on_network(tmp_path, mounts=table)
-    assert not is_on_network(place, mounts=tmp_path / "none")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import open_capture
+from jaxscan.files.capture import SEAL, open_capture
 from jaxscan.files.recording import repack_capture, store
 
 from .conftest import BOARD, LASER, journal
@@ -15,7 +15,11 @@ from .conftest import BOARD, LASER, journal
 def records_of(path):
     """The lines of a journal that we wrote, without digests and seal."""
     *values, end = journal(path)
-    assert end["event"] == "seal" and all("sha256" in value for value in values if "i" in value)
+    assert (
+        end["event"] == "seal"
+        and set(end["source"]) == {SEAL}
+        and all("sha256" in value for value in values if "i" in value)
+    )
     return [{key: value for key, value in line.items() if key != "sha256"} for line in values]
 
 

@@ -1,6 +1,5 @@
 """Raw frames in shards: every frame that the journal names exists at any moment, and is read without a copy."""
 
-import errno
 import hashlib
 import json
 import os
@@ -8,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 
 import numpy as np
@@ -19,7 +17,7 @@ from jaxscan.files.capture import open_capture
 from jaxscan.files.recording import create_capture, resume_capture, store
 from jaxscan.files.recording.store import SHARD_BYTES, ShardStore
 
-from .conftest import CAMERA, FRAMES, header, journal
+from .conftest import FRAMES, header, journal
 
 
 def begin(path, **keys):
@@ -108,19 +106,6 @@ def test_a_retake_is_appended_and_read_in_its_place(tmp_path):
     assert after[128 : 128 + 4 * 24] == before[128 : 128 + 4 * 24]
 
 
-def test_a_calibration_without_some_images_and_in_colour(tmp_path):
-    images = FRAMES[:9].reshape(3, 4, 6, 3)
-    with create_capture(
-        tmp_path / "boards", header("calibration", camera={**CAMERA, "pixel_format": "rgb8"}), storage="npy"
-    ) as capture:
-        capture.append(angle_deg=None, off=images[0], placement=1)
-        capture.append(angle_deg=1.0, on=images[1], off=images[2], placement=1)
-    read = open_capture(tmp_path / "boards")
-    assert read.frames(0)[0] is None and np.array_equal(read.frames(0)[1], images[0])
-    assert np.array_equal(read.frames(1)[0], images[1]) and np.array_equal(read.frames(1)[1], images[2])
-    assert [str(one) for one in read.records[1].on] == ["on/000000.npy#0"]
-
-
 @pytest.mark.parametrize(
     ("shape", "count", "length"),
     [
@@ -142,24 +127,6 @@ def test_the_size_of_shards(tmp_path, shape, count, length):
     assert length == count or length * np.prod(shape) <= SHARD_BYTES
 
 
-def test_lines_follow_images_in_order(tmp_path, monkeypatch):
-    release, original = threading.Event(), ShardStore.write
-
-    def slow(self, name, image):
-        if name == "on/000000.npy#0":
-            assert release.wait(timeout=30)
-        return original(self, name, image)
-
-    monkeypatch.setattr(ShardStore, "write", slow)
-    monkeypatch.setattr(os, "cpu_count", lambda: 4)
-    with begin(tmp_path / "room") as capture:
-        fill(capture, 4)
-        assert journal(tmp_path / "room") == []
-        release.set()
-        capture.flush()
-        assert [line["i"] for line in journal(tmp_path / "room")] == [0, 1, 2, 3]
-
-
 def test_what_a_crash_leaves_is_a_capture(tmp_path, small):
     """At every moment, of which these are a few: the files as they are, without the end of the writer."""
     path = tmp_path / "room"
@@ -179,26 +146,6 @@ def test_what_a_crash_leaves_is_a_capture(tmp_path, small):
             with resume_capture(crashed) as resumed:
                 fill(resumed, 1, start=k + 1)
             assert np.array_equal(open_capture(crashed).frames(k + 1)[0], FRAMES[2 * k + 2])
-
-
-def test_a_full_disk_is_one_clear_error_and_keeps_what_is_complete(tmp_path, monkeypatch):
-    original = ShardStore._make
-
-    def full(self, shard):
-        if shard == "on/000001.npy":
-            raise OSError(errno.ENOSPC, "No space left on device")
-        original(self, shard)
-
-    monkeypatch.setattr(store, "SHARD_RECORDS", 2)
-    monkeypatch.setattr(ShardStore, "_make", full)
-    capture = begin(tmp_path / "room")
-    with pytest.raises(CaptureError, match=r"on/000001\.npy: cannot be written: No space left on device"):
-        fill(capture, 3)
-        capture.flush()
-    with pytest.raises(CaptureError, match="No space left"):
-        fill(capture, 1, start=3)
-    capture.close()
-    assert len(open_capture(tmp_path / "room")) == 2
 
 
 def test_a_record_that_does_not_fit_leaves_no_gap(tmp_path):
@@ -247,14 +194,6 @@ def test_a_shard_that_is_exchanged_while_it_is_read(tmp_path):
         next(read.chunks(4))
     with pytest.raises(CaptureError, match=r"on/000000\.npy#2"):
         read.frames(2)
-
-
-def test_a_shard_with_columns_first_is_copied(folder):
-    np.save(folder.path / "on.npy", np.asfortranarray(FRAMES[:4]))
-    for i in range(4):
-        folder.record(i, on=f"on.npy#{i}", off=None)
-    (chunk,) = open_capture(folder.path).chunks(4)
-    assert np.array_equal(chunk.on, FRAMES[:4]) and chunk.on.flags.c_contiguous
 
 
 def test_more_shards_than_may_be_open(folder):

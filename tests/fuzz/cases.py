@@ -6,7 +6,7 @@ from pathlib import Path
 
 from .archives import change_npz
 from .camera_cases import camera_case
-from .cloud_cases import align_targets, convert_cloud, make_product, measure_cloud, mirrored_cloud, stranger_cloud
+from .cloud_cases import align_targets, convert_cloud, make_product, measure_cloud, stranger_cloud
 from .draft import IN, OUT, VICTIM, Case, Draft, changed_capture
 from .nasty import nasty_number
 from .pictures import change_image
@@ -21,7 +21,7 @@ from .project_cases import (
     video_case,
     wrong_angles,
 )
-from .talk_cases import gate_case, orders_case, wire_case
+from .talk_cases import orders_case
 from .texts import change_bytes, change_json, change_toml
 
 
@@ -198,7 +198,6 @@ KINDS: dict[Callable[[Draft], Case], float] = {
     measure_cloud: 12,
     stranger_cloud: 16,
     make_product: 6,
-    mirrored_cloud: 0.5,
     align_targets: 2,
     _simulate: 3,
     _rig: 3,
@@ -212,7 +211,5 @@ KINDS: dict[Callable[[Draft], Case], float] = {
     many_lines: 0.5,
     recalibrate_case: 1,
     orders_case: 4,
-    gate_case: 4,
-    wire_case: 4,
 }
 """The kinds of cases, and how often each comes."""

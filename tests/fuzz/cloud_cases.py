@@ -5,7 +5,7 @@ from pathlib import Path
 from .archives import change_npz
 from .draft import OUT, Case, Draft, changed_capture
 from .nasty import nasty_number
-from .scans import change_e57, change_las, change_pcd, change_ptx, change_xyz, mirror_las
+from .scans import change_e57, change_las, change_pcd, change_ptx, change_xyz
 from .texts import change_bytes, change_json, change_lines, change_ply_header, change_toml
 
 
@@ -26,7 +26,7 @@ _TEXT_CHANGES = (change_xyz, change_lines, change_bytes)
 
 def _changed_cloud(draft: Draft) -> Path:
     rng = draft.rng
-    name = rng.choice(("foreign.ply", "cloud.e57", *("cloud" + rng.choice(CLOUDS) for _ in range(4))))
+    name = rng.choice(("cloud.e57", *("cloud" + rng.choice(CLOUDS) for _ in range(4))))
     cloud = draft.take(name)
     own = _CHANGES.get(cloud.suffix, rng.choice((change_ply_header, change_ply_header, change_bytes)))
     draft.change(cloud, own)
@@ -66,14 +66,6 @@ def stranger_cloud(draft: Draft) -> Case:
         if rng.random() < 0.15:
             words += [option, rng.choice(values)]
     return Case(f"stranger {cloud.suffix}", words, {f"{OUT}/{target}"})
-
-
-def mirrored_cloud(draft: Draft) -> Case:
-    """A change that no damage makes: the cloud is whole, and wrong."""
-    cloud = draft.take(draft.rng.choice(("cloud.las", "cloud.laz")))
-    cloud.write_bytes(mirror_las(draft.rng, cloud.read_bytes()))
-    words = ["convert", str(cloud), draft.output("cloud.xyz")]
-    return Case("mirrored cloud", words, {f"{OUT}/cloud.xyz"}, needs_word=True)
 
 
 def align_targets(draft: Draft) -> Case:

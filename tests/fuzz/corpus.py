@@ -45,25 +45,6 @@ size_m = [3.2, 3.8, 2.4]
 rig_m = [1.5, 1.8, 1.2]
 furniture = false
 """
-FOREIGN_PLY = """ply
-format ascii 1.0
-comment made by another program
-element vertex 4
-property double x
-property double y
-property double z
-property uchar red
-property uchar green
-property uchar blue
-element face 1
-property list uchar int vertex_indices
-end_header
-4500000.123 5500000.5 100.25 255 0 0
-4500001.123 5500000.5 100.25 0 255 0
-4500000.123 5500001.5 100.25 0 0 255
-4500000.123 5500000.5 101.25 9 9 9
-3 0 1 2
-"""
 
 
 def make_corpus(tiny: Path, folder: Path, configs: Path) -> None:
@@ -97,7 +78,6 @@ def make_corpus(tiny: Path, folder: Path, configs: Path) -> None:
     # A note on an unchanged capture would hide that a change is not noticed.
     assert json.loads((folder / "reconstruct.json").read_text())["notes"] == []
     (folder / "unsealed" / "stripes.npz").rename(folder / "stripes.npz")
-    (folder / "foreign.ply").write_text(FOREIGN_PLY)
     for number, stranger in enumerate(STRANGERS):
         stranger.write(folder / f"stranger-{number:02d}{stranger.suffix}")
     (folder / "rig.toml").write_text(RIG)

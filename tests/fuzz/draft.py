@@ -18,8 +18,6 @@ SECRET = "sk-secret-4711"
 """What the victim holds; no result may repeat it."""
 VICTIM_PLACE = "JAXSCAN_FUZZ_VICTIM"
 """Variable with the path of the victim of a case."""
-CANARY = "JAXSCAN_FUZZ_CANARY"
-"""Variable with the address of a server that nobody may ask anything."""
 
 
 @dataclass

@@ -5,7 +5,6 @@ import os
 import queue
 import select
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -15,7 +14,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from .draft import CANARY
 from .judge import MAX_SECONDS
 
 
@@ -39,20 +37,15 @@ def run_cases(
     answers: list[dict[str, Any]] = []
 
     def work() -> None:
-        with (
-            tempfile.TemporaryDirectory(prefix="jaxscan-fuzz-", ignore_cleanup_errors=True) as folder,
-            Canary() as bird,
-        ):
+        with tempfile.TemporaryDirectory(prefix="jaxscan-fuzz-", ignore_cleanup_errors=True) as folder:
             worker = None
             while (case := todo.get()) is not None:
-                worker = worker or _start(corpus, Path(folder), bird)
+                worker = worker or _start(corpus, Path(folder))
                 answer, worker = _ask(worker, case, Path(folder))
                 if "memory" in answer["faults"] and answer["asked"] > 1:
                     # What earlier cases compiled stays in memory; a verb has a process of its own.
-                    worker = _start(corpus, Path(folder), bird)
+                    worker = _start(corpus, Path(folder))
                     answer, worker = _ask(worker, case, Path(folder))
-                if bird.heard():
-                    answer["faults"].append("network")
                 answers.append(answer)
                 if tell is not None:
                     tell(answer)
@@ -67,48 +60,11 @@ def run_cases(
     return answers
 
 
-class Canary:
-    """A server to which files lead, and to which nobody may come. Libraries of C pass no audit hook."""
-
-    def __init__(self) -> None:
-        self._socket = socket.create_server(("127.0.0.1", 0))
-        self._asked = 0
-        self._thread = threading.Thread(target=self._listen, daemon=True)
-
-    def __enter__(self) -> "Canary":
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._socket.shutdown(socket.SHUT_RDWR)
-        self._socket.close()
-
-    @property
-    def url(self) -> str:
-        """Its address."""
-        return f"http://127.0.0.1:{self._socket.getsockname()[1]}/"
-
-    def heard(self) -> bool:
-        """Whether anybody came since the last call."""
-        asked, self._asked = self._asked, 0
-        return asked > 0
-
-    def _listen(self) -> None:
-        while True:
-            try:
-                connection, _ = self._socket.accept()
-            except OSError:
-                return
-            self._asked += 1
-            connection.close()
-
-
-def _start(corpus: Path, folder: Path, canary: Canary) -> subprocess.Popen:
+def _start(corpus: Path, folder: Path) -> subprocess.Popen:
     # A process that follows another finds all that was compiled.
     environment = os.environ | {
         "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "hardware")]),
         "NO_COLOR": "1",
-        CANARY: canary.url,
         "JAX_COMPILATION_CACHE_DIR": str(corpus.with_name(corpus.name + "-compiled")),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "XDG_CACHE_HOME": str(corpus.with_name(corpus.name + "-compiled")),

@@ -1,6 +1,7 @@
 """Values that break programs: numbers at the ends of their types, texts that steer terminals, shapes that recurse."""
 
 import random
+from collections.abc import Callable
 from typing import Any
 
 
@@ -28,6 +29,11 @@ NUMBERS = (
     *(0, 1, -1, 2, 3, 7, 255, 256, 65535, 65536, 10**6, 2**31 - 1, 2**31, 2**32, 2**53, 2**63, -(2**63), 10**30),
     *(-0.0, 0.5, -0.5, 1e-300, 5e-324, 1e-9, 1e9, 1e30, 1e154, 1e308, -1e308, float("inf"), float("nan")),
 )
+
+
+def pick(rng: random.Random, *changes: Callable[[], Any]) -> Any:
+    """One of several changes, each as likely as the others."""
+    return rng.choice(changes)()
 
 
 def nasty_text(rng: random.Random) -> str:

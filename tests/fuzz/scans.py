@@ -8,8 +8,8 @@ import struct
 from jaxscan.files.clouds.e57 import PAGE, PAYLOAD
 
 from ..files.e57s import paged, payload_of
-from .draft import CANARY, VICTIM_PLACE
-from .nasty import nasty_number, nasty_text, near
+from .draft import VICTIM_PLACE
+from .nasty import nasty_number, nasty_text, near, pick
 from .texts import change_bytes, change_lines
 
 
@@ -48,62 +48,39 @@ def _field(rng: random.Random, bits: int) -> int:
 def change_xml(rng: random.Random, text: bytes) -> bytes:
     """XML with definitions, another encoding, deep nesting, or other names and values."""
     body = re.sub(rb"^<\?xml.*?\?>\s*", b"", text)
-    address = os.environ.get(CANARY, "http://127.0.0.1:9/")
-    match rng.randrange(9):
-        case 0:
-            return _declaration(rng) + _definitions(rng, address) + body
-        case 1:
-            # In letters that a look at the bytes does not know.
-            name, codec = rng.choice(_ENCODINGS)
-            inside = _definitions(rng, address) if rng.random() < 0.7 else b""
-            head = f'<?xml version="1.0" encoding="{name}"?>\n'.encode()
-            return (head + inside + body).decode("utf-8", "replace").encode(codec, "replace")
-        case 2:
-            deep = rng.choice((10, 64, 65, 100, 1000, 5000))
-            name = rng.choice((b"a", b"data3D", b"vectorChild", b"x:y"))
-            inside = b"<%s>" % name * deep + b"</%s>" % name * rng.choice((deep, deep, deep - 1, 0))
-            at = body.find(b"</e57Root>")
-            return _declaration(rng) + body[:at] + inside + body[at:]
-        case 3 | 4:
-            # One number or text, in an element or an attribute.
-            found = list(re.finditer(rb">([^<>]+)<|\"([^\"<>]*)\"", body))
-            if not found:
-                return change_bytes(rng, text)
-            hit = rng.choice(found)
-            group = 1 if hit[1] is not None else 2
-            return (
-                text[: len(text) - len(body)]
-                + body[: hit.start(group)]
-                + _value(rng, hit[group])
-                + body[hit.end(group) :]
-            )
-        case 5 | 6:
-            # A whole element, or its name.
-            found = list(re.finditer(rb"<(\w[\w:]*)[^<>]*>(?:[^<>]*</\1>)?", body))
-            hit = rng.choice(found)
-            new = rng.choice(
-                (b"", hit[0] * 2, hit[0] * 300, hit[0].replace(hit[1], b"x"), hit[0].replace(b"Float", b"Integer"))
-            )
-            return text[: len(text) - len(body)] + body[: hit.start()] + new + body[hit.end() :]
-        case 7:
-            # So many attributes, or scans, that a list without limits would be long.
-            many = rng.choice((100, 2000, 20_000))
-            what = b"".join(b' a%d="1"' % k for k in range(many))
-            return body.replace(b"<e57Root", b"<e57Root" + what, 1)
-        case _:
-            return change_bytes(rng, text)
+    name, codec = rng.choice(_ENCODINGS)
+    inside = _definitions(rng) if rng.random() < 0.7 else b""
+    foreign = f'<?xml version="1.0" encoding="{name}"?>\n'.encode() + inside + body
+    deep, tag = rng.choice((10, 64, 65, 100, 1000, 5000)), rng.choice((b"a", b"data3D", b"vectorChild", b"x:y"))
+    nested = b"<%s>" % tag * deep + b"</%s>" % tag * rng.choice((deep, deep, deep - 1, 0))
+    attributes = b"".join(b' a%d="1"' % k for k in range(rng.choice((100, 2000, 20_000))))
+    return pick(
+        rng,
+        lambda: _declaration(rng) + _definitions(rng) + body,
+        # In letters that a look at the bytes does not know.
+        lambda: foreign.decode("utf-8", "replace").encode(codec, "replace"),
+        lambda: _declaration(rng) + body.replace(b"</e57Root>", nested + b"</e57Root>"),
+        *[lambda: _declaration(rng) + _other_part(rng, body)] * 4,
+        lambda: body.replace(b"<e57Root", b"<e57Root" + attributes, 1),
+        lambda: change_bytes(rng, text),
+    )
+
+
+def _other_part(rng: random.Random, body: bytes) -> bytes:
+    """One number or text, in an element or an attribute, a whole element, or its name is another one."""
+    found = list(re.finditer(rb">([^<>]+)<|\"([^\"<>]*)\"", body))
+    if found and rng.random() < 0.5:
+        hit = rng.choice(found)
+        group = 1 if hit[1] is not None else 2
+        return body[: hit.start(group)] + _value(rng, hit[group]) + body[hit.end(group) :]
+    hit = rng.choice(list(re.finditer(rb"<(\w[\w:]*)[^<>]*>(?:[^<>]*</\1>)?", body)))
+    new = (b"", hit[0] * 2, hit[0] * 300, hit[0].replace(hit[1], b"x"), hit[0].replace(b"Float", b"Integer"))
+    return body[: hit.start()] + rng.choice(new) + body[hit.end() :]
 
 
 _ENCODINGS = (
-    ("ebcdic-cp-us", "cp037"),
-    ("IBM037", "cp037"),
-    ("UTF-16", "utf-16"),
-    ("UTF-16LE", "utf-16-le"),
-    ("UCS-4", "utf-32-be"),
-    ("ISO-8859-1", "latin-1"),
-    ("UTF-8", "utf-8-sig"),
-    ("windows-1252", "cp1252"),
-    ("x" * 300, "utf-8"),
+    *(("ebcdic-cp-us", "cp037"), ("UTF-16", "utf-16"), ("UTF-16LE", "utf-16-le"), ("UCS-4", "utf-32-be")),
+    *(("ISO-8859-1", "latin-1"), ("UTF-8", "utf-8-sig"), ("windows-1252", "cp1252"), ("x" * 300, "utf-8")),
 )
 
 
@@ -111,22 +88,20 @@ def _declaration(rng: random.Random) -> bytes:
     return rng.choice((b'<?xml version="1.0" encoding="UTF-8"?>\n', b"", b'<?xml version="1.1"?>', b"\n\n"))
 
 
-def _definitions(rng: random.Random, address: str) -> bytes:
+def _definitions(rng: random.Random) -> bytes:
     """Entities that unfold, that name a file, or that lead to another machine."""
-    file = "file://" + os.environ.get(VICTIM_PLACE, "/etc/hostname")
-    bomb = "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 9}">' for k in range(1, rng.choice((4, 9)))).encode()
+    place = rng.choice(("file://" + os.environ.get(VICTIM_PLACE, "/etc/hostname"), "http://127.0.0.1:9/a"))
+    bomb = "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 9}">' for k in range(1, rng.choice((4, 9))))
     return rng.choice(
         (
-            b'<!DOCTYPE e57Root [<!ENTITY e0 "xxxxxxxx">' + bomb + b"]>",
-            f'<!DOCTYPE e57Root SYSTEM "{address}a.dtd">'.encode(),
-            f'<!DOCTYPE e57Root [<!ENTITY % x SYSTEM "{address}b.dtd"> %x;]>'.encode(),
-            f'<!DOCTYPE e57Root [<!ENTITY x SYSTEM "{file}">]>'.encode(),
-            f'<!DOCTYPE e57Root [<!ENTITY % x SYSTEM "{file}"> %x;]>'.encode(),
-            b"<!-- a remark -->",
-            b'<?xml-stylesheet href="' + address.encode() + b'c.xsl"?>',
-            f'<!DOCTYPE e57Root PUBLIC "x" "{address}d.dtd"><!ATTLIST e57Root a CDATA "1">'.encode(),
+            f'<!DOCTYPE e57Root [<!ENTITY e0 "xxxxxxxx">{bomb}]>',
+            f'<!DOCTYPE e57Root SYSTEM "{place}">',
+            f'<!DOCTYPE e57Root [<!ENTITY % x SYSTEM "{place}"> %x;]>',
+            f'<!DOCTYPE e57Root [<!ENTITY x SYSTEM "{place}">]>',
+            f'<?xml-stylesheet href="{place}"?>',
+            f'<!DOCTYPE e57Root PUBLIC "x" "{place}"><!ATTLIST e57Root a CDATA "1">',
         )
-    )
+    ).encode()
 
 
 def _value(rng: random.Random, old: bytes) -> bytes:
@@ -142,17 +117,8 @@ def _value(rng: random.Random, old: bytes) -> bytes:
 
 _LAS_FIELDS = (
     *((24, "B"), (25, "B"), (94, "<H"), (96, "<I"), (100, "<I"), (104, "<B"), (105, "<H"), (107, "<I")),
-    *(
-        (131, "<d"),
-        (139, "<d"),
-        (147, "<d"),
-        (155, "<d"),
-        (163, "<d"),
-        (171, "<d"),
-        (179, "<d"),
-        (227, "<Q"),
-        (247, "<Q"),
-    ),
+    *((place, "<d") for place in (131, 139, 147, 155, 163, 171, 179)),
+    *((227, "<Q"), (247, "<Q")),
 )
 
 
@@ -176,43 +142,19 @@ def change_las(rng: random.Random, data: bytes) -> bytes:
     return bytes(changed)
 
 
-def mirror_las(rng: random.Random, data: bytes) -> bytes:
-    """A LAS file with a scale of the other sign: the cloud is mirrored."""
-    changed = bytearray(data)
-    at = rng.choice((131, 139, 147))
-    struct.pack_into("<d", changed, at, -struct.unpack_from("<d", data, at)[0])
-    return bytes(changed)
-
-
 def change_words(rng: random.Random, data: bytes, lines: int | None = None) -> bytes:
-    """A text with one word of its first lines changed, or with lines changed.
-
-    Args:
-        rng: Random numbers.
-        data: The text, perhaps with bytes behind it.
-        lines: Lines of the head; without, any line.
-    """
-    kind = rng.randrange(6)
-    if kind == 0:
+    """A text with one word of its first lines (of any, without a number) changed, or with lines changed."""
+    if rng.random() < 0.2:
         return change_bytes(rng, data)
     parts = data.split(b"\n")
-    head, rest = (parts, []) if lines is None else (parts[:lines], parts[lines:])
-    if kind == 1:
-        head = change_lines(rng, b"\n".join(head)).split(b"\n")
-    else:
-        at = rng.randrange(len(head))
-        words = head[at].split(b" ")
-        word = rng.randrange(len(words))
-        new = _value(rng, words[word])
-        match rng.randrange(4):
-            case 0:
-                del words[word]
-            case 1:
-                words.insert(word, new)
-            case _:
-                words[word] = new
-        head[at] = b" ".join(words)
-    return b"\n".join([*head, *rest])
+    head, rest = parts[:lines], [] if lines is None else parts[lines:]
+    if rng.random() < 0.2:
+        return b"\n".join([change_lines(rng, b"\n".join(head)), *rest])
+    at = rng.randrange(len(head))
+    words = head[at].split(b" ")
+    word = rng.randrange(len(words))
+    words[word : word + 1] = rng.choice(([], [_value(rng, words[word]), words[word]], [_value(rng, words[word])]))
+    return b"\n".join([*head[:at], b" ".join(words), *head[at + 1 :], *rest])
 
 
 def change_pcd(rng: random.Random, data: bytes) -> bytes:

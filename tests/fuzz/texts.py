@@ -5,45 +5,32 @@ import random
 import re
 from typing import Any
 
-from .nasty import TEXTS, nasty_number, nasty_text, nasty_value, near
+from .nasty import TEXTS, nasty_number, nasty_text, nasty_value, near, pick
 
 
 def change_bytes(rng: random.Random, data: bytes) -> bytes:
     """A file cut short, with bytes flipped, put in, or left out."""
     if not data:
         return b"\xff"
-    at = rng.randrange(len(data))
-    some = rng.randbytes(rng.choice((1, 2, 40)))
-    match rng.randrange(7):
-        case 0:
-            return data[:at]
-        case 1:
-            return data[:at] + some + data[at + len(some) :]
-        case 2:
-            return data[:at] + some + data[at:]
-        case 3:
-            return data[:at] + data[at + len(some) :]
-        case 4:
-            return data[:at] + bytes([data[at] ^ (1 << rng.randrange(8))]) + data[at + 1 :]
-        case 5:
-            return data + data
-        case _:
-            return rng.choice((b"", b"\0" * len(data), data[at:], b"\xef\xbb\xbf" + data, data + b"\0" * 4096))
+    at, some = rng.randrange(len(data)), rng.randbytes(rng.choice((1, 2, 40)))
+    return pick(
+        rng,
+        lambda: data[:at],
+        lambda: data[:at] + some + data[at + len(some) :],
+        lambda: data[:at] + some + data[at:],
+        lambda: data[:at] + data[at + len(some) :],
+        lambda: data[:at] + bytes([data[at] ^ (1 << rng.randrange(8))]) + data[at + 1 :],
+        lambda: data + data,
+        lambda: rng.choice((b"", b"\0" * len(data), data[at:], b"\xef\xbb\xbf" + data, data + b"\0" * 4096)),
+    )
 
 
 def change_lines(rng: random.Random, data: bytes) -> bytes:
-    """Lines left out, doubled, exchanged, moved."""
+    """A line left out, doubled, or moved."""
     lines = data.splitlines(keepends=True) or [b"\n"]
     one, other = rng.randrange(len(lines)), rng.randrange(len(lines))
-    match rng.randrange(4):
-        case 0:
-            del lines[one]
-        case 1:
-            lines.insert(other, lines[one])
-        case 2:
-            lines[one], lines[other] = lines[other], lines[one]
-        case _:
-            lines.insert(other, lines.pop(one))
+    line = lines[one] if rng.random() < 0.3 else lines.pop(one)
+    lines[other:other] = rng.choice(([], [line], [line]))
     return b"".join(lines)
 
 
@@ -54,26 +41,22 @@ def change_tree(rng: random.Random, value: Any) -> Any:
         return nasty_value(rng)
     parent, key = rng.choice(places)
     old = parent[key]
-    match rng.randrange(8):
-        case 0 | 1:
-            parent[key] = nasty_value(rng)
-        case 2 | 3 if isinstance(old, int | float) and not isinstance(old, bool):
-            parent[key] = near(rng, old)
-        case 4:
-            del parent[key]
-        case 5 if isinstance(parent, dict):
-            parent[rng.choice((key + "x", key[:-1], key.upper(), nasty_text(rng)))] = parent.pop(key)
-        case 6:
-            other, name = rng.choice(places)
-            parent[key], other[name] = other[name], old
-            if _depth(value) > 200:
-                # An exchange may have put a table into itself.
-                return nasty_value(rng)
-        case _ if isinstance(parent, dict):
-            parent[nasty_text(rng)] = nasty_value(rng)
-        case _:
-            parent.insert(key, nasty_value(rng))
-    return value
+    kind = rng.randrange(8)
+    if kind in (2, 3) and isinstance(old, int | float) and not isinstance(old, bool):
+        parent[key] = near(rng, old)
+    elif kind == 4:
+        del parent[key]
+    elif kind == 5 and isinstance(parent, dict):
+        parent[rng.choice((key + "x", key[:-1], key.upper(), nasty_text(rng)))] = parent.pop(key)
+    elif kind == 6:
+        other, name = rng.choice(places)
+        parent[key], other[name] = other[name], old
+    elif kind == 7 and isinstance(parent, dict):
+        parent[nasty_text(rng)] = nasty_value(rng)
+    else:
+        parent[key] = nasty_value(rng)
+    # An exchange may have put a table into itself.
+    return nasty_value(rng) if _depth(value) > 200 else value
 
 
 def change_json(rng: random.Random, data: bytes) -> bytes:
@@ -93,33 +76,25 @@ def dump(value: Any) -> bytes:
 
 def change_journal(rng: random.Random, data: bytes) -> bytes:
     """A journal with a line or a value changed, or with another end."""
-    kind = rng.randrange(10)
-    if kind == 0:
-        return change_bytes(rng, data)
+    kind = rng.randrange(9)
     if kind < 3:
-        return change_lines(rng, data)
+        return rng.choice((change_bytes, change_lines))(rng, data)
     lines = data.splitlines()
     at = rng.randrange(len(lines)) if lines else 0
     if kind == 3:
         lines.insert(at, rng.choice(_STRANGE_LINES))
-    elif kind == 4:
-        # The same change in every line, as a script would make it.
+    elif kind < 6:
+        # The same change in every line, as a script would make it, or two values exchanged.
         values = [json.loads(line) for line in lines]
         key = rng.choice(("angle_deg", "i", "on", "off", "lasers", "placement", "sha256"))
         change = rng.choice((lambda old: None, lambda old: 0, lambda old: old, _radians, lambda old: [old]))
-        for one in values:
+        for one in values if kind == 4 else ():
             if key in one:
                 one[rng.choice((key, key, key + "s"))] = change(one.pop(key))
+        first, second = rng.choice(values), rng.choice(values)
+        if kind == 5 and key in first and key in second:
+            first[key], second[key] = second[key], first[key]
         lines = [dump(one) for one in values]
-    elif kind == 5:
-        values = [json.loads(line) for line in lines]
-        one, other = rng.choice(values), rng.choice(values)
-        key = rng.choice(("angle_deg", "i", "on", "off", "lasers"))
-        if key in one and key in other:
-            one[key], other[key] = other[key], one[key]
-        if rng.random() < 0.3 and "on" in one and "off" in one:
-            one["on"], one["off"] = one["off"], one["on"]
-        lines = [dump(value) for value in values]
     elif lines:
         lines[at] = dump(change_tree(rng, json.loads(lines[at])))
     return b"".join(line + b"\n" for line in lines)
@@ -153,27 +128,15 @@ _ASSIGNMENT = re.compile(r"(?m)^([ \t]*)([A-Za-z_][\w.-]*)[ \t]*=[ \t]*(.*)$")
 def change_toml(rng: random.Random, data: bytes) -> bytes:
     """A TOML file with a value, key or line changed, or with keys that cost a careless parser time and memory."""
     kind = rng.randrange(10)
-    if kind == 0:
-        return change_bytes(rng, data)
-    if kind == 1:
-        return change_lines(rng, data)
+    if kind < 2:
+        return rng.choice((change_bytes, change_lines))(rng, data)
     text = data.decode()
     if kind == 2:
         deep = rng.choice((30, 300, 3000, 30_000))
-        return (
-            text.encode()
-            + rng.choice(
-                (
-                    ".".join("a" * deep) + " = 1\n",
-                    "[" + ".".join("a" * deep) + "]\n",
-                    "x = " + "[" * deep + "]" * deep + "\n",
-                    "x = " + "{a=" * deep + "1" + "}" * deep + "\n",
-                    "".join(f"k{n} = {n}\n" for n in range(deep)),
-                    "".join(f"[t{n}]\n" for n in range(deep)),
-                    "x = {" + ".".join('"a"' for _ in range(deep)) + " = 1}\n",
-                )
-            ).encode()
-        )
+        keys = ".".join("a" * deep)
+        many = (f"{keys} = 1", f"[{keys}]", "x = " + "[" * deep + "]" * deep, "x = " + "{a=" * deep + "1" + "}" * deep)
+        many += ("".join(f"k{n} = {n}\n" for n in range(deep)), "".join(f"[t{n}]\n" for n in range(deep)))
+        return f"{text}{rng.choice(many)}\n".encode()
     found = list(_ASSIGNMENT.finditer(text))
     if not found:
         return change_bytes(rng, data)
@@ -213,29 +176,22 @@ def change_ply_header(rng: random.Random, data: bytes) -> bytes:
     """A PLY file with a line of its header changed."""
     end = data.find(b"end_header\n")
     lines = data[:end].split(b"\n")
-    at = rng.randrange(1, max(2, len(lines)))
-    words = lines[min(at, len(lines) - 1)].split(b" ")
-    match rng.randrange(6):
-        case 0:
-            lines = change_lines(rng, data[:end]).split(b"\n")
-        case 1:
-            word = rng.randrange(len(words))
-            words[word] = rng.choice(TEXTS).encode("utf-8", "surrogatepass")
-            lines[min(at, len(lines) - 1)] = b" ".join(words)
-        case 2:
-            word = rng.randrange(len(words))
-            words[word] = str(nasty_number(rng)).encode()
-            lines[min(at, len(lines) - 1)] = b" ".join(words)
-        case 3:
-            lines.insert(at, rng.choice(_PLY_LINES))
-        case 4:
-            swaps = ((b"float", b"double"), (b"little", b"big"), (b"uchar", b"int"), (b" x", b" y"))
-            old, new = rng.choice(swaps)
-            return data[:end].replace(old, new, rng.choice((1, 99))) + data[end:]
-        case _:
-            counts = re.sub(rb"(element \w+) (\d+)", lambda m: m[1] + b" " + str(_count(rng, int(m[2]))).encode(), data)
-            return counts
-    return b"\n".join(lines) + data[end:]
+    at = min(rng.randrange(1, max(2, len(lines))), len(lines) - 1)
+    words = lines[at].split(b" ")
+    words[rng.randrange(len(words))] = rng.choice(
+        (rng.choice(TEXTS).encode("utf-8", "surrogatepass"), str(nasty_number(rng)).encode())
+    )
+    old, new = rng.choice(((b"float", b"double"), (b"little", b"big"), (b"uchar", b"int"), (b" x", b" y")))
+    count = lambda hit: hit[1] + b" " + str(_count(rng, int(hit[2]))).encode()
+    head = pick(
+        rng,
+        lambda: change_lines(rng, data[:end]),
+        lambda: b"\n".join([*lines[:at], b" ".join(words), *lines[at + 1 :]]),
+        lambda: b"\n".join([*lines[:at], rng.choice(_PLY_LINES), *lines[at:]]),
+        lambda: data[:end].replace(old, new, rng.choice((1, 99))),
+        lambda: re.sub(rb"(element \w+) (\d+)", count, data[:end]),
+    )
+    return head + data[end:]
 
 
 def _count(rng: random.Random, old: int) -> int:

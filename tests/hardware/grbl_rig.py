@@ -64,8 +64,9 @@ class GrblBoard:
 
     name = "grbl"
 
-    def __init__(self, **settings: float) -> None:
-        """`settings`: its own, as `s100=…`."""
+    def __init__(self, greeting: str = GREETING, report: str | None = None, **settings: float) -> None:
+        """`settings`: its own, as `s100=…`; `report`: said instead of the true one."""
+        self.greeting, self.report = greeting, report
         self.clock = ManualClock()
         self.settings = SETTINGS | {int(name[1:]): value for name, value in settings.items()}
         self.ledger: list[tuple[float, str, bool]] = []
@@ -254,13 +255,16 @@ class GrblBoard:
         self._greet()
 
     def _greet(self) -> None:
-        self._say(GREETING, *(["[MSG:'$H'|'$X' to unlock]"] if self._locked else []))
+        self._say(*([self.greeting] if self.greeting else []), *(["[MSG:'$H'|'$X' to unlock]"] if self._locked else []))
 
     def _say(self, *lines: str) -> None:
         for line in lines:
             self._out += self.to_host(line.encode("latin-1") + b"\r\n") if self.plugged else b""
 
     def _report(self) -> None:
+        if self.report is not None:
+            self._say(self.report)
+            return
         state = "Alarm" if self._locked else "Hold:0" if self._held else "Run" if self._motion else "Idle"
         which = "MPos" if int(self.settings[10]) & 1 else "WPos"
         self._say(f"<{state}|{which}:{self._at():.3f},0.000,0.000|FS:0,{self._power * (self._spindle == 'M3'):.0f}>")

@@ -1,21 +1,15 @@
 """The interface of all cameras on the one in software, with every fault that it can have; and folders of images."""
 
-import threading
 import time
 
 import numpy as np
 import pydantic
 import pytest
-from scanrig.cameras import CameraSettings, open_camera
+from scanrig.cameras import CameraSettings
 from scanrig.cameras.aravis import FrameNumbers, text
 from scanrig.cameras.camera import differences
 from scanrig.cameras.simulated import SimulatedCamera
 from scanrig.errors import CameraError, CameraLost, CameraTimeout
-
-from jaxscan.errors import ConfigError
-from jaxscan.files.capture import CameraTable, CaptureHeader, LaserTable
-from jaxscan.files.recording import create_capture
-from jaxscan.vision import encode_png
 
 from .faulty_camera import FaultyCamera
 
@@ -66,56 +60,6 @@ def test_frames_come_in_order():
     assert all(frame.complete for frame in frames)
 
 
-@pytest.mark.parametrize(
-    "fault, numbers, seen",
-    [
-        ("missing", [1, 2, 4], [(1, True), (1, False), (2, False)]),
-        ("duplicate", [1, 2, 3, 3, 4], [(1, True), (1, False), (2, True), (2, True), (2, False)]),
-        ("stale", [1, 2, 3, 4], [(1, True), (1, False), (1, False), (2, False)]),
-        ("swapped", [1, 2, 3, 4], [(1, True), (1, False), (2, False), (2, True)]),
-        ("late", [1, 2, 3, 4], [(1, True), (1, False), (2, True), (2, False)]),
-    ],
-)
-def test_faults_are_what_they_say(fault, numbers, seen):
-    made = camera(faults={3: fault})
-    shots(made, [1, 2])
-    frames = waiting(made)
-    assert [frame.number for frame in frames] == numbers
-    assert [shown(frame) for frame in frames] == seen
-
-
-def test_an_incomplete_frame_says_so():
-    made = camera(faults={1: "incomplete"})
-    shots(made, [9])
-    torn, whole = waiting(made)
-    assert not torn.complete and "missing" in torn.note and whole.complete
-    assert torn.image[0].all() and not torn.image[-1].any()
-
-
-def test_a_lost_camera_comes_back():
-    made = camera(faults={2: "lost"})
-    made.expose(1, True)
-    assert shown(made.next(1.0)) == (1, True)
-    made.expose(1, False)
-    with pytest.raises(CameraLost):
-        made.next(1.0)
-    made.reachable = False
-    with pytest.raises(CameraLost, match="not found"):
-        made.reopen()
-    made.reachable = True
-    made.reopen()
-    made.expose(2, True)
-    assert shown(made.next(1.0)) == (2, True)
-
-
-def test_a_camera_that_comes_back_otherwise_is_refused():
-    made = camera()
-    made.after_reopen = {"exposure_s": 0.033, "pixel_format": "rgb8"}
-    with pytest.raises(CameraError, match=r"exposure_s: found 0.033, expected 0.01") as problem:
-        made.reopen()
-    assert 'pixel_format: found "rgb8", expected "mono8"' in str(problem.value)
-
-
 def test_no_frame_is_a_timeout():
     made = SimulatedCamera(SETTINGS, numbered)
     made.start()
@@ -123,15 +67,6 @@ def test_no_frame_is_a_timeout():
     with pytest.raises(CameraTimeout, match=r"within 0.05 s"):
         made.next(0.05)
     assert 0.04 < time.monotonic() - start < 2.0
-
-
-def test_waiting_ends_when_a_frame_comes():
-    made = SimulatedCamera(SETTINGS, numbered)
-    made.start()
-    timer = threading.Timer(0.05, made.expose, (7, True))
-    timer.start()
-    assert shown(made.next(30.0)) == (7, True)
-    timer.join()
 
 
 def test_drop_throws_away_what_waits():
@@ -161,17 +96,6 @@ def test_a_closed_camera_is_lost():
     made.close()
 
 
-def test_a_synthetic_scene_from_a_file(tmp_path):
-    (tmp_path / "scene.toml").write_text("peak_dn = 0.0\nambient_dn = 100.0\ncontrast = 0.0\n")
-    settings = {"kind": "simulated", "width": 128, "height": 64, "trigger": "free"}
-    with open_camera(CameraSettings(id=str(tmp_path / "scene.toml"), **settings)) as made:
-        made.start()
-        assert made.next(1.0).image.mean() == pytest.approx(100, abs=1)
-    (tmp_path / "scene.toml").write_text("peek_dn = 0.0\n")
-    with pytest.raises(ConfigError, match="peak_dn"):
-        open_camera(CameraSettings(id=str(tmp_path / "scene.toml"), **settings))
-
-
 # Settings, features and numbers.
 
 
@@ -180,7 +104,6 @@ def test_a_synthetic_scene_from_a_file(tmp_path):
     [
         ({"kind": "opencv", "trigger": "hardware"}, "can only be"),
         ({"kind": "opencv", "trigger": "free", "pixel_format": "bayer_rggb8"}, "mono8"),
-        ({"kind": "folder"}, "needs the path"),
         ({"kind": "simulated", "exposure_ms": 0.0}, "greater than 0"),
         ({"kind": "simulated", "exposure": 5.0}, "Extra inputs"),
         ({"kind": "simulated", "width": 60000, "height": 60000}, "megapixels"),
@@ -217,62 +140,6 @@ def test_frame_ids_wrap(raws, numbers, advances):
 
 
 # Folders.
-
-
-def write(folder, name, value, shape=(64, 96)):
-    (folder / name).write_bytes(encode_png(np.full(shape, value, np.uint8)))
-
-
-def folder_camera(folder, **options):
-    return open_camera(CameraSettings(kind="folder", id=str(folder), width=96, height=64, **options))
-
-
-def test_a_folder_is_played_on_before_off(tmp_path):
-    for value, name in enumerate(["0002_off.png", "0002_on.png", "0001_off.png", "0001_on.png"]):
-        write(tmp_path, name, value)
-    (tmp_path / "notes.txt").write_text("no image")
-    with folder_camera(tmp_path) as made:
-        made.start()
-        assert [int(made.next(1.0).image[0, 0]) for _ in range(4)] == [3, 2, 1, 0]
-        with pytest.raises(CameraError, match="all 4 images were played"):
-            made.next(1.0)
-        made.reopen()
-        assert made.next(1.0).note == "0001_on.png"
-
-
-def test_a_capture_is_played(tmp_path):
-    header = CaptureHeader(
-        kind="sweep", camera=CameraTable(width=96, height=64, pixel_format="mono8"), laser=(LaserTable(),)
-    )
-    with create_capture(tmp_path / "capture", header) as writer:
-        for i in range(3):
-            writer.append(angle_deg=6.0 * i, on=numbered(i, True), off=numbered(i, False))
-    with folder_camera(tmp_path / "capture") as made:
-        made.start()
-        assert [shown(made.next(1.0)) for _ in range(6)] == [(i, lit) for i in range(3) for lit in (True, False)]
-    with pytest.raises(CameraError, match='pixel_format: found "mono8", expected "rgb8"'):
-        folder_camera(tmp_path / "capture", pixel_format="rgb8")
-
-
-def test_a_folder_keeps_to_itself(tmp_path):
-    inside, outside = tmp_path / "in", tmp_path / "out"
-    inside.mkdir(), outside.mkdir()
-    write(outside, "a.png", 1)
-    (inside / "a.png").symlink_to(outside / "a.png")
-    with pytest.raises(CameraError, match="leads out"):
-        folder_camera(inside)
-
-
-@pytest.mark.parametrize("spoil", ["empty", "missing", "damaged", "other size"])
-def test_folders_that_cannot_be_played(tmp_path, spoil):
-    if spoil == "damaged":
-        (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"0" * 100)
-    if spoil == "other size":
-        write(tmp_path, "a.png", 1, shape=(32, 32))
-    with pytest.raises(CameraError, match=r"images|cannot be read|a\.png"):
-        made = folder_camera(tmp_path / "none" if spoil == "missing" else tmp_path)
-        made.start()
-        made.next(1.0)
 
 
 def test_a_cameras_own_words_cannot_steer_a_terminal():

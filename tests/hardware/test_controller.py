@@ -1,18 +1,18 @@
 """The controller's verbs against a controller of Python on a clock of its own: answers, faults, losses, the way out."""
 
 import random
+import re
 from itertools import pairwise
 
 import pytest
 from scanrig.controllers.controller import Settings, ShotDone
 from scanrig.controllers.jxs.controller import JxsController
-from scanrig.controllers.jxs.protocol import encode, seal, wire_settings
+from scanrig.controllers.jxs.protocol import seal, wire_settings
 from scanrig.errors import (
     ControllerReset,
     Fault,
     FirmwareError,
     LinkLost,
-    Reason,
     Refused,
     RigFault,
     RigTimeout,
@@ -60,11 +60,6 @@ def losing(part, count):
     return mangle
 
 
-def test_hello_says_who_is_there(fake):
-    firmware = JxsController(fake, fake.clock).hello()
-    assert (firmware.proto, firmware.version, firmware.boot, firmware.lease_ms) == (1, "9.9.9", 7, 1000)
-
-
 def test_an_uno_is_given_the_time_of_its_boot_loader(fake):
     fake.settings["motion"]["wd"] = 60000
 
@@ -100,32 +95,17 @@ def test_settings_are_read_back(fake):
     controller.configure(wanted)
     assert fake.settings["motion"] == wire_settings(wanted)["motion"]
     assert fake.settings["shot"] == wire_settings(wanted)["shot"] | wire_settings(wanted)["limits"]
-
-
-def test_a_setting_that_was_not_taken_is_named(fake):
-    controller = JxsController(fake, fake.clock)
-    controller.hello()
     fake.settings["motion"].pop("back")
     with pytest.raises(FirmwareError, match="back=nothing instead of 0"):
         controller.configure(Settings())
 
 
-def test_the_longest_settings_fit_their_lines():
-    most = (60000, 10000, 10000, 60000, 10000, 10000, True, 10000, 10000, 10000, 5000, 10000, 10000)
-    for group in wire_settings(Settings(*most, limits=(-(2**31), -(2**31) + 1))).values():
-        assert len(encode(65535, "SET", **group)) <= 97
-
-
-def test_home_says_what_the_counter_said(fake, controller):
+@pytest.mark.parametrize("events_lost", [0, 1])
+def test_home_says_what_the_counter_said(fake, controller, events_lost):
     fake.position += 3  # three steps that the counter knows nothing of
+    fake.to_host = losing(b"!", events_lost)
     assert controller.home(30000) == -3
     assert controller.home(30000) == 0
-
-
-def test_a_lost_homed_event_loses_no_lost_step(fake, controller):
-    fake.position += 3
-    fake.to_host = losing(b"!", 1)
-    assert controller.home(30000) == -3
 
 
 def test_a_lost_event_is_asked_for(fake, controller):
@@ -164,31 +144,17 @@ def test_two_lines_lost_in_a_row_do_not_starve_the_watchdog(fake, controller):
     assert fake.seconds_between_lines <= 0.35
 
 
-def test_half_a_line_does_not_spoil_the_next(fake, controller):
-    ends = [1]
-
-    def lose_the_end(data):
-        if ends[0]:
-            ends[0] -= 1
-            return data[:-5]
-        return data
-
-    fake.to_controller = lose_the_end
-    controller.stat()
-    assert controller.link_counts.resent == 1
-
-
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_noise_does_nothing_twice_and_leaves_nothing_out(fake, controller, seed):
     fake.to_controller, fake.to_host = lossy(seed, 0.005), lossy(seed + 100, 0.005)
-    for k in range(1, 151):
+    for k in range(1, 61):
         controller.shot(8 * k, k)
         assert controller.wait_shot(k).position == 8 * k
-    assert (fake.pulses, fake.exposures, fake.position) == (150, 300, 1200)
+    assert (fake.pulses, fake.exposures, fake.position) == (60, 120, 480)
     assert [text for text in fake.carried_out if text.startswith("SHOT")] == [
-        f"SHOT to={8 * k} id={k} m=3" for k in range(1, 151)
+        f"SHOT to={8 * k} id={k} m=3" for k in range(1, 61)
     ]
-    assert controller.link_counts.resent > 10
+    assert controller.link_counts.resent > 4
 
 
 def test_a_nak_asks_for_the_line_again_and_answers_nothing(fake, controller):
@@ -212,28 +178,15 @@ def test_answers_to_other_lines_are_strays(fake, controller):
     assert controller.link_counts.strays == 2
 
 
-def test_a_refusal_names_command_and_reason(fake, controller):
-    controller.arm(False)
-    with pytest.raises(Refused, match=r"'LASER on=1 ms=100': the laser is not armed \(error 14\)") as refusal:
-        controller.laser(True, 100)
-    assert refusal.value.reason is Reason.NOT_ARMED
-
-
-def test_a_fault_ends_the_wait_and_says_where(fake, controller):
+@pytest.mark.parametrize("events_lost", [0, 1])
+def test_a_fault_ends_the_wait_and_says_where(fake, controller, events_lost):
     controller.move(100)
     controller.shot(8000, 1)
+    fake.to_host = losing(b"!", events_lost)
     fake.press(True)
     with pytest.raises(RigFault, match="fault at microstep 100: emergency stop") as fault:
         controller.wait_shot(1)
     assert (fault.value.fault, fault.value.position) == (Fault.EMERGENCY_STOP, 100)
-
-
-def test_a_fault_whose_event_was_lost_ends_the_wait(fake, controller):
-    controller.shot(8000, 1)
-    fake.to_host = losing(b"!", 1)
-    fake.press(True)
-    with pytest.raises(RigFault, match=r"fault at microstep \d+: emergency stop"):
-        controller.wait_shot(1)
 
 
 def test_in_a_fault_commands_raise_the_fault(fake, controller):
@@ -246,16 +199,6 @@ def test_in_a_fault_commands_raise_the_fault(fake, controller):
     controller.clear()
     with pytest.raises(Refused, match="driver is off"):
         controller.move(0)
-
-
-def test_a_driver_that_the_emergency_stop_switched_off_is_no_reset(fake, controller):
-    controller.shot(8000, 1)
-    fake.press(True)
-    with pytest.raises(RigFault):
-        controller.wait_shot(1)
-    fake.press(False)
-    controller.clear()
-    assert not controller.stat().enabled
 
 
 def test_an_answer_older_than_an_event_is_no_reset(fake, controller):
@@ -276,12 +219,6 @@ def test_an_answer_older_than_an_event_is_no_reset(fake, controller):
     assert controller.link_counts.events_missed == 0
 
 
-def test_no_home_switch(fake, controller):
-    fake.switch = False
-    with pytest.raises(RigFault, match="home switch"):
-        controller.home(30000)
-
-
 def test_what_does_not_end_is_stopped(fake, controller):
     controller.shot(80000, 1)
     with pytest.raises(RigTimeout, match=r"shot 1 did not end within 3\.0 s; it was stopped"):
@@ -298,43 +235,6 @@ def test_a_reset_is_noticed_while_waiting(fake, controller, reported):
         controller.wait_shot(1)
     with pytest.raises(ControllerReset):
         controller.move(0)
-
-
-def test_a_reset_at_rest_is_noticed_before_anything_moves(fake, controller):
-    fake.to_host = losing(b"!", 1)
-    fake.reset()
-    with pytest.raises(ControllerReset):
-        controller.shot(8, 1)
-    assert fake.position == 0
-
-
-def test_after_a_reset_settings_are_sent_and_home_is_asked_for(fake, controller):
-    controller.configure(Settings(settle_ms=77))
-    fake.reset()
-    with pytest.raises(ControllerReset, match="boot 7 → 8"):
-        controller.stat()
-    found = controller.reconnect()
-    assert (found.same_boot, not found.status.homed) == (False, True)
-    assert fake.settings["shot"]["settl"] == 77
-    controller.enable(True)
-    controller.home(30000)
-
-
-@pytest.mark.parametrize("pause_s", [0.0, 2.0], ids=["for a moment", "until the watchdog has stopped the table"])
-def test_after_a_pulled_cable_the_position_is_still_good(fake, controller, pause_s):
-    controller.move(400)
-    controller.shot(8000, 1)
-    fake.unplugged = True
-    with pytest.raises(LinkLost, match="unplugged"):
-        controller.wait_shot(1)
-    fake.clock.sleep(pause_s)
-    fake.unplugged = False
-    found = controller.reconnect()
-    assert (found.same_boot, found.status.homed) == (True, True)
-    assert (found.status.state, found.status.fault) == ("idle", None)
-    controller.arm(True)
-    controller.shot(8000, 1)
-    assert controller.wait_shot(1).position == fake.position == 8000
 
 
 def test_reconnecting_backs_off_and_gives_up(fake, controller):
@@ -354,15 +254,9 @@ def test_reconnecting_backs_off_and_gives_up(fake, controller):
     assert fake.clock.now() - before <= 20.0
 
 
-def test_a_silent_controller_is_lost_in_two_seconds(fake, controller):
-    fake.to_host = lambda data: b""
-    before = fake.clock.now()
-    with pytest.raises(LinkLost, match="no answer from fake to 'STAT'"):
-        controller.stat()
-    assert fake.clock.now() - before == pytest.approx(2.0, abs=0.3)
-
-
-def test_another_protocol_is_refused(fake):
+def test_hello_says_who_is_there_and_refuses_another_protocol(fake):
+    firmware = JxsController(fake, fake.clock).hello()
+    assert (firmware.proto, firmware.version, firmware.boot, firmware.lease_ms) == (1, "9.9.9", 7, 1000)
     fake.proto = 2
     with pytest.raises(FirmwareError, match=r"firmware 9\.9\.9 that speaks protocol 2, needed protocol 1"):
         JxsController(fake, fake.clock).hello()
@@ -383,12 +277,6 @@ def test_another_device_is_described(fake, answer, said, within_s):
     with pytest.raises(FirmwareError, match=said):
         JxsController(fake, fake.clock).hello()
     assert fake.clock.now() < within_s
-
-
-def test_making_safe_ends_a_shot(fake, controller):
-    controller.shot(8000, 1)
-    assert controller.make_safe()
-    assert fake.state == "idle" and not fake.armed and fake.exposures == 0
 
 
 def test_making_safe_after_half_a_line(fake, controller):
@@ -452,3 +340,22 @@ def test_events_count_on_after_the_last_number(fake, controller):
     controller.stat()
     assert fake.events == 3
     assert controller.link_counts.events_missed == before
+
+
+def test_a_driver_that_the_emergency_stop_switched_off_is_no_reset(fake, controller):
+    controller.shot(8000, 1)
+    fake.press(True)
+    with pytest.raises(RigFault):
+        controller.wait_shot(1)
+    fake.press(False)
+    controller.clear()
+    assert not controller.stat().enabled
+
+
+@pytest.mark.parametrize("was", ["9" * 60, "1_000", "0x10", "1e3", "-"])
+def test_a_number_that_no_firmware_has_is_one_line(fake, controller, was):
+    tell = fake.tell
+    fake.tell = lambda text: tell(re.sub("was=.*", f"was={was}", text))
+    with pytest.raises(FirmwareError, match=r"says was=.* expected an integer") as problem:
+        controller.home(30_000)
+    assert len(str(problem.value)) < 200 and "\n" not in str(problem.value)

@@ -53,83 +53,33 @@ def test_20_space_that_goes_while_the_sweep_runs(tmp_path, monkeypatch):
     assert Desk().sweep(tmp_path / "room", resume=True).status == "complete"
 
 
-@pytest.mark.parametrize("name", ["on/000003.zst", "off/000003.zst"])
-def test_20_a_write_that_fails_for_want_of_space(tmp_path, monkeypatch, name):
+@pytest.mark.parametrize(
+    ("name", "code"), [("on/000003.zst", errno.ENOSPC), ("off/000003.zst", errno.ENOSPC), ("on/000003.zst", errno.EIO)]
+)
+def test_20_a_write_that_fails(tmp_path, monkeypatch, name, code):
     original = store.write_atomically
 
-    def full(path, content, **keys):
+    def failing(path, content, **keys):
         if str(path).endswith(name):
 
             def content(part):
                 part.write_bytes(b"the first half")
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-        original(path, content, **keys)
-
-    desk = Desk()
-    monkeypatch.setattr(store, "write_atomically", full)
-    result = desk.sweep(tmp_path / "room")
-    assert (result.status, result.records) == ("disk full", 3) and "No space left" in result.message
-    require_safe_and_whole(tmp_path / "room", desk, 3)
-    monkeypatch.undo()
-    assert Desk().sweep(tmp_path / "room", resume=True).status == "complete"
-    require_safe_and_whole(tmp_path / "room", desk, 10)
-
-
-@pytest.mark.parametrize("code", [errno.EIO, errno.EROFS])
-def test_20_a_disk_that_fails_otherwise_is_an_error(tmp_path, monkeypatch, code):
-    original = store.write_atomically
-
-    def broken(path, content, **keys):
-        if path.name == "000003.zst":
-
-            def content(part):
                 raise OSError(code, os.strerror(code))
 
         original(path, content, **keys)
 
     desk = Desk()
-    monkeypatch.setattr(store, "write_atomically", broken)
-    with pytest.raises(Exception, match=os.strerror(code)):
-        desk.sweep(tmp_path / "room")
+    monkeypatch.setattr(store, "write_atomically", failing)
+    if code == errno.ENOSPC:
+        result = desk.sweep(tmp_path / "room")
+        assert (result.status, result.records) == ("disk full", 3) and "No space left" in result.message
+    else:
+        with pytest.raises(CaptureError, match=os.strerror(code)):
+            desk.sweep(tmp_path / "room")
     require_safe_and_whole(tmp_path / "room", desk, 3)
-
-
-@pytest.fixture
-def small_disk(tmp_path):
-    """A real file system of 1 MB."""
-    place = tmp_path / "disk"
-    place.mkdir()
-    if (
-        os.geteuid() != 0
-        or subprocess.run(
-            ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(place)], capture_output=True
-        ).returncode
-    ):
-        pytest.skip("a small file system needs the right to mount one")
-    yield place
-    subprocess.run(["umount", str(place)], check=True)
-
-
-def test_20_a_real_disk_that_fills_up(small_disk, monkeypatch):
-    """The check of free space is given a false value, so that the disk itself must refuse."""
-    desk = Desk(sweep={"steps": 100, "turn_deg": 360.0})
-    monkeypatch.setattr(recording, "free_bytes", lambda folder: 10**12)
-    result = desk.sweep(small_disk / "room")
-    assert result.status == "disk full" and 10 < result.records < 100
-    require_safe_and_whole(small_disk / "room", desk, result.records)
-    # Room is made where something else was; here, by a bigger disk.
-    subprocess.run(["mount", "-o", "remount,size=16m", str(small_disk)], check=True)
     monkeypatch.undo()
-    again = Desk(sweep={"steps": 100, "turn_deg": 360.0})
-    assert again.sweep(small_disk / "room", resume=True).status == "complete"
-    require_safe_and_whole(small_disk / "room", again, 100)
-
-
-def test_20_a_real_disk_that_is_too_small_is_said_first(small_disk):
-    desk = Desk(sweep={"steps": 100, "turn_deg": 360.0})
-    assert desk.sweep(small_disk / "room").status == "disk full"
-    assert desk.controller.shots == []
+    assert Desk().sweep(tmp_path / "room", resume=True).status == "complete"
+    require_safe_and_whole(tmp_path / "room", desk, 10)
 
 
 @pytest.fixture
@@ -163,12 +113,9 @@ def test_20_a_folder_that_may_not_be_written_is_said_before_anything_moves(seale
 # Another program as the file system sees it; importing a session would take longer than the test.
 HOLDER = """
 import fcntl, json, os, sys, time
-from pathlib import Path
-stat = Path(f"/proc/{os.getpid()}/stat").read_text().rpartition(")")[2].split()
-start = Path("/proc/sys/kernel/random/boot_id").read_text().strip() + " " + stat[19]
 file = open(sys.argv[1], "x")
 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-file.write(json.dumps({"pid": os.getpid(), "host": os.uname().nodename, "start": start}))
+file.write(json.dumps({"pid": os.getpid(), "host": os.uname().nodename}))
 file.flush()
 print("holds", flush=True)
 time.sleep(60)
@@ -203,27 +150,15 @@ def test_23_two_processes_in_one_folder(tmp_path, holder):
     assert not (tmp_path / "room" / LOCK_NAME).exists()
 
 
-def test_23_two_in_one_process(tmp_path):
-    with folder_lock(tmp_path), pytest.raises(SessionError, match="in use by process"), folder_lock(tmp_path):
-        pass
-    with folder_lock(tmp_path) as lock:
-        assert lock.note == ""
-
-
-def test_23_the_lock_of_another_machine_is_never_taken_over(tmp_path):
-    (tmp_path / LOCK_NAME).write_text('{"pid": 1, "host": "elsewhere", "start": "then"}')
-    with (
-        pytest.raises(SessionError, match=r"process 1 on elsewhere; if that one has ended, delete "),
-        folder_lock(tmp_path),
-    ):
-        pass
-
-
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"pid": "x"}', "\x00" * 100])
-def test_23_a_lock_whose_writer_died_before_it_had_written(tmp_path, text):
+@pytest.mark.parametrize("text", ["", "{", '{"pid": "x"}', '{"pid": 1, "host": "elsewhere", "start": "then"}'])
+def test_23_a_lock_that_was_left_is_taken_over_but_never_that_of_another_machine(tmp_path, text):
     (tmp_path / LOCK_NAME).write_text(text)
-    with folder_lock(tmp_path) as lock:
-        assert "took over" in lock.note
+    if "elsewhere" in text:
+        with pytest.raises(SessionError, match=r"process 1 on elsewhere; if that one has ended"), folder_lock(tmp_path):
+            pass
+    else:
+        with folder_lock(tmp_path) as lock:
+            assert "took over" in lock.note
 
 
 @pytest.mark.timeout(20)
@@ -248,14 +183,10 @@ def test_23_where_the_file_system_has_no_locks_the_process_decides(tmp_path, mon
     monkeypatch.setattr(fcntl, "flock", none)
     with folder_lock(tmp_path), pytest.raises(SessionError, match=f"process {os.getpid()}"), folder_lock(tmp_path):
         pass
-    ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
-    (tmp_path / LOCK_NAME).write_text(json.dumps({"pid": int(ended.stdout), "host": os.uname().nodename, "start": "x"}))
-    with folder_lock(tmp_path) as lock:
-        assert f"process {int(ended.stdout)}" in lock.note
-    # The number of a dead process that another one has by now.
-    (tmp_path / LOCK_NAME).write_text(json.dumps({"pid": os.getpid(), "host": os.uname().nodename, "start": "then"}))
-    with folder_lock(tmp_path) as lock:
-        assert "took over" in lock.note
+    # Whether it has ended, nobody can know there.
+    (tmp_path / LOCK_NAME).write_text(json.dumps({"pid": 1, "host": os.uname().nodename}))
+    with pytest.raises(SessionError, match="if that one has ended, delete "), folder_lock(tmp_path):
+        pass
 
 
 def test_23_never_two_at_once_however_they_race(tmp_path):
@@ -266,7 +197,7 @@ def test_23_never_two_at_once_however_they_race(tmp_path):
     def race():
         start.wait(timeout=30)
         mine = 0
-        while mine < 25:
+        while mine < 10:
             try:
                 with folder_lock(tmp_path):
                     (tmp_path / "inside").touch(exist_ok=False)
@@ -280,25 +211,6 @@ def test_23_never_two_at_once_however_they_race(tmp_path):
         for run in [pool.submit(race) for _ in range(4)]:
             run.result(timeout=60)
     assert refused and not (tmp_path / "inside").exists()
-
-
-@pytest.mark.parametrize("name", ["on", "off", "frames.jsonl", "capture.toml"])
-def test_nothing_is_written_through_a_link_out_of_the_capture(tmp_path, name):
-    desk = Desk()
-    desk.controller.before_shot[4] = lambda controller: (_ for _ in ()).throw(KeyboardInterrupt)
-    with pytest.raises(KeyboardInterrupt):
-        desk.sweep(tmp_path / "room")
-    outside = tmp_path / "outside"
-    (tmp_path / "room" / name).rename(outside)
-    (tmp_path / "room" / name).symlink_to(outside)
-    if outside.is_dir():
-        (outside / ".part-precious").write_text("not the session's")
-    before = {path: path.stat() for path in (outside, *outside.glob("*"))}
-    again = Desk()
-    with pytest.raises(CaptureError, match="found a link"):
-        again.sweep(tmp_path / "room", resume=True)
-    assert {path: path.stat() for path in (outside, *outside.glob("*"))} == before
-    assert again.controller.shots == [] and not again.table.contactor
 
 
 @pytest.mark.skipif(os.name != "posix", reason="folders are waited for on POSIX alone")
@@ -349,3 +261,22 @@ def test_what_a_killed_session_left_is_removed_and_nothing_else(tmp_path):
     (room / "off" / ".part-precious").write_text("not the session's")
     assert Desk().sweep(room, resume=True).status == "complete"
     assert sorted(path.name for path in room.rglob(".part-*")) == [".part-precious", ".part-x"]
+
+
+@pytest.mark.parametrize("name", ["on", "off", "frames.jsonl", "capture.toml"])
+def test_nothing_is_written_through_a_link_out_of_the_capture(tmp_path, name):
+    desk = Desk()
+    desk.controller.before_shot[4] = lambda controller: (_ for _ in ()).throw(KeyboardInterrupt)
+    with pytest.raises(KeyboardInterrupt):
+        desk.sweep(tmp_path / "room")
+    outside = tmp_path / "outside"
+    (tmp_path / "room" / name).rename(outside)
+    (tmp_path / "room" / name).symlink_to(outside)
+    if outside.is_dir():
+        (outside / ".part-precious").write_text("not the session's")
+    before = {path: path.stat() for path in (outside, *outside.glob("*"))}
+    again = Desk()
+    with pytest.raises(CaptureError, match="found a link"):
+        again.sweep(tmp_path / "room", resume=True)
+    assert {path: path.stat() for path in (outside, *outside.glob("*"))} == before
+    assert again.controller.shots == [] and not again.table.contactor

@@ -1,6 +1,5 @@
 """The doctor's findings on rigs with one fault each; it leaves every rig dark."""
 
-import numpy as np
 import pytest
 from scanrig.cameras.simulated import SyntheticScene
 from scanrig.doctor import examine, fitting_gear, measure_turn, stripe_level
@@ -77,7 +76,7 @@ def test_a_rig_that_is_well(desk, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("true", [28800, 28803, 9600, 14400, 7200, 5760, 16000, 57600, 86400, 3200])
+@pytest.mark.parametrize("true", [28800, 28803, 9600, 5760, 16000, 86400])
 def test_a_turn_is_measured_whatever_it_should_have_been(desk, true):
     controller = desk.controller
     controller.turn = true
@@ -113,10 +112,6 @@ def test_the_simplest_gear_that_fits(turn, gear):
     assert fitting_gear(turn, 3200) == gear
 
 
-def test_no_gear_fits_a_turn_of_nothing():
-    assert fitting_gear(1, 3_000_000) is None
-
-
 @pytest.mark.parametrize(
     "true, cure",
     [
@@ -132,13 +127,6 @@ def test_another_gear_than_configured_is_named(desk, tmp_path, true, cure):
     assert found["steps per turn"].do == cure
     # The rest can be looked at all the same.
     assert found["laser"].verdict == "works"
-
-
-def test_limits_forbid_a_whole_turn(tmp_path):
-    desk = make_desk(turntable={"limits_deg": [-10.0, 170.0]})
-    found = examined(desk, tmp_path)
-    assert found["steps per turn"].verdict == "not checked" and "by hand" in found["steps per turn"].do
-    assert found["home"].verdict == "works"
 
 
 @pytest.mark.parametrize("true, verdict", [(28800, "works"), (14400, "wrong"), (40000, "wrong")])
@@ -160,23 +148,11 @@ def test_within_limits_that_allow_a_turn_it_is_measured(tmp_path, true, verdict)
     assert desk.controller.settings.limits == (-1600, 29600)
 
 
-def test_estop_pressed(desk, tmp_path):
+def pressed(desk):
     desk.controller.estop, desk.controller.fault = True, Fault.EMERGENCY_STOP
-    found = examined(desk, tmp_path)
-    assert (found["inputs"].verdict, found["inputs"].found) == ("wrong", "the emergency stop is pressed")
-    assert "home" not in found and desk.controller.shots == []
 
 
-def test_home_switch_that_never_closes(desk, tmp_path):
-    desk.controller.switch = False
-    found = examined(desk, tmp_path)
-    assert found["home"].verdict == "wrong" and "turntable.reverse" in found["home"].do
-    assert "steps per turn" not in found and "laser" not in found
-    # The trigger needs no home.
-    assert found["trigger"].verdict == "works"
-
-
-def test_home_that_is_not_repeatable(desk, tmp_path):
+def slipping(desk):
     move, slipped = desk.controller.move, iter([0, 30, *[0] * 20])
 
     def moved(to, timeout_s=120.0):
@@ -185,23 +161,36 @@ def test_home_that_is_not_repeatable(desk, tmp_path):
         return done
 
     desk.controller.move = moved
+
+
+@pytest.mark.parametrize(
+    ("spoil", "name", "says", "unseen"),
+    [
+        (pressed, "inputs", "the emergency stop is pressed", {"home", "laser"}),
+        (
+            lambda desk: setattr(desk.controller, "switch", False),
+            "home",
+            "turntable.reverse",
+            {"laser"},
+        ),
+        (slipping, "home", "again +0 and +30 microsteps", {"laser"}),
+        (lambda desk: setattr(desk.table, "dead", True), "laser", "the laser is dark", {"exposure"}),
+        (lambda desk: setattr(desk.table, "welded", True), "laser", "the laser stays on", {"exposure"}),
+        (lambda desk: setattr(desk.controller, "broken_wire", True), "trigger", "check the wire", set()),
+        (lambda desk: setattr(desk.controller, "twice", True), "trigger", "gave 12 frames", set()),
+    ],
+)
+def test_one_fault_is_named(desk, tmp_path, spoil, name, says, unseen):
+    spoil(desk)
     found = examined(desk, tmp_path)
-    assert found["home"].verdict == "wrong" and found["home"].values == {"missed_microsteps": 30}
+    assert found[name].verdict == "wrong" and says in f"{found[name].found}; {found[name].do}"
+    assert unseen.isdisjoint(found)
 
 
-@pytest.mark.parametrize("fault, says", [("dead", "the laser is dark"), ("welded", "the laser stays on")])
-def test_laser_that_does_not_switch(desk, tmp_path, fault, says):
-    setattr(desk.table, fault, True)
-    found = examined(desk, tmp_path)
-    assert found["laser"].verdict == "wrong" and says in found["laser"].found
-    assert "exposure" not in found
-
-
-def test_no_wire_to_the_camera(desk, tmp_path):
-    desk.controller.broken_wire = True
-    found = examined(desk, tmp_path)
-    assert found["trigger"].verdict == "wrong" and "check the wire" in found["trigger"].do
-    assert found["trigger"].values == {"pulses": 6, "frames": 0, "complete": 0}
+def test_a_folder_that_cannot_be_written(desk, tmp_path):
+    (tmp_path / "file").touch()
+    found = examined(desk, tmp_path / "file")
+    assert found["storage"].verdict == "wrong" and "cannot be written" in found["storage"].do
 
 
 class Watched(Turning):
@@ -230,20 +219,10 @@ def test_pulses_that_are_longer_than_the_link_watchdog_waits(tmp_path):
     assert found["trigger"].verdict == "works", found["trigger"]
 
 
-def test_a_camera_that_exposes_by_itself(desk, tmp_path):
-    desk.controller.twice = True
-    found = examined(desk, tmp_path)
-    assert found["trigger"].verdict == "wrong" and found["trigger"].values["frames"] == 12
-
-
-def test_frames_in_part(desk, tmp_path):
-    desk.camera.faults[2] = "incomplete"
-    found = examined(desk, tmp_path)
-    assert found["trigger"].verdict == "wrong" and "packet_size" in found["trigger"].do
-
-
-@pytest.mark.parametrize("peak, longer", [(20.0, True), (60.0, True), (190.0, None), (900.0, False)])
+@pytest.mark.parametrize("peak, longer", [(20.0, True), (190.0, None), (900.0, False)])
 def test_exposure(tmp_path, peak, longer):
+    bright = make_desk(scene=SyntheticScene(peak_dn=90.0, ambient_dn=120.0, contrast=0.1))
+    assert "darken the room" in examined(bright, tmp_path)["exposure"].do
     desk = make_desk(scene=SyntheticScene(peak_dn=peak))
     finding = examined(desk, tmp_path)["exposure"]
     if longer is None:
@@ -260,12 +239,6 @@ def test_exposure(tmp_path, peak, longer):
         assert level == pytest.approx(225.0, rel=0.1)
 
 
-def test_a_bright_room(tmp_path):
-    desk = make_desk(scene=SyntheticScene(peak_dn=90.0, ambient_dn=120.0, contrast=0.1))
-    finding = examined(desk, tmp_path)["exposure"]
-    assert finding.verdict == "note" and "darken the room" in finding.do
-
-
 def test_without_camera_the_controller_is_examined(desk, tmp_path):
     found = examined(desk, tmp_path, camera=None, config=None)
     assert set(found) == {"firmware", "inputs", "settings", "home", "steps per turn", "laser off"}
@@ -278,12 +251,6 @@ def test_without_controller_the_camera_is_examined(desk, tmp_path):
     assert {name: finding.verdict for name, finding in found.items()} == {
         "camera": "works", "trigger": "not checked", "storage": "works",
     }  # fmt: skip
-
-
-def test_a_folder_that_cannot_be_written(desk, tmp_path):
-    (tmp_path / "file").touch()
-    found = examined(desk, tmp_path / "file")
-    assert found["storage"].verdict == "wrong" and "cannot be written" in found["storage"].found
 
 
 @pytest.mark.parametrize(
@@ -306,16 +273,6 @@ def test_the_laser_is_off_on_every_way_out(desk, tmp_path, problem, when):
         assert found["laser off"].verdict == "works"
         assert "wrong" in {finding.verdict for finding in found.values()}
     assert not desk.table.laser and not desk.table.contactor
-
-
-def test_levels_of_the_line():
-    desk = make_desk()
-    on, off = np.full((96, 128), 30, np.uint8), np.full((96, 128), 30, np.uint8)
-    assert stripe_level(on, off, desk.config) == (0.0, 0.0)
-    on[:, 60] = 130
-    on[:48, 60] = 255
-    level, clipped = stripe_level(on, off, desk.config)
-    assert (level, clipped) == (255.0, 0.5)
 
 
 @pytest.mark.parametrize("problem", [None, LinkLost("gone"), FirmwareError("the controller's answer lacks 'st'")])

@@ -3,67 +3,19 @@
 import pytest
 from scanrig.controllers.controller import GrblTable, Settings
 from scanrig.controllers.grbl import GrblController
-from scanrig.controllers.grbl.lines import FLUID_NC, GRBL, GRBL_HAL, GrblLines, TableUnits, dialect_of, read_report
+from scanrig.controllers.grbl.lines import (
+    FLUID_NC,
+    GRBL,
+    GRBL_HAL,
+    GrblLines,
+    TableUnits,
+    dialect_of,
+    read_report,
+    read_settings,
+)
 from scanrig.errors import Fault, FirmwareError, RigError, RigFault
 
-
-SETTINGS = ["$1=255", "$10=1", "$13=0", "$22=1", "$32=0", "$100=80.000", "$110=9000.000"]
-IDLE = "<Idle|MPos:0.000,0.000,0.000|FS:0,0>"
-
-
-class Clock:
-    """Time passes only where somebody waits."""
-
-    time = 0.0
-
-    def now(self):
-        return self.time
-
-    def sleep(self, seconds):
-        self.time += seconds
-
-
-class Board:
-    """The far end of a link: answers lines, "?" and a reset."""
-
-    name = "board"
-
-    def __init__(self, greeting="Grbl 1.1h ['$' for help]", report=IDLE, settings=SETTINGS, answers=None):
-        self.clock, self.greeting, self.report, self.settings = Clock(), greeting, report, settings
-        self.answers = answers or {}
-        self.typed, self.said = [], b""
-        self._line = b""
-
-    def say(self, *lines):
-        self.said += b"".join(line.encode() + b"\r\n" for line in lines)
-
-    def write(self, data):
-        for byte in data:
-            one = bytes([byte])
-            if one == b"?":
-                self.say(*([self.report] if self.report else []))
-            elif one == b"\x18":
-                self.say(*([self.greeting] if self.greeting else []))
-            elif one == b"\n":
-                self._take(self._line.decode())
-                self._line = b""
-            elif one not in b"!~":
-                self._line += one
-
-    def _take(self, line):
-        self.typed.append(line)
-        if line == "$$":
-            self.say(*self.settings)
-        self.say(self.answers.get(line, "ok"))
-
-    def read(self, timeout_s):
-        if not self.said:
-            self.clock.time += max(timeout_s, 1e-3)
-        said, self.said = self.said, b""
-        return said
-
-    def close(self):
-        pass
+from .grbl_rig import GrblBoard
 
 
 def controller(board, **table):
@@ -81,50 +33,31 @@ def controller(board, **table):
 )
 def test_the_dialect_is_known_by_the_greeting(greeting, dialect, version):
     assert dialect_of(greeting) is dialect
-    firmware = controller(Board(greeting)).hello()
+    firmware = controller(GrblBoard(greeting)).hello()
     assert (firmware.proto, firmware.version) == (dialect.name, version)
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "<Alarm:10|MPos:0.000,0.000,0.000|Bf:100,1024|FS:0,0|Pn:E>",
-        "<Tool|MPos:0.000,0.000,0.000|Bf:100,1024|FS:0,0>",
-        "<Idle|MPos:0.000,0.000,0.000|Bf:100,1024|FS:0,0|A:|Sc:|MPG:0|H:1,7|T:0|TLR:0|FW:grblHAL>",
-    ],
-)
-def test_reports_of_grblhal(line):
-    assert read_report(line).positions == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(
     ("greeting", "report", "words"),
     [
-        ("Grbl 0.9j ['$' for help]", "<Idle,MPos:0.000,0.000,0.000,WPos:0.0,0.0,0.0>", "the report of GRBL before 1.0"),
-        ("Grbl 1.1h ['$' for help]", "<Idle,MPos:0.000,0.000,0.000,WPos:0.0,0.0,0.0>", "the report of GRBL before 1.0"),
-        ("GrblHAL 1.1f ['$']", "<Queue|MPos:0.000,0.000,0.000>", "of grblHAL, a state that is not known here"),
-        ("", "<Alarm:11|MPos:0.000,0.000,0.000>", "but no greeting after a reset"),
+        ("Grbl 0.9j ['$' for help]", "<Idle,MPos:0.000,0.000,0.000,WPos:0.0,0.0,0.0>", "as of GRBL 1.1"),
+        ("GrblHAL 1.1f ['$']", "<Queue|MPos:0.000,0.000,0.000>", "of grblHAL, which is not understood here"),
+        ("", "<Alarm:11|MPos:0.000,0.000,0.000>", "greets with 'Grbl' after a reset"),
     ],
 )
 def test_an_answer_that_is_not_understood_is_shown(greeting, report, words):
-    board = Board(greeting, report)
+    board = GrblBoard(greeting, report, s22=0.0)
     with pytest.raises(FirmwareError) as caught:
         controller(board).hello()
     assert words in str(caught.value) and repr(report[:60]) in str(caught.value)
     # No waiting for what has come.
-    assert board.clock.time < 10
-
-
-def test_a_printer_is_no_board_of_this_kind():
-    board = Board("", "", answers={"$I": 'echo:Unknown command: "$I"', "": ""})
-    with pytest.raises(FirmwareError, match=r"sends 'echo:Unknown command.*the firmware of a printer"):
-        controller(board).hello()
+    assert board.clock.time_s < 10
 
 
 def test_a_stop_that_is_pressed_is_said():
     report = "<Alarm:10|MPos:0.000,0.000,0.000|FS:0,0|Pn:E>"
     with pytest.raises(RigFault, match=r"emergency stop \(grblHAL says ALARM:10\); release it") as caught:
-        controller(Board("GrblHAL 1.1f ['$']", report, answers={"$X": "error:79"})).hello()
+        controller(GrblBoard("GrblHAL 1.1f ['$']", report)).hello()
     assert caught.value.fault is Fault.EMERGENCY_STOP
 
 
@@ -140,7 +73,7 @@ def test_a_stop_that_is_pressed_is_said():
     ],
 )
 def test_each_state_has_its_own_cure(state, fault, words):
-    board = Board("GrblHAL 1.1f ['$']")
+    board = GrblBoard("GrblHAL 1.1f ['$']")
     one = controller(board)
     one.hello()
     board.report = f"<{state}|MPos:1.000,0.000,0.000|FS:0,0>"
@@ -152,25 +85,26 @@ def test_each_state_has_its_own_cure(state, fault, words):
 
 @pytest.mark.parametrize(("greeting", "state"), [("GrblHAL 1.1f", "Alarm:11"), ("Grbl 3.7 [FluidNC v3.7]", "Alarm:14")])
 def test_a_board_that_is_not_homed_is_in_no_fault(greeting, state):
-    one = controller(Board(greeting, f"<{state}|MPos:0.000,0.000,0.000|FS:0,0>"))
+    one = controller(GrblBoard(greeting, f"<{state}|MPos:0.000,0.000,0.000|FS:0,0>"))
     one.hello()
     status = one.stat()
     assert status.fault is None and status.state == "idle" and not status.homed
 
 
 def test_homing_is_a_bit_of_a_mask_in_grblhal():
-    settings = [line.replace("$22=1", "$22=5").replace("$10=1", "$10=511") for line in SETTINGS]
-    one = controller(Board("GrblHAL 1.1f ['$']", settings=[*settings, "$70=11", "$74=name"]))
+    one = controller(GrblBoard("GrblHAL 1.1f ['$']", s22=5.0, s10=511.0, s70=11.0))
     one.hello()
     one.configure(Settings(speed=8000, lasers=1))
-    wrong = controller(Board("GrblHAL 1.1f ['$']", settings=[line.replace("$22=1", "$22=4") for line in SETTINGS]))
+    wrong = controller(GrblBoard("GrblHAL 1.1f ['$']", s22=4.0))
     wrong.hello()
     with pytest.raises(FirmwareError, match=r"found \$22=4.0; expected \$22=1"):
         wrong.configure(Settings(speed=8000, lasers=1))
 
 
 def test_settings_that_a_board_does_not_list_are_named_where_they_are():
-    one = controller(Board("Grbl 3.7 [FluidNC v3.7.12 '$']", settings=["$10=1"]))
+    board = GrblBoard("Grbl 3.7 [FluidNC v3.7.12 '$']")
+    board.to_host = lambda data: b"" if data.startswith(b"$") else data
+    one = controller(board)
     one.hello()
     with pytest.raises(FirmwareError) as caught:
         one.configure(Settings(speed=8000, lasers=1))
@@ -178,13 +112,26 @@ def test_settings_that_a_board_does_not_list_are_named_where_they_are():
     assert "FluidNC does not list its axes" in message and "config.yaml" in message
     assert "steps_per_mm = 80" in message and "check_settings = false" in message
     assert "\n" not in message
-    still = controller(Board("Grbl 3.7 [FluidNC v3.7.12 '$']", settings=["$10=1"]), check_settings=False)
+    still = controller(board, check_settings=False)
     still.hello()
     still.configure(Settings(speed=8000, lasers=1))
 
 
 def test_a_device_that_answers_otherwise_is_quoted():
-    board = Board(answers={"G4 P0": "what?"})
+    board = GrblBoard()
+    board.to_host = lambda data: b"what?\r\n"
     lines = GrblLines(board, board.clock, greeting="Grbl", reopen=lambda: board)
-    with pytest.raises(RigError, match=r"no answer from board to 'G4 P0'.*it sent 'what\?'"):
+    with pytest.raises(RigError, match=r"no answer from grbl to 'G4 P0'.*it sent 'what\?'"):
         lines.ask("G4 P0")
+
+
+@pytest.mark.parametrize("said", ["nan", "inf", "1e400", "9" * 400, "1.2.3", "", "٣"])
+def test_a_report_of_no_place_is_no_report(said):
+    assert read_report(f"<Idle|MPos:{said},0.000,0.000|FS:0,0>") is None
+    assert read_settings([f"$100={said}"]) == {}
+
+
+def test_a_report_is_read():
+    report = read_report("<Idle|MPos:-12.345,0.,3|FS:0,0>")
+    assert report is not None and report.positions == (-12.345, 0.0, 3.0)
+    assert read_settings(["$100=80.000", "$10=1"]) == {100: 80.0, 10: 1.0}

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from scanrig.errors import Fault, FirmwareError, LinkLost, RigFault, SessionError
+from scanrig.errors import FirmwareError, SessionError
 from scanrig.recording import AHEAD
 
 from jaxscan.errors import CaptureError
@@ -82,32 +82,9 @@ def test_the_end_holds_the_counters(swept):
     end = journal(room)[-1]
     counted = {"damaged": 0, "overruns": 0, "repeated": 0, "laser_cycles": 11, "up_ms": 1000, "watchdog_resets": 0}
     assert end["controller"] == counted
-    assert end["link"]["sent"] > 30 and (end["link"]["resent"], end["link"]["events_by_name"]) == (0, {})
+    assert end["link"]["sent"] > 30 and end["link"]["resent"] == 0
     # The question comes when everything is off, and after it nothing that could change that.
     assert desk.controller.log[-2:] == ["make_safe", "counters"]
-
-
-@pytest.mark.parametrize("problem", [LinkLost("gone"), FirmwareError("lacks 'las'"), RigFault(Fault.EMERGENCY_STOP, 0)])
-def test_counters_that_cannot_be_asked_for_are_left_out(tmp_path, problem):
-    desk = Desk()
-
-    def fails():
-        raise problem
-
-    desk.controller.counters = fails
-    assert desk.sweep(tmp_path / "room").status == "complete"
-    end = journal(tmp_path / "room")[-1]
-    assert "controller" not in end and "link" in end and end["laser_off"] is True
-
-
-def test_a_controller_that_is_gone_is_not_asked_what_it_counted(tmp_path):
-    desk = Desk()
-    desk.controller.before_shot[3] = lambda controller: controller.lose_link(attempts=1000)
-    with pytest.raises(LinkLost):
-        desk.sweep(tmp_path / "room")
-    end = journal(tmp_path / "room")[-1]
-    assert (end["status"], end["laser_off"]) == ("failed", False) and "controller" not in end and "link" in end
-    assert "counters" not in desk.controller.log
 
 
 def test_the_header_says_with_what_it_was_taken(swept):
@@ -160,12 +137,6 @@ def test_a_folder_with_anything_else_is_not_touched(tmp_path):
     assert desk.controller.log[-2:] == ["make_safe", "counters"]
 
 
-def test_a_folder_that_cannot_be_written_is_one_clear_error(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(SessionError, match=r"file/room: cannot be created: Not a directory"):
-        Desk().sweep(tmp_path / "file" / "room")
-
-
 def test_without_a_rig_no_folder_is_left(tmp_path):
     desk = Desk()
     desk.controller.estop = True
@@ -213,3 +184,15 @@ def test_a_laser_that_cannot_be_confirmed_off_is_reported(tmp_path):
     desk.table.dead = True
     with pytest.raises(Exception, match=r"laser is dark.*switch its supply off by hand"):
         desk.sweep(tmp_path / "other")
+
+
+def test_counters_that_cannot_be_asked_for_are_left_out(tmp_path):
+    desk = Desk()
+
+    def fails():
+        raise FirmwareError("lacks 'las'")
+
+    desk.controller.counters = fails
+    assert desk.sweep(tmp_path / "room").status == "complete"
+    end = journal(tmp_path / "room")[-1]
+    assert "controller" not in end and "link" in end and end["laser_off"] is True

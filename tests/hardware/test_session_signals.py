@@ -23,18 +23,19 @@ def interrupt(controller=None):
     raise KeyboardInterrupt
 
 
-def test_10_the_first_signal_is_a_mark_and_the_second_an_interrupt():
+def test_10_the_first_signal_is_a_mark_with_an_answer_and_the_second_an_interrupt(capfd):
     before = signal.getsignal(signal.SIGTERM)
     with Interrupts() as interrupts:
         assert not interrupts()
         os.kill(os.getpid(), signal.SIGTERM)
         assert interrupts() and interrupts.received == ["SIGTERM"]
+        assert capfd.readouterr().err == "jaxscan: ends after this step; Ctrl-C again ends at once\n"
         with pytest.raises(KeyboardInterrupt, match="SIGTERM, then SIGINT"):
             os.kill(os.getpid(), signal.SIGINT)
         # Whoever is switching the laser off is not disturbed any more.
         for name in ("SIGINT", "SIGHUP", "SIGTERM"):
             os.kill(os.getpid(), getattr(signal, name))
-        assert len(interrupts.received) == 5
+        assert len(interrupts.received) == 5 and capfd.readouterr().err == ""
     assert signal.getsignal(signal.SIGTERM) is before
 
 
@@ -47,14 +48,6 @@ def test_10_one_signal_in_mid_step_finishes_the_step(tmp_path):
     assert "4 of 10 records" in result.message and "can be resumed" in result.message
     assert "abort" not in desk.controller.log and not desk.table.contactor
     assert journal(tmp_path / "room")[-1]["status"] == "interrupted"
-
-
-def test_10_the_first_signal_is_answered(capfd):
-    with Interrupts(), pytest.raises(KeyboardInterrupt):
-        os.kill(os.getpid(), signal.SIGINT)
-        assert capfd.readouterr().err == "jaxscan: ends after this step; Ctrl-C again ends at once\n"
-        os.kill(os.getpid(), signal.SIGINT)
-    assert capfd.readouterr().err == ""
 
 
 def test_10_a_signal_while_a_large_capture_is_verified(tmp_path, monkeypatch):

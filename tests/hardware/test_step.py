@@ -2,20 +2,17 @@
 
 import dataclasses
 import threading
-import time
-from itertools import count
 
 import numpy as np
 import pytest
 from scanrig.cameras.simulated import FrameShape, SimulatedCamera, SyntheticScene, draw
 from scanrig.controllers.jxs.controller import connect
 from scanrig.errors import Fault, FrameError, Refused, RigFault
-from scanrig.session import Devices, Hooks, run_sweep
+from scanrig.session import Devices, run_sweep
 from scanrig.session.plan import controller_settings
-from scanrig.session.steps import FrameNumbers, Station, Step, take_pair
+from scanrig.session.steps import Station
 
 from .desk import HEIGHT, WIDTH, Desk, rig_config
-from .scanning import Wire
 
 
 def ready(desk):
@@ -28,17 +25,17 @@ def ready(desk):
     desk.camera.start()
 
 
-def take(desk, to=80, laser=0, **keys):
-    station = Station(desk.config, desk.controller, desk.camera, desk.clock, **keys)
-    return take_pair(station, Step(to, 1, laser))
+def take(desk, **keys):
+    """A pair at microstep 80, and its proof."""
+    return Station(desk.config, desk.controller, desk.camera, desk.clock, **keys).take(80, 1)
 
 
 def test_frames_are_matched_over_the_counters_wrap():
     desk = Desk()
     ready(desk)
     desk.controller.exposures = 65535
-    pair = take(desk)
-    assert desk.controller.exposures == 1 and pair.rejected == () and pair.position == 80
+    pair, _ = take(desk)
+    assert desk.controller.exposures == 1 and pair.rejections.reasons == () and pair.position == 80
 
 
 def test_what_waits_from_before_is_dropped_and_not_taken_for_a_frame_of_this_step():
@@ -46,9 +43,9 @@ def test_what_waits_from_before_is_dropped_and_not_taken_for_a_frame_of_this_ste
     ready(desk)
     desk.camera.expose(0.0, True)
     desk.camera.expose(0.0, False)
-    numbers = FrameNumbers(1)
-    pair = take(desk, numbers=numbers)
-    assert (pair.on.number, pair.off.number, pair.rejected, numbers.next) == (3, 4, (), 5)
+    station = Station(desk.config, desk.controller, desk.camera, desk.clock, next_number=1)
+    pair, _ = station.take(80, 1)
+    assert (pair.on.number, pair.off.number, pair.rejections.reasons, station.next_number) == (3, 4, (), 5)
 
 
 def test_a_camera_without_numbers_is_accepted_by_count_and_proof():
@@ -56,7 +53,7 @@ def test_a_camera_without_numbers_is_accepted_by_count_and_proof():
     ready(desk)
     following = desk.camera.next
     desk.camera.next = lambda timeout_s: dataclasses.replace(following(timeout_s), number=-1)
-    assert take(desk).rejected == ()
+    assert take(desk)[0].rejections.reasons == ()
 
 
 def test_every_rejection_is_reported_and_the_last_one_raised():
@@ -65,7 +62,7 @@ def test_every_rejection_is_reported_and_the_last_one_raised():
     desk.table.dead = True
     reasons = []
     with pytest.raises(FrameError, match="step 1: not proven in 2 takes"):
-        take(desk, rejected=reasons.append)
+        take(desk, rejected=lambda record, reason: reasons.append(reason))
     assert len(reasons) == 2 and all("dark" in reason for reason in reasons)
 
 
@@ -84,10 +81,10 @@ def test_a_session_that_was_silent_for_long_closes_the_contactor_again_once(trig
     desk = Desk(camera={"trigger": trigger})
     ready(desk)
     desk.controller.log.clear()
-    assert take(desk).rejected == () and "arm 1" not in desk.controller.log
+    assert take(desk)[0].rejections.reasons == () and "arm 1" not in desk.controller.log
     desk.clock.sleep(12.0)
-    pair = take(desk)
-    assert pair.rejected == () and pair.proof.ok
+    pair, proof = take(desk)
+    assert pair.rejections.reasons == () and proof.ok
     assert desk.controller.log.count("arm 1") == 1
 
 
@@ -100,46 +97,6 @@ def test_a_contactor_that_a_fault_opened_is_not_closed_by_a_step():
     with pytest.raises(Refused):
         take(desk)
     assert "arm 1" not in desk.controller.log and not desk.table.contactor
-
-
-@pytest.mark.parametrize("trigger", ["hardware", "software"])
-def test_a_session_that_was_silent_for_long_goes_on_with_real_firmware(rig, tmp_path, trigger):
-    """Twelve simulated seconds of silence after the first pair, as of a slow disk: open, no fault, closed again."""
-    simulated = rig(speed=1)
-    config = rig_config(camera={"trigger": trigger}, sweep={"steps": 2, "turn_deg": 1.0})
-    generator = np.random.default_rng(0)
-
-    def see(position, lit):
-        return draw(SyntheticScene(), position, lit, FrameShape(WIDTH, HEIGHT), generator)
-
-    camera = SimulatedCamera(config.camera, see)
-
-    def expose():
-        plant = simulated.plant()
-        camera.expose(plant["pos"], bool(plant["light"]))
-
-    steps = count()
-
-    def pause():
-        if next(steps) == 1:
-            simulated.control("speed 0")
-            simulated.run_for(12.0)
-            simulated.control("speed 1")
-            assert simulated.plant()["contactor"] == 0
-            time.sleep(0.25)  # The host's clock must tell of a pause, too; the simulated time went faster.
-        return False
-
-    camera.trigger = expose
-    wire = Wire(simulated.edges_path, camera) if trigger == "hardware" else None
-    with connect(simulated.port) as controller:
-        result = run_sweep(config, tmp_path / "room", Devices(controller, camera), Hooks(should_stop=pause))
-    if wire is not None:
-        wire.close()
-    assert (result.status, result.records) == ("complete", 2)
-    journal = (tmp_path / "room" / "frames.jsonl").read_text()
-    assert '"fault"' not in journal and '"retake"' not in journal
-    contactor = [edge["v"] for edge in simulated.edges() if edge.get("pin") == "contactor"]
-    assert contactor[-4:] == [1, 0, 1, 0]
 
 
 @pytest.mark.slow

@@ -7,11 +7,10 @@ import pytest
 from scanrig.controllers.controller import Settings
 from scanrig.controllers.jxs.controller import JxsController
 from scanrig.errors import FirmwareError, FrameError
-from scanrig.session.plan import controller_settings, estimate, placed_targets, placement_positions, plan_sweep
 
 from jaxscan.files.capture import open_capture
 
-from .desk import After, Desk, events, records, rig_config
+from .desk import After, Desk, events, records
 from .fake import FakeController
 
 
@@ -44,12 +43,6 @@ def test_each_step_is_taken_with_one_laser_after_the_other(tmp_path):
         (on, off), (on_2, off_2) = capture.frames(k), capture.frames(k + 1)
         first, second = ((a.astype(int) - b).argmax(1) for a, b in ((on, off), (on_2, off_2)))
         assert abs(float((second - first).mean()) - 40.0) < 2.0
-
-
-def test_with_one_laser_nothing_is_said_of_it(tmp_path):
-    desk = Desk()
-    desk.sweep(tmp_path / "room")
-    assert all("lasers" not in one for one in records(tmp_path / "room"))
 
 
 def test_a_dark_laser_is_found_though_the_other_shines(tmp_path):
@@ -96,21 +89,6 @@ def test_boards_are_taken_with_each_laser(tmp_path):
     assert homes == ["start", "end of a placement"]
 
 
-def test_the_plan_counts_the_frames_of_both():
-    rig = rig_config(laser=BOTH, board=BOARD, calibration=VIEWS)
-    targets, _ = plan_sweep(rig)
-    assert [target.record for target in targets] == list(range(20))
-    assert [rig.laser_of(target.record) for target in targets] == [0, 1] * 10
-    assert estimate(rig, [target.position for target in targets]).frames == 40
-    free, stands = placed_targets(rig, placement_positions(rig))
-    assert [[target.record for target in one] for one in (*free, *stands)] == [[0, 1], [2, 3], [4, 5, 6, 7, 8, 9]]
-
-
-def test_both_lasers_are_given_the_time_of_the_slower():
-    settings = controller_settings(rig_config(laser=BOTH))
-    assert (settings.laser_on_ms, settings.laser_off_ms, settings.lasers) == (35, 20, 2)
-
-
 @pytest.mark.parametrize("trigger", ["software", "free"])
 def test_a_camera_without_a_wire_sees_each_laser(tmp_path, trigger):
     desk = Desk(laser=BOTH, camera={"trigger": trigger})
@@ -135,8 +113,7 @@ class Wire:
 
 @pytest.mark.parametrize(("number", "field"), [(1, ""), (2, " n=2")])
 def test_only_the_second_laser_has_a_number_on_the_wire(number, field):
-    """For one laser the host sends the same lines as before, so that earlier firmware understands them."""
-    wire = Wire(lasers=None if number == 1 else 2)
+    wire = Wire(lasers=2)
     wire.controller.configure(Settings(lasers=number))
     wire.controller.enable(True)
     wire.controller.home(30000)
@@ -149,9 +126,8 @@ def test_only_the_second_laser_has_a_number_on_the_wire(number, field):
     assert any(text.startswith("HAS") for text in wire.fake.carried_out) is (number == 2)
 
 
-@pytest.mark.parametrize("lasers", [None, 1])
-def test_an_earlier_firmware_is_refused_in_one_line(lasers):
-    wire = Wire(lasers=lasers)
+def test_a_firmware_for_one_laser_is_refused_in_one_line():
+    wire = Wire(lasers=1)
     with pytest.raises(FirmwareError, match="found a firmware that switches 1 laser, needed one that switches 2"):
         wire.controller.configure(Settings(lasers=2))
     assert not any(text.startswith("SET") for text in wire.fake.carried_out)

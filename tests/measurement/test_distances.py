@@ -110,19 +110,6 @@ def test_compare_without_a_grid():
         compare_clouds(cloud, truth)
 
 
-def test_a_true_point_in_the_cameras_centre_has_no_ray():
-    truth = wall_cloud(lambda y, z: 2.5 + 0 * y, noise=0.0)
-    cloud = wall_cloud(lambda y, z: 2.501 + 0 * y, noise=0.0)
-    without = compare_clouds(cloud, truth)
-    truth.xyz[0, 0] = 0.0
-    found = compare_clouds(cloud, truth)
-    assert found.points == without.points
-    assert np.isfinite(list(vars(found.along_ray_m).values())).all()
-    assert found.along_ray_m.max_abs == pytest.approx(without.along_ray_m.max_abs, rel=1e-9)
-    truth.xyz[:] = 0.0
-    assert compare_clouds(cloud, truth).along_ray_m is None
-
-
 def test_a_distance_that_is_noise_is_not_stated():
     cloud = wall_cloud(lambda y, z: np.full_like(y, 2.5), noise=0.05)
     a, b = np.array([2.5, 0.0, 0.0]), np.array([2.5, 0.1, 0.0])

@@ -1,5 +1,6 @@
 """The table of docs/programs.md: what of a cloud arrives in the programs that users open next."""
 
+import contextlib
 import itertools
 import os
 from pathlib import Path
@@ -27,6 +28,17 @@ PAGE = Path(__file__).parents[2] / "docs" / "programs.md"
 CELLS = ("opens", "points", "colours", "normals", "sigmas", "grid", "pose", "frame")
 EPSG = 25832
 REQUIRED = "JAXSCAN_REQUIRE_PROGRAMS"
+
+
+@contextlib.contextmanager
+def required():
+    """A program that is missing is a failure where all of them are required, and a skip elsewhere."""
+    try:
+        yield
+    except pytest.skip.Exception as skipped:
+        if os.environ.get(REQUIRED):
+            pytest.fail(f"{REQUIRED} is set, but: {skipped}")
+        raise
 
 
 def rows(columns=CELLS):
@@ -85,14 +97,10 @@ def cells_of(program, path, folder, clouds):
 
 @pytest.mark.parametrize(("program", "suffix", "cells"), rows(), ids=lambda one: one if isinstance(one, str) else "")
 def test_the_table_tells_what_arrives(tmp_path, clouds, program, suffix, cells):
-    try:
+    with required():
         path = tmp_path / f"room.{suffix.lower()}"
         save_cloud(clouds[0], path, epsg=EPSG)
         found = cells_of(program, path, tmp_path, clouds)
-    except pytest.skip.Exception as skipped:
-        if os.environ.get(REQUIRED):
-            pytest.fail(f"{REQUIRED} is set, but: {skipped}")
-        raise
     assert dict(zip(CELLS, found, strict=True)) == dict(zip(CELLS, cells, strict=True))
 
 
@@ -134,12 +142,8 @@ def cells_back(program, path, folder):
     ("program", "suffix", "cells"), rows(BACK), ids=lambda one: one if isinstance(one, str) else ""
 )
 def test_the_table_tells_what_comes_back(tmp_path, program, suffix, cells):
-    try:
+    with required():
         found = cells_back(program, tmp_path / f"room.{suffix.lower()}", tmp_path)
-    except pytest.skip.Exception as skipped:
-        if os.environ.get(REQUIRED):
-            pytest.fail(f"{REQUIRED} is set, but: {skipped}")
-        raise
     assert dict(zip(BACK, found, strict=True)) == dict(zip(BACK, cells, strict=True))
 
 
@@ -161,12 +165,8 @@ def test_a_format_that_is_not_in_the_table_of_writers_is_not_written(tmp_path, p
 def test_what_cloudcompare_saves_is_read_back_on_its_grid(tmp_path):
     cloud = make_cloud(smoothed=True)
     save_cloud(cloud, tmp_path / "room.ply")
-    try:
+    with required():
         PROGRAMS["CloudCompare"](tmp_path / "room.ply", tmp_path)
-    except pytest.skip.Exception as skipped:
-        if os.environ.get(REQUIRED):
-            pytest.fail(f"{REQUIRED} is set, but: {skipped}")
-        raise
     back = load_cloud(tmp_path / "cloudcompare.ply")
     profiles, lines = back.valid.shape
     # Profiles and lines after the last point are known by nobody.

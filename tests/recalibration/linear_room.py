@@ -7,8 +7,9 @@ import jax
 import numpy as np
 
 from jaxscan.geometry import Scanner, slopes
+from jaxscan.measurement.systematic import point_gradient
 from jaxscan.recalibration import Adjusted, RoomObservations
-from jaxscan.recalibration.triangulate import point_gradient, triangulate_points
+from jaxscan.recalibration.triangulate import triangulate_points
 
 from .small_room import exact_sweep, observe, truth_scanner, with_covariance
 
@@ -66,7 +67,7 @@ def linear_room(points: float = 10.0) -> LinearRoom:
     observed = observe(scanner)
     own, sweep = observed.points, exact_sweep()[0]
     phi = sweep.angle[own.record]
-    by_scanner = point_gradient(scanner, own.q, own.laser, phi)
+    by_scanner = point_gradient(scanner.rig, own.q, own.laser, phi)
     by_q = slopes(scanner.rig, own.q, own.laser, phi)
     place, _ = triangulate_points(scanner, own.q, own.laser, phi)
     names = scanner.parameter_names()
@@ -102,11 +103,9 @@ def adjusted_of(scanner: Scanner, observations: RoomObservations, **changes) -> 
         "station_covariance": np.zeros((1, 6, 6)),
         "surfaces": observations.surfaces,
         "corrections": tuple(np.zeros(len(angle)) for angle in observations.angles),
-        "correction_sigma": tuple(np.zeros(len(angle)) for angle in observations.angles),
         "point_error": np.zeros(points),
         "point_sigma": np.full(points, 1e-3),
         "point_kept": np.ones(points, bool),
-        "track_error": np.zeros((0, 2)),
         "track_kept": np.zeros(0, bool),
         "wall_m": WALL_M,
         "inflation": 1.0,

@@ -82,7 +82,7 @@ def planes_of(where: np.ndarray, surface: np.ndarray) -> Surfaces:
         centres.append(mine.mean(0))
         normals.append(np.linalg.svd(mine - mine.mean(0), full_matrices=False)[2][2])
     normal, centre = np.array(normals), np.array(centres)
-    return Surfaces(("plane",) * len(normal), normal, (normal * centre).sum(1), centre)
+    return Surfaces(normal, (normal * centre).sum(1), centre)
 
 
 def truth_scanner() -> Scanner:

@@ -1,7 +1,5 @@
 """The joint adjustment of a small known room: estimates and stated standard deviations against the truth."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,6 @@ from jaxscan.recalibration import RecalibrationSettings, RoomObservations, Start
 from jaxscan.recalibration.adjust import adjust, departure, joint
 from jaxscan.recalibration.adjust.prepare import prepare
 from jaxscan.recalibration.segment import observe_surfaces
-from jaxscan.recalibration.table import say_lost_steps
 from jaxscan.recalibration.triangulate import triangulate_points
 from tests.recalibration import faces
 from tests.recalibration.boxes import pose
@@ -128,34 +125,6 @@ def test_a_calibration_without_covariance_is_refused():
     scanner = truth_scanner()
     with pytest.raises(CalibrationError, match="has no covariance"):
         adjust(scanner, Start(scanner, ONE), observe(scanner, 0.0, sweep_truth=exact_sweep(*SMALL)))
-
-
-@pytest.mark.more
-def test_one_angle_per_record_is_found():
-    """A table that wanders by 0.5 mrad: the correction of each record is found to about its stated sigma."""
-    truth, room = truth_scanner(), exact_sweep(*SMALL)
-    random = np.random.default_rng(6)
-    wander = np.cumsum(2e-4 * random.standard_normal(SMALL[0]))
-    phi = room[0].angle
-    shapes = np.stack([np.ones_like(phi), phi, *(f(h * phi) for h in (1, 2) for f in (np.cos, np.sin))], 1)
-    # Gain, harmonics and station describe the rest.
-    wander = wander - shapes @ np.linalg.lstsq(shapes, wander, rcond=None)[0]
-    journal = (room[0]._replace(angle=phi - wander), room[1])
-    prior = stored(truth, random)
-    noise = 0.03 * random.standard_normal(int((room[1].surface >= 0).sum()))
-    observations = observe(prior, noise, 0.03, journal)
-    adjusted = adjust(prior, Start(prior, ONE), observations, RecalibrationSettings(angles="steps"))
-    error = adjusted.corrections[0] - wander
-    sigma = adjusted.correction_sigma[0]
-    assert np.std(error) < 0.6 * np.std(wander)
-    # 60 errors of which neighbours are correlated.
-    assert 0.6 < np.sqrt(np.mean((error / sigma) ** 2)) < 1.5
-    # Wandering is no lost step; a jump of all later records is one, and is said with its records.
-    assert say_lost_steps(adjusted, ["room"]) == []
-    lost = adjusted.corrections[0] + np.deg2rad(1.8) * (np.arange(SMALL[0]) >= 30)
-    (sentence,) = say_lost_steps(replace(adjusted, corrections=(lost,)), ["room"])
-    assert sentence.startswith("room: between records 29 and 30 the table comes to stand 1.8")
-    assert "degrees ahead" in sentence
 
 
 @pytest.mark.slow

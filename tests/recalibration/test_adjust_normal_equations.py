@@ -20,23 +20,14 @@ pytestmark = pytest.mark.more
 SEED = 11
 
 
-@pytest.fixture(scope="module", params=["steps", pytest.param("model", marks=pytest.mark.more)])
-def everything(request):
-    """Two stations, a sphere, two lengths, features, and one angle per record or per image: all kinds of unknowns."""
+@pytest.fixture(scope="module")
+def everything():
+    """Two stations, two lengths, features, and one angle per image: all kinds of unknowns."""
     random = np.random.default_rng(SEED)
     scanner = stored(truth_scanner(), random)
     every = observe(scanner, 0.1 * random.standard_normal((exact_sweep()[1].surface >= 0).sum()))
     some = every.points.take(np.sort(random.choice(len(every.points.q), 400, replace=False)))
-    sphere = some.surface == 3
     some = some._replace(sweep=np.arange(400) % 2)
-    kinds = ("plane", "plane", "plane", "sphere")
-    surfaces = every.surfaces
-    surfaces = surfaces._replace(
-        kind=kinds,
-        normal=np.where(np.arange(4)[:, None] == 3, 0.0, surfaces.normal),
-        distance=np.where(np.arange(4) == 3, 0.7, surfaces.distance),
-    )
-    assert sphere.any()
     # Features beside stripes, seen again a few records later; in front of the camera of either station.
     count, angle = 60, every.angles[0]
     seen = every.points.take(random.choice(np.flatnonzero(every.points.record < 80), 20, replace=False))
@@ -50,10 +41,12 @@ def everything(request):
         point=point,
     )
     lengths = (KnownLength(3.0, 1e-3, "surfaces", 0, 1), KnownLength(1.0, 1e-3, "tracks", 2, 3))
-    observations = replace_observations(every, some, surfaces, (angle, angle), tracks, lengths)
+    observations = every._replace(
+        points=some, angles=(angle, angle), station=np.array([0, 1]), tracks=tracks, lengths=lengths
+    )
     stations = np.stack([np.eye(4), np.eye(4)])
     stations[1, :3, 3] = 2e-3, 1e-3, 0.0
-    settings = RecalibrationSettings(angles=request.param, closed=True)
+    settings = RecalibrationSettings(closed=True)
     with jax.enable_x64(True):
         prepared = prepare(scanner, Start(scanner, stations), observations, settings)
         weights = np.zeros(len(prepared.room.point_weight)), np.zeros(len(prepared.room.sighting_weight))
@@ -65,17 +58,11 @@ def everything(request):
     return room, y, at
 
 
-def replace_observations(every, points, surfaces, angles, tracks, lengths):
-    return every._replace(
-        points=points, surfaces=surfaces, angles=angles, station=np.array([0, 1]), tracks=tracks, lengths=lengths
-    )
-
-
 def dense(room, y, at):
     """Residuals, and their derivatives by all unknowns in one row: scanner, stations, angles, places."""
     scanner, stations, angles = room.counts
     begin, wide = scanner + stations, scanner + stations + angles
-    surfaces, count = len(room.places.sphere), wide + 3 * len(y.locals)
+    surfaces, count = len(room.places.offset), wide + 3 * len(y.locals)
     values, rows = [], []
     for part, sight, weight, first, each in (
         (at.points.rows, room.points, room.point_weight, 0, 1),
@@ -97,14 +84,12 @@ def dense(room, y, at):
     known = np.eye(count)[:scanner]
     told = np.asarray(room.linear_rows) @ known
     of_angles = np.eye(count)[begin:wide] * ANGLE_SCALE
-    steps = np.diff(of_angles, axis=0) * np.asarray(room.smooth)[:-1, None]
     weight = np.asarray(room.lengths.weight)
     size = ANGLE_SCALE * np.asarray(y.angles)
-    rows += [lengths * weight[:, None], known, told, steps, np.asarray(room.held) @ of_angles]
-    rows += [np.asarray(room.stop)[:, None] * of_angles]
+    rows += [lengths * weight[:, None], known, told, np.asarray(room.stop)[:, None] * of_angles]
     values += [np.asarray(length_values(room, y.locals)) * weight, y.scanner]
     values += [np.asarray(room.linear_rows @ y.scanner - room.linear_values)]
-    values += [np.diff(size) * np.asarray(room.smooth)[:-1], np.asarray(room.held) @ size, room.stop * size]
+    values += [room.stop * size]
     return np.concatenate([np.atleast_1d(value) for value in values]), np.vstack(rows)
 
 
@@ -114,7 +99,7 @@ def test_derivatives_are_those_of_differences(everything):
     random = np.random.default_rng(SEED)
     way = jax.tree.map(lambda a: jnp.asarray(random.standard_normal(a.shape)), y)
     ends = [linearise(room, jax.tree.map(lambda a, b, e=e: a + e * b, y, way)) for e in (1e-4, -1e-4)]
-    steps, first = np.concatenate([np.zeros(6), way.stations]).reshape(2, 6), len(room.places.sphere)
+    steps, first = np.concatenate([np.zeros(6), way.stations]).reshape(2, 6), len(room.places.offset)
     for name, sight, offset, each in (("points", room.points, 0, 1), ("sightings", room.sightings, first, 2)):
         rows = [getattr(end, name) for end in (at, *ends)]
         own, ahead, behind = (part.rows if name == "points" else part for part in rows)
@@ -124,8 +109,8 @@ def test_derivatives_are_those_of_differences(everything):
             own.local * np.asarray(way.locals)[offset + local]
         ).sum(1)
         found = (np.asarray(ahead.value) - np.asarray(behind.value)) / 2e-4
-        # Two steps of Newton end at the predicted centre only from nearby, which points of a wall are not to a sphere.
-        near = (np.abs(own.value) < 2.0) & (local != 3) if name == "points" else np.full(len(local), True)
+        # Two steps of Newton end at the predicted centre only from nearby.
+        near = np.abs(own.value) < 2.0 if name == "points" else np.full(len(local), True)
         assert near.sum() > 50
         # What is left of 2 px after two steps, over the 150 px of the stripe's parallax.
         np.testing.assert_allclose(found[near], expected[near], atol=1e-3 * np.abs(expected[near]).max())
@@ -135,7 +120,7 @@ def test_step_and_covariance_are_those_of_a_dense_least_squares(everything):
     room, y, at = everything
     residual, jacobian = dense(room, y, at)
     used = np.abs(jacobian).max(0) > 0
-    # Those of scanner, second station, angles (of 90 records, or of 40 images and more) and places.
+    # Those of scanner, second station, angles (of 40 images and more) and places.
     assert used.sum() > 21 + 6 + 40 + 12
     size = np.linalg.norm(jacobian[:, used], axis=0)
     expected = np.linalg.lstsq(jacobian[:, used] / size, residual, rcond=None)[0]

@@ -39,7 +39,7 @@ def make_panorama(profiles=120, lines=96, *, name="captures/room"):
 
 def make_adjusted(scanner, *, stations=1, points=500):
     floats, whole = np.zeros(points), np.zeros(points, np.int64)
-    surfaces = Surfaces(("plane", "plane"), np.eye(3)[:2], np.array([1.9, 2.1]), np.zeros((2, 3)))
+    surfaces = Surfaces(np.eye(3)[:2], np.array([1.9, 2.1]), np.zeros((2, 3)))
     observed = RoomObservations(
         SurfacePoints(np.zeros((points, 2)), floats, whole, whole, whole, whole, whole),
         surfaces,
@@ -60,11 +60,9 @@ def make_adjusted(scanner, *, stations=1, points=500):
         station_covariance=covariance,
         surfaces=surfaces,
         corrections=(np.zeros(120),),
-        correction_sigma=(np.zeros(120),),
         point_error=floats,
         point_sigma=floats,
         point_kept=np.ones(points, bool),
-        track_error=np.zeros((0, 2)),
         track_kept=np.zeros(0, bool),
         wall_m=WALL_M,
         inflation=2.0,
@@ -99,7 +97,7 @@ def make_recalibration(scanner, *, drifted=True, updated=True, stations=1, names
             Moved("gain", 1.0, 1.0, 0.0, 0.0, 0.0),
         ),
         hold_out=HoldOut((3.1, 2.9), (0.5, 0.6), better=True),
-        table=TableFindings(factor=0.5, sentences=("the table turns half as far as the journal says",)),
+        table=TableFindings(sentences=("the table turns half as far as the journal says",)),
         closure=Closure(4.2, 0.2, 0.05, "overlap"),
         panoramas=tuple(make_panorama(name=name) for name in names),
         notes=("a pair was dark",),

@@ -182,7 +182,8 @@ def test_the_date_is_that_of_the_calibration(calibration, said, shown):
 
 
 def test_the_date_and_photographs_are_on_the_page(calibration, monkeypatch):
-    monkeypatch.setattr("jaxscan.report.page.as_svg", lambda figure, name, description: "")
+    for module in ("page", "drawing"):
+        monkeypatch.setattr(f"jaxscan.report.{module}.as_svg", lambda figure, name, description: "")
     jpeg = thumbnail(np.full((1024, 1280), 90, np.uint8), "mono8")
     assert len(jpeg) < 30_000
     page = Document(calibration_page(calibration, date="1 March 2026", photographs={101: jpeg, 7: jpeg}))

@@ -10,7 +10,7 @@ import pytest
 from jaxscan.calibration.result import BoardMap
 from jaxscan.geometry import Chessboard
 from jaxscan.report import plots
-from jaxscan.report.drawing import arrows, as_svg, plain
+from jaxscan.report.drawing import as_svg, plain
 from jaxscan.report.html import Html, element, escaped, table
 from jaxscan.report.plots import board_map
 
@@ -65,17 +65,6 @@ def test_stripes_along_columns_or_rows(calibration):
     assert plots.stripe_direction(observations) == 1
     turned = dataclasses.replace(observations.stripes, q=observations.stripes.q[..., ::-1])
     assert plots.stripe_direction(dataclasses.replace(observations, stripes=turned)) == 0
-
-
-def test_views_of_a_board_that_stood_still_while_the_table_turned(calibration):
-    # Three free views, then three of one placement at different angles.
-    np.testing.assert_array_equal(plots.turned_views(calibration.observations), [False] * 3 + [True] * 3)
-
-
-def test_arrows_lead_from_the_corner_along_the_residual():
-    path = arrows(np.array([[10.0, 20.0]]), np.array([[3.0, 4.0]]))
-    np.testing.assert_array_equal(path.vertices[:2], [[10, 20], [13, 24]])
-    assert len(arrows(np.zeros((0, 2)), np.zeros((0, 2))).vertices) == 0
 
 
 def test_combinations_are_named_by_their_largest_parts():

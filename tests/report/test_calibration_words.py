@@ -127,13 +127,11 @@ class TestHeadline:
         found = words.headline(judged(calibration, usable=False, refused="0.5 mm were asked"))
         assert found == words.Headline("bad", "Good to only 0.80 mm at 2.5 m", "Refused: 0.5 mm were asked.")
 
-    def test_files_of_earlier_versions_are_not_judged(self, calibration):
-        found = words.headline(judged(calibration, usable=None, good_to=None))
-        assert found.kind == "open" and found.headline == "Not judged" and "calibrate again" in found.explanation
-
-    def test_a_solve_that_ended_is_never_called_right(self, calibration):
-        found = words.headline(having(calibration, verdict=None))
-        assert found.kind == "open" and found.headline == "Not judged"
+    def test_files_of_earlier_versions_and_solves_without_a_verdict_are_not_judged(self, calibration):
+        for verdict in (None, replace(calibration.quality.verdict, usable=None, good_to=None)):
+            found = words.headline(having(calibration, verdict=verdict))
+            assert found.kind == "open" and found.headline == "Not judged"
+            assert ("calibrate again" in found.explanation) == (verdict is not None)
 
     def test_a_solve_that_did_not_converge_is_not_judged_by_its_numbers(self, calibration):
         """Neither by its tests nor by its residuals; and the advice is said once, as the explanation."""
@@ -232,13 +230,6 @@ class TestBadViews:
         listed = having(calibration, per_view=tuple(views[:2] + views[3:]))
         found = judge_views(listed.quality, listed.fit, observations)
         assert sorted((view.row, view.quality.record) for view in found) == [(0, 0), (1, 1), (3, 0), (4, 1), (5, 2)]
-
-
-@pytest.mark.parametrize(
-    ("sigma", "text"), [(0.0, "0 mm"), (0.0534, "0.053 mm"), (0.96, "0.96 mm"), (1.62, "1.6 mm"), (74.2, "74 mm")]
-)
-def test_millimetres(sigma, text):
-    assert words.millimetres(sigma) == text
 
 
 class TestParameters:

@@ -88,7 +88,7 @@ def test_a_profile_that_is_elsewhere_is_suspicious(cloud):
 
 
 def test_what_a_foreign_cloud_lacks_is_said(cloud, box, monkeypatch):
-    monkeypatch.setattr("jaxscan.report.clouds.page.as_svg", lambda figure, name, description: "")
+    monkeypatch.setattr("jaxscan.report.drawing.as_svg", lambda figure, name, description: "")
     bare = dataclasses.replace(cloud, angle=np.zeros(len(cloud.angle)), sigma_random=0 * cloud.sigma_random)
     words = Document(cloud_page(facts_of(bare), None, Beside(name="room.las", no_dimensions="No walls."))).all_words()
     for said in (

@@ -144,20 +144,6 @@ def cuts(page, window):
     return np.array([x, y])
 
 
-def test_marks_of_neighbours_are_the_same_line_of_the_board():
-    board = Chessboard(20, 12, 0.03)
-    pages, _ = board_pages(board, "A4")
-    low = lambda page: np.array(page.window[:2])
-    marks = [
-        {round(float(box[[0, 2]].mean() - page.window[0]), 6) for box in page.rectangles if box[3] <= page.window[1]}
-        for page in pages[:3]
-    ]
-    width = pages[0].window[2] - pages[0].window[0]
-    assert len(pages) == 8 and [len(mark) for mark in marks] == [1, 2, 2]
-    assert marks[0] == {round(width - 6.0, 6)} and marks[1] == marks[2] == {6.0, round(width - 6.0, 6)}
-    assert (low(pages[0]) >= 12.0).all()
-
-
 def test_the_ruler_has_a_hundred_millimetres():
     pages, _ = board_pages(BOARDS["chessboard"], "letter")
     ruler = pages[0].rectangles

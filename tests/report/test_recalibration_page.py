@@ -13,7 +13,7 @@ from .made_recalibration import BEND_M, WALL_M, make_panorama, make_recalibratio
 from .test_calibration_page import Document, assert_alone
 
 
-SECTIONS = ["In words", "Flatness of the walls", "What was gained", "What moved", "Closure", "Stations"]
+SECTIONS = ["In words", "Flatness of the walls", "What was gained", "What moved", "Stations"]
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxscan.surface import Mesh, coloured_mesh, mesh_grid, simplify_mesh, texture_any_mesh
-from jaxscan.surface.charts import components, make_charts
+from jaxscan.surface.atlas import components, make_charts
 from tests.surface.conftest import scan
 
 from .test_texture import colour_of

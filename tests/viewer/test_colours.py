@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from jaxscan.viewer.colours import UNKNOWN, Scale, brightened, coloured_normals, scale_of
+from jaxscan.viewer.colours import UNKNOWN, Scale, brightened, coloured_normals
 from jaxscan.viewer.shown import ShownCloud, middle_of
 
 
@@ -20,8 +20,7 @@ def test_ends_and_outside():
 
 
 def test_a_plane_is_white_and_its_sides_are_not():
-    scale = scale_of(np.linspace(-2.0, 5.0, 1000), "mm", diverging=True)
-    assert scale.low == -scale.high
+    scale = Scale(-5.0, 5.0, "mm", diverging=True)
     white, blue, red = scale.coloured(np.array([0.0, -9.0, 9.0])).astype(int)
     assert white.min() > 235 and blue[2] > blue[0] + 80 and red[0] > red[2] + 80
 

@@ -6,10 +6,9 @@ import jax
 import numpy as np
 import pytest
 
-from jaxscan.viewer.gridded import gridded_normals
 from jaxscan.viewer.picking import pick
 from jaxscan.viewer.shown import ShownCloud, middle_of
-from jaxscan.viewer.sides import hides_well, seen_from, sides_of
+from jaxscan.viewer.sides import gridded_normals, hides_well, seen_from, sides_of
 
 
 SEED = 3

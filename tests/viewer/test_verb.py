@@ -32,30 +32,6 @@ def test_options_that_cannot_be_meant(run, tiny, words, says):
     assert ran.code == 1 and ran.err.startswith("jaxscan: ") and says in ran.err and ran.err.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    "words, says",
-    [
-        (["room.rrd", "--host", "0.0.0.0"], "--rerun: found with --host, expected without: no page is served."),
-        (["room.rrd", "--web-port", "0"], "--rerun: found with --web-port, expected without: no page is served."),
-        (["room.rrd", "--panorama", "a.jpg"], "--rerun: found with --panorama, expected without"),
-        (["room.rrd", "-c", "c.json"], "--rerun: found with --calibration, expected without"),
-        (["room.ply"], "--rerun: found room.ply, expected a name that ends in .rrd."),
-    ],
-)
-def test_a_recording_is_no_page(run, tiny, words, says):
-    ran = run("view", tiny.cloud, "--rerun", *words)
-    assert ran.code == 1 and ran.err.startswith(f"jaxscan: {says}") and ran.err.count("\n") == 1
-
-
-def test_without_rerun(run, tiny, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rerun", None)
-    # A recording needs nothing of pages.
-    monkeypatch.setitem(sys.modules, "aiohttp", None)
-    ran = run("view", tiny.cloud, "--rerun", tmp_path / "room.rrd")
-    line = 'jaxscan: Recordings of Rerun need rerun-sdk: pip install "jaxscan[rerun]"\n'
-    assert ran.code == 1 and ran.err == line and not list(tmp_path.glob("*.rrd"))
-
-
 def test_a_port_that_is_taken(run, tiny):
     taken = open_address("127.0.0.1", 0, option="--web-port")
     ran = run("view", tiny.cloud, "--web-port", taken.port)

@@ -3,7 +3,6 @@
 import asyncio
 import dataclasses
 import errno
-import http.client
 import logging
 import os
 import socket
@@ -13,15 +12,13 @@ import pytest
 from aiohttp import web
 
 from jaxscan.cli.running import LogLines, say_line
-from jaxscan.web import Gate, Server, connections, open_address, server
+from jaxscan.web import connections, open_address, server
 from jaxscan.web.connections import Connections
 
+from .asking import PATIENCE_S, ask, let_in, page_of, served
 
-PATIENCE_S = 30.0
 
-
-async def page(request):
-    return web.Response(text="the page")
+PAGE = page_of(b"the page")
 
 
 async def talk(request):
@@ -30,12 +27,6 @@ async def talk(request):
     async for message in socket:
         await socket.send_str(message.data)
     return socket
-
-
-def served(address):
-    application = Gate(address).application()
-    application.add_routes([web.get("/", page), web.get("/talk", talk)])
-    return Server(application, address)
 
 
 @pytest.fixture
@@ -47,22 +38,12 @@ class Guest:
     """Somebody with the cookie."""
 
     def __init__(self, address):
-        self.place = f"127.0.0.1:{address.port}"
         self.port = address.port
-        _, headers, _ = self.ask(f"/?token={address.token}")
-        self.cookie = headers["Set-Cookie"].partition(";")[0]
-
-    def ask(self, path="/", **headers):
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
-        try:
-            connection.request("GET", path, headers=headers)
-            answer = connection.getresponse()
-            return answer.status, answer.headers, answer.read()
-        finally:
-            connection.close()
+        self.place = f"127.0.0.1:{self.port}"
+        self.cookie = let_in(self.port, address.token)
 
     def is_answered(self):
-        return self.ask(Cookie=self.cookie)[0] == 200
+        return ask(self.port, Cookie=self.cookie)[0] == 200
 
     def call(self, path="/", **headers):
         """A connection with a request on it whose answer has come."""
@@ -109,7 +90,7 @@ def hasty(monkeypatch):
 
 @pytest.mark.parametrize("sent", [b"", b"GET / HTTP/1.1\r\n"])
 def test_a_head_has_to_be_complete_in_its_time(address, hasty, sent):
-    with served(address), connect(address) as slow:
+    with served(address, PAGE), connect(address) as slow:
         slow.sendall(sent)
         # A little more now and then does not give it more time.
         begun, n = time.monotonic(), 0
@@ -126,7 +107,7 @@ def test_a_head_has_to_be_complete_in_its_time(address, hasty, sent):
 
 
 def test_a_connection_without_a_next_request_ends_and_a_socket_stays(address, hasty):
-    with served(address):
+    with served(address, PAGE, web.get("/talk", talk)):
         guest = Guest(address)
         key = {"Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==", "Sec-WebSocket-Version": "13", "Connection": "Upgrade"}
         origin = {"Origin": f"http://{guest.place}", "Upgrade": "websocket"}
@@ -195,7 +176,7 @@ def test_guests_have_a_limit_too():
 
 
 def test_a_guest_is_answered_while_strangers_hold_hundreds_of_connections(address):
-    with served(address):
+    with served(address, PAGE):
         guest = Guest(address)
         held = [connect(address) for _ in range(200)]
         for one in held:
@@ -225,7 +206,7 @@ def test_without_descriptors_somebody_is_turned_away_and_the_door_opens_again(ad
 
     listening = Poor(socket.AF_INET, socket.SOCK_STREAM, fileno=address.socket.detach())
     address = dataclasses.replace(address, socket=listening)
-    with served(address):
+    with served(address, PAGE):
         with connect(address):
             until(lambda: not Poor.left)
         assert Guest(address).is_answered()
@@ -238,7 +219,7 @@ def test_a_thousand_malformed_requests_are_a_few_lines(address):
     handler, log = LogLines(said.append), logging.getLogger("aiohttp.server")
     log.addHandler(handler)
     try:
-        with served(address):
+        with served(address, PAGE):
             for n in range(1000):
                 with connect(address) as one:
                     one.sendall(f"GET /{n} \x1b[31mHTTP/9\x00\r\n\r\n".encode())

@@ -1,7 +1,6 @@
 """The gate of pages: names, origins, sites, tokens, paths and sizes, over real sockets."""
 
 import asyncio
-import http.client
 import socket
 
 import aiohttp
@@ -9,10 +8,12 @@ import pytest
 from aiohttp import web
 
 from jaxscan.errors import OptionError
-from jaxscan.web import PAGE_POLICY, Gate, Resource, Server, open_address, resource_routes
+from jaxscan.web import PAGE_POLICY, open_address, page_routes
+
+from . import asking
+from .asking import let_in, served
 
 
-PAGES = {"/": Resource("jaxscan.data", "demo.toml", "text/plain; charset=utf-8")}
 MOST = 1000
 """Longest message that the echo takes [bytes]."""
 _COOKIES = {}
@@ -26,54 +27,31 @@ async def echo(request):
     return answering
 
 
-def served(address):
-    application = Gate(address).application()
-    application.add_routes([*resource_routes(PAGES), web.get("/echo", echo)])
-    return Server(application, address)
-
-
 @pytest.fixture
 def narrow():
     address = open_address("127.0.0.1", 0, option="--web-port")
-    with served(address):
+    with served(address, *page_routes("jaxscan.viewer"), web.get("/echo", echo)):
         yield address
 
 
 @pytest.fixture
 def wide():
     address = open_address("0.0.0.0", 0, option="--web-port")
-    with served(address):
+    with served(address, *page_routes("jaxscan.viewer"), web.get("/echo", echo)):
         yield address
 
 
 def guest(address):
     """The cookie of somebody who has shown the token."""
     if address.token not in _COOKIES:
-        _, headers, _ = ask(address, f"/?token={address.token}", Cookie=None)
-        _COOKIES[address.token] = headers["Set-Cookie"].partition(";")[0]
+        _COOKIES[address.token] = let_in(address.port, address.token)
     return _COOKIES[address.token]
 
 
 def ask(address, path="/", method="GET", **headers):
-    """The answer to a guest's request with these headers, its path sent as it is: (status, headers, body).
-
-    A stranger is who gives None for the cookie.
-    """
+    """The answer to a guest's request; a stranger is who gives None for the cookie."""
     headers = {"Cookie": guest(address)} | headers if "Cookie" not in headers else headers
-    connection = http.client.HTTPConnection("127.0.0.1", address.port, timeout=10)
-    try:
-        connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
-        given = {"Host": f"127.0.0.1:{address.port}"} | {
-            name.replace("_", "-"): value for name, value in headers.items()
-        }
-        for name, value in given.items():
-            if value is not None:
-                connection.putheader(name, value)
-        connection.endheaders()
-        answer = connection.getresponse()
-        return answer.status, answer.headers, answer.read()
-    finally:
-        connection.close()
+    return asking.ask(address.port, path, method, **headers)
 
 
 def talk(address, work, **headers):
@@ -106,7 +84,9 @@ def refused(address, **headers):
 
 def test_a_page_and_a_socket_on_the_loopback(narrow):
     status, headers, body = ask(narrow)
-    assert status == 200 and body.startswith(b"#")
+    assert (
+        status == 200 and body.startswith(b"<!doctype html>") and headers["Content-Type"] == "text/html; charset=utf-8"
+    )
     assert headers["Content-Security-Policy"] == PAGE_POLICY
     assert headers["X-Content-Type-Options"] == "nosniff" and headers["Cache-Control"] == "no-store"
     assert narrow.url() == f"http://127.0.0.1:{narrow.port}/"
@@ -135,7 +115,7 @@ FOREIGN_HOSTS = [
 @pytest.mark.parametrize("host", FOREIGN_HOSTS)
 def test_a_foreign_name_is_refused_on_the_loopback_too(narrow, host):
     status, headers, body = ask(narrow, Host=host)
-    assert status in (400, 403) and b"demo" not in body
+    assert status in (400, 403) and b"html" not in body
     assert "Set-Cookie" not in headers
 
 

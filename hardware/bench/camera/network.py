@@ -93,14 +93,10 @@ class GvCamera:
     """
 
     def __init__(self, present: Fill, *, address: str = ADDRESS) -> None:
-        """Start to answer.
+        """Start to answer; raises BenchError if libaravis is missing or the address is taken.
 
         Args:
             present: Returns the view at this moment [rows, columns], uint8 or uint16 by `bits`; called in a thread.
-            address: Of a local network interface.
-
-        Raises:
-            BenchError: If libaravis is missing or the address is taken.
         """
         self._library = _load()
         pointer, number = ctypes.c_void_p, ctypes.c_uint32
@@ -153,7 +149,6 @@ class GvCamera:
         return False
 
     def lose_packets(self, share: float) -> None:
-        """Lose this share of the stream's packets."""
         self._library.g_object_set(
             ctypes.c_void_p(self._gv), b"gvsp-lost-ratio", ctypes.c_double(share), ctypes.c_void_p(None)
         )
@@ -193,7 +188,6 @@ class GvCamera:
 
 
 POLL_S = 0.002
-"""How often the log is looked at."""
 
 
 @dataclass
@@ -267,11 +261,7 @@ class BenchCamera:
         return self._picture(view, number)
 
     def answer(self, text: str) -> str:
-        """One line of the control socket.
-
-        Raises:
-            BenchError: If it is not understood.
-        """
+        """One line of the control socket. Raises BenchError if it is not understood."""
         verb, _, rest = text.partition(" ")
         try:
             return self._answer(verb, rest)

@@ -35,7 +35,6 @@ NOMINAL_EXPOSURE_S = 0.01
 """Exposure time at which the world is as bright as its file says."""
 
 TEXTURE_PX = 60
-"""Pixels per square of the picture from which boards are rendered."""
 
 _PLAN, _NOISE = 2, 7
 """Streams of random numbers that are drawn from the world's seed."""
@@ -49,7 +48,6 @@ class View(NamedTuple):
     lights: tuple[float, ...] = (0.0,)
     """Share of the exposure during which each laser shone, in the order of the world's file."""
     board: int | None = None
-    """Number of the board's pose; None: no board."""
     exposure: float = 1.0
     """Exposure time and gain, as a factor on the nominal."""
 
@@ -61,7 +59,6 @@ class World:
         """A world from a simulation's configuration.
 
         Args:
-            config: The rig, its room and its boards.
             reach_deg: Only placements are kept from which the board is seen over at least this angle to both sides.
         """
         self.config = config
@@ -93,11 +90,7 @@ class World:
         return self._poses
 
     def describe(self, board: int) -> dict[str, Any]:
-        """A pose of the board, as its holder knows it: free view or placement, and the angles that see it.
-
-        Raises:
-            BenchError: If there is no such pose.
-        """
+        """A pose of the board, as its holder knows it: free view or placement, and the angles that see it."""
         poses = self.poses()
         if not 0 <= board < len(poses):
             raise BenchError(f"There is no pose {board} of the board: 0 … {len(poses) - 1}.")
@@ -126,11 +119,9 @@ class World:
         """One frame, uint8 [rows, columns]; uint16 of 16 bits.
 
         Args:
-            view: The scene in front of the lens.
             number: Chooses the noise: the same view and number give the same frame.
             flash_dn: Light that is added everywhere, as by a flash or an opened door.
             blur_px: How far the image moves during the exposure, along the rows.
-            bits: Bits of a sample: the same light and noise, in finer steps.
         """
         rng = self._generator(_NOISE, number)
         lit = [(laser, share) for laser, share in enumerate(view.lights[: len(self.config.laser)]) if share > 0]
@@ -159,12 +150,7 @@ class World:
 
 
 def load_world(path: Path = WORLD, *, reach_deg: float = 0.0) -> World:
-    """A world from a file that a simulation is described by, mono8.
-
-    Raises:
-        ConfigError: With the key that is unknown, missing or wrong.
-        BenchError: If it is not a monochrome one.
-    """
+    """A world from a file that a simulation is described by, mono8. Raises ConfigError or BenchError."""
     config = load_toml(path, SimulationConfig)
     if config.sensor.pixel_format != "mono8":
         raise BenchError(f"{path}: the camera on loopback is mono8, found {config.sensor.pixel_format}.")
@@ -175,7 +161,6 @@ class Exposure(NamedTuple):
     """One pulse of the trigger wire, with table and lasers during it."""
 
     cycle: int
-    """When it began."""
     position: int
     """Microsteps from where the home switch closed last, on the way down."""
     light: float
@@ -188,7 +173,6 @@ class LogReader:
     """Complete lines of a log that grows, or that was cut back to its last complete line."""
 
     def __init__(self, path: Path) -> None:
-        """Begin at the start of the file, which need not exist yet."""
         self._path, self._read = path, 0
 
     def lines(self) -> list[dict[str, Any]]:
@@ -236,7 +220,6 @@ class Plant:
     home: int = 0
     """Position of the switch's edge when it closed last, on the way down."""
     lights: dict[str, Light] = field(default_factory=lambda: {"light": Light(), "light_2": Light()})
-    """By their names in the log."""
     down: bool = False
     trigger_since: int | None = None
     """Cycle at which the trigger rose; None while it is low."""
@@ -244,11 +227,7 @@ class Plant:
     """Position from home at that moment."""
 
     def read(self, line: dict[str, Any]) -> tuple[bool, Exposure | None]:
-        """Take one line in.
-
-        Returns:
-            Whether the trigger rises here, and the exposure that ends here, if one does.
-        """
+        """Take one line in; returns whether the trigger rises here, and the exposure that ends here, if one does."""
         self.position = line["pos"]
         pin, cycle = line.get("pin"), line["cycle"]
         if pin == "dir":
@@ -280,7 +259,6 @@ class Plant:
 
 ADDRESS = "127.0.0.1"
 READY_S = 90.0
-"""How long the camera may take to start: it loads the simulator and makes a room, perhaps on a busy machine."""
 
 
 class RenderedCamera(Part):
@@ -297,24 +275,13 @@ class RenderedCamera(Part):
         microsteps_per_turn: int = 28800,
         apart: bool = False,
     ) -> None:
-        """A camera that is off.
-
-        Args:
-            edges: The rig's log.
-            world: The world in front of it, a simulated rig.
-            apart: Whether Ctrl-C at the terminal is kept from it.
-        """
+        """A camera that is off, in front of a rig by its log."""
         super().__init__(folder)
         self.edges, self.world, self.address = edges, world, ADDRESS
         self.ledger = self.folder / "frames.jsonl"
         self._microsteps_per_turn, self._apart = microsteps_per_turn, apart
 
     def start(self) -> None:
-        """Switch on.
-
-        Raises:
-            BenchError: If libaravis is missing, the address is taken, or the world cannot be rendered.
-        """
         self._require_off()
         self.folder.mkdir(parents=True, exist_ok=True)
         paths = {"edges": self.edges, "world": self.world, "control": self.control_path, "ledger": self.ledger}
@@ -325,11 +292,7 @@ class RenderedCamera(Part):
         self._launch(command, within_s=READY_S, apart=self._apart)
 
     def control(self, text: str) -> Any:
-        """Give the camera one command (see README.md), and return its answer, parsed if it is JSON.
-
-        Raises:
-            BenchError: If it does not know it, or does not answer.
-        """
+        """Give the camera one command (see README.md), and return its answer, parsed if it is JSON."""
         answer = self.ask(text)
         if answer.startswith("error: "):
             raise BenchError(answer.removeprefix("error: "))
@@ -342,11 +305,7 @@ class RenderedCamera(Part):
         return [json.loads(line) for line in self.ledger.read_text().split("\n")[:-1]]
 
     def settle(self, *, timeout_s: float = 60.0) -> None:
-        """Wait until something has become of every trigger pulse that is in the log now.
-
-        Raises:
-            BenchError: If that takes too long.
-        """
+        """Wait until something has become of every trigger pulse that is in the log now. Raises BenchError."""
         text = self.edges.read_text() if self.edges.exists() else ""
         # The pin is low from the beginning, which the log says first.
         pulses = max(text.count('"pin":"trig","v":0') - 1, 0)
@@ -363,11 +322,7 @@ class RenderedCamera(Part):
 
 @contextmanager
 def loopback(*, timeout_s: float = 240.0) -> Iterator[None]:
-    """Holds the one address at which a GigE Vision camera can be: port 3956 of 127.0.0.1.
-
-    Raises:
-        BenchError: If another process keeps it too long.
-    """
+    """Holds the one address at which a GigE Vision camera can be: port 3956 of 127.0.0.1."""
     path = private_folder() / "loopback.lock"
     busy = (
         f"{ADDRESS} is taken: another bench, or a test with a camera, runs on this machine ({path} is locked); "

@@ -1,4 +1,4 @@
-"""Cameras with one interface: GenICam through Aravis, UVC through OpenCV, folders of images, and simulated ones.
+"""Cameras with one interface: GenICam through Aravis, UVC through OpenCV, and simulated ones.
 
 Only the module of the camera that is opened is loaded.
 """
@@ -28,14 +28,10 @@ def open_camera(settings: CameraSettings, say: Callable[[str], None] = lambda se
             from scanrig.cameras.opencv import OpenCVCamera
 
             return OpenCVCamera(settings)
-        case "folder":
-            from scanrig.cameras.folder import FolderCamera
-
-            return FolderCamera(settings)
         case "simulated":
-            from scanrig.cameras.simulated import open_simulated
+            from scanrig.cameras.simulated import SimulatedCamera
 
-            return open_simulated(settings)
+            return SimulatedCamera(settings)
 
 
 def list_cameras() -> list[str]:

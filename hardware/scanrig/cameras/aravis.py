@@ -45,7 +45,6 @@ STATUS = {
     7: "aborted",
     8: "of an unknown kind",
 }
-"""The meaning of a buffer's status (ArvBufferStatus)."""
 RANGE_CHECK = 1
 ACCESS_CHECK = 1
 
@@ -183,10 +182,7 @@ def take_control(aravis: Aravis, camera: int, *, name: str, say: Say) -> None:
     """Make sure that this program controls a camera; wait until another one that has ended holds it no longer.
 
     A program that was killed leaves the camera under its control until the camera misses its heartbeat. Without control
-    nothing can be set, and no frame would ever come.
-
-    Raises:
-        CameraError: If another program keeps the control.
+    nothing can be set, and no frame would ever come. Raises CameraError if another program keeps the control.
     """
     if not aravis.camera_is_gv_device(camera):
         return
@@ -242,7 +238,6 @@ PIXEL_FORMATS: dict[str, tuple[str, ...]] = {
 two bytes for each sample, the lower first; the packed ones ("Mono12p", "Mono12Packed") are never requested."""
 
 AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto")
-"""Automatic functions of a camera, which are switched off."""
 
 
 def connect(aravis: Aravis, wanted: str, say: Say) -> int:
@@ -250,7 +245,6 @@ def connect(aravis: Aravis, wanted: str, say: Say) -> int:
 
     Args:
         wanted: Device id, serial number or address; "" for the only camera.
-        say: Called before waiting for another program to lose control.
 
     Raises:
         CameraLost: If it is not found.
@@ -281,11 +275,14 @@ def _is_address(name: str) -> bool:
     return True
 
 
+def _devices(aravis: Aravis, *facts: str) -> list[list[str]]:
+    aravis.update_device_list()
+    return [[text(getattr(aravis, f"get_device_{fact}")(k)) for fact in facts] for k in range(aravis.get_n_devices())]
+
+
 def _found(aravis: Aravis, wanted: str) -> str:
     """Device id of the wanted camera."""
-    aravis.update_device_list()
-    kinds = "id", "physical_id", "serial_nbr", "address"
-    every = [[text(getattr(aravis, f"get_device_{kind}")(k)) for kind in kinds] for k in range(aravis.get_n_devices())]
+    every = _devices(aravis, "id", "physical_id", "serial_nbr", "address")
     meant = [names for names in every if wanted in names] if wanted else every
     listed = ", ".join(f'"{names[0]}" (serial number {names[2]}, {names[3]})' for names in every) or "none"
     if not meant:
@@ -294,104 +291,6 @@ def _found(aravis: Aravis, wanted: str) -> str:
     if len(meant) > 1:
         raise CameraError(f"found {len(meant)} cameras: {listed}; give the `id` of one in [camera].")
     return meant[0][0]
-
-
-def apply_settings(aravis: Aravis, camera: int, settings: CameraSettings, *, name: str) -> None:
-    """Apply all settings, and switch automatic functions off.
-
-    Raises:
-        CameraError: With the setting that the camera refuses, and the reason.
-    """
-    aravis.camera_set_range_check_policy(camera, RANGE_CHECK)
-    aravis.camera_set_access_check_policy(camera, ACCESS_CHECK)
-
-    def set_text(feature: str, value: str) -> None:
-        try:
-            aravis.camera_set_string(camera, feature.encode(), value.encode())
-        except AravisError as problem:
-            raise CameraError(f'{name}: {feature}: does not take "{value}": {problem}') from problem
-
-    def has(feature: str) -> bool:
-        return bool(aravis.camera_is_feature_available(camera, feature.encode()))
-
-    def attempt(failure: str, call: Callable[..., None], *arguments: float) -> None:
-        try:
-            call(camera, *arguments)
-        except AravisError as problem:
-            raise CameraError(f"{name}: {failure}: {problem}") from problem
-
-    set_text("AcquisitionMode", "Continuous")
-    _set_pixel_format(aravis, camera, settings, name)
-    size = settings.width, settings.height
-    attempt(f"does not take {size[0]} x {size[1]} px", aravis.camera_set_region, 0, 0, *size)
-    for feature in AUTOMATICS:
-        if has(feature):
-            set_text(feature, "Off")
-    attempt(
-        f"does not take exposure_ms = {settings.exposure_ms:g}",
-        aravis.camera_set_exposure_time,
-        1000.0 * settings.exposure_ms,
-    )
-    if aravis.camera_is_gain_available(camera):
-        attempt(f"does not take gain_db = {settings.gain_db:g}", aravis.camera_set_gain, settings.gain_db)
-    attempt("its triggers cannot be switched off", aravis.camera_clear_triggers)
-    if settings.trigger != "free":
-        set_text("TriggerSelector", "FrameStart")
-        set_text("TriggerSource", "Software" if settings.trigger == "software" else settings.trigger_source)
-        if settings.trigger == "hardware" and has("TriggerActivation"):
-            set_text("TriggerActivation", "RisingEdge")
-        set_text("TriggerMode", "On")
-    if settings.packet_size is not None and aravis.camera_is_gv_device(camera):
-        attempt("does not take its packet_size", aravis.camera_gv_set_packet_size, settings.packet_size)
-
-
-def _set_pixel_format(aravis: Aravis, camera: int, settings: CameraSettings, name: str) -> None:
-    problems = []
-    for known in PIXEL_FORMATS[settings.pixel_format]:
-        try:
-            aravis.camera_set_string(camera, b"PixelFormat", known.encode())
-        except AravisError as problem:
-            problems.append(str(problem))
-        else:
-            return
-    raise CameraError(f'{name}: does not take pixel_format = "{settings.pixel_format}": {"; ".join(problems)}')
-
-
-def read_features(aravis: Aravis, camera: int, settings: CameraSettings) -> Features:
-    """The camera's settings, read back from it; settings that it cannot report are absent."""
-    region = [ctypes.c_int() for _ in range(4)]
-    aravis.camera_get_region(camera, *(ctypes.byref(one) for one in region))
-    pixel_format = text(aravis.camera_get_string(camera, b"PixelFormat"))
-    ours = [name for name, known in PIXEL_FORMATS.items() if pixel_format in known]
-    features: Features = {
-        "width": region[2].value,
-        "height": region[3].value,
-        "offset_x": region[0].value,
-        "offset_y": region[1].value,
-        "pixel_format": ours[0] if ours else pixel_format,
-        "exposure_s": 1e-6 * aravis.camera_get_exposure_time(camera),
-    }
-    if aravis.camera_is_gain_available(camera):
-        features["gain_db"] = float(aravis.camera_get_gain(camera))
-    for feature in AUTOMATICS:
-        if aravis.camera_is_feature_available(camera, feature.encode()):
-            features[feature] = text(aravis.camera_get_string(camera, feature.encode()))
-    features |= _trigger(aravis, camera, settings)
-    if aravis.camera_is_gv_device(camera):
-        features["packet_size"] = int(aravis.camera_gv_get_packet_size(camera))
-    return features
-
-
-def _trigger(aravis: Aravis, camera: int, settings: CameraSettings) -> Features:
-    """Its trigger mode: "free", "software", or "hardware" if it listens to `trigger_source`."""
-    if not aravis.camera_is_feature_available(camera, b"TriggerMode"):
-        return {"trigger": "free"}
-    aravis.camera_set_string(camera, b"TriggerSelector", b"FrameStart")
-    if text(aravis.camera_get_string(camera, b"TriggerMode")) != "On":
-        return {"trigger": "free"}
-    source = text(aravis.camera_get_string(camera, b"TriggerSource"))
-    known = {"Software": "software", settings.trigger_source: "hardware"}
-    return {"trigger": known.get(source, source), "trigger_source": source}
 
 
 _WRAP = 65535
@@ -406,13 +305,7 @@ class FrameNumbers:
         self._raw, self._period = 0, _WRAP
 
     def take(self, raw: int) -> tuple[int, int]:
-        """Unwrap the camera's id of a frame.
-
-        Returns:
-            number: Its number; for the first frame its id.
-            advance: Difference to the highest number so far: 1 for the next frame, 0 for a repeated one, negative
-                for a late one.
-        """
+        """The number of a frame by its id, and its difference to the highest so far: 1 for the next frame."""
         if self._last is None:
             self._last, self._raw = raw, raw
             return raw, 1
@@ -432,7 +325,6 @@ _BUFFERS = 8
 """Frames that may wait; a step of a sweep has two."""
 _QUIET_S, _MOST_PASSING_S = 0.1, 2.0
 _SLICE_S = 0.2
-"""How often a waiting call checks that the camera is still connected."""
 
 
 class AravisCamera(Camera):
@@ -443,13 +335,7 @@ class AravisCamera(Camera):
     """
 
     def __init__(self, settings: CameraSettings, say: Say = lambda sentence: None) -> None:
-        """Open the camera, apply the settings, read them back and compare.
-
-        Raises:
-            CameraLost: If it is not found.
-            CameraError: If several cameras fit, another program uses it, or it does not take a setting.
-            DependencyError: If libaravis is not installed.
-        """
+        """Open the camera, apply the settings, read them back and compare. Raises as `open_camera`."""
         self._aravis, self.settings, self._say = load_aravis(), settings, say
         shape = settings.height, settings.width, 3
         self._shape = shape[: frame_rank(settings.layout)]
@@ -462,7 +348,7 @@ class AravisCamera(Camera):
         self.identity = self._open()
 
     def features(self) -> Features:
-        return self._ask("read its features", lambda camera: read_features(self._aravis, camera, self.settings))
+        return self._ask("read its features", self.read)
 
     def _underruns(self, stream: int) -> int:
         numbers = [ctypes.c_uint64() for _ in range(3)]
@@ -547,9 +433,8 @@ class AravisCamera(Camera):
                 f"{text(self._aravis.camera_get_model_name(camera))}",
                 text(self._aravis.camera_get_device_serial_number(camera)),
             )
-            apply_settings(self._aravis, camera, self.settings, name=str(identity))
-            found = read_features(self._aravis, camera, self.settings)
-            require(found, wanted(self.settings), name=str(identity))
+            self._apply(camera, str(identity))
+            require(self.read(camera), wanted(self.settings), name=str(identity))
             payload = self._aravis.camera_get_payload(camera)
             if payload < self._bytes:
                 raise CameraError(f"{identity}: sends {payload} bytes per frame, expected {self._bytes}.")
@@ -566,6 +451,85 @@ class AravisCamera(Camera):
             raise
         self._numbers = FrameNumbers()
         return identity
+
+    def _apply(self, camera: int, name: str) -> None:
+        """Apply all settings, and switch automatic functions off; CameraError names one that the camera refuses."""
+        aravis, settings = self._aravis, self.settings
+        aravis.camera_set_range_check_policy(camera, RANGE_CHECK)
+        aravis.camera_set_access_check_policy(camera, ACCESS_CHECK)
+
+        def attempt(failure: str, call: Callable[..., None], *arguments: float | bytes) -> None:
+            try:
+                call(camera, *arguments)
+            except AravisError as problem:
+                raise CameraError(f"{name}: {failure}: {problem}") from problem
+
+        def set_text(feature: str, value: str) -> None:
+            attempt(f'{feature}: does not take "{value}"', aravis.camera_set_string, feature.encode(), value.encode())
+
+        def set_pixel_format(camera: int) -> None:
+            *older, last = PIXEL_FORMATS[settings.pixel_format]
+            for known in older:
+                with contextlib.suppress(AravisError):
+                    aravis.camera_set_string(camera, b"PixelFormat", known.encode())
+                    return
+            aravis.camera_set_string(camera, b"PixelFormat", last.encode())
+
+        set_text("AcquisitionMode", "Continuous")
+        attempt(f'does not take pixel_format = "{settings.pixel_format}"', set_pixel_format)
+        size = settings.width, settings.height
+        attempt(f"does not take {size[0]} x {size[1]} px", aravis.camera_set_region, 0, 0, *size)
+        for feature in AUTOMATICS:
+            if self._has(camera, feature):
+                set_text(feature, "Off")
+        exposure_us = 1000.0 * settings.exposure_ms
+        attempt(f"does not take exposure_ms = {settings.exposure_ms:g}", aravis.camera_set_exposure_time, exposure_us)
+        if aravis.camera_is_gain_available(camera):
+            attempt(f"does not take gain_db = {settings.gain_db:g}", aravis.camera_set_gain, settings.gain_db)
+        attempt("its triggers cannot be switched off", aravis.camera_clear_triggers)
+        if settings.trigger != "free":
+            set_text("TriggerSelector", "FrameStart")
+            set_text("TriggerSource", "Software" if settings.trigger == "software" else settings.trigger_source)
+            if settings.trigger == "hardware" and self._has(camera, "TriggerActivation"):
+                set_text("TriggerActivation", "RisingEdge")
+            set_text("TriggerMode", "On")
+        if settings.packet_size is not None and aravis.camera_is_gv_device(camera):
+            attempt("does not take its packet_size", aravis.camera_gv_set_packet_size, settings.packet_size)
+
+    def read(self, camera: int) -> Features:
+        """The camera's settings, read back from it; settings that it cannot report are absent."""
+        aravis = self._aravis
+        region = [ctypes.c_int() for _ in range(4)]
+        aravis.camera_get_region(camera, *(ctypes.byref(one) for one in region))
+        found = self._text(camera, "PixelFormat")
+        features: Features = {
+            "width": region[2].value,
+            "height": region[3].value,
+            "offset_x": region[0].value,
+            "offset_y": region[1].value,
+            "pixel_format": next((name for name, known in PIXEL_FORMATS.items() if found in known), found),
+            "exposure_s": 1e-6 * aravis.camera_get_exposure_time(camera),
+            "trigger": "free",
+        }
+        if aravis.camera_is_gain_available(camera):
+            features["gain_db"] = float(aravis.camera_get_gain(camera))
+        features |= {name: self._text(camera, name) for name in AUTOMATICS if self._has(camera, name)}
+        if self._has(camera, "TriggerMode"):
+            aravis.camera_set_string(camera, b"TriggerSelector", b"FrameStart")
+            if self._text(camera, "TriggerMode") == "On":
+                # "hardware" where it listens to `trigger_source`.
+                source = self._text(camera, "TriggerSource")
+                known = {"Software": "software", self.settings.trigger_source: "hardware"}
+                features |= {"trigger": known.get(source, source), "trigger_source": source}
+        if aravis.camera_is_gv_device(camera):
+            features["packet_size"] = int(aravis.camera_gv_get_packet_size(camera))
+        return features
+
+    def _has(self, camera: int, feature: str) -> bool:
+        return bool(self._aravis.camera_is_feature_available(camera, feature.encode()))
+
+    def _text(self, camera: int, feature: str) -> str:
+        return text(self._aravis.camera_get_string(camera, feature.encode()))
 
     def _ask(self, action: str, call: Callable[[int], Result]) -> Result:
         """The result of a call to the camera, which must be open; `action` names it in errors."""
@@ -659,10 +623,5 @@ def found_by_aravis() -> list[str]:
         aravis = load_aravis()
     except DependencyError as problem:
         return [f"aravis: {problem}"]
-    aravis.update_device_list()
-    parts = "id", "vendor", "model", "serial_nbr", "address"
-    listed = []
-    for index in range(aravis.get_n_devices()):
-        ident, vendor, model, serial, address = (text(getattr(aravis, f"get_device_{part}")(index)) for part in parts)
-        listed.append(f'aravis "{ident}": {vendor} {model}, serial number {serial}, at {address}')
-    return listed
+    listed = _devices(aravis, "id", "vendor", "model", "serial_nbr", "address")
+    return [f'aravis "{one[0]}": {one[1]} {one[2]}, serial number {one[3]}, at {one[4]}' for one in listed]

@@ -17,7 +17,7 @@ from jaxscan.stripes import DEEP_FORMATS, PIXEL_FORMATS, PixelFormat, Response, 
 from scanrig.errors import CameraError
 
 
-CameraKind = Literal["aravis", "opencv", "folder", "simulated"]
+CameraKind = Literal["aravis", "opencv", "simulated"]
 TriggerMode = Literal["hardware", "software", "free"]
 
 
@@ -31,18 +31,14 @@ class CameraSettings(ImageSize):
     """A camera and its settings; settings that are not listed here are left unchanged."""
 
     kind: CameraKind
-    """"aravis" (GigE Vision and USB3 Vision), "opencv" (UVC), "folder" (plays images), or "simulated"."""
+    """"aravis" (GigE Vision and USB3 Vision), "opencv" (UVC), or "simulated"."""
     id: Annotated[str, pydantic.Field(max_length=1024)] = ""
-    """Aravis: device id, serial number or address, "" for the only camera. OpenCV: index, path or
-    URL. Folder: its path. Simulated: a TOML file of a synthetic scene, or ""."""
+    """Aravis: device id, serial number or address, "" for the only camera. OpenCV: index, path or URL."""
     pixel_format: Annotated[str, pydantic.AfterValidator(_known_format)] = "mono8"
     """How the camera gives a frame: one of `PIXEL_FORMATS`, or of `DEEP_FORMATS`, such as "mono12"."""
     response: Annotated[Response, pydantic.AfterValidator(known_response)] = "linear"
-    """"linear", "srgb" or "gamma 2.2"."""
     up: Up = "-v"
-    """Which direction of the image is up."""
     exposure_ms: Annotated[Number, pydantic.Field(gt=0, le=10_000)] = 10.0
-    """Exposure time of a frame [ms]."""
     gain_db: Annotated[Number, pydantic.Field(ge=-100, le=100)] = 0.0
     """Gain of the camera's amplifier [dB], or in the camera's own unit."""
     trigger: TriggerMode = "hardware"
@@ -60,8 +56,6 @@ class CameraSettings(ImageSize):
             raise ValueError(f'trigger: found "{self.trigger}", but a camera of kind "opencv" can only be "free"')
         if self.kind == "opencv" and self.pixel_format not in ("mono8", "rgb8"):
             raise ValueError(f'pixel_format: found "{self.pixel_format}", but kind "opencv" gives "mono8" or "rgb8"')
-        if self.kind == "folder" and not self.id:
-            raise ValueError('id: found "", but kind "folder" needs the path of a folder')
         if self.bits > 8 and self.response != "linear":
             raise ValueError(f'response: found "{self.response}", but frames of {self.bits} bits are "linear"')
         return self
@@ -105,9 +99,7 @@ class Frame:
     complete: bool
     """Whether the whole image arrived; missing parts are zero or older."""
     note: str = ""
-    """A remark for the journal."""
     bits: int = 8
-    """Bits of a sample."""
 
     @functools.cached_property
     def shown(self) -> UInt8[np.ndarray, "rows columns *three"]:
@@ -128,7 +120,10 @@ class CameraIdentity:
 
 
 class Camera(ABC):
-    """An open camera that is set up. Used from one thread; `close`, which `with` calls, may be called twice."""
+    """An open camera that is set up. Used from one thread; `close`, which `with` calls, may be called twice.
+
+    Its methods raise CameraLost if the camera is gone; `reopen` may recover it.
+    """
 
     settings: CameraSettings
     identity: CameraIdentity
@@ -140,45 +135,23 @@ class Camera(ABC):
 
     @abstractmethod
     def features(self) -> Features:
-        """Its settings, read back from the device.
-
-        Raises:
-            CameraLost: If it does not answer.
-        """
+        """Its settings, read back from the device."""
 
     @abstractmethod
     def start(self) -> None:
-        """Start the acquisition; no effect if it runs.
-
-        Raises:
-            CameraError: If it cannot.
-        """
+        """Start the acquisition; no effect if it runs. Raises CameraError if it cannot."""
 
     @abstractmethod
     def drop(self) -> int:
-        """Discard waiting frames, and of a free-running camera also those exposed before this call.
-
-        Returns:
-            Number of waiting frames.
-        """
+        """Discard waiting frames, and of a free-running camera also those exposed before; returns how many waited."""
 
     @abstractmethod
     def next(self, timeout_s: float) -> Frame:
-        """The next frame in the order of exposure.
-
-        Raises:
-            CameraTimeout: If none came within `timeout_s`.
-            CameraLost: If the camera is gone; `reopen` may recover it.
-        """
+        """The next frame in the order of exposure. Raises CameraTimeout if none came in time."""
 
     @abstractmethod
     def trigger(self) -> None:
-        """Expose one frame (trigger mode "software").
-
-        Raises:
-            CameraError: In another mode.
-            CameraLost: If the camera is gone.
-        """
+        """Expose one frame. Raises CameraError in another trigger mode than "software"."""
 
     @abstractmethod
     def reopen(self) -> None:
@@ -234,21 +207,13 @@ def differences(found: Features, expected: Features) -> list[str]:
 
 
 def require(found: Features, expected: Features, *, name: str) -> None:
-    """Check that a camera took its settings.
-
-    Raises:
-        CameraError: With all differences, and the remedy.
-    """
+    """Check that a camera took its settings. Raises CameraError with all differences, and the remedy."""
     if wrong := differences(found, expected):
         raise CameraError(f"{name}: did not take its settings: {'; '.join(wrong)}. Set supported values in [camera].")
 
 
 def require_same(camera: Camera, expected: Features) -> None:
-    """Check that a camera's settings are those of the beginning.
-
-    Raises:
-        CameraError: With all differences.
-    """
+    """Check that a camera's settings are those of the beginning. Raises CameraError with all differences."""
     if wrong := differences(camera.features(), expected):
         raise CameraError(
             f"{camera.identity}: is not set as it was when the capture began: {'; '.join(wrong)}. "

@@ -16,7 +16,6 @@ from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
 
 _MANUAL = 1.0
-"""V4L2_EXPOSURE_MANUAL."""
 _PER_S = 1e4
 """V4L2's unit of exposure is 100 µs."""
 _DRIVER = "V4L2"
@@ -24,14 +23,7 @@ _DRIVER = "V4L2"
 
 
 def apply_settings(capture: cv2.VideoCapture, settings: CameraSettings, *, name: str) -> Features:
-    """Apply the settings that the backend supports, and switch automatic functions off.
-
-    Returns:
-        The features that the camera must report then.
-
-    Raises:
-        CameraError: With the property that cannot be set.
-    """
+    """Apply the settings that the backend supports, no automatic functions; returns what it must report then."""
     if capture.getBackendName() != _DRIVER:
         return {"width": settings.width, "height": settings.height}
     # The size first, since it may reset the rest. One buffer, if the driver supports that.
@@ -94,9 +86,7 @@ _OPEN_MS = 5000
 _READ_MS = 10_000
 """Longest stall of a stream before OpenCV gives up."""
 _WAITING = 4
-"""Frames that are kept for `next`; older ones are discarded."""
 _ANSWER_S = 2.0
-"""Longest wait for the reading thread."""
 _SAME_CLOCK_S = 5.0
 """A time stamp this near to the monotonic clock comes from that clock: V4L2's do, those of streams do not."""
 
@@ -109,12 +99,7 @@ class OpenCVCamera(Camera):
     """
 
     def __init__(self, settings: CameraSettings) -> None:
-        """Open the camera, apply the settings that it supports, read them back and compare.
-
-        Raises:
-            CameraLost: If it cannot be opened.
-            CameraError: If it does not take a setting, or its frames have another size.
-        """
+        """Open the camera, apply the settings that it supports, read them back and compare. Raises as `open_camera`."""
         self.settings = settings
         self._source = _source(settings.id)
         self._changed = threading.Condition()
@@ -122,20 +107,13 @@ class OpenCVCamera(Camera):
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         self._started, self._ended, self._note = False, "", ""
-        self._asked: Features | None = {}
         self._open()
 
     def features(self) -> Features:
-        """Its settings; queried by the reading thread, since OpenCV allows only one thread."""
-        if self._thread is None:
-            return read_features(self._capture, self.settings)
-        with self._changed:
-            self._asked = None
-            if not self._changed.wait_for(lambda: self._asked is not None or self._ended, _ANSWER_S):
-                raise CameraTimeout(f"{self.identity}: no frame for {_ANSWER_S:g} s, and so no features.")
-            if self._asked is None:
-                raise CameraLost(f"{self.identity}: {self._ended}")
-            return dict(self._asked)
+        """Its settings as they were when it was opened: OpenCV allows only one thread, which reads frames by now."""
+        if self._stop.is_set():
+            raise CameraLost(f"{self.identity}: the camera is closed; reopen it.")
+        return dict(self._features)
 
     def start(self) -> None:
         if self._stop.is_set():
@@ -206,12 +184,13 @@ class OpenCVCamera(Camera):
         self.identity = CameraIdentity("opencv", backend, str(self._source))
         try:
             expected = apply_settings(self._capture, self.settings, name=str(self.identity))
-            require(read_features(self._capture, self.settings), expected, name=str(self.identity))
+            self._features = read_features(self._capture, self.settings)
+            require(self._features, expected, name=str(self.identity))
         except CameraError:
             self._capture.release()
             raise
         self._note = silent(backend)
-        self._ended, self._asked = "", {}
+        self._ended = ""
         self._since, self._flush = time.monotonic(), self.settings.flush_frames
 
     def _read(self, capture: cv2.VideoCapture, stop: threading.Event) -> None:
@@ -236,7 +215,6 @@ class OpenCVCamera(Camera):
                 return "the camera is gone: its frames ended."
             image = _image(pixels, self.settings)
             stamp = 1e-3 * capture.get(cv2.CAP_PROP_POS_MSEC)
-            features = read_features(capture, self.settings) if self._asked is None else None
             if image is None:
                 return (
                     f"its frames are {pixels.shape[1]} x {pixels.shape[0]} px, expected "
@@ -245,7 +223,6 @@ class OpenCVCamera(Camera):
             with self._changed:
                 if stop.is_set():
                     break
-                self._asked = self._asked if features is None else features
                 self._arrive(image, stamp, arrival)
                 self._changed.notify_all()
         return "the camera is closed; reopen it."
@@ -265,12 +242,7 @@ def _source(name: str) -> int | str:
 
 
 def _require_source(source: int | str, name: str) -> None:
-    """Check that a source can be opened without waiting for ever: OpenCV would wait for somebody to write into a pipe.
-
-    Raises:
-        CameraLost: If there is nothing at its path.
-        CameraError: If that is neither a video device nor a file.
-    """
+    """Refuse what is no camera: OpenCV would wait for ever for somebody to write into a pipe."""
     if isinstance(source, int) or _SCHEME.match(source):
         return
     try:

@@ -3,15 +3,13 @@
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from itertools import count
-from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import pydantic
 from jaxtyping import Float, UInt8, UInt16
 
-from jaxscan.files.disk import FileModel, Integer, Number, load_toml
 from jaxscan.geometry import StripeAxis
 from jaxscan.stripes import Colour, PixelFormat, frame_rank
 from scanrig.cameras.camera import Camera, CameraIdentity, CameraSettings, Features, Frame, wanted
@@ -21,46 +19,38 @@ from scanrig.errors import CameraError, CameraLost, CameraTimeout
 _CHANNEL = {"red": 0, "green": 1, "blue": 2}
 
 
-class SyntheticScene(FileModel):
+@dataclass(frozen=True)
+class SyntheticScene:
     """The scene of the simulated camera."""
 
     colour: Colour = "red"
-    """Colour of the laser."""
     stripe_axis: StripeAxis = "rows"
-    """One centre per row, or per column."""
-    peak_dn: Annotated[Number, pydantic.Field(ge=0)] = 120.0
+    peak_dn: float = 120.0
     """Peak of the line above the wall [DN]."""
-    width_px: Annotated[Number, pydantic.Field(gt=0, le=100)] = 1.8
+    width_px: float = 1.8
     """Standard deviation of the line [px]."""
-    share: Annotated[Number, pydantic.Field(ge=0, le=1)] = 1.0
-    """Part of the frame's lines that the laser meets."""
-    ambient_dn: Annotated[Number, pydantic.Field(ge=0, le=255)] = 30.0
+    share: float = 1.0
+    ambient_dn: float = 30.0
     """Mean level of the wall [DN]."""
-    contrast: Annotated[Number, pydantic.Field(ge=0, le=1)] = 0.4
+    contrast: float = 0.4
     """Amplitude of the wall's texture over its mean [1]."""
-    turn_px: Annotated[Number, pydantic.Field(ge=0)] = 6000.0
+    turn_px: float = 6000.0
     """How far the wall moves through the frame in one turn [px]."""
-    apart_px: Number = 40.0
+    apart_px: float = 40.0
     """Distance of the second laser's line from the first's [px]."""
-    read_dn: Annotated[Number, pydantic.Field(ge=0)] = 1.0
-    """Read noise [DN]."""
-    electrons_per_dn: Annotated[Number, pydantic.Field(gt=0)] = 40.0
+    read_dn: float = 1.0
+    electrons_per_dn: float = 40.0
     """Conversion gain [e-/DN]."""
-    microsteps_per_turn: Annotated[Integer, pydantic.Field(ge=1)] = 28800
-    """Microsteps per turn of the table."""
-    seed: Annotated[Integer, pydantic.Field(ge=0)] = 0
-    """Seed of the noise."""
+    microsteps_per_turn: int = 28800
+    seed: int = 0
 
 
 class FrameShape(NamedTuple):
     """Size and pixel format of a frame."""
 
     width: int
-    """[px]"""
     height: int
-    """[px]"""
     pixel_format: PixelFormat = "mono8"
-    """How its pixels lie."""
     bits: int = 8
 
 
@@ -152,13 +142,11 @@ class SimulatedCamera(Camera):
         """An open camera.
 
         Args:
-            scene: The scene; by default a synthetic one.
             world: Position and laser at this moment; by default laser on and off in turn.
         """
         self.settings = settings
         self.identity = CameraIdentity("simulated", "synthetic", "SIM1")
         self.device: Features = wanted(settings)
-        """The camera's features."""
         self.exposures = 0
         """Exposures so far; the number of the last."""
         self._scene = _drawn(scene or SyntheticScene(), settings) if not callable(scene) else scene
@@ -233,12 +221,6 @@ class SimulatedCamera(Camera):
     def _arrive(self, image: np.ndarray) -> None:
         """Append the frame of this exposure to the queue."""
         self._queue.append(Frame(image, self.exposures, complete=True, bits=self.settings.bits))
-
-
-def open_simulated(settings: CameraSettings) -> SimulatedCamera:
-    """A camera in front of the synthetic scene in the file `settings.id`, or of the default scene."""
-    scene = load_toml(Path(settings.id), SyntheticScene) if settings.id else SyntheticScene()
-    return SimulatedCamera(settings, scene)
 
 
 def _drawn(scene: SyntheticScene, settings: CameraSettings) -> Scene:

@@ -52,11 +52,7 @@ def open_controller(
 
 
 def require_allowed(guarantees: Guarantees, table: ControllerTable) -> None:
-    """Check that the configuration allows a controller that cannot switch the laser off without the host.
-
-    Raises:
-        ConfigError: With the key to write into the configuration.
-    """
+    """Raise ConfigError unless the configuration allows a controller that leaves the laser on without the host."""
     if not guarantees.laser_off_without_host and not table.allow_laser_without_watchdog:
         raise ConfigError(
             "controller.allow_laser_without_watchdog: found false, expected true with this controller, which leaves "

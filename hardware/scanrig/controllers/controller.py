@@ -3,7 +3,7 @@
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Literal, Self, TypeVar
 
 import pydantic
@@ -21,19 +21,13 @@ class Settings:
     watchdog_ms: int = 500
     """Milliseconds without a valid line after which the controller treats the link as lost."""
     speed: int = 4000
-    """Microsteps per second."""
     start_speed: int = 400
-    """Microsteps per second at the beginning of a ramp."""
     acceleration: int = 8000
-    """Microsteps per second squared."""
     home_speed: int = 200
-    """Microsteps per second of the slow approach to the home switch."""
     backlash: int = 0
     """Microsteps by which a downward motion overshoots, so that every target is approached from below."""
     reverse: bool = False
-    """Inverts the direction pin."""
     lasers: int = 1
-    """How many lasers the controller has to switch."""
     settle_ms: int = 50
     """Rest before a shot."""
     laser_on_ms: int = 20
@@ -41,7 +35,6 @@ class Settings:
     laser_off_ms: int = 20
     """From laser off to exposure."""
     exposure_ms: int = 10
-    """Trigger pulse."""
     gap_ms: int = 5
     """After each exposure."""
     ready_ms: int = 0
@@ -61,19 +54,14 @@ class GrblTable(FileModel):
     greeting: Annotated[str, pydantic.Field(min_length=1, max_length=40)] = "Grbl"
     """Beginning of the line that the board sends after a reset."""
     axis: Literal["X", "Y", "Z", "A", "B", "C"] = "X"
-    """The axis that turns the table."""
     units_per_turn: Annotated[Number, pydantic.Field(gt=0, le=1e6)] = 360.0
     """Length of one turn of the table in the board's "millimetres": 360 for degrees."""
     laser_on: Annotated[tuple[_Command, ...], pydantic.Field(min_length=1, max_length=8)] = ("M3 S1000",)
     """Commands that switch a laser on, one for each laser."""
     laser_off: Annotated[_Command, pydantic.Field(min_length=1)] = "M5"
-    """Command that switches all lasers off."""
     home: _Command = "$H"
-    """Command for homing; "" without a home switch: home is then the table's position when a scan begins."""
     enable: _Command = ""
-    """Command that switches the motor on; "" if it is always on."""
     disable: _Command = ""
-    """Command that switches the motor off."""
     check_settings: bool = True
     """Whether to read the board's own settings ($$) and compare them with the configuration."""
 
@@ -110,7 +98,6 @@ class ControllerTable(FileModel):
     allow_laser_without_watchdog: bool = False
     """Scan with a controller that leaves the laser on when the host dies or the cable is pulled."""
     grbl: GrblTable = GrblTable()
-    """For `type = "grbl"`."""
 
 
 State = Literal["idle", "move", "home", "shot", "fault"]
@@ -121,7 +108,6 @@ class Firmware:
     """The firmware that answered."""
 
     proto: int | str
-    """Number or name of its protocol."""
     version: str
     boot: int
     """Counts resets: when it changes, position and settings are lost."""
@@ -135,21 +121,15 @@ class Status:
 
     state: State
     fault: Fault | None
-    """The fault that it is in, or None."""
     position: int
-    """Microsteps from home."""
     homed: bool
     armed: bool
     """Whether the laser may be switched on: the contactor in its supply is closed, if there is one."""
     enabled: bool
-    """Whether the motor driver is on."""
     laser: bool
     exposures: int = 0
-    """Trigger pulses since boot, modulo 65536."""
     home_switch: bool = False
-    """Whether the home switch is active."""
     estop: bool = False
-    """Whether the emergency stop is pressed."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +143,6 @@ class Counters:
     repeated: int
     """Lines that arrived again and were answered but not carried out again."""
     laser_cycles: int
-    """Times that the laser was switched on since boot."""
     up_ms: int
     watchdog_resets: int
     """Resets by the processor's watchdog since it was programmed."""
@@ -174,7 +153,6 @@ class ShotDone:
     """A finished shot."""
 
     position: int
-    """Microsteps from home, as reached."""
     exposures: int
     """Exposures since boot, modulo 65536: has grown by the number of exposures of the shot."""
 
@@ -193,7 +171,6 @@ class LinkCounts:
     """Counts of the lines sent to and received from the controller."""
 
     sent: int = 0
-    """Lines sent, including resent ones."""
     resent: int = 0
     naks: int = 0
     damaged: int = 0
@@ -202,7 +179,6 @@ class LinkCounts:
     """Unexpected answers: second answers to lines that were resent."""
     events: int = 0
     events_missed: int = 0
-    events_by_name: dict[str, int] = field(default_factory=dict)
     unanswered: int = 0
     """Waits for an answer that came to nothing, and failures of the port, since a line was heard last."""
 
@@ -235,6 +211,7 @@ class Controller(ABC):
         LinkLost: no answer any more; call `reconnect`. Its subclass ControllerReset: the controller was reset.
         RigFault: it stopped by itself and stays in the fault until `clear`.
         Refused: it does not carry out the command in its present state.
+        RigTimeout: a motion or shot did not end in time and was stopped.
     """
 
     guarantees: Guarantees
@@ -259,10 +236,7 @@ class Controller(ABC):
 
     @abstractmethod
     def hello(self) -> Firmware:
-        """Begin a session: laser off, contactor open.
-
-        Returns:
-            The firmware that answered; a changed `boot` means that position and settings are lost.
+        """Begin a session: laser off, contactor open. A changed `boot` means that position and settings are lost.
 
         Raises:
             FirmwareError: no answer, another device, or firmware that does not fit this host.
@@ -270,11 +244,7 @@ class Controller(ABC):
 
     @abstractmethod
     def configure(self, settings: Settings) -> None:
-        """Send the settings and check that the controller took them.
-
-        Raises:
-            FirmwareError: the controller does not take them, or it switches fewer lasers.
-        """
+        """Send the settings; FirmwareError if the controller does not take them, or switches fewer lasers."""
 
     @abstractmethod
     def reconnect(self, timeout_s: float = 60.0) -> Reconnection:
@@ -298,19 +268,11 @@ class Controller(ABC):
         Returns:
             The position of the switch by the counter as it was before: 0 if no step was lost. None if the controller
             cannot tell (`Guarantees.knows_missed_steps`).
-
-        Raises:
-            RigFault: the switch was not found, or a fault stopped the motion.
-            RigTimeout: homing did not end in time.
         """
 
     @abstractmethod
     def move(self, to: int, timeout_s: float = 120.0) -> int:
-        """Turn to a position, wait until the table is there, and return the position reached.
-
-        Raises:
-            RigTimeout: the table did not arrive in time.
-        """
+        """Turn to a position, wait until the table is there, and return the position reached."""
 
     @abstractmethod
     def stop(self) -> None:
@@ -324,11 +286,7 @@ class Controller(ABC):
 
     @abstractmethod
     def laser(self, on: bool, *, number: int = 1) -> None:
-        """Switch a laser on or renew its lease, by its number from 1; or switch all lasers off.
-
-        Raises:
-            Refused: not armed.
-        """
+        """Switch a laser on or renew its lease, by its number from 1; or switch all lasers off."""
 
     # The camera's trigger wire; refused without `Guarantees.hardware_trigger`
 
@@ -338,21 +296,11 @@ class Controller(ABC):
 
     @abstractmethod
     def shot(self, to: int, id: int, *, number: int = 1) -> None:
-        """Begin a shot: turn, settle, expose with the laser, expose without. The present position as `to` repeats it.
-
-        Args:
-            to: microsteps from home.
-            id: a number that identifies the shot.
-            number: which laser, from 1.
-        """
+        """Begin a shot: turn to microstep `to`, settle, expose with a laser (from 1), expose without."""
 
     @abstractmethod
     def wait_shot(self, id: int, timeout_s: float = 120.0) -> ShotDone:
-        """Wait for the end of a shot that `shot` began.
-
-        Raises:
-            RigTimeout: it did not end in time and was stopped.
-        """
+        """Wait for the end of a shot that `shot` began."""
 
     # State
 
@@ -370,11 +318,7 @@ class Controller(ABC):
 
     @abstractmethod
     def clear(self) -> None:
-        """Leave a fault; the laser is not armed afterwards.
-
-        Raises:
-            Refused: the cause of the fault is still there.
-        """
+        """Leave a fault; the laser is not armed afterwards. Refused while its cause is still there."""
 
     # Ending
 
@@ -388,15 +332,10 @@ class Controller(ABC):
 
         Returns:
             True if the controller confirmed that the laser is off and that nothing runs that could switch it on.
-            False: a person must check.
         """
 
     def close(self) -> None:
-        """Make the rig safe and close the port; may be called twice.
-
-        Raises:
-            RigError: the controller did not confirm that the laser is off.
-        """
+        """Make the rig safe and close the port; may be called twice. RigError if the laser is not confirmed off."""
         if self._closed:
             return
         self._closed = True
@@ -425,11 +364,7 @@ T = TypeVar("T")
 
 
 def with_growing_pauses(attempt: Callable[[], T], clock: Clock, timeout_s: float, name: str) -> T:
-    """Attempt to find a controller again until it succeeds.
-
-    Raises:
-        LinkLost: it did not come back in time.
-    """
+    """Attempt to find a controller again until it succeeds; LinkLost if it did not come back in time."""
     give_up = clock.now() + timeout_s
     pause = 0.1
     while True:

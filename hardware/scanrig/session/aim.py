@@ -15,7 +15,7 @@ from scanrig.session.job import Devices, Hooks, say_event
 from scanrig.session.plan import angle_deg, controller_settings, nearest
 from scanrig.session.recovery import RecoveringRig
 from scanrig.session.run import ended_by, including, leave_safe
-from scanrig.session.steps import ProvenPair, prove
+from scanrig.session.steps import Pair, prove
 
 
 PAUSE_S = 0.2
@@ -30,7 +30,6 @@ class Wish(NamedTuple):
     lit: bool = True
     """Whether the laser is to shine, for the time of a frame each; else its contactor stays open."""
     exposure_ms: float | None = None
-    """None: that of the configuration."""
     gain_db: float | None = None
 
 
@@ -38,22 +37,17 @@ class Wish(NamedTuple):
 class Sight:
     """One look."""
 
-    pair: ProvenPair | None
+    pair: Pair | None
     """Frames with and without the laser, not proven where `proof.ok` says so; None where it is to be dark."""
+    proof: PairProof | None
     off: np.ndarray
     """The laser-off frame, uint8 [rows, columns] (rgb8: and 3)."""
     angle_deg: float
-    """Where the table points."""
 
     @property
     def on(self) -> np.ndarray | None:
         """The laser-on frame."""
         return None if self.pair is None else self.pair.on.shown
-
-    @property
-    def proof(self) -> PairProof | None:
-        """What the frames show."""
-        return None if self.pair is None else self.pair.proof
 
 
 def run_aiming(
@@ -94,8 +88,12 @@ def run_aiming(
         for number in count():
             if hooks.should_stop():
                 break
-            wanted = wish()
-            exposed = _exposed(config, wanted)
+            wanted, camera = wish(), config.camera
+            exposed = with_exposure(
+                config,
+                camera.exposure_ms if wanted.exposure_ms is None else wanted.exposure_ms,
+                camera.gain_db if wanted.gain_db is None else wanted.gain_db,
+            )
             # What the camera refused once is not tried again.
             if exposed.camera != rig.config.camera and exposed != refused:
                 try:
@@ -114,7 +112,7 @@ def run_aiming(
     unsafe = leave_safe(devices.controller)
     if error is not None:
         raise including(unsafe, error)
-    return " ".join(part for part in (said, unsafe) if part)
+    return f"{said} {unsafe}".strip()
 
 
 def _sight(rig: RecoveringRig, to: int, number: int, *, lit: bool) -> Sight:
@@ -122,18 +120,9 @@ def _sight(rig: RecoveringRig, to: int, number: int, *, lit: bool) -> Sight:
     if not lit:
         if to != rig.at:
             rig.approach(to)
-        return Sight(None, rig.look(), at)
-    taken, rejections = rig.grab(to, number)
-    pair = ProvenPair(*taken, prove(taken, rig.config), rejections.reasons)
-    return Sight(pair, taken.off.shown, at)
-
-
-def _exposed(config: RigConfig, wanted: Wish) -> RigConfig:
-    """The configuration with the exposure that is wanted."""
-    camera = config.camera
-    exposure = camera.exposure_ms if wanted.exposure_ms is None else wanted.exposure_ms
-    gain = camera.gain_db if wanted.gain_db is None else wanted.gain_db
-    return with_exposure(config, exposure, gain)
+        return Sight(None, None, rig.look(), at)
+    pair = rig.grab(to, number)
+    return Sight(pair, prove(pair, rig.config), pair.off.shown, at)
 
 
 def _reachable(config: RigConfig, angle: float) -> int:

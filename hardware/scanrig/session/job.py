@@ -34,7 +34,6 @@ class Interrupts:
 
     def __init__(self) -> None:
         self.received: list[str] = []
-        """Names of the signals received."""
         self._before: dict[int, Any] = {}
         self._terminals: list[int] = []
 
@@ -80,14 +79,13 @@ class Interrupts:
 
 
 Kind = Literal["sweep", "calibration"]
-"""The purpose of a capture."""
 
 Status = Literal["complete", "suspect", "interrupted", "e-stop", "disk full"]
 """How a session ended: all records taken; the same, but steps were lost and some records are suspect; stopped by the
 operator; e-stop pressed; no space. All but "complete" may be resumed."""
 
 OnPair = Callable[[int, float, np.ndarray, np.ndarray], None]
-"""Called with (record number, angle [rad], laser-on frame, laser-off frame) when the pair is on the disk."""
+"""Called with (record number, angle [rad], laser-on frame, laser-off frame)."""
 
 
 @dataclass(frozen=True)
@@ -96,33 +94,26 @@ class SessionResult:
 
     status: Status
     message: str
-    """One line for people."""
     records: int
     """Records in the capture, of this and earlier sessions."""
     planned: int
-    """Records of the complete capture."""
     taken: int
     """Records taken by this session."""
     retakes: int
-    """Takes that were not proven."""
     suspect: tuple[tuple[int, int], ...]
     """Ranges of suspect records, first and last: steps may have been lost before them."""
     events: tuple[dict[str, Any], ...]
-    """The events noted in the journal."""
     laser_off: bool
     """Whether the controller confirmed at the end that the laser is off."""
 
 
 @dataclass(frozen=True)
 class Devices:
-    """The open devices that a session drives. A session closes none of them."""
+    """The open devices that a session drives, leaves safe, and does not close."""
 
     controller: Controller
-    """The session configures, homes and arms it, and leaves it safe."""
     camera: Camera
-    """The session starts it."""
     clock: Clock = field(default_factory=Clock)
-    """For waiting and for time stamps."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +140,6 @@ class Job:
     folder: Path
     kind: Kind
     planned: int
-    """Records that the capture will have."""
     devices: Devices
     hooks: Hooks
     resume: bool
@@ -180,11 +170,10 @@ def say_event(name: str, fields: Mapping[str, Any]) -> str:
         case "camera":
             return f"the camera is open again, after {fields['reopened']} attempts"
         case "suspect":
-            runs = spoken_runs([(first, last) for first, last in fields["records"]])
-            return f"records {runs} are suspect: {fields['why']}"
+            return f"records {spoken_runs(fields['records'])} are suspect: {fields['why']}"
         case _:
             return ""
 
 
-def spoken_runs(runs: Sequence[tuple[int, int]]) -> str:
+def spoken_runs(runs: Sequence[Sequence[int]]) -> str:
     return ", ".join(f"{first} to {last}" if last > first else str(first) for first, last in runs)

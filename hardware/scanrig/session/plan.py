@@ -25,7 +25,6 @@ class Target:
     record: int
     """Its number; with several lasers `RigConfig.laser_of` gives its laser."""
     position: int
-    """Microsteps from home."""
     turn: int
     """Its pass, or its placement."""
 
@@ -56,14 +55,10 @@ def angle_deg(position: int, microsteps_per_turn: int) -> float:
 
 
 def plan_sweep(config: RigConfig) -> tuple[tuple[Target, ...], tuple[str, ...]]:
-    """The records of a sweep in order: at each step one for each laser.
+    """The records of a sweep in order, at each step one for each laser, and sentences that people should read.
 
     Step k of K in a full turn of N microsteps is at (2 k N + K) div (2 K): each position is computed by itself, so that
     rounding errors do not add up.
-
-    Returns:
-        targets: One per record.
-        notes: Sentences that people should read.
 
     Raises:
         ConfigError: If two steps have the same position, or the table would leave its limits.
@@ -112,12 +107,7 @@ def placement_bearing(config: RigConfig, number: int) -> int:
 def placed_targets(
     config: RigConfig, positions: Sequence[tuple[int, ...]]
 ) -> tuple[tuple[tuple[Target, ...], ...], tuple[tuple[Target, ...], ...]]:
-    """The records of a calibration, grouped by free view and by placement; at each position one for each laser.
-
-    Returns:
-        free: The records of each free view.
-        stands: The records of each placement.
-    """
+    """The records of each free view, and those of each placement; at each position one for each laser."""
     plan, record = config.calibration, count()
     places = [(0,)] * plan.free_views + list(positions)
     targets = tuple(

@@ -2,13 +2,13 @@
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
 import numpy as np
 
 from scanrig.cameras import Features, require_same
+from scanrig.checks import PairProof
 from scanrig.config import RigConfig
 from scanrig.controllers import Firmware, Status
 from scanrig.errors import (
@@ -25,21 +25,8 @@ from scanrig.errors import (
 )
 from scanrig.session.job import Devices
 from scanrig.session.plan import controller_settings, longest_s, nearest
-from scanrig.session.steps import (
-    FrameNumbers,
-    ProvenPair,
-    Rejections,
-    Station,
-    Step,
-    TakenPair,
-    grab_whole,
-    plain_frame,
-    take_pair,
-)
+from scanrig.session.steps import NONE, Pair, Rejections, Station
 
-
-Note = Callable[..., None]
-"""Called with the name of an event and its fields."""
 
 _TEMPORARY = {Fault.LINK_LOST, Fault.LEASE_RAN_OUT, Fault.CAMERA_NOT_READY}
 """Faults that can be cleared without a person."""
@@ -56,25 +43,33 @@ T = TypeVar("T")
 
 
 class RecoveringRig:
-    """Controller and camera of a session; recovers from lost links, resets, lost cameras and temporary faults."""
+    """Controller and camera of a session; recovers from lost links, resets, lost cameras and temporary faults.
 
-    def __init__(self, config: RigConfig, devices: Devices, note: Note) -> None:
-        """Nothing is sent yet; `note` gets faults, retakes and homings."""
-        self.controller, self.camera, self.config = devices.controller, devices.camera, config
+    Its actions raise RigFault after an e-stop or another fault that needs a person, and RigError if the rig did not
+    recover.
+    """
+
+    def __init__(self, config: RigConfig, devices: Devices, note: Callable[..., None]) -> None:
+        """Nothing is sent yet; `note` gets the names of faults, retakes and homings, and their fields."""
+        self.controller, self.camera, self._clock, self._note = devices.controller, devices.camera, devices.clock, note
+        self._station = Station(
+            config, self.controller, self.camera, self._clock, rejected=self.reject, reopen=self._open_anew
+        )
         self.features: Features = {}
         self.position_known = False
         """Whether the counter is valid, so that the next homing shows by how much home is missed."""
         self.homings = 0
         self.rejected = 0
-        """Takes that were rejected."""
         self.at = self.came_from = 0
         """Where the last step was taken, and where the table stood before it went there [microsteps]."""
-        self._clock, self._note = devices.clock, note
-        self._numbers = FrameNumbers()
         self._homing = False
         """Whether a homing was begun whose result did not arrive: it may have set the counter to 0."""
         self._dark = False
         """Whether the contactor stays open even after a recovery, because somebody is in front of the laser."""
+
+    @property
+    def config(self) -> RigConfig:
+        return self._station.config
 
     def prepare(self) -> Firmware:
         """Begin a session: table at rest, faults cleared, controller and camera set up; not homed yet.
@@ -83,27 +78,19 @@ class RecoveringRig:
             RigFault: If the e-stop is pressed.
             RigError: If controller or camera is not the expected one or does not take its settings.
         """
-        controller = self.controller
-        firmware = controller.hello()
-        controller.stop()
-        status = self._await_rest()
-        if status.estop:
-            raise RigFault(Fault.EMERGENCY_STOP, status.position)
-        if status.state == "fault":
-            controller.clear()
-            status = controller.stat()
-        self.position_known = status.homed
-        controller.configure(controller_settings(self.config))
+        firmware = self.controller.hello()
+        self.controller.stop()
+        self.position_known = self._rested(set(Fault)).homed
+        self.controller.configure(controller_settings(self.config))
         self.camera.start()
         self.features = self.camera.features()
         return firmware
 
-    def home(self, why: str) -> int | None:
-        """Enable the motor, find home, and close the contactor.
+    def home(self, why: str) -> None:
+        """Enable the motor, find home, and close the contactor; notes by how many microsteps home was missed.
 
-        Returns:
-            By how many microsteps home was missed; None if the counter was not valid, because the
-            controller had not been homed, or the result of its homing did not arrive.
+        That is not known where the counter was not valid: the controller had not been homed, or the result of its
+        homing did not arrive.
         """
         controller, n = self.controller, self.config.microsteps_per_turn
         known = self.position_known
@@ -115,29 +102,19 @@ class RecoveringRig:
         self.position_known, self._homing = True, False
         self.homings += 1
         self.at = self.came_from = 0
-        missed = (was + n // 2) % n - n // 2 if known and was is not None else None
-        good = (
-            {} if missed is None else {"missed": missed, "good": abs(missed) <= self.config.checks.lost_steps_tolerance}
-        )
+        good = {}
+        if known and was is not None:
+            missed = (was + n // 2) % n - n // 2
+            good = {"missed": missed, "good": abs(missed) <= self.config.checks.lost_steps_tolerance}
         self._note("home", why=why, was=was, **good)
         if not self._dark:
             self.arm(True)
-        return missed
-
-    def _come_from_above(self) -> None:
-        """Move above home, since homing searches downwards: from below it would end a turn lower and wind up cables."""
-        above = nearest(_ABOVE_HOME_DEG, self.config.microsteps_per_turn)
-        limits = controller_settings(self.config).limits
-        if limits is not None:
-            above = min(above, limits[1])
-        if self.controller.stat().position < above:
-            self.controller.move(above, longest_s(self.config))
 
     def arm(self, on: bool) -> None:
         self.controller.arm(on)
         if not on:
             # With the contactor open, frames are taken without a shot, so the next frame number is not known.
-            self._numbers.forget()
+            self._station.forget()
 
     def dark(self) -> None:
         """Open the contactor, and keep it open until `light`."""
@@ -154,19 +131,19 @@ class RecoveringRig:
         Raises:
             CameraError: If the camera does not take them. It has the former ones then.
         """
-        before, self.config, refused = self.config, config, None
-        self._numbers.forget()
+        before, self._station.config, refused = self.config, config, None
+        self._station.forget()
         self._quieten()
         try:
             self.camera.adopt(config.camera)
         except CameraError as problem:
-            self.config, refused = before, problem
+            self._station.config, refused = before, problem
             self.camera.adopt(before.camera)
         self.camera.start()
         self.features = self.camera.features()
         self.doing(lambda: self.controller.configure(controller_settings(self.config)), "other settings")
         if not self._dark:
-            self.doing(lambda: self.arm(True), "closing the contactor")
+            self.light()
         if refused is not None:
             raise refused
 
@@ -175,64 +152,34 @@ class RecoveringRig:
 
         Raises:
             CameraTimeout: If no complete frame came in any try.
-            RigError: If the rig did not recover.
         """
-        for attempt in range(self.config.checks.retakes):
+        attempt = 0
+        while True:
             try:
                 return self.doing(partial(self._look, attempt), "a look")
             except CameraTimeout as problem:
+                if attempt == self.config.checks.retakes:
+                    raise
                 self._note("retake", reason=str(problem))
-        return self.doing(partial(self._look, self.config.checks.retakes), "a look")
+                attempt += 1
 
-    def _look(self, attempt: int) -> np.ndarray:
-        if attempt > 0 and attempt % 2 == 0:
-            # Here, where a fault during the reopening is recovered too.
-            self._open_anew("a look")
-        return plain_frame(self._station("a look")).shown
+    def take(self, to: int, record: int, before: Rejections = NONE) -> tuple[Pair, PairProof]:
+        """Take one record, with the laser of its number, until it is proven. Raises FrameError if it could not be."""
+        return self._step(lambda: self._station.take(to, record, before), to, record)
 
-    def take(self, to: int, number: int, before: Rejections | None = None) -> ProvenPair:
-        """Take one record, with the laser of its number, until it is proven; `before`: earlier takes, rejected.
-
-        Recovers from a lost link, a reset, a lost camera and temporary faults.
-
-        Raises:
-            FrameError: If the step could not be proven.
-            RigFault: After an e-stop, or another fault that needs a person.
-            RigError: If the rig did not recover.
-        """
-        return self._step(take_pair, to, number, before)
-
-    def grab(self, to: int, number: int) -> tuple[TakenPair, Rejections]:
-        """Take the frames of one record, not proven yet, and recover as `take` does.
-
-        Returns:
-            The frames, and the takes of the step that were rejected.
-        """
-        return self._step(grab_whole, to, number, None)
+    def grab(self, to: int, record: int) -> Pair:
+        """Take the frames of one record, not proven yet, and recover as `take` does."""
+        return self._step(lambda: self._station.grab(to, record), to, record)
 
     def approach(self, to: int) -> None:
         """Go to a position, so that the next motion comes from there."""
         self.doing(lambda: self.controller.move(to, longest_s(self.config)), "going back")
         self.at = to
 
-    def reject(self, number: int, reason: str) -> None:
+    def reject(self, record: int, reason: str) -> None:
         """Count and note a take that was rejected."""
         self.rejected += 1
-        self._note("retake", step=number, reason=reason)
-
-    def _step(
-        self, take: Callable[[Station, Step, Rejections | None], T], to: int, number: int, before: Rejections | None
-    ) -> T:
-        action, step = f"step {number}", Step(to, number, self.config.laser_of(number))
-        rejected = partial(self.reject, number)
-        result = self.doing(lambda: take(replace(self._station(action), rejected=rejected), step, before), action)
-        if to != self.at:
-            self.came_from, self.at = self.at, to
-        return result
-
-    def _station(self, action: str) -> Station:
-        reopen = partial(self._open_anew, action)
-        return Station(self.config, self.controller, self.camera, self._clock, self._numbers, reopen)
+        self._note("retake", step=record, reason=reason)
 
     def doing(self, work: Callable[[], T], action: str) -> T:
         """Do some repeatable work, and repeat it after each recovery; `action` names it."""
@@ -243,12 +190,33 @@ class RecoveringRig:
                 self._recover(problem, action)
         return work()
 
+    def _look(self, attempt: int) -> np.ndarray:
+        if attempt > 0 and attempt % 2 == 0:
+            # Here, where a fault during the reopening is recovered too.
+            self._open_anew("a look")
+        return self._station.plain_frame().shown
+
+    def _step(self, take: Callable[[], T], to: int, record: int) -> T:
+        taken = self.doing(take, f"step {record}")
+        if to != self.at:
+            self.came_from, self.at = self.at, to
+        return taken
+
+    def _come_from_above(self) -> None:
+        """Move above home, since homing searches downwards: from below it would end a turn lower and wind up cables."""
+        above = nearest(_ABOVE_HOME_DEG, self.config.microsteps_per_turn)
+        limits = controller_settings(self.config).limits
+        if limits is not None:
+            above = min(above, limits[1])
+        if self.controller.stat().position < above:
+            self.controller.move(above, longest_s(self.config))
+
     def _open_anew(self, action: str) -> None:
         self._recover(CameraLost(f"{self.camera.identity}: no frame came, twice in a row"), action)
 
     def _recover(self, problem: Exception, action: str) -> None:
         """Recover the rig, or raise the error that needs a person."""
-        self._numbers.forget()
+        self._station.forget()
         self._note("fault", at=action, problem=str(problem))
         if isinstance(problem, RigFault) and problem.fault not in _TEMPORARY:
             raise problem
@@ -277,8 +245,7 @@ class RecoveringRig:
         self.arm(False)
 
     def _reconnect(self, problem: Exception) -> None:
-        patience = 2.0 * (1 + self.config.controller.reconnects)
-        found = self.controller.reconnect(patience)
+        found = self.controller.reconnect(2.0 * (1 + self.config.controller.reconnects))
         if found.status.estop:
             raise RigFault(Fault.EMERGENCY_STOP, found.status.position) from problem
         if not found.same_boot:
@@ -306,14 +273,7 @@ class RecoveringRig:
 
     def _make_ready(self) -> None:
         """Clear a fault, enable the motor, home if necessary, arm."""
-        status = self._await_rest()
-        if status.estop:
-            raise RigFault(Fault.EMERGENCY_STOP, status.position)
-        if status.state == "fault":
-            if status.fault not in _TEMPORARY:
-                raise RigFault(status.fault or Fault.UNKNOWN, status.position)
-            self.controller.clear()
-            status = self.controller.stat()
+        status = self._rested(_TEMPORARY)
         if not (status.enabled and status.homed):
             # If it was stopped during a motion, its counter is not valid.
             self.position_known = False
@@ -321,8 +281,19 @@ class RecoveringRig:
         elif not status.armed and not self._dark:
             self.arm(True)
 
+    def _rested(self, cleared: set[Fault]) -> Status:
+        """The state at rest, after one of these faults was cleared. Raises RigFault for others and the e-stop."""
+        status = self._await_rest()
+        if status.estop:
+            raise RigFault(Fault.EMERGENCY_STOP, status.position)
+        if status.state == "fault":
+            if (status.fault or Fault.UNKNOWN) not in cleared:
+                raise RigFault(status.fault or Fault.UNKNOWN, status.position)
+            self.controller.clear()
+            status = self.controller.stat()
+        return status
+
     def _await_rest(self) -> Status:
-        """Poll until nothing moves any more."""
         end = self._clock.now() + _STILL_S
         while (status := self.controller.stat()).state not in ("idle", "fault"):
             if self._clock.now() > end:

@@ -10,16 +10,7 @@ import numpy as np
 import pydantic
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import (
-    HEADER_NAME,
-    JOURNAL_NAME,
-    CaptureHeader,
-    ImageReader,
-    Problem,
-    journal_objects,
-    read_texts,
-    verify_capture,
-)
+from jaxscan.files.capture import CaptureHeader, ImageReader, Problem, journal_objects, read_texts, verify_capture
 from scanrig.config import RigConfig
 from scanrig.errors import SessionError
 from scanrig.session.job import Kind
@@ -27,9 +18,15 @@ from scanrig.session.job import Kind
 
 T = TypeVar("T")
 _SHOWN = 5
-"""Most changes that a message lists."""
 _RUNS = pydantic.TypeAdapter(list[Annotated[list[int], pydantic.Field(min_length=2, max_length=2)]])
-_PLACEMENT = pydantic.TypeAdapter(Annotated[int, pydantic.Field(ge=0, lt=1 << 31)])
+_INTEGER = pydantic.TypeAdapter(int)
+_NUMBER = pydantic.TypeAdapter(Annotated[int, pydantic.Field(ge=0, lt=1 << 31)])
+_ACQUISITION: dict[str, pydantic.TypeAdapter[Any]] = {
+    "camera": pydantic.TypeAdapter(dict[str, Any]),
+    "features": pydantic.TypeAdapter(dict[str, int | float | str]),
+    "calibration": pydantic.TypeAdapter(Annotated[str, pydantic.Field(pattern="^[ -~]*$")]),
+}
+"""The values of the header that are used again."""
 
 
 @dataclass(frozen=True)
@@ -38,17 +35,13 @@ class Found:
 
     header: CaptureHeader
     records: dict[int, dict[str, Any]]
-    """Whole records that are not suspect; of each the last take."""
-    order: tuple[int, ...]
-    """Their numbers in the order in which they were taken."""
+    """Whole records that are not suspect, in the order in which they were taken; of each the last take."""
     since_home: tuple[int, ...]
     """Records taken since home was last found well."""
     unjudged: bool
     """Whether home was found after these records without a valid counter, so that lost steps would not show."""
     damaged: tuple[Problem, ...]
-    """Problems of damaged records."""
     altered: tuple[Problem, ...]
-    """Problems of the journal itself."""
     suspect: tuple[int, ...]
     """Records that may have lost steps before them, and were not retaken since."""
     placements: int
@@ -57,17 +50,12 @@ class Found:
     """How the last session ended, if it noted an end after its last record."""
 
 
-def is_capture(folder: Path) -> bool:
-    """Whether a folder holds a capture, however short."""
-    return (folder / HEADER_NAME).exists()
-
-
 def find_capture(folder: Path, *, progress: Callable[[int, int], None] | None = None) -> Found:
     """Read and verify a whole capture; `progress` is called with (records done, records in all).
 
     Raises:
-        CaptureError: If header or journal are damaged in a way that no interruption causes, or hold values
-            that no session writes.
+        CaptureError: If header or journal are damaged in a way that no interruption causes.
+        SessionError: If the journal holds values that no session writes.
     """
     texts = read_texts(folder)
     problems = verify_capture(folder, progress=progress)
@@ -99,10 +87,11 @@ def find_capture(folder: Path, *, progress: Callable[[int, int], None] | None = 
                 since_home.clear()
                 unjudged = False
             case "suspect":
-                runs = _checked(folder, value, "records", _RUNS)
+                runs = _checked(folder, "the records of an event", value.get("records"), _RUNS)
                 suspect.update(n for n in records if any(first <= n <= last for first, last in runs))
             case "placed":
-                placements = max(placements, 1 + _checked(folder, value, "placement", _PLACEMENT))
+                placed = _checked(folder, "the placement of an event", value.get("placement"), _NUMBER)
+                placements = max(placements, 1 + placed)
             case "end":
                 status = value.get("status")
     bad = {problem.record for problem in problems}
@@ -110,7 +99,6 @@ def find_capture(folder: Path, *, progress: Callable[[int, int], None] | None = 
     return Found(
         header=texts.header,
         records=whole,
-        order=tuple(whole),
         since_home=tuple(number for number in dict.fromkeys(since_home) if number in whole),
         unjudged=unjudged,
         damaged=tuple(problem for problem in problems if problem.record is not None),
@@ -121,14 +109,13 @@ def find_capture(folder: Path, *, progress: Callable[[int, int], None] | None = 
     )
 
 
-def _checked(folder: Path, event: dict[str, Any], key: str, kind: pydantic.TypeAdapter[T]) -> T:
-    """A checked value of an event; other programs may have written into the journal."""
+def _checked(folder: Path, name: str, value: Any, kind: pydantic.TypeAdapter[T]) -> T:
+    """A value of header or journal, which anybody can edit."""
     try:
-        return kind.validate_python(event.get(key), strict=True)
+        return kind.validate_python(value, strict=True)
     except pydantic.ValidationError as problem:
-        raise CaptureError(
-            f"{folder / JOURNAL_NAME}: the event {event['event']!r:.20} holds {key} = {event.get(key)!r:.40}, "
-            "which no session writes; the capture cannot be continued."
+        raise SessionError(
+            f"{folder}: found {name} = {value!a:.40}, which no session writes; the capture cannot be continued."
         ) from problem
 
 
@@ -152,23 +139,23 @@ def read_pair(folder: Path, number: int) -> tuple[np.ndarray, np.ndarray]:
 def require_same_plan(
     found: Found, config: RigConfig, kind: Kind, *, folder: Path, calibration_digest: str | None
 ) -> None:
-    """Check that nothing changed that the frames depend on.
+    """Check that nothing changed that the frames depend on, and that a session has written what is used again.
 
     Raises:
-        SessionError: With the changes.
+        SessionError: With the changes, or the value.
     """
-    header = found.header
+    header, was = found.header, found.header.acquisition
     if header.kind != kind:
         raise SessionError(f"{folder}: found a capture of kind {header.kind}, expected {kind}; choose another folder.")
-    was, now = header.acquisition, config.frame_tables(kind)
     if "config_sha256" not in was:
         raise SessionError(f"{folder}: was not captured by this program, so it cannot be continued.")
-    _require_own_words(found, folder)
-    changed = list(_changes(was.get("config", {}), now))
-    if was.get("microsteps_per_turn") != config.microsteps_per_turn:
-        changed.append(
-            f"microsteps per turn: was {_shown(was.get('microsteps_per_turn'))}, is {config.microsteps_per_turn}"
-        )
+    for key, values in _ACQUISITION.items():
+        if key in was:
+            _checked(folder, f"acquisition.{key}", was[key], values)
+    for number, record in found.records.items():
+        _checked(folder, f"microsteps of record {number}", record.get("microsteps"), _INTEGER)
+    now = {"config": config.frame_tables(kind), "microsteps_per_turn": config.microsteps_per_turn}
+    changed = [change for key, value in now.items() for change in _changes(was.get(key), value, key)]
     before = was.get("calibration")
     if calibration_digest is not None and before is not None and before != calibration_digest:
         changed.append(f"calibration: was {before[:19]}…, is {calibration_digest[:19]}…")
@@ -178,33 +165,8 @@ def require_same_plan(
         more = [f"and {len(changed) - _SHOWN} more"] if len(changed) > _SHOWN else []
         raise SessionError(
             f"{folder}: cannot be continued, since it was begun with other settings: "
-            f"{'; '.join(changed[:_SHOWN] + more)}. "
-            "Restore them, or choose another folder."
+            f"{'; '.join(changed[:_SHOWN] + more)}. Restore them, or choose another folder."
         )
-
-
-def _require_own_words(found: Found, folder: Path) -> None:
-    """Check the values that are used of header and records: anybody can edit these files."""
-    odd = [
-        f"[acquisition.{key}] = {found.header.acquisition[key]!a:.40}"
-        for key in ("camera", "features")
-        if not isinstance(found.header.acquisition.get(key, {}), Mapping)
-    ]
-    odd += [
-        f"[acquisition.features] {name!a:.40} = {value!a:.40}"
-        for name, value in (() if odd else found.header.acquisition.get("features", {}).items())
-        if type(value) not in (int, float, str)
-    ]
-    digest = found.header.acquisition.get("calibration", "")
-    if not (isinstance(digest, str) and digest.isprintable()):
-        odd.append(f"[acquisition] calibration = {digest!a:.40}")
-    odd += [
-        f"record {number} at microsteps = {record.get('microsteps')!a:.40}"
-        for number, record in found.records.items()
-        if type(record.get("microsteps")) is not int
-    ]
-    if odd:
-        raise SessionError(f"{folder}: found {odd[0]}, which no session writes; the capture cannot be continued.")
 
 
 def require_same_camera(found: Found, identity: Mapping[str, str], *, folder: Path) -> None:
@@ -213,11 +175,7 @@ def require_same_camera(found: Found, identity: Mapping[str, str], *, folder: Pa
     Raises:
         SessionError: With both cameras.
     """
-    was = found.header.acquisition.get("camera", {})
-    changed = [
-        f"{key}: was {was.get(key)!r:.60}, is {value!r:.60}" for key, value in identity.items() if was.get(key) != value
-    ]
-    if changed:
+    if changed := list(_changes(found.header.acquisition.get("camera", {}), identity)):
         raise SessionError(
             f"{folder}: was begun with another camera ({'; '.join(changed)}); "
             "connect that one, or choose another folder."
@@ -233,8 +191,8 @@ def _changes(was: Any, now: Any, path: str = "") -> Iterator[str]:
         for number, (one, other) in enumerate(zip(was, now, strict=True)):
             yield from _changes(one, other, f"{path}[{number}]")
     elif was != now:
-        name = path if path.isprintable() else ascii(path)
-        yield f"{name:.60}: was {_shown(was)}, is {_shown(now)}"
+        name = path.removeprefix("config.")
+        yield f"{name if name.isprintable() else ascii(name):.60}: was {_shown(was)}, is {_shown(now)}"
 
 
 def _is_list(value: Any) -> bool:

@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from jaxscan.errors import ConfigError
-from jaxscan.files.capture import JOURNAL_NAME, SEAL
+from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, SEAL
 from jaxscan.files.disk import make_folder
 from scanrig.config import RigConfig
 from scanrig.controllers import UNCONFIRMED, Controller, require_allowed
@@ -19,21 +19,19 @@ from scanrig.errors import Fault, LinkLost, RigError, RigFault, SessionError
 from scanrig.recording import folder_lock, is_full
 from scanrig.session.job import Devices, Hooks, Job, SessionResult, spoken_runs
 from scanrig.session.plan import Target, angle_deg, placed_targets, placement_bearing, placement_positions, plan_sweep
-from scanrig.session.resume import Found, find_capture, is_capture, ranges, require_same_plan
+from scanrig.session.resume import Found, find_capture, ranges, require_same_plan
 from scanrig.session.session import Session
 
 
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class Ending:
+class Ending(NamedTuple):
     """The end of a session."""
 
     status: str
     """As in `SessionResult`; or "aborted" or "failed", and then `error` is raised."""
     message: str
-    """The reason."""
     error: BaseException | None = None
 
 
@@ -50,31 +48,19 @@ def ended_by(problem: BaseException, controller: Controller) -> Ending:
     return Ending("failed", f"{type(problem).__name__}: {problem}", problem)
 
 
-def counted(controller: Controller, *, answers: bool) -> dict[str, Any]:
-    """The counters of the link and, if it `answers`, of the controller, as fields for the journal."""
-    link: dict[str, Any] = {"link": asdict(controller.link_counts)}
-    if not answers:
-        return link
-    try:
-        counters = controller.counters()
-        return link if counters is None else {"controller": asdict(counters), **link}
-    except RigError as problem:
-        log.info("the controller's counters could not be read: %s", problem)
-        return link
-
-
 def leave_safe(controller: Controller) -> str:
     """Laser off and contactor open, in every case; "" if the controller confirmed it, else an order to a person."""
+    warning = f"{UNCONFIRMED[0].upper()}{UNCONFIRMED[1:]}"
     for _ in range(2):
         try:
-            return "" if controller.make_safe() else _warning()
+            return "" if controller.make_safe() else f"{warning}."
         except KeyboardInterrupt:
             # A further interrupt: switch off first.
             with contextlib.suppress(LinkLost):
                 controller.abort()
         except (RigError, OSError) as problem:
-            return _warning(problem)
-    return _warning()
+            return f"{warning} ({problem})."
+    return f"{warning}."
 
 
 def including(unsafe: str, error: BaseException) -> BaseException:
@@ -84,9 +70,16 @@ def including(unsafe: str, error: BaseException) -> BaseException:
     return error
 
 
-def _warning(problem: Exception | None = None) -> str:
-    says = UNCONFIRMED if problem is None else f"{UNCONFIRMED} ({problem})"
-    return f"{says[0].upper()}{says[1:]}."
+def _counted(controller: Controller, *, answers: bool) -> dict[str, Any]:
+    """The counters of the link and, if it `answers`, of the controller, as fields for the journal."""
+    counted: dict[str, Any] = {"link": asdict(controller.link_counts)}
+    if answers:
+        try:
+            if counters := controller.counters():
+                counted["controller"] = asdict(counters)
+        except RigError as problem:
+            log.info("the controller's counters could not be read: %s", problem)
+    return counted
 
 
 def run_job(job: Job, work: Callable[[Session], bool]) -> SessionResult:
@@ -104,12 +97,18 @@ def run_job(job: Job, work: Callable[[Session], bool]) -> SessionResult:
         raise ConfigError(
             'camera.trigger: found "hardware", expected "software" or "free": the controller has no wire to the camera.'
         )
-    made = _make(job.folder)
+    made = not job.folder.is_dir()
+    try:
+        make_folder(job.folder, durable=True)
+    except OSError as problem:
+        raise SessionError(f"{job.folder}: cannot be created: {problem.strerror or problem}.") from problem
     try:
         with folder_lock(job.folder) as lock:
-            found = _look(job)
+            found = _find(job)
             if found is not None and found.status == "complete" and not found.damaged and not found.suspect:
-                return _complete_already(job, found)
+                count = len(found.records)
+                message = f"{job.folder}: is complete already, {count} records; nothing was done."
+                return SessionResult("complete", message, count, job.planned, 0, 0, (), (), True)
             if job.resume and found is None:
                 job.hooks.notify(f"{job.folder}: no capture to resume; a new one begins.")
             session = Session(job, found)
@@ -130,20 +129,20 @@ def _run(session: Session, work: Callable[[Session], bool]) -> SessionResult:
         session.begin()
         finished = work(session)
         session.settle()
-        status = ("suspect" if session.suspect else "complete") if finished else "interrupted"
-        ending = Ending(status, "")
+        ending = Ending(("suspect" if session.suspect else "complete") if finished else "interrupted", "")
     except BaseException as problem:
         ending = ended_by(problem, job.devices.controller)
     unsafe = leave_safe(job.devices.controller)
     # Only now: it may wait for the disk.
     session.end()
+    count = len(session.done)
     unsealed = session.ledger.end(
         ending.status,
-        records=len(session.done),
+        records=count,
         taken=session.taken,
         problem=ending.message,
         laser_off=not unsafe,
-        **counted(job.devices.controller, answers=not unsafe),
+        **_counted(job.devices.controller, answers=not unsafe),
     )
     for sentence in (unsafe, unsealed):
         if sentence:
@@ -151,20 +150,24 @@ def _run(session: Session, work: Callable[[Session], bool]) -> SessionResult:
     if ending.error is not None:
         if session.ledger.events and session.done:
             job.hooks.notify(
-                f"{job.folder}: {len(session.done)} of {job.planned} records are on the disk; "
-                "the capture can be resumed."
+                f"{job.folder}: {count} of {job.planned} records are on the disk; the capture can be resumed."
             )
         raise including(unsafe, ending.error)
-    return _result(session, ending, unsafe)
-
-
-def _result(session: Session, ending: Ending, unsafe: str) -> SessionResult:
-    job, count = session.job, len(session.done)
     suspect = tuple(ranges(tuple(session.suspect)))
-    says = say_end(ending, job.folder, count=count, planned=job.planned, suspect=suspect)
+    there = f"{count} of {job.planned} records"
+    says = {
+        "complete": f"complete, {count} records",
+        "suspect": f"steps were lost: records {spoken_runs(suspect)} are suspect; "
+        "resume the capture to take them again",
+        "interrupted": f"interrupted with {there}; it can be resumed",
+        "e-stop": f"{ending.message}. {there} are there; release the e-stop, then resume the capture",
+        "disk full": f"{ending.message} {there} are there",
+    }[ending.status]
+    # The message of an error may already begin with the folder.
+    message = f"{job.folder}: {says.removeprefix(f'{job.folder}: ').rstrip('.')}."
     return SessionResult(
         status=ending.status,  # type: ignore[arg-type]
-        message=" ".join(part for part in (says, unsafe) if part),
+        message=f"{message} {unsafe}".rstrip(),
         records=count + len(session.suspect - session.done),
         planned=job.planned,
         taken=session.taken,
@@ -175,24 +178,13 @@ def _result(session: Session, ending: Ending, unsafe: str) -> SessionResult:
     )
 
 
-def _make(folder: Path) -> bool:
-    """Make the folder; True if it did not exist."""
-    try:
-        if folder.is_dir():
-            return False
-        make_folder(folder, durable=True)
-    except OSError as problem:
-        raise SessionError(f"{folder}: cannot be created: {problem.strerror or problem}.") from problem
-    return True
-
-
-def _look(job: Job) -> Found | None:
+def _find(job: Job) -> Found | None:
     """The capture in the folder, if there is one and it may be continued.
 
     Raises:
         KeyboardInterrupt: If the operator asks to stop while it is verified.
     """
-    if not is_capture(job.folder):
+    if not (job.folder / HEADER_NAME).exists():
         return None
     if not job.resume:
         raise SessionError(f"{job.folder}: holds a capture already; resume it, or choose another folder.")
@@ -204,42 +196,16 @@ def _look(job: Job) -> Found | None:
             raise KeyboardInterrupt
 
     found = find_capture(job.folder, progress=end_if_asked)
-    for problem in found.altered:
-        if not problem.lasting:
-            job.hooks.notify(str(problem))
     require_same_plan(found, job.config, job.kind, folder=job.folder, calibration_digest=job.calibration_digest)
-    _require_seals(found)
-    return found
-
-
-def _require_seals(found: Found) -> None:
-    """Check that no seal is broken: new records do not mend it, and the whole capture could never be opened."""
     for problem in found.altered:
+        # New records do not mend a broken seal, and the whole capture could never be opened.
         if problem.lasting:
             raise SessionError(
                 f"{problem.message.removesuffix('.')}; the capture cannot be continued: restore the file from a copy, "
                 f"or, if the change is meant, remove the lines with {SEAL} from {JOURNAL_NAME}."
             )
-
-
-def _complete_already(job: Job, found: Found) -> SessionResult:
-    count = len(found.records)
-    message = f"{job.folder}: is complete already, {count} records; nothing was done."
-    return SessionResult("complete", message, count, job.planned, 0, 0, (), (), True)
-
-
-def say_end(ending: Ending, folder: Path, *, count: int, planned: int, suspect: Sequence[tuple[int, int]]) -> str:
-    there = f"{count} of {planned} records"
-    says = {
-        "complete": f"complete, {count} records",
-        "suspect": f"steps were lost: records {spoken_runs(suspect)} are suspect; "
-        "resume the capture to take them again",
-        "interrupted": f"interrupted with {there}; it can be resumed",
-        "e-stop": f"{ending.message}. {there} are there; release the e-stop, then resume the capture",
-        "disk full": f"{ending.message} {there} are there",
-    }[ending.status]
-    # The message of an error may already begin with the folder.
-    return f"{folder}: {says.removeprefix(f'{folder}: ').rstrip('.')}."
+        job.hooks.notify(str(problem))
+    return found
 
 
 PlacementKind = Literal["free", "placement"]
@@ -255,9 +221,7 @@ class PlacementRequest:
     """Counted from 0 within its kind."""
     total: int
     at_deg: float
-    """Where the table points meanwhile."""
     advice: list[str]
-    """The most helpful poses, a sentence each."""
     look: Callable[[], np.ndarray]
     """Takes a frame without laser: uint8 [rows, columns] (rgb8: and 3). Recovers from faults as every step does, and
     keeps the contactor open."""
@@ -373,7 +337,8 @@ def _take_turns(session: Session, targets: Sequence[Target]) -> bool:
                 return False
             session.take(target.record, target.position)
         session.settle()
-        if session.unclosed(turn):
+        # Some were taken since home was last found well.
+        if not {target.record for target in turn}.isdisjoint(session.since_home):
             if session.job.hooks.should_stop():
                 return False
             session.close_turn(turn)

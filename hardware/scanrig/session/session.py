@@ -10,48 +10,19 @@ from jaxscan.files.capture import CaptureHeader, PlanTable, TurntableTable
 from scanrig.cameras import Features, require_same
 from scanrig.checks import PLACES, LeakWatch, LightWatch, Likeness, PairProof, compare_pairs
 from scanrig.config import RigConfig
-from scanrig.controllers import Controller, Firmware, shortcomings
+from scanrig.controllers import Firmware, shortcomings
 from scanrig.errors import FrameError, SessionError
 from scanrig.recording import AHEAD, KEPT_PAIRS, Ledger, require_space
 from scanrig.session.job import Job, say_event
 from scanrig.session.plan import RESERVE, Target, angle_deg, frame_bytes
 from scanrig.session.recovery import RecoveringRig
 from scanrig.session.resume import Found, ranges, read_pair, require_same_camera
-from scanrig.session.steps import Flight, Flights, Place, ProvenPair, Step
-
-
-class PairWatch:
-    """Follows the proofs of a session's pairs."""
-
-    def __init__(self, config: RigConfig, controller: Controller, note: Callable[..., None]) -> None:
-        """`note` gets changes of the light."""
-        self._allowed, self._controller, self._note = config.checks.proof.leak, controller, note
-        self._light = LightWatch()
-        self._leaks = tuple(LeakWatch() for _ in config.laser)
-
-    def add(self, record: int, laser: int, angle_deg: float | None, proof: PairProof) -> None:
-        """Add a pair; `angle_deg`: the table's angle, None if every pair shows another scene.
-
-        Raises:
-            FrameError: If the laser shines in the laser-off frames of many places; the contactor is open then.
-        """
-        ambient = proof.ambient_dn
-        if (was := self._light.add(ambient)) is not None:
-            self._note("light", record=record, was_dn=round(was, 2), is_dn=round(ambient, 2))
-        leak = self._leaks[laser].add(angle_deg, proof.leak)
-        if leak is None or leak <= self._allowed:
-            return
-        self._controller.arm(False)
-        raise FrameError(
-            f"step {record}: the laser stays on: {100 * leak:.0f} % of its line is in the laser-off frames of "
-            f"the last {PLACES} places too, expected at most {100 * self._allowed:.0f} %; give it more time to go out "
-            "([[laser]] off_ms), and check relay and wiring. The contactor has been opened."
-        )
+from scanrig.session.steps import Flight, Flights, Pair
 
 
 def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureHeader:
     """The header of a new capture, with the settings that must not change when it is resumed."""
-    config, kind, identity = job.config, job.kind, job.devices.camera.identity
+    config, kind = job.config, job.kind
     acquisition: dict[str, Any] = {
         "software": f"jaxscan {version('jaxscan')}",
         "started": job.devices.clock.utc(),
@@ -60,7 +31,7 @@ def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureH
         "firmware": firmware.version,
         "protocol": firmware.proto,
         "boot": firmware.boot,
-        "camera": asdict(identity),
+        "camera": asdict(job.devices.camera.identity),
         "features": dict(features),
         "config": config.frame_tables(kind),
     }
@@ -77,17 +48,18 @@ def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureH
     )
 
 
-def record_fields(pair: ProvenPair, config: RigConfig, features: Features, moment: dict[str, Any]) -> dict[str, Any]:
+def record_fields(
+    pair: Pair, proof: PairProof, config: RigConfig, features: Features, moment: dict[str, Any]
+) -> dict[str, Any]:
     """The fields of a record, without its images and their digests; `moment`: the fields of its time."""
-    n, proof = config.microsteps_per_turn, pair.proof
-    exposure = features.get("exposure_s", config.camera.exposure_ms / 1000)
+    n = config.microsteps_per_turn
     fields: dict[str, Any] = {
         "angle_deg": angle_deg(pair.position, n),
         **moment,
         "microsteps": pair.position,
         "microsteps_per_turn": n,
-        "exposure_s": exposure,
-        "retakes": len(pair.rejected),
+        "exposure_s": features.get("exposure_s", config.camera.exposure_ms / 1000),
+        "retakes": len(pair.rejections.reasons),
         "frame_ids": [pair.on.number, pair.off.number],
         "statistics": {
             "lit_lines": round(proof.lit_lines, 4),
@@ -99,8 +71,8 @@ def record_fields(pair: ProvenPair, config: RigConfig, features: Features, momen
     }
     if len(config.laser) > 1:
         fields["lasers"] = [config.laser[pair.laser].name]
-    if pair.rejected:
-        fields["rejected"] = list(pair.rejected)
+    if pair.rejections.reasons:
+        fields["rejected"] = list(pair.rejections.reasons)
     return fields
 
 
@@ -119,21 +91,21 @@ class Session:
         self.done: set[int] = set() if found is None else set(found.records)
         """Records that are on the disk and not suspect."""
         self.suspect: set[int] = set()
-        """Records of this session that are suspect."""
         self.since_home: list[int] = [] if found is None else list(found.since_home)
         """Records taken since home was last found well."""
         self._unjudged = found is not None and found.unjudged
         """Whether home was found after these records without a valid counter, so that lost steps would not show."""
         self.taken = 0
         self._found = found
-        self._last = found.order[-1] if found is not None and found.order else None
+        self._last = next(reversed(found.records), None) if found is not None else None
         self._last_placement: int | None = None
         self._positions = {} if found is None else {i: int(r["microsteps"]) for i, r in found.records.items()}
         self._placements = 0 if found is None else found.placements
         self._flights = Flights(self.ledger, self.config)
         self._unproven: list[Flight] = []
         """Steps that were not proven, to which the table must return."""
-        self._watch = PairWatch(self.config, job.devices.controller, self._note)
+        self._light = LightWatch()
+        self._leaks = tuple(LeakWatch() for _ in self.config.laser)
 
     def begin(self) -> None:
         """Make the rig ready and open the capture."""
@@ -143,8 +115,7 @@ class Session:
             self._note("guarantees", lacking=list(lacking))
             job.hooks.notify(lacking[0])
         missing = job.planned - len(self.done)
-        needed = math.ceil(2 * missing * frame_bytes(self.config) * RESERVE)
-        require_space(job.folder, needed, purpose=f"the capture of {missing} more pairs")
+        self._require_space(missing, f"the capture of {missing} more pairs")
         identity = job.devices.camera.identity
         if self._found is None:
             self.ledger.create(capture_header(job, firmware, rig.features))
@@ -183,20 +154,18 @@ class Session:
         again until it is. Call `settle` after the last record.
         """
         self._collect()
-        room = math.ceil((KEPT_PAIRS + len(self._flights)) * 2 * frame_bytes(self.config) * RESERVE)
-        require_space(self.job.folder, room, purpose="the next pair")
+        self._require_space(KEPT_PAIRS + len(self._flights), "the next pair")
         homings = self.rig.homings
         try:
-            taken, rejections = self.rig.grab(to, record)
+            pair = self.rig.grab(to, record)
         except FrameError:
             # If the step before fails too, it is the first to say so.
             self._return_to_unproven()
             raise
-        place = Place(Step(to, record, self.config.laser_of(record)), self.rig.came_from, placement)
-        fields = self._fields(placement)
+        came_from, fields = self.rig.came_from, self._fields(placement)
         self._check_homing(homings, placement)
         self._judge()
-        self._flights.begin(place, taken, rejections, fields)
+        self._flights.begin(pair, came_from, placement, fields)
         if self._unproven:
             self._return_to_unproven()
 
@@ -209,10 +178,6 @@ class Session:
         """Finish what is done in the background, also after an error."""
         for flight in self._flights.end():
             self._count(flight)
-
-    def unclosed(self, turn: Sequence[Target]) -> bool:
-        """Whether records of a pass were taken since home was last found well."""
-        return not {target.record for target in turn}.isdisjoint(self.since_home)
 
     def close_turn(self, turn: Sequence[Target]) -> None:
         """Take the first step of a pass again, compare it, and search for home."""
@@ -237,12 +202,15 @@ class Session:
         self._note("placed", placement=number)
         return number
 
-    def _fields(self, placement: int | None) -> Callable[[ProvenPair], dict[str, Any]]:
+    def _require_space(self, pairs: int, purpose: str) -> None:
+        require_space(self.job.folder, math.ceil(2 * pairs * frame_bytes(self.config) * RESERVE), purpose=purpose)
+
+    def _fields(self, placement: int | None) -> Callable[[Pair, PairProof], dict[str, Any]]:
         """Makes the fields of a record that was taken now."""
         config, clock, features = self.config, self.job.devices.clock, self.rig.features
         moment = {"time": clock.utc(), "time_s": round(clock.now(), 6)}
         place = {} if placement is None else {"placement": placement}
-        return lambda pair: record_fields(pair, config, features, moment) | place
+        return lambda pair, proof: record_fields(pair, proof, config, features, moment) | place
 
     def _judge(self) -> None:
         """Read the verdict on the last pair."""
@@ -250,9 +218,9 @@ class Session:
             return
         flight, proof = judged
         if proof.ok:
-            self._add_to_watch(flight, proof)
+            self._watch(flight.pair, flight.placement, proof)
         else:
-            self.rig.reject(flight.record, proof.reason)
+            self.rig.reject(flight.pair.record, proof.reason)
             self._unproven.append(flight)
 
     def _return_to_unproven(self) -> None:
@@ -260,15 +228,15 @@ class Session:
         self._judge()
         while self._unproven:
             flight = self._unproven.pop(0)
-            place = flight.place
-            if self.rig.at != place.step.to != place.came_from:
+            record, to = flight.pair.record, flight.pair.position
+            if self.rig.at != to != flight.came_from:
                 # From the same side as the first time: gears have backlash.
-                self.rig.approach(place.came_from)
+                self.rig.approach(flight.came_from)
             homings = self.rig.homings
-            pair = self.rig.take(place.step.to, flight.record, flight.rejections)
-            self._check_homing(homings, place.placement)
-            written = self._flights.begin_proven(place, pair, self._fields(place.placement))
-            self._add_to_watch(written, pair.proof)
+            pair, proof = self.rig.take(to, record, flight.pair.rejections)
+            self._check_homing(homings, flight.placement)
+            self._flights.begin(pair, flight.came_from, flight.placement, self._fields(flight.placement), proof)
+            self._watch(pair, flight.placement, proof)
 
     def _check_homing(self, homings: int, placement: int | None) -> None:
         """Judge the table's position if it was homed again since there were so many homings."""
@@ -286,26 +254,42 @@ class Session:
         hooks = self.job.hooks
         for flight in self._flights.landed(most):
             self._count(flight)
+            pair = flight.pair
             if hooks.on_pair is not None:
-                angle = math.radians(angle_deg(flight.taken.position, self.config.microsteps_per_turn))
-                hooks.on_pair(flight.record, angle, flight.taken.on.shown, flight.taken.off.shown)
+                angle = math.radians(angle_deg(pair.position, self.config.microsteps_per_turn))
+                hooks.on_pair(pair.record, angle, pair.on.shown, pair.off.shown)
             if hooks.progress is not None:
                 hooks.progress(len(self.done), self.job.planned)
 
     def _count(self, flight: Flight) -> None:
-        record = flight.record
+        record = flight.pair.record
         self.taken += 1
         self.done.add(record)
         self.suspect.discard(record)
         self.since_home.append(record)
-        self._last, self._last_placement = record, flight.place.placement
-        self._positions[record] = flight.taken.position
+        self._last, self._last_placement = record, flight.placement
+        self._positions[record] = flight.pair.position
 
-    def _add_to_watch(self, flight: Flight, proof: PairProof) -> None:
+    def _watch(self, pair: Pair, placement: int | None, proof: PairProof) -> None:
+        """Follow light and leak from pair to pair.
+
+        Raises:
+            FrameError: If the laser shines in the laser-off frames of many places; the contactor is open then.
+        """
+        ambient, allowed = proof.ambient_dn, self.config.checks.proof.leak
+        if (was := self._light.add(ambient)) is not None:
+            self._note("light", record=pair.record, was_dn=round(was, 2), is_dn=round(ambient, 2))
         # Boards show another scene in each pair, whatever the table does.
-        on_board = flight.place.placement is not None
-        angle = None if on_board else angle_deg(flight.taken.position, self.config.microsteps_per_turn)
-        self._watch.add(flight.record, flight.place.step.laser, angle, proof)
+        angle = None if placement is not None else angle_deg(pair.position, self.config.microsteps_per_turn)
+        leak = self._leaks[pair.laser].add(angle, proof.leak)
+        if leak is None or leak <= allowed:
+            return
+        self.job.devices.controller.arm(False)
+        raise FrameError(
+            f"step {pair.record}: the laser stays on: {100 * leak:.0f} % of its line is in the laser-off frames of "
+            f"the last {PLACES} places too, expected at most {100 * allowed:.0f} %; give it more time to go out "
+            "([[laser]] off_ms), and check relay and wiring. The contactor has been opened."
+        )
 
     def _note(self, name: str, **fields: Any) -> None:
         if name == "home":
@@ -351,7 +335,7 @@ class Session:
 
     def _again(self, record: int, event: str) -> Likeness:
         self._await_written()
-        pair = self.rig.take(self._positions[record], record)
+        pair, _ = self.rig.take(self._positions[record], record)
         self._flights.wait()
         likeness = compare_pairs(
             read_pair(self.job.folder, record),

@@ -1,10 +1,9 @@
 """Captures, calibrations and clouds in a folder, as pages list them."""
 
-import json
 import os
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -13,43 +12,35 @@ import numpy as np
 
 from jaxscan import api
 from jaxscan.calibration import Calibration
-from jaxscan.cli.console.orders import NAME
-from jaxscan.cli.console.slate import MOST_POINTS, pack_points
-from jaxscan.errors import CaptureError, JaxscanError, OutputError
+from jaxscan.cli.console.orders import NAME_WORDS, is_name
+from jaxscan.cli.console.slate import MOST_POINTS, one_line, pack_points
+from jaxscan.errors import CaptureError, JaxscanError
 from jaxscan.files.calibration import calibration_digest
-from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, Capture, journal_objects, read_texts
+from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, journal_objects, read_texts
 from jaxscan.files.disk import open_regular
 from jaxscan.report import words
+from jaxscan.stripes import PixelFormat
 from jaxscan.vision import encode_jpeg, to_grey
 
 
 MOST = 200
-"""Captures that are listed."""
-_CLOUD = ".ply"
-MADE = {"cloud": _CLOUD, "plan": ".plan.pdf", "mesh": ".glb", "report": ".report.html"}
+MADE = {"cloud": ".ply", "plan": ".plan.pdf", "mesh": ".glb", "report": ".report.html"}
 """What is made of a capture, and how its file ends behind the capture's name."""
 _FORMAT, _HEAD = b'"jaxscan-calibration/', 200
 _MADE_WITH, _CLOUD_HEAD = re.compile(rb"^comment calibration (\S+)$", re.MULTILINE), 2000
 _MOST_FILES, _MOST_CALIBRATIONS, _MOST_BYTES = 2000, 20, 64 << 20
 """Files that are looked at for calibrations, calibrations that are listed, and the size of one."""
-_THUMBNAIL = 240
-"""Width of a thumbnail [px]."""
-_WIDE = 960
+_THUMBNAIL, _WIDE = 240, 960
 
 
 class Captures:
     """The captures in a folder; whoever made them is a stranger, and so are their names."""
 
     def __init__(self, folder: Path, fits: Callable[[Calibration], bool] = lambda one: True) -> None:
-        """The folder need not exist yet.
-
-        Args:
-            folder: Where they are.
-            fits: Whether a calibration is one of the rig.
-        """
+        """The folder need not exist yet; `fits` says whether a calibration is one of the rig."""
         self.folder, self._fits = folder, fits
-        self._known: dict[str, tuple[tuple[int, int], dict[str, Any]]] = {}
-        self._described: dict[str, tuple[tuple[int, int], dict[str, Any] | None]] = {}
+        self._known: dict[Path, tuple[tuple[int, int], Any]] = {}
+        """What was read of a file, and the state of the file then."""
 
     def path(self, name: str) -> Path:
         """Where a capture of this name is, or would be.
@@ -57,13 +48,17 @@ class Captures:
         Raises:
             CaptureError: If it is no name of one.
         """
-        if not NAME.fullmatch(name) or ".." in name:
-            raise CaptureError(f"{name}: expected letters, digits, dots, dashes and underscores, 64 at most.")
+        if not is_name(name):
+            raise CaptureError(f"{name}: {NAME_WORDS}")
         return self.folder / name
+
+    def made(self, name: str, what: str) -> Path:
+        """What is made of a capture: one of `MADE`."""
+        return self.path(name).with_name(name + MADE[what])
 
     def cloud(self, name: str) -> Path:
         """The cloud of a capture."""
-        return self.path(name).with_name(name + _CLOUD)
+        return self.made(name, "cloud")
 
     def calibration(self, name: str) -> Path:
         """The calibration that is made of a capture."""
@@ -77,51 +72,47 @@ class Captures:
         """Where a listed calibration lies."""
         return self.folder.parent if calibration["beside"] else self.folder
 
+    def calibration_of(self, digest: str) -> Path | None:
+        """The file in the folder or beside it that is the calibration of this digest."""
+        files = (self.folder_of(one) / one["file"] for one in self.calibrations(of_any_rig=True))
+        return next((file for file in files if digest and calibration_digest(file) == digest), None)
+
     def calibrations(self, *, of_any_rig: bool = False) -> list[dict[str, Any]]:
         """The calibrations in the folder and beside it that fit the rig, or all of them, the newest first.
 
         Beside it are those that were made in a terminal. A file with the name of a sweep was not made of it.
         """
-        sweeps = {one["name"] for one in self.listed() if one["kind"] != "calibration"}
+        sweeps = {f"{one['name']}.json" for one in self.listed() if one["kind"] != "calibration"}
         found: dict[str, dict[str, Any]] = {}
         for beside, folder in ((False, self.folder), (True, self.folder.parent)):
             for name in _names(folder)[:_MOST_FILES]:
                 path = folder / name
-                if not name.endswith(".json") or not NAME.fullmatch(name) or name in found or os.path.islink(path):
+                if not name.endswith(".json") or not is_name(name) or name in found or name in sweeps:
                     continue
-                if not os.path.isfile(path) or name.removesuffix(".json") in sweeps:
+                if os.path.islink(path) or not os.path.isfile(path):
                     continue
-                about = self._calibration(path)
+                about = self._read_anew(path, path, self._calibration)
                 if about is not None and (about["fits"] or of_any_rig):
                     found[name] = about | {"file": name, "beside": beside, "changed": _changed(path)[0] / 1e9}
         return sorted(found.values(), key=lambda one: -float(one["changed"]))[:_MOST_CALIBRATIONS]
 
+    def _read_anew(self, path: Path, states: Path, read: Callable[[Path], Any]) -> Any:
+        """What `read` finds of a path, which it does again when the file `states` has changed."""
+        state = _changed(states)
+        if path not in self._known or self._known[path][0] != state:
+            self._known[path] = (state, read(path))
+        return self._known[path][1]
+
     def _calibration(self, path: Path) -> dict[str, Any] | None:
         """What is known of a calibration; None of another file."""
-        state = _changed(path)
-        if str(path) not in self._described or self._described[str(path)][0] != state:
-            about = None
-            # Many files end in .json, and some are large.
-            with suppress(JaxscanError):
-                with open_regular(path, error=CaptureError, limit=_MOST_BYTES, links="refuse") as file:
-                    head = file.read(_HEAD)
-                if _FORMAT in head:
-                    found = api.load_calibration(path)
-                    about = judged(found) | {"fits": self._fits(found)}
-            self._described[str(path)] = (state, about)
-        return self._described[str(path)][1]
-
-    def calibration_of(self, digest: str) -> Path | None:
-        """The file in the folder or beside it that is the calibration of this digest."""
-        for one in self.calibrations(of_any_rig=True):
-            file = self.folder_of(one) / one["file"]
-            if digest and calibration_digest(file) == digest:
-                return file
+        # Many files end in .json, and some are large.
+        with suppress(JaxscanError):
+            with open_regular(path, error=CaptureError, limit=_MOST_BYTES, links="refuse") as file:
+                head = file.read(_HEAD)
+            if _FORMAT in head:
+                found = api.load_calibration(path)
+                return judged(found) | {"fits": self._fits(found)}
         return None
-
-    def made(self, name: str, what: str) -> Path:
-        """What is made of a capture: one of `MADE`."""
-        return self.path(name).with_name(name + MADE[what])
 
     def delete(self, name: str) -> None:
         """Remove a capture, its cloud and what was made of it; calibrations stay.
@@ -133,8 +124,8 @@ class Captures:
         try:
             # It follows no links.
             shutil.rmtree(path)
-            for suffix in MADE.values():
-                path.with_name(name + suffix).unlink(missing_ok=True)
+            for what in MADE:
+                self.made(name, what).unlink(missing_ok=True)
         except OSError as problem:
             raise CaptureError(f"{name}: cannot be removed: {problem.strerror}.") from problem
 
@@ -144,14 +135,14 @@ class Captures:
         Raises:
             CaptureError: If it is none, or the name is taken.
         """
-        path, to = self._own(name), self.path(other)
-        suffixes = [suffix for suffix in MADE.values() if os.path.lexists(path.with_name(name + suffix))]
-        if taken := [suffix for suffix in ("", *suffixes) if os.path.lexists(to.with_name(other + suffix))]:
-            raise CaptureError(f"{other}{taken[0]}: is there already; take another name.")
+        moves = [(self._own(name), self.path(other))]
+        moves += [(self.made(name, what), self.made(other, what)) for what in MADE]
+        moves = [(old, new) for old, new in moves if os.path.lexists(old)]
+        if taken := [new.name for _, new in moves if os.path.lexists(new)]:
+            raise CaptureError(f"{taken[0]}: is there already; take another name.")
         try:
-            os.rename(path, to)
-            for suffix in suffixes:
-                os.rename(path.with_name(name + suffix), to.with_name(other + suffix))
+            for old, new in moves:
+                os.rename(old, new)
         except OSError as problem:
             raise CaptureError(f"{name}: cannot be renamed: {problem.strerror}.") from problem
 
@@ -166,18 +157,15 @@ class Captures:
         """What is known of each capture, the newest first."""
         found = []
         for name in _names(self.folder):
-            header, journal = self.folder / name / HEADER_NAME, self.folder / name / JOURNAL_NAME
-            if not NAME.fullmatch(name) or not os.path.isfile(header):
+            path = self.folder / name
+            if not is_name(name) or not os.path.isfile(path / HEADER_NAME):
                 continue
-            state = _changed(journal)
-            if name not in self._known or self._known[name][0] != state:
-                self._known[name] = (state, self._describe(name))
+            about = self._read_anew(path, path / JOURNAL_NAME, _described)
             when = {what: _changed(self.made(name, what))[0] for what in MADE}
             # What was made of an older cloud is made again.
             made = [what for what in MADE if what != "cloud" and when[what] and when[what] >= when["cloud"]]
-            there = {"cloud": when["cloud"] > 0, "made_with": self._made_with(name), "made": made}
-            there |= {"changed": state[0] / 1e9}
-            found.append(self._known[name][1] | there)
+            beside = {"cloud": when["cloud"] > 0, "made_with": self._made_with(name), "made": made}
+            found.append(about | beside | {"changed": _changed(path / JOURNAL_NAME)[0] / 1e9})
         return sorted(found, key=lambda one: -float(one["changed"]))[:MOST]
 
     def _made_with(self, name: str) -> str:
@@ -187,30 +175,13 @@ class Captures:
             return found[1].decode() if found else ""
         return ""
 
-    def _describe(self, name: str) -> dict[str, Any]:
-        try:
-            capture = api.open_capture(self.path(name))
-        except JaxscanError as problem:
-            problem_line = " ".join(str(problem).split())
-            return {"name": name, "kind": "", "records": 0, "complete": False, "problem": problem_line}
-        *_, (_, last) = journal_objects(read_texts(self.path(name)).journal_bytes)
-        complete = last.get("event") == "end" and last.get("status") == "complete"
-        about = {"kind": capture.header.kind, "records": len(capture), "complete": complete, "problem": ""}
-        return {"name": name} | about
-
     def photograph(self, name: str, index: int, *, lit: bool, small: bool) -> bytes:
-        """A picture of a record as JPEG.
-
-        Args:
-            name: The capture.
-            index: Of its records, from 0.
-            lit: The laser-on frame rather than the laser-off frame.
-            small: As a thumbnail.
+        """A picture of a record as JPEG: the laser-on frame if `lit`, as a thumbnail if `small`.
 
         Raises:
             CaptureError: If it is not there.
         """
-        capture: Capture = api.open_capture(self.path(name), compare=False)
+        capture = api.open_capture(self.path(name), compare=False)
         if not 0 <= index < len(capture):
             raise CaptureError(f"{name}: found no record {index}, expected 0 ... {len(capture) - 1}.")
         on, off = capture.pictures(index)
@@ -218,8 +189,7 @@ class Captures:
         if frame is None:
             raise CaptureError(f"{name}: record {index} has no image.")
         step = max(1, frame.shape[1] // (_THUMBNAIL if small else _WIDE))
-        grey = to_grey(frame, capture.pixel_format)[::step, ::step]
-        return encode_jpeg(np.repeat(np.ascontiguousarray(grey)[:, :, None], 3, 2), quality=80)
+        return grey_jpeg(frame, capture.pixel_format, step)[0]
 
     def points(self, name: str) -> bytes:
         """The cloud of a capture, thinned, for a page.
@@ -234,13 +204,22 @@ class Captures:
         return pack_points(xyz[::step], rgb[::step])
 
 
+def grey_jpeg(frame: np.ndarray, pixel_format: PixelFormat, step: int) -> tuple[bytes, np.ndarray]:
+    """Every n-th pixel of a frame, as a JPEG and as levels of grey."""
+    grey = np.ascontiguousarray(to_grey(frame, pixel_format)[::step, ::step])
+    return encode_jpeg(np.repeat(grey[:, :, None], 3, 2), quality=80), grey
+
+
+def captures_of(provenance: Mapping[str, Any]) -> list[Any]:
+    """Names of the captures of which a calibration was made; a file may say anything."""
+    captures = provenance.get("captures")
+    return [one.get("name") for one in captures if isinstance(one, dict)] if isinstance(captures, list) else []
+
+
 def verdict_of(calibration: Calibration) -> dict[str, Any]:
     """The verdict of a calibration with the lines that it follows from, as pages show it."""
-    captures = calibration.provenance.get("captures")
-    # A file may say anything.
-    of = [one.get("name") for one in captures if isinstance(one, dict)] if isinstance(captures, list) else []
     return judged(calibration) | {
-        "of": of,
+        "of": captures_of(calibration.provenance),
         "verdict": words.headline(calibration)._asdict(),
         "lengths": [line._asdict() for line in words.lengths(calibration)],
         "advice": words.advice(calibration),
@@ -251,17 +230,19 @@ def verdict_of(calibration: Calibration) -> dict[str, Any]:
 def judged(calibration: Calibration) -> dict[str, Any]:
     """How good a calibration is, in a line."""
     first, verdict = words.headline(calibration), calibration.quality.verdict
-    good_to = None if verdict is None else verdict.good_to
-    size = {"sigma_mm": None if good_to is None else good_to.sigma_mm}
-    return {"good": first.kind in ("good", "plain"), "headline": first.headline, **size}
+    sigma_mm = None if verdict is None or verdict.good_to is None else verdict.good_to.sigma_mm
+    return {"good": first.kind in ("good", "plain"), "headline": first.headline, "sigma_mm": sigma_mm}
 
 
-def result_of(path: Path) -> dict[str, Any]:
-    """The JSON that a verb wrote."""
-    from jaxscan.files.disk import read_bounded
-
-    found = json.loads(read_bounded(path, 64 << 20, error=OutputError))
-    return found if isinstance(found, dict) else {}
+def _described(path: Path) -> dict[str, Any]:
+    about = {"name": path.name, "kind": "", "records": 0, "complete": False, "problem": ""}
+    try:
+        capture = api.open_capture(path)
+    except JaxscanError as problem:
+        return about | {"problem": one_line(problem)}
+    *_, (_, last) = journal_objects(read_texts(path).journal_bytes)
+    complete = last.get("event") == "end" and last.get("status") == "complete"
+    return about | {"kind": capture.header.kind, "records": len(capture), "complete": complete}
 
 
 def _names(folder: Path) -> list[str]:

@@ -52,8 +52,8 @@ def console(
     from scanrig.config import load_rig
 
     from jaxscan.cli.console.captures import Captures
-    from jaxscan.cli.console.desk import Chosen, Desk
-    from jaxscan.cli.console.serving import make_site
+    from jaxscan.cli.console.desk import Desk
+    from jaxscan.cli.console.pages import make_site
     from jaxscan.cli.console.sessions import Sessions
     from jaxscan.cli.console.slate import Slate
     from jaxscan.cli.console.works import Works
@@ -89,13 +89,13 @@ def console(
         captures=[],
     )
     with ExitStack() as stack:
-        works = stack.enter_context(Works(slate))
-        desk = Desk(Chosen(config, port, place_command), slate, folder, out)
-        sessions = Sessions(desk, works, None)
+        works = stack.enter_context(Works(slate, folder))
+        desk = Desk(config, slate, out, port)
+        Sessions(desk, works, folder, place_command)
         if calibration is not None:
-            sessions.take(calibration)
-        sessions.list()
-        stack.enter_context(Server(make_site(address, desk, sessions), address))
+            works.take(calibration)
+        works.refresh()
+        stack.enter_context(Server(make_site(address, desk, works, folder), address))
         for line in address.invitation():
             out.print(line)
         out.print("Ctrl-C ends the console; the laser goes off.")

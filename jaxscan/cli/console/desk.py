@@ -1,21 +1,18 @@
 """Drives the rig in the main thread, by the orders of pages: one session at a time, those of `jaxscan scan`."""
 
 import queue
+import signal
 import threading
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from jaxscan.cli.console.boards import PageOperator
-from jaxscan.cli.console.captures import Captures
 from jaxscan.cli.console.orders import Order
-from jaxscan.cli.console.outliving import outlived
-from jaxscan.cli.console.painter import Painter
-from jaxscan.cli.console.silence import Silence
-from jaxscan.cli.console.slate import Slate
-from jaxscan.cli.console.stopping import PAGE, Stopping
-from jaxscan.cli.progress import Remaining
+from jaxscan.cli.console.slate import Slate, one_line, outlived
+from jaxscan.cli.console.watching import Painter, Silence
 from jaxscan.cli.running import answer_in_words
 from jaxscan.cli.signals import RigInUse
 from jaxscan.cli.terminal import Terminal
@@ -32,15 +29,6 @@ _WISHES = {"jog", "light", "expose", "auto"}
 _BEGINS = {"aim": "Look", "sweep": "Scan", "boards": "Capture of the board"}
 _AUTO_LOOKS = 8
 """Looks in which "auto" finds the exposure."""
-
-
-class Chosen(NamedTuple):
-    """What the command line chose."""
-
-    config: Path
-    port: str | None = None
-    """Serial port instead of the port in the configuration."""
-    place_command: str | None = None
 
 
 class Running(NamedTuple):
@@ -60,15 +48,13 @@ Session = Callable[[Running], str]
 class Desk:
     """Takes orders from any thread, and carries them out in the main thread."""
 
-    def __init__(self, chosen: Chosen, slate: Slate, captures: Captures, out: Terminal) -> None:
-        """Nothing is opened yet."""
-        self.chosen, self.slate, self.captures, self.out = chosen, slate, captures, out
+    def __init__(self, config: Path, slate: Slate, out: Terminal, port: str | None = None) -> None:
+        """Nothing is opened yet; a serial port counts more than that in the configuration."""
+        self.config, self.slate, self.out, self._port = config, slate, out, port
         self.sessions: dict[str, Session] = {}
-        """The session of each order."""
         self.after: Callable[[], None] = lambda: None
-        """Called after each."""
-        self.operator: PageOperator | None = None
-        """The person who places the board, while somebody is asked."""
+        self.answer: Callable[[str], None] | None = None
+        """Passes on what the person who places the board says, while somebody is asked."""
         self._orders: queue.SimpleQueue[Order | None] = queue.SimpleQueue()
         self._stopping = Stopping()
         self._pausing = threading.Event()
@@ -93,9 +79,9 @@ class Desk:
         elif order.do == "pause":
             self._pausing.set()
         elif order.do in _ANSWERS:
-            if self.operator is None:
+            if self.answer is None:
                 raise OptionError("nobody asked for the board.")
-            self.operator.answer(order.do)
+            self.answer(order.do)
         elif order.do in _WISHES:
             self._want(order)
         else:
@@ -115,7 +101,7 @@ class Desk:
         """
         from scanrig.config import load_rig, with_exposure
 
-        with_exposure(load_rig(self.chosen.config), exposure_ms, gain_db)
+        with_exposure(load_rig(self.config), exposure_ms, gain_db)
         self._change(exposure_ms=exposure_ms, gain_db=gain_db)
 
     def _want(self, order: Order) -> None:
@@ -175,15 +161,13 @@ class Desk:
                 self.slate.say(" ".join(part for part in (_BEGINS[order.do], order.name) if part) + " begins.")
                 said, problem = self._carry_out(order)
                 with self._lock:
-                    waiting = not self._orders.empty()
-                    self._doing = self._doing if waiting else ""
-                if said:
-                    self.out.print(said)
-                if not problem:
-                    self.slate.say(said or f"{_BEGINS[order.do]} has ended.")
+                    self._doing = self._doing if not self._orders.empty() else ""
                 if problem:
-                    self.out.print(f"jaxscan: {problem}")
                     self.slate.say(problem, "problem")
+                else:
+                    self.slate.say(said or f"{_BEGINS[order.do]} has ended.")
+                if line := said or (f"jaxscan: {problem}" if problem else ""):
+                    self.out.print(line)
                 with outlived(self.slate, "the list of captures"):
                     self.after()
                 finished += 1
@@ -208,13 +192,13 @@ class Desk:
             return self._open_and_run(order), ""
         except KeyboardInterrupt as interrupt:
             said = str(interrupt)
-            if not said.startswith(PAGE):
+            if not said.startswith(STOPPED):
                 raise
             # The laser's doubt, if there is one, stands behind that word.
-            doubt = said.removeprefix(PAGE).lstrip(". ")
+            doubt = said.removeprefix(STOPPED).lstrip(". ")
             return ("", f"Stopped. {doubt}") if doubt else ("Stopped: the laser is off.", "")
         except JaxscanError as problem:
-            return "", " ".join(str(problem).split())
+            return "", one_line(problem)
         except Exception as problem:
             # The devices are closed; the next order finds the console alive.
             return "", answer_in_words(problem)
@@ -226,7 +210,7 @@ class Desk:
         from scanrig.session import Devices, Interrupts
 
         # Read anew, so that what was advised and changed is used; what was set on the page counts more.
-        rig, wish = load_rig(self.chosen.config), self.wish()
+        rig, wish = load_rig(self.config), self.wish()
         if order.do != "aim" and wish.exposure_ms is not None and wish.gain_db is not None:
             rig = with_exposure(rig, wish.exposure_ms, wish.gain_db)
         with ExitStack() as stack:
@@ -236,7 +220,7 @@ class Desk:
                 self._stopping.begin()
                 opened.callback(self._stopping.end)
                 turn = rig.microsteps_per_turn
-                controller = opened.enter_context(open_controller(rig.controller, turn, port=self.chosen.port))
+                controller = opened.enter_context(open_controller(rig.controller, turn, port=self._port))
                 camera = opened.enter_context(open_camera(rig.camera, self.notify))
                 opened.callback(in_use.closing)
                 opened.callback(self._stopping.end)
@@ -251,23 +235,59 @@ class Desk:
             return said
 
 
-def progress_of(
-    slate: Slate, now: Callable[[], float], seconds: float | None, work: Sequence[int] = ()
-) -> Callable[[int, int], None]:
-    """The hook of a session that tells how far it is, and how long it still takes.
+STOPPED = "Stop on the page"
+_SIGNAL = getattr(signal, "SIGUSR1", None)
+"""Wakes the main thread from whatever it waits for; Windows has none."""
+_AGAIN_S = 0.05
 
-    Args:
-        slate: Where it is told.
-        now: The time [s].
-        seconds: What the plan expects of the whole capture; None where a person has a part in it.
-        work: As of `ScanPlan`; where it has none, all records take as long.
+
+class Stopping:
+    """Within `with`, in the main thread, `stop` raises KeyboardInterrupt there while `begin` and `end` allow it.
+
+    Another thread so ends what the main thread does with the rig, at once, as a second Ctrl-C does. The handler stays
+    for the whole time, so that a signal that comes late does nothing.
     """
-    remaining = Remaining(now, from_first=True)
 
-    def progress(done: int, planned: int) -> None:
-        left = remaining(work[done], work[planned]) if len(work) > planned else remaining(done, planned)
-        if left is None and seconds is not None:
-            left = seconds / max(planned, 1) * (planned - done)
-        slate.write(done=done, planned=planned, left_s=None if left is None else round(left, 1))
+    def __init__(self) -> None:
+        self._allowed = False
+        self._session = self._asked = 0
+        self._main = threading.main_thread().ident
+        self._before: object = None
 
-    return progress
+    def __enter__(self) -> "Stopping":
+        if _SIGNAL is not None:
+            self._before = signal.signal(_SIGNAL, self._on_signal)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if _SIGNAL is not None:
+            signal.signal(_SIGNAL, self._before or signal.SIG_DFL)  # type: ignore[arg-type]
+
+    def begin(self) -> None:
+        """From now on an order to stop interrupts the main thread."""
+        self._session += 1
+        self._allowed = True
+
+    def end(self) -> None:
+        """From now on it does nothing: the devices are being closed."""
+        self._allowed = False
+
+    def stop(self) -> None:
+        """Interrupt the main thread, from another one."""
+        self._asked = self._session
+        threading.Thread(target=self._insist, args=(self._session,), daemon=True).start()
+
+    def _insist(self, session: int) -> None:
+        """Send the signal until it was heard: one that comes in the moment before the main thread begins to wait does
+        not end that wait.
+        """
+        while _SIGNAL is not None and self._main is not None and self._allowed and self._session == session:
+            # Also where it waits for a port or a camera, which a flag would not end.
+            signal.pthread_kill(self._main, _SIGNAL)
+            time.sleep(_AGAIN_S)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if self._allowed and self._asked == self._session:
+            # Once: switching the laser off is not interrupted.
+            self._allowed = False
+            raise KeyboardInterrupt(STOPPED)

@@ -11,46 +11,23 @@ class BadOrder(JaxscanError):
     """A message that is no order."""
 
 
-class Range(NamedTuple):
-    """Numbers that a field may have."""
-
-    low: float
-    high: float
-
-
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
-"""Names of captures and clouds."""
 MOST_BYTES = 4096
-"""Longest message of a page."""
 FOR_ALL = {"stop", "take over"}
 """Orders of a page that watches: everybody may switch the laser off."""
-_FIELDS: dict[str, dict[str, Any]] = {
-    "stop": {},
-    "take over": {},
-    "pause": {},
-    "aim": {},
-    "sweep": {"name": NAME, "resume": bool},
-    "boards": {"name": NAME, "resume": bool},
-    "take": {},
-    "enough": {},
-    "enough of all": {},
-    "calibrate": {"name": NAME},
-    "reconstruct": {"name": NAME},
-    "compare": {"name": NAME, "other": NAME},
-    "lost": {"stop": bool},
-    "jog": {"deg": Range(-3600.0, 3600.0)},
-    "light": {"on": bool},
-    "expose": {"exposure_ms": Range(0.001, 10_000.0), "gain_db": Range(-100.0, 100.0)},
-    "auto": {},
-    "use": {"name": NAME},
-    "recalibrate": {"name": NAME},
-    "plan": {"name": NAME},
-    "mesh": {"name": NAME},
-    "report": {"name": NAME},
-    "delete": {"name": NAME},
-    "rename": {"name": NAME, "other": NAME},
+_RANGES = {"deg": (-3600.0, 3600.0), "exposure_ms": (0.001, 10_000.0), "gain_db": (-100.0, 100.0)}
+_FLAGS = {"resume", "stop", "on"}
+_FIELDS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("stop", "take over", "pause", "aim", "take", "enough", "enough of all", "auto"), ()),
+    **dict.fromkeys(("sweep", "boards"), ("name", "resume")),
+    **dict.fromkeys(("calibrate", "recalibrate", "reconstruct", "plan", "mesh", "report", "use", "delete"), ("name",)),
+    **dict.fromkeys(("compare", "rename"), ("name", "other")),
+    "lost": ("stop",),
+    "jog": ("deg",),
+    "light": ("on",),
+    "expose": ("exposure_ms", "gain_db"),
 }
-"""Orders, and the fields that belong to each."""
+"""Orders, and the fields that belong to each; those without a range that are no flags are names."""
 
 
 class Order(NamedTuple):
@@ -80,22 +57,30 @@ def parse_order(text: str) -> Order:
         raise BadOrder("a message that is no JSON.") from problem
     do = found.get("do") if isinstance(found, dict) else None
     wanted = _FIELDS.get(do) if isinstance(do, str) else None
-    if wanted is None or set(found) != {"do", *wanted}:
+    if not isinstance(do, str) or wanted is None or set(found) != {"do", *wanted}:
         raise BadOrder("an order that is not known; load the page again.")
-    for name, kind in wanted.items():
-        if expected := _expected(found[name], kind):
-            raise BadOrder(f"{name}: expected {expected}.")
-    numbers = {name: float(found[name]) for name, kind in wanted.items() if isinstance(kind, Range)}
-    return Order(**found | numbers)
+    return Order(do, **{name: _field(name, found[name]) for name in wanted})
 
 
-def _expected(value: Any, kind: Any) -> str:
-    """What a field should be; "" if it is that."""
-    if isinstance(kind, Range):
+def _field(name: str, value: Any) -> Any:
+    if name in _RANGES:
+        low, high = _RANGES[name]
         # NaN is in no range; Python compares integers of any length.
-        right = isinstance(value, int | float) and not isinstance(value, bool) and kind.low <= value <= kind.high
-        return "" if right else f"a number of {kind.low:g} to {kind.high:g}"
-    if kind is bool:
-        return "" if isinstance(value, bool) else "true or false"
-    right = isinstance(value, str) and kind.fullmatch(value) is not None and ".." not in value
-    return "" if right else "letters, digits, dots, dashes and underscores, 64 at most"
+        if isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high:
+            return float(value)
+        raise BadOrder(f"{name}: expected a number of {low:g} to {high:g}.")
+    if name in _FLAGS:
+        if isinstance(value, bool):
+            return value
+        raise BadOrder(f"{name}: expected true or false.")
+    if isinstance(value, str) and is_name(value):
+        return value
+    raise BadOrder(f"{name}: {NAME_WORDS}")
+
+
+NAME_WORDS = "expected letters, digits, dots, dashes and underscores, 64 at most."
+
+
+def is_name(text: str) -> bool:
+    """Whether a capture may be called so: no path, and nothing that a command takes for an option."""
+    return NAME.fullmatch(text) is not None and ".." not in text

@@ -1,40 +1,41 @@
 """What all pages show: written by the threads that know, read by the server's."""
 
 import json
+import logging
 import threading
 import time
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
 
 
 MOST_LINES = 200
-"""Sentences that are kept."""
 MOST_POINTS = 300_000
 """Points of a growing cloud that are kept for pages."""
+_LONGEST = 300
 
 
 class Picture(NamedTuple):
-    """A picture, as often as it changes."""
+    """A picture; its version changes as often as it does."""
 
     version: int
     jpeg: bytes
 
 
 class Slate:
-    """Fields that can be written as JSON, a picture, and a growing cloud."""
+    """Fields that can be written as JSON, a picture, and a growing cloud; any thread may call."""
 
     def __init__(self, **fields: Any) -> None:
-        """Begin with these fields."""
         self._lock = threading.Lock()
         self._fields = fields
         self._lines: deque[dict[str, Any]] = deque(maxlen=MOST_LINES)
         self._version = 1
         self._picture = Picture(0, b"")
         self._chunks: list[bytes] = []
-        self._cloud = 0
-        self._stride = 1
+        self._cloud, self._stride = 0, 1
 
     def write(self, **fields: Any) -> None:
         """Change fields."""
@@ -43,18 +44,13 @@ class Slate:
                 self._fields.update(fields)
                 self._version += 1
 
-    def say(self, sentence: str, kind: str = "note") -> None:
-        """Add a sentence on an event: a "note", a "retake" or a "problem"."""
+    def say(self, sentence: str, kind: str = "note", *, once: bool = False) -> None:
+        """Add a sentence on an event: a "note", a "retake" or a "problem"; if once, not while it is listed already."""
         with self._lock:
+            if once and any(line["says"] == sentence for line in self._lines):
+                return
             self._lines.append({"at": time.time(), "kind": kind, "says": sentence})
             self._version += 1
-
-    def say_once(self, sentence: str, kind: str = "note") -> None:
-        """The same, unless it is among the last sentences already: threads may fail many times a second."""
-        with self._lock:
-            known = any(line["says"] == sentence for line in self._lines)
-        if not known:
-            self.say(sentence, kind)
 
     def read(self, name: str) -> Any:
         """One field."""
@@ -87,8 +83,7 @@ class Slate:
     def grow(self, xyz: np.ndarray, rgb: np.ndarray) -> None:
         """Add points [n, 3] in metres with their colours [n, 3]."""
         with self._lock:
-            chunk = pack_points(xyz[:: self._stride], rgb[:: self._stride])
-            self._chunks.append(chunk)
+            self._chunks.append(pack_points(xyz[:: self._stride], rgb[:: self._stride]))
 
     def cloud(self, number: int, known: int) -> tuple[int, list[bytes]]:
         """The number of the present cloud, and its chunks that a page with `known` chunks of `number` lacks."""
@@ -104,3 +99,24 @@ def pack_points(xyz: np.ndarray, rgb: np.ndarray) -> bytes:
 def as_json(message: dict[str, Any]) -> str:
     """A message for a page."""
     return json.dumps(message, allow_nan=False)
+
+
+def one_line(problem: BaseException) -> str:
+    """The sentence of an exception in one line."""
+    return " ".join(str(problem).split())
+
+
+@contextmanager
+def outlived(slate: Slate, what: str) -> Iterator[None]:
+    """Let a thread outlive any error within `with`: it is logged, and said on the page as long as it is new.
+
+    Args:
+        slate: Where people read it.
+        what: What did not succeed, as they name it.
+    """
+    try:
+        yield
+    except Exception as problem:
+        said = f"{what}: did not succeed: {one_line(problem)[:_LONGEST] or type(problem).__name__}"
+        logging.getLogger(f"jaxscan.console.{what}").warning("%s", said)
+        slate.say(said, "problem", once=True)

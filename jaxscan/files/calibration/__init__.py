@@ -23,7 +23,6 @@ if TYPE_CHECKING:
         ReadCamera,
         check_camera_path,
         export_camera,
-        load_camera,
         read_camera,
     )
 else:

@@ -17,7 +17,7 @@ import pydantic
 
 from jaxscan.calibration import Calibration, CalibrationSettings, Quality
 from jaxscan.errors import CalibrationError
-from jaxscan.files.calibration.model import CALIBRATION_FORMAT, CalibrationTable, CameraTable, motion_table
+from jaxscan.files.calibration.model import CALIBRATION_FORMAT, CalibrationTable, CameraTable
 from jaxscan.files.capture import BoardTable
 from jaxscan.files.disk import (
     MEGABYTE,
@@ -34,8 +34,7 @@ from jaxscan.files.disk import (
     write_arrays,
     write_together,
 )
-from jaxscan.geometry import AbstractCamera, Scanner, camera_doubts, scanner_doubts
-from jaxscan.geometry.motions import Carries
+from jaxscan.geometry import AbstractCamera, Carries, Scanner, camera_doubts, scanner_doubts
 from jaxscan.geometry.scanner import Up
 from jaxscan.observation import CONTRAST_CLASSES, BoardViews, Observations, StripeViews
 
@@ -142,7 +141,6 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
 _OPTIONAL: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "stripes.contrast": (np.signedinteger, ("stripes", "points")),
 }
-"""Arrays that observations may lack."""
 _RANGES = {
     "corners.q": (-1e6, 1e6),
     "corners.sigma": (1e-6, 1e6),
@@ -156,7 +154,6 @@ _PLAIN = ("width", "height", "laser_names", "up", "carries")
 
 
 _LENGTHS = ("square", "marker", "diameter", "tag")
-"""Fields of boards that are lengths."""
 _NAMES = {"circles": {"square": "spacing"}, "aprilgrid": {"square": "gap"}}
 """Names of fields in the tables of captures, where they have others."""
 
@@ -254,7 +251,6 @@ def _read_observations(path: Path) -> Observations:
 
 
 _DIGESTS = "digests"
-"""Key of the table that holds them."""
 
 
 def _digests_of(tables: Mapping[str, Any], observations: Path | None = None) -> dict[str, str]:
@@ -281,11 +277,7 @@ def _values_note(tables: Mapping[str, Any], name: str) -> str:
 
 
 def _require_own(table: CalibrationTable, path: Path, beside: Path, *, found: bool) -> None:
-    """Refuse observations beside a calibration file with digests that are not its own.
-
-    Args:
-        found: Whether that file holds observations.
-    """
+    """Refuse observations beside a calibration file with digests that are not its own."""
     digests = table.digests
     if digests is None:
         return
@@ -509,15 +501,15 @@ def _tables(calibration: Calibration) -> dict[str, Any]:
     if scanner is not None:
         # Numbers in the file are float64.
         scanner = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), scanner)
-        sheets, motion = scanner.lasers, motion_table(scanner.turntable)
+        sheets = scanner.lasers
         tables["lasers"] = [
             {"name": name, "normal": normal, "distance_m": distance, "bow": bow, "basis": basis}
             for name, normal, distance, bow, basis in zip(
                 scanner.laser_names, sheets.normal, sheets.distance, sheets.bow, sheets.basis, strict=True
             )
         ]
-        if motion is not None:
-            tables["turntable"] = motion
+        if scanner.turntable.fields:
+            tables["turntable"] = scanner.turntable.table()
     tables["quality"] = quality_table(calibration.quality)
     tables["provenance"] = finite(calibration.provenance)
     if len(calibration.order) > 0:

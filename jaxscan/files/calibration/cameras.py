@@ -4,7 +4,7 @@ import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -84,13 +84,6 @@ class ReadCamera(NamedTuple):
     """Which keys it was made of, and which were not used; empty for a calibration of our own."""
 
 
-def load_camera(
-    path: str | Path, size: tuple[int, int] | None = None, *, unnamed: Literal["pinhole", "fisheye"] = "pinhole"
-) -> AbstractCamera:
-    """A camera from a file of another program, or from a calibration of our own; `read_camera` without its note."""
-    return read_camera(path, size, unnamed=unnamed).camera
-
-
 def read_camera(
     path: str | Path, size: tuple[int, int] | None = None, *, unnamed: Literal["pinhole", "fisheye"] = "pinhole"
 ) -> ReadCamera:
@@ -118,28 +111,66 @@ def read_camera(
         tree = parse_json(data, name=name, error=CalibrationError)
         if isinstance(tree, dict) and str(tree.get("format", "")).startswith("jaxscan"):
             return ReadCamera(load_parts(path)[0], "")
-    elif suffix == ".xml":
-        tree = tree_of_xml(data, name, MAX_CAMERA_BYTES)
-    else:
-        try:
-            text = data.decode()
-        except UnicodeDecodeError:
-            raise CalibrationError(f"{path}: is no text, expected the camera that its suffix names.") from None
-        if suffix == ".cameramodel":
-            return _checked(*_read_mrcal(text, name), name)
-        if suffix == ".txt":
-            return _checked(*_colmap(text, name), name)
-        tree = tree_of_yaml(text, name)
-    return _checked(*_of_tree(tree, name, size, unnamed), name)
+        return _camera(_of_tree(tree, name, size, unnamed), name)
+    if suffix == ".xml":
+        return _camera(_of_tree(tree_of_xml(data, name, MAX_CAMERA_BYTES), name, size, unnamed), name)
+    try:
+        text = data.decode()
+    except UnicodeDecodeError:
+        raise CalibrationError(f"{path}: is no text, expected the camera that its suffix names.") from None
+    if suffix in (".cameramodel", ".txt"):
+        return _camera((_of_mrcal if suffix == ".cameramodel" else _of_colmap)(text, name), name)
+    return _camera(_of_tree(tree_of_yaml(text, name), name, size, unnamed), name)
 
 
-def _checked(table: dict[str, Any], note: str, name: str) -> ReadCamera:
+class _Parts(NamedTuple):
+    """The parts of a camera as a file holds them."""
+
+    model: Model
+    pixels: dict[str, float]
+    lens: Sequence[float]
+    lens_from: str
+    size: Sequence[float]
+    unused: Sequence[str] = ()
+    more: str = ""
+
+
+_COUNTS: dict[Model, tuple[int, ...]] = {"pinhole": (5, 8), "fisheye": (4,), "double_sphere": (2,)}
+"""Numbers of coefficients that a camera has; a file may leave out zeros, and write more."""
+
+
+def _camera(parts: _Parts, name: str) -> ReadCamera:
+    """The camera of its parts, after the checks of a calibration of our own, and its note."""
+    model, lens = parts.model, [float(value) for value in parts.lens]
+    if len(parts.size) != 2 or not all(float(side).is_integer() for side in parts.size):
+        raise CalibrationError(f"{name}: size of the images: found {list(parts.size)}, expected whole pixels.")
+    if model == "pinhole" and len(lens) in (3, 6, 7):
+        raise CalibrationError(
+            f"{name}: distortion coefficients: found {len(lens)}, expected 4, 5, 8, 12 or 14 (k1, k2, p1, p2, k3, ...)."
+        )
+    used = max((k + 1 for k, value in enumerate(lens) if value != 0), default=0)
+    full = next((count for count in _COUNTS[model] if used <= count), 0)
+    if not full:
+        most = _COUNTS[model][-1]
+        words = [f"{key} = {value:g}" for key, value in zip(_ORDER[most:], lens[most:], strict=False) if value]
+        raise CalibrationError(
+            f"{name}: distortion coefficients: found {len(lens)}, of which {', '.join(words) or 'some'}; expected at "
+            f"most {most} that are not 0 for a {model} camera: thin prisms and tilted sensors are not known here."
+        )
+    names = [one for block in CAMERAS[model].lens for one in block.parameters][:full]
+    table: dict[str, Any] = {"model": model, "width": int(parts.size[0]), "height": int(parts.size[1])}
+    table |= {"skew": 0.0} | {key: float(value) for key, value in parts.pixels.items()}
+    table["distortion"] = dict(zip(names, lens + [0.0] * full, strict=False))
     tables = {"format": CALIBRATION_FORMAT, "camera": table}
     camera = check(CalibrationTable, tables, name=name, error=CalibrationError).camera.camera()
     doubts = camera_doubts(camera)
     if impossible := [doubt.said for doubt in doubts if doubt.impossible]:
         raise CalibrationError(f"{name}: {impossible[0]}.")
-    return ReadCamera(camera, " But ".join([f"{name}: {note}", *(f"{doubt.said}." for doubt in doubts)]))
+    skew = f", skew {table['skew']:g} px" if table["skew"] else ""
+    note = f"{name}: read as a {model} of {table['width']} x {table['height']} px{skew} with "
+    note += f"{', '.join(names[: len(lens)]) or 'no coefficients'} ({parts.lens_from}); "
+    note += f"not used: {_listed(parts.unused)}." if parts.unused else "every key is used."
+    return ReadCamera(camera, " But ".join([note + parts.more, *(f"{doubt.said}." for doubt in doubts)]))
 
 
 def _plain(word: object) -> str:
@@ -160,17 +191,7 @@ class _Keys:
         self.used: set[str] = set()
 
     def of(self, known: frozenset[str], part: str, *, count: int | None = None, listed: bool = False) -> str | None:
-        """The key of the value whose name is known, the one nearest to the root.
-
-        Args:
-            known: Plain names.
-            part: What it is, for the message.
-            count: Of numbers that it must have, for a name that means other things too.
-            listed: Whether it must be a list, as a distance called `dist` is not.
-
-        Raises:
-            CalibrationError: If there are two with other values.
-        """
+        """The key of the value whose name is known, the one nearest to the root."""
         named = [key for key in self._values if self._plain_name(key, known) and self._has(key, count)]
         named = [key for key in named if self._is_list(key)] if listed else named
         nearest = min((key.count(".") for key in named), default=0)
@@ -183,19 +204,19 @@ class _Keys:
         self.used.update(named)
         return named[0] if named else None
 
-    def large(self, first: frozenset[str], second: frozenset[str], least: int) -> tuple[str, str] | None:
-        """The keys of two numbers that stand side by side, both at least so large; None where not one pair is there."""
-        pairs = []
-        for key in self._values:
-            beside = [other for other in self._values if self._plain_name(other, second)]
-            beside = [other for other in beside if other.rpartition(".")[0] == key.rpartition(".")[0]]
-            if self._plain_name(key, first) and beside and all(self._has(one, 1) for one in (key, beside[0])):
-                pairs.append((key, beside[0]))
-        pairs = [pair for pair in pairs if min(self.numbers(key)[0] for key in pair) >= least]
-        if len(pairs) != 1:
-            return None
-        self.used.update(pairs[0])
-        return pairs[0]
+    def side_by_side(self, first: frozenset[str], second: frozenset[str], least: int) -> list[str]:
+        """The keys of two numbers in one table, both at least so large; none where not one pair is there."""
+        keys = [key for key in self._values if self._has(key, 1) and self.numbers(key)[0] >= least]
+        pairs = [
+            [one, other]
+            for one in keys
+            for other in keys
+            if self._plain_name(one, first) and self._plain_name(other, second)
+            if one.rpartition(".")[0] == other.rpartition(".")[0]
+        ]
+        found = pairs[0] if len(pairs) == 1 else []
+        self.used.update(found)
+        return found
 
     def numbers(self, key: str) -> list[float]:
         return numbers(self._values[key], f"{self.name}: {key}")
@@ -241,39 +262,25 @@ def _listed(keys: Sequence[str], most: int = 8) -> str:
     return ", ".join(shown) + (f" and {len(keys) - most} more" if len(keys) > most else "")
 
 
-def _of_tree(
-    tree: Tree, name: str, size: tuple[int, int] | None, unnamed: Literal["pinhole", "fisheye"]
-) -> tuple[dict[str, Any], str]:
+def _of_tree(tree: Tree, name: str, size: tuple[int, int] | None, unnamed: Literal["pinhole", "fisheye"]) -> _Parts:
     keys = _Keys(tree, name)
     model, without = _model(keys)
-    pixels, lens_within = _pixels(keys)
+    pixels, lens = _pixels(keys)
     if model != "double_sphere" and (key := keys.of(frozenset(("xi",)), "xi")) is not None:
         raise CalibrationError(
             f"{name}: {key}: found xi, which the unified (MEI, omni) and double sphere models have; expected a "
             "pinhole, a fisheye without it, or Kalibr's ds."
         )
-    named = model is not None
-    if model is None:
-        model = "double_sphere" if len(lens_within) == 2 else unnamed
-    if (len(lens_within) == 2) != (model == "double_sphere"):
+    chosen: Model = model or ("double_sphere" if len(lens) == 2 else unnamed)
+    if (len(lens) == 2) != (chosen == "double_sphere"):
+        expected = 6 if chosen == "double_sphere" else 4
         raise CalibrationError(
-            f"{name}: intrinsics: found {4 + len(lens_within)} numbers, expected "
-            f"{6 if model == 'double_sphere' else 4} for a {model} camera."
+            f"{name}: intrinsics: found {4 + len(lens)} numbers, expected {expected} for a {chosen} camera."
         )
-    lens, lens_from = (lens_within, "intrinsics") if lens_within else _read_lens(keys, model, without=without)
-    wide, high = _size(keys, size)
-    table = _table(pixels, lens, (wide, high), name, model=model)
-    note = _note(model, table, lens, lens_from, keys.unused())
-    if not named and len(lens) == 4:
-        note += " It names no model: four coefficients may be those of a pinhole or, with --lens fisheye, of a fisheye."
-    return table, note
-
-
-def _note(model: str, table: Mapping[str, Any], lens: Sequence[float], source: str, unused: Sequence[str]) -> str:
-    names = ", ".join(list(table["distortion"])[: len(lens)]) if lens else "no coefficients"
-    skew = f", skew {table['skew']:g} px" if table["skew"] else ""
-    kind = f"read as a {model} of {table['width']} x {table['height']} px{skew} with {names} ({source})"
-    return f"{kind}; not used: {_listed(unused)}." if unused else f"{kind}; every key is used."
+    lens, lens_from = (lens, "intrinsics") if lens else _read_lens(keys, chosen, without=without)
+    more = " It names no model: four coefficients may be those of a pinhole or, with --lens fisheye, of a fisheye."
+    sides = _size(keys, size)
+    return _Parts(chosen, pixels, lens, lens_from, sides, keys.unused(), "" if model or len(lens) != 4 else more)
 
 
 def _model(keys: _Keys) -> tuple[Model | None, bool]:
@@ -373,33 +380,22 @@ def _read_lens(keys: _Keys, model: Model, *, without: bool) -> tuple[list[float]
     )
 
 
-def _size(keys: _Keys, known: tuple[int, int] | None) -> tuple[int, int]:
-    found: list[float] = []
-    where = "image_width, image_height"
-    sides = [keys.of(names, names_of) for names, names_of in ((_WIDTH, "a width"), (_HEIGHT, "a height"))]
-    if None not in sides:
-        where = ", ".join(str(side) for side in sides)
-        for side in sides:
-            word = keys.word(str(side))
-            if not re.fullmatch(r"\d{1,9}(?:\.0*)?", word):
-                raise CalibrationError(f"{keys.name}: {where}: found {word!r:.40}, expected pixels.")
-            found.append(float(word))
-    elif any(sides):
-        raise CalibrationError(f"{keys.name}: {where}: found only one of them, expected the size of the images.")
-    elif (key := keys.of(_SIZE, "a size of images", count=2)) is not None:
-        found, where = keys.numbers(key), str(key)
-    elif across := keys.large(_COLUMNS, _ROWS, _SMALLEST_PX):
-        found, where = [number for key in across for number in keys.numbers(key)], ", ".join(across)
-    if not found:
-        if known is None:
-            raise CalibrationError(f"{keys.name}: {where}: missing, expected the size of the images.")
-        return known
-    if not all(side.is_integer() for side in found):
-        raise CalibrationError(f"{keys.name}: {where}: found {found}, expected whole pixels.")
-    return int(found[0]), int(found[1])
+def _size(keys: _Keys, known: tuple[int, int] | None) -> Sequence[float]:
+    sides = [keys.of(_WIDTH, "a width"), keys.of(_HEIGHT, "a height")]
+    if sides.count(None) == 1:
+        raise CalibrationError(
+            f"{keys.name}: {sides[0] or sides[1]}: found only one of them, expected width and height."
+        )
+    found = [side for side in sides if side is not None]
+    if not found and (key := keys.of(_SIZE, "a size of images", count=2)) is not None:
+        return keys.numbers(key)
+    found = found or keys.side_by_side(_COLUMNS, _ROWS, _SMALLEST_PX)
+    if not found and known is None:
+        raise CalibrationError(f"{keys.name}: image_width, image_height: missing, expected the size of the images.")
+    return [number for key in found for number in keys.numbers(key)] if found else known or ()
 
 
-def _read_mrcal(text: str, name: str) -> tuple[dict[str, Any], str]:
+def _of_mrcal(text: str, name: str) -> _Parts:
     # Looked for rather than parsed: a model may hold megabytes of its optimisation, and a parser takes far more.
     text = re.sub(r"#[^\n]*", "", text)
     lens = (re.findall(r"""['"]lensmodel['"]\s*:\s*b?['"]([^'"\n]*)['"]""", text) or [""])[0]
@@ -407,17 +403,16 @@ def _read_mrcal(text: str, name: str) -> tuple[dict[str, Any], str]:
     if lens not in counts:
         raise CalibrationError(f"{name}: lensmodel: found {lens!r:.60}, expected one of {', '.join(counts)}.")
     lists = (re.findall(rf"""['"]{key}['"]\s*:\s*(\[[^\[\]]*\])""", text) for key in ("intrinsics", "imagersize"))
-    values, given = (numbers(found[0], name) if found else [] for found in lists)
-    if len(values) != 4 + counts[lens] or len(given) != 2 or not all(side.is_integer() for side in given):
+    values, size = (numbers(found[0][1:-1], name) if found else [] for found in lists)
+    if len(values) != 4 + counts[lens] or len(size) != 2:
         raise CalibrationError(
-            f"{name}: intrinsics, imagersize: found {len(values)} and {len(given)} numbers, expected "
-            f"{4 + counts[lens]} and 2 whole ones, as {lens} has them."
+            f"{name}: intrinsics, imagersize: found {len(values)} and {len(size)} numbers, expected {4 + counts[lens]} "
+            f"and 2, as {lens} has them."
         )
-    pixels = dict(zip(("fx", "fy", "cx", "cy"), values, strict=False)) | {"skew": 0.0}
-    table = _table(pixels, values[4:], (int(given[0]), int(given[1])), name, model="pinhole")
     keys = dict.fromkeys(re.findall(r"""['"](\w{1,40})['"]\s*:""", text))
     unused = [key for key in keys if key not in ("lensmodel", "intrinsics", "imagersize")]
-    return table, _note("pinhole", table, values[4:], lens, unused)
+    pixels = dict(zip(("fx", "fy", "cx", "cy"), values, strict=False))
+    return _Parts("pinhole", pixels, values[4:], lens, size, unused)
 
 
 # Parameters of COLMAP's models, in its order. Source: colmap.github.io/cameras.html
@@ -434,7 +429,7 @@ _COLMAP: dict[str, tuple[Model, str]] = {
 }
 
 
-def _colmap(text: str, name: str) -> tuple[dict[str, Any], str]:
+def _of_colmap(text: str, name: str) -> _Parts:
     """The one camera of a `cameras.txt`; COLMAP's first pixel has its centre at (0.5, 0.5)."""
     lines = [line.split() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     if len(lines) != 1 or len(lines[0]) < 5:
@@ -446,52 +441,16 @@ def _colmap(text: str, name: str) -> tuple[dict[str, Any], str]:
     if called not in _COLMAP:
         raise CalibrationError(f"{name}: model: found {called!r:.40}, expected one of {', '.join(_COLMAP)}.")
     model, order = _COLMAP[called]
-    values = numbers(" ".join(words), name)
-    names = order.split()
-    if len(values) != 2 + len(names) or not all(side.is_integer() for side in values[:2]):
+    names, size, values = order.split(), numbers(words[:2], name), numbers(words[2:], name)
+    if len(values) != len(names):
         raise CalibrationError(
-            f"{name}: found {len(values)} numbers after {called}, expected WIDTH HEIGHT {' '.join(names)}."
+            f"{name}: found {len(words)} numbers after {called}, expected WIDTH HEIGHT {' '.join(names)}."
         )
-    found = dict(zip(names, values[2:], strict=True))
-    pixels = {"fx": found.get("fx", found.get("f", 0.0)), "fy": found.get("fy", found.get("f", 0.0)), "skew": 0.0}
+    found = dict(zip(names, values, strict=True))
+    pixels = {key: found[key] if key in found else found["f"] for key in ("fx", "fy")}
     pixels |= {"cx": found["cx"] - 0.5, "cy": found["cy"] - 0.5}
     lens = [value for key, value in found.items() if _COEFFICIENT.fullmatch(key)]
-    table = _table(pixels, lens, (int(values[0]), int(values[1])), name, model=model)
-    return table, _note(model, table, lens, called, []) + " The centre is 0.5 px less than COLMAP's."
-
-
-def _table(
-    pixels: Mapping[str, float], lens: Sequence[float], size: tuple[int, int], name: str, *, model: Model
-) -> dict[str, Any]:
-    """The camera as a calibration of our own holds it."""
-    names = [one for block in CAMERAS[model].lens for one in block.parameters]
-    lens = [float(value) for value in lens]
-    if model == "pinhole" and len(lens) in (3, 6, 7):
-        raise CalibrationError(
-            f"{name}: distortion coefficients: found {len(lens)}, expected 4, 5, 8, 12 or 14 (k1, k2, p1, p2, k3, ...)."
-        )
-    extra = {key: value for key, value in zip(_ORDER[8:], lens[8:], strict=False) if value != 0}
-    if model == "pinhole" and (extra or len(lens) > len(_ORDER)):
-        raise CalibrationError(
-            f"{name}: distortion coefficients: found {len(lens)}, of which "
-            f"{', '.join(f'{key} = {value:g}' for key, value in extra.items()) or 'some'}; expected at most "
-            f"{len(names)} that are not 0: thin prisms and tilted sensors are not known here. Calibrate without them."
-        )
-    lens = lens[: len(names)] if model == "pinhole" else lens
-    if model == "fisheye" and len(lens) > 4 and not any(lens[4:]):
-        lens = lens[:4]
-    if len(lens) > len(names):
-        raise CalibrationError(
-            f"{name}: distortion coefficients: found {len(lens)}, expected at most {len(names)} for a {model} camera."
-        )
-    # Shorter lists leave out coefficients that are 0; k4, k5, k6 come together.
-    while model == "pinhole" and len(lens) > 5 and not any(lens[5:]):
-        lens = lens[:5]
-    full = len(names) if model != "pinhole" or len(lens) > 5 else 5
-    lens += [0.0] * (full - len(lens))
-    distortion = dict(zip(names, lens, strict=False))
-    numbers_px = {key: float(pixels[key]) for key in ("fx", "fy", "cx", "cy", "skew")}
-    return {"model": model, "width": size[0], "height": size[1], **numbers_px, "distortion": distortion}
+    return _Parts(model, pixels, lens, called, size, more=" The centre is 0.5 px less than COLMAP's.")
 
 
 # Calibrations for other programs: OpenCV, ROS, mrcal, Kalibr.

@@ -17,7 +17,7 @@ from jaxscan.files.capture.images import ImageReader, Look, RecordFrames, check_
 from jaxscan.files.capture.journal import JOURNAL_NAME, ImageRef, Record, read_texts
 from jaxscan.files.capture.seals import require_whole, sealing
 from jaxscan.files.disk import COPY_FIRST, is_address, shown
-from jaxscan.geometry import AbstractBoard, Carries
+from jaxscan.geometry import MOTIONS, AbstractBoard, Carries
 from jaxscan.geometry.scanner import Up
 from jaxscan.reconstruction import FrameChunk, journal_doubts
 from jaxscan.stripes import LaserLine, PixelFormat, Response
@@ -30,7 +30,6 @@ class Capture:
     path: Path
     header: CaptureHeader
     records: tuple[Record, ...]
-    """Sorted by their number, one per number."""
     notes: tuple[str, ...]
     """Doubts of the reader, a sentence each: a torn last line that was left out, records that no seal covers."""
     _digest: str
@@ -104,7 +103,7 @@ class Capture:
     def _angles(self) -> np.ndarray:
         if self.carries == "nothing":
             return np.zeros(len(self.records))
-        key = "position_m" if self.carries == "linear" else "angle_deg"
+        key = MOTIONS[self.carries or "scanner"].key
         for record in self.records:
             if record.angle is None:
                 raise CaptureError(f"{self.path}: record {record.i}: {key} is null; only a sweep can be reconstructed.")
@@ -224,8 +223,7 @@ class Capture:
         """All frames in order, `size` records at a time, decoded ahead by all cores.
 
         Frames that lie one after another in one shard are read-only views of the file; others are
-        decoded or copied. A chunk may be kept; if it is not, its memory is used again, so that
-        no more than three chunks exist beside those that are in use. Close the iterator to stop
+        decoded or copied. No more than three chunks exist beside those that are in use. Close the iterator to stop
         early.
 
         Yields:

@@ -23,6 +23,7 @@ from jaxscan.files.disk import (
     too_deep,
 )
 from jaxscan.geometry import (
+    MOTIONS,
     AbstractBoard,
     AprilGrid,
     Carries,
@@ -110,7 +111,6 @@ class AprilGridTable(_Board):
     type: Literal["aprilgrid"] = "aprilgrid"
     tag_mm: Length
     gap_mm: Length
-    """Distance of neighbouring tags."""
 
     def board(self) -> AbstractBoard:
         return AprilGrid(columns=self.columns, rows=self.rows, square=self.gap_mm / 1000, tag=self.tag_mm / 1000)
@@ -148,7 +148,6 @@ class CameraTable(ImageSize):
     response: Annotated[Response, pydantic.AfterValidator(known_response)] = "linear"
     """"linear", or "srgb" or "gamma 2.2" (decoded before the fit)."""
     up: Up = "-v"
-    """Which direction of the image is up."""
     shutter: Literal["global", "rolling"] | None = None
     """"rolling" where rows are exposed one after another; None if unknown."""
     compression: Literal["jpeg", "video"] | None = None
@@ -182,16 +181,15 @@ class TurntableTable(FileModel):
     angle_sigma_deg: Annotated[Number, pydantic.Field(ge=0, le=45)] | None = None
     """Standard deviation of where a table stops about the angle of its record [deg]; None: learned from boards."""
     position_sigma_mm: Annotated[Number, pydantic.Field(ge=0, lt=1000)] | None = None
-    """The same of a linear stage [mm]."""
 
     @pydantic.model_validator(mode="after")
     def _of_its_kind(self) -> "TurntableTable":
-        turns, linear = self.carries in ("scanner", "object"), self.carries == "linear"
-        for key, value, fits in (
-            ("angle_sigma_deg", self.angle_sigma_deg, turns),
-            ("position_sigma_mm", self.position_sigma_mm, linear),
+        unit = MOTIONS[self.carries].unit
+        for key, value, wanted in (
+            ("angle_sigma_deg", self.angle_sigma_deg, "rad"),
+            ("position_sigma_mm", self.position_sigma_mm, "m"),
         ):
-            if value is not None and not fits:
+            if value is not None and unit != wanted:
                 raise ValueError(f'{key}: found {value:g} with carries = "{self.carries}", which has none')
         return self
 
@@ -207,7 +205,6 @@ class LaserTable(FileModel):
     """One laser as the camera sees it."""
 
     name: Annotated[str, pydantic.Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")] = "laser"
-    """Its name in calibrations and messages."""
     colour: LaserColour = "red"
     """Which channel of a colour camera sees it; "auto": the channel that shows it best."""
     stripe_axis: StripeAxis = "rows"
@@ -218,7 +215,6 @@ class PlanTable(FileModel):
     """Plan of the acquisition."""
 
     steps: Annotated[Integer, pydantic.Field(ge=1)] | None = None
-    """Planned number of records."""
 
 
 class CaptureHeader(FileModel):
@@ -232,7 +228,6 @@ class CaptureHeader(FileModel):
     board: BoardTable | None = None
     plan: PlanTable | None = None
     acquisition: dict[str, Any] = pydantic.Field(default_factory=dict)
-    """Free entries of the acquisition."""
 
     @pydantic.model_validator(mode="after")
     def _complete(self) -> "CaptureHeader":

@@ -4,7 +4,6 @@ import hashlib
 import io
 import json
 import math
-import operator
 import os
 import re
 import stat
@@ -18,7 +17,7 @@ import pydantic
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.header import HEADER_NAME, MAX_HEADER_BYTES, CaptureHeader, parse_header
 from jaxscan.files.disk import MAX_DEPTH, Integer, Number, check, is_deep, read_bounded, too_deep
-from jaxscan.geometry import Carries
+from jaxscan.geometry import MOTIONS, Carries
 
 
 MAX_IMAGES = 16
@@ -43,11 +42,7 @@ class ImageRef:
 
 
 def parse_images(value: Any) -> tuple[ImageRef, ...]:
-    """The images of one frame as they stand in a record: none, one, or a list with exposures.
-
-    Raises:
-        ValueError: If it is of another kind, is too long, or could lead out of the folder.
-    """
+    """The images of one frame as they stand in a record: none, one, or a list with exposures."""
     if value is None:
         return ()
     if not isinstance(value, list):
@@ -83,11 +78,7 @@ _CONTROL, _DRIVE = re.compile(r"[\x00-\x1f\x7f]"), re.compile(r"[A-Za-z]:")
 
 
 def parse_reference(value: Any) -> ImageRef:
-    """The reference to one image.
-
-    Raises:
-        ValueError: If it is none, or could lead out of the folder.
-    """
+    """The reference to one image."""
     if not isinstance(value, str):
         raise ValueError(f"found {value!r:.60}, expected a path, null, or a list of images with exposures")
     path, index = value, None
@@ -177,7 +168,6 @@ MAX_LINE_BYTES = 64 << 10
 MAX_RECORDS = 1_000_000
 MAX_LINES = 2_000_000
 
-_MISSING = object()
 _OF_RECORDS = {"on", "off", "angle_deg", "position_m"}
 """Keys that events do not have, unless they say so by the key `event`."""
 
@@ -187,7 +177,6 @@ class Record:
     """One completed record."""
 
     i: int
-    """Its own number."""
     angle: float | None
     """The table's angle [rad from home], or the position of a linear stage [m]; None where unknown."""
     placement: int | None
@@ -195,7 +184,6 @@ class Record:
     lasers: tuple[int, ...]
     """Indices of the lasers lit in the `on` frame, in the header's order; empty without one."""
     on: tuple[ImageRef, ...]
-    """Images of the laser-on frame: one, or several with exposures; empty without one."""
     off: tuple[ImageRef, ...]
 
 
@@ -203,11 +191,8 @@ class Journal(NamedTuple):
     """The contents of a journal."""
 
     records: tuple[Record, ...]
-    """One per number, in the order of the numbers."""
     notes: tuple[str, ...]
-    """A sentence for each line that was dropped."""
     takes: dict[int, int]
-    """How many lines each record has."""
 
 
 def _digests(given: Any) -> dict[str, Any] | None:
@@ -239,24 +224,6 @@ class _Line(pydantic.BaseModel):
     sha256: Annotated[Any, pydantic.AfterValidator(_digests)] = None
 
 
-class _Checked(NamedTuple):
-    """A checked line: a journal may have a million, and the model takes several times the memory."""
-
-    number: int
-    """Number of the line in the file."""
-    angle_deg: float | None
-    position_m: float | None
-    placement: int | None
-    lasers: list[int | str] | None
-    on: tuple[ImageRef, ...]
-    off: tuple[ImageRef, ...]
-    sha256: dict[str, Any] | None
-    """Digests of the images of `on` and `off`: each a text, a list of texts, or None."""
-
-
-_checked = operator.attrgetter(*_Checked._fields[1:])
-
-
 def read_journal(
     data: bytes,
     *,
@@ -276,11 +243,8 @@ def read_journal(
         laser_names: The lasers in the header's order.
         carries: The kind of motion: records of a linear stage have positions in place of angles, those of a scanner
             that stands still may have neither.
-
-    Raises:
-        CaptureError: With the number of the line that is broken or not a record.
     """
-    latest: dict[int, _Checked] = {}
+    latest: dict[int, Record] = {}
     takes: dict[int, int] = {}
     torn = ""
     if (lines := data.count(b"\n")) > MAX_LINES:
@@ -288,29 +252,28 @@ def read_journal(
     for number, text in enumerate(io.BytesIO(data), 1):
         if torn and text.strip():
             raise CaptureError(f"{torn}; repair or remove this line, it is not the last.")
-        value = _parse(text, name, number)
+        where = f"{name}: line {number}"
+        value = _parse(text, where)
         if value is None:
-            if text.strip():
-                torn = f"{name}: line {number}: not a complete JSON object"
+            torn = f"{where}: not a complete JSON object" if text.strip() else torn
             continue
-        if (i := value.get("i", _MISSING)) is _MISSING:
-            _check_event(value, name, number)
+        if "i" not in value:
+            _check_event(value, where)
             continue
-        line = check(_Line, value, name=f"{name}: line {number}", error=CaptureError)
-        latest[i] = _Checked(number, *_checked(line))
-        takes[i] = takes.get(i, 0) + 1
+        line = check(_Line, value, name=where, error=CaptureError)
+        latest[line.i] = _record(line, where, kind, laser_names, carries)
+        takes[line.i] = takes.get(line.i, 0) + 1
         if len(latest) > MAX_RECORDS:
-            raise CaptureError(f"{name}: line {number}: more than {MAX_RECORDS} records; split the capture.")
-    records = tuple(_complete(i, latest.pop(i), name, kind, laser_names, carries) for i in sorted(latest))
-    return Journal(records, (f"{torn}: the last line was cut off and is left out.",) if torn else (), takes)
+            raise CaptureError(f"{where}: more than {MAX_RECORDS} records; split the capture.")
+    notes = (f"{torn}: the last line was cut off and is left out.",) if torn else ()
+    return Journal(tuple(latest[i] for i in sorted(latest)), notes, takes)
 
 
-def _check_event(value: dict[str, Any], name: str, number: int) -> None:
+def _check_event(value: dict[str, Any], where: str) -> None:
     """Refuse a record whose number is misspelt, which would be taken for an event and skipped."""
     if "event" not in value and (found := _OF_RECORDS & value.keys()):
         raise CaptureError(
-            f"{name}: line {number}: i: missing, although {', '.join(sorted(found))} stand there; expected the number "
-            "of the record."
+            f"{where}: i: missing, although {', '.join(sorted(found))} stand there; expected the number of the record."
         )
 
 
@@ -354,20 +317,20 @@ def journal_objects(journal: bytes) -> Iterator[tuple[int, dict[str, Any]]]:
         start += len(line) + 1
 
 
-def _parse(line: bytes, name: str, number: int) -> dict[str, Any] | None:
+def _parse(line: bytes, where: str) -> dict[str, Any] | None:
     """The object of a line; None if the line is torn or empty."""
     if len(line) > MAX_LINE_BYTES:
-        raise CaptureError(f"{name}: line {number}: longer than {MAX_LINE_BYTES >> 10} KiB, so it is no record.")
+        raise CaptureError(f"{where}: longer than {MAX_LINE_BYTES >> 10} KiB, so it is no record.")
     try:
         value = json.loads(line.decode("utf-8"))
     except RecursionError:
-        raise CaptureError(too_deep(f"{name}: line {number}")) from None
+        raise CaptureError(too_deep(where)) from None
     except ValueError:
         return None
     if not isinstance(value, dict):
-        raise CaptureError(f"{name}: line {number}: found {str(value)[:40]}, expected a JSON object.")
+        raise CaptureError(f"{where}: found {str(value)[:40]}, expected a JSON object.")
     if _may_be_deep(line) and is_deep(value):
-        raise CaptureError(too_deep(f"{name}: line {number}"))
+        raise CaptureError(too_deep(where))
     return value
 
 
@@ -376,8 +339,7 @@ def _may_be_deep(line: bytes) -> bool:
     return line.count(b"{") + line.count(b"[") > MAX_DEPTH
 
 
-def _complete(i: int, line: _Checked, name: str, kind: str, laser_names: tuple[str, ...], carries: Carries) -> Record:
-    where = f"{name}: line {line.number}"
+def _record(line: _Line, where: str, kind: str, laser_names: tuple[str, ...], carries: Carries) -> Record:
     position = _position(line, kind, carries, where)
     if kind == "sweep" and not line.on:
         raise CaptureError(f"{where}: on: found null, but a sweep needs a laser-on image in every record.")
@@ -385,7 +347,7 @@ def _complete(i: int, line: _Checked, name: str, kind: str, laser_names: tuple[s
         raise CaptureError(f"{where}: on, off: both are null; a record needs an image.")
     digests = line.sha256 or {}
     return Record(
-        i=i,
+        i=line.i,
         angle=position,
         placement=line.placement,
         lasers=() if not line.on else _lit(line.lasers, where, laser_names),
@@ -394,23 +356,20 @@ def _complete(i: int, line: _Checked, name: str, kind: str, laser_names: tuple[s
     )
 
 
-def _position(line: _Checked, kind: str, carries: Carries, where: str) -> float | None:
+def _position(line: _Line, kind: str, carries: Carries, where: str) -> float | None:
     """The table's angle [rad], or the position of a stage [m]; None where none is needed and none is given."""
-    linear = carries == "linear"
+    linear = MOTIONS[carries].unit == "m"
     wanted, found = (line.position_m, line.angle_deg) if linear else (line.angle_deg, line.position_m)
     if wanted is not None:
         return wanted if linear else math.radians(wanted)
+    key, other = ("position_m", "angle_deg") if linear else ("angle_deg", "position_m")
     if found is not None and carries != "nothing":
-        key, other = ("position_m", "angle_deg") if linear else ("angle_deg", "position_m")
-        kinds = 'carries = "linear"' if linear else 'carries = "scanner" or "object"'
-        raise CaptureError(f"{where}: {key}: missing beside {other}, expected with {kinds} under [turntable].")
+        raise CaptureError(f'{where}: {key}: missing beside {other}, expected with carries = "{carries}".')
     if kind != "sweep" or carries == "nothing":
         return None
-    if linear:
-        raise CaptureError(f"{where}: position_m: found null, but a sweep needs the position of every record.")
+    more = "" if linear else '; of a scanner that stands still, say carries = "nothing" under [turntable]'
     raise CaptureError(
-        f"{where}: angle_deg: found null, but a sweep needs the angle of every record; of a scanner that stands still, "
-        'say carries = "nothing" under [turntable].'
+        f"{where}: {key}: found null, but a sweep needs the {'position' if linear else 'angle'} of every record{more}."
     )
 
 
@@ -435,11 +394,8 @@ class CaptureTexts(NamedTuple):
 
     header: CaptureHeader
     records: tuple[Record, ...]
-    """Sorted by their number, one per number."""
     notes: tuple[str, ...]
-    """A sentence if a torn last line was left out."""
     takes: dict[int, int]
-    """How many lines each record has in the journal."""
     header_bytes: bytes
     journal_bytes: bytes
 

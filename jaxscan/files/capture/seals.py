@@ -30,11 +30,9 @@ class Sealing(NamedTuple):
     """How well a capture is sealed."""
 
     broken: tuple[str, ...]
-    """Differences from the seals, a sentence each."""
     note: str
     """The part of the journal that no seal covers although its records have digests; "" if there is none."""
     sealed: bool
-    """Whether the last seal covers all records."""
 
 
 def seal(path: Path) -> dict[str, Any]:
@@ -86,11 +84,7 @@ def sealing(texts: CaptureTexts, folder: Path) -> Sealing:
 
 
 def require_whole(state: Sealing) -> None:
-    """Check that no seal is broken.
-
-    Raises:
-        CaptureError: With the first difference and the cure.
-    """
+    """Check that no seal is broken."""
     if state.broken:
         raise CaptureError(
             f"{state.broken[0].removesuffix('.')}; the file has changed since it was written: restore it from a copy, "

@@ -22,7 +22,6 @@ _MAPPED = 32
 
 class _Shard(NamedTuple):
     frames: np.ndarray
-    """uint8 [n, rows, columns(, 3)], read-only."""
     file: mmap.mmap
     start: int
     """Offset of the first frame in the file [bytes]."""
@@ -39,21 +38,13 @@ class Shards:
         self._lock = threading.Lock()
 
     def check(self, reference: ImageRef, located: Path) -> None:
-        """Check that a shard has frames of the right size and is long enough.
-
-        Raises:
-            CaptureError: If it has not.
-        """
+        """Check that a shard has frames of the right size and is long enough."""
         if reference.path not in self._length:
             self._length[reference.path] = len(_open_shard(located, name=reference.path, shape=self._shape).frames)
         self._reaches(reference, self._length[reference.path])
 
     def image(self, reference: ImageRef) -> np.ndarray:
-        """One frame, uint8 [rows, columns(, 3)]: a read-only view of the file.
-
-        Raises:
-            CaptureError: If the file has changed and no longer holds it.
-        """
+        """One frame, uint8 [rows, columns(, 3)]: a read-only view of the file."""
         frames = self._open(reference.path).frames
         self._reaches(reference, len(frames))
         return frames[reference.index]
@@ -62,9 +53,6 @@ class Shards:
         """Frames that lie one after another in one shard, uint8 [frames, rows, columns(, 3)]; else None.
 
         Nothing is copied: the result is a read-only view of the file, and is being read ahead.
-
-        Raises:
-            CaptureError: If the file has changed and no longer holds them.
         """
         first, last = references[0], references[-1]
         if first.index is None or last.index != first.index + len(references) - 1:
@@ -101,11 +89,7 @@ class Shards:
 
 
 def _open_shard(path: Path, *, name: str, shape: tuple[int, ...]) -> _Shard:
-    """A shard, memory-mapped.
-
-    Raises:
-        CaptureError: If it is damaged, or its images are of another size or type.
-    """
+    """A shard, memory-mapped."""
     try:
         with open_regular(path, error=CaptureError, links="refuse") as file:
             found, column_major, dtype = read_npy_header(file)

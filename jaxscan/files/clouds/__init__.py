@@ -20,6 +20,5 @@ if TYPE_CHECKING:
     from jaxscan.files.clouds.formats import FORMATS
     from jaxscan.files.clouds.header import METRE, About, StoredCloud
     from jaxscan.files.clouds.placing import Up, in_metres, shifted, with_z_up
-    from jaxscan.files.clouds.rerun import load_rerun, save_rerun
 else:
     load_on_use(__name__)

@@ -1,9 +1,10 @@
 """Point clouds on disk: the suffix chooses the format."""
 
+import struct
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import jax
 import numpy as np
@@ -14,12 +15,12 @@ from jaxscan.files.clouds.e57 import Surroundings, write_e57, write_e57_stations
 from jaxscan.files.clouds.formats import FORMATS
 from jaxscan.files.clouds.header import About, StoredCloud
 from jaxscan.files.clouds.points import check_cloud
-from jaxscan.files.disk import Part, check_writable, write_atomically
+from jaxscan.files.disk import Part, check_writable, open_regular, write_atomically
 from jaxscan.reconstruction import PointCloud, join_clouds
 
 
 Writer = Callable[[PointCloud, Part, About], None]
-Reader = Callable[[Path, Reading], StoredCloud]
+Reader = Callable[[BinaryIO, Reading], StoredCloud]
 
 
 def _functions(prefix: str) -> dict[str, Any]:
@@ -30,9 +31,12 @@ def _functions(prefix: str) -> dict[str, Any]:
 WRITERS: dict[str, Writer] = _functions("write")
 READERS: dict[str, Reader] = _functions("read")
 _NAMED = (".npz", ".e57", ".las", ".laz", ".ptx")
-"""Formats that name their columns themselves."""
 TEXTS = (".txt", ".csv", ".asc", ".pts")
 """Suffixes that other programs give to tables of points: they are read as .xyz."""
+_DAMAGE = (
+    *(ValueError, TypeError, LookupError, AttributeError, ArithmeticError, EOFError, MemoryError, RuntimeError),
+    *(OSError, struct.error),
+)
 
 
 def check_cloud_path(path: Path) -> None:
@@ -62,31 +66,29 @@ def save_cloud(cloud: PointCloud, path: str | Path, *, calibration_digest: str =
     """
     path = Path(path)
     check_cloud_path(path)
-    writer = WRITERS[path.suffix.lower()]
     if not calibration_digest.isascii() or not calibration_digest.isprintable():
         raise ValueError(f"`calibration_digest` must be printable ASCII, got {calibration_digest!r}.")
-    host = jax.tree.map(np.asarray, cloud)
-    check_cloud(host, str(path))
-    about = About(calibration=calibration_digest, epsg=epsg)
-    write_atomically(path, lambda part: writer(host, part, about), error=CloudError)
+    _write(cloud, path, About(calibration=calibration_digest, epsg=epsg), WRITERS[path.suffix.lower()])
 
 
 def save_cloud_with_pictures(stored: StoredCloud, around: Surroundings, path: Path) -> None:
-    """Write the cloud of one station, and what is seen around it, as one E57.
-
-    Args:
-        stored: The cloud [m], with what its file says of it.
-        around: What is seen from there, and when it was.
-        path: Its suffix is .e57. An existing file is replaced when the new one is complete.
+    """Write the cloud of one station [m], and what is seen around it, as one E57.
 
     Raises:
         CloudError: As in `save_cloud`.
         DependencyError: If pye57 is not installed.
     """
     check_cloud_path(path)
-    host = jax.tree.map(np.asarray, stored.cloud)
-    check_cloud(host, str(path))
-    write_atomically(path, lambda part: write_e57(host, part, stored.about, around), error=CloudError)
+    _write(stored.cloud, path, stored.about, lambda cloud, part, about: write_e57(cloud, part, about, around))
+
+
+def _write(cloud: PointCloud, path: Path, about: About, writer: Writer) -> None:
+    host = jax.tree.map(np.asarray, cloud)
+    try:
+        check_cloud(host)
+    except CloudError as problem:
+        raise CloudError(f"{path}: {problem}") from problem
+    write_atomically(path, lambda part: writer(host, part, about), error=CloudError)
 
 
 def save_clouds(
@@ -97,8 +99,7 @@ def save_clouds(
     Args:
         stations: Of each the cloud in its own scanner frame [m], T_room_scanner [4, 4], and the covariance [6, 6] of a
             step (translation [m], rotation [rad]) in its own frame.
-        path: As in `save_cloud`.
-        calibration_digest: As in `save_cloud`.
+        path, calibration_digest: As in `save_cloud`.
 
     Raises:
         CloudError: As in `save_cloud`, or if the clouds are not of one camera.
@@ -167,11 +168,17 @@ def read_cloud(path: str | Path, reading: Reading | None = None) -> StoredCloud:
     reading = reading or Reading()
     if reading.columns and suffix in _NAMED:
         raise CloudError(f"{path}: the columns of {suffix} are named by the format; leave --columns out.")
-    # Numbers that are too large for their column become infinite, and are refused below.
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):
-            stored = reader(path, reading)
-    except OSError as problem:
-        raise CloudError(f"{path}: cannot be read: {problem.strerror or problem}.") from problem
-    check_cloud(stored.cloud, str(path))
+    with open_regular(path, error=CloudError) as file:
+        try:
+            # Numbers that are too large for their column become infinite, and are refused by the last check.
+            with np.errstate(over="ignore", invalid="ignore"):
+                stored = reader(file, reading)
+            check_cloud(stored.cloud)
+        except CloudError as problem:
+            # What reads archives and XML names the file itself.
+            said = str(problem)
+            raise CloudError(said if said.startswith(f"{path}: ") else f"{path}: {said}") from problem
+        except _DAMAGE as problem:
+            reason = (str(problem).splitlines() or [type(problem).__name__])[0].removesuffix(".")
+            raise CloudError(f"{path}: not a readable {suffix} file: {reason:.100}.") from problem
     return stored

@@ -13,9 +13,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.files.clouds.grid import USED, Records
-from jaxscan.files.clouds.header import StoredCloud, about_of
-from jaxscan.reconstruction import PointCloud
+from jaxscan.files.clouds.grid import USED, Records, cloud_of
+from jaxscan.files.clouds.header import StoredCloud, about_of, version_of
 
 
 AXES, COLOURS, NORMALS = ("x", "y", "z"), ("red", "green", "blue"), ("nx", "ny", "nz")
@@ -37,9 +36,7 @@ UNIT_WORDS: dict[Unit, str] = {
     "us-foot": "US survey feet",
 }
 SHORT_NAMES = {"i": "intensity", "r": "red", "g": "green", "b": "blue"}
-"""Letters of columns in a list that a person types."""
 UNUSED = "-"
-"""A column that a person leaves out."""
 
 
 class Reading(NamedTuple):
@@ -121,77 +118,63 @@ class Columns(NamedTuple):
     places: dict[str, int]
     """Places of the columns of a cloud, by their names in `USED`."""
     unused: tuple[str, ...]
-    """Names of the others."""
     unit: Unit | None = None
-    """The unit that the names of x, y and z state."""
 
 
-def assign(names: Sequence[str], path: str, *, what: str = "the columns", ours: bool = False) -> Columns:
-    """Find the columns of a cloud by their names.
+def assign(names: Sequence[str], *, what: str = "the columns", ours: bool = False) -> Columns:
+    """Find the columns of a cloud by their names, which are empty where a column has none.
 
     Args:
-        names: The columns of the file in their order; empty where one has no name.
+        what: The names, for messages.
         ours: Whether this library wrote the file.
-
-    Raises:
-        CloudError: If there is no x, y and z.
     """
     places: dict[str, int] = {}
-    # A column that has its name to the letter comes before one that has it in other words.
+
+    def take(plain: str | None, k: int) -> None:
+        if plain is not None and plain not in places and k not in places.values():
+            places[plain] = k
+
+    plains = [plain_of(name) for name in names]
+    # A column that has its name to the letter comes before one that has it in other words, and that before a survey's.
     for exact in (True, False):
-        for k, name in enumerate(names):
-            plain = plain_of(name)
-            if plain is not None and plain not in places and k not in places.values() and (plain == name) >= exact:
-                places[plain] = k
-    for plain in AXES:
-        for k, name in enumerate(names):
-            if plain not in places and k not in places.values() and _ON_MAP.get(_bare(name)) == plain:
-                places[plain] = k
+        for k, (name, plain) in enumerate(zip(names, plains, strict=True)):
+            if plain == name or not exact:
+                take(plain, k)
+    for k, name in enumerate(names):
+        take(_ON_MAP.get(_bare(name)), k)
     if not set(AXES) <= places.keys():
         found = ", ".join(name or "?" for name in names)
         if {_bare(name) for name in names} & _GLOBE:
             raise CloudError(
-                f"{path}: {what} are degrees of latitude and longitude ({found:.60}), expected lengths; project them "
-                "onto a map first."
+                f"{what} are degrees of latitude and longitude ({found:.60}), expected lengths; project them onto a "
+                "map first."
             )
         raise CloudError(
-            f"{path}: {what} ({found:.60}) are no x, y and z; name them in their order with jaxscan convert --columns "
+            f"{what} ({found:.60}) are no x, y and z; name them in their order with jaxscan convert --columns "
             "x,y,z,i,r,g,b."
         )
-    if not ours:
-        _complete(places)
-    unused = tuple(name for k, name in enumerate(names) if k not in places.values())
     units = {stated_of(names[places[axis]]) for axis in AXES}
-    return Columns(places, unused, units.pop() if len(units) == 1 else None)
+    return _columns(names, places if ours else _complete(places), units.pop() if len(units) == 1 else None)
 
 
-def _complete(places: dict[str, int]) -> None:
-    """Leave out parts of colours and normals, and take one sigma for that of the noise."""
-    for parts in (COLOURS, NORMALS):
-        if not set(parts) <= places.keys():
-            for part in parts:
-                places.pop(part, None)
-    sigma = places.pop("sigma", None)
-    if sigma is not None and not {"sigma_random", "sigma_systematic"} & places.keys():
-        places["sigma_random"] = sigma
+def _columns(names: Sequence[str], places: dict[str, int], unit: Unit | None = None) -> Columns:
+    return Columns(places, tuple(name for k, name in enumerate(names) if k not in places.values()), unit)
 
 
-def listed(names: Sequence[str], reading: Reading, path: str) -> Columns:
-    """The columns as a person lists them.
+def _complete(places: dict[str, int]) -> dict[str, int]:
+    """Places without parts of colours and normals, and with one sigma as that of the noise."""
+    parts = [part for whole in (COLOURS, NORMALS) if not set(whole) <= places.keys() for part in whole]
+    kept = {name: k for name, k in places.items() if name not in (*parts, "sigma")}
+    if "sigma" in places and not {"sigma_random", "sigma_systematic"} & kept.keys():
+        kept["sigma_random"] = places["sigma"]
+    return kept
 
-    Args:
-        names: The columns of the file in their order.
-        reading: Has columns.
 
-    Raises:
-        CloudError: If the file has fewer.
-    """
-    wanted = reading.columns or ()
+def listed(names: Sequence[str], wanted: Sequence[str]) -> Columns:
+    """The columns of a file with these names, as a person lists them."""
     if len(wanted) > len(names):
-        raise CloudError(f"{path}: has {len(names)} columns, and --columns lists {len(wanted)}.")
-    places = {name: k for k, name in enumerate(wanted) if name != UNUSED}
-    _complete(places)
-    return Columns(places, tuple(name for k, name in enumerate(names) if k not in places.values()))
+        raise CloudError(f"has {len(names)} columns, and --columns lists {len(wanted)}.")
+    return _columns(names, _complete({name: k for k, name in enumerate(wanted) if name != UNUSED}))
 
 
 def plain_names(names: Iterable[str]) -> list[str]:
@@ -216,9 +199,7 @@ class Extent(NamedTuple):
     least: np.ndarray
     most: np.ndarray
     whole: np.ndarray
-    """Whether all are whole numbers."""
     unit: np.ndarray
-    """Whether the column and the two after it are unit vectors in all rows."""
     counts: bool
     """Whether the first column counts the rows."""
 
@@ -256,7 +237,7 @@ class Extent(NamedTuple):
 _PIECES = {"c": COLOURS, "n": NORMALS, "i": ("intensity",)}
 
 
-def guessed(extent: Extent, path: str, *, points: int, counted: bool) -> Columns:
+def guessed(extent: Extent, *, points: int, counted: bool) -> Columns:
     """Find the columns of a table without names by their numbers.
 
     x, y and z come first, or after numbers that count the points. Three whole numbers of 0 to 255, or three of 0 to 1,
@@ -266,43 +247,39 @@ def guessed(extent: Extent, path: str, *, points: int, counted: bool) -> Columns
         extent: Of the columns.
         points: Number of points.
         counted: Whether their number stands before them, as in a file of Leica's, where intensity comes before colours.
-
-    Raises:
-        CloudError: If two ways to read it fit.
     """
     width = len(extent.least)
     start = 1 if width >= 4 and extent.counts and points >= 3 else 0
-    first = start + 3
-    fitting: dict[tuple[tuple[str, int], ...], int] = {}
-    for count in range(4):
-        for order in itertools.permutations("cni", count):
-            at = [first + sum(len(_PIECES[piece]) for piece in order[:k]) for k in range(count)]
-            end = first + sum(len(_PIECES[piece]) for piece in order)
-            if end <= width and all(_fits(piece, k, extent) for piece, k in zip(order, at, strict=True)):
-                # A single number is the intensity where it is the only one that is left.
-                if "i" in order and end < width:
-                    continue
-                fitting[tuple(zip(order, at, strict=True))] = end - first - ("i" in order)
-    best = max(fitting.values())
-    ways = [way for way, covered in fitting.items() if covered == best]
-    most = max(map(len, ways))
-    ways = [way for way in ways if len(way) == most]
+    fitting: dict[str, int] = {}
+    for order in ("".join(one) for count in range(4) for one in itertools.permutations("cni", count)):
+        at = _places_of(order, start)
+        if at[-1] > width or not all(_fits(piece, k, extent) for piece, k in zip(order, at, strict=False)):
+            continue
+        # A single number is the intensity where it is the only one that is left.
+        if "i" not in order or at[-1] == width:
+            fitting[order] = at[-1] - ("i" in order)
+    ways = [way for way, covered in fitting.items() if covered == max(fitting.values())]
+    ways = [way for way in ways if len(way) == max(map(len, ways))]
     if counted and len(ways) > 1:
-        ways = [way for way in ways if [piece for piece, _ in way][:2] == ["i", "c"]] or ways
-    opaque = [way for way in ways if [piece for piece, _ in way[-2:]] == ["c", "i"] and _is_opaque(way[-1][1], extent)]
+        ways = [way for way in ways if way.startswith("ic")] or ways
+    opaque = [way for way in ways if way.endswith("ci") and _is_opaque(_places_of(way, start)[-2], extent)]
     if len(ways) > 1 and opaque:
         ways = [opaque[0][:-1]]
     if len(ways) > 1:
         texts = [",".join(_short(way, start)) for way in ways[:2]]
         raise CloudError(
-            f"{path}: its {width} columns have no names, and several ways to read them fit; say it with jaxscan "
-            f"convert --columns {texts[0]} or {texts[1]}."
+            f"its {width} columns have no names, and several ways to read them fit; say it with jaxscan convert "
+            f"--columns {texts[0]} or {texts[1]}."
         )
     places = {axis: start + k for k, axis in enumerate(AXES)}
-    for piece, begin in ways[0]:
+    for piece, begin in zip(ways[0], _places_of(ways[0], start), strict=False):
         places |= {name: begin + k for k, name in enumerate(_PIECES[piece])}
-    unused = tuple(f"column {k + 1}" for k in range(width) if k not in places.values())
-    return Columns(places, unused)
+    return _columns([f"column {k + 1}" for k in range(width)], places)
+
+
+def _places_of(order: str, start: int) -> list[int]:
+    """Where each piece begins behind x, y and z, and where the last one ends."""
+    return list(itertools.accumulate((len(_PIECES[piece]) for piece in order), initial=start + 3))
 
 
 def _is_opaque(at: int, extent: Extent) -> bool:
@@ -321,9 +298,9 @@ def _fits(piece: str, at: int, extent: Extent) -> bool:
     return bool((whole.all() and most.max() <= 255) or (most.max() <= 1 and not extent.unit[at]))
 
 
-def _short(way: tuple[tuple[str, int], ...], start: int) -> list[str]:
+def _short(way: str, start: int) -> list[str]:
     letters = {name: letter for letter, name in SHORT_NAMES.items()}
-    pieces = [letters.get(name, name) for piece, _ in way for name in _PIECES[piece]]
+    pieces = [letters.get(name, name) for piece in way for name in _PIECES[piece]]
     return [*([UNUSED] * start), *AXES, *pieces]
 
 
@@ -451,84 +428,56 @@ def stated_unit(lines: Iterable[str]) -> tuple[Unit | None, str]:
     return next(((unit, f'the comment "{text}"') for unit, text in found.items()), (None, ""))
 
 
-def unit_of_text(unit: Unit | None, lines: Iterable[str]) -> tuple[tuple[float, float, float] | None, str]:
-    """Metres of a unit of x, y and z, and what states it: the names of the columns, or a comment.
-
-    Args:
-        unit: That of the names, where they state one.
-        lines: The comments.
-    """
-    stated, why = (unit, "the names of its columns") if unit else stated_unit(lines)
-    return (None if stated is None else (METRES[stated],) * 3), why
-
-
 # --- tables
 
 
-class Decided(NamedTuple):
-    """The points of a file with the names of a cloud's columns, and colours as bytes."""
-
-    points: Records
-    words: tuple[str, ...]
-    """The decisions, each with its evidence."""
-    unit: Unit | None
-    """The unit that the names state."""
-
-    def stored(self, cloud: PointCloud, comments: Sequence[str], *, ours: bool) -> StoredCloud:
-        """A cloud with what its comments say; one of another program with its unit and the decisions."""
-        about = about_of(comments)
-        if ours:
-            return StoredCloud(cloud, about)
-        metres, why = unit_of_text(self.unit, comments)
-        return StoredCloud(cloud, about._replace(metres=metres, unit_by=why), self.words)
-
-
-def decide(
+def stored_cloud(
     points: Records,
-    path: str,
-    *,
-    ours: bool = False,
+    lines: Sequence[str],
     reading: Reading,
+    *,
     columns: Columns | None = None,
-    reach: Reach | None = None,
     by: str = "their names",
-) -> Decided:
-    """Decide which columns of a file are which, and which number is full brightness.
+    reach: Reach | None = None,
+    profiles: np.ndarray | None = None,
+    words: Iterable[str] = (),
+) -> StoredCloud:
+    """The cloud of a file, after a decision which columns are which, and which number is full brightness.
 
     Args:
         points: The records of the file, with its own names.
-        ours: Whether this library wrote the file.
-        reading: What a person says.
-        columns: Where the reader has decided it.
+        lines: Its comments; those of our files are a header.
+        columns: Where the reader has decided it, by the evidence `by`.
         reach: Of the colours, where the reader knows it; else they are looked through.
-        by: The evidence for the columns.
-
-    Raises:
-        CloudError: If there is no x, y and z.
-        ValueError: If the file changes while it is read.
+        profiles: As in `cloud_of`.
+        words: Further decisions.
     """
+    ours = bool(version_of(lines))
     names = points.dtype.names or ()
-    if columns is None:
-        columns = listed(names, reading, path) if reading.columns else assign(names, path, ours=ours)
-        by = "--columns" if reading.columns else by
+    if columns is None and reading.columns:
+        columns, by = listed(names, reading.columns), "--columns"
+    columns = columns or assign(names, ours=ours)
     places = dict(columns.places)
-    words = [f"{', '.join((*AXES, *(name for name in places if name not in AXES)))} by {by}"]
+    found = [f"{', '.join((*AXES, *(name for name in places if name not in AXES)))} by {by}"]
     left = [name for name in columns.unused if name not in USED and name != "sigma"]
-    if left:
-        words.append(f"not used: {', '.join(left)[:80]}")
-    brightest: float | None = None
+    found += [f"not used: {', '.join(left)[:80]}"] if left else []
+    brightest = 0.0
     if set(COLOURS) <= places.keys():
-        kinds = [points.dtype[places[name]] for name in COLOURS]
-        kind = np.result_type(*kinds)
+        kind = np.result_type(*(points.dtype[places[name]] for name in COLOURS))
         if kind == np.uint8 and reading.brightest is None:
             brightest = 255.0
         else:
-            found = range_of(kind, reach or _reach(points, [names[places[name]] for name in COLOURS]), reading)
-            brightest = found.brightest
-            words.append(found.words)
+            coloured = range_of(kind, reach or _reach(points, [names[places[name]] for name in COLOURS]), reading)
+            brightest = coloured.brightest
+            found.append(coloured.words)
         if not brightest:
             places = {name: k for name, k in places.items() if name not in COLOURS}
-    return Decided(_renamed(points, places, brightest), tuple(words), columns.unit)
+    cloud, about = cloud_of(_renamed(points, places, brightest), lines, profiles=profiles), about_of(lines)
+    if ours:
+        return StoredCloud(cloud, about)
+    unit, why = (columns.unit, "the names of its columns") if columns.unit else stated_unit(lines)
+    about = about._replace(metres=None if unit is None else (METRES[unit],) * 3, unit_by=why)
+    return StoredCloud(cloud, about, (*found, *words))
 
 
 def _reach(points: Records, names: list[str]) -> Reach:
@@ -539,30 +488,18 @@ def _reach(points: Records, names: list[str]) -> Reach:
     return reach
 
 
-def _renamed(points: Records, places: dict[str, int], brightest: float | None) -> Records:
+def _renamed(points: Records, places: dict[str, int], brightest: float) -> Records:
     """Records with the columns of a cloud alone; colours are bytes."""
     given = points.dtype.names or ()
-    kinds = {name: points.dtype[k] for name, k in places.items()}
-    raw = {name for name in COLOURS if name in places and kinds[name] != np.uint8}
-    if not raw and brightest in (None, 255.0):
-        offsets = [points.dtype.fields[given[k]][1] for k in places.values()] if points.dtype.fields else []
-        seen = np.dtype(
-            {
-                "names": list(places),
-                "formats": list(kinds.values()),
-                "offsets": offsets,
-                "itemsize": points.dtype.itemsize,
-            }
-        )
-        return Records(seen, len(points), lambda: (block.view(seen) for block in points))
-    dtype = np.dtype([(name, "u1" if name in raw else kind.str) for name, kind in kinds.items()])
+    kinds = [(name, "u1" if name in COLOURS else points.dtype[k].newbyteorder("=").str) for name, k in places.items()]
+    dtype = np.dtype(kinds)
 
     def read() -> Iterator[np.ndarray]:
         for block in points:
             table = np.empty(len(block), dtype)
             for name, k in places.items():
                 values = block[given[k]]
-                table[name] = as_bytes(values, brightest) if name in COLOURS and brightest else values
+                table[name] = as_bytes(values, brightest) if name in COLOURS else values
             yield table
 
     return Records(dtype, len(points), read)

@@ -8,15 +8,14 @@ import os
 import struct
 import time
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
 from jaxscan.errors import CloudError, DependencyError
-from jaxscan.files.clouds.columns import Reach, Reading, as_bytes, range_of
+from jaxscan.files.clouds.columns import Range, Reach, Reading, as_bytes, range_of
 from jaxscan.files.clouds.grid import Records, cloud_of
 from jaxscan.files.clouds.header import (
     METRE,
@@ -26,13 +25,12 @@ from jaxscan.files.clouds.header import (
     covariance_text,
     header_lines,
     lines_of_grid,
-    version_of,
 )
 from jaxscan.files.clouds.placing import epsg_of, wkt_of
-from jaxscan.files.clouds.points import blocks, columns, known_names, smoothed_names
-from jaxscan.files.disk import Element, Part, open_regular, parse_xml
+from jaxscan.files.clouds.points import blocks, columns, known_names
+from jaxscan.files.disk import Element, Part, parse_xml
 from jaxscan.geometry import from_quaternion, quaternion
-from jaxscan.reconstruction import PointCloud, Stations, of_station
+from jaxscan.reconstruction import SMOOTHED, PointCloud, Stations, of_station
 
 
 NORMALS_URI = "http://www.libe57.org/E57_EXT_surface_normals.txt"
@@ -58,11 +56,7 @@ COLUMNS = {
 
 
 def load_libe57() -> Any:
-    """The module.
-
-    Raises:
-        DependencyError: If pye57 is not installed.
-    """
+    """The module."""
     try:
         import pye57
     except ImportError as problem:
@@ -76,7 +70,6 @@ def load_libe57() -> Any:
 
 PAGE, PAYLOAD = 1024, 1020
 _BLOCK = 1024
-"""Pages that are read at a time."""
 
 
 class Pages:
@@ -88,11 +81,7 @@ class Pages:
         self._first, self._held = 0, b""
 
     def read(self, at: int, count: int) -> bytes:
-        """Bytes from a place that is counted without checksums.
-
-        Raises:
-            ValueError: If the file ends before, or a page is damaged.
-        """
+        """Bytes from a place that is counted without checksums."""
         if at < 0 or count < 0 or at + count > self._pages * PAYLOAD:
             raise ValueError("a part of it lies behind its end")
         parts = []
@@ -193,9 +182,6 @@ def read_blocks(
         count: Number of points.
         fields: All columns in their order.
         wanted: Numbers of the columns that are asked for.
-
-    Raises:
-        ValueError: If the section is damaged or ends too early.
     """
     columns = [_Column(fields[k]) for k in wanted]
     packets = _packets(pages, place, len(fields))
@@ -291,114 +277,6 @@ def _unpacked(data: bytearray, bits: int, count: int) -> np.ndarray:
     return (found & mask).reshape(-1)[:count]
 
 
-_SINGLE_M = 128.0
-"""Coordinates up to which a single is good to 8 um."""
-_AXES, _NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
-_SPHERICAL = ("range", "azimuth", "elevation")
-
-Block = dict[str, np.ndarray]
-"""Columns of some points."""
-
-
-class Scan(NamedTuple):
-    """A scan as it is stored, in its own frame."""
-
-    points: int
-    """Number of points."""
-    types: dict[str, str]
-    """Type of each column."""
-    blocks: Callable[[Iterable[str]], Iterator[Block]]
-    """Reads some columns of all points, a block at a time."""
-    pose: np.ndarray
-    """T_file_scan [4, 4]."""
-    lines: list[str]
-    """The lines of our header; none where another program wrote it."""
-    unused: tuple[str, ...] = ()
-    """Columns that a cloud has no place for."""
-    colours: str = ""
-    """What was decided about the range of its colours."""
-
-
-def joined(scans: list[Scan], name: str) -> PointCloud:
-    """The cloud of all scans, in the frame of the file.
-
-    Of ours, on the grid with its stations; of others, the points as a single profile. Beside the cloud only a block of
-    points is in memory at a time.
-
-    Raises:
-        CloudError: If there is no point, or grid or stations cannot be.
-        ValueError: If the file is damaged.
-    """
-    lines = scans[0].lines
-    parts = [part for scan in scans if scan.points and (part := _in_file_frame(scan, name)).points]
-    if not parts:
-        raise CloudError(f"{name}: holds no valid point.")
-    together = sorted({field for part in parts for field in part.types})
-    types = {field: np.result_type(*(part.types[field] for part in parts if field in part.types)) for field in together}
-    # Of ours, profiles are counted through all stations, and steps in each.
-    profiles = bool(lines) and "profile" in types
-
-    def read() -> Iterator[np.ndarray]:
-        for part in parts:
-            for block in part.blocks(part.types):
-                points = np.zeros(len(block["x"]), list(types.items()))
-                for field, values in block.items():
-                    points[field] = values
-                if profiles:
-                    points["step"] = points["profile"]
-                yield points
-
-    return cloud_of(Records(np.dtype(list(types.items())), sum(part.points for part in parts), read), lines, name)
-
-
-def _in_file_frame(scan: Scan, name: str) -> Scan:
-    """The points that the scan calls valid with x, y and z, carried along by the pose, like their normals."""
-    cartesian = set(_AXES) <= set(scan.types)
-    if not (cartesian or set(_SPHERICAL) <= set(scan.types)):
-        raise CloudError(f"{name}: the points have no x, y and z.")
-    stored = [field for field in scan.types if cartesian is False or field not in _SPHERICAL]
-    kept = [field for field in stored if field not in (*_AXES, *_SPHERICAL, "invalid")]
-    turns = not np.array_equal(scan.pose, np.eye(4))
-
-    def blocks(columns: Iterable[str]) -> Iterator[Block]:
-        wanted = set(columns)
-        needed = [field for field in stored if field in wanted | {*_AXES, *_SPHERICAL, "invalid"}]
-        for block in scan.blocks(needed):
-            if "invalid" in block:
-                valid = block.pop("invalid") == 0
-                block = {field: values[valid] for field, values in block.items()}
-            block = block if cartesian else _cartesian(block)
-            if turns:
-                block |= _turned(block, _AXES, scan.pose[:3, :3], scan.pose[:3, 3])
-                if set(_NORMAL) <= set(block):
-                    block |= _turned(block, _NORMAL, scan.pose[:3, :3], np.zeros(3))
-            yield block
-
-    single = cartesian and all(np.dtype(scan.types[axis]).itemsize <= 4 for axis in _AXES)
-    count = scan.points
-    if "invalid" in scan.types or (turns and single):
-        # Singles suffice where nothing is lost by them; what is not finite is dropped later.
-        count, reach = 0, 0.0
-        for block in blocks(()):
-            count += len(block["x"])
-            places = np.abs([block[axis] for axis in _AXES])
-            reach = max(reach, float(np.max(places, where=np.isfinite(places), initial=0.0)))
-        single = single and (not turns or reach <= _SINGLE_M)
-    types = dict.fromkeys(_AXES, "f4" if single else "f8") | {field: scan.types[field] for field in kept}
-    return scan._replace(points=count, types=types, blocks=blocks, pose=np.eye(4))
-
-
-def _turned(block: Block, names: tuple[str, ...], turn: np.ndarray, shift: np.ndarray) -> Block:
-    moved = np.stack([block[name].astype(np.float64) for name in names], -1) @ turn.T + shift
-    return dict(zip(names, moved.T, strict=True))
-
-
-def _cartesian(block: Block) -> Block:
-    distance, azimuth, elevation = (block.pop(field).astype(np.float64) for field in _SPHERICAL)
-    flat = distance * np.cos(elevation)
-    return block | {"x": flat * np.cos(azimuth), "y": flat * np.sin(azimuth), "z": distance * np.sin(elevation)}
-
-
 class RoundPicture(NamedTuple):
     """A whole turn as seen from the scanner's origin: its x axis in the middle, azimuth falling to the right.
 
@@ -408,7 +286,6 @@ class RoundPicture(NamedTuple):
     jpeg: bytes
     width: int
     height: int
-    """Pixels."""
 
 
 class FlatPicture(NamedTuple):
@@ -417,7 +294,6 @@ class FlatPicture(NamedTuple):
     jpeg: bytes
     width: int
     height: int
-    """Pixels."""
     focal_px: float
     centre: tuple[float, float]
     """Principal point (u, v) [px], from the centre of the first pixel."""
@@ -430,7 +306,6 @@ class Surroundings(NamedTuple):
 
     panorama: RoundPicture
     photographs: Iterable[FlatPicture] = ()
-    """Read one after the other."""
     started_s: float | None = None
     """When the scan began, seconds since 1970; None where it is not known."""
 
@@ -443,9 +318,15 @@ class Surroundings(NamedTuple):
 MAX_XML_BYTES = 1 << 24
 """Of 1024 scans with their pictures, or of 64 stations that each name all others."""
 MAX_SCANS = 1024
-_SPHERICAL_NAMES = {"sphericalRange": "range", "sphericalAzimuth": "azimuth", "sphericalElevation": "elevation"}
-_COLOUR_LIMITS = {"red": "colorLimits/colorRedMaximum", "green": "colorLimits/colorGreenMaximum"}
-_COLOUR_LIMITS["blue"] = "colorLimits/colorBlueMaximum"
+_SINGLE_M = 128.0
+"""Coordinates up to which a single is good to 8 um."""
+_UNIT = 1e-2
+"""By how much the length of a quaternion may differ from 1, as it is written with few digits."""
+_AXES, _NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
+_CARTESIAN = {f"cartesian{axis}": axis.lower() for axis in "XYZ"}
+_SPHERICAL = {"sphericalRange": "range", "sphericalAzimuth": "azimuth", "sphericalElevation": "elevation"}
+_STATES = ("cartesianInvalidState", "sphericalInvalidState")
+_COLOUR_LIMITS = {colour: f"colorLimits/color{colour.title()}Maximum" for colour in ("red", "green", "blue")}
 _OWN_COLUMNS = {
     f"{OWN}{name}": name
     for name in (
@@ -454,29 +335,22 @@ _OWN_COLUMNS = {
     )
 }
 
+Block = dict[str, np.ndarray]
 
-def read_e57(path: Path, reading: Reading) -> StoredCloud:
-    """A cloud of all scans of an E57 file, in the frame of the file.
 
-    Raises:
-        CloudError: If it is damaged or has no points.
-    """
-    with open_regular(path, error=CloudError) as file:
-        size = os.fstat(file.fileno()).st_size
-        place, length = _places(file.read(48), size, path)
-        pages = Pages(file, size)
-        try:
-            text = pages.read(without_checksums(place), length)
-            root = parse_xml(text, name=str(path), error=CloudError, limit=MAX_XML_BYTES)
-            scans = list(_read_scans(pages, root, size, path, reading))
-            if sum(scan.points for scan in scans) == 0:
-                raise CloudError(f"{path}: holds no points.")
-            lines = scans[0].lines
-            version_of(lines, str(path))
-            cloud = joined(scans, str(path))
-        except (ValueError, OverflowError, struct.error, OSError) as problem:
-            raise CloudError(f"{path}: not a readable E57 file: {problem!s:.100}.") from problem
-    about = about_of(lines)
+def read_e57(file: BinaryIO, reading: Reading) -> StoredCloud:
+    """A cloud of all scans of an E57 file, in the frame of the file: of ours, on the grid with its stations."""
+    size = os.fstat(file.fileno()).st_size
+    place, length = _places(file.read(48), size)
+    pages = Pages(file, size)
+    root = parse_xml(
+        pages.read(without_checksums(place), length), name=file.name, error=CloudError, limit=MAX_XML_BYTES
+    )
+    scans = list(_scans_of(root, pages, size, reading))
+    if not scans:
+        raise CloudError("holds no points.")
+    lines = scans[0].lines
+    cloud, about = _joined(scans), about_of(lines)
     frame = root.find("coordinateMetadata")
     epsg = about.epsg if about.epsg is not None or frame is None else epsg_of(frame.text)
     # The standard knows no other unit, and z up in the frame of a levelled scanner.
@@ -484,53 +358,38 @@ def read_e57(path: Path, reading: Reading) -> StoredCloud:
     return StoredCloud(cloud, about, () if lines else _words(scans))
 
 
-def _words(scans: list[Scan]) -> tuple[str, ...]:
-    """The decisions in words, for the note."""
-    filled = [scan for scan in scans if scan.points]
-    known = {*COLUMNS.values(), *_SPHERICAL_NAMES.values()}
-    columns = dict.fromkeys(name for scan in filled for name in scan.types if name in known)
-    unused = dict.fromkeys(name for scan in filled for name in scan.unused)
-    ranges = dict.fromkeys(scan.colours for scan in filled if scan.colours)
-    return (
-        f"{', '.join(columns)} by the format",
-        *([f"not used: {', '.join(unused)[:80]}"] if unused else []),
-        *ranges,
-        *([f"{len(filled)} scans in one frame"] if len(filled) > 1 else []),
-    )
-
-
-def _places(head: bytes, size: int, path: Path) -> tuple[int, int]:
+def _places(head: bytes, size: int) -> tuple[int, int]:
     """Place and length of the XML, after a look at the sizes in the head."""
     if len(head) < 48 or head[:8] != b"ASTM-E57":
-        raise CloudError(f"{path}: not an E57 file.")
+        raise CloudError("not an E57 file.")
     (version,) = struct.unpack_from("<I", head, 8)
     length, place, xml, page = struct.unpack_from("<QQQQ", head, 16)
     if length > size or place > size or xml > min(size, MAX_XML_BYTES) or page != PAGE:
-        raise CloudError(f"{path}: the head announces more than the file holds; it is damaged or cut short.")
+        raise CloudError("the head announces more than the file holds; it is damaged or cut short.")
     if version > 1:
-        raise CloudError(f"{path}: found version {version} of E57, expected 1.")
+        raise CloudError(f"found version {version} of E57, expected 1.")
     return place, xml
 
 
-def _read_scans(pages: Pages, root: Element, size: int, path: Path, reading: Reading) -> Iterator[Scan]:
+def _scans_of(root: Element, pages: Pages, size: int, reading: Reading) -> Iterator["_StoredScan"]:
+    """The scans that have points."""
     listed = root.find("data3D")
     scans = [] if listed is None else listed.children
     if len(scans) > MAX_SCANS:
-        raise CloudError(f"{path}: found {len(scans)} scans, expected at most {MAX_SCANS}.")
+        raise CloudError(f"found {len(scans)} scans, expected at most {MAX_SCANS}.")
     left = 8 * size
     for scan in scans:
         points = scan.find("points")
         if points is None:
             continue
-        count = int(points.attributes.get("recordCount", "0"))
-        fields = _fields_of(points.find("prototype"))
+        count, fields = int(points.attributes.get("recordCount", "0")), _fields_of(points.find("prototype"))
         # A point takes more than a byte; without data a file could announce any number of equal ones.
         left -= max(8, sum(field.bits for field in fields)) * count
         if count < 0 or left < 0:
-            raise CloudError(f"{path}: announces {count} points, which the file cannot hold; it is damaged.")
-        header = scan.find(f"{OWN}header")
-        lines = [] if header is None else header.text.splitlines()
-        yield _scan(pages, scan, points, count, fields, lines, reading)
+            raise CloudError(f"announces {count} points, which the file cannot hold; it is damaged.")
+        if count:
+            place = int(points.attributes.get("fileOffset", "0"))
+            yield _StoredScan(scan, fields, partial(read_blocks, pages, place, count, fields), count, reading)
 
 
 def _fields_of(prototype: Element | None) -> list[Field]:
@@ -553,8 +412,7 @@ def _leaves(parent: Element, before: str) -> Iterator[Field]:
 def _field(name: str, kind: str, words: dict[str, str]) -> Field:
     if kind == "Float":
         single = words.get("precision", "double") == "single"
-        brightest = float(words.get("maximum", "inf"))
-        return Field(name, 32 if single else 64, single, brightest=brightest)
+        return Field(name, 32 if single else 64, single, brightest=float(words.get("maximum", "inf")))
     if kind == "String":
         return Field(name, 0, readable=False)
     if kind not in ("Integer", "ScaledInteger"):
@@ -569,95 +427,118 @@ def _field(name: str, kind: str, words: dict[str, str]) -> Field:
     return Field(name, bits, least=least, scale=scale, offset=offset, brightest=most * scale + offset)
 
 
-def _wanted(fields: list[Field]) -> dict[str, str]:
-    """Names of the columns that a cloud can use, by their names in the file."""
-    names = {field.name for field in fields if field.readable}
-    known = COLUMNS | _OWN_COLUMNS
-    cartesian = ("cartesianX", "cartesianY", "cartesianZ")
-    # Where both are there, the state of the one is not that of the other.
-    if set(cartesian) <= names:
-        known = known | {"cartesianInvalidState": "invalid"}
-    else:
-        known = {name: column for name, column in known.items() if name not in cartesian}
-        known |= _SPHERICAL_NAMES | {"sphericalInvalidState": "invalid"}
-    return {name: column for name, column in known.items() if name in names}
+class _StoredScan:
+    """A scan of a file with all columns that a cloud can use, in the frame of the file."""
 
+    def __init__(
+        self,
+        scan: Element,
+        fields: list[Field],
+        read: Callable[[Sequence[int]], Iterator[list[np.ndarray]]],
+        count: int,
+        reading: Reading,
+    ) -> None:
+        """`read` gives the values of some of the `fields`, a block at a time."""
+        header = scan.find(f"{OWN}header")
+        self.lines = [] if header is None else header.text.splitlines()
+        """The lines of our header; none where another program wrote it."""
+        self._read, self._pose = read, _pose(scan)
+        self._turns = not np.array_equal(self._pose, np.eye(4))
+        names = {field.name: k for k, field in enumerate(fields) if field.readable}
+        self._cartesian = _CARTESIAN.keys() <= names.keys()
+        if not (self._cartesian or _SPHERICAL.keys() <= names.keys()):
+            raise CloudError("the points have no x, y and z.")
+        # Where both are there, the state of the one is not that of the other.
+        known = {name: column for name, column in (COLUMNS | _OWN_COLUMNS).items() if name not in _CARTESIAN}
+        known = (_CARTESIAN if self._cartesian else _SPHERICAL) | known | {_STATES[not self._cartesian]: "invalid"}
+        self._numbers = {column: names[name] for name, column in known.items() if name in names}
+        unused = [field.name for field in fields if field.name not in (*known, *_STATES)]
+        self.unused = [name for name in unused if not name.startswith("spherical")]
+        """Columns that a cloud has no place for."""
+        self._full: dict[str, float] = {}
+        ranges = self._ranges(scan, fields, reading)
+        self.colours = ranges[0].words if ranges else ""
+        """What was decided about the range of its colours."""
+        if all(one.brightest for one in ranges):
+            self._full = {colour: one.brightest for colour, one in zip(_COLOUR_LIMITS, ranges, strict=False)}
+        for colour in () if self._full else _COLOUR_LIMITS:
+            self._numbers.pop(colour, None)
+        self.named = [column for column in self._numbers if column not in ("invalid", *_OWN_COLUMNS.values())]
+        """Columns that the standard names."""
+        self.points, single = count, self._cartesian and all(fields[self._numbers[one]].type == "f4" for one in _AXES)
+        if "invalid" in self._numbers or (self._turns and single):
+            # Singles suffice where nothing is lost by them; what is not finite is dropped later.
+            self.points, reach = 0, 0.0
+            for block in self.blocks(()):
+                self.points += len(block["x"])
+                places = np.abs([block[axis] for axis in _AXES])
+                reach = max(reach, float(np.max(places, where=np.isfinite(places), initial=0.0)))
+            single = single and (not self._turns or reach <= _SINGLE_M)
+        kept = [name for name in self._numbers if name not in (*_AXES, *_SPHERICAL.values(), "invalid")]
+        self.types = dict.fromkeys(_AXES, "f4" if single else "f8") | {
+            name: "u1" if name in self._full else _type_in_cloud(fields[self._numbers[name]], name) for name in kept
+        }
+        """Type of each column."""
 
-def _scan(
-    pages: Pages,
-    scan: Element,
-    points: Element,
-    count: int,
-    fields: list[Field],
-    lines: list[str],
-    reading: Reading,
-) -> Scan:
-    """A scan with all columns that a cloud can use."""
-    wanted = _wanted(fields)
-    place = int(points.attributes.get("fileOffset", "0"))
-    numbers = {wanted[field.name]: k for k, field in enumerate(fields) if field.name in wanted}
+    def _ranges(self, scan: Element, fields: list[Field], reading: Reading) -> list[Range]:
+        """The number of full brightness of each colour; none without colours.
 
-    def read(columns: Iterable[str]) -> Iterator[dict[str, np.ndarray]]:
-        names = list(columns)
-        for values in read_blocks(pages, place, count, fields, [numbers[name] for name in names]):
-            yield dict(zip(names, values, strict=True))
-
-    stated = _full_brightness(scan, fields)
-    full: dict[str, float] = {}
-    words = ""
-    if count and numbers.keys() >= stated.keys():
-        # By what they reach together: limits are not always true, and often not there.
-        kind = np.result_type(*(np.dtype(fields[numbers[colour]].type) for colour in stated))
-        reach = Reach()
-        for block in () if kind == np.uint8 else read(stated):
+        By what they reach together, the limits of the scan, and those of its columns: limits are not always true, and
+        often not there.
+        """
+        if not _COLOUR_LIMITS.keys() <= self._numbers.keys():
+            return []
+        mine = {colour: fields[self._numbers[colour]] for colour in _COLOUR_LIMITS}
+        kind, reach = np.result_type(*(np.dtype(field.type) for field in mine.values())), Reach()
+        for block in () if kind == np.uint8 else self._columns(mine):
             for values in block.values():
                 reach = reach.with_more(values)
-        found = [range_of(kind, reach, reading, stated=limit) for limit in stated.values()]
-        full = {colour: one.brightest for colour, one in zip(stated, found, strict=True)}
-        words = found[0].words
-    if not all(full.values()):
-        full = {}
-    numbers = {name: k for name, k in numbers.items() if name in full or name not in stated}
-    types = {name: "u1" if name in full else _stored(fields[k], name) for name, k in numbers.items()}
+        found = []
+        for colour, path in _COLOUR_LIMITS.items():
+            stated = _number(scan.find(path), 0.0)
+            stated = stated if 0 < stated < math.inf else float(mine[colour].brightest)
+            found.append(range_of(kind, reach, reading, stated=stated if 0 < stated <= 65535 else None))
+        return found
 
-    def blocks(columns: Iterable[str]) -> Iterator[dict[str, np.ndarray]]:
-        for block in read(columns):
-            for colour in full.keys() & block.keys():
-                block[colour] = as_bytes(block[colour], full[colour])
+    def _columns(self, wanted: Iterable[str]) -> Iterator[Block]:
+        """Columns as they are stored."""
+        names = list(wanted)
+        for values in self._read([self._numbers[name] for name in names]):
+            yield dict(zip(names, values, strict=True))
+
+    def blocks(self, wanted: Iterable[str]) -> Iterator[Block]:
+        """The points that the scan calls valid with x, y, z and other columns, carried along by the pose."""
+        chosen = {*wanted, *_AXES, *_SPHERICAL.values(), "invalid"}
+        for block in self._columns([name for name in self._numbers if name in chosen]):
+            if "invalid" in block:
+                valid = block.pop("invalid") == 0
+                block = {name: values[valid] for name, values in block.items()}
+            for colour in self._full.keys() & block.keys():
+                block[colour] = as_bytes(block[colour], self._full[colour])
+            block = block if self._cartesian else _cartesian(block)
+            for names, place in ((_AXES, self._pose[:3, 3]), (_NORMAL, np.zeros(3))) if self._turns else ():
+                if set(names) <= block.keys():
+                    moved = np.stack([block[name].astype(np.float64) for name in names], -1) @ self._pose[:3, :3].T
+                    block |= dict(zip(names, (moved + place).T, strict=True))
             yield block
 
-    used = {*wanted, "cartesianInvalidState", "sphericalInvalidState"}
-    unused = tuple(field.name for field in fields if field.name not in used and not field.name.startswith("spherical"))
-    return Scan(count, types, blocks, _pose(scan), lines, unused, words)
 
-
-def _stored(field: Field, column: str) -> str:
+def _type_in_cloud(field: Field, column: str) -> str:
     """Type of a column: what is turned is a float, and what counts profiles or lines counts further in other scans."""
-    if column in ("x", "y", "z", "nx", "ny", "nz"):
+    if column in _NORMAL:
         return field.type if field.single is not None else "f8"
     return "i4" if field.type == "u1" and column in ("step", "row", "profile", "record") else field.type
 
 
-def _full_brightness(scan: Element, fields: list[Field]) -> dict[str, float | None]:
-    """The number of full brightness of each colour: that of the scan, else that of the column; None where none is."""
-    most = {COLUMNS.get(field.name): field.brightest for field in fields}
-    found: dict[str, float | None] = {}
-    for colour, path in _COLOUR_LIMITS.items():
-        limit = scan.find(path)
-        stated = _number(limit, 0.0)
-        if not 0 < stated < math.inf:
-            stated = float(most.get(colour, math.inf))
-        found[colour] = stated if 0 < stated <= 65535 else None
-    return found
+def _cartesian(block: Block) -> Block:
+    distance, azimuth, elevation = (block.pop(name).astype(np.float64) for name in _SPHERICAL.values())
+    flat = distance * np.cos(elevation)
+    return block | {"x": flat * np.cos(azimuth), "y": flat * np.sin(azimuth), "z": distance * np.sin(elevation)}
 
 
 def _number(element: Element | None, default: float) -> float:
     """The number that an element holds: 0 where it is empty."""
     return default if element is None else float(element.text.strip() or "0")
-
-
-_UNIT = 1e-2
-"""By how much the length of a quaternion may differ from 1, as it is written with few digits."""
 
 
 def _pose(scan: Element) -> np.ndarray:
@@ -677,10 +558,44 @@ def _pose(scan: Element) -> np.ndarray:
     return pose
 
 
-_OURS = ("sigma", "sigma_random", "sigma_systematic", "laser", "angle", "record")
+def _joined(scans: list[_StoredScan]) -> PointCloud:
+    """The cloud of all scans; beside it only a block of points is in memory at a time."""
+    parts = [scan for scan in scans if scan.points]
+    if not parts:
+        raise CloudError("holds no valid point.")
+    together = sorted({field for part in parts for field in part.types})
+    kinds = [(field, np.result_type(*(one.types[field] for one in parts if field in one.types))) for field in together]
+
+    def read() -> Iterator[np.ndarray]:
+        for part in parts:
+            for block in part.blocks(part.types):
+                points = np.zeros(len(block["x"]), kinds)
+                for field, values in block.items():
+                    points[field] = values
+                # Of ours, profiles are counted through all stations, and steps in each.
+                if part.lines and "profile" in block:
+                    points["step"] = points["profile"]
+                yield points
+
+    return cloud_of(Records(np.dtype(kinds), sum(part.points for part in parts), read), scans[0].lines)
+
+
+def _words(scans: list[_StoredScan]) -> tuple[str, ...]:
+    """The decisions in words, for the note."""
+    named = dict.fromkeys(name for scan in scans for name in scan.named)
+    unused = dict.fromkeys(name for scan in scans for name in scan.unused)
+    ranges = dict.fromkeys(scan.colours for scan in scans if scan.colours)
+    return (
+        f"{', '.join(named)} by the format",
+        *([f"not used: {', '.join(unused)[:80]}"] if unused else []),
+        *ranges,
+        *([f"{len(scans)} scans in one frame"] if len(scans) > 1 else []),
+    )
+
+
+_OURS = ("sigma", "sigma_random", "sigma_systematic", "laser", "angle", "record", *SMOOTHED, "profile", "station")
 """Columns that only an extension has a place for."""
 _COLOURS = ("colorRed", "colorGreen", "colorBlue")
-_ENDS = ((0, "Minimum"), (1, "Maximum"))
 _GPS_EPOCH_S, _LEAP_S = 315964800, 18
 """GPS time counts from 1980-01-06 without leap seconds."""
 
@@ -699,8 +614,7 @@ def write_e57(cloud: PointCloud, path: Part, about: About, around: Surroundings 
         OSError: If the file cannot be written.
     """
     with _created(path, about) as file:
-        for scan in _scans(cloud, about, "\n".join(header_lines(cloud, about))):
-            file.add_scan(scan)
+        file.add_stations(cloud, about, header_lines(cloud, about))
         if around is not None:
             pose = np.eye(4) if cloud.stations is None else np.asarray(cloud.stations.pose, np.float64)[0]
             file.add_surroundings(around, pose)
@@ -721,93 +635,46 @@ def write_e57_stations(stations: Sequence[Callable[[], PointCloud]], path: Part,
     """
     # Said before the clouds are read.
     load_libe57()
-    profiles: list[int] = []
-    lines: set[int] = set()
+    shapes: list[tuple[int, ...]] = []
     placed: list[Stations] = []
     for load in stations:
         cloud = load()
         if cloud.stations is None or len(cloud.stations.pose) != 1:
             raise CloudError("a scan of several: expected the cloud of one station with its pose.")
         placed.append(cloud.stations)
-        profiles.append(cloud.valid.shape[0])
-        lines.add(cloud.valid.shape[1])
+        shapes.append(cloud.valid.shape)
         del cloud
-    if len(lines) != 1:
+    if len({lines for _, lines in shapes}) != 1:
         raise CloudError(f"{path}: expected clouds of one camera, with the same number of lines.")
-    number = np.repeat(np.arange(len(placed), dtype=np.int32), profiles)
+    first = [0, *itertools.accumulate(profiles for profiles, _ in shapes)]
+    number = np.repeat(np.arange(len(placed), dtype=np.int32), np.diff(first))
     pose, covariance = (np.concatenate([np.asarray(one[k], np.float64) for one in placed]) for k in (1, 2))
-    header = "\n".join(lines_of_grid((len(number), lines.pop()), Stations(number, pose, covariance), about))
+    header = lines_of_grid((len(number), shapes[0][1]), Stations(number, pose, covariance), about)
     with _created(path, about) as file:
         for k, load in enumerate(stations):
-            for scan in _scans(load(), about, header, station=k, profile=sum(profiles[:k])):
-                file.add_scan(scan)
-
-
-class _Scan(NamedTuple):
-    name: str
-    description: str
-    header: str
-    pose: np.ndarray
-    """T_file_scan [4, 4]."""
-    points: Callable[[], Iterator[dict[str, np.ndarray]]]
-    """Gives the columns of all points, a block at a time, by the names of the format."""
-    double: bool
-
-
-def _scans(cloud: PointCloud, about: About, header: str, *, station: int = 0, profile: int = 0) -> Iterator[_Scan]:
-    """The stations that saw something, one at a time.
-
-    Args:
-        header: Lines of the whole file.
-        station: The first number of the stations.
-        profile: The first number of the profiles.
-    """
-    poses = np.eye(4)[None] if cloud.stations is None else np.asarray(cloud.stations.pose, np.float64)
-    made = f"calibration {about.calibration}" if about.calibration else ""
-    for number, pose in enumerate(poses):
-        name, described = ", ".join(filter(None, ("jaxscan", made))), "; ".join(filter(None, ("jaxscan", made)))
-        profiles = None
-        if cloud.stations is not None:
-            name = f"{name}, station {station + number}"
-            described = (
-                f"{described}; covariance of the pose, of a step (translation x y z [m], rotation x y z [rad]) in the "
-                f"scan's own frame, upper triangle by rows: {covariance_text(cloud.stations.covariance[number])}"
-            )
-            # The column counts the profiles of the scan.
-            profiles = profile + np.flatnonzero(cloud.stations.number == number)
-        mine = of_station(cloud, number)
-        if np.any(mine.valid):
-            read = partial(_columns, mine, profiles, station + number)
-            yield _Scan(name, described, header, pose, read, mine.xyz.dtype == np.float64)
+            file.add_stations(load(), about, header, station=k, profile=first[k])
 
 
 def _columns(cloud: PointCloud, profile: np.ndarray | None, station: int) -> Iterator[dict[str, np.ndarray]]:
-    """The columns of a scan, a block at a time; with the profile of the whole cloud where it has several stations."""
+    """The columns of a scan by the names of the format, a block at a time, in types that the binding takes.
+
+    With the profile of the whole cloud where it has several stations.
+    """
+    named = COLUMNS | {f"{OWN}{name}": name for name in _OURS}
     for points in blocks(cloud):
         values = columns(points, cloud)
         if profile is not None:
             values |= {"profile": profile[points.step], "station": np.full(len(points.step), station)}
         kept = set(known_names(values, cloud))
-        yield _fields({name: value for name, value in values.items() if name in kept}, smoothed_names(cloud))
-
-
-def _fields(values: Mapping[str, np.ndarray], smoothed: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Columns by the names of the format, in types that the binding takes."""
-    own = (*_OURS, *smoothed, *(name for name in ("profile", "station") if name in values))
-    named = COLUMNS | {f"{OWN}{name}": name for name in own}
-    named = {key: name for key, name in named.items() if name in values}
-    fields: dict[str, np.ndarray] = {
-        key: np.ascontiguousarray(values[name], _type_of(key, values[name])) for key, name in named.items()
-    }
-    # Takes no room in the file; some readers ask for it.
-    return fields | {"cartesianInvalidState": np.zeros(len(values["x"]), np.longlong)}
-
-
-def _type_of(key: str, values: np.ndarray) -> type:
-    """Bounds are checked in double. The binding takes NumPy's int64 for 32 bits, not longlong."""
-    if key in _COLOURS:
-        return np.uint8
-    return np.float64 if values.dtype.kind == "f" else np.longlong
+        # It takes no room in the file; some readers ask for it.
+        block: dict[str, np.ndarray] = {"cartesianInvalidState": np.zeros(len(points.step), np.longlong)}
+        for key, name in named.items():
+            if name in kept:
+                # Bounds are checked in double. The binding takes NumPy's int64 for 32 bits, not longlong.
+                whole = np.uint8 if key in _COLOURS else np.longlong
+                kind = np.float64 if values[name].dtype.kind == "f" else whole
+                block[key] = np.ascontiguousarray(values[name], kind)
+        yield block
 
 
 def _pose_of(pose: np.ndarray) -> dict[str, Any]:
@@ -869,53 +736,75 @@ class _File:
                 return getattr(self._e57, node)(self._image, value)
         return value
 
-    def add_scan(self, scan: _Scan) -> None:
+    def add_stations(
+        self, cloud: PointCloud, about: About, header: Sequence[str], *, station: int = 0, profile: int = 0
+    ) -> None:
+        """Append a scan for each station of a cloud that saw something.
+
+        Args:
+            header: Lines of the whole file.
+            station, profile: The first numbers of the cloud's stations and profiles in the whole file.
+        """
+        words = ["jaxscan", *([f"calibration {about.calibration}"] if about.calibration else [])]
+        poses = np.eye(4)[None] if cloud.stations is None else np.asarray(cloud.stations.pose, np.float64)
+        for k, pose in enumerate(poses):
+            name, described, profiles = ", ".join(words), "; ".join(words), None
+            if cloud.stations is not None:
+                name += f", station {station + k}"
+                described += (
+                    "; covariance of the pose, of a step (translation x y z [m], rotation x y z [rad]) in the scan's "
+                    f"own frame, upper triangle by rows: {covariance_text(cloud.stations.covariance[k])}"
+                )
+                # The column counts the profiles of the scan.
+                profiles = profile + np.flatnonzero(cloud.stations.number == k)
+            mine = of_station(cloud, k)
+            if np.any(mine.valid):
+                tree = {"guid": _guid(), "name": name, "description": described, f"{OWN}header": "\n".join(header)}
+                points = partial(_columns, mine, profiles, station + k)
+                self._add_scan(tree | {"pose": _pose_of(pose)}, points, double=mine.xyz.dtype == np.float64)
+
+    def _add_scan(
+        self, tree: dict[str, Any], columns: Callable[[], Iterator[dict[str, np.ndarray]]], *, double: bool
+    ) -> None:
         """Append a scan: the bounds of its columns, which stand before the points, and then the points."""
         least: dict[str, Any] = {}
         most: dict[str, Any] = {}
         types: dict[str, np.dtype] = {}
         largest = 0
-        for block in scan.points():
+        for block in columns():
             largest = max(largest, len(block["cartesianX"]))
             for key, values in block.items():
                 types[key] = values.dtype
                 least[key] = min(values.min().item(), least.get(key, math.inf))
                 most[key] = max(values.max().item(), most.get(key, -math.inf))
+        for key in set(_COLOURS) & types.keys():
+            least[key], most[key] = 0, 255
 
-        def bounds(limits: dict[str, str]) -> dict[str, Any]:
-            ends = (("Minimum", least), ("Maximum", most))
-            return {f"{key}{end}": limit[field] for key, field in limits.items() for end, limit in ends}
-
-        tree: dict[str, Any] = {
-            "guid": _guid(),
-            "name": scan.name,
-            "description": scan.description,
-            f"{OWN}header": scan.header,
-            "cartesianBounds": bounds({axis: f"cartesian{axis.upper()}" for axis in "xyz"}),
-            "pose": _pose_of(scan.pose),
-        }
-        if "rowIndex" in types:
-            tree["indexBounds"] = bounds({"row": "rowIndex", "column": "columnIndex"})
-        if "intensity" in types:
-            tree["intensityLimits"] = bounds({"intensity": "intensity"})
-        if set(_COLOURS) <= types.keys():
-            tree["colorLimits"] = {f"{key}{end}": k * 255 for key in _COLOURS for k, end in _ENDS}
+        for limits, ends in (
+            ("cartesianBounds", {axis: f"cartesian{axis.upper()}" for axis in "xyz"}),
+            ("indexBounds", {"row": "rowIndex", "column": "columnIndex"}),
+            ("intensityLimits", {"intensity": "intensity"}),
+            ("colorLimits", {key: key for key in _COLOURS}),
+        ):
+            if set(ends.values()) <= types.keys():
+                tree[limits] = {f"{name}Minimum": least[key] for name, key in ends.items()}
+                tree[limits] |= {f"{name}Maximum": most[key] for name, key in ends.items()}
         e57, image = self._e57, self._image
         prototype, buffers = e57.StructureNode(image), e57.VectorSourceDestBuffer()
         buffer = {key: np.empty(largest, kind) for key, kind in types.items()}
         for key, values in buffer.items():
-            low, high = (0, 255) if key in _COLOURS else (least[key], most[key])
             if values.dtype == np.float64:
-                double = key == f"{OWN}angle" or (scan.double and key.startswith("cartesian"))
-                node = e57.FloatNode(image, low, e57.E57_DOUBLE if double else e57.E57_SINGLE, low, high)
+                wide = key == f"{OWN}angle" or (double and key.startswith("cartesian"))
+                kind = e57.E57_DOUBLE if wide else e57.E57_SINGLE
+                node = e57.FloatNode(image, least[key], kind, least[key], most[key])
             else:
-                node = e57.IntegerNode(image, low, low, high)
+                node = e57.IntegerNode(image, least[key], least[key], most[key])
             prototype.set(key, node)
             buffers.append(e57.SourceDestBuffer(image, key, values, len(values), True, True))
         points = e57.CompressedVectorNode(image, prototype, e57.VectorNode(image, True))
         self._scans.append(self._node(tree | {"points": points}))
         with contextlib.closing(points.writer(buffers)) as writer:
-            for block in scan.points():
+            for block in columns():
                 count = len(block["cartesianX"])
                 for key, values in block.items():
                     buffer[key][:count] = values

@@ -1,7 +1,8 @@
 """Clouds from the columns of a file: on their grid, or as a single row of points."""
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -25,15 +26,14 @@ _LATER = {"angle", "record"}
 _NEEDED = set(POINT.names or ()) - _LATER
 _REGAINED = ("step", "row", "laser", "sigma_random", "sigma_systematic")
 """Columns by which a cloud of ours is known that another program has written."""
+_COLOURS, _NORMALS = ("red", "green", "blue"), ("nx", "ny", "nz")
 _FIELDS = {
-    "intensity": (np.float32, ("intensity",)),
-    "normals": (np.float32, ("nx", "ny", "nz")),
-    "sigma_random": (np.float32, ("sigma_random",)),
-    "sigma_systematic": (np.float32, ("sigma_systematic",)),
-    **{name: (np.float32, (name,)) for name in SMOOTHED},
+    "xyz": ("x", "y", "z"),
+    "rgb": _COLOURS,
+    "normals": _NORMALS,
+    **{name: (name,) for name in ("intensity", "sigma_random", "sigma_systematic", *SMOOTHED)},
 }
-
-
+_PER_PROFILE = {"angle": np.float64, "record": np.int32, "laser": np.int32}
 USED = {*(POINT.names or ()), *SMOOTHED, "station"} - {"sigma"}
 """Columns of which a cloud is made; "sigma" follows from two others."""
 
@@ -41,12 +41,12 @@ USED = {*(POINT.names or ()), *SMOOTHED, "station"} - {"sigma"}
 class Records:
     """The points of a file, a block of records at a time, as often as they are asked for."""
 
-    def __init__(self, dtype: np.dtype, count: int, read: Callable[[], Iterator[np.ndarray]]) -> None:
+    def __init__(self, dtype: np.dtype, count: int, read: Callable[[], Iterable[np.ndarray]]) -> None:
         """Store how to read the points; nothing is read yet.
 
         Args:
             dtype: Fields of `POINT`, of smoothed points and of stations, as far as there; others are not used. Colours
-                are bytes: `columns.decide` makes them so.
+                are bytes: `columns.stored_cloud` makes them so.
             count: Number of points.
             read: Gives the points from the first to the last, structured arrays with fields of these names.
         """
@@ -57,11 +57,7 @@ class Records:
         return self._count
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        """All points.
-
-        Raises:
-            ValueError: If the file has another number of them than it had before.
-        """
+        """All points."""
         found = 0
         for block in self._read():
             found += len(block)
@@ -72,7 +68,7 @@ class Records:
             raise ValueError(f"found {found} points of {self._count}")
 
 
-def cloud_of(points: Records, lines: Sequence[str], name: str, *, profiles: np.ndarray | None = None) -> PointCloud:
+def cloud_of(points: Records, lines: Sequence[str], *, profiles: np.ndarray | None = None) -> PointCloud:
     """The cloud of a file.
 
     On the grid where the file is ours and whole, or where another program has kept the numbers of steps and rows;
@@ -80,82 +76,62 @@ def cloud_of(points: Records, lines: Sequence[str], name: str, *, profiles: np.n
 
     Args:
         points: With the fields of `POINT`, of smoothed points and of stations, as far as there.
-        lines: Text of the header; `about.header_lines` writes it.
+        lines: Text of the header; `header_lines` writes it.
         profiles: Structured array [profiles] with angle, record and laser, where the file lists the profiles.
-
-    Raises:
-        CloudError: If grid, profiles, poses of stations, or numbers of points cannot be.
-        ValueError: If the file changes while it is read.
     """
-    version = version_of(lines, name)
-    names = points.names
+    version, names, stated = version_of(lines), points.names, lacking(lines)
     if not {"x", "y", "z"} <= names:
-        raise CloudError(f"{name}: the points have no x, y and z.")
+        raise CloudError("the points have no x, y and z.")
     # Another program may have kept the header but dropped columns.
     smoothed = len(names & set(SMOOTHED)) in (0, len(SMOOTHED))
-    stated = lacking(lines)
     wanted = _NEEDED | ({"station"} if version == JOINED_FORMAT else set())
     wanted -= {part for field in stated if field != "grid" for part in PARTS[field]}
     if version and smoothed and names >= wanted:
-        return _organised(points, lines, profiles, name, joined=version == JOINED_FORMAT)
+        return _organised(points, lines, profiles, joined=version == JOINED_FORMAT)
     if not version and smoothed and names >= set(_REGAINED) and (grid := _regained_grid(points)):
-        return on_grid(points, grid, None, name)
+        return on_grid(points, grid)
     # Of ours, a column is lost; of others, these columns make them ours.
-    ours = bool(version) or bool(names & set(SMOOTHED))
-    cloud = _unorganised(points, name, ours=ours, lacks=stated)
+    cloud = _unorganised(points, ours=bool(version) or bool(names & set(SMOOTHED)), lacks=stated)
     placed = [line for line in lines if line.startswith("station")] if version == JOINED_FORMAT else []
     if not placed or "station 1" in " ".join(line[:9] for line in placed):
         return cloud
     # Of one station, all points are from there, grid or not.
-    return dataclasses.replace(cloud, stations=read_stations(lines, np.zeros(1, np.int32), name))
+    return dataclasses.replace(cloud, stations=read_stations(lines, np.zeros(1, np.int32)))
 
 
-def _organised(
-    points: Records, lines: Sequence[str], profiles: np.ndarray | None, name: str, *, joined: bool
-) -> PointCloud:
+def _organised(points: Records, lines: Sequence[str], profiles: np.ndarray | None, *, joined: bool) -> PointCloud:
     """A cloud on the grid that its header names; its points alone where the grid is far too large for them."""
     words = next((line.split() for line in lines if line.startswith("grid ")), [])
     if len(words) != 3 or not all(word.isascii() and word.isdigit() and len(word) < 12 for word in words[1:]):
-        raise CloudError(f'{name}: the comment "grid <profiles> <lines>" is missing or wrong.')
+        raise CloudError('the comment "grid <profiles> <lines>" is missing or wrong.')
     grid = int(words[1]), int(words[2])
     if not 0 < grid[0] * grid[1] <= MAX_CELLS:
         raise CloudError(
-            f"{name}: found a grid of {grid[0]} x {grid[1]}, none or more than the {MAX_CELLS} cells that a cloud can "
-            "have; it is damaged."
+            f"found a grid of {grid[0]} x {grid[1]}, none or more than the {MAX_CELLS} cells that a cloud can have; it "
+            "is damaged."
         )
-    if _is_sparse(grid, len(points), listed=profiles is not None and len(profiles) == grid[0]):
-        # A few points ask for gigabytes.
-        for block in points:
-            _check_block(block, grid, name)
-        return _unorganised(points, name, ours=True)
-    stations = None
-    if joined:
-        # The points fill the numbers in.
-        stations = read_stations(lines, np.zeros(grid[0], np.int32), name)
-        # Profiles without a point have their station in this list alone.
-        if profiles is not None and len(profiles) == grid[0] and "station" in (profiles.dtype.names or ()):
-            stations = stations._replace(number=profiles["station"].astype(np.int32))
-            joined = False
-    return on_grid(
-        points,
-        grid,
-        profiles,
-        name,
-        stations=stations,
-        check=lambda block: _check_block(block, grid, name),
-        stations_of_points=joined,
-    )
+    checked = Records(points.dtype, len(points), lambda: (_checked(block, grid) for block in points))
+    listed = profiles is not None and len(profiles) == grid[0]
+    if _is_sparse(grid, len(points), listed=listed):
+        return _unorganised(checked, ours=True)
+    stations = read_stations(lines, np.zeros(grid[0], np.int32)) if joined else None
+    # Profiles without a point have their station in this list alone.
+    if stations is not None and profiles is not None and listed and "station" in (profiles.dtype.names or ()):
+        stations = stations._replace(number=profiles["station"].astype(np.int32))
+        joined = False
+    return on_grid(checked, grid, profiles, stations=stations, stations_of_points=joined)
 
 
-def _check_block(block: np.ndarray, grid: tuple[int, int], name: str) -> None:
-    """Check that points are on the grid, and their numbers finite."""
+def _checked(block: np.ndarray, grid: tuple[int, int]) -> np.ndarray:
+    """The same points, which must be on the grid, and their numbers finite."""
     step, row = block["step"], block["row"]
     if step.min() < 0 or step.max() >= grid[0] or row.min() < 0 or row.max() >= grid[1]:
-        raise CloudError(f"{name}: a point lies outside the grid of {grid[0]} x {grid[1]}.")
+        raise CloudError(f"a point lies outside the grid of {grid[0]} x {grid[1]}.")
     # "sigma" follows from the others and is not used.
     for field in block.dtype.names or ():
         if field in _NEEDED | _LATER | set(SMOOTHED) and field != "sigma" and not np.isfinite(block[field]).all():
-            raise CloudError(f"{name}: {field} of a point is not finite.")
+            raise CloudError(f"{field} of a point is not finite.")
+    return block
 
 
 def _is_sparse(grid: tuple[int, int], points: int, *, listed: bool) -> bool:
@@ -164,12 +140,11 @@ def _is_sparse(grid: tuple[int, int], points: int, *, listed: bool) -> bool:
 
 def _regained_grid(points: Records) -> tuple[int, int] | None:
     """Size of the grid by steps and rows that another program has kept; None where they are no grid any more."""
-    limits = {"step": MAX_CELLS, "row": MAX_CELLS, "laser": 256}
     grid = (0, 0)
     for block in points:
         if not all(np.isfinite(block[field]).all() for field in (*_REGAINED, *"xyz")):
             return None
-        for field, limit in limits.items():
+        for field, limit in (("step", MAX_CELLS), ("row", MAX_CELLS), ("laser", 256)):
             values = block[field]
             if values.min() < 0 or values.max() >= limit or (values != np.floor(values)).any():
                 return None
@@ -185,106 +160,89 @@ def _regained_grid(points: Records) -> tuple[int, int] | None:
 def on_grid(
     points: Records,
     grid: tuple[int, int],
-    profiles: np.ndarray | None,
-    name: str,
+    profiles: np.ndarray | None = None,
     *,
     stations: Stations | None = None,
     stations_of_points: bool = False,
-    check: Callable[[np.ndarray], None] = lambda block: None,
 ) -> PointCloud:
     """The cloud of points that have step and row, on a grid of so many profiles and lines.
 
     Args:
-        grid: Profiles and lines.
         profiles: As in `cloud_of`.
         stations: Of a joined cloud.
         stations_of_points: Whether the points say which profile is of which station, and not yet `stations`.
-        check: Looks at each block of points before it is used.
-
-    Raises:
-        CloudError: If two points have the same cell, or the list of profiles is another one's.
     """
-    per_profile = _Profiles(points.names, grid[0], profiles, name)
+    per_profile = _unknown_profiles(grid[0])
+    if profiles is not None and per_profile.keys() <= set(profiles.dtype.names or ()):
+        if len(profiles) != grid[0] or not np.isfinite(profiles["angle"]).all():
+            raise CloudError(f"found {len(profiles)} profiles, expected {grid[0]} with finite angles.")
+        per_profile = {name: profiles[name].astype(kind) for name, kind in _PER_PROFILE.items()}
+        by_points = set()
+    else:
+        by_points = per_profile.keys() & points.names
     number = None if stations is None else np.array(stations.number, np.int32)
-    valid = np.zeros(grid, bool)
-    # What no point fills takes no memory: the system gives pages when they are written.
-    fields: dict[str, np.ndarray] = {"xyz": np.zeros((*grid, 3), _coordinates(points))}
-    fields["rgb"] = np.zeros((*grid, 3), np.uint8)
-    for key, (dtype, columns) in _FIELDS.items():
-        if key not in SMOOTHED or key in points.names:
-            fields[key] = np.zeros((*grid, len(columns)) if len(columns) > 1 else grid, dtype)
-    spread = {key: columns for key, (_, columns) in _FIELDS.items() if key in fields} | {"xyz": ("x", "y", "z")}
-    for block in points:
-        check(block)
-        step, row = block["step"].astype(np.int64), block["row"].astype(np.int64)
-        valid[step, row] = True
-        for key, columns in spread.items():
-            field = fields[key] if len(columns) > 1 else fields[key][..., None]
-            for k, column in enumerate(columns):
-                if column in points.names:
-                    field[step, row, k] = block[column]
-        if _COLOURS <= points.names:
-            fields["rgb"][step, row] = _colours(block)
-        if number is not None and stations_of_points:
-            number[step] = block["station"]
-        per_profile.see(block, step)
-    if np.count_nonzero(valid) != len(points):
-        raise CloudError(f"{name}: two points have the same step and row.")
+
+    def placed() -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        for block in points:
+            step = block["step"].astype(np.int64)
+            yield block, step, block["row"].astype(np.int64)
+            if number is not None and stations_of_points:
+                number[step] = block["station"]
+            for field in tuple(by_points):
+                values = block[field]
+                if np.isfinite(values).all() and np.abs(values).max() < 1 << 31:
+                    per_profile[field][step] = values
+                else:
+                    # A column with numbers that no profile can have is not used at all.
+                    by_points.remove(field)
+                    per_profile[field] = _unknown_profiles(grid[0])[field]
+
+    fields = _filled(placed(), grid, points.names, _coordinates(points), np.float32)
+    if np.count_nonzero(fields["valid"]) != len(points):
+        raise CloudError("two points have the same step and row.")
     return PointCloud(
-        valid=valid,
-        absent=_lacks(points.names) or None,
+        absent=_lacks(points.names, ()) or None,
         stations=None if stations is None or number is None else stations._replace(number=number),
         **fields,
-        **per_profile.found(),
+        **per_profile,
     )
 
 
-def _lacks(names: frozenset[str]) -> tuple[str, ...]:
-    """Names of the fields that the columns of a file lack, for points on their grid."""
-    needed = {field: set(PARTS[field][: 3 if field in ("rgb", "normals") else 1]) for field in MAY_LACK}
-    return tuple(field for field in MAY_LACK if field != "grid" and not needed[field] <= names)
+def _unknown_profiles(count: int) -> dict[str, Any]:
+    return {"angle": np.zeros(count), "record": np.arange(count, dtype=np.int32), "laser": np.zeros(count, np.int32)}
 
 
-class _Profiles:
-    """Angle, record and laser of every profile: as listed, or as their points have them."""
+def _filled(
+    placed: Iterable[tuple[Any, np.ndarray | int, np.ndarray]],
+    grid: tuple[int, int],
+    names: Iterable[str],
+    coordinates: type,
+    others: type,
+) -> dict[str, Any]:
+    """Fields of a cloud from blocks of points, each with its steps and rows, in columns of these names.
 
-    def __init__(self, names: frozenset[str], count: int, profiles: np.ndarray | None, name: str) -> None:
-        listed = profiles is not None and {"angle", "record", "laser"} <= set(profiles.dtype.names or ())
-        self._listed = profiles if listed else None
-        self._found, self._count, self._name = self._unknown(count), count, name
-        self._by_points = set() if listed else self._found.keys() & names
+    What no point fills takes no memory: the system gives pages when they are written.
+    """
+    kinds = {"xyz": coordinates, "rgb": np.uint8}
+    fields: dict[str, np.ndarray] = {
+        key: np.zeros((*grid, len(columns)), kinds.get(key, others))
+        for key, columns in _FIELDS.items()
+        if key not in SMOOTHED or key in names
+    }
+    valid = np.zeros(grid, bool)
+    for block, step, row in placed:
+        valid[step, row] = True
+        for key, field in fields.items():
+            for k, column in enumerate(_FIELDS[key]):
+                if column in names:
+                    field[step, row, k] = block[column]
+    return {"valid": valid} | {key: field if len(_FIELDS[key]) > 1 else field[..., 0] for key, field in fields.items()}
 
-    @staticmethod
-    def _unknown(count: int) -> dict[str, np.ndarray]:
-        return {
-            "angle": np.zeros(count),
-            "record": np.arange(count, dtype=np.int32),
-            "laser": np.zeros(count, np.int32),
-        }
 
-    def see(self, block: np.ndarray, step: np.ndarray) -> None:
-        """Look at some points; a column with numbers that no profile can have is not used at all."""
-        for field in tuple(self._by_points):
-            values = block[field]
-            if np.isfinite(values).all() and np.abs(values).max() < 1 << 31:
-                self._found[field][step] = values
-            else:
-                self._by_points.remove(field)
-                self._found[field] = self._unknown(self._count)[field]
-
-    def found(self) -> dict[str, np.ndarray]:
-        """What is known when all points were seen.
-
-        Raises:
-            CloudError: If the list is that of another cloud.
-        """
-        if self._listed is None:
-            return self._found
-        if len(self._listed) != self._count or not np.isfinite(self._listed["angle"]).all():
-            raise CloudError(
-                f"{self._name}: found {len(self._listed)} profiles, expected {self._count} with finite angles."
-            )
-        return {name: self._listed[name].astype(field.dtype) for name, field in self._found.items()}
+def _lacks(names: Iterable[str], also: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of the fields that the columns of a file lack, and others, in their order."""
+    needed = {field: set(_FIELDS[field]) for field in MAY_LACK if field in _FIELDS}
+    return tuple(field for field in MAY_LACK if field in also or not needed.get(field, set()) <= set(names))
 
 
 def _coordinates(points: Records) -> type:
@@ -292,84 +250,39 @@ def _coordinates(points: Records) -> type:
     return np.float32 if all(points.dtype[name].itemsize <= 4 for name in "xyz") else np.float64
 
 
-_COLOURS = {"red", "green", "blue"}
-
-
-def _unorganised(points: Records, name: str, *, ours: bool, lacks: tuple[str, ...] = ()) -> PointCloud:
-    """The points as a single profile; fields that they lack are zero, and listed as `absent`.
-
-    Args:
-        ours: Whether this library wrote the file or the one before it.
-        lacks: Fields that its header lists as lacking.
-
-    Raises:
-        CloudError: If no point is finite.
-    """
-    names, count = points.names, len(points)
-    dtype = _coordinates(points)
-    # A part of a normal is another direction.
-    normals_whole = {"nx", "ny", "nz"} <= names
+def _unorganised(points: Records, *, ours: bool, lacks: tuple[str, ...] = ()) -> PointCloud:
+    """The points as a single profile; fields that they lack are zero, and listed as `absent`."""
+    names, kind = points.names, _coordinates(points)
     # Without the grid nobody knows which points share their noise: each claims the sigma of its own row.
     own = "sigma_row" if "sigma_row" in names else "sigma_random"
     shared = own == "sigma_random" and set(SMOOTHED) & names
     # Ours have all. With one lost another would be taken for all of the uncertainty.
-    sigmas = {"sigma_random", "sigma_systematic"} - set(lacks)
-    lost = ours and bool(shared or not sigmas <= names)
-    scalars = {"intensity": "intensity"} | (
-        {} if lost else {"sigma_random": own, "sigma_systematic": "sigma_systematic"}
-    )
-    # What no point fills takes no memory: the system gives pages when they are written.
-    xyz: np.ndarray = np.zeros((1, count, 3), dtype)
-    normals: np.ndarray = np.zeros((1, count, 3), dtype)
-    rgb = np.zeros((1, count, 3), np.uint8)
-    fields: dict[str, np.ndarray] = {
-        field: np.zeros((1, count), dtype) for field in ("intensity", "sigma_random", "sigma_systematic")
-    }
-    valid = np.zeros((1, count), bool)
-    start = 0
-    for block in points:
-        part = slice(start, start + len(block))
-        start += len(block)
-        # Values out of range become infinite, and are dropped.
-        with np.errstate(over="ignore"):
-            places: np.ndarray = np.stack([block[axis].astype(dtype) for axis in "xyz"], -1)
-            seen = np.isfinite(places).all(-1)
-            valid[0, part] = seen
-            xyz[0, part] = np.where(seen[:, None], places, 0)
-            if _COLOURS <= names:
-                rgb[0, part] = np.where(seen[:, None], _colours(block), 0)
-            if normals_whole:
-                given: np.ndarray = np.stack([block[axis].astype(dtype) for axis in ("nx", "ny", "nz")], -1)
-                lengths = np.sqrt((given * given).sum(-1, keepdims=True))
-                usable = seen[:, None] & np.isfinite(lengths) & (lengths > 0)
-                normals[0, part] = np.where(usable, given / np.where(usable, lengths, 1), 0)
-            for field, column in scalars.items():
-                if column in names:
-                    values: np.ndarray = block[column].astype(dtype)
-                    fields[field][0, part] = np.where(seen & np.isfinite(values), values, 0)
-    if not valid.any():
-        raise CloudError(f"{name}: holds no finite point.")
-    return PointCloud(
-        xyz=xyz,
-        rgb=rgb,
-        normals=normals,
-        valid=valid,
-        record=np.zeros(1, np.int32),
-        laser=np.zeros(1, np.int32),
-        angle=np.zeros(1),
-        intensity=fields["intensity"],
-        sigma_random=fields["sigma_random"],
-        sigma_systematic=fields["sigma_systematic"],
-        absent=tuple(
-            field
-            for field in MAY_LACK
-            if field == "grid"
-            or (field == "rgb" and not _COLOURS <= names)
-            or (field == "normals" and not normals_whole)
-            or (field in fields and scalars.get(field) not in names)
-        ),
-    )
+    lost = ours and bool(shared or not {"sigma_random", "sigma_systematic"} - set(lacks) <= names)
+    # A part of a normal is another direction.
+    used = {name: name for part in (_COLOURS, _NORMALS) if set(part) <= names for name in part}
+    used |= {"x": "x", "y": "y", "z": "z", "intensity": "intensity"}
+    used |= {} if lost else {"sigma_random": own, "sigma_systematic": "sigma_systematic"}
+    used = {name: column for name, column in used.items() if column in names}
 
+    def cleaned() -> Iterator[tuple[dict[str, np.ndarray], int, np.ndarray]]:
+        start = 0
+        for block in points:
+            seen = np.all([np.isfinite(block[axis].astype(kind)) for axis in "xyz"], axis=0)
+            values = {name: block[column][seen] for name, column in used.items()}
+            for name in values.keys() & set(_FIELDS):
+                one: np.ndarray = values[name].astype(kind)
+                values[name] = np.where(np.isfinite(one), one, 0)
+            if set(_NORMALS) <= values.keys():
+                normals: np.ndarray = np.stack([values[name].astype(kind) for name in _NORMALS])
+                lengths = np.sqrt((normals * normals).sum(0))
+                usable = np.isfinite(lengths) & (lengths > 0)
+                normals = np.where(usable, normals / np.where(usable, lengths, 1), 0)
+                values |= dict(zip(_NORMALS, normals, strict=True))
+            yield values, 0, start + np.flatnonzero(seen)
+            start += len(block)
 
-def _colours(points: np.ndarray) -> np.ndarray:
-    return np.stack([points[name] for name in ("red", "green", "blue")], -1)
+    with np.errstate(over="ignore"):
+        fields = _filled(cleaned(), (1, len(points)), used, kind, kind)
+    if not fields["valid"].any():
+        raise CloudError("holds no finite point.")
+    return PointCloud(absent=_lacks(used, ("grid",)), **fields, **_unknown_profiles(1))

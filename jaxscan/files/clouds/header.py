@@ -4,13 +4,11 @@ import hashlib
 import os
 import re
 from collections.abc import Iterable
-from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.files.clouds.points import MAX_STATIONS
 from jaxscan.files.disk import Part
 from jaxscan.geometry import Array
 from jaxscan.reconstruction import MAY_LACK, PointCloud, Stations
@@ -32,50 +30,33 @@ def station_lines(stations: Stations) -> list[str]:
     return lines
 
 
-def read_stations(lines: Iterable[str], number: np.ndarray, name: str) -> Stations:
-    """The stations of `station_lines`, in their order, with that of each profile.
-
-    Raises:
-        CloudError: If a line is wrong or missing.
-    """
+def read_stations(lines: Iterable[str], number: np.ndarray) -> Stations:
+    """The stations of `station_lines`, in their order, with that of each profile."""
     poses: list[np.ndarray] = []
     covariances: list[np.ndarray] = []
     for line in lines:
-        words = line.split()
-        # Of an earlier version the line of a station holds its covariance too.
-        if words[:1] == ["station-covariance"] and words[1:2] == [str(len(poses) - 1)]:
-            covariances[-1] = _covariance(words[2:], f'{name}: the comment "station-covariance {len(poses) - 1}"')
-        if not words or words[0] != "station":
+        kind, *words = line.split() or [""]
+        if kind not in ("station", "station-covariance"):
             continue
+        # Of an earlier version the line of a station holds its covariance too.
+        counts = (_POSE, _POSE + _COVARIANCE) if kind == "station" else (_COVARIANCE,)
+        expected = len(poses) if kind == "station" else len(poses) - 1
         try:
-            values = [float(word) for word in words[2:]]
+            values = [float(word) for word in words[1:]]
         except ValueError:
             values = []
-        if (
-            len(poses) == MAX_STATIONS
-            or words[1:2] != [str(len(poses))]
-            or len(values) not in (_POSE, _POSE + _COVARIANCE)
-        ):
-            raise CloudError(f'{name}: the comment "station {len(poses)}" is missing or wrong: found "{line[:60]}".')
-        if not np.isfinite(values).all():
-            raise CloudError(f'{name}: the comment "station {len(poses)}" holds a number that is not finite.')
-        pose = np.eye(4)
-        pose[:3] = np.reshape(values[:_POSE], (3, 4))
-        poses.append(pose)
-        covariances.append(_symmetric(values[_POSE:] or [0.0] * _COVARIANCE))
+        if words[:1] != [str(expected)] or len(values) not in counts or not np.isfinite(values).all():
+            raise CloudError(f'the comment "{kind} {expected}" is missing or wrong: found "{line[:60]}".')
+        if kind == "station":
+            pose = np.eye(4)
+            pose[:3] = np.reshape(values[:_POSE], (3, 4))
+            poses.append(pose)
+            covariances.append(_symmetric(values[_POSE:] or [0.0] * _COVARIANCE))
+        else:
+            covariances[-1] = _symmetric(values)
     if not poses:
-        raise CloudError(f'{name}: the comments "station" are missing, with the poses of a joined cloud.')
+        raise CloudError('the comments "station" are missing, with the poses of a joined cloud.')
     return Stations(number, np.array(poses), np.array(covariances))
-
-
-def _covariance(words: list[str], name: str) -> np.ndarray:
-    try:
-        values = [float(word) for word in words]
-    except ValueError:
-        values = []
-    if len(values) != _COVARIANCE or not np.isfinite(values).all():
-        raise CloudError(f"{name} is wrong: expected {_COVARIANCE} finite numbers.")
-    return _symmetric(values)
 
 
 def _symmetric(triangle: list[float]) -> np.ndarray:
@@ -98,7 +79,6 @@ _CRS = re.compile(r"EPSG:(\d{1,6})\Z")
 
 
 METRE = (1.0, 1.0, 1.0)
-"""Unit of x, y and z of all our files."""
 
 
 class About(NamedTuple):
@@ -134,43 +114,36 @@ class StoredCloud(NamedTuple):
 
 def header_lines(cloud: PointCloud, about: About) -> list[str]:
     """The lines with which our files begin: format, unit, frame, grid, and where known calibration, CRS, stations."""
-    profiles, lines = cloud.valid.shape
-    return lines_of_grid((profiles, lines), cloud.stations, about, cloud.lacks)
+    return lines_of_grid(cloud.valid.shape, cloud.stations, about, cloud.lacks)
 
 
 def lines_of_grid(
-    grid: tuple[int, int], stations: Stations | None, about: About, lacks: tuple[str, ...] = ()
+    grid: tuple[int, ...], stations: Stations | None, about: About, lacks: tuple[str, ...] = ()
 ) -> list[str]:
     """The header lines of a cloud that is not in memory, by its numbers of profiles and lines and its stations."""
-    version, frame = (CLOUD_FORMAT, "scanner") if stations is None else (JOINED_FORMAT, "room")
-    found = [version, "unit metre", f"frame {frame}", f"grid {grid[0]} {grid[1]}"]
+    found = [format_of(stations), "unit metre", f"frame {frame_of(stations)}", f"grid {grid[0]} {grid[1]}"]
     found += [f"lacks {' '.join(lacks)}"] if lacks else []
     found += [f"calibration {about.calibration}"] if about.calibration else []
     found += [f"crs EPSG:{about.epsg}"] if about.epsg is not None else []
     return found + ([] if stations is None else station_lines(stations))
 
 
-def format_of(cloud: PointCloud) -> str:
+def format_of(stations: Stations | None) -> str:
     """The format's number: a joined cloud has its own."""
-    return CLOUD_FORMAT if cloud.stations is None else JOINED_FORMAT
+    return CLOUD_FORMAT if stations is None else JOINED_FORMAT
 
 
-def frame_of(cloud: PointCloud) -> str:
+def frame_of(stations: Stations | None) -> str:
     """The frame of the points, in the words of file headers."""
-    return "scanner" if cloud.stations is None else "room"
+    return "scanner" if stations is None else "room"
 
 
-def version_of(lines: Iterable[str], name: str) -> str:
-    """The format that the lines of a file name; empty where it is not one of ours.
-
-    Raises:
-        CloudError: If it is newer than this code.
-    """
+def version_of(lines: Iterable[str]) -> str:
+    """The format that the lines of a file name; empty where it is not one of ours."""
     found = next((line for line in lines if line.startswith(_FORMAT_WORD)), "")
     if found not in ("", CLOUD_FORMAT, JOINED_FORMAT):
         raise CloudError(
-            f"{name}: found {found[:60]}, expected {CLOUD_FORMAT} or {JOINED_FORMAT}; a newer version of jaxscan "
-            "reads it."
+            f"found {found[:60]}, expected {CLOUD_FORMAT} or {JOINED_FORMAT}; a newer version of jaxscan reads it."
         )
     return found
 
@@ -184,11 +157,9 @@ def lacking(lines: Iterable[str]) -> tuple[str, ...]:
 def about_of(lines: Iterable[str]) -> About:
     """Parse header lines; an empty `About` where they are not ours."""
     words = {line.partition(" ")[0]: line.partition(" ")[2] for line in lines}
-    ours = any(word.startswith(_FORMAT_WORD) for word in words)
-    if not ours:
+    if not any(word.startswith(_FORMAT_WORD) for word in words):
         return About()
-    crs = _CRS.match(words.get("crs", ""))
-    digest = words.get("calibration", "")
+    crs, digest = _CRS.match(words.get("crs", "")), words.get("calibration", "")
     return About(
         calibration=digest if digest.isascii() and digest.isprintable() else "",
         epsg=int(crs[1]) if crs else None,
@@ -213,11 +184,7 @@ SEAL_LINE = f"seal blake2b {'0' * 2 * _DIGEST_BYTES} of {'0' * _SIZE_DIGITS} byt
 
 
 def seal(path: Part) -> None:
-    """Fill in the line of a file that is complete; it is read once, a block at a time.
-
-    Args:
-        path: A file with `SEAL_LINE` in its header.
-    """
+    """Fill in the `SEAL_LINE` of a file that is complete; it is read once, a block at a time."""
     with open(path, "r+b") as file:
         found = _LINE.search(file.read(_HEAD_BYTES))
         if found is None:
@@ -229,22 +196,18 @@ def seal(path: Part) -> None:
         file.write(digest.encode())
 
 
-def check_seal(file: BinaryIO, path: Path) -> None:
+def check_seal(file: BinaryIO) -> None:
     """Compare a file with the line in its header; one without it, or of another size, is that of another program.
 
-    Args:
-        file: Open for reading; it is at its beginning afterwards.
-
-    Raises:
-        CloudError: If it has changed since it was written.
+    The file is at its beginning afterwards.
     """
     found = _LINE.search(file.read(_HEAD_BYTES))
     if found is not None and int(found[2]) == os.fstat(file.fileno()).st_size:
         digest = _digest(file, found.start(1))
         if digest != found[1].decode():
             raise CloudError(
-                f"{path}: has changed since it was written: found digest {digest}, expected {found[1].decode()}; copy "
-                'or write it anew, or take the comment "seal ..." out of its header if you have edited it.'
+                f"has changed since it was written: found digest {digest}, expected {found[1].decode()}; copy or write "
+                'it anew, or take the comment "seal ..." out of its header if you have edited it.'
             )
     file.seek(0)
 

@@ -3,16 +3,15 @@
 import os
 import struct
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
 from jaxscan.errors import CloudError, DependencyError
 from jaxscan.files.clouds import points as sizes
-from jaxscan.files.clouds.columns import COLOURS, Reach, Reading, decide
-from jaxscan.files.clouds.grid import Records, cloud_of
-from jaxscan.files.clouds.header import About, StoredCloud, about_of, frame_of, header_lines
+from jaxscan.files.clouds.columns import COLOURS, Reach, Reading, stored_cloud
+from jaxscan.files.clouds.grid import Records
+from jaxscan.files.clouds.header import About, StoredCloud, frame_of, header_lines
 from jaxscan.files.clouds.placing import (
     LOCAL_WKT,
     FileFrame,
@@ -23,16 +22,12 @@ from jaxscan.files.clouds.placing import (
     wkt_of,
 )
 from jaxscan.files.clouds.points import blocks, columns, known_names, smoothed_names
-from jaxscan.files.disk import Part, open_regular
+from jaxscan.files.disk import Part
 from jaxscan.reconstruction import CloudPoints, PointCloud
 
 
 def load_laspy(*, compressed: bool) -> Any:
-    """The module.
-
-    Raises:
-        DependencyError: If laspy, or lazrs where it is needed, is not installed.
-    """
+    """The module."""
     missing = DependencyError('LAS and LAZ need laspy and lazrs: pip install "jaxscan[export]"')
     try:
         import laspy
@@ -59,9 +54,7 @@ class Sizes(NamedTuple):
     """The numbers of a header that decide how much memory is taken."""
 
     head: int
-    """Bytes of the header itself."""
     offset: int
-    """Place of the points."""
     records: int
     kind: int
     point_bytes: int
@@ -74,11 +67,7 @@ class Sizes(NamedTuple):
 
 
 def check_compressed(file: BinaryIO, sizes: Sizes, size: int) -> None:
-    """Check the points, their parts, and the layers of each part.
-
-    Raises:
-        ValueError: If one of them is larger than the file can hold.
-    """
+    """Check the points, their parts, and the layers of each part."""
     needed = sizes.points * sizes.point_bytes
     if needed > MAX_EXPANSION * size + _SMALL:
         raise ValueError(
@@ -130,56 +119,39 @@ _SINGLE_STEPS = 1 << 20
 """Steps of a coordinate up to which a single holds it sixteen times finer than the file."""
 _SINGLE_M = 1e6
 _LARGEST_STEP_M = 1.0
-"""Largest step of a coordinate [m] that is accepted; no program writes a coarser one."""
 _COMPRESSED = 0x80
 _DOUBLES = 34736
-"""Number of the record that holds the values of keys that are not whole."""
 _MOST_BEHIND, _LONGEST_WKT = 1000, 1 << 20
-_DAMAGE = (
-    *(ValueError, TypeError, LookupError, AttributeError, ArithmeticError, EOFError, MemoryError, OSError),
-    *(RuntimeError, struct.error),
-)
 
 
-def read_las(path: Path, reading: Reading) -> StoredCloud:
-    """A cloud from a LAS or LAZ file of version 1.0 to 1.4.
-
-    Raises:
-        CloudError: If it is damaged, has no points, or would take far more memory than its size.
-        DependencyError: If laspy, or lazrs for a compressed file, is not installed.
-    """
-    with open_regular(path, error=CloudError) as file:
-        size = os.fstat(file.fileno()).st_size
-        given = _sizes_of(file, path)
-        laspy = load_laspy(compressed=given.compressed)
-        _check(file, given, size, path)
-        try:
-            with _opened(laspy, file, given) as reader:
-                lines = _lines_of(reader.header)
-                wkt, keys = _wkt_of(reader.header) or _wkt_behind(file, size), _keys_of(reader.header)
-            points, reach = _points_of(laspy, file, given)
-            decided = decide(points, str(path), ours=bool(lines), reading=reading, reach=reach, by="the format")
-            cloud = cloud_of(decided.points, lines, str(path))
-        except (laspy.errors.LaspyException, *_DAMAGE) as problem:
-            raise CloudError(
-                f"{path}: not a readable LAS file: {(str(problem).splitlines() or [type(problem).__name__])[0]:.100}."
-            ) from problem
-        except BaseException as problem:
-            # The library that unpacks is written in Rust, whose panics are no `Exception`.
-            if type(problem).__name__ != "PanicException":
-                raise
-            raise CloudError(f"{path}: the compressed points are damaged.") from problem
-    about = about_of(lines)._replace(upright=True)
+def read_las(file: BinaryIO, reading: Reading) -> StoredCloud:
+    """A cloud from a LAS or LAZ file of version 1.0 to 1.4."""
+    size = os.fstat(file.fileno()).st_size
+    given = _sizes_of(file)
+    laspy = load_laspy(compressed=given.compressed)
+    _check(file, given, size)
+    try:
+        with _opened(laspy, file, given) as reader:
+            lines = _lines_of(reader.header)
+            wkt, keys = _wkt_of(reader.header) or _wkt_behind(file, size), _keys_of(reader.header)
+        points, reach = _points_of(laspy, file, given)
+        stored = stored_cloud(points, lines, reading, reach=reach, by="the format")
+    except laspy.errors.LaspyException as problem:
+        raise ValueError(str(problem)) from problem
+    except BaseException as problem:
+        # The library that unpacks is written in Rust, whose panics are no `Exception`.
+        if type(problem).__name__ != "PanicException":
+            raise
+        raise CloudError("the compressed points are damaged.") from problem
+    about = stored.about._replace(upright=True)
     if about.epsg is None:
         about = about._replace(epsg=epsg_of(wkt) or epsg_of_keys(keys.whole))
-    if lines and about.metres is not None:
-        return StoredCloud(cloud, about)
-    stated = [(frame_of_wkt(wkt), "WKT"), (frame_of_keys(*keys), "GeoKeys")]
-    frame, why = next((one for one in stated if one[0] != FileFrame()), (FileFrame(), ""))
-    why = f"the {why} of {path.name}" if frame.in_degrees else f"its {why}" if why else ""
-    why = why or ("its WKT states no unit that is known" if wkt else "")
-    about = about._replace(metres=frame.metres, in_degrees=frame.in_degrees, unit_by=why)
-    return StoredCloud(cloud, about, () if lines else decided.words)
+    if about.metres is None:
+        stated = [(frame_of_wkt(wkt), "WKT"), (frame_of_keys(*keys), "GeoKeys")]
+        frame, why = next(((one, f"its {kind}") for one, kind in stated if one != FileFrame()), (FileFrame(), ""))
+        why = why or ("its WKT states no unit that is known" if wkt else "")
+        about = about._replace(metres=frame.metres, in_degrees=frame.in_degrees, unit_by=why)
+    return stored._replace(about=about)
 
 
 def _opened(laspy: Any, file: BinaryIO, given: Sizes, only: Any = None) -> Any:
@@ -191,33 +163,31 @@ def _opened(laspy: Any, file: BinaryIO, given: Sizes, only: Any = None) -> Any:
     return laspy.LasReader(file, closefd=False, laz_backend=backend, read_evlrs=False, **selected)
 
 
-def _sizes_of(file: BinaryIO, path: Path) -> Sizes:
+def _sizes_of(file: BinaryIO) -> Sizes:
     head = file.read(375)
     if len(head) < 227 or head[:4] != b"LASF":
-        raise CloudError(f"{path}: not a LAS file.")
+        raise CloudError("not a LAS file.")
     length, offset, records = struct.unpack_from("<HII", head, 94)
     kind, point_bytes, points = struct.unpack_from("<BHI", head, 104)
     if (head[24], head[25]) >= (1, 4) and len(head) == 375:
         points = struct.unpack_from("<Q", head, 247)[0]
     if points == 0:
-        raise CloudError(f"{path}: holds no points.")
+        raise CloudError("holds no points.")
     return Sizes(length, offset, records, kind, point_bytes, points)
 
 
-def _check(file: BinaryIO, sizes: Sizes, size: int, path: Path) -> None:
+def _check(file: BinaryIO, sizes: Sizes, size: int) -> None:
     """Compare what the header announces with the size of the file, before memory is taken."""
     # A record has a head of 54 bytes.
     if sizes.offset > size or sizes.records * 54 > sizes.offset:
-        raise CloudError(f"{path}: the header is longer than the file; it is damaged or cut short.")
+        raise CloudError("the header is longer than the file; it is damaged or cut short.")
     if sizes.compressed:
         try:
             check_compressed(file, sizes, size)
         except (ValueError, struct.error) as problem:
-            raise CloudError(f"{path}: {problem}; it is damaged or cut short.") from problem
+            raise CloudError(f"{problem}; it is damaged or cut short.") from problem
     elif sizes.points * sizes.point_bytes > size - sizes.offset:
-        raise CloudError(
-            f"{path}: announces {sizes.points} points, but the file ends before; it is damaged or cut short."
-        )
+        raise CloudError(f"announces {sizes.points} points, but the file ends before; it is damaged or cut short.")
 
 
 def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> tuple[Records, Reach]:
@@ -267,11 +237,7 @@ def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> tuple[Records, Reach
 
 
 def _looked_through(laspy: Any, file: BinaryIO, given: Sizes, coloured: bool) -> tuple[bool, int, int]:
-    """Whether singles hold the coordinates as finely as the file does, and its largest colour and intensity.
-
-    Raises:
-        ValueError: If the file has another number of points than its header says.
-    """
+    """Whether singles hold the coordinates as finely as the file does, and its largest colour and intensity."""
     parts = laspy.DecompressionSelection
     largest, brightest, loudest, found = np.zeros(3), 0, 0, 0
     wanted = parts.XY_RETURNS_CHANNEL | parts.Z | parts.RGB | parts.INTENSITY
@@ -363,7 +329,6 @@ _EXTRA = {
 }
 _STATION_EXTRA = {"station": "place of the scanner"}
 _TYPES = {"step": np.int32, "row": np.int32, "record": np.int32, "angle": np.float64, "station": np.uint8}
-"""Types of extra bytes other than float32."""
 _SMOOTHED_EXTRA = {
     "sigma_row": "noise, of the row alone [m]",
     "shift_px": "centre of the row - this [px]",
@@ -376,10 +341,6 @@ def write_las(cloud: PointCloud, path: Part, about: About) -> None:
 
     The suffix `.laz` compresses. Intensity is the amplitude in 1/257 DN, or coarser where the largest would not fit;
     the extra bytes hold it in DN. A record of our own holds digest, grid and stations.
-
-    Raises:
-        CloudError: If the points are too far apart for the format, or the EPSG code is none in metres.
-        DependencyError: If laspy, or lazrs for `.laz`, or pyproj for a code, is not installed.
     """
     laspy = load_laspy(compressed=path.suffix.lower() == ".laz")
     # Without colours, point format 6.
@@ -388,7 +349,7 @@ def write_las(cloud: PointCloud, path: Part, about: About) -> None:
     header.generating_software = "jaxscan"
     # Point formats 6 to 10 have their frame as WKT.
     header.global_encoding.wkt = True
-    wkt = LOCAL_WKT.format(frame=frame_of(cloud)) if about.epsg is None else wkt_of(about.epsg)
+    wkt = LOCAL_WKT.format(frame=frame_of(cloud.stations)) if about.epsg is None else wkt_of(about.epsg)
     header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
     text = "\n".join(header_lines(cloud, about)).encode("ascii")
     header.vlrs.append(laspy.VLR(*HEADER_RECORD, "header of the cloud", text))

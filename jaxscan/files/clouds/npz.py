@@ -1,7 +1,7 @@
 """NPZ: the fields of a PointCloud on the full grid, without loss."""
 
 import dataclasses
-from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -48,27 +48,28 @@ def write_npz(cloud: PointCloud, path: Part, about: About) -> None:
     names = [field.name for field in dataclasses.fields(cloud) if field.name not in left]
     values = {name: getattr(cloud, name) for name in names} | dict(zip(_STATIONS, cloud.stations or (), strict=False))
     fields = {name: np.asarray(value) for name, value in values.items() if value is not None}
-    header = {"format": format_of(cloud), "unit": "metre", "frame": frame_of(cloud), "calibration": about.calibration}
+    header = {
+        "format": format_of(cloud.stations),
+        "unit": "metre",
+        "frame": frame_of(cloud.stations),
+        "calibration": about.calibration,
+    }
     header |= {} if about.epsg is None else {"crs": f"EPSG:{about.epsg}"}
     header |= {"lacks": " ".join(cloud.lacks)} if cloud.lacks else {}
     write_arrays(path, {**{key: np.array(text) for key, text in header.items()}, **fields})
 
 
-def read_npz(path: Path, reading: Reading) -> StoredCloud:
-    """A cloud as it was written; no other program writes one.
-
-    Raises:
-        CloudError: If it is damaged, or no cloud.
-    """
-    arrays = read_arrays(path, error=CloudError)
+def read_npz(file: BinaryIO, reading: Reading) -> StoredCloud:
+    """A cloud as it was written; no other program writes one."""
+    arrays = read_arrays(file.name, error=CloudError)
     found = str(arrays.get("format", ""))
     if found not in (CLOUD_FORMAT, JOINED_FORMAT):
-        raise CloudError(f"{path}: found the format {found[:60]!r}, expected {CLOUD_FORMAT!r} or {JOINED_FORMAT!r}.")
+        raise CloudError(f"found the format {found[:60]!r}, expected {CLOUD_FORMAT!r} or {JOINED_FORMAT!r}.")
     lacks = lacking([f"lacks {str(arrays['lacks'])[:200]}"] if "lacks" in arrays else [])
     written = {name: kind for name, kind in _ARRAYS.items() if name not in lacks}
     expected = written | (_SMOOTHED if _SMOOTHED.keys() & arrays.keys() else {})
     joined = _STATIONS if found == JOINED_FORMAT else {}
-    check_arrays(arrays, expected | joined, {}, name=str(path), error=CloudError)
+    check_arrays(arrays, expected | joined, {}, name=file.name, error=CloudError)
     stations = Stations(*(arrays[name] for name in joined)) if joined else None
     lines = [found, *(f"{key} {str(arrays[key])[:100]}" for key in ("unit", "calibration", "crs") if key in arrays)]
     shape = arrays["valid"].shape

@@ -2,24 +2,15 @@
 
 import os
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import points as sizes
-from jaxscan.files.clouds.columns import COLOURS, Reading, decide, plain_names
-from jaxscan.files.clouds.grid import Records, cloud_of
-from jaxscan.files.clouds.header import (
-    SEAL_LINE,
-    About,
-    StoredCloud,
-    check_seal,
-    header_lines,
-    seal,
-    version_of,
-)
+from jaxscan.files.clouds.columns import COLOURS, Reading, plain_names, stored_cloud
+from jaxscan.files.clouds.grid import Records
+from jaxscan.files.clouds.header import SEAL_LINE, About, StoredCloud, check_seal, header_lines, seal
 from jaxscan.files.clouds.points import (
     POINT,
     blocks,
@@ -30,7 +21,7 @@ from jaxscan.files.clouds.points import (
     table,
     text_lines,
 )
-from jaxscan.files.disk import Part, open_regular
+from jaxscan.files.disk import Part
 from jaxscan.reconstruction import CloudPoints, PointCloud
 
 
@@ -41,9 +32,6 @@ def unpack(packed: bytes, size: int) -> bytes:
         packed: Tokens: a byte below 32 and so many bytes more than it says as they are, or a length in the upper 3
             bits and a distance back in the other 13, with a byte of more length between where the 3 bits are all set.
         size: Number of the bytes that were packed.
-
-    Raises:
-        ValueError: If the tokens do not fit, or give another number of bytes.
     """
     out = bytearray()
     at, end = 0, len(packed)
@@ -92,35 +80,20 @@ class _Header(NamedTuple):
     encoding: str
     comments: tuple[str, ...]
     length: int
-    """Bytes before the data."""
 
 
-def read_pcd(path: Path, reading: Reading) -> StoredCloud:
-    """A cloud from a PCD file: text, binary, or packed.
-
-    Raises:
-        CloudError: If it is damaged, has changed since this library wrote it, or has no points.
-    """
-    try:
-        with open_regular(path, error=CloudError) as file:
-            check_seal(file, path)
-            header = _read_header(file, path)
-            size = os.fstat(file.fileno()).st_size
-            file.seek(header.length)
-            read = _reading(file, header, size - header.length, path)
-            count = sum(len(block) for block in read())
-            if count == 0:
-                raise CloudError(f"{path}: holds no finite point.")
-            points = Records(_unpacked_type(header.dtype), count, read)
-            ours = bool(version_of(header.comments, str(path)))
-            decided = decide(points, str(path), ours=ours, reading=reading)
-            cloud = cloud_of(decided.points, header.comments, str(path))
-    except ValueError as problem:
-        raise CloudError(f"{path}: the points cannot be read: {str(problem)[:60]}.") from problem
-    return decided.stored(cloud, header.comments, ours=ours)
+def read_pcd(file: BinaryIO, reading: Reading) -> StoredCloud:
+    """A cloud from a PCD file: text, binary, or packed."""
+    check_seal(file)
+    header = _read_header(file)
+    read = _reading(file, header)
+    count = sum(len(block) for block in read())
+    if count == 0:
+        raise CloudError("holds no finite point.")
+    return stored_cloud(Records(_unpacked_type(header.dtype), count, read), header.comments, reading)
 
 
-def _read_header(file: BinaryIO, path: Path) -> _Header:
+def _read_header(file: BinaryIO) -> _Header:
     entries: dict[str, list[str]] = {}
     comments: list[str] = []
     left = MAX_HEADER_BYTES
@@ -128,24 +101,24 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
         line = file.readline(left)
         left -= len(line)
         if not line.endswith(b"\n") or left <= 0:
-            raise CloudError(f"{path}: not a PCD file, or its header does not end within {MAX_HEADER_BYTES >> 10} KiB.")
+            raise CloudError(f"not a PCD file, or its header does not end within {MAX_HEADER_BYTES >> 10} KiB.")
         text = line.decode("latin-1").strip()
         if text.startswith("#"):
             comments.append(text[1:].strip())
         elif text:
             key, *words = text.split()
             if key not in (*_ENTRIES, "VERSION", "VIEWPOINT", "COLUMNS"):
-                raise CloudError(f'{path}: found "{text[:60]}" in the header, which PCD does not know.')
+                raise CloudError(f'found "{text[:60]}" in the header, which PCD does not know.')
             entries["FIELDS" if key == "COLUMNS" else key] = words
     names, encoding = entries.get("FIELDS", []), " ".join(entries["DATA"])
     width, height, points = (_whole(entries, key) for key in ("WIDTH", "HEIGHT", "POINTS"))
     count = points if points is not None else (width or 0) * (1 if height is None else height)
     if encoding not in ("ascii", "binary", "binary_compressed"):
-        raise CloudError(f'{path}: found the data "{encoding[:60]}", expected ascii, binary or binary_compressed.')
+        raise CloudError(f'found the data "{encoding[:60]}", expected ascii, binary or binary_compressed.')
     repeats = entries.get("COUNT", ["1"] * len(names))
     kinds, sizes = entries.get("TYPE", []), entries.get("SIZE", [])
     if not 0 < len(names) <= MAX_COLUMNS or not len(names) == len(kinds) == len(sizes) == len(repeats):
-        raise CloudError(f"{path}: the header names {len(names)} fields, and not a type, a size and a count of each.")
+        raise CloudError(f"the header names {len(names)} fields, and not a type, a size and a count of each.")
     try:
         # A field of several numbers, and padding "_", is kept as it is and not used.
         fields = [
@@ -154,13 +127,13 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
         ]
         dtype = np.dtype(fields)
     except (KeyError, ValueError, OverflowError, MemoryError) as problem:
-        raise CloudError(f"{path}: the header is wrong: {str(problem)[:60]}.") from problem
+        raise CloudError(f"the header is wrong: {str(problem)[:60]}.") from problem
     if sum(_of(dtype[name]) for name in dtype.names or ()) > MAX_NUMBERS:
-        raise CloudError(f"{path}: a point has more than {MAX_NUMBERS} numbers; the header is wrong.")
+        raise CloudError(f"a point has more than {MAX_NUMBERS} numbers; the header is wrong.")
     if not {"x", "y", "z"} <= set(dtype.names or ()) or any(dtype[axis].shape for axis in "xyz"):
-        raise CloudError(f"{path}: the points have no x, y and z.")
+        raise CloudError("the points have no x, y and z.")
     if count == 0:
-        raise CloudError(f"{path}: holds no points.")
+        raise CloudError("holds no points.")
     return _Header(dtype, count, encoding, tuple(comments), file.tell())
 
 
@@ -174,10 +147,10 @@ def _whole(entries: dict[str, list[str]], key: str) -> int | None:
     return int(word) if word.isascii() and word.isdigit() and len(word) < 16 else None
 
 
-def _reading(file: BinaryIO, header: _Header, rest: int, path: Path) -> Callable[[], Iterator[np.ndarray]]:
+def _reading(file: BinaryIO, header: _Header) -> Callable[[], Iterator[np.ndarray]]:
     """Reads the finite points of the file a block at a time, with colours in columns of their own."""
-    dtype, count = header.dtype, header.points
-    short = CloudError(f"{path}: announces {count} points, but the file ends before; it is damaged or cut short.")
+    dtype, count, rest = header.dtype, header.points, os.fstat(file.fileno()).st_size - header.length
+    short = CloudError(f"announces {count} points, but the file ends before; it is damaged or cut short.")
     flat = _flat(dtype)
     # Nothing is allocated before this check.
     if header.encoding == "binary" and count * dtype.itemsize > rest:
@@ -207,6 +180,7 @@ def _reading(file: BinaryIO, header: _Header, rest: int, path: Path) -> Callable
 
 def _unpacked_table(file: BinaryIO, header: _Header, rest: int, short: CloudError) -> bytes:
     """The bytes of all points, one field after the other."""
+    file.seek(header.length)
     packed, size = (int.from_bytes(file.read(4), "little") for _ in range(2))
     if packed > rest - 8 or size != header.points * header.dtype.itemsize or size > _MOST_PACKED * packed:
         raise short

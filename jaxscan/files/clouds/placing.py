@@ -24,7 +24,6 @@ _TURNS: dict[Up, list[list[int]]] = {
     "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
     "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
 }
-"""Turns that carry each direction to z."""
 
 MILLIMETRES_FROM, CENTIMETRES_FROM = 1500.0, 200.0
 """Extents from which a cloud is taken for one in a smaller unit: no room is 200 m large, and few are 15 m."""
@@ -94,12 +93,7 @@ def _guessed_unit(cloud: PointCloud) -> tuple[Unit, str]:
 
 
 def _size_notes(cloud: PointCloud, factor: float) -> list[str]:
-    """A note where a cloud has the size of neither a place nor a thing on a table, with the unit that would fit.
-
-    Args:
-        cloud: In metres.
-        factor: What one unit of its file was taken for [m].
-    """
+    """A note where a cloud has the size of neither a place nor a thing on a table, with the unit that would fit."""
     extent, away = float(np.linalg.norm(_extents(cloud))), float(np.linalg.norm(_middle(cloud)))
     if extent == 0.0 or SMALLEST_M <= extent <= LARGEST_M or (extent > LARGEST_M and away >= FAR_AWAY * extent):
         return []
@@ -186,7 +180,6 @@ LOCAL_WKT = (
     'LOCAL_CS["jaxscan, frame of the {frame}",LOCAL_DATUM["jaxscan",32767],UNIT["metre",1,AUTHORITY["EPSG","9001"]],'
     'AXIS["x",OTHER],AXIS["y",OTHER],AXIS["z",UP]]'
 )
-"""OGC WKT of a frame in metres with z up."""
 
 _CODE_AT_END = re.compile(r'(?:AUTHORITY\["EPSG","(\d{1,6})"\]|ID\["EPSG",(\d{1,6})\])\s*\]\s*\Z')
 _UNITS_OF_LENGTH = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937, 9036: 1000.0, 9030: 1852.0, 9096: 0.9144}
@@ -196,12 +189,7 @@ _BY_USER = 32767
 
 
 def wkt_of(epsg: int) -> str:
-    """OGC WKT of a reference system whose coordinates are metres.
-
-    Raises:
-        CloudError: If there is none with this code, or its coordinates are no metres.
-        DependencyError: If pyproj is not installed.
-    """
+    """OGC WKT of a reference system whose coordinates are metres."""
     try:
         import pyproj
     except ImportError as problem:
@@ -230,9 +218,7 @@ class FileFrame(NamedTuple):
     """The coordinate reference system that a file states: units and axes."""
 
     metres: tuple[float, float, float] | None = None
-    """Metres of a unit of x, y and z; None where it is not stated."""
     in_degrees: bool = False
-    """Whether x and y are degrees."""
 
 
 def frame_of_wkt(wkt: str) -> FileFrame:

@@ -2,26 +2,17 @@
 
 import os
 from collections.abc import Iterator
-from pathlib import Path
 from typing import BinaryIO, Literal, NamedTuple
 
 import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import points as sizes
-from jaxscan.files.clouds.columns import Reading, decide
-from jaxscan.files.clouds.grid import Records, cloud_of
-from jaxscan.files.clouds.header import (
-    SEAL_LINE,
-    About,
-    StoredCloud,
-    check_seal,
-    header_lines,
-    seal,
-    version_of,
-)
+from jaxscan.files.clouds.columns import Reading, stored_cloud
+from jaxscan.files.clouds.grid import Records
+from jaxscan.files.clouds.header import SEAL_LINE, About, StoredCloud, check_seal, header_lines, seal
 from jaxscan.files.clouds.points import POINT, blocks, columns, numbers_of, record_of, table, text_lines
-from jaxscan.files.disk import Part, open_regular
+from jaxscan.files.disk import Part
 from jaxscan.reconstruction import PointCloud
 
 
@@ -41,7 +32,6 @@ class _Property(NamedTuple):
     name: str
     item: np.dtype
     length: np.dtype | None = None
-    """Type of the number of its items; None where it has one."""
 
 
 class _Element(NamedTuple):
@@ -70,39 +60,27 @@ class _Header(NamedTuple):
     comments: list[str]
     elements: list[_Element]
     length: int
-    """Bytes before the data."""
 
 
-def read_ply(path: Path, reading: Reading) -> StoredCloud:
+def read_ply(file: BinaryIO, reading: Reading) -> StoredCloud:
     """A cloud from a PLY file, ASCII or binary.
 
     A file of this library is read onto its grid, unless its points are too few for so large a one. Of other
     files, `x y z` and, where present, colours, normals, intensity and sigmas are read, as a single profile, or on the
     grid where they have kept step and row. Lists in the vertices or before them are passed over.
-
-    Raises:
-        CloudError: If it is damaged, has changed since this library wrote it, or has no points.
     """
-    try:
-        with open_regular(path, error=CloudError) as file:
-            check_seal(file, path)
-            header = _read_header(file, path)
-            size = os.fstat(file.fileno()).st_size
-            vertices, profiles = _read_tables(file, header, size, path)
-            ours = bool(version_of(header.comments, str(path)))
-            decided = decide(vertices, str(path), ours=ours, reading=reading)
-            cloud = cloud_of(decided.points, header.comments, str(path), profiles=profiles)
-    except ValueError as problem:
-        raise CloudError(f"{path}: vertex: not a table of numbers: {str(problem)[:60]}.") from problem
-    return decided.stored(cloud, header.comments, ours=ours)
+    check_seal(file)
+    header = _read_header(file)
+    vertices, profiles = _read_tables(file, header)
+    return stored_cloud(vertices, header.comments, reading, profiles=profiles)
 
 
-def _read_header(file: BinaryIO, path: Path) -> _Header:
+def _read_header(file: BinaryIO) -> _Header:
     data = file.read(MAX_HEADER_BYTES)
     last = data.find(b"end_header")
     end = data.find(b"\n", last) + 1
     if not data.startswith(b"ply") or last < 0 or end == 0:
-        raise CloudError(f"{path}: not a PLY file, or its header does not end within {MAX_HEADER_BYTES >> 10} KiB.")
+        raise CloudError(f"not a PLY file, or its header does not end within {MAX_HEADER_BYTES >> 10} KiB.")
     encoding = order = ""
     comments: list[str] = []
     elements: list[_Element] = []
@@ -123,19 +101,19 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
             case ["property", kind, name] if elements and kind in _TYPES:
                 elements[-1].properties.append(_Property(name, np.dtype(order + _TYPES[kind])))
             case _:
-                raise CloudError(f'{path}: found "{line[:60]}" in the header, which PLY does not know.')
+                raise CloudError(f'found "{line[:60]}" in the header, which PLY does not know.')
     if not encoding:
-        raise CloudError(f"{path}: the header names no known format.")
+        raise CloudError("the header names no known format.")
     for element in elements:
         names = [each.name for each in element.properties]
         if any(each.length is not None and each.length.kind == "f" for each in element.properties):
-            raise CloudError(f"{path}: the header is wrong: a list has a number of items that is not whole.")
+            raise CloudError("the header is wrong: a list has a number of items that is not whole.")
         if len(set(names)) < len(names):
-            raise CloudError(f"{path}: the header is wrong: {element.name[:40]} has two properties of one name.")
+            raise CloudError(f"the header is wrong: {element.name[:40]} has two properties of one name.")
     return _Header(encoding, comments, elements, end)
 
 
-def _read_tables(file: BinaryIO, header: _Header, size: int, path: Path) -> tuple[Records, np.ndarray | None]:
+def _read_tables(file: BinaryIO, header: _Header) -> tuple[Records, np.ndarray | None]:
     """The vertices, which are still in the file, and the profiles where they can be read."""
     vertices: Records | None = None
     profiles: np.ndarray | None = None
@@ -145,23 +123,20 @@ def _read_tables(file: BinaryIO, header: _Header, size: int, path: Path) -> tupl
         # After the vertices nothing with lists is of use: the profiles are numbers, and follow at once.
         if vertices is not None and element.has_lists:
             break
-        _check_length(file, element, text, size, path)
+        _check_length(file, element, text)
         if element.name == "vertex":
             vertices = _vertices(file, element, text)
         if element.name == "profile":
-            try:
-                profiles = np.concatenate([np.empty(0, element.dtype), *_blocks(file, element, text)])
-            except ValueError as problem:
-                raise CloudError(f"{path}: profile: not a table of numbers: {str(problem)[:60]}.") from problem
+            profiles = np.concatenate([np.empty(0, element.dtype), *_blocks(file, element, text)])
         else:
             _pass_over(file, element, text)
     # The length of a list is in the list alone; without lists the header says where the file ends.
     if not any(element.has_lists for element in header.elements) and _has_more(file):
-        raise CloudError(f"{path}: the file goes on after the data that its header announces; it is damaged.")
+        raise CloudError("the file goes on after the data that its header announces; it is damaged.")
     if vertices is None:
-        raise CloudError(f"{path}: has no vertices that can be read.")
+        raise CloudError("has no vertices that can be read.")
     if len(vertices) == 0:
-        raise CloudError(f"{path}: holds no points.")
+        raise CloudError("holds no points.")
     return vertices, profiles
 
 
@@ -184,14 +159,14 @@ def _has_more(file: BinaryIO) -> bool:
     return bool(rest)
 
 
-def _check_length(file: BinaryIO, element: _Element, text: bool, size: int, path: Path) -> None:
+def _check_length(file: BinaryIO, element: _Element, text: bool) -> None:
     """Compare what the header announces with what is left of the file, before memory is taken."""
-    count = element.rows
+    count, size = element.rows, os.fstat(file.fileno()).st_size
     # As text, a number takes a digit and a separator; an empty list is its number of items.
     needed = count * (2 * len(element.properties) if text else element.shortest) - (1 if text and count else 0)
     if needed > size - file.tell():
         raise CloudError(
-            f"{path}: announces {count} of {element.name[:60]}, but the file ends before; it is damaged or cut short."
+            f"announces {count} of {element.name[:60]}, but the file ends before; it is damaged or cut short."
         )
 
 
@@ -207,11 +182,7 @@ def _vertices(file: BinaryIO, element: _Element, text: bool) -> Records:
 
 
 def _blocks(file: BinaryIO, element: _Element, text: bool) -> Iterator[np.ndarray]:
-    """The rows of a table from where the file is, without their lists.
-
-    Raises:
-        ValueError: If they are no rows of numbers, or the file has fewer.
-    """
+    """The rows of a table from where the file is, without their lists."""
     dtype, left = element.dtype, element.rows
     if element.has_lists and not text:
         yield from _rows_with_lists(file, element)
@@ -250,11 +221,7 @@ def _without_lists(line: str, element: _Element) -> str:
 
 
 def _rows_with_lists(file: BinaryIO, element: _Element) -> Iterator[np.ndarray]:
-    """Read binary rows with lists, about a block of the file at a time.
-
-    Raises:
-        ValueError: If a list is longer than the file, or the file has fewer rows.
-    """
+    """Read binary rows with lists, about a block of the file at a time."""
     left, size, end = element.rows, _BLOCK, os.fstat(file.fileno()).st_size
     while left:
         start = file.tell()

@@ -92,11 +92,9 @@ def smoothed_names(cloud: PointCloud | CloudPoints) -> tuple[str, ...]:
 
 
 def record_of(dtype: np.dtype, cloud: PointCloud) -> np.dtype:
-    """The fields of a format's record: those of smoothed points and of stations too, and doubles where the cloud has.
+    """The fields of a format's record without those that the cloud lacks; smoothed points and stations have their own.
 
-    What the cloud lacks is left out.
-
-    A single has 24 bits: half a metre in a national grid.
+    Coordinates are doubles where the cloud's are: a single has 24 bits, half a metre in a national grid.
     """
     coordinate = "<f8" if np.dtype(cloud.xyz.dtype) == np.float64 else "<f4"
     fields = [
@@ -114,22 +112,19 @@ def table(values: Mapping[str, np.ndarray], dtype: np.dtype) -> np.ndarray:
     return records
 
 
-def check_cloud(cloud: PointCloud, name: str) -> None:
+def check_cloud(cloud: PointCloud) -> None:
     """Check the numbers of a cloud that was read or is to be written.
 
     Normals may have any length: nothing computes with them, and programs that draw them scale them.
-
-    Raises:
-        CloudError: If it has no point, or one that is not finite, a negative sigma, or an impossible laser.
     """
     valid = np.asarray(cloud.valid)
     if cloud.stations is not None:
-        check_stations(cloud.stations, name)
+        check_stations(cloud.stations)
     if not valid.any():
-        raise CloudError(f"{name}: the cloud has no valid point, so there is nothing in it.")
+        raise CloudError("the cloud has no valid point, so there is nothing in it.")
     for laser in (np.min(cloud.laser), np.max(cloud.laser)):
         if not 0 <= laser <= 255:
-            raise CloudError(f"{name}: found laser {laser}, expected 0 to 255.")
+            raise CloudError(f"found laser {laser}, expected 0 to 255.")
     for field, (least, most) in _RANGES.items():
         if getattr(cloud, field) is None:
             continue
@@ -138,31 +133,27 @@ def check_cloud(cloud: PointCloud, name: str) -> None:
         if _within(values, least, most) or _within(seen := values[valid], least, most):
             continue
         if not np.isfinite(seen).all():
-            raise CloudError(f"{name}: {field} of a valid point is not finite.")
+            raise CloudError(f"{field} of a valid point is not finite.")
         if least == 0 and seen.min() < 0:
-            raise CloudError(f"{name}: {field} of a valid point is negative, expected 0 or more.")
-        raise CloudError(f"{name}: {field} of a valid point is {np.abs(seen).max():.3g}, expected at most {most:g}.")
+            raise CloudError(f"{field} of a valid point is negative, expected 0 or more.")
+        raise CloudError(f"{field} of a valid point is {np.abs(seen).max():.3g}, expected at most {most:g}.")
 
 
-def check_stations(stations: Stations, name: str) -> None:
-    """Check places of stations that were read or are to be written.
-
-    Raises:
-        CloudError: If a profile has no station, a pose is no rigid motion, or a covariance is none.
-    """
+def check_stations(stations: Stations) -> None:
+    """Check places of stations that were read or are to be written."""
     number, pose, covariance = (np.asarray(field) for field in stations)
     if not 1 <= len(pose) <= MAX_STATIONS or number.min() < 0 or number.max() >= len(pose):
         raise CloudError(
-            f"{name}: found stations {number.min()} to {number.max()} and poses of {len(pose)}, expected 0 to at most "
+            f"found stations {number.min()} to {number.max()} and poses of {len(pose)}, expected 0 to at most "
             f"{MAX_STATIONS - 1}, each with its pose."
         )
     turned = pose[:, :3, :3] @ pose[:, :3, :3].swapaxes(1, 2)
     rigid = np.abs(turned - np.eye(3)).max() < 1e-6 and np.abs(pose[:, 3] - [0, 0, 0, 1]).max() == 0
     if not rigid or not (np.linalg.det(pose[:, :3, :3]) > 0).all() or np.abs(pose).max() > LARGEST:
-        raise CloudError(f"{name}: the pose of a station is no rigid motion.")
+        raise CloudError("the pose of a station is no rigid motion.")
     diagonal = np.diagonal(covariance, axis1=1, axis2=2)
     if not (diagonal >= 0).all() or np.abs(covariance).max() > LARGEST:
-        raise CloudError(f"{name}: the covariance of a station's pose has a variance below 0 or above {LARGEST:g}.")
+        raise CloudError(f"the covariance of a station's pose has a variance below 0 or above {LARGEST:g}.")
 
 
 def _within(values: np.ndarray, least: float, most: float) -> bool:
@@ -182,11 +173,7 @@ def text_lines(file: BinaryIO, count: int) -> Iterator[str]:
 
 
 def numbers_of(lines: Iterator[str], dtype: np.dtype) -> np.ndarray:
-    """Lines of numbers as records [n]; whole numbers are cut to what their fields hold.
-
-    Raises:
-        ValueError: If a line is no row of as many numbers as there are fields.
-    """
+    """Lines of numbers as records [n]; whole numbers are cut to what their fields hold."""
     names = dtype.names or ()
     values = np.loadtxt(lines, np.float64, comments=None, ndmin=2)
     if values.shape[1] != len(names):

@@ -1,18 +1,17 @@
 """PTX: text that keeps the grid, with the pose of every station."""
 
 import os
-from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import points as sizes
-from jaxscan.files.clouds.columns import COLOURS, Range, Reach, Reading, as_bytes, range_of
+from jaxscan.files.clouds.columns import COLOURS, Reach, Reading, as_bytes, range_of
 from jaxscan.files.clouds.grid import MAX_CELLS, Records, cloud_of, on_grid
 from jaxscan.files.clouds.header import METRE, About, StoredCloud
 from jaxscan.files.clouds.points import LONGEST_LINE, MAX_STATIONS, numbers_of, text_lines
-from jaxscan.files.disk import Part, open_regular
+from jaxscan.files.disk import Part
 from jaxscan.reconstruction import PointCloud, Stations, of_station
 
 
@@ -28,7 +27,6 @@ _SINGLE_M = 128.0
 _ROUNDED, _EXACT = 1e-3, 1e-9
 """By how much the axes of a pose may differ from unit length, as it is written: with few digits, or with all."""
 _NO_INTENSITY = 127.5
-"""One half, in the numbers of a cloud."""
 _SHORTEST_CELL = 8
 """Bytes of a cell: four numbers."""
 
@@ -44,52 +42,41 @@ class _Block(NamedTuple):
     """Of its colours; None where it has none."""
 
 
-def read_ptx(path: Path, reading: Reading) -> StoredCloud:
+def read_ptx(file: BinaryIO, reading: Reading) -> StoredCloud:
     """A cloud on its grid, in the frame of the file; blocks with one pose are one station.
 
     The lowest cell of a column becomes the last line, and its intensity of 0 to 1 an amplitude of 0 to 255.
-
-    Raises:
-        CloudError: If it is damaged or has no points.
     """
     usual = 255.0 if reading.brightest is None else reading.brightest
-    with open_regular(path, error=CloudError) as file:
-        blocks = _read_blocks(file, usual, path)
-        reaches = [block.reach for block in blocks if block.reach is not None]
-        reach = Reach(max((one.most for one in reaches), default=0.0), all(one.whole for one in reaches))
-        # Text holds singles and numbers of 16 bits too, though no scanner's own program writes them.
-        found = range_of(np.dtype("f8"), reach, reading)
-        if found.brightest != usual and not (reach.whole and reach.most <= 1):
-            file.seek(0)
-            blocks = _read_blocks(file, found.brightest, path)
+    blocks = _read_blocks(file, usual)
+    reaches = [block.reach for block in blocks if block.reach is not None]
+    reach = Reach(max((one.most for one in reaches), default=0.0), all(one.whole for one in reaches))
+    # Text holds singles and numbers of 16 bits too, though no scanner's own program writes them.
+    found = range_of(np.dtype("f8"), reach, reading)
+    if found.brightest != usual and not (reach.whole and reach.most <= 1):
+        file.seek(0)
+        blocks = _read_blocks(file, found.brightest)
     if not any(block.parts for block in blocks):
-        raise CloudError(f"{path}: holds no points.")
+        raise CloudError("holds no points.")
     # One half is what scanners write that do not measure the intensity.
     bright = any((part["intensity"] != _NO_INTENSITY).any() for block in blocks for part in block.parts)
     left = (() if bright else ("intensity",)) + (() if reaches and found.brightest else COLOURS)
-    words = _words(left, found if reaches else None)
-    return StoredCloud(_joined(blocks, str(path), left), About(metres=METRE, unit_by="the format", upright=True), words)
-
-
-def _words(left: tuple[str, ...], colours: Range | None) -> tuple[str, ...]:
-    """The decisions in words, for the note."""
     columns = f"{', '.join(name for name in _COLUMNS if name not in left)} by the format"
-    return (columns, colours.words) if colours is not None else (columns,)
+    words = (columns, found.words) if reaches else (columns,)
+    return StoredCloud(_joined(blocks, left), About(metres=METRE, unit_by="the format", upright=True), words)
 
 
-def _read_blocks(file: BinaryIO, brightest: float, path: Path) -> list[_Block]:
+def _read_blocks(file: BinaryIO, brightest: float) -> list[_Block]:
     size, cells = os.fstat(file.fileno()).st_size, 0
     blocks: list[_Block] = []
-    try:
-        while line := file.readline(LONGEST_LINE):
-            if not line.strip():
-                continue
+    while line := file.readline(LONGEST_LINE):
+        if line.strip():
             rest = min(size - file.tell(), _SHORTEST_CELL * (MAX_CELLS - cells))
-            block = _read_block(file, line, rest, brightest)
-            blocks.append(block)
-            cells += block.columns * block.rows
-    except ValueError as problem:
-        raise CloudError(f"{path}: block {len(blocks)}: not a PTX file: {str(problem)[:90]}.") from problem
+            try:
+                blocks.append(_read_block(file, line, rest, brightest))
+            except ValueError as problem:
+                raise ValueError(f"block {len(blocks)}: {problem}") from problem
+            cells += blocks[-1].columns * blocks[-1].rows
     return blocks
 
 
@@ -128,11 +115,7 @@ def _read_block(file: BinaryIO, first: bytes, rest: int, brightest: float) -> _B
 
 
 def _rigid(pose: np.ndarray) -> np.ndarray:
-    """A pose [4, 4] that is written with few digits, with a rotation that is one.
-
-    Raises:
-        ValueError: If it is no rigid motion.
-    """
+    """A pose [4, 4] that is written with few digits, with a rotation that is one."""
     u, scales, v = np.linalg.svd(pose[:3, :3])
     if np.abs(scales - 1.0).max() > _ROUNDED or np.linalg.det(u @ v) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() > 0:
         scales = scales if np.linalg.det(pose[:3, :3]) >= 0 else -scales
@@ -143,7 +126,7 @@ def _rigid(pose: np.ndarray) -> np.ndarray:
     return pose if exact else np.block([[u @ v, pose[:3, 3:]], [np.eye(4)[3:]]])
 
 
-def _joined(blocks: list[_Block], name: str, left: tuple[str, ...]) -> PointCloud:
+def _joined(blocks: list[_Block], left: tuple[str, ...]) -> PointCloud:
     poses: list[np.ndarray] = []
     parts: list[np.ndarray] = []
     numbers: list[int] = []
@@ -166,12 +149,12 @@ def _joined(blocks: list[_Block], name: str, left: tuple[str, ...]) -> PointClou
     points = Records(kind, sum(map(len, parts)), lambda: (part[names].astype(kind) for part in parts))
     lines = {block.rows for block in blocks}
     if len(lines) > 1 or len(poses) > MAX_STATIONS or max(part["laser"].max() for part in parts) > 255:
-        return cloud_of(points, [], name)
+        return cloud_of(points, [])
     stations = None
     if not (len(poses) == 1 and np.array_equal(poses[0], np.eye(4))):
         number = np.repeat(np.array(numbers, np.int32), [block.columns for block in blocks])
         stations = Stations(number, np.array(poses), np.zeros((len(poses), 6, 6)))
-    return on_grid(points, (start, lines.pop()), None, name, stations=stations)
+    return on_grid(points, (start, lines.pop()), stations=stations)
 
 
 def _points_of(cells: np.ndarray, numbers: np.ndarray, rows: int, pose: np.ndarray, brightest: float) -> np.ndarray:

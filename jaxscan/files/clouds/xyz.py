@@ -8,7 +8,6 @@ import itertools
 import os
 import re
 from collections.abc import Iterator
-from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
@@ -21,16 +20,15 @@ from jaxscan.files.clouds.columns import (
     Extent,
     Reading,
     assign,
-    decide,
     guessed,
     is_known,
     listed,
-    unit_of_text,
+    stored_cloud,
 )
-from jaxscan.files.clouds.grid import Records, cloud_of
+from jaxscan.files.clouds.grid import Records
 from jaxscan.files.clouds.header import About, StoredCloud
 from jaxscan.files.clouds.points import LONGEST_LINE, blocks, numbers_of, text_lines
-from jaxscan.files.disk import Part, open_regular
+from jaxscan.files.disk import Part
 from jaxscan.reconstruction import PointCloud
 
 
@@ -59,37 +57,26 @@ def write_xyz(cloud: PointCloud, path: Part, about: About) -> None:
             file.writelines(line % (*position, *(() if plain else colour)) for position, colour in rows)
 
 
-def read_xyz(path: Path, reading: Reading) -> StoredCloud:
+def read_xyz(file: BinaryIO, reading: Reading) -> StoredCloud:
     """The points of a table of numbers, as a single profile.
 
     Columns are those of the line of names where there is one; else x, y, z, and what their numbers show: three whole
     numbers of 0 to 255 or three of 0 to 1 are a colour, a unit vector is a normal, one number that is left over the
     intensity. Semicolons or blanks beside commas say that the commas are decimal.
-
-    Raises:
-        CloudError: If it is no table of numbers, has no points, or can be read in two ways.
     """
-    with open_regular(path, error=CloudError) as file:
-        size = os.fstat(file.fileno()).st_size
-        try:
-            table = _Table.of(file, size, path)
-            seen = _look_through(table)
-            columns, by = _columns_of(table, seen, reading, path)
-            points = _used(table, columns, seen)
-            decided = decide(
-                points,
-                str(path),
-                reading=reading,
-                columns=Columns({name: k for k, name in enumerate(points.dtype.names or ())}, columns.unused),
-                reach=seen.extent.colours(columns),
-                by=by,
-            )
-            cloud = cloud_of(decided.points, [], str(path))
-        except ValueError as problem:
-            raise CloudError(f"{path}: not a table of numbers: {str(problem)[:60]}.") from problem
-    metres, why = unit_of_text(columns.unit, table.comments)
-    words = (*decided.words, *seen.words, *([table.dialect.words] if table.dialect.words else []))
-    return StoredCloud(cloud, About(metres=metres, unit_by=why), words)
+    table = _Table.of(file)
+    seen = _look_through(table)
+    columns, by = _columns_of(table, seen, reading)
+    points = _used(table, columns, seen)
+    return stored_cloud(
+        points,
+        table.comments,
+        reading,
+        columns=columns._replace(places={name: k for k, name in enumerate(points.dtype.names or ())}),
+        by=by,
+        reach=seen.extent.colours(columns),
+        words=(*seen.words, *([table.dialect.words] if table.dialect.words else [])),
+    )
 
 
 # --- how numbers are written
@@ -99,7 +86,6 @@ class _Dialect(NamedTuple):
     """How the numbers of a line are separated."""
 
     separator: str | None
-    """None where it is blank space."""
     comma: bool
     """Whether a comma is the sign for decimals."""
 
@@ -127,11 +113,7 @@ class _Dialect(NamedTuple):
 
 
 def _dialect_of(lines: list[str]) -> _Dialect:
-    """How the numbers of some lines are written.
-
-    Raises:
-        ValueError: If a comma may be both.
-    """
+    """How the numbers of some lines are written."""
     text = "".join(lines)
     if ";" in lines[0]:
         separator: str | None = ";"
@@ -183,34 +165,24 @@ class _Table(NamedTuple):
 
     file: BinaryIO
     start: int
-    """Where its rows begin."""
-    size: int
     dialect: _Dialect
     titles: tuple[str, ...]
-    """Names of its columns; empty where there are none."""
     title: str
-    """The line that holds them."""
     width: int
     texts: frozenset[int]
-    """Columns of words."""
     comments: tuple[str, ...]
     """Lines before it that are neither names nor numbers."""
     stated: int | None
     """The number of points that stands before them."""
 
     @staticmethod
-    def of(file: BinaryIO, size: int, path: Path) -> "_Table":
-        """Find the table of a file, which is at its beginning.
-
-        Raises:
-            CloudError: If it has none, or names that are none of a cloud.
-            ValueError: If its numbers can be read in two ways.
-        """
+    def of(file: BinaryIO) -> "_Table":
+        """Find the table of a file, which is at its beginning."""
         before: list[str] = []
         stated: int | None = None
         mark = file.read(3)
         if mark[:2] in (b"\xff\xfe", b"\xfe\xff"):
-            raise CloudError(f"{path}: is text in UTF-16, expected UTF-8 or ASCII; save it so.")
+            raise CloudError("is text in UTF-16, expected UTF-8 or ASCII; save it so.")
         file.seek(3 if mark == b"\xef\xbb\xbf" else 0)
         while True:
             start = file.tell()
@@ -219,9 +191,9 @@ class _Table(NamedTuple):
             if sum(map(_is_number, words)) >= 3 and not _COMMENT.match(line):
                 break
             if len(words) == 2 and all(map(_is_number, words)):
-                raise CloudError(f"{path}: found 2 numbers a line, expected x, y and z at least.")
+                raise CloudError("found 2 numbers a line, expected x, y and z at least.")
             if not line or len(before) == _TITLE_LINES:
-                raise CloudError(f"{path}: not a table of numbers: the first {_TITLE_LINES} lines hold none.")
+                raise CloudError(f"not a table of numbers: the first {_TITLE_LINES} lines hold none.")
             if len(words) == 1 and words[0].isascii() and words[0].isdigit() and len(words[0]) < 12:
                 stated = int(words[0])
             before += [line.strip()] if line.strip() and not words[0].isdigit() else []
@@ -232,25 +204,18 @@ class _Table(NamedTuple):
         width = len(dialect.cells(line))
         rows = [dialect.cells(one) for one in sample]
         if not 3 <= width <= _MOST_COLUMNS:
-            raise CloudError(f"{path}: found {width} numbers a line, expected x, y and z at least.")
+            raise CloudError(f"found {width} numbers a line, expected x, y and z at least.")
         texts = frozenset(
             k for row in rows if len(row) == width for k in range(width) if not _is_number(dialect.number(row[k]))
         )
-        titles, title = _titles_of(before, dialect, width, path)
+        titles, title = _titles_of(before, dialect, width)
         comments = tuple(one for one in before if one != title)
-        return _Table(file, start, size, dialect, titles, title, width, texts, comments, stated)
+        return _Table(file, start, dialect, titles, title, width, texts, comments, stated)
 
     def read(self, notes: list[str]) -> Iterator[tuple[int, np.ndarray]]:
-        """The numbers, float64 [n, width], some lines at a time, each with the number of its scan; words are NaN.
-
-        Args:
-            notes: A sentence is added for each scan with more points than the file says.
-
-        Raises:
-            ValueError: If a line is no row of the table, or a scan has fewer points than the file says.
-        """
+        """The numbers, float64 [n, width], some lines at a time, each with the number of its scan; words are NaN."""
         self.file.seek(self.start)
-        lines, dialect, scan = text_lines(self.file, self.size), self.dialect, 0
+        lines, dialect, scan = text_lines(self.file, os.fstat(self.file.fileno()).st_size), self.dialect, 0
         kinds = np.dtype([(f"column{k}", "f8") for k in range(self.width)])
         stated, found = self.stated, 0
         plain: list[str] = []
@@ -299,31 +264,27 @@ def _count_notes(stated: int | None, found: int, scan: int) -> list[str]:
     return [f"{said}: all are read"]
 
 
-def _titles_of(before: list[str], dialect: _Dialect, width: int, path: Path) -> tuple[tuple[str, ...], str]:
-    """The names of the columns, and the line that holds them; none where no line does.
-
-    Raises:
-        CloudError: If a line has as many names, and they are none of a cloud.
-    """
+def _titles_of(before: list[str], dialect: _Dialect, width: int) -> tuple[tuple[str, ...], str]:
+    """The names of the columns, and the line that holds them; none where no line does."""
     for line in reversed(before):
         text = _COMMENT.sub("", line, count=1)
         ways = [dialect.cells(text), re.split(r"[\s;,]+", text.strip(" ;,"))]
         names = next((cells for cells in ways if len(cells) == width), None)
         known = max(sum(map(is_known, cells)) for cells in ways)
         if names is None and known >= 3:
-            names = _with_blanks(ways[1], width, line, path)
+            names = _with_blanks(ways[1], width, line)
         if names is not None and (known >= 2 or (text == line and not any(map(_is_number, names)))):
             return tuple(names), line
     return (), ""
 
 
-def _with_blanks(words: list[str], width: int, line: str, path: Path) -> list[str]:
+def _with_blanks(words: list[str], width: int, line: str) -> list[str]:
     """Names of which some have blanks: those at both ends that are known, and one without a name between."""
     left = len(list(itertools.takewhile(is_known, words)))
     right = len(list(itertools.takewhile(is_known, reversed(words[left:]))))
     if len(words) < width or left + right > width or left < 3:
         raise CloudError(
-            f'{path}: the line "{line:.60}" names {len(words)} columns, and the table has {width}; say what they are '
+            f'the line "{line:.60}" names {len(words)} columns, and the table has {width}; say what they are '
             "with jaxscan convert --columns."
         )
     between = width - left - right
@@ -358,22 +319,21 @@ def _look_through(table: _Table) -> _Seen:
     return _Seen(points, extent, (*words, *notes), kept)
 
 
-def _columns_of(table: _Table, seen: _Seen, reading: Reading, path: Path) -> tuple[Columns, str]:
+def _columns_of(table: _Table, seen: _Seen, reading: Reading) -> tuple[Columns, str]:
     """Decide which column is which; also the evidence."""
     numbered = [f"column {k + 1}" for k in range(table.width)]
     if reading.columns:
-        found, by = listed(table.titles or numbered, reading, str(path)), "--columns"
+        found, by = listed(table.titles or numbered, reading.columns), "--columns"
     elif table.titles:
         shown = f"{' '.join(table.title.split()):.60}"
-        found = assign(table.titles, str(path), what=f'the names of the line "{shown}"')
+        found = assign(table.titles, what=f'the names of the line "{shown}"')
         by = f'the line "{shown}"'
     else:
-        found = guessed(seen.extent, str(path), points=seen.points, counted=table.stated is not None)
+        found = guessed(seen.extent, points=seen.points, counted=table.stated is not None)
         by = "their numbers" if len(found.places) > len(AXES) or found.unused else "their place"
     if wrong := [name for name in AXES if found.places[name] in table.texts]:
         raise CloudError(
-            f"{path}: the column of {wrong[0]} holds words, expected numbers; choose others with "
-            "jaxscan convert --columns."
+            f"the column of {wrong[0]} holds words, expected numbers; choose others with jaxscan convert --columns."
         )
     return found._replace(places={name: k for name, k in found.places.items() if k not in table.texts}), by
 

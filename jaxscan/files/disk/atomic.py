@@ -2,20 +2,17 @@
 
 import contextlib
 import errno
-import itertools
 import os
 import re
 import secrets
 import shutil
 import stat
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, NewType
 
 from jaxscan.errors import JaxscanError
-from jaxscan.files.disk.lock import is_on_network
 from jaxscan.files.disk.reading import reported, shown
 from jaxscan.files.disk.writing import make_folder, sync_to_disk
 
@@ -23,7 +20,7 @@ from jaxscan.files.disk.writing import make_folder, sync_to_disk
 # Partial files and folders have a temporary name, are locked, and are removed unless they are renamed.
 #
 # A process that is killed leaves them behind, stale. Their lock is then free, so the next process that makes one in the
-# same folder removes them. On a network disk other computers may not see the lock, so there they must be old too.
+# same folder removes them.
 
 try:
     import fcntl
@@ -35,10 +32,6 @@ except ImportError:  # Not on Windows; there nothing is locked, and nothing of o
 _NAME = re.compile(r"\.part-[0-9a-f]{12}(\.[A-Za-z0-9_]{1,16})?")
 _DIGITS = 6
 _TRIES = 50
-_QUIET_S = 3600.0
-"""On a network disk, one that has not changed for so long is stale."""
-_LOOKED_AT = 4096
-"""Most entries of a folder whose age is looked at; folders come before the files in them."""
 
 Part = NewType("Part", Path)
 """A partial file or folder, made here under a name of its own: it may be opened for writing by any library."""
@@ -96,11 +89,9 @@ def remove_stale(folder: str | Path) -> None:
         return
     # Those that cannot be listed, locked or removed stay; they do no harm.
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
-        names = [entry.name for entry in entries if _NAME.fullmatch(entry.name)]
-        quiet_s = _QUIET_S if names and is_on_network(folder) else None
-        for part in (Path(folder, name) for name in names):
+        for entry in [entry for entry in entries if _NAME.fullmatch(entry.name)]:
             with contextlib.suppress(OSError):
-                _remove_if_stale(part, quiet_s)
+                _remove_if_stale(Path(entry.path))
 
 
 @contextlib.contextmanager
@@ -186,32 +177,17 @@ def _remove(part: Path) -> None:
             os.close(handle)
 
 
-def _remove_if_stale(part: Path, quiet_s: float | None) -> None:
+def _remove_if_stale(part: Path) -> None:
     regular = stat.S_ISREG(os.lstat(part).st_mode)
     # Network disks lock only files that are open for writing.
     flags = os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC | (os.O_RDWR if regular else os.O_RDONLY | os.O_DIRECTORY)
     handle = os.open(part, flags)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if _is_at(part, handle) and (quiet_s is None or time.time() - _changed_at(part) > quiet_s):
+        if _is_at(part, handle):
             _delete(part)
     finally:
         os.close(handle)
-
-
-def _changed_at(part: Path) -> float:
-    """When a file, or the newest of a folder's entries, was last changed [s since 1970]."""
-    newest, waiting, left = os.lstat(part).st_mtime, deque([part] if os.path.isdir(part) else []), _LOOKED_AT
-    while waiting and left > 0:
-        folder = waiting.popleft()
-        with os.scandir(folder) as entries:
-            for entry in itertools.islice(entries, left):
-                left -= 1
-                status = entry.stat(follow_symlinks=False)
-                newest = max(newest, status.st_mtime)
-                if stat.S_ISDIR(status.st_mode):
-                    waiting.append(Path(entry.path))
-    return newest
 
 
 def _delete(part: Path) -> None:
@@ -279,8 +255,7 @@ def write_atomically(
         content: The bytes, or a function that writes the file at a given path; that path has the same
             suffix and lies in the same folder.
         durable: Wait until the content is on the disk, so that it survives a loss of power.
-        links: Where `path` is a link: "follow" writes the file that it leads to; "replace" puts the file in
-            place of the link, as in the folder of a capture, whose links may lead anywhere.
+        links: "replace" puts the file in place of a link, as in the folder of a capture, whose links may lead anywhere.
 
     Raises:
         JaxscanError: Of type `error`, if the file cannot be written. Then nothing has changed.

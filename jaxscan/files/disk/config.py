@@ -32,9 +32,7 @@ class ImageSize(FileModel):
     """Width and height of an image [px], of at most `MAX_PIXELS` together."""
 
     width: Annotated[Integer, pydantic.Field(ge=1, le=65535)]
-    """Width of every image [px]."""
     height: Annotated[Integer, pydantic.Field(ge=1, le=65535)]
-    """Height of every image [px]."""
 
     @pydantic.model_validator(mode="after")
     def _bounded(self) -> "ImageSize":

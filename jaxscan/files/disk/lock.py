@@ -7,52 +7,11 @@ import json
 import os
 import re
 import socket
-from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from jaxscan.errors import JaxscanError
-from jaxscan.files.disk.reading import MEGABYTE, open_regular
 from jaxscan.files.disk.writing import open_to_write
-
-
-MOUNTS = Path("/proc/self/mountinfo")
-"""The mounted file systems, a line each. Only Linux has it; elsewhere every disk is taken for one of this computer."""
-_LONGEST = 16 * MEGABYTE
-_KINDS = re.compile(
-    r"nfs\d?|cifs|smb\w*|9p|ceph|afs|lustre|glusterfs|beegfs|gpfs|panfs|wekafs|orangefs|pvfs2|gfs2|ocfs2|fuse\..+"
-)
-_MOUNT_POINT, _AFTER = 4, " - "
-"""Number of a line's field, and the mark before the kind of its file system."""
-
-
-def is_on_network(folder: str | Path, *, mounts: Path = MOUNTS) -> bool:
-    """Whether a folder's file system is one of a network; `fuse` systems are taken for such.
-
-    Args:
-        folder: An existing folder.
-        mounts: The table of the mounted file systems.
-    """
-    try:
-        # The system tells no size of this file.
-        with open_regular(mounts, error=JaxscanError) as file:
-            table = os.fsdecode(file.read(_LONGEST))
-    except (JaxscanError, OSError):
-        return False
-    folder = Path(os.path.realpath(folder))
-    deepest, kind = -1, ""
-    for line in table.splitlines():
-        fields, _, system = line.partition(_AFTER)
-        words, kinds = fields.split(), system.split()
-        if len(words) <= _MOUNT_POINT or not kinds:
-            continue
-        # Spaces and the like are written as octal numbers.
-        point = Path(re.sub(r"\\([0-7]{3})", lambda code: chr(int(code[1], 8)), words[_MOUNT_POINT]))
-        # Of several at one place, the last one is on top.
-        if folder.is_relative_to(point) and len(point.parts) >= deepest:
-            deepest, kind = len(point.parts), kinds[0]
-    return _KINDS.fullmatch(kind) is not None
 
 
 try:
@@ -66,14 +25,11 @@ _OURS = re.compile(rb"([{][^\n]*|\[\]|[0-9]+ on [^\n]*\n?)?\0*")
 _NO_LOCKS = {errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL}
 
 
-@dataclass(frozen=True)
-class Holder:
+class Holder(NamedTuple):
     """The process that holds a folder."""
 
     pid: int
     host: str
-    start: str
-    """Start of the process, as the system tells it: process numbers are used again."""
 
     def __str__(self) -> str:
         return f"process {self.pid} on {self.host}"
@@ -82,8 +38,9 @@ class Holder:
 class FolderLock:
     """Holds a folder until the end of `with`, or of the process.
 
-    The file is made where there is none; if it exists already, its holder is looked up. The system's lock on the file
-    decides between two programs that find the file of the same dead process. No link is followed.
+    The system's lock on the file decides between programs of this machine, and is free when its holder has died. A
+    holder on another machine, or on a disk without locks, is believed to live until a person deletes the file. No link
+    is followed.
     """
 
     def __init__(self, path: Path, *, error: type[JaxscanError], busy: str, remedy: str) -> None:
@@ -111,9 +68,7 @@ class FolderLock:
             ) from problem
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         if self._file is None:
             return
         # Unlinked while still locked: a program that opened it meanwhile sees that the name is gone and starts again.
@@ -142,12 +97,16 @@ class FolderLock:
             if not _OURS.fullmatch(text):
                 raise OSError("found something that is no lock of a program, expected none; move it away")
             holder = _holder(text)
-            if state == "theirs" or (not created and holder is not None and not _gone(holder, state)):
-                raise self._error(self._in_use(holder))
+            # A living holder on this machine would have the system's lock.
+            strange = holder is not None and (state == "unknown" or holder.host != socket.gethostname())
+            if state == "theirs" or (not created and strange):
+                remedy = f"if that one has ended, delete {self.path}" if strange else self._remedy
+                busy = self._busy.format(holder or "another program")
+                raise self._error(f"{self.path.parent}: {busy}; {remedy}.")
             if not created:
                 self.note = f"took over the lock of {holder or 'a program'}, which has ended"
             os.ftruncate(file.fileno(), 0)
-            os.pwrite(file.fileno(), json.dumps(vars(_me())).encode(), 0)
+            os.pwrite(file.fileno(), json.dumps({"pid": os.getpid(), "host": socket.gethostname()}).encode(), 0)
             os.fsync(file.fileno())
         except BaseException:
             with contextlib.suppress(OSError):
@@ -155,12 +114,6 @@ class FolderLock:
             raise
         self._file = file
         return True
-
-    def _in_use(self, holder: Holder | None) -> str:
-        busy = f"{self.path.parent}: {self._busy.format(holder or 'another program')}"
-        if holder is not None and holder.host != socket.gethostname():
-            return f"{busy}; if that one has ended, delete {self.path}."
-        return f"{busy}; {self._remedy}."
 
     def _still_there(self, file: int) -> bool:
         try:
@@ -188,37 +141,6 @@ def _holder(text: bytes) -> Holder | None:
     """The holder that a lock file names; None if it is empty or unreadable: its writer died while writing."""
     try:
         value: Any = json.loads(text)
-        return Holder(int(value["pid"]), str(value["host"]), str(value["start"]))
+        return Holder(int(value["pid"]), str(value["host"]))
     except (ValueError, KeyError, TypeError):
-        return None
-
-
-def _me() -> Holder:
-    return Holder(os.getpid(), socket.gethostname(), _start_of(os.getpid()) or "")
-
-
-def _gone(holder: Holder, state: str) -> bool:
-    """Whether the holder is known to have ended."""
-    if holder.host != socket.gethostname():
-        return False
-    if state == "ours":
-        return True  # A living holder would have the system's lock.
-    try:
-        os.kill(holder.pid, 0)
-    except ProcessLookupError:
-        return True
-    except PermissionError:
-        pass  # The process exists and belongs to another user.
-    start = _start_of(holder.pid)
-    return bool(start and holder.start) and start != holder.start
-
-
-def _start_of(pid: int) -> str | None:
-    """Boot id and start time of a process; None if the system does not tell."""
-    try:
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-        # The program's name may contain brackets and spaces.
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        return f"{boot} {fields[19]}"
-    except (OSError, IndexError, UnicodeDecodeError):
         return None

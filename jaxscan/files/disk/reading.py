@@ -22,7 +22,6 @@ MEGABYTE = 1 << 20
 # Opening a pipe would wait for a writer for ever. Not every system has each of these flags.
 _FLAGS = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC", "O_BINARY"))
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)
-"""Flag of `os.open` that refuses a link."""
 
 
 def open_regular(
@@ -60,7 +59,8 @@ def open_regular(
             raise error(f"{path}: found {found}, expected a file.")
         if limit is not None and status.st_size > limit:
             raise error(f"{path}: larger than the {limit / MEGABYTE:g} MiB that such a file may have.")
-        return os.fdopen(handle, "rb")
+        # By this name libraries open it, and messages call it.
+        return open(path, "rb", opener=lambda *_: handle)
     except BaseException:
         os.close(handle)
         raise
@@ -106,7 +106,6 @@ def shown(path: str | Path) -> str:
 
 _ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/")
 COPY_FIRST = "copy it to a disk first, such as with aws s3 sync or rclone"
-"""The remedy where `is_address` holds."""
 
 
 def is_address(path: str | Path) -> bool:

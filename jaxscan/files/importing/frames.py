@@ -30,14 +30,9 @@ class Depth(NamedTuple):
     step: int
     """Distance of its levels in the images: more than 1 where they stand at the top of the 16 bits."""
     said: str
-    """Evidence for these bits."""
 
     def samples(self, image: np.ndarray, name: str) -> np.ndarray:
-        """An image as the camera gave it: uint16, or uint8 of 8 bits.
-
-        Raises:
-            CaptureError: If it holds other samples than the depth says.
-        """
+        """An image as the camera gave it: uint16, or uint8 of 8 bits."""
         if image.dtype != np.uint16:
             raise CaptureError(f"{name}: found 8 bits, expected 16 like the first image.")
         largest = int(image.max(initial=0))
@@ -55,9 +50,6 @@ def depth_of(images: Iterable[np.ndarray], bits: int | None) -> Depth:
     Args:
         images: Some of them, uint16.
         bits: Of the camera, where the user says it.
-
-    Raises:
-        OptionError: If the images cannot have so many.
     """
     used, largest, stretched = 0, 0, True
     for image in images:
@@ -91,7 +83,6 @@ class FrameKind(NamedTuple):
     rank: int
     """2 for grey or raw Bayer, 3 for colour."""
     compression: str | None
-    """"jpeg", "video", or None."""
     depth: Depth | None = None
     """How the samples are stored; None for images of 8 bits."""
 
@@ -122,10 +113,6 @@ class FrameReader:
             source: The image.
             others: Some more, of which 16 bits are looked at.
             bits: Bits of the camera's samples, where the user says it.
-
-        Raises:
-            CaptureError: If it cannot be read.
-            OptionError: If the images cannot have so many bits.
         """
         from jaxscan.vision import is_jpeg
 
@@ -154,9 +141,6 @@ class FrameReader:
 
         Yields:
             The record, and its images, uint8 [rows, columns(, 3)]; uint16 of cameras with more than 8 bits.
-
-        Raises:
-            CaptureError: With the name of the image that cannot be read or is of another kind.
         """
         with ThreadPoolExecutor(cores(), thread_name_prefix="jaxscan-import") as pool:
             size = 2 * cores()
@@ -213,11 +197,7 @@ class FrameReader:
 
 
 def open_video(folder: Path, name: str) -> "Video":
-    """A video in an untrusted folder.
-
-    Raises:
-        CaptureError: If it is a link, no regular file, or no video.
-    """
+    """A video in an untrusted folder."""
     from jaxscan.vision import Video
     from jaxscan.vision.video import BEGINNING_BYTES
 
@@ -228,13 +208,7 @@ def open_video(folder: Path, name: str) -> "Video":
 
 
 def count_frames(folder: Path, name: str) -> tuple[int, int]:
-    """Number of frames of a video, and the number that the file says it has; 0 if it does not say.
-
-    Raises:
-        CaptureError: If it cannot be read, has none, or is cut short.
-    """
-    from jaxscan.vision.video import is_cut_short
-
+    """Number of frames of a video, and the number that the file says it has; 0 if it does not say."""
     video = open_video(folder, name)
     try:
         found = video.count()
@@ -243,12 +217,4 @@ def count_frames(folder: Path, name: str) -> tuple[int, int]:
     path = folder / name
     if not found:
         raise CaptureError(f"{path}: no frame can be decoded; the file is damaged, or its codec is not known.")
-    with open_regular(path, error=CaptureError, links="refuse") as file:
-        short = is_cut_short(file)
-    if short:
-        of = f"of {video.announced} " if video.announced >= found else ""
-        raise CaptureError(
-            f"{path}: the file ends before its own header says, in or after frame {found} {of}(the last may be "
-            "damaged): copy it again, or cut it cleanly with a video program."
-        )
     return found, video.announced

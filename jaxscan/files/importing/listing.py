@@ -31,7 +31,6 @@ class Matched(NamedTuple):
     key: tuple[int | str, ...]
     """The text that the pattern leaves open, numbers as numbers: equal for files that belong together."""
     frame: int | None = None
-    """Number of a frame, where the file is a video."""
 
     @property
     def source(self) -> Source:
@@ -94,7 +93,6 @@ _OTHER_IMAGES = (
     *(".heic", ".heif", ".avif", ".webp", ".gif", ".jp2", ".jxl", ".psd", ".exr", ".fits", ".pgm", ".ppm", ".pnm"),
     *(".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".raw", ".bin", ".npy"),
 )
-"""Files that are images, and not read."""
 _LONGEST_PATTERN = 1024
 
 
@@ -102,7 +100,6 @@ class Listing(NamedTuple):
     """The files of a folder and the folders in it."""
 
     images: list[str]
-    """Names of all images and videos, in natural order."""
     others: Counter[str]
     """Numbers of files by suffix that are images, and not read."""
 
@@ -162,9 +159,6 @@ def match(pattern: str, names: Sequence[str], option: str) -> list[Matched]:
     Args:
         pattern: With `*`, `?` and `[...]`, as in a shell; `*` also stands for "/".
         names: All names in the folder.
-
-    Raises:
-        OptionError: If the pattern leads out of the folder, or names no file.
     """
     plain = pattern.replace("\\", "/")
     while plain.startswith("./"):

@@ -12,11 +12,10 @@ from jaxscan.errors import CaptureError, OptionError
 from jaxscan.files.capture import BoardTable
 from jaxscan.files.disk import MEGABYTE, read_bounded
 from jaxscan.files.importing.listing import Matched, Source
-from jaxscan.geometry.motions import Carries
+from jaxscan.geometry import MOTIONS, Carries
 
 
 Step = tuple[Matched, ...]
-"""The images of one side of a record: one, or one for each exposure."""
 _NAMED = 3
 
 
@@ -39,10 +38,6 @@ def pair(
         on: Groups of laser-on images, with the names of their lasers; of a bracket, a group for each exposure.
         off: Groups of laser-off images: one, or one for each exposure.
         exposures: Number of exposures; 0 where every image stands alone.
-
-    Raises:
-        OptionError: If the numbers of patterns do not fit.
-        CaptureError: If images have no partner; with their names.
     """
     if not on:
         if off:
@@ -131,9 +126,6 @@ def by_step(keys: Sequence[tuple[int | str, ...]], step: float, unit: str) -> tu
 
     Returns:
         The places, and a sentence on them.
-
-    Raises:
-        CaptureError: If more steps are missing than there are.
     """
     numbers = _counting(keys)
     pace = None if numbers is None else _pace(numbers)
@@ -201,9 +193,6 @@ def by_file(path: Path, names: Sequence[str]) -> tuple[list[RecordPlace], str]:
 
     Args:
         names: Names of the images, in natural order.
-
-    Raises:
-        CaptureError: With the line that is wrong, or both counts where they differ.
     """
     text = read_bounded(path, MEGABYTE, error=CaptureError).decode("utf-8", "replace")
     lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1)]
@@ -261,7 +250,6 @@ class ImportRequest:
     """Patterns of laser-on images: one, one for each laser, or one for each exposure."""
     off: tuple[str, ...] = ()
     boards: tuple[str, ...] = ()
-    """Patterns of images of a board without laser."""
     board: BoardTable | None = None
     """With a board the capture is one of a calibration."""
     carries: Carries | None = None
@@ -269,10 +257,8 @@ class ImportRequest:
     step: float | None = None
     """Step of the table [deg] or of a linear stage [mm] between records."""
     places: Path | None = None
-    """File of angles [deg] or positions [mm]."""
     exposures_ms: tuple[float, ...] = ()
     lasers: tuple[str, ...] = ()
-    """Names of the lasers."""
     every: int = 1
     """Take every n-th frame of a video."""
 
@@ -285,7 +271,6 @@ class PlannedRecord(NamedTuple):
     off: tuple[Source, ...]
     place: RecordPlace
     laser: str | None
-    """Name of the laser that is lit, where there are several."""
 
 
 @dataclass(frozen=True)
@@ -328,17 +313,13 @@ def plan_records(folder: Path, roles: Roles, request: ImportRequest) -> ImportPl
         folder: The folder of the images.
         roles: Its images.
         request: The user's choices.
-
-    Raises:
-        OptionError: If an option is missing or does not fit the images.
-        CaptureError: If images have no partner; with their names.
     """
     exposures = tuple(ms / 1000 for ms in request.exposures_ms)
     columns = pair(roles.on, roles.off, len(exposures))
     said = [*roles.said, *columns.said]
     first = [step[0] for step in columns.on[0][1]] if columns.on else list(roles.boards)
     places, sentence = _places(first, roles.step_deg, request)
-    said += [f"{'positions' if request.carries == 'linear' else 'angles'}: {sentence}"] if sentence else []
+    said += [f"{'positions' if _goes(request) else 'angles'}: {sentence}"] if sentence else []
     records = _with_laser(columns, places, several=len({name for name, _ in columns.on}) > 1)
     # Boards beside pairs are in other poses, so they take no part in the turning.
     of_boards = [RecordPlace(None)] * len(roles.boards) if columns.on else places
@@ -366,12 +347,17 @@ def _with_laser(columns: RecordImages, places: Sequence[RecordPlace], *, several
     return made
 
 
+def _goes(request: ImportRequest) -> bool:
+    """Whether positions are lengths."""
+    return request.carries is not None and MOTIONS[request.carries].unit == "m"
+
+
 def _places(
     first: Sequence[Matched], known: float | None, request: ImportRequest
 ) -> tuple[list[RecordPlace], str | None]:
     """The table's angle, or the position of the stage, in every record, by the first image of each."""
     keys = [one.key for one in first]
-    words = _MILLIMETRES if request.carries == "linear" else _DEGREES
+    words = _MILLIMETRES if _goes(request) else _DEGREES
     step = known if request.step is None else request.step
     if request.step is not None and request.places is not None:
         raise OptionError(f"{words.step} and {words.file}: found both, expected one of them.")

@@ -2,7 +2,6 @@
 
 import fnmatch
 import itertools
-import math
 import re
 import shlex
 from collections import Counter
@@ -18,7 +17,6 @@ from jaxscan.files.importing.plan import ImportRequest, Roles
 
 Role = Literal["on", "off", "texture", "board"]
 _MOST_COMPARED = 100
-"""Groups of names that are compared with one another."""
 
 # English, German, French, Spanish and Italian. A name with a word of a later row has its role, whatever else it says.
 _WORDS: dict[Role, str] = {
@@ -73,20 +71,16 @@ class Recognised(NamedTuple):
 
 
 def recognise(names: Sequence[str]) -> Recognised:
-    """Sort files by the words in their names.
-
-    Left and right count only where there are laser-on images of both sides: a folder may be called so too.
-    """
+    """Sort files by the words in their names."""
     read = [understand(name) for name in names]
-    sides = {one.side for one in read if one.role == "on"}
-    sided = sides >= {"left", "right"}
+    # Left and right count only where there are laser-on images of both sides: a folder may be called so too.
+    sided = {one.side for one in read if one.role == "on"} >= {"left", "right"}
     found = Recognised({}, [], [], [], [one.name for one in read if one.role is None])
     for one in read:
-        file = Matched(one.name, one.key)
         if one.role == "on":
-            found.on.setdefault((one.side or "") if sided else "", []).append(file)
+            found.on.setdefault((one.side or "") if sided else "", []).append(Matched(one.name, one.key))
         elif one.role is not None:
-            getattr(found, one.role).append(file)
+            getattr(found, one.role).append(Matched(one.name, one.key))
     return found
 
 
@@ -131,35 +125,19 @@ def find_roles(folder: Path, listing: Listing, request: ImportRequest) -> Roles:
     Args:
         listing: All images and videos in it.
         request: The user's choices.
-
-    Raises:
-        OptionError: If patterns do not fit one another.
-        CaptureError: If there are no images, nothing is recognised, with the groups of names that are there, or the
-            images are those of several scans.
     """
     names = listing.images
     if not names:
         left = listing.others_said() or "links are not followed"
         raise CaptureError(f"{folder}: holds no image and no video, expected PNG, JPEG, TIFF or BMP files; {left}.")
-    if request.on or request.off or request.boards:
-        roles = _by_patterns(names, request)
-        said = [sentence for _, files in roles.on for sentence in _in_rows(files)]
-        return _with_frames(folder, roles._replace(said=(*roles.said, *said)), request.every)
-    roles = _by_names(folder, names, request)
-    said = [sentence for _, files in roles.on for sentence in _in_rows(files, folder)]
+    by_patterns = bool(request.on or request.off or request.boards)
+    roles = _by_patterns(names, request) if by_patterns else _by_names(folder, names, request)
+    said = [sentence for _, files in roles.on for sentence in _in_rows(files, None if by_patterns else folder)]
     return _with_frames(folder, roles._replace(said=(*roles.said, *said)), request.every)
 
 
-def _in_rows(files: Sequence[Matched], refused_in: Path | None = None) -> list[str]:
-    """A question where the images of one laser are several rows, in folders or by their names: perhaps several scans.
-
-    Args:
-        files: The images, one after the other.
-        refused_in: The folder of the images, where rows that count alike are refused unless a pattern names them.
-
-    Raises:
-        CaptureError: If they are refused.
-    """
+def _in_rows(files: Sequence[Matched], refused_in: Path | None) -> list[str]:
+    """A question where the images of one laser are several rows, in folders or by their names: several scans?"""
     inside: dict[str, list[str]] = {}
     for file in files:
         # Of `monday/laser_3.png` and `scan1_laser_3.png` the row is all but the last number.
@@ -181,14 +159,12 @@ def _in_rows(files: Sequence[Matched], refused_in: Path | None = None) -> list[s
 
 
 def _by_names(folder: Path, names: Sequence[str], request: ImportRequest) -> Roles:
-    known = _fabscan(names) or _thot(names)
+    known = _fabscan(names)
     return _by_words(folder, names, request) if known is None else known._replace(on=_renamed(known.on, request))
 
 
-# Layouts of the captures that other programs keep.
-#
-# Horus keeps no images of a scan and FreeLSS none but a thumbnail, so there is nothing to recognise; pictures that were
-# saved by hand, as those in the notebooks of Horus' author, are recognised by the words in their names.
+# Of other programs that keep captures FabScanPi alone has a layout that words in names do not tell: Horus keeps no
+# images of a scan, and FreeLSS none but a thumbnail.
 
 
 def _fabscan(names: Sequence[str]) -> Roles | None:
@@ -207,23 +183,6 @@ def _fabscan(names: Sequence[str]) -> Roles | None:
         "laser-off images"
     )
     return Roles((("", lit),), (), (), step, (said,))
-
-
-def _thot(names: Sequence[str]) -> Roles | None:
-    """thot, a command line for the Ciclop: color_NNN.png, laser0_NNN.png and laser1_NNN.png, NNN in degrees."""
-    lasers = [
-        (name, _numbered(names, rf"(?:.*/)?laser{number}_([0-9]{{3}})\.png"))
-        for name, number in (("left", 0), ("right", 1))
-    ]
-    on = [(name, lit) for name, lit in lasers if lit]
-    if not on:
-        return None
-    coloured = _numbered(names, r"(?:.*/)?color_([0-9]{3})\.png")
-    numbers = [int(image.key[0]) for image in on[0][1]]
-    step = math.gcd(*(number - numbers[0] for number in numbers)) or 1
-    said = "the layout is that of thot: the colour images were taken at the same angles with the lasers off"
-    groups = tuple(on) if len(on) > 1 else (("", on[0][1]),)
-    return Roles(groups, (coloured,) if coloured else (), (), float(step), (said,))
 
 
 def _numbered(names: Sequence[str], expression: str) -> tuple[Matched, ...]:

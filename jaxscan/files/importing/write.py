@@ -23,7 +23,6 @@ from jaxscan.stripes import ExposurePair, LearnedResponse, learn_response
 Progress = Callable[[int, int], None]
 
 LEARN = "learn"
-"""The response that is learned from exposures."""
 _LEARNED_FROM = 6
 _LOOKED_AT = 24
 """Images that say how many bits the camera has."""
@@ -34,7 +33,6 @@ class ImageSettings:
     """Properties of camera, lasers and table that images do not hold."""
 
     pixel_format: str | None = None
-    """Pixel format; None for that of the images, grey or colour."""
     response: str = "linear"
     """Response of the camera as in a header, or "learn"."""
     shutter: str | None = None

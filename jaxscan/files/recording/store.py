@@ -67,9 +67,7 @@ class FileStore:
 class _Place(NamedTuple):
     shard: int
     used: int
-    """Images of the shard that have names."""
     length: int
-    """Images that fit."""
 
 
 class ShardStore:
@@ -113,9 +111,6 @@ class ShardStore:
 
         Returns:
             The sha256 of the image as it is stored, in hexadecimal digits; "" without `digests`.
-
-        Raises:
-            CaptureError: If it cannot be written.
         """
         shard, _, index = name.partition("#")
         with reported(f"{self._path / shard}: cannot be written", error=CaptureError):
@@ -144,11 +139,7 @@ class ShardStore:
         self._made.add(shard)
 
     def close(self) -> None:
-        """Shorten the last shards to their frames, after all calls of `write` have returned.
-
-        Raises:
-            CaptureError: If a file cannot be written.
-        """
+        """Shorten the last shards to their frames, after all calls of `write` have returned."""
         for side, place in self._place.items():
             shard = _shard_name(side, place.shard)
             if shard not in self._made or place.used >= place.length:
@@ -170,9 +161,6 @@ def image_store(path: Path, shape: tuple[int, ...], settings: WriteSettings) -> 
     """The store for images of `shape` in the capture at `path`.
 
     With `digests`, `write` returns the sha256 of the file, or of the frame in a shard.
-
-    Raises:
-        ValueError: If the kind of storage is unknown.
     """
     if settings.storage not in STORAGES:
         raise ValueError(f"Unknown storage {settings.storage!r}; known: {', '.join(STORAGES)}.")

@@ -35,12 +35,10 @@ NEAR_M = 0.03
 
 
 class Line(NamedTuple):
-    """The trace of an upright plane in the plan."""
+    """The trace of an upright plane in the plan, `normal . p = distance` [m]."""
 
     normal: np.ndarray
-    """Unit normal [2]."""
     distance: float
-    """[m]."""
 
     def along(self, p: np.ndarray) -> np.ndarray:
         """Places [n] of points [n, 2 or more] along the line, m."""
@@ -62,15 +60,9 @@ class Edge(NamedTuple):
 
 
 def find_inside(samples: Samples, lines: list[Line], heights: tuple[float, float]) -> tuple[list[Edge], list[Line]]:
-    """The border of the inside.
+    """The border of the inside: its edges in no order, and the lines with the sides of the plan after them.
 
-    Args:
-        samples: The points, in the plan.
-        lines: The lines of the walls.
-        heights: The heights between which points belong to walls [m]: without floor and ceiling.
-
-    Returns:
-        Its edges in no order, and the lines with the sides of the plan after them.
+    Points between two heights [m], without floor and ceiling, belong to walls.
     """
     low, high = _extent(samples, lines)
     boxed = [*lines, *_sides(low, high)]

@@ -12,14 +12,9 @@ MOST = 2
 
 
 def clear_distances(room: RoomOutline, height: float) -> list[tuple[np.ndarray, np.ndarray, Estimate]]:
-    """The distances of the opposite walls with most between them.
+    """The distances of the opposite walls with most between them, at a height above the floor [m].
 
-    Args:
-        room: The outline.
-        height: Above the floor [m]. Along the walls they are taken a third of the way along what both share.
-
-    Returns:
-        Of each direction its two ends [3], m, and the distance, with its standard deviation.
+    Of each direction the two ends [3], m, a third of the way along what both walls share, and the distance.
     """
     level = room.floor.raised(height)
     sides = [

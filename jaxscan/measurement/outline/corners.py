@@ -28,7 +28,6 @@ class Estimate:
 
     value: float
     sigma: float
-    """One standard deviation: random and systematic together."""
     sigma_random: float
     """From the scatter of the points."""
     sigma_systematic: float
@@ -60,10 +59,9 @@ class Surface(NamedTuple):
 
 
 class Corner(NamedTuple):
-    """Where three surfaces meet."""
+    """Where three surfaces meet [3], m."""
 
     at: np.ndarray
-    """[3], m."""
     surfaces: tuple[Surface, Surface, Surface]
 
     def effects(self, gradient: np.ndarray) -> list[tuple[Surface, np.ndarray]]:
@@ -94,12 +92,7 @@ class Errors:
     """Effects of scanner and stations in (offset, slopes) of walls, by their identity: many numbers share a wall."""
 
     def estimate(self, value: float, effects: Sequence[tuple[Surface, np.ndarray]]) -> Estimate:
-        """A number with its standard deviations.
-
-        Args:
-            value: The number.
-            effects: Surfaces, and the weights [3] of their (offset, slopes) in the number; a surface may come often.
-        """
+        """A number with its sigmas, by surfaces and the weights [3] of their (offset, slopes) in it."""
         rows: dict[int, tuple[Wall, np.ndarray]] = {}
         for surface, row in effects:
             if surface.wall is not None:
@@ -133,13 +126,7 @@ def length_between(start: Corner, end: Corner, errors: Errors) -> Estimate:
 
 
 def area_of(loops: Sequence[Sequence[Corner]], normal: np.ndarray, errors: Errors) -> Estimate:
-    """The area of a flat polygon with holes [m^2].
-
-    Args:
-        loops: Corners of each loop, right-handed about `normal`; holes left-handed.
-        normal: Unit normal [3].
-        errors: Of the points.
-    """
+    """The area of a flat polygon [m^2]; loops are right-handed about the unit normal [3], holes left-handed."""
     value, effects = 0.0, []
     for loop in loops:
         at = np.array([corner.at for corner in loop])

@@ -12,12 +12,13 @@ from jaxscan.measurement.walls import BEYOND, Wall, outermost, refine_wall
 
 
 class Frame(NamedTuple):
-    """The frame of a plan: z up from the floor, x along most walls, the origin in the outline's lower left."""
+    """The frame of a plan: z up from the floor, x along most walls, the origin in the outline's lower left.
+
+    A point p of the cloud is at `rotation` p + `translation` [m].
+    """
 
     rotation: np.ndarray
-    """[3, 3]: the cloud's axes to those of the plan."""
     translation: np.ndarray
-    """[3], m."""
 
     def of(self, p: np.ndarray) -> np.ndarray:
         """Points of the cloud [..., 3] in the plan, m."""
@@ -53,10 +54,7 @@ class Frame(NamedTuple):
 def find_level(
     samples: Samples, planes: list[tuple[Plane, np.ndarray]], rng: np.random.Generator
 ) -> tuple[Frame, Wall, Wall | None, list[str]]:
-    """The frame of the plan, its origin below that of the cloud; floor and ceiling in the cloud's frame.
-
-    Returns:
-        Frame, floor and ceiling, and why a plane above is no ceiling.
+    """The frame of the plan; floor and ceiling in the cloud's frame; and why a plane is no ceiling.
 
     Raises:
         MeasurementError: If there is no floor, or more than a fifth of the points is below it.

@@ -47,7 +47,6 @@ class Opening:
     """A rectangle in a wall, in the frame of the plan."""
 
     side: str
-    """Name of the wall."""
     kind: Kind
     """"door": on the floor and as high as one; "window": through the wall, or without any return, above the floor;
     "opening": on the floor, and no door; "panel": flat before the wall: a window, a picture or a board."""
@@ -72,19 +71,11 @@ class Opening:
 
 
 def find_openings(cloud: Cloud, room: RoomOutline, *, scanner: Scanner | None = None) -> list[list[list[Opening]]]:
-    """What is in each wall.
+    """What is in each wall of an outline: openings of each side of each loop, from its first corner on.
 
     Ends lie between the last ray that found the wall and the first that did not; the random part of their sigma is that
     of an even distribution there. The systematic part is that of the wall's length, in proportion: a wall that is found
-    too long is too long everywhere.
-
-    Args:
-        cloud: The cloud of the outline.
-        room: The outline.
-        scanner: The scanner, which says where the camera was; without it at the origin of its station.
-
-    Returns:
-        Openings of each side of each loop, from its first corner on.
+    too long is too long everywhere. The scanner says where the camera was; without it at the origin of its station.
 
     Raises:
         MeasurementError: If the cloud has no grid.
@@ -140,16 +131,13 @@ def _top(room: RoomOutline) -> Estimate:
 
 
 class _Face(NamedTuple):
-    """What rays found at each place of a wall, and where exactly they met its plane."""
+    """What rays found at each place of a wall [rows from the floor up, columns], and where they met its plane."""
 
     state: np.ndarray
-    """[rows, columns], from the floor up."""
     cell: np.ndarray
-    """[rows, columns]; -1 without a ray."""
     place: np.ndarray
     """Of the cells: along the wall and above the floor [cells, 2], m."""
     depth: np.ndarray
-    """Of the cells [cells], m."""
     spacing: np.ndarray
     """Of neighbouring rays [2], m."""
 

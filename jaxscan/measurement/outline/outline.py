@@ -43,7 +43,6 @@ class Side:
     """One side of a room: a wall between two corners, or an opening as wide as that."""
 
     name: str
-    """"W1", "W2" … in the order of the outline."""
     surface: Surface
     """Its plane, the normal pointing out of the room."""
     seen: bool
@@ -69,7 +68,6 @@ class RoomOutline:
     ceiling: Surface | None
     errors: Errors = field(repr=False)
     samples: Samples = field(repr=False)
-    """All points."""
     remarks: tuple[str, ...] = ()
     """Why sides are open where planes were found for them, and why the ceiling is left out: parts of a sentence."""
 
@@ -148,7 +146,7 @@ class RoomOutline:
 
 
 def measure_outline(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0) -> RoomOutline:
-    """Find the walls around a room of any shape, and their corners.
+    """Find the walls around a room of any shape, and their corners; lengths, areas and the volume follow with sigmas.
 
     Upright planes divide the plan; of its cells those are inside that rays crossed, up to where walls are. Planes
     within 0.12 m of a wall and parallel to it are things on the wall. A plane is no wall if rays went through it to
@@ -159,9 +157,6 @@ def measure_outline(cloud: Cloud, *, scanner: Scanner | None = None, seed: int =
         cloud: The room, scanned from within; z of its frame is vertical within 10 degrees.
         scanner: The scanner it was made with; its covariance gives the systematic part of sigmas.
         seed: Seed of the random hypotheses; the result is deterministic.
-
-    Returns:
-        The outline, from which lengths, areas and the volume follow with their standard deviations.
 
     Raises:
         MeasurementError: If there is no floor, or fewer than three walls around the scanner.

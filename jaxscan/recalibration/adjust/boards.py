@@ -19,7 +19,7 @@ from jaxscan.calibration.first_values import average_placements, seed_poses
 from jaxscan.calibration.joint import linearise
 from jaxscan.calibration.problem import Prepared, make_problem, prepare
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import Rig, Scanner, square_root
+from jaxscan.geometry import Rig, Scanner, carrying, square_root
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
 from jaxscan.observation import Observations
 from jaxscan.recalibration.adjust.room import Room
@@ -36,7 +36,6 @@ class BoardEquations(NamedTuple):
     """In standard deviations; 0 where boards say nothing."""
     value: Float[np.ndarray, " params"]
     result: Adjustment
-    """The boards, with the scanner held."""
 
 
 def prepare_boards(observations: Observations, scanner: Scanner) -> Prepared:
@@ -66,16 +65,10 @@ def prepare_boards(observations: Observations, scanner: Scanner) -> Prepared:
 
 
 def board_equations(rig: Rig, data: Prepared, before: BoardEquations | None) -> BoardEquations:
-    """The information of boards on a step of the scanner; call in 64 bit.
-
-    Args:
-        rig: The present one, from which the step counts.
-        data: Of `prepare_boards`.
-        before: Of a scanner nearby, from which the solve begins.
-    """
+    """The information of boards on a step from the present rig, after that of a scanner nearby; call in 64 bit."""
     settings = CalibrationSettings(free=_FREE, judge=False)
     if before is None:
-        poses = average_placements(seed_poses(data, rig.camera), data, rig.motion.carrying("scanner"))
+        poses = average_placements(seed_poses(data, rig.camera), data, carrying(rig.motion, "scanner"))
     else:
         poses = np.asarray(before.result.problem.poses)
     problem = make_problem(rig.camera, rig.lasers, rig.motion, poses, data, settings)

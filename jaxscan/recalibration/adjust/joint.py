@@ -43,6 +43,7 @@ from jaxscan.recalibration.result import Adjusted, Start
 # Damping at the start of a solve, relative to J'J: cautious from a poor calibration, a plain Gauss-Newton step
 # where the last solve ended beside the minimum.
 _FIRST_DAMPING, _NEAR_DAMPING = 1e-4, 1e-10
+_MAX_STEPS = 40
 # Root mean square change at which a solve stops: while weights still change, and at the end.
 _ROUGH, _FINE = 1e-3, 1e-6
 _ROBUST_ROUNDS, _REJECTION_ROUNDS = 6, 8
@@ -76,8 +77,6 @@ class State:
     """Standard deviation of the stops at the images of features [rad]."""
     patched: Sequence[Wall] = ()
     """Walls whose patches are kept; without any, patches follow the places of the points."""
-    stated_wall_m: float = FIRST_WALL_M
-    """Roughness of walls before any was learned [m]."""
     boards: BoardEquations | None = None
     """The information of captured boards, at the scanner of a few steps before."""
     steps: int = 0
@@ -85,7 +84,6 @@ class State:
 
     @property
     def y(self) -> Unknowns:
-        """The unknowns."""
         return self.linearised.y
 
     @property
@@ -95,7 +93,6 @@ class State:
 
     @property
     def surface(self) -> Int[np.ndarray, " points"]:
-        """Surface of every point."""
         return np.asarray(self.observations.points.surface)
 
     @property
@@ -169,7 +166,7 @@ class State:
         """Mean square of the errors of kept points over their stated variance: no noise is learned here [1]."""
         if not self.kept.any():
             return 0.0
-        square = (self.error_px / Noise(1.0, self.stated_wall_m).sigma(self.given_px, self.reach)) ** 2
+        square = (self.error_px / Noise(1.0, FIRST_WALL_M).sigma(self.given_px, self.reach)) ** 2
         return float(np.sum(square[self.kept]) / np.sum(self.redundancy()[self.kept]))
 
     @cached_property
@@ -200,7 +197,7 @@ class State:
 
     def redundancy(self) -> Float[np.ndarray, " points"]:
         """Share of each error that the fit leaves [1]; the same for all points of a surface."""
-        count = np.bincount(self.surface[self.kept], minlength=len(self.observations.surfaces.kind))
+        count = np.bincount(self.surface[self.kept], minlength=len(self.observations.surfaces.distance))
         every = max(int(self.kept.sum()), 1)
         return np.clip(1.0 - 3.0 / np.maximum(count, 1)[self.surface] - self._free / every, 0.05, 1.0)
 
@@ -220,7 +217,7 @@ class State:
     def _stops(self) -> tuple[Float[np.ndarray, " images"], Float[np.ndarray, " images"]]:
         """Corrections of the images of features [rad], and their variances if all errors of points are independent."""
         angles, begin = self.prepared.angles, len(self.y.scanner) + len(self.y.stations)
-        seen = np.flatnonzero(np.bincount(angles.knot, minlength=len(angles.stop))[: len(angles.stop)] * angles.stop)
+        seen = np.flatnonzero(np.bincount(angles.knot, minlength=angles.unknown)[: angles.unknown])
         variance = np.diag(self.plain_covariance.shared)[begin + seen]
         return ANGLE_SCALE * np.asarray(self.y.angles)[seen], ANGLE_SCALE**2 * variance
 
@@ -238,7 +235,7 @@ class State:
         sighting[: len(self.sighting_kept)] = (
             self.sighting_kept * sightings / (self.sighting_sigma() * self.sighting_noise)
         )
-        stop = np.where(self.prepared.angles.stop > 0, 1.0 / max(self.stop_sigma, HELD_STOP), 0.0)
+        stop = np.full(len(room.stop), 1.0 / max(self.stop_sigma, HELD_STOP))
         return eqx.tree_at(lambda r: (r.point_weight, r.sighting_weight, r.stop), room, (point, sighting, stop))
 
 
@@ -252,16 +249,7 @@ def adjust(
 
     Robust first; then outliers are rejected, the roughness of walls and the noise of stripes are learned from the
     residuals, and a plain least squares is the estimate of maximum likelihood. Runs in float64 whatever the caller's
-    JAX settings.
-
-    Args:
-        prior: The stored scanner with its covariance; parameters without variance are held.
-        start: Where steps begin, poses of the stations, and known faults of angles.
-        observations: Stripe points on surfaces; perhaps tracked features, known lengths and boards.
-        settings: Of the recalibration.
-
-    Returns:
-        The adjusted scanner with its covariance, stations, surfaces, and residuals of everything.
+    JAX settings. Parameters to which `prior` gives no variance are held.
 
     Raises:
         CalibrationError: If the stored calibration has no covariance, or the observations contradict each other.
@@ -270,7 +258,7 @@ def adjust(
     with jax.enable_x64(True):
         prepared = prepare(prior, start, observations, settings)
         try:
-            state = _robust(_begin(prepared, observations, settings, prior), settings)
+            state = _robust(_begin(prepared, observations, settings, prior))
             state = _shaped(_reject(state, settings), settings)
         except np.linalg.LinAlgError as problem:
             raise CalibrationError(
@@ -283,15 +271,15 @@ def adjust(
 def _begin(
     prepared: Prepared, observations: RoomObservations, settings: RecalibrationSettings, prior: Scanner
 ) -> State:
-    wall = FIRST_WALL_M if settings.wall_m is None else settings.wall_m
     linearised = linearise(prepared.room, prepared.y)
     data = None if observations.boards is None else prepare_boards(observations.boards, prior)
-    seen, stop = (prepared.usable, prepared.seen), settings.angle_sigma or FIRST_STOP
-    state = State(prepared, observations, linearised, *seen, Noise(1.0, wall), data, stated_wall_m=wall)
-    return replace(state, stop_sigma=stop)
+    noise, stop = Noise(1.0, FIRST_WALL_M), settings.angle_sigma or FIRST_STOP
+    return State(
+        prepared, observations, linearised, prepared.usable, prepared.seen, noise, board_data=data, stop_sigma=stop
+    )
 
 
-def _robust(state: State, settings: RecalibrationSettings) -> State:
+def _robust(state: State) -> State:
     """Solves with a loss that outliers do not pull, until the size of the residuals settles."""
     before = np.inf
     for _ in range(_ROBUST_ROUNDS):
@@ -302,14 +290,14 @@ def _robust(state: State, settings: RecalibrationSettings) -> State:
         before = max(scale)
         weights = Cauchy().weights
         damp = weights(size / scale[0]) / scale[0], weights(seen / scale[1]) / scale[1]
-        state = _solved(_with_boards(state), settings, _ROUGH, damp)
+        state = _solved(_with_boards(state), _ROUGH, damp)
     return state
 
 
 def _reject(state: State, settings: RecalibrationSettings) -> State:
     """Plain solves without outliers, with the noise that the residuals show."""
     limits = {"reject_any": _REJECT_ANY, "reject_all": _REJECT_ALL}
-    state = replace(state, noise=_robust_noise_of(state, settings))
+    state = replace(state, noise=_robust_noise_of(state))
     for round_number in range(_REJECTION_ROUNDS):
         usable, seen = state.usable, state.prepared.seen
         size = np.abs(state.whitened()) / np.sqrt(state.redundancy())
@@ -317,7 +305,7 @@ def _reject(state: State, settings: RecalibrationSettings) -> State:
         far = np.abs(state.sighting_whitened()).max(1, initial=0.0) / state.sighting_noise
         sightings = keep_inliers(far, seen, state.sighting_kept, **limits)
         cleaned = replace(state, kept=kept, sighting_kept=sightings)
-        cleaned = replace(cleaned, noise=_learned_noise(cleaned, settings))
+        cleaned = replace(cleaned, noise=_learned_noise(cleaned))
         cleaned = _with_boards(replace(cleaned, sighting_noise=cleaned.learned_sighting_noise()))
         if settings.angle_sigma is None:
             cleaned = replace(cleaned, stop_sigma=cleaned.learned_stop_sigma())
@@ -325,7 +313,7 @@ def _reject(state: State, settings: RecalibrationSettings) -> State:
         ratios = _ratios(cleaned, state)
         if round_number > 0 and same and max(abs(ratio - 1.0) for ratio in ratios) < _SETTLED:
             break
-        state = _solved(cleaned, settings, _FINE)
+        state = _solved(cleaned, _FINE)
     return state
 
 
@@ -334,15 +322,13 @@ def _shaped(state: State, settings: RecalibrationSettings) -> State:
     if not state.kept.any():
         return state
     # Features see stops better than walls do.
-    stop_sigma = state.stop_sigma if state.prepared.angles.stop.any() else settings.angle_sigma
+    stop_sigma = state.stop_sigma if state.prepared.angles.unknown else settings.angle_sigma
     heights = learn_heights(state.walls, state.plain_covariance, stop_sigma)
     if heights[STOPS]:
         # Stops were taken for noise of the points.
-        state = replace(state, noise=_learned_noise(state, settings, float(heights[STOPS])))
-    wall = state.noise.wall_m
-    if settings.wall_m is None:
-        # Roughness was learned with the shape in it.
-        wall = float(np.sqrt(max(wall**2 - np.sum(heights[:STOPS] ** 2), 0.0)))
+        state = replace(state, noise=_learned_noise(state, float(heights[STOPS])))
+    # Roughness was learned with the shape in it.
+    wall = float(np.sqrt(max(state.noise.wall_m**2 - np.sum(heights[:STOPS] ** 2), 0.0)))
     # Beside the shape neighbouring profiles say some of it twice.
     points, kept = state.observations.points, state.kept
     grid = np.stack([points.sweep, points.surface, points.record, points.line], 1)[kept]
@@ -417,33 +403,28 @@ def _board_noise(state: State) -> np.ndarray:
     return np.array([result.corner_noise, *result.stripe_noise, result.stripe_correlation])
 
 
-def _learned_noise(state: State, settings: RecalibrationSettings, stop_sigma: float = 0.0) -> Noise:
+def _learned_noise(state: State, stop_sigma: float = 0.0) -> Noise:
     """The noise of the kept points, without the part of the stops."""
     kept = state.kept
     unknown = np.asarray(state.prepared.room.points.angle) < len(state.y.angles)
     by_stop = np.where(unknown, 0.0, np.asarray(state.linearised.points.rows.angle) / ANGLE_SCALE)[: len(kept)]
     square = state.error_px[kept] ** 2 / state.redundancy()[kept] - (stop_sigma * by_stop[kept]) ** 2
-    return learn_noise(square, state.given_px[kept], state.reach[kept], settings.wall_m)
+    return learn_noise(square, state.given_px[kept], state.reach[kept])
 
 
-def _robust_noise_of(state: State, settings: RecalibrationSettings) -> Noise:
+def _robust_noise_of(state: State) -> Noise:
     """The noise by the median, with the shares that it has: outliers are still in."""
-    if settings.wall_m is not None or not state.usable.any():
+    if not state.usable.any():
         return state.noise
     size = robust_noise(state.whitened()[state.usable])
     return Noise(state.noise.stripe, state.noise.wall_m * max(size, 0.1)) if size > 1 else state.noise
 
 
-def _solved(
-    state: State,
-    settings: RecalibrationSettings,
-    tolerance: float,
-    damp: tuple[np.ndarray | float, np.ndarray | float] = (1.0, 1.0),
-) -> State:
+def _solved(state: State, tolerance: float, damp: tuple[np.ndarray | float, np.ndarray | float] = (1.0, 1.0)) -> State:
     """The state after one more solve, in which weights are damped by factors of the points and the sightings."""
     room = state.weighted(*damp)
     damping = _FIRST_DAMPING if state.steps == 0 else _NEAR_DAMPING
-    found = solve(room, state.y, damping, tolerance, settings.max_steps)
+    found = solve(room, state.y, damping, tolerance, _MAX_STEPS)
     return replace(
         state,
         prepared=state.prepared._replace(room=room),
@@ -456,16 +437,13 @@ def _solved(
 def _conclude(state: State, prior: Scanner, observations: RoomObservations) -> Adjusted:
     """The result of an adjustment; call in 64 bit."""
     room, y = state.prepared.room, state.y
-    scanner, stations, angles = room.counts
+    scanner, stations, _ = room.counts
     covariance = state.covariance.shared
     departure = np.asarray(room.root @ y.scanner)
     own = room.root @ covariance[:scanner, :scanner] @ room.root.T
     moved = prior.with_rig(state.linearised.rig)
     every = range(scanner, scanner + stations, 6)
     poses = [np.zeros((6, 6))] + [covariance[k : k + 6, k : k + 6] * STATION_SCALE**2 for k in every]
-    begin = scanner + stations
-    spread = np.sqrt(np.diag(covariance))[begin : begin + angles] * ANGLE_SCALE
-    corrections, sigmas = _corrections(state, spread)
     rows = int(state.kept.sum()) + 2 * int(state.sighting_kept.sum()) + len(observations.lengths)
     tracks = observations.tracks
     used = len(np.unique(tracks.track[state.sighting_kept])) if tracks is not None else 0
@@ -477,12 +455,10 @@ def _conclude(state: State, prior: Scanner, observations: RoomObservations) -> A
         stations=np.asarray(state.linearised.stations),
         station_covariance=np.stack(poses),
         surfaces=_moved_surfaces(state, observations.surfaces),
-        corrections=corrections,
-        correction_sigma=sigmas,
+        corrections=_corrections(state),
         point_error=state.error,
         point_sigma=state.sigma_px * state.reach,
         point_kept=state.kept,
-        track_error=state.sighting_error(),
         track_kept=state.sighting_kept,
         wall_m=state.noise.wall_m,
         inflation=state.inflation,
@@ -492,34 +468,25 @@ def _conclude(state: State, prior: Scanner, observations: RoomObservations) -> A
         converged=state.converged,
         steps=state.steps,
         uneven_m=float(np.sqrt(np.sum(state.heights[:STOPS] ** 2))),
-        stop_sigma=float(state.heights[STOPS]) or (state.stop_sigma if state.prepared.angles.stop.any() else 0.0),
+        stop_sigma=float(state.heights[STOPS]) or (state.stop_sigma if state.prepared.angles.unknown else 0.0),
         misfit=state.misfit,
     )
 
 
 def _moved_surfaces(state: State, surfaces: Surfaces) -> Surfaces:
     """The surfaces where the adjustment has them."""
-    places, count = state.prepared.room.places, len(surfaces.kind)
+    places, count = state.prepared.room.places, len(surfaces.distance)
     step = LOCAL_SCALE * state.y.locals[:count]
-    sphere = np.asarray(places.sphere)[:count]
     normal = places.normal[:count] + np.einsum("sk,skc->sc", step[:, :2], places.basis[:count])
     normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
     centre = np.asarray(places.centre[:count])
     away = places.offset[:count] + step[:, 2]
-    return Surfaces(
-        kind=surfaces.kind,
-        normal=np.where(sphere[:, None], 0.0, normal),
-        distance=np.where(sphere, places.offset[:count], (normal * centre).sum(1) + away),
-        centre=np.where(sphere[:, None], centre + step, centre + away[:, None] * normal),
-    )
+    return Surfaces(normal, (normal * centre).sum(1) + away, centre + away[:, None] * normal)
 
 
-def _corrections(
-    state: State, spread: Float[np.ndarray, " knots"]
-) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+def _corrections(state: State) -> tuple[np.ndarray, ...]:
     angles = state.prepared.angles
     # Records without a correction have the number after the last one.
-    correction, spread = (np.append(values, 0.0)[angles.knot] for values in (ANGLE_SCALE * state.y.angles, spread))
-    begin = angles.first[1:]
-    found = [known + own for known, own in zip(angles.known, np.split(correction, begin), strict=True)]
-    return tuple(found), tuple(np.split(spread, begin))
+    correction = np.append(ANGLE_SCALE * state.y.angles, 0.0)[angles.knot]
+    found = zip(angles.known, np.split(correction, angles.first[1:]), strict=True)
+    return tuple(known + own for known, own in found)

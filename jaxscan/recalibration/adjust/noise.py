@@ -36,22 +36,16 @@ def learn_noise(
     square: Float[np.ndarray, " points"],
     given_px: Float[np.ndarray, " points"],
     reach: Float[np.ndarray, " points"],
-    wall_m: float | None,
 ) -> Noise:
-    """Variance components of the noise, by iterated weighted least squares of squared errors.
+    """Variance components of the noise, by iterated weighted least squares of squared errors [px^2].
 
-    Args:
-        square: Squared errors over the share that the fit left [px^2].
-        given_px: Given standard deviations of the centres [px].
-        reach: Change of the distance from the surface by one pixel [m / px].
-        wall_m: Roughness, where it is known [m].
+    Errors are over the share that the fit left, `reach` is the change of distance by a pixel [m / px].
 
     Source: Förstner's estimate of variance components.
     """
     shapes = given_px**2, 1.0 / reach**2
-    parts = np.array([1.0, (FIRST_WALL_M if wall_m is None else wall_m) ** 2])
-    low = np.array([_LEAST**2, 0.0 if wall_m is None else wall_m**2])
-    high = np.array([_MOST**2, np.inf if wall_m is None else wall_m**2])
+    parts = np.array([1.0, FIRST_WALL_M**2])
+    low, high = np.array([_LEAST**2, 0.0]), np.array([_MOST**2, np.inf])
     for _ in range(_ROUNDS):
         weight = 1.0 / np.maximum(shapes[0] * parts[0] + shapes[1] * parts[1], 1e-12)
         # One after the other, each within its limits: both stay variances.
@@ -72,11 +66,7 @@ def shared_by_profiles(whitened: Float[np.ndarray, " points"], grid: Int[np.ndar
 
     Along the line points are so far apart that their errors are independent. From profile to profile speckle and the
     paint of a wall change little where steps are small. The factor is 1 + 2 sum of r_i r_j / sum of r_i^2 over the
-    pairs of neighbours, and 1 where that sum is no more than chance makes it.
-
-    Args:
-        whitened: Errors over their standard deviations.
-        grid: Sweep, surface, record and line of each.
+    pairs of neighbours, and 1 where that sum is no more than chance makes it. `grid` is sweep, surface, record, line.
     """
     square = float(whitened @ whitened)
     if square <= 0.0:

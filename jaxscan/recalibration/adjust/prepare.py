@@ -14,90 +14,11 @@ from jaxscan.recalibration.observed import RecalibrationSettings, RoomObservatio
 from jaxscan.recalibration.result import Start
 
 
-# Standard deviation of the step from the correction of a record to the next: a microstepped motor's errors [rad].
-_STEP = 2e-4
-# Tolerance within which corrections hold nothing that gain, harmonics and station describe [rad].
-_HELD = 1e-6
-# Unknown corrections at most; beyond, neighbouring records share one.
-_MOST = 4_096
-_SIZES = (512, 1_024, 2_048, 4_096)
 # First standard deviation of where the table stops, while nothing is learned: that of 1,600 microsteps a turn, or more
 # of a finer table with backlash [rad]; and one that holds the angles as they are.
 FIRST_STOP, HELD_STOP = 5e-4, 1e-7
-# Numbers of images in which features are seen.
-_IMAGES = (128, 256, 512, 1_024)
-
-
-class Angles(NamedTuple):
-    """The angles of all records of all sweeps, one after another, and their unknown corrections."""
-
-    first: Int[np.ndarray, " sweeps"]
-    """Where each sweep begins."""
-    phi: Float[np.ndarray, " records"]
-    """With known faults corrected [rad from home]."""
-    known: tuple[Float[np.ndarray, " records"], ...]
-    """The known faults of every sweep [rad]."""
-    knot: Int[np.ndarray, " records"]
-    """The unknown correction of each record; of a record without one the number of all."""
-    smooth: Float[np.ndarray, " knots"]
-    held: Float[np.ndarray, "held knots"]
-    stop: Float[np.ndarray, " knots"]
-    """1 / standard deviation of each correction by itself [1 / rad]; 0 where it is smooth instead."""
-
-
-def make_angles(
-    observations: RoomObservations, start: Start, scanner: Scanner, settings: RecalibrationSettings
-) -> Angles:
-    """The angles, and their unknown corrections.
-
-    Where the settings ask for one per step every record has one. Otherwise each image in which features are seen has
-    one, the stop of the table beside its angle: all its sightings share that. Stops of other records are errors that
-    the points of their walls share, see `wall_shape`.
-    """
-    journal = [np.asarray(angle, np.float64) for angle in observations.angles]
-    known = start.corrections or tuple(np.zeros(len(angle)) for angle in journal)
-    if [len(angle) for angle in journal] != [len(extra) for extra in known]:
-        raise CalibrationError("The start's corrections of angles are not of these sweeps: expected one per record.")
-    counts = np.array([len(angle) for angle in journal])
-    first = np.concatenate([[0], np.cumsum(counts)])[:-1].astype(np.int32)
-    corrected = [angle + extra for angle, extra in zip(journal, known, strict=True)]
-    phi = np.concatenate(corrected)
-    if settings.angles == "model" or not isinstance(scanner.turntable, Turntable):
-        tracks, seen = observations.tracks, np.zeros(0, int)
-        exact = settings.angle_sigma == 0.0 or not isinstance(scanner.turntable, Turntable)
-        if tracks is not None and len(tracks.q) and not exact:
-            seen = np.unique(first[tracks.sweep] + tracks.record)
-        size = bucket(len(seen), (0, *_IMAGES))
-        knot = np.full(len(phi), size, np.int32)
-        knot[seen] = np.arange(len(seen))
-        stop = np.full(size, 1.0 / (settings.angle_sigma or FIRST_STOP))
-        return Angles(first, phi, known, knot, np.zeros(size), np.zeros((0, size)), stop)
-    shared = -(-int(counts.sum()) // _MOST)
-    knots = -(-counts // shared)
-    begin = np.concatenate([[0], np.cumsum(knots)])
-    knot = np.concatenate([begin[k] + np.arange(n) // shared for k, n in enumerate(counts)]).astype(np.int32)
-    size = next((size for size in _SIZES if size >= begin[-1]), int(begin[-1]))
-    smooth, held = np.zeros(size), np.zeros((6 * len(counts), size))
-    for sweep, angle in enumerate(corrected):
-        inside = slice(begin[sweep], begin[sweep + 1])
-        # Between two sweeps the table may have done anything.
-        smooth[begin[sweep] : begin[sweep + 1] - 1] = 1.0 / (_STEP * np.sqrt(shared))
-        held[6 * sweep : 6 * sweep + 6, inside] = _described(angle[::shared]).T
-    return Angles(first, phi, known, knot, smooth, held, np.zeros(size))
-
-
-def _described(phi: Float[np.ndarray, " knots"]) -> Float[np.ndarray, "knots 6"]:
-    """Directions of the corrections that gain, harmonics and station describe, each over its tolerance [1 / rad]."""
-    shapes = [np.ones_like(phi), phi, np.cos(phi), np.sin(phi), np.cos(2 * phi), np.sin(2 * phi)]
-    axes, values, _ = np.linalg.svd(np.stack(shapes, 1) / np.sqrt(len(phi)), full_matrices=False)
-    # Over a small part of a turn some of them are the same.
-    axes = axes * (values > 1e-6 * values[0])
-    held = np.zeros((len(phi), 6))
-    held[:, : axes.shape[1]] = axes / (_HELD * np.sqrt(len(phi)))
-    return held
-
-
 # Numbers are rounded up to these, so that rooms of about the same size share a compilation.
+_IMAGES = (0, 128, 256, 512, 1_024)
 _POINTS = (1_000, 5_000, 10_000, 20_000, 40_000, 80_000, 160_000)
 _SURFACES = (8, 32, 128, 512)
 _SIGHTINGS = (0, 1_000, 5_000, 20_000, 80_000)
@@ -106,6 +27,24 @@ _TRACKS = (0, 256, 1_024, 4_096)
 _CLOSED = 5e-6
 # A held gain that is farther from 1 than this many of them contradicts it.
 _CONTRADICTS = 5.0
+
+
+class Angles(NamedTuple):
+    """The angles of all records of all sweeps, one after another.
+
+    Each image in which features are seen has an unknown correction, the stop of the table beside its angle: all its
+    sightings share that. Stops of other records are errors that the points of their walls share, see `wall_shape`.
+    """
+
+    first: Int[np.ndarray, " sweeps"]
+    phi: Float[np.ndarray, " records"]
+    """With known faults corrected [rad from home]."""
+    known: tuple[Float[np.ndarray, " records"], ...]
+    """The known faults of every sweep [rad]."""
+    knot: Int[np.ndarray, " records"]
+    """The unknown correction of each record; of a record without one the number of all."""
+    unknown: int
+    """Unknown corrections, padding included."""
 
 
 class Prepared(NamedTuple):
@@ -121,49 +60,66 @@ class Prepared(NamedTuple):
     """The same of sightings."""
 
 
-def prepare(
-    prior: Scanner,
-    start: Start,
-    observations: RoomObservations,
-    settings: RecalibrationSettings,
-) -> Prepared:
+def prepare(prior: Scanner, start: Start, observations: RoomObservations, settings: RecalibrationSettings) -> Prepared:
     """The joint problem seen from the stored scanner.
 
     Raises:
         CalibrationError: If the stored calibration has no covariance, or parts do not fit each other.
     """
     root, inverse = _prior_root(prior)
-    angles = make_angles(observations, start, prior, settings)
+    angles = _make_angles(observations, start, prior, settings)
     rows, values = _closed(prior, root, settings)
     if observations.boards is not None:
         rows = np.concatenate([rows, np.zeros_like(root)])
         values = np.append(values, np.zeros(len(root)))
     points, usable = _sight_points(observations, angles)
     sightings, seen, first = _sight_tracks(observations, angles)
+    places = _places(observations, first)
     room = Room(
         rig=prior.rig,
         root=root,
         linear_rows=rows,
         linear_values=values,
         stations=np.asarray(start.stations, np.float64),
-        smooth=angles.smooth,
-        held=angles.held,
-        stop=angles.stop,
-        places=_places(observations, first),
+        stop=np.full(angles.unknown, 1.0 / (settings.angle_sigma or FIRST_STOP)),
+        places=places,
         points=points,
         point_weight=np.zeros(len(points.phi)),
         across=np.array([1.0, 0.0] if observations.stripe_axis == "rows" else [0.0, 1.0]),
         sightings=sightings,
         sighting_weight=np.zeros(len(sightings.phi)),
-        lengths=_lengths(observations),
+        lengths=_lengths(observations, len(places.offset)),
     )
     y = Unknowns(
         inverse @ departure(prior, start.scanner),
         np.zeros(6 * (len(room.stations) - 1)),
-        np.zeros(len(room.smooth)),
-        np.zeros((len(room.places.sphere) + len(first), 3)),
+        np.zeros(angles.unknown),
+        np.zeros((len(places.offset) + len(first), 3)),
     )
     return Prepared(room, y, angles, usable, seen)
+
+
+def _make_angles(
+    observations: RoomObservations, start: Start, scanner: Scanner, settings: RecalibrationSettings
+) -> Angles:
+    journal = [np.asarray(angle, np.float64) for angle in observations.angles]
+    known = start.corrections or tuple(np.zeros(len(angle)) for angle in journal)
+    if [len(angle) for angle in journal] != [len(extra) for extra in known]:
+        raise CalibrationError("The start's corrections of angles are not of these sweeps: expected one per record.")
+    first = np.concatenate([[0], np.cumsum([len(angle) for angle in journal])])[:-1].astype(np.int32)
+    phi = np.concatenate([angle + extra for angle, extra in zip(journal, known, strict=True)])
+    tracks, seen = observations.tracks, np.zeros(0, int)
+    if (
+        tracks is not None
+        and len(tracks.q)
+        and settings.angle_sigma != 0.0
+        and isinstance(scanner.turntable, Turntable)
+    ):
+        seen = np.unique(first[tracks.sweep] + tracks.record)
+    count = _bucket(len(seen), _IMAGES)
+    knot = np.full(len(phi), count, np.int32)
+    knot[seen] = np.arange(len(seen))
+    return Angles(first, phi, known, knot, count)
 
 
 def _closed(
@@ -203,7 +159,7 @@ def _sight_tracks(
         none = np.zeros(0, np.int32)
         return Sight(np.zeros((0, 2)), np.zeros(0), none, none, none, none), np.zeros(0, bool), np.zeros((0, 3))
     sight, seen = _sight(tracks, tracks.track, np.zeros(len(tracks.q)), observations, angles, _SIGHTINGS)
-    return sight, seen, pad(np.asarray(tracks.point, np.float64), bucket(len(tracks.point), _TRACKS))
+    return sight, seen, _pad(np.asarray(tracks.point, np.float64), _bucket(len(tracks.point), _TRACKS))
 
 
 def _sight(
@@ -222,33 +178,31 @@ def _sight(
     # Every padding, and what is not finite, is a copy of the first that can be computed.
     good = np.where(usable, np.arange(len(usable)), np.argmax(usable))
     fields = np.asarray(seen.q, np.float64), angles.phi[record], *numbers
-    return Sight(*(pad(field[good], bucket(len(usable), sizes)) for field in fields)), usable
+    return Sight(*(_pad(field[good], _bucket(len(usable), sizes)) for field in fields)), usable
 
 
 def _places(observations: RoomObservations, points: Float[np.ndarray, "tracks 3"]) -> Places:
-    surfaces = observations.surfaces
-    sphere = np.array([kind == "sphere" for kind in surfaces.kind], bool)
-    upright = np.array([1.0, 0.0, 0.0])
-    normal = np.where(sphere[:, None], upright, np.asarray(surfaces.normal, np.float64)).reshape(-1, 3)
+    surfaces, upright = observations.surfaces, np.array([1.0, 0.0, 0.0])
+    normal = np.asarray(surfaces.normal, np.float64).reshape(-1, 3)
     centre = np.asarray(surfaces.centre, np.float64).reshape(-1, 3)
-    distance = np.asarray(surfaces.distance, np.float64)
-    size = bucket(len(sphere), _SURFACES)
-    full = lambda array, fill: np.concatenate([array, np.broadcast_to(fill, (size - len(array), *fill.shape))])
+    offset = np.asarray(surfaces.distance, np.float64) - (normal * centre).sum(1)
     basis = np.array([tangent_basis(n) for n in normal]).reshape(-1, 2, 3)
+    more = _bucket(len(normal), _SURFACES) - len(normal)
+    full = lambda array, fill: np.concatenate([array, np.broadcast_to(fill, (more, *fill.shape))])
     return Places(
-        full(sphere, np.array(False)),
         full(normal, upright),
         full(basis, tangent_basis(upright)),
         full(centre, np.zeros(3)),
-        full(np.where(sphere, distance, distance - (normal * centre).sum(1)), np.array(0.0)),
+        full(offset, np.array(0.0)),
         points,
     )
 
 
-def _lengths(observations: RoomObservations) -> Lengths:
-    surfaces = len(observations.surfaces.kind)
-    begin = {"surfaces": 0, "tracks": bucket(surfaces, _SURFACES)}
-    count = {"surfaces": surfaces, "tracks": 0 if observations.tracks is None else len(observations.tracks.point)}
+def _lengths(observations: RoomObservations, surfaces: int) -> Lengths:
+    """Known lengths; tracked points are numbered after the surfaces, padding included."""
+    begin = {"surfaces": 0, "tracks": surfaces}
+    tracks = 0 if observations.tracks is None else len(observations.tracks.point)
+    count = {"surfaces": len(observations.surfaces.distance), "tracks": tracks}
     for known in observations.lengths:
         ends = {known.first, known.second}
         if len(ends) < 2 or not ends <= set(range(count[known.between])):
@@ -256,8 +210,6 @@ def _lengths(observations: RoomObservations) -> Lengths:
                 f"A known length lies between {known.between} {known.first} and {known.second}, expected two different "
                 f"ones of {count[known.between]}."
             )
-        if known.between == "surfaces" and len({observations.surfaces.kind[end] for end in ends}) > 1:
-            raise CalibrationError("A known length lies between a plane and a sphere, expected two of one kind.")
     pairs = [[begin[known.between] + end for end in (known.first, known.second)] for known in observations.lengths]
     return Lengths(
         np.array(pairs, np.int32).reshape(-1, 2),
@@ -266,31 +218,21 @@ def _lengths(observations: RoomObservations) -> Lengths:
     )
 
 
-def bucket(count: int, sizes: tuple[int, ...]) -> int:
+def _bucket(count: int, sizes: tuple[int, ...]) -> int:
     """The next size."""
     return next((size for size in sizes if size >= count), count)
 
 
-def pad(array: np.ndarray, size: int) -> np.ndarray:
+def _pad(array: np.ndarray, size: int) -> np.ndarray:
     """The array continued by its first entry."""
     return np.concatenate([array, np.broadcast_to(array[:1], (size - len(array), *array.shape[1:]))])
 
 
 def _prior_root(scanner: Scanner) -> tuple[Float[np.ndarray, "params params"], Float[np.ndarray, "params params"]]:
-    r"""A square root A of the covariance, $C = A A^T$, by the eigenvectors of the correlations.
+    r"""A square root A of the covariance, $C = A A^T$, by the eigenvectors of the correlations; and its pseudo-inverse.
 
     A step of the scanner is $A z$ with $z$ normal: every unknown has size 1 however badly the covariance is
     scaled, and directions without variance are held, since their columns are zero.
-
-    Args:
-        scanner: With the covariance of its minimal coordinates.
-
-    Returns:
-        root: A.
-        inverse: Its pseudo-inverse, which takes a step to z.
-
-    Raises:
-        CalibrationError: If there is no covariance, or it is not one.
     """
     names = scanner.parameter_names()
     if scanner.covariance is None:

@@ -41,16 +41,15 @@ class Sight(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Surfaces and tracked points as they are before the step."""
+    """Flat surfaces and tracked points as they are before the step."""
 
-    sphere: Bool[Array, " surfaces"]
     normal: Float[Array, "surfaces 3"]
     basis: Float[Array, "surfaces 2 3"]
     """Directions of a plane's tilts."""
     centre: Float[Array, "surfaces 3"]
     """Planes tilt about it."""
     offset: Float[Array, " surfaces"]
-    """Of a plane from its centre along the normal, or the radius of a sphere [m]."""
+    """From the centre along the normal [m]."""
     point: Float[Array, "tracks 3"]
 
 
@@ -79,12 +78,8 @@ class Room(eqx.Module):
     linear_values: Float[Array, " rows"]
     """Their right-hand sides."""
     stations: Float[Array, "stations 4 4"]
-    smooth: Float[Array, " angles"]
-    """1 / standard deviation of the step from each correction to the next [1 / rad]; 0 where anything may be."""
-    held: Float[Array, "held angles"]
-    """Combinations of corrections that the scanner's own numbers describe, each over its tolerance [1 / rad]."""
     stop: Float[Array, " angles"]
-    """1 / standard deviation of each correction by itself [1 / rad]; 0 where nothing is known of it."""
+    """1 / standard deviation of each correction of an angle [1 / rad]."""
     places: Places
     points: Sight
     point_weight: Float[Array, " points"]
@@ -97,7 +92,7 @@ class Room(eqx.Module):
     @property
     def counts(self) -> tuple[int, int, int]:
         """Dense unknowns: of the scanner, of the stations, corrections of angles."""
-        return len(self.root), 6 * (len(self.stations) - 1), len(self.smooth)
+        return len(self.root), 6 * (len(self.stations) - 1), len(self.stop)
 
 
 class Unknowns(NamedTuple):
@@ -186,10 +181,7 @@ def surface_distance(place: Places, step: Float[Array, "3"], point: Float[Array,
     """Signed distance of a point from one surface after its step [m]."""
     size = LOCAL_SCALE * step
     normal = moved_normal(place.normal, place.basis, size[:2])
-    away = point - place.centre
-    beside = jnp.where(place.sphere, away - size, jnp.array([1.0, 0.0, 0.0], point.dtype))
-    from_plane = jnp.dot(normal, away) - place.offset - size[2]
-    return jnp.where(place.sphere, jnp.linalg.norm(beside) - place.offset, from_plane)
+    return jnp.dot(normal, point - place.centre) - place.offset - size[2]
 
 
 def point_rows(room: Room, y: Unknowns) -> PointRows:
@@ -240,7 +232,7 @@ def sighting_rows(room: Room, y: Unknowns) -> Rows:
         none = jnp.zeros(0, y.scanner.dtype)
         few = jnp.zeros((0, 6), none.dtype)
         return Rows(none, jnp.zeros((0, len(y.scanner)), none.dtype), few, none, few[:, :3])
-    steps, surfaces = station_steps(y.stations), len(room.places.sphere)
+    steps, surfaces = station_steps(y.stations), len(room.places.offset)
 
     def error(z, own: Own, sight: Sight, point):
         pose = moved_station(room.stations[sight.station], own.station)
@@ -267,7 +259,7 @@ def _angle(y: Unknowns, sight: Sight) -> Float[Array, ""]:
 
 def length_values(room: Room, locals: Float[Array, "locals 3"]) -> Float[Array, " lengths"]:
     """Lengths as they are, less those that are known [m]."""
-    surfaces, places = len(room.places.sphere), room.places
+    surfaces, places = len(room.places.offset), room.places
 
     def plane(index):
         step = LOCAL_SCALE * locals[index]
@@ -290,10 +282,9 @@ def length_values(room: Room, locals: Float[Array, "locals 3"]) -> Float[Array, 
         return jnp.linalg.norm(where[first] - where[second])
 
     def one(ends, metres):
-        kind = jnp.concatenate([places.sphere, jnp.ones(len(places.point), bool)])
         first, second = ends[0], ends[1]
         planes = between_planes(first % surfaces, second % surfaces)
-        return jnp.where(kind[first] & kind[second], between_points(first, second), planes) - metres
+        return jnp.where(first >= surfaces, between_points(first, second), planes) - metres
 
     return jax.vmap(one)(room.lengths.ends, room.lengths.metres)
 
@@ -306,8 +297,6 @@ class Residuals(NamedTuple):
     lengths: Float[Array, " lengths"]
     prior: Float[Array, " params"]
     linear: Float[Array, " rows"]
-    smooth: Float[Array, " angles"]
-    held: Float[Array, " held"]
     stops: Float[Array, " angles"]
 
 
@@ -316,16 +305,10 @@ def twice(values: Array) -> Array:
     return jnp.repeat(values, 2, total_repeat_length=2 * len(values))
 
 
-def angle_residuals(room: Room, angles: Float[Array, " angles"]) -> tuple[Array, Array, Array]:
-    """Steps between neighbouring corrections, the part of them that the scanner's own numbers describe, and stops."""
-    size = ANGLE_SCALE * angles
-    return (jnp.append(size[1:], size[-1:]) - size) * room.smooth, room.held @ size, size * room.stop
-
-
 def form_blocks(room: Room, y: Unknowns, residual: Residuals, points: Rows, sightings: Rows) -> Arrow:
     """J'J and J'r at a step, from the derivatives of points and sightings."""
     scanner, stations, angles = room.counts
-    surfaces, count = len(room.places.sphere), len(y.locals)
+    surfaces, count = len(room.places.offset), len(y.locals)
     dense = scanner + stations + angles
     double = Sight(*(twice(field) for field in room.sightings))
     double = double._replace(local=double.local + surfaces)
@@ -339,10 +322,10 @@ def form_blocks(room: Room, y: Unknowns, residual: Residuals, points: Rows, sigh
         jnp.asarray(blocks.shared_gradient).at[:scanner].add(residual.prior + room.linear_rows.T @ residual.linear)
     )
     if angles:
-        tie, by_angle = _ties(room, residual)
+        stop = ANGLE_SCALE * room.stop
         begin = scanner + stations
-        matrix = matrix.at[begin:dense, begin:dense].add(tie)
-        gradient = gradient.at[begin:dense].add(by_angle)
+        matrix = matrix.at[begin:dense, begin:dense].add(jnp.diag(stop**2))
+        gradient = gradient.at[begin:dense].add(stop * residual.stops)
     blocks = blocks._replace(shared=matrix, shared_gradient=gradient)
     return _with_lengths(room, y, residual, blocks) if len(room.lengths.metres) else blocks
 
@@ -371,23 +354,14 @@ def _of_rows(rows: Rows, weight: Array, values: Array, sight: Sight, room: Room,
     return Arrow(matrix, cross, local, gradient, sums(rows.local * values[:, None]))
 
 
-def _ties(room: Room, residual: Residuals) -> tuple[Float[Array, "angles angles"], Float[Array, " angles"]]:
-    """The priors of the corrections: small steps and nothing that the scanner's own numbers describe, or stops."""
-    size, held, stop = ANGLE_SCALE * room.smooth, ANGLE_SCALE * room.held, ANGLE_SCALE * room.stop
-    squared = size**2
-    before = jnp.pad(size, (1, 0))[:-1]
-    beside = jnp.diag(-squared[:-1], 1)
-    matrix = jnp.diag(squared + before**2 + stop**2) + beside + beside.T + held.T @ held
-    step = residual.smooth * size
-    return matrix, jnp.pad(step, (1, 0))[:-1] - step + held.T @ residual.held + stop * residual.stops
-
-
 def _with_lengths(room: Room, y: Unknowns, residual: Residuals, blocks: Arrow) -> Arrow:
     """The ends of known lengths moved to the dense unknowns, since lengths tie them to each other."""
-    ends = promoted(room)
+    ends = room.lengths.ends.ravel()
     before, count = len(blocks.shared_gradient), len(ends)
-    there = first_of_each(ends)
-    keep = there[:, None, None].astype(blocks.local.dtype)
+    # A place at which two lengths end has the unknowns of the first.
+    same = ends[:, None] == ends[None, :]
+    first = ~jnp.any(same & jnp.tril(jnp.ones_like(same), -1), axis=1)
+    keep = first[:, None, None].astype(blocks.local.dtype)
     cross, local = blocks.cross[ends] * keep, blocks.local[ends] * keep
     gradient = blocks.local_gradient[ends] * keep[:, 0]
     beside = jnp.swapaxes(cross, 0, 1).reshape(before, 3 * count)
@@ -407,22 +381,11 @@ def _with_lengths(room: Room, y: Unknowns, residual: Residuals, blocks: Arrow) -
     )
 
 
-def promoted(room: Room) -> Array:
-    """Surfaces and tracked points that known lengths end at; dense unknowns, three each."""
-    return room.lengths.ends.ravel()
-
-
-def first_of_each(index: Array) -> Array:
-    """Which numbers of a list are not there before."""
-    same = index[:, None] == index[None, :]
-    return ~jnp.any(same & jnp.tril(jnp.ones_like(same), -1), axis=1)
-
-
 def unknowns_of(room: Room, dense: Float[Array, " dense"], local: Float[Array, "locals 3"]) -> Unknowns:
     """The unknowns from those that are dense and the others; the ends of known lengths go to their places."""
     scanner, stations, angles = room.counts
     begin, end = scanner + stations, scanner + stations + angles
-    ends = promoted(room)
+    ends = room.lengths.ends.ravel()
     if len(ends):
         # The second slot of a place that has two is empty.
         local = jnp.asarray(local).at[ends].add(dense[end:].reshape(-1, 3))
@@ -444,7 +407,7 @@ class Adjustment(AbstractProblem):
             length_values(room, y.locals) * room.lengths.weight,
             y.scanner,
             room.linear_rows @ y.scanner - room.linear_values,
-            *angle_residuals(room, y.angles),
+            ANGLE_SCALE * y.angles * room.stop,
         )
         return residuals, Linear(form_blocks(room, y, residuals, points.rows, sightings), (points, sightings))
 
@@ -460,7 +423,6 @@ class Linearised(NamedTuple):
     points: PointRows
     sightings: Rows
     arrow: Arrow
-    """The normal equations."""
     cost: float
     """Sum of squared whitened residuals, with those of the prior."""
     rig: Rig
@@ -470,14 +432,7 @@ class Linearised(NamedTuple):
 
 
 def solve(room: Room, y: Unknowns, damping: float, tolerance: float, max_steps: int) -> Linearised:
-    """Minimise the sum of squares of all whitened residuals; call in 64 bit.
-
-    Args:
-        room: With its weights.
-        y: Where to begin.
-        damping: Of the first step, relative to the diagonal of J'J [1].
-        tolerance: Root mean square change of unknowns and of whitened residuals at which to stop [1].
-        max_steps: Evaluations at most.
+    """Minimise the sum of squares of all whitened residuals, as `minimised` of `leastsq`; call in 64 bit.
 
     Raises:
         CalibrationError: If a number is not finite.
@@ -486,10 +441,10 @@ def solve(room: Room, y: Unknowns, damping: float, tolerance: float, max_steps: 
     if not found.steps or not all(np.isfinite(part).all() for part in found.y):
         raise CalibrationError("The adjustment left the range of numbers: the captures contradict each other.")
     cost = sum(float(np.sum(part**2)) for part in found.residuals)
-    places = moved_rig(room, found.y.scanner), moved_stations(room, found.y.stations)
     points, sightings = found.linear.more
-    arrow, (rig, stations) = found.linear.arrow, places
-    return Linearised(found.y, points, sightings, arrow, cost, rig, stations, int(found.steps), bool(found.converged))
+    rig, stations = moved_rig(room, found.y.scanner), moved_stations(room, found.y.stations)
+    linear = found.y, points, sightings, found.linear.arrow, cost
+    return Linearised(*linear, rig, stations, int(found.steps), bool(found.converged))
 
 
 def linearise(room: Room, y: Unknowns) -> Linearised:

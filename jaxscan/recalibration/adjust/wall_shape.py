@@ -47,7 +47,6 @@ class Patches(NamedTuple):
     by_height: Float[np.ndarray, "sizes points"]
     """Whitened residual by the height of each of them [1 / m], and by the stop [1 / rad]."""
     size: Int[np.ndarray, " patches"]
-    """Number of its size."""
 
 
 class Wall(NamedTuple):
@@ -59,7 +58,6 @@ class Wall(NamedTuple):
     local: Float[np.ndarray, "patches 3"]
     gram: Float[np.ndarray, "patches patches"]
     residual: Float[np.ndarray, " patches"]
-    """Inner products with the residuals."""
 
 
 def find_walls(
@@ -69,15 +67,7 @@ def find_walls(
     stop: Int[np.ndarray, " points"],
     before: Sequence[Wall] = (),
 ) -> list[Wall]:
-    """The walls of all planes; with the patches of walls before, if there are any, wherever their points are now.
-
-    Args:
-        room: With its weights.
-        at: The room to first order.
-        kept: Points that count.
-        stop: Number of the record of each point.
-        before: Walls whose patches are kept.
-    """
+    """All walls by the kept points; with the patches of walls before, if any, wherever their points are now."""
     return [_wall(room, at, on) for on in [wall.on for wall in before] or _find_patches(room, at, kept, stop)]
 
 
@@ -85,7 +75,7 @@ def _find_patches(
     room: Room, at: Linearised, kept: Bool[np.ndarray, " points"], stop: Int[np.ndarray, " points"]
 ) -> list[Patches]:
     surface, place = np.asarray(room.points.local), np.asarray(at.points.place)
-    planes = [s for s in np.unique(surface[: len(kept)][kept]) if not room.places.sphere[s]]
+    planes = np.unique(surface[: len(kept)][kept])
     members = [np.flatnonzero(kept & (surface[: len(kept)] == s)) for s in planes]
     extent = [np.prod(np.ptp(place[index], axis=0) + _SIZES[0]) for index in members]
     grown = max(1.0, float(np.sqrt(max(extent, default=0.0) / (_MOST * _SIZES[0] ** 2))))
@@ -212,12 +202,8 @@ def learn_stops(
 ) -> float:
     """Standard deviation of the table's stops by the corrections of images of features [rad]; 0 where they show none.
 
-    Without its prior each correction has a variance of its own, beside which the corrections scatter by the stops.
-
-    Args:
-        correction: Found with stops of a standard deviation [rad].
-        variance: Of each, with that prior [rad^2].
-        sigma: That standard deviation [rad].
+    They were found with stops of `sigma`. Without that prior each has a variance of its own, beside which the
+    corrections scatter by the stops.
     """
     free = 1.0 / np.maximum(1.0 / variance - sigma**-2, 1e-6 * sigma**-2)
     square = (correction * (free / sigma**2 + 1.0)) ** 2

@@ -20,11 +20,9 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration import PRIORS
 from jaxscan.geometry import Scanner, Turntable, root_of
 from jaxscan.leastsq import chance_of
 from jaxscan.recalibration.judge.gain import Compared, compare, scale_slopes, scales_of, with_prior
-from jaxscan.recalibration.observed import RecalibrationSettings
 from jaxscan.recalibration.result import Adjusted, Drift, Moved
 
 
@@ -33,7 +31,6 @@ class Part(NamedTuple):
 
     name: str
     names: tuple[str, ...]
-    """Its minimal coordinates."""
     tolerance: tuple[float, ...]
     """Standard deviation of a move, for each of them [px, rad, m]."""
     together: tuple[str, ...] = ()
@@ -41,6 +38,8 @@ class Part(NamedTuple):
 
 
 TABLE_PART = "table's angles"
+# Chance below which the rig has drifted [1].
+P_DRIFT = 1e-3
 # A part that was knocked is within a degree and a few millimetres of its place.
 _TILT, _SHIFT = np.radians(1.0), 5e-3
 # A sheet turns about its laser, which is within some 0.1 m of the point of the sheet nearest the camera.
@@ -73,13 +72,7 @@ def parts_of(scanner: Scanner) -> tuple[Part, ...]:
 def loosening(
     parts: Sequence[Part], scanner: Scanner, without: Sequence[str] = ()
 ) -> Float[np.ndarray, "params params"]:
-    """Variance that the moves of parts add to the prior.
-
-    Args:
-        parts: The parts that moved.
-        scanner: The stored one; the coordinates that its covariance holds stay held.
-        without: Coordinates that keep their prior.
-    """
+    """Variance that the moves of parts add to the prior; held coordinates stay held, some others keep their prior."""
     names = scanner.parameter_names()
     added = np.zeros((len(names), len(names)))
     held = np.diag(np.asarray(scanner.covariance)) <= 0
@@ -101,14 +94,7 @@ def loosening(
 def describe_move(
     part: Part, names: Sequence[str], step: Float[np.ndarray, " params"], covariance: Float[np.ndarray, "params params"]
 ) -> str:
-    """How far a part moved, in degrees, millimetres, pixels or ppm, with standard deviations.
-
-    Args:
-        part: Which.
-        names: Of all minimal coordinates.
-        step: How far the scanner moved in them.
-        covariance: Of that step.
-    """
+    """How far a part moved, in degrees, millimetres, pixels or ppm, with standard deviations."""
     words = []
     for kind, scale in _UNITS.items():
         here = [i for i, name in enumerate(names) if name in part.names and kind_of(name) == kind]
@@ -149,50 +135,6 @@ def _digits(value: float, sigma: float) -> str:
     return f"{value:.{places}f} ± {sigma:.{places}f}"
 
 
-class Bow(NamedTuple):
-    """Findings of a solve on bows that the stored calibration holds."""
-
-    step: Float[np.ndarray, " held"]
-    sigma: Float[np.ndarray, " held"]
-    p: float
-    """Chance of so large a bow on flat sheets [1]."""
-
-
-def held_bow(stored: Scanner) -> list[int]:
-    """Positions of the coefficients of bows that the covariance holds."""
-    variance = np.diag(np.asarray(stored.covariance))
-    names = [f"laser.{laser}.{key}" for laser in stored.laser_names for key in ("b2", "b3")]
-    return [i for i, name in enumerate(stored.parameter_names()) if name in names and variance[i] <= 0.0]
-
-
-def bow_variance(stored: Scanner) -> Float[np.ndarray, "params params"]:
-    """Variance of held bows, as a calibration has it that knows nothing of them."""
-    added = np.zeros_like(np.asarray(stored.covariance))
-    at = held_bow(stored)
-    added[at, at] = PRIORS["bow"] ** 2
-    return added
-
-
-def bow_of(compared: Compared, step: Float[np.ndarray, " params"], at: list[int]) -> Bow:
-    """How far the bows are from 0 in a solve that had them free.
-
-    Args:
-        compared: Its prior and posterior.
-        step: From the stored scanner to its result.
-        at: Positions of the bows.
-    """
-    value, covariance = np.asarray(step)[at], compared.posterior[np.ix_(at, at)]
-    p = chance_of(float(value @ np.linalg.solve(covariance, value)), len(at))
-    return Bow(value, np.sqrt(np.diag(covariance)), p)
-
-
-def without_bow(compared: Compared, at: list[int]) -> Compared:
-    """The same of all other coordinates, whatever the bows are: a bow is no drift."""
-    prior = compared.prior.copy()
-    prior[at, :], prior[:, at] = 0.0, 0.0
-    return compare(prior, compared.posterior)
-
-
 class Departure(NamedTuple):
     """The departure in the directions that gained: unit variance and independent where nothing moved."""
 
@@ -215,7 +157,6 @@ class Explanation(NamedTuple):
     """The parts whose move explains a departure."""
 
     parts: tuple[Part, ...]
-    """Those of the likeliest move."""
     p: float
     """Chance of a larger rest [1]."""
     others: tuple[tuple[Part, ...], ...] = ()
@@ -242,14 +183,9 @@ def departure_of(compared: Compared, step: Float[np.ndarray, " params"]) -> Depa
 
 
 def explain(departure: Departure, stored: Scanner) -> Explanation:
-    """The fewest parts whose move leaves an ordinary rest.
+    """The fewest parts whose move leaves an ordinary rest of a departure by a solve with the stored prior.
 
-    Args:
-        departure: By a solve with the stored prior.
-        stored: The stored calibration's scanner with its covariance.
-
-    Returns:
-        One part, or two, and others that would do as well; or all that there are, where two do not explain it.
+    One part, or two, and others that would do as well; or all that there are, where two do not explain it.
     """
     parts = parts_of(stored)
     for count in (1, 2):
@@ -344,8 +280,8 @@ class Verdict(NamedTuple):
 
 
 def loose(stored: Scanner) -> Scanner:
-    """The stored scanner with a covariance by which every part may have moved a little, and sheets may be bowed."""
-    every = _LOOSE**2 * loosening(parts_of(stored), stored) + bow_variance(stored)
+    """The stored scanner with a covariance by which every part may have moved a little."""
+    every = _LOOSE**2 * loosening(parts_of(stored), stored)
     return with_covariance(stored, np.asarray(stored.covariance) + every)
 
 
@@ -354,34 +290,18 @@ def with_covariance(scanner: Scanner, covariance: Float[np.ndarray, "params para
     return eqx.tree_at(lambda s: s.covariance, scanner, covariance, is_leaf=lambda leaf: leaf is None)
 
 
-def find_drift(stored: Scanner, free: Adjusted, solve: Solving, settings: RecalibrationSettings) -> Verdict:
-    """Tests whether anything moved, and solves with the prior that follows.
-
-    Args:
-        stored: The stored scanner with its covariance.
-        free: Adjusted to the observations with the prior of `loose`.
-        solve: Adjusts it to the observations with a prior.
-        settings: With the limit of the test.
-    """
+def find_drift(stored: Scanner, free: Adjusted, solve: Solving) -> Verdict:
+    """Tests whether anything moved, by a solve with the prior of `loose`, and solves with the prior that follows."""
     prior = np.asarray(stored.covariance)
     both = compare(np.asarray(free.prior.covariance), np.asarray(free.scanner.covariance))
     compared, step = with_prior(both, free.departure, prior)
     departure = departure_of(compared, step)
-    bow = _seen_bow(stored, both, free.departure, settings)
-    bowed = np.zeros_like(prior) if bow is None else bow_variance(stored)
-    told: tuple[str, ...] = ()
-    if bow is not None:
-        compared, step = with_prior(both, free.departure, prior + bowed)
-        compared = without_bow(compared, held_bow(stored))
-        departure = departure_of(compared, step)
-        told = (_bow_note(bow),)
-    p = departure.p
-    drift = Drift(departure.chi2, len(departure.value), p, p < settings.p_drift)
+    drift = Drift(departure.chi2, len(departure.value), departure.p, departure.p < P_DRIFT)
     if not drift.drifted:
-        return Verdict(drift, bowed, solve(with_covariance(stored, prior + bowed), free), told)
+        return Verdict(drift, np.zeros_like(prior), solve(stored, free))
     found = explain(departure, stored)
     known = bool(scales_of(compared, scale_slopes(free.scanner, free.observations)).factor[0] >= _MEASURED)
-    added = bowed + loosened_prior(found, departure, stored, scale_known=known)
+    added = loosened_prior(found, departure, stored, scale_known=known)
     adjusted = solve(with_covariance(stored, prior + added), free)
     covariance = np.asarray(adjusted.scanner.covariance)
     alone = [move_of(departure, loosening(some, stored)) for some in found.others]
@@ -393,30 +313,7 @@ def find_drift(stored: Scanner, free: Adjusted, solve: Solving, settings: Recali
             _size(some, stored, step, covariance if k == 0 else None) for k, (some, step) in enumerate(moves)
         ),
     )
-    return Verdict(drift, added, adjusted, (*told, *_notes(found, known, settings)))
-
-
-def _seen_bow(
-    stored: Scanner, both: Compared, step: Float[np.ndarray, " params"], settings: RecalibrationSettings
-) -> Bow | None:
-    """Bows of sheets that the stored calibration holds flat, where walls show them beyond chance."""
-    at = held_bow(stored)
-    if not at:
-        return None
-    compared, tight = with_prior(both, step, np.asarray(stored.covariance) + bow_variance(stored))
-    moved = departure_of(without_bow(compared, at), tight).p < settings.p_drift
-    # A part that moved bends walls too, so the bow must show whatever else did.
-    found = bow_of(both, step, at) if moved else bow_of(compared, tight, at)
-    return found if found.p < settings.p_drift else None
-
-
-def _bow_note(bow: Bow) -> str:
-    both = zip(bow.step, bow.sigma, strict=True)
-    sizes = ", ".join(f"{1e3 * value:.2f} ± {1e3 * sigma:.2f}" for value, sigma in both)
-    return (
-        f"the stored calibration holds the laser sheet flat, but walls show it bowed (b2, b3: {sizes} / 1000, "
-        f"p = {bow.p:.1g} for a flat one): that is no drift; it is free now, so free it in the next calibration too"
-    )
+    return Verdict(drift, added, adjusted, _notes(found, known))
 
 
 def _size(
@@ -436,12 +333,12 @@ def compared_of(verdict: Verdict, stored: Scanner) -> tuple[Compared, Compared]:
     return compare(prior, after), compare(prior + verdict.loosened, after)
 
 
-def _notes(found: Explanation, known: bool, settings: RecalibrationSettings) -> tuple[str, ...]:
+def _notes(found: Explanation, known: bool) -> tuple[str, ...]:
     told = []
     if found.others:
         names = " or ".join(" and ".join(part.name for part in some) for some in (found.parts, *found.others))
         told.append(f"{names}: these sweeps cannot tell which of them moved; the new covariance covers each")
-    if found.p < settings.p_drift:
+    if found.p < P_DRIFT:
         told.append(
             f"moves of {', '.join(part.name for part in found.parts)} do not explain the whole departure "
             f"(p = {found.p:.1g}): the rig or the room is not as its model has it; check it with a board"
@@ -465,16 +362,10 @@ def moved_parameters(
     compared: Compared,
     loosened: Float[np.ndarray, "params params"],
 ) -> tuple[Moved, ...]:
-    r"""The change of every parameter that the stored calibration does not hold.
+    """The change of every parameter that the stored calibration does not hold, by a step from it.
 
     With the prior $C_0 + D$ of a solve, its gain $G = I - C_1 (C_0 + D)^{-1}$, and a departure that is by chance alone,
-    the change has the covariance $G C_0 G^T + G C_1$, which is $C_0 - C_1$ where nothing was loosened.
-
-    Args:
-        stored: Its covariance is the prior.
-        step: From it to the new scanner.
-        compared: The solve's prior and posterior.
-        loosened: What was added to the stored covariance, D.
+    the change has the covariance $G C_0 G^T + G C_1$, which is $C_0 - C_1$ where nothing was loosened, D.
     """
     kept = (compared.direction * (1.0 - compared.ratio)) @ compared.whiten
     prior = compared.prior - loosened
@@ -493,10 +384,7 @@ def moved_parameters(
 
 
 def start_values(stored: Scanner) -> Float[np.ndarray, " params"]:
-    """Values of the minimal coordinates of the stored scanner; 0 for those of a direction or a foot point.
-
-    They are tangent vectors of their own: their values are steps from the stored scanner.
-    """
+    """Values of the minimal coordinates of the stored scanner; 0 for tangent vectors, which are steps from it."""
     with jax.enable_x64(True):
         camera = np.asarray(stored.camera.parameters(), np.float64)
     sheets = [

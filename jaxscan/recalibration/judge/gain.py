@@ -7,10 +7,11 @@ from jaxtyping import Float
 
 from jaxscan.calibration import Lengths
 from jaxscan.geometry import Scanner, Turntable, root_of, square_root
+from jaxscan.measurement.systematic import point_gradient
 from jaxscan.recalibration.grid import spread_over
 from jaxscan.recalibration.observed import RoomObservations
 from jaxscan.recalibration.result import Gain, LengthGain
-from jaxscan.recalibration.triangulate import point_gradient, triangulate_points
+from jaxscan.recalibration.triangulate import triangulate_points
 
 
 # A ratio of variances below this is rounding.
@@ -40,12 +41,7 @@ class Compared(NamedTuple):
 
 
 def compare(prior: Float[np.ndarray, "params params"], posterior: Float[np.ndarray, "params params"]) -> Compared:
-    """Two covariances side by side, by their generalised eigenvalues.
-
-    Args:
-        prior: Covariance before, in px, rad and m; a parameter of variance 0 is held.
-        posterior: After, in the same order.
-    """
+    """Two covariances [px, rad, m] by their generalised eigenvalues; a parameter without variance before is held."""
     prior, posterior = np.asarray(prior, np.float64), np.asarray(posterior, np.float64)
     root = square_root(prior)
     free = root.steps.any(1)
@@ -59,18 +55,10 @@ def compare(prior: Float[np.ndarray, "params params"], posterior: Float[np.ndarr
 def with_prior(
     loose: Compared, step: Float[np.ndarray, " params"], prior: Float[np.ndarray, "params params"]
 ) -> tuple[Compared, Float[np.ndarray, " params"]]:
-    """A solve with a loose prior, as it would have come out with a tighter one, to first order.
+    """A solve with a loose prior, and its step, as they would have come out with a tighter one, to first order.
 
     A scanner that moved beyond a tight prior would leave bent walls, which would be taken for noise. So the data speak
     by a solve that lets everything move.
-
-    Args:
-        loose: Prior and posterior of that solve.
-        step: From the stored scanner to its result.
-        prior: The tighter covariance.
-
-    Returns:
-        Prior and posterior covariance, and the step, with the tighter prior.
     """
     information = np.maximum(1.0 / loose.ratio - 1.0, 0.0)
     gradient = (loose.whiten @ step) / loose.ratio
@@ -88,17 +76,11 @@ _POINTS = 512
 def scale_slopes(
     scanner: Scanner, observations: RoomObservations, corrections: tuple[Float[np.ndarray, " records"], ...] = ()
 ) -> Float[np.ndarray, "2 params"]:
-    """Radial and height scale of a room by a step of the scanner that measures it [1 per px, rad, m].
-
-    Args:
-        scanner: With a turntable; where the derivatives are taken.
-        observations: Whose points stand for the room.
-        corrections: Of the angles of each sweep [rad]; without any, none.
-    """
+    """Radial and height scale of a room by a step of the scanner that measures it [1 per px, rad, m]."""
     points = observations.points.take(spread_over(np.arange(len(observations.points.q)), _POINTS))
     where = points.q, points.laser, observations.angles_of(points, corrections)
     arm, valid = triangulate_points(scanner, *where)
-    slope = point_gradient(scanner, *where)
+    slope = point_gradient(scanner.rig, *where)
     if not isinstance(scanner.turntable, Turntable):
         raise TypeError(f"found {type(scanner.turntable).__name__}, expected a turntable")
     # The axis is the z axis of the scanner's frame.
@@ -121,9 +103,7 @@ _NAMED, _SHARE = 3, 0.4
 class Scales(NamedTuple):
     """Radial and height scale by a step of the scanner, and how far they are known."""
 
-    slope: Float[np.ndarray, "2 params"]
     before: Float[np.ndarray, "2"]
-    """Standard deviation by the prior [1]."""
     after: Float[np.ndarray, "2"]
     factor: Float[np.ndarray, "2"]
     """Old over new standard deviation along the steps of the scanner that are left for each scale [1]; 1 where the
@@ -139,7 +119,7 @@ def scales_of(compared: Compared, slope: Float[np.ndarray, "2 params"]) -> Scale
     along = compared.whiten @ left
     old = np.sum(along**2, axis=0)
     new = np.sum(along**2 / compared.ratio[:, None], axis=0)
-    return Scales(slope, before, after, np.sqrt(new / np.where(old > 0, old, 1.0)), left)
+    return Scales(before, after, np.sqrt(new / np.where(old > 0, old, 1.0)), left)
 
 
 def gains_of(compared: Compared, scales: Scales, names: tuple[str, ...]) -> tuple[Gain, ...]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxscan.recalibration.judge.drift import TABLE_PART
 from jaxscan.recalibration.judge.gain import Compared, scale_slopes
-from jaxscan.recalibration.observed import RecalibrationSettings, Surfaces
+from jaxscan.recalibration.observed import Surfaces
 from jaxscan.recalibration.result import Adjusted, Drift, HoldOut, LengthGain
 
 
@@ -20,6 +20,8 @@ _SAME_DIRECTION = np.cos(np.radians(15.0))
 _LEAST_DIRECTIONS = 2
 # Tracked points, and turn over which they are seen [rad], that stand for walls in other directions.
 _LEAST_TRACKS, _LEAST_TURN = 20, np.radians(90.0)
+# Least gain of a direction, and of a length, for which a calibration is updated: old over new standard deviation [1].
+_LEAST_GAIN = 1.05
 # No length may be known worse than before by more than rounding and first order make of it [1].
 _WORSE = 1.02
 # A scanner that knows a room's scale less well measures nothing [1].
@@ -32,7 +34,6 @@ def refuse_result(
     drift: Drift,
     held_out: HoldOut | None,
     lengths: Sequence[LengthGain],
-    settings: RecalibrationSettings,
 ) -> str:
     """The first reason not to update; empty where there is none."""
     best = float(np.max(compared.factor, initial=1.0))
@@ -75,21 +76,21 @@ def refuse_result(
             f"the room to {100 * adjusted_scale(adjusted):.1f} % only, expected {100 * _LEAST_SCALE:g} %: give a known "
             "length or a capture of a board, or calibrate again"
         )
-    return "" if drift.drifted else _nothing_gained(best, lengths, settings.least_gain)
+    return "" if drift.drifted else _nothing_gained(best, lengths)
 
 
-def _nothing_gained(best: float, lengths: Sequence[LengthGain], least: float) -> str:
-    if best < least:
+def _nothing_gained(best: float, lengths: Sequence[LengthGain]) -> str:
+    if best < _LEAST_GAIN:
         return (
             f"nothing was gained: the best direction is known {best:.2f} times as well as before, expected at least "
-            f"{least:g} times; the stored calibration is as good as these sweeps"
+            f"{_LEAST_GAIN:g} times; the stored calibration is as good as these sweeps"
         )
     # A length that the stored calibration makes without any error can neither gain nor lose.
     shares = [each.after_mm / each.before_mm for each in lengths if each.before_mm > 0]
-    if shares and min(shares) > 1.0 / least:
+    if shares and min(shares) > 1.0 / _LEAST_GAIN:
         return (
             f"nothing was gained: the best of the typical lengths is known {1.0 / min(shares):.2f} times as well as "
-            f"before, expected at least {least:g} times; the stored calibration is as good as these sweeps"
+            f"before, expected at least {_LEAST_GAIN:g} times; the stored calibration is as good as these sweeps"
         )
     if shares and max(shares) > _WORSE:
         worst = max((each for each in lengths if each.before_mm > 0), key=lambda each: each.after_mm / each.before_mm)
@@ -130,8 +131,8 @@ def adjusted_scale(adjusted: Adjusted) -> float:
 def count_directions(surfaces: Surfaces) -> int:
     """In how many directions planes face; opposite walls count once."""
     found: list[np.ndarray] = []
-    for kind, normal in zip(surfaces.kind, surfaces.normal, strict=True):
-        if kind == "plane" and all(abs(normal @ other) < _SAME_DIRECTION for other in found):
+    for normal in surfaces.normal:
+        if all(abs(normal @ other) < _SAME_DIRECTION for other in found):
             found.append(normal)
     return len(found)
 
@@ -140,7 +141,7 @@ def _worst_surfaces(adjusted: Adjusted) -> str:
     """The surfaces whose points are farthest off, by their directions and distances."""
     points, kept = adjusted.observations.points, adjusted.point_kept
     own = points.surface[kept]
-    square = np.bincount(own, adjusted.point_error[kept] ** 2, minlength=len(adjusted.surfaces.kind))
+    square = np.bincount(own, adjusted.point_error[kept] ** 2, minlength=len(adjusted.surfaces.distance))
     rms = np.sqrt(square / np.maximum(np.bincount(own, minlength=len(square)), 1))
     order = np.argsort(-rms)[:2]
     return " and ".join(f"{describe_surface(adjusted.surfaces, int(k))} ({1e3 * rms[k]:.1f} mm)" for k in order)
@@ -148,17 +149,15 @@ def _worst_surfaces(adjusted: Adjusted) -> str:
 
 def none_is_flat(adjusted: Adjusted) -> str:
     """One line for a room of which no surface can be used."""
-    planes = adjusted.surfaces.kind.count("plane")
+    count = len(adjusted.surfaces.distance)
     return (
-        f"none of the {planes} surfaces found is flat, worst {_worst_surfaces(adjusted)}; expected flat walls: sweep a "
+        f"none of the {count} surfaces found is flat, worst {_worst_surfaces(adjusted)}; expected flat walls: sweep a "
         "room that has some, and check that nothing moved during the sweep and that the calibration is of this rig."
     )
 
 
 def describe_surface(surfaces: Surfaces, number: int) -> str:
     """A surface in words: "the floor", "a wall at 2.1 m towards 35 degrees"."""
-    if surfaces.kind[number] == "sphere":
-        return f"the sphere of {2e3 * surfaces.distance[number]:.0f} mm"
     normal, distance = surfaces.normal[number], float(surfaces.distance[number])
     away = normal * np.sign(distance) if distance else normal
     if abs(away[2]) > _SAME_DIRECTION:

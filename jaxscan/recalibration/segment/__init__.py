@@ -1,5 +1,3 @@
-"""Sweeps to points on planes and spheres."""
+"""Sweeps to flat surfaces of the room and points on them."""
 
-from jaxscan.recalibration.segment.flat import flat
-from jaxscan.recalibration.segment.spheres import Sphere, find_sphere
-from jaxscan.recalibration.segment.surfaces import Patches, find_patches, observe_surfaces
+from jaxscan.recalibration.segment.surfaces import label_planes, observe_surfaces

@@ -25,23 +25,17 @@ _AT_ONCE = 64
 
 
 class Cells(NamedTuple):
-    """Stripes of one laser averaged over blocks of the grid; zero where not valid."""
+    """Stripes of one laser averaged over blocks of its profiles and lines; zero where not valid [px, rad, m]."""
 
     laser: int
     profiles: Int[np.ndarray, " profiles"]
-    """The sweep's profiles of this laser."""
     lines: Int[np.ndarray, " lines"]
-    """The lines that have stripes."""
     block: tuple[int, int]
-    """Profiles and lines of a block."""
     q: Float[np.ndarray, "rows columns 2"]
-    """Mean pixel [px]."""
     phi: Float[np.ndarray, "rows columns"]
-    """Mean angle of the table [rad]."""
     sigma_px: Float[np.ndarray, "rows columns"]
     """Standard deviation of the mean centre [px]."""
     p: Float[np.ndarray, "rows columns 3"]
-    """Point of the mean [m], scanner frame."""
     slope: Float[np.ndarray, "rows columns 3"]
     """Shift of the point by a pixel across the line [m/px]."""
     valid: Bool[np.ndarray, "rows columns"]
@@ -61,10 +55,6 @@ def cells_of(sweep: SweepStripes, scanner: Scanner) -> list[Cells]:
 
     A flat wall stays flat: over a block the centre is linear in angle and line to 0.01 pixels, so the mean centre
     lies at the mean angle and the mean line.
-
-    Args:
-        sweep: The stripes.
-        scanner: The calibrated rig.
     """
     return [_cells(sweep, scanner, int(laser)) for laser in np.unique(sweep.laser)]
 
@@ -173,7 +163,6 @@ class Surroundings(NamedTuple):
 
     windows: Windows
     half: tuple[Int[np.ndarray, "rows columns"], Int[np.ndarray, "rows columns"]]
-    """Half the size of the windows [cells]."""
     normal: Float[np.ndarray, "rows columns 3"]
     """Unit normal, towards the scanner."""
     sigma: Float[np.ndarray, "rows columns"]
@@ -181,7 +170,6 @@ class Surroundings(NamedTuple):
     scatter: Float[np.ndarray, "rows columns"]
     """RMS distance from the plane of the neighbourhood [m]."""
     even: Bool[np.ndarray, "rows columns"]
-    """Where the neighbourhood is full and flat."""
     factor: float
     """By which the scatter exceeds the promise of the sigmas [1]."""
 

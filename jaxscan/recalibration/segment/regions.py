@@ -7,9 +7,9 @@ from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import Scanner, root_of
 from jaxscan.measurement.planes import facing, weighted_plane
+from jaxscan.measurement.systematic import point_gradient
 from jaxscan.recalibration.grid import smooth_parts, spread_over
 from jaxscan.recalibration.segment.cells import ROUGH_M, Cells, Surroundings, surroundings
-from jaxscan.recalibration.triangulate import point_gradient
 
 
 _LOOSE = {
@@ -32,10 +32,7 @@ _DIRECTIONS = 24
 
 
 def likely_steps(scanner: Scanner) -> Float[np.ndarray, "directions params"]:
-    """Steps of the scanner by one standard deviation, independent of one another: its covariance, and a drift.
-
-    The largest first.
-    """
+    """Independent steps of the scanner by one standard deviation, largest first: its covariance, and a drift."""
     names = scanner.parameter_names()
     loose = np.array([_LOOSE.get(name, _LOOSE.get(name.rsplit(".", 1)[-1], 0.0)) for name in names])
     covariance = np.diag(loose**2)
@@ -48,7 +45,7 @@ def likely_steps(scanner: Scanner) -> Float[np.ndarray, "directions params"]:
 def bending(scanner: Scanner, cells: Cells) -> Float[np.ndarray, "points 3 directions"]:
     """Shifts of the valid cells of a grid [m] by each of the `likely_steps`."""
     laser = np.full(int(cells.valid.sum()), cells.laser, np.int32)
-    by_scanner = point_gradient(scanner, cells.q[cells.valid], laser, cells.phi[cells.valid])
+    by_scanner = point_gradient(scanner.rig, cells.q[cells.valid], laser, cells.phi[cells.valid])
     return (by_scanner @ likely_steps(scanner).T).astype(np.float32)
 
 
@@ -60,7 +57,6 @@ class BentPlane(NamedTuple):
     """A plane `normal . p = distance` through points as they are, and how the calibration may have bent it."""
 
     normal: Float[np.ndarray, "3"]
-    """Towards the scanner."""
     distance: float
     centre: Float[np.ndarray, "3"]
     axes: Float[np.ndarray, "2 3"]
@@ -86,13 +82,7 @@ def bent_plane(
     sigma: Float[np.ndarray, " points"],
     bend: Float[np.ndarray, "points 3 directions"],
 ) -> BentPlane:
-    """Least squares of a plane and of the likely steps of the calibration, whose prior is one standard deviation.
-
-    Args:
-        p: Points [m].
-        sigma: Their standard deviations along the normal [m].
-        bend: Shifts of the points by the likely steps [m].
-    """
+    """Least squares of a plane [m] and of the likely steps of the calibration, whose prior is one sigma."""
     some = spread_over(np.arange(len(p)), _MOST)
     p, bend, weight = p[some], bend[some], 1.0 / (sigma[some] ** 2 + ROUGH_M**2)
     plane = weighted_plane(p, weight)
@@ -160,16 +150,10 @@ class Region(NamedTuple):
     """Number of each cell of the grid among the valid ones."""
     plane: BentPlane
     bowed: bool
-    """Whether it is curved as a whole."""
 
 
 def flat_regions(cells: Cells, scanner: Scanner) -> list[Region]:
-    """All flat regions of a grid, the largest first.
-
-    Args:
-        cells: The grid.
-        scanner: Its covariance says how far it may bend a wall that is flat.
-    """
+    """All flat regions of a grid, the largest first; the scanner's covariance says how far it may bend a flat wall."""
     around, bend = surroundings(cells), bending(scanner, cells)
     place = np.cumsum(cells.valid.ravel()) - 1
     part = smooth_parts(cells.p, around.normal, around.even, 4.0 * around.sigma + _STEP_M / 2, _TURN)

@@ -20,52 +20,29 @@ from jaxscan.recalibration.segment.regions import Region, flat_regions
 from jaxscan.recalibration.triangulate import triangulate_points
 
 
-class Patches(NamedTuple):
-    """Planes of one sweep, in the frame of its scanner."""
-
-    labels: Int[np.ndarray, "profiles lines"]
-    """Number of the plane that each point of the grid lies on; -1 where on none."""
-    normal: Float[np.ndarray, "patches 3"]
-    """Unit normals, towards the scanner."""
-    distance: Float[np.ndarray, " patches"]
-    """`normal . p = distance` [m]."""
-    centre: Float[np.ndarray, "patches 3"]
-    """Mean of the points [m]."""
-
-
-def find_patches(sweep: SweepStripes, scanner: Scanner) -> Patches:
-    """Planes of one sweep, with the scanner as it is.
-
-    Args:
-        sweep: The stripes.
-        scanner: The calibrated rig; its covariance says how far it may bend a wall.
+def label_planes(sweep: SweepStripes, scanner: Scanner) -> Int[np.ndarray, "profiles lines"]:
+    """Number of the plane of one sweep that each point of its grid lies on, with the scanner as it is; -1: on none.
 
     Raises:
         CalibrationError: If no plane is found.
     """
-    labels = np.full(sweep.centre.shape, -1, np.int32)
-    found: list[Region] = []
+    labels, count = np.full(sweep.centre.shape, -1, np.int32), 0
     for cells in cells_of(sweep, scanner):
         grid = np.full(cells.valid.size, -1, np.int32)
         for region in flat_regions(cells, scanner):
-            grid[region.cells] = len(found)
-            found.append(region)
+            grid[region.cells] = count
+            count += 1
         labels[np.ix_(cells.profiles, cells.lines)] = cells.spread(grid.reshape(cells.valid.shape))
-    if not found:
+    if not count:
         raise CalibrationError(_no_plane([sweep]))
-    planes = [region.plane for region in found]
-    normal, centre = (
-        np.stack(field) for field in zip(*((plane.normal, plane.centre) for plane in planes), strict=True)
-    )
-    labels = np.where(sweep.valid, labels, -1).astype(np.int32)
-    return Patches(labels, normal, np.array([plane.distance for plane in planes]), centre)
+    return np.where(sweep.valid, labels, -1)
 
 
 def _no_plane(sweeps: Sequence[SweepStripes]) -> str:
     names = ", ".join(sweep.name for sweep in sweeps)
     return (
-        f"{names}: found no plane, expected flat walls of 0.2 m or more: sweep a room with free walls, "
-        "or calibrate with boards"
+        f"{names}: found no plane, expected flat walls of 0.2 m or more: sweep a room with free walls, check that the "
+        "table's steps per turn are those of the calibration, or calibrate with boards"
     )
 
 
@@ -116,7 +93,7 @@ def observe_surfaces(
         towards = pieces[int(np.flatnonzero(surface == name)[0])].normal
         planes.append(facing(weighted_plane(own_points, np.ones(len(own_points))), towards))
     normals, centres = np.stack([plane.normal for plane in planes]), np.stack([plane.centre for plane in planes])
-    surfaces = Surfaces(tuple("plane" for _ in names), normals, (normals * centres).sum(1), centres)
+    surfaces = Surfaces(normals, (normals * centres).sum(1), centres)
     return points._replace(surface=renumbered[points.surface]), surfaces
 
 
@@ -145,7 +122,7 @@ _LOCAL_M, _LOCAL = 0.4, 20
 
 
 class Piece(NamedTuple):
-    """A flat region, in the frame of the room."""
+    """A flat region in the frame of the room, with some of its points and more of them [m]."""
 
     sweep: int
     station: int
@@ -155,13 +132,10 @@ class Piece(NamedTuple):
     centre: Float[np.ndarray, "3"]
     axes: Float[np.ndarray, "2 3"]
     points: Float[np.ndarray, "samples 3"]
-    """Some of its points [m]."""
     dense: Float[np.ndarray, "more 3"]
-    """More of them."""
     noise: float
     """Standard deviation of a cell along the normal [m]."""
     phi: float
-    """Mean angle of the table [rad]."""
 
 
 def _piece(sweep: int, station: int, region: Region, pose: Float[np.ndarray, "4 4"]) -> Piece:
@@ -322,28 +296,18 @@ _BIN_M = 0.1
 
 
 class Candidates(NamedTuple):
-    """Stripes that may be used."""
+    """Stripes that may be used: in the room [m], with the lines over which their noise is shared."""
 
     points: SurfacePoints
     p: Float[np.ndarray, "points 3"]
-    """In the frame of the room [m]."""
     shared: Float[np.ndarray, " points"]
-    """Lines over which the noise is shared."""
     profile: Int[np.ndarray, " points"]
 
 
 def _candidates(
     piece: Piece, others: Sequence[Piece], sweep: SweepStripes, scanner: Scanner, pose: Float[np.ndarray, "4 4"]
 ) -> Candidates:
-    """Stripes of a piece and its rim.
-
-    Args:
-        piece: The flat region.
-        others: All pieces of its sweep; corners with them are left out.
-        sweep: Its sweep.
-        scanner: The calibrated rig.
-        pose: T_room_scanner.
-    """
+    """Stripes of a piece and its rim, without corners with the other pieces of its sweep."""
     cells, plane = piece.region.grid, piece.region.plane
     members = np.flatnonzero(_claimed(piece.region, others).ravel())
     i, j = np.unravel_index(members, cells.valid.shape)
@@ -382,14 +346,9 @@ def _joined(found: Sequence[Candidates]) -> Candidates:
 
 
 def _choose(found: Candidates, most: int) -> Int[np.ndarray, " chosen"]:
-    """At most so many of the candidates: balanced over surfaces, even over their area, independent in their noise.
-
-    Args:
-        found: Candidates of all surfaces, numbered by `found.points.surface`.
-        most: Number of points at most.
-    """
+    """At most so many candidates: balanced over surfaces, even over their area, independent in their noise."""
     surface = found.points.surface
-    independent = np.flatnonzero(far_apart(found.points.sweep, found.profile, found.points.line, found.shared))
+    independent = np.flatnonzero(_far_apart(found.points.sweep, found.profile, found.points.line, found.shared))
     independent = np.random.default_rng(1).permutation(independent)
     rank = _rank(found.p[independent], surface[independent])
     names, counts = np.unique(surface[independent], return_counts=True)
@@ -482,7 +441,7 @@ def _shares(wish: np.ndarray, most: np.ndarray, total: int) -> Int[np.ndarray, "
     return np.floor(share + 1e-9).astype(int)
 
 
-def far_apart(
+def _far_apart(
     sweep: Int[np.ndarray, " points"],
     profile: Int[np.ndarray, " points"],
     line: Int[np.ndarray, " points"],

@@ -12,7 +12,6 @@ from jaxscan.recalibration.observed import SweepStripes, Tracks
 from jaxscan.recalibration.stations.view import (
     FILLED,
     FREE,
-    Landmarks,
     Space,
     View,
     find_landmarks,
@@ -40,10 +39,7 @@ REACH_M = 30.0
 
 
 def guess_poses(one: View, other: View) -> np.ndarray:
-    """T_one_other [n, 4, 4] that match directions of walls, and along each direction their places.
-
-    None where the walls of either leave a turn open.
-    """
+    """T_one_other [n, 4, 4] that match directions and places of walls; none where walls leave a turn open."""
     poses = []
     for rotation in _rotations(one, other):
         turned = View(*(field @ rotation.T for field in other))
@@ -118,10 +114,7 @@ def turn_between(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _axes(one: View, turned: View) -> np.ndarray | None:
-    """Three directions [3, 3] across which both see walls, as far apart as they can be.
-
-    Where there are walls in two directions alone the third is at right angles to them; None with fewer.
-    """
+    """Three directions [3, 3] across which both see walls (one may be at right angles to two); None with fewer."""
     ours, share = directions(np.concatenate([one.normals, -one.normals]))
     theirs = np.abs(turned.normals @ ours.T) > SAME_DIRECTION
     share = np.minimum(share, theirs.mean(0))
@@ -168,12 +161,10 @@ FEW = 500
 
 
 class Aligned(NamedTuple):
-    """A pose and how well patches agree in it."""
+    """A pose T_one_other [4, 4], and how well so many pairs of patches agree in it."""
 
     pose: np.ndarray
-    """T_one_other [4, 4]."""
     matched: int
-    """Pairs of patches that were compared."""
     scale_m: float
     """Robust standard deviation of their distances [m]."""
     weakest: float
@@ -181,14 +172,7 @@ class Aligned(NamedTuple):
 
 
 def align(one: View, other: View, pose: np.ndarray, *, few: bool = False) -> Aligned:
-    """Move `pose` (T_one_other) until the patches of both lie in each other's planes.
-
-    Args:
-        one: The station that stays.
-        other: The station that moves.
-        pose: T_one_other [4, 4].
-        few: Use some of the patches only.
-    """
+    """Move `pose` (T_one_other) until the patches of both, or some of them, lie in each other's planes."""
     step = max(1, -(-len(other.patches) // FEW)) if few else 1
     p, n = other.patches[::step], other.normals[::step]
     pose = pose.copy()
@@ -261,10 +245,9 @@ class Station(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """Where one station is in the frame of another."""
+    """Where one station is in the frame of another, T_one_other [4, 4]."""
 
     pose: np.ndarray
-    """T_one_other [4, 4]."""
     share: float
     """Share of the cells that both see [1]."""
 
@@ -278,12 +261,7 @@ class _Place(NamedTuple):
 
 
 def place_pair(one: Station, other: Station, *, first: np.ndarray | None = None) -> Pair:
-    """T_one_other.
-
-    Args:
-        one: The station that stays.
-        other: The station that is placed.
-        first: A first pose, good to half a metre and ten degrees; None to find it.
+    """T_one_other, by a first pose that is good to half a metre and ten degrees, if there is one.
 
     Raises:
         CalibrationError: If the two see too little in common, or fit in several places.
@@ -405,7 +383,6 @@ def place_stations(
     scanner: Scanner,
     *,
     tracks: Tracks | None = None,
-    landmarks: Mapping[int, Landmarks] | None = None,
     start: Mapping[int, np.ndarray] | None = None,
 ) -> np.ndarray:
     """First poses of the stations, good to a few centimetres and a degree; an adjustment makes them exact.
@@ -418,7 +395,6 @@ def place_stations(
         sweeps: Sweeps with the numbers of their stations, 0 to S - 1.
         scanner: The stored scanner.
         tracks: Targets by name that several stations see; features without names are not used.
-        landmarks: More points by name, such as middles of known spheres: for each station, its own coordinates [m].
         start: A first pose T_room_scanner for some of the stations, good to half a metre and ten degrees.
 
     Returns:
@@ -434,7 +410,7 @@ def place_stations(
     if len(numbers) < 2:
         return poses
     known = {0: np.eye(4), **(start or {})}
-    stations = [_station(number, sweeps, scanner, tracks, (landmarks or {}).get(number, {})) for number in numbers]
+    stations = [_station(number, sweeps, scanner, tracks) for number in numbers]
     tried: dict[tuple[int, int], Pair | CalibrationError] = {}
     for a in numbers:
         for b in numbers[a + 1 :]:
@@ -463,10 +439,8 @@ def _tree(tried: Mapping[tuple[int, int], Pair | CalibrationError], count: int) 
     return steps
 
 
-def _station(
-    number: int, sweeps: Sequence[SweepStripes], scanner: Scanner, tracks: Tracks | None, more: Landmarks
-) -> Station:
+def _station(number: int, sweeps: Sequence[SweepStripes], scanner: Scanner, tracks: Tracks | None) -> Station:
     mine = [k for k, sweep in enumerate(sweeps) if sweep.station == number]
     view = look_around([sweeps[k] for k in mine], scanner)
     marks = {} if tracks is None else find_landmarks(tracks, {k: sweeps[k] for k in mine}, scanner, view)
-    return Station(sweeps[mine[0]].name, view, see_space(view), {**marks, **more})
+    return Station(sweeps[mine[0]].name, view, see_space(view), marks)

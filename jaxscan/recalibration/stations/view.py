@@ -21,24 +21,17 @@ FARTHEST_M = 100.0
 
 
 class View(NamedTuple):
-    """Some points of a station in its scanner frame [m]."""
+    """Points [n, 3] of a station in its scanner frame, and middles and normals of its flat patches [m, 3], m."""
 
     points: np.ndarray
-    """[n, 3]."""
     eyes: np.ndarray
     """Where the camera was when it saw each point [n, 3]."""
     patches: np.ndarray
-    """Middle of each flat patch [m, 3]."""
     normals: np.ndarray
-    """Unit normals of the patches, towards the camera [m, 3]."""
 
 
 def look_around(sweeps: Sequence[SweepStripes], scanner: Scanner) -> View:
     """The view of a station from all its sweeps.
-
-    Args:
-        sweeps: Sweeps from one place.
-        scanner: Its covariance is not used.
 
     Raises:
         CalibrationError: If there are too few flat patches to find walls in.
@@ -103,9 +96,6 @@ def _patches(points: np.ndarray, eyes: np.ndarray, valid: np.ndarray, width: int
     return middle[flat], normal[flat]
 
 
-Landmarks = Mapping[str, np.ndarray]
-"""Points [3] by name, m, in the scanner frame of one station."""
-
 BESIDE_RAD = np.radians(6.0)
 """Farthest patch on whose plane a target is taken to be."""
 AGREE_M = 0.1
@@ -117,19 +107,7 @@ SPREAD_M = 0.05
 def find_landmarks(
     tracks: Tracks, sweeps: Mapping[int, SweepStripes], scanner: Scanner, view: View
 ) -> dict[str, np.ndarray]:
-    """Where the named targets are that the sweeps of one station see.
-
-    A target is where the rays to it meet the flat patch that is nearest to them.
-
-    Args:
-        tracks: Of all sweeps.
-        sweeps: Those of the station, by their numbers in `tracks`.
-        scanner: The scanner.
-        view: The view of the station.
-
-    Returns:
-        Points [3] by name, m, scanner frame of the station.
-    """
+    """Points [3], m, by name: where the rays to named targets meet the flat patch that is nearest to them."""
     found: dict[str, np.ndarray] = {}
     mine = np.isin(tracks.sweep, list(sweeps))
     for number in np.unique(tracks.track[mine]):
@@ -189,14 +167,12 @@ UNSEEN, FREE, FILLED, AROUND = 0, 1, 2, 3
 
 
 class Space(NamedTuple):
-    """Cells around a station, in its scanner frame."""
+    """Cells [m] around a station, in its scanner frame, from their lowest corner on."""
 
     state: np.ndarray
     """`UNSEEN`, `FREE`, `FILLED`, or `AROUND` filled ones; uint8 [x, y, z]."""
     low: np.ndarray
-    """Corner of the first cell [3], m."""
     cell: float
-    """[m]."""
     some: np.ndarray
     """One point of each filled cell [n, 3]."""
 
@@ -209,10 +185,7 @@ class Space(NamedTuple):
 
 
 def see_space(view: View) -> Space:
-    """The cells that a view fills and looks through.
-
-    A cell is free where at least two rays went through it and no point is in it or beside it.
-    """
+    """The cells that a view fills and looks through: where two rays or more went, and no point is in or beside it."""
     # Imported here, so that nobody who does not recalibrate loads SciPy.
     from scipy.ndimage import binary_dilation  # type: ignore[import-untyped]
 

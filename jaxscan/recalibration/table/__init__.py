@@ -1,4 +1,4 @@
-"""Faults of the table's angles: wrong steps per turn, lost steps."""
+"""Steps that the table lost, by the walls of ordinary sweeps."""
 
-from jaxscan.recalibration.table.check import check_angles, say_lost_steps
+from jaxscan.recalibration.table.steps import check_angles
 from jaxscan.recalibration.table.walls import points_of_records

@@ -1,16 +1,20 @@
-"""A wrong number of steps per turn, and lost steps: records from which on the table stands elsewhere.
+"""Steps that a table lost: records from which on it stands elsewhere; found one after another, placed, and named.
 
-With the right number of steps per turn, points lie on few planes.
+With the right angles points lie on few planes. A large step breaks walls, and is proposed by the turn between the
+normals before and behind a place; a small one bends them, and stands out of the errors of a least squares.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from jaxscan.geometry import Scanner, Turntable
 from jaxscan.leastsq import MEDIAN_TO_SIGMA
-from jaxscan.measurement.planes import Plane, weighted_plane
+from jaxscan.measurement.planes import Plane
 from jaxscan.recalibration.observed import SweepStripes
+from jaxscan.recalibration.result import TableFindings
 from jaxscan.recalibration.table.walls import (
     FLOOR,
     FOLD,
@@ -19,7 +23,6 @@ from jaxscan.recalibration.table.walls import (
     MOST_COST,
     PROFILES,
     SAME,
-    TIGHT,
     Equations,
     Rig,
     Sample,
@@ -36,140 +39,220 @@ from jaxscan.recalibration.table.walls import (
 )
 
 
-SEEDS, SPAN, REACH, LEAST_REACH = 48, np.deg2rad(8.0), 3, 2
-"""Places from which planes are proposed; the turn over which one is fitted; profiles on each side of the middle, and
-fewer where steps are coarse."""
-EVALUATED = 160
-"""Profiles on which proposed planes are tried."""
-CLOSE = 0.01
-"""Part of the range within which a point is on a plane, beside noise."""
-PLANES = 8
-LEAST_SHARE = 0.02
-LEAST_TURN = np.deg2rad(40.0)
-"""A shorter sweep does not tell a factor from a bend of the walls."""
-BETTER = 1.4
-"""How much more concentrated points must be than with the journal's angles [1]."""
-LEAST_SCORE = 0.06
-"""Concentration of points on four planes that hold half of them [1]."""
-NEAR = 1.2
-"""Ratio of two first values that least squares would bring to one place."""
-SURE = (0.01, 0.15)
-"""Nothing else is tried where least squares stays so near to a factor of 1, and so concentrates points [1, 1]."""
-STARTS, TIMES = 3, 6
-"""First values that are refined, and steps of least squares for each."""
-FARTHEST = 64.0
+FULL_STEPS = {
+    1.8: "one full step of a motor with 200 steps per turn on the axis",
+    0.9: "one full step of a motor with 400 steps per turn on the axis",
+    0.2: "one full step of a motor with 200 steps per turn behind a gear of 9",
+    0.1125: "one full step of a motor with 200 steps per turn behind a gear of 16",
+    0.1: "one full step of a motor with 200 steps per turn behind a gear of 18",
+}
+"""Usual full steps of a table [deg]."""
+# Part of a full step by which a lost one may differ from it, beside its sigmas.
+STEP_TOLERANCE, STEP_SIGMAS = 0.05, 2.5
+# Distance of records up to which steps are sought [rad]: between farther ones furniture looks like a lost step.
+COARSEST = np.deg2rad(1.75)
+# Standard deviations of a sum of steps, of which each is many, up to which they undo each other.
+UNDONE = 3.0
 
 
-def candidates() -> Float[np.ndarray, " factors"]:
-    """Ratios of usual numbers of steps per turn, of gears, and a fine scale between 1/4 and 4."""
-    powers = 2.0 ** np.arange(-6, 7)
-    gears = np.array([a / b for a in range(1, 6) for b in range(1, 6)])
-    fine = np.exp(np.arange(-np.log(4.0), np.log(4.0), 0.06))
-    both = np.unique(np.round(np.concatenate([powers, 0.9 * powers, gears, fine]), 9))
-    return both[(both <= FARTHEST) & (both >= 1.0 / FARTHEST)]
+class LostStep(NamedTuple):
+    """A step that was found."""
+
+    record: int
+    """The first record after it that is the most likely; `first` to `last` are possible."""
+    first: int
+    last: int
+    size: float
+    """About the axis [rad]."""
+    sigma: float
 
 
-def concentration(sample: Sample, theta: Float[np.ndarray, " records"]) -> float:
-    """Sum of the squared shares that planes have of all points, each point on one plane [1]."""
-    if len(sample.x) == 0:
-        return 0.0
-    x, noise = sample.turned(theta)
-    profiles, place = np.unique(sample.profile, return_inverse=True)
-    angle = np.zeros(len(profiles))
-    angle[place] = theta[sample.record]
-    planes = _propose(x, place, angle)
-    if not planes:
-        return 0.0
-    normal, distance = np.stack([plane.normal for plane in planes]), np.array([plane.distance for plane in planes])
-    tried = np.isin(place, np.linspace(0, len(profiles) - 1, min(EVALUATED, len(profiles))).round().astype(int))
-    x, noise = x[tried], noise[tried]
-    size = np.linalg.norm(x, axis=1)
-    step = np.linalg.norm(noise, axis=1)
-    along = noise / np.maximum(step, 1e-12)[:, None]
-    # In terms of the range: a plane through the sheet itself, where all profiles would lie, gains nothing.
-    limit = CLOSE * size + 3.0 * step
-    left, score = np.ones(len(x), bool), 0.0
-    on = np.abs(normal @ x.T - distance[:, None]) < np.abs(normal @ along.T) * limit
-    # Counted as a product, which is exact below 2^24 points.
-    share = on.astype(np.float32)
-    for _ in range(PLANES):
-        count = share @ left.astype(np.float32)
-        best = int(np.argmax(count))
-        mine = left & on[best]
-        if mine.mean() < LEAST_SHARE:
-            break
-        # Once more with all points that agree.
-        plane = weighted_plane(x[mine], np.ones(mine.sum()))
-        again = left & (np.abs(x @ plane.normal - plane.distance) < np.abs(along @ plane.normal) * limit)
-        mine = again if again.sum() > mine.sum() else mine
-        score += mine.mean() ** 2
-        left &= ~mine
-    return float(score)
+def check_angles(sweeps: Sequence[SweepStripes], scanner: Scanner) -> TableFindings:
+    """Finds steps that the table lost.
 
+    Args:
+        sweeps: Sweeps of a room.
+        scanner: The stored scanner; a poor one will do.
 
-def find_factor(sweep: SweepStripes, rig: Rig) -> float:
-    """The factor of the journal's angles with which points lie on the fewest planes; 1 where none is better.
-
-    A scan over usual ratios gives first values, also with a poor calibration, which bends walls much as a wrong factor
-    does; least squares with the whole rig free brings them nearer.
+    Returns:
+        The steps, corrections of the angles that repair them, and a sentence for each. Without walls, and in sweeps
+        whose records are more than 1.75 degrees apart, nothing is found.
     """
-    if len(np.unique(sweep.record)) < 2 * REACH + 1:
-        return 1.0
-    # Between coarse steps no plane fits into the turn with the journal's own angles, and any smaller factor would look
-    # better.
-    if np.median(np.abs(np.diff(rig.theta))) > SPAN / (2 * LEAST_REACH):
-        return 1.0
-    own, best_score = _fitted(sweep, rig, 1.0)
-    best = _ratio(own, rig)
-    if abs(best - 1.0) < SURE[0] and best_score > SURE[1]:
-        return 1.0
-    sample = take_sample(sweep, rig.scanner, 1_200, 9_600)
-    factors = candidates()
-    scores = np.array([concentration(sample, factor * rig.theta) for factor in factors])
-    found = own
-    for _ in range(STARTS):
-        k = int(np.argmax(scores))
-        if scores[k] <= 0:
+    jumps, sentences = [], []
+    corrections = tuple(np.zeros(len(sweep.angle)) for sweep in sweeps)
+    table = scanner.turntable
+    for number, sweep in enumerate(sweeps):
+        seen = np.unique(sweep.record)
+        apart = np.abs(np.diff(sweep.angle[seen]))
+        if not isinstance(table, Turntable) or not sweep.valid.any() or not len(apart) or np.median(apart) > COARSEST:
+            continue
+        rig = find_steps(sweep, Rig.start(scanner, np.asarray(table.angle(sweep.angle))))
+        way = np.sign(float(table.gain)) * np.sign(sweep.angle[-1] - sweep.angle[0])
+        for step in lasting(lost_steps(sweep, rig)):
+            size = step.size / float(table.gain)
+            jumps.append((number, step.record, size))
+            corrections[number][step.record :] += size
+            before = seen[seen < step.first]
+            between = (int(before[-1]) if len(before) else 0, step.last)
+            degrees = float(np.rad2deg(way * step.size)), float(np.rad2deg(step.sigma))
+            sentences.append(say_jump(sweep.name, between, *degrees))
+    return TableFindings(tuple(jumps), corrections, tuple(sentences))
+
+
+def lasting(steps: Sequence[LostStep]) -> list[LostStep]:
+    """Steps in their order, without neighbours that undo each other.
+
+    A part of a wall that stands out looks as if the table turned there and back; steps that a table loses stay lost.
+    """
+    left = sorted(steps)
+    for count in range(2, len(left) + 1):
+        for begin in range(len(left) - count + 1):
+            some = left[begin : begin + count]
+            if abs(sum(step.size for step in some)) < UNDONE * np.sqrt(sum(step.sigma**2 for step in some)):
+                return lasting([*left[:begin], *left[begin + count :]])
+    return left
+
+
+def say_jump(name: str, records: tuple[int, int], degrees: float, sigma_deg: float) -> str:
+    """The sentence for a lost step between two records; `degrees` is negative where the table lags behind."""
+    way, size = ("behind" if degrees < 0 else "ahead"), abs(degrees)
+    near = [step for step in FULL_STEPS if abs(size - step) < max(STEP_TOLERANCE * step, STEP_SIGMAS * sigma_deg)]
+    likely = min(near, key=lambda step: abs(size - step), default=None)
+    cause = ""
+    if likely is not None:
+        cause = f": {likely:g} degrees are {FULL_STEPS[likely]}, which was {'lost' if degrees < 0 else 'made twice'}"
+    return (
+        f"{name}: between records {records[0]} and {records[1]} the table comes to stand {size:.4g} +- {sigma_deg:.2g} "
+        f"degrees {way}, expected none{cause}; look for an obstacle, a loose pulley, too little current or too "
+        "fast a ramp"
+    )
+
+
+MOST_JUMPS = 12
+MOST_PROFILES, MOST_POINTS = 8_000, 60_000
+"""In which a step is looked for."""
+LAST_TIMES, MANY_POINTS = 4, 24_000
+"""With which the sizes of all steps are found in the end."""
+LEAST_Z = 7.0
+"""How many of its sigmas a step must have, with some thousand places where chance could make one."""
+PLACED = (4, 3, 3)
+"""Steps of least squares before the record of a step is sought once more, until it stays."""
+LEAST_GAIN = 0.3
+"""By how much a large step lowers the truncated cost, for each point [1]."""
+LEAST_STEP = np.deg2rad(0.02)
+"""Smaller steps are no full step of any usual table."""
+MOST_STEP = np.deg2rad(10.0)
+"""Larger ones are no lost steps."""
+PLAIN_BREAK = np.deg2rad(1.0)
+"""A larger one breaks its wall plainly: where no break showed it, it must bring points to walls to be believed."""
+
+
+def find_steps(sweep: SweepStripes, start: Rig) -> Rig:
+    """The rig with the steps that its walls show, one after another: those that break walls, then the small ones."""
+    rig = iterate_fit(sweep, start, 3)
+    vain: list[int] = []
+    while len(rig.steps) < MOST_JUMPS:
+        # A large step divides walls, and no linear equation tells its size: breaks are tried one by one.
+        known = [*vain, *(record for record, _ in rig.steps)]
+        breaks = [place for place in propose_steps(sweep, rig) if _is_far(place[0], known)]
+        found = _best(sweep, rig, [_with_step(sweep, start, rig, place) for place in breaks])
+        if found is None:
+            vain += [record for record, _ in breaks]
+            small = _stands_out(sweep, rig, robust=True)
+            found = None if small is None else _with_step(sweep, start, rig, small)
+            if found is not None and abs(found.steps[-1][1]) > PLAIN_BREAK:
+                found = _best(sweep, rig, [found])
+        if found is None:
+            large = _stands_out(sweep, rig, robust=False)
+            found = None if large is None else _best(sweep, rig, [_with_step(sweep, start, rig, large)])
+        if found is None:
             break
-        other, score = _fitted(sweep, rig, float(factors[k]))
-        if score > BETTER * best_score:
-            found, best_score = other, score
-        scores[np.abs(np.log(factors / factors[k])) < np.log(NEAR)] = 0.0
-    if best_score < LEAST_SCORE or np.ptp(found.theta) < LEAST_TURN:
-        return 1.0
-    factor = _ratio(found, rig)
-    return factor if abs(factor - 1.0) >= SURE[0] else 1.0
+        # With one step known, a break that was tried in vain may be believed.
+        rig, vain = found, []
+    return iterate_fit(sweep, _begin(start, rig.steps), LAST_TIMES, MANY_POINTS) if rig.steps else rig
 
 
-def _ratio(found: Rig, rig: Rig) -> float:
-    return float(rig.theta @ found.theta / (rig.theta @ rig.theta))
-
-
-def _fitted(sweep: SweepStripes, rig: Rig, factor: float) -> tuple[Rig, float]:
-    """The rig refined from angles by a factor, and how concentrated points then are on planes."""
-    start = Rig.start(rig.scanner, factor * rig.theta)
-    sample = take_sample(sweep, rig.scanner, 1_200, 9_600)
-    before = concentration(sample, start.theta)
-    found = iterate_fit(sweep, start, TIMES)
-    after = concentration(take_sample(sweep, found.scanner, 1_200, 9_600), found.theta)
-    return (found, after) if after >= before else (start, before)
-
-
-def _propose(x: np.ndarray, place: np.ndarray, angle: np.ndarray) -> list[Plane]:
-    """Planes through windows of some profiles, SPAN wide."""
-    # Points are in the order of their profiles.
-    starts = np.searchsorted(place, np.arange(len(angle) + 1))
-    step = np.median(np.abs(np.diff(angle))) if len(angle) > 1 else 0.0
-    if step == 0:
+def lost_steps(sweep: SweepStripes, rig: Rig) -> list[LostStep]:
+    """The steps of a rig with their places and standard deviations."""
+    if not rig.steps:
         return []
-    apart = max(1, round(SPAN / (2 * REACH) / step))
-    reach = apart * int(np.clip(SPAN / 2 / step, LEAST_REACH, REACH))
-    if 2 * reach + 1 > len(angle):
-        return []
-    middles = np.unique(np.linspace(reach, len(angle) - 1 - reach, SEEDS).round().astype(int))
-    windows = [range(middle - reach, middle + reach + 1, apart) for middle in middles]
-    found = [np.concatenate([x[starts[k] : starts[k + 1]] for k in window]) for window in windows]
-    return [weighted_plane(rows, np.ones(len(rows))) for rows in found if len(rows) >= 12]
+    sample = take_sample(sweep, rig.scanner, MOST_PROFILES, MANY_POINTS)
+    walls = wall_equations(sample, label_points(sample, rig.theta), rig)
+    sigmas = np.sqrt(np.diag(walls.covariance())[-len(rig.steps) :]) * inflation(walls, walls.error, len(rig.theta))
+    places = [_place_step(sweep, rig, number)[1:] for number in range(len(rig.steps))]
+    each = zip(rig.steps, places, sigmas, strict=True)
+    return [LostStep(record, *place, size, float(sigma)) for (record, size), place, sigma in each]
+
+
+def _begin(start: Rig, steps: tuple[tuple[int, float], ...]) -> Rig:
+    """The first rig with steps: numbers that took over a part of a step before it was known are forgotten."""
+    theta = start.theta.copy()
+    for record, size in steps:
+        theta[record:] += size
+    return start._replace(theta=theta, steps=steps)
+
+
+def _is_far(record: int, others: list[int]) -> bool:
+    return all(abs(record - other) > NEIGHBOURS for other in others)
+
+
+def _stands_out(sweep: SweepStripes, rig: Rig, robust: bool) -> tuple[int, float] | None:
+    """The record and size of the step that most stands out of the errors; None where none does."""
+    sample = take_sample(sweep, rig.scanner, MOST_PROFILES, MOST_POINTS)
+    rows = wall_equations(sample, label_points(sample, rig.theta), rig, robust)
+    test = fit_steps(rows, len(rig.theta))
+    z = np.abs(test.size) / test.sigma / inflation(rows, test.left, len(rig.theta))
+    place = int(np.argmax(z))
+    return None if z[place] < LEAST_Z or abs(test.size[place]) < LEAST_STEP else (place, float(test.size[place]))
+
+
+def _with_step(sweep: SweepStripes, start: Rig, rig: Rig, place: tuple[int, float]) -> Rig:
+    """The rig with one more step, settled, at the record that its points tell."""
+    steps = (*rig.steps, place)
+    for times in PLACED:
+        # With the step mended, walls are whole across it, and tell its size and then its record.
+        more = iterate_fit(sweep, _begin(start, steps), times)
+        record = _place_step(sweep, more, len(steps) - 1)[0]
+        moved, steps = record != steps[-1][0], (*more.steps[:-1], (record, more.steps[-1][1]))
+        if not moved:
+            break
+    theta = more.theta.copy()
+    theta[more.steps[-1][0] :] -= more.steps[-1][1]
+    theta[record:] += more.steps[-1][1]
+    return more._replace(theta=theta, steps=steps)
+
+
+def _best(sweep: SweepStripes, rig: Rig, tried: list[Rig]) -> Rig | None:
+    """Of rigs with one more step the one that brings the most points to walls, if clearly more than without it."""
+    if not tried:
+        return None
+    before, points = truncated_cost(sweep, rig)
+    costs = [truncated_cost(sweep, one)[0] if abs(one.steps[-1][1]) < MOST_STEP else np.inf for one in tried]
+    best = int(np.argmin(costs))
+    return tried[best] if before - costs[best] > LEAST_GAIN * points else None
+
+
+def inflation(rows: Equations, left: Float[np.ndarray, " rows"], records: int) -> float:
+    """Factor by which sums of errors over neighbouring records scatter more than independent noise would [1].
+
+    The scatter is that between stretches of records one after another, for several lengths of them, by the median: a
+    step, or the edge of a cupboard, is in few of them.
+    """
+    score = np.bincount(rows.record, rows.turn * left, records)
+    power = np.bincount(rows.record, rows.turn**2, records)
+    worst = 1.0
+    for length in (1, 2, 4, 8, 16, 32):
+        whole = records // length
+        if whole < 16:
+            break
+        score_of, known = (part[: whole * length].reshape(whole, length).sum(axis=1) for part in (score, power))
+        angle = score_of / np.maximum(known, 1e-12)
+        pairs = (known[1:] > 0) & (known[:-1] > 0)
+        if np.count_nonzero(pairs) < 8:
+            break
+        difference = np.diff(angle)[pairs] / np.sqrt(1.0 / known[1:][pairs] + 1.0 / known[:-1][pairs])
+        worst = max(worst, MEDIAN_TO_SIGMA * float(np.median(np.abs(difference))))
+    return worst
 
 
 LEAST_BREAK = np.deg2rad(0.35)
@@ -178,9 +261,8 @@ BREAK_TILT = np.deg2rad(1.5)
 """Difference of the tilts of the parts of a wall before and behind a break, at most."""
 LEAST_LINES = 5
 """On which the wall is seen on both sides."""
-APART = 6
-"""Cells between two breaks that are proposed."""
-MOST_BREAKS = 3
+APART, MOST_BREAKS = 6, 3
+"""Cells between two breaks that are proposed, and how many are."""
 
 
 def propose_steps(sweep: SweepStripes, rig: Rig) -> list[tuple[int, float]]:
@@ -244,19 +326,17 @@ UNSURE = 9.0
 
 
 def _place_step(sweep: SweepStripes, rig: Rig, number: int) -> tuple[int, int, int]:
-    """The record of a step whose size is roughly known: the likeliest first record after it, and from where to where it
-    may be.
+    """The likeliest first record after a step whose size is roughly known, and from where to where it may be.
 
     The points of each record near it are compared with the walls about it, once as the table stood before the step and
     once as after. No derivative is used, and no wall is sought among the records in doubt.
-
-    Args:
-        sweep: The sweep.
-        rig: Its step lies within NEIGHBOURS records of the true one.
-        number: Of the step in the rig.
     """
     record, size = rig.steps[number]
-    low, high = _limits(rig, number)
+    # Other steps are left where they are.
+    others = [other for k, (other, _) in enumerate(rig.steps) if k != number]
+    low = max([1, record - NEIGHBOURS, *(other + 1 for other in others if other <= record)])
+    high = min([len(rig.theta) - 1, record + NEIGHBOURS, *(other - 1 for other in others if other > record)])
+    low, high = min(low, record), max(high, record)
     before, after = rig.theta.copy(), rig.theta.copy()
     before[record:] -= size
     after[:record] += size
@@ -264,22 +344,12 @@ def _place_step(sweep: SweepStripes, rig: Rig, number: int) -> tuple[int, int, i
     near = take_records(sweep, rig.scanner, (low, high), MANY_LINES)
     if not walls or len(near.x) == 0:
         return record, record, record
-    count = high - low
-    change = np.bincount(near.record - low, _costs(near, before, walls) - _costs(near, after, walls), count)
+    change = np.bincount(near.record - low, _costs(near, before, walls) - _costs(near, after, walls), high - low)
     # Of a step at `low`, low + 1 ... high: all records from there on stand as after it.
     cost = np.concatenate([[0.0], np.cumsum(change)])
     best = int(np.argmin(cost))
     possible = np.flatnonzero(cost < cost[best] + UNSURE)
     return low + best, low + int(possible[0]), low + int(possible[-1])
-
-
-def _limits(rig: Rig, number: int) -> tuple[int, int]:
-    """Records between which a step is sought: other steps are left where they are."""
-    record = rig.steps[number][0]
-    others = [other for k, (other, _) in enumerate(rig.steps) if k != number]
-    low = max([1, record - NEIGHBOURS, *(other + 1 for other in others if other <= record)])
-    high = min([len(rig.theta) - 1, record + NEIGHBOURS, *(other - 1 for other in others if other > record)])
-    return min(low, record), max(high, record)
 
 
 def _walls_near(sweep: SweepStripes, rig: Rig, record: int, doubt: tuple[int, int]) -> list[tuple[Plane, float]]:
@@ -311,149 +381,3 @@ def _costs(
         error = (x @ plane.normal - plane.distance) / np.maximum(sigma, scatter)
         least = np.minimum(least, error**2)
     return least
-
-
-MOST_JUMPS = 12
-MOST_PROFILES, MOST_POINTS = 8_000, 60_000
-"""In which a step is looked for."""
-LAST_TIMES, MANY_POINTS = 4, 24_000
-"""With which the sizes of all steps are found in the end."""
-LEAST_Z = 7.0
-"""How many of its sigmas a step must have, with some thousand places where chance could make one."""
-PLACED = (4, 3, 3)
-"""Steps of least squares before the record of a step is sought once more, until it stays."""
-LEAST_GAIN = 0.3
-"""By how much a large step lowers the truncated cost, for each point [1]."""
-LEAST_STEP = np.deg2rad(0.02)
-"""Smaller steps are no full step of any usual table."""
-MOST_STEP = np.deg2rad(10.0)
-"""Larger ones are no lost steps."""
-PLAIN_BREAK = np.deg2rad(1.0)
-"""A larger one breaks its wall plainly: where no break showed it, it must bring points to walls to be believed."""
-
-
-def find_steps(sweep: SweepStripes, start: Rig) -> Rig:
-    """The rig with the steps that its walls show, one after another: those that break walls, then the small ones."""
-    rig = iterate_fit(sweep, start, 3, TIGHT)
-    vain: list[int] = []
-    while len(rig.steps) < MOST_JUMPS:
-        # A large step divides walls, and no linear equation tells its size: breaks are tried one by one.
-        known = [*vain, *(record for record, _ in rig.steps)]
-        breaks = [place for place in propose_steps(sweep, rig) if _is_far(place[0], known)]
-        found = _best(sweep, rig, [_with_step(sweep, start, rig, place) for place in breaks])
-        if found is None:
-            vain += [record for record, _ in breaks]
-            small = _stands_out(sweep, rig, robust=True)
-            found = None if small is None else _with_step(sweep, start, rig, small)
-            if found is not None and abs(found.steps[-1][1]) > PLAIN_BREAK:
-                found = _best(sweep, rig, [found])
-        if found is None:
-            large = _stands_out(sweep, rig, robust=False)
-            found = None if large is None else _best(sweep, rig, [_with_step(sweep, start, rig, large)])
-        if found is None:
-            break
-        # With one step known, a break that was tried in vain may be believed.
-        rig, vain = found, []
-    return iterate_fit(sweep, _begin(start, rig.steps), LAST_TIMES, TIGHT, MANY_POINTS) if rig.steps else rig
-
-
-class LostStep(NamedTuple):
-    """A step that was found."""
-
-    record: int
-    """The first record after it that is the most likely."""
-    first: int
-    """The first records that are possible, ..."""
-    last: int
-    """... up to this."""
-    size: float
-    """About the axis [rad]."""
-    sigma: float
-    """Its standard deviation [rad]."""
-
-
-def lost_steps(sweep: SweepStripes, rig: Rig) -> list[LostStep]:
-    """The steps of a rig with their places and standard deviations."""
-    if not rig.steps:
-        return []
-    sample = take_sample(sweep, rig.scanner, MOST_PROFILES, MANY_POINTS)
-    walls = wall_equations(sample, label_points(sample, rig.theta), rig, TIGHT)
-    sigmas = np.sqrt(np.diag(walls.covariance())[-len(rig.steps) :]) * inflation(walls, walls.error, len(rig.theta))
-    places = [_place_step(sweep, rig, number)[1:] for number in range(len(rig.steps))]
-    each = zip(rig.steps, places, sigmas, strict=True)
-    return [LostStep(record, *place, size, float(sigma)) for (record, size), place, sigma in each]
-
-
-def _begin(start: Rig, steps: tuple[tuple[int, float], ...]) -> Rig:
-    """The first rig with steps: numbers that took over a part of a step before it was known are forgotten."""
-    theta = start.theta.copy()
-    for record, size in steps:
-        theta[record:] += size
-    return start._replace(theta=theta, steps=steps)
-
-
-def _is_far(record: int, others: list[int]) -> bool:
-    return all(abs(record - other) > NEIGHBOURS for other in others)
-
-
-def _stands_out(sweep: SweepStripes, rig: Rig, robust: bool) -> tuple[int, float] | None:
-    """The record and size of the step that most stands out of the errors; None where none does."""
-    sample, records = take_sample(sweep, rig.scanner, MOST_PROFILES, MOST_POINTS), len(rig.theta)
-    return standing_out(wall_equations(sample, label_points(sample, rig.theta), rig, TIGHT, robust), records)
-
-
-def standing_out(rows: Equations, records: int) -> tuple[int, float] | None:
-    """The record and size [rad] of the step that most stands out of the errors of some equations, if one does."""
-    test = fit_steps(rows, records)
-    z = np.abs(test.size) / test.sigma / inflation(rows, test.left, records)
-    place = int(np.argmax(z))
-    return None if z[place] < LEAST_Z or abs(test.size[place]) < LEAST_STEP else (place, float(test.size[place]))
-
-
-def _with_step(sweep: SweepStripes, start: Rig, rig: Rig, place: tuple[int, float]) -> Rig:
-    """The rig with one more step, settled, at the record that its points tell."""
-    steps = (*rig.steps, place)
-    for times in PLACED:
-        # With the step mended, walls are whole across it, and tell its size and then its record.
-        more = iterate_fit(sweep, _begin(start, steps), times, TIGHT)
-        record = _place_step(sweep, more, len(steps) - 1)[0]
-        moved, steps = record != steps[-1][0], (*more.steps[:-1], (record, more.steps[-1][1]))
-        if not moved:
-            break
-    theta = more.theta.copy()
-    theta[more.steps[-1][0] :] -= more.steps[-1][1]
-    theta[record:] += more.steps[-1][1]
-    return more._replace(theta=theta, steps=steps)
-
-
-def _best(sweep: SweepStripes, rig: Rig, tried: list[Rig]) -> Rig | None:
-    """Of rigs with one more step the one that brings the most points to walls, if clearly more than without it."""
-    if not tried:
-        return None
-    before, points = truncated_cost(sweep, rig)
-    costs = [truncated_cost(sweep, one)[0] if abs(one.steps[-1][1]) < MOST_STEP else np.inf for one in tried]
-    best = int(np.argmin(costs))
-    return tried[best] if before - costs[best] > LEAST_GAIN * points else None
-
-
-def inflation(rows: Equations, left: Float[np.ndarray, " rows"], records: int) -> float:
-    """Factor by which sums of errors over neighbouring records scatter more than independent noise would [1].
-
-    The scatter is that between stretches of records one after another, for several lengths of them, by the median: a
-    step, or the edge of a cupboard, is in few of them.
-    """
-    score = np.bincount(rows.record, rows.turn * left, records)
-    power = np.bincount(rows.record, rows.turn**2, records)
-    worst = 1.0
-    for length in (1, 2, 4, 8, 16, 32):
-        whole = records // length
-        if whole < 16:
-            break
-        score_of, known = (part[: whole * length].reshape(whole, length).sum(axis=1) for part in (score, power))
-        angle = score_of / np.maximum(known, 1e-12)
-        pairs = (known[1:] > 0) & (known[:-1] > 0)
-        if np.count_nonzero(pairs) < 8:
-            break
-        difference = np.diff(angle)[pairs] / np.sqrt(1.0 / known[1:][pairs] + 1.0 / known[:-1][pairs])
-        worst = max(worst, MEDIAN_TO_SIGMA * float(np.median(np.abs(difference))))
-    return worst

@@ -13,9 +13,9 @@ from jaxscan.geometry import Scanner, points, slopes
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
 from jaxscan.leastsq import MEDIAN_TO_SIGMA
 from jaxscan.measurement.planes import Plane, facing, weighted_plane
+from jaxscan.measurement.systematic import point_gradient
 from jaxscan.recalibration.grid import Windows, smooth_parts, spread_over, window_planes
 from jaxscan.recalibration.observed import SweepStripes
-from jaxscan.recalibration.triangulate import point_gradient
 
 
 HALF = 2
@@ -36,13 +36,7 @@ def flat_windows(
     noise: Float[np.ndarray, "profiles lines 3"],
     valid: Bool[np.ndarray, "profiles lines"],
 ) -> tuple[Float[np.ndarray, "profiles lines 3"], Bool[np.ndarray, "profiles lines"]]:
-    """Normal of the window about each cell, towards the axis, and whether that window is flat.
-
-    Args:
-        x: Points in the room [m].
-        noise: Their displacement by one sigma of the stripe [m].
-        valid: Where there is a point.
-    """
+    """Normal of the window about each cell, towards the axis, and whether it is flat beside noise of the stripe [m]."""
     half = np.full(valid.shape, HALF)
     count, normal, variance = window_planes(x, valid, Windows.around(half, half))
     size, along = np.linalg.norm(x, axis=-1), np.linalg.norm(noise, axis=-1)
@@ -175,7 +169,6 @@ class StepTest(NamedTuple):
     sigma: Float[np.ndarray, " records"]
     """Its standard deviation; infinite where nothing tells it [rad]."""
     left: Float[np.ndarray, " rows"]
-    """Errors after the fit of the nuisance."""
 
 
 def fit_steps(rows: Equations, records: int) -> StepTest:
@@ -184,10 +177,6 @@ def fit_steps(rows: Equations, records: int) -> StepTest:
     With N the nuisance, r the error after their fit, and c the column of a step (`turn` from its record on),
     $$\delta = c^T r / (c^T c - c^T N (N^T N)^{-1} N^T c)$$
     where all products are sums from the last record back.
-
-    Args:
-        rows: Equations.
-        records: How many records there are.
     """
     n, inverse = rows.nuisance, rows.covariance()
     left = rows.error - n @ (inverse @ (n.T @ rows.error + rows.mean / rows.sigma**2))
@@ -217,8 +206,8 @@ HARMONICS = 3
 """Errors of the table that repeat up to so many times per turn are no lost steps."""
 STEP_SPREAD = 0.1
 """How large a lost step may be [rad]."""
-LOOSE, TIGHT = (0.02, 3e-3), (1e-3, 7e-4)
-"""How far gain and waves may be from the calibration's: where the factor is sought, and where steps are [1, rad]."""
+GAIN, WAVES = 1e-3, 7e-4
+"""How far gain and waves may be from the calibration's [1, rad]."""
 FEW_POINTS, FEW_LINES = 6_000, 15
 """With which the rig is refined."""
 MOST_COST = 25.0
@@ -242,7 +231,7 @@ class Rig(NamedTuple):
 
     @staticmethod
     def start(scanner: Scanner, theta: Float[np.ndarray, " records"]) -> "Rig":
-        """With the angles of records by the journal or a factor of it [rad]."""
+        """With the angles of records by the journal [rad]."""
         return Rig(scanner, theta, np.zeros(1 + 2 * HARMONICS))
 
 
@@ -250,16 +239,13 @@ class Sample(NamedTuple):
     """Points of a sweep at angle 0, on a grid of some lines of all profiles. The table turns them about z."""
 
     x: Float[np.ndarray, "points 3"]
-    """Scanner frame [m]."""
     noise: Float[np.ndarray, "points 3"]
     """Displacement by one sigma of the stripe [m]."""
     sigma: Float[np.ndarray, "points 2"]
-    """Of the centre, across the line [px]."""
     q: Float[np.ndarray, "points 2"]
     laser: Int[np.ndarray, " points"]
     profile: Int[np.ndarray, " points"]
     column: Int[np.ndarray, " points"]
-    """Number among the chosen lines."""
     record: Int[np.ndarray, " points"]
 
     def turned(self, theta: Float[np.ndarray, " records"]) -> tuple[np.ndarray, np.ndarray]:
@@ -328,20 +314,12 @@ def wall_equations(
     sample: Sample,
     label: Int[np.ndarray, " points"],
     rig: Rig,
-    spread: tuple[float, float] = LOOSE,
     robust: bool = True,
 ) -> Equations:
-    """The equations of all points on walls.
+    """The equations of all points on walls, linear about a rig; `robust`: points far from their wall weigh little.
 
     The unknowns are three for each wall, the coordinates of camera, sheets and axis, the gain, errors that repeat a few
     times per turn, and the steps that are known.
-
-    Args:
-        sample: Points.
-        label: Their walls.
-        rig: About which the equations are linear.
-        spread: How far the gain [1] and the waves [rad] may be from where they began.
-        robust: Whether points that are far from their wall have little weight.
     """
     order = np.nonzero(label >= 0)[0]
     order = order[np.argsort(sample.record[order], kind="stable")]
@@ -371,13 +349,15 @@ def wall_equations(
         lever[on] = m[1] * x[on, 0] - m[0] * x[on, 1]
         own[on, 3 * k : 3 * k + 3] = np.column_stack([(x[on] - plane.centre) @ plane.axes.T, -np.ones(on.sum())])
     q = sample.q[order] + shift[:, None] * sample.sigma[order]
-    by_scanner = point_gradient(rig.scanner, q, sample.laser[order], np.zeros(len(q)))[..., : -len(ANGLE_PARAMETERS)]
+    by_scanner = point_gradient(rig.scanner.rig, q, sample.laser[order], np.zeros(len(q)))[
+        ..., : -len(ANGLE_PARAMETERS)
+    ]
     parts = np.einsum("ni,nip->np", turn(-angle, normals), by_scanner)
     waves = np.stack([angle, *(wave(h * angle) for h in range(1, HARMONICS + 1) for wave in (np.sin, np.cos))], -1)
     known = np.stack([np.zeros(len(order)), *(record >= first for first, _ in rig.steps)], -1)[:, 1:]
     nuisance = np.concatenate([own, parts, waves * lever[:, None], known * lever[:, None]], axis=1)
     parameters = _parameter_spread(rig.scanner)
-    table = np.append(spread[0], np.full(2 * HARMONICS, spread[1]))
+    table = np.append(GAIN, np.full(2 * HARMONICS, WAVES))
     before = np.concatenate([np.ones(3 * count), parameters, table, np.full(len(rig.steps), STEP_SPREAD)])
     mean = np.concatenate([np.zeros(3 * count + len(parameters)), -rig.table, np.zeros(len(rig.steps))])
     return Equations(error / sigma, lever / sigma, nuisance / sigma[:, None], record, mean, before)
@@ -398,16 +378,14 @@ def _refined(rig: Rig, walls: Equations) -> Rig:
     return Rig(scanner, theta, rig.table + table, sizes)
 
 
-def iterate_fit(
-    sweep: SweepStripes, rig: Rig, times: int, spread: tuple[float, float] = LOOSE, points: int = FEW_POINTS
-) -> Rig:
+def iterate_fit(sweep: SweepStripes, rig: Rig, times: int, points: int = FEW_POINTS) -> Rig:
     """The rig after some steps of least squares, with few points if nothing else is said."""
     for _ in range(times):
         sample = take_sample(sweep, rig.scanner, points // FEW_LINES, points)
         label = label_points(sample, rig.theta)
         if label.max(initial=-1) < 0:
             return rig
-        rig = _refined(rig, wall_equations(sample, label, rig, spread))
+        rig = _refined(rig, wall_equations(sample, label, rig))
     return rig
 
 

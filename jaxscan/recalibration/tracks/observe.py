@@ -32,7 +32,6 @@ class Turning(NamedTuple):
     centre: Float[np.ndarray, "3"]
     """The camera's place at angle 0, scanner frame [m]."""
     scale: float
-    """Of the unrolled image."""
 
     @staticmethod
     def of(scanner: Scanner, scale: float) -> "Turning":
@@ -119,7 +118,6 @@ class KeyImages(NamedTuple):
 
     record: Int[np.ndarray, " keys"]
     heading: Float[np.ndarray, " keys"]
-    """Turned angle of each [rad]."""
     closing: Int[np.ndarray, " again"]
     """Numbers of the first key images, to which those after the last one lead again; empty without a full turn."""
 
@@ -128,22 +126,13 @@ class KeyImages(NamedTuple):
         return np.concatenate([np.arange(len(self.record)), self.closing])
 
 
-def choose_keys(heading: Float[np.ndarray, " records"], field_rad: float, most: int = MOST_KEYS) -> KeyImages | None:
-    """Key images spread evenly over the angle that a sweep turned by.
-
-    Args:
-        heading: Turned angle of every record [rad].
-        field_rad: The camera's field of view about the axis [rad].
-        most: Key images, at most.
-
-    Returns:
-        The key images; None where neighbours would overlap too little, or the sweep turned too little.
-    """
+def choose_keys(heading: Float[np.ndarray, " records"], field_rad: float) -> KeyImages | None:
+    """Key images spread evenly over a turn [rad]; None where neighbours overlap too little, or it is too little."""
     order = np.argsort(heading, kind="stable")
     turned = float(np.ptp(heading)) if len(heading) else 0.0
     if len(heading) < _FEWEST_KEYS or turned <= 0:
         return None
-    wanted = np.linspace(heading.min(), heading.max(), min(most, len(heading)))
+    wanted = np.linspace(heading.min(), heading.max(), min(MOST_KEYS, len(heading)))
     at = np.unique(_nearest(heading[order], wanted))
     record = order[at]
     angle = heading[record]
@@ -241,7 +230,7 @@ def observe_features(
         sweeps: The same sweeps' stripes, in the same order: names, angles, stations.
         scanner: The stored scanner, which predicts where features go.
         eyes: The functions that look at images; `vision.feature_eyes` makes them.
-        settings: `features` and `marker_dictionary`.
+        settings: With `features`.
         board: A board that was left standing.
 
     Returns:
@@ -284,7 +273,7 @@ def _observe_sweep(
     spread = np.unique(np.linspace(0, len(capture.records) - 1, MOST_KEYS).round().astype(int))
     some = spread[np.unique(np.linspace(0, len(spread) - 1, _SEARCHED).round().astype(int))]
     images = list(reader.ahead(some))
-    dictionary = settings.marker_dictionary or eyes.find_dictionary(images)
+    dictionary = eyes.find_dictionary(images)
     out: list[_Seen] = []
     notes: list[str] = []
     if dictionary is not None or board is not None:

@@ -16,11 +16,10 @@ LEAST_RANGE_M = 0.1
 
 
 class Rays(NamedTuple):
-    """Lines of sight in one frame."""
+    """Lines of sight in one frame; directions of length 1."""
 
     origin: Float[np.ndarray, "n 3"]
     direction: Float[np.ndarray, "n 3"]
-    """Of length 1."""
 
 
 class Triangulated(NamedTuple):
@@ -41,14 +40,7 @@ def rays_of(
     angle: Float[np.ndarray, " n"],
     station: Float[np.ndarray, "n 4 4"] | None = None,
 ) -> Rays:
-    """Lines of sight in the frame of the room.
-
-    Args:
-        scanner: The scanner.
-        q: Pixels [px].
-        angle: The table's angle of each [rad from home].
-        station: T_room_scanner of each; None for the scanner's own frame.
-    """
+    """Lines of sight through pixels at the table's angles, in the room, or without stations in the scanner's frame."""
     pose = poses(scanner.rig, angle)
     pose = pose if station is None else compose(station, pose)
     return Rays(np.asarray(pose)[:, :3, 3], np.asarray(turn(pose[:, :3, :3], rays(scanner.rig, q))))
@@ -59,14 +51,7 @@ def triangulate(
 ) -> Triangulated:
     """The point nearest to all lines of sight of each track, by linear least squares.
 
-    Args:
-        rays: The lines of sight.
-        sigma_rad: Standard deviation of each direction [rad].
-        track: Number of the point that each sees.
-        count: Number of points.
-
-    Returns:
-        The points. A camera on the axis does not tell how far they are: then `valid` is False.
+    A camera on the axis does not tell how far points are: then `valid` is False.
     """
     across = np.eye(3) - rays.direction[:, :, None] * rays.direction[:, None, :]
     weight = sigma_rad**-2.0
@@ -95,15 +80,7 @@ def project_all(
     station: Float[np.ndarray, "n 4 4"] | None = None,
     step: Float[np.ndarray, " params"] | None = None,
 ) -> Float[np.ndarray, "n 2"]:
-    """Pixels at which points of the room are seen at the table's angles.
-
-    Args:
-        scanner: The scanner.
-        point: Points of the room [m].
-        angle: The table's angle of each [rad from home].
-        station: T_room_scanner of each; None for the scanner's own frame.
-        step: Of the scanner in its minimal coordinates.
-    """
+    """Pixels at which points are seen at the table's angles, by a scanner after a step in its minimal coordinates."""
     rig = scanner.rig if step is None else scanner.rig.retract(step)
     return np.asarray(pixels(rig, point if station is None else transform(invert(station), point), angle))
 
@@ -120,16 +97,9 @@ def place_tracks(
     scanner: Scanner,
     stations: Float[np.ndarray, "stations 4 4"] | None = None,
 ) -> Tracks:
-    """The tracks with their points triangulated again.
+    """The tracks that have a point in front of the camera, within 30 m, triangulated with these stations.
 
-    Args:
-        tracks: Tracks.
-        sweeps: The sweeps that they were seen in.
-        scanner: The scanner.
-        stations: T_room_scanner of each station; None: each point by the first station that sees it, in its frame.
-
-    Returns:
-        The tracks without those of which no point is in front of the camera, within 30 m.
+    Without stations each point is placed by the first station that sees it, in its frame.
     """
     count = len(tracks.point)
     station = np.array([sweep.station for sweep in sweeps])[tracks.sweep]
@@ -158,17 +128,7 @@ def place_tracks(
 def named_points(
     tracks: Tracks, sweep: int, sweeps: Sequence[SweepStripes], scanner: Scanner
 ) -> dict[str, tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]]:
-    """Targets as one sweep alone sees them.
-
-    Args:
-        tracks: Tracks.
-        sweep: Number of the sweep.
-        sweeps: All sweeps.
-        scanner: The scanner.
-
-    Returns:
-        By name, the point in the frame of that sweep's scanner [m], and its covariance by the sightings' noise.
-    """
+    """Targets by name as one sweep alone sees them: point in its scanner's frame [m], and covariance by the noise."""
     mine = tracks.sweep == sweep
     found = _points(tracks, sweeps, scanner, None, mine)
     views = np.bincount(tracks.track[mine], minlength=len(tracks.point))
@@ -207,15 +167,13 @@ _FOR_SCANNER = 4000
 
 
 class Sightings(NamedTuple):
-    """Sightings of points by one sweep."""
+    """Sightings of points by one sweep, at the table's angle [rad from home], by number of the image."""
 
     q: Float[np.ndarray, "n 2"]
     sigma: Float[np.ndarray, " n"]
     """As the finder states it [px]."""
     angle: Float[np.ndarray, " n"]
-    """The table's angle [rad from home]."""
     key: Int[np.ndarray, " n"]
-    """Number of the image."""
     track: Int[np.ndarray, " n"]
     kind: Int[np.ndarray, " n"]
     """Sightings of one kind have noise of one kind."""
@@ -236,17 +194,10 @@ class Consistent(NamedTuple):
 
 
 def keep_consistent(scanner: Scanner, sightings: Sightings) -> Consistent:
-    """Leave out sightings that do not fit points at rest, and learn the noise of the others.
+    """Leave out sightings by one sweep that do not fit points at rest, and learn the noise of the others.
 
     The scanner and the angle of each image may move within their covariance, by linearised least squares, so
     that errors of a poor calibration are not taken for wrong tracks.
-
-    Args:
-        scanner: The stored scanner; its covariance is the prior.
-        sightings: Sightings of points by one sweep.
-
-    Returns:
-        The kept sightings, whose noise is learned from the residuals of that fit.
     """
     count = int(sightings.track.max(initial=-1)) + 1
     focal = float(np.mean([scanner.camera.fx, scanner.camera.fy]))

@@ -49,16 +49,14 @@ class Cylinder(NamedTuple):
     """Images unrolled on a cylinder about the turntable's axis through the camera: there a turn is a shift.
 
     Unrolled coordinates are x along the azimuth and y down, in `scale` pixels per radian of azimuth and per unit of
-    the tangent of elevation.
+    the tangent of elevation; the first column and row are at `left` and `top`.
     """
 
     u: Float[np.ndarray, "rows columns"]
     """Pixel column that each place of the unrolled image shows [px]; far outside where no pixel does."""
     v: Float[np.ndarray, "rows columns"]
     left: float
-    """x of the first column [px]."""
     top: float
-    """y of the first row [px]."""
     scale: float
 
 
@@ -69,20 +67,17 @@ class Walk(NamedTuple):
     predict: Callable[[Float[np.ndarray, "n 2"], int, int], Float[np.ndarray, "n 2"]]
     """Unrolled places in one step of the walk to those in another one."""
     steps: int
-    """Steps in all."""
     begin: int
     """Steps in which tracks may begin: they come first."""
 
 
 class Followed(NamedTuple):
-    """Features that were followed through images."""
+    """Features that were followed through images, by step of the walk [px]."""
 
     q: Float[np.ndarray, "sightings 2"]
-    """Place [px] in the image."""
     sigma: Float[np.ndarray, " sightings"]
     """Standard deviation of u and of v by the noise in the image [px]."""
     step: Int[np.ndarray, " sightings"]
-    """Step of the walk."""
     track: Int[np.ndarray, " sightings"]
 
 
@@ -105,8 +100,6 @@ class FeatureEyes(NamedTuple):
     has_texture: Callable[[Sequence[np.ndarray]], tuple[bool, str]]
     """Whether some grey images have enough texture, and why not, in words."""
     follow: Follow
-    """Follows features through the grey images of the steps of a walk."""
     find_dictionary: Callable[[Sequence[np.ndarray]], str | None]
     """The dictionary of the markers that some grey images show; None where they show none."""
     find_targets: FindTargets
-    """Finds corners of markers of a dictionary, and of a board, in a grey image."""

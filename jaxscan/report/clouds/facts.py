@@ -17,7 +17,6 @@ SIDES_DEG = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 9.0, 10.0, 15.0)
 POINTS_A_CELL = 8
 WHOLE_SPHERE_DEG2 = 41253.0
 SMALLEST_HOLE = 4
-"""Cells of the smallest hole that is named."""
 
 
 class Hole(NamedTuple):
@@ -35,7 +34,6 @@ class Directions:
     """What lies in each direction from one place; the first row looks up, the first column to azimuth 180 degrees."""
 
     side_deg: float
-    """Side of a cell [degrees]."""
     count: np.ndarray
     """Points [rows, columns]."""
     distance_m: np.ndarray
@@ -97,12 +95,9 @@ class Directions:
 
 
 def directions_of(xyz: np.ndarray, sigma_m: np.ndarray, spacing_deg: float = 0.0) -> Directions:
-    """Points by direction.
+    """Points [n, 3], m, z up, by direction from their station; their standard deviations [n], m, are 0 where unknown.
 
-    Args:
-        xyz: Points as seen from their station [n, 3], m, z up.
-        sigma_m: One standard deviation of each [n], m; 0 where it is not known.
-        spacing_deg: Of neighbouring profiles, where it is known; cells are no smaller.
+    Cells are no smaller than the spacing of neighbouring profiles, where it is known.
     """
     far = np.linalg.norm(xyz, axis=1)
     xyz, sigma_m, far = xyz[far > 0], sigma_m[far > 0], far[far > 0]
@@ -136,27 +131,16 @@ def _medians(cell: np.ndarray, value: np.ndarray, shape: tuple[int, int]) -> np.
 
 def _regions(empty: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """Rows and columns of each connected region; the last column is beside the first."""
-    columns = empty.shape[1]
-    left = {(int(row), int(column)) for row, column in np.argwhere(empty)}
-    regions = []
-    while left:
-        edge = [left.pop()]
-        region = []
-        while edge:
-            row, column = edge.pop()
-            region.append((row, column))
-            for place in ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1)):
-                beside = place[0], place[1] % columns
-                if beside in left:
-                    left.remove(beside)
-                    edge.append(beside)
-        found = np.array(region)
-        regions.append((found[:, 0], found[:, 1]))
-    return regions
+    # Imported here: it takes its time.
+    from scipy import ndimage  # type: ignore[import-untyped]
+
+    label, _ = ndimage.label(empty)
+    for row in np.flatnonzero(empty[:, 0] & empty[:, -1]):
+        label[label == label[row, -1]] = label[row, 0]
+    return [(rows, columns) for rows, columns in (np.nonzero(label == one) for one in np.unique(label[empty]))]
 
 
 MOST_STATIONS = 4
-"""Stations whose directions are drawn."""
 FAR_OFF = 100.0
 """Points so many times the median distance away are strays: no picture shows them."""
 BEYOND_M = 0.05
@@ -170,15 +154,12 @@ class Beside:
 
     name: str = ""
     notes: tuple[str, ...] = ()
-    """Remarks that come first."""
     calibration: tuple[tuple[str, str], ...] = ()
-    """Names and values."""
     doubts: tuple[str, ...] | None = None
     """Doubts about the capture; None where it was not checked."""
     left_out: str = ""
     """Stripes that gave no point, where the capture was looked at."""
     no_dimensions: str = ""
-    """Why the room has no dimensions."""
 
 
 class SigmaAt(NamedTuple):
@@ -199,14 +180,12 @@ class Facts:
     far_off: int
     """Stray points, which no picture shows."""
     shown: PointCloud = field(repr=False)
-    """The cloud without them."""
     turned: bool
     """Whether the cloud says at which angles its profiles were taken."""
     directions: tuple[Directions, ...]
     """From each station, the first few; from the middle of the cloud where nobody knows where the scanner stood."""
     stations: int
     placed: bool
-    """Whether the scanner's place is known."""
     cells: float | None
     """Part of the cells of the grid that have a point [1]; None without a grid."""
     sigma: tuple[SigmaAt, ...]
@@ -219,11 +198,7 @@ class Facts:
 
 
 def facts_of(cloud: PointCloud, box: RoomBox | None = None) -> Facts:
-    """What a cloud tells by itself.
-
-    Args:
-        cloud: In metres, z up.
-        box: The room's dimensions, where some were found.
+    """What a cloud in metres, z up, tells by itself, and by the room's dimensions, where some were found.
 
     Raises:
         CloudError: If the cloud has no point.

@@ -9,9 +9,9 @@ import numpy as np
 from jaxscan.measurement import Dimension, RoomBox
 from jaxscan.report.clouds.facts import Beside, Directions, Facts, SigmaAt
 from jaxscan.report.clouds.picture import dimension_text, room_picture
-from jaxscan.report.drawing import BLUE, RED, SOFT, add_legend, as_svg, new_axes, new_figure
-from jaxscan.report.html import Html, bullets, element, page, section, table
-from jaxscan.report.words import millimetres
+from jaxscan.report.drawing import BLUE, RED, ROUND, SOFT, add_bar, add_legend, drawn, new_plot
+from jaxscan.report.html import Html, beside, bullets, element, page, section, table, tiles
+from jaxscan.report.words import millimetres, sentence
 from jaxscan.vision import encode_jpeg
 
 
@@ -20,10 +20,7 @@ if TYPE_CHECKING:
 
 
 NOTHING = "#c9ced4"
-"""Colour of directions without points."""
 _MARGIN_DEG = 8.0
-"""Shown beyond the highest and the lowest point."""
-_ROUND_MM = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
 
 def distance_map(seen: Directions) -> "Figure":
@@ -43,8 +40,7 @@ def sigma_map(seen: Directions) -> "Figure":
 
 def sigma_against_distance(rows: Sequence[SigmaAt]) -> "Figure":
     """Median and 95 % quantile of the sigmas of points, by distance."""
-    figure = new_figure(5.4, 3.0)
-    axes = new_axes(figure, xlabel="distance, m", ylabel="one standard deviation, mm")
+    figure, axes = new_plot(5.4, 3.0, xlabel="distance, m", ylabel="one standard deviation, mm")
     middle = [0.5 * (row.nearest_m + min(row.farthest_m, 1.5 * row.nearest_m + 1)) for row in rows]
     axes.plot(middle, [1e3 * row.median_m for row in rows], "o-", color=BLUE, markersize=4.5, label="median")
     axes.plot(middle, [1e3 * row.p95_m for row in rows], "s--", color=RED, markersize=4, label="95 % of the points")
@@ -66,8 +62,9 @@ def _panorama(seen: Directions, values: np.ndarray, label: str, colours: str, no
 
     band = seen.elevation_deg[seen.band]
     bottom, top = max(float(band[-1]) - _MARGIN_DEG, -90.0), min(float(band[0]) + _MARGIN_DEG, 90.0)
-    figure = new_figure(9.6, 1.15 + 0.0245 * (top - bottom))
-    axes = new_axes(figure, grid=False, xlabel="azimuth, degrees", ylabel="elevation, degrees")
+    figure, axes = new_plot(
+        9.6, 1.15 + 0.0245 * (top - bottom), grid=False, xlabel="azimuth, degrees", ylabel="elevation, degrees"
+    )
     scaled = {"vmin": norm[0], "vmax": norm[1]} if isinstance(norm, tuple) else {"norm": norm}
     shown = axes.imshow(
         np.ma.masked_invalid(values),
@@ -81,12 +78,11 @@ def _panorama(seen: Directions, values: np.ndarray, label: str, colours: str, no
     axes.set_yticks(range(-90, 91, 30), [_degrees(value) for value in range(-90, 91, 30)])
     # Where the scanner does not look there is nothing to see.
     axes.set_ylim(bottom, top)
-    bar = figure.colorbar(shown, ax=axes, orientation="horizontal", shrink=0.44, aspect=30, pad=0.02, anchor=(0.0, 1.0))
+    place: Any = {"orientation": "horizontal", "anchor": (0.0, 1.0), "shrink": 0.44, "aspect": 30, "pad": 0.02}
+    bar = add_bar(figure, shown, axes, **place)
     bar.set_label(label, color=SOFT, fontsize=9)
-    bar.outline.set_visible(False)
-    bar.ax.tick_params(length=0, labelsize=8)
     if not isinstance(norm, tuple):
-        ticks = [value for value in _ROUND_MM if norm.vmin <= value <= norm.vmax]
+        ticks = [value for value in ROUND if norm.vmin <= value <= norm.vmax]
         if ticks:
             bar.ax.xaxis.set_major_locator(FixedLocator(ticks))
             bar.ax.xaxis.set_major_formatter(FormatStrFormatter("%g"))
@@ -101,51 +97,42 @@ def _degrees(value: int) -> str:
 NAMED_HOLES = 8
 _JPEG = 82
 _NARROW_PX = 800
-"""Width of the picture for narrow screens."""
 
 
-def cloud_page(facts: Facts, box: RoomBox | None, beside: Beside) -> str:
-    """The report of a reconstruction.
+def cloud_page(facts: Facts, box: RoomBox | None, around: Beside) -> str:
+    """The report of a reconstruction: an HTML document that fetches nothing and runs no scripts.
 
     Args:
         facts: Of the cloud.
         box: The room's dimensions, where some were found.
-        beside: What is known beside the cloud's points, as plain text.
-
-    Returns:
-        An HTML document that fetches nothing and runs no scripts.
+        around: What is known beside the cloud's points, as plain text.
     """
-    parts: list[Html | None] = [
-        element("header", element("h1", f"Reconstruction report: {beside.name}"), element("p", _head(facts))),
-        *(element("p", note, class_="note") for note in beside.notes),
+    stations = f" from {facts.stations} stations" if facts.stations > 1 else ""
+    return page(
+        "Reconstruction report",
+        f"Reconstruction report: {around.name}",
+        f"{facts.points:,} points{stations}",
+        around.notes,
         _tiles(facts, box),
         _picture(facts, box),
-        _dimensions(box, beside),
+        _dimensions(box, around),
         _coverage(facts),
         _sigma(facts),
-        _left_out(facts, beside),
-        _steps(facts, beside),
-        _calibration(beside),
-    ]
-    return page("Reconstruction report", *(part for part in parts if part))
-
-
-def _head(facts: Facts) -> str:
-    stations = f" from {facts.stations} stations" if facts.stations > 1 else ""
-    return f"{facts.points:,} points{stations}"
+        _left_out(facts, around),
+        _steps(facts, around),
+        _calibration(around),
+    )
 
 
 def _tiles(facts: Facts, box: RoomBox | None) -> Html:
-    tiles = [(f"{side.value_m:.4f} m", f"{name}, ± {1e3 * side.sigma_m:.2f} mm") for name, side in _sides(box)]
+    values = [(f"{side.value_m:.4f} m", f"{name}, ± {1e3 * side.sigma_m:.2f} mm") for name, side in _sides(box)]
     seen = facts.directions[0]
-    tiles.append((f"{100 * seen.share(of_band=True):.1f} %", "of the directions that the scanner looks at have points"))
-    if facts.median_sigma_m is not None:
-        tiles.append((f"± {millimetres(1e3 * facts.median_sigma_m)}", "median standard deviation of a point"))
-    return element(
-        "div",
-        *(element("div", element("b", value), element("span", text), class_="tile") for value, text in tiles),
-        class_="tiles",
+    values.append(
+        (f"{100 * seen.share(of_band=True):.1f} %", "of the directions that the scanner looks at have points")
     )
+    if facts.median_sigma_m is not None:
+        values.append((f"± {millimetres(1e3 * facts.median_sigma_m)}", "median standard deviation of a point"))
+    return tiles(values)
 
 
 def _sides(box: RoomBox | None) -> list[tuple[str, Dimension]]:
@@ -156,10 +143,9 @@ def _sides(box: RoomBox | None) -> list[tuple[str, Dimension]]:
 
 
 def _picture(facts: Facts, box: RoomBox | None) -> Html:
-    drawn = room_picture(facts.shown, box)
-    described = "The room, cut open and seen from above one of its corners. " + "; ".join(
-        label.words for label in drawn.labels
-    )
+    wide = room_picture(facts.shown, box)
+    labels = "; ".join(label.words for label in wide.labels)
+    described = f"The room, cut open and seen from above one of its corners. {labels}"
     # On a telephone the words of the large picture would be a few pixels high.
     narrow = room_picture(facts.shown, box, width=_NARROW_PX)
     return element(
@@ -167,7 +153,7 @@ def _picture(facts: Facts, box: RoomBox | None) -> Html:
         element(
             "picture",
             element("source", media="(max-width:640px)", srcset=_data(narrow.rgb)),
-            element("img", src=_data(drawn.rgb), alt=described),
+            element("img", src=_data(wide.rgb), alt=described),
         ),
         class_="photograph",
     )
@@ -177,9 +163,9 @@ def _data(rgb: np.ndarray) -> str:
     return f"data:image/jpeg;base64,{base64.b64encode(encode_jpeg(rgb, quality=_JPEG)).decode()}"
 
 
-def _dimensions(box: RoomBox | None, beside: Beside) -> Html:
+def _dimensions(box: RoomBox | None, around: Beside) -> Html:
     if box is None:
-        return section("Dimensions", element("p", f"None: {beside.no_dimensions or 'they were not measured.'}"))
+        return section("Dimensions", element("p", f"None: {around.no_dimensions or 'they were not measured.'}"))
     rows = [
         (
             name,
@@ -202,7 +188,13 @@ def _dimensions(box: RoomBox | None, beside: Beside) -> Html:
 
 def _coverage(facts: Facts) -> Html:
     parts = [
-        _map(distance_map(seen), f"coverage-{number}", _coverage_words(seen, facts, number))
+        drawn(
+            distance_map(seen),
+            f"coverage-{number}",
+            f"coverage {number}",
+            *_coverage_words(seen, facts, number),
+            class_="wide",
+        )
         for number, seen in enumerate(facts.directions)
     ]
     lines = []
@@ -217,7 +209,7 @@ def _coverage(facts: Facts) -> Html:
     return section("Coverage", bullets(lines) if lines else "", *parts)
 
 
-def _coverage_words(seen: Directions, facts: Facts, number: int) -> Html:
+def _coverage_words(seen: Directions, facts: Facts, number: int) -> list[str]:
     elevation = seen.elevation_deg[seen.band]
     half = 0.5 * seen.side_deg
     station = f"Station {number}. " if facts.stations > 1 else ""
@@ -234,29 +226,25 @@ def _coverage_words(seen: Directions, facts: Facts, number: int) -> Html:
     ]
     more = f" and {len(holes) - NAMED_HOLES} smaller ones" if len(holes) > NAMED_HOLES else ""
     second = f" Holes (grey), the largest first: {'; '.join(where)}{more}." if where else " No holes."
-    return element("figcaption", element("b", "Distance by direction. "), first, second)
+    return [element("b", "Distance by direction. "), first, second]
 
 
 def _signed(value: float) -> str:
     return f"{value:.0f}°".replace("-0°", "0°").replace("-", "−")
 
 
-def _map(figure: "Figure", name: str, caption: Html) -> Html:
-    return element("figure", as_svg(figure, name, name.replace("-", " ")), caption, class_="wide")
-
-
 def _sigma(facts: Facts) -> Html:
     if not facts.sigma:
         return section("Uncertainty", element("p", "The cloud holds no standard deviations of its points."))
-    parts = []
-    for number, seen in enumerate(facts.directions):
-        caption = element(
-            "figcaption",
-            element("b", "Sigma by direction. "),
-            "Median standard deviation of the points of each cell along their rays: noise of the stripe and "
-            "calibration together. Grey: no points, or none whose standard deviation is known.",
-        )
-        parts.append(_map(sigma_map(seen), f"sigma-{number}", caption))
+    title = element("b", "Sigma by direction. ")
+    caption = (
+        "Median standard deviation of the points of each cell along their rays: noise of the stripe and calibration "
+        "together. Grey: no points, or none whose standard deviation is known."
+    )
+    parts = [
+        drawn(sigma_map(seen), f"sigma-{number}", f"sigma {number}", title, caption, class_="wide")
+        for number, seen in enumerate(facts.directions)
+    ]
     rows = [
         (
             f"{row.nearest_m:g} to {row.farthest_m:g}" if row.farthest_m < 1e9 else f"over {row.nearest_m:g}",
@@ -266,37 +254,30 @@ def _sigma(facts: Facts) -> Html:
         )
         for row in facts.sigma
     ]
-    listed = element("div", table(("distance, m", "points", "median sigma", "95 % below"), rows))
-    parts.append(
-        element(
-            "div",
-            element(
-                "figure",
-                as_svg(sigma_against_distance(facts.sigma), "sigma-distance", "Sigma against distance"),
-                element("figcaption", "Standard deviation of a point along its ray against its distance."),
-            ),
-            listed,
-            class_="figures",
-        )
+    figure, said = (
+        sigma_against_distance(facts.sigma),
+        "Standard deviation of a point along its ray against its distance.",
     )
+    shown = drawn(figure, "sigma-distance", "Sigma against distance", said)
+    parts.append(beside(shown, table(("distance, m", "points", "median sigma", "95 % below"), rows)))
     return section("Uncertainty", *parts)
 
 
-def _left_out(facts: Facts, beside: Beside) -> Html:
+def _left_out(facts: Facts, around: Beside) -> Html:
     lines = []
     if facts.beyond_walls is not None:
         count = "No point lies" if facts.beyond_walls == 0 else f"{facts.beyond_walls:,} points lie"
         lines.append(f"{count} outside the walls by more than 50 mm, where windows, doors and mirrors would put them.")
     lines.append(
-        beside.left_out
+        around.left_out
         or "How many stripes were left out is not known: a cloud does not hold them; --capture and -c find them again."
     )
     return section("Reflections left out", bullets(lines))
 
 
-def _steps(facts: Facts, beside: Beside) -> Html:
-    lines = list(beside.doubts or ())
-    if beside.doubts is None:
+def _steps(facts: Facts, around: Beside) -> Html:
+    lines = list(around.doubts or ())
+    if around.doubts is None:
         lines += [f"By the points alone, {doubt}." for doubt in facts.doubts]
         lines.append(
             "The frames were not looked at: --capture and -c do so."
@@ -305,10 +286,10 @@ def _steps(facts: Facts, beside: Beside) -> Html:
         )
     elif not lines:
         lines = ["None: frames, angles and points of all steps agree with those around them."]
-    return section("Suspicious steps", bullets(f"{line[:1].upper()}{line[1:].removesuffix('.')}." for line in lines))
+    return section("Suspicious steps", bullets(map(sentence, lines)))
 
 
-def _calibration(beside: Beside) -> Html:
-    if not beside.calibration:
+def _calibration(around: Beside) -> Html:
+    if not around.calibration:
         return section("Calibration", element("p", "Not known: the cloud does not name it; -c gives it."))
-    return section("Calibration", table(("", ""), beside.calibration, kind="wrap words"))
+    return section("Calibration", table(("", ""), around.calibration, kind="wrap words"))

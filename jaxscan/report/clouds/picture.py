@@ -10,7 +10,7 @@ import numpy as np
 from jaxscan.measurement import Dimension, RoomBox
 from jaxscan.measurement.samples import Cloud, places_of
 from jaxscan.reconstruction import PointCloud
-from jaxscan.report.drawing import BLUE, INK, RED
+from jaxscan.report.drawing import BLUE, INK, RED, ROUND
 
 
 FOV_DEG = 26.0
@@ -20,26 +20,19 @@ TALL = 0.85
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A perspective camera of the picture."""
+    """A perspective camera of the picture; places in metres, the field of view across its width."""
 
     eye: tuple[float, float, float]
-    """Position of the camera [m]."""
     target: tuple[float, float, float]
     """Point in the middle of the picture [m]."""
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     fov_deg: float = FOV_DEG
-    """Field of view across the picture's width."""
     cut_away: bool = True
     """Leave out surfaces that are seen from behind, and the ceiling and near walls, which hide the room."""
 
 
 def room_view(xyz: np.ndarray, size: tuple[int, int] = (1600, 900)) -> Viewpoint:
-    """The view into a room from above one of its corners.
-
-    Args:
-        xyz: Points [n, 3], m, z up.
-        size: Width and height of the picture [px].
-    """
+    """The view into a room [n, 3], m, z up, from above one of its corners; the picture has this size [px]."""
     axes, low, high = room_box(xyz)
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), -1).reshape(-1, 3) @ axes
     extent = np.maximum(high - low, 0.1)
@@ -67,15 +60,13 @@ def room_view(xyz: np.ndarray, size: tuple[int, int] = (1600, 900)) -> Viewpoint
 
 
 class Canvas(NamedTuple):
-    """A view on a canvas."""
+    """A view on a canvas; lengths in pixels."""
 
     view: Viewpoint
     focal: float
-    """Focal length of the camera [px]."""
     middle: tuple[float, float]
     """Column and row of the point that the view looks at [px]."""
     size: tuple[int, int]
-    """Width and height of the canvas [px]."""
 
     def local(self, points: np.ndarray) -> np.ndarray:
         """Points [n, 3], m, in the frame of the camera: right, down, ahead [n, 3], m."""
@@ -99,13 +90,9 @@ def frame_of(view: Viewpoint, size: tuple[int, int]) -> Canvas:
 
 
 def fitted_frame(view: Viewpoint, points: np.ndarray, width: int, margin: int) -> Canvas:
-    """A view on a canvas that the points just fill.
+    """A view on a canvas that the points [n, 3], m, ahead of the eye, just fill, but for a margin [px] at each edge.
 
-    Args:
-        view: Eye and direction.
-        points: What must be on the canvas [n, 3], m, ahead of the eye.
-        width: Of the canvas [px]; its height follows from the points, `TALL` times as much at most.
-        margin: Left free at each edge [px].
+    The height follows from the points, `TALL` times the width [px] at most.
     """
     unit = Canvas(view, 1.0, (0.0, 0.0), (1, 1))
     seen = unit.pixels(points)
@@ -144,14 +131,12 @@ def room_box(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 ON_THE_FLOOR_M = 0.06
 SMALLEST_HOLE_M = 0.15
 MOST_STATIONS = 8
-"""Stations that are marked in a picture."""
 
 
 class Axis(NamedTuple):
     """A direction of a room."""
 
     direction: np.ndarray
-    """Unit vector [3]."""
     low: float
     """Position of the nearer wall along the direction [m]."""
     high: float
@@ -187,20 +172,13 @@ class DrawnRoom:
 
 
 def room_of(cloud: Cloud, box: RoomBox | None) -> DrawnRoom:
-    """Collect the dimensions, the outline and the station of a cloud's room.
-
-    Args:
-        cloud: With one valid point at least, z up.
-        box: Its dimensions, where some were measured.
-    """
+    """Collect the dimensions, the outline and the station of a cloud's room: one valid point at least, z up."""
     xyz = np.asarray(cloud.xyz, np.float64)[np.asarray(cloud.valid)]
-    axes = _axes(xyz, box)
-    places = places_of(cloud)
-    stations = np.stack([places.pose[:, :3, 3], places.pose[:, :3, 0]], 1) if is_turned(cloud) else np.zeros((0, 2, 3))
-    room = DrawnRoom(axes, stations[:MOST_STATIONS], None)
-    if not len(stations):
-        return room
-    return DrawnRoom(axes, room.stations, _hole(xyz, room.foot(stations[0, 0]), axes[2]))
+    axes, pose = _axes(xyz, box), places_of(cloud).pose[:MOST_STATIONS]
+    if not is_turned(cloud):
+        return DrawnRoom(axes, np.zeros((0, 2, 3)), None)
+    room = DrawnRoom(axes, np.stack([pose[:, :3, 3], pose[:, :3, 0]], 1), None)
+    return dataclasses.replace(room, hole_m=_hole(xyz, room.foot(room.stations[0, 0]), axes[2]))
 
 
 def is_turned(cloud: Cloud) -> bool:
@@ -266,7 +244,6 @@ SPLAT_M = 0.011
 """Size of a point [m]: about the spacing of a scan in steps of 0.1 degrees at 5 m."""
 MAX_SPLAT_PX = 4
 SHADING = 9.0
-"""Strength of the shading by depth."""
 JOINED = 4.0
 """Neighbouring profiles are joined up to this many times their usual distance."""
 MAX_GAIN = 3.0
@@ -283,7 +260,7 @@ def draw_cloud(
     size: tuple[int, int] = (1600, 900),
     view: Viewpoint | None = None,
 ) -> np.ndarray:
-    """Draw a coloured cloud.
+    """Draw a coloured cloud; returns uint8 [height, width, 3], RGB.
 
     Args:
         xyz: Points [..., 3], m; rows that are zero are taken as missing. On the grid [profile, line, 3]
@@ -293,9 +270,6 @@ def draw_cloud(
             behind.
         size: Width and height of the picture [px].
         view: The camera of the picture; by default `room_view`.
-
-    Returns:
-        Picture, uint8 [height, width, 3], RGB.
     """
     points, colours, towards = _between_profiles(xyz, rgb, normals)
     width, height = size
@@ -316,17 +290,8 @@ def draw_room(
     beside: np.ndarray | None = None,
     width: int = 1600,
 ) -> tuple[np.ndarray, Canvas]:
-    """Draw a room, cut open, on a canvas that it fills.
-
-    Args:
-        xyz: As of `draw_cloud`, with one point at least.
-        rgb: As of `draw_cloud`.
-        normals: As of `draw_cloud`.
-        beside: Other places that must be on the canvas [n, 3], m.
-        width: Of the picture [px]; its height is that of the room in it.
-
-    Returns:
-        Picture, uint8 [height, width, 3], RGB, and its frame.
+    """Draw a room, cut open, on a canvas of a width [px] that it fills with other places beside it [n, 3], m; arguments
+    else as of `draw_cloud`, with one point at least. Returns the picture, uint8 RGB, and its frame.
     """
     points, colours, towards = _between_profiles(xyz, rgb, normals)
     view = room_view(points)
@@ -461,7 +426,6 @@ LETTER_PX = 25
 """Height of letters: readable where a page shows the picture half as wide."""
 _ROW_PX = 44
 _DPI = 100
-_LENGTHS_M = tuple(step * 10.0**power for power in range(-6, 7) for step in (1, 2, 5))
 _PAPER = "#{:02x}{:02x}{:02x}".format(*BACKGROUND.astype(int))
 _BESIDE = 0.03
 """Dimension lines stand off the room by this share of its extent."""
@@ -474,14 +438,13 @@ class DimensionMark(NamedTuple):
     """[2, 3], m."""
     text: str
     outwards: np.ndarray
-    """Unit vector away from the room [3]."""
 
 
 class _Item(NamedTuple):
     """One entry of the legend."""
 
-    draw: Callable[[Any, float, float, float], None]
-    """Called with axes, left end, height and width of the mark [px]."""
+    draw: Callable[[Any, float, float, float], None] | None
+    """Called with axes, left end, height and width of the mark [px]; None for words alone."""
     wide: float
     words: str
 
@@ -498,17 +461,13 @@ class RoomPicture(NamedTuple):
     """A marked picture."""
 
     rgb: np.ndarray
-    """uint8 [height, width, 3]."""
     labels: tuple[Label, ...]
 
 
 def room_picture(cloud: PointCloud, box: RoomBox | None = None, *, width: int = WIDTH) -> RoomPicture:
-    """A room, cut open, with what a person wants to know beside it.
+    """A room, cut open, z up, with what a person wants to know beside it; its dimensions, where some were found.
 
-    Args:
-        cloud: The room, z up. A cloud without points gives an empty picture.
-        box: Its dimensions, as `measure_room` finds them, where it does.
-        width: Of the picture [px]; letters and lines are equally large in every picture.
+    Letters and lines are equally large in every picture. A cloud without points gives an empty picture.
     """
     cloud, box = _near_zero(cloud, box)
     xyz, rgb, normals = (np.asarray(field) for field in (cloud.xyz, cloud.rgb, cloud.normals))
@@ -538,11 +497,7 @@ def _near_zero(cloud: PointCloud, box: RoomBox | None) -> tuple[PointCloud, Room
 
 
 def dimension_lines(room: DrawnRoom, eye: np.ndarray) -> list[DimensionMark]:
-    """The dimensions of a room, along those of its edges where they hide nothing of it.
-
-    Args:
-        eye: From where it is seen [3], m.
-    """
+    """The dimensions of a room seen from an eye [3], m, along those of its edges where they hide nothing of it."""
     near = [float(eye @ axis.direction > 0.5 * (axis.low + axis.high)) for axis in room.axes]
     lines = []
     for number, axis in enumerate(room.axes):
@@ -587,7 +542,8 @@ def _marked(picture: np.ndarray, frame: Canvas, room: DrawnRoom, lines: list[Dim
         wide = mark + text.get_window_extent(canvas.get_renderer()).width
         if left + wide > width - edge:
             left, bottom = edge, bottom + _ROW_PX
-        item.draw(axes, left, bottom - 0.5 * _ROW_PX, item.wide)
+        if item.draw is not None:
+            item.draw(axes, left, bottom - 0.5 * _ROW_PX, item.wide)
         text.set_position((left + mark, bottom - 0.5 * _ROW_PX))
         texts.append(text)
         left += wide + 1.4 * LETTER_PX
@@ -644,8 +600,7 @@ def _draw_station(axes: Any, frame: Canvas, room: DrawnRoom) -> list[Any]:
         axes.plot(*start, "o", color=RED, markersize=11, markeredgecolor="white")
         ahead = (end - start) / max(float(np.linalg.norm(end - start)), 1e-6)
         at = end + 1.1 * LETTER_PX * ahead
-        text = axes.text(*at, "0°", color=RED, ha="center", va="center", path_effects=_halo(), **_font())
-        texts.append(text)
+        texts.append(axes.text(*at, "0°", color=RED, ha="center", va="center", path_effects=_halo(), **_font()))
     return texts
 
 
@@ -671,10 +626,6 @@ def _draw_zero(axes: Any, left: float, y: float, wide: float) -> None:
     axes.plot(left + 5, y, "o", color=RED, markersize=11, markeredgecolor="white")
 
 
-def _draw_nothing(axes: Any, left: float, y: float, wide: float) -> None:
-    del axes, left, y, wide
-
-
 def _legend(room: DrawnRoom, frame: Canvas) -> list["_Item"]:
     metres, wide = _scale(room, frame)
     where = "at the scanner" if len(room.stations) else "in the middle"
@@ -683,11 +634,10 @@ def _legend(room: DrawnRoom, frame: Canvas) -> list["_Item"]:
         scanners = "scanners and angles" if len(room.stations) > 1 else "scanner and angle"
         items.append(_Item(_draw_zero, 70.0, f"{scanners} 0 of the table"))
     if any(axis.dimension is not None for axis in room.axes):
-        items.append(_Item(_draw_nothing, 0.0, "± one standard deviation"))
+        items.append(_Item(None, 0.0, "± one standard deviation"))
     if room.hole_m is not None:
-        words = "hole in the floor, out of the camera's sight"
-        items.append(_Item(_draw_ring, 70.0, words))
-    return [*items, _Item(_draw_nothing, 0.0, "ceiling and near walls are left out")]
+        items.append(_Item(_draw_ring, 70.0, "hole in the floor, out of the camera's sight"))
+    return [*items, _Item(None, 0.0, "ceiling and near walls are left out")]
 
 
 def _scale(room: DrawnRoom, frame: Canvas) -> tuple[float, float]:
@@ -695,5 +645,5 @@ def _scale(room: DrawnRoom, frame: Canvas) -> tuple[float, float]:
     place = room.stations[0, 0] if len(room.stations) else room.at(np.full((1, 3), 0.5))[0]
     far = float(frame.local(room.foot(place)[None])[0, 2])
     per_metre = frame.focal / far
-    fitting = [length for length in _LENGTHS_M if length * per_metre < 0.2 * frame.size[0]]
-    return fitting[-1], fitting[-1] * per_metre
+    length = max((one for one in ROUND if one * per_metre < 0.2 * frame.size[0]), default=ROUND[0])
+    return length, length * per_metre

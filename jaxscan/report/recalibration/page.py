@@ -3,10 +3,10 @@
 import numpy as np
 
 from jaxscan.recalibration import PanoramaOfWalls, Recalibration
-from jaxscan.report.drawing import as_svg
-from jaxscan.report.html import Html, bullets, element, joined, page, section, table
+from jaxscan.report.drawing import drawn
+from jaxscan.report.html import Html, beside, bullets, element, joined, page, provenance, section, table, tiles, verdict
 from jaxscan.report.recalibration import plots, words
-from jaxscan.report.words import length_words, millimetres, sentence
+from jaxscan.report.words import OF_LENGTHS, length_words, millimetres, sentence
 
 
 MAX_PANORAMAS = 6
@@ -26,44 +26,35 @@ def recalibration_page(result: Recalibration, *, title: str = "", notes: tuple[s
     Returns:
         An HTML document that fetches nothing and runs no scripts.
     """
-    parts: list[Html | None] = [
-        element("header", element("h1", "Recalibration report"), element("p", title)),
-        *(element("p", note, class_="note") for note in notes),
+    calibration = result.calibration
+    foot = None
+    if calibration is not None:
+        foot = provenance(calibration.provenance, calibration.provenance.get("calibration"))
+    return page(
+        "Recalibration report",
+        "Recalibration report",
+        title,
+        notes,
         _verdict(result),
         _remarks(result),
         _walls(result),
         _gained(result),
         _moved(result),
-        _closure(result),
         _stations(result),
-        _provenance(result),
-    ]
-    return page("Recalibration report", *(part for part in parts if part))
+        foot,
+    )
 
 
 def _verdict(result: Recalibration) -> Html:
     first = words.headline(result)
-    card = element(
-        "div", element("strong", first.headline), element("p", first.explanation), class_=f"verdict {first.kind}"
-    )
-    tiles = [
-        _tile(
+    values = [
+        (
             f"± {millimetres(one.after_mm)}",
             f"{length_words(one.name, one.length_m, one.depth_m)}; before ± {millimetres(one.before_mm)}",
         )
         for one in result.lengths
     ]
-    if not tiles:
-        return card
-    note = (
-        "Standard deviations of lengths measured with this rig, as far as the calibration causes them. The noise of "
-        "the stripes adds to them."
-    )
-    return joined([card, element("div", *tiles, class_="tiles"), element("p", note, class_="note")])
-
-
-def _tile(value: str, text: str) -> Html:
-    return element("div", element("b", value), element("span", text), class_="tile")
+    return joined([verdict(first.kind, first.headline, element("p", first.explanation)), tiles(values, OF_LENGTHS)])
 
 
 def _remarks(result: Recalibration) -> Html | None:
@@ -81,32 +72,30 @@ def _remarks(result: Recalibration) -> Html | None:
 
 
 def _walls(result: Recalibration) -> Html | None:
-    drawn = [one for one in result.panoramas if np.asarray(one.seen).any()]
-    if not drawn:
-        return None
+    seen = [one for one in result.panoramas if np.asarray(one.seen).any()]
     text = (
         "The distance of every point on a wall from the wall's plane, over the whole turn, with the stored calibration "
         "and with the new one, in one scale of colours. An error of the calibration bends walls, so it shows as bands "
         "and patches; the noise of the stripe and the roughness of the wall are grain. Cells without a point on a wall "
         "are grey."
     )
-    figures = [_panorama(panorama, number) for number, panorama in enumerate(drawn[:MAX_PANORAMAS])]
-    left = len(drawn) - MAX_PANORAMAS
+    figures = [_panorama(panorama, number) for number, panorama in enumerate(seen[:MAX_PANORAMAS])]
+    left = len(seen) - MAX_PANORAMAS
     if left > 0:
         figures.append(element("p", f"{left} more sweeps are not drawn.", class_="note"))
-    return section("Flatness of the walls", element("p", text), *figures)
+    return section("Flatness of the walls", element("p", text), *figures) if seen else None
 
 
 def _panorama(panorama: PanoramaOfWalls, number: int) -> Html:
-    before, after = words.flatness_mm(panorama)
-    drawn = as_svg(
+    before, after = map(millimetres, words.flatness_mm(panorama))
+    return drawn(
         plots.panorama_figure(*plots.panorama_rows(panorama)),
         f"panorama-{number}",
-        f"Distance of points from the walls' planes over azimuth and line, before and after: {millimetres(before)} and "
-        f"{millimetres(after)}",
+        f"Distance of points from the walls' planes over azimuth and line, before and after: {before} and {after}",
+        element("b", panorama.sweep),
+        f". Root mean square distance {before} before, {after} now.",
+        class_="wide",
     )
-    caption = f". Root mean square distance {millimetres(before)} before, {millimetres(after)} now."
-    return element("figure", drawn, element("figcaption", element("b", panorama.sweep), caption), class_="wide")
 
 
 def _gained(result: Recalibration) -> Html | None:
@@ -116,9 +105,8 @@ def _gained(result: Recalibration) -> Html | None:
         "Old over new standard deviation of independent directions in the space of the parameters. Flat walls leave "
         "two directions open, the radial scale and the height scale; the stored calibration holds them."
     )
-    drawn = _figure(plots.gain_figure(result.gains), "gain", "Gain of each direction", caption)
-    listed = bullets(words.gain_lines(result.gains))
-    return section("What was gained", element("div", drawn, element("div", listed), class_="figures"))
+    shown = drawn(plots.gain_figure(result.gains), "gain", "Gain of each direction", caption)
+    return section("What was gained", beside(shown, bullets(words.gain_lines(result.gains))))
 
 
 def _moved(result: Recalibration) -> Html | None:
@@ -129,34 +117,11 @@ def _moved(result: Recalibration) -> Html | None:
         "The change of each parameter, in standard deviations that a change would have by chance. Changes within the "
         "grey band are no surprise. Parameters are correlated: the verdict above takes all of them together."
     )
-    drawn = _figure(plots.moved_figure(moved), "moved", "Change of each parameter in standard deviations", caption)
+    shown = drawn(plots.moved_figure(moved), "moved", "Change of each parameter in standard deviations", caption)
     rows = table(_MOVED, words.moved_rows(result.moved), kind="tall", worse=[abs(one.sigmas) > 3 for one in moved])
-    return section("What moved", element("div", drawn, element("div", rows), class_="figures"))
-
-
-def _closure(result: Recalibration) -> Html | None:
-    if result.closure is None or result.closure.before_mm is None:
-        return None
-    caption = "The distance between the ends of one full turn, with one standard deviation."
-    drawn = _figure(plots.closure_figure(result.closure), "closure", "Closure before and after", caption)
-    return section("Closure", element("div", drawn, class_="figures"))
+    return section("What moved", beside(shown, rows))
 
 
 def _stations(result: Recalibration) -> Html | None:
     rows = words.station_rows(result)
     return section("Stations", table(_STATIONS, rows)) if rows else None
-
-
-def _provenance(result: Recalibration) -> Html | None:
-    calibration = result.calibration
-    if calibration is None:
-        return None
-    origin, captures = calibration.provenance.get("calibration") or {}, calibration.provenance.get("captures") or []
-    lines = [f"{one.get('name')}: {one.get('digest')}" for one in (origin, *captures) if one]
-    versions = calibration.provenance.get("versions") or {}
-    lines.append(", ".join(f"{name} {version}" for name, version in versions.items()))
-    return element("footer", *(element("p", line) for line in lines))
-
-
-def _figure(figure: object, name: str, description: str, caption: str) -> Html:
-    return element("figure", as_svg(figure, name, description), element("figcaption", caption))  # type: ignore[arg-type]

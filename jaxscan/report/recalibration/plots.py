@@ -6,8 +6,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.recalibration import Closure, Gain, Moved, PanoramaOfWalls
-from jaxscan.report.drawing import BLUE, GREEN, LINE, ORANGE, RED, SOFT, new_axes, new_figure, plain
+from jaxscan.recalibration import Gain, Moved, PanoramaOfWalls
+from jaxscan.report.drawing import (
+    BLUE,
+    GREEN,
+    LINE,
+    ORANGE,
+    RED,
+    SOFT,
+    add_bar,
+    new_axes,
+    new_figure,
+    new_plot,
+    no_frame,
+    plain,
+    round_up,
+)
 
 
 if TYPE_CHECKING:
@@ -17,17 +31,12 @@ if TYPE_CHECKING:
 COLUMNS, ROWS = 1080, 320
 """Largest size of a panorama [px]: more than a page shows."""
 UNSEEN = "#d3d8dd"
-"""Colour of cells without a point on a wall."""
 
 
 def panorama_rows(panorama: PanoramaOfWalls) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals over azimuth and line, before and after: the mean of the cells of a pixel.
+    """Residuals of one sweep over azimuth and line, before and after: the mean of the cells of a pixel.
 
-    Args:
-        panorama: Of one sweep.
-
-    Returns:
-        Two pictures [rows, columns], mm; NaN where there is no point. The first column is azimuth 0.
+    Two pictures [rows, columns], mm; NaN where there is no point. The first column is azimuth 0.
     """
     profiles, lines = panorama.seen.shape
     angle = 2 * np.pi * np.arange(profiles) / max(profiles, 1) if panorama.angle is None else panorama.angle
@@ -52,10 +61,7 @@ def colour_limit(pictures: Sequence[np.ndarray]) -> float:
     """Limit of the colour scale [mm]: 98 % of all pixels are within it; 1, 2 or 5 times a power of ten."""
     sizes = np.concatenate([np.abs(picture[np.isfinite(picture)]) for picture in pictures])
     largest = float(np.percentile(sizes, 98)) if sizes.size else 0.0
-    if largest <= 0:
-        return 1.0
-    power = 10.0 ** np.floor(np.log10(largest))
-    return float(next(step * power for step in (1, 2, 5, 10) if step * power >= largest))
+    return round_up(largest) if largest > 0 else 1.0
 
 
 def panorama_figure(before: np.ndarray, after: np.ndarray) -> "Figure":
@@ -68,7 +74,9 @@ def panorama_figure(before: np.ndarray, after: np.ndarray) -> "Figure":
     drawn: Any = None
     both = []
     for place, (title, picture) in enumerate((("before", before), ("after", after))):
-        axes = _beside(figure, 211 + place)
+        axes = new_axes(figure, 211 + place, grid=False)
+        no_frame(axes)
+        axes.tick_params(length=2)
         drawn = axes.imshow(
             np.ma.masked_invalid(picture),
             cmap=colours,
@@ -85,18 +93,15 @@ def panorama_figure(before: np.ndarray, after: np.ndarray) -> "Figure":
         axes.set_ylabel("line")
         both.append(axes)
     both[1].set_xlabel("azimuth, degrees")
-    bar = figure.colorbar(drawn, ax=both, shrink=0.8, aspect=30, pad=0.015, extend="both")
+    bar = add_bar(figure, drawn, both, shrink=0.8, aspect=30, pad=0.015, extend="both")
     bar.set_label("distance from the wall's plane, mm", color=SOFT)
-    bar.outline.set_visible(False)
-    bar.ax.tick_params(length=0, labelsize=8)
     return figure
 
 
 def moved_figure(moved: Sequence[Moved], most: int = 24) -> "Figure":
     """Bars of the change of each parameter, in standard deviations that it would have by chance."""
     shown = list(moved[:most])
-    figure = new_figure(5.4, 0.9 + 0.21 * len(shown))
-    axes = new_axes(figure, xlabel="change, in standard deviations by chance")
+    figure, axes = new_plot(5.4, 0.9 + 0.21 * len(shown), xlabel="change, in standard deviations by chance")
     value = np.array([one.sigmas for one in shown])
     place = np.arange(len(shown))
     axes.axvspan(-2, 2, color=LINE, alpha=0.55, linewidth=0)
@@ -113,8 +118,7 @@ def moved_figure(moved: Sequence[Moved], most: int = 24) -> "Figure":
 def gain_figure(gains: Sequence[Gain], most: int = 16) -> "Figure":
     """Old over new standard deviation of each direction, on a logarithmic scale."""
     shown = list(gains[:most])
-    figure = new_figure(5.4, 0.9 + 0.24 * len(shown))
-    axes = new_axes(figure, xlabel="how many times better known than before")
+    figure, axes = new_plot(5.4, 0.9 + 0.24 * len(shown), xlabel="how many times better known than before")
     value = np.array([min(max(gain.factor, 1.0), 1e4) for gain in shown])
     place = np.arange(len(shown))
     colours = [ORANGE if v < 1.05 else GREEN for v in value]
@@ -128,30 +132,6 @@ def gain_figure(gains: Sequence[Gain], most: int = 16) -> "Figure":
     axes.tick_params(axis="y", length=0)
     axes.grid(False, axis="y")
     return figure
-
-
-def closure_figure(closure: Closure) -> "Figure":
-    """The gap that is left after a full turn, before and after."""
-    figure = new_figure(5.4, 1.5)
-    axes = new_axes(figure, xlabel="gap after a full turn at 2.5 m, mm")
-    # A gap that nothing shows is 0 by the best estimate.
-    values = [abs(closure.before_mm or 0.0), abs(closure.after_mm or 0.0)]
-    axes.barh([0, 1], values, height=0.55, color=[ORANGE, GREEN], xerr=[0.0, closure.sigma_mm], ecolor=SOFT, capsize=3)
-    axes.set_yticks([0, 1], ["before", "after"])
-    axes.set_ylim(1.6, -0.6)
-    axes.set_xlim(0.0, 1.1 * max(*values, values[1] + closure.sigma_mm, 1e-3))
-    axes.tick_params(axis="y", length=0)
-    axes.grid(False, axis="y")
-    return figure
-
-
-def _beside(figure: "Figure", place: int) -> Any:
-    """Axes at a place of a grid of axes, without a frame."""
-    axes = new_axes(figure, place, grid=False)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
-    axes.tick_params(length=2)
-    return axes
 
 
 def _around(values: Float[np.ndarray, " n"], least: float) -> tuple[float, float]:

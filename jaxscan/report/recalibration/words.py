@@ -41,7 +41,7 @@ def headline(result: Recalibration) -> Headline:
     if not result.updated:
         return Headline("open", said, f"The calibration was not updated: {sentence(result.refused)}")
     wall, points = 1e3 * result.adjusted.wall_m, int(np.count_nonzero(result.adjusted.point_kept))
-    walls = len(result.adjusted.surfaces.kind)
+    walls = len(result.adjusted.surfaces.distance)
     rough = f"rough by {millimetres(wall)}" if wall > 0 else "whose roughness is lost in the noise"
     explanation = (
         f"The calibration was updated from {points:,} points on {walls} flat {'surface' if walls == 1 else 'surfaces'}"

@@ -1,7 +1,6 @@
 """The laser's light across its sheet and along its fan, and where it meets surfaces."""
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,9 +15,6 @@ _BAND = 5.5
 """Half width of a Gaussian's sampled band, in its standard deviations: beyond it is 3e-7 of the peak."""
 _LENGTHS = (1.5, 8.0)
 """Shortest and longest of the waves, in widths of fine changes."""
-_PER_WAVE = 600
-"""Points of a table on the shortest wave: between them it is right to 2e-5 of its height."""
-_MOST_POINTS = 1 << 20
 _WAVES = 24
 """Number of waves of different lengths that make fine changes along the line."""
 
@@ -55,27 +51,9 @@ def along(sheet: Sheet, angle: np.ndarray) -> np.ndarray:
     if spec.uneven_slow > 0:
         power = power * (1 + f(spec.uneven_slow) * np.cos(f(5.3) * angle / half + f(0.7)))
     if spec.uneven_fine > 0:
-        power = power * np.maximum(1 + f(spec.uneven_fine) * _rippled(spec.fan_deg, spec.fine_deg, angle), 0)
+        wave = _ripple(angle / angle.dtype.type(math.radians(spec.fine_deg)))
+        power = power * np.maximum(1 + f(spec.uneven_fine) * wave, 0)
     return power
-
-
-def _rippled(fan_deg: float, fine_deg: float, angle: np.ndarray) -> np.ndarray:
-    """Fine changes along the line; of most lasers between close points of a table."""
-    half, points = math.radians(fan_deg) / 2, math.ceil(_PER_WAVE * fan_deg / (_LENGTHS[0] * fine_deg))
-    if points > _MOST_POINTS:
-        return _ripple(angle / angle.dtype.type(math.radians(fine_deg)))
-    table, rise = _ripple_table(fan_deg, fine_deg, points)
-    place = (np.clip(angle, -half, half) + half) * (points / (2 * half))
-    low = np.minimum(place.astype(np.int32), points - 1)
-    return table.take(low) + rise.take(low) * (place - low).astype(np.float32)
-
-
-@lru_cache(maxsize=8)
-def _ripple_table(fan_deg: float, fine_deg: float, points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Values at even angles over the fan, and the steps to the next, float32."""
-    half = math.radians(fan_deg) / 2
-    table = _ripple(np.linspace(-half, half, points + 1) / math.radians(fine_deg))
-    return table.astype(np.float32), np.diff(table).astype(np.float32)
 
 
 def _ripple(x: np.ndarray) -> np.ndarray:
@@ -165,9 +143,9 @@ def laser_channel(sheet: Sheet) -> np.ndarray:
     return np.eye(3, dtype=np.float32)[:, [COLOURS.index(sheet.spec.colour)]]
 
 
-def illuminate(shot: LitScene, rays: np.ndarray, *, only_board: bool = False) -> np.ndarray:
-    """Light of the laser seen along rays [3, n], float32 [n], DN on a pixel filled with it; as for `cast`."""
-    met = _meet(shot, rays, only_board)
+def illuminate(shot: LitScene, rays: np.ndarray) -> np.ndarray:
+    """Light of the laser seen along rays [3, n], float32 [n], DN on a pixel filled with it."""
+    met = _meet(shot, rays)
     depth = np.where(np.isfinite(met.depth), met.depth, np.float32(0))
     beside = depth * shot.sheet.slope_at(*rays).astype(np.float32) - np.float32(shot.sheet.distance)
     light = np.zeros(len(beside), np.float32)
@@ -223,19 +201,15 @@ def _thickness(sheet: Sheet, legs: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return sheet.thickness(r).astype(np.float32) * widened(sheet, angle)
 
 
-def cast(shot: LitScene, rays: np.ndarray, *, only_board: bool = False) -> Hits:
-    """First surface on each of the camera's rays [3, n]; with `only_board`, they meet nothing before the board."""
-    return _hits(shot, rays, _meet(shot, rays, only_board))
+def cast(shot: LitScene, rays: np.ndarray) -> Hits:
+    """First surface on each of the camera's rays [3, n]."""
+    return _hits(shot, rays, _meet(shot, rays))
 
 
-def _meet(shot: LitScene, rays: np.ndarray, only_board: bool) -> Met:
+def _meet(shot: LitScene, rays: np.ndarray) -> Met:
     """First intersections of rays [3, n], as `cast` returns them."""
-    scene, pose, board = shot.scene, shot.pose, shot.board
-    if only_board:
-        depth = np.full(rays.shape[1], np.inf, np.float32)
-        triangle = np.full(rays.shape[1], len(scene.normal) - 1)
-    else:
-        depth, triangle = scene.cast(pose.translation, pose.turn(np.ascontiguousarray(rays.T)))
+    board = shot.board
+    depth, triangle = shot.scene.cast(shot.pose.translation, shot.pose.turn(np.ascontiguousarray(rays.T)))
     if board is None:
         return Met(depth, triangle, np.zeros(len(depth), bool), np.zeros((2, len(depth))))
     nearer, bx, by = board.hit(*rays)

@@ -1,40 +1,26 @@
-"""The laser's stripe as the camera sees it through the lens.
+"""The laser's stripe as the camera sees it through the lens, and its true centre in every line.
 
 The light is evaluated on a grid finer than pixels in the band round the sheet, each sample by its own ray, so depth
 edges, shadows and printed edges cut the stripe at their true places.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxscan.simulation.camera import Blur, psf_weights, splat
-from jaxscan.simulation.light.bounce import (
-    FanView,
-    lit_mirrors,
-    mirrored_light,
-    mirrored_sheet,
-    thrown_light,
-    thrown_sheet,
-)
-from jaxscan.simulation.light.flat import light_on
-from jaxscan.simulation.light.lit import LitScene, band, illuminate, stacked
+from jaxscan.simulation.light.bounce import lit_mirrors, mirrored_light, mirrored_sheet, thrown_light, thrown_sheet
+from jaxscan.simulation.light.lit import LitScene, band, cast, illuminate, stacked
 from jaxscan.simulation.rig import Sheet, TrueRig
-from jaxscan.simulation.scene import Plane, Rays
 
 
 SAMPLES_ALONG = 2
 """Samples per pixel along the stripe."""
 _BATCH = 1024
 """Pixels evaluated at a time."""
-
-ON_BOARD = -2
-"""In place of a triangle: a pixel sees the board alone."""
-
-FacetAt = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class LitSamples(NamedTuple):
@@ -53,47 +39,33 @@ class LitSamples(NamedTuple):
     """The lens's blur at each listed pixel."""
 
 
-def lit_samples(shot: LitScene, depth: np.ndarray, blur: Blur, facet_at: FacetAt | None = None) -> LitSamples:
+def lit_samples(shot: LitScene, depth: np.ndarray, blur: Blur) -> LitSamples:
     """The laser's light in the band round its sheet.
 
     Args:
-        shot: The scene and its laser.
         depth: Depth along the ray of every pixel's centre, float32 [height, width]; inf where nothing is.
-        blur: Of the lens, in all pixels.
-        facet_at: Triangle of the facet that the whole of pixels shows, by their rows and columns; `ON_BOARD` where
-            they show the board alone, -1 where it is unknown. There, and without it, a ray is cast for each sample.
     """
-    near = _crossed(*_beside(shot.sheet, depth))
-    return _sampled(shot, near, blur, lambda rays: illuminate(shot, rays), facet_at)
+    return _sampled(shot, _crossed(*_beside(shot.sheet, depth)), blur, partial(illuminate, shot))
 
 
 def mirrored_samples(shot: LitScene, glass: np.ndarray, depth: np.ndarray, blur: Blur) -> list[LitSamples]:
     """The laser's light by way of mirrors: seen in them by the camera, and thrown by them on other surfaces.
 
     Args:
-        shot: The scene and its laser.
         glass: Pixels that see a mirror, bool [height, width].
-        depth: As for `lit_samples`.
-        blur: Of the lens, in all pixels.
     """
     found = []
     if glass.any():
         near = _crossed(*mirrored_sheet(shot, glass))
-        found.append(_sampled(shot, near, blur, lambda rays: mirrored_light(shot, rays)))
+        found.append(_sampled(shot, near, blur, partial(mirrored_light, shot)))
     for mirror in lit_mirrors(shot) if shot.scene.mirror.any() else []:
         near = _crossed(*thrown_sheet(shot, mirror, depth))
         found.append(_sampled(shot, near, blur, partial(thrown_light, shot, mirror)))
     return found
 
 
-def _sampled(
-    shot: LitScene,
-    near: np.ndarray,
-    blur: Blur,
-    light_of: Callable[[np.ndarray], np.ndarray],
-    facet_at: FacetAt | None = None,
-) -> LitSamples:
-    """Light along rays through some pixels, bool [height, width]; `light_of` is for those that show several facets."""
+def _sampled(shot: LitScene, near: np.ndarray, blur: Blur, light_of: Callable[[np.ndarray], np.ndarray]) -> LitSamples:
+    """Light along rays through some pixels, bool [height, width]; `light_of` gives that of rays [3, n]."""
     rig = shot.rig
     samples_v, samples_u = SAMPLES_ALONG, samples_across(rig, shot.sheet)
     if shot.sheet.spec.stripe_axis == "columns":
@@ -102,26 +74,12 @@ def _sampled(
     light: np.ndarray = np.zeros((len(rows), samples_v * samples_u), np.float32)
     dv = ((np.arange(samples_v) + 0.5) / samples_v - 0.5).repeat(samples_u).astype(np.float32)
     du = np.tile((np.arange(samples_u) + 0.5) / samples_u - 0.5, samples_v).astype(np.float32)
-    shown = np.full(len(rows), -1) if facet_at is None else facet_at(rows, columns)
-    fan = FanView(shot) if facet_at is not None else None
-    for triangle, part in _alike(shown):
+    # Some pixels at a time, whose samples stay in the processor's cache.
+    for start in range(0, len(rows), _BATCH):
+        part = np.s_[start : start + _BATCH]
         x, y, z = rig.rays.at(rows[part], columns[part], None).moved(du, dv)
-        if triangle == ON_BOARD:
-            light[part] = illuminate(shot, stacked(x, y, z).reshape(3, -1), only_board=True).reshape(len(part), -1)
-        elif triangle < 0:
-            light[part] = light_of(stacked(x, y, z).reshape(3, -1)).reshape(len(part), -1)
-        elif fan is not None and triangle < len(shot.scene.normal) - 1:
-            rays = Rays(x, y, z if isinstance(z, np.ndarray) else None)
-            light[part] = light_on(shot, Plane.of(shot.scene, triangle, shot.pose), rays, fan)
+        light[part] = light_of(stacked(x, y, z).reshape(3, -1)).reshape(len(x), -1)
     return LitSamples(light, rows, columns, (samples_v, samples_u), rig.rays.shape, blur.at(rows, columns))
-
-
-def _alike(values: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-    """Every value and the places where it stands, in parts whose samples stay in the processor's cache."""
-    order = np.argsort(values, kind="stable")
-    for part in np.split(order, np.flatnonzero(np.diff(values[order])) + 1):
-        for start in range(0, len(part), _BATCH):
-            yield int(values[part[0]]), part[start : start + _BATCH]
 
 
 def laser_image(samples: LitSamples) -> np.ndarray:
@@ -173,3 +131,71 @@ def _crossed(signed: np.ndarray, limit: np.ndarray) -> np.ndarray:
         near[first] |= reach
         near[second] |= reach
     return near
+
+
+class RowTruth(NamedTuple):
+    """The true stripe, one entry per line; entries that are not `valid` are zero."""
+
+    u: np.ndarray
+    """Centre of the sheet across the line [px], float64."""
+    amplitude: np.ndarray
+    """Peak of the stripe's light on one pixel, without noise [DN], float32."""
+    xyz: np.ndarray
+    """The point of the surface there [m], scanner frame, float64 [lines, 3]."""
+    valid: np.ndarray
+
+
+def row_truth(shot: LitScene, depth: np.ndarray, light: np.ndarray) -> RowTruth:
+    """Centre of the stripe in every line, by following the sheet's zero crossing along it.
+
+    Where a line has several, the brightest counts.
+
+    Args:
+        light: The laser's light on every pixel, of `laser_image` [height, width].
+    """
+    sheet = shot.sheet
+    offset = depth * sheet.slope - np.float32(sheet.distance)
+    columns_axis = sheet.spec.stripe_axis == "columns"
+    if columns_axis:
+        offset, light = offset.T, light.T
+    found = np.isfinite(offset[:, :-1]) & np.isfinite(offset[:, 1:])
+    line, at = np.nonzero(found & ((offset[:, :-1] < 0) != (offset[:, 1:] < 0)))
+    t = shot.rig.rays
+
+    def rays_at(u: np.ndarray) -> np.ndarray:
+        fraction = u - at
+
+        def between(table: np.ndarray) -> np.ndarray:
+            table = table.T if columns_axis else table
+            return table[line, at].astype(np.float64) * (1 - fraction) + table[line, at + 1] * fraction
+
+        return stacked(between(t.x), between(t.y), t.z if isinstance(t.z, float) else between(t.z))
+
+    def beside(rays: np.ndarray) -> np.ndarray:
+        return cast(shot, rays).depth * sheet.slope_at(*rays) - sheet.distance
+
+    low, high = at.astype(np.float64), at + 1.0
+    f_low, f_high = offset[line, at].astype(np.float64), offset[line, at + 1].astype(np.float64)
+    u = low
+    for _ in range(4):
+        u = low - f_low * (high - low) / np.where(f_high == f_low, 1.0, f_high - f_low)
+        value = beside(rays_at(u))
+        left = (value < 0) == (f_low < 0)
+        low, f_low = np.where(left, u, low), np.where(left, value, f_low)
+        high, f_high = np.where(left, high, u), np.where(left, f_high, value)
+    rays = rays_at(u)
+    # At a jump of depth the sheet is crossed nowhere; a lit centre has light of its own.
+    real = (np.abs(beside(rays)) < 2e-5) & (illuminate(shot, rays) > 0)
+    peak = np.zeros(len(u), np.float32)
+    for step in (-1, 0, 1, 2):
+        peak = np.maximum(peak, light[line, np.clip(at + step, 0, light.shape[1] - 1)])
+    order = np.argsort(np.where(real, peak, -1.0), kind="stable")
+    best = np.full(len(offset), -1)
+    best[line[order]] = order
+    valid = best >= 0
+    valid[valid] &= real[best[valid]]
+    chosen = best[valid]
+    points = shot.pose.apply(cast(shot, rays[:, chosen]).points)
+    truth = RowTruth(np.zeros(len(valid)), np.zeros(len(valid), np.float32), np.zeros((len(valid), 3)), valid)
+    truth.u[valid], truth.amplitude[valid], truth.xyz[valid] = u[chosen], peak[chosen], points
+    return truth

@@ -21,14 +21,6 @@ class Rays(NamedTuple):
         """Some of them."""
         return Rays(self.x[index], self.y[index], None if self.z is None else self.z[index])
 
-    def ravel(self) -> "Rays":
-        """All in one row."""
-        return Rays(self.x.ravel(), self.y.ravel(), None if self.z is None else self.z.ravel())
-
-    def whole(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | float]:
-        """x, y, z; the number 1 where all z are."""
-        return self.x, self.y, 1.0 if self.z is None else self.z
-
     def along(self, way: np.ndarray) -> np.ndarray:
         """Their product with a vector [3]."""
         a, b, c = way.astype(np.float32)
@@ -77,15 +69,6 @@ class Plane(NamedTuple):
             colours[:lit] += np.float32(material.glow)
         return depth, colours
 
-    def albedo(self, rays: Rays, depth: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Albedo [channels, n] of points on n rays, float32; `weights` [3, channels] of R, G, B."""
-        return self.surface.material.albedo(*self._place(rays, depth), weights)
-
-    def points(self, rays: Rays, depth: np.ndarray) -> np.ndarray:
-        """Points on n rays, scanner frame, float32 [n, 3], m."""
-        places = zip(self.pose.rotation, self.pose.translation, strict=True)
-        return np.stack([rays.along(row) * depth + np.float32(at) for row, at in places], -1)
-
     def _place(self, rays: Rays, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Texture coordinates of points on rays [m]."""
         _, origin, along_u, along_v = self.surface
@@ -107,15 +90,10 @@ class Plane(NamedTuple):
         """
         if not self.scene.shadows or self._height() <= 0:
             return None
-        tiles, side = len(rays.x), round(rays.x.shape[1] ** 0.5)
-        legs = self._from_lamp(rays.at((slice(None), np.array([0, side - 1, side * (side - 1), side * side - 1]))))
-        clear = self.scene.lamp_view.clear(legs)
-        share = np.empty((tiles, (side // 2) ** 2), np.float32)
-        share[clear] = self.scene.lit_share([part[clear, 0] for part in legs])[:, None]
+        side = round(rays.x.shape[1] ** 0.5)
         even = np.arange(0, side, 2)
-        some = np.ix_(np.flatnonzero(~clear), (even[:, None] * side + even).ravel())
-        share[~clear] = self.scene.lit_share(self._from_lamp(rays.at(some)))
-        return None if share.min() == 1 else share.reshape(tiles, side // 2, side // 2)
+        share = self.scene.lit_share(self._from_lamp(rays.at((slice(None), (even[:, None] * side + even).ravel()))))
+        return None if share.min() == 1 else share.reshape(-1, side // 2, side // 2)
 
     def depth(self, rays: Rays) -> np.ndarray:
         """Depth at which rays meet the plane, float32."""

@@ -1,5 +1,5 @@
 // The section: a box of the scene, turned about z. Its sides are moved by sliders, and by handles that are drawn over the cloud.
-import { at, make } from "./panel.js";
+import { at, make } from "./shared.js";
 
 const MARGIN_M = 0.2, REACH_PX = 12, FINGER_PX = 26, LEAST_M = 0.01, NEAR_M = 0.02, STEEP_PX = 4, COLOUR = "#6fb3ff", FAR_M = 1e6, STEP_M = 0.01;
 // Corners by bits: 1 is the far side along x, 2 along y, 4 along z.

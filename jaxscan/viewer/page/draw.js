@@ -1,3 +1,4 @@
+import { compiled } from "./shared.js";
 import { Panorama } from "./panorama.js";
 import { Shading } from "./shading.js";
 import { Surfaces } from "./surface.js";
@@ -44,22 +45,12 @@ export class Drawing {
   }
 
   prepare() {
-    const gl = this.gl, program = this.program = this.compiled(VERTEX, FRAGMENT);
+    const gl = this.gl, program = this.program = compiled(gl, VERTEX, FRAGMENT);
     gl.enable(gl.DEPTH_TEST); gl.clearColor(0.05, 0.067, 0.082, 1);
-    const compiled = (...texts) => this.compiled(...texts);
-    this.panorama = new Panorama(gl, compiled); this.shading = new Shading(gl, compiled); this.surfaces = new Surfaces(gl, compiled);
+    const make = (...texts) => compiled(gl, ...texts);
+    this.panorama = new Panorama(gl, make); this.shading = new Shading(gl, make); this.surfaces = new Surfaces(gl, make);
     this.at = Object.fromEntries(["place", "colour", "side"].map((name) => [name, gl.getAttribLocation(program, name)]));
     this.uniform = Object.fromEntries(["view", "middle", "low", "high", "eye", "turn", "size", "behind"].map((name) => [name, gl.getUniformLocation(program, name)]));
-  }
-
-  compiled(vertex, fragment) {
-    const gl = this.gl, program = gl.createProgram();
-    for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
-      const shader = gl.createShader(kind);
-      gl.shaderSource(shader, text); gl.compileShader(shader); gl.attachShader(program, shader);
-    }
-    gl.linkProgram(program);
-    return program;
   }
 
   // The cloud in whose panorama one stands; none away from its place.

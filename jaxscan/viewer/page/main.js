@@ -5,7 +5,8 @@ import { Camera, OUTSIDE } from "./camera.js";
 import { Drawing, GAP as GAP_M, RADIUS, X } from "./draw.js";
 import { takeHands } from "./hands.js";
 import { drawMarks, showCross } from "./marks.js";
-import { at, make, say, sayWaiting, showProducts, showScale, showState, titles } from "./panel.js";
+import { at, make, ownName, refusal } from "./shared.js";
+import { say, sayWaiting, showProducts, showScale, showState, titles } from "./panel.js";
 
 const canvas = at("cloud"), camera = new Camera(), CLICK_PX = 8, FAR_M = 1000, GAP = 1.1, AWAY = "No connection to jaxscan view";
 let state = { kind: "point", message: "", measured: [], places: [], measuring: 0 }, socket = null, again = 0, box = null, scene = null;
@@ -35,14 +36,6 @@ function caption() {
   return seen.length ? `${seen.map((cloud) => cloud.title).join(", ")} · ${points.toLocaleString("en")} points` : "";
 }
 
-// Kept over a reload, so that its measurements are the same ones afterwards.
-function ownName() {
-  const bytes = crypto.getRandomValues(new Uint8Array(16));
-  const name = sessionStorage.getItem("page") ?? Array.from(bytes, (b) => b.toString(16).padStart(2, "0")).join("");
-  sessionStorage.setItem("page", name);
-  return name;
-}
-
 function connect() {
   const address = new URL(`socket?page=${ownName()}`, location.href);
   address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
@@ -51,9 +44,8 @@ function connect() {
   socket.onmessage = ({ data }) => hear(JSON.parse(data));
   socket.onclose = async () => {
     say(`${AWAY}; trying again …`);
-    // A server that began anew has another token: who opens its address in another tab brings this page back, too.
-    const asked = await fetch("icon.svg", { cache: "no-store" }).catch(() => null);
-    if (asked?.status === 403) say(`${AWAY}; trying again. ${await asked.text()}`);
+    const why = await refusal();
+    if (why) say(`${AWAY}; trying again. ${why}`);
     setTimeout(connect, Math.min(300 * 2 ** again++, 5000));
   };
 }

@@ -1,12 +1,5 @@
-// The panel: choices, and the list of what was measured. All text is text, never markup.
-export const at = (id) => document.getElementById(id);
-
-export function make(tag, text = "", kind = "") {
-  const made = document.createElement(tag);
-  made.textContent = text;
-  if (kind) made.className = kind;
-  return made;
-}
+// The panel: choices, and the list of what was measured.
+import { at, make } from "./shared.js";
 
 const ASKS = {
   point: "Click a point.",

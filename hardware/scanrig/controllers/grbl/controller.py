@@ -28,8 +28,6 @@ from scanrig.controllers.grbl.lines import (
     GrblLines,
     Report,
     TableUnits,
-    is_old,
-    other_device,
     read_report,
     read_settings,
 )
@@ -45,31 +43,22 @@ _TOLERANCE = 1e-4
 
 
 def wake(lines: GrblLines) -> None:
-    """Wait until the board answers: at once, or after its boot loader if opening the port has reset it.
-
-    Raises:
-        LinkLost: no answer.
-    """
+    """Wait until the board answers: at once, or after its boot loader if opening the port has reset it."""
+    lines.greeting = ""
     lines.write(b"\n" + QUERY)
     give_up = lines.clock.now() + AWAKE_S
     while (left := give_up - lines.clock.now()) > 0:
-        texts = lines.read(left, raise_resets=False)
-        if any(read_report(text) for text in texts):
-            return
-        if lines.greeting and any(text == lines.greeting for text in texts):
+        if any(read_report(text) for text in lines.read(left, raise_resets=False)) or lines.greeting:
             return
     if not lines.await_greeting(BOOT_S):
         lines.reset()
 
 
 def greet(lines: GrblLines) -> str:
-    """Wait until the board answers, and check its greeting.
-
-    Returns:
-        Its version.
+    """Wait until the board answers, check its greeting, and return its version.
 
     Raises:
-        FirmwareError: no answer, or another device; the message names it.
+        FirmwareError: no answer, or another device; the message quotes it.
         LinkLost: the port went away.
     """
     try:
@@ -78,41 +67,19 @@ def greet(lines: GrblLines) -> str:
     except LinkLost as problem:
         if lines.broken:
             raise
-        last = _last_words(lines)
-        if read_report(last):
-            raise FirmwareError(
-                f"{lines.link.name}: found {last[:60]!r} in answer to '?', but no greeting after a reset; expected one "
-                f"that begins with '{lines.expected_greeting}': unlock the board ($X, or home it by $H), or write its "
-                "greeting into controller.grbl.greeting"
-            ) from problem
-        found = f"a device that sends {last[:60]!r}{other_device(last)}" if last else "silence"
+        found = f"a device that sends {lines.heard[:60]!r}" if lines.heard else "silence"
         raise FirmwareError(
-            f"{lines.link.name}: found {found}, needed a board that begins with '{lines.expected_greeting}'; "
-            "check port, power, controller.baud and controller.grbl.greeting"
+            f"{lines.link.name}: found {found}, needed a board that greets with '{lines.expected_greeting}' after a "
+            "reset; check port, power, controller.baud and controller.grbl.greeting, or unlock the board ($X)"
         ) from problem
-    if is_old(lines.greeting):
-        last = next((line for line in reversed(lines.odd) if line.startswith("<")), lines.greeting)
-        raise FirmwareError(lines.not_understood(last))
     # FluidNC writes GRBL's version first, and its own in brackets.
     own = re.search(r"FluidNC (v\S+)", lines.greeting)
     words = lines.greeting.split()
     return own[1] if own else words[1] if len(words) > 1 else "unknown"
 
 
-def _last_words(lines: GrblLines) -> str:
-    """The last line of a device that does not greet; one that takes whole lines alone answers to their end."""
-    if not lines.heard:
-        lines.write(b"\n$I\n")
-        lines.drain()
-    return lines.heard
-
-
 def require_fit(lines: GrblLines, table: GrblTable, units: TableUnits, settings: Settings) -> None:
-    """Check that the board's own settings fit the configuration. They belong to its owner and are never changed here.
-
-    Raises:
-        FirmwareError: with the settings to type on the board.
-    """
+    """Raise FirmwareError, with what to type, if the board's own settings do not fit; they are never changed here."""
     answer = lines.ask("$$")
     says = read_settings(answer)
     axis = "XYZABC".index(table.axis)
@@ -147,7 +114,6 @@ def require_fit(lines: GrblLines, table: GrblTable, units: TableUnits, settings:
 
 
 REST_S = 10.0
-"""Longest time that the table may take to stop."""
 _STILL = 3
 """Reports of standstill after which a motion is over, wherever it ended."""
 
@@ -233,7 +199,7 @@ class GrblController(Controller):
         Without a switch, home is the position at the first call; it is refused once the table's position was lost.
         """
         lines = self._lines
-        self._require(self._enabled, Reason.DRIVER_OFF, "home")
+        _require(self._enabled, Reason.DRIVER_OFF, "home")
         if self._table.home:
             self._zero, lines.alarm = None, None
             if not lines.ask_long(self._table.home, timeout_s):
@@ -248,12 +214,12 @@ class GrblController(Controller):
         self._zero, self._lost = self._reported(lines.report()), False
 
     def move(self, to: int, timeout_s: float = 120.0) -> int:
-        self._require(self._enabled, Reason.DRIVER_OFF, f"move to {to}")
-        self._require(self._zero is not None, Reason.NOT_HOMED, f"move to {to}")
+        _require(self._enabled, Reason.DRIVER_OFF, f"move to {to}")
+        _require(self._zero is not None, Reason.NOT_HOMED, f"move to {to}")
         settings = self._settings or Settings()
         if settings.limits is not None:
             low, high = settings.limits
-            self._require(low <= to <= high, Reason.BEYOND_LIMIT, f"move to {to}")
+            _require(low <= to <= high, Reason.BEYOND_LIMIT, f"move to {to}")
         if settings.backlash and to < self._position(self._lines.report()):
             self._go(to - settings.backlash, settings.speed, timeout_s)
         return self._go(to, settings.speed, timeout_s)
@@ -269,7 +235,7 @@ class GrblController(Controller):
 
     def arm(self, on: bool) -> None:
         if on:
-            self._require(self.stat().fault is None, Reason.IN_FAULT, "arm")
+            _require(self.stat().fault is None, Reason.IN_FAULT, "arm")
         else:
             self._off()
         self._armed = on
@@ -278,8 +244,8 @@ class GrblController(Controller):
         if not on:
             self._off()
             return
-        self._require(self._armed, Reason.NOT_ARMED, f"laser {number} on")
-        self._require(1 <= number <= len(self._table.laser_on), Reason.NO_SUCH_PART, f"laser {number} on")
+        _require(self._armed, Reason.NOT_ARMED, f"laser {number} on")
+        _require(1 <= number <= len(self._table.laser_on), Reason.NO_SUCH_PART, f"laser {number} on")
         self._lit = True
         self._lines.ask(self._table.laser_on[number - 1])
 
@@ -326,7 +292,7 @@ class GrblController(Controller):
         """It has none."""
 
     def clear(self) -> None:
-        self._require(not self.stat().estop, Reason.STILL_PRESSED, "clear")
+        _require(not self.stat().estop, Reason.STILL_PRESSED, "clear")
         self._reset()
         self._lines.alarm = None
         if self._lines.report().state == "Alarm":
@@ -341,7 +307,7 @@ class GrblController(Controller):
     def make_safe(self) -> bool:
         self._armed = False
         # Switch the laser off even after an unexpected reset.
-        self._lines.forget_reset()
+        self._lines.raised_reset = self._lines.resets
         for way in (self.stop, self._reset):
             try:
                 way()
@@ -349,7 +315,7 @@ class GrblController(Controller):
                     return True
             except RigError as problem:
                 log.warning("%s", problem)
-                self._lines.forget_reset()
+                self._lines.raised_reset = self._lines.resets
         return False
 
     # The axis that turns the table, in microsteps from home
@@ -363,12 +329,7 @@ class GrblController(Controller):
         self._zero = None
 
     def _go(self, to: int, speed: int, timeout_s: float) -> int:
-        """Turn to a position [microsteps from home] at a speed [microsteps/s]; returns where the table stands then.
-
-        Raises:
-            RigFault: An alarm ended the motion.
-            RigTimeout: The motion did not end in time and was stopped.
-        """
+        """Turn to a position [microsteps from home] at a speed [microsteps/s]; returns where the table stands then."""
         target = (self._zero or 0.0) + self._units.units(to)
         feed = 60 * speed / self._units.steps_per_unit
         self._lines.ask(f"G21 G90 G94 G53 G1 {self._table.axis}{target:.4f} F{feed:.2f}")
@@ -389,14 +350,16 @@ class GrblController(Controller):
 
     def _fault(self, report: Report) -> Fault | None:
         """The fault in a report, or None; home is lost after most faults."""
-        number = self._alarm(report)
+        dialect = self._lines.dialect
+        # An alarm's number may come in the report, or have been said before it.
+        number = report.part if report.state == "Alarm" and report.part else self._lines.alarm
         if report.state == "Hold" and not report.moving:
             # A table that is held has lost nothing.
             return Fault.HELD
         if report.state in _FAULTS:
             fault = _FAULTS[report.state]
-        elif report.state == "Alarm" and number is not None:
-            fault = self._lines.dialect.alarms.get(number, Fault.UNKNOWN)
+        elif report.state == "Alarm" and number is not None and number not in dialect.unhomed:
+            fault = dialect.alarms.get(number, Fault.UNKNOWN)
         else:
             return None
         if number != 2:
@@ -410,18 +373,12 @@ class GrblController(Controller):
 
     def _words(self, report: Report) -> str:
         """What the board says of its fault."""
-        number, name = self._alarm(report), self._lines.dialect.name
+        name = self._lines.dialect.name
         if report.state == "Door":
             door = "is open: close it" if report.part else "was open, and is closed again"
             return f"{name} says Door:{report.part}: its safety door, or what is wired to that pin, {door}"
-        if number is not None:
-            return f"{name} says ALARM:{number}"
-        return f"{name} says {report.state}"
-
-    def _alarm(self, report: Report) -> int | None:
-        """The number of the alarm in a report, or said before it; None for the lock of a board that is not homed."""
         number = report.part if report.state == "Alarm" and report.part else self._lines.alarm
-        return None if number in self._lines.dialect.unhomed else number
+        return f"{name} says {report.state if number is None else f'ALARM:{number}'}"
 
     def _await_rest(self, motion: str, timeout_s: float, at: int | None = None) -> int:
         """Wait until the table stands still; at another position than `at`, in several reports."""
@@ -454,7 +411,7 @@ class GrblController(Controller):
         if self._boot != 1 + self._lines.resets:
             self._boot = 1 + self._lines.resets
             self._forget_home()
-        self._lines.forget_reset()
+        self._lines.raised_reset = self._lines.resets
         self._come_to_rest()
         self._reset()
         self._armed = False
@@ -467,10 +424,6 @@ class GrblController(Controller):
                 raise RigFault(Fault.EMERGENCY_STOP, None, self._words(report))
             if not self._table.home:
                 self._lines.ask("$X")
-
-    def _require(self, held: bool, reason: Reason, command: str) -> None:
-        if not held:
-            raise Refused(reason, command)
 
     def _reset(self) -> None:
         self._lines.reset()
@@ -494,17 +447,15 @@ class GrblController(Controller):
         return any(line.startswith("[GC:") and " M5 " in line for line in self._lines.ask("$G"))
 
 
+def _require(held: bool, reason: Reason, command: str) -> None:
+    if not held:
+        raise Refused(reason, command)
+
+
 def connect_grbl(
     table: ControllerTable, microsteps_per_turn: int, *, port: str, clock: Clock | None = None
 ) -> GrblController:
-    """Open a board's port. Nothing is sent before `hello`.
-
-    Args:
-        port: A path, a USB serial number, or "auto".
-
-    Raises:
-        PortError: No port, several, port missing or in use, or no permission.
-    """
+    """Open a board's port, a path, a USB serial number or "auto"; raises PortError. Nothing is sent before `hello`."""
     clock = clock or Clock()
     link, reopen = open_port(port, table.baud or 115_200, clock)
     lines = GrblLines(link, clock, greeting=table.grbl.greeting, reopen=reopen)

@@ -19,7 +19,6 @@ class TableUnits:
 
     microsteps_per_turn: int
     units_per_turn: float
-    """In the board's "millimetres"."""
     reverse: bool = False
     """Whether the table's angle grows while the axis counts downwards."""
 
@@ -29,11 +28,9 @@ class TableUnits:
         return self.microsteps_per_turn / self.units_per_turn
 
     def units(self, microsteps: float) -> float:
-        """Microsteps in units of the axis."""
         return (-microsteps if self.reverse else microsteps) / self.steps_per_unit
 
     def microsteps(self, units: float) -> int:
-        """Units of the axis in microsteps, the nearest."""
         return round((-units if self.reverse else units) * self.steps_per_unit)
 
 
@@ -70,27 +67,11 @@ FLUID_NC = Dialect(
     listed=False,
 )
 _KNOWN = ((re.compile("fluidnc", re.IGNORECASE), FLUID_NC), (re.compile("grblhal", re.IGNORECASE), GRBL_HAL))
-_OLD = re.compile(r"<[A-Z][a-z]+,[MW]Pos:.*")
-_OTHERS = (
-    (re.compile(r"echo:|Marlin|start$"), "the firmware of a printer (Marlin or its like), which does not speak GRBL"),
-    (re.compile(r"\{.*\}$"), "a board that speaks JSON (TinyG, g2core), which is not GRBL"),
-    (re.compile(r"Smoothie|Build version:"), "Smoothieware; it speaks GRBL only with grbl_mode true"),
-)
 
 
 def dialect_of(greeting: str) -> Dialect:
     """The dialect of a board, by its first line after a reset; GRBL's own where it names none."""
     return next((dialect for sign, dialect in _KNOWN if sign.search(greeting)), GRBL)
-
-
-def is_old(greeting: str, answer: str = "") -> bool:
-    """Whether greeting or report are those of GRBL before 1.0, which reports in another form."""
-    return bool(re.match(r"Grbl 0\.", greeting) or _OLD.fullmatch(answer))
-
-
-def other_device(line: str) -> str:
-    """What else sends such a line, in words; empty where nobody knows."""
-    return next((f", {words}" for sign, words in _OTHERS if sign.search(line)), "")
 
 
 STATES: dict[str, State] = {
@@ -193,29 +174,21 @@ class GrblLines:
         self.link, self.clock = link, clock
         self.counts = LinkCounts()
         self.alarm: int | None = None
-        """Number of the board's alarm."""
         self.resets = 0
-        """Unrequested resets of the board."""
-        self.greeting = ""
-        """Its first line after a reset."""
+        self.greeting, self.dialect = "", GRBL
+        """Its first line after a reset, and the dialect that it names."""
         self.broken = False
         """Whether the port itself failed, so that it must be opened again."""
         self.odd: deque[str] = deque(maxlen=_KEPT)
-        """The last lines that are not GRBL's."""
         self.heard = ""
-        """The last line of any kind."""
         self.expected_greeting, self._reopen = greeting, reopen
         self._rest = b""
         self._expected = False
         """Whether this host requested a reset whose greeting has not come yet."""
-        self._raised_reset = 0
+        self.raised_reset = 0
+        """Of these resets, those that were raised or are to be ignored."""
         self._unread = ""
         """The last report that was not understood."""
-
-    @property
-    def dialect(self) -> Dialect:
-        """The board's, by its last greeting."""
-        return dialect_of(self.greeting)
 
     def ask(self, command: str) -> list[str]:
         """Send a line that is carried out at once, and repeat it until it is answered.
@@ -253,14 +226,10 @@ class GrblLines:
         raise Refused(_REFUSALS.get(number, Reason.UNKNOWN), command, error)
 
     def ask_long(self, command: str, timeout_s: float) -> bool:
-        """Send a line that is answered when its motion is over; GRBL is silent during homing.
+        """Send a line that is answered when its motion is over; GRBL is silent during homing. Raises as `ask`.
 
         Returns:
             Whether it ended: by an answer, by an alarm, or, if the answer was lost, by reports of standstill.
-
-        Raises:
-            Refused: the board answered with an error.
-            ControllerReset, LinkLost: as for `ask`.
         """
         self.send(command)
         give_up = self.clock.now() + timeout_s
@@ -281,7 +250,7 @@ class GrblLines:
         self.counts.sent += 1
 
     def write(self, data: bytes) -> None:
-        """Send bytes. Raises LinkLost."""
+        """Send bytes; raises LinkLost."""
         try:
             self.link.write(data)
         except LinkLost:
@@ -306,29 +275,17 @@ class GrblLines:
                     return reports[-1]
             self.counts.unanswered += 1
         if self._unread:
-            raise FirmwareError(self.not_understood(self._unread))
-        raise LinkLost(f"no answer from {self.link.name} to '?'{self._instead()}; check cable and power")
-
-    def not_understood(self, answer: str) -> str:
-        if is_old(self.greeting, answer):
-            return (
-                f"{self.link.name}: found {answer[:60]!r}, the report of GRBL before 1.0; expected that of 1.1: write "
-                "GRBL 1.1 or a newer dialect to the board"
+            raise FirmwareError(
+                f"{self.link.name}: found {self._unread[:60]!r} of {self.dialect.name}, which is not understood here; "
+                f"expected <...|MPos:...> as of GRBL 1.1, with one of {', '.join(STATES)}"
             )
-        return (
-            f"{self.link.name}: found {answer[:60]!r} of {self.dialect.name}, a state that is not known here; expected "
-            f"<...|MPos:...> with one of {', '.join(STATES)}"
-        )
+        raise LinkLost(f"no answer from {self.link.name} to '?'{self._instead()}; check cable and power")
 
     def _instead(self) -> str:
         return f"; it sent {self.odd[-1][:60]!r}" if self.odd else ""
 
     def reset(self) -> None:
-        """Soft reset: laser off, motion stopped, queue emptied; the position is kept if the table stood still.
-
-        Raises:
-            LinkLost: no greeting came.
-        """
+        """Soft reset: laser off, motion stopped, queue emptied; the position is kept if the table stood still."""
         for _ in range(TRIES):
             self.abort()
             if self.await_greeting(ANSWER_S):
@@ -352,12 +309,7 @@ class GrblLines:
         return bool(self.greeting)
 
     def read(self, timeout_s: float, *, raise_resets: bool = True) -> list[str]:
-        """The lines received, as soon as there are any; greetings and alarms are noted.
-
-        Raises:
-            ControllerReset: the board was reset unexpectedly.
-            LinkLost: the port failed.
-        """
+        """The lines received, as soon as there are any; greetings and alarms are noted. Raises as `report`."""
         try:
             data = self.link.read(max(timeout_s, 0.0))
         except LinkLost:
@@ -375,12 +327,8 @@ class GrblLines:
         return texts
 
     def raise_reset(self) -> None:
-        """Raise ControllerReset if a reset was noticed and not yet raised or forgotten."""
-        if self.resets > self._raised_reset:
-            raise ControllerReset(self._raised_reset, self.resets)
-
-    def forget_reset(self) -> None:
-        self._raised_reset = self.resets
+        if self.resets > self.raised_reset:
+            raise ControllerReset(self.raised_reset, self.resets)
 
     def drain(self) -> None:
         """Read late answers and discard them."""
@@ -401,7 +349,7 @@ class GrblLines:
     def _note(self, text: str) -> None:
         self.heard = text
         if text.startswith(self.expected_greeting):
-            self.greeting = text
+            self.greeting, self.dialect = text, dialect_of(text)
             if not self._expected:
                 self.resets += 1
                 self.alarm = None

@@ -54,79 +54,11 @@ class Silence(LinkLost):
     """No answer to HELLO."""
 
 
-def greet(wire: Exchange, clock: Clock, session: int) -> Firmware:
-    """Begin a session with the number 1 … 2³¹−1.
-
-    A running controller answers at once. One that was reset by opening its port sends BOOT first and is then greeted
-    again.
-
-    Raises:
-        Silence: no answer; `what_is_there` describes the lines that came instead.
-        FirmwareError: it answers but speaks another protocol.
-        LinkLost: the port went away.
-    """
-    wire.forget()
-    wire.odd_lines.clear()
-    opened = clock.now()
-    try:
-        fields = hello(wire, session, tries=1)
-    except Silence:
-        if _echoes(wire):
-            raise
-        if not wait_for_boot(wire, clock, opened + BOOT_S):
-            log.info("%s: no BOOT within %.1f s", wire.link.name, BOOT_S)
-        fields = hello(wire, session, tries=wire.tries)
-    found = fields.get("proto", "unknown")
-    if found != str(PROTOCOL):
-        raise FirmwareError(
-            f"{wire.link.name}: found firmware {fields.get('fw', 'unknown')} that speaks protocol {found}, needed "
-            f"protocol {PROTOCOL}; load the firmware that belongs to this version"
-        )
-    firmware = read_firmware(fields)
-    wire.boot = firmware.boot
-    wire.restarted = None
-    return firmware
-
-
-def hello(wire: Exchange, session: int, tries: int) -> dict[str, str]:
-    try:
-        return wire.ask("HELLO", ses=session, tries=tries)
-    except Refused as problem:
-        raise FirmwareError(f"{wire.link.name} does not begin a session: {problem}") from problem
-    except LinkLost as problem:
-        if problem.__cause__ is not None:
-            raise  # The port itself failed, which is not silence.
-        raise Silence(str(problem)) from problem
-
-
-def wait_for_boot(wire: Exchange, clock: Clock, until: float) -> bool:
-    """Listen until BOOT comes or the time `until` is reached; returns whether BOOT came."""
-    while not any(event.name == "BOOT" for event in wire.events):
-        left = until - clock.now()
-        if left <= 0:
-            return False
-        wire.listen(left)
-    return True
-
-
-def what_is_there(wire: Exchange) -> str:
-    """Describes, for messages, the lines that came from the port instead of an answer to HELLO."""
-    if not wire.odd_lines:
-        return "silence"
-    says = repr(wire.odd_lines[-1][:60])[1:]
-    return f"a device that echoes its input ({says})" if _echoes(wire) else f"a device that sends {says}"
-
-
-def _echoes(wire: Exchange) -> bool:
-    return any(b"HELLO" in line for line in wire.odd_lines)
-
-
 SAFE_TRIES = 3
 """Fewer tries than usual; then the abort byte is sent, which works without a valid line."""
 STOPPING_S = 0.5
 """How long a shot may take to end after STOP."""
 REST_S = 5.0
-"""Longest time that the table may take to stop."""
 POLL_S = 0.1
 """Time between two polls while something runs: well below the controller's watchdog, 500 ms by default."""
 
@@ -160,9 +92,7 @@ class JxsController(Controller):
         self._reopen = reopen
         self._session = session or secrets.randbelow(2**31 - 1) + 1
         self.settings: Settings | None = None
-        """The settings configured last."""
         self._firmware: Firmware | None = None
-        """The firmware that answered HELLO last."""
         self._enabled = False
         """Whether the motor driver was switched on; if it is off now, the controller was reset."""
         self._broken = False
@@ -184,13 +114,16 @@ class JxsController(Controller):
         try:
             return self._greet()
         except Silence as problem:
+            odd, echoes = self._wire.odd_lines, " and echoes its input" * self._echoes()
+            found = f"a device that sends {repr(odd[-1][:60])[1:]}{echoes}" if odd else "silence"
             raise FirmwareError(
-                f"{self.name}: found {what_is_there(self._wire)}, needed a scanner controller that speaks "
-                f"JXS/{PROTOCOL} at 250000 baud; check the port, its power and its firmware"
+                f"{self.name}: found {found}, needed a scanner controller that speaks JXS/{PROTOCOL} at 250000 baud; "
+                "check the port, its power and its firmware"
             ) from problem
 
     def configure(self, settings: Settings) -> None:
-        if settings.lasers > (lasers := self.lasers() if settings.lasers > 1 else 1):
+        lasers = integer(self._ask("HAS"), "las") if settings.lasers > 1 else 1
+        if settings.lasers > lasers:
             raise FirmwareError(
                 f"{self.name}: found a firmware that switches {lasers} laser, needed one that switches "
                 f"{settings.lasers}; load the firmware that belongs to this version, or leave one [[laser]] in the "
@@ -210,21 +143,8 @@ class JxsController(Controller):
             raise FirmwareError(f"{self.name}: settings read back as {', '.join(differing)}")
         self.settings = settings
 
-    def lasers(self) -> int:
-        """How many lasers it switches; earlier firmware does not know the question and switches one."""
-        try:
-            return integer(self._ask("HAS"), "las")
-        except Refused as problem:
-            if problem.reason is not Reason.UNKNOWN_COMMAND:
-                raise
-            return 1
-
     def reconnect(self, timeout_s: float = 60.0) -> Reconnection:
-        """Find the controller again, with growing pauses.
-
-        A link fault is cleared, and the settings are sent again. If the boot number is the same, its position is valid;
-        otherwise it must be enabled and homed again.
-        """
+        """Find the controller again, with growing pauses; a link fault is cleared, and the settings are sent again."""
         before = self._firmware
 
         def found() -> Reconnection:
@@ -323,12 +243,7 @@ class JxsController(Controller):
         return read_counters(self._ask("CNT"))
 
     def clear(self) -> None:
-        """Leave a fault.
-
-        Raises:
-            Refused: the emergency stop is still pressed.
-            RigFault: another fault came at the same moment and was not reported yet.
-        """
+        """Leave a fault. Raises RigFault if another one came at the same moment and was not reported yet."""
         try:
             self._ask("CLEAR")
         except Refused:
@@ -382,11 +297,49 @@ class JxsController(Controller):
     # Within
 
     def _greet(self) -> Firmware:
-        firmware = greet(self._wire, self._clock, self._session)
+        """Begin a session. A controller that was reset by opening its port sends BOOT first and is then greeted again.
+
+        Raises:
+            Silence: no answer; the lines that came instead are in `odd_lines`.
+            FirmwareError: it answers but speaks another protocol.
+        """
+        wire, clock = self._wire, self._clock
+        wire.forget()
+        wire.odd_lines.clear()
+        until = clock.now() + BOOT_S
+        try:
+            fields = self._hello(1)
+        except Silence:
+            if self._echoes():
+                raise
+            while not any(event.name == "BOOT" for event in wire.events) and clock.now() < until:
+                wire.listen(until - clock.now())
+            fields = self._hello(wire.tries)
+        found = fields.get("proto", "unknown")
+        if found != str(PROTOCOL):
+            raise FirmwareError(
+                f"{self.name}: found firmware {fields.get('fw', 'unknown')} that speaks protocol {found}, needed "
+                f"protocol {PROTOCOL}; load the firmware that belongs to this version"
+            )
+        firmware = read_firmware(fields)
+        wire.boot, wire.restarted = firmware.boot, None
         before, self._firmware = self._firmware, firmware
         if before is None or firmware.boot != before.boot:
             self._enabled = False
         return firmware
+
+    def _hello(self, tries: int) -> dict[str, str]:
+        try:
+            return self._wire.ask("HELLO", ses=self._session, tries=tries)
+        except Refused as problem:
+            raise FirmwareError(f"{self.name} does not begin a session: {problem}") from problem
+        except LinkLost as problem:
+            if problem.__cause__ is not None:
+                raise  # The port itself failed, which is not silence.
+            raise Silence(str(problem)) from problem
+
+    def _echoes(self) -> bool:
+        return any(b"HELLO" in line for line in self._wire.odd_lines)
 
     def _come_to_rest(self) -> Status:
         """Stop the table: a cable that was pulled for less than the watchdog's time has not stopped it."""
@@ -405,14 +358,7 @@ class JxsController(Controller):
         self._broken = False
 
     def _ask(self, verb: str, **args: int) -> dict[str, str]:
-        """The fields of a command's answer.
-
-        Raises:
-            Refused: the controller refused the command.
-            RigFault: it refused because it is in a fault.
-            ControllerReset: it was reset and knows no session.
-            LinkLost: no answer.
-        """
+        """The fields of a command's answer; a fault or a reset that it shows is raised."""
         self._raise_reset()
         try:
             return self._wire.ask(verb, **args)
@@ -447,13 +393,8 @@ class JxsController(Controller):
         """Wait for an event, and poll meanwhile: the event may be lost, and the watchdog must be fed.
 
         Args:
-            action: the action that is to end, for the message.
             reported: reads the result from the event; None for any other event.
             idle: reads the result from the state once nothing runs any more.
-
-        Raises:
-            RigFault, ControllerReset: a fault or a reset ended it.
-            RigTimeout: it did not end in time and was stopped.
         """
         give_up = self._clock.now() + timeout_s
         next_poll = self._clock.now() + POLL_S
@@ -502,18 +443,11 @@ class JxsController(Controller):
 
 
 def _named(number: int) -> dict[str, int]:
-    """The laser's number as a field. The first laser is sent without it, since earlier firmware knows no numbers."""
+    """The laser's number as a field; the first is the one without."""
     return {} if number == 1 else {"n": number}
 
 
 def connect(port: str = "auto", baud: int | None = None, clock: Clock | None = None) -> JxsController:
-    """Open the controller's port. Nothing is sent before `hello`.
-
-    Args:
-        port: a path, a USB serial number, or "auto" for the only board.
-
-    Raises:
-        PortError: no port, several, port missing or in use, or no permission.
-    """
+    """Open the controller's port: a path, a USB serial number, or "auto". Nothing is sent before `hello`."""
     link, reopen = open_port(port, baud or 250_000, clock)
     return JxsController(link, clock, reopen=reopen)

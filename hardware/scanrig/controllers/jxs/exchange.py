@@ -1,8 +1,6 @@
 """Stop-and-wait over a link (PROTOCOL.md, section 1): each line is repeated until answered, and carried out once."""
 
 from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 from scanrig.clock import Clock
 from scanrig.controllers.controller import LinkCounts
@@ -18,7 +16,6 @@ from scanrig.controllers.jxs.protocol import (
     Reply,
     command_text,
     encode,
-    next_sequence,
     read_refusal,
 )
 from scanrig.errors import ControllerReset, LinkLost, Refused
@@ -40,9 +37,6 @@ KEPT_RAW = 4
 MOST_MISSED = 1000
 """Most events that may be lost between two commands: a number farther ahead than this is an older one."""
 
-MOST_NAMES, OTHER = 32, "others"
-"""Events are counted by this many names, more than the protocol has; all further names count as one."""
-
 MOST_EVENTS = 1000
 """Events that are kept until somebody looks at them; of more, the oldest are dropped."""
 
@@ -56,15 +50,12 @@ class Exchange:
         self.timeout_s, self.tries = timeout_s, tries
         self.counts = LinkCounts()
         self.events: deque[Event] = deque(maxlen=MOST_EVENTS)
-        """Events received and not looked at yet."""
         self.odd_lines: deque[bytes] = deque(maxlen=KEPT_RAW)
         """The last lines that are not of this protocol; they show a person which device is on the port."""
         self.boot: int | None = None
-        """Boot number in the last answer to HELLO."""
         self.restarted: ControllerReset | None = None
         """The error to raise if the controller was reset since; else None."""
         self.seq = 0
-        """Number of the last line sent."""
         self._reader = LineReader()
         self._half_line = False
         self._last_event: int | None = None
@@ -84,19 +75,13 @@ class Exchange:
         self._last_event = None
 
     def ask(self, verb: str, *, tries: int | None = None, **args: int) -> dict[str, str]:
-        """Send a command and repeat it until it is answered.
-
-        Args:
-            tries: replaces the usual number of tries.
-
-        Returns:
-            The fields of the answer.
+        """Send a command and repeat it until it is answered; returns the fields of the answer.
 
         Raises:
             Refused: the controller refused the command.
             LinkLost: no answer after `tries` times the longest wait, or the port failed.
         """
-        self.seq = seq = next_sequence(self.seq)
+        self.seq = seq = self.seq % LAST_SEQUENCE + 1
         line = encode(seq, verb, **args)
         self._hello = seq if verb == "HELLO" else None
         self._event_when_asked = self._last_event
@@ -146,8 +131,11 @@ class Exchange:
         start = b"\n" if again or self._half_line else b""
         # An interrupt during the write leaves half a line; the next line must end it first.
         self._half_line = True
-        with self._failures():
+        try:
             self.link.write(start + line)
+        except LinkLost:
+            self.counts.unanswered += 1
+            raise
         self._half_line = False
         self.counts.sent += 1
         self.counts.resent += again
@@ -174,8 +162,11 @@ class Exchange:
 
     def _receive(self, timeout_s: float) -> list[Message]:
         """The messages of one read; events are filed and counted."""
-        with self._failures():
+        try:
             data = self.link.read(timeout_s)
+        except LinkLost:
+            self.counts.unanswered += 1
+            raise
         messages = self._reader.feed(data)
         for message in messages:
             if not isinstance(message, Damaged):
@@ -191,20 +182,8 @@ class Exchange:
                 self.odd_lines.append(message.raw)
         return messages
 
-    @contextmanager
-    def _failures(self) -> Iterator[None]:
-        """Counts a port that fails."""
-        try:
-            yield
-        except LinkLost:
-            self.counts.unanswered += 1
-            raise
-
     def _file(self, event: Event) -> None:
         self.counts.events += 1
-        by_name = self.counts.events_by_name
-        name = event.name if event.name in by_name or len(by_name) < MOST_NAMES else OTHER
-        by_name[name] = by_name.get(name, 0) + 1
         if event.name == "BOOT":
             boot = event.fields.get("boot", "")
             now = int(boot) if boot.isdecimal() and len(boot) <= 10 else None

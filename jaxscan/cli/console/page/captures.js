@@ -1,5 +1,5 @@
 // What is on the disk: to open, to reconstruct, to compare.
-import { at, fill, make } from "/dom.js";
+import { at, fill, make } from "/shared.js";
 
 const MADE = { plan: "Plan (PDF)", mesh: "Mesh (GLB)", report: "Report (HTML)" }, MAKE = { plan: "Plan", mesh: "Mesh", report: "Report" };
 let order = () => {}, opened = null, chosen = null, shown = "";

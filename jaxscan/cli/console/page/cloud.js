@@ -1,4 +1,6 @@
 // Points in WebGL, brighter than they were seen: drag or arrow keys turn, wheel or + and - zoom.
+import { compiled } from "/shared.js";
+
 const VERTEX = `attribute vec3 place; attribute vec3 colour; uniform mat4 view; uniform float size; varying vec3 shown;
 void main() { gl_Position = view * vec4(place, 1.0); gl_PointSize = clamp(size / gl_Position.w, 1.5, 6.0); shown = sqrt(colour); }`;
 const FRAGMENT = "precision mediump float; varying vec3 shown; void main() { gl_FragColor = vec4(shown, 1.0); }";
@@ -19,12 +21,8 @@ export class Cloud {
   }
 
   prepare() {
-    const gl = this.gl, program = gl.createProgram();
-    for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
-      const shader = gl.createShader(kind);
-      gl.shaderSource(shader, text); gl.compileShader(shader); gl.attachShader(program, shader);
-    }
-    gl.linkProgram(program); gl.useProgram(program); gl.enable(gl.DEPTH_TEST); gl.clearColor(0.04, 0.05, 0.06, 1);
+    const gl = this.gl, program = compiled(gl, VERTEX, FRAGMENT);
+    gl.useProgram(program); gl.enable(gl.DEPTH_TEST); gl.clearColor(0.04, 0.05, 0.06, 1);
     this.place = gl.getAttribLocation(program, "place"); this.colour = gl.getAttribLocation(program, "colour");
     this.view = gl.getUniformLocation(program, "view"); this.size = gl.getUniformLocation(program, "size");
   }

@@ -1,5 +1,5 @@
 // Where the board was, and where it is wanted, as pictures.
-import { at, fill, make } from "/dom.js";
+import { at, fill, make } from "/shared.js";
 
 const DONE = "#1f8f5f", WANTED = "#4fb3ff", NOW = "#ffb000", EMPTY = "#8883";
 

@@ -1,5 +1,5 @@
 // By hand while one looks: exposure, gain, the table's angle and the laser; and the histogram of what is seen.
-import { at } from "/dom.js";
+import { at } from "/shared.js";
 
 const BINS = 64;
 let now = { exposure_ms: 10, gain_db: 0, angle_deg: 0 };

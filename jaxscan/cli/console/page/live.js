@@ -1,14 +1,15 @@
+import { at } from "/shared.js";
 import { exposureNote } from "/hand.js";
 
 // The camera's picture, with the laser's line, the board's corners, and the place where to hold the board next.
-const canvas = document.getElementById("picture"), pen = canvas.getContext("2d");
+const canvas = at("picture"), pen = canvas.getContext("2d");
 let bitmap = null, known = {};
 
 export async function showPicture(blob, state) {
   const next = await createImageBitmap(blob);
   bitmap?.close();
   bitmap = next;
-  document.getElementById("no-picture").hidden = true;
+  at("no-picture").hidden = true;
   draw(state);
 }
 
@@ -16,14 +17,14 @@ export function showLive(state) {
   known = state;
   const live = state.live ?? {};
   const lit = live.peak_dn !== undefined;
-  document.getElementById("peak").value = live.peak_dn ?? 0;
-  document.getElementById("peak-dn").textContent = lit ? `${live.peak_dn.toFixed(0)} of 255${live.clipped > 0.02 ? `, ${(100 * live.clipped).toFixed(0)} % clipped` : ""}` : "–";
-  document.getElementById("angle").textContent = live.angle_deg === undefined ? "" : `table at ${live.angle_deg.toFixed(2)}°`;
+  at("peak").value = live.peak_dn ?? 0;
+  at("peak-dn").textContent = lit ? `${live.peak_dn.toFixed(0)} of 255${live.clipped > 0.02 ? `, ${(100 * live.clipped).toFixed(0)} % clipped` : ""}` : "–";
+  at("angle").textContent = live.angle_deg === undefined ? "" : `table at ${live.angle_deg.toFixed(2)}°`;
   const exposure = live.exposure, looks = state.doing === "aim";
   const said = live.proof || (exposure ? exposure.do && `${exposure.found}: ${exposure.do.startsWith("expose") ? "press Auto, or set it here" : exposure.do}` || `exposure is good: ${exposure.found}` : "");
   // Of a look that has ended nothing is advised.
-  document.getElementById("exposure").textContent = [looks ? said : "", exposureNote(state)].filter(Boolean).join(". ");
-  if (!bitmap) document.getElementById("no-picture").textContent = state.doing === "opening" ? "opening the rig …" : "Press Look to see what the camera sees.";
+  at("exposure").textContent = [looks ? said : "", exposureNote(state)].filter(Boolean).join(". ");
+  if (!bitmap) at("no-picture").textContent = state.doing === "opening" ? "opening the rig …" : "Press Look to see what the camera sees.";
   draw(state);
 }
 

@@ -1,5 +1,5 @@
 // The page: shows what the server says, and passes orders on. It drives nothing by itself.
-import { at, fill, make } from "/dom.js";
+import { at, fill, make, ownName, refusal } from "/shared.js";
 import { showLive, showPicture } from "/live.js";
 import { showGuide } from "/guide.js";
 import { Cloud } from "/cloud.js";
@@ -11,14 +11,6 @@ const WORDS = { nothing: "ready", opening: "opening the rig …", aim: "looking"
 const LASER = { off: "laser off", unknown: "laser not known to be off: switch its supply off" };
 const cloud = new Cloud(at("cloud"), at("no-webgl"), at("points"), at("no-points"));
 let socket = null, state = {}, you = { operates: false, pages: 0 }, again = 0;
-
-// Kept over a reload, so that this page is the same one afterwards.
-function ownName() {
-  const bytes = crypto.getRandomValues(new Uint8Array(16));
-  const name = sessionStorage.getItem("page") ?? Array.from(bytes, (b) => b.toString(16).padStart(2, "0")).join("");
-  sessionStorage.setItem("page", name);
-  return name;
-}
 
 function order(what, fields = {}) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ do: what, ...fields }));
@@ -33,9 +25,8 @@ function connect() {
   socket.onclose = async ({ reason }) => {
     at("lost").hidden = false;
     if (reason) say("problem", reason);
-    // A console that began anew has another token: who opens its address in another tab brings this page back, too.
-    const asked = await fetch("/icon.svg", { cache: "no-store" }).catch(() => null);
-    if (asked?.status === 403) say("problem", await asked.text());
+    const why = await refusal();
+    if (why) say("problem", why);
     setTimeout(connect, Math.min(300 * 2 ** again++, 5000));
   };
 }

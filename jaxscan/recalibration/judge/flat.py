@@ -36,7 +36,6 @@ class Shape(NamedTuple):
     uneven_m: float
     """RMS of means over blocks, or of a bow, beside noise [m]."""
     sure: bool
-    """Whether it is more than noise."""
     curvature: float
     """Largest [1/m], beyond its standard deviations."""
     step_m: float
@@ -47,7 +46,7 @@ def flat(adjusted: Adjusted) -> Bool[np.ndarray, " surfaces"]:
     """Which surfaces are flat within noise and the unevenness that most walls of the room have.
 
     A plane is fitted to the distances of each surface's points. The residuals are compared with a bow, with a step, and
-    with means over blocks; noise is widened by the errors that neighbours share. Spheres always pass.
+    with means over blocks; noise is widened by the errors that neighbours share.
     """
     surfaces, points = adjusted.surfaces, adjusted.observations.points
     place, _ = place_points(adjusted.scanner, adjusted.observations, adjusted.corrections, stations=adjusted.stations)
@@ -55,12 +54,10 @@ def flat(adjusted: Adjusted) -> Bool[np.ndarray, " surfaces"]:
     widened, wall = np.sqrt(np.clip(adjusted.inflation, 1.0, _SHARED)), adjusted.wall_m
     stripe = np.sqrt(np.maximum(adjusted.point_sigma**2 - wall**2, (0.1 * adjusted.point_sigma) ** 2))
     noise = widened * np.hypot(stripe, min(wall, _ROUGH_M))
-    good = np.ones(len(surfaces.kind), bool)
+    good = np.ones(len(surfaces.distance), bool)
     shapes: dict[int, Shape] = {}
-    for k, kind in enumerate(surfaces.kind):
+    for k in range(len(good)):
         own = points.surface == k
-        if kind != "plane":
-            continue
         if own.sum() < _FEWEST or np.mean(~adjusted.point_kept[own]) > _LOST:
             good[k] = False
             continue
@@ -81,13 +78,7 @@ def flat(adjusted: Adjusted) -> Bool[np.ndarray, " surfaces"]:
 def shape_of(
     across: Float[np.ndarray, "points 2"], error: Float[np.ndarray, " points"], sigma: Float[np.ndarray, " points"]
 ) -> Shape:
-    """Structure in distances from a plane.
-
-    Args:
-        across: Where the points are in the plane [m].
-        error: Their distances [m].
-        sigma: Standard deviations of these, widened for errors that neighbours share [m].
-    """
+    """Structure in distances from a plane at places in it [m]; sigmas are widened for errors that neighbours share."""
     across = across - across.mean(0)
     weight = sigma**-2.0
     s, t = across.T

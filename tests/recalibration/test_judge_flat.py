@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from jaxscan.recalibration import Adjusted, RoomObservations, SurfacePoints, Surfaces
-from jaxscan.recalibration.segment import flat
+from jaxscan.recalibration.judge import flat
 from jaxscan.recalibration.triangulate import triangulate_points
 from tests.recalibration.faces import Cylinder, Face, Taken, X, Y, box, rig, take
+from tests.recalibration.linear_room import adjusted_of
 
 
 NOISE_PX = 0.1
@@ -36,29 +37,10 @@ def adjusted(taken: Taken, walls: list[list[int]], wall_m: float = 3e-4, seed: i
         normal[k] = np.linalg.eigh((own - centre[k]).T @ (own - centre[k]))[1][:, 0]
     error = ((p - centre[surface]) * normal[surface]).sum(1)
     stripe = np.abs(((beside - p) * normal[surface]).sum(1)) / 0.1 * NOISE_PX
-    surfaces = Surfaces(tuple("plane" for _ in walls), normal, (normal * centre).sum(1), centre)
-    return Adjusted(
-        scanner=scanner,
-        prior=scanner,
-        departure=np.zeros(len(scanner.parameter_names())),
-        stations=np.eye(4)[None],
-        station_covariance=np.zeros((1, 6, 6)),
-        surfaces=surfaces,
-        corrections=(np.zeros(len(sweep.angle)),),
-        correction_sigma=(np.zeros(len(sweep.angle)),),
-        point_error=error,
-        point_sigma=np.hypot(stripe, wall_m),
-        point_kept=np.ones(len(q), bool),
-        track_error=np.zeros((0, 2)),
-        track_kept=np.zeros(0, bool),
-        wall_m=wall_m,
-        inflation=30.0,
-        observations=RoomObservations(points, surfaces, (sweep.angle,), np.zeros(1, int), "rows"),
-        cost=0.0,
-        freedom=1,
-        converged=True,
-        steps=1,
-    )
+    surfaces = Surfaces(normal, (normal * centre).sum(1), centre)
+    observations = RoomObservations(points, surfaces, (sweep.angle,), np.zeros(1, int), "rows")
+    found = {"point_error": error, "point_sigma": np.hypot(stripe, wall_m), "wall_m": wall_m, "inflation": 30.0}
+    return adjusted_of(scanner, observations, **found)
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.more) for seed in (1, 2))])

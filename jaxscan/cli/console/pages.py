@@ -1,30 +1,135 @@
-"""Pages and their WebSockets: what the slate holds goes out, orders come in."""
+"""The console for browsers: its addresses, its sockets, who operates, and the viewer for finished clouds."""
 
 import asyncio
 import json
+import os
+import re
 import struct
 import time
+from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from aiohttp import WSMsgType, web
+from aiohttp.typedefs import Handler
 
+from jaxscan import api
+from jaxscan.cli.console.captures import MADE, Captures
+from jaxscan.cli.console.desk import Desk
 from jaxscan.cli.console.orders import FOR_ALL, MOST_BYTES, BadOrder, Order, parse_order
-from jaxscan.cli.console.outliving import outlived
-from jaxscan.cli.console.serving.roles import GRACE_S, KEY, Roles
-from jaxscan.cli.console.slate import Slate, as_json
-from jaxscan.errors import JaxscanError
+from jaxscan.cli.console.slate import Slate, as_json, one_line, outlived
+from jaxscan.cli.console.works import ORDERS, Works
+from jaxscan.errors import CloudError, JaxscanError
+from jaxscan.viewer import Named, View, view_routes
+from jaxscan.web import Address, Gate, page_routes
+
+
+_JPEG, _BINARY = "image/jpeg", "application/octet-stream"
+
+
+def make_site(address: Address, desk: Desk, works: Works, captures: Captures) -> web.Application:
+    """The application of the console, behind the gate."""
+
+    def carry_out(order: Order) -> None:
+        if order.do == "lost":
+            desk.slate.write(lost="stop" if order.stop else "go on")
+        elif order.do in ORDERS:
+            works.carry_out(order)
+        else:
+            desk.ask(order)
+
+    def photograph(request: web.Request) -> bytes:
+        asked, query = request.match_info, request.query
+        return captures.photograph(asked["name"], int(asked["index"]), lit="lit" in query, small="small" in query)
+
+    async def made(request: web.Request) -> web.StreamResponse:
+        """A file that was made of a capture, to be kept: a page of ours does not show it."""
+        try:
+            path = captures.made(request.match_info["name"], request.match_info["what"])
+        except JaxscanError as problem:
+            return web.Response(status=404, text=f"{problem}\n")
+        if os.path.islink(path) or not os.path.isfile(path):
+            return web.Response(status=404, text="it was not made yet.\n")
+        headers = {"Content-Disposition": f'attachment; filename="{path.name}"', "Content-Type": _BINARY}
+        return web.FileResponse(path, headers=headers)
+
+    hub = Hub(desk.slate, carry_out)
+    site = Gate(address).application()
+    site.add_routes(page_routes("jaxscan.cli.console"))
+    site.add_routes(
+        [
+            web.get("/socket", hub.socket),
+            web.get(r"/pictures/{name}/{index:\d{1,7}}", _answer(photograph, _JPEG)),
+            web.get(f"/made/{{name}}/{{what:{'|'.join(MADE)}}}", made),
+            web.get("/clouds/{name}", _answer(lambda request: captures.points(request.match_info["name"]), _BINARY)),
+        ]
+    )
+    site.add_routes(view_routes("/look/{name}", Looks(captures).view))
+    site.on_shutdown.append(hub.close)
+    site.cleanup_ctx.append(hub.watch)
+    return site
+
+
+def _answer(make: Callable[[web.Request], bytes], content_type: str) -> Handler:
+    """Answers with bytes that a thread makes, or with the line why it cannot."""
+
+    async def answer(request: web.Request) -> web.StreamResponse:
+        try:
+            body = await asyncio.to_thread(make, request)
+        except JaxscanError as problem:
+            return web.Response(status=404, text=one_line(problem) + "\n")
+        return web.Response(body=body, content_type=content_type)
+
+    return answer
+
+
+KEY = re.compile(r"[0-9a-f]{32}")
+"""A page's own name, which it keeps over a reload."""
+GRACE_S = 4.0
+"""So long the operating page may be gone, as over a reload."""
+
+
+@dataclass
+class Roles:
+    """Of several pages one operates, the others watch. One that comes back under its name is again what it was."""
+
+    operator: str = ""
+    """Name of the page that operates; "" before the first came."""
+    lost_since: float | None = None
+    """When the operating page went; None while it is there, or before one came."""
+    _there: list[str] = field(default_factory=list)
+
+    def join(self, name: str, now: float) -> None:
+        """A page came; it operates if the one that did is not there, nor likely to come back."""
+        self._there.append(name)
+        if self.operator not in self._there and (self.lost_since is None or self.lost_for(now) > GRACE_S):
+            self.operator = name
+        if name == self.operator:
+            self.lost_since = None
+
+    def leave(self, name: str, now: float) -> None:
+        """A page went."""
+        self._there.remove(name)
+        if name == self.operator and name not in self._there:
+            self.lost_since = now
+
+    def take_over(self, name: str) -> None:
+        """A page that is there operates from now on."""
+        self.operator, self.lost_since = name, None
+
+    def lost_for(self, now: float) -> float:
+        """How long the operating page is gone [s]."""
+        return 0.0 if self.lost_since is None else now - self.lost_since
 
 
 MOST_PAGES = 12
 _HEARTBEAT_S = 4.0
 """A page that does not answer for half as long is lost."""
 _BETWEEN_S = 0.1
-"""Between two looks at the slate."""
 _GREET_S = 5.0
 PICTURE, CLOUD = 1, 2
-"""First byte of a binary message."""
 
 
 class Page(NamedTuple):
@@ -35,7 +140,7 @@ class Page(NamedTuple):
 
 
 class Hub:
-    """All open pages."""
+    """All open pages: what the slate holds goes out, orders come in."""
 
     def __init__(self, slate: Slate, carry_out: Callable[[Order], None]) -> None:
         """`carry_out` passes an order on; it raises JaxscanError where it cannot be carried out."""
@@ -129,7 +234,7 @@ class Hub:
         except JaxscanError as problem:
             # The page may be gone by now.
             with suppress(ConnectionError):
-                await page.socket.send_str(as_json({"kind": "refused", "says": " ".join(str(problem).split())}))
+                await page.socket.send_str(as_json({"kind": "refused", "says": one_line(problem)}))
 
     def _operates(self, page: Page) -> bool:
         """Whether this is the page that operates; of two with one name, as a copied tab has it, the older one."""
@@ -168,3 +273,45 @@ class Hub:
         except ConnectionError:
             # The page is gone; its socket ends too.
             return
+
+
+MOST_CLOUDS = 3
+
+
+class Looks:
+    """The clouds that people look at; the last few are held, with what was measured in them."""
+
+    def __init__(self, captures: Captures) -> None:
+        """No cloud is read yet."""
+        self._captures = captures
+        self._views: OrderedDict[tuple[str, int], View] = OrderedDict()
+        self._reading = asyncio.Lock()
+
+    async def view(self, request: web.Request) -> View:
+        """The view of the cloud whose capture is in the address.
+
+        Raises:
+            CloudError: If there is no cloud, or it has no points.
+        """
+        name = request.match_info["name"]
+        async with self._reading:
+            path = self._captures.cloud(name)
+            try:
+                # A cloud that was made again is another one.
+                state = name, os.stat(path).st_mtime_ns
+            except OSError as problem:
+                raise CloudError(f"{name}: has no cloud yet; reconstruct it first.") from problem
+            if state not in self._views:
+                while len(self._views) >= MOST_CLOUDS:
+                    self._views.popitem(last=False)
+                self._views[state] = await asyncio.to_thread(self._read, name)
+            self._views.move_to_end(state)
+            return self._views[state]
+
+    def _read(self, name: str) -> View:
+        path = self._captures.cloud(name)
+        stored = api.read_cloud(path)
+        if not stored.cloud.valid.any():
+            raise CloudError(f"{path}: has no points; nothing can be shown.")
+        file = self._captures.calibration_of(stored.about.calibration)
+        return View([Named(str(path), stored.cloud)], None if file is None else api.load_scanner(file))
