@@ -173,14 +173,7 @@ class PosePlan(NamedTuple):
 
 
 def draw_poses(config: SimulationConfig, seed: int, plan: PosePlan) -> BoardPoses:
-    """Random poses that show all corners: free views at angle 0, then placements seen while turning.
-
-    Args:
-        config: The true rig; `boards` holds range and tilt.
-
-    Raises:
-        ConfigError: If there is no such pose.
-    """
+    """Random poses that show all corners: free views at angle 0, then placements seen while turning."""
     half = plan.span_deg / 2
     turns = np.deg2rad(np.linspace(-half, half, plan.angles)) if plan.angles > 1 else np.zeros(1)
     dark = 0 if plan.lit is None else plan.free_views - plan.lit
@@ -201,10 +194,6 @@ def ideal_boards(config: SimulationConfig, poses: BoardPoses, *, points: int = 3
 
     Bow of board and sheets and errors of the table are those of `config`: an estimator is not to
     know them.
-
-    Args:
-        poses: Of `draw_poses`, perhaps for a rig that differs a little.
-        points: Points of a stripe at most: of more rows, so many are taken, evenly spread.
     """
     rig = IdealRig(config)
     corners = rig.bowed(config.boards.board().corners()[:, :2])
@@ -242,7 +231,6 @@ def add_noise(
     """The same with Gaussian noise.
 
     Args:
-        random: Where the noise comes from.
         corner_px: Standard deviation of each coordinate of a corner [px].
         stripe_px: Standard deviation across the stripe [px].
         correlation: Between neighbouring points of a stripe, falling off as its powers: n points

@@ -45,9 +45,11 @@ def seconds(run: Callable[[], Any], repeats: int) -> float:
 
 def differences(name: str, found: Any, expected: Any) -> list[Figure]:
     """How far the fields of two results are apart where both are valid, and where only one is."""
-    here, there = ({key: np.asarray(field) for key, field in vars(one).items()} for one in (found, expected))
+    here, there = (
+        {key: np.asarray(field) for key, field in vars(one).items() if field is not None} for one in (found, expected)
+    )
     both, figures = here["valid"] & there["valid"], []
-    for key in UNITS.keys() & here.keys():
+    for key in UNITS.keys() & here.keys() & there.keys():
         apart = np.abs(here[key][both].astype(np.float64) - there[key][both].astype(np.float64))
         figures.append(Figure(f"{name}, {key}: largest", float(apart.max(initial=0.0)), UNITS[key]))
         if key == "u" and apart.size:

@@ -6,11 +6,11 @@ known truth (`unkind.plain`) are made of these parts. Coordinates are metres; pi
 pixel.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from scipy.optimize import least_squares  # type: ignore[import-untyped]
 
 from experiments.report import rms
 
@@ -60,10 +60,7 @@ def chessboard(
 
     Args:
         image: uint8 [rows, columns].
-        size: Columns and rows of inner corners.
-        steps: Most steps of the refinement.
         least: Movement at which it ends [px].
-        enlarged: Whether the board is looked for in an image twice as large where it is not found: small squares are.
 
     Returns:
         float32 [rows of corners, columns of corners, 2], px; None if the board is not found.
@@ -98,8 +95,6 @@ def calibrate(views: list[np.ndarray], points: np.ndarray, size: tuple[int, int]
     Args:
         views: Corners [n, 2] of each view; px.
         points: Corners of the flat board [n, 3]; m.
-        size: Width and height; px.
-        kind: "flat", "free" (every corner of the board is free), or "fisheye".
 
     Returns:
         The lens, and the corners of the board as used or found [n, 3]; m.
@@ -121,31 +116,11 @@ def calibrate(views: list[np.ndarray], points: np.ndarray, size: tuple[int, int]
     return Lens(matrix, distortion), shape.reshape(-1, 3).astype(np.float64)
 
 
-def levenberg(error: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:
-    """The parameters with the least sum of squared errors, by Levenberg and Marquardt with differences as slopes."""
-    damping, now = 1e-4, error(x)
-    for _ in range(50):
-        slope = np.stack([(error(x + h) - now) / 1e-7 for h in 1e-7 * np.eye(len(x))], axis=1)
-        normal = slope.T @ slope
-        while damping < 1e8:
-            move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -slope.T @ now)
-            trial = error(x + move)
-            if (trial**2).sum() <= (now**2).sum():
-                break
-            damping *= 10
-        else:
-            return x
-        done = (now**2).sum() - (trial**2).sum() < 1e-10 * (now**2).sum()
-        x, now, damping = x + move, trial, damping / 10
-        if done:
-            return x
-    return x
-
-
 def pose_of(lens: Lens, points: np.ndarray, q: np.ndarray) -> np.ndarray:
     """The pose (rotation vector, translation) [6] that shows the board's points at these pixels, by least squares."""
     _, turn, shift = cv2.solvePnP(points, lens.straight(q), np.eye(3), None)
-    return levenberg(lambda x: (lens.project(points, x) - q).ravel(), np.concatenate([turn.ravel(), shift.ravel()]))
+    start = np.concatenate([turn.ravel(), shift.ravel()])
+    return least_squares(lambda x: (lens.project(points, x) - q).ravel(), start, method="lm").x
 
 
 def residuals(lens: Lens, points: np.ndarray, views: list[np.ndarray]) -> np.ndarray:
@@ -201,7 +176,6 @@ def centres(light: np.ndarray, stripe_axis: str, inside: np.ndarray | None = Non
 
     Args:
         light: The laser's light [rows, columns].
-        stripe_axis: "rows" for one centre per row, "columns" for one per column.
         inside: bool [rows, columns]: where to look.
     """
     masked = light if inside is None else np.where(inside, light, -np.inf)
@@ -255,7 +229,7 @@ def principal_axes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return middle, np.linalg.svd(points - middle, full_matrices=False)[2]
 
 
-def least_squares(points: np.ndarray) -> Plane:
+def plane_of(points: np.ndarray) -> Plane:
     """The plane with the least sum of squared distances; its distance is positive."""
     middle, (_, _, normal) = principal_axes(points)
     distance = float(normal @ middle)
@@ -282,9 +256,6 @@ def consensus(views: list[np.ndarray], seed: int = 0) -> tuple[Plane, np.ndarray
 
     Args:
         views: Points of the line in every view [n, 3]; m.
-
-    Returns:
-        The plane, fitted again to its points, and which views (more than half of their points) belong to it.
     """
     rng = np.random.default_rng(seed)
     points, limits = np.concatenate(views), PLANE * np.linalg.norm(np.concatenate(views), axis=1)
@@ -301,9 +272,9 @@ def consensus(views: list[np.ndarray], seed: int = 0) -> tuple[Plane, np.ndarray
         near = np.abs((points - three[0]) @ normal) < limits
         if near.sum() > most:
             best, most = near, int(near.sum())
-    plane = least_squares(points)
+    plane = plane_of(points)
     for _ in range(5):
-        plane = least_squares(points[best])
+        plane = plane_of(points[best])
         best = np.abs(plane.off(points)) < limits
     ends = np.cumsum([len(view) for view in views])[:-1]
     return plane, np.array([part.mean() > 0.5 for part in np.split(best, ends)])

@@ -100,13 +100,7 @@ def figure_table(figures: Iterable[Figure]) -> str:
 
 
 def conclude(name: str, figures: list[Figure], json_file: str | Path | None, **about: Any) -> int:
-    """Print all figures beside their limits, and write them; 1 if one is missed, else 0.
-
-    Args:
-        name: Of the experiment, in the last line and in the file.
-        json_file: As of `write_json`.
-        about: More fields of the file.
-    """
+    """Print all figures beside their limits, and write them; 1 if one is missed, else 0."""
     width = max(len(figure.key) for figure in figures)
     out = sys.stderr if str(json_file) == "-" else sys.stdout
     for figure in figures:
@@ -152,9 +146,7 @@ def verb(*words: str | Path, cores: set[int] | None = None, **environment: str) 
     """Run a verb as a user does, in a process of its own.
 
     Args:
-        words: After `jaxscan`.
         cores: Of the processor that it may use; None: all.
-        environment: Variables that are set for it.
     """
     command = [sys.executable, "-m", "jaxscan", *map(str, words)]
     bind = None if cores is None else lambda: os.sched_setaffinity(0, cores)

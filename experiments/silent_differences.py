@@ -79,19 +79,51 @@ def journal(change: Callable[[list[Line], Rng], list[Line] | None]) -> Mutation:
     return mutate
 
 
-def two(records: list[Line], rng: Rng) -> tuple[int, int]:
+def two(records: list[Line], rng: Rng) -> tuple[Line, Line]:
+    """Two different records."""
     one, other = rng.choice(len(records), 2, replace=False)
-    return int(one), int(other)
+    return records[one], records[other]
+
+
+def one_of(records: list[Line], rng: Rng) -> Line:
+    """A record."""
+    return records[rng.integers(len(records))]
 
 
 def one_angle(records: list[Line], rng: Rng) -> None:
     size = 10 ** rng.uniform(-1.0, 1.5)
-    records[rng.integers(len(records))]["angle_deg"] += float(size * rng.choice([-1, 1]))
+    one_of(records, rng)["angle_deg"] += float(size * rng.choice([-1, 1]))
 
 
-def exchanged_angles(records: list[Line], rng: Rng) -> None:
-    a, b = (records[k] for k in two(records, rng))
-    a["angle_deg"], b["angle_deg"] = b["angle_deg"], a["angle_deg"]
+def swapped(*keys: str) -> Mutation:
+    """Two records have each other's values of keys."""
+
+    def change(records: list[Line], rng: Rng) -> None:
+        a, b = two(records, rng)
+        for key in keys:
+            a[key], b[key] = b[key], a[key]
+
+    return journal(change)
+
+
+def taken(key: str) -> Mutation:
+    """One record has the value of another."""
+
+    def change(records: list[Line], rng: Rng) -> None:
+        a, b = two(records, rng)
+        a[key] = b[key]
+
+    return journal(change)
+
+
+def renamed(**new: str) -> Mutation:
+    """One record has other images of its own: `new` says which for each side."""
+
+    def change(records: list[Line], rng: Rng) -> None:
+        record = one_of(records, rng)
+        record |= {side: record[of] for side, of in new.items()}
+
+    return journal(change)
 
 
 def equal_angles(records: list[Line], rng: Rng) -> None:
@@ -102,15 +134,12 @@ def equal_angles(records: list[Line], rng: Rng) -> None:
 def all_angles(change: Callable[[float, Rng], float]) -> Mutation:
     """A mutation from a change that all angles have."""
 
-    def mutate(place: Place, rng: Rng) -> None:
+    def mutate(records: list[Line], rng: Rng) -> None:
         seed = int(rng.integers(1 << 30))
-        lines = read_lines(place.sweep)
-        for line in lines:
-            if "i" in line:
-                line["angle_deg"] = float(change(line["angle_deg"], np.random.default_rng(seed)))
-        write_lines(place.sweep, lines)
+        for line in records:
+            line["angle_deg"] = float(change(line["angle_deg"], np.random.default_rng(seed)))
 
-    return mutate
+    return journal(mutate)
 
 
 def removed(records: list[Line], rng: Rng) -> list[Line]:
@@ -119,8 +148,7 @@ def removed(records: list[Line], rng: Rng) -> list[Line]:
 
 
 def renumbered(records: list[Line], rng: Rng) -> list[Line]:
-    left = removed(records, rng)
-    return [{**line, "i": k} for k, line in enumerate(left)]
+    return [{**line, "i": k} for k, line in enumerate(removed(records, rng))]
 
 
 def last_removed(records: list[Line], rng: Rng) -> list[Line]:
@@ -132,81 +160,49 @@ def misspelt(records: list[Line], rng: Rng) -> None:
     record["I"] = record.pop("i")
 
 
-def sides_exchanged(records: list[Line], rng: Rng) -> None:
-    record = records[rng.integers(len(records))]
-    record["on"], record["off"] = record["off"], record["on"]
-
-
-def off_as_on(records: list[Line], rng: Rng) -> None:
-    record = records[rng.integers(len(records))]
-    record["on"] = record["off"]
-
-
-def named_pair(records: list[Line], rng: Rng) -> None:
-    a, b = (records[k] for k in two(records, rng))
-    for side in ("on", "off"):
-        a[side], b[side] = b[side], a[side]
-
-
-def named_side(side: str) -> Callable[[list[Line], Rng], None]:
-    """A change in which one record names an image of another."""
-
-    def change(records: list[Line], rng: Rng) -> None:
-        a, b = two(records, rng)
-        records[a][side] = records[b][side]
-
-    return change
-
-
-def _file(record: Line, place: Place, side: str) -> Path:
-    return place.sweep / record[side]
-
-
-def _files(change: Callable[[list[Line], Place, Rng], None]) -> Mutation:
-    return lambda place, rng: change([line for line in read_lines(place.sweep) if "i" in line], place, rng)
+def _records(sweep: Path) -> list[Line]:
+    return [line for line in read_lines(sweep) if "i" in line]
 
 
 def _copied(*sides: str) -> Mutation:
-    def change(records: list[Line], place: Place, rng: Rng) -> None:
-        a, b = two(records, rng)
+    def mutate(place: Place, rng: Rng) -> None:
+        a, b = two(_records(place.sweep), rng)
         for side in sides:
-            _file(records[a], place, side).write_bytes(_file(records[b], place, side).read_bytes())
+            (place.sweep / a[side]).write_bytes((place.sweep / b[side]).read_bytes())
 
-    return _files(change)
+    return mutate
 
 
 def _exchanged(*sides: str) -> Mutation:
-    def change(records: list[Line], place: Place, rng: Rng) -> None:
-        a, b = two(records, rng)
+    def mutate(place: Place, rng: Rng) -> None:
+        a, b = two(_records(place.sweep), rng)
         for side in sides:
-            one, other = _file(records[a], place, side), _file(records[b], place, side)
+            one, other = place.sweep / a[side], place.sweep / b[side]
             first, second = one.read_bytes(), other.read_bytes()
             one.write_bytes(second)
             other.write_bytes(first)
 
-    return _files(change)
+    return mutate
 
 
 def _foreign(*sides: str) -> Mutation:
-    def change(records: list[Line], place: Place, rng: Rng) -> None:
-        theirs = [line for line in read_lines(place.other) if "i" in line]
-        record = records[rng.integers(len(records))]
-        their = theirs[rng.integers(len(theirs))]
+    def mutate(place: Place, rng: Rng) -> None:
+        record, their = one_of(_records(place.sweep), rng), one_of(_records(place.other), rng)
         for side in sides:
-            _file(record, place, side).write_bytes((place.other / their[side]).read_bytes())
+            (place.sweep / record[side]).write_bytes((place.other / their[side]).read_bytes())
 
-    return _files(change)
+    return mutate
 
 
 def _pixels(change: Callable[[np.ndarray, Rng], np.ndarray], *sides: str) -> Mutation:
-    def mutate(records: list[Line], place: Place, rng: Rng) -> None:
-        record, seed = records[rng.integers(len(records))], int(rng.integers(1 << 30))
+    def mutate(place: Place, rng: Rng) -> None:
+        record, seed = one_of(_records(place.sweep), rng), int(rng.integers(1 << 30))
         for side in sides:
-            path = _file(record, place, side)
+            path = place.sweep / record[side]
             image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
             cv2.imwrite(str(path), change(image, np.random.default_rng(seed)))
 
-    return _files(mutate)
+    return mutate
 
 
 def _shifted(image: np.ndarray, rng: Rng) -> np.ndarray:
@@ -264,12 +260,11 @@ def _cache(place: Place, rng: Rng) -> None:
 def _rehashed(place: Place, rng: Rng) -> None:
     """Another record's image, with its digest corrected by somebody who does not know of the seal."""
     lines = read_lines(place.sweep)
-    records = [line for line in lines if "i" in line]
-    a, b = two(records, rng)
-    data = _file(records[b], place, "on").read_bytes()
-    _file(records[a], place, "on").write_bytes(data)
-    if "sha256" in records[a]:
-        records[a]["sha256"]["on"] = hashlib.sha256(data).hexdigest()
+    a, b = two([line for line in lines if "i" in line], rng)
+    data = (place.sweep / b["on"]).read_bytes()
+    (place.sweep / a["on"]).write_bytes(data)
+    if "sha256" in a:
+        a["sha256"]["on"] = hashlib.sha256(data).hexdigest()
     write_lines(place.sweep, lines)
 
 
@@ -316,7 +311,7 @@ def _block_moved(data: bytearray, start: int, rng: Rng) -> bytearray:
 
 PICTURES: dict[str, Mutation] = {
     "journal: one angle changed": journal(one_angle),
-    "journal: angles of two records exchanged": journal(exchanged_angles),
+    "journal: angles of two records exchanged": swapped("angle_deg"),
     "journal: two equal angles": journal(equal_angles),
     "journal: all angles 0": all_angles(lambda angle, rng: 0.0),
     "journal: angles in radians": all_angles(lambda angle, rng: np.radians(angle)),
@@ -327,11 +322,11 @@ PICTURES: dict[str, Mutation] = {
     "journal: records removed, the rest renumbered": journal(renumbered),
     "journal: last records removed": journal(last_removed),
     "journal: key i misspelt": journal(misspelt),
-    "journal: on and off exchanged in a record": journal(sides_exchanged),
-    "journal: off named as on": journal(off_as_on),
-    "journal: pairs of two records exchanged": journal(named_pair),
-    "journal: on of another record": journal(named_side("on")),
-    "journal: off of another record": journal(named_side("off")),
+    "journal: on and off exchanged in a record": renamed(on="off", off="on"),
+    "journal: off named as on": renamed(on="off"),
+    "journal: pairs of two records exchanged": swapped("on", "off"),
+    "journal: on of another record": taken("on"),
+    "journal: off of another record": taken("off"),
     "images: on copied from another record": _copied("on"),
     "images: off copied from another record": _copied("off"),
     "images: pair copied from another record": _copied("on", "off"),

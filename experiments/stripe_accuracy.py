@@ -29,7 +29,7 @@ from matplotlib import pyplot as plt
 
 import jaxscan
 from experiments import stripe_world
-from experiments.report import RESULTS, Figure, command_line, machine, rms, table, write_json
+from experiments.report import RESULTS, Figure, command_line, conclude, figure_table, machine, rms, table
 from experiments.stripe_world import (
     Course,
     Sensor,
@@ -86,7 +86,7 @@ def cell_figures(cells: list[Cell], section: str) -> list[Figure]:
     return out
 
 
-def cell_lines(cells: list[Cell], section: str) -> list[str]:
+def cell_table(cells: list[Cell], section: str) -> str:
     """A Markdown table: a row per cell, both noise models side by side."""
     head = ["width px", "amplitude DN", "rows", "bound px", "valid", "RMS px", "RMS/bound", "bias px", "± px"]
     out = []
@@ -96,20 +96,10 @@ def cell_lines(cells: list[Cell], section: str) -> list[str]:
         holds = all(figure.met() for figure in cell_figures([known, estimated], section))
         place = [f"{known.width:g}", f"{known.amplitude:g}", f"{known.rows}", f"{known.bound:.4f}"]
         out.append([*place, *both[:4], f"{known.bias_error:.4f}", both[4], "" if holds else "MISSED"])
-    return table([*head, "sigma/error", ""], out).splitlines()
+    return table([*head, "sigma/error", ""], out)
 
 
 _COLUMNS = (("valid", ".4f"), ("rms", ".4f"), ("ratio", ".3f"), ("bias", ".4f"), ("honesty", ".3f"))
-
-
-def figure_lines(figures: list[Figure]) -> list[str]:
-    """A Markdown table of figures."""
-    out = []
-    for figure in figures:
-        text = f"{figure.value:.0f}" if figure.unit.endswith("rows") and figure.value > 1 else f"{figure.value:.4g}"
-        verdict = "" if figure.met() else "MISSED"
-        out.append([figure.key.replace("_", " "), text, figure.unit, figure.target(), verdict])
-    return table(["figure", "value", "unit", "limit", ""], out).splitlines()
 
 
 def draw(cells: list[Cell], path: Path) -> None:
@@ -149,14 +139,11 @@ _CLASSES = ((30.0, 80.0), (80.0, 130.0), (130.0, 180.0), (180.0, 230.0))
 
 def measure_speckle(*, quick: bool, seed: int) -> list[Figure]:
     """Figures of every contrast and aperture."""
-    out = []
-    for contrast in CONTRASTS:
-        for f_number in F_NUMBERS:
-            out += _figures(Speckle(contrast, f_number), 4 if quick else _FRAMES, seed)
-    return out
+    speckles = [Speckle(contrast, f_number) for contrast in CONTRASTS for f_number in F_NUMBERS]
+    return [figure for each in speckles for figure in _speckle_figures(each, 4 if quick else _FRAMES, seed)]
 
 
-def _figures(speckle: Speckle, frames: int, seed: int) -> list[Figure]:
+def _speckle_figures(speckle: Speckle, frames: int, seed: int) -> list[Figure]:
     rng = np.random.default_rng([seed, 41, round(100 * speckle.contrast), round(10 * speckle.f_number)])
     v = (np.arange(_SPECKLE_ROWS) - _SPECKLE_ROWS / 2) / _SPECKLE_ROWS
     middle, tilt, sag = (rng.uniform(-a, a, (frames, 1)) for a in (2.0, 8.0, 6.0))
@@ -166,26 +153,21 @@ def _figures(speckle: Speckle, frames: int, seed: int) -> list[Figure]:
     pairs = render_coherent(Course(u, _WIDTH, amplitude), room, speckle, _SENSOR, rng)
     found = jaxscan.extract_stripes(pairs.on, pairs.off)
     centre, sigma, valid = (np.asarray(field) for field in (found.u, found.sigma, found.valid))
+    level, error, line = np.broadcast_to(amplitude, u.shape), centre - u, smooth_sweep(found)
+    honest = [_ratio(sigma, error, valid & (level >= low) & (level < high)) for low, high in _CLASSES]
+    rows = {
+        "limit": (speckle.limit_px, "px"),
+        "valid": (float(valid[pairs.snr > 5].mean()), "of rows with light over 5 sigma", 0.99),
+        "row_rms_over_limit": (rms(error[valid]) / speckle.limit_px, "1"),
+        "row_sigma_over_error": (_ratio(sigma, error, valid), "1", 0.9, 1.1),
+        "row_sigma_over_error_least_of_4_amplitudes": (min(honest), "1", 0.9, 1.1),
+        "row_sigma_over_error_most_of_4_amplitudes": (max(honest), "1", 0.9, 1.1),
+        "row_beyond_5_sigma": (float(np.mean(np.abs(error)[valid] > 5 * sigma[valid])), "of rows", None, 1e-3),
+        "line_rms_over_limit": (rms((line.u - u)[valid]) / speckle.limit_px, "1"),
+        "line_sigma_over_error": (_ratio(line.sigma, line.u - u, valid), "1", 0.9, 1.1),
+    }
     key = f"speckle_{speckle.contrast:g}_at_f{speckle.f_number:g}"
-    level = np.broadcast_to(amplitude, u.shape)
-    honest = [_ratio(sigma, centre - u, valid & (level >= low) & (level < high)) for low, high in _CLASSES]
-    far = np.abs(centre - u)[valid] > 5 * sigma[valid]
-    out = [
-        Figure(f"{key}_limit", speckle.limit_px, "px"),
-        Figure(f"{key}_valid", float(valid[pairs.snr > 5].mean()), "of rows with light over 5 sigma", low=0.99),
-        Figure(f"{key}_row_rms_over_limit", rms((centre - u)[valid]) / speckle.limit_px, "1"),
-        Figure(f"{key}_row_sigma_over_error", _ratio(sigma, centre - u, valid), "1", 0.9, 1.1),
-        Figure(f"{key}_row_sigma_over_error_least_of_4_amplitudes", min(honest), "1", 0.9, 1.1),
-        Figure(f"{key}_row_sigma_over_error_most_of_4_amplitudes", max(honest), "1", 0.9, 1.1),
-        Figure(f"{key}_row_beyond_5_sigma", float(np.mean(far)), "of rows", high=1e-3),
-    ]
-    line = smooth_sweep(found)
-    error = line.u - u
-    return [
-        *out,
-        Figure(f"{key}_line_rms_over_limit", rms(error[valid]) / speckle.limit_px, "1"),
-        Figure(f"{key}_line_sigma_over_error", _ratio(line.sigma, error, valid), "1", 0.9, 1.1),
-    ]
+    return [Figure(f"{key}_{name}", *row) for name, row in rows.items()]
 
 
 def _ratio(sigma: np.ndarray, error: np.ndarray, valid: np.ndarray) -> float:
@@ -361,8 +343,8 @@ _MEASURES = {
 }
 
 
-def measure(section: str, *, quick: bool, seed: int) -> tuple[list[str], list[Figure], list[Cell]]:
-    """A section's lines, figures and cells."""
+def measure(section: str, *, quick: bool, seed: int) -> tuple[str, list[Figure], list[Cell]]:
+    """A section's table, figures and cells."""
     places = {
         "cells": [(width, amplitude) for width in WIDTHS for amplitude in AMPLITUDES],
         "narrow": [(NARROW, amplitude) for amplitude in AMPLITUDES],
@@ -370,54 +352,49 @@ def measure(section: str, *, quick: bool, seed: int) -> tuple[list[str], list[Fi
     }
     if section in places:
         cells = [cell for place in places[section] for cell in measure_cell(*place, quick=quick, seed=seed)]
-        return cell_lines(cells, section), cell_figures(cells, section), cells
+        return cell_table(cells, section), cell_figures(cells, section), cells
     figures = _MEASURES[section](quick=quick, seed=seed)
-    return figure_lines(figures), figures, []
+    return figure_table(figures), figures, []
+
+
+HEAD = """# Stripe centres: accuracy
+
+{machine}; {seconds:.0f} s.
+{kept} of {limited} figures keep their limits. Written by `python -m experiments.stripe_accuracy`; default settings, one
+configuration for all. Noise: read 1 DN, 40 e-/DN, rounding to 8 bits, clipping at 255, ambient light of 10 DN in both
+images. Where two numbers stand in a field, the first is with the noise known, the second with it estimated from the
+frames (whose background has one level only, so that the gain is left at its default, which is true here). The bias is
+the largest of the means over ten bins of the phase, ± its standard error. Seed {seed}. The part on speckle is of
+another camera (8 e-/DN, read 1.7 DN, black level 5 DN; 12 pairs of 512 lines for each contrast and aperture), and
+learns all of its noise from the frames.
+
+![error, bias and sigma over width and amplitude](stripe_accuracy.png)
+"""
 
 
 def main() -> int:
+    """The command."""
     parser = command_line(__doc__, quick="few rows: to see that it runs, its verdicts mean little", json=True)
     parser.add_argument("--only", choices=SECTIONS, action="append", help="a section; may be given several times")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the table")
-    arguments = parser.parse_args()
-    start, lines, figures, cells = time.perf_counter(), [], [], []
-    for section in arguments.only or SECTIONS:
-        found, own, own_cells = measure(section, quick=arguments.quick, seed=arguments.seed)
-        lines += [f"## {TITLES[section]}", "", *found, ""]
-        print("\n".join(lines[-len(found) - 3 :]), file=sys.stderr, flush=True)
+    options = parser.parse_args()
+    start, parts, figures, cells = time.perf_counter(), [], [], []
+    for section in options.only or SECTIONS:
+        found, own, own_cells = measure(section, quick=options.quick, seed=options.seed)
+        parts.append(f"## {TITLES[section]}\n\n{found}\n")
+        print(parts[-1], file=sys.stderr, flush=True)
         figures += own
         cells += own_cells if section == "cells" else []
-    missed = [figure.key for figure in figures if not figure.met()]
-    limited = sum(figure.low is not None or figure.high is not None for figure in figures)
-    verdict = f"{limited - len(missed)} of {limited} figures keep their limits."
-    seconds = time.perf_counter() - start
-    print(f"{verdict} {seconds:.0f} s", *missed, sep="\n  ", file=sys.stderr)
-    head = [
-        "# Stripe centres: accuracy",
-        "",
-        f"{machine()}; {seconds:.0f} s.",
-        f"{verdict} Written by `python -m experiments.stripe_accuracy`; default settings, one configuration for all.",
-        "Noise: read 1 DN, 40 e-/DN, rounding to 8 bits, clipping at 255, ambient light of 10 DN in both images.",
-        "Where two numbers stand in a field, the first is with the noise known, the second with it estimated",
-        "from the frames (whose background has one level only, so that the gain is left at its default, which is",
-        "true here). The bias is the largest of the means over ten bins of the phase, ± its standard error.",
-        f"Seed {arguments.seed}. The part on speckle is of another camera (8 e-/DN, read 1.7 DN, black level 5 DN;",
-        "12 pairs of 512 lines for each contrast and aperture), and learns all of its noise from the frames.",
-        "",
-        "![error, bias and sigma over width and amplitude](stripe_accuracy.png)",
-        "",
-    ]
-    if not (arguments.only or arguments.quick):
-        arguments.results.mkdir(parents=True, exist_ok=True)
-        (arguments.results / "stripe_accuracy.md").write_text("\n".join(head + lines).rstrip() + "\n")
-        draw(cells, arguments.results / "stripe_accuracy.png")
-    if arguments.json:
-        metrics = [{**figure._asdict(), "holds": bool(figure.met())} for figure in figures]
-        write_json(
-            arguments.json, {"format": "jaxscan-stripe-accuracy/1", "quick": arguments.quick, "metrics": metrics}
-        )
-    return 1 if missed and not arguments.quick else 0
+    if not (options.only or options.quick):
+        limited = [figure for figure in figures if figure.target()]
+        kept, seconds = sum(figure.met() for figure in limited), time.perf_counter() - start
+        head = HEAD.format(machine=machine(), seconds=seconds, kept=kept, limited=len(limited), seed=options.seed)
+        options.results.mkdir(parents=True, exist_ok=True)
+        (options.results / "stripe_accuracy.md").write_text("\n".join([head, *parts]))
+        draw(cells, options.results / "stripe_accuracy.png")
+    code = conclude("stripe-accuracy", figures, options.json, quick=options.quick)
+    return 0 if options.quick else code
 
 
 if __name__ == "__main__":

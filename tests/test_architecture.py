@@ -94,6 +94,7 @@ HOME_OF = {
         "measurement",
         "recalibration",
         "report/clouds/facts.py",
+        "simulation/boards.py",
         "surface/atlas.py",
         "leastsq/robust.py",
         "geometry/rigid.py",
@@ -393,7 +394,7 @@ def test_xml_is_read_through_one_door(path):
 
 
 MAY_WRITE = {
-    "jaxscan/files/disk/": {"os.open", "open", ".open", "os.mkdir", ".write_bytes", ".touch", "Part"},
+    "jaxscan/files/disk/": {"os.open", "open", ".open", "os.mkdir", "os.makedirs", ".write_bytes", ".touch", "Part"},
     "jaxscan/project/catalogue.py": {"connect", "create_engine"},
     "jaxscan/cli/environment.py": {".mkdir"},
     "jaxscan/recalibration/judge/drift.py": {"Part"},

@@ -93,14 +93,6 @@ def fit_sphere(samples: Samples, click: np.ndarray, diameter: float, scanner: Sc
     Args:
         click: About where its centre is, to within a hand's breadth [3], m.
         diameter: Its calibrated diameter [m]; if `free`, it only starts the search.
-        scanner: The scanner that the cloud was made with.
-        free: Whether the diameter is found too.
-
-    Returns:
-        The fit; centre in the frame of the samples.
-
-    Raises:
-        ValueError: If there are too few points, or none that lie on such a sphere.
     """
     try:
         found = sphere_of(_Points(samples), click, diameter / 2, free=free)
@@ -111,12 +103,7 @@ def fit_sphere(samples: Samples, click: np.ndarray, diameter: float, scanner: Sc
 
 
 def distance(first: Fit, second: Fit, scanner: Scanner) -> Measured:
-    """Distance between the centres, with its uncertainty by stripes and calibration.
-
-    Args:
-        first: One sphere.
-        scanner: The scanner that both were measured with; without covariance it adds nothing.
-    """
+    """Distance between the centres, with its uncertainty by stripes and calibration."""
     apart = second.centre - first.centre
     value = float(np.linalg.norm(apart))
     along = apart / value
@@ -129,10 +116,6 @@ def distance(first: Fit, second: Fit, scanner: Scanner) -> Measured:
 
 def together(fits: dict[str, Fit], pairs: list[tuple[str, str]], scanner: Scanner) -> np.ndarray:
     """Predicted covariance of distances between spheres: they share spheres and calibration.
-
-    Args:
-        pairs: Names of the two spheres of each distance.
-        scanner: The scanner that all were measured with.
 
     Returns:
         [pairs, pairs], m^2.
@@ -198,12 +181,7 @@ def aim(hall: Hall, scanner: Scanner, step_deg: float, plate_every: int | None) 
     All parts read equally many columns.
 
     Args:
-        hall: The targets where they nominally are.
-        step_deg: Step of the table where spheres are.
         plate_every: Where plates are, only every so many steps are taken; None: all is one part in equal steps.
-
-    Returns:
-        The parts, angles ascending. Their columns hold the stripe on the targets, with a margin.
     """
     balls = [(np.array(ball.centre), ball.diameter / 2) for ball in hall.balls.values()]
     spheres = np.array([_on_sphere(*ball) for ball in balls])

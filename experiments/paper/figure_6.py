@@ -60,11 +60,7 @@ class Check(NamedTuple):
     """Standard deviation of the difference's Z by the stripe's noise alone [points], m; NaN where not known."""
 
     def at_rows_of(self, others: list["Check"]) -> "Check":
-        """The points of rows at which another method has one too.
-
-        Args:
-            others: Of that method; those of other records are ignored.
-        """
+        """The points of rows at which another method has one too."""
         rows = [other.row for other in others if other.record == self.record]
         kept = np.isin(self.row, np.concatenate(rows)) if rows else np.zeros(len(self.row), bool)
         return Check(self.record, self.row[kept], self.difference[kept], self.predicted[kept])
@@ -77,11 +73,7 @@ def paper_own(way: PaperWay) -> list[Check]:
 
 
 def paper_held_out(way: PaperWay, capture: jaxscan.Capture, extract: Extract) -> list[Check]:
-    """By the paper's method, on boards that no calibration has seen.
-
-    Args:
-        capture: Of the boards, each with its stripe.
-    """
+    """By the paper's method, on boards that no calibration has seen."""
     board, out = capture.board, []
     for index in range(len(capture.records)):
         on, off = capture.frames(index)
@@ -94,14 +86,7 @@ def paper_held_out(way: PaperWay, capture: jaxscan.Capture, extract: Extract) ->
 
 
 def ours(calibration: jaxscan.Calibration, observations: Observations) -> list[Check]:
-    """By our method. The poses are found from corners alone: the sheet does not influence them.
-
-    Args:
-        calibration: The rig, the board's bow, and the noise of stripes that the calibration estimated.
-
-    Raises:
-        ValueError: If the calibration has no scanner.
-    """
+    """By our method. The poses are found from corners alone: the sheet does not influence them."""
     scanner, quality = calibration.scanner, calibration.quality
     if scanner is None:
         raise ValueError("The calibration has no scanner.")

@@ -72,7 +72,6 @@ def visible_places(config: SimulationConfig, scene: Scene, angles: np.ndarray) -
     Surfaces at less than about 12 degrees to either ray do not count.
 
     Args:
-        scene: The room with the objects.
         angles: Of the table, of each record [rad].
 
     Returns:
@@ -104,7 +103,6 @@ def judge(key: str, points: np.ndarray, truth: Truth) -> list[Metric]:
     """Share of the surface that has points, and how far points are from it.
 
     Args:
-        key: Beginning of the metrics' keys.
         points: [n, 3], m, scanner frame.
     """
     away = _nearest(truth.scene, points)[0] * 1000

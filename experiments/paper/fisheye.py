@@ -11,10 +11,8 @@ The calibration is the rig's own, from boards; nothing of it is taken from the t
 
 import shutil
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 import jaxscan
 from experiments.paper.products import RenderedSweep, expect, our_plan, write_captures
@@ -22,8 +20,8 @@ from experiments.paper.stage import CONFIGS, Metric, Stage, smaller
 from experiments.paper.table_1 import AGREE
 from experiments.report import rms
 from jaxscan.calibration import CalibrationSettings
+from jaxscan.measurement import RoomBox
 from jaxscan.simulation import SimulationConfig, make_scene
-from jaxscan.simulation.scene import Scene
 
 
 _SCALE, _RECORDS = 0.5, {"kind": 360, "unkind": 240}
@@ -44,23 +42,10 @@ _LASER = (
 """Fields of a laser that its world sets; the rig sets the others."""
 _PRINT = ("warp_mm", "ink", "paper", "uneven", "print_blur_mm", "gloss", "gloss_deg")
 """Fields of a board that its world sets."""
-_NEAR_M = 0.05
-"""A place is seen if a point of the cloud is nearer than this [m]; profiles are 4 cm apart at 2.5 m in the
-kind world, and 7 cm in the unkind one."""
-_PLACES = 20_000
-
-
-class Shares(NamedTuple):
-    """Shares of the surroundings that are seen [1]."""
-
-    sphere: float
-    """Of the directions."""
-    surface: float
-    """Of the surfaces that can be seen from the scanner's origin, by area."""
 
 
 def run(stage: Stage) -> list[Metric]:
-    """Dimensions of the room by one calibration and one turn, and the share of the room that is seen."""
+    """Dimensions of the room by one calibration and one turn."""
     config = fisheye_config(stage)
     scanner = _calibration(stage, config)
     scene = make_scene(config)
@@ -71,8 +56,7 @@ def run(stage: Stage) -> list[Metric]:
     cloud = jaxscan.reconstruct(sweep, scanner, settings=settings)
     stage.say(f"fisheye: {records} records")
     box = jaxscan.measure_room(cloud, scanner=scanner)
-    fisheye, pinhole = seen_by_fisheye(scene, cloud), seen_by_pinhole(scene, stage.config)
-    return _metrics(config, box, fisheye, pinhole, full=not stage.quick)
+    return _metrics(config, box, full=not stage.quick)
 
 
 def fisheye_config(stage: Stage) -> SimulationConfig:
@@ -113,42 +97,7 @@ def _calibration(stage: Stage, config: SimulationConfig) -> jaxscan.Scanner:
     return jaxscan.load_scanner(path)
 
 
-def seen_by_fisheye(scene: Scene, cloud: jaxscan.PointCloud) -> Shares:
-    """Shares of places all around that lie next to a point of the cloud."""
-    tree = cKDTree(np.asarray(cloud.xyz)[np.asarray(cloud.valid)])
-    return Shares(*(float(np.mean(tree.query(places)[0] < _NEAR_M)) for places in _places(scene)))
-
-
-def seen_by_pinhole(scene: Scene, config: SimulationConfig) -> Shares:
-    """Upper bounds: places within the vertical field of the paper's camera, whether the laser reaches them or not."""
-    _, cy = config.camera.centre()
-    low, high = -(config.camera.height - 1 - cy) / config.camera.fy, cy / config.camera.fy
-    slopes = [places[:, 2] / np.linalg.norm(places[:, :2], axis=1) for places in _places(scene)]
-    return Shares(*(float(np.mean((low < slope) & (slope < high))) for slope in slopes))
-
-
-def _places(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Places that can be seen from the scanner's origin [n, 3], m: evenly over directions, and evenly over surfaces."""
-    number = np.arange(_PLACES)
-    height, turn = 1 - (2 * number + 1) / _PLACES, np.pi * (1 + np.sqrt(5)) * number
-    ring = np.sqrt(1 - height**2)
-    ways = np.stack([ring * np.cos(turn), ring * np.sin(turn), height], -1)
-    far, _ = scene.cast(np.zeros(3), ways)
-    random = np.random.default_rng(0)
-    triangles = np.concatenate(scene.mesh.triangles)
-    a, ab, ac = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    area = np.linalg.norm(np.cross(ab, ac), axis=1)
-    chosen = random.choice(len(area), 3 * _PLACES, p=area / area.sum())
-    s, t = random.uniform(size=(2, len(chosen), 1))
-    s, t = np.where(s + t > 1, 1 - s, s), np.where(s + t > 1, 1 - t, t)
-    over = a[chosen] + s * ab[chosen] + t * ac[chosen]
-    hidden = scene.blocked(np.zeros(3), over.astype(np.float32), skin=2e-3)
-    return (ways * far[:, None])[np.isfinite(far)], over[~hidden]
-
-
-def _metrics(
-    config: SimulationConfig, box: jaxscan.measurement.RoomBox, fisheye: Shares, pinhole: Shares, *, full: bool
-) -> list[Metric]:
+def _metrics(config: SimulationConfig, box: RoomBox, *, full: bool) -> list[Metric]:
     assert config.room is not None
     width, length, height = config.room.size_m
     out, ratios = [], []
@@ -163,14 +112,4 @@ def _metrics(
     ratio = rms(ratios)
     label = "fisheye, one turn: rms of error over predicted standard deviation, three dimensions"
     limits = AGREE if full else (None, None)
-    out.append(Metric("observed_over_predicted", ratio, "1", "less", 1.0, None, *limits, label))
-    for name, whole in (("sphere", "of all directions"), ("surface", "of all visible surfaces")):
-        ours, theirs = 100 * getattr(fisheye, name), 100 * getattr(pinhole, name)
-        out.append(
-            Metric(
-                f"seen_{name}", ours, "%", "more", 2.0, label=f"fisheye, one turn: share {whole} that the cloud covers"
-            )
-        )
-        label = f"the paper's camera, one turn: share {whole} in its field of view, upper bound"
-        out.append(Metric(f"pinhole_{name}", theirs, "%", label=label))
-    return out
+    return [*out, Metric("observed_over_predicted", ratio, "1", "less", 1.0, None, *limits, label)]

@@ -18,6 +18,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from scipy.linalg import expm, logm  # type: ignore[import-untyped]
+from scipy.ndimage import gaussian_filter1d  # type: ignore[import-untyped]
 
 from experiments.plain import chessboard, principal_axes, rigid
 from jaxscan.files import Capture
@@ -76,31 +78,8 @@ def pair_motion(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def power(tr: np.ndarray, n: np.ndarray) -> np.ndarray:
-    """Tr^n [n, 4, 4], n any real numbers [n]: equation (11), by the logarithm of the motion.
-
-    Source: exponential of a twist, Murray, Li and Sastry 1994, section 2.3.
-    """
-    turn = cv2.Rodrigues(np.ascontiguousarray(tr[:3, :3]))[0][:, 0]
-    angle = float(np.linalg.norm(turn))
-    axis = turn / angle if angle > 0 else np.array([0.0, 0.0, 1.0])
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-
-    def parts(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rotations by `theta`, and their integrals over the angle, [n, 3, 3]."""
-        s, c, t = (part[:, None, None] for part in (np.sin(theta), np.cos(theta), theta))
-        square = cross @ cross
-        return np.eye(3) + s * cross + (1 - c) * square, t * np.eye(3) + (1 - c) * cross + (t - s) * square
-
-    n = np.asarray(n, np.float64)
-    out = np.zeros((len(n), 4, 4))
-    out[:, 3, 3] = 1
-    if angle == 0:
-        out[:, :3, :3], out[:, :3, 3] = np.eye(3), n[:, None] * tr[:3, 3]
-        return out
-    velocity = np.linalg.solve(parts(np.array([angle]))[1][0], tr[:3, 3])
-    out[:, :3, :3], carried = parts(n * angle)
-    out[:, :3, 3] = carried @ velocity
-    return out
+    """Tr^n [n, 4, 4], n any real numbers [n]: equation (11), by the logarithm of the motion."""
+    return expm(np.asarray(n, np.float64)[:, None, None] * np.real(logm(tr)))
 
 
 THRESHOLD = 25
@@ -114,7 +93,6 @@ def highest(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Args:
         on: Laser-on frames, uint8 [rows, columns] or [records, rows, columns].
-        off: Laser-off frames of the same shape.
 
     Returns:
         u: Column, float64 [(records,) rows]; zero where not valid. The first of equals.
@@ -129,7 +107,6 @@ def gravity(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Args:
         on: Laser-on frames, uint8 [rows, columns] or [records, rows, columns].
-        off: Laser-off frames of the same shape.
 
     Returns:
         u: Column, float64 [(records,) rows]; zero where not valid.
@@ -210,16 +187,6 @@ def calibrate_paper_way(capture: Capture, extract: Extract) -> PaperWay:
     """The paper's calibration of a capture of boards.
 
     All laser-off images give camera and poses; all pairs with the laser on give the sheet; the last two give Tr.
-
-    Args:
-        capture: Boards, plain chessboards; records without a laser-on image are views for the camera alone.
-        extract: How the stripe is found.
-
-    Returns:
-        The calibration.
-
-    Raises:
-        ValueError: If fewer than three boards are found, the last two are not, or no stripe is on any board.
     """
     board = capture.board
     pairs = [capture.frames(index) for index in range(len(capture.records))]
@@ -246,11 +213,7 @@ def find_board(image: np.ndarray, grid: tuple[int, int], square: float) -> Board
 
     Args:
         image: uint8 [rows, columns].
-        grid: Columns and rows of inner corners.
         square: Side of a square [m].
-
-    Returns:
-        None if it is not found.
     """
     pixels = chessboard(image, grid, steps=50, least=1e-3, enlarged=True)
     if pixels is None:
@@ -271,9 +234,6 @@ def calibrate_camera(found: list[BoardCorners | None], size: tuple[int, int]) ->
         matrix: A [3, 3].
         k: The radial coefficient.
         pose: T_cam_board of each view [views, 4, 4]; NaN where there is no board.
-
-    Raises:
-        ValueError: If there are fewer than three boards.
     """
     seen = [view for view in found if view is not None]
     if len(seen) < 3:
@@ -314,7 +274,6 @@ def stripe_on_board(
     Args:
         pose: T_cam_board [4, 4].
         outline: Corners of the printed area in the board's frame [4, 2], m.
-        found: The stripe in the whole frame, of `Extract`.
     """
     u, valid = found
     uv = np.column_stack([u, np.arange(len(u))])[valid]
@@ -329,7 +288,6 @@ def points_on_sheet(way: PaperWay, uv: np.ndarray, plane: np.ndarray | None = No
 
     Args:
         uv: Pixels [..., 2].
-        plane: a, b, c; without it those of the linear fit.
 
     Returns:
         [..., 3], camera frame [m]; NaN where a ray does not meet the sheet in front of the camera.
@@ -396,7 +354,6 @@ def horus_centres(on: np.ndarray, off: np.ndarray, threshold: int = HORUS_THRESH
 
     Args:
         on: uint8 [rows, columns].
-        off: The same with the laser off.
         threshold: Of the difference, before and after the blur [DN].
 
     Returns:
@@ -423,14 +380,9 @@ def centroid(image: np.ndarray, peak: np.ndarray, reach: int, least: int) -> tup
 def smoothed(u: np.ndarray, valid: np.ndarray, sigma: float = SMOOTHING) -> np.ndarray:
     """Columns [rows] smoothed by a Gaussian along each unbroken segment, whose ends count as if they went on."""
     out = u.astype(np.float64)
-    reach = int(4 * sigma + 0.5)
-    steps = np.arange(-reach, reach + 1)
-    weight = np.exp(-0.5 * (steps / sigma) ** 2)
-    weight /= weight.sum()
     edges = np.flatnonzero(np.diff(np.concatenate([[0], valid.astype(np.int8), [0]])))
     for first, stop in zip(edges[::2], edges[1::2], strict=True):
-        padded = np.pad(out[first:stop], reach, mode="symmetric")
-        out[first:stop] = np.convolve(padded, weight, mode="valid")
+        out[first:stop] = gaussian_filter1d(out[first:stop], sigma)
     return out
 
 
@@ -444,16 +396,7 @@ def horus_scan(on: np.ndarray, off: np.ndarray, threshold: int = HORUS_THRESHOLD
 
 
 def horus_tuned(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`horus_scan` with a threshold low enough for far walls.
-
-    Args:
-        on: Laser-on frames, uint8 [rows, columns] or [records, rows, columns].
-        off: Laser-off frames of the same shape.
-
-    Returns:
-        u: Column, float64 [(records,) rows]; zero where not valid.
-        valid: bool of the same shape.
-    """
+    """`horus_scan` with a threshold low enough for far walls."""
     return horus_scan(on, off, HORUS_TUNED_THRESHOLD)
 
 
@@ -484,24 +427,8 @@ class Horus(NamedTuple):
     """On the axis [3]."""
 
 
-class Circle(NamedTuple):
-    """A circle in space through points."""
-
-    normal: np.ndarray
-    """Of its plane [3], unit."""
-    centre: np.ndarray
-    radius: float
-
-
 def calibrate_horus(capture: Capture, *, seed: int = 0) -> Horus:
-    """Calibrate from a capture of our protocol.
-
-    Args:
-        capture: Free views at angle 0, and placements that are seen from several angles; all with the stripe.
-
-    Raises:
-        ValueError: If too few boards are found.
-    """
+    """Calibrate from a capture of our protocol."""
     board, records = capture.board, capture.records
     # Twice: all frames at once are too many to keep.
     found = [find_board(capture.frames(index)[1], board.grid(), board.square) for index in range(len(records))]
@@ -575,9 +502,6 @@ def ransac_plane(points: np.ndarray, random: np.random.Generator) -> tuple[np.nd
 
     Returns:
         Unit normal [3], and the distance, which is positive.
-
-    Raises:
-        ValueError: If there are fewer than three points.
     """
     if len(points) < 3:
         raise ValueError(f"A plane takes at least three points of a stripe, found {len(points)}.")
@@ -602,12 +526,15 @@ def ransac_plane(points: np.ndarray, random: np.random.Generator) -> tuple[np.nd
     return normal, float(normal @ centre)
 
 
-def fit_circle(points: np.ndarray) -> Circle:
-    """Plane through points [n, 3], then the circle in it with the least algebraic error (Kasa 1976)."""
+def fit_circle(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Unit normal and centre [3] and radius of the circle through points [n, 3].
+
+    A plane through them, then the circle in it with the least algebraic error (Kasa 1976).
+    """
     middle, (first, second, normal) = principal_axes(points)
     x, y = (points - middle) @ first, (points - middle) @ second
     a, b, c = np.linalg.lstsq(np.column_stack([2 * x, 2 * y, np.ones(len(x))]), x**2 + y**2, rcond=None)[0]
-    return Circle(normal, middle + a * first + b * second, float(np.sqrt(c + a * a + b * b)))
+    return normal, middle + a * first + b * second, float(np.sqrt(c + a * a + b * b))
 
 
 def axis_of(angles: Sequence[float], corner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -616,23 +543,16 @@ def axis_of(angles: Sequence[float], corner: np.ndarray) -> tuple[np.ndarray, np
     Args:
         angles: [n], rad.
         corner: The corner in the camera's frame [n, 3], m.
-
-    Returns:
-        Unit direction about which the camera turns right-handed with growing angle, and the circle's centre.
     """
-    circle = fit_circle(corner)
+    normal, centre, _ = fit_circle(corner)
     order = np.argsort(angles)
-    first, last = corner[order[0]] - circle.centre, corner[order[-1]] - circle.centre
+    first, last = corner[order[0]] - centre, corner[order[-1]] - centre
     # Seen from the camera, the room turns in the opposite sense.
-    return -np.sign(np.cross(first, last) @ circle.normal) * circle.normal, circle.centre
+    return -np.sign(np.cross(first, last) @ normal) * normal, centre
 
 
 def horus_points(calibration: Horus, uv: np.ndarray, *, lens: bool = False) -> np.ndarray:
-    """Points [..., 3], m, camera frame, at pixels (u, v) [..., 2]; NaN where a ray does not meet the sheet.
-
-    Args:
-        lens: Whether the lens is corrected, as the original does not.
-    """
+    """Points [..., 3], m, camera frame, at pixels (u, v) [..., 2]; NaN where a ray does not meet the sheet."""
     matrix, normal, distance = calibration.matrix, calibration.normal, calibration.distance
     if lens:
         uv, normal, distance = (
@@ -655,7 +575,6 @@ def horus_cloud(
         u: Columns of the stripe [records, rows]; px.
         valid: bool [records, rows].
         angles: Of the table [records]; rad.
-        lens: As of `horus_points`.
 
     Returns:
         float64 [records, rows, 3], m; NaN where there is no point.

@@ -92,16 +92,10 @@ def poses_of(config: SimulationConfig, placements: list[Placement]) -> BoardPose
 def measured_room(
     study: Study, faults: Faults, random: np.random.Generator, *, as_user: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Width and length of the room by one calibration and one sweep, with their predicted standard deviations [2] [m].
+    """Width and length of the room by one calibration and one sweep, and their predicted standard deviations [2], m.
 
-    Args:
-        study: The rig, its protocol and its sweep.
-        as_user: Noise is estimated from residuals, as a user's calibration does it. Otherwise corners and stripes have
-            the weights of `study.stated` even where they are exact, so that a source alone has the same effect as
-            among all sources.
-
-    Raises:
-        MeasurementError: If the cloud has no walls that can be measured.
+    `as_user`: noise is estimated from residuals. Otherwise corners and stripes have the weights of `study.stated` even
+    where they are exact, so that a source alone has the same effect as among all sources.
     """
     config = study.config
     boards = config.boards.model_copy(
@@ -131,7 +125,6 @@ def cloud_of(stripes: SweepStripes, scanner: jaxscan.Scanner, stride: int, sigma
     """Points of every n-th row of known stripes.
 
     Args:
-        stripes: The stripes of a sweep by one laser.
         sigma_px: Standard deviation of all centres [px].
 
     Returns:

@@ -69,22 +69,13 @@ _QUICK = 0.25
 
 
 def world(name: str, *, quick: bool = False) -> SimulationConfig:
-    """The configuration of a world.
-
-    Args:
-        name: "kind" or "unkind".
-        quick: Small images of the same field of view.
-    """
+    """The configuration of a world."""
     config = jaxscan.load_simulation(WORLDS[name])
     return smaller(config, _QUICK) if quick else config
 
 
 def smaller(config: SimulationConfig, scale: float) -> SimulationConfig:
-    """The same lens on a sensor of larger pixels; blur and grains of speckle keep their size in pixels.
-
-    Args:
-        scale: New width of the image over the old one.
-    """
+    """The same lens on a sensor of larger pixels; blur and grains of speckle keep their size in pixels."""
     camera = config.camera
     update = {name: getattr(camera, name) * scale for name in ("fx", "fy")}
     cx, cy = ((at + 0.5) * scale - 0.5 for at in camera.centre())
@@ -234,7 +225,6 @@ def save(figure: plt.Figure, path: Path, dpi: int) -> None:
     """Write a picture and free its memory.
 
     Args:
-        path: Of the file; its suffix gives the format.
         dpi: Resolution [dots per inch].
     """
     figure.savefig(path, dpi=dpi)

@@ -68,14 +68,7 @@ def across_half_a_turn(config: SimulationConfig) -> list[Length]:
 
 
 def of_scanner(scanner: Scanner, lengths: list[Length]) -> np.ndarray:
-    """`QUANTITIES` of a calibration, in their units.
-
-    Args:
-        lengths: Of `across_half_a_turn`.
-
-    Raises:
-        TypeError: If it has no turntable.
-    """
+    """`QUANTITIES` of a calibration, in their units."""
     table = scanner.turntable
     if not isinstance(table, Turntable):
         raise TypeError("A calibration with a turntable is needed.")
@@ -148,9 +141,6 @@ def compare_honesty(scanners: list[Scanner], config: SimulationConfig) -> Honest
 
     Held parameters are left out, and those of the table's angle: a few degrees hardly determine them, so their
     predicted errors are those of their priors, from which the true rig was not drawn.
-
-    Args:
-        scanners: Calibrations with the same free parameters.
     """
     names = scanners[0].parameter_names()
     turned = [to_true_tangents(scanner, config) for scanner in scanners]
@@ -244,9 +234,7 @@ def _lengths_over_predicted(scanners: list[Scanner], errors: np.ndarray, lengths
     """Root mean square errors of the lengths over their predicted standard deviations; a bias counts.
 
     Args:
-        scanners: One for each draw.
         errors: Of all quantities, in their units [draws, quantities].
-        lengths: Those of `across_half_a_turn`.
     """
     sigma = 1000 * np.array([length_sigma(scanner, lengths) for scanner in scanners])
     limits = AGREE if len(scanners) >= ENOUGH else (None, None)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from scipy.optimize import least_squares  # type: ignore[import-untyped]
 
 import jaxscan
 from experiments.plain import (
@@ -22,8 +23,7 @@ from experiments.plain import (
     find,
     grid,
     held_out,
-    least_squares,
-    levenberg,
+    plane_of,
     pose_of,
     residuals,
     signal,
@@ -93,7 +93,7 @@ def _residual(lens: Lens, shape: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 def _off_plane(shape: np.ndarray) -> float:
     """RMS of the board's corners from their best plane; mm."""
-    return 1e3 * rms(least_squares(shape).off(shape))
+    return 1e3 * rms(plane_of(shape).off(shape))
 
 
 def _sheet_figures(solved: Solved, halves: list[Solved] | None, laser: int) -> dict[str, Any]:
@@ -127,7 +127,7 @@ def _lift(lens: Lens, shape: np.ndarray, q: np.ndarray, line: BoardLine) -> np.n
     """Points [n, 3] of a line on its board; m. The board's best plane is used, its shape only for the pose."""
     seen = np.isfinite(q).all(1)
     pose = pose_of(lens, shape[seen], q[seen])
-    rotation, flat = cv2.Rodrigues(pose[:3])[0], least_squares(shape)
+    rotation, flat = cv2.Rodrigues(pose[:3])[0], plane_of(shape)
     normal = rotation @ flat.normal
     plane = Plane(normal, float(normal @ (rotation @ shape.mean(0) + pose[3:])))
     return plane.meet(lens.straight(line.q))
@@ -154,7 +154,7 @@ def table_figures(xyz: np.ndarray, height: float, normal: np.ndarray, inner: flo
     surface = Plane(np.array([0.0, 0.0, 1.0]), float(heights[counts.argmax()] + 0.001))
     for _ in range(5):
         on = np.abs(surface.off(rim)) < ON_TABLE
-        surface = least_squares(rim[on])
+        surface = plane_of(rim[on])
     off = surface.off(rim[on])
     return found | {
         "on_table": int(on.sum()),
@@ -226,9 +226,10 @@ def fit_table(corners: np.ndarray, lens: Lens) -> Table:
         # All lengths may grow together: the mean side is held.
         return np.append((seen - corners).ravel(), 1e6 * (_sides(points).mean() - SIDE))
 
-    x = levenberg(error, np.concatenate([np.zeros(4), start.ravel(), angles[1:] - angles[0]]))
+    first_guess = np.concatenate([np.zeros(4), start.ravel(), angles[1:] - angles[0]])
+    x = least_squares(error, first_guess, method="lm").x
     direction, centre, points, _ = parts(x)
-    plane = least_squares(points)
+    plane = plane_of(points)
     point = centre + direction * ((plane.distance - centre @ plane.normal) / (direction @ plane.normal))
     return Table(direction, point, plane)
 

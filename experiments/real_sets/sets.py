@@ -282,14 +282,7 @@ BY_NAME = {one.name: one for one in SETS}
 
 
 def convert(one: RealSet, source: Source, folder: Path) -> int:
-    """Write the capture.
-
-    Args:
-        folder: The capture's folder; must not exist.
-
-    Returns:
-        Number of records.
-    """
+    """Write the capture."""
     records = one.records(source)
     if not records:
         raise SystemExit(f"{source.place}: no pictures of {one.name} found, expected a copy of {one.repository}")

@@ -483,13 +483,7 @@ _FEWEST = 3
 
 
 def features_of(config: SimulationConfig, truth: TrueSweep, seed: int) -> Tracks:
-    """Features on walls, floor and ceiling, where they are seen in key images of a sweep.
-
-    Args:
-        config: The true rig and its room.
-        truth: Of the sweep: points that its stripes met are visible from the rig.
-        seed: Of points and noise.
-    """
+    """Features on walls, floor and ceiling, where they are seen in key images of a sweep."""
     random, rig = np.random.default_rng([seed, 89]), IdealRig(config)
     walls = np.flatnonzero((truth.surface.ravel() >= 0) & (truth.surface.ravel() < 6))
     point = truth.point.reshape(-1, 3)[random.choice(walls, FEATURES, replace=False)]

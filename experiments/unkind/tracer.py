@@ -451,7 +451,6 @@ def stripes(shot: Shot, middle: Hits, laser: Direct, ambient: np.ndarray) -> Tru
     """The true stripes [rows, crossings] of one record.
 
     Args:
-        middle: The surfaces that the middles of all pixels see.
         laser: The laser's direct light behind the lens [DN].
         ambient: The room's light on every pixel [DN].
     """

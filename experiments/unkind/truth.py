@@ -86,7 +86,6 @@ def with_parts(stripes: TrueStripes, light: np.ndarray) -> TrueStripes:
     Where the middle of the sheet is hidden behind an edge, a part of the stripe still shows.
 
     Args:
-        stripes: The crossings; the last place of each row is overwritten where there is such light.
         light: The laser's direct light behind the lens on every pixel [rows, columns]; DN.
     """
     column = np.arange(light.shape[1])

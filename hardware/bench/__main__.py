@@ -5,7 +5,6 @@
 `python -m bench two-lasers` sets up a rig with a second laser.
 """
 
-import json
 import os
 import select
 import signal
@@ -23,7 +22,6 @@ STATUS_S = 0.5
 PLACE = ".venv/bin/python -m bench place"
 """Shows the camera of a running bench the board in a pose, as docs/console.md has it."""
 SOCKETS = {"place": "camera", "camera": "camera", "rig": "control"}
-"""Which socket of a running bench a word is for."""
 
 
 def ask(words: list[str]) -> int:
@@ -70,8 +68,6 @@ def run(world: Path, config: str) -> int:
     print("Building, and making a room …", flush=True)
     with set_up(folder, world=world) as desk:
         poses = desk.camera.control("poses")
-        truth = {"board_poses": poses, "world": str(world)}
-        (folder / "poses.json").write_text(json.dumps(truth, indent=2))
         free = sum(pose["kind"] == "free" for pose in poses)
         print(f"The bench is set up. Port: {desk.rig.port}   camera: {desk.camera.address}")
         print(f"In another terminal, type:\n\n    jaxscan scan configs/{config} -o captures/bench\n")

@@ -11,7 +11,6 @@ from bench.rig import RigOptions, SimulatedRig
 
 
 MICROSTEPS_PER_TURN = 28800
-"""Of the rig in configs/bench.toml."""
 
 HELP = """\
 Enter          show the next pose of the board; after the last one, take it away

@@ -30,11 +30,8 @@ class Flood:
         """
         self._port, self._held, self._per_s, self._most = port, held, per_s, most
         self.opened = 0
-        """Connections that were begun."""
         self.ended = 0
-        """Those that the other end closed."""
         self.highest = 0
-        """How many were held at once."""
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="flood", daemon=True)
         self._problem: BaseException | None = None

@@ -1,10 +1,12 @@
 """The bench's programs: built, started until they are ready, commanded over sockets, ended for certain."""
 
+import contextlib
 import fcntl
 import os
 import selectors
 import shutil
 import socket
+import socketserver
 import subprocess
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -37,8 +39,6 @@ def launch(
             text=True,
             start_new_session=apart,
         )
-    if process.stdout is None:
-        raise BenchError("A program without an output cannot say that it is ready.")
     try:
         with selectors.DefaultSelector() as selector:
             selector.register(process.stdout, selectors.EVENT_READ)
@@ -57,17 +57,13 @@ def launch(
 
 
 def end(process: "subprocess.Popen[str]", *, kill: bool = False) -> None:
-    if kill:
-        process.kill()
-    else:
-        process.terminate()
+    (process.kill if kill else process.terminate)()
     try:
         process.wait(15)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait(5)
-    if process.stdout is not None:
-        process.stdout.close()
+    process.stdout.close()
 
 
 @contextmanager
@@ -84,8 +80,7 @@ class ControlClient:
     """A conversation with a control socket. Raises BenchError where nobody listens or answers."""
 
     def __init__(self, path: Path, *, timeout_s: float = 20.0) -> None:
-        self._path = path
-        self._socket = socket.socket(socket.AF_UNIX)
+        self._path, self._socket = path, socket.socket(socket.AF_UNIX)
         self._socket.settimeout(timeout_s)
         try:
             with _short(path) as name:
@@ -93,23 +88,21 @@ class ControlClient:
         except OSError as problem:
             self._socket.close()
             raise BenchError(f"{path}: nobody answers there: {problem.strerror}. Is the bench running?") from problem
-        self._rest = b""
+        self._answers = self._socket.makefile()
 
     def ask(self, text: str) -> str:
         """Send one line, return the answer."""
         try:
             self._socket.sendall(text.encode() + b"\n")
-            while b"\n" not in self._rest:
-                more = self._socket.recv(4096)
-                if not more:
-                    raise BenchError(f"{self._path}: hung up after {text!r}.")
-                self._rest += more
+            answer = self._answers.readline()
         except OSError as problem:
             raise BenchError(f"{self._path}: no answer to {text!r}: {problem}.") from problem
-        line, self._rest = self._rest.split(b"\n", 1)
-        return line.decode()
+        if not answer.endswith("\n"):
+            raise BenchError(f"{self._path}: hung up after {text!r}.")
+        return answer.rstrip("\n")
 
     def close(self) -> None:
+        self._answers.close()
         self._socket.close()
 
 
@@ -118,7 +111,6 @@ class Part:
 
     name: str
     socket: str
-    """Name of its control socket in the folder."""
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
@@ -177,38 +169,29 @@ class ControlServer:
 
     def __init__(self, path: Path, answer: Callable[[str], str]) -> None:
         """Listen at `path`, replacing an old socket; `answer` is called with each line, from several threads."""
+
+        class Conversation(socketserver.StreamRequestHandler):
+            def handle(self) -> None:
+                # A client may hang up at any moment.
+                with contextlib.suppress(OSError):
+                    for line in self.rfile:
+                        try:
+                            said = answer(line.decode().strip())
+                        except BenchError as problem:
+                            said = f"error: {problem}"
+                        self.wfile.write(said.encode() + b"\n")
+
+        self._path = path
         path.unlink(missing_ok=True)
-        self._path, self._answer = path, answer
-        self._socket = socket.socket(socket.AF_UNIX)
         with _short(path) as name:
-            self._socket.bind(name)
-        self._socket.listen(4)
-        threading.Thread(target=self._accept, daemon=True).start()
+            self._server = socketserver.ThreadingUnixStreamServer(name, Conversation)
+        self._server.daemon_threads = True
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     def close(self) -> None:
         self._path.unlink(missing_ok=True)
-        self._socket.close()
-
-    def _accept(self) -> None:
-        while True:
-            try:
-                client, _ = self._socket.accept()
-            except OSError:
-                return  # Closed.
-            threading.Thread(target=self._converse, args=(client,), daemon=True).start()
-
-    def _converse(self, client: socket.socket) -> None:
-        with client, client.makefile("rw") as text:
-            for line in text:
-                try:
-                    answer = self._answer(line.strip())
-                except BenchError as problem:
-                    answer = f"error: {problem}"
-                try:
-                    text.write(answer + "\n")
-                    text.flush()
-                except OSError:
-                    return  # The client does not wait for the answer.
+        self._server.shutdown()
+        self._server.server_close()
 
 
 HERE = Path(__file__).resolve().parent

@@ -12,10 +12,8 @@ from bench.processes import SIMRUN, Part, build
 
 
 CLOCK_HZ = 16_000_000
-"""Cycles per second of the log's stamps."""
 
 READY_S = 10.0
-"""How long the runner may take to start, on a busy machine."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +25,6 @@ class RigOptions:
     speed: float = 1.0
     """Simulated seconds per second; 0: as fast as it goes."""
     microsteps_per_turn: int = 28800
-    """Of the plant: the angle is position / this."""
     start: int = 500
     """Where the table stands at the beginning [microsteps]; the home switch closes at 0, from above."""
     home_width: int = 40
@@ -37,7 +34,6 @@ class RigOptions:
     autoreset: bool = False
     """Whether opening the port resets the processor, as on an Uno."""
     seed: int = 1
-    """Of the noise on the line."""
     apart: bool = False
     """Whether Ctrl-C at the terminal is kept from it."""
 

@@ -21,7 +21,6 @@ from scanrig.controllers import ControllerTable
 MAX_MICROSTEPS = 10_000_000
 """Most microsteps of a turn; at the highest step rate such a turn takes 17 minutes."""
 MAX_LASERS = 2
-"""Lasers that a controller can switch."""
 
 _Milliseconds = Annotated[Integer, pydantic.Field(ge=0, le=10_000)]
 _Angle = Annotated[Number, pydantic.Field(ge=-360, le=360)]
@@ -42,7 +41,6 @@ class TurntableTable(FileModel):
 
     carries: Turns = "scanner"
     full_steps: Annotated[Integer, pydantic.Field(ge=4, le=100_000)] = 200
-    """Full steps per turn of the motor."""
     microsteps: Annotated[Integer, pydantic.Field(ge=1, le=1024)] = 16
     """Microsteps per full step, as set at the driver."""
     gear: tuple[Integer, Integer] = (1, 1)
@@ -106,7 +104,6 @@ class RigLaser(LaserTable):
     """A laser: how it appears in a frame, and how long it takes to switch."""
 
     on_ms: _Milliseconds = 20
-    """Time from switching on to the exposure."""
     off_ms: _Milliseconds = 20
     """Time from switching off to the exposure; the camera reads the laser-on frame out meanwhile."""
 
@@ -154,7 +151,6 @@ class CalibrationTable(FileModel):
     free_views: Annotated[Integer, pydantic.Field(ge=0, le=1000)] = 24
     """Views from the home angle, the board held differently in each."""
     placements: Annotated[Integer, pydantic.Field(ge=0, le=100)] = 4
-    """Places where the board stands still while the table turns."""
     angles_deg: Annotated[tuple[_Angle, ...], pydantic.Field(min_length=2, max_length=1000)] = (
         -15.0,
         -10.0,
@@ -173,9 +169,7 @@ class ChecksTable(FileModel):
     """Limits for accepting a pair, a step or a turn. A capture can be resumed after changing them."""
 
     proof: ProofLimits = ProofLimits()
-    """Limits for the proof of every pair."""
     retakes: Annotated[Integer, pydantic.Field(ge=0, le=100)] = 3
-    """Retakes of a step before the scan ends."""
     late_s: Annotated[Number, pydantic.Field(gt=0, le=60)] = 2.0
     """Longest time from the exposure to the arrival of a frame; waited for only if one is missing [s]."""
     lost_steps_tolerance: Annotated[Integer, pydantic.Field(ge=0, le=100_000)] = 2

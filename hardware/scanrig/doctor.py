@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import tempfile
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -13,9 +12,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from jaxscan.errors import CaptureError
-from jaxscan.files.capture import CaptureHeader, frame_shape
-from jaxscan.files.recording import create_capture
 from jaxscan.stripes import laser_plane
 from scanrig.cameras import Camera
 from scanrig.checks import PairProof
@@ -40,13 +36,11 @@ class Finding:
     """"note": works, with a remark; "wrong": a scan would fail or be spoilt."""
     found: str
     do: str = ""
-    """The remedy."""
     values: Mapping[str, Any] = field(default_factory=dict)
     """The measured values, for programs; units in the names."""
 
 
 Tell = Callable[[Finding], None]
-"""Called with each finding at once."""
 
 
 def looked_at(name: str, look: Callable[[], Finding], tell: Tell) -> Finding:
@@ -59,7 +53,6 @@ def looked_at(name: str, look: Callable[[], Finding], tell: Tell) -> Finding:
     return finding
 
 
-_STORED_PAIRS = 6
 PULSES = 6
 _WANTED_DN = (200.0, 254.0)
 _BEST_DN = 225.0
@@ -89,57 +82,32 @@ def examine(
         say: Called with a sentence about the progress of long examinations.
     """
     clock = clock or Clock()
-    pairs: list[tuple[Pair, PairProof]] = []
     try:
         homed = False if controller is None else examine_table(controller, config, tell, say)
         if camera is not None and config is not None:
             looked_at("camera", lambda: _camera(camera), tell)
             looked_at("trigger", lambda: _trigger(controller, camera, config, clock), tell)
             if controller is not None and homed:
-                pairs = _examine_light(controller, camera, config, tell, clock)
+                _examine_light(controller, camera, config, tell, clock)
     finally:
         if controller is not None:
             tell(_laser_off(controller))
     if config is not None:
-        looked_at("storage", lambda: _storage(config, folder, pairs[0][0] if pairs else None), tell)
+        looked_at("storage", lambda: _storage(config, folder), tell)
 
 
-def _storage(config: RigConfig, folder: Path, pair: Pair | None) -> Finding:
-    """Check free space, and the time to write a pair to the disk."""
+def _storage(config: RigConfig, folder: Path) -> Finding:
+    """Check the folder and its free space."""
     targets, _ = plan_sweep(config)
-    needed = estimate(config, [target.position for target in targets])
-    free = free_bytes(folder)
-    seconds = _seconds_a_pair(config, folder, pair)
-    per_step = needed.seconds / len(targets)
-    values = {"free_bytes": free, "sweep_bytes": needed.bytes, "pair_s": seconds, "step_s": per_step}
-    found = (
-        f"{readable(free)} free, a sweep needs up to {readable(needed.bytes)}; a pair is written in "
-        f"{1e3 * seconds:.0f} ms, a step takes {1e3 * per_step:.0f} ms"
-    )
-    if free < needed.bytes:
-        return Finding("storage", "wrong", found, f"make room in {folder}, or write elsewhere", values)
-    if seconds > per_step:
-        do = "the disk is the slowest part of the rig: write to another one"
-        return Finding("storage", "note", found, do, values)
-    return Finding("storage", "works", found, values=values)
-
-
-def _seconds_a_pair(config: RigConfig, folder: Path, pair: Pair | None) -> float:
-    camera = config.camera
-    header = CaptureHeader(kind="sweep", camera=camera.table, laser=tuple(laser.table for laser in config.laser))
-    dark, kind = 20 << camera.bits - 8, np.uint16 if camera.bits > 8 else np.uint8
-    noise = np.random.default_rng(0).integers(dark, dark + 10, frame_shape(header), kind)
-    on, off = (noise, noise) if pair is None else (pair.on.image, pair.off.image)
+    needed, free = estimate(config, [target.position for target in targets]).bytes, free_bytes(folder)
+    found = f"{readable(free)} free, a sweep needs up to {readable(needed)}"
+    do = "" if free >= needed else f"make room in {folder}, or write elsewhere"
     try:
-        with tempfile.TemporaryDirectory(prefix=".jaxscan-doctor-", dir=folder) as scratch:
-            start = time.perf_counter()
-            with create_capture(Path(scratch) / "pairs", header) as writer:
-                for number in range(_STORED_PAIRS):
-                    writer.append(angle_deg=float(number), on=on, off=off)
-            return (time.perf_counter() - start) / _STORED_PAIRS
-    except (OSError, CaptureError) as problem:
-        reason = getattr(problem, "strerror", None) or problem
-        raise RigError(f"{folder}: cannot be written ({reason}); choose another folder") from problem
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as problem:
+        do = f"{folder} cannot be written ({problem.strerror}); choose another folder"
+    return Finding("storage", "wrong" if do else "works", found, do, {"free_bytes": free, "sweep_bytes": needed})
 
 
 def _laser_off(controller: Controller) -> Finding:
@@ -199,10 +167,8 @@ def _trigger(controller: Controller | None, camera: Camera, config: RigConfig, c
     return Finding("trigger", "wrong" if do else "works", found, do, values)
 
 
-def _examine_light(
-    controller: Controller, camera: Camera, config: RigConfig, tell: Tell, clock: Clock
-) -> list[tuple[Pair, PairProof]]:
-    """Examine each laser and the brightness of its line; returns the proven pairs.
+def _examine_light(controller: Controller, camera: Camera, config: RigConfig, tell: Tell, clock: Clock) -> None:
+    """Examine each laser and the brightness of its line.
 
     The controller is homed, and its contactor is closed for each pair and opened again; the camera is started.
     """
@@ -212,7 +178,6 @@ def _examine_light(
     for number in range(len(config.laser)):
         if looked_at(_named("laser", config, number), partial(_laser, station, number, pairs), tell).verdict != "wrong":
             looked_at(_named("exposure", config, number), partial(judge_exposure, *pairs[-1], config), tell)
-    return pairs
 
 
 def _named(part: str, config: RigConfig, number: int) -> str:
@@ -286,7 +251,6 @@ _MOST_EDGES = 64
 _LEAST_S = 60.0
 _REPEATS = 2
 _REPEATABLE = 2
-"""Microsteps by which the place of the home switch may vary."""
 _UNKNOWN_TURN = 3200
 """First guess for a turn without a configuration [microsteps]: 200 full steps of 16."""
 

@@ -34,7 +34,6 @@ CURES = {
     Fault.LIMIT: "look for an obstacle at the table and check the limits, then clear the fault and home",
     Fault.UNKNOWN: "look at the controller",
 }
-"""The remedy for each fault."""
 
 
 class Reason(StrEnum):

@@ -68,7 +68,6 @@ class Ledger:
     def __init__(self, folder: Path, clock: Clock) -> None:
         self.folder = folder
         self.events: list[dict[str, Any]] = []
-        """All events noted, in order."""
         self._clock = clock
         self._writer: CaptureWriter | None = None
         self._waiting: list[dict[str, Any]] = []

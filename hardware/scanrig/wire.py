@@ -50,7 +50,6 @@ BOARDS = {
 """USB numbers under which an ATmega328P board usually appears."""
 
 _LONGEST = 126
-"""Longest USB string, in characters."""
 
 
 @dataclass(frozen=True)

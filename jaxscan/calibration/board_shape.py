@@ -24,13 +24,11 @@ from jaxscan.observation import Observations
 PRINT_DEGREE = 3
 """Highest degree of the polynomials by which a print may be out of place."""
 # Root mean square size [m] that a mode is expected to have: heights of degree 2, prints of degree 1,
-# both less by a factor per degree, and single corners.
-_HEIGHT, _PRINT, _FALL, _CORNER = 4e-4, 1e-4, 0.6, 5e-5
+# both less by a factor per degree.
+_HEIGHT, _PRINT, _FALL = 4e-4, 1e-4, 0.6
 # Part of a function that is left beside the functions before it, below which it is one of them.
 _DEPENDENT = 1e-6
 _HEIGHTS, _PRINTS = 23, 16
-# The number of modes is rounded up to this, so that boards of about the same size share a compilation.
-_STEP = 48
 
 
 def smooth_modes(board: np.ndarray, frame: np.ndarray, padded: int) -> BoardModes:
@@ -67,25 +65,6 @@ def bent_modes(smooth: BoardModes) -> BoardModes:
     return BoardModes(corner, smooth.height)
 
 
-def corner_modes(smooth: BoardModes, board: np.ndarray, frame: np.ndarray) -> BoardModes:
-    """The smooth modes, and with them every place and height that the corners of a board can have.
-
-    The remainder beside the smooth modes belongs to single corners: between corners it is 0.
-    """
-    count, padded = len(board), len(smooth.corner)
-    own = smooth.corner[:count]
-    place = (board[:, :2] - frame[:2]) / frame[2:]
-    plane = np.stack(bend_functions(place), axis=-1)[:, [0, 1, 2, 3, 5]]
-    height = _complement(np.concatenate([plane, own[:, 2, :_HEIGHTS]], axis=1))
-    shifts = np.concatenate([_motions(board), own[:, :2].reshape(2 * count, -1)], axis=1)
-    shift = _complement(shifts).reshape(count, 2, -1)
-    free = height.shape[1] + shift.shape[2]
-    extra = np.zeros((padded, 3, -(-free // _STEP) * _STEP))
-    extra[:count, 2, : height.shape[1]] = _CORNER * height
-    extra[:count, :2, height.shape[1] : free] = _CORNER * shift
-    return BoardModes(np.concatenate([smooth.corner, extra], axis=-1), smooth.height)
-
-
 def _degrees(count: int) -> np.ndarray:
     """Total degree of each of `bend_functions`."""
     return np.array([degree for degree in range(count) for _ in range(degree + 1)][:count])
@@ -118,11 +97,7 @@ def _motions(board: np.ndarray) -> Float[np.ndarray, "rows 4"]:
 
 
 def _orthogonal(columns: Float[np.ndarray, "rows n"]) -> tuple[list[int], Float[np.ndarray, "n m"]]:
-    """Of the columns, in order, those that are not combinations of others before, made orthogonal.
-
-    Returns:
-        Their indices, and the combinations of columns that are orthogonal, of root mean square 1.
-    """
+    """Of the columns, in order, those that are not combinations of others before, made orthogonal."""
     size = np.linalg.norm(columns, axis=0)
     taken: list[int] = []
     units, combined = np.zeros((len(columns), 0)), np.zeros((columns.shape[1], 0))
@@ -137,14 +112,6 @@ def _orthogonal(columns: Float[np.ndarray, "rows n"]) -> tuple[list[int], Float[
             units = np.column_stack([units, rest / left])
             combined = np.column_stack([combined, how / left])
     return taken, combined * np.sqrt(len(columns))
-
-
-def _complement(columns: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, "rows m"]:
-    """An orthonormal basis of all that is orthogonal to some columns, of which some may be 0."""
-    size = np.linalg.norm(columns, axis=0)
-    unit = columns[:, size > 0] / size[size > 0]
-    vectors, values, _ = np.linalg.svd(unit, full_matrices=True)
-    return vectors[:, int(np.count_nonzero(values > _DEPENDENT)) :]
 
 
 FOLDS = 4
@@ -243,7 +210,7 @@ def _normal(result: Adjustment, extra: BoardModes) -> _Normal:
     camera, shared, modes = len(problem.camera.parameter_names()), len(problem.scales), extra.corner.shape[-1]
     slopes = linear.corner_slopes
     # Without the stops, which are at their minimum.
-    corner_chain, stripe_chain = (part[..., : shared + 6] for part in (linear.corner_chain, linear.stripe_chain))
+    corner_chain, stripe_chain = (part[..., : shared + 6] for part in (linear.chains.corner, linear.chains.stripe))
     # A mode moves a corner of the board as a shift of the whole board would.
     moved = slopes[..., camera : camera + 3].reshape(len(slopes), -1, 2, 3) @ extra.corner[None]
     moved = moved.reshape(*slopes.shape[:2], -1)
@@ -308,18 +275,13 @@ def _regular(information: np.ndarray) -> np.ndarray:
     return information + empty[:, None, None] * np.eye(information.shape[-1])
 
 
-FreeShape = Literal["parabola", "bent", "smooth", "corners"]
+FreeShape = Literal["parabola", "bent", "smooth"]
 # Fewer placements are too few to leave some out.
 _LEAST_PLACEMENTS = 8
 # A shape must raise the likelihood of the views left out by this much (natural logarithm) ...
 _LEAST_GAIN = 10.0
 # ... and be better for more placements than half of them by this many standard deviations of a toss-up.
 _LEAST_SIGNIFICANCE = 2.0
-# Single corners take their time: the residuals left out must promise to fall by this factor.
-_WORTH = 0.95
-_MOST_CORNERS = 192
-# Derivatives of all corner rows by all unknowns may take this much memory [bytes]; a few copies of them are made.
-_MOST_BYTES = 3e8
 
 
 class ShapeChoice(NamedTuple):
@@ -358,18 +320,10 @@ def choose_shape(
     parabola = result, ShapeChoice("parabola", _rms(before), _rms(before))
     if not any(_is_better(promise, before, result) for promise in promises):
         return parabola
-    # The fewest unknowns first, but single corners are not reached by steps: each is a solve of its own size.
-    shapes: list[tuple[FreeShape, BoardModes]] = [("bent", bent), ("smooth", smooth)]
-    if len(board) <= _MOST_CORNERS and 8 * result.errors.corner.size * 3 * len(board) < _MOST_BYTES:
-        corners = corner_modes(smooth, board, frame)
-        _, least, finest = hold_out(result, (smooth, corners))
-        if _rms(finest) < _WORTH * _rms(least) and _is_better(finest, least, result):
-            found = _solved(result, corners, settings)
-            after = before if found is None else hold_out(found)[0]
-            if found is not None and _is_better(after, before, result):
-                return found, ShapeChoice("corners", _rms(before), _rms(after))
+    # The fewest unknowns first.
     best, last = result, before
     free: FreeShape = "parabola"
+    shapes: list[tuple[FreeShape, BoardModes]] = [("bent", bent), ("smooth", smooth)]
     for name, modes in shapes:
         promise = hold_out(best, (modes,))[1]
         found = _solved(best, modes, settings) if _is_better(promise, last, best) else None

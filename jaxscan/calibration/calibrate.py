@@ -23,14 +23,14 @@ from jaxscan.geometry import (
     AbstractCamera,
     AbstractMotion,
     LaserSheet,
-    LinearStage,
     Scanner,
     Still,
-    Turntable,
+    carrying,
+    motion_class,
+    motion_of,
     point_up,
     stack_lasers,
 )
-from jaxscan.geometry.scanner import UP_VECTORS
 from jaxscan.leastsq import Huber
 from jaxscan.observation import Observations, SolvedRig, with_lasers
 
@@ -268,7 +268,7 @@ def _first_camera(
     if len(cameras) == 1 and not rig.lasers and not rig.moves:
         return cameras[0], poses, True
     held = replace(settings, free=tuple(block for block in settings.free if block in CAMERA_BLOCKS))
-    stand_ins = _stand_ins(observations, rig)
+    stand_ins = _stand_ins(rig)
     first = _lowest([make_problem(camera, *stand_ins, poses, apart, held) for camera in cameras], apart, settings)
     return first.problem.camera, np.asarray(first.problem.poses), first.converged
 
@@ -296,13 +296,13 @@ def _without_stripes(data: Prepared) -> Prepared:
     return data._replace(**{name: getattr(data, name)[:0] for name in data._fields if name.startswith("stripe_")})
 
 
-def _stand_ins(observations: Observations, rig: Rig) -> tuple[LaserSheet, AbstractMotion]:
+def _stand_ins(rig: Rig) -> tuple[LaserSheet, AbstractMotion]:
+    # Any: they are held, and meet no observation.
     sheet = LaserSheet.from_plane(np.array([1.0, 0.0, 0.0]), 1.0)
     motion: AbstractMotion = Still()
-    if rig.moves and rig.carries == "linear":
-        motion = LinearStage.from_direction([1.0, 0.0, 0.0])
-    elif rig.moves:
-        motion = Turntable.from_axis(np.array(UP_VECTORS[observations.up]), np.array([0.0, 0.0, -0.1]))
+    if rig.moves:
+        shapes = {key: field.shape for key, field in motion_class(rig.carries).fields.items()}
+        motion = motion_of(rig.carries, **{key: [1.0, 0.0, 0.0] for key, shape in shapes.items() if shape == (3,)})
     return stack_lasers([sheet] * len(rig.lasers)), motion
 
 
@@ -343,7 +343,7 @@ def solved_rig(found: Estimate) -> SolvedRig | None:
         return None
     scanner = None
     if found.rig.lasers or found.rig.moves:
-        motion = problem.turntable.carrying(observations.carries)
+        motion = carrying(problem.turntable, observations.carries)
         scanner = Scanner(found.camera, problem.lasers, motion, None, found.rig.lasers, observations.up)
     views, corners = np.shape(observations.corners.valid)
     bend, offset = bend_of(problem)

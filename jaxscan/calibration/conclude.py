@@ -22,7 +22,7 @@ from jaxscan.calibration.result import (
 from jaxscan.calibration.settings import CalibrationSettings, board_blocks, is_mode
 from jaxscan.calibration.structure import Harm, find_harm
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import AbstractCamera, Scanner, make_layout, root_of
+from jaxscan.geometry import AbstractCamera, Scanner, carrying, make_layout, root_of
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
 from jaxscan.observation import Observations
 
@@ -81,7 +81,7 @@ def conclude(
     own = np.ascontiguousarray(covariance[:count, :count])
     scanner = None
     if lasers or motion.blocks:
-        motion = motion.carrying(observations.carries)
+        motion = carrying(motion, observations.carries)
         scanner = Scanner(camera, problem.lasers, motion, own, lasers, observations.up)
     if harms:
         if any(len(harm.steps) for harm in harms):
@@ -161,15 +161,8 @@ def _fit(result: Adjustment, observations: Observations, covariance: np.ndarray)
 def _describe(
     result: Adjustment, determination: Determination, observations: Observations, names: tuple[str, ...]
 ) -> Quality:
-    """The quality of a calibration as far as one solve says it; lengths, verdict and time come later.
-
-    Args:
-        result: The finished solve.
-        determination: How well the shared unknowns are known.
-        observations: As they were given.
-        names: Of the shared unknowns.
-    """
-    data, prior = result.data, result.linearised.prior_residual
+    """The quality of a calibration as far as one solve says it; lengths, verdict and time come later."""
+    data, prior = result.data, result.linearised.residuals.prior
     # Modes of the board are held by their priors on purpose; that is no doubt of the rig's numbers.
     rig = np.array([not is_mode(name) for name in names])
     corner_rms, stripe_rms = result.whitened_rms()

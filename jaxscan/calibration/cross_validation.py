@@ -206,12 +206,7 @@ def _solved(
     corners: np.ndarray,
     promise: tuple[float, np.ndarray | float],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """The solve of some corners [views, corners or 1], and of the stripes of their views; None if it says nothing.
-
-    Returns:
-        The step of the free unknowns [free], their covariance [free, free], and the part of it that noise causes:
-        priors are the same in every part and scatter nothing.
-    """
+    """The solve of some corners [views, corners or 1], and of the stripes of their views; None if it says nothing."""
     views = np.any(corners, axis=1)
     stripes = views[result.data.stripe_view]
     problem = replace(

@@ -7,21 +7,20 @@ import jax
 import numpy as np
 
 from jaxscan.calibration.problem import Prepared
-from jaxscan.calibration.rigs import MIN_TRAVEL_M, MIN_TURN_RAD
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import (
     CAMERAS,
+    MOTIONS,
     AbstractCamera,
     AbstractMotion,
     CameraModel,
     Carries,
     LaserSheet,
-    LinearStage,
-    Turntable,
     apply_homography,
+    carrying,
     direct_homography,
-    fit_axis,
     fit_plane,
+    motion_class,
     nearest_rotation,
     point_up,
 )
@@ -85,13 +84,6 @@ class _Corners(NamedTuple):
 
 def _seed_narrow(seen: _Corners, longest: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The lens and the board poses from homographies, without distortion.
-
-    Square pixels and a centred principal point are assumed, which keeps the estimate sound under
-    strong distortion; the solve frees both.
-
-    Returns:
-        Angles of the corners to the optical axis [n], rad; their distances from the middle of the image [n], px; and
-        T_cam_board of the views.
 
     Source: Zhang, A flexible new technique for camera calibration (2000), section 3.1.
     """
@@ -217,10 +209,7 @@ def seed_poses(data: Prepared, camera: AbstractCamera) -> np.ndarray:
 
 
 def _poses_from_rays(points: np.ndarray, rays: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """T_cam_board [views, 4, 4] of board points [n, 2] along unit rays [views, n, 3], and the share of the rays used.
-
-    Where they are too few, the pose of any board in the direction of the rays.
-    """
+    """T_cam_board [views, 4, 4] of board points [n, 2] along unit rays [views, n, 3], and the share of rays used."""
     count = np.maximum(valid.sum(1), 1)
     mean = np.sum(np.where(valid[..., None], rays, 0.0), axis=1) / count[:, None]
     # A rotation that turns the middle ray to +z.
@@ -262,9 +251,6 @@ def _seed_wide(seen: _Corners) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     middle ray of their view, those of a flat board are a homography of it, whatever the angle to
     the optical axis. The lens that leaves the smallest distances in the image is taken. Square
     pixels and a centred principal point are assumed; the solve frees both.
-
-    Returns:
-        As `_seed_narrow`, the distances being those at which the lens shows such angles.
     """
     chosen = np.unique(np.linspace(0, len(seen.q) - 1, _SEARCH_VIEWS).round().astype(int))
     focal, cubic = _search(_Corners(seen.points, seen.q[chosen], seen.valid[chosen]))
@@ -340,10 +326,6 @@ def _rays(q: np.ndarray, focal: float, cubic: float) -> tuple[np.ndarray, np.nda
     return np.concatenate([aside[..., None] * q, np.cos(theta)[..., None]], axis=-1), radius < grown[-1]
 
 
-# Boards before a linear stage do not turn; their poses from a first camera may be off by less than this.
-_MAX_TILT_DEG = 5.0
-
-
 def seed_motion(poses: np.ndarray, data: Prepared, carries: Carries, up: Up) -> AbstractMotion:
     """The motion from placements seen at several positions.
 
@@ -356,80 +338,21 @@ def seed_motion(poses: np.ndarray, data: Prepared, carries: Carries, up: Up) -> 
     Raises:
         CalibrationError: If no placement was seen from two positions, or the boards did not move like that.
     """
-    if carries in ("scanner", "object"):
-        return _seed_axis(poses, data, carries, up)
-    return _seed_travel(poses, data)
-
-
-def _seed_axis(poses: np.ndarray, data: Prepared, carries: Carries, up: Up) -> AbstractMotion:
-    """Axis and sense of the table.
-
-    Source: the paper, equation (10), for all pairs of angles.
-    """
-    pairs = _pairs(data, MIN_TURN_RAD)
+    kind, pairs = MOTIONS[carries], list[tuple[int, int]]()
+    for number in np.unique(data.placement[data.fixes_pose]):
+        views = np.flatnonzero(data.fixes_pose & (data.placement == number)).tolist()
+        pairs += [p for p in itertools.combinations(views, 2) if abs(data.angle[p[0]] - data.angle[p[1]]) > kind.least]
     if not pairs:
         raise CalibrationError(
-            "No board placement was seen from two table angles, so the axis cannot be determined: "
-            "leave the board standing and turn the table between images (same `placement`, other `angle_deg`)."
-        )
-    turn = np.array([data.angle[first] - data.angle[second] for first, second in pairs])
-    motion = np.array([poses[second] @ np.linalg.inv(poses[first]) for first, second in pairs])
-    try:
-        axis = fit_axis(motion)
-    except ValueError:
-        raise CalibrationError(
-            f"The commanded angles differ by up to {np.degrees(np.abs(turn).max()):.1f} degrees but the board did not "
-            "move in the image: the table did not turn, or the board turned with the camera."
-        ) from None
-    seen = _signed_angles(motion[:, :3, :3], axis.direction)
-    gain = _gain(turn, seen)
-    if not 0.8 < abs(gain) < 1.25:
-        raise CalibrationError(
-            f"The boards turned by {gain:.3f} times the commanded angles: check the steps per turn of the table, and "
-            "that records with the same `placement` saw the board unmoved."
-        )
-    start = Turntable.from_axis(axis.direction, axis.point, gain=float(np.sign(gain))).carrying(carries)
-    return point_up(start, up)
-
-
-def _seed_travel(poses: np.ndarray, data: Prepared) -> LinearStage:
-    """Direction of travel, as the mean of the boards' shifts over the commanded ones."""
-    pairs = _pairs(data, MIN_TRAVEL_M)
-    if not pairs:
-        raise CalibrationError(
-            "No board placement was seen from two positions of the stage, so its direction cannot be determined: leave "
-            "the board standing and move the stage between images (same `placement`, other `position_m`)."
+            f"No board placement was seen from two {kind.stops}, so the {kind.part} cannot be determined: "
+            f"{kind.capture}."
         )
     first, second = np.array(pairs).T
-    travel = data.angle[second] - data.angle[first]
-    shift = poses[first, :3, 3] - poses[second, :3, 3]
-    turned = np.swapaxes(poses[first, :3, :3], 1, 2) @ poses[second, :3, :3]
-    tilt = np.degrees(np.arccos(np.clip((np.trace(turned, axis1=1, axis2=2) - 1) / 2, -1.0, 1.0)))
-    if np.median(tilt) > _MAX_TILT_DEG:
-        raise CalibrationError(
-            f"The boards turned by {np.median(tilt):.1f} degrees while the stage moved, and a linear stage only "
-            "shifts them: check `carries` in capture.toml, and that records with the same `placement` saw the board "
-            "unmoved."
-        )
-    direction = travel @ shift / (travel @ travel)
-    gain = float(np.linalg.norm(direction))
-    if not 0.8 < gain < 1.25:
-        raise CalibrationError(
-            f"The boards moved by {gain:.3f} times the commanded travel: check that position_m is in metres, the size "
-            "of the board's squares, and that records with the same `placement` saw the board unmoved."
-        )
-    return LinearStage.from_direction(direction)
-
-
-def _pairs(data: Prepared, least: float) -> list[tuple[int, int]]:
-    """Views of the same placement at positions that differ by more than `least`."""
-    pairs = []
-    for number in np.unique(data.placement[data.fixes_pose]):
-        views = np.flatnonzero(data.fixes_pose & (data.placement == number))
-        pairs += [
-            (i, j) for i, j in itertools.combinations(views.tolist(), 2) if abs(data.angle[i] - data.angle[j]) > least
-        ]
-    return pairs
+    try:
+        motion = motion_class(carries).of_boards(poses[np.array(pairs).T], data.angle[second] - data.angle[first])
+    except ValueError as problem:
+        raise CalibrationError(str(problem)) from problem
+    return point_up(carrying(motion, carries), up)
 
 
 def average_placements(poses: np.ndarray, data: Prepared, motion: AbstractMotion) -> np.ndarray:
@@ -442,21 +365,3 @@ def average_placements(poses: np.ndarray, data: Prepared, motion: AbstractMotion
         result[number, :3, :3] = nearest_rotation(still[:, :3, :3].mean(0))
         result[number, :3, 3] = np.median(still[:, :3, 3], axis=0)
     return result
-
-
-def _signed_angles(rotations: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    skew = rotations - np.swapaxes(rotations, 1, 2)
-    vector = np.column_stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]]) / 2
-    return np.arctan2(vector @ direction, (np.trace(rotations, axis1=1, axis2=2) - 1) / 2)
-
-
-def _gain(commanded: np.ndarray, seen: np.ndarray) -> float:
-    """Seen over commanded angle, whichever sense fits; `seen` is known up to full turns."""
-    best, error = 0.0, np.inf
-    for sense in (1.0, -1.0):
-        full = seen + 2 * np.pi * np.round((sense * commanded - seen) / (2 * np.pi))
-        gain = float(commanded @ full / (commanded @ commanded))
-        misfit = float(np.abs(full - gain * commanded).mean() + np.abs(full - sense * commanded).mean())
-        if misfit < error:
-            best, error = gain, misfit
-    return best

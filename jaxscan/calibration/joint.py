@@ -140,25 +140,24 @@ class Linearised:
     """The problem at the point that it holds, to first order; scaled units, on the host."""
 
     problem: Problem
-    residuals: Residuals
     arrow: Arrow
     """The normal equations."""
-    seen: Seen
-
-    @property
-    def corner_error(self) -> Float[np.ndarray, "views rows"]:
-        """Projected minus observed corners, u and v of each [px]."""
-        return np.asarray(self.seen.corners.value)
-
-    @property
-    def offset(self) -> Float[np.ndarray, "stripes points"]:
-        """Distance e of a stripe point, lifted to its board, from its sheet [m]."""
-        return np.asarray(self.seen.stripes.value)
-
-    @property
-    def by_q(self) -> Float[np.ndarray, "stripes points 2"]:
-        """grad_q e [m / px]."""
-        return np.asarray(self.seen.by_q)
+    corner_error: Float[np.ndarray, "views rows"]
+    """Projected minus observed corners, u and v of each [px]."""
+    offset: Float[np.ndarray, "stripes points"]
+    """Distance e of a stripe point, lifted to its board, from its sheet [m]."""
+    by_q: Float[np.ndarray, "stripes points 2"]
+    """grad_q e [m / px]."""
+    view_poses: Float[np.ndarray, "views 4 4"]
+    """T_cam(phi)_board of every view."""
+    residuals: Residuals
+    prior_slopes: Float[np.ndarray, "shared shared"]
+    """Derivatives of the priors' residuals."""
+    chains: Chains
+    """Derivatives of the departures by the shared unknowns and those of the view's placement."""
+    corner_slopes: Float[np.ndarray, "views rows departures"]
+    """Derivatives of the whitened rows by the departures of their view."""
+    stripe_slopes: Float[np.ndarray, "stripes points departures"]
 
     @cached_property
     def slope(self) -> Float[np.ndarray, "stripes points"]:
@@ -166,40 +165,9 @@ class Linearised:
         return np.hypot(self.by_q[..., 0], self.by_q[..., 1])
 
     @property
-    def prior_residual(self) -> Float[np.ndarray, " shared"]:
-        """Departures from expected values, in standard deviations."""
-        return np.asarray(self.residuals.prior)
-
-    @property
     def prior(self) -> Float[np.ndarray, "shared shared"]:
         """The part of the information that comes from the priors."""
-        slopes = np.asarray(self.seen.priors)
-        return slopes.T @ slopes
-
-    @property
-    def view_poses(self) -> Float[np.ndarray, "views 4 4"]:
-        """T_cam(phi)_board of every view."""
-        return np.asarray(self.seen.pose)
-
-    @property
-    def corner_chain(self) -> Float[np.ndarray, "views departures unknowns"]:
-        """Derivatives of the departures by the shared unknowns and those of the view's placement."""
-        return np.asarray(self.seen.chain.corner)
-
-    @property
-    def stripe_chain(self) -> Float[np.ndarray, "stripes departures unknowns"]:
-        """The same of stripes."""
-        return np.asarray(self.seen.chain.stripe)
-
-    @cached_property
-    def corner_slopes(self) -> Float[np.ndarray, "views rows departures"]:
-        """Derivatives of the whitened rows by the departures of their view."""
-        return np.asarray(self.seen.corners.slopes) * np.repeat(self.problem.corner_weight, 2, axis=1)[..., None]
-
-    @cached_property
-    def stripe_slopes(self) -> Float[np.ndarray, "stripes points departures"]:
-        """The same of stripes."""
-        return np.asarray(self.seen.stripes.slopes) * np.asarray(self.problem.stripe_weight)[..., None]
+        return self.prior_slopes.T @ self.prior_slopes
 
     @cached_property
     def reduced(self) -> Float[np.ndarray, "shared shared"]:
@@ -214,17 +182,13 @@ class Linearised:
     @cached_property
     def corner_leverage(self) -> Float[np.ndarray, "views rows"]:
         """Share of each whitened residual that the fit takes up, 0 ... 1 [1]."""
-        return _leverage(self.corner_slopes, self.corner_chain, self.covariance.of(self._placement))
+        return _leverage(self.corner_slopes, self.chains.corner, self.covariance.of(np.asarray(self.problem.placement)))
 
     @cached_property
     def stripe_leverage(self) -> Float[np.ndarray, "stripes points"]:
         """The same of stripes."""
-        owner = self._placement[np.asarray(self.problem.stripe_view)]
-        return _leverage(self.stripe_slopes, self.stripe_chain, self.covariance.of(owner))
-
-    @property
-    def _placement(self) -> np.ndarray:
-        return np.asarray(self.problem.placement)
+        owner = np.asarray(self.problem.stripe_placement())
+        return _leverage(self.stripe_slopes, self.chains.stripe, self.covariance.of(owner))
 
 
 class Solution(NamedTuple):
@@ -238,11 +202,6 @@ class Solution(NamedTuple):
     """Linearisations, the first one included."""
     converged: bool
     """False where it stopped after its last step."""
-
-    @property
-    def problem(self) -> Problem:
-        """The problem seen from the minimum."""
-        return self.linearised.problem
 
 
 def solve(problem: Problem, damping: float, tolerance: float, max_steps: int) -> Solution:
@@ -264,7 +223,21 @@ def solve(problem: Problem, damping: float, tolerance: float, max_steps: int) ->
     found = jax.tree.map(np.asarray, found)
     if not found.steps:
         raise CalibrationError("The solve left the range of numbers: the observations contradict each other.")
-    end = Linearised(_at(problem, found.y.moved), found.residuals, *found.linear)
+    (arrow, seen), problem = found.linear, _at(problem, found.y.moved)
+    corners, stripes = seen.corners, seen.stripes
+    end = Linearised(
+        problem,
+        arrow,
+        corners.value,
+        stripes.value,
+        seen.by_q,
+        seen.pose,
+        found.residuals,
+        seen.priors,
+        seen.chain,
+        corners.slopes * np.repeat(problem.corner_weight, 2, axis=1)[..., None],
+        stripes.slopes * np.asarray(problem.stripe_weight)[..., None],
+    )
     return Solution(end, found.y.shared, int(found.steps), bool(found.converged))
 
 

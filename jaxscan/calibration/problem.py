@@ -17,6 +17,7 @@ from jaxscan.geometry import (
     LaserSheet,
     Layout,
     bend_functions,
+    carrying,
     compose,
     corner_frame,
     exponential,
@@ -340,7 +341,7 @@ def make_problem(
         # A problem of its own for each size would be compiled again for each.
         camera=camera.without_size(),
         lasers=lasers,
-        turntable=motion.carrying("scanner"),
+        turntable=carrying(motion, "scanner"),
         poses=poses,
         stops=np.zeros((len(poses), data.stop.shape[1])),
         shape=np.zeros(3),

@@ -258,14 +258,7 @@ class _Wall(NamedTuple):
 
 
 def _wall(scanner: Scanner, laser: int, depth: float) -> _Wall | None:
-    """A wall 4 m long from 2.5 m away, or as long for its distance; of an object, a quarter turn at a depth.
-
-    Both ends are seen on different lines of the image, so that a wrong lens changes the length too. Of a stage: points
-    half a metre of travel apart.
-
-    Returns:
-        None without a motion, or where the stripe is not seen there.
-    """
+    """A wall 4 m long from 2.5 m away, or as long for its distance; of an object, a quarter turn at a depth."""
     motion, lit = scanner.turntable, lit_lines(scanner, laser, depth)
     if not isinstance(motion, LinearStage | Turntable) or not len(lit.q):
         return None
@@ -358,10 +351,7 @@ def _middle(reached: list[Lit]) -> Lit:
 
 
 def _in_reach(scanner: Scanner, laser: int) -> list[Lit]:
-    """The stripe at those of `DEPTHS_M` where it is in the image and its pixels still mean something.
-
-    A table that carries the object is never looked at far beyond itself.
-    """
+    """The stripe at those of `DEPTHS_M` where it is in the image and its pixels still mean something."""
     table = scanner.turntable
     limit = 2.0 * float(table.point[2]) if isinstance(table, Turntable) and table.carries == "object" else np.inf
     candidates = [lit_lines(scanner, laser, depth) for depth in DEPTHS_M if depth <= limit]

@@ -272,7 +272,7 @@ class BoardMap:
 
     free: str
     """"parabola": a bow along x and y alone; "bent": other heights too, which are polynomials; "smooth": the print as
-    well; "corners": every corner by itself."""
+    well."""
     rms_off_flat_m: float
     """Root mean square height over the best plane [m]."""
     held_out_rms_parabola_px: float | None = None

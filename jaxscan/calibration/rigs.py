@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxscan.calibration.settings import CAMERA_BLOCKS, CalibrationSettings, RigKind
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import AbstractCamera, AbstractMotion, Carries, LaserSheet
+from jaxscan.geometry import MOTIONS, AbstractCamera, AbstractMotion, Carries, LaserSheet
 from jaxscan.geometry.laser import LASER_BLOCKS
 from jaxscan.geometry.motions import MOTION_BLOCKS
 from jaxscan.observation import BoardSource
@@ -81,17 +81,6 @@ NOTHING_KNOWN = KnownParts()
 
 MIN_VIEWS = 3
 """Views of a board from which a camera can be found."""
-MIN_TURN_RAD, MIN_TRAVEL_M = 1e-3, 1e-4
-"""Positions closer than this are the same stop of the table or stage."""
-_MOTION: dict[str, str] = {"linear": "direction of travel"}
-_CAPTURE_MORE: dict[str, str] = {
-    "linear": "leave the board standing and move the stage between images (same `placement`, other `position_m`): "
-    "4 placements at 5 positions each",
-}
-_TURN_MORE = (
-    "leave the board standing and turn the table between images (same `placement`, other `angle_deg`): 4 placements "
-    "at 9 table angles each"
-)
 IN_JOURNAL = "in the journal"
 _LIGHT_MORE = "capture each board pose with the laser on and off"
 
@@ -121,7 +110,7 @@ class Rig:
 
     def words(self) -> str:
         """The parts: "camera, sheet and axis"."""
-        parts = ["camera", *_sheets(self.lasers), *([_MOTION.get(self.carries, "axis")] if self.moves else [])]
+        parts = ["camera", *_sheets(self.lasers), *([MOTIONS[self.carries].part] if self.moves else [])]
         return f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else "camera alone"
 
 
@@ -160,10 +149,8 @@ def largest_rig(
             missing.append(f"no sheet of laser {name!r}: {unlit}; {_LIGHT_MORE}")
     moves = only not in ("camera", "profile") and held.carries != "nothing" and (held.moved or known.motion is not None)
     if only not in ("camera", "profile") and held.carries != "nothing" and not moves:
-        places = "positions of the stage" if held.carries == "linear" else "table angles"
-        wanted = _CAPTURE_MORE.get(held.carries, _TURN_MORE)
-        part = _MOTION.get(held.carries, "axis")
-        missing.append(f"no {part}: no board placement was seen from two {places} {seen}; {wanted}")
+        kind = MOTIONS[held.carries]
+        missing.append(f"no {kind.part}: no board placement was seen from two {kind.stops} {seen}; {kind.capture}")
     return Rig(lasers, moves, held.carries, tuple(missing))
 
 
@@ -201,9 +188,8 @@ def planned_rig(captures: Sequence[BoardSource], only: RigKind | None = None, kn
 
 def has_moved(placed: Iterable[tuple[object, float]], carries: Carries) -> bool:
     """Whether a placement was seen from two positions; each view is (placement, position [rad or m])."""
-    least = MIN_TRAVEL_M if carries == "linear" else MIN_TURN_RAD
     ends: dict[object, tuple[float, float]] = {}
     for place, at in placed:
         low, high = ends.get(place, (np.inf, -np.inf))
         ends[place] = min(low, at), max(high, at)
-    return any(high - low > least for low, high in ends.values())
+    return any(high - low > MOTIONS[carries].least for low, high in ends.values())

@@ -185,11 +185,7 @@ def _take(stripes: StripeViews, every: StripeViews, taken: np.ndarray) -> Stripe
 
 
 def _agreed(lines: _Lines, lifted: Lifted, size: tuple[int, int], name: str) -> np.ndarray:
-    """Rows of the lines on one plane, at most one of each stripe; the likeliest of each where there is no plane.
-
-    Raises:
-        CalibrationError: If too few lie on one.
-    """
+    """Rows of the lines on one plane, at most one of each stripe; the likeliest of each where there is no plane."""
     tolerance = _TOLERANCE * float(np.hypot(*size))
     plane, agreed = _consensus(lines, tolerance), np.sort(lines.row[lines.starts()])
     for _ in range(_ROUNDS):

@@ -191,11 +191,7 @@ def _lines_test(result: Adjustment, steps: list[np.ndarray]) -> ModelTest:
 
 
 def _look(score: Score, name: str, known: _Seen | None = None) -> _Seen:
-    """The score of the terms of one model beside those that are known.
-
-    The directions are independent of the known ones: from the terms of the model, those that would explain the same
-    are taken off (Gram and Schmidt, with the score's variance as the product).
-    """
+    """The score of the terms of one model beside those that are known."""
     places = score.places[name]
     places = places[score.own[places] > 0]
     gradient, variance = score.gradient[places], score.variance[np.ix_(places, places)]
@@ -261,12 +257,12 @@ def score_models(result: Adjustment) -> Score:
             corner["table"] = np.zeros((*turned.shape[:2], shapes["table"].shape[1]))
             corner["table"][views] = turned[views] * shapes["table"][:, None]
         single["axis"] = twist
-    groups = [(corner, linear.corner_slopes, linear.corner_chain, problem.placement, linear.corner_error * weight)]
+    groups = [(corner, linear.corner_slopes, linear.chains.corner, problem.placement, linear.corner_error * weight)]
     if len(problem.lasers.distance):
         shapes["sheet"], weight = _sheet_terms(result), np.asarray(problem.stripe_weight)
         sheet = {"sheet": shapes["sheet"] * (linear.slope * weight)[..., None]}
         owner = problem.stripe_placement()
-        groups.append((sheet, linear.stripe_slopes, linear.stripe_chain, owner, linear.offset * weight))
+        groups.append((sheet, linear.stripe_slopes, linear.chains.stripe, owner, linear.offset * weight))
     sizes = {name: terms.shape[-1] for terms_of, *_ in groups for name, terms in terms_of.items()}
     sizes |= {name: len(views) * terms.shape[-1] for name, terms in single.items()}
     ends = np.cumsum([0, *sizes.values()]).tolist()
@@ -344,10 +340,7 @@ def _mean_residual(result: Adjustment) -> Float[np.ndarray, "views rows"]:
 
 
 def _lens_terms(where: Float[np.ndarray, "views corners 2"], half: np.ndarray) -> dict[str, np.ndarray]:
-    """Displacements of the image [views, rows, terms], px, by the place in it, -1 ... 1 of its half size.
-
-    "lens": polynomials of the place; "radial": from the centre, the next powers of the distance from it.
-    """
+    """Displacements of the image [views, rows, terms], px, by the place in it, -1 ... 1 of its half size."""
     field, away = _polynomials(where, _LENS_DEGREE), where * half / np.linalg.norm(half)
     along, across = np.stack([field, np.zeros_like(field)], 2), np.stack([np.zeros_like(field), field], 2)
     square = np.sum(away * away, axis=-1)[..., None]
@@ -359,10 +352,7 @@ def _lens_terms(where: Float[np.ndarray, "views corners 2"], half: np.ndarray) -
 
 
 def _board_terms(problem: Problem, shift: Float[np.ndarray, "views rows 3"]) -> Float[np.ndarray, "views rows terms"]:
-    """Shapes of the board: prints that are not true, along x and y, and polynomial heights [px].
-
-    A shift along the axes of the board moves a corner as it moves the whole board.
-    """
+    """Shapes of the board: prints that are not true, along x and y, and polynomial heights [px]."""
     where = (np.asarray(problem.board)[:, :2] - problem.frame[:2]) / problem.frame[2:]
     parts = zip(np.moveaxis(shift, -1, 0), (_PRINT_DEGREE, _PRINT_DEGREE, _HEIGHT_DEGREE), strict=True)
     return np.concatenate(
@@ -401,10 +391,7 @@ def _polynomials(where: Float[np.ndarray, "... 2"], degree: int) -> Float[np.nda
 
 
 def _turn_terms(problem: Problem, views: Int[np.ndarray, " repeated"]) -> Float[np.ndarray, "repeated terms"]:
-    """Errors of the motion's positions at some views [rad or m].
-
-    One of each view's own where stops are exact. Where they err by chance, those that chance does not make.
-    """
+    """Errors of the motion's positions at some views [rad or m]."""
     if float(problem.stop_sigma) <= LEAST_STOP_SIGMA:
         return np.eye(len(views))
     faults, stop = faults_of_motion(problem), np.asarray(problem.stop)[views]

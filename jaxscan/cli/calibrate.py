@@ -244,15 +244,12 @@ def _motion(words: Sequence[str], carries: str) -> "AbstractMotion":
         if scanner is None or isinstance(scanner.turntable, geometry.Still):
             raise OptionError(f"--axis: {words[0]} holds no axis, expected a calibration with one.")
         return scanner.turntable
-    linear = carries == "linear"
-    wanted = "the direction of travel" if linear else "a point of the axis in metres and its direction"
-    values = _numbers("--axis", words, 3 if linear else 6, wanted)
+    keys, wanted = geometry.MOTIONS[carries].numbers
+    if not keys:
+        raise OptionError("--axis: the header says that nothing moves, expected no axis.")
+    values = _numbers("--axis", words, 3 * len(keys), wanted).reshape(-1, 3)
     try:
-        if linear:
-            return geometry.LinearStage.from_direction(values)
-        return geometry.Turntable.from_axis(
-            values[3:], values[:3], carries="object" if carries == "object" else "scanner"
-        )
+        return geometry.motion_of(carries, **dict(zip(keys, values, strict=True)))
     except ValueError as problem:
         raise OptionError(f"--axis: {problem}.") from problem
 

@@ -61,18 +61,30 @@ def design(
     if save_rig is not None and save_rig.suffix.lower() != ".toml":
         raise OutputError(f'{save_rig}: cannot write "{save_rig.suffix}", known is .toml.')
     check_paths([], [*file_at("--output", output), *file_at("--save-rig", save_rig)], json=json)
-    options = {
-        "range": quantity("--range", range, METRES, (0.05, 100.0)),
-        "sigma": quantity("--sigma", sigma, METRES, (1e-7, 1.0)),
-        "longest": quantity("--longest-baseline", longest_baseline, METRES, (0.005, 10.0)),
-        "field": quantity("--field", field, DEGREES, (1.0, 110.0)),
-    }
-    wish = _given(_wish(options, camera, pixel), lens, baseline)
+    wish = rigs.RigWish(
+        range_m=quantity("--range", range, METRES, (0.05, 100.0)),
+        sigma_m=quantity("--sigma", sigma, METRES, (1e-7, 1.0)),
+        longest_baseline_m=quantity("--longest-baseline", longest_baseline, METRES, (0.005, 10.0)),
+        field_deg=quantity("--field", field, DEGREES, (1.0, 110.0)),
+    )
+    given: dict[str, Any] = {}
+    side = quantity("--pixel", pixel, MICROMETRES, (0.5, 50.0))
+    if camera is not None:
+        given["sensors"] = (rigs.Sensor(*image_size("--camera", camera), side * 1e-6),)
+    if lens is not None:
+        given["lenses_mm"] = (1e3 * quantity("--lens", lens, METRES, (1e-3, 0.5)),)
+    if baseline is not None:
+        given["baselines_m"] = (quantity("--baseline", baseline, METRES, (0.005, 10.0)),)
+        if given["baselines_m"][0] > wish.longest_baseline_m:
+            raise OptionError(
+                f"--baseline: found {given['baselines_m'][0]:g} m, expected at most --longest-baseline, "
+                f"{wish.longest_baseline_m:g} m."
+            )
     if stripe_noise is not None:
-        wish = dataclasses.replace(wish, stripe_px=quantity("--stripe-noise", stripe_noise, PIXELS, (1e-4, 10.0)))
+        given["stripe_px"] = quantity("--stripe-noise", stripe_noise, PIXELS, (1e-4, 10.0))
     if calibration_noise is not None:
-        allowed = quantity("--calibration-noise", calibration_noise, PIXELS, (0.0, 10.0))
-        wish = dataclasses.replace(wish, calibration_px=allowed)
+        given["calibration_px"] = quantity("--calibration-noise", calibration_noise, PIXELS, (0.0, 10.0))
+    wish = dataclasses.replace(wish, **given)
     for path in (output, save_rig):
         if path is not None:
             disk.check_writable(path)
@@ -89,33 +101,6 @@ def design(
         api.save_designed_rig(choice.design, save_rig, step_deg=step_deg)
         out.print(f"written: {save_rig}; `jaxscan simulate {save_rig} -o captures/design` renders it")
     emit_json(json, "design", result)
-
-
-def _wish(options: dict[str, float], camera: str | None, pixel: str) -> "rigs.RigWish":
-    wish = rigs.RigWish(
-        range_m=options["range"],
-        sigma_m=options["sigma"],
-        longest_baseline_m=options["longest"],
-        field_deg=options["field"],
-    )
-    side = quantity("--pixel", pixel, MICROMETRES, (0.5, 50.0))
-    if camera is None:
-        return wish
-    width, height = image_size("--camera", camera, (8, 65535))
-    return dataclasses.replace(wish, sensors=(rigs.Sensor(width, height, side * 1e-6),))
-
-
-def _given(wish: "rigs.RigWish", lens: str | None, baseline: str | None) -> "rigs.RigWish":
-    if lens is not None:
-        wish = dataclasses.replace(wish, lenses_mm=(1e3 * quantity("--lens", lens, METRES, (1e-3, 0.5)),))
-    if baseline is not None:
-        length = quantity("--baseline", baseline, METRES, (0.005, 10.0))
-        if length > wish.longest_baseline_m:
-            raise OptionError(
-                f"--baseline: found {length:g} m, expected at most --longest-baseline, {wish.longest_baseline_m:g} m."
-            )
-        wish = dataclasses.replace(wish, baselines_m=(length,))
-    return wish
 
 
 def _scan_seconds(step_deg: float) -> float:
@@ -258,17 +243,16 @@ def quantity(option: str, text: str, units: dict[str, float], limits: tuple[floa
     return value
 
 
-def image_size(option: str, text: str, limits: tuple[int, int]) -> tuple[int, int]:
+def image_size(option: str, text: str) -> tuple[int, int]:
     """Width and height in pixels.
 
     Raises:
-        OptionError: If it is not WIDTHxHEIGHT within the limits.
+        OptionError: If it is not WIDTHxHEIGHT within 8 to 65535 px and 100 megapixels.
     """
     found = _SIZE.fullmatch(text.strip())
-    low, high = limits
-    size = (int(found[1]), int(found[2])) if found else (0, 0)
-    if not all(low <= side <= high for side in size):
-        raise OptionError(f"{option}: found {text[:40]!r}, expected WIDTHxHEIGHT of {low} to {high} px, as 2448x2048.")
-    if size[0] * size[1] > MOST_PIXELS:
+    width, height = (int(found[1]), int(found[2])) if found else (0, 0)
+    if not (8 <= width <= 65535 and 8 <= height <= 65535):
+        raise OptionError(f"{option}: found {text[:40]!r}, expected WIDTHxHEIGHT of 8 to 65535 px, as 2448x2048.")
+    if width * height > MOST_PIXELS:
         raise OptionError(f"{option}: found {text[:40]!r}, expected at most {MOST_PIXELS // 10**6} megapixels.")
-    return size
+    return width, height

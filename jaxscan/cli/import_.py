@@ -11,6 +11,7 @@ from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json
 from jaxscan.errors import OptionError
 from jaxscan.files import importing, recording
+from jaxscan.geometry.motion_kinds import MOTIONS
 
 
 if TYPE_CHECKING:
@@ -91,12 +92,12 @@ def import_(
         raise OptionError("-o: is needed: the folder of the new capture; --show only shows what would be imported.")
     if output is not None:
         recording.check_new_folder(output)
-    linear = carries == "linear"
-    _fits("--carries", "linear", linear, {"--step-mm": step_mm, "--positions": positions})
+    unit = "rad" if carries is None else MOTIONS[carries].unit
+    _fits("--carries", "linear", unit == "m", {"--step-mm": step_mm, "--positions": positions})
     _fits(
         "--carries",
         "scanner or object",
-        carries in (None, "scanner", "object"),
+        unit == "rad",
         {"--step-deg": step_deg, "--angles": angles},
     )
     request = importing.ImportRequest(
@@ -105,8 +106,8 @@ def import_(
         boards=boards,
         board=None if board is None else importing.parse_board(board),
         carries=carries,
-        step=step_mm if linear else step_deg,
-        places=positions if linear else angles,
+        step=step_mm if unit == "m" else step_deg,
+        places=positions if unit == "m" else angles,
         exposures_ms=_checked(exposures_ms),
         lasers=lasers,
         every=every,
@@ -152,7 +153,7 @@ def _show(out: Terminal, plan: "ImportPlan", found: "ImportedHeader", laser_colo
     for at, name in ((0, "first"), (-1, "last")):
         record = plan.records[at]
         images = [" ".join(map(str, images)) for images in (record.on, record.off) if images]
-        unit = "mm" if plan.request.carries == "linear" else "degrees"
+        unit = "mm" if MOTIONS[plan.request.carries or "scanner"].unit == "m" else "degrees"
         where = "" if record.place.value is None else f", {record.place.value:g} {unit}"
         out.print(f"  {name} record: {' with '.join(images)}{where}")
     for sentence in plan.said:

@@ -17,6 +17,7 @@ from jaxscan.cli.terminal import JsonTarget, console, emit_json
 from jaxscan.errors import ConfigError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import disk
+from jaxscan.geometry.motion_kinds import MOTIONS
 
 
 Facts = dict[str, Any]
@@ -113,7 +114,9 @@ def _of_capture(path: Path) -> Facts:
         "camera": f"{width} x {height} px, {capture.pixel_format}",
         "lasers": [line.name for line in capture.lasers],
         "motion": capture.carries,
-        "turned_deg": None if not angles or capture.carries == "linear" else float(np.degrees(np.ptp(angles))),
+        "turned_deg": None
+        if not angles or MOTIONS[capture.carries or "scanner"].unit == "m"
+        else float(np.degrees(np.ptp(angles))),
         "board": None if capture.board is None else capture.board.describe(),
         "digest": capture.digest(),
         "notes": list(capture.notes),

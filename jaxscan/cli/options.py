@@ -16,6 +16,7 @@ from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
 from jaxscan.files.clouds import FORMATS
 from jaxscan.files.disk import COPY_FIRST, is_address
+from jaxscan.geometry.motion_kinds import Carries as Carries
 
 
 CapturePath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
@@ -72,7 +73,6 @@ Storage = Literal["zstd", "png", "npy"]
 PixelFormat = Literal["mono8", "rgb8", "bayer_rggb8", "bayer_bggr8", "bayer_grbg8", "bayer_gbrg8"]
 LaserColour = Literal["auto", "red", "green", "blue"]
 StripeAxis = Literal["rows", "columns"]
-Carries = Literal["scanner", "object", "linear", "nothing"]
 ImageUp = Literal["-v", "+v", "+u", "-u"]
 CLOUD_SUFFIXES = " ".join(FORMATS)
 """Suffixes of `jaxscan.files.clouds.WRITERS`, written out so that `--help` does not load the readers and writers."""

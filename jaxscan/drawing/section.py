@@ -23,7 +23,7 @@ MOVED_M = 0.08
 
 
 class _End(NamedTuple):
-    """Where the section meets a wall."""
+    """Where the section meets a wall, s metres along it."""
 
     s: float
     surface: Surface

@@ -13,7 +13,7 @@ import numpy as np
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import CaptureHeader, open_capture
 from jaxscan.files.clouds import save_cloud
-from jaxscan.files.disk import check_name, make_folder, partial_folder, reported, write_atomically
+from jaxscan.files.disk import check_name, reported, whole_folder, write_atomically
 from jaxscan.files.recording import create_capture
 from jaxscan.reconstruction import PointCloud
 from jaxscan.simulation import RenderedRecord, SimulationConfig, board_pairs, sweep_angles, true_cloud
@@ -78,13 +78,8 @@ def new_simulation(folder: Path) -> Iterator[Path]:
     check_name(target, error=CaptureError)
     if os.path.lexists(target) and (not os.path.isdir(target) or os.listdir(target)):
         raise CaptureError(f"{folder}: exists and is not empty; choose another folder, a capture is never overwritten.")
-    with reported(f"{folder}: cannot be written", error=CaptureError):
-        make_folder(target.parent)
-        with partial_folder(target) as part:
-            yield part
-            if os.path.isdir(target):
-                target.rmdir()
-            os.rename(part, target)
+    with reported(f"{folder}: cannot be written", error=CaptureError), whole_folder(target, durable=False) as part:
+        yield part
 
 
 def write_boards(

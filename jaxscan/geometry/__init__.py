@@ -35,7 +35,16 @@ if TYPE_CHECKING:
     from jaxscan.geometry.homography import apply_homography, direct_homography, fixes_plane
     from jaxscan.geometry.kinematics import lit_points, lit_slopes, pixels, points, poses, rays, slopes
     from jaxscan.geometry.laser import LaserSheet, stack_lasers
-    from jaxscan.geometry.motions import AbstractMotion, Carries, LinearStage, Still, Turntable
+    from jaxscan.geometry.motion_kinds import MOTIONS, Carries
+    from jaxscan.geometry.motions import (
+        AbstractMotion,
+        LinearStage,
+        Still,
+        Turntable,
+        carrying,
+        motion_class,
+        motion_of,
+    )
     from jaxscan.geometry.parameters import ParameterBlock
     from jaxscan.geometry.plausible import Doubt, camera_doubts, scanner_doubts
     from jaxscan.geometry.rig import Layout, Rig, make_layout

@@ -1,35 +1,104 @@
-"""Motions of a scanner between its records: a turntable, a linear stage, or none."""
+"""Motions of a scanner between its records: a turntable, a linear stage, or none.
+
+A motion is a class here and a row of `motion_kinds.py`; all other rooms work by these two.
+"""
 
 import abc
-from collections.abc import Sequence
-from typing import ClassVar, Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from jaxscan.geometry.arrays import Array, ArrayModule, namespace, real
+from jaxscan.geometry.fit import fit_axis
+from jaxscan.geometry.motion_kinds import MOTIONS
 from jaxscan.geometry.parameters import ParameterBlock
-from jaxscan.geometry.rigid import move_direction, nearest_rotation, rigid, tangent_basis, turn, unit_vector
+from jaxscan.geometry.rigid import (
+    check_frame,
+    move_direction,
+    nearest_rotation,
+    rigid,
+    tangent_basis,
+    turn,
+    unit_vector,
+)
 
 
-Carries = Literal["scanner", "object", "linear", "nothing"]
-"""The turning part of a turntable; a linear stage; or no motion."""
+SLOWEST = 1e-6  # The least gain.
+# The motion of boards over the commanded one, within which the command is believed.
+_GAINS = (0.8, 1.25)
+# Boards before a linear stage do not turn; their poses from a first camera may be off by less than this.
+_MAX_TILT_DEG = 5.0
+_UNMOVED = "that records with the same `placement` saw the board unmoved"
+
+
+class Field(NamedTuple):
+    """Numbers in the table of a motion in files."""
+
+    shape: tuple[int, ...]
+    default: Any = ...
+    """Where the file does not have them; without one they are required."""
+
+
+_GAIN = Field((), 1.0)
+_BASIS = Field((2, 3), None)
+"""With a basis a table is canonical; without one it was written by hand, and vectors are of any length."""
+
+
+class Described(NamedTuple):
+    """A line of a report."""
+
+    name: str
+    values: tuple[float, ...]
+    sigma: float
+    unit: str
+    """Of values and sigma; "direction" of a unit vector whose sigma is in mrad."""
 
 
 class AbstractMotion(ArrayModule):
     """A motion with one position s per record: the table's angle [rad], or the place of a stage [m].
 
-    At position 0 the camera is where it defines the rig. A motion adds its name, its blocks and these methods.
+    At position 0 the camera is where it defines the rig.
     """
 
     blocks: eqx.AbstractClassVar[tuple[ParameterBlock, ...]]
     """Blocks of its minimal coordinates, in the order of `retract`."""
+    fields: eqx.AbstractClassVar[Mapping[str, Field]]
+    """Its table in files: the attributes by name, with their unit where that is not 1."""
 
     @property
     @abc.abstractmethod
-    def carries(self) -> Carries:
-        """Its name in files."""
+    def carries(self) -> str:
+        """Its name in `MOTIONS`."""
+
+    @staticmethod
+    @abc.abstractmethod
+    def of_table(values: Mapping[str, Any], carries: str) -> "AbstractMotion":
+        """The motion of the numbers of a file.
+
+        Raises:
+            ValueError: If they make no motion.
+        """
+
+    @staticmethod
+    @abc.abstractmethod
+    def of_boards(poses: Float[np.ndarray, "2 pairs 4 4"], change: Float[np.ndarray, " pairs"]) -> "AbstractMotion":
+        """First values, from boards that stood still.
+
+        Args:
+            poses: T_cam_board of each at two positions.
+            change: Second position less the first [rad or m].
+
+        Raises:
+            ValueError: If boards do not move so, with the finding and the remedy.
+        """
+
+    @abc.abstractmethod
+    def described(self, sigma: Mapping[str, float]) -> list[Described]:
+        """Lines of a report, with the standard deviations of the minimal coordinates by name."""
 
     @abc.abstractmethod
     def motion(self, s: Float[Array, "*n"]) -> Float[Array, "*n 4 4"]:
@@ -52,60 +121,53 @@ class AbstractMotion(ArrayModule):
         """The values that the priors are for; 0 for directions and points, of which nothing is known beforehand."""
 
     @abc.abstractmethod
-    def departure(self, other: "AbstractMotion") -> Float[np.ndarray, " params"]:
+    def departure(self, other: Any) -> Float[np.ndarray, " params"]:
         """Difference of another motion of the same kind, in the minimal coordinates of this one."""
 
-    @abc.abstractmethod
-    def pointed(self, up: Float[Array, "3"]) -> "AbstractMotion":
-        """The same motion in its canonical form, for an image whose up side is `up` in the camera frame."""
-
-    @abc.abstractmethod
-    def carrying(self, carries: Carries) -> "AbstractMotion":
-        """The same motion of boards in front of the camera, described for the other part where it can be."""
+    def table(self) -> dict[str, Any]:
+        """Its numbers in files; see `fields`."""
+        return {"carries": self.carries, **{key: getattr(self, key.removesuffix("_m")) for key in self.fields}}
 
 
 class Still(AbstractMotion):
     """The camera stays where it is; the scanner frame is the camera frame."""
 
     blocks: ClassVar[tuple[ParameterBlock, ...]] = ()
+    fields: ClassVar[Mapping[str, Field]] = {}
 
     @property
-    def carries(self) -> Carries:
-        """Its name in files."""
+    def carries(self) -> str:
         return "nothing"
 
+    @staticmethod
+    def of_table(values: Mapping[str, Any], carries: str) -> "Still":
+        return Still()
+
+    @staticmethod
+    def of_boards(poses: Float[np.ndarray, "2 pairs 4 4"], change: Float[np.ndarray, " pairs"]) -> "Still":
+        return Still()
+
+    def described(self, sigma: Mapping[str, float]) -> list[Described]:
+        return []
+
     def motion(self, s: Float[Array, "*n"]) -> Float[Array, "*n 4 4"]:
-        """The identity."""
         xp = namespace(s)
         return xp.broadcast_to(xp.eye(4, dtype=s.dtype), (*s.shape, 4, 4))
 
     def twist(self) -> Float[Array, "6"]:
-        """No motion."""
         return np.zeros(6)
 
     def frame(self) -> Float[Array, "4 4"]:
-        """T_scanner_cam: the identity."""
         return np.eye(4, dtype=np.float32)
 
     def retract(self, step: Float[Array, " params"]) -> "Still":
-        """Return this motion: there is nothing to move."""
         return self
 
     def prior_values(self) -> Float[Array, " params"]:
-        """None."""
         return np.zeros(0)
 
-    def departure(self, other: AbstractMotion) -> Float[np.ndarray, " params"]:
-        """None."""
+    def departure(self, other: Any) -> Float[np.ndarray, " params"]:
         return np.zeros(0)
-
-    def pointed(self, up: Float[Array, "3"]) -> "Still":
-        """The same."""
-        return self
-
-    def carrying(self, carries: Carries) -> "Still":
-        """The same."""
-        return self
 
 
 class LinearStage(AbstractMotion):
@@ -127,6 +189,7 @@ class LinearStage(AbstractMotion):
         # The prior is for the accuracy of the stage's screw and step count.
         ParameterBlock("gain", ("gain",), 0.001, prior="gain", sigma=1e-3, expected=1.0),
     )
+    fields: ClassVar[Mapping[str, Field]] = {"direction": Field((3,)), "gain": _GAIN, "basis": _BASIS}
 
     @staticmethod
     def from_direction(direction: ArrayLike | Sequence[float], *, gain: float = 1.0) -> "LinearStage":
@@ -146,9 +209,46 @@ class LinearStage(AbstractMotion):
         return LinearStage(a, np.asarray(abs(float(gain))), tangent_basis(a))
 
     @property
-    def carries(self) -> Carries:
-        """Its name in files."""
+    def carries(self) -> str:
         return "linear"
+
+    @staticmethod
+    def of_table(values: Mapping[str, Any], carries: str) -> "LinearStage":
+        direction, gain, basis = (values[key] for key in LinearStage.fields)
+        if abs(gain) < SLOWEST or (gain < 0 and basis is not None):
+            raise ValueError(f"gain = {gain:g}: expected about 1")
+        if basis is None:
+            return LinearStage.from_direction(direction, gain=gain)
+        check_frame("direction", direction, basis)
+        return LinearStage(direction, gain, basis)
+
+    @staticmethod
+    def of_boards(poses: Float[np.ndarray, "2 pairs 4 4"], change: Float[np.ndarray, " pairs"]) -> "LinearStage":
+        """Direction of travel, as the mean of the boards' shifts over the commanded ones."""
+        before, after = poses
+        turned = np.swapaxes(before[:, :3, :3], 1, 2) @ after[:, :3, :3]
+        tilt = np.degrees(np.arccos(np.clip((np.trace(turned, axis1=1, axis2=2) - 1) / 2, -1.0, 1.0)))
+        if np.median(tilt) > _MAX_TILT_DEG:
+            raise ValueError(
+                f"The boards turned by {np.median(tilt):.1f} degrees while the stage moved, and a linear stage only "
+                f"shifts them: check `carries` in capture.toml, and {_UNMOVED}."
+            )
+        # The camera goes the other way than boards in front of it.
+        direction = change @ (before[:, :3, 3] - after[:, :3, 3]) / (change @ change)
+        gain = float(np.linalg.norm(direction))
+        if not _GAINS[0] < gain < _GAINS[1]:
+            raise ValueError(
+                f"The boards moved by {gain:.3f} times the commanded travel: check that position_m is in metres, the "
+                f"size of the board's squares, and {_UNMOVED}."
+            )
+        return LinearStage.from_direction(direction)
+
+    def described(self, sigma: Mapping[str, float]) -> list[Described]:
+        tilt = 1e3 * float(np.hypot(sigma.get("travel.t1", 0.0), sigma.get("travel.t2", 0.0)))
+        return [
+            Described("travel: direction", _numbers(self.direction), tilt, "direction"),
+            Described("gain of the travel", (float(self.gain),), sigma.get("gain", 0.0), ""),
+        ]
 
     def motion(self, s: Float[Array, "*n"]) -> Float[Array, "*n 4 4"]:
         """T_cam0_cam(s): from camera coordinates at position `s` [m] to those at position 0."""
@@ -174,19 +274,8 @@ class LinearStage(AbstractMotion):
         """The values that the priors are for."""
         return namespace(self).pad(self.gain[None], (2, 0))
 
-    def departure(self, other: AbstractMotion) -> Float[np.ndarray, "3"]:
-        """Difference of another stage, in the minimal coordinates of this one."""
-        if not isinstance(other, LinearStage):
-            raise TypeError(f"found {type(other).__name__}, expected a linear stage")
+    def departure(self, other: Any) -> Float[np.ndarray, "3"]:
         return np.append(self.basis @ (other.direction - self.direction), other.gain - self.gain)
-
-    def pointed(self, up: Float[Array, "3"]) -> "LinearStage":
-        """The same: its direction is that of larger positions, whichever way is up."""
-        return self
-
-    def carrying(self, carries: Carries) -> "LinearStage":
-        """The same: nobody can see which part moves."""
-        return self
 
 
 Turns = Literal["scanner", "object"]
@@ -226,6 +315,13 @@ class Turntable(AbstractMotion):
         ParameterBlock("axis", ("axis.d1", "axis.d2", "axis.p1", "axis.p2"), 0.01, "rad, m"),
         *_ANGLE,
     )
+    fields: ClassVar[Mapping[str, Field]] = {
+        "direction": Field((3,)),
+        "point_m": Field((3,)),
+        "gain": _GAIN,
+        "harmonics": Field((4,), (0.0, 0.0, 0.0, 0.0)),
+        "basis": _BASIS,
+    }
 
     @staticmethod
     def from_axis(
@@ -253,6 +349,57 @@ class Turntable(AbstractMotion):
         if gain == 0 or not np.isfinite(gain):
             raise ValueError(f"gain: found {gain:g}, expected about 1 or -1: with 0 the table does not turn")
         return Turntable(a, p - (a @ p) * a, np.asarray(float(gain)), np.zeros(4), tangent_basis(a), carries)
+
+    @staticmethod
+    def of_table(values: Mapping[str, Any], carries: str) -> "Turntable":
+        direction, point, gain, harmonics, basis = (values[key] for key in Turntable.fields)
+        part: Turns = "object" if carries == "object" else "scanner"
+        if abs(gain) < SLOWEST:
+            raise ValueError(f"gain = {gain:g}: the table does not turn")
+        if basis is None:
+            return replace(Turntable.from_axis(direction, point, gain=gain, carries=part), harmonics=real(harmonics))
+        check_frame("direction", direction, basis)
+        along = float(np.dot(direction, point))
+        if abs(along) > 1e-6 * max(1.0, float(np.linalg.norm(point))):
+            raise ValueError(
+                f"direction · point_m = {along:.3g}, expected 0: point_m is the axis point nearest the camera"
+            )
+        return Turntable(direction, point, gain, harmonics, basis, part)
+
+    @staticmethod
+    def of_boards(poses: Float[np.ndarray, "2 pairs 4 4"], change: Float[np.ndarray, " pairs"]) -> "Turntable":
+        """Axis and sense of the table. Source: the paper, equation (10), for all pairs of angles."""
+        # The camera turns, so boards turn the other way.
+        moved = poses[1] @ np.linalg.inv(poses[0])
+        try:
+            axis = fit_axis(moved)
+        except ValueError:
+            raise ValueError(
+                f"The commanded angles differ by up to {np.degrees(np.abs(change).max()):.1f} degrees but the board "
+                "did not move in the image: the table did not turn, or the board turned with the camera."
+            ) from None
+        gain = _gain(-change, _signed_angles(moved[:, :3, :3], axis.direction))
+        if not _GAINS[0] < abs(gain) < _GAINS[1]:
+            raise ValueError(
+                f"The boards turned by {gain:.3f} times the commanded angles: check the steps per turn of the table, "
+                f"and {_UNMOVED}."
+            )
+        return Turntable.from_axis(axis.direction, axis.point, gain=float(np.sign(gain)))
+
+    def described(self, sigma: Mapping[str, float]) -> list[Described]:
+        of = lambda name: sigma.get(name, 0.0)
+        tilt, shift = (1e3 * float(np.hypot(of(f"axis.{part}1"), of(f"axis.{part}2"))) for part in "dp")
+        errors = zip(ANGLE_PARAMETERS[1:], 1e3 * np.asarray(self.harmonics), strict=True)
+        return [
+            Described("axis: direction", _numbers(self.direction), tilt, "direction"),
+            Described("axis: nearest point", _numbers(1e3 * np.asarray(self.point)), shift, "mm"),
+            Described("gain of the angle", (float(self.gain),), of("gain"), ""),
+            *(
+                Described(f"angle error {name}", (float(value),), 1e3 * of(name), "mrad")
+                for name, value in errors
+                if of(name) > 0
+            ),
+        ]
 
     @staticmethod
     def from_tr(tr: Float[Array, "4 4"]) -> "Turntable":
@@ -314,14 +461,6 @@ class Turntable(AbstractMotion):
         """The paper's Tr for steps of `step` [rad]. Source: the paper, equation (10)."""
         return self.motion(namespace(self).asarray(step, self.gain.dtype))
 
-    def table(self, step: float, count: int) -> Float[Array, "count 4 4"]:
-        """The paper's look-up table: the motion at angles 0, step, 2 step, ... [rad].
-
-        Equal to the powers of `tr(step)` where the harmonics are zero. Source: the paper,
-        equations (11), (12).
-        """
-        return self.motion(step * namespace(self).arange(count, dtype=self.gain.dtype))
-
     def retract(self, step: Float[Array, "9"]) -> "Turntable":
         """Moved by d1, d2 [rad], p1, p2 [m], gain, c1, s1, c2, s2 [rad]."""
         direction, basis = move_direction(self.direction, self.basis, step[:2])
@@ -346,10 +485,7 @@ class Turntable(AbstractMotion):
         xp = namespace(self)
         return xp.pad(xp.append(xp.abs(self.gain), self.harmonics), (4, 0))
 
-    def departure(self, other: AbstractMotion) -> Float[np.ndarray, "9"]:
-        """Difference of another table, in the minimal coordinates of this one."""
-        if not isinstance(other, Turntable):
-            raise TypeError(f"found {type(other).__name__}, expected a turntable")
+    def departure(self, other: Any) -> Float[np.ndarray, "9"]:
         axis = [self.basis @ (other.direction - self.direction), self.basis @ (other.point - self.point)]
         return np.concatenate([*axis, [other.gain - self.gain], other.harmonics - self.harmonics])
 
@@ -363,7 +499,7 @@ class Turntable(AbstractMotion):
         basis = np.asarray(self.basis)
         return Turntable(-self.direction, self.point, -self.gain, -self.harmonics, basis, self.carries)
 
-    def carrying(self, carries: Carries) -> "Turntable":
+    def carrying(self, carries: str) -> "Turntable":
         """The same motion of boards in front of the camera: a table that turns backwards turns the other part.
 
         Raises:
@@ -373,8 +509,52 @@ class Turntable(AbstractMotion):
             return self
         if carries not in ("scanner", "object"):
             raise ValueError(f"carries: found {carries}, a turntable carries the scanner or the object")
-        return Turntable(self.direction, self.point, -self.gain, -self.harmonics, self.basis, carries)
+        part: Turns = "object" if carries == "object" else "scanner"
+        return Turntable(self.direction, self.point, -self.gain, -self.harmonics, self.basis, part)
 
 
-MOTION_BLOCKS = tuple(dict.fromkeys(Turntable.blocks + LinearStage.blocks))
+def _numbers(values: Array) -> tuple[float, ...]:
+    return tuple(np.asarray(values, np.float64).tolist())
+
+
+def _signed_angles(rotations: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    skew = rotations - np.swapaxes(rotations, 1, 2)
+    vector = np.column_stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]]) / 2
+    return np.arctan2(vector @ direction, (np.trace(rotations, axis1=1, axis2=2) - 1) / 2)
+
+
+def _gain(commanded: np.ndarray, seen: np.ndarray) -> float:
+    """Seen over commanded angle, whichever sense fits; `seen` is known up to full turns."""
+    best, error = 0.0, np.inf
+    for sense in (1.0, -1.0):
+        full = seen + 2 * np.pi * np.round((sense * commanded - seen) / (2 * np.pi))
+        gain = float(commanded @ full / (commanded @ commanded))
+        misfit = float(np.abs(full - gain * commanded).mean() + np.abs(full - sense * commanded).mean())
+        if misfit < error:
+            best, error = gain, misfit
+    return best
+
+
+def motion_class(carries: str) -> type[AbstractMotion]:
+    """The class of a kind of motion."""
+    found: type[AbstractMotion] = globals()[MOTIONS[carries].motion]
+    return found
+
+
+def motion_of(carries: str, **values: Any) -> AbstractMotion:
+    """The motion of some numbers of its table in files; the others are as if a person had left them out.
+
+    Raises:
+        ValueError: If they make no motion.
+    """
+    kind = motion_class(carries)
+    return kind.of_table({key: values.get(key, field.default) for key, field in kind.fields.items()}, carries)
+
+
+def carrying(motion: AbstractMotion, carries: str) -> AbstractMotion:
+    """The same motion of boards in front of the camera; that of a turntable described for the part that it carries."""
+    return motion.carrying(carries) if isinstance(motion, Turntable) else motion
+
+
+MOTION_BLOCKS = tuple(dict.fromkeys(block for carries in MOTIONS for block in motion_class(carries).blocks))
 """Blocks that any motion has."""

@@ -16,6 +16,8 @@ from jaxscan.geometry.arrays import Array, namespace
 
 # Below this square of an angle the series in this file are exact to float64 rounding.
 _SMALL_SQUARE = 1e-2
+UNIT_TOLERANCE = 1e-6
+"""Accepted departure of a vector from unit length and from perpendicular."""
 
 
 def exponential(twist: Float[Array, "*n 6"]) -> Float[Array, "*n 4 4"]:
@@ -139,6 +141,21 @@ def unit_vector(vector: ArrayLike | Sequence[float], name: str) -> tuple[np.ndar
     if found.shape != (3,) or not 0 < length < math.inf:
         raise ValueError(f"{name}: found {found.tolist()}, expected three finite numbers, not all 0")
     return found / length, length
+
+
+def check_frame(name: str, direction: ArrayLike | Sequence[float], basis: ArrayLike | Sequence[Any]) -> None:
+    """Refuse a direction that is no unit vector, and a basis that is not perpendicular to it.
+
+    Raises:
+        ValueError: With the value found.
+    """
+    # Digits are lost where numbers are written by hand.
+    length = float(np.linalg.norm(np.asarray(direction)))
+    if abs(length - 1) > UNIT_TOLERANCE:
+        raise ValueError(f"{name}: found a vector of length {length:.9g}, expected 1")
+    frame = np.concatenate([np.reshape(direction, (1, 3)), np.reshape(basis, (2, 3))])
+    if np.abs(frame @ frame.T - np.eye(3)).max() > UNIT_TOLERANCE:
+        raise ValueError(f"basis: expected two unit vectors, perpendicular to each other and to {name}")
 
 
 def move_direction(

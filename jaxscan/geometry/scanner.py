@@ -14,7 +14,7 @@ from jaxscan.geometry import kinematics
 from jaxscan.geometry.arrays import Array, ArrayModule
 from jaxscan.geometry.cameras import AbstractCamera
 from jaxscan.geometry.laser import LaserSheet, stack_lasers
-from jaxscan.geometry.motions import AbstractMotion, Still
+from jaxscan.geometry.motions import AbstractMotion, Still, Turntable
 from jaxscan.geometry.rig import Layout, Rig, make_layout
 from jaxscan.geometry.rigid import transform
 
@@ -127,4 +127,4 @@ class Scanner(ArrayModule):
 
 def point_up(turntable: AbstractMotion, up: Up) -> AbstractMotion:
     """The same motion in its canonical form: the axis of a turntable on the image's up side."""
-    return turntable.pointed(np.array(UP_VECTORS[up]))
+    return turntable.pointed(np.array(UP_VECTORS[up])) if isinstance(turntable, Turntable) else turntable

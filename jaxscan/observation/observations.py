@@ -8,8 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.geometry import AbstractBoard, Array
-from jaxscan.geometry.motions import Carries
+from jaxscan.geometry import AbstractBoard, Array, Carries
 from jaxscan.geometry.scanner import Up
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from jaxscan.geometry.motions import Carries
+from jaxscan.geometry import Carries
 from jaxscan.geometry.scanner import Up
 from jaxscan.observation.board_map import FoundCorners
 from jaxscan.observation.missed import Light

@@ -85,7 +85,7 @@ REFERENCES = 1 << 13
 
 
 class Distances(NamedTuple):
-    """Distances of the nearest surface in one view, cell by cell."""
+    """Distances of the nearest surface in one view, by square cells of so many pixels."""
 
     nearest: Float[np.ndarray, "rows columns"]
     """[m]; inf where there is none. With a border of one cell."""

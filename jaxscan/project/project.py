@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from jaxscan.errors import CaptureError, ConfigError, JaxscanError
 from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, CaptureHeader, open_capture, parse_header
@@ -27,6 +27,7 @@ from jaxscan.files.disk import (
     reported,
     write_atomically,
 )
+from jaxscan.geometry import MOTIONS
 from jaxscan.project.config import (
     CapturesTable,
     Format,
@@ -41,19 +42,8 @@ from jaxscan.project.config import (
 )
 
 
-UNFIT: Mapping[str, tuple[Product, ...]] = {
-    "object": ("plan", "panorama"),
-    "linear": ("panorama",),
-    "nothing": ("mesh", "plan", "panorama"),
-}
-"""Products by what the table in the header carries. A stage may move along the walls of a room, so a plan is tried."""
 _OF_MANY: tuple[Product, ...] = ("mesh", "plan", "panorama")
 """Products of neighbouring profiles, which a single record has not."""
-_WHY = {
-    "object": "a table that carries the object turns no camera in a room",
-    "linear": "a stage does not turn the camera",
-    "nothing": "profiles of a scanner that stands still have no neighbours",
-}
 _SINGLE = "only one record"
 _OTHER_LINES = 8
 """Lines of a journal that may be no records: a seal, events, a record that was taken twice."""
@@ -101,14 +91,14 @@ def fitting_products(
             left[why, gone].append(name)
     never = tuple(kind for kind in asked if not any(kind in some for some in products.values()))
     # A header's word on the rig stays as it is, but a sweep of one record may be one that goes on.
-    if table.products is not None and never and all(why in UNFIT for why, _ in left):
+    if table.products is not None and never and all(why in MOTIONS for why, _ in left):
         raise ConfigError(
             f'{path}: captures "{table.pattern}": {_and(never)} cannot be made of {_some(tuple(captures))}: '
             f"{_reason(next(iter(left))[0])}. {_instead(asked, never)}"
         )
     notes = []
     for (why, gone), names in left.items():
-        more = f" {_instead(asked, gone)}" if why in UNFIT and len(names) == len(captures) else ""
+        more = f" {_instead(asked, gone)}" if why in MOTIONS and len(names) == len(captures) else ""
         notes.append(f'captures "{table.pattern}": no {_and(gone, "or")} of {_some(names)}: {_reason(why)}.{more}')
     return Fitting(products, tuple(notes))
 
@@ -118,8 +108,9 @@ def _unfit(address: str, every: int, header: CaptureHeader | None) -> tuple[str,
     try:
         header = header_of(address) if header is None else header
         carries = None if header.turntable is None else header.turntable.carries
-        if carries in UNFIT:
-            return str(carries), UNFIT[str(carries)]
+        unfit = MOTIONS[carries].unfit if carries else ()
+        if carries and unfit:
+            return carries, cast(tuple[Product, ...], unfit)
         if _is_single(address, every):
             return _SINGLE, _OF_MANY
     except JaxscanError:
@@ -155,7 +146,7 @@ def is_longer(folder: Path, records: int) -> bool:
 
 
 def _reason(why: str) -> str:
-    return f'{HEADER_NAME} says carries = "{why}", and {_WHY[why]}' if why in _WHY else why
+    return f'{HEADER_NAME} says carries = "{why}", and {MOTIONS[why].why}' if why in MOTIONS else why
 
 
 def _instead(asked: Iterable[Product], gone: Iterable[Product]) -> str:

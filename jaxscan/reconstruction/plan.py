@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.geometry import Scanner, StripeAxis, across_and_along, scanner_doubts
+from jaxscan.geometry import MOTIONS, Scanner, StripeAxis, across_and_along, scanner_doubts
 from jaxscan.reconstruction.ahead import workers
 from jaxscan.reconstruction.gate import line_gate
 from jaxscan.reconstruction.settings import ReconstructSettings
@@ -149,7 +149,7 @@ def _check_motion(sweep: SweepSource, scanner: Scanner) -> None:
             "The sweep moves, and the calibration holds camera and sheet without a motion; calibrate with placements "
             'of the board, or say carries = "nothing" for profiles in the frame of the camera.'
         )
-    if known == "linear" and sweep.carries is None:
+    if MOTIONS[known].unit == "m" and sweep.carries is None:
         raise CalibrationError(
             "The calibration is that of a linear stage, and the sweep does not say what moves, so its positions count "
             'as angles; say carries = "linear", with `position_m` in every record.'

@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.geometry import Scanner, lit_points, stripe_pixel
+from jaxscan.geometry import MOTIONS, Scanner, lit_points, stripe_pixel
 from jaxscan.reconstruction.ahead import Progress
 from jaxscan.reconstruction.along import SmoothedSweep, smooth_sweep
 from jaxscan.reconstruction.cloud import PointCloud
@@ -119,7 +119,7 @@ def _points(plan: Plan, centres: Centres, each: int) -> dict[str, np.ndarray]:
     angle, sheet = plan.sweep.angles[plan.sweep.record[profile]], plan.sheet[profile]
     aim = Aim.of(plan.scanner, plan.settings, plan.stripe_axis)
     between, travel = line_step(plan.scanner, plan.stripe_axis), 1.0
-    if carries == "linear":
+    if MOTIONS[carries].unit == "m":
         # Profiles differ by metres, not by an angle.
         travel = _usual_range(plan, centres, sheet)
     for laser, number in np.unique(np.stack([sheet, rank], 1), axis=0):

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from jaxscan.calibration import Calibration, ModelTest, Quality, judge_views
-from jaxscan.geometry import AbstractMotion, LinearStage, Scanner, Turntable, make_layout
+from jaxscan.geometry import Scanner, make_layout
 from jaxscan.report.words import TESTS
 
 
@@ -54,7 +54,9 @@ def parameters(calibration: Calibration) -> list[Parameter]:
         for name, value, block in zip(layout.names, values, layout.blocks, strict=True)
     ]
     if calibration.scanner is not None:
-        rows += _lasers(calibration.scanner, sigma) + _motion(calibration.scanner.turntable, sigma)
+        rows += _lasers(calibration.scanner, sigma) + [
+            Parameter(*line) for line in calibration.scanner.turntable.described(sigma)
+        ]
     return rows + _board(calibration.quality)
 
 
@@ -72,34 +74,6 @@ def _lasers(scanner: Scanner, sigma: dict[str, float]) -> list[Parameter]:
                 Parameter(f"laser {name}: bow b{k + 2}", (bow[k],), 1e3 * of(f"b{k + 2}"), "mrad") for k in range(2)
             ]
     return rows
-
-
-def _motion(motion: AbstractMotion, sigma: dict[str, float]) -> list[Parameter]:
-    if isinstance(motion, Turntable):
-        return _table(motion, sigma)
-    if not isinstance(motion, LinearStage):
-        return []
-    tilt = 1e3 * math.hypot(sigma.get("travel.t1", 0.0), sigma.get("travel.t2", 0.0))
-    return [
-        Parameter("travel: direction", _tuple(motion.direction), tilt, "direction"),
-        Parameter("gain of the travel", (float(motion.gain),), sigma.get("gain", 0.0), ""),
-    ]
-
-
-def _table(table: Turntable, sigma: dict[str, float]) -> list[Parameter]:
-    of = lambda name: sigma.get(name, 0.0)
-    tilt, shift = (1e3 * math.hypot(of(f"axis.{part}1"), of(f"axis.{part}2")) for part in "dp")
-    rows = [
-        Parameter("axis: direction", _tuple(table.direction), tilt, "direction"),
-        Parameter("axis: nearest point", _tuple(1e3 * np.asarray(table.point)), shift, "mm"),
-        Parameter("gain of the angle", (float(table.gain),), of("gain"), ""),
-    ]
-    harmonics = zip(("c1", "s1", "c2", "s2"), 1e3 * np.asarray(table.harmonics), strict=True)
-    return rows + [
-        Parameter(f"angle error {name}", (float(value),), 1e3 * of(name), "mrad")
-        for name, value in harmonics
-        if of(name) > 0
-    ]
 
 
 def _board(quality: Quality) -> list[Parameter]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from jaxscan.calibration import Calibration, GoodTo, ModelTest, Quality, is_named, judge_views, noise_kind
-from jaxscan.geometry import LinearStage
+from jaxscan.geometry import MOTIONS
 
 
 TESTS = {
@@ -211,8 +211,8 @@ def _halved(calibration: Calibration, good_to: GoodTo) -> str:
 
 
 def _part(name: str, calibration: Calibration) -> str:
-    stage = calibration.scanner is not None and isinstance(calibration.scanner.turntable, LinearStage)
-    return "the direction of the travel" if stage and name == "axis" else _PARTS[name]
+    part = "axis" if calibration.scanner is None else MOTIONS[calibration.scanner.turntable.carries].part
+    return f"the {part}" if name == "axis" != part else _PARTS[name]
 
 
 def _held(calibration: Calibration) -> list[str]:

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
         RenderedRecord,
         board_pairs,
         develop,
-        expect_boards,
         expect_record,
         expect_sweep,
         plan_boards,

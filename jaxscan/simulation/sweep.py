@@ -662,37 +662,6 @@ def expect_sweep(config: SimulationConfig, *, every: int = 1) -> Iterator[Expect
     return _ahead(lambda job: expect_record(rig, scene, job[0], laser=job[1]), jobs)
 
 
-def expect_boards(
-    config: SimulationConfig, texture: np.ndarray, *, seed: int | None = None
-) -> Iterator[ExpectedRecord]:
-    """The frames of a board capture without noise; `seed` chooses the poses.
-
-    Args:
-        config: The rig.
-        texture: Picture of the board's printed area, uint8 [rows, columns]; see `render_boards`.
-        seed: Instead of the configuration's.
-    """
-    return _boards(config, texture, config.seed if seed is None else seed, lambda _, record: record)
-
-
-def _boards(
-    config: SimulationConfig, texture: np.ndarray, seed: int, finish: Callable[[int, ExpectedRecord], Result]
-) -> Iterator[Result]:
-    """Apply a function to the records of a board capture and their numbers, in order."""
-    rig, scene = make_rig(config), make_scene(config, boards=config.object is not None)
-    picture = make_print(config.boards, texture)
-    placements = plan_boards(rig, scene, _generator(seed, _PLAN, 0))
-    jobs = [(one, phi, index) for one in placements for phi in one.angles for index in range(len(rig.sheets))]
-
-    def make(job: tuple[int, tuple[Placement, float, int]]) -> Result:
-        number, (placement, phi, index) = job
-        pose = rig.pose(rig.stood(phi, placement.number))
-        board = SeenBoard(picture, placement.scanner_from_board.inverse() @ pose)
-        return finish(number, expect_record(rig, scene, phi, laser=index, board=board, placement=placement.number))
-
-    return _ahead(make, enumerate(jobs))
-
-
 def render_sweep(
     config: SimulationConfig,
     *,
@@ -735,9 +704,19 @@ def render_boards(
         seed: Of poses and noise, instead of the configuration's.
     """
     seed = config.seed if seed is None else seed
-    return _boards(
-        config, texture, seed, lambda number, record: develop(record, config, _generator(seed, _BOARDS, number))
-    )
+    rig, scene = make_rig(config), make_scene(config, boards=config.object is not None)
+    picture = make_print(config.boards, texture)
+    placements = plan_boards(rig, scene, _generator(seed, _PLAN, 0))
+    jobs = [(one, phi, index) for one in placements for phi in one.angles for index in range(len(rig.sheets))]
+
+    def render(job: tuple[int, tuple[Placement, float, int]]) -> RenderedRecord:
+        number, (placement, phi, index) = job
+        pose = rig.pose(rig.stood(phi, placement.number))
+        board = SeenBoard(picture, placement.scanner_from_board.inverse() @ pose)
+        record = expect_record(rig, scene, phi, laser=index, board=board, placement=placement.number)
+        return develop(record, config, _generator(seed, _BOARDS, number))
+
+    return _ahead(render, enumerate(jobs))
 
 
 def true_cloud(records: Iterable[ExpectedRecord | RenderedRecord]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

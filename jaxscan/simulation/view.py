@@ -95,8 +95,6 @@ def observe(
     """The scene from a pose of the camera.
 
     Args:
-        rig: The camera.
-        pose: T_scanner_cam.
         channels: Weights [3, channels] of R, G, B for the picture.
         further: Weights [3, further] of R, G, B for `SceneView.albedo`.
     """
@@ -136,10 +134,7 @@ def points_at(
     """Points that pixels see, float32 [..., 3], scanner frame; the camera's place where nothing is.
 
     Args:
-        rig: The camera.
-        pose: T_scanner_cam.
         depth: Of all pixels [height, width].
-        index: Which pixels.
     """
     far = depth[index]
     reached = np.where(np.isfinite(far), far, np.float32(0))[..., None]

@@ -5,7 +5,7 @@ from jaxtyping import Float, Int, UInt8
 
 from jaxscan.reconstruction.ahead import map_ahead, workers
 from jaxscan.surface.mesh import Mesh
-from jaxscan.surface.texture import AT_A_TIME, BAND_WIDTH, LARGEST_SIDE, Colour, Texels
+from jaxscan.surface.texture import AT_A_TIME, BAND_WIDTH, LARGEST_SIDE, Colour, Texels, spread
 
 
 GAP = 4
@@ -104,7 +104,7 @@ def _picture(
         runs = [order[group[run]] for run in _runs(size[group], PART)]
         parts = map_ahead(lambda run: _texels(mesh, place, run, (first, boxes)), runs, workers(), compiled=True)
         draw(Texels.joined(list(parts)))
-    return _grown(picture, drawn)
+    return spread(picture, drawn, GAP)
 
 
 def _runs(size: Int[np.ndarray, " n"], most: int) -> list[Int[np.ndarray, " k"]]:
@@ -140,22 +140,6 @@ def _texels(
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)
     at = row[inside], column[inside]
     return Texels(at, points.astype(np.float32), normals.astype(np.float32), (rgb + 0.5).astype(np.uint8))
-
-
-def _grown(picture: np.ndarray, drawn: np.ndarray) -> np.ndarray:
-    """The picture with charts that are wider by `GAP`, so that no viewer mixes them with the background."""
-    for _ in range(GAP):
-        for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
-            target, source = slice(1, None), slice(None, -1)
-            if step < 0:
-                target, source = source, target
-            to, of = ((slice(None),) * axis + (side,) for side in (target, source))
-            new = drawn[of] & ~drawn[to]
-            picture[to][new] = picture[of][new]
-            drawn[to] |= new
-    # Far from all surfaces any colour serves; the mean makes the smallest file.
-    picture[~drawn] = picture[drawn][:: max(1, int(drawn.sum()) >> 20)].mean(0).astype(np.uint8)
-    return picture
 
 
 ROUNDS = 8

@@ -139,7 +139,7 @@ def _picture(grid: GridMesh, colour: Colour, chart: _Chart) -> UInt8[np.ndarray,
             rgb, seen = colour(found.points, found.normals)
             picture[found.at] = np.where(seen[:, None], rgb, found.rgb)
             drawn[found.at] = True
-    return _spread(picture, drawn)
+    return spread(picture, drawn, _MARGIN)
 
 
 def _texels_between(grid: GridMesh, start: int, stop: int, chart: _Chart) -> Texels:
@@ -192,8 +192,8 @@ def _weights(bits: np.ndarray, u: np.ndarray, v: np.ndarray) -> Float[np.ndarray
     return weight
 
 
-def _spread(picture: np.ndarray, drawn: np.ndarray) -> np.ndarray:
-    """The picture with the colour of a drawn texel beside it where there is no surface, so that borders stay clean."""
+def spread(picture: np.ndarray, drawn: np.ndarray, margin: int) -> np.ndarray:
+    """The picture with the colour of a drawn texel so near where there is no surface, so that borders stay clean."""
     for axis in (0, 1):
         if drawn.all():
             break
@@ -202,7 +202,7 @@ def _spread(picture: np.ndarray, drawn: np.ndarray) -> np.ndarray:
         for order in (slice(None), slice(None, None, -1)):
             number = np.where(drawn[order], np.arange(size, dtype=np.int32)[:, None], np.int32(-1))
             last = np.maximum.accumulate(number, 0)
-            near = (last >= 0) & ~drawn[order] & (np.arange(size, dtype=np.int32)[:, None] - last <= _MARGIN)
+            near = (last >= 0) & ~drawn[order] & (np.arange(size, dtype=np.int32)[:, None] - last <= margin)
             row, column = np.nonzero(near)
             view = picture[order]
             view[row, column] = view[last[row, column], column]

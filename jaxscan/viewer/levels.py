@@ -22,7 +22,7 @@ _WHOLE = 0.9
 
 
 class Chunk(NamedTuple):
-    """Points of a tile that are shown together: `Levels.order[start:stop]`."""
+    """Points of a tile that are shown together: `Levels.order[start:stop]`; the centre is that of the tile [m]."""
 
     tile: int
     start: int

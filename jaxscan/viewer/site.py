@@ -39,7 +39,10 @@ Products = Callable[[], Sequence[tuple[str, str, str]]]
 
 
 class Panorama(NamedTuple):
-    """An equirectangular picture of a whole turn from the first station, the scanner's x axis in its middle."""
+    """An equirectangular picture of a whole turn from the first station, the scanner's x axis in its middle.
+
+    Its upper and its lower edge are elevations [rad].
+    """
 
     jpeg: bytes
     top: float

@@ -20,7 +20,6 @@ _WINDOW_SHARE, _MOST_MOVED = 0.5, 0.6
 _CLEAR_SHARE, _CELLS = 0.8, 6
 # A tag is where the others say that it is within this share of its side.
 _NEAR = 0.25
-_TEXTURE_BORDER = 2
 
 
 def find_april_grid(image: np.ndarray, shown: np.ndarray, board: AprilGrid) -> FoundCorners | None:
@@ -48,24 +47,6 @@ def find_april_grid(image: np.ndarray, shown: np.ndarray, board: AprilGrid) -> F
     return None
 
 
-def april_grid_texture(board: AprilGrid, pixels_per_square: int) -> np.ndarray:
-    """Picture of the printed area, `board.outline()`, uint8: row 0 at y0; the borders of its tags have two cells."""
-    side = round(board.tag / board.square * pixels_per_square)
-    pitch, gap = side + pixels_per_square, pixels_per_square
-    picture = np.full((board.rows * pitch + gap, board.columns * pitch + gap), 255, np.uint8)
-    for row in range(board.rows + 1):
-        for column in range(board.columns + 1):
-            picture[row * pitch : row * pitch + gap, column * pitch : column * pitch + gap] = 0
-    dictionary = _dictionary()
-    for row in range(board.rows):
-        for column in range(board.columns):
-            number = (board.rows - 1 - row) * board.columns + column
-            tag = cv2.aruco.generateImageMarker(dictionary, number, side, borderBits=_TEXTURE_BORDER)
-            top, left = row * pitch + gap, column * pitch + gap
-            picture[top : top + side, left : left + side] = tag
-    return picture
-
-
 def _dictionary() -> "cv2.aruco.Dictionary":
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, _DICTIONARY))
 
@@ -79,11 +60,7 @@ def _detector(border: int) -> "cv2.aruco.ArucoDetector":
 
 
 def _numbered(board: AprilGrid, ids: np.ndarray, tags: np.ndarray) -> FoundCorners | None:
-    """The corners of tags in the board's order.
-
-    Programs number the tags upwards or downwards, and begin with another corner of a tag: the one choice for all tags
-    that fits a plane is right.
-    """
+    """The corners of tags in the board's order."""
     known = ids < board.columns * board.rows
     ids, tags = ids[known], tags[known].astype(np.float64)
     best: tuple[float, np.ndarray, np.ndarray] | None = None
@@ -104,10 +81,7 @@ def _numbered(board: AprilGrid, ids: np.ndarray, tags: np.ndarray) -> FoundCorne
 
 
 def _refined(image: np.ndarray, found: FoundCorners, board: AprilGrid, border: int) -> FoundCorners | None:
-    """The corners moved to where tag and small square touch, without those that are not there.
-
-    First in a window as large as the small squares allow, then in one that the cells of the tag do not reach.
-    """
+    """The corners moved to where tag and small square touch, without those that are not there."""
     q, valid = found.q.copy(), found.valid.copy()
     sizes = square_sizes(q, valid, board)[valid]
     clear = min(1.0, border / (_CELLS + 2 * border) * board.tag / board.square)

@@ -1,15 +1,12 @@
-"""Board corners in images, by OpenCV, and pictures of boards for the simulator."""
-
-import functools
-from typing import Literal
+"""Board corners in images, by OpenCV."""
 
 import cv2
 import numpy as np
 
-from jaxscan.geometry import AbstractBoard, AprilGrid, Charuco, Chessboard, Circles, known_dictionary
+from jaxscan.geometry import AbstractBoard, AprilGrid, Charuco, Chessboard, Circles
 from jaxscan.observation import FoundCorners
-from jaxscan.vision.april_grid import april_grid_texture, find_april_grid
-from jaxscan.vision.circles import circles_texture, find_circles
+from jaxscan.vision.april_grid import find_april_grid
+from jaxscan.vision.circles import find_circles
 from jaxscan.vision.corners import (
     SMALL_SQUARE_PX,
     fit_found_corners,
@@ -18,13 +15,12 @@ from jaxscan.vision.corners import (
     square_sizes,
 )
 from jaxscan.vision.frames import to_bytes
+from jaxscan.vision.ink import opencv_charuco
 
 
-Detector = Literal["auto", "sb", "classic"]
-
-# Noise of each detector's corners on a sharp, well exposed board [px], for corners that `fit_corners`
-# did not refine; it estimates its own.
-_SIGMA_PX = {"auto": 0.035, "sb": 0.10, "classic": 0.035, "charuco": 0.06}
+# Noise of corners of a sharp, well exposed chessboard, and of a ChArUco board [px], that `fit_corners` did not refine;
+# it estimates its own.
+_CHESSBOARD_PX, _CHARUCO_PX = 0.035, 0.06
 _MIN_CORNERS = 6
 _LARGEST_PX = 1280
 """Longest side of an image in which a chessboard is looked for at first."""
@@ -34,9 +30,7 @@ _SMALLEST_PX = 16
 """Smallest side of an image that can show a board; of smaller ones OpenCV's detectors raise errors."""
 
 
-def find_corners(
-    image: np.ndarray, board: AbstractBoard, *, detector: Detector = "auto", half_window: int | None = None
-) -> FoundCorners | None:
+def find_corners(image: np.ndarray, board: AbstractBoard) -> FoundCorners | None:
     """Find the corners of a board in one grey image, to a hundredth of a pixel where it is sharp.
 
     A chessboard or a grid of circles must be wholly visible; of a ChArUco board or an AprilGrid a
@@ -50,17 +44,10 @@ def find_corners(
         image: uint8 [rows, columns], or float32 in DN of 8 bits where the camera gives more: the board is looked for in
             bytes that are stretched over its range, and its corners are measured in the image itself.
         board: The board to look for.
-        detector: "auto": chessboards by OpenCV's first detector, or by the sector based one where
-            that finds no even grid; corners refined by `fit_corners`, or by `cornerSubPix` where its
-            model does not fit; circles by the weight of their ink. "classic": OpenCV's first
-            detector and `cornerSubPix` (of a ChArUco board, the latter alone). "sb": the sector
-            based detector, not refined.
-        half_window: Half side of the window in which corners are refined [px]. By default it
-            follows from the size of the squares. If it is too large, it spoils the corners.
 
     Returns:
-        The corners, or None where the board is not found or fewer than 6 corners that are not
-        on one line.
+        The corners, refined by `fit_corners`, or by `cornerSubPix` where its model does not fit, circles by the weight
+        of their ink; None where the board is not found, or fewer than 6 corners that are not on one line.
 
     Raises:
         ValueError: If the image is neither uint8 nor float32 [rows, columns].
@@ -76,64 +63,38 @@ def find_corners(
     if isinstance(board, Circles):
         return find_circles(image, shown, board)
     if isinstance(board, Charuco):
-        found = _find_charuco(image, shown, board, half_window)
+        found = _find_charuco(image, shown, board)
     elif isinstance(board, AprilGrid):
         found = find_april_grid(image, shown, board)
     elif isinstance(board, Chessboard):
-        found = _find_chessboard(image, shown, board, detector, half_window)
+        found = _find_chessboard(image, shown, board)
     else:
         raise ValueError(f"No corner detector for a board of type {type(board).__name__}.")
-    return fit_found_corners(image, found, board, half_window) if found is not None and detector == "auto" else found
+    return None if found is None else fit_found_corners(image, found, board)
 
 
-def board_texture(board: AbstractBoard, pixels_per_square: int) -> np.ndarray:
-    """Picture of the printed area, `board.outline()`, uint8: row 0 at y0, column 0 at x0.
-
-    Args:
-        board: A chessboard is drawn with its top left square black.
-        pixels_per_square: Side of a square [px]; for boards with markers large enough to draw them.
-    """
-    if isinstance(board, Circles):
-        return circles_texture(board, pixels_per_square)
-    if isinstance(board, AprilGrid):
-        return april_grid_texture(board, pixels_per_square)
-    columns, rows = board.grid()
-    if isinstance(board, Charuco):
-        size = (board.columns * pixels_per_square, board.rows * pixels_per_square)
-        return np.asarray(_charuco(board).generateImage(size, marginSize=0, borderBits=1), np.uint8)
-    white = np.add.outer(np.arange(rows + 1), np.arange(columns + 1)) % 2
-    square = np.ones((pixels_per_square, pixels_per_square), np.uint8)
-    return np.kron((255 * white).astype(np.uint8), square)
-
-
-def _find_chessboard(
-    image: np.ndarray, shown: np.ndarray, board: Chessboard, detector: Detector, half_window: int | None
-) -> FoundCorners | None:
-    q = _find_squares(shown, board) if detector == "auto" else None
-    if q is None and detector in ("auto", "sb"):
-        q = _find_sectors(shown, board, accurate=detector == "sb")
-    if q is None and detector in ("auto", "classic"):
+def _find_chessboard(image: np.ndarray, shown: np.ndarray, board: Chessboard) -> FoundCorners | None:
+    """By OpenCV's first detector, or by the sector based one where that finds no even grid."""
+    q = _find_squares(shown, board)
+    if q is None:
+        q = _find_sectors(shown, board)
+    if q is None:
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
         found, corners = cv2.findChessboardCorners(shown, board.grid(), flags=flags)
         q = _points(corners) if found else None
     if q is None or len(q) != board.columns * board.rows:
         return None
-    if detector != "sb":
-        # The sector based detector finds the most boards, but its corners are biased by some
-        # hundredths of a pixel per view; the gradient-based refinement is not biased. A window that
-        # reaches the neighbouring corners would move the corner towards them.
-        smallest = square_sizes(q, np.ones(len(q), bool), board).min()
-        q = _refine(image, q, half_window or int(np.clip(np.floor(smallest / 3), 2, 11)))
-    q = _canonical_order(image, q, board)
-    return _with_sigma(q, np.ones(len(q), bool), board, _SIGMA_PX[detector])
+    # The sector based detector finds the most boards, but its corners are biased by some hundredths of a pixel per
+    # view; the gradient-based refinement is not biased. A window that reaches the neighbouring corners would move the
+    # corner towards them.
+    everywhere = np.ones(len(q), bool)
+    smallest = square_sizes(q, everywhere, board).min()
+    q = _canonical_order(image, _refine(image, q, int(np.clip(np.floor(smallest / 3), 2, 11))), board)
+    return _with_sigma(q, everywhere, board, _CHESSBOARD_PX)
 
 
 def _find_squares(image: np.ndarray, board: Chessboard) -> np.ndarray | None:
-    """Corners by OpenCV's first detector, in a seventh of the time of the sector based one.
-
-    On large images it may take seconds, so it looks at a smaller copy. Both detectors sometimes take another corner of
-    a square for the right one; such a grid is uneven, and None.
-    """
+    """Corners by OpenCV's first detector, in a seventh of the time of the sector based one."""
     scale = min(1.0, _LARGEST_PX / max(image.shape))
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1.0 else image
     found, corners = cv2.findChessboardCorners(small, board.grid(), flags=cv2.CALIB_CB_ADAPTIVE_THRESH)
@@ -151,15 +112,10 @@ def _find_squares(image: np.ndarray, board: Chessboard) -> np.ndarray | None:
     return (q + 0.5) / scale - 0.5
 
 
-def _find_sectors(image: np.ndarray, board: Chessboard, *, accurate: bool) -> np.ndarray | None:
-    """Corners by the sector based detector; the exhaustive search runs only where the quick one fails.
-
-    The histogram equalisation of CALIB_CB_NORMALIZE_IMAGE costs a factor of ten in accuracy (0.18 px
-    in place of 0.014 px on rendered boards), so it is the last resort.
-    """
-    accuracy = cv2.CALIB_CB_ACCURACY if accurate else 0
+def _find_sectors(image: np.ndarray, board: Chessboard) -> np.ndarray | None:
+    """Corners by the sector based detector; the exhaustive search runs only where the quick one fails."""
     for effort in (0, cv2.CALIB_CB_EXHAUSTIVE, cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_NORMALIZE_IMAGE):
-        found, corners = cv2.findChessboardCornersSB(image, board.grid(), flags=effort | accuracy)
+        found, corners = cv2.findChessboardCornersSB(image, board.grid(), flags=effort)
         if found:
             return _points(corners)
     return None
@@ -191,24 +147,8 @@ def _even_brightness(image: np.ndarray, grid: np.ndarray) -> float:
     return float(level[even].mean() - level[~even].mean())
 
 
-def _charuco(board: Charuco) -> "cv2.aruco.CharucoBoard":
-    kind = known_dictionary(board.dictionary)
-    return opencv_charuco(board.columns, board.rows, board.square, board.marker, kind, board.layout == "legacy")
-
-
-@functools.lru_cache(maxsize=8)
-def opencv_charuco(
-    columns: int, rows: int, square: float, marker: float, dictionary: str, legacy: bool
-) -> "cv2.aruco.CharucoBoard":
-    """OpenCV's board; a large one takes a tenth of a second."""
-    markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
-    board = cv2.aruco.CharucoBoard((columns, rows), square, marker, markers)
-    board.setLegacyPattern(legacy)
-    return board
-
-
-def _find_charuco(image: np.ndarray, shown: np.ndarray, board: Charuco, half_window: int | None) -> FoundCorners | None:
-    corners, ids, _, _ = cv2.aruco.CharucoDetector(_charuco(board)).detectBoard(shown)
+def _find_charuco(image: np.ndarray, shown: np.ndarray, board: Charuco) -> FoundCorners | None:
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(opencv_charuco(board)).detectBoard(shown)
     if ids is None or len(np.ravel(ids)) < _MIN_CORNERS:
         return None
     count = len(board.corners())
@@ -221,14 +161,14 @@ def _find_charuco(image: np.ndarray, shown: np.ndarray, board: Charuco, half_win
     # The markers begin (1 - marker / square) / 2 of a square away. A window that reaches them spoils
     # the corner; without refinement the error is some tenths of a pixel.
     half = int(np.clip(np.floor(min(0.25, 1.3 * marker_gap(board)) * sizes[valid].min()), 2, 11))
-    refined = _refine(image, q[valid], half_window or half)
+    refined = _refine(image, q[valid], half)
     moved = np.hypot(*(refined - q[valid]).T)
     q[valid] = refined
     # A corner that moved this far was fitted to something else.
     valid[np.flatnonzero(valid)[moved > 0.25 * sizes[valid]]] = False
     if not is_enough(board, valid):
         return None
-    return _with_sigma(np.where(valid[:, None], q, 0.0), valid, board, _SIGMA_PX["charuco"])
+    return _with_sigma(np.where(valid[:, None], q, 0.0), valid, board, _CHARUCO_PX)
 
 
 def _points(corners: np.ndarray) -> np.ndarray:

@@ -71,21 +71,6 @@ def find_circles(image: np.ndarray, shown: np.ndarray, board: Circles) -> FoundC
     return FoundCorners(true, np.hypot(sigma, _CORRECTION_SHARE * np.hypot(*shift.T)), valid)
 
 
-def circles_texture(board: Circles, pixels_per_square: int) -> np.ndarray:
-    """Picture of the printed area, `board.outline()`, uint8: row 0 at y0, column 0 at x0."""
-    low, high = board.outline()[[0, 2]]
-    columns, rows = np.rint((high - low) / board.square * pixels_per_square).astype(int)
-    scale = pixels_per_square / board.square
-    picture = np.full((rows, columns), 255, np.uint8)
-    u, v = np.arange(columns) + 0.5, np.arange(rows) + 0.5
-    for x, y in (board.places() - low) * scale:
-        radius = board.diameter / 2 * scale
-        near = (slice(int(y - radius), int(y + radius) + 2), slice(int(x - radius), int(x + radius) + 2))
-        inside = np.hypot(u[None, near[1]] - x, v[near[0], None] - y) <= radius
-        picture[near][inside] = 0
-    return picture
-
-
 def _find(image: np.ndarray, board: Circles) -> np.ndarray | None:
     """Rough centres in the board's order."""
     settings = cv2.SimpleBlobDetector.Params()
@@ -103,10 +88,7 @@ def _find(image: np.ndarray, board: Circles) -> np.ndarray | None:
 
 
 def _ordered(q: np.ndarray, board: Circles) -> np.ndarray | None:
-    """The centres in the board's order, or None where no order fits a plane seen from its front.
-
-    Of several that fit, the one in which the board's x axis points right.
-    """
+    """The centres in the board's order, or None where no order fits a plane seen from its front."""
     columns, rows = board.grid()
     grid, places = q.reshape(rows, columns, 2), board.places()
     orders = [grid, grid[::-1], grid[:, ::-1], grid[::-1, ::-1]]
@@ -125,15 +107,7 @@ def _ordered(q: np.ndarray, board: Circles) -> np.ndarray | None:
 def _weigh(
     level: np.ndarray, start: np.ndarray, slope: np.ndarray, radius: float, reach: float
 ) -> tuple[np.ndarray, float, bool]:
-    """Centre of the ink's weight, its standard deviation [px], and whether this is a circle.
-
-    Args:
-        level: The image, float [rows, columns].
-        start: The centre to within some pixels.
-        slope: Derivative of the image's by the board's coordinates there [2, 2], px/m.
-        radius: Of the circle [m].
-        reach: Half the distance to the nearest circle [m].
-    """
+    """Centre of the ink's weight, its standard deviation [px], and whether this is a circle."""
     inverse = np.linalg.inv(slope)
     scale = np.sqrt(abs(np.linalg.det(slope)))
     window, paper_from = min(radius + _BLUR_PX / scale, reach), min(radius + _BLUR_PX / scale, 0.9 * reach)

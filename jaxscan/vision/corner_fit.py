@@ -225,8 +225,6 @@ def _crossing(t: np.ndarray, overlap: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
     $$\mathrm{erf}\,\mathrm{erf} + 4 \varphi(t_1) \varphi(t_2)
       \sum_{n \ge 1} \tfrac{\rho^n}{n!} He_{n-1}(t_1) He_{n-1}(t_2)$$
-
-    Three terms are taken. Source: Kendall, the tetrachoric series.
     """
     (e1, e2), (g1, g2) = _edge(t)
     a, b = t
@@ -275,13 +273,7 @@ def _judged(
 
 
 def _shared_noise(window: _Window, fit: _Fit, inverse: np.ndarray, valid: np.ndarray) -> float:
-    """Ratio of the corners' variance to the variance that white noise would give.
-
-    Neighbouring pixels share errors (demosaicing, JPEG). So the squared shifts of the corners by
-    blocks of pixels are compared with the shifts by white noise of the same size. The ratio is one
-    number per image, because that of a single corner is too uncertain. It is bounded, so that a
-    poor estimate does not leave an image without weight.
-    """
+    """Ratio of the corners' variance to the variance that white noise would give."""
     some = np.flatnonzero(valid)
     if len(some) == 0:
         return 1.0

@@ -20,16 +20,13 @@ _MARKER_BLUR_PX = 1.5
 _SMALLEST_PX = 8.0
 
 
-def fit_found_corners(
-    image: np.ndarray, found: FoundCorners, board: AbstractBoard, half_window: int | None = None
-) -> FoundCorners:
+def fit_found_corners(image: np.ndarray, found: FoundCorners, board: AbstractBoard) -> FoundCorners:
     """Corners refined by `fit_corners` where its model fits; the others unchanged.
 
     Args:
         image: uint8 or float32 [rows, columns].
         found: Corners to within a pixel or so.
         board: The board in it.
-        half_window: Half the side of the window [px], instead of a share of the squares.
     """
     edges, known = edge_directions(found.q, found.valid, board)
     sizes = square_sizes(found.q, found.valid, board)
@@ -38,7 +35,7 @@ def fit_found_corners(
         known = known & (sizes >= _LEAST_SMALL_PX)
     use = np.flatnonzero(found.valid & known)
     sizes = sizes[use]
-    half = window_share(board) * sizes if half_window is None else np.full(len(use), float(half_window))
+    half = window_share(board) * sizes
     fit = fit_corners(image, found.q[use], edges[use], half, clear=clear_of_markers(board, sizes))
     q, sigma = found.q.copy(), found.sigma.copy()
     q[use[fit.valid]], sigma[use[fit.valid]] = fit.q[fit.valid], fit.sigma[fit.valid]

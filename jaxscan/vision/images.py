@@ -13,39 +13,27 @@ import numpy as np
 from jaxscan.errors import CaptureError, DependencyError
 from jaxscan.geometry import MAX_PIXELS
 from jaxscan.vision.frames import check_frame
-from jaxscan.vision.png import SIGNATURE, check_png, png_size
-from jaxscan.vision.tiff import OtherKind, Tiff
+from jaxscan.vision.png import SIGNATURE, OtherKind, check_png, png_size
+from jaxscan.vision.tiff import Tiff
 from jaxscan.vision.zstd import MAGIC, decode_zstd, zstd_size
 
 
 # Failures are errors of ours, in one line; OpenCV would also print them.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
-_PNG_STRATEGIES = {"rle": cv2.IMWRITE_PNG_STRATEGY_RLE, "huffman": cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY}
 
-
-def encode_png(image: np.ndarray, *, compression: str = "rle") -> bytes:
-    """One frame as a PNG file of level 1.
-
-    Sensor noise does not compress further, so higher levels gain nothing. "rle" gives the smallest
-    files and the fastest reading; "huffman" encodes in half the time and is 6 % larger.
+def encode_png(image: np.ndarray) -> bytes:
+    """One frame as a PNG file of level 1: sensor noise does not compress further.
 
     Args:
         image: uint8 [rows, columns], or RGB [rows, columns, 3].
-        compression: "rle" or "huffman".
-
-    Returns:
-        The bytes of the file.
 
     Raises:
-        ValueError: If the array is not such an image or the compression is unknown.
+        ValueError: If the array is not such an image.
     """
     check_frame(image)
-    if compression not in _PNG_STRATEGIES:
-        raise ValueError(f"Unknown compression {compression!r}; known: {', '.join(_PNG_STRATEGIES)}.")
-    strategy = _PNG_STRATEGIES[compression]
     # The level resets the strategy, so it has to come first.
-    options = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, strategy]
+    options = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
     pixels = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else np.ascontiguousarray(image)
     encoded, data = cv2.imencode(".png", pixels, options)
     if not encoded:
@@ -80,8 +68,8 @@ def decode_image(
 ) -> np.ndarray:
     """One frame from the bytes of a PNG, packed (`encode_zstd`), TIFF, JPEG or BMP file; none of a damaged file.
 
-    Damage is not noticed where nothing in the file could tell: other pixels in a BMP or in a TIFF that is not packed
-    by deflate, if the lengths still fit, and other codes in a JPEG that mean something.
+    Damage is not noticed where nothing in the file could tell: other bytes in a BMP or in a TIFF that is not packed
+    by Deflate, if the lengths still fit, and other codes in a JPEG that mean something.
 
     Args:
         data: The whole file.
@@ -184,16 +172,7 @@ def _decode_jpeg(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
 
 
 def _decode_png(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
-    unpacked, palette = check_png(data)
-    image = _by_opencv(unpacked)
-    if palette is None:
-        return image
-    # libpng spreads numbers of fewer bits over all levels of grey.
-    depth = data[24]
-    numbers = image // np.uint8(255 // ((1 << depth) - 1))
-    if numbers.max() >= len(palette):
-        raise ValueError("it has a pixel whose colour is not in its palette")
-    return palette[numbers]
+    return _by_opencv(check_png(data))
 
 
 def _decode_tiff(data: bytes, out: np.ndarray | None = None) -> np.ndarray:

@@ -6,16 +6,18 @@ libpng prints errors of its own to standard error, and gives damaged pictures wh
 import struct
 import zlib
 
-import numpy as np
 from isal import isal_zlib
 
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
-"""Samples of a pixel by colour type: grey, RGB, palette, grey and alpha, RGB and alpha."""
-_DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
-# Start and step of the columns and rows of each pass of Adam7.
-_PASSES = ((0, 8, 0, 8), (4, 8, 0, 8), (0, 4, 4, 8), (2, 4, 0, 4), (0, 2, 2, 4), (1, 2, 0, 2), (0, 1, 1, 2))
+_CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}
+"""Samples of a pixel by colour type: grey, RGB, grey and alpha, RGB and alpha."""
+_DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 4: (8, 16), 6: (8, 16)}
+_PALETTE = 3
+
+
+class OtherKind(ValueError):
+    """A picture that is whole, and of a kind that is not read here."""
 
 
 def png_size(data: bytes) -> tuple[int, int]:
@@ -30,54 +32,41 @@ def png_size(data: bytes) -> tuple[int, int]:
     return width, height
 
 
-def check_png(data: bytes) -> tuple[bytes, np.ndarray | None]:
+def check_png(data: bytes) -> bytes:
     """Check a whole PNG and unpack it, so that a decoder has only the filters of its rows to undo.
 
     Args:
         data: The whole file. The caller has checked its size.
 
     Returns:
-        The PNG, unpacked, with no chunks but those that its pixels need; and its palette, RGB uint8 [colours, 3], or
-        None. With a palette the PNG is a grey image, whose levels are the numbers of the colours.
+        The PNG, unpacked, with no chunks but those that its pixels need.
 
     Raises:
         ValueError: With the damage.
     """
     width, height = png_size(data)
     depth, colour, packing, filtering, interlaced = data[24:29]
-    if depth not in _DEPTHS.get(colour, ()) or packing or filtering or interlaced > 1:
+    if colour == _PALETTE or interlaced == 1:
+        kind = "an interlaced PNG" if interlaced else "a PNG with a palette"
+        raise OtherKind(f"found {kind}, expected a plain one of grey or RGB; convert it")
+    if depth not in _DEPTHS.get(colour, ()) or packing or filtering or interlaced:
         raise ValueError("its header is damaged")
-    chunks = _chunks(data)
-    packed, palette = chunks[b"IDAT"], chunks[b"PLTE"]
-    if len(palette) % 3 or (colour == 3 and not 3 <= len(palette) <= 3 << depth):
-        raise ValueError("its palette is damaged")
-    bits = depth * _CHANNELS[colour]
-    passes = _PASSES if interlaced else ((0, 1, 0, 1),)
-    parts = [(-(-(height - y) // down), -(-(width - x) // across)) for x, across, y, down in passes]
-    shapes = [(rows, 1 + (columns * bits + 7) // 8) for rows, columns in parts if columns > 0 and rows > 0]
-    expected = sum(rows * length for rows, length in shapes)
+    line = 1 + (width * depth * _CHANNELS[colour] + 7) // 8
     inflater = isal_zlib.decompressobj()
     try:
-        raw = inflater.decompress(packed, expected + 1)
+        raw = inflater.decompress(_packed(data), height * line + 1)
     except isal_zlib.error as problem:  # type: ignore[misc]  # Its stub calls the class an exception.
         raise ValueError(f"its data cannot be unpacked: {problem}") from problem
-    if len(raw) != expected or not inflater.eof or inflater.unused_data:
+    if len(raw) != height * line or not inflater.eof or inflater.unused_data:
         raise ValueError("its data have another length than its rows")
-    start = 0
-    for rows, length in shapes:
-        filters = np.frombuffer(raw, np.uint8, rows * length, start)[::length]
-        if filters.max() > 4:
-            raise ValueError("it has a row with an unknown filter")
-        start += rows * length
-    header = struct.pack(">IIBBBBB", width, height, depth, 0 if colour == 3 else colour, 0, 0, interlaced)
-    unpacked = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(raw, 0)) + chunk(b"IEND", b"")
-    colours = np.frombuffer(palette, np.uint8).reshape(-1, 3) if colour == 3 else None
-    return SIGNATURE + unpacked, colours
+    if max(raw[::line]) > 4:
+        raise ValueError("it has a row with an unknown filter")
+    return SIGNATURE + chunk(b"IHDR", data[16:29]) + chunk(b"IDAT", zlib.compress(raw, 0)) + chunk(b"IEND", b"")
 
 
-def _chunks(data: bytes) -> dict[bytes, bytes]:
-    """Palette and compressed data; every chunk's checksum is compared, and the end must be there."""
-    found: dict[bytes, list[memoryview]] = {b"IHDR": [], b"PLTE": [], b"IDAT": []}
+def _packed(data: bytes) -> bytes:
+    """The compressed data; every chunk's checksum is compared, and the end must be there."""
+    parts, headers = list[memoryview](), 0
     at, view = len(SIGNATURE), memoryview(data)
     while at + 12 <= len(data):
         length, kind = int.from_bytes(view[at : at + 4], "big"), bytes(view[at + 4 : at + 8])
@@ -86,13 +75,12 @@ def _chunks(data: bytes) -> dict[bytes, bytes]:
             break
         if isal_zlib.crc32(view[at + 4 : end - 4]) != int.from_bytes(view[end - 4 : end], "big"):
             raise ValueError(f"the checksum of its part {kind!r:.20} is wrong")
-        if kind == b"IEND":
-            if len(found[b"IHDR"]) != 1 or len(found[b"PLTE"]) > 1:
-                raise ValueError("a part is there twice")
-            return {name: b"".join(parts) for name, parts in found.items()}
-        if kind in found:
-            found[kind].append(view[at + 8 : end - 4])
-        elif not kind.isalpha() or kind[:1].isupper():
+        headers += kind == b"IHDR"
+        if kind == b"IEND" and headers == 1:
+            return b"".join(parts)
+        if kind == b"IDAT":
+            parts.append(view[at + 8 : end - 4])
+        elif kind not in (b"IHDR", b"PLTE") and (not kind.isalpha() or kind[:1].isupper()):
             raise ValueError(f"its part {kind!r:.20} is unknown")
         at = end
     raise ValueError("it is cut short")

@@ -3,8 +3,9 @@
 import struct
 from typing import NamedTuple
 
-import numpy as np
 from isal import isal_zlib
+
+from jaxscan.vision.png import OtherKind
 
 
 _SHORT, _LONG = 3, 4
@@ -15,18 +16,6 @@ _TILE_WIDTH, _TILE_HEIGHT, _TILES, _TILE_BYTES = 322, 323, 324, 325
 _NONE, _LZW, _PACKBITS, _DEFLATE = 1, 5, 32773, (8, 32946)
 _MOST_ENTRIES = 1 << 20
 _MOST_SAMPLES = 4
-# Of a table of LZW: the width of each code [bits], where it starts, and the largest that the table has then. A decoder
-# holds 4096 strings; some writers clear the table a little later.
-_MOST_CODES = 5120
-_LARGEST_CODES = np.concatenate([[255], 258 + np.arange(_MOST_CODES - 1)])
-_CODE_WIDTHS = 9 + np.searchsorted([512, 1024, 2048], _LARGEST_CODES + 1, side="right")
-_CODE_STARTS = np.concatenate([[0], np.cumsum(_CODE_WIDTHS)])
-_LEAST_TABLE = 256
-"""Bytes that a table of LZW stands for, on average, at the least."""
-
-
-class OtherKind(ValueError):
-    """A picture that is whole, and of a kind that is not read here."""
 
 
 class Tiff(NamedTuple):
@@ -71,10 +60,9 @@ class Tiff(NamedTuple):
         return self._one(_WIDTH), self._one(_HEIGHT)
 
     def check(self) -> None:
-        """Check that all strips or tiles lie in the file, and unpack to the right number of bytes.
+        """Check that all strips or tiles lie in the file, and that those of Deflate unpack to their rows.
 
-        Data that are not packed, or packed by LZW or PackBits, have no checksum: changed bytes that keep the length
-        are not noticed. Other ways of packing are left to the decoder.
+        Other data have no checksum, so changed bytes in them are not noticed.
 
         Raises:
             ValueError: With the damage.
@@ -112,19 +100,17 @@ class Tiff(NamedTuple):
         if compression == _NONE:
             # Padding may follow.
             fits = all(map(lambda size, count: size >= count * line, sizes, rows))
-        elif compression in (_LZW, _PACKBITS, *_DEFLATE):
+        else:
             # The last strip may have all the rows of the others.
-            fits = all(
-                _unpacked(self.data[place : place + size], compression, down * line) in (count * line, down * line)
+            fits = compression not in _DEFLATE or all(
+                _inflated(self.data[place : place + size], down * line) in (count * line, down * line)
                 for place, size, count in zip(places, sizes, rows, strict=True)
             )
-        else:
-            fits = True
         if not fits:
             raise ValueError("its data have another length than its rows")
 
     def is_known_packing(self) -> bool:
-        """Whether the data are packed in a way of which `check` knows the damage."""
+        """Whether the data are packed in a usual way."""
         return self._one(_COMPRESSION, _NONE) in (_NONE, _LZW, _PACKBITS, *_DEFLATE)
 
     def _one(self, tag: int, default: int | None = None) -> int:
@@ -149,71 +135,11 @@ class Tiff(NamedTuple):
         return struct.unpack_from(f"{self.order}{count}{'H' if kind == _SHORT else 'I'}", self.data, at)
 
 
-def _unpacked(data: bytes, compression: int, expected: int) -> int:
+def _inflated(data: bytes, expected: int) -> int:
     """Number of bytes that a strip or tile unpacks to, at most a little more than expected; -1 where it is damaged."""
-    if compression == _PACKBITS:
-        return _packbits_length(data)
-    if compression == _LZW:
-        return _lzw_length(data, expected)
     inflater = isal_zlib.decompressobj()
     try:
         found = len(inflater.decompress(data, expected + 1))
     except isal_zlib.error:  # type: ignore[misc]  # Its stub calls the class an exception.
         return -1
     return found if inflater.eof else -1
-
-
-def _packbits_length(data: bytes) -> int:
-    """Number of bytes that a PackBits stream unpacks to; -1 where it ends within a run."""
-    at, length = 0, 0
-    while at < len(data):
-        control = data[at]
-        if control < 128:
-            at += control + 2
-            length += control + 1
-        elif control > 128:
-            at += 2
-            length += 257 - control
-        else:
-            at += 1
-    return length if at == len(data) else -1
-
-
-def _lzw_length(data: bytes, most: int) -> int:
-    """Number of bytes that an LZW stream unpacks to; -1 where it is damaged.
-
-    Codes are read a table at a time: their places in the file follow from their number in the table. Each code but the
-    first adds the string of the code before it and one byte more to the table.
-
-    Args:
-        data: Codes of 9 to 12 bits, the highest bit first: 256 clears the table, 257 ends the stream, which may also
-            end without it.
-        most: The count stops above this number.
-
-    Source: TIFF 6.0, section 13.
-    """
-    octets = np.frombuffer(data + bytes(2), np.uint8).astype(np.int32)
-    words = octets[:-2] << 16 | octets[1:-1] << 8 | octets[2:]
-    bits, at, total, tables = 8 * len(data), 0, 0, 0
-    # Tables are cleared when they are full; a stream that clears them all the time would take minutes.
-    while total <= most and tables <= 16 + total // _LEAST_TABLE:
-        places = at + _CODE_STARTS[: (bits - at) // 9 + 1]
-        places = places[: np.searchsorted(places, bits, side="right") - 1]
-        widths = _CODE_WIDTHS[: len(places)]
-        codes = words[places >> 3] >> (24 - (places & 7) - widths) & ((1 << widths) - 1)
-        ends = np.flatnonzero(codes >> 1 == 128)
-        count = ends[0] if len(ends) else len(codes)
-        if np.any(codes[:count] > _LARGEST_CODES[:count]) or count == _MOST_CODES:
-            return -1
-        # The string that a code adds is that of the code and one byte; so many steps lead from it to a single byte.
-        before = np.concatenate([[0], np.maximum(codes[:count] - 257, 0)])
-        steps = np.minimum(np.arange(count + 1), 1)
-        while before.any():
-            steps = steps + steps[before]
-            before = before[before]
-        total += int(steps.sum())
-        if not len(ends) or codes[count] == 257:
-            return total
-        at = int(places[count] + widths[count])
-        tables += 1
-    return total if total > most else -1

@@ -89,8 +89,6 @@ def decode_zstd(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
         # Without its checksum, or with another length, it is not as it was written.
         if found.content_size != rows * columns * channels or not found.has_checksum or found.dict_id:
             raise ValueError("its data have another length than its rows")
-        if _frame_end(packed) != len(packed):
-            raise ValueError("its data end before or after the file")
         if out is None or out.shape != shape or not out.flags.c_contiguous:
             out = np.empty(shape, np.uint8)
         # Straight into the image: memory of its own for the differences would take as long as to undo them.
@@ -106,10 +104,7 @@ def decode_zstd(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
 
 
 def _add_rows(rows: np.ndarray, step: int) -> None:
-    """Undo differences to the row `step` above, modulo 256, in place; uint8 [rows, bytes].
-
-    Row by row inside blocks, all blocks at once, then block by block: NumPy is called a few times per image.
-    """
+    """Undo differences to the row `step` above, modulo 256, in place; uint8 [rows, bytes]."""
     blocks = len(rows) // (_BLOCK * step)
     first = blocks * _BLOCK * step
     # `step` rows that follow each other are one line, so that lines differ from the line above.
@@ -120,20 +115,6 @@ def _add_rows(rows: np.ndarray, step: int) -> None:
         lines[block] += lines[block - 1, -1]
     for row in range(max(first, step), len(rows)):
         rows[row] += rows[row - step]
-
-
-def _frame_end(packed: memoryview) -> int:
-    """Where a zstd frame with a checksum ends, by the lengths of its blocks.
-
-    Source: RFC 8878, section 3.1.1.2.
-    """
-    at, last = zstandard.frame_header_size(packed), 0
-    while not last and at < len(packed):
-        header = int.from_bytes(packed[at : at + 3], "little")
-        last, kind, length = header & 1, header >> 1 & 3, header >> 3
-        # One byte stands for all of a block of equal bytes.
-        at += 3 + (1 if kind == 1 else length)
-    return at + 4
 
 
 def _header(data: bytes) -> tuple[int, int, int, int]:

@@ -107,14 +107,14 @@ def dense_jacobian(ours):
     problem, shared, size = ours.problem, len(LAYOUT.names), ours.problem.own
     rows, count = [], shared + size * len(problem.poses)
     for slopes, chain, owner in (
-        (ours.corner_slopes, ours.corner_chain, problem.placement),
-        (ours.stripe_slopes, ours.stripe_chain, problem.stripe_placement()),
+        (ours.corner_slopes, ours.chains.corner, problem.placement),
+        (ours.stripe_slopes, ours.chains.stripe, problem.stripe_placement()),
     ):
         for own, placement in zip(slopes @ chain, owner, strict=True):
             row = np.zeros((len(own), count))
             row[:, :shared], row[:, shared + size * placement :][:, :size] = own[:, :shared], own[:, shared:]
             rows.append(row)
-    rows.append(np.pad(ours.seen.priors, ((0, 0), (0, count - shared))))
+    rows.append(np.pad(ours.prior_slopes, ((0, 0), (0, count - shared))))
     rows.append(np.eye(count)[shared + np.flatnonzero(np.arange(count - shared) % size >= 6)])
     return np.concatenate(rows)
 
@@ -214,9 +214,8 @@ def test_the_minimum_is_that_of_dense_least_squares(problem):
     np.testing.assert_allclose(seen(ours.linearised), seen(linearise(theirs)), atol=1e-9)
     # Frames of tangents depend on the way.
     parts = lambda p: (p.camera, p.lasers.normal, p.lasers.distance, p.turntable.twist(), p.poses, p.shape)
-    ours_too, same = (
-        np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(parts(p))]) for p in (ours.problem, theirs)
-    )
+    both = ours.linearised.problem, theirs
+    ours_too, same = (np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(parts(p))]) for p in both)
     np.testing.assert_allclose(ours_too, same, rtol=1e-9, atol=1e-9)
 
 

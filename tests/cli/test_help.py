@@ -19,7 +19,7 @@ from jaxscan.cli.verbs import BELOW, DESCRIPTION, VERBS, load_verb
 from jaxscan.files.calibration import CameraFormat
 from jaxscan.files.clouds import WRITERS
 from jaxscan.files.recording import Storage
-from jaxscan.geometry import CAMERAS, Carries, StripeAxis
+from jaxscan.geometry import CAMERAS, StripeAxis
 from jaxscan.geometry.scanner import Up
 from jaxscan.reconstruction import ReconstructSettings, Smooth
 from jaxscan.report.prints import Paper
@@ -269,7 +269,6 @@ def test_what_computes_nothing_loads_nothing_heavy(words):
         (options.PixelFormat, PixelFormat),
         (options.LaserColour, LaserColour),
         (options.StripeAxis, StripeAxis),
-        (options.Carries, Carries),
         (options.ImageUp, Up),
     ],
 )

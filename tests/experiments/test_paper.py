@@ -56,15 +56,6 @@ def test_limits_are_kept_and_said():
     assert "MISSED" in stage.line(Metric("z", 0.61, "mm", high=0.6))
 
 
-def test_a_room_keeps_its_tenths_of_a_millimetre():
-    assert [stage.shown(value) for value in (0.03525, 12.3456, 3820.33, np.inf)] == [
-        "0.03525",
-        "12.35",
-        "3820.33",
-        "inf",
-    ]
-
-
 def test_the_baseline_keeps_other_experiments(tmp_path, monkeypatch):
     monkeypatch.setattr(stage, "BASELINE", tmp_path / "baseline")
     assert stage.load_baseline("kind") == {}

@@ -18,10 +18,10 @@ def _circle(radius: float, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
 
 def test_a_circle_is_found_from_a_short_arc():
     points, centre, normal = _circle(1.4, np.deg2rad(np.linspace(10, 34, 9)))
-    found = methods.fit_circle(points)
-    assert found.radius == pytest.approx(1.4, abs=1e-9)
-    np.testing.assert_allclose(found.centre, centre, atol=1e-9)
-    assert abs(found.normal @ normal) == pytest.approx(1, abs=1e-12)
+    seen, middle, radius = methods.fit_circle(points)
+    assert radius == pytest.approx(1.4, abs=1e-9)
+    np.testing.assert_allclose(middle, centre, atol=1e-9)
+    assert abs(seen @ normal) == pytest.approx(1, abs=1e-12)
 
 
 @pytest.mark.parametrize("sense", [1, -1])

@@ -6,7 +6,7 @@ import pytest
 from experiments.recalibration import limits
 from experiments.recalibration.kinds import KINDS
 from experiments.recalibration.limits import LIMITS, TRIALS, Limit
-from experiments.recalibration.trials import keep, kept, page, rows
+from experiments.recalibration.trials import page, rows
 
 
 def trial(before, after, sigma, **more):
@@ -59,9 +59,3 @@ def test_every_limit_has_its_trials():
     assert set(KINDS) <= set(TRIALS)
     text, missed = page({kind: [] for kind in TRIALS})
     assert missed == len(LIMITS) and "not run" in text
-
-
-def test_trials_are_kept(tmp_path):
-    keep(tmp_path, "paper-like, features", {"201": TWO[0]})
-    assert kept(tmp_path, "paper-like, features") == {"201": TWO[0]}
-    assert kept(tmp_path, "good") == {}

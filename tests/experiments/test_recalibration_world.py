@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxscan
-from experiments.recalibration.trial import calibration_of, draw_truth
+from experiments.recalibration.trial import draw_truth
 from experiments.recalibration.world import (
     Noise,
     Sweeping,
@@ -128,11 +128,3 @@ def test_another_station_sees_the_same_room():
     points = triangulated(there, stripes)
     assert stripes.station == 1
     assert ((points > -1e-6) & (points < np.array(config.room.size_m) + 1e-6)).all()
-
-
-def test_calibrations_have_the_plans_views():
-    config = rig()
-    found = calibration_of(config, "paper-like", 0)
-    assert found.observations.corners.q.shape[0] == 23
-    assert len(found.observations.stripes.q) == 4
-    assert found.scanner.covariance is not None and found.quality.converged

@@ -252,14 +252,6 @@ def test_a_camera_alone(tmp_path, coefficients):
         load_scanner(tmp_path / "camera.json")
 
 
-def test_without_covariance(tmp_path):
-    scanner = dataclasses.replace(make_scanner(), covariance=None)
-    bare = Calibration(scanner.camera, scanner, (), np.zeros((0, 0)))
-    save_calibration(bare, tmp_path / "c.json")
-    assert load_scanner(tmp_path / "c.json").covariance is None
-    assert load_calibration(tmp_path / "c.json").covariance.shape == (0, 0)
-
-
 def test_observations_of_a_replaced_calibration_do_not_stay(tmp_path):
     save_calibration(make_calibration(observations=make_observations()), tmp_path / "c.json")
     save_calibration(make_calibration(), tmp_path / "c.json")
@@ -407,14 +399,6 @@ def test_a_covariance_that_is_none(tmp_path):
 def test_what_is_no_calibration(tmp_path, text, message):
     (tmp_path / "c.json").write_text(text)
     refused(CalibrationError, lambda: load_scanner(tmp_path / "c.json"), message, "c.json")
-
-
-def test_a_missing_file(tmp_path):
-    for load in (load_scanner, load_calibration):
-        with pytest.raises(CalibrationError, match=r"c\.json: no such file"):
-            load(tmp_path / "c.json")
-    with pytest.raises(CalibrationError, match=r"c\.json: no such file"):
-        calibration_digest(tmp_path / "c.json")
 
 
 @pytest.mark.parametrize(

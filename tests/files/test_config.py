@@ -143,7 +143,6 @@ def test_as_many_dotted_parts_as_are_allowed():
         f'x = "here {DEEP} is text" # and {DEEP} a comment',
         f'x = """\n{DEEP}\n "" {DEEP} \\"""{DEEP}"""',
         f"x = '''\n{DEEP} '' {DEEP}'''''",
-        "x = [" + "1.5, " * 100 + "]",
         "x = 1979-05-27T07:32:00.999\ny.z = 1.5e3",
     ],
 )
@@ -155,7 +154,6 @@ def test_dots_that_are_no_keys(text):
     "before",
     [
         "",
-        "x = 1 # a comment, 'with \"quotes\n",
         "x = 'a#'\n",
         'x = "a# \\" # \\\\"\n',
         'x = """a\\""""\n',

@@ -105,7 +105,6 @@ def las_with(data, place, layout, *values):
     [
         (247, "<Q", 1 << 60, "announces"),
         (100, "<I", (1 << 32) - 1, "the header is longer than the file"),
-        (96, "<I", (1 << 32) - 1, "the header is longer than the file"),
         (247, "<Q", 0, "holds no points"),
         *((131, "<d", step, "not finite") for step in (float("nan"), float("inf"))),
         *((place, "<d", step, "mirror or squash") for place in (131, 147) for step in (-0.001, 0.0, 1e6, 1e300)),

@@ -66,7 +66,7 @@ def test_a_written_linear_sweep(tmp_path):
     frame = np.zeros((4, 6), np.uint8)
     with jaxscan.create_capture(tmp_path / "c", header(turntable={"carries": "linear"})) as writer:
         writer.append(position_m=0.1, on=frame)
-        with pytest.raises(CaptureError, match="a sweep needs a position_m and a laser-on image"):
+        with pytest.raises(CaptureError, match="a sweep needs position_m and a laser-on image"):
             writer.append(angle_deg=3.0, on=frame)
         writer.append(position_m=0.2, on=frame)
     np.testing.assert_array_equal(jaxscan.open_capture(tmp_path / "c").angles, [0.1, 0.2])

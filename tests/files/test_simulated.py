@@ -1,8 +1,6 @@
 """The folder of a simulation: it appears whole or not at all, and no process touches another's."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -66,34 +64,3 @@ def test_a_failure_leaves_nothing_and_touches_nothing_of_others(tmp_path, proble
     assert sorted(os.listdir(tmp_path)) == [f".made.partial-{os.getpid()}", ".part-x"]
     write(tmp_path / "made")
     assert (tmp_path / f".made.partial-{os.getpid()}" / "work").exists() and (tmp_path / "made").is_dir()
-
-
-WORK = (
-    "import importlib.util, sys, time\n"
-    "spec = importlib.util.spec_from_file_location('tests_of_it', sys.argv[1])\n"
-    "module = importlib.util.module_from_spec(spec)\nspec.loader.exec_module(module)\n"
-    "def slow():\n"
-    "    yield from module.records(2)\n"
-    "    print('begun', flush=True)\n"
-    "    time.sleep(120)\n"
-    "module.write(sys.argv[2], slow())\n"
-)
-
-
-def test_two_at_once_and_one_killed(tmp_path):
-    """With the same process number, as in two containers that share a disk, both would have had one name."""
-    other = subprocess.Popen(
-        [sys.executable, "-c", WORK, __file__, str(tmp_path / "made")], stdout=subprocess.PIPE, text=True
-    )
-    try:
-        assert other.stdout.readline() == "begun\n"
-        (held,) = os.listdir(tmp_path)
-        write(tmp_path / "made")
-        assert sorted(os.listdir(tmp_path)) == [held, "made"]
-        assert (tmp_path / held / "sweep" / "frames.jsonl").exists()
-    finally:
-        other.kill()
-        other.wait()
-        other.stdout.close()
-    write(tmp_path / "again")
-    assert sorted(os.listdir(tmp_path)) == ["again", "made"]

@@ -25,7 +25,7 @@ ARRAYS = {
     "record": np.arange(9, dtype=np.int32),
     "none": np.zeros((0, 20), np.float32),
 }
-EMPTY = {"format": "jaxscan-stripes/2", "key": {}, "arrays": {}, "sha256": hashlib.sha256(b"").hexdigest()}
+EMPTY = {"format": "jaxscan-stripes/3", "key": {}, "sha256": hashlib.sha256(b"").hexdigest()}
 KEY = {"frames": "sha256:00", "settings": {"k": [1, 2.5, None]}, "version": 3}
 
 
@@ -134,8 +134,8 @@ def test_hostile_archives(tmp_path):
         b"",
         b"{",
         b"[]",
-        b'{"format": "jaxscan-stripes/2", "key": {}, "arrays": {}}',
-        b'{"format": "jaxscan-stripes/2"}',
+        b'{"format": "jaxscan-stripes/3", "key": {}}',
+        b'{"format": "jaxscan-stripes/3"}',
     ):
         archive(path, [("key.npy", npy(np.frombuffer(text, np.uint8)))])
         with pytest.raises(CaptureError):

@@ -43,22 +43,6 @@ def test_a_bracket_has_a_digest_for_each_image(tmp_path):
     assert found.record == 0 and line["on"][1]["file"] in found.message
 
 
-def test_an_image_that_many_records_name_is_read_once(tmp_path, monkeypatch):
-    from jaxscan.files.capture import verify
-
-    lines = journal(write(tmp_path / "room", count=2))
-    lines = [lines[k % 2] | {"i": k} for k in range(1000)]
-    lines[-1] = lines[-1] | {"sha256": lines[0]["sha256"]}
-    (tmp_path / "room" / "frames.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-    read, digest = [], verify.file_digest
-    monkeypatch.setattr(verify, "file_digest", lambda path, **given: (read.append(path), digest(path, **given))[1])
-    monkeypatch.setattr(verify, "cores", lambda: 1)
-    found = verify_capture(tmp_path / "room")
-    # Each record has digests of its own, although the image is the same.
-    assert [problem.record for problem in found] == [999, 999] and all("expected" in one.message for one in found)
-    assert len(read) == 4
-
-
 def test_without_digests_a_record_has_no_such_key_and_only_missing_files_are_found(tmp_path):
     path = write(tmp_path / "room", digests=False)
     assert not any("sha256" in line for line in journal(path))

@@ -153,8 +153,8 @@ def test_an_existing_folder_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({"angle_deg": None, "on": FRAMES[0]}, "a sweep needs an angle"),
-        ({"angle_deg": 1.0}, "a sweep needs an angle and a laser-on image"),
+        ({"angle_deg": None, "on": FRAMES[0]}, "a sweep needs angle_deg"),
+        ({"angle_deg": 1.0}, "a sweep needs angle_deg and a laser-on image"),
         ({"angle_deg": float("nan"), "on": FRAMES[0]}, "not finite"),
         (
             {"angle_deg": 1.0, "on": FRAMES[0].T},

@@ -58,14 +58,6 @@ def test_angle_model():
     assert table.angle(jnp.array(0.0)) == 0
 
 
-def test_look_up_table_is_the_powers_of_tr():
-    step = np.deg2rad(0.1)
-    table = TABLE.table(step, 60)
-    tr = np.asarray(TABLE.tr(step))
-    for n in (0, 1, 2, 59):
-        np.testing.assert_allclose(table[n], np.linalg.matrix_power(tr, n), atol=1e-13)
-
-
 def test_axis_of_its_own_tr():
     again = Turntable.from_tr(TABLE.tr(0.05))
     np.testing.assert_allclose(again.direction, AXIS, atol=1e-12)

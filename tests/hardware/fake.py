@@ -61,8 +61,7 @@ class FakeController:
     position: int = 500
     """Of the table, from the switch."""
 
-    lasers: int | None = 2
-    """That it switches; None: of a firmware that does not know the question."""
+    lasers: int = 2
 
     def __post_init__(self) -> None:
         self.carried_out: list[str] = []
@@ -201,10 +200,8 @@ class FakeController:
             case "CNT":
                 up = int(self.clock.now() * 1000)
                 return f" crc=0 over=0 dup=0 las={self.pulses} up={up} wdr=0 was={self.was}"
-            case "HAS" if self.lasers is not None:
-                return f" las={self.lasers}"
             case "HAS":
-                return 3
+                return f" las={self.lasers}"
             case "CFG":
                 part = self.settings["shot" if args.get("shot") else "motion"]
                 return "".join(f" {key}={value}" for key, value in part.items())

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scanrig.cameras.simulated import FrameShape, SyntheticScene, draw
-from scanrig.checks.compare import compare_pairs
+from scanrig.checks.compare import PLACES, LeakWatch, compare_pairs
 from scanrig.config import ChecksTable
 
 from jaxscan.stripes import LaserLine
@@ -59,7 +59,7 @@ def test_another_view_is():
 @pytest.mark.parametrize("degrees", [1.0, 5.0, 15.0, -90.0])
 def test_a_table_that_stands_elsewhere_is_seen_by_the_room_alone(degrees, pixel_format):
     """The line may lie where it lay, by chance: the scene's is the same at places all around."""
-    for position in range(0, 28800, 7200):
+    for position in (0, 14400):
         scene = SyntheticScene()
         brighter = replace(scene, ambient_dn=1.2 * scene.ambient_dn)
         first = pair(scene, position, pixel_format=pixel_format)
@@ -87,6 +87,7 @@ def test_a_room_without_contrast_is_not_compared(scene):
     assert half.correlation is None
 
 
+@pytest.mark.more
 def test_a_rendered_room_is_recognised_and_distinguished_from_its_neighbourhood():
     pytest.importorskip("embreex")
     from bench.camera.rendered import View, load_world
@@ -110,3 +111,33 @@ def test_without_a_line_nothing_is_known():
     found = compare(pair(SyntheticScene(peak_dn=0.0)), pair(SyntheticScene(peak_dn=0.0)))
     assert found.shift_px is None and not found.within(100.0, -1.0)
     assert "the line is not on the same rows" in str(found)
+
+
+# A laser that is slow to go out, distinguished from wallpaper with stripes
+
+
+def test_a_slow_laser_is_found_at_the_eighth_place():
+    watch = LeakWatch()
+    found = [watch.add(2.0 * k, 0.2) for k in range(PLACES)]
+    assert found == [None] * (PLACES - 1) + [0.2]
+
+
+def test_stripes_of_wallpaper_are_no_leak():
+    watch, rng = LeakWatch(), np.random.default_rng(1)
+    # A stripe along the line at every third place, as bright as a quarter of the laser.
+    leaks = [0.25 if k % 3 == 0 else float(rng.normal(0.0, 0.03)) for k in range(180)]
+    found = [watch.add(2.0 * k, leak) for k, leak in enumerate(leaks)]
+    assert max(value for value in found if value is not None) < 0.1
+
+
+def test_small_steps_see_the_same_texture():
+    watch = LeakWatch()
+    # 0.1 degrees: a stripe of 1.5 degrees is met fifteen times, and counts once.
+    found = [watch.add(0.1 * k, 0.3 if k < 15 else 0.0) for k in range(200)]
+    values = [value for value in found if value is not None]
+    assert len(values) == 3 and max(values) == 0.0
+
+
+def test_boards_count_each():
+    watch = LeakWatch()
+    assert [watch.add(None, 0.15) for _ in range(PLACES)][-1] == 0.15

@@ -190,7 +190,7 @@ def test_one_fault_is_named(desk, tmp_path, spoil, name, says, unseen):
 def test_a_folder_that_cannot_be_written(desk, tmp_path):
     (tmp_path / "file").touch()
     found = examined(desk, tmp_path / "file")
-    assert found["storage"].verdict == "wrong" and "cannot be written" in found["storage"].found
+    assert found["storage"].verdict == "wrong" and "cannot be written" in found["storage"].do
 
 
 class Watched(Turning):

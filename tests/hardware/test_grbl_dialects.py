@@ -3,7 +3,16 @@
 import pytest
 from scanrig.controllers.controller import GrblTable, Settings
 from scanrig.controllers.grbl import GrblController
-from scanrig.controllers.grbl.lines import FLUID_NC, GRBL, GRBL_HAL, GrblLines, TableUnits, dialect_of
+from scanrig.controllers.grbl.lines import (
+    FLUID_NC,
+    GRBL,
+    GRBL_HAL,
+    GrblLines,
+    TableUnits,
+    dialect_of,
+    read_report,
+    read_settings,
+)
 from scanrig.errors import Fault, FirmwareError, RigError, RigFault
 
 from .grbl_rig import GrblBoard
@@ -114,3 +123,15 @@ def test_a_device_that_answers_otherwise_is_quoted():
     lines = GrblLines(board, board.clock, greeting="Grbl", reopen=lambda: board)
     with pytest.raises(RigError, match=r"no answer from grbl to 'G4 P0'.*it sent 'what\?'"):
         lines.ask("G4 P0")
+
+
+@pytest.mark.parametrize("said", ["nan", "inf", "1e400", "9" * 400, "1.2.3", "", "٣"])
+def test_a_report_of_no_place_is_no_report(said):
+    assert read_report(f"<Idle|MPos:{said},0.000,0.000|FS:0,0>") is None
+    assert read_settings([f"$100={said}"]) == {}
+
+
+def test_a_report_is_read():
+    report = read_report("<Idle|MPos:-12.345,0.,3|FS:0,0>")
+    assert report is not None and report.positions == (-12.345, 0.0, 3.0)
+    assert read_settings(["$100=80.000", "$10=1"]) == {100: 80.0, 10: 1.0}

@@ -302,3 +302,26 @@ def light(simulated, controller, doing, number=1):
     else:
         controller.laser(True, 1000, number=number)
     assert simulated.plant()[mine] == 1 and simulated.plant()[other] == 0
+
+
+def together(edges):
+    """Whether two gates were ever high at once."""
+    gates = {"laser": 0, "laser_2": 0}
+    for edge in edges:
+        if edge.get("pin") in gates:
+            gates[edge["pin"]] = edge["v"]
+            if all(gates.values()):
+                return True
+    return False
+
+
+def test_one_goes_off_before_the_other_comes_on(rig):
+    simulated = rig()
+    with ready(simulated, speed=1) as controller:
+        for number in (1, 2, 1, 2):
+            controller.laser(True, number=number)
+        assert simulated.plant()["laser_2"] == 1
+        controller.laser(False)
+    edges = simulated.edges()
+    assert not together(edges)
+    assert len(rises(edges, "laser")) == len(rises(edges, "laser_2")) == 2

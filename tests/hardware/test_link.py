@@ -113,15 +113,6 @@ def test_the_other_end_goes_away():
     link.close()
 
 
-def test_a_closed_link_is_lost_not_a_crash(terminal):
-    link = open_serial(terminal[1])
-    link.close()
-    with pytest.raises(LinkLost):
-        link.write(b"?")
-    with pytest.raises(LinkLost):
-        link.read(0.0)
-
-
 def test_the_only_board_is_chosen():
     assert choose_port("auto", [MODEM, UNO, BUILT_IN]) == UNO.by_id
     assert choose_port("", [BUILT_IN, MODEM]) == MODEM.device

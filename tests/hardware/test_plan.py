@@ -3,7 +3,7 @@
 from fractions import Fraction
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scanrig.config import RigConfig
 from scanrig.session.plan import (
@@ -28,6 +28,7 @@ def positions(**tables):
     return [target.position for target in plan_sweep(rig(**tables))[0]]
 
 
+@settings(max_examples=30, deadline=None)
 @given(n=st.integers(8, 100_000), data=st.data())
 def test_a_full_turn_stands_at_2kn_plus_k_over_2k(n, data):
     """The closed form of PROTOCOL.md, section 3, for every table and number of steps."""
@@ -104,6 +105,7 @@ def test_a_capture_of_a_room_needs_what_it_needs():
     assert found.seconds / 3600 == pytest.approx(0.145 + 0.03, abs=0.025)
 
 
+@settings(max_examples=30, deadline=None)
 @given(distance=st.integers(0, 100_000))
 def test_motion_takes_as_long_as_its_ramps_and_its_run(distance):
     config = rig(turntable={"gear": [9, 1]})

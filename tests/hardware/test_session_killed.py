@@ -123,21 +123,6 @@ def test_09_killed_at_any_moment_it_goes_on(scan):
     one.require_dark()
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(1200)
-def test_09_killed_fifty_times_it_goes_on(rig, tmp_path):
-    """Fault 9, 50 times over: every scan is complete in the end, every hash right."""
-    simulated, kills, during = rig(speed=10), 0, 0
-    for number in range(5):
-        one = Scan(simulated, tmp_path / f"room{number}", 60)
-        during += kill_and_go_on(one, 10, seed=100 + number)
-        kills += 10
-        one.require_complete()
-        one.require_whole()
-        one.require_dark()
-    assert kills == 50 and during >= 20, during
-
-
 @pytest.mark.parametrize(
     "name", ["SIGINT", pytest.param("SIGTERM", marks=pytest.mark.slow), pytest.param("SIGHUP", marks=pytest.mark.slow)]
 )

@@ -113,8 +113,7 @@ class Wire:
 
 @pytest.mark.parametrize(("number", "field"), [(1, ""), (2, " n=2")])
 def test_only_the_second_laser_has_a_number_on_the_wire(number, field):
-    """For one laser the host sends the same lines as before, so that earlier firmware understands them."""
-    wire = Wire(lasers=None if number == 1 else 2)
+    wire = Wire(lasers=2)
     wire.controller.configure(Settings(lasers=number))
     wire.controller.enable(True)
     wire.controller.home(30000)
@@ -127,9 +126,8 @@ def test_only_the_second_laser_has_a_number_on_the_wire(number, field):
     assert any(text.startswith("HAS") for text in wire.fake.carried_out) is (number == 2)
 
 
-@pytest.mark.parametrize("lasers", [None, 1])
-def test_an_earlier_firmware_is_refused_in_one_line(lasers):
-    wire = Wire(lasers=lasers)
+def test_a_firmware_for_one_laser_is_refused_in_one_line():
+    wire = Wire(lasers=1)
     with pytest.raises(FirmwareError, match="found a firmware that switches 1 laser, needed one that switches 2"):
         wire.controller.configure(Settings(lasers=2))
     assert not any(text.startswith("SET") for text in wire.fake.carried_out)

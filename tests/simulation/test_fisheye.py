@@ -20,7 +20,6 @@ from jaxscan.simulation import (
     make_rig,
     make_scene,
     true_scanner,
-    truth,
 )
 from jaxscan.simulation.rig import Motion, distort, look, project, ray_table, rodrigues
 from jaxscan.simulation.sweep import plan_boards
@@ -96,12 +95,6 @@ def test_lenses_that_cannot_be_are_refused():
         CameraSpec(k4=1e-3)
     with pytest.raises(ConfigError, match="no normalised image coordinates"):
         distort(CAMERA, np.zeros(1), np.zeros(1))
-
-
-def test_truth_holds_the_lens():
-    values = truth(config())["parameters"]
-    assert set(values) == set(true_scanner(config()).parameter_names())
-    assert values["fx"] == CAMERA.fx and values["k4"] == CAMERA.k4
 
 
 @pytest.fixture(scope="module")

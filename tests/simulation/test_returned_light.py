@@ -15,7 +15,7 @@ from jaxscan.simulation import (
     make_rig,
     make_scene,
 )
-from jaxscan.simulation.light import LitScene, line_pieces, returned_light
+from jaxscan.simulation.light import LitScene, line_pieces, returned_field
 from jaxscan.simulation.light.bounce import Pieces
 from jaxscan.simulation.scene import Material, Mesh, build_scene
 
@@ -76,13 +76,13 @@ def test_one_piece_lights_a_point_by_the_cosines_and_the_square_of_the_distance(
     shot = LitScene(rig, rig.sheets[0], scene, rig.pose(0.0), None)
     lamp = Pieces(np.array([[1.0, 0.5, 0.0]], np.float32), np.array([[1.0, 0, 0]], np.float32), np.ones(1, np.float32))
     point = np.array([1.9, -0.4, 0.3], np.float32)
-    field = returned_light(shot, lamp, np.broadcast_to(point, (HEIGHT, WIDTH, 3)))
+    field = returned_field(shot, lamp, np.broadcast_to(point, (HEIGHT, WIDTH, 3)).__getitem__)
     leg = lamp.points[0] - point
     d = np.linalg.norm(leg)
     expected = leg / d * (0.9 / d) / (np.pi * d**2)
     # A piece of 3 cm is no point: 1e-3 of the light at this distance.
-    np.testing.assert_allclose(field[40, 70], expected, rtol=3e-3)
-    np.testing.assert_allclose(field[0, 0], field[-1, -1], rtol=1e-6)
+    np.testing.assert_allclose(field[:, 40, 70], expected, rtol=3e-3)
+    np.testing.assert_allclose(field[:, 0, 0], field[:, -1, -1], rtol=1e-6)
 
 
 SIDE = (-0.3, -9, 0.5), (0, 0, 4), (0, 18, 0)

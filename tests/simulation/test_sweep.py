@@ -1,7 +1,5 @@
 """Whole records: order, seeds, formats, the room that is seen."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -164,7 +162,3 @@ def test_an_object_turns_before_a_camera_that_stands_still():
     # Where nothing is seen, it is dark.
     assert (records[0].off == 0).any()
     assert "room" not in truth(config)
-
-
-def test_the_truth_can_be_written_as_json():
-    assert json.loads(json.dumps(truth(CONFIG)))["room"]["size_m"] == list(CONFIG.room.size_m)

@@ -71,11 +71,13 @@ def test_tiff_of_another_writer_is_read(compression):
     assert np.array_equal(decode(by_pillow("TIFF", compression=compression)), picture())
 
 
-def test_kinds_of_png_that_are_left_to_the_decoder():
+def test_pngs_of_few_bits_are_read_and_those_with_a_palette_or_interlaced_are_refused():
     palette = Image.fromarray(picture(3)).quantize(32)
     file = io.BytesIO()
     palette.save(file, "PNG")
-    assert np.array_equal(decode(file.getvalue(), 3), np.asarray(palette.convert("RGB")))
+    for data in (file.getvalue(), png(bytes(ROWS * (1 + COLUMNS)), interlaced=1)):
+        with pytest.raises(CaptureError, match="expected a plain one of grey or RGB; convert it"):
+            decode(data)
     black = Image.fromarray(picture() > 90)
     file = io.BytesIO()
     black.save(file, "PNG")
@@ -83,22 +85,13 @@ def test_kinds_of_png_that_are_left_to_the_decoder():
 
 
 @pytest.mark.parametrize("rank", [2, 3])
-@pytest.mark.parametrize("compression", [5, 8, 32946])
+@pytest.mark.parametrize("compression", [8, 32946])
 @pytest.mark.parametrize("part", [0.2, 0.5, 0.8])
 def test_zeros_in_a_packed_tiff_are_noticed(compression, rank, part, capfd):
     data = bytearray(tiff(compression, rank))
     at = int(part * len(data))
     data[at : at + 40] = bytes(40)
     refused(bytes(data), capfd, rank)
-
-
-@pytest.mark.parametrize("part", [0.2, 0.5, 0.8])
-def test_packbits_tell_where_their_length_is_another(part, capfd):
-    # Runs of equal bytes. The bytes of noise are kept as they are, and nothing tells that they were others.
-    data = bytearray(cv2.imencode(".tiff", picture() // 64 * 64, [cv2.IMWRITE_TIFF_COMPRESSION, 32773])[1].tobytes())
-    at = int(part * len(data))
-    data[at : at + 40] = bytes(40)
-    refused(bytes(data), capfd)
 
 
 @pytest.mark.parametrize("rank", [2, 3])
@@ -186,31 +179,6 @@ def test_damage_anywhere_in_a_png_is_noticed(rank, mended, part, capfd):
     refused(with_checksums(bytes(data)) if mended else bytes(data), capfd, rank)
 
 
-def lzw(*codes, size=(COLUMNS, ROWS)):
-    """A TIFF whose one strip has these codes of 9 bits."""
-    strip = np.packbits([code >> place & 1 for code in codes for place in range(8, -1, -1)]).tobytes()
-    fields = ((256, size[0]), (257, size[1]), (258, 8), (259, 5), (262, 1), (273, 8), (277, 1), (278, size[1]))
-    entries = [struct.pack("<HHII", tag, 4, 1, value) for tag, value in (*fields, (279, len(strip)))]
-    directory = struct.pack("<H", len(entries)) + b"".join(entries) + bytes(4)
-    return b"II*\0" + struct.pack("<I", 8 + len(strip)) + strip + directory
-
-
-def test_codes_of_lzw_that_the_table_does_not_hold_are_refused(capfd):
-    # 258 is the string that it adds itself: two bytes, then three, and so on.
-    codes, size = range(258, 258 + 194), (130, 147)
-    assert 1 + sum(range(2, 196)) == 130 * 147
-    assert not decode(lzw(256, 0, *codes, 257, size=size), size=size).any()
-    assert not decode(lzw(256, 0, *codes, size=size), size=size).any()
-    for wrong in ((0, *codes, 0), (0, *codes[:-1]), (0, 259, *codes), (258, *codes), (0, *codes[:-2], 453, 453)):
-        refused(lzw(256, *wrong, 257, size=size), capfd, size=size)
-
-
-def test_a_table_that_is_cleared_all_the_time_is_refused(capfd):
-    """It would take minutes to follow: each table has its costs."""
-    refused(lzw(*[256] * 100_000), capfd)
-    refused(lzw(*[256, 0] * (ROWS * COLUMNS), 257), capfd)
-
-
 def png(rows, *, width=COLUMNS, height=ROWS, depth=8, colour=0, interlaced=0):
     def chunk(kind, data):
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
@@ -224,35 +192,9 @@ def test_a_png_has_as_many_bytes_as_its_header_says(capfd):
     assert not decode(png(whole)).any()
     for rows in (whole[1:], whole + b"\0", bytes(50 * len(whole)), b"\x05" + whole[1:]):
         refused(png(rows), capfd)
-    refused(png(whole, interlaced=1), capfd)
+    refused(png(whole, interlaced=2), capfd)
     refused(png(whole, depth=3), capfd)
     refused(png(whole, colour=1), capfd)
-
-
-@pytest.mark.parametrize("depth", [1, 2, 4, 8])
-def test_a_palette_has_all_colours_of_its_pixels(depth, capfd):
-    colours = bytes(value % 256 for value in range(3, 3 << depth))
-
-    def with_palette(numbers):
-        bits = [number >> place & 1 for number in numbers for place in range(depth - 1, -1, -1)]
-        data = png(b"\0" + np.packbits(bits).tobytes(), width=len(numbers), height=1, depth=depth, colour=3)
-        chunk = b"PLTE" + colours
-        chunk = struct.pack(">I", len(colours)) + chunk + struct.pack(">I", zlib.crc32(chunk))
-        return data[:33] + chunk + data[33:]
-
-    last = (1 << depth) - 2
-    found = decode(with_palette([0, last, 0]), 3, (3, 1))
-    assert found.tolist() == [[[3, 4, 5], list(colours[-3:]), [3, 4, 5]]]
-    with pytest.raises(CaptureError, match="not in its palette"):
-        decode(with_palette([0, last + 1, 0]), 3, (3, 1))
-
-
-def test_an_interlaced_png_is_checked_too(capfd):
-    # Three columns and two rows: passes 1, 4, 6 and 7 have pixels.
-    rows = b"\0\x0a" + b"\0\x0c" + b"\0\x0b" + b"\0\x14\x15\x16"
-    image = decode(png(rows, width=3, height=2, interlaced=1), size=(3, 2))
-    assert image.tolist() == [[10, 11, 12], [20, 21, 22]]
-    refused(png(rows[:-1], width=3, height=2, interlaced=1), capfd)
 
 
 @pytest.mark.parametrize("cut", [20, 30, 60, 3000])

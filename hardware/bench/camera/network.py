@@ -188,7 +188,6 @@ class GvCamera:
 
 
 POLL_S = 0.002
-"""How often the log is looked at."""
 
 
 @dataclass

@@ -35,7 +35,6 @@ NOMINAL_EXPOSURE_S = 0.01
 """Exposure time at which the world is as bright as its file says."""
 
 TEXTURE_PX = 60
-"""Pixels per square of the picture from which boards are rendered."""
 
 _PLAN, _NOISE = 2, 7
 """Streams of random numbers that are drawn from the world's seed."""
@@ -49,7 +48,6 @@ class View(NamedTuple):
     lights: tuple[float, ...] = (0.0,)
     """Share of the exposure during which each laser shone, in the order of the world's file."""
     board: int | None = None
-    """Number of the board's pose; None: no board."""
     exposure: float = 1.0
     """Exposure time and gain, as a factor on the nominal."""
 
@@ -163,7 +161,6 @@ class Exposure(NamedTuple):
     """One pulse of the trigger wire, with table and lasers during it."""
 
     cycle: int
-    """When it began."""
     position: int
     """Microsteps from where the home switch closed last, on the way down."""
     light: float
@@ -223,7 +220,6 @@ class Plant:
     home: int = 0
     """Position of the switch's edge when it closed last, on the way down."""
     lights: dict[str, Light] = field(default_factory=lambda: {"light": Light(), "light_2": Light()})
-    """By their names in the log."""
     down: bool = False
     trigger_since: int | None = None
     """Cycle at which the trigger rose; None while it is low."""
@@ -263,7 +259,6 @@ class Plant:
 
 ADDRESS = "127.0.0.1"
 READY_S = 90.0
-"""How long the camera may take to start: it loads the simulator and makes a room, perhaps on a busy machine."""
 
 
 class RenderedCamera(Part):

@@ -45,7 +45,6 @@ STATUS = {
     7: "aborted",
     8: "of an unknown kind",
 }
-"""The meaning of a buffer's status (ArvBufferStatus)."""
 RANGE_CHECK = 1
 ACCESS_CHECK = 1
 
@@ -239,7 +238,6 @@ PIXEL_FORMATS: dict[str, tuple[str, ...]] = {
 two bytes for each sample, the lower first; the packed ones ("Mono12p", "Mono12Packed") are never requested."""
 
 AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto")
-"""Automatic functions of a camera, which are switched off."""
 
 
 def connect(aravis: Aravis, wanted: str, say: Say) -> int:
@@ -327,7 +325,6 @@ _BUFFERS = 8
 """Frames that may wait; a step of a sweep has two."""
 _QUIET_S, _MOST_PASSING_S = 0.1, 2.0
 _SLICE_S = 0.2
-"""How often a waiting call checks that the camera is still connected."""
 
 
 class AravisCamera(Camera):

@@ -37,7 +37,6 @@ class CameraSettings(ImageSize):
     pixel_format: Annotated[str, pydantic.AfterValidator(_known_format)] = "mono8"
     """How the camera gives a frame: one of `PIXEL_FORMATS`, or of `DEEP_FORMATS`, such as "mono12"."""
     response: Annotated[Response, pydantic.AfterValidator(known_response)] = "linear"
-    """"linear", "srgb" or "gamma 2.2"."""
     up: Up = "-v"
     exposure_ms: Annotated[Number, pydantic.Field(gt=0, le=10_000)] = 10.0
     gain_db: Annotated[Number, pydantic.Field(ge=-100, le=100)] = 0.0
@@ -100,7 +99,6 @@ class Frame:
     complete: bool
     """Whether the whole image arrived; missing parts are zero or older."""
     note: str = ""
-    """A remark for the journal."""
     bits: int = 8
 
     @functools.cached_property

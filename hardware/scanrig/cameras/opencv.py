@@ -16,7 +16,6 @@ from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
 
 _MANUAL = 1.0
-"""V4L2_EXPOSURE_MANUAL."""
 _PER_S = 1e4
 """V4L2's unit of exposure is 100 µs."""
 _DRIVER = "V4L2"
@@ -87,9 +86,7 @@ _OPEN_MS = 5000
 _READ_MS = 10_000
 """Longest stall of a stream before OpenCV gives up."""
 _WAITING = 4
-"""Frames that are kept for `next`; older ones are discarded."""
 _ANSWER_S = 2.0
-"""Longest wait for the reading thread."""
 _SAME_CLOCK_S = 5.0
 """A time stamp this near to the monotonic clock comes from that clock: V4L2's do, those of streams do not."""
 
@@ -110,20 +107,13 @@ class OpenCVCamera(Camera):
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         self._started, self._ended, self._note = False, "", ""
-        self._asked: Features | None = {}
         self._open()
 
     def features(self) -> Features:
-        """Its settings; queried by the reading thread, since OpenCV allows only one thread."""
-        if self._thread is None:
-            return read_features(self._capture, self.settings)
-        with self._changed:
-            self._asked = None
-            if not self._changed.wait_for(lambda: self._asked is not None or self._ended, _ANSWER_S):
-                raise CameraTimeout(f"{self.identity}: no frame for {_ANSWER_S:g} s, and so no features.")
-            if self._asked is None:
-                raise CameraLost(f"{self.identity}: {self._ended}")
-            return dict(self._asked)
+        """Its settings as they were when it was opened: OpenCV allows only one thread, which reads frames by now."""
+        if self._stop.is_set():
+            raise CameraLost(f"{self.identity}: the camera is closed; reopen it.")
+        return dict(self._features)
 
     def start(self) -> None:
         if self._stop.is_set():
@@ -194,12 +184,13 @@ class OpenCVCamera(Camera):
         self.identity = CameraIdentity("opencv", backend, str(self._source))
         try:
             expected = apply_settings(self._capture, self.settings, name=str(self.identity))
-            require(read_features(self._capture, self.settings), expected, name=str(self.identity))
+            self._features = read_features(self._capture, self.settings)
+            require(self._features, expected, name=str(self.identity))
         except CameraError:
             self._capture.release()
             raise
         self._note = silent(backend)
-        self._ended, self._asked = "", {}
+        self._ended = ""
         self._since, self._flush = time.monotonic(), self.settings.flush_frames
 
     def _read(self, capture: cv2.VideoCapture, stop: threading.Event) -> None:
@@ -224,7 +215,6 @@ class OpenCVCamera(Camera):
                 return "the camera is gone: its frames ended."
             image = _image(pixels, self.settings)
             stamp = 1e-3 * capture.get(cv2.CAP_PROP_POS_MSEC)
-            features = read_features(capture, self.settings) if self._asked is None else None
             if image is None:
                 return (
                     f"its frames are {pixels.shape[1]} x {pixels.shape[0]} px, expected "
@@ -233,7 +223,6 @@ class OpenCVCamera(Camera):
             with self._changed:
                 if stop.is_set():
                     break
-                self._asked = self._asked if features is None else features
                 self._arrive(image, stamp, arrival)
                 self._changed.notify_all()
         return "the camera is closed; reopen it."

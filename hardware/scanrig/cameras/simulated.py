@@ -30,7 +30,6 @@ class SyntheticScene:
     width_px: float = 1.8
     """Standard deviation of the line [px]."""
     share: float = 1.0
-    """Part of the frame's lines that the laser meets."""
     ambient_dn: float = 30.0
     """Mean level of the wall [DN]."""
     contrast: float = 0.4
@@ -40,7 +39,6 @@ class SyntheticScene:
     apart_px: float = 40.0
     """Distance of the second laser's line from the first's [px]."""
     read_dn: float = 1.0
-    """Read noise [DN]."""
     electrons_per_dn: float = 40.0
     """Conversion gain [e-/DN]."""
     microsteps_per_turn: int = 28800
@@ -149,7 +147,6 @@ class SimulatedCamera(Camera):
         self.settings = settings
         self.identity = CameraIdentity("simulated", "synthetic", "SIM1")
         self.device: Features = wanted(settings)
-        """The camera's features."""
         self.exposures = 0
         """Exposures so far; the number of the last."""
         self._scene = _drawn(scene or SyntheticScene(), settings) if not callable(scene) else scene

@@ -44,7 +44,6 @@ class LeakWatch:
 
 
 _FACTOR = 2.0
-"""Change that is reported."""
 _BLACK_DN = 2.0
 """Level that is added before the comparison: in the dark a count more or less is no change."""
 
@@ -85,7 +84,6 @@ class Likeness:
     shift_px: float | None
     """Shift of the stripe: median over the lines on which both pairs show it [px]; None if these are too few."""
     lines: int
-    """Lines on which both pairs show the stripe."""
     correlation: float | None
     """Correlation of the laser-off frames' structure, 1 for the same view in any light [1]; None if they show too
     little structure above noise."""

@@ -25,7 +25,6 @@ class BoardView:
     """The board in one frame."""
 
     q: Float[np.ndarray, "n 2"]
-    """Corners that were found [px]."""
     homography: Float[np.ndarray, "3 3"]
     """Board [m] to image [px], relative to the image's centre; see `direct_homography`."""
     stripe_lines: int
@@ -57,9 +56,7 @@ class Pose:
     towards_deg: float
     """Direction of the tilt in the image; meaningless for small tilts."""
     roll_deg: float
-    """Rotation in its plane."""
     depth_m: float
-    """Distance along the camera's axis."""
 
 
 def view_board(
@@ -165,9 +162,7 @@ class Look:
     view: BoardView | None
     """None: the pose cannot be used."""
     problem: str = ""
-    """Why it cannot be used, and the remedy."""
     notes: tuple[str, ...] = ()
-    """Suggestions for a better pose."""
     laser: int = 0
     """Which laser it shows, counted from 0."""
 
@@ -189,15 +184,11 @@ class Coverage:
     stripe_depth_m: tuple[float, float] | None
     """The same for boards that the laser crosses; this and the next three are for the laser with the fewest."""
     crossed: int
-    """Views that the laser crosses."""
     lit: int
-    """Views with that laser."""
     laser: str
-    """Its name; "" if there is only one laser."""
     roll_deg: float
     """Largest rotation of the board in its plane between views."""
     placements: int
-    """Number of placements."""
 
     @property
     def empty_cells(self) -> tuple[str, ...]:
@@ -211,13 +202,11 @@ class Guide:
 
     board: AbstractBoard
     image_size: tuple[int, int]
-    """Width and height [px]."""
     detect: Detect
     find_lines: Mapping[str, FindLine] = field(default_factory=dict)
     """One for each laser, by its name and in their order; empty: without laser."""
     _views: list[BoardView] = field(default_factory=list)
     _lasers: list[int] = field(default_factory=list)
-    """The laser of each view."""
     _placements: set[int] = field(default_factory=set)
 
     def look(self, on: UInt8[np.ndarray, "..."] | None, off: UInt8[np.ndarray, "..."], laser: int = 0) -> Look:
@@ -281,9 +270,7 @@ class Guide:
         if seen.views == 0:
             line = ", with the laser's line across it" if self.find_lines else ""
             return [f"hold the board still, wholly in the picture{line}"]
-        needs = [*_about_image(seen), *_about_tilt(seen), *_about_depth(seen)]
-        if self.find_lines:
-            needs += _about_stripe(seen)
+        needs = _needs(seen, laser=bool(self.find_lines))
         needs.sort(key=lambda need: -need[0])
         return [sentence for _, sentence in needs[:most]]
 
@@ -292,46 +279,34 @@ class Guide:
         return coverage.count_cells(q, self.image_size)
 
 
-# Each need: its urgency, from 0 to 1, and the sentence.
-
-
-def _about_image(seen: Coverage) -> list[tuple[float, str]]:
-    empty = seen.empty_cells
-    if not empty:
-        return []
-    missing = float(np.mean(seen.corners < coverage.MIN_IN_CELL))
-    return [(0.4 + 0.5 * missing, coverage.ASK_FOR_PARTS.format(", ".join(empty[:_NAMED_CELLS])))]
-
-
-def _about_tilt(seen: Coverage) -> list[tuple[float, str]]:
+def _needs(seen: Coverage, *, laser: bool) -> list[tuple[float, str]]:
+    """What is missing: its urgency, from 0 to 1, and a sentence."""
+    needs: list[tuple[float, str]] = []
+    if empty := seen.empty_cells:
+        missing = float(np.mean(seen.corners < coverage.MIN_IN_CELL))
+        needs.append((0.4 + 0.5 * missing, coverage.ASK_FOR_PARTS.format(", ".join(empty[:_NAMED_CELLS]))))
     share = seen.tilted / seen.views
     if share < _GOOD_SHARE:
         most = max(seen.tilts_deg, default=0.0)
         why = f"hardly one is tilted by more than {most:.0f} degrees" if most < coverage.MIN_TILT_DEG else "too few are"
-        return [(0.9 - share, coverage.ASK_FOR_TILT.format(why))]
-    if seen.tilt_sides < _SIDES_OF_TILT:
-        return [(0.35, "tilt the board both ways, to the left and right and up and down")]
-    if seen.roll_deg < _GOOD_ROLL_DEG:
-        return [(0.2, "turn the board in its plane by 90 degrees in a few poses")]
-    return []
-
-
-def _about_depth(seen: Coverage) -> list[tuple[float, str]]:
-    if seen.depth_m is None or seen.views < 2 or seen.depth_m[1] >= _GOOD_DEPTH_RATIO * seen.depth_m[0]:
-        return []
-    near, far = seen.depth_m
-    return [(0.6, f"hold the board nearer and farther: all stand at about {near:.2f} to {far:.2f} m")]
-
-
-def _about_stripe(seen: Coverage) -> list[tuple[float, str]]:
+        needs.append((0.9 - share, coverage.ASK_FOR_TILT.format(why)))
+    elif seen.tilt_sides < _SIDES_OF_TILT:
+        needs.append((0.35, "tilt the board both ways, to the left and right and up and down"))
+    elif seen.roll_deg < _GOOD_ROLL_DEG:
+        needs.append((0.2, "turn the board in its plane by 90 degrees in a few poses"))
+    if seen.depth_m is not None and seen.views > 1 and seen.depth_m[1] < _GOOD_DEPTH_RATIO * seen.depth_m[0]:
+        near, far = seen.depth_m
+        needs.append((0.6, f"hold the board nearer and farther: all stand at about {near:.2f} to {far:.2f} m"))
+    if not laser:
+        return needs
     if seen.crossed < max(min(coverage.MIN_STRIPES, seen.lit), _GOOD_SHARE * seen.lit):
         which = f" with the laser {seen.laser}" if seen.laser else ""
-        return [(0.95, coverage.ASK_FOR_STRIPES.format(f"{seen.crossed} of {seen.lit}{which}"))]
-    if seen.stripe_depth_m is not None and seen.crossed >= coverage.MIN_STRIPES:
+        needs.append((0.95, coverage.ASK_FOR_STRIPES.format(f"{seen.crossed} of {seen.lit}{which}")))
+    elif seen.stripe_depth_m is not None and seen.crossed >= coverage.MIN_STRIPES:
         near, far = seen.stripe_depth_m
         if far < coverage.MIN_DEPTH_RATIO * near:
-            return [(0.7, coverage.ASK_FOR_DEPTHS.format(f"about {near:.2f} to {far:.2f} m"))]
-    return []
+            needs.append((0.7, coverage.ASK_FOR_DEPTHS.format(f"about {near:.2f} to {far:.2f} m")))
+    return needs
 
 
 def _about_placing(seen: Coverage, *, laser: bool) -> list[str]:

@@ -26,7 +26,6 @@ class FramePair(NamedTuple):
     clipped: float
     """Fraction of clipped pixels, the larger of the two frames."""
     lit: UInt8[np.ndarray, "all samples"] | UInt16[np.ndarray, "all samples"]
-    """Samples of the laser-on frame."""
     step: int
     """Distance of the examined lines, in image lines."""
     top: int = CLIPPED

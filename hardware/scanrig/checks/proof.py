@@ -71,11 +71,8 @@ class PairProof:
     """The verdict on a pair, and its measures; levels in linear DN."""
 
     ok: bool
-    """Whether the pair is proven."""
     verdict: Verdict
-    """The verdict, for programs."""
     reason: str
-    """The verdict, for people; "" if it is "ok"."""
     lit_lines: float
     """Part of the frame's lines that show the laser [1]."""
     peak_dn: float
@@ -99,14 +96,11 @@ class _Seen(NamedTuple):
     explains: float
     """Fraction of a frame's contrast by which it may have changed; see `explained_part`."""
     few: float
-    """Least part of the lines that must show the laser."""
     unrest: float
     peak: float
-    """Height of the stripe, median [DN]; 0 if there is none."""
     saturated: float
     leak: float
     leak_sigma: float
-    """Standard deviation of `leak`."""
 
 
 def prove_pair(

@@ -21,18 +21,13 @@ class Settings:
     watchdog_ms: int = 500
     """Milliseconds without a valid line after which the controller treats the link as lost."""
     speed: int = 4000
-    """Microsteps per second."""
     start_speed: int = 400
-    """Microsteps per second at the beginning of a ramp."""
     acceleration: int = 8000
-    """Microsteps per second squared."""
     home_speed: int = 200
-    """Microsteps per second of the slow approach to the home switch."""
     backlash: int = 0
     """Microsteps by which a downward motion overshoots, so that every target is approached from below."""
     reverse: bool = False
     lasers: int = 1
-    """How many lasers the controller has to switch."""
     settle_ms: int = 50
     """Rest before a shot."""
     laser_on_ms: int = 20
@@ -40,7 +35,6 @@ class Settings:
     laser_off_ms: int = 20
     """From laser off to exposure."""
     exposure_ms: int = 10
-    """Trigger pulse."""
     gap_ms: int = 5
     """After each exposure."""
     ready_ms: int = 0
@@ -60,13 +54,11 @@ class GrblTable(FileModel):
     greeting: Annotated[str, pydantic.Field(min_length=1, max_length=40)] = "Grbl"
     """Beginning of the line that the board sends after a reset."""
     axis: Literal["X", "Y", "Z", "A", "B", "C"] = "X"
-    """The axis that turns the table."""
     units_per_turn: Annotated[Number, pydantic.Field(gt=0, le=1e6)] = 360.0
     """Length of one turn of the table in the board's "millimetres": 360 for degrees."""
     laser_on: Annotated[tuple[_Command, ...], pydantic.Field(min_length=1, max_length=8)] = ("M3 S1000",)
     """Commands that switch a laser on, one for each laser."""
     laser_off: Annotated[_Command, pydantic.Field(min_length=1)] = "M5"
-    """Command that switches all lasers off."""
     home: _Command = "$H"
     enable: _Command = ""
     disable: _Command = ""
@@ -106,7 +98,6 @@ class ControllerTable(FileModel):
     allow_laser_without_watchdog: bool = False
     """Scan with a controller that leaves the laser on when the host dies or the cable is pulled."""
     grbl: GrblTable = GrblTable()
-    """For `type = "grbl"`."""
 
 
 State = Literal["idle", "move", "home", "shot", "fault"]
@@ -130,7 +121,6 @@ class Status:
 
     state: State
     fault: Fault | None
-    """The fault that it is in, or None."""
     position: int
     homed: bool
     armed: bool
@@ -138,11 +128,8 @@ class Status:
     enabled: bool
     laser: bool
     exposures: int = 0
-    """Trigger pulses since boot, modulo 65536."""
     home_switch: bool = False
-    """Whether the home switch is active."""
     estop: bool = False
-    """Whether the emergency stop is pressed."""
 
 
 @dataclass(frozen=True)

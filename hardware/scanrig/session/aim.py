@@ -30,7 +30,6 @@ class Wish(NamedTuple):
     lit: bool = True
     """Whether the laser is to shine, for the time of a frame each; else its contactor stays open."""
     exposure_ms: float | None = None
-    """None: that of the configuration."""
     gain_db: float | None = None
 
 
@@ -41,11 +40,9 @@ class Sight:
     pair: Pair | None
     """Frames with and without the laser, not proven where `proof.ok` says so; None where it is to be dark."""
     proof: PairProof | None
-    """What the frames of the pair show."""
     off: np.ndarray
     """The laser-off frame, uint8 [rows, columns] (rgb8: and 3)."""
     angle_deg: float
-    """Where the table points."""
 
     @property
     def on(self) -> np.ndarray | None:

@@ -34,7 +34,6 @@ class Interrupts:
 
     def __init__(self) -> None:
         self.received: list[str] = []
-        """Names of the signals received."""
         self._before: dict[int, Any] = {}
         self._terminals: list[int] = []
 
@@ -80,7 +79,6 @@ class Interrupts:
 
 
 Kind = Literal["sweep", "calibration"]
-"""The purpose of a capture."""
 
 Status = Literal["complete", "suspect", "interrupted", "e-stop", "disk full"]
 """How a session ended: all records taken; the same, but steps were lost and some records are suspect; stopped by the
@@ -96,19 +94,15 @@ class SessionResult:
 
     status: Status
     message: str
-    """One line for people."""
     records: int
     """Records in the capture, of this and earlier sessions."""
     planned: int
-    """Records of the complete capture."""
     taken: int
     """Records taken by this session."""
     retakes: int
-    """Takes that were not proven."""
     suspect: tuple[tuple[int, int], ...]
     """Ranges of suspect records, first and last: steps may have been lost before them."""
     events: tuple[dict[str, Any], ...]
-    """The events noted in the journal."""
     laser_off: bool
     """Whether the controller confirmed at the end that the laser is off."""
 
@@ -120,7 +114,6 @@ class Devices:
     controller: Controller
     camera: Camera
     clock: Clock = field(default_factory=Clock)
-    """For waiting and for time stamps."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +140,6 @@ class Job:
     folder: Path
     kind: Kind
     planned: int
-    """Records that the capture will have."""
     devices: Devices
     hooks: Hooks
     resume: bool

@@ -60,7 +60,6 @@ class RecoveringRig:
         """Whether the counter is valid, so that the next homing shows by how much home is missed."""
         self.homings = 0
         self.rejected = 0
-        """Takes that were rejected."""
         self.at = self.came_from = 0
         """Where the last step was taken, and where the table stood before it went there [microsteps]."""
         self._homing = False

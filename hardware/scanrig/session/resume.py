@@ -18,7 +18,6 @@ from scanrig.session.job import Kind
 
 T = TypeVar("T")
 _SHOWN = 5
-"""Most changes that a message lists."""
 _RUNS = pydantic.TypeAdapter(list[Annotated[list[int], pydantic.Field(min_length=2, max_length=2)]])
 _INTEGER = pydantic.TypeAdapter(int)
 _NUMBER = pydantic.TypeAdapter(Annotated[int, pydantic.Field(ge=0, lt=1 << 31)])
@@ -42,9 +41,7 @@ class Found:
     unjudged: bool
     """Whether home was found after these records without a valid counter, so that lost steps would not show."""
     damaged: tuple[Problem, ...]
-    """Problems of damaged records."""
     altered: tuple[Problem, ...]
-    """Problems of the journal itself."""
     suspect: tuple[int, ...]
     """Records that may have lost steps before them, and were not retaken since."""
     placements: int

@@ -32,7 +32,6 @@ class Ending(NamedTuple):
     status: str
     """As in `SessionResult`; or "aborted" or "failed", and then `error` is raised."""
     message: str
-    """The reason."""
     error: BaseException | None = None
 
 
@@ -222,9 +221,7 @@ class PlacementRequest:
     """Counted from 0 within its kind."""
     total: int
     at_deg: float
-    """Where the table points meanwhile."""
     advice: list[str]
-    """The most helpful poses, a sentence each."""
     look: Callable[[], np.ndarray]
     """Takes a frame without laser: uint8 [rows, columns] (rgb8: and 3). Recovers from faults as every step does, and
     keeps the contactor open."""

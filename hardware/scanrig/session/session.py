@@ -91,7 +91,6 @@ class Session:
         self.done: set[int] = set() if found is None else set(found.records)
         """Records that are on the disk and not suspect."""
         self.suspect: set[int] = set()
-        """Records of this session that are suspect."""
         self.since_home: list[int] = [] if found is None else list(found.since_home)
         """Records taken since home was last found well."""
         self._unjudged = found is not None and found.unjudged

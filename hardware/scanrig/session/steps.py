@@ -60,7 +60,6 @@ class Pair:
 
     record: int
     laser: int
-    """Which one, counted from 0."""
     position: int
     """As the controller reported it [microsteps from home]."""
     on: Frame
@@ -329,16 +328,13 @@ class Flight:
 
     pair: Pair
     came_from: int
-    """Where the table stood before it went there [microsteps]."""
     placement: int | None
-    """The board's, in a calibration."""
     proof: Future[PairProof]
     stored: Future[bool]
     """Whether it was proven; then it is on the disk."""
 
 
 Fields = Callable[[Pair, PairProof], dict[str, Any]]
-"""Makes the fields of a record, beside its images."""
 T = TypeVar("T")
 
 

@@ -17,7 +17,7 @@ import pydantic
 
 from jaxscan.calibration import Calibration, CalibrationSettings, Quality
 from jaxscan.errors import CalibrationError
-from jaxscan.files.calibration.model import CALIBRATION_FORMAT, CalibrationTable, CameraTable, motion_table
+from jaxscan.files.calibration.model import CALIBRATION_FORMAT, CalibrationTable, CameraTable
 from jaxscan.files.capture import BoardTable
 from jaxscan.files.disk import (
     MEGABYTE,
@@ -34,8 +34,7 @@ from jaxscan.files.disk import (
     write_arrays,
     write_together,
 )
-from jaxscan.geometry import AbstractCamera, Scanner, camera_doubts, scanner_doubts
-from jaxscan.geometry.motions import Carries
+from jaxscan.geometry import AbstractCamera, Carries, Scanner, camera_doubts, scanner_doubts
 from jaxscan.geometry.scanner import Up
 from jaxscan.observation import CONTRAST_CLASSES, BoardViews, Observations, StripeViews
 
@@ -502,15 +501,15 @@ def _tables(calibration: Calibration) -> dict[str, Any]:
     if scanner is not None:
         # Numbers in the file are float64.
         scanner = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), scanner)
-        sheets, motion = scanner.lasers, motion_table(scanner.turntable)
+        sheets = scanner.lasers
         tables["lasers"] = [
             {"name": name, "normal": normal, "distance_m": distance, "bow": bow, "basis": basis}
             for name, normal, distance, bow, basis in zip(
                 scanner.laser_names, sheets.normal, sheets.distance, sheets.bow, sheets.basis, strict=True
             )
         ]
-        if motion is not None:
-            tables["turntable"] = motion
+        if scanner.turntable.fields:
+            tables["turntable"] = scanner.turntable.table()
     tables["quality"] = quality_table(calibration.quality)
     tables["provenance"] = finite(calibration.provenance)
     if len(calibration.order) > 0:

@@ -1,6 +1,5 @@
 """The tables of a calibration file, as they are checked when it is read."""
 
-import abc
 import dataclasses
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
@@ -10,22 +9,21 @@ import pydantic
 from jaxscan.files.disk import FileModel, ImageSize, Number
 from jaxscan.geometry import (
     CAMERAS,
+    MOTIONS,
     AbstractCamera,
     AbstractMotion,
     LaserSheet,
-    LinearStage,
     Scanner,
     Still,
     Turntable,
+    motion_class,
+    motion_of,
     point_up,
     stack_lasers,
 )
-from jaxscan.geometry.motions import Turns
+from jaxscan.geometry.rigid import UNIT_TOLERANCE, check_frame
 from jaxscan.geometry.scanner import UP_VECTORS, Up
 
-
-UNIT_TOLERANCE = 1e-6
-"""Accepted departure of a vector from unit length and from perpendicular: digits are lost when written by hand."""
 
 # Beyond these limits squares and quotients are not finite, in single precision at the latest.
 Limited = Annotated[Number, pydantic.Field(ge=-1e6, le=1e6)]
@@ -44,107 +42,60 @@ def arrays(*values: Any) -> tuple[np.ndarray, ...]:
     return tuple(np.array(value, np.float64) for value in values)
 
 
-def check_frame(name: str, direction: Triple, basis: Basis) -> None:
-    """Refuse a unit vector and a basis that are none."""
-    length = float(np.linalg.norm(direction))
-    if abs(length - 1) > UNIT_TOLERANCE:
-        raise ValueError(f"{name}: found a vector of length {length:.9g}, expected 1")
-    frame = np.array([direction, *basis], np.float64)
-    if np.abs(frame @ frame.T - np.eye(3)).max() > UNIT_TOLERANCE:
-        raise ValueError(f"basis: expected two unit vectors, perpendicular to each other and to {name}")
+class MotionTable(FileModel):
+    """A motion between records: its kind, and the numbers that this kind has."""
 
-
-SLOWEST = 1e-6  # The least gain.
-
-
-class _WithDirection(FileModel):
-    """A motion between records along or about a direction in the camera frame.
-
-    With a `basis` it is canonical: a unit direction. Without one it was written by hand: of any length.
-    """
-
-    direction: Triple
-    gain: Limited = 1.0
-    """Turned angle, right-handed about `direction`, per angle of the table; travel per commanded travel of a stage."""
+    direction: Triple = (0.0, 0.0, 0.0)
     basis: Basis | None = None
 
     @pydantic.model_validator(mode="after")
-    def _meaningful(self) -> "_WithDirection":
+    def _meaningful(self) -> "MotionTable":
         self.motion()
         return self
 
-    @abc.abstractmethod
     def motion(self) -> AbstractMotion:
-        """The motion of the geometry."""
+        """The motion of the geometry.
+
+        Raises:
+            ValueError: If the numbers make none.
+        """
+        values = self.model_dump()
+        carries = values.pop("carries")
+        return motion_of(carries, **{key: None if one is None else np.array(one) for key, one in values.items()})
 
 
-class TurntableTable(_WithDirection):
-    """The axis in the camera frame at angle 0, and the model of the angle.
-
-    With a `basis` it is canonical: a unit direction on the image's up side, and the axis point nearest the camera.
-    Without one it was written by hand: any point of the axis, and a direction of any length and either sense.
-    """
-
-    carries: Turns = "scanner"
-    point_m: Triple
-    harmonics: tuple[Bend, Bend, Bend, Bend] = (0.0, 0.0, 0.0, 0.0)
-
-    def motion(self) -> Turntable:
-        if abs(self.gain) < SLOWEST:
-            raise ValueError(f"gain = {self.gain:g}: the table does not turn")
-        harmonics = np.array(self.harmonics, np.float64)
-        if self.basis is None:
-            flat = Turntable.from_axis(self.direction, self.point_m, gain=self.gain, carries=self.carries)
-            return dataclasses.replace(flat, harmonics=harmonics)
-        check_frame("direction", self.direction, self.basis)
-        along = float(np.dot(self.direction, self.point_m))
-        if abs(along) > UNIT_TOLERANCE * max(1.0, float(np.linalg.norm(self.point_m))):
-            raise ValueError(
-                f"direction · point_m = {along:.3g}, expected 0: point_m is the axis point nearest the camera"
-            )
-        direction, point, gain, basis = arrays(self.direction, self.point_m, self.gain, self.basis)
-        return Turntable(direction, point, gain, harmonics, basis, self.carries)
+_SHAPES: dict[tuple[int, ...], Any] = {(): Limited, (3,): Triple, (4,): tuple[Bend, Bend, Bend, Bend], (2, 3): Basis}
 
 
-class LinearTable(_WithDirection):
-    """The direction in which a linear stage moves the camera past the object."""
-
-    carries: Literal["linear"]
-
-    def motion(self) -> LinearStage:
-        if abs(self.gain) < SLOWEST or (self.gain < 0 and self.basis is not None):
-            raise ValueError(f"gain = {self.gain:g}: expected about 1")
-        if self.basis is None:
-            return LinearStage.from_direction(self.direction, gain=self.gain)
-        check_frame("direction", self.direction, self.basis)
-        return LinearStage(*arrays(self.direction, self.gain, self.basis))
-
-
-def _kind(value: Any) -> str:
-    carries = value.get("carries") if isinstance(value, dict) else getattr(value, "carries", None)
-    return "a line" if carries == "linear" else "an axis"
+def _tables() -> dict[str, Any]:
+    """The table of each class of motions; that of a turntable need not say what it carries."""
+    names: dict[str, list[str]] = {}
+    for carries, kind in MOTIONS.items():
+        if motion_class(carries).fields:
+            names.setdefault(kind.part, []).append(carries)
+    tables = {}
+    for part, known in names.items():
+        fields: Any = {
+            key: (_SHAPES[field.shape] | None if field.default is None else _SHAPES[field.shape], field.default)
+            for key, field in motion_class(known[0]).fields.items()
+        }
+        fields["carries"] = (Literal[tuple(known)], known[0] if "scanner" in known else ...)
+        tables[part] = pydantic.create_model("MotionTable", __base__=MotionTable, **fields)
+    return tables
 
 
-MotionTable = Annotated[
-    Annotated[TurntableTable, pydantic.Tag("an axis")] | Annotated[LinearTable, pydantic.Tag("a line")],
-    pydantic.Discriminator(_kind),
-]
+def _part(value: Any) -> str:
+    carries = value.get("carries", "scanner") if isinstance(value, dict) else getattr(value, "carries", "scanner")
+    return MOTIONS[carries].part if isinstance(carries, str) and carries in MOTIONS else MOTIONS["scanner"].part
 
 
-def motion_table(motion: AbstractMotion) -> dict[str, Any] | None:
-    """A motion as its table in the file; None for a scanner that stands still."""
-    if isinstance(motion, LinearStage):
-        return {"carries": "linear", **{name: getattr(motion, name) for name in ("direction", "gain", "basis")}}
-    if not isinstance(motion, Turntable):
-        return None
-    return {
-        "carries": motion.carries,
-        "direction": motion.direction,
-        "point_m": motion.point,
-        "gain": motion.gain,
-        "harmonics": motion.harmonics,
-        "basis": motion.basis,
-    }
+if TYPE_CHECKING:
+    AnyMotionTable = MotionTable
+else:
+    AnyMotionTable = Annotated[
+        Union[tuple(Annotated[table, pydantic.Tag(part)] for part, table in _tables().items())],  # noqa: UP007
+        pydantic.Discriminator(_part),
+    ]
 
 
 CALIBRATION_FORMAT: Literal["jaxscan-calibration/1"] = "jaxscan-calibration/1"
@@ -322,7 +273,7 @@ class CalibrationTable(FileModel):
     format: Literal["jaxscan-calibration/1"]
     camera: AnyCameraTable
     lasers: Annotated[tuple[LaserTable, ...], pydantic.Field(max_length=16)] = ()
-    turntable: MotionTable | None = None
+    turntable: AnyMotionTable | None = None
     quality: dict[str, Any] = pydantic.Field(default_factory=dict)
     provenance: dict[str, Any] = pydantic.Field(default_factory=dict)
     covariance: CovarianceTable | None = None
@@ -335,7 +286,7 @@ class CalibrationTable(FileModel):
             raise ValueError(f"lasers: found the names {', '.join(names)[:60]}, expected no name twice")
         table = self.turntable
         canonical = table is None or table.basis is not None
-        if canonical and isinstance(table, TurntableTable):
+        if table is not None and canonical and isinstance(table.motion(), Turntable):
             if np.dot(table.direction, UP_VECTORS[self.camera.up]) < 0:
                 raise ValueError(
                     f'turntable.direction: points down, expected towards the image\'s up "{self.camera.up}"'

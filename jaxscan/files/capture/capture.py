@@ -17,7 +17,7 @@ from jaxscan.files.capture.images import ImageReader, Look, RecordFrames, check_
 from jaxscan.files.capture.journal import JOURNAL_NAME, ImageRef, Record, read_texts
 from jaxscan.files.capture.seals import require_whole, sealing
 from jaxscan.files.disk import COPY_FIRST, is_address, shown
-from jaxscan.geometry import AbstractBoard, Carries
+from jaxscan.geometry import MOTIONS, AbstractBoard, Carries
 from jaxscan.geometry.scanner import Up
 from jaxscan.reconstruction import FrameChunk, journal_doubts
 from jaxscan.stripes import LaserLine, PixelFormat, Response
@@ -103,7 +103,7 @@ class Capture:
     def _angles(self) -> np.ndarray:
         if self.carries == "nothing":
             return np.zeros(len(self.records))
-        key = "position_m" if self.carries == "linear" else "angle_deg"
+        key = MOTIONS[self.carries or "scanner"].key
         for record in self.records:
             if record.angle is None:
                 raise CaptureError(f"{self.path}: record {record.i}: {key} is null; only a sweep can be reconstructed.")

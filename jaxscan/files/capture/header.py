@@ -23,6 +23,7 @@ from jaxscan.files.disk import (
     too_deep,
 )
 from jaxscan.geometry import (
+    MOTIONS,
     AbstractBoard,
     AprilGrid,
     Carries,
@@ -183,12 +184,12 @@ class TurntableTable(FileModel):
 
     @pydantic.model_validator(mode="after")
     def _of_its_kind(self) -> "TurntableTable":
-        turns, linear = self.carries in ("scanner", "object"), self.carries == "linear"
-        for key, value, fits in (
-            ("angle_sigma_deg", self.angle_sigma_deg, turns),
-            ("position_sigma_mm", self.position_sigma_mm, linear),
+        unit = MOTIONS[self.carries].unit
+        for key, value, wanted in (
+            ("angle_sigma_deg", self.angle_sigma_deg, "rad"),
+            ("position_sigma_mm", self.position_sigma_mm, "m"),
         ):
-            if value is not None and not fits:
+            if value is not None and unit != wanted:
                 raise ValueError(f'{key}: found {value:g} with carries = "{self.carries}", which has none')
         return self
 

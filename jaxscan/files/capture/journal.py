@@ -17,7 +17,7 @@ import pydantic
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.header import HEADER_NAME, MAX_HEADER_BYTES, CaptureHeader, parse_header
 from jaxscan.files.disk import MAX_DEPTH, Integer, Number, check, is_deep, read_bounded, too_deep
-from jaxscan.geometry import Carries
+from jaxscan.geometry import MOTIONS, Carries
 
 
 MAX_IMAGES = 16
@@ -358,14 +358,13 @@ def _record(line: _Line, where: str, kind: str, laser_names: tuple[str, ...], ca
 
 def _position(line: _Line, kind: str, carries: Carries, where: str) -> float | None:
     """The table's angle [rad], or the position of a stage [m]; None where none is needed and none is given."""
-    linear = carries == "linear"
+    linear = MOTIONS[carries].unit == "m"
     wanted, found = (line.position_m, line.angle_deg) if linear else (line.angle_deg, line.position_m)
     if wanted is not None:
         return wanted if linear else math.radians(wanted)
     key, other = ("position_m", "angle_deg") if linear else ("angle_deg", "position_m")
     if found is not None and carries != "nothing":
-        kinds = 'carries = "linear"' if linear else 'carries = "scanner" or "object"'
-        raise CaptureError(f"{where}: {key}: missing beside {other}, expected with {kinds} under [turntable].")
+        raise CaptureError(f'{where}: {key}: missing beside {other}, expected with carries = "{carries}".')
     if kind != "sweep" or carries == "nothing":
         return None
     more = "" if linear else '; of a scanner that stands still, say carries = "nothing" under [turntable]'

@@ -16,7 +16,7 @@ from jaxscan.files.capture.capture import Capture
 from jaxscan.files.disk import MEGABYTE, parse_json, read_arrays, read_bounded, reported, write_arrays, write_atomically
 
 
-CACHE_FORMAT = "jaxscan-stripes/2"
+CACHE_FORMAT = "jaxscan-stripes/3"
 CACHE_NAME = "stripes.npz"
 MAX_CACHE_BYTES = 1 << 34
 """Most memory that its arrays take; 7200 profiles of 4096 lines take 0.9 GiB."""
@@ -76,7 +76,7 @@ def save_stripes(path: str | Path, arrays: Mapping[str, np.ndarray], key: Mappin
     wrong = [name for name, array in arrays.items() if name == _KEY or np.asarray(array).dtype.kind not in _KINDS]
     if wrong:
         raise ValueError(f"`arrays` must hold numbers, and none may be called {_KEY!r}, got {wrong[0]!r}.")
-    about = {"format": CACHE_FORMAT, "key": dict(key), "arrays": _described(arrays), "sha256": _digest(arrays)}
+    about = {"format": CACHE_FORMAT, "key": dict(key), "sha256": _digest(arrays)}
     text = {_KEY: np.frombuffer(json.dumps(about, allow_nan=False).encode(), np.uint8)}
     # It can be computed again, so it does not wait for the disk; a file damaged by a loss of power is refused.
     # In the folder of a capture a link may lead anywhere, so it is replaced.
@@ -98,8 +98,7 @@ def load_stripes(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any
     arrays = _read(path, limit=MAX_CACHE_BYTES)
     arrays.pop(_KEY, None)
     # The archive's own checksums do not cover the names and the number of its arrays.
-    known = all(array.dtype.kind in _KINDS for array in arrays.values())
-    if not known or _described(arrays) != about["arrays"] or _digest(arrays) != about["sha256"]:
+    if any(array.dtype.kind not in _KINDS for array in arrays.values()) or _digest(arrays) != about["sha256"]:
         raise CaptureError(f"{path}: does not hold the arrays that it lists; the file is damaged.")
     return arrays, about["key"]
 
@@ -116,14 +115,13 @@ def cached_stripes(path: str | Path, key: Mapping[str, Any]) -> dict[str, np.nda
         return None
 
 
-def _described(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    return {name: [np.asarray(array).dtype.str, *np.shape(array)] for name, array in arrays.items()}
-
-
 def _digest(arrays: Mapping[str, np.ndarray]) -> str:
+    """The sha256 of all arrays with their names, types and shapes."""
     digest = hashlib.sha256()
     for name in sorted(arrays):
-        digest.update(np.ascontiguousarray(arrays[name]).reshape(-1).view(np.uint8).data)
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name}\0{array.dtype.str}\0{array.shape}\0".encode())
+        digest.update(array.reshape(-1).view(np.uint8).data)
     return digest.hexdigest()
 
 
@@ -133,7 +131,7 @@ def _about(path: str | Path) -> dict[str, Any]:
     if found is not None and found.dtype == np.uint8 and found.ndim == 1:
         about = parse_json(found.tobytes(), name=str(path), error=CaptureError)
         if isinstance(about, dict) and about.get("format") == CACHE_FORMAT:
-            if all(isinstance(about.get(part), dict) for part in ("key", "arrays")) and "sha256" in about:
+            if isinstance(about.get("key"), dict) and "sha256" in about:
                 return about
     raise CaptureError(f"{path}: holds no stripes ({CACHE_FORMAT}).")
 

@@ -1,7 +1,7 @@
 """Check of a capture: its images against the digests in its records, header and journal against its seals."""
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +16,6 @@ from jaxscan.files.disk import file_digest
 
 
 _BLOCK = 256
-_CHUNK = 16
-"""Records that a thread is handed at once: to hand one over takes as long as to look at a small image."""
 _KEPT = 1 << 16
 """Images whose digests are kept: many records may name one."""
 
@@ -68,14 +66,10 @@ def verify_capture(
             return frame_digest(shards.image(image))
         return file_digest(located, limit=limit, error=CaptureError).removeprefix("sha256:")
 
-    def problems_of(chunk: Sequence[Record]) -> list[Problem]:
-        return [problem for record in chunk for problem in _problems(record, folder, digest)]
-
     with ThreadPoolExecutor(cores(), thread_name_prefix="jaxscan-verify") as pool:
         for start in range(0, len(records), _BLOCK):
             block = records[start : start + _BLOCK]
-            chunks = [block[first : first + _CHUNK] for first in range(0, len(block), _CHUNK)]
-            for found in pool.map(problems_of, chunks):
+            for found in pool.map(lambda record: _problems(record, folder, digest), block):
                 problems += found
             if progress is not None:
                 progress(start + len(block), len(records))

@@ -10,5 +10,5 @@ FORMATS = {
     ".xyz": "xyz",
     ".ptx": "ptx",
 }
-"""The file beside this one that holds a format's `write_<name>` (cloud, path, about) and `read_<name>` (path, reading).
+"""The file beside this one that holds a format's `write_<name>` (cloud, path, about) and `read_<name>` (file, reading).
 To add a format: such a file, and a line here."""

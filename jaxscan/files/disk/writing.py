@@ -77,41 +77,28 @@ def append_whole(file: io.FileIO, data: bytes, *, durable: bool) -> None:
         raise
 
 
-def make_folder(
-    path: str | Path, *, durable: bool = False, new: bool = False, own: Path | None = None, mode: int = 0o777
-) -> None:
+def make_folder(path: str | Path, *, durable: bool = False, new: bool = False, own: Path | None = None) -> None:
     """Make a folder and its missing parents; one that exists is kept.
 
     Args:
         durable: Wait for the disk, so that they survive a loss of power.
         new: Refuse one that exists.
         own: An untrusted folder in which `path` lies: no link is followed from there on.
-        mode: Permissions of the folder.
 
     Raises:
-        OSError: If it cannot be made; those of its parents that were made are removed.
+        OSError: If it cannot be made.
     """
     path = Path(path)
     if own is not None:
         refuse_links(own, path)
     missing = [above for above in (path, *path.parents) if not os.path.exists(above)]
-    made: list[Path] = []
     try:
-        for folder in reversed(missing):
-            # Another process may make it at the same time.
-            with contextlib.suppress(FileExistsError) if folder != path or not new else contextlib.nullcontext():
-                os.mkdir(folder, mode if folder == path else 0o777)
-                made.append(folder)
-        if not os.path.isdir(path):
-            found = _LINK if os.path.islink(path) else os.strerror(errno.ENOTDIR)
-            raise NotADirectoryError(errno.ENOTDIR, found, str(path))
-        if new and not made:
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
-    except BaseException:
-        for folder in reversed(made):
-            with contextlib.suppress(OSError):
-                os.rmdir(folder)
-        raise
+        os.makedirs(path, exist_ok=not new)
+    except FileExistsError as problem:
+        if os.path.isdir(path):
+            raise
+        found = _LINK if os.path.islink(path) else os.strerror(errno.ENOTDIR)
+        raise NotADirectoryError(errno.ENOTDIR, found, str(path)) from problem
     if durable and os.name == "posix":
         for folder in [path, *missing[1:]]:
             # A folder that may be written but not listed cannot be waited for.

@@ -12,7 +12,7 @@ from jaxscan.errors import CaptureError, OptionError
 from jaxscan.files.capture import BoardTable
 from jaxscan.files.disk import MEGABYTE, read_bounded
 from jaxscan.files.importing.listing import Matched, Source
-from jaxscan.geometry.motions import Carries
+from jaxscan.geometry import MOTIONS, Carries
 
 
 Step = tuple[Matched, ...]
@@ -319,7 +319,7 @@ def plan_records(folder: Path, roles: Roles, request: ImportRequest) -> ImportPl
     said = [*roles.said, *columns.said]
     first = [step[0] for step in columns.on[0][1]] if columns.on else list(roles.boards)
     places, sentence = _places(first, roles.step_deg, request)
-    said += [f"{'positions' if request.carries == 'linear' else 'angles'}: {sentence}"] if sentence else []
+    said += [f"{'positions' if _goes(request) else 'angles'}: {sentence}"] if sentence else []
     records = _with_laser(columns, places, several=len({name for name, _ in columns.on}) > 1)
     # Boards beside pairs are in other poses, so they take no part in the turning.
     of_boards = [RecordPlace(None)] * len(roles.boards) if columns.on else places
@@ -347,12 +347,17 @@ def _with_laser(columns: RecordImages, places: Sequence[RecordPlace], *, several
     return made
 
 
+def _goes(request: ImportRequest) -> bool:
+    """Whether positions are lengths."""
+    return request.carries is not None and MOTIONS[request.carries].unit == "m"
+
+
 def _places(
     first: Sequence[Matched], known: float | None, request: ImportRequest
 ) -> tuple[list[RecordPlace], str | None]:
     """The table's angle, or the position of the stage, in every record, by the first image of each."""
     keys = [one.key for one in first]
-    words = _MILLIMETRES if request.carries == "linear" else _DEGREES
+    words = _MILLIMETRES if _goes(request) else _DEGREES
     step = known if request.step is None else request.step
     if request.step is not None and request.places is not None:
         raise OptionError(f"{words.step} and {words.file}: found both, expected one of them.")

@@ -36,6 +36,7 @@ from jaxscan.files.disk import (
     write_atomically,
 )
 from jaxscan.files.recording.store import Storage, WriteSettings, image_store
+from jaxscan.geometry import MOTIONS
 from jaxscan.stripes import split_levels
 
 
@@ -230,11 +231,10 @@ class CaptureWriter:
         if number < 0:
             raise CaptureError(f"{where}: i = {number} is negative.")
         carries = "scanner" if self.header.turntable is None else self.header.turntable.carries
-        known = carries == "nothing" or (extra.get("position_m") if carries == "linear" else angle_deg) is not None
+        key = MOTIONS[carries].key
+        known = carries == "nothing" or {"angle_deg": angle_deg, **extra}.get(key) is not None
         if self.header.kind == "sweep" and (not known or on is None):
-            raise CaptureError(
-                f"{where}: a sweep needs {'a position_m' if carries == 'linear' else 'an angle'} and a laser-on image."
-            )
+            raise CaptureError(f"{where}: a sweep needs {key} and a laser-on image.")
         if on is None and off is None:
             raise CaptureError(f"{where}: has no image.")
         if angle_deg is not None and not math.isfinite(angle_deg):

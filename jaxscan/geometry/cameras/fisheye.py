@@ -125,11 +125,7 @@ def _slope(square: Component, k: Float[Array, "4"]) -> Component:
 
 
 def _invert(xp: Any, target: Component, k: Float[Array, "4"], last: Component) -> Component:
-    """theta squared of theta_d squared, up to `last`.
-
-    The relation of the squares is a polynomial. It is smooth at the optical axis too, where the
-    angle itself is not.
-    """
+    """theta squared of theta_d squared, up to `last`."""
 
     def newton(point, parameters):
         (square,), (target, k) = point, parameters

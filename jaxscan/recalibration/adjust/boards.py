@@ -19,7 +19,7 @@ from jaxscan.calibration.first_values import average_placements, seed_poses
 from jaxscan.calibration.joint import linearise
 from jaxscan.calibration.problem import Prepared, make_problem, prepare
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import Rig, Scanner, square_root
+from jaxscan.geometry import Rig, Scanner, carrying, square_root
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
 from jaxscan.observation import Observations
 from jaxscan.recalibration.adjust.room import Room
@@ -68,7 +68,7 @@ def board_equations(rig: Rig, data: Prepared, before: BoardEquations | None) -> 
     """The information of boards on a step from the present rig, after that of a scanner nearby; call in 64 bit."""
     settings = CalibrationSettings(free=_FREE, judge=False)
     if before is None:
-        poses = average_placements(seed_poses(data, rig.camera), data, rig.motion.carrying("scanner"))
+        poses = average_placements(seed_poses(data, rig.camera), data, carrying(rig.motion, "scanner"))
     else:
         poses = np.asarray(before.result.problem.poses)
     problem = make_problem(rig.camera, rig.lasers, rig.motion, poses, data, settings)

@@ -20,7 +20,7 @@ TALL = 0.85
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A perspective camera of the picture."""
+    """A perspective camera of the picture; places in metres, the field of view across its width."""
 
     eye: tuple[float, float, float]
     target: tuple[float, float, float]
@@ -60,7 +60,7 @@ def room_view(xyz: np.ndarray, size: tuple[int, int] = (1600, 900)) -> Viewpoint
 
 
 class Canvas(NamedTuple):
-    """A view on a canvas."""
+    """A view on a canvas; lengths in pixels."""
 
     view: Viewpoint
     focal: float

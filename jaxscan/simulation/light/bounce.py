@@ -82,7 +82,6 @@ def mirrored_sheet(shot: LitScene, glass: np.ndarray) -> tuple[np.ndarray, np.nd
     """Distance from the sheet, and half width of its lit band, at the points that pixels see in mirrors.
 
     Args:
-        shot: The scene and its laser.
         glass: Pixels that see a mirror, bool [height, width].
 
     Returns:
@@ -135,8 +134,6 @@ def thrown_sheet(shot: LitScene, glass: Glass, depth: np.ndarray) -> tuple[np.nd
     """As `mirrored_sheet`, for the light that the laser throws by way of a mirror.
 
     Args:
-        shot: The scene and its laser.
-        glass: The mirror.
         depth: Depth along the ray of every pixel's centre, float32 [height, width]; inf where nothing is.
     """
     reached = np.where(np.isfinite(depth), depth, np.float32(0)).reshape(-1, 1)
@@ -212,22 +209,15 @@ def line_pieces(shot: LitScene) -> Pieces:
     return Pieces(*(part.astype(np.float32) for part in (points, normal[hit], power[hit])))
 
 
-def returned_light(shot: LitScene, pieces: Pieces, points: np.ndarray) -> np.ndarray:
+def returned_field(shot: LitScene, pieces: Pieces, points: Callable[..., np.ndarray]) -> np.ndarray:
     """Vector irradiance of the pieces on every pixel, on a coarse grid and interpolated.
 
     Args:
-        shot: The scene and its laser.
-        pieces: The lamps.
-        points: Point that every pixel sees, float32 [height, width, 3], scanner frame.
+        points: Gives the points that pixels see, float32 [..., 3], scanner frame, by their rows and columns.
 
     Returns:
-        float32 [height, width, 3]: its part along a normal is the light of a white surface, DN.
+        float32 [3, height, width]: its part along a normal is the light of a white surface, DN.
     """
-    return np.moveaxis(returned_field(shot, pieces, points.__getitem__), 0, -1)
-
-
-def returned_field(shot: LitScene, pieces: Pieces, points: Callable[..., np.ndarray]) -> np.ndarray:
-    """As `returned_light`, float32 [3, height, width]; `points` gives those of pixels by their rows and columns."""
     height, width = shot.rig.rays.shape
     rows, columns = (np.linspace(0, size - 1, max(2, size // GRID + 1)) for size in (height, width))
     places = points((np.rint(rows).astype(int)[:, None], np.rint(columns).astype(int))).reshape(-1, 3)

@@ -43,9 +43,7 @@ def lit_samples(shot: LitScene, depth: np.ndarray, blur: Blur) -> LitSamples:
     """The laser's light in the band round its sheet.
 
     Args:
-        shot: The scene and its laser.
         depth: Depth along the ray of every pixel's centre, float32 [height, width]; inf where nothing is.
-        blur: Of the lens, in all pixels.
     """
     return _sampled(shot, _crossed(*_beside(shot.sheet, depth)), blur, partial(illuminate, shot))
 
@@ -54,10 +52,7 @@ def mirrored_samples(shot: LitScene, glass: np.ndarray, depth: np.ndarray, blur:
     """The laser's light by way of mirrors: seen in them by the camera, and thrown by them on other surfaces.
 
     Args:
-        shot: The scene and its laser.
         glass: Pixels that see a mirror, bool [height, width].
-        depth: As for `lit_samples`.
-        blur: Of the lens, in all pixels.
     """
     found = []
     if glass.any():
@@ -156,8 +151,6 @@ def row_truth(shot: LitScene, depth: np.ndarray, light: np.ndarray) -> RowTruth:
     Where a line has several, the brightest counts.
 
     Args:
-        shot: The scene and its laser.
-        depth: As for `lit_samples`.
         light: The laser's light on every pixel, of `laser_image` [height, width].
     """
     sheet = shot.sheet

@@ -305,7 +305,6 @@ def points_on(edges: np.ndarray, eye: np.ndarray, step: float, cone: Cone) -> np
         edges: Their ends [n, 2, 3], m.
         eye: Where they are seen from [3].
         step: The angle [rad].
-        cone: The field of view; points outside may be missing.
 
     Returns:
         [points, 3], m.

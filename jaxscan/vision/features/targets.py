@@ -82,15 +82,7 @@ def find_targets(image: np.ndarray, board: AbstractBoard | None, dictionary: str
 
 
 def _by_edges(image: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Corners of a marker where the lines of its edges meet: the gradient at a corner itself lies inwards of it.
-
-    Args:
-        image: Grey, uint8 [rows, columns].
-        corners: The corners in order [4, 2], to a pixel or so.
-
-    Returns:
-        The corners; unchanged where the marker is small.
-    """
+    """Corners of a marker where the lines of its edges meet: the gradient at a corner itself lies inwards of it."""
     following = np.roll(corners, -1, 0)
     along = following - corners
     length = np.linalg.norm(along, axis=1)

@@ -44,13 +44,11 @@ _TOLERANCE = 1e-4
 
 def wake(lines: GrblLines) -> None:
     """Wait until the board answers: at once, or after its boot loader if opening the port has reset it."""
+    lines.greeting = ""
     lines.write(b"\n" + QUERY)
     give_up = lines.clock.now() + AWAKE_S
     while (left := give_up - lines.clock.now()) > 0:
-        texts = lines.read(left, raise_resets=False)
-        if any(read_report(text) for text in texts):
-            return
-        if lines.greeting and any(text == lines.greeting for text in texts):
+        if any(read_report(text) for text in lines.read(left, raise_resets=False)) or lines.greeting:
             return
     if not lines.await_greeting(BOOT_S):
         lines.reset()
@@ -116,7 +114,6 @@ def require_fit(lines: GrblLines, table: GrblTable, units: TableUnits, settings:
 
 
 REST_S = 10.0
-"""Longest time that the table may take to stop."""
 _STILL = 3
 """Reports of standstill after which a motion is over, wherever it ended."""
 

@@ -19,7 +19,6 @@ class TableUnits:
 
     microsteps_per_turn: int
     units_per_turn: float
-    """In the board's "millimetres"."""
     reverse: bool = False
     """Whether the table's angle grows while the axis counts downwards."""
 
@@ -175,17 +174,13 @@ class GrblLines:
         self.link, self.clock = link, clock
         self.counts = LinkCounts()
         self.alarm: int | None = None
-        """Number of the board's alarm."""
         self.resets = 0
-        """Unrequested resets of the board."""
         self.greeting, self.dialect = "", GRBL
         """Its first line after a reset, and the dialect that it names."""
         self.broken = False
         """Whether the port itself failed, so that it must be opened again."""
         self.odd: deque[str] = deque(maxlen=_KEPT)
-        """The last lines that are not GRBL's."""
         self.heard = ""
-        """The last line of any kind."""
         self.expected_greeting, self._reopen = greeting, reopen
         self._rest = b""
         self._expected = False

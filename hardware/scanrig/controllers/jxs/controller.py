@@ -59,7 +59,6 @@ SAFE_TRIES = 3
 STOPPING_S = 0.5
 """How long a shot may take to end after STOP."""
 REST_S = 5.0
-"""Longest time that the table may take to stop."""
 POLL_S = 0.1
 """Time between two polls while something runs: well below the controller's watchdog, 500 ms by default."""
 
@@ -93,9 +92,7 @@ class JxsController(Controller):
         self._reopen = reopen
         self._session = session or secrets.randbelow(2**31 - 1) + 1
         self.settings: Settings | None = None
-        """The settings configured last."""
         self._firmware: Firmware | None = None
-        """The firmware that answered HELLO last."""
         self._enabled = False
         """Whether the motor driver was switched on; if it is off now, the controller was reset."""
         self._broken = False
@@ -125,7 +122,8 @@ class JxsController(Controller):
             ) from problem
 
     def configure(self, settings: Settings) -> None:
-        if settings.lasers > (lasers := self.lasers() if settings.lasers > 1 else 1):
+        lasers = integer(self._ask("HAS"), "las") if settings.lasers > 1 else 1
+        if settings.lasers > lasers:
             raise FirmwareError(
                 f"{self.name}: found a firmware that switches {lasers} laser, needed one that switches "
                 f"{settings.lasers}; load the firmware that belongs to this version, or leave one [[laser]] in the "
@@ -144,15 +142,6 @@ class JxsController(Controller):
         if differing:
             raise FirmwareError(f"{self.name}: settings read back as {', '.join(differing)}")
         self.settings = settings
-
-    def lasers(self) -> int:
-        """How many lasers it switches; earlier firmware does not know the question and switches one."""
-        try:
-            return integer(self._ask("HAS"), "las")
-        except Refused as problem:
-            if problem.reason is not Reason.UNKNOWN_COMMAND:
-                raise
-            return 1
 
     def reconnect(self, timeout_s: float = 60.0) -> Reconnection:
         """Find the controller again, with growing pauses; a link fault is cleared, and the settings are sent again."""
@@ -454,7 +443,7 @@ class JxsController(Controller):
 
 
 def _named(number: int) -> dict[str, int]:
-    """The laser's number as a field. The first laser is sent without it, since earlier firmware knows no numbers."""
+    """The laser's number as a field; the first is the one without."""
     return {} if number == 1 else {"n": number}
 
 

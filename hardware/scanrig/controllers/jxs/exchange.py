@@ -50,15 +50,12 @@ class Exchange:
         self.timeout_s, self.tries = timeout_s, tries
         self.counts = LinkCounts()
         self.events: deque[Event] = deque(maxlen=MOST_EVENTS)
-        """Events received and not looked at yet."""
         self.odd_lines: deque[bytes] = deque(maxlen=KEPT_RAW)
         """The last lines that are not of this protocol; they show a person which device is on the port."""
         self.boot: int | None = None
-        """Boot number in the last answer to HELLO."""
         self.restarted: ControllerReset | None = None
         """The error to raise if the controller was reset since; else None."""
         self.seq = 0
-        """Number of the last line sent."""
         self._reader = LineReader()
         self._half_line = False
         self._last_event: int | None = None

@@ -13,17 +13,14 @@ from scanrig.errors import Fault, FirmwareError, Reason
 
 
 PROTOCOL = 1
-"""The number of the protocol that this host speaks."""
 
 ABORT = b"\x1b"
 """Esc, which works outside of lines: laser off and motor stopped at once. No single flipped bit turns a byte of a line
 into it."""
 
 LONGEST_COMMAND = 96
-"""Bytes of a line to the controller, its newline not counted."""
 
 LONGEST_LINE = 127
-"""Bytes of a line from the controller, its newline not counted."""
 
 LAST_SEQUENCE = 65535
 
@@ -163,7 +160,6 @@ FAULTS = {
     5: Fault.ABORTED,
     6: Fault.CAMERA_NOT_READY,
 }
-"""The firmware's fault numbers (PROTOCOL.md, section 4)."""
 
 REFUSALS = {
     1: Reason.NOT_UNDERSTOOD,
@@ -245,7 +241,6 @@ def integer(fields: Mapping[str, str], key: str) -> int:
 
 
 UNLIMITED = (-(2**31), 2**31 - 1)
-"""Soft limits that allow every position."""
 
 
 def wire_settings(settings: Settings) -> dict[str, dict[str, int]]:

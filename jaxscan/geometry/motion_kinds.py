@@ -1,0 +1,83 @@
+"""The kinds of motion: one table, which captures, files, options, reports and projects read.
+
+A new kind is a row here and a class in `motions.py`. Nothing heavy is imported, so that `--help` may read it.
+"""
+
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+
+class MotionKind(NamedTuple):
+    """What the rooms say of a kind of motion."""
+
+    motion: str
+    """Its class in `motions.py`."""
+    unit: Literal["rad", "m", ""]
+    """Of its positions."""
+    part: str
+    """The part that is solved."""
+    stops: str
+    """Its positions, in words."""
+    least: float
+    """Positions closer than this are one stop [rad or m]."""
+    capture: str
+    """The captures of boards that show it."""
+    numbers: tuple[tuple[str, ...], str]
+    """Keys of its table in files that `--axis` gives, three numbers each; and both in words."""
+    unfit: tuple[str, ...] = ()
+    """Products of a project that it does not have ..."""
+    why: str = ""
+    """... and the reason."""
+
+    @property
+    def key(self) -> str:
+        """Key of the position in the journal of a capture: degrees or metres."""
+        return "position_m" if self.unit == "m" else "angle_deg"
+
+
+_TABLE = MotionKind(
+    "Turntable",
+    "rad",
+    "axis",
+    "table angles",
+    1e-3,
+    "leave the board standing and turn the table between images (same `placement`, other `angle_deg`): 4 placements "
+    "at 9 table angles each",
+    (("point_m", "direction"), "a point of the axis in metres and its direction"),
+)
+
+MOTIONS: dict[str, MotionKind] = {
+    "scanner": _TABLE,
+    "object": _TABLE._replace(
+        unfit=("plan", "panorama"), why="a table that carries the object turns no camera in a room"
+    ),
+    "linear": MotionKind(
+        "LinearStage",
+        "m",
+        "direction of travel",
+        "positions of the stage",
+        1e-4,
+        "leave the board standing and move the stage between images (same `placement`, other `position_m`): 4 "
+        "placements at 5 positions each",
+        (("direction",), "the direction of travel"),
+        # A stage may move along the walls of a room, so a plan is tried.
+        unfit=("panorama",),
+        why="a stage does not turn the camera",
+    ),
+    "nothing": MotionKind(
+        "Still",
+        "",
+        "motion",
+        "positions",
+        0.0,
+        "",
+        ((), ""),
+        unfit=("mesh", "plan", "panorama"),
+        why="profiles of a scanner that stands still have no neighbours",
+    ),
+}
+"""The kinds by their names in files: the part that a turntable carries; a linear stage; or no motion."""
+
+if TYPE_CHECKING:
+    Carries = str
+else:
+    Carries = Literal[tuple(MOTIONS)]
