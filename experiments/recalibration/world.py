@@ -355,8 +355,6 @@ class Sweeping:
     """Roughness of all surfaces, a standard deviation [m]."""
     rough_length_m: float = 0.05
     """Distance at which its correlation has fallen to 0.6 [m]."""
-    factor: float = 1.0
-    """True turn over that of the journal: a wrong number of steps per turn [1]."""
     lost: tuple[int, float] | None = None
     """Record from which on the table stands elsewhere, and by how much [deg]."""
     wander_deg: float = 0.0
@@ -389,7 +387,7 @@ def true_sweep(config: SimulationConfig, seed: int, how: Sweeping = Sweeping()) 
     """As `sweep_of`, with the truth."""
     journal = np.deg2rad(how.turn_deg) * np.arange(how.steps) / how.steps
     random = np.random.default_rng([seed, 83])
-    angle = journal * how.factor + np.deg2rad(how.wander_deg) * random.standard_normal(how.steps)
+    angle = journal + np.deg2rad(how.wander_deg) * random.standard_normal(how.steps)
     if how.lost is not None:
         angle[how.lost[0] :] += np.deg2rad(how.lost[1])
     room = _room(config, how)

@@ -92,12 +92,6 @@ def box(x0: float = -2.0, x1: float = 2.2, y0: float = -2.1, y1: float = 2.4) ->
     return [Face(X, x0), Face(X, x1), Face(Y, y0), Face(Y, y1), Face(Z, -0.75), Face(Z, 0.8)]
 
 
-def cupboard(low: tuple[float, float, float], high: tuple[float, float, float]) -> list:
-    """The upright sides of a piece of furniture."""
-    ranges = list(zip((X, Y, Z), low, high, strict=True))
-    return [Face(ranges[k][0], end, (ranges[1 - k], ranges[2])) for k in (0, 1) for end in ranges[k][1:]]
-
-
 @dataclass(frozen=True)
 class Taken:
     sweep: SweepStripes
@@ -111,13 +105,12 @@ def take(
     *,
     steps: int = 360,
     turn: float = 2 * np.pi,
-    true: np.ndarray | None = None,
     noise_px: float = 0.05,
     seed: int = 0,
     pose: np.ndarray | None = None,
     station: int = 0,
 ) -> Taken:
-    """The stripes of one sweep; `pose` is T_room_scanner, `true` are angles at which the table stood in truth."""
+    """The stripes of one sweep; `pose` is T_room_scanner."""
     rng = np.random.default_rng(seed)
     pose = np.eye(4) if pose is None else pose
     camera, table = scanner.camera, scanner.turntable
@@ -134,7 +127,7 @@ def take(
     frame = np.asarray(scanner.scanner_from_camera())
     a, point = np.asarray(table.direction), np.asarray(table.point)
     cross = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
-    for k, phi in enumerate(angle if true is None else true):
+    for k, phi in enumerate(angle):
         theta = float(table.gain) * phi
         turned = np.eye(3) + np.sin(theta) * cross + (1 - np.cos(theta)) * cross @ cross
         to_room = pose[:3, :3] @ frame[:3, :3]

@@ -6,26 +6,19 @@ import pytest
 from jaxscan.recalibration.table import check_angles
 from jaxscan.recalibration.table.steps import LostStep, lasting, say_jump
 from jaxscan.recalibration.table.walls import Equations, fit_steps
-from tests.recalibration.faces import box, cupboard, poor, rig, take
+from tests.recalibration.table_room import FURNITURE, knocked, paper_scanner, sweep
 
 
 pytestmark = pytest.mark.more
 
 
-ROOM = [
-    *box(-1.97, 1.85, -3.15, 3.0),
-    *cupboard((-1.7, 0.7, -1.2), (-1.1, 1.7, 0.0)),
-    *cupboard((1.4, -2.2, -1.2), (1.8, -1.4, 0.8)),
-    *cupboard((-0.3, 2.7, -1.2), (0.9, 3.0, -0.2)),
-]
-
-
-def checked(true, turn, seed, noise_px=0.05):
+def checked(phi, true, seed):
     """The findings with a poor calibration, and the corrected angles less the true ones."""
-    stored, scanner = poor(seed, better=3.0)
-    stripes = take(ROOM, scanner, steps=len(true), turn=turn, true=true, noise_px=noise_px, seed=seed).sweep
-    found = check_angles([stripes], stored)
-    return found, stripes.angle + found.corrections[0] - true
+    rng = np.random.default_rng(seed)
+    scanner = paper_scanner(40)
+    stripes = sweep(scanner, phi, true=true, rng=rng, furniture=FURNITURE)
+    found = check_angles([stripes], knocked(scanner, rng, 0.3))
+    return found, phi + found.corrections[0] - true
 
 
 def poor_table(theta):
@@ -35,20 +28,21 @@ def poor_table(theta):
 
 @pytest.mark.parametrize(("turn_deg", "seed"), [(390.0, 2), (140.0, 3)])
 def test_a_good_table_is_left_alone(turn_deg, seed):
-    turn = np.deg2rad(turn_deg)
-    found, _ = checked(poor_table(np.linspace(0.0, turn, 240, endpoint=False)), turn, seed)
+    phi = np.linspace(0.0, np.deg2rad(turn_deg), 240, endpoint=False)
+    found, _ = checked(phi, poor_table(phi), seed)
     assert found.sentences == () and found.jumps == ()
     assert not np.any(found.corrections[0])
 
 
 @pytest.mark.parametrize(("degrees", "record"), [(0.2, 130), (1.8, 170)])
 def test_a_lost_step_is_found_and_repaired(degrees, record):
-    true = poor_table(np.linspace(0.0, 2 * np.pi, 240, endpoint=False))
+    phi = np.linspace(0.0, 2 * np.pi, 240, endpoint=False)
+    true = poor_table(phi)
     true[record:] -= np.deg2rad(degrees)
-    found, error = checked(true, 2 * np.pi, 6)
+    found, error = checked(phi, true, 6)
     ((number, at, size),) = found.jumps
     assert number == 0 and abs(at - record) <= 1
-    # 0.05 px on 30 lines: the size is known to some hundredths of a degree.
+    # 0.1 px on 40 lines: the size is known to some hundredths of a degree.
     assert np.rad2deg(size) == pytest.approx(-degrees, abs=0.05)
     assert f"{record - 1} and {record}" in found.sentences[0] and "behind" in found.sentences[0]
     away = np.ones(240, bool)
@@ -57,10 +51,11 @@ def test_a_lost_step_is_found_and_repaired(degrees, record):
 
 
 def test_two_lost_steps_are_told_apart():
-    true = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
+    phi = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
+    true = phi.copy()
     true[100:] -= np.deg2rad(0.3)
     true[240:] -= np.deg2rad(0.5)
-    found, _ = checked(true, 2 * np.pi, 7, 0.02)
+    found, _ = checked(phi, true, 7)
     assert [record for _, record, _ in found.jumps] == pytest.approx([100, 240], abs=1)
     assert len(found.sentences) == 2
 
@@ -75,11 +70,13 @@ def test_steps_that_undo_each_other_are_a_wall_that_stands_out():
 
 
 def test_nothing_is_said_without_walls_or_of_a_tiny_sweep():
-    tiny, cloud = (take(box(), rig(), steps=steps, turn=turn).sweep for steps, turn in ((6, 0.05), (240, 6.0)))
-    noise = np.random.default_rng(8).uniform(300, 500, cloud.centre.shape)
+    scanner = paper_scanner(40)
+    tiny = sweep(scanner, np.linspace(0.0, 0.05, 6))
+    cloud = sweep(scanner, np.linspace(0.0, 6.0, 240))
+    noise = np.random.default_rng(8).uniform(950, 1400, cloud.centre.shape)
     cloud = cloud._replace(centre=noise.astype(np.float32))
     empty = cloud._replace(valid=np.zeros_like(cloud.valid))
-    found = check_angles([tiny, cloud, empty], rig())
+    found = check_angles([tiny, cloud, empty], scanner)
     assert found.sentences == () and found.jumps == ()
     assert [len(one) for one in found.corrections] == [6, 240, 240]
 

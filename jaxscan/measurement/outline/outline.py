@@ -146,7 +146,7 @@ class RoomOutline:
 
 
 def measure_outline(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0) -> RoomOutline:
-    """Find the walls around a room of any shape, and their corners; lengths, areas and the volume follow with sigmas.
+    """Find the walls around a room of any shape and their corners; lengths, areas and the volume follow with sigmas.
 
     Upright planes divide the plan; of its cells those are inside that rays crossed, up to where walls are. Planes
     within 0.12 m of a wall and parallel to it are things on the wall. A plane is no wall if rays went through it to
