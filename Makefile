@@ -25,7 +25,7 @@ demo: $(INSTALLED)
 
 # Four tiers; pyproject.toml names their markers. `.ci/run` runs the first three, and a sixth of the last:
 #   test       what a person runs: minutes. Nothing is built, no program is started but Python.
-#   test-rig   with other programs beside it: the firmware in a simulated processor, cameras on loopback, browsers, clusters.
+#   test-rig   with other programs beside it: the firmware in a simulated processor, cameras on loopback, browsers.
 #   test-more  whole loops and further cameras, boards and seeds, with the types of all arguments and results checked.
 #   test-slow  Monte Carlo, fuzzing and verbs killed at many moments: over an hour. PART=3/6 runs the third
 #              sixth of them.
@@ -136,7 +136,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c "import ensurepip" 2>/dev/null || \
 	  { echo "Python's venv module is missing. Type: sudo apt-get install python3-venv"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[test,docs,console,export,plan,ifc,simulate,rig,fleet]"
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[test,docs,console,export,plan,ifc,simulate,rig]"
 	@touch $@
 
 clean:

@@ -29,17 +29,15 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from experiments.report import command_line, verb, write_json
-from jaxscan.fleet.batch import run_batch
-from jaxscan.fleet.cluster import open_cluster
 from jaxscan.project import (
     Catalogue,
-    Order,
     Row,
+    Status,
+    begun_row,
     digests_of,
     load_project,
     open_catalogue,
-    order_of,
-    row_to_json,
+    run_batch,
     states_of,
     steps_of,
 )
@@ -63,10 +61,9 @@ rig = "one"
 """
 
 
-def do_nothing(text: str) -> str:
-    """The row of a step whose work is empty; what a worker does."""
-    order = Order.from_json(text)
-    return row_to_json(Row(order.step.key, order.digest, "done", "", order.parts, (), time.time(), 0.0, "", ""))
+def do_nothing(status: Status, output: Path, progress: object) -> Row:
+    """The row of a step whose work is empty; what a process does."""
+    return begun_row(status)._replace(state="done")
 
 
 class Silent:
@@ -97,12 +94,10 @@ def hand_out(count: int) -> dict[str, float]:
         catalogue = open_catalogue(project)
         steps = steps_of(project)
         states = states_of(steps, *digests_of(steps), catalogue.rows(), project.output)
-        todo = [order_of(status, project.output) for status in states]
         planned = time.perf_counter() - start
-        with open_cluster(workers=2) as client:
-            start = time.perf_counter()
-            run_batch(todo, catalogue, client, Silent(), work=do_nothing)
-            handed_out = time.perf_counter() - start
+        start = time.perf_counter()
+        run_batch(states, project.output, catalogue, Silent(), workers=2, work=do_nothing)
+        handed_out = time.perf_counter() - start
         assert len(catalogue.rows()) == count
     peak = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {"captures": count, "planned_s": planned, "handed_out_s": handed_out, "peak_bytes": peak}

@@ -8,7 +8,7 @@
   turn.
 - packed: a sweep from files, in a process of its own: time by the number of records, memory without the pages of files
   and how it grows with the sweep, and a cloud again from cached stripes.
-- codecs: size and time of the storage of captures beside PNG, JPEG-LS and JPEG XL, if imagecodecs is there.
+- codecs: size and time of the storage of captures beside PNG.
 - calibration: warm solves, and the camera alone beside OpenCV's.
 - cold: the demo and a calibration of its boards as commands, with nothing compiled, and again.
 
@@ -20,7 +20,6 @@ import argparse
 import ctypes
 import dataclasses
 import gc
-import importlib.util
 import json
 import os
 import shutil
@@ -327,34 +326,27 @@ def anonymous_bytes() -> int:
     return 1024 * sum(int(fields[name].split()[0]) for name in ("RssAnon", "RssShmem"))
 
 
-class Codec(NamedTuple):
-    """A lossless codec of frames."""
-
-    name: str
-    encode: Callable[[np.ndarray], bytes]
-    decode: Callable[[bytes], np.ndarray]
-
-
 def codecs(size: Size, scratch: Path) -> tuple[list[Figure], str]:
     """Size and time of a frame on one core; every frame that comes back is compared. Differences are modulo 256."""
     frames = make_frames(8, make_scanner())
     kinds = {"on": frames.on, "off": frames.off, "off - on": frames.off - frames.on}
+    decoded = lambda data: decode_image(data, name="frame", rank=None, size=None)
     known, rows = {}, []
     cv2.setNumThreads(1)
     for kind, stack in kinds.items():
-        for codec in _codecs():
-            data = [codec.encode(frame) for frame in stack]
-            if not all(np.array_equal(codec.decode(one), frame) for one, frame in zip(data, stack, strict=True)):
-                raise AssertionError(f"{codec.name} has lost something.")
+        for name, encode in {"packed": encode_zstd, "PNG": encode_png}.items():
+            data = [encode(frame) for frame in stack]
+            if not all(np.array_equal(decoded(one), frame) for one, frame in zip(data, stack, strict=True)):
+                raise AssertionError(f"{name} has lost something.")
             functions = {
-                "encode": lambda codec=codec, stack=stack: [codec.encode(frame) for frame in stack],
-                "decode": lambda codec=codec, data=data: [codec.decode(one) for one in data],
+                "encode": lambda encode=encode, stack=stack: [encode(frame) for frame in stack],
+                "decode": lambda data=data: [decoded(one) for one in data],
             }
             times = take_turns(functions, size.repeats)
             share = sum(map(len, data)) / stack.nbytes
-            known[codec.name, kind] = share, times["decode"].processor
-            each = [f"{1e3 * times[name].processor / len(stack):.2f}" for name in ("encode", "decode")]
-            rows.append([codec.name, kind, f"{100 * share:.1f} %", *each])
+            known[name, kind] = share, times["decode"].processor
+            each = [f"{1e3 * times[way].processor / len(stack):.2f}" for way in ("encode", "decode")]
+            rows.append([name, kind, f"{100 * share:.1f} %", *each])
     cv2.setNumThreads(-1)
     (ours, decode), (theirs, of_png) = known["packed", "on"], known["PNG", "on"]
     figures = [
@@ -362,23 +354,6 @@ def codecs(size: Size, scratch: Path) -> tuple[list[Figure], str]:
         Figure("packed: size over PNG's", ours / theirs, "1", high=1.3),
     ]
     return figures, table(["codec", "frames", "size", "encode, ms of a core", "decode, ms of a core"], rows)
-
-
-def _codecs() -> list[Codec]:
-    ours = lambda data: decode_image(data, name="frame", rank=None, size=None)
-    found = [Codec("packed", encode_zstd, ours), Codec("PNG", encode_png, ours)]
-    if importlib.util.find_spec("imagecodecs"):
-        import imagecodecs as ic
-
-        found += [
-            Codec("JPEG-LS", ic.jpegls_encode, ic.jpegls_decode),
-            Codec(
-                "JPEG XL, effort 1",
-                lambda frame: ic.jpegxl_encode(frame, lossless=True, effort=1, numthreads=1),
-                lambda data: ic.jpegxl_decode(data, numthreads=1),
-            ),
-        ]
-    return found
 
 
 VIEWS, FEWER_VIEWS, CAMERA_VIEWS = 40, 37, 23

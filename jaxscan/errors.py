@@ -41,5 +41,5 @@ class DependencyError(JaxscanError):
     """A library or system package that is needed for this call and is not installed."""
 
 
-class FleetError(JaxscanError):
-    """A cluster that cannot be reached, or cannot do this work."""
+class BatchError(JaxscanError):
+    """Steps of a batch that failed."""

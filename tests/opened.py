@@ -1,6 +1,6 @@
 """A project opened as the verbs open it, and done in this process."""
 
-from jaxscan.project import do_step, load_project, open_catalogue, opened, order_of
+from jaxscan.project import do_step, load_project, open_catalogue, opened
 
 
 def catalogue_of(file):
@@ -20,7 +20,7 @@ def work(file):
     catalogue, rows = catalogue_of(file), []
     for status in states(file).values():
         if status.state != "done":
-            rows.append(do_step(order_of(status, load_project(file).output)))
+            rows.append(do_step(status, load_project(file).output))
             catalogue.write(rows[-1:])
     catalogue.close()
     return rows

@@ -33,7 +33,7 @@ CORE = {
     "drawing",
     "design",
 }
-ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api", "web", "viewer", "project", "fleet"}
+ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api", "web", "viewer", "project"}
 MAY_IMPORT = {
     "geometry": set(),
     "stripes": {"geometry"},
@@ -54,8 +54,7 @@ MAY_IMPORT = {
     "web": set(),
     "project": CORE | {"files", "api"},
     "viewer": {"geometry", "measurement", "reconstruction", "surface", "web"},
-    "api": ANY - {"api", "cli", "web", "viewer", "project", "fleet"},
-    "fleet": {"project", "files"},
+    "api": ANY - {"api", "cli", "web", "viewer", "project"},
     "cli": ANY,
     "__init__": ANY,
     "errors": set(),
@@ -106,10 +105,6 @@ HOME_OF = {
     "rich": {"cli"},
     "tyro": {"cli"},
     "pydantic": {"files", "simulation", "project/config.py"},
-    "dask": {"fleet"},
-    "distributed": {"fleet"},
-    "psutil": {"fleet"},
-    "sqlalchemy": {"project/catalogue.py"},
 }
 """Third-party libraries that belong to one place."""
 
@@ -406,7 +401,7 @@ be the user's own; parts of something else; a page in a new folder that only thi
 MAKERS = {"mkdir", "makedirs", "symlink", "link", "mkfifo", "mknod", "truncate", "copy", "copy2", "copyfile"}
 MAKERS |= {"copytree", "move", "save", "savez", "savez_compressed", "savetxt", "imwrite", "VideoWriter", "Part"}
 MAKERS |= {"connect", "create_engine", "RotatingFileHandler", "FileHandler"}
-OWNERS = {"os", "shutil", "np", "numpy", "cv2", "sqlite3", "sqlalchemy", "logging"}
+OWNERS = {"os", "shutil", "np", "numpy", "cv2", "sqlite3", "logging"}
 METHODS = {"write_text", "write_bytes", "touch", "mkdir", "symlink_to", "hardlink_to"}
 HANDED = {"savefig", "saveas", "tofile", "ImageFile", "ZipFile", "memmap"}
 """Calls that write to the path that is their first argument."""
@@ -492,7 +487,7 @@ def test_writings_are_found():
         "open(a, 'w')", "open(a, mode='r+b')", "open(a, m)", "os.open(a, os.O_RDWR)", "os.open(a, b)", "a.open('x')",
         "a.write_text('')", "(a / 'b').mkdir()", "os.makedirs(a)", "a.symlink_to(b)", "shutil.copy(b, a)", "a.touch()",
         "np.save(a, x)", "np.savez(str(a), x=x)", "ZipFile(a, 'w')", "cv2.imwrite(a, x)", "figure.savefig(a)",
-        "sqlite3.connect(a)", "partial(sqlite3.connect, a)", "sqlalchemy.create_engine(a)", "Part(a)",
+        "sqlite3.connect(a)", "partial(sqlite3.connect, a)", "Part(a)",
     )  # fmt: skip
     text = "\n".join(ways)
     assert [line for _, line in writings(ast.parse(text))] == list(range(1, len(ways) + 1))
@@ -571,7 +566,6 @@ def imported():
         "scanrig",
         "open3d",
         "fast_simplification",
-        "dask",
         "distributed",
     )
     code = (

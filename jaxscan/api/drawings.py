@@ -1,12 +1,11 @@
 """Drawings as files: of rooms, and of calibration boards on paper."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxscan.drawing import Drawing, Sheet, Survey
 from jaxscan.errors import OptionError, OutputError
-from jaxscan.files.disk import Part, check_writable, write_atomically, write_together
+from jaxscan.files.disk import check_writable, write_atomically, write_together
 from jaxscan.files.drawings import check_dxf, svg_of, write_dxf
 from jaxscan.files.ifc import check_ifc, write_ifc
 from jaxscan.geometry import AbstractBoard
@@ -21,29 +20,7 @@ DPI = 200.0
 FINEST_DPI = 1200.0
 
 
-def _write_svg(drawing: Drawing, path: Part, dpi: float) -> None:
-    path.write_bytes(svg_of(drawing))
-
-
-def _write_pdf(drawing: Drawing, path: Part, dpi: float) -> None:
-    # Imported here, so that `import jaxscan` does not load OpenCV.
-    from jaxscan.report import pdf_of
-
-    path.write_bytes(pdf_of(drawing))
-
-
-def _write_png(drawing: Drawing, path: Part, dpi: float) -> None:
-    from jaxscan.report import png_of
-
-    path.write_bytes(png_of(drawing, dpi))
-
-
-WRITERS: dict[str, Callable[[Drawing, Part, float], None]] = {
-    ".dxf": lambda drawing, path, dpi: write_dxf(drawing, path),
-    ".svg": _write_svg,
-    ".pdf": _write_pdf,
-    ".png": _write_png,
-}
+SUFFIXES = (".dxf", ".svg", ".pdf", ".png")
 
 
 def check_drawing_path(path: str | Path) -> None:
@@ -53,8 +30,8 @@ def check_drawing_path(path: str | Path) -> None:
         OutputError: If the suffix is unknown, or nothing can be written there.
         DependencyError: If the format needs a library that is not installed.
     """
-    if Path(path).suffix.lower() not in WRITERS:
-        raise OutputError(f'{path}: cannot write "{Path(path).suffix}", known are {", ".join(WRITERS)}.')
+    if Path(path).suffix.lower() not in SUFFIXES:
+        raise OutputError(f'{path}: cannot write "{Path(path).suffix}", known are {", ".join(SUFFIXES)}.')
     check_writable(path, error=OutputError)
     if Path(path).suffix.lower() == ".dxf":
         check_dxf()
@@ -76,8 +53,15 @@ def save_drawing(drawing: Drawing, path: str | Path, *, dpi: float = DPI) -> Non
     check_drawing_path(path)
     if not 20.0 <= dpi <= FINEST_DPI:
         raise OptionError(f"--dpi: found {dpi:g}, expected 20 to {FINEST_DPI:g}.")
-    writer = WRITERS[Path(path).suffix.lower()]
-    write_atomically(path, lambda part: writer(drawing, part, dpi), error=OutputError)
+    suffix = Path(path).suffix.lower()
+    if suffix == ".dxf":
+        write_atomically(path, lambda part: write_dxf(drawing, part), error=OutputError)
+        return
+    # Imported here, so that `import jaxscan` does not load OpenCV.
+    from jaxscan.report import pdf_of, png_of
+
+    content = svg_of(drawing) if suffix == ".svg" else pdf_of(drawing) if suffix == ".pdf" else png_of(drawing, dpi)
+    write_atomically(path, content, error=OutputError)
 
 
 def check_ifc_path(path: str | Path) -> None:

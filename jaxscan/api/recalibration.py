@@ -172,8 +172,8 @@ def save_recalibrated_cloud(
     """
     clouds = []
     for number, capture in enumerate(captures):
-        turned = _turned(capture, adjusted.corrections[number])
-        cloud = reconstruct_capture(turned, scanner, settings=settings).cloud
+        right = turned(capture, adjusted.corrections[number])
+        cloud = reconstruct_capture(right, scanner, settings=settings).cloud
         place = int(adjusted.observations.station[number])
         clouds.append((cloud, adjusted.stations[place], adjusted.station_covariance[place]))
     if len(clouds) == 1:
@@ -274,8 +274,8 @@ def _feature_eyes() -> FeatureEyes:
     return feature_eyes()
 
 
-def _turned(capture: Capture, correction: np.ndarray) -> Capture:
-    """The same capture with other angles of the table."""
+def turned(capture: Capture, correction: np.ndarray) -> Capture:
+    """A capture with other angles of its table or stage, by so much [rad or m]."""
     if not np.any(correction):
         return capture
     angles = (capture.angles + correction).tolist()

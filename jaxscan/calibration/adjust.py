@@ -86,11 +86,6 @@ _MAX_CORRELATION = 64.0
 def noise_by_class(size: Callable[[np.ndarray], float], contrast: np.ndarray, count: np.ndarray) -> np.ndarray:
     """Noise of the stripe points of every contrast class.
 
-    Args:
-        size: Gives the noise of some points, bool, shaped like `contrast`.
-        contrast: Class of every point.
-        count: bool, shaped like `contrast`: points that count.
-
     Returns:
         One number for each class. A class with few points has that of all points of its kind, fitted through the
         print or not; where these are few too, that of all points.
@@ -111,10 +106,6 @@ def correlation_along(residual: np.ndarray, keep: np.ndarray) -> float:
 
     Speckle moves neighbouring centres together, and then n of them are worth n over this.
     Summed up to the first lag whose correlation is within two standard errors of none.
-
-    Args:
-        residual: Residuals along stripes [stripes, points], neighbours in order.
-        keep: Which of them count.
 
     Returns:
         The correlation length [points], 1 for white noise.
@@ -290,11 +281,6 @@ def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, r
 
 def adjust_further(result: Adjustment, problem: Problem, settings: CalibrationSettings) -> Adjustment:
     """Solve on from where a solve ended, with other unknowns; outliers and noise are found again.
-
-    Args:
-        result: The finished solve.
-        problem: The same observations, seen from the same point.
-        settings: Of the solve.
 
     Raises:
         CalibrationError: If the solve breaks down.

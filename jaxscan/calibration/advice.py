@@ -70,12 +70,7 @@ def warn(quality: Quality) -> tuple[str, ...]:
 
 
 def warn_of_missing_lines(records: Sequence[int], lit: int) -> tuple[str, ...]:
-    """A warning about boards that a sheet meets and on which no line was found.
-
-    Args:
-        records: Their numbers.
-        lit: Boards that a sheet meets.
-    """
+    """A warning about boards that a sheet meets and on which no line was found."""
     if not records:
         return ()
     return (
@@ -132,12 +127,7 @@ def refusal(
 
 
 def advise(result: Adjustment, unobserved: Sequence[dict[str, float]]) -> tuple[str, ...]:
-    """Captures that would help, the most needed first; empty where nothing is missing.
-
-    Args:
-        result: The finished solve, converged.
-        unobserved: Directions that the priors know better than the data, as components by name.
-    """
+    """Captures that would help, the most needed first; empty where nothing is missing."""
     data = result.data
     lines = [f"capture {cure}" for cure in cures(unobserved)]
     seen = data.corner_q[result.corner_inlier]
@@ -155,13 +145,7 @@ def advise(result: Adjustment, unobserved: Sequence[dict[str, float]]) -> tuple[
 
 
 def cure_causes(tests: Sequence[ModelTest], good_to: GoodTo, settings: CalibrationSettings) -> tuple[str, ...]:
-    """Advice against the causes that are worth a word, the largest first.
-
-    Args:
-        tests: With their effects.
-        good_to: The error that they are parts of.
-        settings: Of the solve: a block that is held can be freed.
-    """
+    """Advice against the causes that are worth a word, the largest first."""
     rig, held = good_to.sigma_mm is not None, lambda block: block not in settings.free
     whole = (good_to.sigma_mm if rig else good_to.sigma_px) or 0.0
     effects = [((test.effect_mm if rig else test.effect_px) or 0.0, test.name) for test in tests]

@@ -36,11 +36,6 @@ def smooth_modes(board: np.ndarray, frame: np.ndarray, padded: int) -> BoardMode
 
     Heights hold no plane and no bow along x or y, prints no motion of the plane and no scale: those
     are unknowns of their own. Over the corners all are orthogonal.
-
-    Args:
-        board: Corners of the flat board [corners, 3], m.
-        frame: Its `corner_frame`.
-        padded: Corners that the solve has, with padding.
     """
     place = (board[:, :2] - frame[:2]) / frame[2:]
     functions = np.stack(bend_functions(place), axis=-1)
@@ -363,12 +358,6 @@ def describe_board(
     result: Adjustment, observations: Observations, calibration: Calibration, choice: ShapeChoice
 ) -> BoardMap | None:
     """Heights over the best plane and places in it, of every corner, with their standard deviations.
-
-    Args:
-        result: The finished solve.
-        observations: Its observations.
-        calibration: The calibration that was concluded from it.
-        choice: Of `choose_shape`.
 
     Returns:
         The map; None of a solve that did not converge.

@@ -151,11 +151,6 @@ def estimate(
 def judge(found: Estimate, *, settings: CalibrationSettings, known: KnownParts = NOTHING_KNOWN) -> Calibration:
     """The calibration that an estimate gives: covariance, quality, and with `settings.judge` a verdict.
 
-    Args:
-        found: The estimate.
-        settings: It was solved with these.
-        known: As `settings`.
-
     Raises:
         CalibrationError: If the observations do not determine the parameters.
     """
@@ -171,10 +166,6 @@ def judge(found: Estimate, *, settings: CalibrationSettings, known: KnownParts =
 
 def calibrate_camera(observations: Observations, *, settings: CalibrationSettings | None = None) -> Calibration:
     """The camera alone, from boards in any poses; stripes, angles and placements are not used.
-
-    Args:
-        observations: Board corners.
-        settings: As for `calibrate_observations`.
 
     Returns:
         A calibration without a scanner; `order` and `covariance` are the camera's.

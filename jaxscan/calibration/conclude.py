@@ -45,13 +45,6 @@ def conclude(
 
     Nothing is concluded from a solve that did not converge: no lengths, no tests, no weak directions.
 
-    Args:
-        result: The solve.
-        camera: Its camera, with its size and without coefficients that nobody asked for.
-        observations: As they were solved.
-        settings: Of the solve.
-        given: The observations before lines were left out; None where none was.
-
     Raises:
         CalibrationError: If the observations do not determine the parameters; it names the captures that are missing.
     """

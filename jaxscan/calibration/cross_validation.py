@@ -57,23 +57,14 @@ class Split(NamedTuple):
         return len(self.scatter)
 
     def distance(self, systematic: np.ndarray | None = None) -> float:
-        """Square of the difference in units of its standard deviation.
-
-        Args:
-            systematic: Covariance of the error of the whole calibration beside that of noise [free, free].
-        """
+        """Square of the difference in units of its standard deviation."""
         covariance, parts = np.diag(self.scatter), self.whiten @ self.difference
         if systematic is not None:
             covariance = covariance + self.per_error**2 * self.whiten @ systematic @ self.whiten.T
         return float(parts @ np.linalg.solve(covariance, parts))
 
     def beyond(self, before: np.ndarray, scales: np.ndarray) -> np.ndarray:
-        """The step [shared] that covers what neither noise nor other findings do, in the units of the unknowns.
-
-        Args:
-            before: Covariance of the other findings [shared, shared].
-            scales: Of the unknowns [shared].
-        """
+        """The step [shared] that covers what neither noise nor other findings do, in the units of the unknowns."""
         unit = scales[self.free]
         covered = before[np.ix_(self.free, self.free)] / np.outer(unit, unit)
         share = min(self.dof / max(self.distance(covered), 1e-300), 1.0)
@@ -128,10 +119,6 @@ def put_back_lines(result: Adjustment, given: Observations) -> list[np.ndarray]:
 
     Lines are compared as wholes, each with one voice, and one that is far off counts less (Huber): a reflection on one
     board moves nothing, but where half of the boards say otherwise the sheet is in doubt by as much.
-
-    Args:
-        result: Of a solve of the lines that agree on a sheet.
-        given: The observations before others were left out.
     """
     data, problem, steps = prepare(given), result.problem, []
     agreed = np.any(result.stripe_inlier, axis=1)

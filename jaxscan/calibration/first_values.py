@@ -329,12 +329,6 @@ def _rays(q: np.ndarray, focal: float, cubic: float) -> tuple[np.ndarray, np.nda
 def seed_motion(poses: np.ndarray, data: Prepared, carries: Carries, up: Up) -> AbstractMotion:
     """The motion from placements seen at several positions.
 
-    Args:
-        poses: T_cam_board of every view [views, 4, 4].
-        data: For the position and placement of each view.
-        carries: The kind of motion.
-        up: The image's up direction.
-
     Raises:
         CalibrationError: If no placement was seen from two positions, or the boards did not move like that.
     """

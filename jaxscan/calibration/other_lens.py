@@ -61,10 +61,6 @@ def find_better_lens(calibration: Calibration, settings: CalibrationSettings) ->
 
     Only the camera is solved again, from the same corners.
 
-    Args:
-        calibration: Judged, with its observations.
-        settings: It was solved with these.
-
     Returns:
         None where the lens suffices, or no other is better.
     """
@@ -138,12 +134,7 @@ def advise_lens(calibration: Calibration, other: OtherLens) -> Calibration:
 
 
 def ray_difference(camera: AbstractCamera, other: AbstractCamera) -> float:
-    """Root mean square distance of the rays of two cameras over the image, after the best rotation [px].
-
-    Args:
-        camera: In whose image the distance is taken.
-        other: Of the same size.
-    """
+    """Root mean square distance of the rays of two cameras over the image, after the best rotation [px]."""
     camera, other = (jax.tree.map(np.asarray, one) for one in (camera, other))
     q = image_places(camera)
     there, ray = np.asarray(camera.unproject(q)), np.asarray(other.unproject(q))

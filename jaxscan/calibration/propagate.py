@@ -149,11 +149,6 @@ def stripe_pixels(scanner: Scanner, laser: int, depth: float) -> Float[np.ndarra
 
     One for each column, if the stripe at that depth runs along the rows of the image.
 
-    Args:
-        scanner: Camera and sheets; its covariance is not used.
-        laser: Which sheet.
-        depth: z in the camera frame [m].
-
     Returns:
         (u, v) [px] by ascending row or column; empty where that depth is nowhere in the image.
     """
@@ -313,10 +308,6 @@ def _measured(rig: Rig, lengths: Sequence[Length]) -> np.ndarray:
 
 def predict_lengths(scanner: Scanner, at_m: float | None = None) -> Lengths:
     """Standard deviations that the calibration causes in lengths that people measure; noise of the stripe is on top.
-
-    Args:
-        scanner: With its covariance.
-        at_m: Distance of the wall [m]; None as in `measure_good_to`.
 
     Returns:
         For every laser the depths that the rig reaches, the wall by which it is judged, and its `typical_lengths`;
@@ -481,12 +472,7 @@ def _by_part(scanner: Scanner, steps: np.ndarray) -> list[tuple[str, np.ndarray]
 
 
 def ray_error(camera: AbstractCamera, steps: Float[np.ndarray, "steps params"]) -> float:
-    """Distance of rays from where they should be, root mean square over the image after the best rotation [px].
-
-    Args:
-        camera: With its size.
-        steps: In its minimal coordinates; each counts as one standard deviation.
-    """
+    """Distance of rays from where they should be, root mean square over the image after the best rotation [px]."""
     q = image_places(camera)
     ray = np.asarray(camera.unproject(q))
     moved = spread(camera, _SMALL * steps, lambda some: np.asarray(some.project(ray))) / _SMALL
@@ -509,12 +495,7 @@ def image_places(camera: AbstractCamera) -> Float[np.ndarray, "places 2"]:
 
 
 def focal_share(camera: AbstractCamera, steps: Float[np.ndarray, "steps params"]) -> float:
-    """Standard deviation of the focal length over it [1]: of the scale in the middle of the image, of any model.
-
-    Args:
-        camera: The calibrated camera.
-        steps: In the minimal coordinates, those of the camera first; each counts as one standard deviation.
-    """
+    """Standard deviation of the focal length over it [1]: of the scale in the middle of the image, of any model."""
     scale = lambda moved: np.trace(np.asarray(moved.slopes(np.array([0.0, 0.0, 1.0])))[:, :2])
     changes = spread(camera, _SMALL * steps[:, : len(camera.parameter_names())], scale) / _SMALL
     return float(np.linalg.norm(changes) / scale(camera))

@@ -48,11 +48,6 @@ class KnownParts:
     def check(self, size: tuple[int, int], laser_names: Sequence[str], carries: str) -> None:
         """Refuse parts of another rig.
 
-        Args:
-            size: Width and height of its images [px].
-            laser_names: Of the lasers that it has.
-            carries: Its kind of motion.
-
         Raises:
             CalibrationError: With the values found and expected.
         """
@@ -123,12 +118,6 @@ def largest_rig(
 ) -> Rig:
     """The largest rig that a capture determines, or the smaller one that is asked for.
 
-    Args:
-        held: Of the capture.
-        only: A smaller rig on purpose.
-        known: Parts that need not be determined.
-        seen: Where was looked, for the sentences.
-
     Raises:
         CalibrationError: If not even the camera is determined.
     """
@@ -156,11 +145,6 @@ def largest_rig(
 
 def planned_rig(captures: Sequence[BoardSource], only: RigKind | None = None, known: KnownParts = NOTHING_KNOWN) -> Rig:
     """The largest rig by header and journal alone, before any image is read.
-
-    Args:
-        captures: Calibration captures of one rig.
-        only: A smaller rig on purpose.
-        known: Parts that need not be determined.
 
     Raises:
         CalibrationError: If not even the camera is determined.

@@ -68,11 +68,6 @@ class Lifted(NamedTuple):
 def lift_stripes(data: Prepared, camera: AbstractCamera, poses: np.ndarray) -> Lifted:
     """Stripe points where their rays meet the flat boards.
 
-    Args:
-        data: The stripes.
-        camera: The camera.
-        poses: T_cam_board of every view [views, 4, 4].
-
     Source: the paper, equations (5)-(7).
     """
     pose, lit = poses[data.stripe_view], np.any(data.stripe_valid, axis=1)
@@ -137,12 +132,6 @@ def seed_sheets(
     On a real board the brightest line is not always the laser's. A line on a board is a line in space, and two
     make a plane; of many such planes that one is taken with which the lines of most views agree. A stripe whose
     view shows no line on it keeps its row, without a valid point.
-
-    Args:
-        observations: Stripes on boards, and other lines that may be the stripes.
-        data: The observations, prepared.
-        camera: The camera, solved.
-        poses: T_cam_board of every view [views, 4, 4].
 
     Raises:
         CalibrationError: If the lines of a laser agree on no plane, or determine none.

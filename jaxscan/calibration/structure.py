@@ -111,11 +111,6 @@ class _Missing(NamedTuple):
 def find_harm(result: Adjustment, settings: CalibrationSettings, given: Observations) -> list[Harm]:
     """Test the models of a finished solve, and find the error that the structure in its residuals does.
 
-    Args:
-        result: Of `adjust`, converged; call in 64 bit.
-        settings: Of the solve.
-        given: The observations before any was left out.
-
     Returns:
         The tests that the data allow: "lens", "board", "table" (its angles), "axis" (whether it stands still), "sheet",
         then the cross-validations "halves", "regions" and "lines", which count for the part that others do not cover.
@@ -399,12 +394,7 @@ def _turn_terms(problem: Problem, views: Int[np.ndarray, " repeated"]) -> Float[
 
 
 def moving_twist(pose: Float[np.ndarray, "... 4 4"], motion: AbstractMotion) -> Float[np.ndarray, "... 6"]:
-    """Twist (translation, rotation) of a board, in its own axes, that a motion by 1 rad or 1 m gives it in the image.
-
-    Args:
-        pose: T_cam_board; the axis or direction is the same at all positions, seen from the camera.
-        motion: Of the camera.
-    """
+    """Twist (translation, rotation) in the axes of a board at T_cam_board that a motion by 1 rad or 1 m gives it."""
     # The camera moves, so the board moves the other way.
     back = np.swapaxes(pose[..., :3, :3], -1, -2)
     speed, axis = np.split(np.asarray(motion.twist()), 2)

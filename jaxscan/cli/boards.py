@@ -8,12 +8,13 @@ import subprocess
 import sys
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxscan import api
-from jaxscan.cli.scan_display import CaptureFolder, ScanDisplay
+from jaxscan.cli.scan_display import ScanDisplay
 from jaxscan.cli.terminal import Terminal
 from jaxscan.errors import OptionError
 from jaxscan.stripes import FrameFormat, LaserLine
@@ -27,7 +28,8 @@ if TYPE_CHECKING:
 
 def scan_boards(
     rig: "RigConfig",
-    folder: CaptureFolder,
+    folder: Path,
+    resume: bool,
     devices: "Devices",
     interrupted: Callable[[], bool],
     place_command: str | None,
@@ -68,11 +70,11 @@ def scan_boards(
     with ScanDisplay() as display:
         return run_calibration(
             rig,
-            folder.path,
+            folder,
             devices,
             operator,
             Hooks(on_pair, notify=display.say, should_stop=should_stop),
-            resume=folder.resume,
+            resume=resume,
         )
 
 

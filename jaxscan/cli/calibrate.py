@@ -12,16 +12,7 @@ import tyro
 from jaxscan import api, geometry
 from jaxscan import calibration as calibrating
 from jaxscan import report as reports
-from jaxscan.cli.options import (
-    Block,
-    OutputPath,
-    Part,
-    RigKind,
-    calibration_at,
-    capture_at,
-    check_paths,
-    file_at,
-)
+from jaxscan.cli.options import Block, OutputPath, Part, RigKind, check_paths
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import CalibrationError, OptionError
@@ -33,7 +24,6 @@ from jaxscan.geometry import CameraModel
 
 if TYPE_CHECKING:
     from jaxscan.calibration import Calibration, CalibrationSettings, KnownParts
-    from jaxscan.files.calibration import ReadCamera
     from jaxscan.files.capture import Capture
     from jaxscan.geometry import AbstractMotion, LaserSheet
 
@@ -92,13 +82,8 @@ def calibrate(
         verbose: Print the tests and all parameters too.
         json: Write the result as JSON too.
     """
-    parts = [("--camera", camera)] if camera else []
-    known_places = [place for option, path in (*parts, *known_files(sheet, axis)) for place in file_at(option, path)]
-    check_paths(
-        reads=[*(place for path in captures for place in capture_at("CAPTURE", path)), *known_places],
-        writes=[*calibration_at("--output", output), *file_at("--report", report)],
-        json=json,
-    )
+    known = {option: Path(words[0]) for option, words in (("--sheet", sheet), ("--axis", axis)) if _is_file(words)}
+    check_paths({"CAPTURE": captures, "--camera": camera, **known}, {"--output": output, "--report": report}, json=json)
     calibration_files.check_calibration_path(output)
     if report is not None:
         disk.check_writable(report)
@@ -107,20 +92,28 @@ def calibrate(
     opened = [api.open_capture(path) for path in captures]
     out = console(json)
     out.notes(f"{capture.path}: {note}" for capture in opened for note in capture.notes)
-    known, notes = calibrating.KnownParts(), list[str]()
+    parts, notes = calibrating.KnownParts(), list[str]()
     if opened:
-        known, notes = known_parts(opened[0], camera, sheet, axis, refine, lens or "pinhole")
-    out.notes(motion_notes(opened[0], axis) if opened else [])
-    plan = api.plan_calibration(opened, settings=settings, known=known)
+        parts, notes = known_parts(opened[0], camera, sheet, axis, refine, lens or "pinhole")
+    if opened and axis and not _is_file(axis) and opened[0].carries is None:
+        out.notes(
+            [
+                f"{opened[0].path}: does not say what the table carries, so --axis is that of a table that carries the "
+                'scanner; otherwise write into its capture.toml: [turntable] carries = "object".'
+            ]
+        )
+    plan = api.plan_calibration(opened, settings=settings, known=parts)
     out.notes(notes)
-    out.print(f"solving for {plan.words()}{_held(known)}")
+    held = f"; held: {' and '.join(parts.held())}" if parts.held() else ""
+    out.print(f"solving for {plan.words()}{held}")
     for sentence in plan.missing:
         out.print(sentence)
     with progress_bar("Calibrating") as progress:
-        result = api.calibrate(opened, settings=settings, known=known, redetect=redetect, progress=progress)
-    listed = {_part(sentence) for sentence in plan.missing}
+        result = api.calibrate(opened, settings=settings, known=parts, redetect=redetect, progress=progress)
+    # A sentence begins with the part of the rig that is missing.
+    listed = {sentence.partition(":")[0] for sentence in plan.missing}
     for sentence in result.missing:
-        if _part(sentence) not in listed:
+        if sentence.partition(":")[0] not in listed:
             out.print(sentence, style="yellow")
     api.save_calibration(result, output)
     files = {"calibration": str(output)}
@@ -137,15 +130,6 @@ def calibrate(
     out.print(f"next: {next_command(result, output)}")
 
 
-def _part(sentence: str) -> str:
-    """The part of the rig that a sentence says is missing."""
-    return sentence.partition(":")[0]
-
-
-def _held(known: "KnownParts") -> str:
-    return f"; held: {' and '.join(known.held())}" if known.held() else ""
-
-
 def calibration_settings(lens: CameraModel, free: tuple[Block, ...], hold: tuple[Block, ...]) -> "CalibrationSettings":
     """The usual settings, with some blocks freed and some held."""
     wanted = dict.fromkeys((*calibrating.CalibrationSettings().free, *free))
@@ -160,15 +144,7 @@ def known_parts(
     refine: Sequence[Part],
     lens: CameraModel = "pinhole",
 ) -> "tuple[KnownParts, list[str]]":
-    """The parts that are given, for the rig of a capture, and a note on how the camera was read.
-
-    Args:
-        capture: Any capture of the rig.
-        camera: File of a camera.
-        sheet: A calibration file; or a b c d of the plane a X + b Y + c Z = d [d in m] of each laser.
-        axis: A calibration file; or a point [m] and a direction, or of a linear stage the direction alone.
-        refine: Parts that are estimated from there.
-        lens: Model of a camera file that names none.
+    """The parts that are given, for the rig of a capture, and notes on how the camera was read.
 
     Raises:
         OptionError: If numbers are missing or mean nothing, or a part is to be refined that is not given.
@@ -178,46 +154,31 @@ def known_parts(
     for part in refine:
         if not given[part]:
             raise OptionError(f"--refine {part}: --{part} is missing, which gives the values to start from.")
-    read = None if camera is None else _camera(camera, capture.image_size, lens)
+    known_camera, notes = None, list[str]()
+    if camera is not None:
+        read = calibration_files.read_camera(
+            camera, capture.image_size, unnamed="fisheye" if lens == "fisheye" else "pinhole"
+        )
+        known_camera = read.camera
+        if lens not in ("pinhole", known_camera.model):
+            raise OptionError(
+                f"--lens {lens}: {camera} holds a {known_camera.model} camera; leave out --lens, or --camera."
+            )
+        notes += [read.note] if read.note else []
     known = calibrating.KnownParts(
-        camera=None if read is None else read.camera,
-        sheets=_sheets(sheet, [line.name for line in capture.lasers]),
+        camera=known_camera,
+        sheets=_sheets(sheet, [line.name for line in capture.lasers]) if sheet else (),
         motion=_motion(axis, capture.carries or "scanner") if axis else None,
         refine=tuple(refine),
     )
-    return known, [] if read is None or not read.note else [read.note]
-
-
-def known_files(sheet: Sequence[str], axis: Sequence[str]) -> list[tuple[str, Path]]:
-    """The files among them, each with its option."""
-    both = (("--sheet", sheet), ("--axis", axis))
-    return [(option, Path(words[0])) for option, words in both if _is_file(words)]
-
-
-def motion_notes(capture: "Capture", axis: Sequence[str]) -> list[str]:
-    """A note on the motion that a known axis is taken for, where the capture names none."""
-    if not axis or _is_file(axis) or capture.carries is not None:
-        return []
-    return [
-        f"{capture.path}: does not say what the table carries, so --axis is that of a table that carries the scanner; "
-        'otherwise write into its capture.toml: [turntable] carries = "object".'
-    ]
+    return known, notes
 
 
 def _is_file(words: Sequence[str]) -> bool:
     return len(words) == 1 and words[0].lower().endswith(".json")
 
 
-def _camera(path: Path, size: tuple[int, int], lens: CameraModel) -> "ReadCamera":
-    read = calibration_files.read_camera(path, size, unnamed="fisheye" if lens == "fisheye" else "pinhole")
-    if lens not in ("pinhole", read.camera.model):
-        raise OptionError(f"--lens {lens}: {path} holds a {read.camera.model} camera; leave out --lens, or --camera.")
-    return read
-
-
 def _sheets(words: Sequence[str], names: Sequence[str]) -> "tuple[LaserSheet, ...]":
-    if not words:
-        return ()
     if _is_file(words):
         scanner = calibration_files.load_parts(words[0])[1]
         if scanner is None or not scanner.laser_names:
@@ -266,43 +227,33 @@ def _numbers(option: str, words: Sequence[str], count: int, meaning: str) -> np.
     return values
 
 
-_STYLE = {"good": "bold green", "plain": "bold", "bad": "bold red", "open": "bold yellow"}
+STYLES = {"good": "bold green", "plain": "bold", "bad": "bold red", "open": "bold yellow"}
+"""Of verdicts, by their kind."""
 
 
 def print_summary(out: Terminal, calibration: "Calibration", *, verbose: bool = False) -> None:
     """Print lengths, noise, faults and advice, and the verdict last; with `verbose` tests and parameters before all."""
-    if verbose:
-        _print_tables(out, calibration)
-    lengths = reports.words.lengths(calibration)
-    if lengths:
+    words, found = reports.words, summary(calibration)
+    if verbose and (outcomes := reports.outcome_rows(calibration)):
+        columns = ("", "statistic", "dof", "p", "p of structure", "harm", "result")
+        out.print(table("Tests", columns, [row[:7] for row in outcomes]))
+    if verbose and calibration.quality.converged is not False:
+        rows = [parameter.row() for parameter in reports.parameters(calibration)]
+        out.print(table("Parameters", ("parameter", "value", "standard deviation"), rows))
+    if found["lengths"]:
         out.print("Uncertainty that the calibration alone causes (one standard deviation):")
-    for line in lengths:
-        out.print(f"  {reports.words.millimetres(line.sigma_mm):>9}  {line.what}")
-    for text in (
-        *reports.words.board_lines(calibration),
-        *reports.words.noise_lines(calibration),
-        *reports.words.second_look(calibration),
-    ):
+    for line in words.lengths(calibration):
+        out.print(f"  {words.millimetres(line.sigma_mm):>9}  {line.what}")
+    for text in (*found["boards"], *found["noise"], *found["second_look"]):
         out.print(text)
-    for view in reports.words.bad_views(calibration):
+    for view in words.bad_views(calibration):
         out.print(f"record {view.record}: {view.why}", style="yellow")
-    for text in reports.words.warnings(calibration):
+    for text in found["warnings"]:
         out.print(f"warning: {text}", style="yellow")
-    for text in reports.words.advice(calibration):
+    for text in found["advice"]:
         out.print(f"to improve it: {text}")
-    first = reports.words.headline(calibration)
-    out.print(f"{first.headline}. {first.explanation}", style=_STYLE[first.kind])
-
-
-def _print_tables(out: Terminal, calibration: "Calibration") -> None:
-    outcomes = reports.outcome_rows(calibration)
-    if outcomes:
-        rows = [row[:7] for row in outcomes]
-        out.print(table("Tests", ("", "statistic", "dof", "p", "p of structure", "harm", "result"), rows))
-    if calibration.quality.converged is False:
-        return
-    rows = [parameter.row() for parameter in reports.parameters(calibration)]
-    out.print(table("Parameters", ("parameter", "value", "standard deviation"), rows))
+    first = words.headline(calibration)
+    out.print(f"{first.headline}. {first.explanation}", style=STYLES[first.kind])
 
 
 def next_command(calibration: "Calibration", path: Path) -> str:
@@ -344,9 +295,6 @@ def write_page(
         notes: Remarks that come first.
         path: The calibration's own file, whose time is shown where the calibration does not say its own.
         capture: Folder of the capture of boards, for its photographs.
-
-    Raises:
-        JaxscanError: If the file cannot be written, or the capture is not that of the calibration.
     """
     photographs = {} if capture is None else api.board_photographs(capture_files.open_capture(capture), calibration)
     date = reports.calibration_date(calibration, path)

@@ -21,20 +21,17 @@ from jaxscan.cli.options import (
     CloudUnit,
     CloudUp,
     OptionalCalibrationPath,
-    Place,
     Storage,
     at_least,
-    calibration_at,
-    capture_at,
     check_paths,
     coordinates,
-    file_at,
     positive,
 )
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import CloudError, OptionError
 from jaxscan.files import calibration as calibration_files
+from jaxscan.files import capture as capture_files
 from jaxscan.files import clouds as cloud_files
 from jaxscan.files import recording
 
@@ -83,8 +80,7 @@ def convert(
     # `Path.is_dir` raises where a name is too long.
     is_capture = os.path.isdir(source)
     is_calibration = not is_capture and source.suffix.lower() == ".json"
-    places = capture_at if is_capture else calibration_at if is_calibration else file_at
-    check_paths(places("INPUT", source), file_at("OUTPUT", target), json=json)
+    check_paths({"INPUT": source}, {"OUTPUT": target}, json=json)
     given = {"--columns": columns, "--colours": colours, "--unit": unit, "--up": up, "--epsg": epsg, "--offset": offset}
     if is_capture or is_calibration:
         for option in (option for option, value in given.items() if value is not None):
@@ -188,11 +184,7 @@ def align(
     if room == (targets is not None):
         found = "both --room and" if room else "neither --room nor"
         raise OptionError(f"found {found} --targets, expected one of them.")
-    check_paths(
-        [*file_at("CLOUD", cloud), *file_at("--targets", targets)],
-        file_at("--output", output),
-        json=json,
-    )
+    check_paths({"CLOUD": cloud, "--targets": targets}, {"--output": output}, json=json)
     if targets is not None and up is not None:
         raise OptionError("--up: found with --targets, which say by themselves what is up.")
     cloud_files.check_cloud_path(output)
@@ -289,7 +281,7 @@ def clean(
     coordinates("--box", box or ())
     if box is not None and not all(low < high for low, high in zip(box[:3], box[3:], strict=True)):
         raise OptionError("--box: found a corner that is not below the other, expected the lower one first.")
-    check_paths(file_at("CLOUD", cloud), file_at("--output", output), json=json)
+    check_paths({"CLOUD": cloud}, {"--output": output}, json=json)
     cloud_files.check_cloud_path(output)
     stored = api.read_cloud(cloud)
     points, notes = in_metres(cloud, unit)
@@ -350,13 +342,8 @@ def register(
     if bool(sweeps) != (calibration is not None):
         expected = "one for sweeps" if sweeps else "none for clouds, which are made already"
         raise OptionError(f"--calibration: found {'none' if sweeps else calibration}, expected {expected}.")
-    places = capture_at if sweeps else file_at
-    check_paths(
-        [*(place for path in sources for place in places("STATION", path)), *calibration_at("-c", calibration)],
-        file_at("--output", output),
-        kept=[Place("the stripes", path / "stripes.npz") for path in sweeps],
-        json=json,
-    )
+    kept = [path / capture_files.CACHE_NAME for path in sweeps]
+    check_paths({"STATION": sources, "-c": calibration}, {"--output": output}, kept={"the stripes": kept}, json=json)
     cloud_files.check_cloud_path(output)
     out = console(json)
     if calibration is not None:

@@ -12,7 +12,7 @@ import tyro
 
 from jaxscan import api, geometry, simulation, vision
 from jaxscan import report as reports
-from jaxscan.cli.options import Place, calibration_at, capture_at, check_paths
+from jaxscan.cli.options import check_paths
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import CaptureError, MeasurementError
@@ -22,7 +22,6 @@ from jaxscan.files import disk
 
 if TYPE_CHECKING:
     from jaxscan.geometry import Array, Scanner
-    from jaxscan.measurement import RoomBox
     from jaxscan.simulation import SimulationConfig
 
 
@@ -41,7 +40,10 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
         output: Folder to write to.
         json: Write the result as JSON too.
     """
-    check_paths(_reads(output / "captures"), _writes(output), json=json)
+    captures = output / "captures"
+    reads = {"the capture": (captures / "boards", captures / "sweep")}
+    reads["the truth"] = (captures / "truth.json", captures / "truth.npz")
+    check_paths(reads, {"the file": [output / name for name in FILES]}, json=json)
     _check_folder(output)
     out = console(json)
     started = time.perf_counter()
@@ -49,10 +51,15 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
     with importlib.resources.as_file(importlib.resources.files("jaxscan.data") / "demo.toml") as path:
         config = api.load_simulation(path)
 
-    captures, calibration = _calibrated(config, output / "captures", out, seconds)
+    made = _captures(config, captures, out, seconds)
+    lap = time.perf_counter()
+    boards, sweep = api.open_capture(made.boards), api.open_capture(made.sweep)
+    with progress_bar("Calibrating from board images") as progress:
+        calibration = api.calibrate(boards, progress=progress)
+    seconds["calibrate"] = time.perf_counter() - lap
+    out.print(f"calibrated from {len(boards)} board pairs in {seconds['calibrate']:.1f} s")
     api.save_calibration(calibration, output / "calibration.json")
     scanner = api.load_scanner(output / "calibration.json")
-    sweep = api.open_capture(captures.sweep)
 
     lap = time.perf_counter()
     with progress_bar("Reconstructing") as progress:
@@ -73,11 +80,17 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
     )
 
     lap = time.perf_counter()
-    true_cloud = api.load_cloud(captures.true_cloud)
+    true_cloud = api.load_cloud(made.true_cloud)
     box = api.measure_room(cloud, scanner=scanner)
     comparison = api.compare_clouds(cloud, true_cloud, scanner=scanner)
-    room = _room_rows(box, config)
-    lengths = _length_rows(cloud, true_cloud, _true_lengths(captures.truth), scanner)
+    # The demo's room is longer than it is wide.
+    size = {} if config.room is None else dict(zip(("width", "length", "height"), config.room.size_m, strict=True))
+    room = [
+        _entry(name, side.value_m, size[name], side.sigma_m)
+        for name in ("length", "width", "height")
+        if name in size and (side := getattr(box, name)) is not None
+    ]
+    lengths = _length_rows(cloud, true_cloud, _true_lengths(made.truth), scanner)
     parameters = _calibration_rows(scanner, simulation.true_scanner(config))
     seconds["measure"] = time.perf_counter() - lap
     disk.write_atomically(
@@ -100,17 +113,6 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
     emit_json(json, "demo", {"room": room, "distances": lengths, "points": points, "seconds_s": seconds})
 
 
-def _reads(captures: Path) -> list[Place]:
-    folders = [place for name in ("boards", "sweep") for place in capture_at("the capture", captures / name)]
-    return [*folders, *(Place("the truth", captures / name) for name in ("truth.json", "truth.npz"))]
-
-
-def _writes(output: Path) -> list[Place]:
-    calibration, *others = FILES
-    places = calibration_at("the calibration", output / calibration)
-    return [*places, *(Place("the file", output / name) for name in others)]
-
-
 def _check_folder(output: Path) -> None:
     """Refuse a folder with files that are not of an earlier demo."""
     if output.exists() and not output.is_dir():
@@ -120,9 +122,8 @@ def _check_folder(output: Path) -> None:
 
 
 def _read_truth(path: Path) -> dict[str, Any]:
-    truth = disk.parse_json(
-        disk.read_bounded(path, disk.MEGABYTE, error=CaptureError), name=str(path), error=CaptureError
-    )
+    text = disk.read_bounded(path, disk.MEGABYTE, error=CaptureError)
+    truth = disk.parse_json(text, name=str(path), error=CaptureError)
     if not isinstance(truth, dict):
         raise CaptureError(f"{path}: found no table, expected the truth of a demo; choose another folder with -o.")
     return truth
@@ -130,31 +131,17 @@ def _read_truth(path: Path) -> dict[str, Any]:
 
 def _true_lengths(path: Path) -> list[tuple[str, np.ndarray, np.ndarray]]:
     """Name and end points [m] of the lengths to measure."""
+    truth = _read_truth(path)
     try:
         lengths = [
             (str(one["name"]), np.array(one["from_m"], np.float64), np.array(one["to_m"], np.float64))
-            for one in _read_truth(path)["room"]["distances"]
+            for one in truth["room"]["distances"]
         ]
-    except (KeyError, TypeError, ValueError) as problem:
-        raise CaptureError(f"{path}: its distances are not as a demo writes them: {problem!r:.60}.") from problem
-    for name, *ends in lengths:
-        if not all(end.shape == (3,) and np.isfinite(end).all() for end in ends):
-            raise CaptureError(f"{path}: distance {name:.60}: expected two points of three finite coordinates.")
-    return lengths
-
-
-def _calibrated(
-    config: "SimulationConfig", folder: Path, out: Terminal, seconds: dict[str, float]
-) -> "tuple[api.SimulatedCaptures, api.Calibration]":
-    """The captures, from an earlier run of the same configuration or rendered now, and the calibration."""
-    made = _captures(config, folder, out, seconds)
-    lap = time.perf_counter()
-    capture = api.open_capture(made.boards)
-    with progress_bar("Calibrating from board images") as progress:
-        calibration = api.calibrate(capture, progress=progress)
-    seconds["calibrate"] = time.perf_counter() - lap
-    out.print(f"calibrated from {len(capture)} board pairs in {seconds['calibrate']:.1f} s")
-    return made, calibration
+        if all(end.shape == (3,) and np.isfinite(end).all() for _, *ends in lengths for end in ends):
+            return lengths
+    except (KeyError, TypeError, ValueError):
+        pass
+    raise CaptureError(f"{path}: its distances are not as a demo writes them: a name and two points each.")
 
 
 def _captures(
@@ -176,18 +163,6 @@ def _captures(
         f"{config.camera.width} x {config.camera.height} in {seconds['render']:.1f} s"
     )
     return made
-
-
-def _room_rows(box: "RoomBox", config: "SimulationConfig") -> list[dict[str, Any]]:
-    if config.room is None:
-        return []
-    width, length = sorted(config.room.size_m[:2])
-    truth = {"length": length, "width": width, "height": config.room.size_m[2]}
-    return [
-        _entry(name, side.value_m, truth[name], side.sigma_m)
-        for name in truth
-        if (side := getattr(box, name)) is not None
-    ]
 
 
 def _length_rows(

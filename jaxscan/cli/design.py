@@ -10,7 +10,7 @@ import tyro
 
 from jaxscan import api
 from jaxscan import design as rigs
-from jaxscan.cli.options import check_paths, file_at
+from jaxscan.cli.options import check_paths
 from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import OptionError, OutputError
 from jaxscan.files import disk
@@ -60,7 +60,7 @@ def design(
         raise OutputError(f'{output}: cannot write "{output.suffix}", known is .png.')
     if save_rig is not None and save_rig.suffix.lower() != ".toml":
         raise OutputError(f'{save_rig}: cannot write "{save_rig.suffix}", known is .toml.')
-    check_paths([], [*file_at("--output", output), *file_at("--save-rig", save_rig)], json=json)
+    check_paths({}, {"--output": output, "--save-rig": save_rig}, json=json)
     wish = rigs.RigWish(
         range_m=quantity("--range", range, METRES, (0.05, 100.0)),
         sigma_m=quantity("--sigma", sigma, METRES, (1e-7, 1.0)),

@@ -4,24 +4,19 @@ import contextlib
 import importlib
 import os
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import partial
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import tyro
 
-from jaxscan.cli.options import capture_at, check_paths, file_at
+from jaxscan.cli.options import check_paths
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.signals import RigInUse
 from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
 from jaxscan.errors import CaptureError, DependencyError, JaxscanError, OptionError
-
-
-if TYPE_CHECKING:
-    from scanrig.config import RigConfig
-
-    from jaxscan.files.capture import Problem
 
 
 class Check(NamedTuple):
@@ -37,31 +32,20 @@ class Check(NamedTuple):
     """The extra that brings it; none for what every installation has."""
 
 
-class Optional(NamedTuple):
-    """A package that only some work needs."""
-
-    package: str
-    module: str
-    extra: str
-    without: str
-
-
-OPTIONAL = (
-    Optional("embreex", "embreex.rtcore_scene", "simulate", "demo, simulate"),
-    Optional("pyserial", "serial", "rig", "scan, console"),
-    Optional("aiohttp", "aiohttp", "console", "console, view"),
-    Optional("pye57", "pye57", "export", "clouds written as E57"),
-    Optional("laspy", "laspy", "export", "clouds as LAS"),
-    Optional("lazrs", "lazrs", "export", "clouds as LAZ"),
-    Optional("pyproj", "pyproj", "export", "convert --epsg"),
-    Optional("ezdxf", "ezdxf", "plan", "drawings as DXF"),
-    Optional("ifcopenshell", "ifcopenshell", "ifc", "rooms as IFC"),
-    Optional("fast-simplification", "fast_simplification", "mesh", "mesh --faces"),
-    Optional("open3d", "open3d", "poisson", "mesh --poisson"),
-    Optional("distributed", "distributed", "fleet", "batch"),
-    Optional("sqlalchemy", "sqlalchemy", "fleet", "project, batch"),
-)
-
+OPTIONAL = {
+    "embreex": ("embreex.rtcore_scene", "simulate", "demo, simulate"),
+    "pyserial": ("serial", "rig", "scan, console"),
+    "aiohttp": ("aiohttp", "console", "console, view"),
+    "pye57": ("pye57", "export", "clouds written as E57"),
+    "laspy": ("laspy", "export", "clouds as LAS"),
+    "lazrs": ("lazrs", "export", "clouds as LAZ"),
+    "pyproj": ("pyproj", "export", "convert --epsg"),
+    "ezdxf": ("ezdxf", "plan", "drawings as DXF"),
+    "ifcopenshell": ("ifcopenshell", "ifc", "rooms as IFC"),
+    "fast-simplification": ("fast_simplification", "mesh", "mesh --faces"),
+    "open3d": ("open3d", "poisson", "mesh --poisson"),
+}
+"""Packages that only some work needs: their module, the extra that brings them, and what cannot be done without."""
 _SHOWN = 100
 """Problems of a capture that are printed."""
 
@@ -93,7 +77,7 @@ def doctor(
         raise OptionError(
             "--camera: found without --config, expected with it: the configuration holds the settings of the camera."
         )
-    check_paths([*file_at("--config", config), *capture_at("--capture", capture)], json=json)
+    check_paths({"--config": config, "--capture": capture}, json=json)
     out = console(json)
     if capture is not None:
         _verify(capture, out, json)
@@ -110,7 +94,10 @@ def _look_at_machine(out: Terminal, json: str | None) -> None:
         _try("optimistix", True, lambda: _version("optimistix", "optimistix")),
         _try("matplotlib (reports)", False, lambda: _version("matplotlib.figure", "matplotlib")),
     ]
-    extras = [_optional(one) for one in OPTIONAL]
+    extras = [
+        _try(package, False, partial(_version, module, package))._replace(without=without, extra=extra)
+        for package, (module, extra, without) in OPTIONAL.items()
+    ]
     out.print(f"Python {platform.python_version()} on {platform.system()} {platform.machine()}, {os.cpu_count()} cores")
     rows = [(check.name, "works" if check.works else "missing", check.detail) for check in checks]
     out.print(table("Installation", ("part", "", "detail"), rows))
@@ -167,21 +154,15 @@ def _verify(capture: Path, out: Terminal, json: str | None) -> None:
     elif not problems:
         out.print(f"{capture}: all images are as they were written.")
     emit_json(json, "doctor", {"capture": str(capture), "problems": problems, "notes": [note] if note else []})
-    if problems:
-        raise CaptureError(f"{capture}: {len(problems)} problems; {_cure(found)}.")
-
-
-def _cure(found: Sequence["Problem"]) -> str:
-    """The cure: missing records can be taken again; a changed journal cannot be restored."""
-    cures = []
-    if not all(problem.lasting for problem in found):
-        cures.append("take the records again with jaxscan scan --resume")
+    if not problems:
+        return
+    cures = ["take the records again with jaxscan scan --resume"] * (not all(one.lasting for one in found))
     if any(problem.lasting for problem in found):
         cures.append(
             "the journal or the header has changed since it was written, and new records do not repair it: compare it "
             "with a copy, or take the whole capture again"
         )
-    return "; ".join(cures)
+    raise CaptureError(f"{capture}: {len(problems)} problems; {'; '.join(cures)}.")
 
 
 def _found(look: Callable[[], list[str]]) -> list[str]:
@@ -210,26 +191,16 @@ def _try(name: str, needed: bool, look: Callable[[], str]) -> Check:
         return Check(name, needed, False, _first_line(problem))
 
 
-def _optional(one: Optional) -> Check:
-    look: Callable[[], str] = lambda: _version(one.module, one.package)
-    if one.package == "open3d":
-        look = _open3d
-    return _try(one.package, False, look)._replace(without=one.without, extra=one.extra)
-
-
-def _open3d() -> str:
-    # It needs a library that its wheel does not name.
-    from jaxscan.surface import load_open3d
-
-    load_open3d()
-    return metadata.version("open3d")
-
-
 def _first_line(problem: Exception) -> str:
     return str(problem).splitlines()[0] if str(problem) else repr(problem)
 
 
 def _version(module: str, package: str) -> str:
+    if module == "open3d":
+        # It needs a library that its wheel does not name.
+        from jaxscan.surface import load_open3d
+
+        load_open3d()
     importlib.import_module(module)
     return metadata.version(package)
 
@@ -260,16 +231,15 @@ def examine_rig(
         camera: Id of the camera instead of the id in the configuration.
         tell: Called with every `scanrig.doctor.Finding`.
         say: Called with a sentence on each check that takes long.
-
-    Raises:
-        ConfigError: If the configuration cannot be read.
     """
     from scanrig.cameras import open_camera
     from scanrig.config import load_rig
     from scanrig.controllers import ControllerTable, open_controller
     from scanrig.doctor import Finding, examine
 
-    rig = None if config is None else _with_camera(load_rig(config), camera)
+    rig = None if config is None else load_rig(config)
+    if rig is not None and camera is not None:
+        rig = rig.model_copy(update={"camera": rig.camera.model_copy(update={"id": camera})})
 
     def opened(name: str, open_it: Callable[[], T]) -> T | None:
         try:
@@ -290,9 +260,3 @@ def examine_rig(
             stack.enter_context(device)
         stack.callback(in_use.closing)
         examine(controller, device, rig, folder=Path.cwd(), tell=tell, say=say)
-
-
-def _with_camera(rig: "RigConfig", camera: str | None) -> "RigConfig":
-    if camera is None:
-        return rig
-    return rig.model_copy(update={"camera": rig.camera.model_copy(update={"id": camera})})

@@ -20,13 +20,9 @@ from jaxscan.cli.options import (
     CloudUnit,
     CloudUp,
     OptionalCalibrationPath,
-    Place,
     at_least,
-    calibration_at,
-    capture_at,
     check_paths,
     coordinates,
-    file_at,
     positive,
 )
 from jaxscan.cli.progress import progress_bar
@@ -98,11 +94,7 @@ def plan(
     is_model = output.suffix.lower() == ".ifc"
     if is_model and cut is not None:
         raise OptionError("--section: an .ifc holds the whole room; write the section as .dxf, .svg, .pdf or .png.")
-    check_paths(
-        [*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)],
-        file_at("--output", output),
-        json=json,
-    )
+    check_paths({"CLOUD": cloud, "--calibration": calibration}, {"--output": output}, json=json)
     (api.check_ifc_path if is_model else api.check_drawing_path)(output)
     survey, _, notes = _surveyed(cloud, calibration, unit, up)
     ends = section_before(survey, *cut) if isinstance(cut, _Before) else cut
@@ -253,7 +245,7 @@ def orthophoto(
     from jaxscan.errors import OutputError
 
     positive("--pixel-mm", pixel_mm)
-    reads = [*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)]
+    reads = {"CLOUD": cloud, "--calibration": calibration}
     check_paths(reads, json=json)
     if output.exists() and not output.is_dir():
         raise OutputError(f"{output}: is a file; choose a folder with -o.")
@@ -261,7 +253,7 @@ def orthophoto(
     notes += [f"{remark}." for remark in survey.outline.remarks]
     pictures = jaxscan.draw_orthophotos(survey, np.asarray(loaded.rgb), pixel_m=pixel_mm / 1e3)
     files = [output / f"{picture.side}.png" for picture in pictures]
-    check_paths(reads, [Place("the picture", file) for file in files], json=json)
+    check_paths(reads, {"the picture": files}, json=json)
     with disk.reported(f"{output}: cannot be written", error=OutputError), disk.whole_folder(output) as part:
         for picture, file in zip(pictures, files, strict=True):
             words = f"{picture.side}, {pixel_mm:g} mm per pixel"
@@ -327,18 +319,8 @@ def panorama(
         raise OptionError("--photographs: go into an .e57 only; name one with -o, or take --transforms.")
     with_cloud = cloud is not None and not scan
     pictures = [] if output is None else api.panorama_paths(output, with_cloud=with_cloud)
-    check_paths(
-        reads=[
-            *capture_at("CAPTURE", capture),
-            *calibration_at("--calibration", calibration),
-            *file_at("--cloud", cloud),
-        ],
-        writes=[
-            *(place for path in pictures for place in file_at("--output", path)),
-            *file_at("--transforms", transforms),
-        ],
-        json=json,
-    )
+    reads = {"CAPTURE": capture, "--calibration": calibration, "--cloud": cloud}
+    check_paths(reads, {"--output": pictures, "--transforms": transforms}, json=json)
     if output is not None and scan:
         cloud_files.check_cloud_path(output)
     elif output is not None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from jaxscan import stripes as stripe_search
-from jaxscan.cli.options import Carries, ImageUp, LaserColour, PixelFormat, StripeAxis, check_paths, file_at
+from jaxscan.cli.options import Carries, ImageUp, LaserColour, PixelFormat, StripeAxis, check_paths
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json
 from jaxscan.errors import OptionError
@@ -87,7 +87,7 @@ def import_(
         json: Write the result as JSON too.
     """
     # The folder as a whole is read, and nothing in it is ever written.
-    check_paths(file_at("FOLDER", folder), file_at("--output", output), json=json)
+    check_paths({"FOLDER": folder}, {"--output": output}, json=json)
     if output is None and not show:
         raise OptionError("-o: is needed: the folder of the new capture; --show only shows what would be imported.")
     if output is not None:

@@ -11,7 +11,7 @@ import tyro
 from jaxscan import api
 from jaxscan import project as projects
 from jaxscan import report as reports
-from jaxscan.cli.options import CLOUD_SUFFIXES, calibration_at, capture_at, check_paths, file_at
+from jaxscan.cli.options import CLOUD_SUFFIXES, check_paths
 from jaxscan.cli.project import counted, in_words
 from jaxscan.cli.terminal import JsonTarget, console, emit_json
 from jaxscan.errors import ConfigError, OptionError
@@ -36,8 +36,7 @@ def info(
         file: The file, or the folder of a capture.
         json: Write the result as JSON too.
     """
-    places = {True: capture_at, False: calibration_at if file.suffix.lower() == ".json" else file_at}[file.is_dir()]
-    check_paths(places("FILE", file), json=json)
+    check_paths({"FILE": file}, json=json)
     if file.is_dir():
         facts = _of_capture(file)
     elif file.suffix.lower() == ".json":

@@ -15,10 +15,8 @@ from jaxscan.cli.options import (
     CloudUnit,
     CloudUp,
     OptionalCalibrationPath,
-    calibration_at,
     check_paths,
     coordinates,
-    file_at,
     positive,
 )
 from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
@@ -57,7 +55,7 @@ def room(
         calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
         json: Write the result as JSON too.
     """
-    check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], json=json)
+    check_paths({"CLOUD": cloud, "--calibration": calibration}, json=json)
     scanner, notes = calibrated(calibration)
     points, said = upright(cloud, unit, up)
     notes += said
@@ -139,10 +137,7 @@ def compare(
         calibration: Calibration that the cloud was made with, for errors along the ray.
         json: Write the result as JSON too.
     """
-    check_paths(
-        [*file_at("CLOUD", cloud), *file_at("TRUTH", truth), *calibration_at("--calibration", calibration)],
-        json=json,
-    )
+    check_paths({"CLOUD": cloud, "TRUTH": truth, "--calibration": calibration}, json=json)
     scanner, notes = calibrated(calibration)
     (points, said), (true_points, said_of_truth) = in_metres(cloud, unit), in_metres(truth, unit)
     notes += [*said, *said_of_truth]
@@ -161,7 +156,7 @@ def opened(
     cloud: Path, calibration: Path | None, unit: "Unit | None", json: JsonTarget
 ) -> tuple["PointCloud", "Scanner | None", list[str]]:
     """A cloud in metres, the scanner of its calibration, and notes; paths are checked first."""
-    check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], json=json)
+    check_paths({"CLOUD": cloud, "--calibration": calibration}, json=json)
     scanner, notes = calibrated(calibration)
     points, said = in_metres(cloud, unit)
     return points, scanner, [*notes, *said]
@@ -344,7 +339,7 @@ def deviations(
     positive("--radius-mm", radius_mm)
     positive("--cell-mm", cell_mm)
     coordinates("--radius-mm", (radius_mm,))
-    check_paths(file_at("CLOUD", cloud), file_at("--output", output), json=json)
+    check_paths({"CLOUD": cloud}, {"--output": output}, json=json)
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.errors import OutputError
 

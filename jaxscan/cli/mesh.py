@@ -7,16 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from jaxscan import api, surface
-from jaxscan.cli.options import (
-    CloudPath,
-    OptionalCalibrationPath,
-    at_least,
-    calibration_at,
-    capture_at,
-    check_paths,
-    file_at,
-    positive,
-)
+from jaxscan.cli.options import CloudPath, OptionalCalibrationPath, at_least, check_paths, positive
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import JsonTarget, console, emit_json
 from jaxscan.errors import OptionError
@@ -80,15 +71,8 @@ def mesh(
         other = "--poisson" if poisson else "--faces"
         raise OptionError(f"--texels: found with {other}, expected without: there are no cells of the grid.")
     written = api.mesh_paths(output, textured=textured)
-    check_paths(
-        reads=[
-            *file_at("CLOUD", cloud),
-            *calibration_at("--calibration", calibration),
-            *capture_at("--texture", texture),
-        ],
-        writes=[place for path in written for place in file_at("--output", path)],
-        json=json,
-    )
+    reads = {"CLOUD": cloud, "--calibration": calibration, "--texture": texture}
+    check_paths(reads, {"--output": written}, json=json)
     api.check_mesh_path(output, textured=textured)
     settings = surface.MeshSettings(sigmas=sigmas, bend=bend, grazing_deg=grazing_deg, bridge=bridge)
     points, notes = cloud_files.in_metres(cloud_files.read_cloud(cloud))

@@ -3,9 +3,10 @@
 import errno
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Literal, NamedTuple
 
 import tyro
@@ -89,31 +90,19 @@ MAX_COORDINATE_M = 1e8
 
 
 def at_least(smallest: int, option: str, value: int | None) -> None:
-    """Refuse a count below `smallest`.
-
-    Raises:
-        OptionError: With the option's name and the values that it accepts.
-    """
+    """Refuse a count below `smallest`."""
     if value is not None and value < smallest:
         raise OptionError(f"{option}: found {value}, expected {smallest} or more.")
 
 
 def positive(option: str, value: float) -> None:
-    """Refuse a length that is not above 0.
-
-    Raises:
-        OptionError: With the option's name and the values that it accepts.
-    """
+    """Refuse a length that is not above 0."""
     if not (math.isfinite(value) and value > 0):
         raise OptionError(f"{option}: found {value:g}, expected a number above 0.")
 
 
 def range_limits(smallest: str, low: float, largest: str, high: float) -> None:
-    """Refuse range limits [m] between which there is no distance.
-
-    Raises:
-        OptionError: With the option's name and the values that it accepts.
-    """
+    """Refuse range limits [m] between which there is no distance."""
     for option, value in ((smallest, low), (largest, high)):
         if not (math.isfinite(value) and value >= 0):
             raise OptionError(f"{option}: found {value:g}, expected a distance in metres.")
@@ -122,11 +111,7 @@ def range_limits(smallest: str, low: float, largest: str, high: float) -> None:
 
 
 def coordinates(option: str, values: tuple[float, ...]) -> None:
-    """Refuse coordinates [m] that are not finite or further away than any scan or survey grid reaches.
-
-    Raises:
-        OptionError: With the option's name and the values that it accepts.
-    """
+    """Refuse coordinates [m] that are not finite or further away than any scan or survey grid reaches."""
     if not all(math.isfinite(value) and abs(value) <= MAX_COORDINATE_M for value in values):
         found = " ".join(f"{value:g}" for value in values)
         raise OptionError(f"{option}: found {found}, expected metres within {MAX_COORDINATE_M:g} of 0.")
@@ -138,37 +123,37 @@ class Place(NamedTuple):
     role: str
     """The option or argument that names it, or another sentence's subject."""
     path: Path
-    is_capture: bool = False
-    """Whether all files of a capture in it are meant too."""
 
     def __str__(self) -> str:
         return f"{self.role} {self.path}"
 
+    @property
+    def is_capture(self) -> bool:
+        """Whether all files of a capture in it are meant too."""
+        return os.path.isdir(self.path)
 
+
+Paths = Mapping[str, Path | str | Iterable[Path] | None]
+"""Files and folders by the option or argument that names them. None, and "-" for standard output, are none."""
 _reads: list[Path] = []
 
 
-def file_at(role: str, path: Path | str | None) -> list[Place]:
-    """A file, or a folder as a whole; nothing where it is not asked for, or is standard output ("-")."""
-    return [] if path is None or path == "-" else [Place(role, Path(path))]
-
-
-def calibration_at(role: str, path: Path | None) -> list[Place]:
-    """A calibration, with the file of its observations."""
-    if path is None:
-        return []
-
-    beside = calibration_files.observations_path(path) if path.name else path
-    return [Place(role, path), *([Place(f"the observations of {role},", beside)] if beside != path else [])]
-
-
-def capture_at(role: str, path: Path | None) -> list[Place]:
-    """The folder of a capture."""
-    return [] if path is None else [Place(role, path, is_capture=True)]
+def _places(paths: Paths) -> list[Place]:
+    """All places; of a calibration also the file of its observations."""
+    found = []
+    for role, value in paths.items():
+        for path in [value] if isinstance(value, Path | str) else value or ():
+            if path == "-":
+                continue
+            found.append(Place(role, Path(path)))
+            if found[-1].path.suffix.lower() == ".json" and role != "--json":
+                beside = calibration_files.observations_path(Path(path))
+                found.append(Place(f"the observations of {role},", beside))
+    return found
 
 
 def check_paths(
-    reads: Sequence[Place], writes: Sequence[Place] = (), *, kept: Sequence[Place] = (), json: str | None = None
+    reads: Paths, writes: Paths = MappingProxyType({}), *, kept: Paths = MappingProxyType({}), json: str | None = None
 ) -> None:
     """Refuse an output that is an input, or another output, also under another name or as a link; and a place for the
     JSON that cannot be written.
@@ -184,15 +169,17 @@ def check_paths(
         OptionError: With both names; nothing is changed. Also if a name is none that a disk can have, or if an output
             would follow a link in the folder of a capture: whoever made the capture chose where it leads.
     """
-    _reads[:] = [place.path for place in reads]
-    known = [(place, _identity(place)) for place in (*reads, *kept)]
-    for place in (*writes, *file_at("--json", json)):
+    inputs, own = _places(reads), _places(kept)
+    _reads[:] = [place.path for place in inputs]
+    known = [(place, _identity(place)) for place in (*inputs, *own)]
+    captures = [place for place in inputs if place.is_capture]
+    for place in _places({**writes, "--json": json}):
         identity = _identity(place)
         for other, theirs in known:
             if identity & theirs:
-                loss = "which would be lost" if other in reads else "and one of the two would be lost"
+                loss = "which would be lost" if other in inputs else "and one of the two would be lost"
                 raise OptionError(f"{place}: is the same file as {other}, {loss}; choose another name.")
-        for capture in (other for other in reads if other.is_capture):
+        for capture in captures:
             if _follows_a_link_in(os.path.realpath(capture.path), place.path, set()):
                 raise OptionError(
                     f"{place}: is a link in the folder of a capture, which may lead anywhere; choose another name."
@@ -200,8 +187,8 @@ def check_paths(
             if _is_of_capture(place.path, identity, capture.path):
                 raise OptionError(f"{place}: is a file of the capture {capture}, which would be lost; choose another.")
         known.append((place, identity))
-    for place in kept:
-        for other in reads:
+    for place in own:
+        for other in inputs:
             if _identity(place) & _identity(other):
                 raise OptionError(f"{other}: is the file in which {place.role} are kept; move it to another folder.")
     check_json(json)
@@ -243,34 +230,19 @@ def _follows_a_link_in(folder: str, path: Path, seen: set[Path]) -> bool:
 
 def _is_of_capture(path: Path, identity: set[object], capture: Path) -> bool:
     """Whether a file that is to be written is one of a capture's own."""
-    if not capture.is_dir():
-        return False
     inside = Path(os.path.realpath(path)).is_relative_to(os.path.realpath(capture))
     # Reading the journal of a large capture takes seconds; a file elsewhere is one of it only by a second name.
     if not inside and not (path.exists() and path.stat().st_nlink > 1):
         return False
-    return any(identity & _identity(Place("", file)) for file in _files_of(capture))
-
-
-def _files_of(capture: Path) -> Iterator[Path]:
-    for name in (capture_files.HEADER_NAME, capture_files.JOURNAL_NAME, capture_files.CACHE_NAME):
-        yield capture / name
-    if not (capture / capture_files.JOURNAL_NAME).is_file():
-        return
-    for record in capture_files.read_texts(capture).records:
-        for image in (*record.on, *record.off):
-            yield capture / image.path
+    files = [capture / name for name in (capture_files.HEADER_NAME, capture_files.JOURNAL_NAME)]
+    files.append(capture / capture_files.CACHE_NAME)
+    if (capture / capture_files.JOURNAL_NAME).is_file():
+        records = capture_files.read_texts(capture).records
+        files += [capture / image.path for record in records for image in (*record.on, *record.off)]
+    return any(identity & _identity(Place("", file)) for file in files)
 
 
 def need_pages(what: str, extra: str) -> None:
-    """Check that pages can be served.
-
-    Args:
-        what: What needs them, as the beginning of a sentence.
-        extra: The package's extra that brings what is missing.
-
-    Raises:
-        DependencyError: If aiohttp is not installed.
-    """
+    """Check that pages can be served, for what begins the sentence, and by the extra that brings what is missing."""
     if find_spec("aiohttp") is None:
         raise DependencyError(f"{what} needs aiohttp; type: pip install 'jaxscan[{extra}]'")

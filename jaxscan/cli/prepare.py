@@ -12,7 +12,7 @@ import tyro
 
 import jaxscan
 from jaxscan import api
-from jaxscan.cli.options import ConfigPath, OutputPath, Paper, at_least, capture_at, check_paths, file_at
+from jaxscan.cli.options import ConfigPath, OutputPath, Paper, at_least, check_paths
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import JsonTarget, console, emit_json
 from jaxscan.errors import ConfigError, OptionError
@@ -41,7 +41,7 @@ def init(
     with importlib.resources.as_file(importlib.resources.files("jaxscan.data") / "configs") as folder:
         known = {path.stem: path for path in sorted(folder.glob("*.toml"))}
         if list or name is None:
-            check_paths([], [], json=json)
+            check_paths({}, json=json)
             lines = {f"{stem}.toml": _first_sentence(_text(path)) for stem, path in known.items()}
             for file, line in lines.items():
                 console(json).print(f"{file:24} {line}")
@@ -55,7 +55,7 @@ def init(
                 f'"{closest}.toml".'
             )
         text, target = _text(chosen), Path(chosen.name) if output is None else output
-    check_paths([], file_at("--output", target), json=json)
+    check_paths({}, {"--output": target}, json=json)
     if os.path.lexists(target):
         raise OptionError(f"{target}: exists, and may be yours; choose another name with -o, or move it away.")
     disk.write_atomically(target, text.encode())
@@ -86,11 +86,10 @@ def board(config: ConfigPath, /, *, output: OutputPath, paper: Paper = "A4", jso
         paper: Size of the sheets.
         json: Write the result as JSON too.
     """
-    reads = capture_at("CONFIG", config) if config.is_dir() else file_at("CONFIG", config)
-    check_paths(reads, file_at("--output", output), json=json)
+    check_paths({"CONFIG": config}, {"--output": output}, json=json)
     described = api.load_board(config)
     sheets = api.draw_board(described, output, paper)
-    check_paths(reads, [place for file in sheets.files for place in file_at("--output", file)], json=json)
+    check_paths({"CONFIG": config}, {"--output": sheets.files}, json=json)
     files = api.write_sheets(sheets)
     out = console(json)
     out.print(described.describe())
@@ -137,7 +136,7 @@ def simulate(
     """
     at_least(1, "--every", every)
     at_least(0, "--seed", seed)
-    check_paths(file_at("CONFIG", config), file_at("--output", output), json=json)
+    check_paths({"CONFIG": config}, {"--output": output}, json=json)
     settings = jaxscan.load_simulation(config)
     start = time.perf_counter()
     with progress_bar("Rendering") as progress:

@@ -1,11 +1,10 @@
 """Progress: a moving bar and the current stage on a terminal; a line after each tenth in a log."""
 
 import math
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, final
+from typing import final
 
 from rich.progress import (
     BarColumn,
@@ -28,11 +27,6 @@ _WITHOUT_BAR = b"\r\x1b[2K\x1b[?25h"
 """Clears the line of the bar, and shows the cursor that rich hides."""
 _BESIDE_BAR = 72
 """Narrower terminals have room for what is being done, but not for a bar and a clock too."""
-LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
-COMPILED = "/jax/core/compile/backend_compile_duration"
-"""JAX reports these at the start and at the end of compiling a function, in the thread that compiles it."""
-
-
 _BETWEEN_LINES_S = 5.0
 """Lines of progress in a log are at least so far apart."""
 
@@ -85,11 +79,8 @@ class Shown:
 
     def __init__(self, task: str, bars: Progress | None, log: Terminal | None = None, *, brief: bool = False) -> None:
         """Show a task on some bars, or in a log. If brief, what is done now stands in the task's place."""
-        self._brief = brief
-        self._bars, self._log, self._task, self._doing = bars, log, task, ""
+        self._bars, self._log, self._task, self._brief = bars, log, task, brief
         self._remaining = Remaining()
-        self._compiling: set[int] = set()
-        self._lock = threading.Lock()
         self._number = TaskID(0) if bars is None else bars.add_task(printable(task), total=None, ends=None)
 
     def __call__(self, done: int, total: int) -> None:
@@ -103,27 +94,9 @@ class Shown:
 
     def doing(self, words: str) -> None:
         """Show the current stage."""
-        self._doing = words
-        self._describe()
-
-    def heard(self, event: str, duration_secs: float, **_: Any) -> None:
-        """Show that some thread compiles; a listener of `jax.monitoring`."""
-        if event not in (LOWERED, COMPILED):
-            return
-        with self._lock:
-            if event == LOWERED:
-                self._compiling.add(threading.get_ident())
-            else:
-                self._compiling.discard(threading.get_ident())
-        self._describe()
-
-    def _describe(self) -> None:
-        if self._bars is None:
-            return
-        stage = [words for words in (self._doing, "compiling" if self._compiling else "") if words]
-        task = [] if self._brief and stage else [self._task]
-        description = ": ".join([*task, *([", ".join(stage)] if stage else [])])
-        self._bars.update(self._number, description=printable(description))
+        if self._bars is not None:
+            description = words if self._brief else f"{self._task}: {words}"
+            self._bars.update(self._number, description=printable(description))
 
 
 @final
@@ -148,8 +121,7 @@ class _Left(ProgressColumn):
 def progress_bar(task: str) -> Iterator[Shown]:
     """A bar on standard error, as a callback `(done, total)`; without a terminal lines with the time that is left.
 
-    A wheel turns and the seconds count during a long step, and "compiling" is shown while a function is compiled; the
-    callback's `doing` shows any other stage.
+    A wheel turns and the seconds count during a long step; the callback's `doing` shows the current stage.
     """
     terminal = Terminal(stderr=True)
     if not terminal.is_terminal:
@@ -162,14 +134,6 @@ def progress_bar(task: str) -> Iterator[Shown]:
     leave_behind(_WITHOUT_BAR)
     try:
         with Progress(*columns, console=terminal.console, transient=True) as bars:
-            shown = Shown(task, bars, brief=brief)
-            # Imported here: where nobody looks, nothing of JAX is needed.
-            import jax.monitoring
-
-            jax.monitoring.register_event_duration_secs_listener(shown.heard)
-            try:
-                yield shown
-            finally:
-                jax.monitoring.unregister_event_duration_listener(shown.heard)
+            yield Shown(task, bars, brief=brief)
     finally:
         leave_behind(b"")

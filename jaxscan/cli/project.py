@@ -1,11 +1,8 @@
 """`jaxscan project` and `batch`: many captures as one project, where it stands, and what makes the rest."""
 
 import contextlib
-import importlib.util
-import logging
 import os
 import shlex
-import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence, Sized
@@ -16,10 +13,10 @@ import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 from jaxscan import project as projects
-from jaxscan.cli.options import check_paths, file_at
+from jaxscan.cli.options import at_least, check_paths
 from jaxscan.cli.signals import leave_behind
 from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
-from jaxscan.errors import DependencyError, FleetError, JaxscanError, MeasurementError, OptionError
+from jaxscan.errors import BatchError, JaxscanError, MeasurementError, OptionError
 from jaxscan.files import disk
 from jaxscan.printable import printable
 
@@ -61,7 +58,7 @@ def init(
         json: Write the result as JSON too.
     """
     target = folder / NAME
-    check_paths([], file_at("FOLDER", target), json=json)
+    check_paths({}, {"FOLDER": target}, json=json)
     if os.path.lexists(target):
         raise OptionError(f"{target}: exists, and may be yours; move it away.")
     if not folder.is_dir():
@@ -99,7 +96,7 @@ def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False,
         all: List every step, also those that are done.
         json: Write the result as JSON too.
     """
-    check_paths(file_at("PROJECT", project), json=json)
+    check_paths({"PROJECT": project}, json=json)
     with projects.opened(projects.load_project(project)) as found:
         states = found.states
     out, counts = console(json), counted(states)
@@ -147,7 +144,7 @@ def compare(
         second: That of the second.
         json: Write the result as JSON too.
     """
-    check_paths([*file_at("FIRST", first), *file_at("SECOND", second)], json=json)
+    check_paths({"FIRST": first, "SECOND": second}, json=json)
     found = projects.compare_projects(projects.load_project(first), projects.load_project(second))
     out = console(json)
     columns = ("", "first m", "second m", "difference mm", "sigma mm", "")
@@ -193,80 +190,59 @@ def batch(
     project: ProjectPath = Path("project.toml"),
     /,
     *,
-    cluster: str | None = None,
     workers: int | None = None,
-    memory_gib: float | None = None,
     output: Path | None = None,
     json: JsonTarget = None,
 ) -> None:
     """Make what a project lacks: `jaxscan batch project.toml`.
 
-    Makes what is missing or stale, and nothing else, on the cores of this machine or on a Dask cluster that runs. A
-    capture that fails is reported in a line and stops no other; then the exit code is 1. Ended in the middle and called
-    again, it goes on where it was.
+    Makes what is missing or stale, and nothing else, on the cores of this machine. A capture that fails is reported in
+    a line and stops no other; then the exit code is 1. Ended in the middle and called again, it goes on where it was.
 
     Args:
         project: The project's file.
-        cluster: Address of a Dask scheduler that runs already: tcp://host:port, or tls://host:port with the
-            certificates of Dask's configuration.
-        workers: Number of workers on this machine; without, one for each core, as far as memory reaches.
-        memory_gib: Memory of each worker on this machine [GiB].
+        workers: Number of captures at a time, each in a process of its own; without, one for each core, as far as
+            memory reaches.
         output: Folder of the products, as the project's file has it: needed once where that lies outside of the
             project's folder.
         json: Write the result as JSON too.
     """
-    check_paths(file_at("PROJECT", project), json=json)
-    if any(importlib.util.find_spec(package) is None for package in ("distributed", "cryptography")):
-        raise DependencyError('a batch needs Dask and cryptography: pip install "jaxscan[fleet]".')
-    # Imported here, so that `--help` does not load JAX.
-    from jaxscan.fleet.cluster import check_cluster, open_cluster
-
-    check_cluster(cluster, workers, memory_gib)
+    check_paths({"PROJECT": project}, json=json)
+    at_least(1, "--workers", workers)
     out, start = console(json), time.perf_counter()
     wanted = projects.load_project(project)
     with projects.claimed(wanted, output), projects.opened(wanted, write=True) as found:
         counts = counted(found.states)
-        out.print(f"{_many(found.project.captures, 'capture')}, {_many(found.states, 'step')}: {in_words(counts)}")
+        out.print(f"{_many(wanted.captures, 'capture')}, {_many(found.states, 'step')}: {in_words(counts)}")
         out.notes(wanted.notes)
-        result: dict[str, Any] = {"done": [], "failed": {}, "not_begun": {}, "notes": {}}
-        if counts["done"] < len(found.states):
-            # Errors of the cluster are one line; Dask would log many.
-            for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
-                logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-            with open_cluster(cluster, workers=workers, memory_gib=memory_gib) as client:
-                result = _work(found, client, out)
+        todo = [one for one in found.states if one.state != "done"]
+        report = projects.Report((), {})
+        if todo:
+            with batch_display(out, len(todo)) as display:
+                count = workers or projects.default_workers()
+                report = projects.run_batch(todo, wanted.output, found.catalogue, display, workers=count)
     seconds = time.perf_counter() - start
-    if result["done"]:
-        out.print(f"{_many(result['done'], 'step')} done in {seconds:.0f} s, in {found.project.output}")
-    if result["notes"]:
+    done = [row for row in report.rows if row.state == "done"]
+    failed = {row.key: row.message for row in report.rows if row.state == "failed"}
+    notes = {row.key: row.message for row in done if row.message}
+    if done:
+        out.print(f"{_many(done, 'step')} done in {seconds:.0f} s, in {wanted.output}")
+    if notes:
         command = shlex.join(["jaxscan", "project", "status", "--all", str(project)])
-        out.print(f"notes on {_many(result['notes'], 'step')}: {command}")
-    about = {"output": str(found.project.output), "seconds_s": seconds, "left_out": list(wanted.notes)}
+        out.print(f"notes on {_many(notes, 'step')}: {command}")
+    result = {"done": [row.key for row in done], "failed": failed, "not_begun": dict(report.left), "notes": notes}
+    about = {"output": str(wanted.output), "seconds_s": seconds, "left_out": list(wanted.notes)}
     emit_json(json, "batch", result | about)
-    if result["failed"]:
-        failed, behind = _many(result["failed"], "step"), _many(result["not_begun"], "step")
+    if failed:
         again = shlex.join(["jaxscan", "batch", str(project)])
-        raise FleetError(f"{failed} failed, {behind} behind not begun; mend what failed and call again: {again}")
+        behind = _many(report.left, "step")
+        raise BatchError(
+            f"{_many(failed, 'step')} failed, {behind} behind not begun; mend what failed and call again: {again}"
+        )
 
 
 def _many(listed: Sized, name: str) -> str:
     return f"{len(listed)} {name}{'' if len(listed) == 1 else 's'}"
-
-
-def _work(found: "projects.Opened", client: Any, out: Terminal) -> dict[str, Any]:
-    from jaxscan.fleet.batch import check_sight, run_batch
-
-    output = found.project.output
-    todo = [projects.order_of(status, output) for status in found.states if status.state != "done"]
-    check_sight(client, output)
-    with batch_display(out, len(todo)) as display:
-        report = run_batch(todo, found.catalogue, client, display)
-    return {
-        "done": [row.key for row in report.rows if row.state == "done"],
-        "failed": {row.key: row.message for row in report.failed},
-        "not_begun": dict(report.left),
-        "notes": {row.key: row.message for row in report.rows if row.state == "done" and row.message},
-    }
 
 
 _BELOW_BARS = b"\n\x1b[?25h"
@@ -281,39 +257,31 @@ class BatchDisplay:
 
     def __init__(self, out: Terminal, bars: Progress | None, steps: int) -> None:
         """Args: where lines go, bars that are shown or None, and the number of steps."""
-        self._out, self._bars, self._steps = out, bars, steps
-        self._lock = threading.Lock()
+        self._out, self._bars = out, bars
         self._tasks: dict[str, TaskID] = {}
-        self._finished = set[str]()
         self._all = None if bars is None else bars.add_task("all steps", total=steps)
 
     def working(self, key: str, done: int, total: int) -> None:
-        """How far a step is; called from another thread."""
-        if self._bars is None:
+        """How far a step is."""
+        if self._bars is None or (key not in self._tasks and len(self._tasks) >= _MOST_LINES):
             return
-        with self._lock:
-            if key not in self._tasks:
-                # News of a step may come after its end.
-                if key in self._finished or len(self._tasks) >= _MOST_LINES:
-                    return
-                self._tasks[key] = self._bars.add_task(printable(key), total=total)
-            self._bars.update(self._tasks[key], completed=done, total=total)
+        if key not in self._tasks:
+            self._tasks[key] = self._bars.add_task(printable(key), total=total)
+        self._bars.update(self._tasks[key], completed=done, total=total)
 
     def finished(self, row: "projects.Row") -> None:
         """A step was done, or failed; a failure is a line."""
+        failed = f"failed: {row.key}: {row.message}"
         if self._bars is not None and self._all is not None:
-            with self._lock:
-                self._finished.add(row.key)
-                task = self._tasks.pop(row.key, None)
-                if task is not None:
-                    self._bars.remove_task(task)
-                self._bars.advance(self._all)
-        if row.state == "failed" and self._bars is not None:
-            # Above the bars, which a line on another stream would run into.
-            self._bars.console.print(printable(f"failed: {row.key}: {row.message}"), style="red")
+            if (task := self._tasks.pop(row.key, None)) is not None:
+                self._bars.remove_task(task)
+            self._bars.advance(self._all)
+            if row.state == "failed":
+                # Above the bars, which a line on another stream would run into.
+                self._bars.console.print(printable(failed), style="red")
         elif row.state == "failed":
-            self._out.print(f"failed: {row.key}: {row.message}", style="red")
-        elif self._bars is None:
+            self._out.print(failed, style="red")
+        else:
             self._out.print(f"done: {row.key} ({row.seconds:.1f} s)")
 
 

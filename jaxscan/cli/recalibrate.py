@@ -10,17 +10,14 @@ import tyro
 
 from jaxscan import api, recalibration
 from jaxscan import report as calibration_reports
+from jaxscan.cli.calibrate import STYLES
 from jaxscan.cli.options import (
     CLOUD_SUFFIXES,
     MAX_RANGE_M,
     MIN_RANGE_M,
     CalibrationPath,
     OutputPath,
-    Place,
-    calibration_at,
-    capture_at,
     check_paths,
-    file_at,
     range_limits,
 )
 from jaxscan.cli.progress import progress_bar
@@ -35,7 +32,7 @@ from jaxscan.report import recalibration as reports
 
 if TYPE_CHECKING:
     from jaxscan.calibration import Calibration
-    from jaxscan.recalibration import Given, Recalibration
+    from jaxscan.recalibration import Recalibration
 
 
 _Flag = tyro.conf.FlagCreatePairsOff[bool]
@@ -92,26 +89,20 @@ def recalibrate(
         features=_either("features", features, no_features),
     )
     check_paths(
-        reads=[
-            *(place for path in sweeps for place in capture_at("SWEEP", path)),
-            *(place for path in boards for place in capture_at("--boards", path)),
-            *calibration_at("--calibration", calibration),
-            *file_at("--known", known),
-        ],
-        writes=[
-            *calibration_at("--output", output),
-            *file_at("--cloud", cloud),
-            *file_at("--report", report),
-        ],
+        {"SWEEP": sweeps, "--boards": boards, "--calibration": calibration, "--known": known},
+        {"--output": output, "--cloud": cloud, "--report": report},
+        kept={"the stripes": [path / capture_files.CACHE_NAME for path in sweeps]},
         json=json,
-        kept=[Place("the stripes", path / capture_files.CACHE_NAME) for path in sweeps],
     )
     calibration_files.check_calibration_path(output, with_observations=False)
     if cloud is not None:
         cloud_files.check_cloud_path(cloud)
     if report is not None:
         disk.check_writable(report)
-    given = recalibration.Given() if known is None else _known_room(known)
+    # Imported here, so that `--help` does not load JAX.
+    from jaxscan.files.known_room import load_known_room
+
+    given = recalibration.Given() if known is None else load_known_room(known)
     captures, shown = ([api.open_capture(path) for path in paths] for paths in (sweeps, boards))
     notes = calibration_files.calibration_notes(calibration)
     with progress_bar("Recalibrating") as progress:
@@ -121,14 +112,9 @@ def recalibrate(
         api.save_calibration(result.calibration, output)
         files["calibration"] = str(output)
         if cloud is not None:
-            digest = calibration_files.calibration_digest(output)
+            digest, stripes = calibration_files.calibration_digest(output), result.settings.stripes
             api.save_recalibrated_cloud(
-                captures,
-                result.adjusted,
-                result.scanner,
-                cloud,
-                settings=result.settings.stripes,
-                calibration_digest=digest,
+                captures, result.adjusted, result.scanner, cloud, settings=stripes, calibration_digest=digest
             )
             files["cloud"] = str(cloud)
     # Whether the rig has drifted is worth knowing where nothing was updated too.
@@ -146,15 +132,9 @@ def recalibrate(
         out.print(f"next: {shlex.join(next_words)}")
     emit_json(json, "recalibrate", files | recalibration_json(result))
     if result.calibration is None:
-        raise CalibrationError(
-            " ".join(
-                (
-                    f"{calibration}: not updated: {result.refused.removesuffix('.')}.",
-                    *reports.table_lines(result),
-                    f"{reports.drift_words(result.drift)}.",
-                )
-            )
-        )
+        sentences = (*reports.words.table_lines(result), f"{reports.words.drift_words(result.drift)}.")
+        why = result.refused.removesuffix(".")
+        raise CalibrationError(f"{calibration}: not updated: {why}. {' '.join(sentences)}")
 
 
 def _good_to(new: "Calibration", old: "Calibration") -> str:
@@ -165,12 +145,6 @@ def _good_to(new: "Calibration", old: "Calibration") -> str:
     return f"Good to {words[0] or 'not known'}, before {words[1] or 'not known'}."
 
 
-def _known_room(path: Path) -> "Given":
-    from jaxscan.files.known_room import load_known_room
-
-    return load_known_room(path)
-
-
 def _either(option: str, yes: bool, no: bool) -> bool | None:
     """A choice of two options; None where neither is given."""
     if yes and no:
@@ -178,48 +152,38 @@ def _either(option: str, yes: bool, no: bool) -> bool | None:
     return True if yes else False if no else None
 
 
-_STYLE = {"good": "bold green", "plain": "bold", "bad": "bold red", "open": "bold yellow"}
 _UNUSUAL = 3.0
 """Changes beyond this many standard deviations are named."""
 
 
 def print_recalibration(out: Terminal, result: "Recalibration") -> None:
     """Print gains, moves, walls, closure and open directions, and the drift verdict last."""
-    for text in reports.words.table_lines(result):
+    words = reports.words
+    for text in words.table_lines(result):
         out.print(f"table: {text}", style="yellow")
+    moved = [
+        f"{one.name}: {one.scale * one.before:.7g} → {one.scale * one.after:.7g}{f' {one.unit}' if one.unit else ''}, "
+        f"{one.sigmas:+.1f} sigmas"
+        for one in words.by_sigmas(result.moved)
+        if abs(one.sigmas) > _UNUSUAL
+    ]
     blocks = {
-        "Uncertainty that the calibration alone causes (one standard deviation):": reports.words.length_lines(result),
-        "Directions in the space of the parameters:": reports.words.gain_lines(result.gains),
-        "Moved by more than chance:": moved_lines(result),
+        "Uncertainty that the calibration alone causes (one standard deviation):": words.length_lines(result),
+        "Directions in the space of the parameters:": words.gain_lines(result.gains),
+        "Moved by more than chance:": moved,
     }
     for title, lines in blocks.items():
-        if lines:
-            out.print(title)
-        for line in lines:
-            out.print(f"  {line}")
-    walls = (
-        *reports.words.wall_lines(result),
-        *reports.words.hold_out_lines(result),
-        *reports.words.closure_lines(result),
-    )
-    for text in (*reports.words.known_lines(result), *walls):
-        out.print(text)
+        for line in (title, *(f"  {line}" for line in lines)) if lines else ():
+            out.print(line)
+    for told in (words.known_lines, words.wall_lines, words.hold_out_lines, words.closure_lines):
+        for text in told(result):
+            out.print(text)
     for text in result.unobserved:
         out.print(f"not told by these captures: {text}")
     out.notes(result.notes)
-    first = reports.words.headline(result)
-    out.print(f"{first.headline}.", style=_STYLE[first.kind])
+    first = words.headline(result)
+    out.print(f"{first.headline}.", style=STYLES[first.kind])
     out.print(first.explanation)
-
-
-def moved_lines(result: "Recalibration") -> list[str]:
-    """Parameters that moved further than chance moves them, and by how many sigmas."""
-    moved = [one for one in reports.words.by_sigmas(result.moved) if abs(one.sigmas) > _UNUSUAL]
-    return [
-        f"{one.name}: {one.scale * one.before:.7g} → {one.scale * one.after:.7g}{f' {one.unit}' if one.unit else ''}, "
-        f"{one.sigmas:+.1f} sigmas"
-        for one in moved
-    ]
 
 
 def recalibration_json(result: "Recalibration") -> dict[str, Any]:

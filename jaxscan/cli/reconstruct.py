@@ -17,10 +17,7 @@ from jaxscan.cli.options import (
     CloudOutputPath,
     Smooth,
     at_least,
-    calibration_at,
-    capture_at,
     check_paths,
-    file_at,
     range_limits,
 )
 from jaxscan.cli.progress import progress_bar
@@ -82,9 +79,9 @@ def reconstruct(
         stripes=stripes, min_range_m=min_range, max_range_m=max_range, check_steps=check_steps, smooth=smooth
     )
     check_paths(
-        reads=[*capture_at("CAPTURE", capture), *calibration_at("--calibration", calibration)],
-        writes=file_at("--output", output),
-        kept=file_at("the stripes", capture / capture_files.CACHE_NAME if cache else None),
+        {"CAPTURE": capture, "--calibration": calibration},
+        {"--output": output},
+        kept={"the stripes": capture / capture_files.CACHE_NAME if cache else None},
         json=json,
     )
     cloud_files.check_cloud_path(output)

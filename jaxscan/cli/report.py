@@ -9,17 +9,7 @@ import tyro
 import jaxscan
 from jaxscan import report as reports
 from jaxscan.cli.calibrate import summary, write_page
-from jaxscan.cli.options import (
-    CLOUD_SUFFIXES,
-    CloudUnit,
-    CloudUp,
-    OptionalCalibrationPath,
-    OutputPath,
-    calibration_at,
-    capture_at,
-    check_paths,
-    file_at,
-)
+from jaxscan.cli.options import CLOUD_SUFFIXES, CloudUnit, CloudUp, OptionalCalibrationPath, OutputPath, check_paths
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import JsonTarget, console, emit_json
 from jaxscan.errors import OptionError
@@ -65,13 +55,9 @@ def report(
         if value is not None and not is_cloud:
             raise OptionError(f"{option}: is for clouds ({CLOUD_SUFFIXES}); {result} is taken for a calibration.")
     check_paths(
-        [
-            *(file_at("CLOUD", result) if is_cloud else calibration_at("CALIBRATION", result)),
-            *calibration_at("--calibration", calibration),
-            *capture_at("--capture", capture),
-        ],
-        file_at("--output", output),
-        kept=file_at("the stripes", capture / capture_files.CACHE_NAME if capture is not None and is_cloud else None),
+        {"RESULT": result, "--calibration": calibration, "--capture": capture},
+        {"--output": output},
+        kept={"the stripes": capture / capture_files.CACHE_NAME if capture is not None and is_cloud else None},
         json=json,
     )
     disk.check_writable(output)

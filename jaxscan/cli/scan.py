@@ -10,18 +10,9 @@ import numpy as np
 import tyro
 
 from jaxscan import api
-from jaxscan.cli.options import (
-    CLOUD_SUFFIXES,
-    ConfigPath,
-    OptionalCalibrationPath,
-    OutputPath,
-    calibration_at,
-    capture_at,
-    check_paths,
-    file_at,
-)
+from jaxscan.cli.options import CLOUD_SUFFIXES, ConfigPath, OptionalCalibrationPath, OutputPath, check_paths
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.scan_display import CaptureFolder, ScanDisplay, ScanPlan, sweep_header
+from jaxscan.cli.scan_display import ScanDisplay, ScanPlan, sweep_header
 from jaxscan.cli.signals import RigInUse
 from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json
 from jaxscan.errors import CaptureError, JaxscanError, OptionError
@@ -83,12 +74,8 @@ def scan(
 
     _check_options(boards=boards, calibration=calibration, cloud=cloud, place_command=place_command)
     check_paths(
-        reads=[
-            *file_at("CONFIG", config),
-            *calibration_at("--calibration", calibration),
-            *capture_at("--output", output),
-        ],
-        writes=file_at("--cloud", cloud),
+        {"CONFIG": config, "--calibration": calibration, "--output": output},
+        {"--cloud": cloud},
         json=json,
     )
     rig = load_rig(config)
@@ -121,11 +108,11 @@ def scan(
             opened.callback(in_use.closing)
             # Not before: nobody sees its request while the program waits for a camera.
             interrupts = opened.enter_context(Interrupts())
-            devices, folder = Devices(controller, camera), CaptureFolder(output, resume)
+            devices = Devices(controller, camera)
             if boards:
-                result = scan_boards(rig, folder, devices, interrupts, place_command, out)
+                result = scan_boards(rig, output, resume, devices, interrupts, place_command, out)
             else:
-                result = _scan_sweep(rig, folder, devices, interrupts, calibration, live)
+                result = _scan_sweep(rig, output, resume, devices, interrupts, calibration, live)
         out.print(result.message)
         done = _finish_cloud(live, result, output, cloud, calibration, out)
         notes += done.get("notes", [])
@@ -156,7 +143,8 @@ def _check_options(*, boards: bool, calibration: Path | None, cloud: Path | None
 
 def _scan_sweep(
     rig: "RigConfig",
-    folder: "CaptureFolder",
+    folder: Path,
+    resume: bool,
     devices: "Devices",
     should_stop: Callable[[], bool],
     calibration: Path | None,
@@ -175,10 +163,10 @@ def _scan_sweep(
 
         return run_sweep(
             rig,
-            folder.path,
+            folder,
             devices,
             Hooks(on_pair, display.progress, display.say, should_stop),
-            resume=folder.resume,
+            resume=resume,
             calibration_digest=None if calibration is None else calibration_files.calibration_digest(calibration),
         )
 

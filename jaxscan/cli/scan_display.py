@@ -104,14 +104,6 @@ class ScanDisplay:
         self._console.print(sentence)
 
 
-class CaptureFolder(NamedTuple):
-    """The folder of a capture."""
-
-    path: Path
-    resume: bool
-    """Whether to continue the capture in it."""
-
-
 class ScanPlan(NamedTuple):
     """The records of a scan, and its need of time and disk space."""
 

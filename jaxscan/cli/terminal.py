@@ -1,9 +1,10 @@
 """What people and machines read: lines and tables that do not steer the terminal, and JSON (`--json`)."""
 
+import contextlib
 import json
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, final
 
@@ -70,13 +71,9 @@ class Terminal:
             OutputError: If it cannot be written.
             BrokenPipeError: If nobody reads.
         """
-        try:
+        with _reported():
             for part in [printable(text)] if isinstance(text, str) else self._fitted(text):
                 self.console.print(part, style=style)
-        except BrokenPipeError:
-            raise
-        except OSError as problem:
-            raise OutputError(f"standard output: cannot be written: {problem.strerror}.") from problem
 
     def notes(self, notes: Iterable[str]) -> None:
         """Print notes, a line each."""
@@ -141,18 +138,21 @@ def emit_json(target: str | None, verb: str, result: dict[str, Any]) -> None:
         return
     entries = {"format": f"jaxscan-{verb}/1", **result}
     text = json.dumps(entries, indent=2, allow_nan=False, default=lambda array: array.tolist()) + "\n"
-    if target == "-":
-        _print_json(text)
-    else:
+    if target != "-":
         disk.write_atomically(Path(target), text.encode())
-
-
-def _print_json(text: str) -> None:
+        return
     if sys.stdout is None:
         raise OutputError("standard output: is closed, so that --json - cannot be written.")
-    try:
+    with _reported():
         sys.stdout.write(text)
         sys.stdout.flush()
+
+
+@contextlib.contextmanager
+def _reported() -> Iterator[None]:
+    """One line for what cannot be printed; that nobody reads is no error of ours."""
+    try:
+        yield
     except BrokenPipeError:
         raise
     except OSError as problem:

@@ -141,12 +141,8 @@ def _parse(words: Sequence[str], *, answer: bool = True) -> Callable[[], None]:
 def _completion(words: Sequence[str], *, answer: bool) -> Callable[[], None]:
     if len(words) != 1 or words[0] not in SHELLS:
         _leave(f"--completion needs the name of a shell: {', '.join(SHELLS)}.", answer)
-    known = [Verb((name,), short(line), entries_of(load_verb(name))) for name, line in VERBS.items()]
-    known += [
-        Verb((first, name), short(line), entries_of(load_verb(first, name)))
-        for first, verbs in BELOW.items()
-        for name, line in verbs.items()
-    ]
+    names = [(name,) for name in VERBS] + [(first, name) for first, verbs in BELOW.items() for name in verbs]
+    known = [Verb(name, entries_of(load_verb(*name))) for name in names]
     return lambda: print(completion(words[0], known), end="")
 
 

@@ -16,15 +16,7 @@ import tyro
 
 from jaxscan import project as projects
 from jaxscan.cli.measure import calibrated, notes_first
-from jaxscan.cli.options import (
-    CloudUnit,
-    CloudUp,
-    OptionalCalibrationPath,
-    calibration_at,
-    check_paths,
-    file_at,
-    need_pages,
-)
+from jaxscan.cli.options import CloudUnit, CloudUp, OptionalCalibrationPath, check_paths, need_pages
 from jaxscan.cli.terminal import JsonTarget, emit_json
 from jaxscan.errors import CaptureError, CloudError, OptionError
 from jaxscan.files import clouds as cloud_files
@@ -72,14 +64,7 @@ def view(
         json: Write the address, without its token, as JSON too.
     """
     need_pages("The viewer", "view")
-    check_paths(
-        [
-            *(place for path in clouds for place in file_at("CLOUD", path)),
-            *(place for path in panorama for place in file_at("--panorama", path)),
-            *calibration_at("--calibration", calibration),
-        ],
-        json=json,
-    )
+    check_paths({"CLOUD": clouds, "--panorama": panorama, "--calibration": calibration}, json=json)
     files = [path for path in clouds if path.suffix.lower() == ".toml"]
     clouds, missing = with_projects(clouds)
     if not clouds:

@@ -175,10 +175,6 @@ class BowedBoard(ArrayModule):
     ) -> tuple[Float[Array, "..."], Float[Array, "... 3"]]:
         """Intersection of rays from the camera and the board.
 
-        Args:
-            pose: T_cam_board.
-            ray: Unit rays, camera frame.
-
         Returns:
             range_m: Distance along the ray [m]; undefined for a ray parallel to the board.
             point: In the board frame [m].

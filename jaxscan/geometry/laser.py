@@ -63,9 +63,6 @@ class LaserSheet(ArrayModule):
 
         $$\text{range} = d / m, \qquad m = n \cdot v - \rho_v (b_2 \tau^2 + b_3 \tau^3)$$
 
-        Args:
-            ray: Unit rays v, camera frame.
-
         Returns:
             range_m: Distance along the ray [m]; 0, never NaN, where the ray misses the sheet.
             incidence: m, about the sine of the angle between ray and sheet; the ray meets the

@@ -86,11 +86,7 @@ class AbstractMotion(ArrayModule):
     @staticmethod
     @abc.abstractmethod
     def of_boards(poses: Float[np.ndarray, "2 pairs 4 4"], change: Float[np.ndarray, " pairs"]) -> "AbstractMotion":
-        """First values, from boards that stood still.
-
-        Args:
-            poses: T_cam_board of each at two positions.
-            change: Second position less the first [rad or m].
+        """First values, from T_cam_board of boards that stood still at two positions, and the second less the first.
 
         Raises:
             ValueError: If boards do not move so, with the finding and the remedy.

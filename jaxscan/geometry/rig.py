@@ -32,13 +32,7 @@ def make_layout(
     motion: tuple[ParameterBlock, ...] = (),
     board: tuple[ParameterBlock, ...] = (),
 ) -> Layout:
-    """The layout of a rig.
-
-    Args:
-        lasers: Names of the lasers.
-        motion: Blocks of the motion between records; none where there is no motion.
-        board: Blocks of the board, if it is solved for too.
-    """
+    """The layout of a rig."""
     names = camera.parameter_names()
     parts = (
         list(zip(names, (block for block in camera.blocks() for _ in block.parameters), strict=False)),

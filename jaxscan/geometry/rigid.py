@@ -126,9 +126,6 @@ def tangent_basis(direction: np.ndarray) -> np.ndarray:
 def unit_vector(vector: ArrayLike | Sequence[float], name: str) -> tuple[np.ndarray, float]:
     """A vector of any length, made a unit vector.
 
-    Args:
-        vector: Three numbers.
-
     Returns:
         unit: float64 [3].
         length: Length of `vector`.

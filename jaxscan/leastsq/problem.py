@@ -59,13 +59,7 @@ class Normal(NamedTuple):
 
 
 def sum_arrow(parts: Sequence[Normal], shared: int, blocks: tuple[int, int]) -> Arrow:
-    """J'J and J'r of all owners.
-
-    Args:
-        parts: Of all groups of owners.
-        shared: Number of shared unknowns.
-        blocks: Number of blocks, and of the unknowns of each.
-    """
+    """J'J and J'r of all owners."""
     count, own = blocks
     dtype = parts[0].square.dtype
     matrix, gradient = jnp.zeros((shared, shared), dtype), jnp.zeros(shared, dtype)

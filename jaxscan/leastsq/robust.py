@@ -76,11 +76,6 @@ def noise_component(
     The redundancy is the count less the leverages; of rows that share errors, the fit takes up
     `correlation` times as much.
 
-    Args:
-        residual: Whitened residuals.
-        leverage: Their shares taken up by the fit.
-        correlation: How many neighbours share one error [1].
-
     Returns:
         The noise in units of the sigma that the residuals were whitened with; 1 where the data
         cannot say.
@@ -105,13 +100,6 @@ def keep_inliers(
     """Which observations stay: none goes unless one is plainly wrong, then all large ones do.
 
     Honest data with its few values of 4 standard deviations is left whole.
-
-    Args:
-        size: Standardised residuals, at least 0.
-        valid: Which count at all.
-        kept: Those kept so far.
-        reject_any: Size from which one is plainly wrong.
-        reject_all: Size beyond which all go then.
 
     Source: mrcal, `markOutliers`.
     """

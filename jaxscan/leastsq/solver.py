@@ -151,13 +151,6 @@ def minimise(
     """Minimise half the sum of squares of a problem's residuals; to be compiled, in 64 bit.
 
     All arguments are arrays, so that one compiled program serves all weights, tolerances and starts.
-
-    Args:
-        problem: The problem.
-        y: Where to begin.
-        damping: Of the first step, relative to the diagonal of J'J [1].
-        tolerance: Root mean square change of unknowns and of whitened residuals at which to stop [1].
-        max_steps: Evaluations at most; 1 gives the residuals and normal equations of `y` itself.
     """
     # Changes count as they are, not relative to the size of the unknowns.
     solver = ArrowLM(0.0, tolerance, optx.rms_norm, PatientTrustRegion(max_steps), damping)

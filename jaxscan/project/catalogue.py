@@ -1,26 +1,27 @@
-"""The catalogue of a project's products, in a database: inputs, time, place and outcome of each step."""
+"""The catalogue of a project's products, a file of SQLite among them: inputs, time, place and outcome of each step."""
 
+import contextlib
 import json
 import os
 import sqlite3
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from jaxscan.errors import ConfigError, DependencyError
-from jaxscan.files.disk import is_outside, open_regular, open_to_write, reported
+from jaxscan.errors import ConfigError
+from jaxscan.files.disk import open_regular, open_to_write, reported
 from jaxscan.project.project import Project
 
 
 STATES = ("begun", "done", "failed")
-IN_MEMORY = "sqlite://"
-TRUSTED = "JAXSCAN_CATALOGUES"
-"""Variable of the environment: addresses of the servers, separated by blanks, that a project may name."""
 _NAMES_ANOTHER = bytes.fromhex("d9d505f920a163d7")
 """The last bytes of a journal that names a file to be removed, which one of a single database never does."""
 _TEXTS = ("key", "digest", "state", "message", "host", "version", "details")
+_COLUMNS = ("project", *_TEXTS, "parts", "outputs", "started_s", "seconds")
+_TABLE = f"""CREATE TABLE IF NOT EXISTS jaxscan_products (
+    {", ".join(f"{name} TEXT NOT NULL" for name in _COLUMNS[:-2])},
+    started_s DOUBLE NOT NULL, seconds DOUBLE NOT NULL, PRIMARY KEY (project, key, digest))"""
 
 
 class Output(NamedTuple):
@@ -58,64 +59,33 @@ class Row(NamedTuple):
 class Catalogue:
     """An open catalogue; the batch's own process alone writes to it."""
 
-    def __init__(self, address: str | Path, project: str, *, write: bool = True) -> None:
+    def __init__(self, path: Path, project: str, *, write: bool = True) -> None:
         """Open it.
 
         Args:
-            address: As SQLAlchemy has it, such as "postgresql+psycopg://..."; or a file of SQLite.
-            project: Name of the project; several may share a database.
-            write: Whether the file and its table are made where there are none; else nothing is ever written.
+            path: The file.
+            project: Name of the project.
+            write: Whether the file is made where there is none; else nothing is ever written.
 
         Raises:
-            ConfigError: If it cannot be opened; the message names no password.
-            DependencyError: If SQLAlchemy, or the database's own library, is not installed.
+            ConfigError: If it cannot be opened, is a link, or would run statements of its own.
         """
-        try:
-            import sqlalchemy
-        except ImportError as problem:
-            raise DependencyError('the catalogue: needs SQLAlchemy: pip install "jaxscan[fleet]".') from problem
-        self._sql, self._project = sqlalchemy, project
-        text, metadata = sqlalchemy.Text, sqlalchemy.MetaData()
-        names = ("project", *_TEXTS, "parts", "outputs")
-        self._table = sqlalchemy.Table(
-            "jaxscan_products",
-            metadata,
-            *(sqlalchemy.Column(name, text, nullable=False, primary_key=name in names[:3]) for name in names),
-            sqlalchemy.Column("started_s", sqlalchemy.Double, nullable=False),
-            sqlalchemy.Column("seconds", sqlalchemy.Double, nullable=False),
-        )
-        try:
-            if isinstance(address, Path):
-                _check_file(address, write=write)
-                connect = partial(_connected, _uri(address, write=write))
-                self._engine = sqlalchemy.create_engine("sqlite://", creator=connect, poolclass=sqlalchemy.QueuePool)
-            else:
-                self._engine = sqlalchemy.create_engine(address)
-            if isinstance(address, Path):
-                self._check_schema(address)
-            if write or address == IN_MEMORY:
-                metadata.create_all(self._engine)
-            self._empty = not sqlalchemy.inspect(self._engine).has_table(self._table.name)
-        except ImportError as problem:
-            raise DependencyError(
-                f"the catalogue: its database needs {problem.name}, which is not installed."
-            ) from None
-        except (sqlalchemy.exc.SQLAlchemyError, ValueError) as problem:
-            raise ConfigError(f"the catalogue: cannot be opened: {_first_line(problem)}.") from None
-
-    def _check_schema(self, path: Path) -> None:
-        """Check that a file holds tables and indexes alone: triggers and views would run a stranger's statements.
-
-        Raises:
-            ConfigError: If it holds something else.
-        """
-        query = self._sql.text("SELECT type, name FROM sqlite_master WHERE type IN ('trigger', 'view') OR sql LIKE :v")
-        with self._engine.connect() as connection:
-            found = connection.execute(query, {"v": "create virtual%"}).first()
-        if found is not None:
-            kind = "virtual table" if found.type == "table" else found.type
-            self.close()
-            raise ConfigError(f"the catalogue: {path}: found a {kind}, {found.name:.40}, expected plain tables.")
+        self._project, self._database = project, None
+        _check_file(path, write=write)
+        if not os.path.lexists(path):
+            return
+        with _reported("opened"):
+            uri = f"file:{quote(str(path.absolute()))}?mode={'rw' if write else 'ro'}"
+            self._database = sqlite3.connect(uri, uri=True)
+            try:
+                # What the tables of a stranger call by themselves may then do nothing but compute.
+                self._database.execute("PRAGMA trusted_schema=OFF")
+                _check_schema(self._database, path)
+                if write:
+                    self._database.execute(_TABLE)
+            except BaseException:
+                self.close()
+                raise
 
     def rows(self) -> list[Row]:
         """All rows of the project, the oldest first.
@@ -123,15 +93,15 @@ class Catalogue:
         Raises:
             ConfigError: If they cannot be read, or are none of ours.
         """
-        if self._empty:
+        if self._database is None:
             return []
-        table = self._table
-        query = self._sql.select(table).where(table.c.project == self._project).order_by(table.c.started_s)
+        query = f"SELECT {', '.join(_COLUMNS[1:])} FROM jaxscan_products WHERE project = ? ORDER BY started_s"
         try:
-            with self._engine.connect() as connection:
-                return [_row(dict(found)) for found in connection.execute(query).mappings()]
-        except self._sql.exc.SQLAlchemyError as problem:
-            raise ConfigError(f"the catalogue: cannot be read: {_first_line(problem)}.") from None
+            with _reported("read"):
+                if not self._database.execute("SELECT 1 FROM sqlite_master WHERE name = 'jaxscan_products'").fetchone():
+                    return []
+                found = self._database.execute(query, (self._project,)).fetchall()
+            return [_row(dict(zip(_COLUMNS[1:], values, strict=True))) for values in found]
         except (KeyError, TypeError, ValueError, RecursionError) as problem:
             raise ConfigError("the catalogue: a row is damaged; remove it, and all is made anew.") from problem
 
@@ -143,64 +113,39 @@ class Catalogue:
         """
         if not rows:
             return
-        table = self._table
-        values = [{"project": self._project, **_values(row)} for row in rows]
-        of = self._sql.bindparam
-        same = table.delete().where(
-            table.c.project == self._project, table.c.key == of("of_key"), table.c.digest == of("of_digest")
-        )
-        try:
-            with self._engine.begin() as connection:
-                connection.execute(same, [{"of_key": row.key, "of_digest": row.digest} for row in rows])
-                connection.execute(table.insert(), values)
-        except self._sql.exc.SQLAlchemyError as problem:
-            raise ConfigError(f"the catalogue: cannot be written: {_first_line(problem)}.") from None
+        if self._database is None:
+            raise ConfigError("the catalogue: cannot be written: it is not there.")
+        places = ", ".join(f":{name}" for name in _COLUMNS)
+        insert = f"INSERT OR REPLACE INTO jaxscan_products ({', '.join(_COLUMNS)}) VALUES ({places})"
+        with _reported("written"), self._database:
+            self._database.executemany(insert, [{"project": self._project, **_values(row)} for row in rows])
 
     def close(self) -> None:
-        """Close the connections."""
-        self._engine.dispose()
+        """Close the file."""
+        if self._database is not None:
+            self._database.close()
 
 
 def open_catalogue(project: Project, *, write: bool = True) -> Catalogue:
-    """The catalogue of a project: its own database, or a file of SQLite in the folder of its products.
-
-    Where there is none yet and nothing is to be written, it is an empty one in memory. A file of SQLite that is named
-    without its whole path lies beside the project's file. One outside of the project's folder is never made, for the
-    project may be a stranger's.
+    """The catalogue of a project, in the folder of its products; an empty one where there is none to read.
 
     Raises:
-        ConfigError: If it cannot be opened, is a link, is to be made outside, or is on a server that the user's
-            environment does not name.
-        DependencyError: If what it needs is not installed.
+        ConfigError: As of `Catalogue`.
     """
-    wanted, file = project.wanted.project, project.output / "catalogue.sqlite"
-    if wanted.catalogue:
-        scheme, _, place = wanted.catalogue.partition("://")
-        if scheme.partition("+")[0].lower() != "sqlite":
-            # A server that a stranger names would learn who asks, with the user's own name and password.
-            if "://" in wanted.catalogue and wanted.catalogue not in os.environ.get(TRUSTED, "").split():
-                raise ConfigError(
-                    f"the catalogue: {scheme:.40}://… is a server, which a stranger may have named: if "
-                    f"you know it, set {TRUSTED} to the whole address."
-                )
-            return Catalogue(wanted.catalogue, wanted.name, write=write)
-        place = place.removeprefix("/")
-        if place in ("", ":memory:"):
-            return Catalogue(IN_MEMORY, wanted.name)
-        if place.startswith("file:"):
-            raise ConfigError("the catalogue: found an address with file:, expected sqlite:/// and a path.")
-        file = project.file.parent / place
-        if is_outside(file, project.file.parent) and not os.path.lexists(file):
-            raise ConfigError(
-                f"the catalogue: {file} is not there and would lie outside of {project.file.parent}, where a project "
-                "makes none; make an empty file there, if you mean it."
-            )
-    there = write and (wanted.catalogue or project.output.is_dir())
-    return Catalogue(file if there or os.path.lexists(file) else IN_MEMORY, wanted.name, write=write)
+    file = project.output / "catalogue.sqlite"
+    return Catalogue(file, project.wanted.project.name, write=write and project.output.is_dir())
+
+
+@contextlib.contextmanager
+def _reported(what: str) -> Iterator[None]:
+    try:
+        yield
+    except sqlite3.Error as problem:
+        raise ConfigError(f"the catalogue: cannot be {what}: {problem}.") from None
 
 
 def _check_file(path: Path, *, write: bool) -> None:
-    """Check that a file of SQLite, and those that SQLite keeps beside it, are no links; make it where it is missing.
+    """Check that the file, and those that SQLite keeps beside it, are no links; make it where it is missing.
 
     Raises:
         ConfigError: If one is a link or no file, or the journal names a file elsewhere, which SQLite would remove.
@@ -219,50 +164,36 @@ def _check_file(path: Path, *, write: bool) -> None:
             open_to_write(path, "make").close()
 
 
-def _connected(uri: str) -> sqlite3.Connection:
-    connection = sqlite3.connect(uri, uri=True, check_same_thread=False)
-    # What the tables of a stranger call by themselves, in a check or a default, may then do nothing but compute.
-    connection.execute("PRAGMA trusted_schema=OFF")
-    return connection
+def _check_schema(database: sqlite3.Connection, path: Path) -> None:
+    """Check that there are tables and indexes alone: triggers and views would run a stranger's statements.
 
-
-def _uri(path: Path, *, write: bool) -> str:
-    return f"file:{quote(str(path.absolute()))}?mode={'rw' if write else 'ro'}"
-
-
-def row_to_json(row: Row) -> str:
-    """A row as text, for its way from a worker."""
-    return json.dumps(row._asdict() | {"outputs": [tuple(one) for one in row.outputs], "parts": dict(row.parts)})
-
-
-def row_from_json(text: str) -> Row:
-    """The row of a text."""
-    return _made(json.loads(text))
+    Raises:
+        ConfigError: If there is something else.
+    """
+    query = "SELECT type, name FROM sqlite_master WHERE type IN ('trigger', 'view') OR sql LIKE 'create virtual%'"
+    found = database.execute(query).fetchone()
+    if found is not None:
+        kind = "virtual table" if found[0] == "table" else found[0]
+        raise ConfigError(f"the catalogue: {path}: found a {kind}, {found[1]!s:.40}, expected plain tables.")
 
 
 def _values(row: Row) -> dict[str, Any]:
     """The columns of a row. Names of files may hold bytes that are no letters, which no database takes."""
     fields = row._asdict() | {"parts": json.dumps(dict(row.parts)), "outputs": json.dumps(row.outputs)}
-    return {key: _as_text(value) if isinstance(value, str) else value for key, value in fields.items()}
-
-
-def _as_text(value: str) -> str:
-    return value.encode(errors="backslashreplace").decode()
+    return {
+        key: value.encode(errors="backslashreplace").decode() if isinstance(value, str) else value
+        for key, value in fields.items()
+    }
 
 
 def _row(found: Mapping[str, Any]) -> Row:
-    fields = {name: found[name] for name in Row._fields}
-    return _made(fields | {name: json.loads(fields[name]) for name in ("parts", "outputs")})
-
-
-def _made(fields: Mapping[str, Any]) -> Row:
-    """The row of its fields, each of which may be anything: a database may come from a stranger.
+    """The row of its columns, each of which may be anything: a catalogue may come from a stranger.
 
     Raises:
         ValueError: If it is none.
     """
-    outputs = tuple(Output(*one) for one in fields["outputs"])
-    row = Row(**{**fields, "outputs": outputs})
+    outputs = tuple(Output(*one) for one in json.loads(found["outputs"]))
+    row = Row(**{**found, "parts": json.loads(found["parts"]), "outputs": outputs})
     texts = [getattr(row, name) for name in _TEXTS] + [one.path for one in outputs] + [one.sha256 for one in outputs]
     texts += [*row.parts.keys(), *row.parts.values()] if isinstance(row.parts, dict) else [None]
     numbers = [row.started_s, row.seconds, *(one.size for one in outputs)]
@@ -277,9 +208,3 @@ def _made(fields: Mapping[str, Any]) -> Row:
 
 def _is_inside(path: str) -> bool:
     return "\0" not in path and not PurePosixPath(path).is_absolute() and ".." not in PurePosixPath(path).parts
-
-
-def _first_line(problem: Exception) -> str:
-    """An error of the database without the statement and the link that SQLAlchemy adds."""
-    cause = getattr(problem, "orig", None) or problem
-    return str(cause).strip().splitlines()[0].rstrip(".") if str(cause).strip() else type(cause).__name__

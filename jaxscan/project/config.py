@@ -61,8 +61,6 @@ class ProjectTable(FileModel):
     name: Name
     output: _Place = "products"
     """Folder of the products, from the project's own."""
-    catalogue: Annotated[str, pydantic.Strict(), pydantic.Field(max_length=1000)] = ""
-    """Address of a database as SQLAlchemy knows them; "" for a file in the folder of the products."""
     products: _Products = ("cloud", "measures")
     formats: _Formats = ("ply",)
     """Formats of clouds."""

@@ -8,14 +8,14 @@ import re
 import shlex
 import unicodedata
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple, cast
+from typing import cast
 
 from jaxscan.errors import CaptureError, ConfigError, JaxscanError
-from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, CaptureHeader, open_capture, parse_header
+from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, CaptureHeader, parse_header
 from jaxscan.files.disk import (
     MEGABYTE,
     FolderLock,
@@ -42,81 +42,46 @@ from jaxscan.project.config import (
 )
 
 
-_OF_MANY: tuple[Product, ...] = ("mesh", "plan", "panorama")
-"""Products of neighbouring profiles, which a single record has not."""
-_SINGLE = "only one record"
-_OTHER_LINES = 8
-"""Lines of a journal that may be no records: a seal, events, a record that was taken twice."""
 _MOST_NAMES = 3
 
 
-class Fitting(NamedTuple):
-    """The products of the captures of one table."""
-
-    products: Mapping[Name, tuple[Product, ...]]
-    """Products of each capture, by its name."""
-    notes: tuple[str, ...]
-    """A sentence for all captures of which the same is left out."""
-
-
 def fitting_products(
-    path: str | Path,
-    table: CapturesTable,
-    wanted: ProjectTable,
-    captures: Mapping[Name, str],
-    headers: Mapping[str, CaptureHeader],
-) -> Fitting:
-    """The products of captures, without those that cannot be made of them.
-
-    A header is read only if something may be left out.
+    table: CapturesTable, wanted: ProjectTable, captures: Mapping[Name, str], headers: dict[str, CaptureHeader]
+) -> tuple[dict[Name, tuple[Product, ...]], list[str]]:
+    """The products of the captures of one table, without those that cannot be made of them, and a note on each kind.
 
     Args:
+        table: Of the captures.
         wanted: What the whole project has.
         captures: Addresses, by name.
-        headers: Those that were read before, by address.
-
-    Raises:
-        ConfigError: If the table itself asks for a product that can be made of none of its captures.
+        headers: Those that were read before, by address; others are read only if something may be left out.
     """
     asked = wanted.products if table.products is None else table.products
-    if not set(asked) & set(_OF_MANY):
-        return Fitting(dict.fromkeys(captures, asked), ())
-    products: dict[Name, tuple[Product, ...]] = {}
+    products = dict.fromkeys(captures, asked)
+    if not any(kind in motion.unfit for kind in asked for motion in MOTIONS.values()):
+        return products, []
     left: dict[tuple[str, tuple[Product, ...]], list[Name]] = defaultdict(list)
     for name, address in captures.items():
-        why, unfit = _unfit(address, table.settings.every, headers.get(address))
-        gone = tuple(kind for kind in asked if kind in unfit)
-        products[name] = tuple(kind for kind in asked if kind not in gone)
-        if gone:
-            left[why, gone].append(name)
-    never = tuple(kind for kind in asked if not any(kind in some for some in products.values()))
-    # A header's word on the rig stays as it is, but a sweep of one record may be one that goes on.
-    if table.products is not None and never and all(why in MOTIONS for why, _ in left):
-        raise ConfigError(
-            f'{path}: captures "{table.pattern}": {_and(never)} cannot be made of {_some(tuple(captures))}: '
-            f"{_reason(next(iter(left))[0])}. {_instead(asked, never)}"
-        )
-    notes = []
-    for (why, gone), names in left.items():
-        more = f" {_instead(asked, gone)}" if why in MOTIONS and len(names) == len(captures) else ""
-        notes.append(f'captures "{table.pattern}": no {_and(gone, "or")} of {_some(names)}: {_reason(why)}.{more}')
-    return Fitting(products, tuple(notes))
-
-
-def _unfit(address: str, every: int, header: CaptureHeader | None) -> tuple[str, tuple[Product, ...]]:
-    """The reason why some products cannot be made of a capture, and those; none if it cannot be read."""
-    try:
-        header = header_of(address) if header is None else header
+        try:
+            header = headers[address] if address in headers else header_of(address)
+        except JaxscanError:
+            # Said by the step that makes its cloud; other captures go on.
+            continue
         carries = None if header.turntable is None else header.turntable.carries
-        unfit = MOTIONS[carries].unfit if carries else ()
-        if carries and unfit:
-            return carries, cast(tuple[Product, ...], unfit)
-        if _is_single(address, every):
-            return _SINGLE, _OF_MANY
-    except JaxscanError:
-        # Said by the step that makes its cloud; other captures go on.
-        pass
-    return "", ()
+        if carries is None:
+            continue
+        unfit = cast(tuple[Product, ...], MOTIONS[carries].unfit)
+        products[name] = tuple(kind for kind in asked if kind not in unfit)
+        if gone := tuple(kind for kind in asked if kind in unfit):
+            left[carries, gone].append(name)
+    notes = []
+    for (carries, gone), names in left.items():
+        more = [f"{len(names) - _MOST_NAMES} more"] if len(names) > _MOST_NAMES else []
+        notes.append(
+            f'captures "{table.pattern}": no {_and(gone, "or")} of {_and([*names[:_MOST_NAMES], *more])}: '
+            f'{HEADER_NAME} says carries = "{carries}", and {MOTIONS[carries].why}.'
+        )
+    return products, notes
 
 
 def header_of(address: str) -> CaptureHeader:
@@ -129,13 +94,6 @@ def header_of(address: str) -> CaptureHeader:
     return parse_header(read_bounded(name, MEGABYTE, error=ConfigError), name=name)
 
 
-def _is_single(folder: str, every: int) -> bool:
-    """Whether one record is taken of a capture. Only a journal that is short enough for that is read as one."""
-    if is_longer(Path(folder), every + _OTHER_LINES):
-        return False
-    return len(open_capture(folder, compare=False).every(every)) == 1
-
-
 def is_longer(folder: Path, records: int) -> bool:
     """Whether a journal has more lines; counting them takes less time than reading them."""
     lines = 0
@@ -145,23 +103,8 @@ def is_longer(folder: Path, records: int) -> bool:
     return lines > records
 
 
-def _reason(why: str) -> str:
-    return f'{HEADER_NAME} says carries = "{why}", and {MOTIONS[why].why}' if why in MOTIONS else why
-
-
-def _instead(asked: Iterable[Product], gone: Iterable[Product]) -> str:
-    """The line to write, so that no more is asked for than there can be."""
-    left = [f'"{kind}"' for kind in asked if kind not in gone] or ['"cloud"']
-    return f"Write products = [{', '.join(left)}] there."
-
-
 def _and(words: Sequence[str], last: str = "and") -> str:
     return f" {last} ".join(filter(None, (", ".join(words[:-1]), words[-1])))
-
-
-def _some(names: Sequence[str]) -> str:
-    more = [f"{len(names) - _MOST_NAMES} more"] if len(names) > _MOST_NAMES else []
-    return _and([*names[:_MOST_NAMES], *more])
 
 
 FORMAT = "jaxscan-products/1"
@@ -291,8 +234,7 @@ def load_project(path: str | Path) -> Project:
 
     Raises:
         ConfigError: If the file is none, a pattern finds nothing, two captures have one name, not exactly one
-            calibration fits a capture, a group is not of one rig, or a table asks for a product that none of its
-            captures can have.
+            calibration fits a capture, or a group is not of one rig.
     """
     file = Path(path).absolute()
     wanted = load_project_file(file)
@@ -317,11 +259,11 @@ def load_project(path: str | Path) -> Project:
                 )
             own[name] = address
         of_rig = {name: _rig_of(path, own[name], rigs[table.rig], headers) for name in own}
-        fitting = fitting_products(path, table, wanted.project, own, headers)
+        fitting, left_out = fitting_products(table, wanted.project, own, headers)
         formats = wanted.project.formats if table.formats is None else table.formats
-        for name, products in fitting.products.items():
+        for name, products in fitting.items():
             found[name] = ProjectCapture(name, own[name], of_rig[name], table.settings, products, formats)
-        notes.extend(fitting.notes)
+        notes += left_out
     for group in wanted.group:
         _check_group(path, group, found)
     project = Project(file, wanted, tuple(found[name] for name in sorted(found)), tuple(notes))

@@ -52,7 +52,7 @@ MOST_JOURNAL = 1 << 30
 
 
 class Step(NamedTuple):
-    """One thing to make. It holds names and numbers alone, so that it can be sent to any machine as JSON."""
+    """One thing to make. It holds names and numbers alone, so that it can be sent to another process."""
 
     key: str
     """Its name in the catalogue: "cloud/room-01"."""

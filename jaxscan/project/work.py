@@ -9,16 +9,17 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Shaped
 
 import jaxscan
 from jaxscan import api
+from jaxscan.api.recalibration import turned
 from jaxscan.api.sweeps import cloud_of_ranges, stripes_of_range
 from jaxscan.calibration import Calibration
 from jaxscan.drawing import draw_plan, survey_room
@@ -52,7 +53,7 @@ from jaxscan.reconstruction import PointCloud, Progress, join_clouds, stack_plac
 
 @dataclass(frozen=True)
 class StepWorkspace:
-    """Workspace of one step: the files it reads, and a folder for what it writes."""
+    """The files that one step reads, and a folder for what it writes."""
 
     step: Step
     output: Path
@@ -67,22 +68,15 @@ class StepWorkspace:
     """Folders among the products that hold only files of this step: older ones are removed from them."""
 
     def capture(self, role: str = "capture") -> Capture:
-        """A capture. Its stripes are kept among the products: nothing is written into its own folder.
-
-        Raises:
-            CaptureError: If it is none.
-        """
+        """A capture. Its stripes are kept among the products: nothing is written into its own folder."""
         kept = self.output / "stripes"
         _make(self.output, kept)
-        capture = open_capture(self.step.sources[role]).keeping(kept / f"{self._name(role)}.npz")
+        # By the name in the project: folders of two captures may be called alike.
+        place = -1 if self.step.kind == "station" else 1
+        name = role.removeprefix("capture ") if role.startswith("capture ") else self.step.key.split("/")[place]
+        capture = open_capture(self.step.sources[role]).keeping(kept / f"{name}.npz")
         self.notes.extend(capture.notes)
         return capture
-
-    def _name(self, role: str) -> str:
-        """The name of a capture in the project: folders of two may be called alike."""
-        if role.startswith("capture "):
-            return role.removeprefix("capture ")
-        return self.step.key.split("/")[-1 if self.step.kind == "station" else 1]
 
     def file(self, role: str) -> Path:
         """A file that a step before made, or that was given."""
@@ -112,6 +106,22 @@ class StepWorkspace:
         """A setting of the step."""
         return self.step.settings[name]
 
+    def sweep(self) -> Capture:
+        """The records of the step's capture that are wanted."""
+        return self.capture().every(self.setting("every"))
+
+    def scanner(self) -> Scanner:
+        """The rig of the step's calibration."""
+        return api.load_scanner(self.file("calibration"))
+
+    def cloud(self) -> PointCloud:
+        """The cloud that a step before made."""
+        return api.load_cloud(self.file("cloud"))
+
+    def digest(self) -> str:
+        """Digest of the step's calibration."""
+        return calibration_digest(self.file("calibration"))
+
 
 def calibrate_rig(workspace: StepWorkspace) -> None:
     """Calibrate from captures of a board, as `jaxscan calibrate` does.
@@ -138,38 +148,32 @@ def calibrate_rig(workspace: StepWorkspace) -> None:
 
 def find_part(workspace: StepWorkspace) -> None:
     """The stripes of some records of a large sweep."""
-    sweep, scanner = (
-        workspace.capture().every(workspace.setting("every")),
-        api.load_scanner(workspace.file("calibration")),
-    )
     settings, records = reconstruct_settings(workspace), (workspace.setting("first"), workspace.setting("stop"))
-    arrays = stripes_of_range(sweep, scanner, records, settings=settings, progress=workspace.progress)
+    arrays = stripes_of_range(
+        workspace.sweep(), workspace.scanner(), records, settings=settings, progress=workspace.progress
+    )
     write_atomically(workspace.target(), partial(write_arrays, arrays=arrays), durable=False, error=CaptureError)
 
 
 def reconstruct_sweep(workspace: StepWorkspace) -> None:
     """Reconstruct a sweep, as `jaxscan reconstruct` does, in all formats that are wanted."""
-    calibration = workspace.file("calibration")
-    workspace.notes.extend(calibration_notes(calibration))
-    sweep, scanner = workspace.capture().every(workspace.setting("every")), api.load_scanner(calibration)
+    workspace.notes.extend(calibration_notes(workspace.file("calibration")))
+    sweep, scanner, settings = workspace.sweep(), workspace.scanner(), reconstruct_settings(workspace)
     parts = [workspace.file(role) for role in workspace.step.products if role.startswith("stripes ")]
     if parts:
         arrays = [read_arrays(path, error=CaptureError) for path in parts]
-        done = cloud_of_ranges(sweep, scanner, arrays, settings=reconstruct_settings(workspace))
+        done = cloud_of_ranges(sweep, scanner, arrays, settings=settings)
     else:
-        done = api.reconstruct_capture(
-            sweep, scanner, settings=reconstruct_settings(workspace), progress=workspace.progress
-        )
+        done = api.reconstruct_capture(sweep, scanner, settings=settings, progress=workspace.progress)
     workspace.notes.extend(done.notes)
     cloud = coloured(workspace, done.cloud, sweep, scanner)
-    digest = calibration_digest(calibration)
     for number in range(len(workspace.step.outputs)):
-        api.save_cloud(cloud, workspace.target(number), calibration_digest=digest)
+        api.save_cloud(cloud, workspace.target(number), calibration_digest=workspace.digest())
 
 
 def measure(workspace: StepWorkspace) -> None:
     """The lengths of the room, and how good its points are, as JSON; two versions or epochs are compared by them."""
-    cloud, scanner = api.load_cloud(workspace.file("cloud")), api.load_scanner(workspace.file("calibration"))
+    cloud, scanner = workspace.cloud(), workspace.scanner()
     valid = np.asarray(cloud.valid)
     found: dict[str, Any] = {"format": MEASURES_FORMAT, "points": int(valid.sum())}
     for name in ("sigma_random", "sigma_systematic"):
@@ -186,28 +190,20 @@ def measure(workspace: StepWorkspace) -> None:
 
 def make_mesh(workspace: StepWorkspace) -> None:
     """The mesh of a cloud, in its colours."""
-    mesh = api.mesh_cloud(
-        api.load_cloud(workspace.file("cloud")), scanner=api.load_scanner(workspace.file("calibration"))
-    )
-    api.save_mesh(mesh, workspace.target())
+    api.save_mesh(api.mesh_cloud(workspace.cloud(), scanner=workspace.scanner()), workspace.target())
 
 
 def draw_room(workspace: StepWorkspace) -> None:
     """The plan of a room, a metre above its floor."""
-    cloud, scanner = api.load_cloud(workspace.file("cloud")), api.load_scanner(workspace.file("calibration"))
-    drawing = draw_plan(survey_room(cloud, scanner=scanner))
+    drawing = draw_plan(survey_room(workspace.cloud(), scanner=workspace.scanner()))
     for number in range(len(workspace.step.outputs)):
         api.save_drawing(drawing, workspace.target(number))
 
 
 def draw_panorama(workspace: StepWorkspace) -> None:
     """The panorama of a sweep, with depths and normals."""
-    sweep, scanner = (
-        workspace.capture().every(workspace.setting("every")),
-        api.load_scanner(workspace.file("calibration")),
-    )
-    cloud = api.load_cloud(workspace.file("cloud"))
-    drawn = api.draw_panorama(sweep, scanner, cloud=cloud, progress=workspace.progress)
+    sweep, scanner = workspace.sweep(), workspace.scanner()
+    drawn = api.draw_panorama(sweep, scanner, cloud=workspace.cloud(), progress=workspace.progress)
     api.save_panorama(drawn, workspace.target())
 
 
@@ -274,33 +270,29 @@ def refine_rig(workspace: StepWorkspace) -> None:
 
 def place_station(workspace: StepWorkspace) -> None:
     """The cloud of one station, in the frame of the group."""
-    calibration, stations = workspace.file("calibration"), workspace.file("stations")
+    stations = workspace.file("stations")
     text = read_bounded(stations, _MOST_BYTES, error=CloudError)
     station = parse_json(text, name=str(stations), error=CloudError)["stations"][workspace.setting("number")]
-    sweep, scanner = workspace.capture().every(workspace.setting("every")), api.load_scanner(calibration)
-    angles = (sweep.angles + np.array(station["corrections_rad"])).tolist()
-    records = tuple(replace(record, angle=angle) for record, angle in zip(sweep.records, angles, strict=True))
-    settings = reconstruct_settings(workspace)
-    turned = replace(sweep, records=records) if np.any(station["corrections_rad"]) else sweep
-    done = api.reconstruct_capture(turned, scanner, settings=settings, progress=workspace.progress)
+    sweep, scanner = workspace.sweep(), workspace.scanner()
+    settings, right = reconstruct_settings(workspace), turned(sweep, np.array(station["corrections_rad"]))
+    done = api.reconstruct_capture(right, scanner, settings=settings, progress=workspace.progress)
     workspace.notes.extend(done.notes)
     cloud = coloured(workspace, done.cloud, sweep, scanner)
     placed = join_clouds([cloud], [np.array(station["pose"])], [np.array(station["covariance"])])
-    api.save_cloud(placed, workspace.target(), calibration_digest=calibration_digest(calibration))
+    api.save_cloud(placed, workspace.target(), calibration_digest=workspace.digest())
 
 
 def merge_e57(workspace: StepWorkspace) -> None:
     """One E57 with a scan and its pose for each station."""
-    digest = calibration_digest(workspace.file("calibration"))
     roles = [role for role in workspace.step.products if role.startswith("cloud ")]
     loads = [partial(api.load_cloud, workspace.file(role)) for role in roles]
-    save_stations(loads, workspace.target(), calibration_digest=digest)
+    save_stations(loads, workspace.target(), calibration_digest=workspace.digest())
 
 
 def merge_tiles(workspace: StepWorkspace) -> None:
     """Square tiles with the points of all stations, and a list of them."""
     folder = str(Path(workspace.step.outputs[0]).with_suffix(""))
-    digest = calibration_digest(workspace.file("calibration"))
+    digest = workspace.digest()
     listed: list[dict[str, Any]] = []
     with Tiles(workspace.folder / "spooled", workspace.setting("tile_m")) as tiles:
         for cloud in _clouds(workspace):
@@ -325,7 +317,7 @@ def merge_plan(workspace: StepWorkspace) -> None:
     every = max(1, -(-points // PLAN_POINTS))
     # Thinned one by one, so that the whole is never in memory.
     placed = stack_placed([stack_placed([cloud], every=every) for cloud in _clouds(workspace)])
-    drawing = draw_plan(survey_room(placed, scanner=api.load_scanner(workspace.file("calibration"))))
+    drawing = draw_plan(survey_room(placed, scanner=workspace.scanner()))
     api.save_drawing(drawing, workspace.target())
 
 
@@ -349,50 +341,24 @@ WORK: Mapping[str, Callable[[StepWorkspace], None]] = {
 _LONGEST = 2000
 
 
-class Order(NamedTuple):
-    """A step, and where it is done."""
-
-    step: Step
-    digest: str
-    parts: Mapping[str, str]
-    output: str
-    """The folder of the products."""
-
-    def to_json(self) -> str:
-        """For its way to a worker."""
-        return json.dumps(self._asdict() | {"step": self.step._asdict()}, allow_nan=False)
-
-    @staticmethod
-    def from_json(text: str) -> "Order":
-        """The order of a text."""
-        fields = json.loads(text)
-        step = fields.pop("step")
-        lists = {name: tuple(step[name]) for name in ("inputs", "outputs")}
-        return Order(Step(**{**step, **lists}), **fields)
-
-
-def order_of(status: Status, output: Path) -> Order:
-    """The order to do a step."""
-    return Order(status.step, status.digest, status.parts, str(output))
-
-
-def do_step(order: Order, progress: Progress = None) -> Row:
+def do_step(status: Status, output: Path, progress: Progress = None) -> Row:
     """Do one step, and say how it went: no error leaves, so one failed capture does not stop the others.
 
     Args:
-        order: The step.
+        status: The step.
+        output: The folder of the products.
         progress: Called with (done, in all).
     """
     started = time.perf_counter()
     try:
-        outputs, notes = _done(order, progress)
+        outputs, notes = _done(status.step, output, progress)
     except JaxscanError as problem:
-        return failed_row(order, str(problem), seconds=time.perf_counter() - started)
+        return failed_row(status, str(problem), seconds=time.perf_counter() - started)
     except Exception as problem:
         # A defect of jaxscan is the failure of one step too; where it arose is kept in the catalogue.
         message = f"unexpected {type(problem).__name__}: {problem}".splitlines()[0]
-        return failed_row(order, message, seconds=time.perf_counter() - started, details=traceback.format_exc())
-    return _row(order, "done", _sentences(notes), time.perf_counter() - started)._replace(outputs=outputs)
+        return failed_row(status, message, seconds=time.perf_counter() - started, details=traceback.format_exc())
+    return _row(status, "done", _sentences(notes), time.perf_counter() - started)._replace(outputs=outputs)
 
 
 def _sentences(notes: Sequence[str]) -> str:
@@ -400,60 +366,46 @@ def _sentences(notes: Sequence[str]) -> str:
     return " ".join(note if note.endswith((".", "!", "?")) else f"{note}." for note in map(str.strip, notes) if note)
 
 
-def begun_row(order: Order) -> Row:
-    """The row of a step that is handed out now."""
-    return _row(order, "begun", "", 0.0)
+def begun_row(status: Status) -> Row:
+    """The row of a step that is begun now."""
+    return _row(status, "begun", "", 0.0)
 
 
-def failed_row(order: Order, message: str, *, seconds: float = 0.0, details: str = "") -> Row:
+def failed_row(status: Status, message: str, *, seconds: float = 0.0, details: str = "") -> Row:
     """The row of a step that failed now, after some time, with the line that says why."""
-    return _row(order, "failed", message, seconds)._replace(details=details)
+    return _row(status, "failed", message, seconds)._replace(details=details)
 
 
-def _row(order: Order, state: str, message: str, seconds: float) -> Row:
-    host = f"{platform.node()} {os.getpid()}"
+def _row(status: Status, state: str, message: str, seconds: float) -> Row:
     return Row(
-        order.step.key,
-        order.digest,
+        status.step.key,
+        status.digest,
         state,
         message[:_LONGEST],
-        order.parts,
+        status.parts,
         (),
         started_s=time.time() - seconds,
         seconds=seconds,
-        host=host,
+        host=f"{platform.node()} {os.getpid()}",
         version=jaxscan.__version__,
     )
 
 
-def _done(order: Order, progress: Progress) -> tuple[tuple[Output, ...], list[str]]:
-    output = Path(order.output)
-    with workspace_of(order.step, output, progress) as workspace:
-        WORK[order.step.kind](workspace)
-        missing = next((name for name in order.step.outputs if name not in workspace.made()), None)
-        if missing is not None:
-            raise CaptureError(f"{order.step.key}: {missing} was not written.")
-        written = tuple(_described(path, workspace) for path in workspace.made())
-        publish(workspace)
-        return written, workspace.notes
-
-
-def _described(path: str, workspace: StepWorkspace) -> Output:
-    file = workspace.beside(path)
-    return Output(path, file.stat().st_size, file_digest(file))
-
-
-@contextlib.contextmanager
-def workspace_of(step: Step, output: Path, progress: Progress) -> Iterator[StepWorkspace]:
-    """A workspace whose folder is removed at the end, and with a process that was killed by the next one.
-
-    Raises:
-        CaptureError: If the folder of the products cannot be written.
-    """
+def _done(step: Step, output: Path, progress: Progress) -> tuple[tuple[Output, ...], list[str]]:
+    """What a step wrote, and its notes. Its folder is removed at the end; that of a killed process by the next one."""
     with contextlib.ExitStack() as stack:
         with reported(f"{output}: cannot be written", error=CaptureError):
             folder = stack.enter_context(partial_folder(output / "step"))
-        yield StepWorkspace(step, output, folder, progress)
+        workspace = StepWorkspace(step, output, folder, progress)
+        WORK[step.kind](workspace)
+        made = workspace.made()
+        missing = next((name for name in step.outputs if name not in made), None)
+        if missing is not None:
+            raise CaptureError(f"{step.key}: {missing} was not written.")
+        files = {path: workspace.beside(path) for path in made}
+        written = tuple(Output(path, file.stat().st_size, file_digest(file)) for path, file in files.items())
+        publish(workspace)
+        return written, workspace.notes
 
 
 def publish(workspace: StepWorkspace) -> None:
@@ -493,20 +445,12 @@ def coloured(workspace: StepWorkspace, cloud: PointCloud, sweep: Capture, scanne
 
 
 MEASURES_FORMAT = "jaxscan-measures/1"
-SIDES = ("length", "width", "height")
 
 
 def _lengths(box: RoomBox) -> dict[str, Any]:
-    sides = {name: side for name in SIDES if (side := getattr(box, name)) is not None}
-    return {
-        name: {
-            "value_m": side.value_m,
-            "sigma_m": side.sigma_m,
-            "sigma_random_m": side.sigma_random_m,
-            "sigma_systematic_m": side.sigma_systematic_m,
-        }
-        for name, side in sides.items()
-    }
+    sides = {name: side for name in ("length", "width", "height") if (side := getattr(box, name)) is not None}
+    fields = ("value_m", "sigma_m", "sigma_random_m", "sigma_systematic_m")
+    return {name: {field: getattr(side, field) for field in fields} for name, side in sides.items()}
 
 
 MOST_POINTS = 10_000_000

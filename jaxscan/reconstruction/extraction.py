@@ -74,9 +74,14 @@ def extract(
     """Find the stripes of a whole sweep; `reconstruct` takes them instead of frames.
 
     Args:
+        sweep: Frames and angles, on the disk or in memory.
         scanner: The calibrated rig; it only says where on a line stripes can lie.
         settings: Range limits, and how stripes are found.
         noise: Noise of a frame; estimated from the start of the sweep where not given.
+        progress: Called with (records done, records in all).
+
+    Returns:
+        The stripes, and what was learned of the frames.
 
     Raises:
         CaptureError: If the sweep has no records or cannot be read, or its stripes are not told from chance.

@@ -38,6 +38,7 @@ def reconstruct(
     chunks.
 
     Args:
+        sweep: Frames and angles, on the disk or in memory.
         scanner: The calibrated rig. Its lasers are found by name where it knows all names of the
             sweep, and by number otherwise.
         stripes: Stripe centres of this sweep where they are known already (`extract`);
@@ -45,6 +46,7 @@ def reconstruct(
         smoothed: Those stripes smoothed, where that is done already (`smooth_stripes`).
         settings: Range limits, and how stripes are found.
         noise: Noise of a frame; estimated from the start of the sweep where not given.
+        progress: Called with (records done, records in all).
 
     Returns:
         The cloud on the grid [profile, line], scanner frame, metres; NumPy arrays, float32.

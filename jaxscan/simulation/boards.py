@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import map_coordinates  # type: ignore[import-untyped]
 
 from jaxscan.errors import ConfigError
 from jaxscan.simulation.camera import Blur, blurred, integrate, psf_weights
@@ -65,6 +64,8 @@ class Print:
 
 def between_cells(cells: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
     """The quadratic spline over the cells of a picture, float32; places beyond the last but one lie on these."""
+    from scipy.ndimage import map_coordinates  # type: ignore[import-untyped]
+
     # What is no number becomes 1.
     places = [np.fmin(np.fmax(at, 1), size - 2) for at, size in zip((row, column), cells.shape, strict=True)]
     return map_coordinates(cells, places, order=2, prefilter=False)

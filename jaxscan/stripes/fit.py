@@ -116,28 +116,6 @@ class Fit(NamedTuple):
     """Size of the last step in `u` [px]."""
 
 
-class DarkWindow(NamedTuple):
-    """The laser-off frame in the window of a fit."""
-
-    level: Float[Array, "samples n"]
-    """[DN]"""
-    x: Float[Array, "samples n"]
-    """Coordinates of the samples, evenly spaced and rising [px]."""
-    used: Bool[Array, "samples n"]
-    """Samples that the fit used."""
-    variance: Float[Array, "#samples #n"]
-    """Variance of `level` [DN^2]."""
-
-
-class AlbedoShift(NamedTuple):
-    """By how much reflectance moved the fitted centre of each line."""
-
-    shift: Float[Array, " n"]
-    """Fitted centre minus the centre of the laser's light [px]; 0 where it is lost in the noise."""
-    sigma: Float[Array, " n"]
-    """Standard deviation of the predicted shift from the laser-off frame's noise [px]."""
-
-
 def fit_peaks(
     on: Plane,
     off: Plane | None,
@@ -232,8 +210,8 @@ def _fit_block(
         grey = folded(operator.add, jnp.maximum(1.0 - jnp.abs(place - (fit.u / step)[None]), 0.0) * dark)
         # An edge of the surface's reflectance under the stripe may have moved the centre.
         room = (frame + 1 / 12 + jnp.maximum(dark - search.black_dn, 0.0) / per_dn) / step[None]
-        edge = albedo_shift(DarkWindow(dark, place * step[None], used, room), fit.u, fit.width, offset=search.black_dn)
-        sigma = jnp.sqrt(sigma * sigma + limits.guard_edges * edge.shift * edge.shift)
+        shift, _ = albedo_shift(dark, place * step[None], used, room, fit.u, fit.width, offset=search.black_dn)
+        sigma = jnp.sqrt(sigma * sigma + limits.guard_edges * shift * shift)
     snr = jnp.sqrt(jnp.maximum(fit.energy, 0.0))
     clips = jnp.minimum(saturated, 255.0).astype(jnp.uint8)
     found = FrameStripes(u, sigma, fit.amplitude, fit.width, chi2, fit.skew, snr, grey, clips, valid)
@@ -477,12 +455,15 @@ def _solve(
 
 
 def albedo_shift(
-    dark: DarkWindow,
+    level: Float[Array, "samples n"],
+    x: Float[Array, "samples n"],
+    used: Bool[Array, "samples n"],
+    variance: Float[Array, "#samples #n"],
     u: Float[Array, " n"],
     width: Float[Array, " n"],
     *,
     offset: Float[Array, ""] | float = 0.0,
-) -> AlbedoShift:
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     r"""Displacement of fitted centres by the reflectance of the surface around them.
 
     Under even ambient light the laser-off frame shows the reflectance $\rho$. The visible stripe is $\rho$ times the
@@ -495,28 +476,36 @@ def albedo_shift(
     deviations of the noise is 0, so that a clean surface keeps its sigma.
 
     Args:
-        dark: The laser-off frame in the window of the fit.
-        u: Fitted centre, in the coordinates of `dark.x` [px].
+        level: The laser-off frame in the window of the fit [DN].
+        x: Coordinates of the samples, evenly spaced and rising [px].
+        used: Samples that the fit used.
+        variance: Of `level` [DN^2].
+        u: Fitted centre, in the coordinates of `x` [px].
         width: Fitted standard deviation of the stripe [px].
         offset: Level of a pixel without light [DN].
 
     Returns:
-        Shift and its standard deviation; for an honest standard deviation of the centre add the square of the shift to
-        its square.
+        Fitted centre minus the centre of the laser's light, 0 where it is lost in the noise, and its standard
+        deviation by that noise [px]. For an honest standard deviation of the centre add the square of the shift to its
+        square.
     """
     seen = jnp.sqrt(width * width + _PIXEL)
-    x, used = dark.x, dark.used
     z = (x - u[None, :]) * (1.0 / seen)[None, :]
     light = jnp.where(used, jnp.exp(-0.5 * jnp.minimum(z * z, _FAR)), 0.0)
-    variance = jnp.broadcast_to(jnp.asarray(dark.variance), z.shape)
-    level = jnp.maximum(dark.level - offset, FLOOR * jnp.sqrt(variance))
+    variance = jnp.broadcast_to(jnp.asarray(variance), z.shape)
+    level = jnp.maximum(level - offset, FLOOR * jnp.sqrt(variance))
     per_level = 1.0 / level
     source = light * per_level
     # Of the centre by one sample's level: (z - mean) source / level / sum(source).
     pull = source * per_level
     pull = pull * pull * variance
-    (total, first), (plain, plain_first) = moments(source, 2), moments(light, 2)
-    pulls, pulls_s, pulls_ss = moments(pull, 3)
+    # Sums over the window, times 1, s and s^2 with s the sample's number from the middle: products with a fixed matrix,
+    # of which a CPU's compiler makes several times more than of as many sums.
+    number = sample_places(z.shape[0]).astype(np.float64)
+    powers = np.stack([number**power for power in range(3)]).astype(z.dtype)
+    summed = lambda values, count: jnp.matmul(powers[:count], values, precision=lax.Precision.HIGHEST)
+    (total, first), (plain, plain_first) = summed(source, 2), summed(light, 2)
+    pulls, pulls_s, pulls_ss = summed(pull, 3)
     some = total > 0
     total = jnp.where(some, total, 1.0)
     mean = first / total
@@ -525,14 +514,4 @@ def albedo_shift(
     sigma = pitch * jnp.sqrt(square) / total
     shift = pitch * (plain_first / jnp.where(some, plain, 1.0) - mean)
     certain = some & (jnp.abs(shift) > CERTAIN * sigma)
-    return AlbedoShift(jnp.where(certain, shift, 0.0), sigma)
-
-
-def moments(values: Float[Array, "samples n"], count: int) -> Float[Array, "{count} n"]:
-    """Sums over the window, times 1, s, s^2, ... with s the sample's number from the middle.
-
-    A product with a fixed matrix, of which a CPU's compiler makes several times more than of as many sums.
-    """
-    number = sample_places(values.shape[0]).astype(np.float64)
-    powers = jnp.asarray(np.stack([number**power for power in range(count)]), values.dtype)
-    return jnp.matmul(powers, values, precision=lax.Precision.HIGHEST)
+    return jnp.where(certain, shift, 0.0), sigma

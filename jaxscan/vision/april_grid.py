@@ -25,11 +25,6 @@ _NEAR = 0.25
 def find_april_grid(image: np.ndarray, shown: np.ndarray, board: AprilGrid) -> FoundCorners | None:
     """Find the tags of the board that are visible, each with its four corners.
 
-    Args:
-        image: uint8 or float32 [rows, columns], in which corners are measured.
-        shown: The same in bytes, in which tags are read (`to_bytes`).
-        board: The grid. The black border of its tags may be two cells wide, as Kalibr prints it, or one.
-
     Returns:
         The corners to some tenths of a pixel; None where no tags in two rows are found.
     """

@@ -21,13 +21,7 @@ _SMALLEST_PX = 8.0
 
 
 def fit_found_corners(image: np.ndarray, found: FoundCorners, board: AbstractBoard) -> FoundCorners:
-    """Corners refined by `fit_corners` where its model fits; the others unchanged.
-
-    Args:
-        image: uint8 or float32 [rows, columns].
-        found: Corners to within a pixel or so.
-        board: The board in it.
-    """
+    """Corners refined by `fit_corners` where its model fits; the others unchanged."""
     edges, known = edge_directions(found.q, found.valid, board)
     sizes = square_sizes(found.q, found.valid, board)
     if isinstance(board, AprilGrid):

@@ -34,10 +34,6 @@ def check_frame(image: np.ndarray) -> None:
 def to_grey(frame: np.ndarray, pixel_format: str) -> np.ndarray:
     """Convert a frame to [rows, columns] of the same size.
 
-    Args:
-        frame: uint8 or uint16 [rows, columns], or RGB [rows, columns, 3] for "rgb8".
-        pixel_format: As in a capture.
-
     Returns:
         Of the type of the frame.
 
@@ -55,9 +51,6 @@ def to_bytes(image: np.ndarray) -> np.ndarray:
     """A grey image in which detectors look for things: its own bytes, or those of float levels, stretched.
 
     Things are found in it, and measured in the image itself: what the ends of the stretch clip would move.
-
-    Args:
-        image: uint8 or float32 [rows, columns].
     """
     if image.dtype == np.uint8:
         return np.ascontiguousarray(image)

@@ -25,9 +25,6 @@ cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 def encode_png(image: np.ndarray) -> bytes:
     """One frame as a PNG file of level 1: sensor noise does not compress further.
 
-    Args:
-        image: uint8 [rows, columns], or RGB [rows, columns, 3].
-
     Raises:
         ValueError: If the array is not such an image.
     """
@@ -43,10 +40,6 @@ def encode_png(image: np.ndarray) -> bytes:
 
 def through_jpeg(image: np.ndarray, quality: int) -> np.ndarray:
     """A frame that was compressed to a JPEG and unpacked again.
-
-    Args:
-        image: uint8 [rows, columns], or RGB [rows, columns, 3].
-        quality: 1 ... 100; the colour of an RGB image has half the resolution.
 
     Returns:
         uint8 of the same shape.

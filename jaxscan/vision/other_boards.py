@@ -25,12 +25,7 @@ _LARGEST_PX = 800
 
 
 def name_other_board(image: np.ndarray, board: AbstractBoard) -> str | None:
-    """The board that an image shows, in words; None where it shows none, or may show the expected one.
-
-    Args:
-        image: uint8 [rows, columns], or float32 in DN of 8 bits.
-        board: The expected board, which was not found.
-    """
+    """The board that an image shows, in words; None where it shows none, or may show the expected one."""
     image = to_bytes(image)
     scale = min(1.0, _LARGEST_PX / max(image.shape))
     shown = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1.0 else image

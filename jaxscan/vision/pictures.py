@@ -49,13 +49,7 @@ def encode_jpeg(image: np.ndarray, *, quality: int = 92, xmp: str = "") -> bytes
 
 
 def encode_picture_png(image: np.ndarray, *, xmp: str = "", about: str = "") -> bytes:
-    """A picture as a PNG file.
-
-    Args:
-        image: uint8 [rows, columns(, 3)], or uint16 [rows, columns].
-        xmp: XMP packet about the picture.
-        about: A sentence on what its values mean, Latin-1.
-    """
+    """A picture as a PNG file."""
     if image.dtype == np.uint16:
         _, encoded = cv2.imencode(".png", np.ascontiguousarray(image))
         written = encoded.tobytes()

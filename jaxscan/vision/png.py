@@ -35,9 +35,6 @@ def png_size(data: bytes) -> tuple[int, int]:
 def check_png(data: bytes) -> bytes:
     """Check a whole PNG and unpack it, so that a decoder has only the filters of its rows to undo.
 
-    Args:
-        data: The whole file. The caller has checked its size.
-
     Returns:
         The PNG, unpacked, with no chunks but those that its pixels need.
 

@@ -34,9 +34,6 @@ _LOCAL = threading.local()
 def encode_zstd(image: np.ndarray) -> bytes:
     """One frame as differences to the row above, or to the second row above where that is less, as in a mosaic.
 
-    Args:
-        image: uint8 [rows, columns], or RGB [rows, columns, 3].
-
     Returns:
         The bytes of the file: a header and one frame of zstd with its checksum (docs/formats.md).
 

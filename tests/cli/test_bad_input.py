@@ -62,99 +62,110 @@ def planned(capture):
     return rig.words(), message
 
 
-class TestImages:
-    def test_truncated(self, sweep, reconstruct):
-        image = sweep / "off" / "000011.zst"
-        image.write_bytes(image.read_bytes()[:-2000])
-        assert "off/000011.zst" in reconstruct(sweep)
-
-    def test_truncated_board(self, boards, calibrate):
-        image = boards / "off" / "000002.zst"
-        image.write_bytes(image.read_bytes()[:3000])
-        assert "off/000002.zst" in calibrate(boards)
+def without_laser(boards):
+    text = (boards / "capture.toml").read_text()
+    (boards / "capture.toml").write_text(re.sub(r"\[\[laser\]\]\n(\w+ = .*\n)+", "", text))
+    journal(boards, lambda record: {**record, "on": None, "lasers": []})
 
 
-class TestJournal:
-    def test_torn_last_line_is_dropped_and_said(self, sweep, run):
-        path = sweep / "frames.jsonl"
-        path.write_bytes(path.read_bytes()[:-20])
-        ran = run("info", sweep)
-        assert ran.code == 0 and ran.err == ""
-        assert re.search(r"^note: .*line 60: .*left out", ran.out, re.MULTILINE) and "records: 59" in ran.out
+def cut(name, bytes_left):
+    """Leaves the beginning of a file."""
+    return lambda folder: (folder / name).write_bytes((folder / name).read_bytes()[:bytes_left])
 
 
-class TestWrongCapture:
-    def test_a_sweep_given_to_calibrate(self, tiny, calibrate):
-        assert "is a sweep; a calibration needs captures of a board" in calibrate(tiny.sweep)
-
-    def test_boards_given_to_reconstruct(self, tiny, reconstruct):
-        assert "is a calibration capture; only a sweep can be reconstructed" in reconstruct(tiny.boards)
-
-    def test_another_board(self, tiny, boards, calibrate):
-        edit(boards / "capture.toml", "square_mm = 80.0", "square_mm = 81.0")
-        message = calibrate(tiny.boards, boards)
-        assert "its [board] is not the same" in message
-
-    def test_an_address_of_object_storage(self, reconstruct):
-        message = reconstruct("s3://rooms/hall")
-        assert "is an address, expected a path on a disk; copy it to a disk first, such as with aws s3 sync" in message
-
-    def test_no_capture_named(self, calibrate):
-        assert "at least one capture" in calibrate()
-
-    def test_a_board_that_is_in_no_image(self, boards, calibrate):
-        header = boards / "capture.toml"
-        edit(header, "columns = 7", "columns = 9")
-        journal(boards, lambda record: record if record["i"] < 4 else None)
-        message = calibrate(boards)
-        assert "found in none of 4 records" in message and "9 x 5 inner corners" in message
-
-    def test_no_laser_images(self, boards):
-        journal(boards, lambda record: {**record, "on": None})
-        parts, message = planned(boards)
-        assert parts == "camera and axis" and "laser on and off" in message and "'red'" in message
-
-    def test_no_laser_in_the_header(self, boards):
-        text = (boards / "capture.toml").read_text()
-        (boards / "capture.toml").write_text(re.sub(r"\[\[laser\]\]\n(\w+ = .*\n)+", "", text))
-        journal(boards, lambda record: {**record, "on": None, "lasers": []})
-        parts, message = planned(boards)
-        assert parts == "camera and axis"
-        assert "lists no [[laser]]" in message and "capture each board pose with the laser on and off" in message
-
-    def test_one_table_angle_only(self, boards):
-        journal(boards, lambda record: {**record, "angle_deg": 0.0})
-        parts, message = planned(boards)
-        assert parts == "camera and sheet"
-        assert "two table angles" in message and "turn the table between images" in message
-
-    def test_two_views(self, boards, calibrate):
-        journal(boards, lambda record: record if record["i"] < 2 else None)
-        assert "2 view" in calibrate(boards)
-
-    def test_no_stripe_at_all(self, sweep, reconstruct):
-        journal(sweep, lambda record: {**record, "on": record["off"]})
-        message = reconstruct(sweep)
-        assert "No stripe was found" in message and "laser was lit" in message
+SWEEPS = {
+    "a truncated image": (cut("off/000011.zst", 3000), ["off/000011.zst"]),
+    "no stripe": (
+        lambda sweep: journal(sweep, lambda record: {**record, "on": record["off"]}),
+        ["No stripe was found", "laser was lit"],
+    ),
+    "another table": (
+        lambda sweep: edit(sweep / "capture.toml", 'carries = "scanner"', 'carries = "object"'),
+        ["carries the object"],
+    ),
+}
+BOARDS = {
+    "a truncated image": (cut("off/000002.zst", 3000), ["off/000002.zst"]),
+    "another board": (
+        lambda boards: (
+            edit(boards / "capture.toml", "columns = 7", "columns = 9"),
+            journal(boards, lambda record: record if record["i"] < 4 else None),
+        ),
+        ["found in none of 4 records", "9 x 5 inner corners"],
+    ),
+    "two views": (lambda boards: journal(boards, lambda record: record if record["i"] < 2 else None), ["2 view"]),
+}
+PARTS = {
+    "no laser images": (
+        lambda boards: journal(boards, lambda record: {**record, "on": None}),
+        "camera and axis",
+        ["laser on and off", "'red'"],
+    ),
+    "no laser in the header": (
+        without_laser,
+        "camera and axis",
+        ["lists no [[laser]]", "capture each board pose with the laser on and off"],
+    ),
+    "one table angle": (
+        lambda boards: journal(boards, lambda record: {**record, "angle_deg": 0.0}),
+        "camera and sheet",
+        ["two table angles", "turn the table between images"],
+    ),
+}
 
 
-class TestCalibration:
-    def test_of_another_image_size(self, tiny, sweep, reconstruct, tmp_path):
-        text = json.loads(tiny.calibration.read_text())
-        text["camera"] |= {"width": 640, "height": 512}
-        # As a person writes it: with digests, the change would be noted.
-        del text["digests"]
-        (tmp_path / "other.json").write_text(json.dumps(text))
-        message = reconstruct(sweep, calibration=tmp_path / "other.json")
-        assert "640 x 512" in message and "320 x 256" in message
+@pytest.mark.parametrize("name", SWEEPS)
+def test_a_sweep_that_cannot_be_used(sweep, reconstruct, name):
+    damage, says = SWEEPS[name]
+    damage(sweep)
+    message = reconstruct(sweep)
+    assert all(words in message for words in says)
 
-    def test_of_a_table_that_carries_the_object(self, tiny, sweep, reconstruct):
-        edit(sweep / "capture.toml", 'carries = "scanner"', 'carries = "object"')
-        assert "carries the object" in reconstruct(sweep)
 
-    def test_truncated(self, tiny, reconstruct, tmp_path):
-        (tmp_path / "bad.json").write_bytes(tiny.calibration.read_bytes()[:1500])
-        assert "bad.json: line" in reconstruct(tiny.sweep, calibration=tmp_path / "bad.json")
+@pytest.mark.parametrize("name", BOARDS)
+def test_boards_that_cannot_be_used(boards, calibrate, name):
+    damage, says = BOARDS[name]
+    damage(boards)
+    message = calibrate(boards)
+    assert all(words in message for words in says)
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_parts_that_boards_do_not_tell(boards, name):
+    damage, parts, says = PARTS[name]
+    damage(boards)
+    found, message = planned(boards)
+    assert found == parts and all(words in message for words in says)
+
+
+def test_torn_last_line_is_dropped_and_said(sweep, run):
+    path = sweep / "frames.jsonl"
+    path.write_bytes(path.read_bytes()[:-20])
+    ran = run("info", sweep)
+    assert ran.code == 0 and ran.err == ""
+    assert re.search(r"^note: .*line 60: .*left out", ran.out, re.MULTILINE) and "records: 59" in ran.out
+
+
+def test_captures_of_another_kind(tiny, boards, calibrate, reconstruct):
+    assert "is a sweep; a calibration needs captures of a board" in calibrate(tiny.sweep)
+    assert "is a calibration capture; only a sweep can be reconstructed" in reconstruct(tiny.boards)
+    edit(boards / "capture.toml", "square_mm = 80.0", "square_mm = 81.0")
+    assert "its [board] is not the same" in calibrate(tiny.boards, boards)
+    says = "is an address, expected a path on a disk; copy it to a disk first, such as with aws s3 sync"
+    assert says in reconstruct("s3://rooms/hall")
+    assert "at least one capture" in calibrate()
+
+
+def test_calibrations_that_do_not_fit(tiny, sweep, reconstruct, tmp_path):
+    text = json.loads(tiny.calibration.read_text())
+    text["camera"] |= {"width": 640, "height": 512}
+    # As a person writes it: with digests, the change would be noted.
+    del text["digests"]
+    (tmp_path / "other.json").write_text(json.dumps(text))
+    message = reconstruct(sweep, calibration=tmp_path / "other.json")
+    assert "640 x 512" in message and "320 x 256" in message
+    (tmp_path / "bad.json").write_bytes(tiny.calibration.read_bytes()[:1500])
+    assert "bad.json: line" in reconstruct(tiny.sweep, calibration=tmp_path / "bad.json")
 
 
 class TestOutput:
@@ -225,30 +236,28 @@ class TestOutput:
         assert list(tmp_path.iterdir()) == []
 
 
-class TestOptions:
-    @pytest.mark.parametrize("every", [0, -3])
-    def test_every(self, tiny, reconstruct, refused, tmp_path, every):
-        assert f"--every: found {every}, expected 1 or more" in reconstruct(tiny.sweep, "--every", every)
-        assert "--every" in refused("simulate", tiny.config, "-o", tmp_path / "s", "--every", every)
-        assert not (tmp_path / "s").exists()
-
-    def test_seed(self, tiny, refused, tmp_path):
-        assert "--seed" in refused("simulate", tiny.config, "-o", tmp_path / "s", "--seed", -1)
-
-    @pytest.mark.parametrize("radius", [0, -1, "nan", "inf"])
-    def test_radius(self, tiny, refused, radius):
-        words = ["measure", "plane", tiny.cloud, "--at", 1, 0, 0, "--radius-mm", radius]
-        assert "--radius-mm" in refused(*words)
-
-    def test_places(self, tiny, refused):
-        assert "--at" in refused("measure", "plane", tiny.cloud, "--at", "nan", 0, 0)
-        assert "--b" in refused("measure", "distance", tiny.cloud, "--a", 1, 0, 0, "--b", 0, "inf", 0)
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("reconstruct {sweep} -c {calibration} -o {tmp}/a.ply --every 0", "--every: found 0, expected 1 or more"),
+        ("simulate {config} -o {tmp}/s --every -3", "--every: found -3"),
+        ("simulate {config} -o {tmp}/s --seed -1", "--seed"),
+        ("measure plane {cloud} --at 1 0 0 --radius-mm 0", "--radius-mm"),
+        ("measure plane {cloud} --at 1 0 0 --radius-mm nan", "--radius-mm"),
+        ("measure plane {cloud} --at nan 0 0", "--at"),
+        ("measure distance {cloud} --a 1 0 0 --b 0 inf 0", "--b"),
+        ("measure plane {cloud} --at 50 0 0", ""),
+        ("measure distance {cloud} --a 50 0 0 --b 1 0 0", ""),
+        ("simulate {tmp}/nowhere.toml -o {tmp}/s", "no such file"),
+        ("demo -o {config}", "is a file"),
+    ],
+)
+def test_values_without_meaning(tiny, refused, tmp_path, words, says):
+    assert says in refused(*words.format(tmp=tmp_path, **tiny._asdict()).split())
+    assert list(tmp_path.iterdir()) == []
 
 
 class TestSimulate:
-    def test_missing(self, refused, tmp_path):
-        assert "no such file" in refused("simulate", tmp_path / "nowhere.toml", "-o", tmp_path / "s")
-
     @pytest.mark.parametrize(
         ("old", "new", "said"),
         [
@@ -307,9 +316,6 @@ class TestDemo:
         (tmp_path / "captures").symlink_to(tiny.boards.parent)
         assert "holds captures of another configuration" in refused("demo", "-o", tmp_path)
 
-    def test_into_a_file(self, tiny, refused):
-        assert "is a file" in refused("demo", "-o", tiny.config)
-
 
 class TestClouds:
     def test_truncated(self, tiny, refused, tmp_path):
@@ -322,10 +328,6 @@ class TestClouds:
         xyz = 2 * direction / np.linalg.norm(direction, axis=-1, keepdims=True)
         jaxscan.save_cloud(_cloud(xyz), tmp_path / "ball.npz")
         assert "No two opposite walls" in refused("measure", "room", tmp_path / "ball.npz")
-
-    def test_nothing_at_the_picked_place(self, tiny, refused):
-        assert refused("measure", "plane", tiny.cloud, "--at", 50, 0, 0)
-        assert refused("measure", "distance", tiny.cloud, "--a", 50, 0, 0, "--b", 1, 0, 0)
 
 
 def _cloud(xyz):

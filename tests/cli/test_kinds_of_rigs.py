@@ -157,8 +157,7 @@ def test_known_parts_that_cannot_be_meant(folder, refused):
         (["--camera", camera], "known camera has images of 640 x 480 px, the capture of 320 x 256 px"),
         (["--sheet", "1", "0", "0.2"], "--sheet: found 1 0 0.2, expected 4 numbers"),
         (["--sheet", "0", "0", "0", "1"], "--sheet: normal of the plane"),
-        (["--axis", "0", "0", "0", "0", "0", "0"], "--axis: direction"),
-        (["--axis", "0", "0", "0", "0", "1", "0"], 'belongs to carries = "scanner", the capture says "nothing"'),
+        (["--axis", "0", "0", "0", "0", "1", "0"], "--axis: the header says that nothing moves"),
         (["--refine", "camera"], "--refine camera: --camera is missing"),
         (["--camera", folder / "none.png"], "none.png"),
     ):

@@ -54,6 +54,11 @@ def test_an_axis_in_numbers_is_that_of_a_file(tmp_path, capture, carries):
         assert motion.carries == carries
 
 
+def test_an_axis_without_a_direction(capture):
+    with pytest.raises(OptionError, match="--axis: direction"):
+        known_parts(capture("scanner", "left"), None, (), ["0"] * 6, ())
+
+
 def test_sheets_of_a_file_are_told_by_name(tmp_path, capture):
     path = written(tmp_path / "c.json", "scanner", "left", "right")
     sheets = known_parts(capture("scanner", "right", "left"), None, [str(path)], (), ())[0].sheets

@@ -105,7 +105,6 @@ def test_noise_and_doubts_are_told_as_by_reconstruct(live, folder, scanner, monk
     assert "read noise" in done.noise and done.noise == known.noise
 
 
-@pytest.mark.more
 def test_lasers_that_take_turns(folder, tiny, scanner, tmp_path):
     """The same frames as of two lasers: of each its own first frames tell the width."""
     capture, sheet = open_capture(folder), scanner.lasers
@@ -127,7 +126,6 @@ def test_lasers_that_take_turns(folder, tiny, scanner, tmp_path):
     assert_same(done.cloud, known.cloud)
 
 
-@pytest.mark.more
 def test_frames_of_12_bits_are_read_from_the_disk(folder, scanner, tmp_path):
     """What comes from the camera's pages is in 8 bits; the levels of all bits are in the capture."""
     capture, random = open_capture(folder), np.random.default_rng(0)
@@ -174,7 +172,6 @@ def test_what_is_on_the_disk_already_is_taken_along(folder, scanner, expected):
     assert_same(done.cloud, expected)
 
 
-@pytest.mark.more
 def test_a_computer_that_does_not_keep_up_makes_nobody_wait(folder, scanner, monkeypatch):
     going, compute = threading.Event(), IncomingStripes.compute
 
@@ -215,7 +212,6 @@ def test_a_retake_replaces_the_pair(live, folder, scanner, expected):
     assert_same(done.cloud, api.reconstruct_capture(open_capture(folder), scanner).cloud)
 
 
-@pytest.mark.more
 def test_where_the_first_records_change_all_is_reconstructed(live, folder, scanner):
     capture = open_capture(folder)
     feed(live, capture, range(60))
@@ -229,7 +225,6 @@ def test_where_the_first_records_change_all_is_reconstructed(live, folder, scann
     assert_same(done.cloud, api.reconstruct_capture(open_capture(folder), scanner).cloud)
 
 
-@pytest.mark.more
 def test_an_interrupted_sweep_gives_the_cloud_of_what_there_is(folder, scanner):
     journal = folder / "frames.jsonl"
     journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:40]))
@@ -242,7 +237,6 @@ def test_an_interrupted_sweep_gives_the_cloud_of_what_there_is(folder, scanner):
     assert_same(done.cloud, api.reconstruct_capture(open_capture(folder), scanner).cloud)
 
 
-@pytest.mark.more
 def test_too_few_records_to_learn_from(folder, scanner):
     journal = folder / "frames.jsonl"
     journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:5]))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxscan
-from jaxscan.cli.options import calibration_at, capture_at, check_paths, file_at
+from jaxscan.cli.options import check_paths
 from jaxscan.errors import OptionError
 from jaxscan.vision import encode_png
 
@@ -144,8 +144,7 @@ def test_the_demo_refuses(name, here, refused):
 )
 def test_others_are_accepted(reads, writes, here):
     Path("sweep/old.ply").write_text("old")
-    places = [capture_at("CAPTURE", Path(name)) if name.endswith("/") else file_at("INPUT", name) for name in reads]
-    check_paths([place for some in places for place in some], [p for name in writes for p in file_at("--json", name)])
+    check_paths({"INPUT": reads}, {"--output": writes})
 
 
 @pytest.mark.parametrize(
@@ -174,13 +173,12 @@ def test_links_of_the_user_are_followed(here):
     os.symlink("round.ply", "turn.ply")
     os.symlink("sweep/old.ply", "mine.ply")
     for name in ("link.ply", "same/old.ply", "mine.ply", "round.ply"):
-        check_paths(capture_at("CAPTURE", Path("same")), file_at("--output", name))
+        check_paths({"CAPTURE": "same"}, {"--output": name})
 
 
 def test_the_cache_does_not_replace_the_observations_of_a_calibration(here):
-    calibration = calibration_at("--calibration", Path("sweep/stripes.json"))
     with pytest.raises(OptionError, match="is the file in which the stripes are kept"):
-        check_paths(calibration, [], kept=file_at("the stripes", "sweep/stripes.npz"))
+        check_paths({"--calibration": "sweep/stripes.json"}, kept={"the stripes": "sweep/stripes.npz"})
 
 
 @pytest.mark.parametrize("name", ["n" * 300 + ".ply", "x" * 5000 + "/a.ply"])

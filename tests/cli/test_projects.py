@@ -147,7 +147,7 @@ def test_status_computes_and_writes_nothing(museum, run):  # noqa: F811
         ('name = "museum"', "", "name: missing"),
         ('pattern = "room-*"', 'pattern = "s3://bucket/room-*"', "copy it to a disk first, such as with aws s3 sync"),
         ('name = "museum"', 'name = "museum"\noutput = "room-2/out"', "is in the capture room-2"),
-        ('name = "museum"', 'name = "museum"\ncatalogue = "nonsense"', "the catalogue: cannot be opened"),
+        ('name = "museum"', 'name = "museum"\ncatalogue = "nonsense"', "catalogue: unknown"),
         ('calibration = "calibration.json"', 'calibration = "none.json"', "none.json"),
         ('calibration = "calibration.json"', 'calibration = "c\\u0000.json"', "calibration"),
         ('pattern = "room-*"', 'pattern = "room\\u0000"', "pattern"),
@@ -204,7 +204,7 @@ def unsealed_all(folder, name):
     return unsealed(next(folder.glob(f"**/{name}")))
 
 
-def test_what_is_left_out_is_said_and_what_is_asked_for_there_is_refused(museum, run):  # noqa: F811
+def test_what_is_left_out_is_said(museum, run):  # noqa: F811
     edit(museum.parent / "room-2" / "capture.toml", TABLE, TABLE.replace("scanner", "object"))
     edit(museum, '"mesh"]', '"plan"]')
     ran = run("project", "status", museum, "--json", "-")
@@ -213,10 +213,4 @@ def test_what_is_left_out_is_said_and_what_is_asked_for_there_is_refused(museum,
     assert result["left_out"][0].startswith(
         'captures "room-*": no plan of room-2: capture.toml says carries = "object"'
     )
-    edit(museum, 'pattern = "room-*"', 'pattern = "room-2"\nproducts = ["cloud", "plan"]')
-    for verb in (("batch",), ("project", "status")):
-        ran = run(*verb, museum)
-        assert ran.code == 1 and ran.err.count("\n") == 1
-        assert 'captures "room-2": plan cannot be made of room-2: ' in ran.err
-        assert 'Write products = ["cloud"] there.' in ran.err
     assert not (museum.parent / "products").exists()

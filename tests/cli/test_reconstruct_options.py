@@ -32,7 +32,6 @@ def reconstruct(tiny, run, tmp_path):
     return call
 
 
-@pytest.mark.more
 def test_stripes_are_kept_and_used_again(tiny, capture, reconstruct):
     out, result, first = reconstruct(capture)
     assert "stripes kept for next time" in out.splitlines()

@@ -38,7 +38,8 @@ def test_pictures_are_light():
 
 
 def test_every_public_name_is_on_its_page():
-    listed = re.findall(r"^::: jaxscan\.(\w+)$", (ROOT / "docs" / "api.md").read_text(), re.MULTILINE)
+    text = "".join(page.read_text() for page in (ROOT / "docs" / "api").glob("*.md"))
+    listed = re.findall(r"^::: jaxscan\.(\w+)$", text, re.MULTILINE)
     assert sorted(listed) == sorted(set(jaxscan.__all__) - {"__version__"})
 
 

@@ -63,7 +63,8 @@ def test_formulae_are_drawn(site):
 
 @pytest.mark.slow
 def test_every_public_name_is_described(site):
-    shown = set(re.findall(r'id="jaxscan\.(\w+)"', (site / "api.html").read_text()))
+    text = "".join(page.read_text() for page in (site / "api").glob("*.html"))
+    shown = set(re.findall(r'id="jaxscan\.(\w+)"', text))
     assert set(jaxscan.__all__) - {"__version__"} <= shown
 
 
@@ -123,7 +124,7 @@ def address(site):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [WIDE, NARROW], ids=["desk", "telephone"])
-@pytest.mark.parametrize("page", ["index", "first-room", "mathematics", "api", "repository/hardware/PROTOCOL"])
+@pytest.mark.parametrize("page", ["index", "first-room", "mathematics", "api/clouds", "repository/hardware/PROTOCOL"])
 def test_pages_fit_a_window(browser, address, page, size):
     looks = Looks(browser)
     looks.open(f"{address}/{page}.html", size)

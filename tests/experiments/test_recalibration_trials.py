@@ -33,12 +33,11 @@ def test_a_length_that_moves_away_counts_in_stated_sigmas():
 
 
 def test_lost_steps_must_be_found_where_they_are():
-    found = {"factor": 1.0, "jumps": [[0, 101, np.deg2rad(-1.75)]], "sentences": ["a step was lost"]}
+    found = {"jumps": [[0, 101, np.deg2rad(-1.75)]], "sentences": ["a step was lost"]}
     at = {"lost": [100, -1.8]}
     assert limits.jumps([{"table": found, **at}]) == 1.0
     for wrong in ({"jumps": []}, {"jumps": [[0, 110, np.deg2rad(-1.8)]]}, {"jumps": 2 * found["jumps"]}):
         assert limits.jumps([{"table": found | wrong, **at}]) == 0.0
-    assert limits.factors(0.5)([{"table": found | {"factor": 0.499}}, {"table": found}]) == 0.5
 
 
 def test_what_is_missing_or_failed_is_no_success():

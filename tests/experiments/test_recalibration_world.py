@@ -104,10 +104,10 @@ def test_noise_is_as_stated():
 
 def test_a_table_that_lost_steps_stands_elsewhere():
     config = rig()
-    how = Sweeping(steps=30, furniture=False, line_stride=8, factor=0.5, lost=(12, 1.8), noise=EXACT)
+    how = Sweeping(steps=30, furniture=False, line_stride=8, lost=(12, 1.8), noise=EXACT)
     stripes, truth = true_sweep(config, 1, how)
-    np.testing.assert_allclose(truth.angle[11], stripes.angle[11] / 2)
-    np.testing.assert_allclose(truth.angle[12], stripes.angle[12] / 2 + np.deg2rad(1.8))
+    np.testing.assert_allclose(truth.angle[11], stripes.angle[11])
+    np.testing.assert_allclose(truth.angle[12], stripes.angle[12] + np.deg2rad(1.8))
     np.testing.assert_allclose(triangulated(config, stripes, truth.angle), truth.point[stripes.valid], atol=1e-9)
 
 

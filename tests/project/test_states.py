@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import jaxscan
-from jaxscan.errors import ConfigError, DependencyError
+from jaxscan.errors import ConfigError
 from jaxscan.files.capture import CACHE_NAME, JOURNAL_NAME
-from jaxscan.project import begun_row, failed_row, load_project, order_of, steps
+from jaxscan.project import begun_row, failed_row, steps
 from jaxscan.project import work as doing
 from jaxscan.project.work import WORK
 from tests.museum import make_museum
@@ -132,7 +132,7 @@ def test_what_is_done_shows_its_notes(clouds, run):
 
 def test_a_catalogue_that_cannot_be_written_is_one_line(museum):
     catalogue = catalogue_of(museum)
-    row = failed_row(order_of(states(museum)["cloud/room-1"], museum.parent), "a line")
+    row = failed_row(states(museum)["cloud/room-1"], "a line")
     with contextlib.closing(sqlite3.connect(museum.parent / "products" / "catalogue.sqlite")) as database:
         database.execute("ALTER TABLE jaxscan_products DROP COLUMN host")
         database.commit()
@@ -168,7 +168,7 @@ def test_a_large_capture_in_pieces_gives_the_same_cloud(museum):
 )
 def test_a_catalogue_of_a_stranger_is_one_line(museum, run, statement, says):
     catalogue = catalogue_of(museum)
-    row = failed_row(order_of(states(museum)["cloud/room-1"], museum.parent), "a line")
+    row = failed_row(states(museum)["cloud/room-1"], "a line")
     catalogue.write([row])
     catalogue.close()
     with contextlib.closing(sqlite3.connect(museum.parent / "products" / "catalogue.sqlite")) as database:
@@ -187,10 +187,10 @@ def test_names_of_folders_that_an_address_would_take_for_more(museum):
 
 
 def test_a_step_that_was_begun_is_not_done(clouds):
-    catalogue, output = catalogue_of(clouds), load_project(clouds).output
+    catalogue = catalogue_of(clouds)
     # Other settings are begun, may have written files, and are taken back.
     edit(clouds, "every = 2", "every = 3")
-    catalogue.write([begun_row(order_of(states(clouds)["cloud/room-1"], output))])
+    catalogue.write([begun_row(states(clouds)["cloud/room-1"])])
     edit(clouds, "every = 3", "every = 2")
     found = states(clouds)
     assert found["cloud/room-1"].state == "stale" and "did not come to its end" in found["cloud/room-1"].why
@@ -200,20 +200,10 @@ def test_a_step_that_was_begun_is_not_done(clouds):
 
 def test_names_that_are_no_text_reach_the_catalogue(museum):
     catalogue = catalogue_of(museum)
-    row = failed_row(order_of(states(museum)["cloud/room-1"], museum.parent), "caf\udce9: is not there")
+    row = failed_row(states(museum)["cloud/room-1"], "caf\udce9: is not there")
     catalogue.write([row])
     assert catalogue.rows()[0].message == "caf\\udce9: is not there"
     catalogue.close()
-
-
-def test_addresses_of_catalogues(museum, monkeypatch):
-    edit(museum, 'name = "museum"', 'name = "museum"\ncatalogue = "sqlite:///own.sqlite"')
-    catalogue_of(museum).close()
-    assert (museum.parent / "own.sqlite").exists()
-    edit(museum, "sqlite:///own.sqlite", "postgresql://host:port/scans")
-    monkeypatch.setenv("JAXSCAN_CATALOGUES", "postgresql://host:port/scans")
-    with pytest.raises((ConfigError, DependencyError), match="the catalogue: "):
-        catalogue_of(museum)
 
 
 def test_every_room_whose_code_counts_is_there():

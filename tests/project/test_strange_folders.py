@@ -12,7 +12,7 @@ import pytest
 from jaxscan.errors import CaptureError, ConfigError
 from jaxscan.files.capture import save_stripes
 from jaxscan.files.disk import open_to_write, refuse_links, remove_stale
-from jaxscan.project import claimed, load_project, open_catalogue
+from jaxscan.project import claimed, load_project
 from jaxscan.project.catalogue import Catalogue
 from jaxscan.project.steps import Step
 from jaxscan.project.work import StepWorkspace, publish
@@ -94,17 +94,6 @@ def test_status_makes_nothing(museum, run):
     assert fingerprint(museum.parent) == before
 
 
-def test_a_catalogue_outside_is_not_made(museum, outside, run):
-    edit(museum, 'name = "museum"', f'name = "museum"\ncatalogue = "sqlite:///{outside}/made.sqlite"')
-    before = fingerprint(outside)
-    for verb in (("project", "status"), ("batch",)):
-        ran = run(*verb, museum)
-        assert ran.code == 1 and "would lie outside" in ran.err and ran.err.count("\n") == 1
-    assert fingerprint(outside) == before
-    (outside / "made.sqlite").touch()
-    open_catalogue(load_project(museum)).close()
-
-
 def test_a_journal_that_names_another_file_is_refused(tmp_path):
     """SQLite would take it back and then remove the file that it names."""
     Catalogue(tmp_path / "catalogue.sqlite", "rooms").close()
@@ -130,16 +119,6 @@ def test_products_outside_need_the_users_word(museum, outside, run, link):
     # From now on it is this project's.
     with claimed(load_project(museum)):
         pass
-
-
-def test_a_server_needs_the_users_word(museum, run, monkeypatch):
-    edit(museum, 'name = "museum"', 'name = "museum"\ncatalogue = "postgresql://host:port/scans"')
-    for verb in ("status",), ("compare", museum):
-        ran = run("project", *verb, museum)
-        assert ran.code == 1 and ran.err.count("\n") == 1 and "set JAXSCAN_CATALOGUES" in ran.err
-    monkeypatch.setenv("JAXSCAN_CATALOGUES", "postgresql://other/scans postgresql://host:port/scans")
-    with pytest.raises(ConfigError, match="cannot be opened"):
-        open_catalogue(load_project(museum))
 
 
 @pytest.mark.parametrize(

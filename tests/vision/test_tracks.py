@@ -115,17 +115,6 @@ def test_a_person_walking_by_is_no_track(images, stored, tracks):
     assert len(found.q) > 0.15 * len(tracks.q)
 
 
-def test_dirt_on_the_lens_is_no_track(images, stored):
-    rng = np.random.default_rng(3)
-    dirt = rng.integers(0, 255, (8, 8)).repeat(3, 0).repeat(3, 1).astype(np.uint8)
-    dirty = [image.copy() for image in images]
-    for image in dirty:
-        image[60:84, 90:114] = dirt
-    found, _ = observe_features([Images(dirty, ANGLES)], [stripes_of(ANGLES)], stored, feature_eyes(), SETTINGS)
-    on_dirt = (np.abs(found.q - [101.5, 71.5]) < 10).all(1)
-    assert np.count_nonzero(on_dirt) == 0
-
-
 def observe(images, scanner, **settings):
     angles = ANGLES[: len(images)]
     return observe_features(
@@ -184,9 +173,3 @@ def test_half_the_steps_per_turn_are_named(images, stored):
     found, notes = observe_features([source], [stripes_of(2 * ANGLES[:26])], stored, feature_eyes(), SETTINGS)
     assert found is None
     assert "steps per turn" in notes[0] or "overlap" in notes[0]
-
-
-def test_features_can_be_switched_off(images, stored):
-    found, notes = observe(images[:6], stored, features=False)
-    assert found is None
-    assert notes == ()

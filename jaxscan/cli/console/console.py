@@ -4,7 +4,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxscan.cli.options import ConfigPath, OptionalCalibrationPath, calibration_at, check_paths, file_at, need_pages
+from jaxscan.cli.options import ConfigPath, OptionalCalibrationPath, check_paths, need_pages
 from jaxscan.cli.terminal import JsonTarget, emit_json
 from jaxscan.cli.terminal import console as console_of
 
@@ -59,7 +59,7 @@ def console(
     from jaxscan.cli.console.works import Works
     from jaxscan.web import Server, open_address
 
-    check_paths([*file_at("CONFIG", config), *calibration_at("--calibration", calibration)], json=json)
+    check_paths({"CONFIG": config, "--calibration": calibration}, json=json)
     rig = load_rig(config)
     if calibration is not None:
         import jaxscan

@@ -392,7 +392,7 @@ def _size(keys: _Keys, known: tuple[int, int] | None) -> Sequence[float]:
     found = found or keys.side_by_side(_COLUMNS, _ROWS, _SMALLEST_PX)
     if not found and known is None:
         raise CalibrationError(f"{keys.name}: image_width, image_height: missing, expected the size of the images.")
-    return [number for key in found for number in keys.numbers(key)] if found else known or ()
+    return [number for key in found for number in keys.numbers(key)] if found else [float(side) for side in known or ()]
 
 
 def _of_mrcal(text: str, name: str) -> _Parts:

@@ -75,13 +75,9 @@ class AbstractCamera(ArrayModule):
     def fit_curve(
         theta: Float[np.ndarray, " n"], radius: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, "lenses values"]:
-        """Fit the lens to radii measured at angles to the optical axis: first values for a solve.
+        """Fit the lens to radii [px] measured at angles to the optical axis [rad]: first values for a solve.
 
         There may be several nearly equal solutions; the solve tries each.
-
-        Args:
-            theta: Angles to the optical axis [rad].
-            radius: Distances from the principal point [px].
 
         Returns:
             For each lens the focal length [px], then all coefficients, with the optional ones [1].

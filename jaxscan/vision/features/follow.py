@@ -45,10 +45,6 @@ def follow_features(images: Iterator[np.ndarray], walk: Walk) -> Followed:
     last image, forward and back, finds the place; least squares against the first piece refines it, so
     that errors do not add up along a track.
 
-    Args:
-        images: Grey images of the walk's steps, uint8 [rows, columns]; it may end early.
-        walk: The steps.
-
     Returns:
         Sightings of features seen in at least two images.
     """

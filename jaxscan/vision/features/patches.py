@@ -114,11 +114,6 @@ def match(patches: Patches, image: Unrolled, guess: np.ndarray) -> Matched:
 
     The steps are those of inverse compositional alignment; the image is interpolated by cubic convolution.
 
-    Args:
-        patches: The pieces.
-        image: The image.
-        guess: Where they are to a pixel or so [n, 2].
-
     Source: Baker and Matthews, Lucas-Kanade 20 years on, IJCV 56 (2004), section 3.
     """
     reach = HALF + MARGIN

@@ -27,11 +27,7 @@ _SURE = 2
 
 
 def find_dictionary(images: Sequence[np.ndarray]) -> str | None:
-    """The dictionary of the markers in some images of a room; None where there are none.
-
-    Args:
-        images: Grey images, uint8 [rows, columns].
-    """
+    """The dictionary of the markers in some images of a room; None where there are none."""
     seen: Counter[tuple[str, int]] = Counter()
     for image in images:
         if min(image.shape) < _LEAST_SIDE:

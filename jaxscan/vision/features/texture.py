@@ -45,13 +45,6 @@ def find_features(image: np.ndarray, sees: np.ndarray, taken: np.ndarray, apart:
     """The best features of an image that lie apart from one another.
 
     A large image is reduced before: features are large too, and those that are not are many.
-
-    Args:
-        image: uint8 [rows, columns].
-        sees: Where they may lie: uint8 [rows, columns], 0 where not.
-        taken: Whole places of others that they keep away from [n, 2], px.
-        apart: Least distance [px].
-        most: Number, at most.
     """
     factor = int(np.ceil(np.sqrt(image.size / _SEARCHED_PIXELS)))
     rows, columns = image.shape[0] // factor, image.shape[1] // factor
@@ -77,9 +70,6 @@ def find_features(image: np.ndarray, sees: np.ndarray, taken: np.ndarray, apart:
 
 def enough_texture(images: Sequence[np.ndarray]) -> tuple[bool, str]:
     """Whether features can be followed through such images.
-
-    Args:
-        images: Grey images of a sweep, uint8 [rows, columns].
 
     Returns:
         enough: Whether most of them have features in most parts.
