@@ -64,14 +64,17 @@ def _points_words(points: tuple[int, int]) -> str:
 def measure_distance(
     cloud: Cloud, a: Point, b: Point, *, radius_m: float = 0.02, scanner: Scanner | None = None
 ) -> DistanceMeasurement:
-    """Distance between two picked points [3], m, scanner frame, each averaged over the patch around it.
+    """Distance between two picked points, each averaged over the patch around it.
 
     Args:
         cloud: The cloud.
-        a: First picked point.
-        b: Second picked point.
+        a: First picked point [3], m, scanner frame.
+        b: Second picked point [3], m, scanner frame.
         radius_m: Points within this distance of a picked point belong to its patch [m].
         scanner: The scanner the cloud was made with; its covariance gives the systematic part.
+
+    Returns:
+        The distance [m] with its predicted standard deviation, and the distance of the patches' planes.
 
     Raises:
         MeasurementError: If a patch has too few points, the patches are one, or the distance is not known to a fifth of
@@ -136,17 +139,20 @@ class PointDistance:
 def measure_points(
     cloud: Cloud, a: Point, b: Point, *, within_m: float = 0.05, scanner: Scanner | None = None
 ) -> PointDistance:
-    """Distance between the points of a cloud that are nearest two places [3], m, scanner frame.
+    """Distance between the points of a cloud that are nearest two places.
 
     Nothing is averaged: this is for corners and edges, where a patch around the place would be of several surfaces. How
     far the point is from the place that was meant is not part of sigma.
 
     Args:
         cloud: The cloud.
-        a: First place.
-        b: Second place.
+        a: First place [3], m, scanner frame.
+        b: Second place [3], m, scanner frame.
         within_m: A point must lie within this distance of its place [m].
         scanner: The scanner the cloud was made with; its covariance gives the systematic part.
+
+    Returns:
+        The distance [m] with its predicted standard deviation.
 
     Raises:
         MeasurementError: If there is no point near a place, both places have the same, or the distance is

@@ -55,13 +55,16 @@ NEAR_M, FALSE_M = 0.01, 0.05
 
 
 def compare_clouds(cloud: Cloud, truth: Cloud, *, scanner: Scanner | None = None) -> CloudComparison:
-    """Compare a cloud with the truth in the same frame, cell by cell where both have one grid.
+    """Compare a cloud with the truth, cell by cell where both have one grid.
 
     Args:
         cloud: The cloud.
-        truth: The true cloud.
+        truth: The true cloud in the same frame.
         scanner: Gives the camera centres for the direction of the rays; without it rays start at
             the origin of their station, which is within a few decimetres of them.
+
+    Returns:
+        Error statistics and completeness.
 
     Raises:
         MeasurementError: If either cloud is empty, or they have no cell in common.

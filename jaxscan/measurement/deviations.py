@@ -46,17 +46,20 @@ class DeviationMap:
 def measure_deviations(
     cloud: Cloud, point: Point, *, radius_m: float = 0.5, cell_m: float = 0.05, seed: int = 0
 ) -> DeviationMap:
-    """The deviations of a surface from its plane around a point [3], m, scanner frame.
+    """The deviations of a surface from its plane around a place.
 
     The plane is that of most points: what stands out or lies deeper does not shift it. The covariance of the
     calibration is not part of sigma, because neighbouring points share what it does.
 
     Args:
         cloud: The cloud.
-        point: A point of the plane.
+        point: A point of the plane [3], m, scanner frame.
         radius_m: Points within this distance of it are looked at [m].
         cell_m: Size of a cell [m].
         seed: Seed of the random hypotheses; the result is deterministic.
+
+    Returns:
+        Deviations and their standard deviations in square cells.
 
     Raises:
         MeasurementError: If there are too few points, no plane, or too many cells.

@@ -72,15 +72,18 @@ def align_targets(
     *,
     names: Sequence[str] | None = None,
 ) -> TargetFrame:
-    r"""The rigid motion that brings three targets or more nearest to their known coordinates.
+    r"""The rigid motion that brings targets nearest to their known coordinates.
 
     Minimises $\sum_i |R a_i + t - b_i|^2$ over rotations R, in closed form; lengths stay as they are. With f residuals
     to spare, standard deviations are $\sqrt{f / (f - 2)}$ times those of known noise (Student's distribution).
 
     Args:
-        scanner: Targets in the frame of the cloud [m].
+        scanner: Targets in the frame of the cloud [m], three or more that are not on one line.
         site: The same targets in the frame that is wanted [m].
         names: Of the targets; by default their numbers from 1.
+
+    Returns:
+        The frame, the residuals, and their standard deviations.
 
     Raises:
         MeasurementError: If the targets are too few, nearly on one line, mirrored, in another unit, or contradict each
@@ -179,10 +182,16 @@ def _fitted(scanner: np.ndarray, site: np.ndarray) -> TargetFrame:
 
 
 def align_room(cloud: Cloud, *, seed: int = 0) -> RoomFrame:
-    """The frame of a room's floor and two of its walls, with its sigmas, and how flat and square the room is.
+    """The frame of a room's floor and two of its walls.
 
-    The room is at positive x, and at positive y too if the walls of that corner were seen. It was scanned from within;
-    z of the scanner frame is vertical within 10 degrees. The same seed gives the same frame.
+    The room is at positive x, and at positive y too if the walls of that corner were seen.
+
+    Args:
+        cloud: The room, scanned from within; z of the scanner frame is vertical within 10 degrees.
+        seed: Seed of the random hypotheses; the result is deterministic.
+
+    Returns:
+        The frame, its standard deviations, and how flat and how square the room is.
 
     Raises:
         MeasurementError: If floor or walls are not found.

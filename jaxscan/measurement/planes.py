@@ -101,7 +101,15 @@ class PlaneMeasurement:
 
 
 def measure_plane(cloud: Cloud, point: Point, *, radius_m: float = 0.2) -> PlaneMeasurement:
-    """Flatness of the cloud around a picked point [3], m, scanner frame: of all points within a radius [m].
+    """Flatness of the cloud around a picked point.
+
+    Args:
+        cloud: The cloud.
+        point: Picked point [3], m, scanner frame.
+        radius_m: Points within this distance of it belong to the patch [m].
+
+    Returns:
+        RMS, 95 % range and normal of the least-squares plane.
 
     Raises:
         MeasurementError: If the patch has too few points, or they determine no plane.

@@ -58,7 +58,7 @@ class RoomBox:
 
 
 def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0) -> RoomBox:
-    """Measure a room from wall to wall: length, width and height as far as they were seen, with their sigmas.
+    """Measure a room from wall to wall.
 
     The walls are the outermost large planes in each direction, not those with the most points,
     fitted by weighted least squares. Opposite walls are parallel to 5 degrees, at most a fifth of the
@@ -71,6 +71,9 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
         cloud: The room, scanned from within; z of the scanner frame is vertical within 10 degrees.
         scanner: The scanner it was made with; its covariance gives the systematic part of sigma.
         seed: Seed of the random hypotheses; the result is deterministic.
+
+    Returns:
+        Length, width and height [m] as far as they were seen, each with its standard deviation.
 
     Raises:
         MeasurementError: If no two opposite walls are found between which the points are.

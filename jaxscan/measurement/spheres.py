@@ -63,6 +63,9 @@ def measure_sphere(
         held: Whether the radius is known better than the cloud tells, and only the centre is found.
         scanner: The scanner the cloud was made with; its covariance gives the systematic part.
 
+    Returns:
+        The sphere with its predicted standard deviations.
+
     Raises:
         MeasurementError: If there are too few points, none that lie on such a sphere, or its radius is not known to a
             fifth of itself.

@@ -146,7 +146,7 @@ class RoomOutline:
 
 
 def measure_outline(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0) -> RoomOutline:
-    """Find the walls around a room of any shape and their corners; lengths, areas and the volume follow with sigmas.
+    """Find the walls around a room of any shape, and their corners.
 
     Upright planes divide the plan; of its cells those are inside that rays crossed, up to where walls are. Planes
     within 0.12 m of a wall and parallel to it are things on the wall. A plane is no wall if rays went through it to
@@ -157,6 +157,9 @@ def measure_outline(cloud: Cloud, *, scanner: Scanner | None = None, seed: int =
         cloud: The room, scanned from within; z of its frame is vertical within 10 degrees.
         scanner: The scanner it was made with; its covariance gives the systematic part of sigmas.
         seed: Seed of the random hypotheses; the result is deterministic.
+
+    Returns:
+        The outline, from which lengths, areas and the volume follow with their standard deviations.
 
     Raises:
         MeasurementError: If there is no floor, or fewer than three walls around the scanner.
