@@ -49,6 +49,17 @@ def falls(edges: Iterable[dict[str, Any]], pin: str) -> list[dict[str, Any]]:
     return [edge for edge in edges if edge.get("pin") == pin and edge["v"] == 0]
 
 
+def together(edges: Iterable[dict[str, Any]]) -> bool:
+    """Whether the gates of two lasers were ever high at once."""
+    gates = {"laser": 0, "laser_2": 0}
+    for edge in edges:
+        if edge.get("pin") in gates:
+            gates[edge["pin"]] = edge["v"]
+            if all(gates.values()):
+                return True
+    return False
+
+
 def milliseconds(start: dict[str, Any] | int, end: dict[str, Any] | int) -> float:
     """Simulated time between two entries of the log, or cycles."""
     first = start if isinstance(start, int) else int(start["cycle"])

@@ -27,6 +27,13 @@ def test_pairs_at_home_and_dark_in_the_end():
     assert all(sight.proof.ok and sight.on.shape == sight.off.shape == (96, 128) for sight in seen)
 
 
+def test_a_laser_that_is_dark_is_shown_and_ends_nothing():
+    desk = Desk()
+    desk.table.dead = True
+    said, seen = aim(desk, 2)
+    assert said == "" and [sight.proof.ok for sight in seen] == [False, False] and seen[0].proof.reason
+
+
 def test_an_emergency_stop_ends_it_with_a_line():
     desk = Desk()
 

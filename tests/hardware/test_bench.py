@@ -1,12 +1,14 @@
 """The bench itself: the log of the simulated rig matches its actions."""
 
 import json
+import os
 import time
 
 import numpy as np
 import pytest
 import serial
 from bench.camera.rendered import Exposure, LogReader, Plant
+from bench.places import BenchError
 from bench.rig import CLOCK_HZ
 from scanrig.controllers.jxs.controller import connect
 
@@ -100,6 +102,18 @@ def test_stamps_and_positions_go_on_over_resets_and_power_cuts(rig):
     assert after["en_n"] == 1
 
 
+def test_opening_the_port_resets_only_an_uno(rig):
+    uno, other = rig(speed=0, autoreset=True), rig(speed=0)
+    for simulated in (uno, other):
+        for _ in range(2):
+            with open_port(simulated):
+                simulated.run_for(0.1)
+            simulated.run_for(0.1)
+    assert [edge["reset"] for edge in uno.edges() if "reset" in edge] == ["dtr", "dtr"]
+    assert uno.plant()["resets"] == 2 and other.plant()["resets"] == 0
+    assert [edge["host"] for edge in other.edges() if "host" in edge] == ["open", "closed"] * 2
+
+
 def test_noise_is_as_much_as_configured(rig):
     sent, share = bytes(range(256)) * 16, 0.05
     counts = {}
@@ -112,6 +126,88 @@ def test_noise_is_as_much_as_configured(rig):
     # A binomial count; five standard deviations, so that no seed fails.
     spread = 5 * np.sqrt(len(sent) * share * (1 - share))
     assert list(counts.values()) == pytest.approx([len(sent) * share] * 6, abs=spread), counts
+
+
+def test_the_same_seed_breaks_the_same_bytes(rig):
+    sent, backs = bytes(range(256)) * 4, []
+    for seed in (5, 5, 6):
+        simulated = rig(speed=0, firmware="echo", seed=seed)
+        simulated.control("corrupt_rx 0.02")
+        backs.append(echoed(simulated, sent))
+        simulated.close()
+    assert backs[0] == backs[1] != backs[2]
+
+
+def test_at_another_baud_rate_nothing_sensible_arrives(rig):
+    simulated = rig(speed=0, firmware="echo")
+    assert echoed(simulated, b"hello") == b"hello"
+    garbage = echoed(simulated, b"hello", baud=115_200)
+    assert len(garbage) == 5 and not set(garbage) & set(b"hello")
+
+
+def test_a_pulled_cable_ends_the_port_and_not_the_processor(rig):
+    simulated = rig(speed=0)
+    with open_port(simulated) as port:
+        simulated.unplug()
+        assert not os.path.lexists(simulated.port)
+        with pytest.raises(OSError):
+            while True:
+                port.write(b"?")
+                port.read(1)
+    before = simulated.plant()["cycle"]
+    simulated.run_for(0.1)
+    assert simulated.plant()["resets"] == 0 and simulated.plant()["cycle"] > before
+    simulated.plug()
+    with connect(simulated.port) as controller:
+        assert controller.hello().boot == 1
+
+
+def test_a_laser_that_is_welded_or_dead(rig):
+    simulated = rig(speed=0)
+
+    def light():
+        simulated.run_for(0.01)
+        plant = simulated.plant()
+        return plant["laser"], plant["light"]
+
+    with ready(simulated) as controller:
+        simulated.control("laser welded")
+        assert light() == (0, 1)
+        controller.arm(False)
+        # The contactor is in series: nothing that happens to the MOSFET keeps it lit.
+        assert light() == (0, 0)
+        controller.arm(True)
+        simulated.control("laser dead")
+        simulated.control("speed 1")
+        controller.laser(True, 900)
+        assert light() == (1, 0)
+        simulated.control("laser good")
+        assert light() == (1, 1)
+        controller.laser(False)
+        assert light() == (0, 0)
+
+
+def test_steps_faster_than_the_motor_can_are_lost(rig):
+    simulated = rig(speed=0)
+    with ready(simulated, speed=4000, start_speed=400) as controller:
+        simulated.control("torque 2000")
+        assert controller.move(4000) == 4000
+    plant = simulated.plant()
+    assert plant["lost_steps"] > 1000 and plant["pos"] == 4000 - plant["lost_steps"]
+
+
+def test_commands_that_are_not_known_are_refused(rig):
+    simulated = rig(speed=0)
+    for text in ("dance", "dance 3", "corrupt_rx 1.5", "corrupt_up 0.1", "laser green", "speed -1", "pin Z9 1"):
+        with pytest.raises(BenchError, match="does not know"):
+            simulated.control(text)
+
+
+def test_a_firmware_that_there_is_not(tmp_path):
+    from bench import RigOptions, SimulatedRig
+
+    with pytest.raises(BenchError, match=r"no firmware 'tea'.*scan, scan_hang, echo"):
+        SimulatedRig(tmp_path, RigOptions(firmware="tea")).start()
 
 
 def log(*entries):

@@ -15,6 +15,7 @@ from bench.camera.rendered import loopback
 from bench.places import WORLD
 from bench.processes import ControlClient
 from scanrig.cameras import CameraSettings, open_camera
+from scanrig.errors import CameraLost, CameraTimeout
 
 from jaxscan.files.disk import load_toml
 from jaxscan.simulation import SimulationConfig, expect_record, make_rig, make_scene
@@ -99,6 +100,85 @@ def test_frames_of_16_bits_have_the_same_light_in_finer_steps(controller, render
         # Of less variance than in 8 bits by that of their rounding, some per cent.
         assert departure(frame.image / 256.0, expected, world.sensor) == pytest.approx(1, abs=0.08)
         assert np.count_nonzero(frame.image % 256) > 0.9 * frame.image.size
+
+
+@pytest.mark.slow
+def test_no_frame_is_lost_that_was_not_asked_to_be(controller, rendered_camera):
+    bench = rendered_camera(controller.simulated)
+    with open_camera(SETTINGS) as camera:
+        camera.start()
+        # 25 exposures, the next always while the frame before is on its way.
+        for number in range(1, 13):
+            shoot(controller, 80 * number, number)
+        controller.trigger()
+        frames = [camera.next(WAIT_S) for _ in range(25)]
+        assert np.all(np.diff([frame.number for frame in frames]) == 1)
+        with pytest.raises(CameraTimeout):
+            camera.next(0.5)
+        assert [frame["position"] for frame in bench.frames()] == [80 * (k // 2 + 1) for k in range(24)] + [960]
+
+        bench.control("lose 1")
+        shoot(controller, 80, 20)
+        assert dark(camera.next(WAIT_S), frames)
+        with pytest.raises(CameraTimeout):
+            camera.next(0.5)
+
+        bench.control("swap")
+        shoot(controller, 80, 21)
+        assert [dark(camera.next(WAIT_S), frames) for _ in range(2)] == [True, False]
+
+        bench.control("flash 100")
+        shoot(controller, 80, 22)
+        on, off = camera.next(WAIT_S), camera.next(WAIT_S)
+        assert np.median(on.image) > np.median(off.image) + 90
+
+        bench.control("cover 1")
+        shoot(controller, 80, 23)
+        assert max(np.median(camera.next(WAIT_S).image) for _ in range(2)) < 5
+        bench.control("cover 0")
+
+        bench.control("loss 0.05")
+        shoot(controller, 80, 24)
+        bench.settle()
+        assert not all(next_frames(camera, 2))
+        bench.control("loss 0")
+
+        described = bench.control("board placement 1")
+        assert described["kind"] == "placement" and described["angles_deg"][0] <= -10
+        shoot(controller, 80, 25)
+        bench.settle()
+        camera.drop()
+        assert bench.frames()[-1]["board"] == described["board"] == 31
+
+        bench.control("disappear")
+        with pytest.raises(CameraLost):
+            for _ in range(8):  # Some may still be under way.
+                camera.next(WAIT_S)
+        bench.control("appear")
+        bench.control("board none")
+        camera.reopen()
+        camera.start()
+        shoot(controller, 80, 26)
+        assert not dark(camera.next(WAIT_S), frames) and dark(camera.next(WAIT_S), frames)
+
+
+def next_frames(camera, count):
+    """Which of the next frames came whole; one that does not come at all did not."""
+    whole = []
+    for _ in range(count):
+        try:
+            whole.append(camera.next(2.0).complete)
+        except CameraTimeout:
+            whole.append(False)
+    return whole
+
+
+def dark(frame, frames):
+    """Whether no laser shines in a frame, all of them from the same angle: by the pixels that its line made bright."""
+    on, off = (frames[k].image.astype(int) for k in (0, 1))
+    line = on - off > 30
+    assert line.sum() > 200
+    return np.median(frame.image[line]) < (np.median(on[line]) + np.median(off[line])) / 2
 
 
 def started(command, environment):

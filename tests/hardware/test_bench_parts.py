@@ -1,6 +1,7 @@
 """Parts of the bench that die, and locks that somebody else has prepared."""
 
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -8,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from bench.camera import loopback
 from bench.desk import Desk, claimed
 from bench.places import BenchError, held, own_folder, private_folder
 from bench.processes import launch
@@ -114,6 +116,44 @@ def children(parent, name):
         except (OSError, IndexError):
             continue
     return found
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("part", ["simrun", "bench.camera", "bench"])
+def test_a_bench_whose_part_is_killed_ends_and_leaves_the_place_free(tmp_path, whole_bench, part, seed):
+    """At any moment after it is set up; of the bench itself at any moment of the start too."""
+    generator, folder = random.Random(seed), tmp_path / "bench"
+    with loopback():
+        pass
+    command = [sys.executable, "-m", "bench"]
+    with open(tmp_path / "said", "w") as said:
+        bench = subprocess.Popen(command, env=whole_bench, stdin=subprocess.DEVNULL, stdout=said, stderr=said)
+    try:
+        limit = time.monotonic() + generator.uniform(0.0, 15.0) + (0.0 if part == "bench" else 600.0)
+        while "quit" not in (tmp_path / "said").read_text() and time.monotonic() < limit:
+            assert bench.poll() is None, (tmp_path / "said").read_text()
+            time.sleep(0.05)
+        time.sleep(generator.uniform(0.0, 1.0))
+        parts = {name: children(bench.pid, name) for name in ("simrun", "bench.camera")}
+        os.kill(bench.pid if part == "bench" else parts[part][0], signal.SIGKILL)
+        status = bench.wait(10)
+    finally:
+        bench.kill()
+        bench.wait(10)
+    last = (tmp_path / "said").read_text().splitlines()[-1]
+    if part != "bench":
+        name = {"simrun": "the simulator", "bench.camera": "the camera"}[part]
+        assert status == 1 and last == f"bench: {name} has ended (killed by signal 9); the bench is shut down."
+        assert not any(os.path.lexists(folder / left) for left in ("port", "control", "camera"))
+    # The others end with it: the address and the folder are free at once.
+    limit = time.monotonic() + 10
+    while any(Path(f"/proc/{number}").exists() for numbers in parts.values() for number in numbers):
+        assert time.monotonic() < limit
+        time.sleep(0.05)
+    with claimed(folder), loopback(timeout_s=5.0):
+        pass
 
 
 def test_ctrl_c_while_a_program_starts_ends_it(tmp_path, monkeypatch):

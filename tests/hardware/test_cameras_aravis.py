@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 import pytest
-from scanrig.cameras import CameraSettings, open_camera
+from scanrig.cameras import CameraSettings, list_cameras, open_camera
 from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
 
@@ -202,6 +202,17 @@ def test_a_setting_that_it_only_seems_to_take(server, monkeypatch):
     camera.close()
 
 
+def test_hardware_trigger_waits_for_the_wire(server):
+    server.start()
+    with opened(trigger="hardware", trigger_source="Line0") as camera:
+        assert camera.features()["trigger"] == "hardware" and camera.features()["trigger_source"] == "Line0"
+        camera.start()
+        with pytest.raises(CameraTimeout, match="wire"):
+            camera.next(0.3)
+        with pytest.raises(CameraError, match="software"):
+            camera.trigger()
+
+
 @pytest.mark.parametrize(
     "pixel_format, shape", [("rgb8", (240, 320, 3)), ("bayer_grbg8", (240, 320)), ("mono16", (240, 320))]
 )
@@ -230,6 +241,46 @@ def test_lost_packets_make_incomplete_frames(server):
         assert all(frame.note and frame.image.shape == (512, 1024) for frame in torn)
 
 
+def test_two_triggers_at_once_are_one_frame(server):
+    """Row 17: this camera looks every 40 ms; the frame that is not made is a timeout, not a wrong one."""
+    server.start()
+    with opened() as camera:
+        camera.start()
+        first = exposed(camera)
+        camera.trigger()
+        camera.trigger()
+        assert camera.next(5.0).number == first.number + 1
+        with pytest.raises(CameraTimeout):
+            camera.next(0.3)
+
+
+@pytest.mark.slow
+def test_a_camera_that_dies_is_lost_and_comes_back(server):
+    """Row 16: noticed within seconds, reopened with all its settings."""
+    server.start()
+    camera = opened()
+    camera.start()
+    exposed(camera)
+    server.kill()
+    start = time.monotonic()
+    with pytest.raises(CameraLost, match="gone"):
+        camera.next(1.0)
+    assert time.monotonic() - start < 12.0
+    with pytest.raises(CameraLost, match="not found"):
+        camera.reopen()
+    server.start()
+    end = time.monotonic() + 30.0
+    while True:
+        try:
+            camera.reopen()
+            break
+        except CameraLost:
+            assert time.monotonic() < end
+    assert camera.features()["exposure_s"] == pytest.approx(0.005)
+    assert exposed(camera).complete
+    camera.close()
+
+
 def test_another_camera_in_its_place_is_refused(server):
     server.start()
     camera = opened()
@@ -243,6 +294,18 @@ def test_another_camera_in_its_place_is_refused(server):
             except CameraLost:
                 time.sleep(0.2)
     camera.close()
+
+
+@pytest.mark.slow
+def test_cameras_are_found_by_search(server):
+    server.start()
+    opened().close()
+    assert any("GV01" in line and "127.0.0.1" in line for line in list_cameras())
+    for name in ("GV01", ""):
+        with open_camera(settings(id=name)) as camera:
+            assert camera.identity.serial == "GV01"
+    with pytest.raises(CameraLost, match=r'"NONE": not found; found: "Aravis-Fake-GV01"'):
+        open_camera(settings(id="NONE"))
 
 
 def test_the_bench_camera_is_found_here_and_hears_nobody_else(device):

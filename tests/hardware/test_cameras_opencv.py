@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scanrig.cameras import CameraSettings, open_camera
 from scanrig.cameras.opencv import apply_settings, read_features
-from scanrig.errors import CameraError, CameraLost
+from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
 
 RATE = 25.0
@@ -130,6 +130,11 @@ def test_at_least_so_many_frames_are_discarded_and_mono_ones_have_one_channel(st
         assert number_in(made.next(10.0).image) > asked + 4
 
 
+def test_frames_follow_one_another(camera):
+    numbers = [number_in(camera.next(10.0).image) for _ in range(6)]
+    assert numbers == sorted(set(numbers))
+
+
 def test_colours_are_red_green_blue(camera):
     frame = camera.next(10.0)
     assert frame.image.shape == (HEIGHT, WIDTH, 3) and frame.image.dtype == np.uint8
@@ -143,6 +148,19 @@ def test_what_the_backend_cannot_say_is_noted(camera):
     assert "not known" in camera.next(10.0).note
     with pytest.raises(CameraError, match="no triggers"):
         camera.trigger()
+
+
+def test_a_stall_is_a_timeout_and_passes(stream, camera):
+    camera.next(10.0)
+    stream.stalled.set()
+    time.sleep(0.3)
+    camera.drop()
+    start = time.monotonic()
+    with pytest.raises(CameraTimeout):
+        camera.next(0.5)
+    assert 0.4 < time.monotonic() - start < 3.0
+    stream.stalled.clear()
+    assert number_in(camera.next(10.0).image) > 0
 
 
 def test_the_end_is_a_loss_and_reopening_brings_it_back():

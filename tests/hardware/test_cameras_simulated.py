@@ -1,5 +1,6 @@
 """The interface of all cameras on the one in software, with every fault that it can have; and folders of images."""
 
+import threading
 import time
 
 import numpy as np
@@ -60,6 +61,56 @@ def test_frames_come_in_order():
     assert all(frame.complete for frame in frames)
 
 
+@pytest.mark.parametrize(
+    "fault, numbers, seen",
+    [
+        ("missing", [1, 2, 4], [(1, True), (1, False), (2, False)]),
+        ("duplicate", [1, 2, 3, 3, 4], [(1, True), (1, False), (2, True), (2, True), (2, False)]),
+        ("stale", [1, 2, 3, 4], [(1, True), (1, False), (1, False), (2, False)]),
+        ("swapped", [1, 2, 3, 4], [(1, True), (1, False), (2, False), (2, True)]),
+        ("late", [1, 2, 3, 4], [(1, True), (1, False), (2, True), (2, False)]),
+    ],
+)
+def test_faults_are_what_they_say(fault, numbers, seen):
+    made = camera(faults={3: fault})
+    shots(made, [1, 2])
+    frames = waiting(made)
+    assert [frame.number for frame in frames] == numbers
+    assert [shown(frame) for frame in frames] == seen
+
+
+def test_an_incomplete_frame_says_so():
+    made = camera(faults={1: "incomplete"})
+    shots(made, [9])
+    torn, whole = waiting(made)
+    assert not torn.complete and "missing" in torn.note and whole.complete
+    assert torn.image[0].all() and not torn.image[-1].any()
+
+
+def test_a_lost_camera_comes_back():
+    made = camera(faults={2: "lost"})
+    made.expose(1, True)
+    assert shown(made.next(1.0)) == (1, True)
+    made.expose(1, False)
+    with pytest.raises(CameraLost):
+        made.next(1.0)
+    made.reachable = False
+    with pytest.raises(CameraLost, match="not found"):
+        made.reopen()
+    made.reachable = True
+    made.reopen()
+    made.expose(2, True)
+    assert shown(made.next(1.0)) == (2, True)
+
+
+def test_a_camera_that_comes_back_otherwise_is_refused():
+    made = camera()
+    made.after_reopen = {"exposure_s": 0.033, "pixel_format": "rgb8"}
+    with pytest.raises(CameraError, match=r"exposure_s: found 0.033, expected 0.01") as problem:
+        made.reopen()
+    assert 'pixel_format: found "rgb8", expected "mono8"' in str(problem.value)
+
+
 def test_no_frame_is_a_timeout():
     made = SimulatedCamera(SETTINGS, numbered)
     made.start()
@@ -67,6 +118,15 @@ def test_no_frame_is_a_timeout():
     with pytest.raises(CameraTimeout, match=r"within 0.05 s"):
         made.next(0.05)
     assert 0.04 < time.monotonic() - start < 2.0
+
+
+def test_waiting_ends_when_a_frame_comes():
+    made = SimulatedCamera(SETTINGS, numbered)
+    made.start()
+    timer = threading.Timer(0.05, made.expose, (7, True))
+    timer.start()
+    assert shown(made.next(30.0)) == (7, True)
+    timer.join()
 
 
 def test_drop_throws_away_what_waits():

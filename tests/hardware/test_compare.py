@@ -45,6 +45,13 @@ def test_a_shift_is_measured(roll, axis, pixel_format):
     assert not found.within(0.5, -1.0)
 
 
+def test_a_bayer_pattern_is_measured_in_pixels_of_the_image():
+    scene = SyntheticScene(width_px=3.0)
+    first, again = pair(scene, pixel_format="bayer_rggb8"), pair(scene, pixel_format="bayer_rggb8", roll=4)
+    found = compare(first, again, pixel_format="bayer_rggb8")
+    assert found.shift_px == pytest.approx(4, abs=0.3)
+
+
 def test_light_that_comes_and_goes_is_no_difference_of_view():
     found = compare(pair(SyntheticScene(ambient_dn=60.0)), pair(SyntheticScene(ambient_dn=20.0)))
     assert found.within(0.2, 0.98)

@@ -7,12 +7,14 @@ from itertools import pairwise
 import pytest
 from scanrig.controllers.controller import Settings, ShotDone
 from scanrig.controllers.jxs.controller import JxsController
-from scanrig.controllers.jxs.protocol import seal, wire_settings
+from scanrig.controllers.jxs.exchange import Exchange
+from scanrig.controllers.jxs.protocol import encode, seal, wire_settings
 from scanrig.errors import (
     ControllerReset,
     Fault,
     FirmwareError,
     LinkLost,
+    Reason,
     Refused,
     RigFault,
     RigTimeout,
@@ -100,6 +102,12 @@ def test_settings_are_read_back(fake):
         controller.configure(Settings())
 
 
+def test_the_longest_settings_fit_their_lines():
+    most = (60000, 10000, 10000, 60000, 10000, 10000, True, 10000, 10000, 10000, 5000, 10000, 10000)
+    for group in wire_settings(Settings(*most, limits=(-(2**31), -(2**31) + 1))).values():
+        assert len(encode(65535, "SET", **group)) <= 97
+
+
 @pytest.mark.parametrize("events_lost", [0, 1])
 def test_home_says_what_the_counter_said(fake, controller, events_lost):
     fake.position += 3  # three steps that the counter knows nothing of
@@ -144,6 +152,30 @@ def test_two_lines_lost_in_a_row_do_not_starve_the_watchdog(fake, controller):
     assert fake.seconds_between_lines <= 0.35
 
 
+def test_numbers_of_lines_go_round(fake):
+    wire = Exchange(fake, fake.clock, timeout_s=0.25, tries=8)
+    wire.seq = 65534
+    numbers = []
+    for _ in range(2):
+        wire.ask("STAT")
+        numbers.append(wire.seq)
+    assert numbers == [65535, 1]
+
+
+def test_half_a_line_does_not_spoil_the_next(fake, controller):
+    ends = [1]
+
+    def lose_the_end(data):
+        if ends[0]:
+            ends[0] -= 1
+            return data[:-5]
+        return data
+
+    fake.to_controller = lose_the_end
+    controller.stat()
+    assert controller.link_counts.resent == 1
+
+
 @pytest.mark.parametrize("seed", range(2))
 def test_noise_does_nothing_twice_and_leaves_nothing_out(fake, controller, seed):
     fake.to_controller, fake.to_host = lossy(seed, 0.005), lossy(seed + 100, 0.005)
@@ -176,6 +208,13 @@ def test_answers_to_other_lines_are_strays(fake, controller):
     fake.say(seal("=0 ok st=fault"))
     assert controller.stat().state == "idle"
     assert controller.link_counts.strays == 2
+
+
+def test_a_refusal_names_command_and_reason(fake, controller):
+    controller.arm(False)
+    with pytest.raises(Refused, match=r"'LASER on=1 ms=100': the laser is not armed \(error 14\)") as refusal:
+        controller.laser(True, 100)
+    assert refusal.value.reason is Reason.NOT_ARMED
 
 
 @pytest.mark.parametrize("events_lost", [0, 1])
@@ -219,6 +258,12 @@ def test_an_answer_older_than_an_event_is_no_reset(fake, controller):
     assert controller.link_counts.events_missed == 0
 
 
+def test_no_home_switch(fake, controller):
+    fake.switch = False
+    with pytest.raises(RigFault, match="home switch"):
+        controller.home(30000)
+
+
 def test_what_does_not_end_is_stopped(fake, controller):
     controller.shot(80000, 1)
     with pytest.raises(RigTimeout, match=r"shot 1 did not end within 3\.0 s; it was stopped"):
@@ -237,6 +282,43 @@ def test_a_reset_is_noticed_while_waiting(fake, controller, reported):
         controller.move(0)
 
 
+def test_a_reset_at_rest_is_noticed_before_anything_moves(fake, controller):
+    fake.to_host = losing(b"!", 1)
+    fake.reset()
+    with pytest.raises(ControllerReset):
+        controller.shot(8, 1)
+    assert fake.position == 0
+
+
+def test_after_a_reset_settings_are_sent_and_home_is_asked_for(fake, controller):
+    controller.configure(Settings(settle_ms=77))
+    fake.reset()
+    with pytest.raises(ControllerReset, match="boot 7 → 8"):
+        controller.stat()
+    found = controller.reconnect()
+    assert (found.same_boot, not found.status.homed) == (False, True)
+    assert fake.settings["shot"]["settl"] == 77
+    controller.enable(True)
+    controller.home(30000)
+
+
+@pytest.mark.parametrize("pause_s", [0.0, 2.0], ids=["for a moment", "until the watchdog has stopped the table"])
+def test_after_a_pulled_cable_the_position_is_still_good(fake, controller, pause_s):
+    controller.move(400)
+    controller.shot(8000, 1)
+    fake.unplugged = True
+    with pytest.raises(LinkLost, match="unplugged"):
+        controller.wait_shot(1)
+    fake.clock.sleep(pause_s)
+    fake.unplugged = False
+    found = controller.reconnect()
+    assert (found.same_boot, found.status.homed) == (True, True)
+    assert (found.status.state, found.status.fault) == ("idle", None)
+    controller.arm(True)
+    controller.shot(8000, 1)
+    assert controller.wait_shot(1).position == fake.position == 8000
+
+
 def test_reconnecting_backs_off_and_gives_up(fake, controller):
     fake.unplugged = True
     opened = []
@@ -252,6 +334,14 @@ def test_reconnecting_backs_off_and_gives_up(fake, controller):
     pauses = [b - a for a, b in pairwise(opened)]
     assert pauses == sorted(pauses) and pauses[-1] == pytest.approx(2.0)
     assert fake.clock.now() - before <= 20.0
+
+
+def test_a_silent_controller_is_lost_in_two_seconds(fake, controller):
+    fake.to_host = lambda data: b""
+    before = fake.clock.now()
+    with pytest.raises(LinkLost, match="no answer from fake to 'STAT'"):
+        controller.stat()
+    assert fake.clock.now() - before == pytest.approx(2.0, abs=0.3)
 
 
 def test_hello_says_who_is_there_and_refuses_another_protocol(fake):
@@ -277,6 +367,12 @@ def test_another_device_is_described(fake, answer, said, within_s):
     with pytest.raises(FirmwareError, match=said):
         JxsController(fake, fake.clock).hello()
     assert fake.clock.now() < within_s
+
+
+def test_making_safe_ends_a_shot(fake, controller):
+    controller.shot(8000, 1)
+    assert controller.make_safe()
+    assert fake.state == "idle" and not fake.armed and fake.exposures == 0
 
 
 def test_making_safe_after_half_a_line(fake, controller):

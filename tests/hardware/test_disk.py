@@ -53,6 +53,43 @@ def test_20_space_that_goes_while_the_sweep_runs(tmp_path, monkeypatch):
     assert Desk().sweep(tmp_path / "room", resume=True).status == "complete"
 
 
+@pytest.fixture
+def small_disk(tmp_path):
+    """A real file system of 1 MB."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    if (
+        os.geteuid() != 0
+        or subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(place)], capture_output=True
+        ).returncode
+    ):
+        pytest.skip("a small file system needs the right to mount one")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+def test_20_a_real_disk_that_fills_up(small_disk, monkeypatch):
+    """The check of free space is given a false value, so that the disk itself must refuse."""
+    desk = Desk(sweep={"steps": 100, "turn_deg": 360.0})
+    monkeypatch.setattr(recording, "free_bytes", lambda folder: 10**12)
+    result = desk.sweep(small_disk / "room")
+    assert result.status == "disk full" and 10 < result.records < 100
+    require_safe_and_whole(small_disk / "room", desk, result.records)
+    # Room is made where something else was; here, by a bigger disk.
+    subprocess.run(["mount", "-o", "remount,size=16m", str(small_disk)], check=True)
+    monkeypatch.undo()
+    again = Desk(sweep={"steps": 100, "turn_deg": 360.0})
+    assert again.sweep(small_disk / "room", resume=True).status == "complete"
+    require_safe_and_whole(small_disk / "room", again, 100)
+
+
+def test_20_a_real_disk_that_is_too_small_is_said_first(small_disk):
+    desk = Desk(sweep={"steps": 100, "turn_deg": 360.0})
+    assert desk.sweep(small_disk / "room").status == "disk full"
+    assert desk.controller.shots == []
+
+
 @pytest.mark.parametrize(
     ("name", "code"), [("on/000003.zst", errno.ENOSPC), ("off/000003.zst", errno.ENOSPC), ("on/000003.zst", errno.EIO)]
 )
@@ -148,6 +185,13 @@ def test_23_two_processes_in_one_folder(tmp_path, holder):
     assert any(f"took over the lock of process {holder.pid}" in sentence for sentence in desk.said)
     assert any(line.get("event") == "lock" for line in journal(tmp_path / "room"))
     assert not (tmp_path / "room" / LOCK_NAME).exists()
+
+
+def test_23_two_in_one_process(tmp_path):
+    with folder_lock(tmp_path), pytest.raises(SessionError, match="in use by process"), folder_lock(tmp_path):
+        pass
+    with folder_lock(tmp_path) as lock:
+        assert lock.note == ""
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"pid": "x"}', '{"pid": 1, "host": "elsewhere", "start": "then"}'])

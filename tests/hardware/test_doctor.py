@@ -1,5 +1,6 @@
 """The doctor's findings on rigs with one fault each; it leaves every rig dark."""
 
+import numpy as np
 import pytest
 from scanrig.cameras.simulated import SyntheticScene
 from scanrig.doctor import examine, fitting_gear, measure_turn, stripe_level
@@ -112,6 +113,10 @@ def test_the_simplest_gear_that_fits(turn, gear):
     assert fitting_gear(turn, 3200) == gear
 
 
+def test_no_gear_fits_a_turn_of_nothing():
+    assert fitting_gear(1, 3_000_000) is None
+
+
 @pytest.mark.parametrize(
     "true, cure",
     [
@@ -127,6 +132,13 @@ def test_another_gear_than_configured_is_named(desk, tmp_path, true, cure):
     assert found["steps per turn"].do == cure
     # The rest can be looked at all the same.
     assert found["laser"].verdict == "works"
+
+
+def test_limits_forbid_a_whole_turn(tmp_path):
+    desk = make_desk(turntable={"limits_deg": [-10.0, 170.0]})
+    found = examined(desk, tmp_path)
+    assert found["steps per turn"].verdict == "not checked" and "by hand" in found["steps per turn"].do
+    assert found["home"].verdict == "works"
 
 
 @pytest.mark.parametrize("true, verdict", [(28800, "works"), (14400, "wrong"), (40000, "wrong")])
@@ -219,6 +231,12 @@ def test_pulses_that_are_longer_than_the_link_watchdog_waits(tmp_path):
     assert found["trigger"].verdict == "works", found["trigger"]
 
 
+def test_frames_in_part(desk, tmp_path):
+    desk.camera.faults[2] = "incomplete"
+    found = examined(desk, tmp_path)
+    assert found["trigger"].verdict == "wrong" and "packet_size" in found["trigger"].do
+
+
 @pytest.mark.parametrize("peak, longer", [(20.0, True), (190.0, None), (900.0, False)])
 def test_exposure(tmp_path, peak, longer):
     bright = make_desk(scene=SyntheticScene(peak_dn=90.0, ambient_dn=120.0, contrast=0.1))
@@ -273,6 +291,16 @@ def test_the_laser_is_off_on_every_way_out(desk, tmp_path, problem, when):
         assert found["laser off"].verdict == "works"
         assert "wrong" in {finding.verdict for finding in found.values()}
     assert not desk.table.laser and not desk.table.contactor
+
+
+def test_levels_of_the_line():
+    desk = make_desk()
+    on, off = np.full((96, 128), 30, np.uint8), np.full((96, 128), 30, np.uint8)
+    assert stripe_level(on, off, desk.config) == (0.0, 0.0)
+    on[:, 60] = 130
+    on[:48, 60] = 255
+    level, clipped = stripe_level(on, off, desk.config)
+    assert (level, clipped) == (255.0, 0.5)
 
 
 @pytest.mark.parametrize("problem", [None, LinkLost("gone"), FirmwareError("the controller's answer lacks 'st'")])

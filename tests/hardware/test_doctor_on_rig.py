@@ -1,6 +1,10 @@
 """`jaxscan doctor` on the real firmware, judged by the table and by the pins."""
 
 import json
+import sys
+from pathlib import Path
+
+import pytest
 
 from jaxscan.cli.main import main
 
@@ -66,8 +70,45 @@ def test_nothing_moves_while_the_emergency_stop_is_pressed(rig, tmp_path):
     assert not moved and dark(simulated)
 
 
+@pytest.mark.slow
+def test_some_other_device(rig, tmp_path, capsys):
+    simulated = rig(firmware="echo")
+    assert main(["doctor", "--port", simulated.port]) == 1
+    assert "wrong  firmware: " in capsys.readouterr().out
+
+
 def test_a_port_that_is_not_there(tmp_path, capsys):
     assert main(["doctor", "--port", str(tmp_path / "port")]) == 1
     ran = capsys.readouterr()
     assert "wrong  port: there is no port" in ran.out
     assert ran.err == "jaxscan: port must work and does not: see above.\n"
+
+
+@pytest.mark.slow
+def test_a_scan_of_boards_and_room_on_the_bench(rig, rendered_camera, tmp_path, monkeypatch):
+    """The commands of the README, one after the other."""
+    simulated = rig(speed=1.0)
+    camera = rendered_camera(simulated)
+    text = (Path(__file__).parents[2] / "configs" / "bench.toml").read_text()
+    config = tmp_path / "bench.toml"
+    text = text.replace('"hardware/bench/build/desk/port"', f'"{simulated.port}"').replace("steps = 180", "steps = 12")
+    text = text.replace("free_views = 30", "free_views = 2").replace("placements = 4", "placements = 1")
+    config.write_text(text.replace("angles_deg = [-10.0, -5.0, 0.0, 5.0, 10.0]", "angles_deg = [-3.0, 3.0]"))
+    monkeypatch.chdir(tmp_path)
+    assert main(["doctor", "--config", str(config), "--json", "doctor.json"]) == 0
+    found = {finding["name"]: finding for finding in json.loads((tmp_path / "doctor.json").read_text())["rig"]}
+    assert found["laser"]["verdict"] == "works" and found["trigger"]["values"]["frames"] == 6
+    assert main(["scan", str(config), "-o", "room", "--json", "scan.json"]) == 0
+    result = json.loads((tmp_path / "scan.json").read_text())
+    assert (result["status"], result["records"]) == ("complete", 12)
+    assert main(["doctor", "--capture", "room"]) == 0
+    command = tmp_path / "place.py"
+    socket = str(camera.folder / "camera")
+    command.write_text(
+        "import sys; from pathlib import Path; from bench.processes import ControlClient\n"
+        f"print(ControlClient(Path({socket!r})).ask('board ' + sys.argv[1]))\n"
+    )
+    words = ["--boards", "--place-command", f"{sys.executable} {command}"]
+    assert main(["scan", str(config), "-o", "boards", *words]) == 0
+    plant = simulated.plant()
+    assert not plant["light"] and not plant["contactor"]

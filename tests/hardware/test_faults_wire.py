@@ -1,7 +1,9 @@
 """Faults between host and controller, on the real firmware: judged by the table and the pins."""
 
 import contextlib
+import random
 import time
+from dataclasses import replace
 
 import pytest
 from scanrig.clock import Clock
@@ -64,6 +66,17 @@ def test_bit_errors_lost_and_doubled_bytes_do_nothing_twice(rig, damage):
         print(counts)
 
 
+def test_lost_replies_and_events_are_asked_for_again(rig):
+    simulated = rig()
+    with ready(simulated, **SHORT) as controller:
+        noise(simulated, drop_tx=0.006)
+        shoot(controller, 40)
+        noise(simulated, drop_tx=0)
+        assert_done_once(simulated, 40)
+        assert controller.link_counts.events_missed > 3
+        assert controller.counters().repeated > 3
+
+
 # 2: replies and events that are lost
 
 
@@ -100,6 +113,29 @@ def test_over_long_lines_are_never_carried_out(rig, length):
         assert_done_once(simulated, 2)
 
 
+@pytest.mark.slow
+def test_a_cable_pulled_in_a_slow_move_leaves_the_position_good(rig):
+    simulated = rig()
+    with ready(simulated, speed=1, watchdog_ms=500, **SHORT) as controller:
+        controller.configure(slow(controller))
+        controller.shot(800, 1)
+        simulated.run_for(0.2)
+        simulated.unplug()
+        with pytest.raises(LinkLost):
+            controller.wait_shot(1)
+        simulated.run_for(1.0)
+        stopped = simulated.plant()
+        assert 0 < stopped["pos"] < 800
+        simulated.plug()
+        found = controller.reconnect(timeout_s=10.0)
+        assert (found.same_boot, not found.status.homed) == (True, False)
+        assert found.status.position == simulated.plant()["pos"] == stopped["pos"]
+        controller.arm(True)
+        controller.shot(800, 1)
+        assert controller.wait_shot(1).position == simulated.plant()["pos"] == 800
+        assert [edge["pos"] for edge in rises(simulated.edges(), "trig")] == [800, 800]
+
+
 # 6: the cable
 
 
@@ -119,6 +155,58 @@ def test_a_cable_pulled_for_a_moment_in_a_move(rig):
         controller.arm(True)
         controller.shot(800, 1)
         assert controller.wait_shot(1).position == simulated.plant()["pos"] == 800
+
+
+@pytest.mark.slow
+def test_a_cable_pulled_in_a_fast_move_asks_for_home(rig):
+    simulated = rig()
+    with ready(simulated, speed=1, watchdog_ms=500, **SHORT) as controller:
+        controller.shot(20000, 1)
+        simulated.run_for(0.5)
+        simulated.unplug()
+        with pytest.raises(LinkLost):
+            controller.wait_shot(1)
+        simulated.run_for(1.0)
+        edges = simulated.edges()
+        unplugged = next(edge for edge in edges if edge.get("line") == "unplugged")
+        assert milliseconds(unplugged, rises(edges, "step")[-1]) < 520.0
+        simulated.plug()
+        found = controller.reconnect(timeout_s=10.0)
+        assert (found.same_boot, not found.status.homed) == (True, True)
+        assert found.status.position == simulated.plant()["pos"]
+        assert make_ready(controller) == 0
+        assert simulated.plant()["pos"] == 0
+
+
+@pytest.mark.slow
+def test_power_lost_in_a_shot_asks_for_home(rig):
+    simulated = rig()
+    with ready(simulated, speed=1, **SHORT) as controller:
+        controller.shot(4000, 1)
+        simulated.run_for(0.3)
+        simulated.kill()
+        with pytest.raises(LinkLost):
+            controller.wait_shot(1)
+        simulated.start()
+        found = controller.reconnect(timeout_s=10.0)
+        assert (found.same_boot, not found.status.homed) == (False, True)
+        make_ready(controller)
+        assert simulated.plant()["pos"] == 0
+        controller.shot(800, 1)
+        controller.wait_shot(1)
+        assert simulated.plant()["pos"] == 800
+
+
+def test_opening_the_port_resets_an_uno(rig):
+    simulated = rig(autoreset=True)
+    with ready(simulated, speed=1, **SHORT) as controller:
+        first = controller.hello().boot
+        assert controller.stat().homed
+    simulated.run_for(0.05)  # The simulated board must see that nobody is there before somebody is again.
+    again = connect(simulated.port)
+    assert again.hello().boot == first + 1
+    assert not again.stat().homed
+    again.close()
 
 
 # 7: resets
@@ -142,6 +230,19 @@ def test_a_reset_in_a_shot_is_noticed_and_recovered_from(rig):
         make_ready(controller)
         controller.shot(80, 1)
         assert controller.wait_shot(1).position == simulated.plant()["pos"] == 80
+
+
+def test_a_reset_whose_event_is_lost_moves_nothing(rig):
+    simulated = rig()
+    with ready(simulated, speed=1, **SHORT) as controller:
+        noise(simulated, drop_tx=1)
+        simulated.control("reset")
+        simulated.run_for(0.1)
+        noise(simulated, drop_tx=0)
+        steps = simulated.plant()["steps"]
+        with pytest.raises(ControllerReset):
+            controller.shot(800, 1)
+        assert simulated.plant()["steps"] == steps
 
 
 @pytest.mark.parametrize("kind", [pytest.param(0, marks=pytest.mark.slow), 1], ids=["main loop", "interrupts off"])
@@ -253,6 +354,60 @@ def test_lost_steps_are_what_home_says(rig):
         assert simulated.plant()["pos"] == 1997
         assert controller.home(40000) == 3
         assert controller.home(40000) == 0
+
+
+def test_a_stalled_motor_shows_at_home(rig):
+    simulated = rig()
+    with ready(simulated, **SHORT) as controller:
+        controller.move(1000)
+        simulated.control("stall 1")
+        controller.move(3000)
+        simulated.control("stall 0")
+        assert simulated.plant()["pos"] == 1000
+        assert controller.home(40000) == 2000
+
+
+def forged_lines(chance):
+    """LASER lines with something wrong in each of them."""
+    good = [seal(f"@{30000 + n} LASER on=1 ms=1000") for n in range(50)]
+    for n, line in enumerate(good):
+        body, _, _ = line[:-1].rpartition(b"*")
+        place = chance.randrange(1, len(body))
+        yield (
+            body + b"*%04X\n" % chance.randrange(65536),
+            body[:place] + bytes([body[place] ^ 1 << chance.randrange(7)]) + line[place + 1 :],
+            body + b"\n",
+            line.lower(),
+            line[:place] + line[place + 1 :],
+            line[:place] + line[place : place + 1] + line[place:],
+            seal(f"@{30000 + n}  LASER on=1 ms=1000"),
+            seal(f"@{30000 + n} LASER on=1 ms=1000 on=1"),
+            seal(f"@{30000 + n} LASER on=1 ms=1001"),
+            seal(f"@{30000 + n} LASER on=1"),
+        )[n % 10]
+
+
+def test_forged_lines_and_garbage_switch_nothing_on(rig):
+    chance = random.Random(1)
+    simulated = rig()
+    with ready(simulated, speed=10, **SHORT) as controller:
+        assert simulated.plant()["contactor"] == 1
+        for line in forged_lines(chance):
+            garbage = bytes(byte for byte in chance.randbytes(400) if byte != 0x1B)
+            controller.link.write(b"\n" + line + garbage + b"\n")
+            simulated.run_for(0.03)
+        simulated.run_for(0.5)
+        assert controller.stat().armed  # Everything was ready for it …
+        assert rises(simulated.edges(), "laser") == []
+        controller.laser(True, 100)  # … and it would have shown.
+        simulated.run_for(0.01)
+        controller.laser(False)
+        assert len(rises(simulated.edges(), "laser")) == 1
+
+
+def slow(controller):
+    """The settings of now, with a table that never turns faster than it can stop."""
+    return replace(controller.settings, speed=400, start_speed=400)
 
 
 # Malformed lines switch nothing on

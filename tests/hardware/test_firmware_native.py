@@ -214,3 +214,8 @@ def fuzz(build, lines, seed):
 @pytest.mark.parametrize("seed", [1, 2])
 def test_fuzzed_lines(build, seed):
     assert "10000 lines" in fuzz(build, 10000, seed)
+
+
+@pytest.mark.slow
+def test_a_million_fuzzed_lines(build):
+    assert "1000000 lines" in fuzz(build, 1000000, 7)

@@ -3,7 +3,10 @@
 experiments/kills.py does the same at length, with the command line and the rendered room.
 """
 
+import json
 import math
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -74,3 +77,17 @@ def test_16_control_that_is_lost_in_mid_scan_is_taken_again(rig, gige, tmp_path)
     assert one.events("camera") and one.events("recovered")
     one.require_whole()
     one.require_dark()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3000)
+def test_09_killed_fifty_times_on_the_whole_bench_it_goes_on(whole_bench, tmp_path):
+    """The command line, the firmware, the GigE camera and the rendered room, as the experiment verifies it."""
+    answer = tmp_path / "figures.json"
+    command = [sys.executable, "-m", "experiments.kills", "--kills", "50", "--seed", "9", "--json", str(answer)]
+    done = subprocess.run(command, cwd=ROOT, env=whole_bench, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr[-4000:]
+    figures = json.loads(answer.read_text())
+    assert figures["kills"] == 50 and figures["kills_with_records"] >= 10
+    assert figures["sessions_failed"] == figures["journal_lines_lost"] == figures["shots_lost"] == 0
+    assert figures["captures"] == figures["captures_clean"] and figures["images"] == figures["images_right"]

@@ -38,6 +38,18 @@ def test_the_dialect_is_known_by_the_greeting(greeting, dialect, version):
 
 
 @pytest.mark.parametrize(
+    "line",
+    [
+        "<Alarm:10|MPos:0.000,0.000,0.000|Bf:100,1024|FS:0,0|Pn:E>",
+        "<Tool|MPos:0.000,0.000,0.000|Bf:100,1024|FS:0,0>",
+        "<Idle|MPos:0.000,0.000,0.000|Bf:100,1024|FS:0,0|A:|Sc:|MPG:0|H:1,7|T:0|TLR:0|FW:grblHAL>",
+    ],
+)
+def test_reports_of_grblhal(line):
+    assert read_report(line).positions == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
     ("greeting", "report", "words"),
     [
         ("Grbl 0.9j ['$' for help]", "<Idle,MPos:0.000,0.000,0.000,WPos:0.0,0.0,0.0>", "as of GRBL 1.1"),

@@ -160,6 +160,14 @@ def test_a_cable_that_stays_away_ends_the_session_loudly(rig, tmp_path):
     assert 2 <= len(records(tmp_path / "room")) <= 2 + AHEAD
 
 
+def test_a_reset_is_recovered_from(rig, tmp_path):
+    rig.events[3] = rig.board.power_cycle
+    assert rig.sweep(tmp_path / "room").status == "complete"
+    require_whole(tmp_path / "room")
+    assert [event["same_boot"] for event in events(tmp_path / "room", "reconnected")] == [False]
+    assert rig.board.heard.count("$H") >= 3 and not rig.board.lit
+
+
 def test_a_reset_while_the_table_turns_is_recovered_from(rig, tmp_path):
     rig.events[3] = lambda: rig.board.later(0.03, rig.board.power_cycle)
     assert rig.sweep(tmp_path / "room").status == "complete"
@@ -184,6 +192,16 @@ def test_steps_lost_on_the_way_show_in_the_pictures(rig, tmp_path):
     rig.events[2] = slip
     result = rig.sweep(tmp_path / "room")
     assert any("taken again, has changed" in sentence for sentence in rig.said) or result.status == "suspect"
+
+
+def test_the_laser_is_off_after_an_interrupt(rig, tmp_path):
+    def interrupt():
+        raise KeyboardInterrupt
+
+    rig.events[2] = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        rig.sweep(tmp_path / "room")
+    assert not rig.board.lit
 
 
 def test_noise_on_the_line_leaves_nothing_out(rig, tmp_path):

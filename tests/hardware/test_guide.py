@@ -1,9 +1,13 @@
 """The guide's advice for known poses: corners and stripes are projected, nothing is detected."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from scanrig.checks import guide
 from scanrig.checks.guide import Guide, guess_focal, pose_of, view_board
 
+from jaxscan.calibration import advice as after
 from jaxscan.geometry import Charuco, Chessboard
 
 
@@ -55,6 +59,15 @@ class Poses:
 @pytest.fixture
 def poses():
     return Poses()
+
+
+def test_the_limits_and_the_words_are_those_of_the_advice_afterwards():
+    assert guide.coverage is after.coverage
+    for source in (Path(guide.__file__).read_text(), Path(after.__file__).read_text()):
+        for name in ("PARTS", "TILT", "STRIPES", "DEPTHS", "PLACEMENTS"):
+            assert f"coverage.ASK_FOR_{name}.format(" in source
+        for name in ("MIN_TILT_DEG", "MIN_DEPTH_RATIO", "MIN_STRIPES", "MIN_PLACEMENTS", "count_cells", "empty_parts"):
+            assert f"coverage.{name}" in source
 
 
 @pytest.mark.parametrize("tilt", [0.0, 15.0, 30.0, 50.0])

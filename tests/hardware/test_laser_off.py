@@ -15,7 +15,7 @@ from scanrig.controllers.jxs.controller import connect
 from scanrig.controllers.jxs.protocol import ABORT, encode
 from scanrig.errors import Fault
 
-from .driving import falls, milliseconds, ready, rises
+from .driving import falls, milliseconds, ready, rises, together
 
 
 HOST = """
@@ -302,17 +302,6 @@ def light(simulated, controller, doing, number=1):
     else:
         controller.laser(True, 1000, number=number)
     assert simulated.plant()[mine] == 1 and simulated.plant()[other] == 0
-
-
-def together(edges):
-    """Whether two gates were ever high at once."""
-    gates = {"laser": 0, "laser_2": 0}
-    for edge in edges:
-        if edge.get("pin") in gates:
-            gates[edge["pin"]] = edge["v"]
-            if all(gates.values()):
-                return True
-    return False
 
 
 def test_one_goes_off_before_the_other_comes_on(rig):

@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import pytest
 import serial
+from scanrig.clock import Clock, rfc3339
 from scanrig.controllers import ControllerTable, open_controller
-from scanrig.errors import LinkLost, PortError
+from scanrig.controllers.jxs.controller import connect
+from scanrig.errors import FirmwareError, LinkLost, PortError
 from scanrig.wire import (
     PortInfo,
     by_id_names,
@@ -16,10 +18,14 @@ from scanrig.wire import (
     describe,
     find_again,
     find_ports,
+    identify,
     open_serial,
+    port_error,
 )
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
+
+from .fake import ManualClock
 
 
 UNO = PortInfo("/dev/ttyACM0", "/dev/serial/by-id/usb-Arduino_Uno_5573-if00", "Arduino Uno", "2341:0043", "5573")
@@ -70,6 +76,13 @@ def test_a_port_that_is_taken(terminal):
     open_serial(terminal[1]).close()
 
 
+def test_the_errors_are_all_distinct(tmp_path):
+    problems = [errno.ENOENT, errno.EACCES, errno.EBUSY, errno.ENOTTY, errno.EIO]
+    says = {str(port_error("/dev/ttyACM0", OSError(code, "x"))) for code in problems}
+    assert len(says) == len(problems) and any("is taken" in text for text in says)
+    assert all("\n" not in text for text in says)
+
+
 def test_bytes_go_through(terminal):
     master, path = terminal
     link = open_serial(path)
@@ -86,6 +99,15 @@ def test_a_controller_of_each_type_is_opened_at_its_port(terminal, kind):
     controller = open_controller(table, 28800)
     assert controller.name == terminal[1]
     controller.link.close()
+
+
+def test_reading_nothing_takes_its_time(terminal):
+    link = open_serial(terminal[1])
+    clock = Clock()
+    before = clock.now()
+    assert link.read(0.1) == b""
+    assert 0.1 <= clock.now() - before < 1.0
+    link.close()
 
 
 @pytest.mark.parametrize("call", ["tcflush", "tcsetattr"])
@@ -111,6 +133,25 @@ def test_the_other_end_goes_away():
             link.read(0.01)
     link.close()
     link.close()
+
+
+def test_a_closed_link_is_lost_not_a_crash(terminal):
+    link = open_serial(terminal[1])
+    link.close()
+    with pytest.raises(LinkLost):
+        link.write(b"?")
+    with pytest.raises(LinkLost):
+        link.read(0.0)
+
+
+@pytest.mark.slow
+def test_silence_on_a_real_port(terminal):
+    clock = Clock()
+    before = clock.now()
+    controller = connect(terminal[1])
+    with pytest.raises(FirmwareError, match=r"found silence, needed a scanner controller that speaks JXS/1"):
+        controller.hello()
+    assert clock.now() - before < 8.0
 
 
 def test_the_only_board_is_chosen():
@@ -167,3 +208,23 @@ def test_ports_are_described_by_what_does_not_change(tmp_path):
     (tmp_path / "by-id" / "usb-Uno").symlink_to(tmp_path / "ttyACM0")
     assert by_id_names(tmp_path / "by-id") == {str(tmp_path / "ttyACM0"): str(tmp_path / "by-id" / "usb-Uno")}
     assert by_id_names(tmp_path / "none") == {}
+
+
+def test_the_ports_of_this_computer_are_listed():
+    assert all(info.device and "\n" not in describe(info) for info in find_ports())
+
+
+def test_a_pseudo_terminal_is_known_by_its_path(terminal):
+    assert find_again(identify(terminal[1])) == terminal[1]
+
+
+def test_clocks():
+    clock = ManualClock()
+    clock.sleep(1.5)
+    clock.sleep(-1.0)
+    assert clock.now() == 1.5 and clock.utc() == "2000-01-01T00:00:01.500000Z"
+    system = Clock()
+    before = system.now()
+    system.sleep(0.01)
+    assert system.now() - before >= 0.01
+    assert len(system.utc()) == len(rfc3339(clock.start)) and system.utc().endswith("Z")

@@ -135,6 +135,14 @@ def test_a_step_noticed_late_is_returned_to_from_the_same_side(tmp_path, turn_de
     assert verify_capture(tmp_path / "room") == []
 
 
+def test_a_request_to_end_waits_until_the_last_step_is_proven(tmp_path):
+    desk, asked = StillDesk(), []
+    dark_at(desk, 5)
+    result = desk.sweep(tmp_path / "room", should_stop=lambda: asked.append(1) or len(asked) > 5)
+    assert (result.status, result.records, result.retakes) == ("interrupted", 5, 1)
+    assert desk.controller.shots == [0, 288, 576, 864, 1152, 1152]
+
+
 def test_a_step_that_is_never_proven_is_the_one_that_is_named(tmp_path):
     """Also where the step after it fails in another way."""
     desk = StillDesk(checks={"retakes": 2})
@@ -209,3 +217,12 @@ def test_an_error_in_the_background_comes_out_as_it_is(tmp_path, monkeypatch, wh
     assert (end["status"], end["problem"], end["laser_off"]) == ("failed", "ValueError: a defect", True)
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("scanrig")]
     assert Desk().sweep(tmp_path / "room", resume=True).status == "complete"
+
+
+def test_no_thread_and_no_lock_is_left_by_any_end(tmp_path):
+    desk = Desk()
+    desk.controller.before_shot[4] = lambda controller: controller.lose_link(attempts=1000)
+    with pytest.raises(Exception, match="did not come back"):
+        desk.sweep(tmp_path / "room")
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("scanrig")]
+    assert sorted(os.listdir(tmp_path / "room")) == ["capture.toml", "frames.jsonl", "off", "on"]

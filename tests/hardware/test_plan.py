@@ -14,6 +14,7 @@ from scanrig.session.plan import (
     nearest,
     placement_positions,
     plan_sweep,
+    shot_s,
 )
 
 from jaxscan.errors import ConfigError
@@ -105,6 +106,11 @@ def test_a_capture_of_a_room_needs_what_it_needs():
     assert found.seconds / 3600 == pytest.approx(0.145 + 0.03, abs=0.025)
 
 
+def test_colour_takes_three_times_the_space():
+    colour = rig(camera={"pixel_format": "rgb8"})
+    assert estimate(colour, [0]).bytes == 3 * estimate(rig(), [0]).bytes
+
+
 @settings(max_examples=30, deadline=None)
 @given(distance=st.integers(0, 100_000))
 def test_motion_takes_as_long_as_its_ramps_and_its_run(distance):
@@ -122,3 +128,7 @@ def test_motion_takes_as_long_as_its_ramps_and_its_run(distance):
     expected += (distance - 2 * ramp) / v
     assert move_s(config, distance) == pytest.approx(expected, rel=1e-6, abs=1e-9)
     assert longest_s(config) > 2 * move_s(config, distance)
+
+
+def test_waits_for_a_camera_that_is_not_ready_are_allowed_for():
+    assert shot_s(rig(trigger={"ready_ms": 500})) - shot_s(rig()) == pytest.approx(1.0)

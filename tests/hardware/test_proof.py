@@ -1,5 +1,7 @@
 """The proof of a pair: good pairs pass, and the problems of others are named (rows 15, 17, 19)."""
 
+import time
+
 import cv2
 import numpy as np
 import pytest
@@ -249,6 +251,18 @@ def test_rates_of_wrong_verdicts():
     assert wrong["good"] <= 0.02 * count
     assert wrong["swapped"] == wrong["dead"] == 0
     assert wrong["flicker"] <= 0.02 * count and wrong["moved"] <= 0.06 * count
+
+
+def test_it_takes_some_milliseconds():
+    on, off = frames(width=1280, height=1024)
+    prove(on, off)
+    taken = []
+    for _ in range(5):
+        start = time.thread_time()
+        prove(on, off)
+        taken.append(time.thread_time() - start)
+    # About 10 ms on one idle core; processor time, so that a loaded machine does not matter much.
+    assert min(taken) < 0.04, taken
 
 
 def test_a_line_along_the_frame_of_a_door():

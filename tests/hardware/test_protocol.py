@@ -5,6 +5,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scanrig.controllers.jxs.protocol import (
     ABORT,
+    LONGEST_COMMAND,
     Damaged,
     Event,
     LineReader,
@@ -174,6 +175,19 @@ def test_a_line_without_an_end_takes_no_memory():
 )
 def test_lines_of_another_form_are_damaged(text):
     assert isinstance(decode(seal(text)[:-1]), Damaged)
+
+
+@given(st.integers(1, 65535), NAMES, st.dictionaries(KEYS, st.integers(-(2**31), 2**31 - 1), max_size=3))
+@BUSY
+def test_encoded_lines_are_of_the_documents_form(seq, verb, args):
+    try:
+        line = encode(seq, verb, **args)
+    except (ValueError, TypeError) as problem:
+        assert "bytes, at most" in str(problem) or "multiple values" in str(problem)
+        return
+    body, _, digits = line[:-1].rpartition(b"*")
+    assert int(digits, 16) == crc(body) and line.endswith(b"\n") and len(line) <= LONGEST_COMMAND + 1
+    assert body.decode() == f"@{seq} {verb}{written(args)}"
 
 
 @pytest.mark.parametrize(

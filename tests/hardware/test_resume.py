@@ -5,6 +5,8 @@ import shutil
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from scanrig.cameras import CameraIdentity
 from scanrig.cameras.simulated import SyntheticScene
 from scanrig.errors import CameraError, SessionError
@@ -57,6 +59,21 @@ def test_a_complete_capture_says_so_and_nothing_moves(tmp_path):
     assert desk.controller.log == [] and (tmp_path / "room" / "frames.jsonl").read_bytes() == before
 
 
+def test_where_nothing_is_resuming_begins(tmp_path):
+    desk = Desk()
+    assert desk.sweep(tmp_path / "room", resume=True).records == 10
+    assert any("no capture to resume" in sentence for sentence in desk.said)
+
+
+def test_resuming_between_the_last_step_and_the_end_only_closes(room):
+    desk = Desk()
+    result = desk.sweep(room, resume=True, should_stop=After(4))
+    assert (result.status, result.records) == ("interrupted", 10)
+    again = Desk()
+    result = again.sweep(room, resume=True)
+    assert (result.status, result.taken) == ("complete", 0)
+
+
 # 21 power loss
 
 
@@ -68,6 +85,13 @@ def require_resumed(room):
     # Records with a whole line were not taken again.
     assert result.taken == 10 - kept
     assert verify_capture(room) == [] and len(open_capture(room)) == 10
+
+
+def test_21_what_a_crash_left_half_written_is_removed(room):
+    (room / "on" / ".part-0123456789ab.zst").write_bytes(b"half")
+    (room / ".part-ba9876543210.toml").write_bytes(b"half")
+    Desk().sweep(room, resume=True)
+    assert not list(room.rglob(".part-*"))
 
 
 # 22 silent corruption
@@ -118,6 +142,13 @@ def test_22_a_journal_that_was_changed_is_refused_before_anything_moves(room):
     well.sweep(room.parent / "other")
     well.sweep(room.parent / "other", resume=True)
     assert not any("seal" in sentence for sentence in well.said)
+
+
+def test_22_the_damaged_record_was_the_last_one(room):
+    (room / "on" / "000005.zst").unlink()
+    desk = Desk()
+    assert desk.sweep(room, resume=True).taken == 5
+    assert desk.controller.shots[0] == 288 * 4
 
 
 # 26 something changed
@@ -240,6 +271,13 @@ def test_26_a_run_of_suspect_records_has_no_end(room):
     assert (result.status, result.taken) == ("complete", 6)
 
 
+def test_26_a_record_may_say_that_it_has_no_placement(room):
+    lines = journal(room)
+    text = "".join(json.dumps({**one, "placement": None} if "i" in one else one) + "\n" for one in lines[:-1])
+    (room / "frames.jsonl").write_text(text)
+    assert Desk().sweep(room, resume=True).status == "complete"
+
+
 # The rig has moved
 
 
@@ -267,6 +305,12 @@ def test_a_controller_that_lived_on_tells_of_steps_that_were_lost_before(tmp_pat
     assert event["records"] == [[0, 5]] and event["missed"] == 50
 
 
+def test_a_controller_that_was_reset_in_the_pause_says_nothing_of_lost_steps(room):
+    desk = Desk()
+    assert desk.sweep(room, resume=True).status == "complete"
+    assert events(room, "suspect") == []
+
+
 @pytest.mark.more
 def test_21_a_journal_torn_at_every_byte_resumes(six, tmp_path):
     """Power is lost while the journal's last lines are written."""
@@ -279,3 +323,16 @@ def test_21_a_journal_torn_at_every_byte_resumes(six, tmp_path):
         (room / "frames.jsonl").write_bytes(data[:cut])
         require_resumed(room)
         shutil.rmtree(room)
+
+
+@pytest.mark.slow
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_21_a_journal_torn_anywhere_resumes(six, tmp_path, data):
+    journal_bytes = (six / "frames.jsonl").read_bytes()
+    cut = data.draw(st.integers(0, len(journal_bytes)))
+    room = tmp_path / "room"
+    shutil.rmtree(room, ignore_errors=True)
+    shutil.copytree(six, room)
+    (room / "frames.jsonl").write_bytes(journal_bytes[:cut])
+    require_resumed(room)

@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
@@ -63,8 +64,33 @@ def test_a_revolution_of_3600_shots(rig):
         assert worked < 8.0
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("turn", "gearing"),
+    [(18133, "200 × 16 × 17/3 rounded by a wrong belt"), (28801, "odd")],
+    ids=["18133", "28801"],
+)
+def test_where_a_tenth_of_a_degree_is_not_whole(rig, turn, gearing):
+    simulated = rig(microsteps_per_turn=turn)
+    with ready(simulated, **QUICK) as controller:
+        sweep(simulated, controller, turn)
+        worst = assert_exact(simulated, turn)
+        assert controller.home(40000) == turn
+        print(f"\n{gearing}: at most {worst:.3f} microsteps from the ideal place", end="")
+
+
 def test_a_coarse_turn_is_exact_to_the_microstep(rig):
     simulated = rig(microsteps_per_turn=16000)
     with ready(simulated, **QUICK) as controller:
         sweep(simulated, controller, 16000, steps=90)
         assert_exact(simulated, 16000, steps=90)
+
+
+def test_nothing_moves_while_the_camera_looks(rig):
+    simulated = rig()
+    with ready(simulated, **QUICK) as controller:
+        sweep(simulated, controller, 28800, steps=45)
+    looking = False
+    for before, edge in pairwise([edge for edge in simulated.edges() if edge.get("pin") in ("step", "trig")]):
+        looking = edge["v"] == 1 if edge["pin"] == "trig" else looking
+        assert not (looking and edge["pin"] == "step"), (before, edge)

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from scanrig.errors import FirmwareError, SessionError
+from scanrig.errors import FirmwareError, LinkLost, SessionError
 from scanrig.recording import AHEAD
 
 from jaxscan.errors import CaptureError
@@ -137,6 +137,12 @@ def test_a_folder_with_anything_else_is_not_touched(tmp_path):
     assert desk.controller.log[-2:] == ["make_safe", "counters"]
 
 
+def test_a_folder_that_cannot_be_written_is_one_clear_error(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SessionError, match=r"file/room: cannot be created: Not a directory"):
+        Desk().sweep(tmp_path / "file" / "room")
+
+
 def test_without_a_rig_no_folder_is_left(tmp_path):
     desk = Desk()
     desk.controller.estop = True
@@ -196,3 +202,13 @@ def test_counters_that_cannot_be_asked_for_are_left_out(tmp_path):
     assert desk.sweep(tmp_path / "room").status == "complete"
     end = journal(tmp_path / "room")[-1]
     assert "controller" not in end and "link" in end and end["laser_off"] is True
+
+
+def test_a_controller_that_is_gone_is_not_asked_what_it_counted(tmp_path):
+    desk = Desk()
+    desk.controller.before_shot[3] = lambda controller: controller.lose_link(attempts=1000)
+    with pytest.raises(LinkLost):
+        desk.sweep(tmp_path / "room")
+    end = journal(tmp_path / "room")[-1]
+    assert (end["status"], end["laser_off"]) == ("failed", False) and "controller" not in end and "link" in end
+    assert "counters" not in desk.controller.log

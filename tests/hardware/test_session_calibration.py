@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scanrig.errors import CameraLost, Fault, LinkLost
+from scanrig.errors import CameraLost, CameraTimeout, Fault, LinkLost
 
 from jaxscan.files.capture import open_capture, verify_capture
 
@@ -91,6 +91,15 @@ def test_the_operator_may_have_enough(tmp_path):
     assert [placement for *_, placement in records(tmp_path / "boards")] == [0, 1, 1, 1]
 
 
+def test_enough_of_nothing_is_no_calibration(tmp_path):
+    desk = make()
+    result = desk.calibrate(tmp_path / "boards", Operator(desk, free=0, placements=0))
+    assert (result.status, result.records) == ("interrupted", 0)
+    assert "0 of 9 records" in result.message and "can be resumed" in result.message
+    again = make()
+    assert again.calibrate(tmp_path / "boards", Operator(again), resume=True).records == 9
+
+
 def test_a_placement_that_was_half_done_is_begun_anew_under_another_number(tmp_path):
     desk = make()
     desk.controller.before_shot[8] = lambda controller: controller.lose_link(attempts=1000)
@@ -106,6 +115,15 @@ def test_a_placement_that_was_half_done_is_begun_anew_under_another_number(tmp_p
     assert records(tmp_path / "boards")[:6] == WHOLE[:6]
     assert records(tmp_path / "boards")[6:] == [(6, -10.0, 5), (7, 0.0, 5), (8, 10.0, 5)]
     assert verify_capture(tmp_path / "boards") == []
+
+
+def test_a_complete_calibration_asks_for_nothing(tmp_path):
+    desk = make()
+    desk.calibrate(tmp_path / "boards", Operator(desk))
+    again = make()
+    operator = Operator(again)
+    assert again.calibrate(tmp_path / "boards", operator, resume=True).taken == 0
+    assert operator.asked == [] and again.controller.log == []
 
 
 def test_steps_lost_during_a_placement_make_it_suspect_and_it_alone(tmp_path):
@@ -202,6 +220,14 @@ def test_a_link_that_is_lost_twice_while_the_camera_is_reopened_for_a_look_ends_
     assert lost == ["reopen", "reconnect"]
     assert (result.status, result.records) == ("complete", 9)
     assert operator.lit == [False] * 5
+
+
+def test_a_camera_that_shows_nothing_any_more_is_an_error(tmp_path):
+    desk = make(checks={"retakes": 2})
+    operator = LookingOperator(desk, **{f"look{k}": lambda controller: "no frame" for k in (2, 3, 4)})
+    with pytest.raises(CameraTimeout):
+        desk.calibrate(tmp_path / "boards", operator)
+    assert len(operator.looks) == 4 and not desk.table.contactor
 
 
 def test_asked_to_stop_while_the_board_is_moved(tmp_path):

@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pytest
 from scanrig.cameras.simulated import SyntheticScene
-from scanrig.errors import CameraError, Fault, FrameError, LinkLost
+from scanrig.errors import CameraError, Fault, FrameError, LinkLost, RigFault
 from scanrig.recording import AHEAD
 
 from jaxscan.files.capture import open_capture, verify_capture
@@ -73,6 +73,19 @@ def test_06_cable_pulled_for_good(tmp_path):
     require_whole(tmp_path / "room", again)
 
 
+def test_07_table_pushed_while_the_controller_was_off(tmp_path):
+    desk = Desk()
+
+    def push(controller):
+        desk.table.position += 777
+        controller.reset()
+
+    desk.controller.before_shot[5] = push
+    assert desk.sweep(tmp_path / "room").status == "complete"
+    require_whole(tmp_path / "room", desk)
+    assert events(tmp_path / "room", "home")[1]["was"] == -(777 + 288 * 3)
+
+
 # 7 the controller is reset
 
 
@@ -109,6 +122,14 @@ def test_11_estop_ends_the_session_and_is_never_resumed_by_itself(tmp_path):
     desk.controller.estop = False
     assert desk.sweep(tmp_path / "room", resume=True).status == "complete"
     require_whole(tmp_path / "room", desk)
+
+
+def test_12_home_not_found_ends_the_session(tmp_path):
+    desk = Desk()
+    desk.controller.home = lambda *a: desk.controller.fall_into(Fault.HOME_NOT_FOUND)
+    with pytest.raises(RigFault, match="home switch"):
+        desk.sweep(tmp_path / "room")
+    assert not desk.table.contactor
 
 
 # 13 lost steps
@@ -260,6 +281,18 @@ def test_16_camera_lost_is_opened_again_and_the_step_retaken(tmp_path):
     assert events(tmp_path / "room", "camera")[0]["reopened"] == 4
 
 
+def test_16_camera_that_does_not_come_back(tmp_path):
+    desk = Desk(checks={"camera_reopens": 3})
+    desk.camera.faults[8] = "lost"
+    desk.camera.reachable = False
+    with pytest.raises(CameraError, match="did not come back in 3 tries"):
+        desk.sweep(tmp_path / "room")
+    assert len(open_capture(tmp_path / "room")) == 3 and not desk.table.contactor
+    again = Desk()
+    assert again.sweep(tmp_path / "room", resume=True).status == "complete"
+    require_whole(tmp_path / "room", again)
+
+
 @pytest.mark.parametrize("trigger", ["hardware", "software"])
 def test_16_camera_that_is_silent_twice_is_opened_again_with_the_laser_off(tmp_path, trigger):
     """It answers, but its frames go to nobody, as those of a camera that a killed program left running."""
@@ -323,6 +356,15 @@ def test_17_frame_fault_is_retaken_at_the_same_place(tmp_path, fault, exposure):
         assert shots[step : step + 1 + result.retakes] == [step] * (1 + result.retakes)
     record = next(line for line in journal(tmp_path / "room") if line.get("i") == step)
     assert record["retakes"] == result.retakes
+
+
+@pytest.mark.parametrize("fault", ["missing", "swapped"])
+def test_17_frame_fault_that_does_not_end(tmp_path, fault):
+    desk = Desk(checks={"retakes": 3})
+    desk.camera.faults.update(dict.fromkeys(range(7, 100), fault))
+    with pytest.raises(FrameError, match="step 3: not proven in 4 takes"):
+        desk.sweep(tmp_path / "room")
+    assert len(open_capture(tmp_path / "room")) == 3
 
 
 def test_17_an_unexpected_trigger(tmp_path):
@@ -389,6 +431,21 @@ def test_19_light_that_changes_is_said_once(tmp_path):
     (event,) = events(tmp_path / "room", "light")
     assert event["record"] == 3 and event["was_dn"] == pytest.approx(30, abs=5)
     assert event["is_dn"] == pytest.approx(100, abs=10)
+
+
+def test_24_clock_that_jumps_back_by_a_year(tmp_path):
+    desk = Desk()
+
+    def jump(controller):
+        desk.clock.start = desk.clock.start.replace(year=1999)
+
+    desk.controller.before_shot[4] = jump
+    assert desk.sweep(tmp_path / "room").status == "complete"
+    records = [line for line in journal(tmp_path / "room") if "i" in line]
+    assert {record["time"][:4] for record in records} == {"2000", "1999"}
+    # Growing counters are stored beside it.
+    assert np.all(np.diff([record["time_s"] for record in records]) > 0)
+    require_whole(tmp_path / "room", desk)
 
 
 # 24 clocks

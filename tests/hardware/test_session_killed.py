@@ -123,6 +123,21 @@ def test_09_killed_at_any_moment_it_goes_on(scan):
     one.require_dark()
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_09_killed_fifty_times_it_goes_on(rig, tmp_path):
+    """Fault 9, 50 times over: every scan is complete in the end, every hash right."""
+    simulated, kills, during = rig(speed=10), 0, 0
+    for number in range(5):
+        one = Scan(simulated, tmp_path / f"room{number}", 60)
+        during += kill_and_go_on(one, 10, seed=100 + number)
+        kills += 10
+        one.require_complete()
+        one.require_whole()
+        one.require_dark()
+    assert kills == 50 and during >= 20, during
+
+
 @pytest.mark.parametrize(
     "name", ["SIGINT", pytest.param("SIGTERM", marks=pytest.mark.slow), pytest.param("SIGHUP", marks=pytest.mark.slow)]
 )
@@ -176,4 +191,30 @@ def test_06_cable_pulled_from_real_firmware(scan):
     (back,) = one.events("reconnected")
     assert back["same_boot"] is True
     one.require_whole()
+    one.require_dark()
+
+
+def test_07_reset_of_real_firmware(scan):
+    """Fault 7: somebody presses the controller's button in mid-scan."""
+    one = scan(30)
+    child = one.begin()
+    one.await_pairs(5)
+    one.simulated.control("reset")
+    assert one.end(child) == 0, one.words()
+    assert one.events("start")[0]["boot"] < one.simulated.plant()["resets"] + one.events("start")[0]["boot"]
+    assert [event["why"] for event in one.events("home")] == ["start", "after a fault", "end of a pass"]
+    one.require_whole()
+    one.require_dark()
+
+
+def test_13_steps_dropped_by_the_driver(scan):
+    """Fault 13: the driver misses steps; the counter at home tells."""
+    one = scan(30)
+    child = one.begin()
+    one.await_pairs(10)
+    one.simulated.control("drop 9")
+    assert one.end(child) == 1, one.words()
+    assert one.words()[-1] == "suspect"
+    (event,) = one.events("suspect")
+    assert event["records"] == [[0, 29]] and abs(event["missed"]) == 9
     one.require_dark()

@@ -2,17 +2,20 @@
 
 import dataclasses
 import threading
+import time
+from itertools import count
 
 import numpy as np
 import pytest
 from scanrig.cameras.simulated import FrameShape, SimulatedCamera, SyntheticScene, draw
 from scanrig.controllers.jxs.controller import connect
 from scanrig.errors import Fault, FrameError, Refused, RigFault
-from scanrig.session import Devices, run_sweep
+from scanrig.session import Devices, Hooks, run_sweep
 from scanrig.session.plan import controller_settings
 from scanrig.session.steps import Station
 
 from .desk import HEIGHT, WIDTH, Desk, rig_config
+from .scanning import Wire
 
 
 def ready(desk):
@@ -97,6 +100,46 @@ def test_a_contactor_that_a_fault_opened_is_not_closed_by_a_step():
     with pytest.raises(Refused):
         take(desk)
     assert "arm 1" not in desk.controller.log and not desk.table.contactor
+
+
+@pytest.mark.parametrize("trigger", ["hardware", "software"])
+def test_a_session_that_was_silent_for_long_goes_on_with_real_firmware(rig, tmp_path, trigger):
+    """Twelve simulated seconds of silence after the first pair, as of a slow disk: open, no fault, closed again."""
+    simulated = rig(speed=1)
+    config = rig_config(camera={"trigger": trigger}, sweep={"steps": 2, "turn_deg": 1.0})
+    generator = np.random.default_rng(0)
+
+    def see(position, lit):
+        return draw(SyntheticScene(), position, lit, FrameShape(WIDTH, HEIGHT), generator)
+
+    camera = SimulatedCamera(config.camera, see)
+
+    def expose():
+        plant = simulated.plant()
+        camera.expose(plant["pos"], bool(plant["light"]))
+
+    steps = count()
+
+    def pause():
+        if next(steps) == 1:
+            simulated.control("speed 0")
+            simulated.run_for(12.0)
+            simulated.control("speed 1")
+            assert simulated.plant()["contactor"] == 0
+            time.sleep(0.25)  # The host's clock must tell of a pause, too; the simulated time went faster.
+        return False
+
+    camera.trigger = expose
+    wire = Wire(simulated.edges_path, camera) if trigger == "hardware" else None
+    with connect(simulated.port) as controller:
+        result = run_sweep(config, tmp_path / "room", Devices(controller, camera), Hooks(should_stop=pause))
+    if wire is not None:
+        wire.close()
+    assert (result.status, result.records) == ("complete", 2)
+    journal = (tmp_path / "room" / "frames.jsonl").read_text()
+    assert '"fault"' not in journal and '"retake"' not in journal
+    contactor = [edge["v"] for edge in simulated.edges() if edge.get("pin") == "contactor"]
+    assert contactor[-4:] == [1, 0, 1, 0]
 
 
 @pytest.mark.slow

@@ -7,10 +7,11 @@ import pytest
 from scanrig.controllers.controller import Settings
 from scanrig.controllers.jxs.controller import JxsController
 from scanrig.errors import FirmwareError, FrameError
+from scanrig.session.plan import controller_settings, estimate, placed_targets, placement_positions, plan_sweep
 
 from jaxscan.files.capture import open_capture
 
-from .desk import After, Desk, events, records
+from .desk import After, Desk, events, records, rig_config
 from .fake import FakeController
 
 
@@ -43,6 +44,12 @@ def test_each_step_is_taken_with_one_laser_after_the_other(tmp_path):
         (on, off), (on_2, off_2) = capture.frames(k), capture.frames(k + 1)
         first, second = ((a.astype(int) - b).argmax(1) for a, b in ((on, off), (on_2, off_2)))
         assert abs(float((second - first).mean()) - 40.0) < 2.0
+
+
+def test_with_one_laser_nothing_is_said_of_it(tmp_path):
+    desk = Desk()
+    desk.sweep(tmp_path / "room")
+    assert all("lasers" not in one for one in records(tmp_path / "room"))
 
 
 def test_a_dark_laser_is_found_though_the_other_shines(tmp_path):
@@ -87,6 +94,21 @@ def test_boards_are_taken_with_each_laser(tmp_path):
     # Home is looked for where the table had turned, and not after a view from home.
     homes = [event["why"] for event in events(tmp_path / "boards", "home")]
     assert homes == ["start", "end of a placement"]
+
+
+def test_the_plan_counts_the_frames_of_both():
+    rig = rig_config(laser=BOTH, board=BOARD, calibration=VIEWS)
+    targets, _ = plan_sweep(rig)
+    assert [target.record for target in targets] == list(range(20))
+    assert [rig.laser_of(target.record) for target in targets] == [0, 1] * 10
+    assert estimate(rig, [target.position for target in targets]).frames == 40
+    free, stands = placed_targets(rig, placement_positions(rig))
+    assert [[target.record for target in one] for one in (*free, *stands)] == [[0, 1], [2, 3], [4, 5, 6, 7, 8, 9]]
+
+
+def test_both_lasers_are_given_the_time_of_the_slower():
+    settings = controller_settings(rig_config(laser=BOTH))
+    assert (settings.laser_on_ms, settings.laser_off_ms, settings.lasers) == (35, 20, 2)
 
 
 @pytest.mark.parametrize("trigger", ["software", "free"])
