@@ -91,7 +91,13 @@ def test_20_a_real_disk_that_is_too_small_is_said_first(small_disk):
 
 
 @pytest.mark.parametrize(
-    ("name", "code"), [("on/000003.zst", errno.ENOSPC), ("off/000003.zst", errno.ENOSPC), ("on/000003.zst", errno.EIO)]
+    ("name", "code"),
+    [
+        ("on/000003.zst", errno.ENOSPC),
+        ("off/000003.zst", errno.ENOSPC),
+        ("on/000003.zst", errno.EIO),
+        ("on/000003.zst", errno.EROFS),
+    ],
 )
 def test_20_a_write_that_fails(tmp_path, monkeypatch, name, code):
     original = store.write_atomically
@@ -194,7 +200,9 @@ def test_23_two_in_one_process(tmp_path):
         assert lock.note == ""
 
 
-@pytest.mark.parametrize("text", ["", "{", '{"pid": "x"}', '{"pid": 1, "host": "elsewhere", "start": "then"}'])
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", '{"pid": "x"}', "\x00" * 100, '{"pid": 1, "host": "elsewhere", "start": "then"}']
+)
 def test_23_a_lock_that_was_left_is_taken_over_but_never_that_of_another_machine(tmp_path, text):
     (tmp_path / LOCK_NAME).write_text(text)
     if "elsewhere" in text:

@@ -205,6 +205,18 @@ def acquired(line):
     return header(("[acquisition]\n", f"[acquisition]\n{line}\n"))
 
 
+def acquired_instead(key):
+    """A number in the place of a table."""
+
+    def change(room):
+        text = (room / "capture.toml").read_text()
+        start = text.index(f"[acquisition.{key}]")
+        text = text[:start] + text[text.index("\n[", start) :]
+        (room / "capture.toml").write_text(text.replace("[acquisition]\n", f"[acquisition]\n{key} = 3\n", 1))
+
+    return change
+
+
 def event(**fields):
     def change(room):
         with open(room / "frames.jsonl", "a") as file:
@@ -234,9 +246,17 @@ HARM = {
     "terminal": (acquired('calibration = "\\u001b[2J"'), "acquisition.calibration = "),
     "microsteps": (placed_at(1.5), "microsteps of record 5 = "),
     "no microsteps": (placed_at(None), "microsteps of record 5 = "),
+    "words for microsteps": (placed_at("x"), "microsteps of record 5 = "),
+    "a truth for microsteps": (placed_at(True), "microsteps of record 5 = "),
+    "camera's number": (acquired_instead("camera"), "acquisition.camera = "),
+    "features' number": (acquired_instead("features"), "acquisition.features = "),
+    "nothing suspect": (event(event="suspect"), "which no session writes"),
+    "a number suspect": (event(event="suspect", records=3), "which no session writes"),
     "suspect": (event(event="suspect", records=[["a", "b"]]), "which no session writes"),
     "run": (event(event="suspect", records=[[0]]), "which no session writes"),
     "placed": (event(event="placed", placement=None), "which no session writes"),
+    "placed nowhere": (event(event="placed"), "which no session writes"),
+    "placed in words": (event(event="placed", placement="x"), "which no session writes"),
 }
 
 
