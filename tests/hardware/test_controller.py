@@ -176,7 +176,7 @@ def test_half_a_line_does_not_spoil_the_next(fake, controller):
     assert controller.link_counts.resent == 1
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(5))
 def test_noise_does_nothing_twice_and_leaves_nothing_out(fake, controller, seed):
     fake.to_controller, fake.to_host = lossy(seed, 0.005), lossy(seed + 100, 0.005)
     for k in range(1, 61):

@@ -77,7 +77,7 @@ def test_a_rig_that_is_well(desk, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("true", [28800, 28803, 9600, 5760, 16000, 86400])
+@pytest.mark.parametrize("true", [28800, 28803, 9600, 14400, 7200, 5760, 16000, 57600, 86400, 3200])
 def test_a_turn_is_measured_whatever_it_should_have_been(desk, true):
     controller = desk.controller
     controller.turn = true
@@ -160,8 +160,20 @@ def test_within_limits_that_allow_a_turn_it_is_measured(tmp_path, true, verdict)
     assert desk.controller.settings.limits == (-1600, 29600)
 
 
-def pressed(desk):
+def test_estop_pressed(desk, tmp_path):
     desk.controller.estop, desk.controller.fault = True, Fault.EMERGENCY_STOP
+    found = examined(desk, tmp_path)
+    assert (found["inputs"].verdict, found["inputs"].found) == ("wrong", "the emergency stop is pressed")
+    assert "home" not in found and desk.controller.shots == []
+
+
+def test_home_switch_that_never_closes(desk, tmp_path):
+    desk.controller.switch = False
+    found = examined(desk, tmp_path)
+    assert found["home"].verdict == "wrong" and "turntable.reverse" in found["home"].do
+    assert "steps per turn" not in found and "laser" not in found
+    # The trigger needs no home.
+    assert found["trigger"].verdict == "works"
 
 
 def slipping(desk):
@@ -178,13 +190,6 @@ def slipping(desk):
 @pytest.mark.parametrize(
     ("spoil", "name", "says", "unseen"),
     [
-        (pressed, "inputs", "the emergency stop is pressed", {"home", "laser"}),
-        (
-            lambda desk: setattr(desk.controller, "switch", False),
-            "home",
-            "turntable.reverse",
-            {"laser"},
-        ),
         (slipping, "home", "again +0 and +30 microsteps", {"laser"}),
         (lambda desk: setattr(desk.table, "dead", True), "laser", "the laser is dark", {"exposure"}),
         (lambda desk: setattr(desk.table, "welded", True), "laser", "the laser stays on", {"exposure"}),
@@ -237,7 +242,7 @@ def test_frames_in_part(desk, tmp_path):
     assert found["trigger"].verdict == "wrong" and "packet_size" in found["trigger"].do
 
 
-@pytest.mark.parametrize("peak, longer", [(20.0, True), (190.0, None), (900.0, False)])
+@pytest.mark.parametrize("peak, longer", [(20.0, True), (60.0, True), (190.0, None), (900.0, False)])
 def test_exposure(tmp_path, peak, longer):
     bright = make_desk(scene=SyntheticScene(peak_dn=90.0, ambient_dn=120.0, contrast=0.1))
     assert "darken the room" in examined(bright, tmp_path)["exposure"].do

@@ -103,13 +103,14 @@ def test_a_proof_may_end_after_the_next_step_was_taken(tmp_path, monkeypatch):
 # What is returned to
 
 
+@pytest.mark.parametrize("turn_deg", [36.0, -36.0])
 @pytest.mark.parametrize(
-    ("dark", "order", "turn_deg"),
+    ("dark", "order"),
     [
-        ((1,), [1, 0, *range(2, 10)], 36.0),
-        ((4,), [0, 1, 2, 4, 3, *range(5, 10)], 36.0),
-        ((4, 5), [0, 1, 2, 3, 4, *range(5, 10)], -36.0),
-        ((10,), [*range(10)], 36.0),
+        ((1,), [1, 0, *range(2, 10)]),
+        ((4,), [0, 1, 2, 4, 3, *range(5, 10)]),
+        ((4, 5), [0, 1, 2, 3, 4, *range(5, 10)]),
+        ((10,), [*range(10)]),
     ],
 )
 def test_a_step_noticed_late_is_returned_to_from_the_same_side(tmp_path, turn_deg, dark, order):

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from scanrig.errors import FirmwareError, LinkLost, SessionError
+from scanrig.errors import Fault, FirmwareError, LinkLost, RigFault, SessionError
 from scanrig.recording import AHEAD
 
 from jaxscan.errors import CaptureError
@@ -192,11 +192,12 @@ def test_a_laser_that_cannot_be_confirmed_off_is_reported(tmp_path):
         desk.sweep(tmp_path / "other")
 
 
-def test_counters_that_cannot_be_asked_for_are_left_out(tmp_path):
+@pytest.mark.parametrize("problem", [LinkLost("gone"), FirmwareError("lacks 'las'"), RigFault(Fault.EMERGENCY_STOP, 0)])
+def test_counters_that_cannot_be_asked_for_are_left_out(tmp_path, problem):
     desk = Desk()
 
     def fails():
-        raise FirmwareError("lacks 'las'")
+        raise problem
 
     desk.controller.counters = fails
     assert desk.sweep(tmp_path / "room").status == "complete"

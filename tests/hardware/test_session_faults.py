@@ -42,7 +42,7 @@ PASSING = {
 }
 
 
-@pytest.mark.parametrize("shot", [1, 11])
+@pytest.mark.parametrize("shot", [1, 4, 11])
 @pytest.mark.parametrize("fault", PASSING)
 def test_a_passing_fault_costs_no_record(tmp_path, fault, shot):
     desk = Desk()
@@ -181,7 +181,7 @@ def reset_in_home(desk):
 
 
 @pytest.mark.parametrize("when", ["home is not heard", "contactor is not heard", "reset"])
-@pytest.mark.parametrize("lost", [0, 3000])
+@pytest.mark.parametrize("lost", [0, 80, 3000])
 def test_13_lost_steps_are_not_forgotten_where_homing_is_repeated(tmp_path, when, lost):
     """The second homing of a fault finds home at 0 in any case: that says nothing of the records before the first."""
     desk = Desk()
