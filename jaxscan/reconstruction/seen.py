@@ -9,6 +9,8 @@ import numpy as np
 
 _BLOCKS = 8
 """Places of a frame that are looked at, two neighbouring lines each, so that a mosaic shows all its colours."""
+TRACE_BINS = 160
+"""Samples of a frame's trace."""
 _PREFIX = "seen_"
 _NO_TWINS = 0.1
 """Part of the pixels that noise changes from which two frames are never the same by chance [1]."""
@@ -44,6 +46,8 @@ class Seen(NamedTuple):
     """Mean of the laser-off frame in the four phases of a mosaic or the three channels [DN], float32 [records, 4]."""
     light: np.ndarray
     """The laser's light in the same phases or channels [DN], float32 [records, 4]."""
+    trace: np.ndarray
+    """The laser-off frame across the turning axis, at each of the places [DN], float16 [records, places, bins]."""
 
     def arrays(self) -> dict[str, np.ndarray]:
         """For keeping, by name."""
@@ -77,6 +81,7 @@ def _empty(records: int) -> Seen:
         blank=np.zeros(pairs, np.int32),
         colours=np.zeros((records, 4), np.float32),
         light=np.zeros((records, 4), np.float32),
+        trace=np.zeros((records, _BLOCKS, TRACE_BINS), np.float16),
     )
 
 
@@ -116,6 +121,7 @@ class FrameWatch:
         seen.blank[record] = _blank_rows(self._middle(on), self._middle(off))
         seen.colours[record] = self._phases(dark)
         seen.light[record] = self._phases(np.where(difference > least, difference, 0))
+        seen.trace[record] = _trace(dark)
 
     def _sample(self, frame: np.ndarray) -> np.ndarray:
         """Some lines across the turning axis, uint8 [lines, samples(, 3)]; of a bracket the middle exposure."""
@@ -182,3 +188,12 @@ def _texture(sample: np.ndarray) -> tuple[int, float, float]:
     digest = hashlib.blake2b(np.ascontiguousarray(sample).data, digest_size=8).digest()
     grain = float(np.minimum(rough, 16).mean()) if rough.size else 0.0
     return int.from_bytes(digest, "little") | 1 if noisy else 0, float(plane.mean()), grain
+
+
+def _trace(sample: np.ndarray) -> np.ndarray:
+    plane = sample if sample.ndim == 2 else sample[:, :, 1]
+    # The two lines of a place together, and all pixels of a bin.
+    pairs = plane.reshape(_BLOCKS, 2, -1).sum(1, dtype=np.float32) / 2
+    edges = np.linspace(0, pairs.shape[1], TRACE_BINS + 1).astype(int)
+    starts, counts = np.minimum(edges[:-1], pairs.shape[1] - 1), np.maximum(np.diff(edges), 1)
+    return np.add.reduceat(pairs, starts, axis=1) / counts

@@ -1,5 +1,6 @@
 """Doubts about a sweep: what contradicts itself is noted, and healthy sweeps of all kinds are not."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -13,6 +14,7 @@ from jaxscan.reconstruction.doubts import (
     header_doubts,
     repeated_frames,
     strange_frames,
+    turning_doubts,
 )
 from jaxscan.reconstruction.sweep import Sweep
 from jaxscan.stripes import LaserLine
@@ -134,10 +136,12 @@ def seen_of(on, off):
     return watch.seen
 
 
-def doubts_of(on, off):
+def doubts_of(on, off, angles=None, scanner=SCANNER):
     seen, own = seen_of(on, off), np.arange(len(on))
+    angles = np.radians(TURN) if angles is None else angles
     found = repeated_frames(seen, own) + exchanged_frames(seen, own) + strange_frames(seen, own, own)
-    return found + blank_frames(seen, own)
+    found += blank_frames(seen, own)
+    return found + turning_doubts(seen, own, angles, own, scanner)
 
 
 def put(stack, k, frame):
@@ -149,7 +153,7 @@ def put(stack, k, frame):
 def test_healthy_frames_give_no_doubt(frames):
     on, off = frames
     assert doubts_of(on, off) == []
-    assert doubts_of(on[::2], off[::2]) == []
+    assert doubts_of(on[::2], off[::2], np.radians(TURN[::2])) == []
     # A dark room tells nothing, and frames without noise are the same by right.
     assert doubts_of(np.full_like(on, 0), np.full_like(off, 0)) == []
     # One laser-off frame for all, as somebody may want it of a table that carries the object.
@@ -185,7 +189,7 @@ def test_repeated_and_exchanged_frames(frames):
 @pytest.mark.parametrize("sides", [(0, 1), (0,), (1,)])
 def test_frames_of_another_record_or_brightness(frames, sides):
     stacks = [stack.copy() for stack in frames]
-    for side in sides[:1]:
+    for side in sides:
         stacks[side][[6, 25]] = stacks[side][[25, 6]]
     assert any(re.search(r"records 6\b.* 25\b", doubt) for doubt in doubts_of(*stacks))
     dim = [stack.copy() for stack in frames]
@@ -222,6 +226,30 @@ def test_one_frame_of_a_pair_that_is_damaged(frames, side, damage):
     }[damage]  # fmt: skip
     found = strange_frames(seen_of(*stacks), np.arange(COUNT), np.arange(COUNT))
     assert any("record 17" in doubt for doubt in found)
+
+
+def test_angles_that_the_picture_contradicts(frames):
+    on, off = frames
+    moved = np.radians(edited(13, TURN[13] + 5.0))
+    assert any("record 13 shows another place" in doubt for doubt in doubts_of(on, off, moved))
+
+
+def test_an_axis_that_lies_in_the_image(frames):
+    """As a person may write it by mistake, with the usual `up`: no motion is expected, and there is one."""
+    lying = dataclasses.replace(SCANNER, turntable=Turntable.from_axis(np.array([1.0, 0.0, 0.0]), np.zeros(3)))
+    assert any("does not stand upright" in doubt for doubt in doubts_of(*frames, scanner=lying))
+
+
+def test_a_bare_stretch_is_not_another_place(frames):
+    """Where the picture does not continue around a record either, nothing is known of that record."""
+    bare = [stack.copy() for stack in frames]
+    noise = np.random.default_rng(4).normal(90, 1.2, bare[0][10:17].shape)
+    for stack in bare:
+        stack[10:17] = np.rint(noise).astype(np.uint8)
+    assert not any(
+        "another place" in doubt
+        for doubt in turning_doubts(seen_of(*bare), np.arange(COUNT), np.radians(TURN), np.arange(COUNT), SCANNER)
+    )
 
 
 def test_the_mosaic_and_the_colour_of_the_laser(frames):
