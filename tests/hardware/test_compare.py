@@ -66,7 +66,7 @@ def test_another_view_is():
 @pytest.mark.parametrize("degrees", [1.0, 5.0, 15.0, -90.0])
 def test_a_table_that_stands_elsewhere_is_seen_by_the_room_alone(degrees, pixel_format):
     """The line may lie where it lay, by chance: the scene's is the same at places all around."""
-    for position in (0, 14400):
+    for position in range(0, 28800, 7200):
         scene = SyntheticScene()
         brighter = replace(scene, ambient_dn=1.2 * scene.ambient_dn)
         first = pair(scene, position, pixel_format=pixel_format)

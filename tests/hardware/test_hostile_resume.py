@@ -134,7 +134,7 @@ def tried(stopped, tmp_path, rng):
 
 @pytest.mark.parametrize(
     ("count", "seed"),
-    [(25, 1), *(pytest.param(100, seed, marks=[pytest.mark.slow, pytest.mark.timeout(900)]) for seed in (2, 3, 4))],
+    [(40, 1), *(pytest.param(100, seed, marks=[pytest.mark.slow, pytest.mark.timeout(900)]) for seed in (2, 3, 4))],
 )
 def test_a_stopped_scan_that_somebody_changed(stopped, tmp_path, count, seed):
     rng = random.Random(seed)

@@ -29,7 +29,7 @@ def positions(**tables):
     return [target.position for target in plan_sweep(rig(**tables))[0]]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(deadline=None)
 @given(n=st.integers(8, 100_000), data=st.data())
 def test_a_full_turn_stands_at_2kn_plus_k_over_2k(n, data):
     """The closed form of PROTOCOL.md, section 3, for every table and number of steps."""
@@ -111,7 +111,7 @@ def test_colour_takes_three_times_the_space():
     assert estimate(colour, [0]).bytes == 3 * estimate(rig(), [0]).bytes
 
 
-@settings(max_examples=30, deadline=None)
+@settings(deadline=None)
 @given(distance=st.integers(0, 100_000))
 def test_motion_takes_as_long_as_its_ramps_and_its_run(distance):
     config = rig(turntable={"gear": [9, 1]})

@@ -21,7 +21,7 @@ from scanrig.controllers.jxs.protocol import (
 from .golden import ENCODED, dialogues
 
 
-BUSY = settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.too_slow])
+BUSY = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 """A computer with other things to do takes its time over examples."""
 
 SEQUENCES = st.integers(0, 65535)
