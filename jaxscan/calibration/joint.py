@@ -157,7 +157,7 @@ class Linearised:
     """Derivatives of the departures by the shared unknowns and those of the view's placement."""
     corner_slopes: Float[np.ndarray, "views rows departures"]
     """Derivatives of the whitened rows by the departures of their view."""
-    stripe_slopes: Float[np.ndarray, "stripes points departures"]
+    stripe_slopes: Float[np.ndarray, "stripes points of_stripes"]
 
     @cached_property
     def slope(self) -> Float[np.ndarray, "stripes points"]:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from graphlib import TopologicalSorter
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from jaxscan.errors import ConfigError, JaxscanError
 from jaxscan.files.disk import MEGABYTE, forget_partials, open_regular
@@ -25,6 +25,7 @@ from jaxscan.project.work import begun_row, do_step, failed_row
 from jaxscan.reconstruction import Progress
 
 
+@runtime_checkable
 class Show(Protocol):
     """Receives the progress of a batch."""
 
