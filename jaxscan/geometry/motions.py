@@ -214,7 +214,7 @@ class LinearStage(AbstractMotion):
         if abs(gain) < SLOWEST or (gain < 0 and basis is not None):
             raise ValueError(f"gain = {gain:g}: expected about 1")
         if basis is None:
-            return LinearStage.from_direction(direction, gain=gain)
+            return LinearStage.from_direction(direction, gain=float(gain))
         check_frame("direction", direction, basis)
         return LinearStage(direction, gain, basis)
 
@@ -353,7 +353,9 @@ class Turntable(AbstractMotion):
         if abs(gain) < SLOWEST:
             raise ValueError(f"gain = {gain:g}: the table does not turn")
         if basis is None:
-            return replace(Turntable.from_axis(direction, point, gain=gain, carries=part), harmonics=real(harmonics))
+            return replace(
+                Turntable.from_axis(direction, point, gain=float(gain), carries=part), harmonics=real(harmonics)
+            )
         check_frame("direction", direction, basis)
         along = float(np.dot(direction, point))
         if abs(along) > 1e-6 * max(1.0, float(np.linalg.norm(point))):
