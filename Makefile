@@ -23,12 +23,12 @@ QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=fals
 demo: $(INSTALLED)
 	$(BIN)/jaxscan demo -o demo
 
-# Four tiers; pyproject.toml names their markers. `.ci/run` runs the first three, and a sixth of the last:
+# Four tiers; pyproject.toml names their markers. `.ci/run` runs the first three, and a 24th of the last:
 #   test       what a person runs: minutes. Nothing is built, no program is started but Python.
 #   test-rig   with other programs beside it: the firmware in a simulated processor, cameras on loopback, browsers.
 #   test-more  whole loops and further cameras, boards and seeds, with the types of all arguments and results checked.
-#   test-slow  Monte Carlo, fuzzing and verbs killed at many moments: over an hour. PART=3/6 runs the third
-#              sixth of them.
+#   test-slow  Monte Carlo, fuzzing and verbs killed at many moments: hours. PART=3/24 runs the third
+#              24th of them.
 # TESTS=tests/stripes runs those of a folder or a file, in each of them. test-all is everything, compiled as the package
 # is in use.
 #
