@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 import stat
 import unicodedata
 from pathlib import Path
@@ -57,12 +58,16 @@ def verdict(code: int | None, out: bytes, err: bytes, seconds: float, peak: int)
         faults.append("memory")
     if any(_is_command(one) for data in (out, err) for one in data.decode("utf-8", "surrogateescape")):
         faults.append("terminal")
-    lines = text.splitlines()
+    lines = [line for line in text.splitlines() if not _PROGRESS.fullmatch(line)]
     if code == 1 and (len(lines) != 1 or not lines[0].startswith("jaxscan: ")):
         faults.append("lines")
     if code == 0 and lines:
         faults.append("lines")
     return faults
+
+
+_PROGRESS = re.compile(r"\w+: \d+ %, about .* left")
+"""How far work of some seconds is, on standard error that is no terminal."""
 
 
 def _is_command(character: str) -> bool:

@@ -146,9 +146,10 @@ def test_a_batch_that_was_ended_leaves_no_process_and_goes_on(museum, number):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([os.getcwd(), *sys.path])}
     words = [sys.executable, "-m", "jaxscan.cli.main", "batch", str(museum), "--workers", "1"]
     first = subprocess.Popen(words, env=environment, stderr=subprocess.PIPE, text=True)
-    while not any(one.state == "done" for one in states(museum).values()):  # Ended by the time limit of tests.
+    # Ended by the time limit of tests; a step takes seconds.
+    while len(children(first.pid)) < 2:  # A worker, and what tracks its resources.
         assert first.poll() is None
-        time.sleep(0.05)
+        time.sleep(0.02)
     started = children(first.pid)
     first.send_signal(number)
     _, said = first.communicate()
