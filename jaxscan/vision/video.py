@@ -1,5 +1,8 @@
 """Frames of a video file, one after the other, by OpenCV."""
 
+import os
+from typing import BinaryIO
+
 import cv2
 import numpy as np
 
@@ -10,8 +13,11 @@ from jaxscan.geometry import MAX_PIXELS
 MOST_FRAMES = 1_000_000
 BEGINNING_BYTES = 12
 """Bytes of a file that say whether it is a video."""
-_EBML = b"\x1a\x45\xdf\xa3"
-"""How a Matroska file begins."""
+_EBML, _SEGMENT = b"\x1a\x45\xdf\xa3", b"\x18\x53\x80\x67"
+"""How a Matroska file, and all of it behind its header, begin."""
+_OPEN_RIFF = 0xFFFF_FFFF
+_MOST_PARTS = 100_000
+"""Parts of a file that are looked at; a video of a day has fewer."""
 
 
 class Video:
@@ -78,6 +84,79 @@ class Video:
     def close(self) -> None:
         """Close the file."""
         self._video.release()
+
+
+def is_cut_short(file: BinaryIO) -> bool:
+    """Whether a video ends before its own outermost sizes say; decoders give what is left without a word.
+
+    Args:
+        file: An open AVI, MP4, MOV, MKV or WebM. A size that was left open, as by a streaming recorder,
+            tells nothing.
+    """
+    end = file.seek(0, os.SEEK_END)
+    file.seek(0)
+    head = file.read(8)
+    if head[:4] == b"RIFF":
+        return _riff_is_short(file, end)
+    if head[:4] == _EBML:
+        return _segment_is_short(file, end)
+    return _box_is_short(file, end)
+
+
+def _riff_is_short(file: BinaryIO, end: int) -> bool:
+    # A long AVI is several of these chunks, one after the other; others may stand behind the last.
+    at = 0
+    for _ in range(_MOST_PARTS):
+        file.seek(at)
+        head = file.read(8)
+        size = int.from_bytes(head[4:], "little")
+        if len(head) < 8 or head[:4] != b"RIFF" or size in (0, _OPEN_RIFF):
+            return False
+        at += 8 + size
+        if at > end:
+            return True
+        at += size % 2
+    return False
+
+
+def _box_is_short(file: BinaryIO, end: int) -> bool:
+    at = 0
+    for _ in range(_MOST_PARTS):
+        file.seek(at)
+        head = file.read(16)
+        size, least = int.from_bytes(head[:4], "big"), 8
+        if size == 1:
+            size, least = int.from_bytes(head[8:], "big"), 16
+        # A last box may be open; what is no name of a box is behind the last one.
+        if len(head) < 8 or size < least or not head[4:8].isalnum():
+            return False
+        at += size
+        if at > end:
+            return True
+    return False
+
+
+def _segment_is_short(file: BinaryIO, end: int) -> bool:
+    file.seek(len(_EBML))
+    header = _ebml_size(file)
+    if header is None:
+        return False
+    file.seek(header, os.SEEK_CUR)
+    if file.read(len(_SEGMENT)) != _SEGMENT:
+        return False
+    size = _ebml_size(file)
+    return size is not None and file.tell() + size > end
+
+
+def _ebml_size(file: BinaryIO) -> int | None:
+    """The size that stands next in a Matroska file; None if it was left open."""
+    first = file.read(1)
+    length = 9 - first[0].bit_length() if first else 9
+    if length > 8:
+        return None
+    bits = 7 * length
+    size = int.from_bytes(first + file.read(length - 1), "big") & ((1 << bits) - 1)
+    return None if size == (1 << bits) - 1 else min(size, 1 << 62)
 
 
 def _is_video(beginning: bytes) -> bool:

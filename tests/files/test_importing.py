@@ -12,6 +12,7 @@ from jaxscan.errors import CaptureError, OptionError
 from jaxscan.files.importing import list_images, parse_board
 from jaxscan.files.importing.listing import match, natural
 from jaxscan.files.importing.roles import group, understand
+from jaxscan.vision.video import is_cut_short
 
 
 NAMES = sorted(["l_2.png", "l_10.png", "l_1.png", "b_1.png", "a/l_3.png", "x[1].png"], key=natural)
@@ -291,3 +292,46 @@ def test_boards_that_are_not_understood(text):
 def test_boards_that_cannot_be(text, says):
     with pytest.raises(OptionError, match=says):
         parse_board(text)
+
+
+@pytest.mark.parametrize(("suffix", "codec"), VIDEOS)
+def test_a_video_that_is_cut_short_is_refused(tmp_path, capsys, suffix, codec):
+    """Decoders give the frames that are left as if there were no others."""
+    (tmp_path / "in").mkdir()
+    path = tmp_path / "in" / f"laser{suffix}"
+    whole = video(path, codec)
+    for share in (0.98, 0.7, 0.5):
+        path.write_bytes(whole[: int(share * len(whole))])
+        message = refusal(capsys, "import", tmp_path / "in", "-o", tmp_path / "out", "--step-deg", "1")
+        # The list of frames of an MP4 stands at its end.
+        expected = "cannot be decoded" if suffix == ".mp4" else "the file ends before its own header says"
+        assert expected in message
+        assert not (tmp_path / "out").exists()
+    path.write_bytes(whole)
+    assert main(["import", str(tmp_path / "in"), "-o", str(tmp_path / "out"), "--step-deg", "1"]) == 0
+    said = capsys.readouterr().out
+    assert f"laser{suffix} has 6 frames" in said and "says of itself" not in said
+
+
+@pytest.mark.parametrize(
+    ("beginning", "short"),
+    [
+        (b"RIFF" + (100).to_bytes(4, "little") + b"AVI " + bytes(96), False),
+        (b"RIFF" + (101).to_bytes(4, "little") + b"AVI " + bytes(96), True),
+        (b"RIFF" + bytes(4) + b"AVI ", False),
+        (b"RIFF\xff\xff\xff\xffAVI ", False),
+        (b"\0\0\0\x10ftypisomisom" + b"\0\0\0\x20mdat" + bytes(24), False),
+        (b"\0\0\0\x10ftypisomisom" + b"\0\0\0\x20mdat" + bytes(23), True),
+        (b"\0\0\0\x10ftypisomisom" + b"\0\0\0\0mdat" + bytes(23), False),
+        (b"\0\0\0\x10ftypisomisom" + b"\0\0\0\1mdat" + (40).to_bytes(8, "big") + bytes(23), True),
+        (b"\x1a\x45\xdf\xa3\x81\0" + b"\x18\x53\x80\x67\x85" + bytes(5), False),
+        (b"\x1a\x45\xdf\xa3\x81\0" + b"\x18\x53\x80\x67\x85" + bytes(4), True),
+        (b"\x1a\x45\xdf\xa3\x81\0" + b"\x18\x53\x80\x67\x01" + 7 * b"\xff" + bytes(4), False),
+        (b"\x1a\x45\xdf\xa3", False),
+    ],
+)
+def test_a_video_says_how_long_it_is(tmp_path, beginning, short):
+    """Sizes that were left open, as by a recorder that was stopped hard, say nothing."""
+    (tmp_path / "video").write_bytes(beginning)
+    with open(tmp_path / "video", "rb") as file:
+        assert is_cut_short(file) is short

@@ -208,7 +208,13 @@ def open_video(folder: Path, name: str) -> "Video":
 
 
 def count_frames(folder: Path, name: str) -> tuple[int, int]:
-    """Number of frames of a video, and the number that the file says it has; 0 if it does not say."""
+    """Number of frames of a video, and the number that the file says it has; 0 if it does not say.
+
+    Raises:
+        CaptureError: If it cannot be read, has none, or is cut short.
+    """
+    from jaxscan.vision.video import is_cut_short
+
     video = open_video(folder, name)
     try:
         found = video.count()
@@ -217,4 +223,12 @@ def count_frames(folder: Path, name: str) -> tuple[int, int]:
     path = folder / name
     if not found:
         raise CaptureError(f"{path}: no frame can be decoded; the file is damaged, or its codec is not known.")
+    with open_regular(path, error=CaptureError, links="refuse") as file:
+        short = is_cut_short(file)
+    if short:
+        of = f"of {video.announced} " if video.announced >= found else ""
+        raise CaptureError(
+            f"{path}: the file ends before its own header says, in or after frame {found} {of}(the last may be "
+            "damaged): copy it again, or cut it cleanly with a video program."
+        )
     return found, video.announced
