@@ -98,8 +98,7 @@ class Capture:
         """
         return self._angles
 
-    # Beside a plain property: type checkers take a `cached_property` for something else, and a `Capture` would not match
-    # `SweepSource`.
+    # A plain property returns it: type checkers would not match a `cached_property` with that of `SweepSource`.
     @functools.cached_property
     def _angles(self) -> np.ndarray:
         if self.carries == "nothing":
