@@ -93,7 +93,7 @@ class ShownCloud:
         self.hides = self.sides is not None and hides_well(self.sides)
         """Whether what is seen from behind is better left out at first."""
         self.walls = None if self.sides is None else walls_of(self.sides)
-        """By how much the walls are turned about z against the axes [rad]; None where that is not known."""
+        """Angle about z from the axes to the walls [rad]; None where it is unknown."""
 
     @property
     def points(self) -> int:
