@@ -29,7 +29,8 @@ class Ink(NamedTuple):
 def board_ink(board: AbstractBoard) -> Ink:
     """The shapes of a board, within `board.outline()`.
 
-    Raises: ValueError: If nobody knows how such a board is printed.
+    Raises:
+        ValueError: If no print of such a board is known.
     """
     circles = np.zeros((0, 3))
     if isinstance(board, Circles):

@@ -43,7 +43,11 @@ class Captures:
         """What was read of a file, and the state of the file then."""
 
     def path(self, name: str) -> Path:
-        """Where a capture of this name is, or would be. Raises: CaptureError: If it is no name of one."""
+        """Where a capture of this name is, or would be.
+
+        Raises:
+            CaptureError: If it is not the name of a capture.
+        """
         if not is_name(name):
             raise CaptureError(f"{name}: {NAME_WORDS}")
         return self.folder / name
