@@ -263,7 +263,7 @@ class _Contest(NamedTuple):
     def of(cls, stripes: np.ndarray, decoys: np.ndarray) -> "_Contest":
         stripes, decoys = (np.sort(values[values > 0]) for values in (stripes, decoys))
         middle = float(np.median(decoys)) if len(decoys) else 0.0
-        rate = np.count_nonzero(stripes <= middle) / max(np.count_nonzero(decoys <= middle), 1)
+        rate = int(np.count_nonzero(stripes <= middle)) / max(int(np.count_nonzero(decoys <= middle)), 1)
         # Where decoys are clearer than the laser's stripes these are no chance.
         return cls(stripes, decoys, min(rate, _RATE))
 
