@@ -244,6 +244,39 @@ class RenderedSweep:
         return render_sweep(self.config, seed=self.seed, angles=self.angles, scene=self.scene)
 
 
+class PlainStripes(NamedTuple):
+    """The stripes of a sweep by a plain finder [records, rows]."""
+
+    u: np.ndarray
+    """Column [px]."""
+    valid: np.ndarray
+    grey: np.ndarray | None = None
+    """The laser-off image at the centres [DN]."""
+
+
+def plain_stripes(shape: tuple[int, int], first: int = 0) -> tuple[dict[str, PlainStripes], Watch]:
+    """Stripes by every plain finder, in the red channel of colour frames, and what fills them while a sweep is read.
+
+    Args:
+        shape: Records and rows.
+        first: Column of the whole image at which the frames begin; it is added to the stripes' [px].
+    """
+    found = {name: PlainStripes(np.zeros(shape), np.zeros(shape, bool), np.zeros(shape)) for name in EXTRACTORS}
+
+    def watch(start: int, on: np.ndarray, off: np.ndarray) -> None:
+        on, off = (frames if frames.ndim == 3 else frames[..., 0] for frames in (on, off))
+        for name, extract in EXTRACTORS.items():
+            u, valid = extract(on, off)
+            left = np.clip(u.astype(int), 0, off.shape[2] - 2)
+            low, high = (np.take_along_axis(off, at[..., None], 2)[..., 0].astype(float) for at in (left, left + 1))
+            parts = np.where(valid, u + first, 0), valid, low + (u - left) * (high - low)
+            # Frames may be read more than once: stripes are kept by the number of their record.
+            for whole, part in zip(found[name], parts, strict=True):
+                whole[start : start + len(part)] = part
+
+    return found, watch
+
+
 SETTINGS = CalibrationSettings(judge=False)
 """The tests of the models take longer than the solve, and no draw uses them."""
 _OURS = 1000
@@ -430,15 +463,6 @@ STRIDE = {"kind": 1, "unkind": 10}
 _QUICK_STEPS = 90
 
 
-class PlainStripes(NamedTuple):
-    """Stripes by a plain extractor."""
-
-    u: np.ndarray
-    """Column in the whole image [records, rows]; px."""
-    valid: np.ndarray
-    """bool [records, rows]."""
-
-
 class Room(NamedTuple):
     """The stripes of a sweep of the room; all columns are those of the whole image."""
 
@@ -498,16 +522,7 @@ def _sweep(stage: Stage) -> Room:
     angles = sweep_angles(config, every=every)
     first, stop = stripe_window(scanner, NEAR_M, FAR_M, MARGIN * config.camera.width)
     shape = len(angles), config.camera.height
-    plain = {name: PlainStripes(np.zeros(shape, np.float32), np.zeros(shape, bool)) for name in EXTRACTORS}
-
-    def watch(start: int, on: np.ndarray, off: np.ndarray) -> None:
-        # The first frames come twice: the noise is learned from them.
-        part = slice(start, start + len(on))
-        for name, extract in EXTRACTORS.items():
-            u, valid = extract(on, off)
-            plain[name].u[part] = np.where(valid, u + first, 0)
-            plain[name].valid[part] = valid
-
+    plain, watch = plain_stripes(shape, first)
     sweep = RenderedSweep(windowed(config, first, stop), angles, seed=config.seed, watch=watch)
     settings = jaxscan.ReconstructSettings(min_range_m=NEAR_M - 0.1, max_range_m=FAR_M + 0.3)
     stage.say(f"sweep of the room: {len(angles)} records")
