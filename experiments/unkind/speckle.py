@@ -80,6 +80,7 @@ def figures_of(contrast: float, worlds: list[dict[str, Any]]) -> list[Figure]:
         Figure("boards: error / stated, most", float(honest.max()), "1", *HONEST),
         Figure("boards: RMS", rms(each(ours, "observed", "rms_px")), "px"),
         Figure("boards: RMS over the sweep's, median", float(np.median(apart)), "1", high=1.3),
+        Figure("boards: RMS over the sweep's of the same brightness", _like_for_like(ours), "1", high=1.3),
         Figure("boards: points over plain's", over_plain("observed", "points"), "1"),
         Figure("sheet at 2.5 m", rms(each(ours, "rig", "sheet_mm")), "mm"),
         Figure("sheet at 2.5 m over plain's", over_plain("rig", "sheet_mm"), "1", high=0.6),
@@ -100,6 +101,22 @@ def figures_of(contrast: float, worlds: list[dict[str, Any]]) -> list[Figure]:
         out.append(Figure(f"{name}: stated / true, median", middle, "1", 0.9, 1.1))
         out.append(Figure(f"{name}: RMS over plain's", over_plain(part, "rms_near_px"), "1"))
     return [one._replace(key=f"{contrast:g} {one.key}") for one in out]
+
+
+def _like_for_like(worlds: list[dict[str, Any]]) -> float:
+    """Root mean square of errors on boards, over that of rows of the sweeps as bright: black print is faint."""
+    on_boards = own = 0.0
+    for low, high in AMPLITUDES:
+        name = f"{low}-{high}"
+        boards, sweep = (
+            [world[part][kind][name] for world in worlds]
+            for part, kind in (("observed", "amplitudes"), ("rows", "classes"))
+        )
+        squares = [sum(one["points"] * one["rms_px"] ** 2 for one in each if one["points"]) for each in (boards, sweep)]
+        counts = [sum(one["points"] for one in each) for each in (boards, sweep)]
+        if counts[1] >= LEAST_DUE:
+            on_boards, own = on_boards + squares[0], own + counts[0] * squares[1] / counts[1]
+    return float(np.sqrt(on_boards / own))
 
 
 def main() -> int:
