@@ -4,9 +4,10 @@
 
 Worlds of `experiments.unkind.simulated` with a lens at f/4 and a laser whose speckle has such a contrast on one pixel,
 each calibrated as a user does, camera, sheet and axis from one capture of boards, by jaxscan and by the plain method.
-Every figure is printed beside its limit; the exit code is 1 if one is missed. With `--worlds` the captures are kept.
+Every figure is printed beside its limit; the exit code is 1 if one is missed. With `--worlds` captures and figures are kept, and what is there is not made again.
 """
 
+import json
 import sys
 import tempfile
 from pathlib import Path
@@ -56,10 +57,14 @@ def draw_config(seed: int, contrast: float) -> SimulationConfig:
 
 
 def measure(seed: int, contrast: float, folder: Path) -> dict[str, Any]:
-    """The figures of one world by both methods; it is rendered where it is not there yet."""
+    """The figures of one world by both methods; it is rendered and judged where it is not yet."""
+    kept = folder / "figures.json"
     if not (folder / "truth.npz").exists():
         simulated.render_config(draw_config(seed, contrast), folder)
-    return judge.judge(folder)
+    if not kept.exists():
+        kept.write_text(json.dumps(judge.judge(folder)))
+    found: dict[str, Any] = json.loads(kept.read_text())
+    return found
 
 
 def figures_of(contrast: float, worlds: list[dict[str, Any]]) -> list[Figure]:
@@ -124,7 +129,7 @@ def main() -> int:
     parser = command_line(__doc__, json=True)
     parser.add_argument("--seeds", type=int, nargs=2, default=SEEDS, metavar=("FIRST", "LAST"))
     parser.add_argument("--contrasts", type=float, nargs="+", default=CONTRASTS)
-    parser.add_argument("--worlds", type=Path, metavar="FOLDER", help="where captures are kept, and taken again")
+    parser.add_argument("--worlds", type=Path, metavar="FOLDER", help="where worlds are kept, and taken again")
     parser.add_argument("--results", type=Path, metavar="DIR", help="where the page is written")
     options = parser.parse_args()
     first, last = options.seeds
