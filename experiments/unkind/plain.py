@@ -175,4 +175,4 @@ def estimate(folder: str, truth: Truth, sweep_truth: TrueStripes) -> Estimate:
     seconds = passed(start, calibrated, clocks())
     seen = on_boards._replace(valid=on_boards.valid & solved.on_board)
     found = dimensions(truth, points, wall_of(truth, sweep_truth, rows))
-    return Estimate(solved.rig(truth), seen, rows, rows, found, seconds)
+    return Estimate(solved.rig(truth), seen, seen, rows, rows, found, seconds)

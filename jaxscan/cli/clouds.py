@@ -10,6 +10,7 @@ import tyro
 
 import jaxscan
 from jaxscan import api, measurement, reconstruction
+from jaxscan.api.stages import Stage, Stages
 from jaxscan.cli.measure import in_metres, notes_first, upright
 from jaxscan.cli.options import (
     CLOUD_SUFFIXES,
@@ -360,11 +361,13 @@ def register(
 
 def _register_sweeps(sweeps: list[Path], calibration: Path, output: Path, out: Terminal) -> list[dict[str, Any]]:
     captures = [api.open_capture(path) for path in sweeps]
-    with progress_bar("Registering") as progress:
-        adjusted, notes = api.register(captures, calibration, progress=progress)
-    out.notes([*calibration_files.calibration_notes(calibration), *notes])
     digest = calibration_files.calibration_digest(calibration)
-    api.save_recalibrated_cloud(captures, adjusted, adjusted.scanner, output, calibration_digest=digest)
+    with progress_bar("Registering") as progress:
+        # Their clouds take a quarter of the time.
+        stages = Stages(progress, (Stage(0.0, 3.0), Stage(1.0)))
+        adjusted, notes = api.register(captures, calibration, progress=stages.part(0))
+        api.save_recalibrated_cloud(captures, adjusted, adjusted.scanner, output, calibration_digest=digest)
+    out.notes([*calibration_files.calibration_notes(calibration), *notes])
     return [_station(*one) for one in zip(adjusted.stations, adjusted.station_covariance, strict=True)]
 
 

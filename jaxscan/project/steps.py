@@ -5,7 +5,7 @@ import functools
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib import resources
 from pathlib import Path
@@ -231,8 +231,11 @@ _FILES = {
     "report": ("reports/{}.html",),
 }
 """Of each product that is made of a cloud."""
-_OF_CAPTURE = ("panorama",)
-"""Products that read the capture too."""
+_OF_CAPTURE: Mapping[str, Callable[[Project, ProjectCapture], Mapping[str, Any]]] = {
+    "panorama": lambda project, capture: {"every": capture.settings.every},
+    "plan": lambda project, capture: {"project": project.wanted.project.name},
+}
+"""Settings of products that read the capture too, a plan for its date."""
 _MERGED = {"e57": "groups/{}.e57", "tiles": "groups/{}.tiles.json", "plan": "groups/{}.dxf"}
 
 
@@ -399,7 +402,7 @@ def _of_capture(project: Project, capture: ProjectCapture, reads: _Reads) -> Ite
                 reads.sources | (source if kind in _OF_CAPTURE else {}),
                 {"cloud": clouds[0], **reads.products},
                 tuple(file.format(name) for file in files),
-                {"every": capture.settings.every} if kind in _OF_CAPTURE else {},
+                _OF_CAPTURE[kind](project, capture) if kind in _OF_CAPTURE else {},
             )
 
 
@@ -443,5 +446,8 @@ def _of_group(project: Project, group: GroupTable, reads: _Reads) -> Iterator[St
     for kind in group.merged:
         output = _MERGED[kind].format(group.name)
         products = {**clouds, "calibration": files[0]}
-        more = {"tile_m": group.tile_m} if kind == "tiles" else {}
-        yield Step(f"merged/{kind}/{group.name}", f"merged {kind}", (*keys, register), {}, products, (output,), more)
+        settings = {"tiles": {"tile_m": group.tile_m}, "plan": {"project": project.wanted.project.name}}.get(kind, {})
+        dated = {"capture": captures[group.captures[0]].address} if kind == "plan" else {}
+        yield Step(
+            f"merged/{kind}/{group.name}", f"merged {kind}", (*keys, register), dated, products, (output,), settings
+        )

@@ -18,6 +18,10 @@ TESTS = {
         "Do the corner residuals still depend on where on the board they lie?",
         "the board is not flat",
     ),
+    "paper": (
+        "Would every placement have its board bent another way?",
+        "the board bends from view to view",
+    ),
     "table": (
         "Would every view have its board turned a little further?",
         "the table does not turn by the angles of its model",
@@ -140,12 +144,13 @@ def good_to_words(good_to: GoodTo) -> str:
 
 
 def _parts(quality: Quality, good_to: GoodTo) -> str:
-    """The causes that are large enough to be named, the largest first."""
+    """The causes that are large enough to be named, the largest first; a board that bends always is."""
     rig = good_to.sigma_mm is not None
     whole = (good_to.sigma_mm if rig else good_to.sigma_px) or 0.0
     tests = quality.verdict.tests if quality.verdict else ()
     sizes = [((test.effect_mm if rig else test.effect_px) or 0.0, test) for test in tests]
-    named = sorted(((size, test) for size, test in sizes if is_named(size, whole)), key=lambda part: -part[0])
+    worth = [(size, test) for size, test in sizes if is_named(size, whole) or test.bend_mm]
+    named = sorted(worth, key=lambda part: -part[0])
     texts = [
         f"{millimetres(size) if rig else f'{size:.2g} px'}{'' if index else ' of that'} because {_cause(test, quality)}"
         for index, (size, test) in enumerate(named)
@@ -160,6 +165,8 @@ def _cause(test: ModelTest, quality: Quality) -> str:
         cause = (
             "the board's shape falls short, though it was freed" if freed else f"{cause} (its shape could not be found)"
         )
+    if test.bend_mm:
+        cause = f"{cause} by {millimetres(test.bend_mm)}"
     return f"{cause} {test.where}" if test.where else cause
 
 

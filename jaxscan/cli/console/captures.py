@@ -74,8 +74,8 @@ class Captures:
 
     def calibration_of(self, digest: str) -> Path | None:
         """The file in the folder or beside it that is the calibration of this digest."""
-        files = (self.folder_of(one) / one["file"] for one in self.calibrations(of_any_rig=True))
-        return next((file for file in files if digest and calibration_digest(file) == digest), None)
+        known = (one for one in self.calibrations(of_any_rig=True) if digest and one["digest"] == digest)
+        return next((self.folder_of(one) / one["file"] for one in known), None)
 
     def calibrations(self, *, of_any_rig: bool = False) -> list[dict[str, Any]]:
         """The calibrations in the folder and beside it that fit the rig, or all of them, the newest first.
@@ -111,7 +111,7 @@ class Captures:
                 head = file.read(_HEAD)
             if _FORMAT in head:
                 found = api.load_calibration(path)
-                return judged(found) | {"fits": self._fits(found)}
+                return judged(found) | {"fits": self._fits(found), "digest": calibration_digest(path)}
         return None
 
     def delete(self, name: str) -> None:

@@ -92,7 +92,7 @@ class Sessions:
 
         rig, order, calibration = running.rig, running.order, self._works.calibration
         plan = ScanPlan.of(rig, boards=False)
-        progress = self._progress(running, plan, by_hand=False)
+        progress = self._progress(running, plan, plan.seconds)
         with ExitStack() as stack:
             live = None if calibration is None else stack.enter_context(self._live(running, plan, calibration))
 
@@ -138,7 +138,7 @@ class Sessions:
         if self._place_command is not None:
             free = rig.calibration.free_views
             command = CommandOperator(self._place_command, free_views=free, console=desk.out)
-        progress = self._progress(running, ScanPlan.of(rig, boards=True), by_hand=command is None)
+        progress = self._progress(running, ScanPlan.of(rig, boards=True))
         guide = make_guide(rig)
 
         def try_calibration(request: "PlacementRequest") -> None:
@@ -167,12 +167,14 @@ class Sessions:
             self._works.carry_out(Order("calibrate", order.name))
         return str(result.message)
 
-    def _progress(self, running: Running, plan: ScanPlan, *, by_hand: bool) -> Callable[[int, int], None]:
-        """Show what is planned; returns the hook that shows how far it is, and how long it still takes."""
+    def _progress(self, running: Running, plan: ScanPlan, seconds: float | None = None) -> Callable[[int, int], None]:
+        """Show what is planned; returns the hook that shows how far it is, and how long it still takes.
+
+        `seconds` is unknown for boards: how long a person or a command takes for a pose shows with the first.
+        """
         for note in plan.notes:
             self._desk.notify(note)
-        # How long a person takes for a pose is unknown before the first one.
-        seconds, remaining = None if by_hand else plan.seconds, Remaining(time.monotonic, from_first=True)
+        remaining = Remaining(time.monotonic, from_first=True)
         work: Sequence[int] = plan.work
         self._slate.write(
             capture=running.order.name, done=0, planned=plan.records, left_s=seconds, needed_bytes=plan.bytes

@@ -90,7 +90,8 @@ class Works:
         match order.do:
             case "calibrate":
                 file = captures.calibration(name)
-                self._call_verb("calibrate", name, [path, "-o", str(file)], self._judged(name, file), of=of)
+                judged = self._judged(name, file, so_far=bool(of))
+                self._call_verb("calibrate", name, [path, "-o", str(file)], judged, of=of)
             case "recalibrate":
                 file = captures.path(f"{name}.recalibrated.json")
                 words = [path, "-c", str(self._before(name)), "-o", str(file)]
@@ -136,11 +137,14 @@ class Works:
             file = before
         return file
 
-    def _judged(self, name: str, file: Path) -> Then:
-        """What follows a calibration: its verdict is shown, and a good one is used."""
+    def _judged(self, name: str, file: Path, *, so_far: bool = False) -> Then:
+        """What follows a calibration: its verdict is shown, and a good one is used; one of the poses so far takes no
+        other one's place."""
 
         def then(well: bool, result: dict[str, Any]) -> None:
-            if well:
+            if well and so_far and self.calibration not in (None, file):
+                self._slate.write(verdict={"well": True, "so_far": name} | verdict_of(api.load_calibration(file)))
+            elif well:
                 self.take(file)
             elif result:
                 told = {key: result.get(key) for key in ("verdict", "advice", "warnings")}
