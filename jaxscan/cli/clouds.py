@@ -383,13 +383,13 @@ def _stack_clouds(paths: tuple[Path, ...], output: Path) -> list[dict[str, Any]]
     together = reconstruction.stack_placed([one.cloud for one in stored])
     api.save_cloud(together, output, calibration_digest=digests.pop() if len(digests) == 1 else "")
     stations = together.stations
-    # Each of the clouds has some, or it was refused.
+    # Every cloud has stations: one without was refused above.
     each = () if stations is None else zip(stations.pose, stations.covariance, strict=True)
     return [_station(*one) for one in each]
 
 
 def _station(pose: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:
-    """Where a station is, and the largest standard deviation of that; None where it is not known."""
+    """Position of a station, and the largest standard deviation of its coordinates; None where that is unknown."""
     variance = float(np.linalg.eigvalsh(np.asarray(covariance)[:3, :3])[-1])
     at = [float(value) for value in np.asarray(pose)[:3, 3]]
     return {"pose": np.asarray(pose).tolist(), "at_m": at, "sigma_m": variance**0.5 if variance > 0 else None}

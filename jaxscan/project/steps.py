@@ -193,7 +193,7 @@ def _wrong(path: Path, size: int) -> str:
 
 
 def _changed(parts: Mapping[str, str], last: Row) -> str:
-    """The parts that differ from those when it was done last, in words."""
+    """The inputs that have changed since it was done last, in words."""
     names = [name for name in parts if parts[name] != last.parts.get(name)]
     names += [name for name in last.parts if name not in parts]
     words = [f"the code, which was version {last.version}" if name == "code" else name for name in names]
@@ -279,7 +279,7 @@ def parts_of(step: Step, digests: Mapping[str, str], code: str) -> dict[str, str
         code: Digest of the code that does it.
 
     Returns:
-        By what a user calls them: "capture", "calibration", keys of other steps, "settings", "code".
+        By the user's names for them: "capture", "calibration", keys of other steps, "settings", "code".
     """
     found = {role: digests[address] for role, address in step.sources.items()}
     found |= {key: digests[key] for key in step.inputs}
@@ -321,7 +321,7 @@ class _Refined(NamedTuple):
 
     steps: tuple[Step, ...]
     by_single: _Reads
-    """Refined by the captures of no group. The register of a group adds those of its own, each once."""
+    """Refined by the captures that are in no group. The registration of a group adds its own captures, each once."""
     by_all: _Reads
 
 
@@ -415,7 +415,7 @@ def _parts(capture: ProjectCapture, records: int, reads: _Reads) -> Iterator[Ste
         sweep = open_capture(capture.address, compare=False).every(capture.settings.every)
         ranges = ranges_of(sweep, records)
     except CaptureError:
-        # Said by the step that makes its cloud; other captures go on.
+        # The step that makes its cloud reports this; other captures go on.
         return
     if len(ranges) < 2 or not all(record.off for record in sweep.records):
         return

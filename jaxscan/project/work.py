@@ -268,7 +268,7 @@ def refine_rig(workspace: StepWorkspace) -> None:
         calibration, refused = result.calibration, result.refused
         workspace.notes.extend(result.notes)
     except GivenError:
-        # A person can put it right; the stored calibration would hide it.
+        # The user can correct this; going on with the stored calibration would hide it.
         raise
     except (CalibrationError, CaptureError) as problem:
         refused = str(problem)

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _GOOD_ENOUGH, _AUTO_STEP, _SHORTEST_MS, _LONGEST_MS = 0.12, 4.0, 0.05, 2000.0
 """How near to the best exposure "auto" ends, its largest step, and its limits."""
 _ENOUGH_PLACEMENTS = 2
-"""Standing places after which a calibration is tried while others follow."""
+"""Number of standing places after which a first calibration is tried during the capture."""
 
 
 class Sessions:
@@ -170,7 +170,7 @@ class Sessions:
     def _progress(self, running: Running, plan: ScanPlan, seconds: float | None = None) -> Callable[[int, int], None]:
         """Show what is planned; returns the hook that shows how far it is, and how long it still takes.
 
-        How long a person or a command takes for a pose of the board nobody knows before the first.
+        `seconds` is unknown for boards: how long a person or a command takes for a pose shows with the first.
         """
         for note in plan.notes:
             self._desk.notify(note)
@@ -229,7 +229,7 @@ class PageOperator:
         while not self._answers.empty():
             # Pressed too early, it would take the board while it is moved to the next pose.
             self._answers.get()
-        # The session has opened the contactor, because somebody is in front of the laser.
+        # The session has cut the laser's power, because somebody is in front of it.
         self._slate.write(doing="placing", placing=asked, laser="off")
         while not self._should_stop():
             self._look(request)
