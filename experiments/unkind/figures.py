@@ -112,6 +112,10 @@ def board_figures(stripes: TrueStripes, found: Rows) -> dict[str, Any]:
             "rms_px": rms(error[mine]),
             "error_over_stated": rms(error[mine] / found.sigma[mine]) if enough else float("nan"),
         }
+    out["amplitudes"] = {}
+    for low, high in AMPLITUDES:
+        mine = right & (amplitude >= low) & (amplitude < high)
+        out["amplitudes"][f"{low}-{high}"] = {"points": int(mine.sum()), "rms_px": rms(error[mine])}
     means = [error[k][right[k]].mean() for k in range(len(error)) if right[k].sum() >= 20]
     out["mean_of_view_px"] = float(np.abs(means).max()) if means else float("nan")
     return out

@@ -99,6 +99,10 @@ class Solved:
                 axes.append(cv2.Rodrigues(turn)[0].ravel())
                 # Both are seen from the camera at a; brought to angle 0 below.
                 rows.append((turn, shift, records[a].angle or 0.0))
+        if not rows:
+            # No placement was seen twice: nothing but walls is judged by the axis.
+            self.direction, self.point = np.array([0.0, -1.0, 0.0]), np.zeros(3)
+            return
         direction = np.sum(axes, 0)
         self.direction = direction / np.linalg.norm(direction)
         # The axis has the same place in the camera's frame at every angle.

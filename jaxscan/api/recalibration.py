@@ -91,7 +91,7 @@ def register(
 ) -> tuple[Adjusted, tuple[str, ...]]:
     """The places from which sweeps of one room were taken, by its walls; and notes on the captures.
 
-    Features of the images are tracked only where walls alone leave a station open.
+    Targets are looked for in the images only where walls alone leave a station open.
 
     Args:
         captures: Sweeps, each from a place of its own; the first is in the middle of the frame.
@@ -120,7 +120,7 @@ def register(
             return found, tuple(notes)
     except CalibrationError as raised:
         problem = raised
-    # Features may determine what walls leave open.
+    # Targets may determine what walls leave open.
     tracks, said = recalibration.observe_features(captures, sweeps, scanner, _feature_eyes(), settings, None)
     if tracks is not None:
         found = recalibration.register(sweeps, stored, settings, Given(tracks=tracks))

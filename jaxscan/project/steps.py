@@ -446,8 +446,8 @@ def _of_group(project: Project, group: GroupTable, reads: _Reads) -> Iterator[St
     for kind in group.merged:
         output = _MERGED[kind].format(group.name)
         products = {**clouds, "calibration": files[0]}
-        settings = {"tiles": {"tile_m": group.tile_m}, "plan": {"project": project.wanted.project.name}}.get(kind, {})
-        dated = {"capture": captures[group.captures[0]].address} if kind == "plan" else {}
-        yield Step(
-            f"merged/{kind}/{group.name}", f"merged {kind}", (*keys, register), dated, products, (output,), settings
-        )
+        more: dict[str, Any] = {"tile_m": group.tile_m} if kind == "tiles" else {}
+        dated = {}
+        if kind == "plan":
+            more, dated = {"project": project.wanted.project.name}, {"capture": captures[group.captures[0]].address}
+        yield Step(f"merged/{kind}/{group.name}", f"merged {kind}", (*keys, register), dated, products, (output,), more)

@@ -320,7 +320,8 @@ def _of_stack(on: _Stack, off: _Stack | None, count: Array, search: Search, kind
     every = functools.partial(_of_frames, count=count, frames=frames)
     measured = every(lambda k: estimator.measure(*planes(k), search, sites, kind.linear))
     offsets = jnp.asarray(sites.offsets, jnp.float32)[jnp.arange(measured.u.shape[2]) % len(sites.offsets)]
-    in_image = lambda found: found._replace(u=jnp.where(found.valid, found.u + offsets, 0.0))
+    shift = lambda u: u + offsets.reshape(*(1,) * (u.ndim - 1), -1)
+    in_image = lambda found: found._replace(u=jnp.where(found.valid, shift(found.u), 0.0))
     measured = in_image(measured)
     number = choose_stripes(measured, search, kind.choice)
     if (measure_at := estimator.at) is not None and number is not None and kind.choice == "path":
@@ -330,7 +331,7 @@ def _of_stack(on: _Stack, off: _Stack | None, count: Array, search: Search, kind
             gaps = find_gaps(*known)
 
             def in_gaps(k: Array) -> FrameStripes:
-                peaks = jax.tree.map(lambda field: field[k][None], gaps.peaks(offsets, sites.pitch))
+                peaks = jax.tree.map(lambda field: field[k][None], gaps.peaks(offsets[None], sites.pitch))
                 found = kept(jnp.any(peaks.exists), lambda: measure_at(*planes(k), peaks, least, sites, kind.linear))
                 return jax.tree.map(lambda field: field[0], found)
 

@@ -20,11 +20,11 @@ from jaxscan.stripes.peaks import Peaks, peaks_at
 from jaxscan.stripes.stripes import FrameStripes
 
 
-LEAST_SNR = 2.5
+LEAST_SNR = 2.0
 """Signal-to-noise ratio of a stripe that is measured where it has to be [1]."""
-PASSES = 2
+PASSES = 3
 """How often gaps are filled: what is found makes the gaps that are left shorter."""
-_LINES = 8
+_LINES = 12
 """Lines without a stripe, at most, that lines with one lie around."""
 _STEEPEST = 1.0
 """Largest slope of the stripe over a gap [px per line]; errors of both ends come to it."""
@@ -41,7 +41,7 @@ class Gaps(NamedTuple):
     width: Float[Array, "frames lines"]
     """Standard deviation of the stripe [px]."""
 
-    def peaks(self, offset: Float[Array, " lines"], pitch: int) -> Peaks:
+    def peaks(self, offset: Float[Array, "1 lines"], pitch: int) -> Peaks:
         """As candidates of the search.
 
         Args:
@@ -63,7 +63,7 @@ def find_gaps(measured: FrameStripes, number: Int8[Array, "frames lines"]) -> Ga
     taken = lambda field: jnp.take_along_axis(jnp.asarray(field), chosen, 1)[:, 0]
     u, width, there = taken(measured.u), taken(measured.width), number >= 0
     lines = u.shape[1]
-    line = jnp.arange(lines, dtype=jnp.int32)
+    line = jnp.arange(lines, dtype=jnp.int32)[None]
     before = lax.cummax(jnp.where(there, line, -1), axis=1)
     after = lax.cummin(jnp.where(there, line, lines), axis=1, reverse=True)
     between = (before >= 0) & (after < lines) & ~there & (after - before <= _LINES + 1)

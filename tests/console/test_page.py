@@ -14,6 +14,7 @@ from ..browser.driver import NARROW, Looks
 
 ESCAPE, LEFT = "\ue00c", "\ue012"
 """Keys, as WebDriver names them."""
+TILT = {"tilt_deg": 0, "towards_deg": 0}
 CAPTURE = {
     "name": "room",
     "kind": "sweep",
@@ -58,6 +59,13 @@ def test_a_scan_by_clicks(visit, console):
         looks.driver.execute_script("[...document.querySelectorAll('#captures button')][0].click()")
         looks.until(lambda: looks.driver.execute_script("return document.getElementById('record').naturalWidth > 0"))
         assert looks.text("record-name") == "kitchen, 1 of 10"
+        assert looks.driver.execute_script("return document.getElementById('progress').position") == 1
+        slide(looks, "records", 3)
+        assert looks.text("record-name") == "kitchen, 4 of 10"
+        shown = lambda: looks.at("record").get_attribute("src").partition("/pictures/")[2]
+        assert shown() == "kitchen/3?lit=1"
+        looks.click("lit")
+        assert shown() == "kitchen/3"
         looks.click("close")
         looks.until(lambda: not looks.at("opened").is_displayed())
         # A taken name is not offered again; nor is anything to be resumed.
@@ -141,6 +149,54 @@ def test_the_board_and_its_button_are_seen_together_on_a_telephone(visit, consol
     visit(work)
 
 
+def slide(looks, name, value):
+    """Moves a slider, or types into a field, and lets it go."""
+    script = """const one = document.getElementById(arguments[0]);
+        one.value = arguments[1];
+        for (const kind of ["input", "change"]) one.dispatchEvent(new Event(kind));"""
+    looks.driver.execute_script(script, name, value)
+
+
+def test_the_answers_of_a_person_and_what_a_lost_page_does(visit, console):
+    answers = []
+    console.desk.answer = answers.append
+
+    def work(looks, url):
+        looks.open(url)
+        looks.until(lambda: looks.text("doing") == "ready")
+        looks.click("lost-stops")
+        looks.until(lambda: console.slate.read("lost") == "stop")
+        looks.click("lost-stops")
+        looks.until(lambda: console.slate.read("lost") == "go on")
+        console.slate.write(doing="placing", placing={"kind": "free", "number": 0, "total": 3, "at_deg": None})
+        pose = {
+            "covered": [[False]],
+            "corners": [[0]],
+            "depth_m": None,
+            "found": [],
+            "problem": "no board",
+            "pose": None,
+        }
+        console.slate.write(guide=pose | {"advice": [], "min_tilt_deg": 20, "next": {"at": [0.5, 0.5]} | TILT})
+        for name in ("take", "enough", "enough-of-all"):
+            looks.until(lambda name=name: looks.at(name).is_displayed())
+            looks.click(name)
+        looks.driver.execute_script("document.activeElement.blur()")
+        looks.driver.find_element("tag name", "body").send_keys(" ")
+        looks.until(lambda: len(answers) == 4)
+        console.slate.write(doing="nothing", placing=None, has_board=True)
+        looks.until(lambda: looks.at("boards").is_enabled())
+        looks.at("boards-name").clear()
+        looks.at("boards-name").send_keys("hall\ue007")
+        # The name has arrived; this rig has no board all the same.
+        looks.until(
+            lambda: "has no [board] table" in looks.text("lines") and "board hall begins" in looks.text("lines")
+        )
+
+    visit(work)
+    assert answers == ["take", "enough", "enough of all", "take"]
+
+
 def green(looks):
     """The buttons that are the next step."""
     script = """return Array.from(document.querySelectorAll("button.go"), (one) => one.textContent)"""
@@ -176,6 +232,10 @@ def test_one_green_button_is_the_next_step_and_the_rig_is_set_by_hand(visit, con
         looks.until(lambda: "of 255" in looks.text("peak-dn") and looks.colours("histogram") > 1)
         press(looks, "+10°", "jog")
         looks.until(lambda: looks.text("angle") == "table at 10.00°")
+        press(looks, "−1°", "jog")
+        looks.until(lambda: looks.text("angle") == "table at 9.00°")
+        press(looks, "home", "jog")
+        looks.until(lambda: looks.text("angle") == "table at 0.00°")
         looks.click("light")
         looks.until(lambda: looks.text("peak-dn") == "–")
         assert not paper.table.contactor
@@ -184,6 +244,12 @@ def test_one_green_button_is_the_next_step_and_the_rig_is_set_by_hand(visit, con
         looks.at("exposure-ms").clear()
         looks.at("exposure-ms").send_keys("20\ue007")
         looks.until(lambda: "camera.exposure_ms = 20" in looks.text("exposure"))
+        # A field is not written anew under a person's hands.
+        looks.driver.execute_script("document.activeElement.blur()")
+        slide(looks, "exposure-log", 0.5)
+        looks.until(lambda: "camera.exposure_ms = 3.2 into" in looks.text("exposure"))
+        slide(looks, "gain-db", 6)
+        looks.until(lambda: "camera.exposure_ms = 3.2 and camera.gain_db = 6 into" in looks.text("exposure"))
         looks.click("auto")
         looks.until(lambda: "Auto: " in looks.text("lines"))
         looks.click("stop")
