@@ -16,13 +16,7 @@ import numpy as np
 from experiments import exact_rig
 from experiments.exact_rig import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 from experiments.report import Figure, command_line, conclude, progress, rms
-from jaxscan.calibration import (
-    Length,
-    calibrate_observations,
-    length_sigma,
-    measure_lengths,
-    typical_lengths,
-)
+from jaxscan.calibration import Length, calibrate_observations, length_sigma, measure_lengths, typical_lengths
 from jaxscan.simulation import SimulationConfig, true_scanner
 
 

@@ -38,18 +38,9 @@ import numpy as np
 from experiments import exact_rig
 from experiments.exact_rig import PosePlan, add_noise, draw_poses, ideal_boards
 from experiments.report import RESULTS, Figure, command_line, conclude, figure_table, machine, progress, table, verb
-from experiments.speed_scene import (
-    DISTINCT,
-    DISTORTION,
-    HEIGHT,
-    WIDTH,
-    Frames,
-    make_angles,
-    make_frames,
-    make_scanner,
-)
+from experiments.speed_scene import DISTINCT, DISTORTION, HEIGHT, WIDTH, Frames, make_angles, make_frames, make_scanner
 from jaxscan.calibration import CalibrationSettings, calibrate_camera, calibrate_observations
-from jaxscan.files.capture import Capture, cache_path, cached_stripes, frames_key, open_capture, save_stripes
+from jaxscan.files.capture import cache_path, cached_stripes, frames_key, open_capture, save_stripes
 from jaxscan.geometry import Scanner
 from jaxscan.observation import Observations
 from jaxscan.reconstruction import PointCloud, ReconstructSettings, Sweep, extract, reconstruct
@@ -270,7 +261,13 @@ def packed_inside(folder: Path, size: Size) -> dict[str, Any]:
     stripes = extract(capture, scanner).stripes
     fields = {field.name: np.asarray(getattr(stripes, field.name)) for field in dataclasses.fields(stripes)}
     save_stripes(cache_path(capture), fields, {"frames": frames_key(capture)})
-    again = take_turns({"again": lambda: _from_cache(capture, scanner)}, 2)["again"]
+
+    def from_cache() -> PointCloud:
+        kept = cached_stripes(cache_path(capture), {"frames": frames_key(capture)})
+        assert kept is not None
+        return reconstruct(capture, scanner, stripes=Stripes(**kept))
+
+    again = take_turns({"again": from_cache}, 2)["again"]
     return {
         "walls": [times[str(count)].best for count in size.packed],
         "used": [times[str(count)].processor for count in size.packed],
@@ -279,12 +276,6 @@ def packed_inside(folder: Path, size: Size) -> dict[str, Any]:
         "growth_bytes": (needed[-1] - needed[0]) / (cells[-1] - cells[0]),
         "again_s": again.best,
     }
-
-
-def _from_cache(capture: Capture, scanner: Scanner) -> PointCloud:
-    kept = cached_stripes(cache_path(capture), {"frames": frames_key(capture)})
-    assert kept is not None
-    return reconstruct(capture, scanner, stripes=Stripes(**kept))
 
 
 class Watch:

@@ -252,8 +252,8 @@ def measure_reflections(*, quick: bool, seed: int) -> list[Figure]:
         key = "reflections_" + variant.name.replace(", ", "_").replace(" ", "_")
         affected = max(total.affected, 1)
         out.append(Figure(f"{key}_right", total.right / affected, "of affected rows", low=variant.least))
-        out.append(Figure(f"{key}_on_the_reflection", total.reflected / affected, "of affected rows"))
-        out.append(Figure(f"{key}_missing", total.missing / affected, "of affected rows"))
+        shares = {"on_the_reflection": total.reflected, "missing": total.missing}
+        out += [Figure(f"{key}_{name}", count / affected, "of affected rows") for name, count in shares.items()]
         out.append(Figure(f"{key}_affected", total.affected, "rows"))
         out.append(Figure(f"{key}_right_of_all", total.right_of_all / max(total.clean, 1), "of rows"))
         out.append(Figure(f"{key}_found_on_clean_frames", total.clean / total.lit, "of lit rows"))
@@ -271,11 +271,7 @@ TITLES = {
 }
 
 
-_MEASURES = {
-    "faint": measure_faint,
-    "reflections": measure_reflections,
-    "speckle": measure_speckle,
-}
+_MEASURES = {"faint": measure_faint, "reflections": measure_reflections, "speckle": measure_speckle}
 
 
 def measure(section: str, *, quick: bool, seed: int) -> tuple[str, list[Figure]]:

@@ -4,7 +4,7 @@
 
 Worlds of `experiments.unkind.simulated` with a lens at f/4 and a laser whose speckle has such a contrast on one pixel,
 each calibrated as a user does, camera, sheet and axis from one capture of boards, by jaxscan and by the plain method.
-Every figure is printed beside its limit; the exit code is 1 if one is missed. With `--worlds` captures and figures are kept, and what is there is not made again.
+Figures are printed beside their limits; the exit code is 1 if one is missed. `--worlds` keeps what is made, for reuse.
 """
 
 import json
