@@ -31,6 +31,8 @@ corners of a few standard deviations a line are still seen, and spheres are not 
 SLOPES = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 """Slopes of a stripe that have tables of their own [px/line]."""
 _ALIKE_ENOUGH = 1e-9
+_MANY = 100
+"""Rows whose mean is that of many: walls have about as many and more."""
 
 
 _Count = TypeVar("_Count", int, Array)
@@ -106,7 +108,7 @@ class Tables(NamedTuple):
 @functools.lru_cache(maxsize=16)
 def tables_of(correlation: Correlation) -> Tables:
     """Tables for `smooth_profiles`."""
-    lag = np.abs(np.subtract.outer(np.arange(2 * REACH + 1), np.arange(2 * REACH + 1)))
+    lag = np.abs(np.subtract.outer(np.arange(_MANY), np.arange(_MANY)))
     covariances = [kind(lag, slope) for kind in (correlation.by_light, correlation.by_mosaic) for slope in SLOPES]
     windows, edges, rows = (np.stack(part).astype(np.float32) for part in zip(*map(_tables, covariances), strict=True))
     windows = windows.swapaxes(0, 1).reshape(len(SIZES), -1, 4)
@@ -115,7 +117,9 @@ def tables_of(correlation: Correlation) -> Tables:
 
 
 def _tables(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where the rows of the longest window have such a covariance."""
+    """Where many rows have such a covariance."""
+    mean_of_many = _MANY * covariance.mean()
+    covariance = covariance[: 2 * REACH + 1, : 2 * REACH + 1]
     fits, weights, before = _windows()
     shape = (len(SIZES), (REACH + 1) ** 2)
     quadratic = lambda h: np.einsum("...i,ij,...j->...", h, covariance, h)
@@ -136,7 +140,6 @@ def _tables(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     line = _hat(np.stack([np.ones(4), around], 1))
     agree = np.sum((np.eye(4) - line) * covariance[np.ix_(around + 2, around + 2)]) / 2.0
     away = np.array([-0.25, -0.25, 1.0, -0.25, -0.25])
-    mean_of_many = max(covariance[0, 0] + 2.0 * covariance[0, 1 : REACH + 1].sum(), 0.0)
     stray = away @ covariance[:5, :5] @ away / (away @ away)
     return windows, edges, np.array([agree, stray, mean_of_many])
 

@@ -35,9 +35,9 @@ _ROUGH, _STEEP, _SHOWN = 4.0, 0.2, 1.3
 """Variance about a cubic over that of differences, from which a cubic is no surface; slope from which a stripe passes
 all places in a window [px/row]; and how much more variance steep windows then have at least, where the place matters.
 """
-_NOTICED, _LUCK, _GAIN = 0.05, 3.0, 20.0
-"""Least correlation that is noticed; standard deviations by which that of next rows is no luck; and how much less
-chi-squared becomes by errors that depend on the place in the pixel."""
+_NOTICED, _LUCK, _ALIKE_ROWS, _GAIN = 0.05, 3.0, 0.2, 20.0
+"""Least correlation that is noticed; standard deviations by which that of next rows is no luck; that from which frames
+are no plain ones; and how much less chi-squared becomes in others by errors that depend on the place in the pixel."""
 _FEW = 0.01
 """Least deviation of the mean products of windows, over that of squares [1]."""
 _SECOND, _FOURTH = np.array([1.0, -2.0, 1.0]), np.array([1.0, -4.0, 6.0, -4.0, 1.0])
@@ -213,7 +213,9 @@ def _learned(widths: list[list[_Windows]], least: float, *, mosaic: bool) -> tup
     if mosaic or (steep and np.median(steep) > _SHOWN * still):
         near = tuple(np.round(first[1 : 1 + _LAGS] / max(first[0], 1e-9), 3))
         placed, best = _fitted(windows, near, compressed=not mosaic)
-        if mosaic or chi2 - best > _GAIN * max(best / sum(len(one.products) for one in windows), 1.0):
+        # A mosaic, and frames whose next rows are alike, demosaiced or compressed ones, have such errors anyway.
+        known = mosaic or first[1] > _ALIKE_ROWS * first[0]
+        if known or chi2 - best > _GAIN * max(best / sum(len(one.products) for one in windows), 1.0):
             found, (by_blocks, by_mosaic) = placed, placed[-2:]
     own = found[0]
     if own <= 0:
