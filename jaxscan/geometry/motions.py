@@ -24,6 +24,7 @@ from jaxscan.geometry.rigid import (
     move_direction,
     nearest_rotation,
     rigid,
+    rotation_vectors,
     tangent_basis,
     turn,
     unit_vector,
@@ -334,7 +335,7 @@ class Hand(AbstractMotion):
         Source: Park and Martin, Robot sensor calibration (1994), with the nearest rotation to the sum.
         """
         seen = poses[0] @ invert(poses[1])
-        by_hand, by_camera = (_rotation_vectors(turned) for turned in (change, seen))
+        by_hand, by_camera = (rotation_vectors(turned) for turned in (change, seen))
         _, spread, _ = np.linalg.svd(by_camera)
         if len(by_camera) < 2 or spread[1] < _LEAST_TURN * np.sqrt(len(by_camera)):
             raise ValueError(
@@ -352,7 +353,7 @@ class Hand(AbstractMotion):
 
     def described(self, sigma: Mapping[str, float]) -> list[Described]:
         size = lambda part: float(np.linalg.norm([sigma.get(f"hand.{part}{k}", 0.0) for k in (1, 2, 3)]))
-        vector = _rotation_vectors(np.asarray(self.hand_cam, np.float64)[None])[0]
+        vector = rotation_vectors(np.asarray(self.hand_cam, np.float64)[None])[0]
         return [
             Described("camera on the hand: place", _numbers(self.hand_cam[:3, 3]), size("t"), "m"),
             Described("camera on the hand: rotation vector", _numbers(vector), size("r"), "rad"),
@@ -381,18 +382,12 @@ class Hand(AbstractMotion):
 
     def departure(self, other: Any) -> Float[np.ndarray, "6"]:
         change = np.asarray(invert(self.hand_cam) @ other.hand_cam, np.float64)
-        return np.concatenate([change[:3, 3], _rotation_vectors(change[None])[0]])
+        return np.concatenate([change[:3, 3], rotation_vectors(change[None])[0]])
 
     def table(self) -> dict[str, Any]:
         hand_cam = np.asarray(self.hand_cam, np.float64)
-        numbers = hand_cam[:3, 3], _rotation_vectors(hand_cam[None])[0], *map(float, self.scatter)
+        numbers = hand_cam[:3, 3], rotation_vectors(hand_cam[None])[0], *map(float, self.scatter)
         return {"carries": self.carries, **dict(zip(self.fields, numbers, strict=True))}
-
-
-def _rotation_vectors(pose: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 3"]:
-    from scipy.spatial.transform import Rotation  # type: ignore[import-untyped]
-
-    return np.asarray(Rotation.from_matrix(pose[:, :3, :3]).as_rotvec())
 
 
 Turns = Literal["scanner", "object"]

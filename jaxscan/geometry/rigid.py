@@ -123,6 +123,13 @@ def from_quaternion(q: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
     return np.asarray(Rotation.from_quat(np.roll(q, -1)).as_matrix())
 
 
+def rotation_vectors(pose: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 3"]:
+    """Axis times angle [rad] of the rotations of motions."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(pose[:, :3, :3]).as_rotvec())
+
+
 def tangent_basis(direction: np.ndarray) -> np.ndarray:
     """Two orthonormal vectors, float64 [2, 3], perpendicular to the unit vector `direction`."""
     # The cross product with the coordinate axis after the largest component is safe. The least parallel

@@ -60,8 +60,8 @@ def test_place_and_scatter_are_found_within_their_sigmas(seen):
     true = motion_of("poses", translation_m=np.zeros(3), rotation=np.zeros(3))
     true = replace(true, hand_cam=hand_cam)
     assert (np.abs(motion.departure(true)) < 4.5 * sigma).all()
-    # 72 numbers each tell a standard deviation to 8 %; what boards themselves err is taken off.
-    np.testing.assert_allclose(motion.scatter, SCATTER, rtol=0.45)
+    # Errors of the camera that differ from view to view count in: more than is there, and not twice as much.
+    assert (0.8 * SCATTER < motion.scatter).all() and (motion.scatter < 2.0 * SCATTER).all()
 
 
 def test_a_camera_that_is_known_to_sit_there_is_held(seen):
