@@ -33,7 +33,8 @@ SEED = 7
 NEAR_PX = 1.5
 FALSE = 0.005
 """Limit of the false ones [1]; the others are: no sweep with a laser is refused, and every one without."""
-# Written down before the first run; seed 2001 then showed that repeated print comes back, and has a part in it since. Pixel format, peak of the stripe [DN], seed, yaw [degrees].
+# Written down before the first run; seed 2001 then showed that repeated print comes back, and has a part in it since.
+# Pixel format, peak of the stripe [DN], seed, yaw [degrees].
 OTHERS = (
     ("mono8", 40.0, 2001, 35.0),
     ("rgb8", 40.0, 2002, 80.0),
