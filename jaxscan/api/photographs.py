@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxscan.api.stages import Stage, Stages, megapixels
 from jaxscan.errors import CalibrationError, CaptureError, CloudError, OutputError
 from jaxscan.files.capture import Capture
 from jaxscan.files.clouds import FlatPicture, RoundPicture, StoredCloud, Surroundings, save_cloud_with_pictures
@@ -111,6 +112,7 @@ def open_photographs(
     """
     if not all(record.off for record in capture.records):
         raise CaptureError(f"{capture.path}: has no laser-off images, and photographs of the room are such.")
+    scanner = scanner.along(capture.poses)
     size = scanner.camera.width, scanner.camera.height
     if capture.image_size != size:
         raise CalibrationError(
@@ -127,7 +129,7 @@ def colour_cloud(cloud: PointCloud, capture: Capture, scanner: Scanner, *, progr
         cloud: Points with the colours of their stripes; those keep it that no photograph shows.
         capture: The sweep that it is of.
         scanner: The rig that took it.
-        progress: Called with (images read, images in all).
+        progress: Called with (work done, work in all).
 
     Returns:
         The cloud with other colours, in the camera's own response.
@@ -137,9 +139,12 @@ def colour_cloud(cloud: PointCloud, capture: Capture, scanner: Scanner, *, progr
         CalibrationError: If the calibration is for images of another size.
         CloudError: If the cloud has no grid.
     """
-    photographs = open_photographs(capture, scanner, "points", progress=progress)
+    images = megapixels(*capture.image_size, len(chosen_photographs(capture, scanner, "points")))
+    # Seconds of one processor, as of the other stages.
+    told = Stages(progress, (Stage(2.3, 0.045 * images),)).part(0)
+    photographs = open_photographs(capture, scanner, "points", progress=told)
     own, _ = in_scanner_frame(cloud)
-    occluder = make_occluder(own, scanner)
+    occluder = make_occluder(own, scanner.along(capture.poses))
     points = own.points()
     found, _ = colour_points(photographs, points.xyz, points.normals, occluder=occluder, start=points.rgb)
     rgb = np.zeros_like(np.asarray(cloud.rgb))

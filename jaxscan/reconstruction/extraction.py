@@ -10,17 +10,18 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from jaxscan.errors import CaptureError
 from jaxscan.geometry import Array, Scanner
 from jaxscan.reconstruction.ahead import Progress, map_ahead, workers
 from jaxscan.reconstruction.along import SmoothedSweep
 from jaxscan.reconstruction.colours import stripe_colours
-from jaxscan.reconstruction.decoys import Chance, DecoyWatch, clearness, judge
+from jaxscan.reconstruction.decoys import Decoys, DecoyWatch, judge_sweep
 from jaxscan.reconstruction.plan import Plan, plan_sweep
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.sweep import Batch, FrameChunk, SweepSource, batches, colour_exposure, place, rows_of
-from jaxscan.reconstruction.without_off import dark_room, predicts, with_off
+from jaxscan.reconstruction.without_off import GIVEN, Dark, darks, predicts, with_off
 from jaxscan.stripes import (
     KEPT_FIELDS,
     BlackLevelError,
@@ -45,8 +46,20 @@ from jaxscan.stripes import (
 
 LEARNED_RECORDS = 8
 """Records at the start of a sweep from which noise and colours are learned where they are not given."""
-_AS_MANY = 0.95
-"""Stripes before an even room, over those before a predicted one, that it has at least [1]."""
+_APART = 4
+"""Lines from a centre to those on both sides with which it should be straight: the errors of the next ones are alike in
+mosaics and compressed frames."""
+_STRAIGHT_PX, _SAME_PX = 1.0, 2.0
+"""Bend up to which three centres are a continuous surface, and distance up to which two are of one stripe [px]."""
+_BETTER = 1.2
+"""Straight pieces over their variance, in those with the usual laser-off frames, from which others are taken [1]."""
+_MOST_SAID = 10.0
+_SAID = {
+    "given": "the given laser-off picture",
+    "predicted": "what all channels predict",
+    "alone": "what each channel predicts by itself",
+    "even": "one colour",
+}
 
 
 class Extraction(NamedTuple):
@@ -96,12 +109,8 @@ class StripePart(NamedTuple):
 
     fields: dict[str, np.ndarray]
     """As of `Stripes`, a profile for each laser in a record."""
-    clear: np.ndarray
-    """Clearness of the stripes in profiles that were searched for decoys, float32 [searched, lines, 2]."""
-    decoys: np.ndarray
-    """The same of the decoys."""
-    found: int
-    """Stripes, before any is left out."""
+    decoys: Decoys
+    """Those of the profiles that were searched for them; none where a line has several stripes."""
     notes: tuple[str, ...]
     """As of `Extraction`, of what was learned."""
     noise: str
@@ -136,15 +145,10 @@ def extract_part(
         noise: Noise of a frame; learned where not given.
         progress: Called with (records done, records of the part) after every chunk.
     """
-    coming = with_off(plan)
-    ahead = [next(coming)]
-    while sum(len(chunk.on) for chunk in ahead) < min(LEARNED_RECORDS, len(plan.sweep)):
-        ahead.append(next(coming))
-    learned, profiles = learn(plan, _first(ahead), noise=noise), len(plan.sweep.record)
-    frames = _replayed(ahead, coming)
-    if learned.predicted:
-        learned, room = _before_what(learned, _first(ahead))
-        frames = frames if room is None else with_off(plan, room)
+    ahead, coming = _ahead(plan)
+    learned = _learn_straightest(plan, _first(ahead), noise)
+    frames = with_off(plan, learned.dark) if learned.chosen else _replayed(ahead, coming)
+    watch = DecoyWatch(plan, predicted=learned.dark.source != "given", first=before)
     if part is not None:
         for batch in batches(plan.sweep, plan.size, frames):
             learned = learned.taught_by(batch)
@@ -152,8 +156,7 @@ def extract_part(
                 break
         plan = dataclasses.replace(plan_sweep(part, plan.scanner, plan.settings), size=plan.size)
         frames = with_off(plan)
-    sweep, watch = plan.sweep, DecoyWatch(profiles, predicted=learned.predicted, first=before)
-    each, settings = learned.profiles_per_record, plan.settings
+    sweep, each, settings = plan.sweep, learned.profiles_per_record, plan.settings
     fields = empty_stripes(each * len(sweep.record), plan.lines)
     chosen = np.full((len(sweep.record), plan.lines), -1, np.int8)
 
@@ -163,24 +166,24 @@ def extract_part(
             learned = learned.taught_by(batch)
             yield learned, batch
 
-    def compute(item: tuple[Learned, Batch]) -> tuple[Batch, ChunkStripes, np.ndarray]:
+    def compute(item: tuple[Learned, Batch]) -> tuple[Batch, ChunkStripes, np.ndarray, Decoys]:
         known, batch = item
         found = known.find(batch)
-        watch.look(batch, found)
-        return batch, found, known.colours(batch, found)
+        return batch, found, known.colours(batch, found), watch.look(batch, known.find)
 
-    for batch, found, rgb in map_ahead(compute, taught(), workers(), compiled=learned.compiles):
+    decoys: list[Decoys] = []
+    for batch, found, rgb, turned in map_ahead(compute, taught(), workers(), compiled=learned.compiles):
         rows = place(rows_of(batch.profiles, each))
         for name, field in fields.items():
             field[rows] = rgb if name == "rgb" else np.asarray(getattr(found.stripes, name))
+        decoys.append(turned)
         if found.chosen is not None:
             chosen[batch.profiles] = found.chosen
         if progress is not None:
             progress(int(sweep.record[batch.profiles[-1]]) + 1, len(sweep))
     if settings.check_steps:
         fields = pick_by_steps(fields, chosen, sweep.laser, sweep.angles[sweep.record])
-    clear, decoys = watch.compared(learned.find_shared, plan.size)
-    return StripePart(fields, clear, decoys, watch.found, learned.notes, learned.noise)
+    return StripePart(fields, Decoys.joined(decoys), learned.notes, learned.noise)
 
 
 def join_parts(plan: Plan, parts: Sequence[StripePart]) -> Extraction:
@@ -191,20 +194,18 @@ def join_parts(plan: Plan, parts: Sequence[StripePart]) -> Extraction:
     """
     sweep = plan.sweep
     fields = {name: np.asarray(_joined([part.fields[name] for part in parts])) for name in parts[0].fields}
-    searched = [part for part in parts if part.clear.size]
-    chance = Chance()
-    if searched:
-        clear, decoys = (np.concatenate([getattr(part, name) for part in searched]) for name in ("clear", "decoys"))
-        chance = judge(clear, decoys, per_profile=sum(part.found for part in parts) / len(sweep.record))
-    if chance.least > 0.0:
-        doubtful = clearness(fields)[..., chance.measure] < np.float32(chance.least)
-        # The parts are the caller's.
-        fields = {name: field.copy() for name, field in fields.items()}
-        for field in fields.values():
-            field[doubtful] = 0
+    decoys, notes = Decoys.joined([part.decoys for part in parts]), parts[0].notes
+    if len(decoys.profile) and len(fields["u"]) == len(sweep.record):
+        chance, believed = judge_sweep(plan, fields, decoys)
+        notes = (*notes, *([chance.note] if chance.note else []))
+        if chance.least > 0.0:
+            # The parts are the caller's.
+            fields = {name: field.copy() for name, field in fields.items()}
+            for field in fields.values():
+                field[~believed] = 0
     profile = np.arange(len(fields["u"])) // (len(fields["u"]) // len(sweep.record))
     stripes = Stripes(**fields, record=sweep.record[profile], laser=sweep.laser[profile])
-    return Extraction(stripes, (*parts[0].notes, *([chance.note] if chance.note else [])), parts[0].noise)
+    return Extraction(stripes, notes, parts[0].noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,8 +217,10 @@ class Learned:
     """With their colours."""
     engines: dict[int, StripeEngine]
     """Of each laser of the sweep."""
-    predicted: bool
-    """Whether laser-off frames are predicted."""
+    dark: Dark
+    """Where the laser-off frames come from."""
+    chosen: bool = False
+    """Whether these are others than the usual ones."""
     taught: frozenset[int] = frozenset()
     """Lasers whose width and speckle are known."""
     of_frame: LearnedNoise | None = None
@@ -271,52 +274,82 @@ class Learned:
         return stripe_colours(found.stripes, off, self.plan.frames, self.plan.stripe_axis)
 
 
-def _before_what(predicted: Learned, first: FrameChunk) -> tuple[Learned, np.ndarray | None]:
-    """What is learned where the laser-off frames are as predicted; or, where next to nothing but the laser is seen and
-    lines are straighter before a frame of one colour, what is learned so, and that frame."""
-    plan = predicted.plan
-    room = dark_room(plan.sweep, first.on)
-    if room is None:
-        return predicted, None
-    even = FrameChunk(first.on, np.broadcast_to(room, first.on.shape))
-    # Noise is that of the same frames.
-    known = predicted.of_frame
-    other = learn(plan, even, noise=next(iter(predicted.engines.values())).noise, predicted=False)
-    (bends, count), (others, seen) = (_bends(one, chunk) for one, chunk in ((predicted, first), (other, even)))
-    if not len(others) or seen < _AS_MANY * count or (len(bends) and _straightness(others) >= _straightness(bends)):
-        return predicted, None
-    told = "laser-off images are taken as even: next to nothing but the laser is seen, and its lines are straighter so"
-    return dataclasses.replace(other, of_frame=known, notes=(*predicted.notes, told)), room
+def _learn_straightest(plan: Plan, usual: FrameChunk, noise: NoiseModel | None) -> Learned:
+    """What is learned with the laser-off frames that make lines straightest: the usual ones, unless others do by far.
+
+    Args:
+        usual: The first records with the laser-off frames that the sweep usually has.
+        noise: As of `learn`.
+    """
+    first, *others = darks(plan.sweep, usual)
+    taken = best = learn(plan, usual, noise=noise, dark=first)
+    if not others:
+        return best
+    lines, gained = _Lines.of(best, usual), 1.0
+    if first.source == "predicted":
+        # Noise is that of the same frames.
+        noise = next(iter(best.engines.values())).noise
+    for dark in others:
+        chunk = _first(_ahead(plan, dark)[0])
+        other = learn(plan, chunk, noise=noise, dark=dark)
+        found = _Lines.of(other, chunk)
+        gain = found.over(lines)
+        if gain > _BETTER:
+            taken, lines, gained = other, found, gained * gain
+    if taken is best:
+        return best
+    told = (
+        f"the laser-off images are {_SAID[taken.dark.source]}: on continuous surfaces this gives "
+        f"{min(gained, _MOST_SAID):.1f} times the information that {_SAID[first.source]} gives"
+    )
+    known = taken.of_frame or best.of_frame
+    return dataclasses.replace(taken, chosen=True, of_frame=known, notes=(*(taken.notes or best.notes), told))
 
 
-def _bends(learned: Learned, first: FrameChunk) -> tuple[np.ndarray, int]:
-    """Departures of the centres from the middle of those on both sides [px], and the number of stripes."""
-    bends, count = [], 0
-    for batch in batches(learned.plan.sweep, learned.plan.size, [first]):
-        learned = learned.taught_by(batch)
-        found = learned.find_shared(batch)
-        stripes, step = chosen_of(found.stripes, found.chosen), learned.engines[batch.laser].setup.sites.line_step
-        u, valid = np.asarray(stripes.u), np.asarray(stripes.valid)
-        parts = [np.s_[:, : -2 * step], np.s_[:, step:-step], np.s_[:, 2 * step :]]
-        whole = np.logical_and.reduce([valid[part] for part in parts])
-        before, here, after = (u[part][whole] for part in parts)
-        bends.append(here - 0.5 * (before + after))
-        count += int(np.count_nonzero(valid))
-    return np.concatenate(bends), count
+class _Lines(NamedTuple):
+    """The stripes of the first frames [profiles, lines], one of each line."""
+
+    u: Float[np.ndarray, "profiles lines"]
+    valid: Bool[np.ndarray, "profiles lines"]
+    step: int
+    """Distance of lines that carry the laser's colour."""
+
+    @classmethod
+    def of(cls, learned: Learned, first: FrameChunk) -> "_Lines":
+        found = []
+        for batch in batches(learned.plan.sweep, learned.plan.size, [first]):
+            learned = learned.taught_by(batch)
+            chunk = learned.find_shared(batch)
+            stripes = chosen_of(chunk.stripes, chunk.chosen)
+            found.append((np.asarray(stripes.u), np.asarray(stripes.valid)))
+        u, valid = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        return cls(u, valid, learned.engines[batch.laser].setup.sites.line_step)
+
+    def bends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Distances of centres from the middle of those some lines away [px], and where all three are."""
+        apart = -(-_APART // self.step) * self.step
+        parts = np.s_[:, : -2 * apart], np.s_[:, apart:-apart], np.s_[:, 2 * apart :]
+        before, here, after = (self.u[part] for part in parts)
+        return here - 0.5 * (before + after), np.logical_and.reduce([self.valid[part] for part in parts])
+
+    def over(self, other: "_Lines") -> float:
+        """Straight pieces over their variance, in those of other stripes [1]: bends are compared on the same lines."""
+        same = self.valid & other.valid & (np.abs(self.u - other.u) < _SAME_PX)
+        (own, whole), (others, there) = self.bends(), other.bends()
+        straight = [np.count_nonzero(k & (np.abs(b) < _STRAIGHT_PX)) for b, k in ((own, whole), (others, there))]
+        shared = self._replace(valid=same).bends()[1]
+        # Whatever edges do.
+        scatter = [float(np.quantile(np.abs(b[shared]), 0.683)) if shared.any() else 1.0 for b in (own, others)]
+        return straight[0] / max(straight[1], 1) * (max(scatter[1], 1e-3) / max(scatter[0], 1e-3)) ** 2
 
 
-def _straightness(bends: np.ndarray) -> float:
-    """Their standard deviation, whatever edges do."""
-    return float(np.quantile(np.abs(bends), 0.683))
-
-
-def learn(plan: Plan, first: FrameChunk, *, noise: NoiseModel | None = None, predicted: bool | None = None) -> Learned:
+def learn(plan: Plan, first: FrameChunk, *, noise: NoiseModel | None = None, dark: Dark = GIVEN) -> Learned:
     """Learn noise and colours, and where stripes are looked for.
 
     Args:
         first: Its first `LEARNED_RECORDS`: a fixed number, so that the result does not depend on the size of chunks.
         noise: Noise of a frame; learned where not given.
-        predicted: Whether laser-off frames are predicted; as the first record says where not given.
+        dark: Where its laser-off frames come from.
 
     Raises:
         CaptureError: If a colour cannot be learned, the black level is above the picture, or stripes of two
@@ -355,11 +388,11 @@ def learn(plan: Plan, first: FrameChunk, *, noise: NoiseModel | None = None, pre
         engines = prepare_engines(first.on, first.off, setups, noise=noise, gates=searched)
     except BlackLevelError as problem:
         raise CaptureError(str(problem)) from problem
-    predicted = predicts(sweep) if predicted is None else predicted
-    if predicted and sweep.bits == 8:
+    if dark.source == "predicted" and sweep.bits == 8:
+        # The other channels are subtracted from the laser's, and have no laser-off frames of their own.
         engines = [engine.own_channel() for engine in engines]
     notes = () if of_frame is None else of_frame.doubts
-    return Learned(plan, lasers, dict(zip(gates, engines, strict=True)), predicted, of_frame=of_frame, notes=notes)
+    return Learned(plan, lasers, dict(zip(gates, engines, strict=True)), dark, of_frame=of_frame, notes=notes)
 
 
 def learned_lasers(sweep: SweepSource) -> tuple[LaserLine, ...]:
@@ -401,6 +434,16 @@ def empty_stripes(profiles: int, lines: int) -> dict[str, np.ndarray]:
         name: np.zeros((profiles, lines), types.get(name, np.float32)) for name in KEPT_FIELDS
     }
     return fields | {"rgb": np.zeros((profiles, lines, 3), np.uint8)}
+
+
+def _ahead(plan: Plan, dark: Dark | None = None) -> tuple[list[FrameChunk], Iterator[FrameChunk]]:
+    """Chunks that hold the first `LEARNED_RECORDS`, and those that follow."""
+    # Each laser's width and speckle are learned from as many.
+    coming = with_off(plan, dark, first=LEARNED_RECORDS * len(np.unique(plan.sweep.laser)))
+    ahead = [next(coming)]
+    while sum(len(chunk.on) for chunk in ahead) < min(LEARNED_RECORDS, len(plan.sweep)):
+        ahead.append(next(coming))
+    return ahead, coming
 
 
 def _first(chunks: Sequence[FrameChunk]) -> FrameChunk:

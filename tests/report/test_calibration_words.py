@@ -117,9 +117,9 @@ class TestHeadline:
         assert {row[6] for row in outcome_rows(noisy)} == {"noisy"}
 
     def test_one_of_many_tests_may_be_a_little_unlikely(self, calibration):
-        """Of eight tests, each may be as unlikely as one in 800 before all together are one in a hundred."""
+        """Of nine tests, each may be as unlikely as one in 900 before all together are one in a hundred."""
         first, *others = calibration.quality.verdict.tests
-        for p, result in ((0.0013, "passes"), (0.0012, "structure")):
+        for p, result in ((0.00112, "passes"), (0.0011, "structure")):
             tests = [replace(first, p_structure=p), *others]
             assert outcome_rows(judged(calibration, tests))[0][6] == result
 
@@ -278,3 +278,8 @@ def test_numbers_of_the_solve_that_are_not_there_are_left_out(calibration):
 )
 def test_sizes_have_two_digits(size, said):
     assert words.millimetres(size) == said
+
+
+def test_many_pixels_are_written_without_an_exponent():
+    assert words.good_to_words(GoodTo(sigma_px=134.9)) == "135 px over the image"
+    assert words.good_to_words(GoodTo(sigma_px=0.7544)) == "0.75 px over the image"

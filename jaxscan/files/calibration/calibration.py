@@ -34,7 +34,7 @@ from jaxscan.files.disk import (
     write_arrays,
     write_together,
 )
-from jaxscan.geometry import AbstractCamera, Carries, Scanner, camera_doubts, scanner_doubts
+from jaxscan.geometry import MOTIONS, AbstractCamera, Carries, Scanner, camera_doubts, is_pose, scanner_doubts
 from jaxscan.geometry.scanner import Up
 from jaxscan.observation import CONTRAST_CLASSES, BoardViews, Observations, StripeViews
 
@@ -140,6 +140,7 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
 }
 _OPTIONAL: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "stripes.contrast": (np.signedinteger, ("stripes", "points")),
+    "poses": (np.floating, ("records", 4, 4)),
 }
 _RANGES = {
     "corners.q": (-1e6, 1e6),
@@ -201,7 +202,7 @@ def _holds_observations(path: Path) -> bool:
 
 
 def _is_observations(path: Path) -> bool:
-    """Whether a file is one of observations; a damaged one is none."""
+    """Whether a file holds observations; False for a damaged file."""
     try:
         return _holds_observations(path)
     except CalibrationError:
@@ -230,7 +231,9 @@ def _read_observations(path: Path) -> Observations:
     sizes = check_arrays(arrays, there, known, name=str(path), error=CalibrationError)
     counts = {"stripes.view": sizes["views"], "stripes.laser": len(about.laser_names)}
     # Indices of all entries: those of points that are not valid are looked up too.
-    for name, count in (counts | {name: CONTRAST_CLASSES for name in _OPTIONAL if name in arrays}).items():
+    for name, count in (
+        counts | {name: CONTRAST_CLASSES for name in _OPTIONAL if name in arrays and name != "poses"}
+    ).items():
         if ((arrays[name] < 0) | (arrays[name] >= count)).any():
             raise CalibrationError(f"{path}: {name}: found an index outside 0 ... {count - 1}.")
     for name, (least, most) in _RANGES.items():
@@ -246,8 +249,20 @@ def _read_observations(path: Path) -> Observations:
         board=board,
         corners=BoardViews(**corners),
         stripes=StripeViews(**stripes),
+        poses=_poses_of(arrays, about.carries, path),
         **{name: getattr(about, name) for name in _PLAIN},
     )
+
+
+def _poses_of(arrays: Mapping[str, np.ndarray], carries: Carries, path: Path) -> np.ndarray | None:
+    """The poses of the hand in a file of observations."""
+    if MOTIONS[carries].unit != "pose":
+        return None
+    poses, angle = arrays.get("poses", np.zeros((0, 4, 4))), arrays["corners.angle"]
+    there = not len(angle) or (angle.min() >= 0 and angle.max() < len(poses))
+    if not there or not all(is_pose(pose) for pose in poses):
+        raise CalibrationError(f"{path}: poses: expected a rigid pose for every view.")
+    return poses
 
 
 _DIGESTS = "digests"
@@ -262,7 +277,7 @@ def _digests_of(tables: Mapping[str, Any], observations: Path | None = None) -> 
 
 
 def _values_note(tables: Mapping[str, Any], name: str) -> str:
-    """A sentence if the values of a calibration file are not those that its digest was made of; else "".
+    """A sentence if the values of a calibration file do not match its digest; else "".
 
     A file without a digest, as a person writes it, gives none.
     """
@@ -277,12 +292,12 @@ def _values_note(tables: Mapping[str, Any], name: str) -> str:
 
 
 def _require_own(table: CalibrationTable, path: Path, beside: Path, *, found: bool) -> None:
-    """Refuse observations beside a calibration file with digests that are not its own."""
+    """Refuse observations whose digest the calibration file beside them does not name."""
     digests = table.digests
     if digests is None:
         return
     if digests.observations is None:
-        # A file of something else may lie beside a calibration without observations.
+        # A calibration without observations may have an unrelated file of that name beside it.
         own = not (found and digests.values is not None)
     else:
         own = file_digest(beside, error=CalibrationError) == digests.observations
@@ -342,7 +357,7 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
     writers[path] = write_own
     write_together(writers, error=CalibrationError)
     if calibration.observations is None and _is_observations(beside):
-        # They belong to the calibration that was just replaced.
+        # The old observations belong to the calibration that was just replaced.
         beside.unlink()
 
 
