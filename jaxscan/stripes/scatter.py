@@ -35,9 +35,9 @@ _ROUGH, _STEEP, _SHOWN = 4.0, 0.2, 1.3
 """Variance about a cubic over that of differences, from which a cubic is no surface; slope from which a stripe passes
 all places in a window [px/row]; and how much more variance steep windows then have at least, where the place matters.
 """
-_NOTICED, _LUCK, _ALIKE_ROWS, _GAIN = 0.05, 3.0, 0.2, 20.0
-"""Least correlation that is noticed; standard deviations by which that of next rows is no luck; that from which frames
-are no plain ones; and how much less chi-squared becomes in others by errors that depend on the place in the pixel."""
+_NOTICED, _LUCK, _ALIKE_ROWS = 0.05, 3.0, 0.2
+"""Least correlation that is noticed; standard deviations by which that of next rows is no luck; and that from which
+frames are no plain ones."""
 _FEW = 0.01
 """Least deviation of the mean products of windows, over that of squares [1]."""
 _SECOND, _FOURTH = np.array([1.0, -2.0, 1.0]), np.array([1.0, -4.0, 6.0, -4.0, 1.0])
@@ -207,16 +207,16 @@ def _learned(widths: list[list[_Windows]], least: float, *, mosaic: bool) -> tup
     else:
         return INDEPENDENT, 1.0
     steep = [one.usual for one in windows if one.slope.min() >= _STEEP]
-    first, _ = _fitted(flat, None)
-    found, chi2 = _fitted(windows, None)
+    first = _fitted(flat, None)
     by_blocks = by_mosaic = 0.0
-    if mosaic or (steep and np.median(steep) > _SHOWN * still):
+    # Frames whose next rows are alike were demosaiced or compressed.
+    made = first[1] > _ALIKE_ROWS * first[0] and len(steep) > 0 and np.median(steep) > _SHOWN * still
+    if mosaic or made:
         near = tuple(np.round(first[1 : 1 + _LAGS] / max(first[0], 1e-9), 3))
-        placed, best = _fitted(windows, near, compressed=not mosaic)
-        # A mosaic, and frames whose next rows are alike, demosaiced or compressed ones, have such errors anyway.
-        known = mosaic or first[1] > _ALIKE_ROWS * first[0]
-        if known or chi2 - best > _GAIN * max(best / sum(len(one.products) for one in windows), 1.0):
-            found, (by_blocks, by_mosaic) = placed, placed[-2:]
+        found = _fitted(windows, near, compressed=not mosaic)
+        by_blocks, by_mosaic = found[-2:]
+    else:
+        found = _fitted(windows, None)
     own = found[0]
     if own <= 0:
         return INDEPENDENT, 1.0
@@ -231,10 +231,8 @@ def _learned(widths: list[list[_Windows]], least: float, *, mosaic: bool) -> tup
     return correlation, float(own + by_blocks)
 
 
-def _fitted(
-    windows: Sequence[_Windows], near: tuple[float, ...] | None, *, compressed: bool = True
-) -> tuple[np.ndarray, float]:
-    """Covariances by which the products of windows are explained, and chi-squared: of rows 0, 1, ... apart; of the
+def _fitted(windows: Sequence[_Windows], near: tuple[float, ...] | None, *, compressed: bool = True) -> np.ndarray:
+    """Covariances by which the products of windows are explained: of rows 0, 1, ... apart; of the
     relief of each kind of windows; of errors in the blocks of a compression, all over the promised variance; and by the
     place in a mosaic [px^2].
 
@@ -257,9 +255,8 @@ def _fitted(
     return _least_squares(np.concatenate(designs), np.concatenate(values))
 
 
-def _least_squares(design: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, float]:
-    """Coefficients of which none is negative, one after the other the most negative one being left out; and their
-    chi-squared."""
+def _least_squares(design: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Coefficients of which none is negative: one after the other the most negative one is left out."""
     size = np.maximum(np.linalg.norm(design, axis=0), 1e-12)
     design = design / size
     found, used = np.zeros(design.shape[1]), np.ones(design.shape[1], bool)
@@ -269,7 +266,7 @@ def _least_squares(design: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, 
             found[used] = part
             break
         used[np.flatnonzero(used)[np.argmin(part)]] = False
-    return found / size, float(np.sum((values - design @ found) ** 2))
+    return found / size
 
 
 @functools.cache
