@@ -72,8 +72,8 @@ def calibrate(
         lens: Camera model; `fisheye` and `double_sphere` are for wide-angle lenses. `pinhole` if not given, or another
             one that explains the corners better by far.
         free: What to estimate beside the usual: of the lens `focal`, `centre`, `radial`, `tangential`, `k3`,
-            `rational`, `sphere`; of sheets `laser`, `bow`; of the motion `axis`, `gain`, `harmonics`, `travel`; of the
-            board its bend `warp`, its size `pitch` and its `shape`.
+            `rational`, `sphere`; of sheets `laser`, `bow`; of the motion `axis`, `gain`, `harmonics`, `travel`,
+            `hand`; of the board its bend `warp`, its size `pitch` and its `shape`.
         hold: What not to estimate; the same names as of --free.
         redetect: Take a second look at the images, where the first solve predicts corners and stripes.
         limit_mm: Refuse a rig whose points are not good to this.

@@ -61,6 +61,7 @@ Block = Literal[
     "gain",
     "harmonics",
     "travel",
+    "hand",
     "warp",
     "pitch",
     "shape",

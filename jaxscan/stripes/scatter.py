@@ -177,6 +177,9 @@ def _windows(rows: ProfileRows, line_step: int, width: int) -> list[_Windows]:
             residuals = u[part] @ left / sigma[part, None]
             squares = np.sum(residuals**2, 1) / (width - 4.0)
             usual = float(np.median(squares))
+            if usual == 0.0:
+                # Exact centres show no errors.
+                continue
             calm = squares < _CALM_WINDOWS * usual
             residuals, part = residuals[calm], part[calm]
             lags = range(width // 2 - 1)

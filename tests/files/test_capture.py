@@ -98,7 +98,7 @@ def test_a_calibration_capture(folder):
         (
             '"scanner"',
             '"camera"',
-            'turntable.carries: found "camera", expected "scanner", "object", "linear" or "nothing"',
+            'turntable.carries: found "camera", expected "scanner", "object", "linear", "poses" or "nothing"',
         ),
         (LASER, "", "laser: missing, a sweep needs a [[laser]] table"),
         (LASER, LASER + BOARD, "board: found in a sweep"),

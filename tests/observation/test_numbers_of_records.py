@@ -17,6 +17,6 @@ def test_a_number_beyond_32_bits_is_kept():
         for i in numbers
     ]
     look = SimpleNamespace(board=board, records=records)
-    capture = SimpleNamespace(image_size=(64, 48), lasers=(), up="-v", carries="scanner")
+    capture = SimpleNamespace(image_size=(64, 48), lasers=(), up="-v", carries="scanner", poses=None)
     build = getattr(to_observations, "__wrapped__", to_observations)
     assert build([capture], look).corners.record.tolist() == numbers
