@@ -36,7 +36,7 @@ LEAST_DUE = 500
 HEAD = """
 # Speckle
 
-`python -m experiments.unkind.speckle` writes this page: worlds of `experiments.unkind.simulated` with a lens at f/4,
+`python -m experiments.unkind.speckle --results DIR` writes this page: worlds of `experiments.unkind.simulated` at f/4,
 pixels of 3.45 um, and a laser whose light varies by such a contrast from pixel to pixel; 24 views of a board, a sweep
 of 40 steps. "plain" is a blur of 1 px, a centre of gravity, and sequential calibration by OpenCV. Figures are medians
 or sums over all seeds. Sigmas of points on boards are those of the observation, before the solve weighs them.

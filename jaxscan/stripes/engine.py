@@ -329,6 +329,8 @@ def _of_stack(on: _Stack, off: _Stack | None, count: Array, search: Search, kind
 
         def fill(_, known: tuple[FrameStripes, Array]) -> tuple[FrameStripes, Array]:
             gaps = find_gaps(*known)
+            # Without speckle a stripe does not fade, and a dark line between bright ones is a gap.
+            gaps = gaps._replace(exists=gaps.exists & (search.speckle > 0.0))
 
             def in_gaps(k: Array) -> FrameStripes:
                 peaks = jax.tree.map(lambda field: field[k][None], gaps.peaks(offsets[None], sites.pitch))

@@ -1,9 +1,8 @@
 """Stripes on lines where none was found, between lines that have one.
 
-Speckle lets a stripe fade on some lines, and noise hides a faint one, so that the search of a line by itself does not
-see it. The lines before and behind say where it has to be: there it is measured with less signal than anywhere else. A
-gap that is dark on purpose, behind an edge, has nothing to measure, and chance finds something there on one line of a
-hundred.
+Speckle lets a stripe fade on some lines, so that the search of a line by itself does not see it. The lines before and
+behind say where it has to be: there it is measured with less signal than anywhere else. A gap that is dark on purpose,
+behind an edge, has nothing to measure, and chance finds something there on one line of ten at most.
 """
 
 import math

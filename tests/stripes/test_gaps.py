@@ -7,17 +7,17 @@ from jaxscan.stripes import NoiseModel, extract_stripes
 
 
 ROWS, COLUMNS, WIDTH = 2048, 96, 1.3
-KNOWN = NoiseModel(read_dn=1.0, electrons_per_dn=40.0)
+KNOWN = NoiseModel(read_dn=1.0, electrons_per_dn=40.0, speckle=0.05)
 # Signal-to-noise ratio of a row whose peak is 1 DN: root of the sum of squares over the noise of a difference's pixel.
 SNR_PER_DN = np.sqrt(WIDTH * np.sqrt(np.pi)) / np.sqrt(2 * (1.0 + 10 / 40 + 1 / 12))
 
 
-def seen(sensor, profile, amplitude, u):
+def seen(sensor, profile, amplitude, u, noise=KNOWN):
     """Rows of a stripe with such peaks on rows [rows], by the public call."""
     draw = sensor(seed=3)
     on = profile(u, WIDTH, 1.0, COLUMNS) * amplitude[:, None] + 10.0
     pair = [draw.expose(level)[None] for level in (on, np.full_like(on, 10.0))]
-    found = extract_stripes(*pair, noise=KNOWN)
+    found = extract_stripes(*pair, noise=noise)
     return (np.asarray(field)[0] for field in (found.u, found.sigma, found.valid))
 
 
@@ -46,6 +46,14 @@ def test_a_gap_is_not_filled_with_noise(sensor, profile):
     _, _, valid = seen(sensor, profile, np.where(dark, 0.0, 40.0), np.full(ROWS, COLUMNS / 2 + 0.3))
     # The noise is over 2.0 at one of about three independent places within 1.5 px on a row of 15.
     assert valid[dark].mean() < 0.1
+
+
+def test_where_no_speckle_was_learned_nothing_is_filled(sensor, profile):
+    dark = np.arange(ROWS) % 20 >= 14
+    amplitude, u = np.where(dark, 3.2 / SNR_PER_DN, 40.0), np.full(ROWS, COLUMNS / 2 + 0.3)
+    *_, valid = seen(sensor, profile, amplitude, u, NoiseModel(read_dn=1.0, electrons_per_dn=40.0))
+    # One of six rows is lifted over 4.2 by noise.
+    assert valid[dark].mean() < 0.25
 
 
 def test_a_stripe_does_not_grow_beyond_its_end_or_over_a_step(sensor, profile):
